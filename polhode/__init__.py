@@ -1,0 +1,1 @@
+"""The shared language of polhode: frames, records, cameras, datasets, configuration."""

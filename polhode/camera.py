@@ -1,0 +1,62 @@
+"""The rectified stereo camera: one pinhole, one baseline (thesis eqs. 4.83-4.85 after rectification).
+
+Pixels are (u, v) with integer coordinates at pixel centres. A stereo measurement is
+``uvd = (u_left, v, disparity)`` with ``disparity = u_left - u_right`` [px].
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from polhode.lie import Array
+
+
+@dataclass(frozen=True)
+class RectifiedRig:
+    """Rectified stereo pair; frame R is the rectified left camera (x right, y down, z forward)."""
+
+    focal_px: float
+    cx_px: float
+    cy_px: float
+    baseline_m: float
+    width_px: int
+    height_px: int
+    disparity_offset_px: float = 0.0
+    """Difference of the principal points cx_left - cx_right; disparity = f b / z + offset."""
+
+    @property
+    def K(self) -> Array:
+        """Intrinsic matrix (3, 3) [px]."""
+        f = self.focal_px
+        return np.array([[f, 0.0, self.cx_px], [0.0, f, self.cy_px], [0.0, 0.0, 1.0]])
+
+    def project(self, p_R: ArrayLike) -> Array:
+        """Points (..., 3) [m] in the rectified left camera -> uvd (..., 3) [px]."""
+        p = np.asarray(p_R, dtype=np.float64)
+        z = p[..., 2]
+        u = self.focal_px * p[..., 0] / z + self.cx_px
+        v = self.focal_px * p[..., 1] / z + self.cy_px
+        d = self.focal_px * self.baseline_m / z + self.disparity_offset_px
+        return np.stack([u, v, d], axis=-1)
+
+    def triangulate(self, uvd_px: ArrayLike) -> Array:
+        """uvd (..., 3) [px] -> points (..., 3) [m] in the rectified left camera."""
+        uvd = np.asarray(uvd_px, dtype=np.float64)
+        z = self.focal_px * self.baseline_m / (uvd[..., 2] - self.disparity_offset_px)
+        x = (uvd[..., 0] - self.cx_px) * z / self.focal_px
+        y = (uvd[..., 1] - self.cy_px) * z / self.focal_px
+        return np.stack([x, y, z], axis=-1)
+
+    def triangulation_jacobian(self, p_R: ArrayLike) -> Array:
+        """d p_R / d uvd (..., 3, 3) [m/px] at points (..., 3) [m]: carries pixel noise into metres."""
+        p = np.asarray(p_R, dtype=np.float64)
+        x, y, z = p[..., 0], p[..., 1], p[..., 2]
+        f, dz = self.focal_px, -(p[..., 2] ** 2) / (self.focal_px * self.baseline_m)
+        zero = np.zeros_like(z)
+        rows = [
+            np.stack([z / f, zero, x / z * dz], axis=-1),
+            np.stack([zero, z / f, y / z * dz], axis=-1),
+            np.stack([zero, zero, dz], axis=-1),
+        ]
+        return np.stack(rows, axis=-2)

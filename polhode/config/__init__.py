@@ -1,0 +1,32 @@
+"""The configuration: the only place where defaults live (CONTRACT.md, "Commands")."""
+
+from pydantic import Field
+
+from polhode.config.backend import Backend
+from polhode.config.frontend import Frontend
+from polhode.config.mapping import Mapping
+from polhode.config.scene import Scene
+from polhode.config.section import Section
+
+__all__ = ["Backend", "Config", "Frontend", "Mapping", "Runtime", "Scene"]
+
+
+class Runtime(Section):
+    """How the work is done, not what is computed."""
+
+    workers: int = Field(0, ge=0)
+    """Parallel processes; 0: one per core."""
+    blas_threads: int = Field(1, ge=1)
+    """Threads of BLAS and OpenMP in each process: more than one was 5-8 times slower on small problems."""
+
+
+class Config(Section):
+    """One schema for every command: a scene (for simulate) and the stages (for run)."""
+
+    seed: int = 0
+    """Seed of everything random."""
+    scene: Scene | None = None
+    frontend: Frontend = Frontend()
+    backend: Backend = Backend()
+    mapping: Mapping = Mapping()
+    runtime: Runtime = Runtime()

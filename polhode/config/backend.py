@@ -1,0 +1,22 @@
+"""Settings of the back end."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from polhode.config.section import Section
+
+
+class Backend(Section):
+    """Measurements to motion and mass properties."""
+
+    inertia: Literal["second_moments", "ratios_axes"] = "second_moments"
+    """Variables of the inertia in the program: log-Cholesky second moments, or log-ratios and principal axes."""
+    accel_psd: float = Field(1e-6, gt=0)
+    """Disturbance acceleration, power spectral density [(m/s^2)^2/Hz] (thesis eq. 6.14, squared)."""
+    torque_psd: float = Field(1e-6, gt=0)
+    """Disturbance torque over the middle moment, power spectral density [(rad/s^2)^2/Hz] (eq. 6.15, squared)."""
+    robust_scale: float = Field(3.0, gt=0)
+    """Scale of the Cauchy kernel, in standard deviations."""
+    max_iterations: int = Field(60, ge=1)
+    """Iterations of one solve."""

@@ -1,0 +1,240 @@
+"""What passes between the stages: frozen records, arrays batch first.
+
+Frames (CONTRACT.md): N inertial, R rectified left camera, G geometric frame of the target,
+P principal axes at the centre of mass. ``p_N = X_NG @ p_G``; ``p_G = R_GP @ p_P + com_G``.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from polhode.camera import RectifiedRig
+from polhode.lie import Array
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class StereoTracks:
+    """Stereo measurements with data association: all that the back end sees of the images.
+
+    F frames, M observations, L landmarks. Frames without observations are allowed (bridged by the
+    dynamics). Also what ``measurements.npz`` holds.
+    """
+
+    rig: RectifiedRig
+    timestamps_ns: Ints
+    """(F,) strictly increasing."""
+    X_NR: Array
+    """(F, 4, 4) pose of the rectified left camera in N."""
+    frame: Ints
+    """(M,) index into the frames."""
+    landmark: Ints
+    """(M,) index into the landmarks, 0..L-1, each used at least once."""
+    uvd_px: Array
+    """(M, 3) u left, v, disparity [px]."""
+    sigma_px: Array
+    """(M, 3) standard deviations of uvd [px]."""
+    sigma_camera_p_m: float = 0.0
+    """Standard deviation of the inspector's position [m]; 0: exact."""
+    sigma_camera_theta_rad: float = 0.0
+    """Standard deviation of the inspector's attitude [rad]; 0: exact."""
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.timestamps_ns)
+
+    @property
+    def n_landmarks(self) -> int:
+        return int(self.landmark.max()) + 1 if len(self.landmark) else 0
+
+    @property
+    def time_s(self) -> Array:
+        """(F,) seconds since the first frame."""
+        return (self.timestamps_ns - self.timestamps_ns[0]) * 1e-9
+
+
+@dataclass(frozen=True)
+class RelativePoses:
+    """Motion of the target between pairs of frames, by matching and RANSAC (thesis 2.7, 6.3).
+
+    ``p_Ri = X_RiRj @ p_Rj`` for a point fixed to the target, seen in the cameras of frames i and j.
+    """
+
+    i: Ints
+    """(E,)"""
+    j: Ints
+    """(E,)"""
+    X_RiRj: Array
+    """(E, 4, 4)"""
+    inliers: Ints
+    """(E,)"""
+
+
+@dataclass(frozen=True)
+class InitialMotion:
+    """A first guess: the target's pose per frame, by chaining, pose graph and bundle adjustment."""
+
+    X_RG: Array
+    """(F, 4, 4) pose of the target in the rectified left camera; interpolated where not connected."""
+    connected: Bools
+    """(F,) true where the pose comes from measurements."""
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Noise that the estimate was made with."""
+
+    pixel_sigma_px: float
+    """Residual standard deviation of u and v, robust [px]."""
+    disparity_sigma_px: float
+    accel_psd: float
+    """[(m/s^2)^2/Hz]"""
+    torque_psd: float
+    """[(rad/s^2)^2/Hz], torque over the middle moment."""
+
+
+@dataclass(frozen=True)
+class SolverOutcome:
+    """How the optimisation ended."""
+
+    name: str
+    iterations: int
+    cost: float
+    converged: bool
+    reduced_chi2: float
+    message: str = ""
+    runner_up: dict[str, float] = field(default_factory=dict)
+    """Cost of the other hypotheses, by name."""
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What the data can tell. ``com`` and ``axes`` are true only when every component is determined."""
+
+    k1: bool
+    k2: bool
+    com: bool
+    axes: bool
+    detail: dict[str, str]
+    """Per direction, the reason in words."""
+    com_P: Bools
+    """(3,) each component of the centre of mass, along the principal axes."""
+    axes_P: Bools
+    """(3,) each rotation of the principal axes, about them."""
+
+
+@dataclass(frozen=True)
+class MassProperties:
+    """Mass distribution up to scale. Moments sorted Jxx >= Jyy >= Jzz, the middle one 1, P right-handed."""
+
+    J_G: Array
+    """(3, 3) about the centre of mass, axes of G."""
+    moments: Array
+    """(3,)"""
+    k1: float
+    """ln(Jxx / Jyy)"""
+    k2: float
+    """ln(Jyy / Jzz)"""
+    cov_k: Array
+    """(2, 2); inf on the diagonal where undetermined."""
+    cov_J: Array
+    """(5, 5) in the solver's parameters."""
+    R_GP: Array
+    """(3, 3)"""
+    cov_R_GP: Array
+    """(3, 3) of theta in R_GP Exp(theta) [rad^2]; inf on the diagonal where undetermined."""
+    com_G: Array
+    """(3,) [m]"""
+    cov_com_G: Array
+    """(3, 3) [m^2]; inf on the diagonal where undetermined."""
+    identifiable: Identifiability
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """The sparse map in G."""
+
+    p_G: Array
+    """(L, 3) [m]"""
+    sigma_m: Array
+    """(L,) root of the mean variance over the three axes [m]"""
+    observations: Ints
+    """(L,) number of frames"""
+
+
+@dataclass(frozen=True)
+class MotionEstimate:
+    """The back end's answer, one state per frame. Covariances absolute for r, v; attitude R_NP Exp(theta)."""
+
+    timestamps_ns: Ints
+    """(F,)"""
+    r_N: Array
+    """(F, 3) centre of mass [m]"""
+    v_N: Array
+    """(F, 3) [m/s]"""
+    R_NP: Array
+    """(F, 3, 3)"""
+    w_P: Array
+    """(F, 3) [rad/s]"""
+    X_NG: Array
+    """(F, 4, 4)"""
+    covariance: Array
+    """(F, 12, 12) in the order r (N), v (N), theta (P), w (P); inf on the diagonal where undetermined."""
+    covariance_last_joint: Array
+    """(20, 20): the last state (12), the 5 inertia parameters of the solver, com_G (3)."""
+    mass: MassProperties
+    landmarks: Landmarks
+    residuals_px: Array
+    """(M, 3) measured minus predicted uvd [px]."""
+    inlier_weight: Array
+    """(M,) weight of the robust kernel, 1 for a full inlier."""
+    noise: NoiseLevels
+    solver: SolverOutcome
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """Dense depth of one frame in the rectified left camera R (the target's crop may be all that is filled)."""
+
+    depth_m: NDArray[np.float32]
+    """(H, W), NaN where unknown"""
+    sigma_m: NDArray[np.float32]
+    """(H, W), NaN where unknown"""
+    intensity: NDArray[np.uint8]
+    """(H, W) rectified left image"""
+    target: Bools
+    """(H, W) mask: the target's silhouette (what is outside is free space)"""
+
+
+@dataclass(frozen=True)
+class SurfaceModel:
+    """The dense model in G."""
+
+    mesh: trimesh.Trimesh
+    """vertex colours set"""
+    sigma_m: Array
+    """(V,)"""
+    views: Ints
+    """(V,) frames that saw the vertex"""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Truth of a simulated sequence; read by ``evaluate`` alone."""
+
+    timestamps_ns: Ints
+    r_N: Array
+    R_NP: Array
+    v_N: Array
+    w_P: Array
+    moments: Array
+    k1: float
+    k2: float
+    com_G: Array
+    R_GP: Array
+    mesh: trimesh.Trimesh | None
