@@ -1,0 +1,79 @@
+"""Depth maps and poses to one surface: the dense half of the pipeline (thesis 6.6)."""
+
+from collections.abc import Iterable, Iterator
+from itertools import chain, islice
+
+import numpy as np
+import torch
+
+from mapping.blocks import BYTES_PER_BLOCK, EDGE, BlockGrid
+from mapping.integrate import Truncation, frame_tensors, integrate
+from mapping.surface import extract_surface
+from polhode.camera import RectifiedRig
+from polhode.config.mapping import Mapping
+from polhode.lie import Array
+from polhode.progress import Progress, Silent
+from polhode.records import DepthMap, SurfaceModel
+
+Frame = tuple[DepthMap, Array]
+_PEEK = 5
+"""Frames looked at to choose the voxel size."""
+
+
+def fuse(
+    frames: Iterable[Frame], rig: RectifiedRig, config: Mapping, progress: Progress | None = None, n_frames: int = 0
+) -> SurfaceModel:
+    """Fuse depth maps into a mesh in G.
+
+    frames: pairs of a DepthMap and X_RG (4, 4), the target's pose in the rectified left camera; read once, one
+    at a time. Depth or poses with NaN are left out. n_frames: how many are coming, for the progress bar.
+    Returns an empty mesh when nothing was seen often enough.
+    """
+    stream = iter(frames)
+    head = list(islice(stream, _PEEK))
+    voxel_m = choose_voxel_m([frame for frame, _ in head], rig, config)
+    grid = BlockGrid(voxel_m, choose_device(config))
+    cut = Truncation(
+        config.truncation_voxels * voxel_m, config.truncation_behind_voxels * voxel_m, config.free_space_weight
+    )
+    used = 0
+    with (progress or Silent()).stage("fusing depth", n_frames) as advance:
+        for frame, X_RG in _stepping(chain(head, stream), advance):
+            tensors = frame_tensors(frame, rig, grid.device) if np.isfinite(X_RG).all() else None
+            if tensors is not None:
+                integrate(grid, tensors, X_RG, rig, cut)
+                used += 1
+    return extract_surface(grid, min(config.min_views, max(used, 1)), config.min_component_area)
+
+
+def _stepping(frames: Iterable[Frame], advance: object) -> Iterator[Frame]:
+    """Pass frames on, advancing the bar after each."""
+    for frame in frames:
+        yield frame
+        if callable(advance):
+            advance()
+
+
+def choose_voxel_m(frames: list[DepthMap], rig: RectifiedRig, config: Mapping) -> float:
+    """Edge of a voxel [m]: the median footprint of a pixel, larger where the field would not fit in memory."""
+    if config.voxel_mm is not None:
+        return config.voxel_mm * 1e-3
+    depths = [frame.depth_m[np.isfinite(frame.depth_m)] for frame in frames]
+    depths = [d for d in depths if len(d)]
+    if not depths:
+        return 1e-3
+    z = float(np.median(np.concatenate(depths)))
+    footprint_m = z / rig.focal_px
+    voxel_m = config.voxel_per_footprint * footprint_m
+    area_m2 = 6.0 * max(len(d) for d in depths) * footprint_m**2
+    # The band around the surface is about three blocks thick.
+    blocks = 3.0 * area_m2 / (EDGE * voxel_m) ** 2
+    most = config.memory_mib * 2**20 / BYTES_PER_BLOCK
+    return float(voxel_m * max(1.0, blocks / most) ** 0.5)
+
+
+def choose_device(config: Mapping) -> torch.device:
+    """The configured device; auto takes a GPU when there is one."""
+    if config.device != "auto":
+        return torch.device(config.device)
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")

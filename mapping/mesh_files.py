@@ -1,0 +1,65 @@
+"""Meshes on disk: PLY with sigma_m and views per vertex, GLB with vertex colours. Same mesh, same bytes."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from polhode.records import SurfaceModel
+
+_VERTEX = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("red", "u1"),
+        ("green", "u1"),
+        ("blue", "u1"),
+        ("alpha", "u1"),
+        ("sigma_m", "<f4"),
+        ("views", "<i4"),
+    ]
+)
+_FACE = np.dtype([("count", "u1"), ("index", "<i4", (3,))])
+_PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
+
+
+def write_ply(path: Path, surface: SurfaceModel) -> None:
+    """Binary PLY: x y z [m in G], red green blue alpha, sigma_m [m], views; triangles."""
+    mesh = surface.mesh
+    vertices = np.zeros(len(mesh.vertices), dtype=_VERTEX)
+    if len(vertices):
+        for axis, name in enumerate("xyz"):
+            vertices[name] = mesh.vertices[:, axis]
+        for channel, name in enumerate(("red", "green", "blue", "alpha")):
+            vertices[name] = mesh.visual.vertex_colors[:, channel]
+        vertices["sigma_m"], vertices["views"] = surface.sigma_m, surface.views
+    faces = np.zeros(len(mesh.faces), dtype=_FACE)
+    faces["count"], faces["index"] = 3, mesh.faces
+    path.write_bytes(_header(len(vertices), len(faces)) + vertices.tobytes() + faces.tobytes())
+
+
+def _header(n_vertices: int, n_faces: int) -> bytes:
+    lines = ["ply", "format binary_little_endian 1.0", "comment frame G, metres", f"element vertex {n_vertices}"]
+    lines += [f"property {_PLY_TYPES[_VERTEX[name].str]} {name}" for name in _VERTEX.names or ()]
+    lines += [f"element face {n_faces}", "property list uchar int vertex_indices", "end_header"]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def read_ply(path: Path) -> SurfaceModel:
+    """The surface that ``write_ply`` wrote (float32 precision)."""
+    mesh = trimesh.load(path, process=False, force="mesh")
+    raw = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+    n = len(mesh.vertices)
+    if raw is None or n == 0:
+        return SurfaceModel(mesh=mesh, sigma_m=np.zeros(n), views=np.zeros(n, dtype=np.int64))
+    return SurfaceModel(
+        mesh=mesh,
+        sigma_m=np.asarray(raw["sigma_m"], dtype=np.float64).reshape(-1),
+        views=np.asarray(raw["views"], dtype=np.int64).reshape(-1),
+    )
+
+
+def write_glb(path: Path, surface: SurfaceModel) -> None:
+    """Binary glTF 2.0 with vertex colours and normals, in G [m]."""
+    path.write_bytes(surface.mesh.export(file_type="glb", include_normals=True))
