@@ -1,0 +1,119 @@
+"""The calibration of a stereo rig, read from the two ``sensor.yaml`` of a sequence (EuRoC's keys)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from polhode.errors import InputError
+from polhode.lie import Array, make_pose
+from polhode.tables import numbers_at, read_mapping
+
+RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
+UNDISTORTED = ("none",)
+COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
+ROTATION_TOLERANCE = 1e-2
+SMALLEST_BASELINE_M = 1e-4
+
+
+@dataclass(frozen=True)
+class StereoCalibration:
+    """Two pinhole cameras with radial-tangential distortion on one body B. Pixel centres are integers."""
+
+    K0: Array
+    """(3, 3) intrinsic matrix of the left camera [px]"""
+    K1: Array
+    """(3, 3) of the right camera [px]"""
+    dist0: Array
+    """(n,) coefficients k1, k2, p1, p2[, k3, ...] in OpenCV's order, n in 4, 5, 8, 12, 14"""
+    dist1: Array
+    X_BC0: Array
+    """(4, 4) pose of the left camera in the inspector's body"""
+    X_BC1: Array
+    """(4, 4) pose of the right camera"""
+    width_px: int
+    height_px: int
+
+
+@dataclass(frozen=True)
+class _Camera:
+    K: Array
+    dist: Array
+    X_BC: Array
+    width_px: int
+    height_px: int
+
+
+def read_calibration(mav0: Path) -> StereoCalibration:
+    """Read ``cam0/sensor.yaml`` and ``cam1/sensor.yaml`` below the folder ``mav0``.
+
+    Raises InputError when a file or key is missing, holds NaN, T_BS is not a rigid transform, the two
+    resolutions differ, or the cameras coincide.
+    """
+    left, right = (_read_camera(mav0 / name / "sensor.yaml") for name in ("cam0", "cam1"))
+    if (left.width_px, left.height_px) != (right.width_px, right.height_px):
+        sizes = f"{left.width_px}x{left.height_px} and {right.width_px}x{right.height_px}"
+        raise InputError(f"{mav0}: cam0 and cam1 have different resolutions, {sizes}; resample one of them")
+    baseline_m = float(np.linalg.norm(right.X_BC[:3, 3] - left.X_BC[:3, 3]))
+    if baseline_m < SMALLEST_BASELINE_M:
+        message = f"{mav0}: cam0 and cam1 are at one place (baseline {baseline_m:g} m); check their T_BS"
+        raise InputError(message)
+    return StereoCalibration(
+        K0=left.K,
+        K1=right.K,
+        dist0=left.dist,
+        dist1=right.dist,
+        X_BC0=left.X_BC,
+        X_BC1=right.X_BC,
+        width_px=left.width_px,
+        height_px=left.height_px,
+    )
+
+
+def _read_camera(path: Path) -> _Camera:
+    sensor = read_mapping(path, "a camera needs its calibration (see docs/dataset.md)")
+    model = sensor.get("camera_model", "pinhole")
+    if model != "pinhole":
+        raise InputError(f"{path} key 'camera_model': '{model}' is not supported; use pinhole")
+    resolution = numbers_at(path, sensor, "resolution", (2,))
+    if (resolution < 1).any() or (resolution != np.round(resolution)).any():
+        raise InputError(f"{path} key 'resolution': expected [width, height] in whole pixels")
+    fu, fv, cu, cv = numbers_at(path, sensor, "intrinsics", (4,))
+    if fu <= 0.0 or fv <= 0.0:
+        raise InputError(f"{path} key 'intrinsics': focal lengths must be positive, got {fu:g} and {fv:g}")
+    return _Camera(
+        K=np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]]),
+        dist=_distortion(path, sensor),
+        X_BC=_rigid_transform(path, numbers_at(path, sensor, "T_BS", (16,)).reshape(4, 4)),
+        width_px=int(resolution[0]),
+        height_px=int(resolution[1]),
+    )
+
+
+def _distortion(path: Path, sensor: dict[str, object]) -> Array:
+    if "distortion_model" not in sensor:
+        message = (
+            f"{path} lacks the key 'distortion_model'; give radial-tangential, or none for undistorted images"
+        )
+        raise InputError(message)
+    model = str(sensor["distortion_model"]).lower()
+    # YAML reads a bare `null` or `~` as None: the same intent as `none`.
+    if model in UNDISTORTED:
+        return np.zeros(4)
+    if model not in RADIAL_TANGENTIAL:
+        valid = ", ".join((*RADIAL_TANGENTIAL, *UNDISTORTED))
+        raise InputError(f"{path} key 'distortion_model': '{model}' is not supported; choose one of {valid}")
+    return numbers_at(path, sensor, "distortion_coefficients", COEFFICIENT_COUNTS)
+
+
+def _rigid_transform(path: Path, X: Array) -> Array:
+    """The nearest rigid transform; rounding in the file is forgiven, anything else is an error."""
+    R = X[:3, :3]
+    off = float(np.abs(R.T @ R - np.eye(3)).max())
+    last_row_off = float(np.abs(X[3] - [0.0, 0.0, 0.0, 1.0]).max())
+    if off > ROTATION_TOLERANCE or np.linalg.det(R) < 0.0 or last_row_off > 1e-6:
+        raise InputError(
+            f"{path} key 'T_BS': not a rigid transform (row-major 4x4 with a rotation); correct it"
+        )
+    U, _, Vt = np.linalg.svd(R)
+    return make_pose(U @ Vt, X[:3, 3])

@@ -1,0 +1,244 @@
+"""A stereo sequence on disk: the EuRoC layout of CONTRACT.md, without the truth (polhode/truth.py).
+
+Every image is decoded once when the sequence is opened, so that damage is found before the work begins.
+"""
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from polhode.calibration import StereoCalibration, read_calibration
+from polhode.errors import InputError
+from polhode.images import Grey, UnreadableImage, bit_depth, has_content, read_mask, read_raw, to_grey
+from polhode.inspector import InspectorPoses, read_inspector
+from polhode.lie import Array, inverse_pose
+from polhode.records import Bools, Ints
+from polhode.tables import read_rows, timestamps_of
+
+FEWEST_PAIRS = 3
+LARGEST_LOSS = 0.6
+
+__all__ = ["StereoCalibration", "StereoImages", "StereoSequence", "open_sequence"]
+
+
+@dataclass(frozen=True)
+class StereoImages:
+    """One pair as recorded: neither undistorted nor rectified."""
+
+    left: Grey
+    """(H, W)"""
+    right: Grey
+    """(H, W)"""
+    mask_left: Bools | None
+    """(H, W), true on the target; None when the sequence has no mask for this frame"""
+    mask_right: Bools | None
+
+
+@dataclass(frozen=True)
+class StereoSequence:
+    """The usable pairs of a sequence, F of them, in order of time."""
+
+    folder: Path
+    timestamps_ns: Ints
+    """(F,) strictly increasing"""
+    calibration: StereoCalibration
+    X_NC: Array
+    """(F, 4, 4) left camera as calibrated in N; the identity throughout when the inspector is at rest"""
+    inspector_moves: bool
+    sigma_camera_p_m: float
+    """Standard deviation of the inspector's position [m]; 0: exact"""
+    sigma_camera_theta_rad: float
+    n_listed: int
+    """Timestamps that the two data.csv list together"""
+    dropped: tuple[tuple[int, str], ...]
+    """(timestamp_ns, reason) of what is listed but not usable"""
+    warnings: tuple[str, ...]
+    _files: tuple[tuple[Path, Path], ...] = field(repr=False)
+    _bits: int = 8
+
+    def __len__(self) -> int:
+        return len(self.timestamps_ns)
+
+    def read_pair(self, k: int) -> StereoImages:
+        """Images and masks of pair k, 0 <= k < F, 8-bit grey. Raises InputError if the files have changed."""
+        width, height = self.calibration.width_px, self.calibration.height_px
+        try:
+            left, right = (to_grey(read_raw(path, width, height), self._bits) for path in self._files[k])
+        except UnreadableImage as error:
+            raise InputError(
+                f"{self.folder}: pair {self.timestamps_ns[k]} ns changed while in use: {error}"
+            ) from None
+        masks = [self._read_mask(name, k) for name in ("masks0", "masks1")]
+        return StereoImages(left, right, masks[0], masks[1])
+
+    def _read_mask(self, name: str, k: int) -> Bools | None:
+        path = self.folder / "mav0" / name / f"{self.timestamps_ns[k]}.png"
+        try:
+            return read_mask(path, self.calibration.width_px, self.calibration.height_px)
+        except UnreadableImage:
+            # Told of once, by the warnings of open_sequence.
+            return None
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """What decoding one pair has shown."""
+
+    reason: str | None
+    content: bool
+    largest_16_bit: int
+    bad_masks: tuple[str, ...]
+
+
+def open_sequence(folder: Path) -> StereoSequence:
+    """Open and check a sequence.
+
+    Unpaired and unreadable frames are dropped, counted in ``dropped`` and warned of. Raises InputError,
+    one line, when the folder, a camera or its calibration is missing or wrong, timestamps do not increase,
+    more than 60 % of the listed frames are lost, fewer than 3 pairs remain, all frames are black, a mask
+    has the wrong size, or ``inspector0`` is wrong or does not cover the frames.
+    """
+    mav0 = _require_folders(folder)
+    calibration = read_calibration(mav0)
+    left, right = (_listed_files(mav0 / name) for name in ("cam0", "cam1"))
+    listed = sorted(left.keys() | right.keys())
+    paired = [stamp for stamp in listed if stamp in left and stamp in right]
+    reasons = {
+        stamp: f"only in {'cam0' if stamp in left else 'cam1'}" for stamp in listed if stamp not in paired
+    }
+    checked = dict(
+        zip(paired, _check_pairs(mav0, [(left[s], right[s], s) for s in paired], calibration), strict=True)
+    )
+    reasons |= {stamp: check.reason for stamp, check in checked.items() if check.reason is not None}
+    usable = [stamp for stamp in paired if stamp not in reasons]
+    dropped = tuple(sorted(reasons.items()))
+    _require_enough(folder, usable, dropped, len(listed))
+    if not any(checked[stamp].content for stamp in usable):
+        message = "all frames are black: no image shows anything above the noise"
+        raise InputError(f"{folder}: {message}; check exposure and lens cap")
+    timestamps_ns = np.array(usable, dtype=np.int64)
+    inspector = _inspector_at(mav0, timestamps_ns)
+    bad_masks = [bad for stamp in usable for bad in checked[stamp].bad_masks]
+    bits = bit_depth(max(checked[stamp].largest_16_bit for stamp in usable))
+    return StereoSequence(
+        folder=folder,
+        timestamps_ns=timestamps_ns,
+        calibration=calibration,
+        X_NC=_left_camera_poses(inspector, calibration, len(usable)),
+        inspector_moves=inspector is not None and inspector.moves,
+        sigma_camera_p_m=inspector.sigma_p_m if inspector else 0.0,
+        sigma_camera_theta_rad=inspector.sigma_theta_rad if inspector else 0.0,
+        n_listed=len(listed),
+        dropped=dropped,
+        warnings=tuple(_warnings(mav0, dropped, len(listed), bad_masks, inspector)),
+        _files=tuple((left[stamp], right[stamp]) for stamp in usable),
+        _bits=bits,
+    )
+
+
+def _require_folders(folder: Path) -> Path:
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder: give the folder that holds mav0/ (see docs/dataset.md)")
+    mav0 = folder / "mav0"
+    for name in ("cam0", "cam1"):
+        if not (mav0 / name).is_dir():
+            raise InputError(
+                f"{mav0 / name} is missing: a sequence needs mav0/cam0 and mav0/cam1 (see docs/dataset.md)"
+            )
+    return mav0
+
+
+def _listed_files(camera: Path) -> dict[int, Path]:
+    """Timestamp [ns] -> image file, as listed by the camera's data.csv; the name defaults to <ns>.png."""
+    path = camera / "data.csv"
+    rows = read_rows(path)
+    stamps = timestamps_of(path, rows)
+    names = [fields[1] if len(fields) > 1 and fields[1] else f"{fields[0]}.png" for _, fields in rows]
+    return {int(stamp): camera / "data" / name for stamp, name in zip(stamps, names, strict=True)}
+
+
+def _check_pairs(
+    mav0: Path, pairs: list[tuple[Path, Path, int]], calibration: StereoCalibration
+) -> Iterator[_Checked]:
+    with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 16)) as pool:
+        yield from pool.map(lambda pair: _check_pair(mav0, pair, calibration), pairs)
+
+
+def _check_pair(mav0: Path, pair: tuple[Path, Path, int], calibration: StereoCalibration) -> _Checked:
+    left, right, stamp = pair
+    width, height = calibration.width_px, calibration.height_px
+    content, largest = False, 0
+    for camera, path in (("cam0", left), ("cam1", right)):
+        try:
+            raw = read_raw(path, width, height)
+        except UnreadableImage as error:
+            return _Checked(f"{camera} image: {error}", False, 0, ())
+        if raw.dtype == np.uint16:
+            largest = max(largest, int(raw.max()))
+        content = content or has_content(to_grey(raw, bit_depth(int(raw.max()))))
+    return _Checked(None, content, largest, tuple(_bad_masks(mav0, stamp, width, height)))
+
+
+def _bad_masks(mav0: Path, stamp: int, width_px: int, height_px: int) -> Iterator[str]:
+    for name in ("masks0", "masks1"):
+        path = mav0 / name / f"{stamp}.png"
+        if not path.parent.is_dir():
+            continue
+        try:
+            read_mask(path, width_px, height_px)
+        except UnreadableImage as error:
+            if "wrong size" in str(error):
+                raise InputError(f"{path}: {error}; masks must have the size of the images") from None
+            yield f"{path}: {error}"
+
+
+def _require_enough(
+    folder: Path, usable: list[int], dropped: tuple[tuple[int, str], ...], n_listed: int
+) -> None:
+    example = f" (first: {dropped[0][0]} ns, {dropped[0][1]})" if dropped else ""
+    if len(dropped) > LARGEST_LOSS * n_listed:
+        message = f"{len(dropped)} of {n_listed} frames are missing, unpaired or unreadable{example}"
+        raise InputError(f"{folder}: {message}; at most 60 % may be, repair the sequence")
+    if len(usable) < FEWEST_PAIRS:
+        message = f"{len(usable)} usable stereo pairs of {n_listed} frames{example}"
+        raise InputError(f"{folder}: {message}; at least {FEWEST_PAIRS} are needed")
+
+
+def _inspector_at(mav0: Path, timestamps_ns: Ints) -> InspectorPoses | None:
+    folder = mav0 / "inspector0"
+    return read_inspector(folder, timestamps_ns) if folder.is_dir() else None
+
+
+def _left_camera_poses(inspector: InspectorPoses | None, calibration: StereoCalibration, count: int) -> Array:
+    """X_NC (F, 4, 4). Without inspector0, N is the left camera itself."""
+    if inspector is None:
+        return np.tile(np.eye(4), (count, 1, 1))
+    return np.asarray(inspector.X_NB @ calibration.X_BC0)
+
+
+def relative_camera_pose(calibration: StereoCalibration) -> Array:
+    """X_C0C1 (4, 4): the right camera in the left one [m]."""
+    return np.asarray(inverse_pose(calibration.X_BC0) @ calibration.X_BC1)
+
+
+def _warnings(
+    mav0: Path,
+    dropped: tuple[tuple[int, str], ...],
+    n_listed: int,
+    bad_masks: list[str],
+    inspector: InspectorPoses | None,
+) -> Iterator[str]:
+    if dropped:
+        stamp, reason = dropped[0]
+        example = f"(first: {stamp} ns, {reason})"
+        yield f"{len(dropped)} of {n_listed} frames dropped: unpaired or unreadable {example}"
+    if bad_masks:
+        yield f"{len(bad_masks)} masks are missing or unreadable and not used (first: {bad_masks[0]})"
+    if (mav0 / "wrench0").is_dir():
+        yield f"{mav0 / 'wrench0'} is not used: the motion is taken as free of known forces and torques"
+    if inspector is not None:
+        yield from inspector.warnings

@@ -1,0 +1,60 @@
+"""The truth of a simulated sequence, ``target0/``. Only ``pipeline.evaluate`` may import this module.
+
+An import-linter contract and a test keep the estimate blind to it.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from polhode.errors import InputError
+from polhode.quaternion import matrix_from_wxyz
+from polhode.records import Truth
+from polhode.tables import numbers_at, numbers_of, read_mapping, read_rows, timestamps_of
+
+
+def read_truth(folder: Path) -> Truth:
+    """Read ``mav0/target0`` of the sequence ``folder``: states in time, mass properties, surface in G.
+
+    Raises InputError when something is missing or wrong. The mesh is None when there is no mesh.ply.
+    """
+    target = folder / "mav0" / "target0"
+    if not target.is_dir():
+        raise InputError(f"{target} is missing: only a sequence with truth can be evaluated")
+    path = target / "data.csv"
+    rows = read_rows(path)
+    values = numbers_of(path, rows, columns=13)
+    properties_path = target / "target.yaml"
+    properties = read_mapping(properties_path, "the truth needs moments, com_G and R_GP")
+    moments = numbers_at(properties_path, properties, "moments", (3,))
+    return Truth(
+        timestamps_ns=timestamps_of(path, rows),
+        r_N=values[:, 0:3],
+        R_NP=matrix_from_wxyz(values[:, 3:7]),
+        v_N=values[:, 7:10],
+        w_P=values[:, 10:13],
+        moments=moments,
+        k1=_ratio(properties_path, properties, "k1", moments[0] / moments[1]),
+        k2=_ratio(properties_path, properties, "k2", moments[1] / moments[2]),
+        com_G=numbers_at(properties_path, properties, "com_G", (3,)),
+        R_GP=numbers_at(properties_path, properties, "R_GP", (9,)).reshape(3, 3),
+        mesh=_read_mesh(target / "mesh.ply"),
+    )
+
+
+def _ratio(path: Path, properties: dict[str, Any], key: str, quotient: float) -> float:
+    return float(numbers_at(path, properties, key, (1,))[0]) if key in properties else float(np.log(quotient))
+
+
+def _read_mesh(path: Path) -> trimesh.Trimesh | None:
+    if not path.exists():
+        return None
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+    except (ValueError, IndexError, KeyError, NotImplementedError) as error:
+        raise InputError(f"{path} is not a readable mesh: {' '.join(str(error).split())}") from None
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise InputError(f"{path} holds no triangles")
+    return mesh
