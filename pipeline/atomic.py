@@ -1,0 +1,28 @@
+"""Files that are never seen half-written: written beside their place, then renamed onto it."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """Yield a path beside ``path``, of the same suffix; rename it onto ``path`` when the block ends well."""
+    partial = path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write the whole file or nothing."""
+    with replaced(path) as partial:
+        partial.write_bytes(content)
+
+
+def write_text(path: Path, content: str) -> None:
+    """Write the whole file (UTF-8, line feeds as given) or nothing."""
+    write_bytes(path, content.encode("utf-8"))

@@ -1,0 +1,137 @@
+"""The run directory: every file that a run leaves, its writer and its reader (CONTRACT.md, "A run directory").
+
+``write_run`` writes them all; a run that may fail calls the writer of each stage as the stage ends, so that
+what was found is written. Bytes of every file but summary.json (timings), log.txt and report.html depend on
+the content alone.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from time import perf_counter
+
+import yaml
+
+from mapping.mesh_files import write_glb, write_ply
+from pipeline.archives import (
+    Covariance,
+    Residuals,
+    read_covariance,
+    read_measurements,
+    read_relative_poses,
+    read_residuals,
+    write_covariance,
+    write_measurements,
+)
+from pipeline.atomic import write_bytes, write_text
+from pipeline.point_cloud_file import read_landmarks, write_landmarks
+from pipeline.report import write_report
+from pipeline.run_folder import RunFolder
+from pipeline.summary import Summary, build_summary, read_summary, write_summary
+from pipeline.trajectory_file import (
+    TRAJECTORY_COLUMNS,
+    Trajectory,
+    read_trajectory,
+    trajectory_of,
+    write_trajectory,
+)
+from polhode.config import Config
+from polhode.records import MotionEstimate, RelativePoses, StereoTracks, SurfaceModel
+
+__all__ = [
+    "TRAJECTORY_COLUMNS",
+    "Covariance",
+    "Residuals",
+    "RunFolder",
+    "Summary",
+    "Trajectory",
+    "build_summary",
+    "finish_run",
+    "read_covariance",
+    "read_landmarks",
+    "read_measurements",
+    "read_relative_poses",
+    "read_residuals",
+    "read_summary",
+    "read_trajectory",
+    "trajectory_of",
+    "write_config",
+    "write_estimate",
+    "write_measurements",
+    "write_pictures",
+    "write_run",
+    "write_surface",
+]
+
+
+def write_config(folder: Path, config: Config) -> None:
+    """config.yaml with every default written out: running it repeats the run."""
+    content = config.model_dump(mode="json")
+    write_text(folder / "config.yaml", yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+
+
+def write_estimate(
+    folder: Path, tracks: StereoTracks, estimate: MotionEstimate, relative: RelativePoses | None = None
+) -> None:
+    """trajectory.csv, covariance.npz and landmarks.ply; measurements.npz again, now with the residuals."""
+    write_trajectory(trajectory_of(estimate), folder / "trajectory.csv")
+    write_covariance(estimate, folder / "covariance.npz")
+    write_landmarks(estimate.landmarks, folder / "landmarks.ply")
+    write_measurements(tracks, folder / "measurements.npz", relative, estimate)
+
+
+def write_surface(folder: Path, surface: SurfaceModel) -> None:
+    """mesh.ply and mesh.glb; nothing when the surface is empty (a mesh without faces helps no viewer)."""
+    if len(surface.mesh.faces) == 0:
+        return
+    write_ply(path=folder / "mesh.ply", surface=surface)
+    write_glb(path=folder / "mesh.glb", surface=surface)
+
+
+def write_pictures(folder: Path, pictures: Mapping[str, bytes]) -> None:
+    """Sample images for the report: caption -> PNG or JPEG file content. Kept in RUN/pictures/."""
+    target = folder / "pictures"
+    target.mkdir(exist_ok=True)
+    captions = {}
+    for number, (caption, content) in enumerate(pictures.items()):
+        suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
+        name = f"{number:02d}{suffix}"
+        write_bytes(target / name, content)
+        captions[name] = caption
+    write_text(target / "captions.json", json.dumps(captions, indent=2) + "\n")
+
+
+def finish_run(folder: Path, summary: Summary) -> Summary:
+    """Write summary.json and report.html; the time that the report took enters the timings. Returns the summary."""
+    write_summary(summary, folder / "summary.json")
+    start = perf_counter()
+    write_report(folder)
+    seconds = perf_counter() - start
+    times = summary.timing_s
+    timing = times.model_copy(update={"report": times.report + seconds, "total": times.total + seconds})
+    timed = summary.model_copy(update={"timing_s": timing})
+    write_summary(timed, folder / "summary.json")
+    return timed
+
+
+def write_run(
+    folder: Path,
+    *,
+    config: Config,
+    tracks: StereoTracks,
+    estimate: MotionEstimate,
+    surface: SurfaceModel | None,
+    timing_s: Mapping[str, float],
+    relative: RelativePoses | None = None,
+    warnings: Sequence[str] = (),
+    degraded: Sequence[str] = (),
+    pictures: Mapping[str, bytes] | None = None,
+) -> Summary:
+    """Write every file of a run that reached its end; see ``build_summary`` for warnings and degraded."""
+    write_config(folder, config)
+    write_estimate(folder, tracks, estimate, relative)
+    if surface is not None:
+        write_surface(folder, surface)
+    if pictures:
+        write_pictures(folder, pictures)
+    return finish_run(folder, build_summary(tracks, estimate, surface, timing_s, warnings, degraded))

@@ -1,0 +1,56 @@
+"""landmarks.ply: the sparse map in G, binary PLY with the properties x y z sigma_m observations."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.atomic import write_bytes
+from polhode.errors import InputError
+from polhode.records import Landmarks
+
+_VERTEX = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("sigma_m", "<f8"), ("observations", "<i4")])
+_HEADER = """ply
+format binary_little_endian 1.0
+comment landmarks in the geometric frame G [m]; sigma_m is one standard deviation [m]
+element vertex {count}
+property double x
+property double y
+property double z
+property double sigma_m
+property int observations
+end_header
+"""
+
+
+def write_landmarks(landmarks: Landmarks, path: Path) -> None:
+    """Write the sparse map; ``inf`` where a standard deviation is undetermined."""
+    vertices = np.zeros(len(landmarks.p_G), dtype=_VERTEX)
+    for column, name in enumerate("xyz"):
+        vertices[name] = landmarks.p_G[:, column]
+    vertices["sigma_m"] = np.nan_to_num(landmarks.sigma_m, nan=np.inf, posinf=np.inf)
+    vertices["observations"] = landmarks.observations
+    write_bytes(path, _HEADER.format(count=len(vertices)).encode("ascii") + vertices.tobytes())
+
+
+def read_landmarks(path: Path) -> Landmarks:
+    """Read landmarks.ply (the file, or the run folder that holds it). Raises InputError, one line."""
+    file = path / "landmarks.ply" if path.is_dir() else path
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; give the folder of a run that reached an estimate")
+    content = file.read_bytes()
+    head, mark, body = content.partition(b"end_header\n")
+    header = _HEADER.encode("ascii").split(b"{count}")
+    count = head.removeprefix(header[0]).split(b"\n")[0]
+    if (
+        not mark
+        or not head.startswith(header[0])
+        or not count.isdigit()
+        or len(body) != int(count) * _VERTEX.itemsize
+    ):
+        raise InputError(f"{file}: not a point cloud that polhode wrote; run 'polhode run' again")
+    vertices = np.frombuffer(body, dtype=_VERTEX)
+    return Landmarks(
+        p_G=np.stack([vertices["x"], vertices["y"], vertices["z"]], axis=1),
+        sigma_m=vertices["sigma_m"].astype(np.float64),
+        observations=vertices["observations"].astype(np.int64),
+    )

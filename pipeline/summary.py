@@ -1,0 +1,296 @@
+"""summary.json: what a run found, in one small file (CONTRACT.md, "A run directory").
+
+The pydantic model below is the only definition; ``pipeline/summary.schema.json`` is generated from it
+(``python -m pipeline.summary``) and shipped, and every summary is validated when it is written and read.
+Standard deviations and variances of undetermined quantities are ``null``; there is no NaN or infinity.
+"""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pipeline.archives import undetermined_as_inf
+from pipeline.atomic import write_text
+from polhode.errors import InputError
+from polhode.records import MassProperties, MotionEstimate, StereoTracks, SurfaceModel
+
+STAGES: tuple[str, ...] = ("frontend", "initialization", "backend", "depth", "fusion", "report", "total")
+SCHEMA_FILE = Path(__file__).with_name("summary.schema.json")
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Variance = Finite | None
+"""null: undetermined."""
+Vector = tuple[Finite, Finite, Finite]
+Matrix = tuple[Vector, Vector, Vector]
+VarianceRow = tuple[Variance, Variance, Variance]
+VarianceMatrix = tuple[VarianceRow, VarianceRow, VarianceRow]
+Flags = tuple[bool, bool, bool]
+Status = Literal["ok", "degraded", "failed"]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, use_attribute_docstrings=True, populate_by_name=True
+    )
+
+
+class Timing(_Part):
+    """Wall-clock seconds of each stage; 0 where a stage was not reached."""
+
+    frontend: Finite = 0.0
+    initialization: Finite = 0.0
+    backend: Finite = 0.0
+    depth: Finite = 0.0
+    fusion: Finite = 0.0
+    report: Finite = 0.0
+    total: Finite = 0.0
+
+
+class Inertia(_Part):
+    """Mass distribution up to scale; moments sorted Jxx >= Jyy >= Jzz, the middle one 1."""
+
+    k1: Finite
+    """ln(Jxx / Jyy)"""
+    k2: Finite
+    """ln(Jyy / Jzz)"""
+    cov: tuple[tuple[Variance, Variance], tuple[Variance, Variance]]
+    """Covariance of (k1, k2)."""
+    J_G: Matrix
+    """About the centre of mass, axes of G."""
+    cov_J: tuple[tuple[Variance, Variance, Variance, Variance, Variance], ...] = Field(
+        min_length=5, max_length=5
+    )
+    """In the solver's five parameters."""
+    moments: Vector
+
+
+class Identifiable(_Part):
+    """com and axes are true only when every component is determined."""
+
+    k1: bool
+    k2: bool
+    com: bool
+    axes: bool
+
+
+class IdentifiableComponents(_Part):
+    """Each component by itself, along (about) the principal axes x, y, z of P."""
+
+    com_P: Flags
+    axes_P: Flags
+
+
+class Solver(_Part):
+    """How the optimisation ended."""
+
+    name: str
+    iterations: int
+    cost: Finite
+    converged: bool
+    reduced_chi2: Finite | None
+    message: str = ""
+    runner_up: dict[str, Variance] = {}
+    """Cost of the other hypotheses, by name."""
+
+
+class Noise(_Part):
+    """Noise that the estimate was made with."""
+
+    pixel_sigma_px: Finite
+    disparity_sigma_px: Finite
+    accel_psd: Finite
+    """[(m/s^2)^2/Hz]"""
+    torque_psd: Finite
+    """[(rad/s^2)^2/Hz], torque over the middle moment."""
+
+
+class Summary(_Part):
+    """What a run found. Parts that a failed run did not reach are null."""
+
+    schema_: Literal["polhode-summary/1"] = Field("polhode-summary/1", alias="schema")
+    status: Status
+    warnings: list[str]
+    frames: int = Field(ge=0)
+    """Stereo pairs, each a row of trajectory.csv."""
+    frames_used: int = Field(ge=0)
+    """Pairs with measurements; the others are bridged by the dynamics."""
+    landmarks: int = Field(ge=0)
+    observations: int = Field(ge=0)
+    duration_s: Finite
+    """Of the data."""
+    timing_s: Timing
+    inertia: Inertia | None
+    identifiable: Identifiable | None
+    identifiable_detail: dict[str, str]
+    """Per direction, the reason in words."""
+    identifiable_components: IdentifiableComponents | None
+    com_G: Vector | None
+    """[m]"""
+    cov_com_G: VarianceMatrix | None
+    """[m^2]"""
+    R_GP: Matrix | None
+    cov_R_GP: VarianceMatrix | None
+    """Of theta in R_GP Exp(theta) [rad^2]."""
+    solver: Solver | None
+    noise: Noise | None
+
+
+def build_summary(
+    tracks: StereoTracks | None,
+    estimate: MotionEstimate | None,
+    surface: SurfaceModel | None,
+    timing_s: Mapping[str, float],
+    warnings: Sequence[str] = (),
+    degraded: Sequence[str] = (),
+    failure: str | None = None,
+) -> Summary:
+    """Gather the summary of a run.
+
+    ``warnings`` do not change the status (a dropped frame); ``degraded`` are the caller's reasons to look
+    closely. The status is ``failed`` with a ``failure`` or without an estimate; ``degraded`` with a reason of
+    the caller or one of ``degradations``; else ``ok``. Every reason stands among the warnings, once.
+    Seconds that ``timing_s`` does not name are 0; ``total`` is their sum unless it is given.
+    """
+    reasons = [*degraded, *(degradations(tracks, estimate, surface) if estimate is not None else ())]
+    status: Status = "degraded" if reasons else "ok"
+    if failure is not None or estimate is None:
+        status = "failed"
+    own = estimate.warnings if estimate is not None else ()
+    texts = [*([failure] if failure else []), *reasons, *own, *warnings]
+    times = {stage: float(timing_s.get(stage, 0.0)) for stage in STAGES}
+    times["total"] = times["total"] or sum(times.values())
+    found: dict[str, Any] = dict.fromkeys(_OF_THE_ESTIMATE)
+    return Summary.model_validate(
+        {
+            "status": status,
+            "warnings": list(dict.fromkeys(texts)),
+            "frames": tracks.n_frames if tracks else 0,
+            "frames_used": len(np.unique(tracks.frame)) if tracks else 0,
+            "landmarks": tracks.n_landmarks if tracks else 0,
+            "observations": len(tracks.frame) if tracks else 0,
+            "duration_s": float(tracks.time_s[-1]) if tracks and tracks.n_frames else 0.0,
+            "timing_s": times,
+            "identifiable_detail": dict(estimate.mass.identifiable.detail) if estimate else {},
+            **(found if estimate is None else _found(estimate)),
+        }
+    )
+
+
+def degradations(
+    tracks: StereoTracks | None, estimate: MotionEstimate, surface: SurfaceModel | None
+) -> tuple[str, ...]:
+    """Why an estimate must be read with care, in words: part of the answer is missing or not to be trusted."""
+    known = estimate.mass.identifiable
+    unknown = [name for name in ("k1", "k2", "com", "axes") if not getattr(known, name)]
+    reasons = []
+    if not estimate.solver.converged:
+        reasons.append(f"the solver stopped before it converged ({estimate.solver.message or 'no message'})")
+    if unknown:
+        reasons.append(f"this motion does not determine {', '.join(unknown)}: see identifiable_detail")
+    if tracks is not None and len(np.unique(tracks.frame)) < 0.5 * tracks.n_frames:
+        reasons.append(
+            "fewer than half of the frames have measurements; the others are bridged by the dynamics"
+        )
+    if surface is None or len(surface.mesh.faces) == 0:
+        reasons.append("no surface could be built from the depth maps")
+    return tuple(reasons)
+
+
+def write_summary(summary: Summary, path: Path) -> None:
+    """Write summary.json, validated once more (pydantic.ValidationError: a copy was updated with a wrong value)."""
+    content = summary.model_dump(mode="json", by_alias=True)
+    Summary.model_validate(content)
+    text = json.dumps(content, indent=2, allow_nan=False)
+    # One row of numbers, one line: no JSON string holds a raw line feed, so only arrays are touched.
+    text = re.sub(r"\[\n\s*([-+.,\w\s]*?)\n\s*\]", lambda row: f"[{' '.join(row[1].split())}]", text)
+    write_text(path, text + "\n")
+
+
+def read_summary(path: Path) -> Summary:
+    """Read summary.json (the file, or the run folder that holds it). Raises InputError, one line."""
+    file = path / "summary.json" if path.is_dir() else path
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; give the folder of a run")
+    try:
+        return Summary.model_validate_json(file.read_text())
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise InputError(f"{file}: {where}: {first['msg']}; not a summary that polhode wrote") from error
+
+
+def summary_schema() -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of summary.json."""
+    schema = Summary.model_json_schema(by_alias=True, mode="serialization")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+_OF_THE_ESTIMATE = (
+    "inertia",
+    "identifiable",
+    "identifiable_components",
+    "com_G",
+    "cov_com_G",
+    "R_GP",
+    "cov_R_GP",
+    "solver",
+    "noise",
+)
+
+
+def _found(estimate: MotionEstimate) -> dict[str, Any]:
+    mass, known, solver = estimate.mass, estimate.mass.identifiable, estimate.solver
+    return {
+        "inertia": _inertia(mass),
+        "identifiable": {name: bool(getattr(known, name)) for name in ("k1", "k2", "com", "axes")},
+        "identifiable_components": {"com_P": known.com_P.tolist(), "axes_P": known.axes_P.tolist()},
+        "com_G": mass.com_G.tolist(),
+        "cov_com_G": _nullable(mass.cov_com_G),
+        "R_GP": mass.R_GP.tolist(),
+        "cov_R_GP": _nullable(mass.cov_R_GP),
+        "solver": {
+            "name": solver.name,
+            "iterations": solver.iterations,
+            "cost": float(solver.cost),
+            "converged": bool(solver.converged),
+            "reduced_chi2": _number(solver.reduced_chi2),
+            "message": solver.message,
+            "runner_up": {name: _number(cost) for name, cost in solver.runner_up.items()},
+        },
+        "noise": {name: float(getattr(estimate.noise, name)) for name in Noise.model_fields},
+    }
+
+
+def _inertia(mass: MassProperties) -> dict[str, Any]:
+    return {
+        "k1": float(mass.k1),
+        "k2": float(mass.k2),
+        "cov": _nullable(mass.cov_k),
+        "J_G": mass.J_G.tolist(),
+        "cov_J": _nullable(mass.cov_J),
+        "moments": mass.moments.tolist(),
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _nullable(covariance: NDArray[np.float64]) -> list[list[float | None]]:
+    """Undetermined rows and columns are null as a whole: their covariances mean nothing."""
+    unknown = np.isinf(np.diagonal(undetermined_as_inf(covariance)))
+    hidden = unknown[:, None] | unknown[None, :]
+    return [
+        [None if hide else float(value) for value, hide in zip(row, hide_row, strict=True)]
+        for row, hide_row in zip(covariance, hidden, strict=True)
+    ]
+
+
+if __name__ == "__main__":
+    write_text(SCHEMA_FILE, json.dumps(summary_schema(), indent=2) + "\n")

@@ -1,0 +1,119 @@
+"""trajectory.csv: one row per stereo pair, 26 numeric columns under one header line (CONTRACT.md).
+
+Numbers are written with the shortest text that reads back to the same float64, so the file is exact
+and its bytes depend on the estimate alone. Undetermined quantities have sigma ``inf``.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.atomic import write_text
+from polhode.errors import InputError
+from polhode.lie import Array
+from polhode.quaternion import continuous_wxyz, matrix_from_wxyz, wxyz_from_matrix
+from polhode.records import Ints, MotionEstimate
+
+TRAJECTORY_COLUMNS: tuple[str, ...] = (
+    "timestamp_ns",
+    *(f"r_N_{axis}" for axis in "xyz"),
+    *(f"v_N_{axis}" for axis in "xyz"),
+    *(f"q_NP_{part}" for part in "wxyz"),
+    *(f"w_P_{axis}" for axis in "xyz"),
+    *(f"sigma_{name}_{axis}" for name in ("r", "v", "theta", "w") for axis in "xyz"),
+)
+"""The header line. SI units; sigma_r and sigma_v along N, sigma_theta and sigma_w in P."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What trajectory.csv holds, batch first."""
+
+    timestamps_ns: Ints
+    """(F,)"""
+    r_N: Array
+    """(F, 3) centre of mass [m]"""
+    v_N: Array
+    """(F, 3) [m/s]"""
+    q_NP_wxyz: Array
+    """(F, 4) the sign is continuous along the run"""
+    w_P: Array
+    """(F, 3) [rad/s]"""
+    sigma_r: Array
+    """(F, 3) along N [m]"""
+    sigma_v: Array
+    """(F, 3) along N [m/s]"""
+    sigma_theta: Array
+    """(F, 3) of theta in R_NP Exp(theta) [rad]"""
+    sigma_w: Array
+    """(F, 3) in P [rad/s]"""
+
+    @property
+    def time_s(self) -> Array:
+        """(F,) seconds since the first frame."""
+        return np.asarray((self.timestamps_ns - self.timestamps_ns[0]) * 1e-9)
+
+    @property
+    def R_NP(self) -> Array:
+        """(F, 3, 3)"""
+        return matrix_from_wxyz(self.q_NP_wxyz)
+
+
+def standard_deviations(covariance: Array) -> Array:
+    """Square roots of the diagonals (..., n, n) -> (..., n); ``inf`` where undetermined (not finite or negative)."""
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    known = np.isfinite(variance) & (variance >= 0.0)
+    return np.where(known, np.sqrt(np.where(known, variance, 0.0)), np.inf)
+
+
+def trajectory_of(estimate: MotionEstimate) -> Trajectory:
+    """The smoothed estimate as the table has it."""
+    sigma = standard_deviations(estimate.covariance)
+    return Trajectory(
+        timestamps_ns=estimate.timestamps_ns,
+        r_N=estimate.r_N,
+        v_N=estimate.v_N,
+        q_NP_wxyz=continuous_wxyz(wxyz_from_matrix(estimate.R_NP)),
+        w_P=estimate.w_P,
+        sigma_r=sigma[:, 0:3],
+        sigma_v=sigma[:, 3:6],
+        sigma_theta=sigma[:, 6:9],
+        sigma_w=sigma[:, 9:12],
+    )
+
+
+def write_trajectory(trajectory: Trajectory, path: Path) -> None:
+    """Write the table. Raises ValueError when a state is not finite or a sigma is NaN."""
+    states = np.hstack([trajectory.r_N, trajectory.v_N, trajectory.q_NP_wxyz, trajectory.w_P])
+    sigmas = np.hstack([trajectory.sigma_r, trajectory.sigma_v, trajectory.sigma_theta, trajectory.sigma_w])
+    if not np.all(np.isfinite(states)) or np.any(np.isnan(sigmas)):
+        raise ValueError("the trajectory holds a state that is not finite or a sigma that is NaN")
+    rows = np.hstack([states, sigmas]).tolist()
+    lines = [",".join(TRAJECTORY_COLUMNS)]
+    for timestamp_ns, row in zip(trajectory.timestamps_ns.tolist(), rows, strict=True):
+        lines.append(",".join([str(timestamp_ns), *map(repr, row)]))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read trajectory.csv (the file, or the run folder that holds it). Raises InputError, one line."""
+    file = path / "trajectory.csv" if path.is_dir() else path
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; give the folder of a run that reached an estimate")
+    lines = file.read_text().splitlines()
+    if not lines or tuple(lines[0].split(",")) != TRAJECTORY_COLUMNS:
+        raise InputError(
+            f"{file}: line 1 is not the header of a trajectory; it must begin with timestamp_ns,r_N_x"
+        )
+    cells = [line.split(",") for line in lines[1:]]
+    try:
+        timestamps_ns = np.array([int(row[0]) for row in cells], dtype=np.int64)
+        values = np.array([[float(cell) for cell in row[1:]] for row in cells], dtype=np.float64)
+        columns = values.reshape(len(cells), len(TRAJECTORY_COLUMNS) - 1)
+    except ValueError as error:
+        raise InputError(
+            f"{file}: not a table of {len(TRAJECTORY_COLUMNS)} numbers a row ({error})"
+        ) from error
+    parts = np.split(columns, [3, 6, 10, 13, 16, 19, 22], axis=1)
+    return Trajectory(timestamps_ns, *parts)

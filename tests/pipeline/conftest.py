@@ -1,0 +1,151 @@
+"""A run without images: torque-free motion of a solid box, its landmarks seen by one stereo camera."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from polhode.camera import RectifiedRig
+from polhode.lie import inverse_pose, make_pose, transform_points
+from polhode.records import (
+    Identifiability,
+    Landmarks,
+    MassProperties,
+    MotionEstimate,
+    NoiseLevels,
+    RelativePoses,
+    SolverOutcome,
+    StereoTracks,
+    SurfaceModel,
+)
+from polhode.rigid_body import propagate
+
+BOX_M = np.array([0.12, 0.20, 0.24])
+RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
+N_FRAMES = 24
+
+
+@dataclass(frozen=True)
+class Example:
+    """Everything that a finished run hands to its writers."""
+
+    tracks: StereoTracks
+    relative: RelativePoses
+    estimate: MotionEstimate
+    surface: SurfaceModel
+
+
+@pytest.fixture(scope="session")
+def example() -> Example:
+    """A box of uniform density, 10 RPM about its unstable axis, 0.6 m away; noise of 0.3 px."""
+    random = np.random.default_rng(5)
+    mass = _mass_properties()
+    timestamps_ns = 1_000_000_000 + 500_000_000 * np.arange(N_FRAMES, dtype=np.int64)
+    time_s = (timestamps_ns - timestamps_ns[0]) * 1e-9
+    r_N, v_N, R_NP, w_P = propagate(
+        time_s, [0.0, 0.0, 0.6], [0.003, 0.0, 0.0], np.eye(3), [0.05, 1.047, 0.05], np.diag(mass.moments)
+    )
+    R_NG = R_NP @ mass.R_GP.T
+    X_NG = make_pose(R_NG, r_N - R_NG @ mass.com_G)
+    box = trimesh.creation.box(BOX_M).subdivide().subdivide()
+    points, _ = trimesh.sample.sample_surface(box, 150, seed=3)
+    tracks, residuals = _tracks(points, X_NG, timestamps_ns, random)
+    covariance = np.tile(np.diag([3e-4] * 3 + [6e-4] * 3 + [2e-3] * 3 + [2e-3] * 3) ** 2, (N_FRAMES, 1, 1))
+    estimate = MotionEstimate(
+        timestamps_ns=timestamps_ns,
+        r_N=r_N,
+        v_N=v_N,
+        R_NP=R_NP,
+        w_P=w_P,
+        X_NG=X_NG,
+        covariance=covariance,
+        covariance_last_joint=np.eye(20) * 1e-6,
+        mass=mass,
+        landmarks=Landmarks(points, np.full(150, 4e-4), np.bincount(tracks.landmark, minlength=150)),
+        residuals_px=residuals,
+        inlier_weight=1.0 / (1.0 + np.sum((residuals / tracks.sigma_px) ** 2, axis=1) / 9.0),
+        noise=NoiseLevels(0.3, 0.15, 1e-6, 1e-6),
+        solver=SolverOutcome("ipopt", 7, 1234.5, True, 1.02, "Solve_Succeeded", {"sphere": 1234.5}),
+    )
+    box.visual.vertex_colors = random.integers(40, 220, (len(box.vertices), 4), dtype=np.uint8)
+    surface = SurfaceModel(
+        box, np.full(len(box.vertices), 8e-4), np.full(len(box.vertices), 9, dtype=np.int64)
+    )
+    eye = np.tile(np.eye(4), (N_FRAMES - 1, 1, 1))
+    i = np.arange(N_FRAMES - 1, dtype=np.int64)
+    return Example(tracks, RelativePoses(i, i + 1, eye, np.full(N_FRAMES - 1, 20)), estimate, surface)
+
+
+@pytest.fixture(scope="session")
+def undetermined(example: Example) -> Example:
+    """The same run, had the body spun about one principal axis only."""
+    inf2, inf3 = np.diag([np.inf] * 2), np.diag([1e-8, np.inf, 1e-8])
+    flags = np.array([True, False, True])
+    known = Identifiability(
+        False, False, False, False, {"k1": "pure spin: no torque-free wobble to see"}, flags, flags
+    )
+    mass = replace(
+        example.estimate.mass,
+        cov_k=inf2,
+        cov_com_G=inf3,
+        cov_R_GP=inf3,
+        cov_J=np.full((5, 5), np.nan),
+        identifiable=known,
+    )
+    covariance = example.estimate.covariance.copy()
+    covariance[:, 1, 1] = np.inf
+    covariance[:, 7, :] = np.nan
+    return replace(example, estimate=replace(example.estimate, mass=mass, covariance=covariance))
+
+
+def _mass_properties() -> MassProperties:
+    x, y, z = BOX_M
+    moments = np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+    moments = moments / moments[1]
+    known = Identifiability(
+        True, True, True, True, {"k1": "well determined"}, np.ones(3, dtype=bool), np.ones(3, dtype=bool)
+    )
+    return MassProperties(
+        J_G=np.diag(moments),
+        moments=moments,
+        k1=float(np.log(moments[0] / moments[1])),
+        k2=float(np.log(moments[1] / moments[2])),
+        cov_k=np.array([[4e-6, -2e-6], [-2e-6, 3.6e-5]]),
+        cov_J=np.eye(5) * 1e-5,
+        R_GP=np.eye(3),
+        cov_R_GP=np.eye(3) * 1e-5,
+        com_G=np.array([0.003, -0.001, 0.002]),
+        cov_com_G=np.eye(3) * 1e-7,
+        identifiable=known,
+    )
+
+
+def _tracks(
+    p_G: np.ndarray, X_NG: np.ndarray, timestamps_ns: np.ndarray, random: np.random.Generator
+) -> tuple[StereoTracks, np.ndarray]:
+    sigma = np.array([0.3, 0.3, 0.15])
+    outward = np.sign(p_G) * (np.abs(np.abs(p_G) - BOX_M / 2) < 1e-6)
+    frames, landmarks, uvd, residuals = [], [], [], []
+    for k, X_NGk in enumerate(X_NG):
+        p_N = transform_points(X_NGk, p_G)
+        facing = np.sum((outward @ inverse_pose(X_NGk)[:3, :3]) * p_N, axis=1) < 0.0
+        # One frame without measurements, as after a lost pair.
+        seen = np.flatnonzero(facing) if k != 11 else np.array([], dtype=np.int64)
+        noise = random.normal(size=(len(seen), 3)) * sigma
+        frames.append(np.full(len(seen), k))
+        landmarks.append(seen)
+        uvd.append(RIG.project(p_N[seen]) + noise)
+        residuals.append(noise)
+    frame, landmark = np.concatenate(frames), np.concatenate(landmarks)
+    tracks = StereoTracks(
+        rig=RIG,
+        timestamps_ns=timestamps_ns,
+        X_NR=np.tile(np.eye(4), (len(X_NG), 1, 1)),
+        frame=frame,
+        landmark=landmark,
+        uvd_px=np.concatenate(uvd),
+        sigma_px=np.tile(sigma, (len(frame), 1)),
+        sigma_camera_p_m=0.001,
+    )
+    return tracks, np.concatenate(residuals)
