@@ -2,13 +2,77 @@
 
 from typing import Literal
 
+from pydantic import Field
+
 from polhode.config.section import Section
+
+
+class Features(Section):
+    """Key points and descriptors."""
+
+    method: Literal["rootsift"] = "rootsift"
+    """Detector and descriptor."""
+    max_features: int = Field(1500, ge=50)
+    """Strongest key points kept in one image."""
+    contrast_threshold: float = Field(0.012, gt=0)
+    """SIFT's contrast threshold, on intensities stretched to the target's own range."""
+    upsample: float = Field(2.0, ge=1.0)
+    """Enlargement of the target's crop before detection."""
+    max_crop_px: int = Field(900, ge=64)
+    """Longest side of the enlarged crop [px]; a larger target is enlarged less."""
+
+
+class StereoMatching(Section):
+    """Left to right, on epipolar lines."""
+
+    row_gate_px: float = Field(0.8, gt=0)
+    """Largest difference of rows between left and right key points [px]."""
+    ratio: float = Field(0.95, gt=0, le=1)
+    """Distance ratio of best to second best descriptor among the candidates on the line."""
+    window_px: int = Field(13, ge=5)
+    """Side of the window of the disparity's least-squares refinement [px], odd."""
+    min_correlation: float = Field(0.85, ge=0, le=1)
+    """Smallest normalised correlation of the refined windows."""
+    max_disparity_share: float = Field(0.7, gt=0, le=1)
+    """Largest disparity, as a share of the image's width."""
+
+
+class PairMatching(Section):
+    """Frame to frame, blind: descriptors, then RANSAC on absolute orientation (thesis 2.7, 6.3)."""
+
+    ratio: float = Field(0.92, gt=0, le=1)
+    """Distance ratio of mutual nearest neighbours."""
+    hypotheses: int = Field(300, ge=10)
+    """Minimal samples drawn in a pair."""
+    gate_px: float = Field(2.0, gt=0)
+    """Largest reprojection error of an inlier [px]."""
+    min_inliers: int = Field(8, ge=4)
+    """Fewer inliers are no link."""
+
+
+class GuidedMatching(Section):
+    """Association with the predicted motion: landmarks are looked for where they should be."""
+
+    rounds: int = Field(2, ge=0)
+    """Times that the motion is solved and the association repeated."""
+    max_view_angle_deg: float = Field(45.0, gt=0, le=90)
+    """Largest change of viewing direction between descriptors that are compared [deg]."""
+    coarse_gate_px: float = Field(25.0, gt=0)
+    """Search radius in frames whose pose is only predicted [px]."""
+    fine_gate_px: float = Field(3.0, gt=0)
+    """Search radius in frames whose pose is measured [px]."""
+    max_distance: float = Field(0.75, gt=0)
+    """Largest RootSIFT distance of an accepted association."""
+    min_inliers: int = Field(7, ge=4)
+    """Fewer consistent associations do not connect a frame."""
 
 
 class Frontend(Section):
     """Images to stereo measurements, tracks and depth."""
 
-    features: Literal["rootsift"] = "rootsift"
-    """Detector and descriptor."""
+    features: Features = Features()
+    stereo: StereoMatching = StereoMatching()
+    pairs: PairMatching = PairMatching()
+    guided: GuidedMatching = GuidedMatching()
     depth: Literal["sgbm"] = "sgbm"
     """Dense stereo."""

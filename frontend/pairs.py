@@ -1,0 +1,101 @@
+"""Every frame against every frame, blind: relative poses and matches (thesis algorithm 2, lines 9-13).
+
+All pairs, not neighbours only: a landmark that comes back after a revolution must be recognised, since
+the inertia depends on it, and a link that fails between neighbours is bridged by others.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import kornia.feature
+import numpy as np
+import torch
+
+from frontend.ransac import ransac_rigid
+from frontend.stereo import StereoFeatures
+from polhode.camera import RectifiedRig
+from polhode.config.frontend import PairMatching
+from polhode.lie import Array
+from polhode.records import Ints, RelativePoses
+
+Tick = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class PairMatch:
+    """Frames i < j joined by a motion and the features that agree with it."""
+
+    i: int
+    j: int
+    X_RiRj: Array
+    """(4, 4)"""
+    features: Ints
+    """(m, 2) indices into the features of i and of j"""
+
+
+def match_all_pairs(
+    frames: Sequence[StereoFeatures],
+    rig: RectifiedRig,
+    config: PairMatching,
+    seed: int,
+    workers: int,
+    tick: Tick,
+) -> list[PairMatch]:
+    """Matches of all pairs of frames that pass the geometric check, sorted by (i, j).
+
+    ``tick`` is called once per frame i. The seed of a pair depends on (seed, i, j) alone, so the
+    result does not depend on the number of workers.
+    """
+    tensors = [torch.from_numpy(f.descriptors) for f in frames]
+
+    def row(i: int) -> list[PairMatch]:
+        found = (_match_pair(i, j, frames, tensors, rig, config, seed) for j in range(i + 1, len(frames)))
+        return [match for match in found if match is not None]
+
+    matches: list[PairMatch] = []
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        for found in pool.map(row, range(len(frames))):
+            matches.extend(found)
+            tick()
+    return matches
+
+
+def _match_pair(
+    i: int,
+    j: int,
+    frames: Sequence[StereoFeatures],
+    tensors: Sequence[torch.Tensor],
+    rig: RectifiedRig,
+    config: PairMatching,
+    seed: int,
+) -> PairMatch | None:
+    if min(len(frames[i]), len(frames[j])) < config.min_inliers:
+        return None
+    with torch.inference_mode():
+        _, index = kornia.feature.match_smnn(tensors[i], tensors[j], config.ratio)
+    pairs = index.numpy()
+    if len(pairs) < config.min_inliers:
+        return None
+    fit = ransac_rigid(
+        frames[i].uvd_px[pairs[:, 0]],
+        frames[i].p_R[pairs[:, 0]],
+        frames[j].p_R[pairs[:, 1]],
+        rig,
+        config.hypotheses,
+        config.gate_px,
+        np.random.default_rng([seed, i, j]),
+    )
+    if fit.inlier.sum() < config.min_inliers:
+        return None
+    return PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier].astype(np.int64))
+
+
+def relative_poses(matches: Sequence[PairMatch]) -> RelativePoses:
+    """The links' geometry, for the back end."""
+    return RelativePoses(
+        i=np.array([m.i for m in matches], dtype=np.int64),
+        j=np.array([m.j for m in matches], dtype=np.int64),
+        X_RiRj=np.array([m.X_RiRj for m in matches]).reshape(-1, 4, 4),
+        inliers=np.array([len(m.features) for m in matches], dtype=np.int64),
+    )

@@ -1,0 +1,100 @@
+"""Motion between two stereo frames: RANSAC on absolute orientation (thesis 2.7; Horn 1987, Umeyama 1991)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.camera import RectifiedRig
+from polhode.lie import Array, make_pose, transform_points
+from polhode.records import Bools
+
+
+@dataclass(frozen=True)
+class RigidFit:
+    """The best motion found and who agrees with it."""
+
+    X_RiRj: Array
+    """(4, 4) p_Ri = X_RiRj @ p_Rj"""
+    inlier: Bools
+    """(n,)"""
+
+
+def fit_rigid(p_A: Array, p_B: Array, weight: Array | None = None) -> Array:
+    """X_AB (4, 4) that minimises sum w |p_A - X_AB p_B|^2 over points (n, 3), n >= 3."""
+    w = np.ones(len(p_A)) if weight is None else weight
+    w = w / w.sum()
+    mean_A, mean_B = w @ p_A, w @ p_B
+    U, _, Vt = np.linalg.svd((p_A - mean_A).T @ ((p_B - mean_B) * w[:, None]))
+    # A reflection fits noise on flat scenes better than a rotation: forbid it.
+    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    return make_pose(R, mean_A - R @ mean_B)
+
+
+def ransac_rigid(
+    uvd_i: Array,
+    p_Ri: Array,
+    p_Rj: Array,
+    rig: RectifiedRig,
+    hypotheses: int,
+    gate_px: float,
+    rng: np.random.Generator,
+) -> RigidFit:
+    """Most consistent motion among matches (n, 3) of frames i and j, n >= 3.
+
+    An inlier's point of frame j, moved, projects within gate_px of (u, v) and of the disparity in
+    frame i: the gate is in pixels, so it holds at every distance. ``uvd_i`` are the measurements of frame i.
+    """
+    triples = _sample_triples(len(uvd_i), hypotheses, rng)
+    R, t = _triads(p_Ri[triples], p_Rj[triples])
+    moved = np.einsum("hab,nb->hna", R, p_Rj) + t[:, None]
+    agreement = _inliers(moved, uvd_i, rig, gate_px)
+    X = make_pose(R[(best := int(agreement.sum(axis=1).argmax()))], t[best])
+    inlier = agreement[best]
+    for _ in range(4):
+        if inlier.sum() < 3:
+            break
+        # Depth is the weak direction of stereo and grows with the square of the range.
+        X = fit_rigid(p_Ri[inlier], p_Rj[inlier], 1.0 / np.maximum(p_Ri[inlier, 2], 1e-6) ** 4)
+        update = _inliers(transform_points(X, p_Rj), uvd_i, rig, gate_px)
+        if np.array_equal(update, inlier):
+            break
+        inlier = update
+    return RigidFit(X, inlier)
+
+
+def _inliers(p_Ri: Array, uvd_i: Array, rig: RectifiedRig, gate_px: float) -> Bools:
+    in_front = p_Ri[..., 2] > 1e-6
+    safe = np.where(in_front[..., None], p_Ri, [0.0, 0.0, 1.0])
+    error = rig.project(safe) - uvd_i
+    image = np.hypot(error[..., 0], error[..., 1]) < gate_px
+    return np.asarray(in_front & image & (np.abs(error[..., 2]) < gate_px))
+
+
+def _sample_triples(
+    n: int, hypotheses: int, rng: np.random.Generator
+) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
+    """Minimal samples (hypotheses, 3) without repetition inside a triple."""
+    first = rng.integers(0, n, hypotheses)
+    second = (first + rng.integers(1, max(n, 2), hypotheses)) % n
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    third = rng.integers(0, max(n - 2, 1), hypotheses)
+    third = third + (third >= low)
+    third = third + (third >= high)
+    return np.stack([first, second, third % n], axis=1).astype(np.intp)
+
+
+def _triads(p_A: Array, p_B: Array) -> tuple[Array, Array]:
+    """Motion from triangles (h, 3, 3): align edge and normal (TRIAD; Black 1964). R_AB (h, 3, 3), t (h, 3)."""
+    R = _triad(p_A) @ np.swapaxes(_triad(p_B), -1, -2)
+    t = p_A.mean(axis=1) - np.einsum("hab,hb->ha", R, p_B.mean(axis=1))
+    return R, t
+
+
+def _triad(p: Array) -> Array:
+    e1 = _unit(p[:, 1] - p[:, 0])
+    e3 = _unit(np.cross(e1, p[:, 2] - p[:, 0]))
+    return np.stack([e1, np.cross(e3, e1), e3], axis=-1)
+
+
+def _unit(v: Array) -> Array:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12))

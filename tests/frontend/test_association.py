@@ -1,0 +1,114 @@
+"""Blind matching, tracks and guided association on a tumbling cloud of points with known truth."""
+
+import numpy as np
+import pytest
+from feature_world import RIG, World, make_world, purity
+
+from frontend.guided import associate
+from frontend.pairs import match_all_pairs, relative_poses
+from frontend.ransac import fit_rigid, ransac_rigid
+from frontend.tracks import join_matches, to_tracks
+from polhode.config.frontend import GuidedMatching, PairMatching
+from polhode.lie import exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.records import InitialMotion
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return make_world()
+
+
+def test_absolute_orientation_recovers_an_exact_motion() -> None:
+    rng = np.random.default_rng(0)
+    X_AB = make_pose(exp_so3([0.3, -2.0, 0.4]), [0.1, 0.2, 0.5])
+    p_B = rng.normal(size=(6, 3))
+    np.testing.assert_allclose(fit_rigid(transform_points(X_AB, p_B), p_B), X_AB, atol=1e-12)
+
+
+def test_absolute_orientation_of_a_plane_is_no_reflection() -> None:
+    rng = np.random.default_rng(1)
+    p_B = rng.normal(size=(20, 3)) * [1.0, 1.0, 0.0]
+    p_A = p_B + rng.normal(size=(20, 3)) * 1e-3
+    assert np.linalg.det(fit_rigid(p_A, p_B)[:3, :3]) == pytest.approx(1.0)
+
+
+def test_ransac_finds_the_motion_among_half_outliers() -> None:
+    rng = np.random.default_rng(2)
+    X_ij = make_pose(exp_so3([0.1, 0.5, 0.0]), [0.01, 0.0, 0.02])
+    p_Rj = rng.uniform([-0.1, -0.1, 0.5], [0.1, 0.1, 0.7], (60, 3))
+    uvd_i = RIG.project(transform_points(X_ij, p_Rj)) + rng.normal(size=(60, 3)) * [0.3, 0.3, 0.1]
+    uvd_i[:30] += rng.uniform(-60, 60, (30, 3)) * [1.0, 1.0, 0.3]
+    fit = ransac_rigid(uvd_i, RIG.triangulate(uvd_i), p_Rj, RIG, 300, 2.0, np.random.default_rng(3))
+    assert fit.inlier[30:].mean() > 0.9
+    assert fit.inlier[:30].sum() <= 1
+    assert np.rad2deg(np.linalg.norm(log_so3(fit.X_RiRj[:3, :3].T @ X_ij[:3, :3]))) < 0.5
+
+
+def test_blind_links_are_right_and_do_not_depend_on_the_workers(world: World) -> None:
+    runs = [
+        match_all_pairs(world.frames, RIG, PairMatching(), 0, workers, lambda: None) for workers in (1, 2)
+    ]
+    for match in runs[0]:
+        X_true = world.X_RG[match.i] @ inverse_pose(world.X_RG[match.j])
+        assert np.rad2deg(np.linalg.norm(log_so3(match.X_RiRj[:3, :3].T @ X_true[:3, :3]))) < 3.0
+    assert {(m.i, m.j) for m in runs[0]} >= {(k, k + 1) for k in range(23)} | {(k, k + 12) for k in range(12)}
+    first, second = (relative_poses(run) for run in runs)
+    np.testing.assert_array_equal(first.X_RiRj, second.X_RiRj)
+    np.testing.assert_array_equal(first.inliers, second.inliers)
+
+
+def test_a_landmark_seen_again_a_revolution_later_is_the_same_landmark(world: World) -> None:
+    association = join_matches(
+        world.frames, match_all_pairs(world.frames, RIG, PairMatching(), 0, 2, lambda: None)
+    )
+    assert purity(list(association.landmark), world.shown) > 0.99
+    returned = [np.intersect1d(association.landmark[k], association.landmark[k + 12]) for k in range(12)]
+    assert min(np.sum(common >= 0) for common in returned) > 30
+    for labels in association.landmark:
+        used = labels[labels >= 0]
+        assert len(np.unique(used)) == len(used)
+
+
+def test_guided_association_finds_more_and_reconnects_a_lost_frame(world: World) -> None:
+    rng = np.random.default_rng(5)
+    connected = np.ones(24, dtype=bool)
+    connected[[7, 13]] = False
+    X_RG = world.X_RG.copy()
+    for k in (7, 13):
+        X_RG[k, :3, :3] = X_RG[k, :3, :3] @ exp_so3(rng.normal(size=3) * np.deg2rad(2.0))
+    guided = associate(world.frames, InitialMotion(X_RG, connected), RIG, GuidedMatching(), 0)
+    assert guided.motion.connected.all()
+    error = log_so3(np.swapaxes(guided.motion.X_RG[:, :3, :3], 1, 2) @ world.X_RG[:, :3, :3])
+    assert np.rad2deg(np.linalg.norm(error, axis=1)).max() < 0.5
+    labels = list(guided.association.landmark)
+    assert purity(labels, world.shown) > 0.99
+    blind = join_matches(world.frames, match_all_pairs(world.frames, RIG, PairMatching(), 0, 2, lambda: None))
+    stamps = (np.arange(24) * 500_000_000).astype(np.int64)
+    n_guided, n_blind = (
+        len(to_tracks(world.frames, a, RIG, stamps, np.tile(np.eye(4), (24, 1, 1))).frame)
+        for a in (guided.association, blind)
+    )
+    assert n_guided > n_blind
+
+
+def test_a_wrong_prediction_is_not_locked_in(world: World) -> None:
+    connected = np.ones(24, dtype=bool)
+    connected[9] = False
+    X_RG = world.X_RG.copy()
+    X_RG[9, :3, :3] = X_RG[9, :3, :3] @ exp_so3([0.0, 0.0, np.pi / 2])
+    guided = associate(world.frames, InitialMotion(X_RG, connected), RIG, GuidedMatching(), 0)
+    assert not guided.motion.connected[9]
+    assert np.all(guided.association.landmark[9] == -1)
+
+
+def test_tracks_hold_every_observation_of_shared_landmarks_only(world: World) -> None:
+    motion = InitialMotion(world.X_RG, np.ones(24, dtype=bool))
+    guided = associate(world.frames, motion, RIG, GuidedMatching(), 0)
+    stamps = (np.arange(24) * 500_000_000).astype(np.int64)
+    tracks = to_tracks(world.frames, guided.association, RIG, stamps, np.tile(np.eye(4), (24, 1, 1)))
+    views = np.bincount(tracks.landmark)
+    assert views.min() >= 2
+    assert tracks.n_landmarks == len(views)
+    p_R = transform_points(world.X_RG[tracks.frame[0]], np.zeros((1, 3)))
+    assert p_R[0, 2] == pytest.approx(0.6)
+    assert len(tracks.uvd_px) == len(tracks.frame) == len(tracks.sigma_px)

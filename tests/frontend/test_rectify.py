@@ -1,0 +1,83 @@
+"""Rectification: the maps must send each rectified pixel to where the real camera saw that point."""
+
+import cv2
+import numpy as np
+import pytest
+
+from frontend.rectify import make_rectifier
+from polhode.calibration import StereoCalibration
+from polhode.errors import InputError
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
+
+K0 = np.array([[467.0, 0.0, 322.0], [0.0, 465.0, 238.0], [0.0, 0.0, 1.0]])
+K1 = np.array([[470.0, 0.0, 318.0], [0.0, 471.0, 244.0], [0.0, 0.0, 1.0]])
+DIST0 = np.array([-0.12, 0.05, 1e-3, -5e-4])
+DIST1 = np.array([-0.10, 0.04, -8e-4, 3e-4])
+
+
+def rig(X_CD: Array, K_left: Array = K0, K_right: Array = K1, distorted: bool = True) -> StereoCalibration:
+    """A rig whose body is turned against the left camera; X_CD is the right camera in the left one."""
+    X_BC0 = make_pose(exp_so3([0.2, -0.1, 1.3]), [0.05, 0.02, -0.03])
+    none = np.zeros(4)
+    return StereoCalibration(
+        K_left,
+        K_right,
+        DIST0 if distorted else none,
+        DIST1 if distorted else none,
+        X_BC0,
+        X_BC0 @ X_CD,
+        640,
+        480,
+    )
+
+
+RIGS = {
+    "toed_in": make_pose(exp_so3([0.01, -0.09, 0.02]), [0.09, 0.004, -0.006]),
+    "swapped": make_pose(exp_so3([0.0, 0.04, 0.0]), [-0.12, 0.0, 0.0]),
+    "stacked": make_pose(exp_so3([0.03, 0.0, 0.01]), [0.002, 0.1, 0.0]),
+}
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_rectified_pixels_come_from_where_the_camera_saw_them(name: str) -> None:
+    calibration = rig(RIGS[name])
+    rectifier = make_rectifier(calibration)
+    assert rectifier.maps is not None
+    rng = np.random.default_rng(1)
+    p_C = np.column_stack(
+        [rng.uniform(-0.12, 0.12, 200), rng.uniform(-0.12, 0.12, 200), rng.uniform(0.6, 1.5, 200)]
+    )
+    uvd = rectifier.rig.project(transform_points(inverse_pose(rectifier.X_CR), p_C))
+    p_D = transform_points(inverse_pose(RIGS[name]), p_C)
+    for side, (p, K, dist) in enumerate(((p_C, K0, DIST0), (p_D, K1, DIST1))):
+        seen = cv2.projectPoints(p, np.zeros(3), np.zeros(3), K, dist)[0][:, 0]
+        u, v = (uvd[:, 0] - side * uvd[:, 2]).astype(np.float32), uvd[:, 1].astype(np.float32)
+        mapped = np.stack(
+            [cv2.remap(m, u[None], v[None], cv2.INTER_LINEAR)[0] for m in rectifier.maps[side]], axis=1
+        )
+        inside = (u > 1) & (v > 1) & (u < rectifier.rig.width_px - 2) & (v < rectifier.rig.height_px - 2)
+        assert inside.mean() > 0.5
+        assert np.abs(mapped - seen)[inside].max() < 0.05
+
+
+def test_the_disparity_of_a_rectified_point_gives_its_place_back() -> None:
+    rectifier = make_rectifier(rig(RIGS["toed_in"]))
+    p_R = np.array([[0.05, -0.02, 0.7], [-0.1, 0.1, 2.0]])
+    np.testing.assert_allclose(rectifier.rig.triangulate(rectifier.rig.project(p_R)), p_R, rtol=1e-12)
+
+
+def test_an_ideal_pair_is_not_resampled() -> None:
+    K = np.array([[467.0, 0.0, 319.5], [0.0, 467.0, 239.5], [0.0, 0.0, 1.0]])
+    shifted = K + np.array([[0.0, 0.0, 7.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    rectifier = make_rectifier(rig(make_pose(np.eye(3), [0.09, 0.0, 0.0]), K, shifted, distorted=False))
+    image = np.arange(640 * 480, dtype=np.uint8).reshape(480, 640)
+    assert rectifier.maps is None
+    assert rectifier(image, 0) is image
+    assert rectifier.rig.disparity_offset_px == pytest.approx(-7.0)
+    assert rectifier.rig.baseline_m == pytest.approx(0.09)
+
+
+def test_cameras_that_look_apart_are_refused_in_one_line() -> None:
+    with pytest.raises(InputError, match="do not look the same way") as caught:
+        make_rectifier(rig(make_pose(exp_so3([0.0, np.pi, 0.0]), [0.09, 0.0, 0.0])))
+    assert "\n" not in str(caught.value)

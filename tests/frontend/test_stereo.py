@@ -1,0 +1,86 @@
+"""Disparity refinement against warps of known disparity, and stereo matching against known surfaces."""
+
+import cv2
+import numpy as np
+import pytest
+
+from frontend.features import detect
+from frontend.stereo import match_stereo, refine_disparity
+from frontend.target import Image, target_crop
+from polhode.camera import RectifiedRig
+from polhode.config.frontend import Features, StereoMatching
+from polhode.lie import Array
+
+RIG = RectifiedRig(467.0, 159.5, 119.5, 0.09, 320, 240)
+
+
+def texture(seed: int) -> Array:
+    """Band-limited noise (240, 320), as a lens would leave it."""
+    noise = np.random.default_rng(seed).uniform(0, 255, (240, 320))
+    smooth = cv2.GaussianBlur(noise, (0, 0), 1.6)
+    return np.clip((smooth - smooth.mean()) * 3.0 + 120.0, 5, 250)
+
+
+def stereo_pair(seed: int, slope: float, gain: float = 1.0, sigma: float = 1.5) -> tuple[Image, Image, Array]:
+    """Left, right and the left image's true disparity (240, 320): a plane slanted by ``slope`` px/px."""
+    right = texture(seed)
+    v, u = np.mgrid[0:240, 0:320].astype(np.float64)
+    disparity = 40.3 + slope * (u - 160) + 0.05 * (v - 120)
+    rng = np.random.default_rng(seed + 100)
+    # Fourier-exact resampling is not needed: Lanczos on a band-limited texture errs below the noise.
+    left = cv2.remap(
+        right.astype(np.float32), (u - disparity).astype(np.float32), v.astype(np.float32), cv2.INTER_LANCZOS4
+    )
+    images = [
+        np.clip(np.round(g * a + rng.normal(0, sigma, a.shape)), 0, 255)
+        for g, a in ((gain, left), (1.0, right))
+    ]
+    return images[0].astype(np.uint8), images[1].astype(np.uint8), disparity
+
+
+@pytest.mark.parametrize(("slope", "gain"), [(0.0, 1.0), (0.15, 1.0), (-0.2, 0.7)])
+def test_refined_disparity_is_unbiased_and_its_sigma_is_true(slope: float, gain: float) -> None:
+    left, right, disparity = stereo_pair(3, slope, gain)
+    rng = np.random.default_rng(5)
+    uv = np.column_stack([rng.uniform(110, 300, 400), rng.uniform(20, 220, 400)])
+    truth = 40.3 + slope * (uv[:, 0] - 160) + 0.05 * (uv[:, 1] - 120)
+    start = truth + rng.uniform(-0.8, 0.8, 400)
+    refined, sigma, correlation = refine_disparity(left, right, uv, start, 13)
+    good = correlation > 0.9
+    error = (refined - truth)[good]
+    assert good.mean() > 0.95
+    assert abs(np.median(error)) < 0.01
+    assert 1.4826 * np.median(np.abs(error)) < 0.06
+    assert 0.6 < 1.4826 * np.median(np.abs(error / sigma[good])) < 1.6
+
+
+def test_a_window_without_texture_is_refused() -> None:
+    flat = np.full((240, 320), 100, dtype=np.uint8)
+    noisy = (flat + np.random.default_rng(0).integers(0, 3, flat.shape)).astype(np.uint8)
+    _, _, correlation = refine_disparity(noisy, flat, np.array([[160.0, 120.0]]), np.array([40.0]), 13)
+    assert correlation[0] < 0.85
+
+
+def test_matches_lie_on_the_surface() -> None:
+    left, right, _ = stereo_pair(7, 0.1)
+    mask = np.ones(left.shape, dtype=bool)
+    crop = target_crop(mask)
+    assert crop is not None
+    points = [detect(image, mask, crop, Features()) for image in (left, right)]
+    found = match_stereo(left, right, points[0], points[1], RIG, StereoMatching())
+    truth = 40.3 + 0.1 * (found.uvd_px[:, 0] - 160) + 0.05 * (found.uvd_px[:, 1] - 120)
+    wrong = np.abs(found.uvd_px[:, 2] - truth) > 0.5
+    assert len(found) > 200
+    assert wrong.mean() < 0.02
+    np.testing.assert_allclose(RIG.project(found.p_R), found.uvd_px, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(found.descriptors, axis=1), 1.0, atol=1e-4)
+
+
+def test_an_empty_image_gives_no_features() -> None:
+    black = np.zeros((240, 320), dtype=np.uint8)
+    mask = np.ones(black.shape, dtype=bool)
+    crop = target_crop(mask)
+    assert crop is not None
+    points = detect(black, mask, crop, Features())
+    assert len(points) == 0
+    assert len(match_stereo(black, black, points, points, RIG, StereoMatching())) == 0
