@@ -1,0 +1,76 @@
+"""Sub-pixel disparities by windowed least squares (Lucas and Kanade 1981, along the epipolar line).
+
+In a window, left = gain * right(u - d - delta) + offset; the right image is warped with every pixel's own
+disparity, so slanted surfaces do not bias delta. The normal equation's information gives sigma.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+_LARGEST_STEP_PX = 0.5
+
+
+def refine_disparity(
+    left: Image, right: Image, disparity: Floats, margin_px: int, window_px: int
+) -> tuple[Floats, Floats]:
+    """One step. left, right (h, w + 2 margin) with the target in columns margin..margin + w; disparity (h, w) [px].
+
+    Returns disparity and sigma (h, w) [px]; NaN where the input is NaN.
+    """
+    known = np.isfinite(disparity)
+    h, w = disparity.shape
+    reference = left[:, margin_px : margin_px + w].astype(np.float32)
+    filled = np.where(known, disparity, 0.0).astype(np.float32)
+    u = np.arange(w, dtype=np.float32)[None, :] + margin_px - filled
+    v = np.broadcast_to(np.arange(h, dtype=np.float32)[:, None], (h, w)).copy()
+    other = right.astype(np.float32)
+    warped = cv2.remap(other, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    slope = _slope(other)
+    gradient = cv2.remap(slope, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    # The mean of both images' slopes halves the noise that biases the information.
+    gradient = 0.5 * (gradient + _slope(left.astype(np.float32))[:, margin_px : margin_px + w])
+
+    weight = known.astype(np.float32)
+    count = _mean(weight, window_px)
+    safe = np.maximum(count, 1e-6)
+
+    def mean(image: Floats) -> Floats:
+        return _mean(weight * image, window_px) / safe
+
+    m_left, m_warped, m_gradient = mean(reference), mean(warped), mean(gradient)
+    var_left = mean(reference * reference) - m_left * m_left
+    var_warped = mean(warped * warped) - m_warped * m_warped
+    covariance = mean(reference * warped) - m_left * m_warped
+    gain = np.clip(covariance / np.maximum(var_warped, 1.0), 0.6, 1.6)
+    gg = mean(gradient * gradient) - m_gradient * m_gradient
+    error_gradient = (
+        mean(reference * gradient)
+        - m_left * m_gradient
+        - gain * (mean(warped * gradient) - m_warped * m_gradient)
+    )
+    information = gain * gain * gg
+    delta = -gain * error_gradient / np.maximum(information, 1e-3)
+    left_over = var_left - 2 * gain * covariance + gain * gain * var_warped - delta * delta * information
+    noise = np.maximum(left_over, 1.0)
+    samples = np.maximum(count * window_px**2, 1.0)
+    sigma = np.sqrt(noise / np.maximum(information * samples, 1e-6))
+    delta = np.clip(delta, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+    # A weak window moves its pixel less than it asks for.
+    delta *= 0.3**2 / (0.3**2 + np.minimum(sigma, 10.0) ** 2)
+    return (
+        np.where(known, disparity + delta, np.nan).astype(np.float32),
+        np.where(known, sigma, np.nan).astype(np.float32),
+    )
+
+
+def _slope(image: Floats) -> Floats:
+    """Derivative along the row [1/px]: central differences."""
+    return np.asarray(cv2.filter2D(image, cv2.CV_32F, np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)))
+
+
+def _mean(image: Floats, window_px: int) -> Floats:
+    """Mean over a square window; what is outside counts as 0."""
+    return np.asarray(cv2.blur(image, (window_px, window_px), borderType=cv2.BORDER_CONSTANT))
