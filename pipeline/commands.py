@@ -1,0 +1,126 @@
+"""The subcommands of ``polhode``: their options, and what each one calls. Heavy imports wait for the call."""
+
+import dataclasses
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Protocol
+
+from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, Positional, arg
+
+from pipeline.console import choose_progress
+from pipeline.threads import limit_threads
+from polhode.config import Config, Scene
+from polhode.errors import InputError, RunFailure
+
+
+class Command(Protocol):
+    """What the command line is parsed into."""
+
+    def execute(self) -> int:
+        """Do it; the exit code."""
+        ...
+
+
+_Values = Annotated[AvoidSubcommands[FlagConversionOff[Config]], arg(name="")]
+_Debug = FlagCreatePairsOff[bool]
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Render a dataset with truth from the scene of a configuration.
+
+    Options with dots override the configuration; the defaults shown are those of a value that the file leaves
+    out.
+    """
+
+    config: Annotated[Positional[Path], arg(metavar="CONFIG")]
+    """Configuration with a scene, YAML."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="SEQ")]
+    """Folder of the dataset, to be made."""
+    overwrite: FlagCreatePairsOff[bool] = False
+    """Replace a dataset that is already there."""
+    debug: _Debug = False
+    """Show the traceback of an error."""
+    values: _Values = field(default_factory=lambda: Config(scene=Scene()))
+
+    def execute(self) -> int:
+        """Render; the dataset appears when it is complete."""
+        if self.values.scene is None:
+            raise InputError(f"{self.config}: no 'scene' to simulate; add one, or extend a file that has it")
+        from simulation.sequence import simulate
+
+        scene, workers = self.values.scene, _workers(self.values)
+        simulate(scene, self.values.seed, self.output, choose_progress(), workers, self.overwrite)
+        print(f"{scene.frames} stereo pairs with truth: {self.output}")
+        return 0
+
+
+@dataclass(frozen=True)
+class Run:
+    """Estimate motion, mass properties, map and mesh of the target from a stereo sequence.
+
+    Options with dots override the configuration; the defaults shown are those of a value that the file leaves
+    out.
+    """
+
+    config: Annotated[Positional[Path], arg(metavar="CONFIG")]
+    """Configuration, YAML; configs/default.yaml fits any calibrated sequence."""
+    data: Annotated[Path, arg(metavar="SEQ")]
+    """Folder of the stereo sequence (it holds mav0/)."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
+    """Folder of the results, to be made."""
+    overwrite: FlagCreatePairsOff[bool] = False
+    """Replace a run that is already there."""
+    debug: _Debug = False
+    """Show the traceback of an error."""
+    values: _Values = field(default_factory=Config)
+
+    def execute(self) -> int:
+        """Run the pipeline; 1 when it failed."""
+        from pipeline.run import run
+
+        try:
+            result = run(self.values, self.data, self.output, choose_progress(), overwrite=self.overwrite)
+        except RunFailure as failure:
+            raise RunFailure(f"{failure}; what was found: {self.output / 'report.html'}") from failure
+        print(f"{result.sentence} {result.report_path}")
+        return 1 if result.status == "failed" else 0
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Compare a run with the truth of its dataset: RUN/metrics.json and a table."""
+
+    run: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a finished run."""
+    data: Annotated[Positional[Path], arg(metavar="SEQ")]
+    """Folder of the sequence that it was made from, with mav0/target0."""
+    debug: _Debug = False
+    """Show the traceback of an error."""
+
+    def execute(self) -> int:
+        """Write the metrics and print the table."""
+        from pipeline.evaluate import evaluate, format_table
+
+        print(format_table(evaluate(self.run, self.data)))
+        return 0
+
+
+Configured = Simulate | Run
+COMMANDS: dict[str, type[Simulate] | type[Run] | type[Evaluate]] = {
+    "simulate": Simulate,
+    "run": Run,
+    "evaluate": Evaluate,
+}
+
+
+def with_values(command: Configured, values: Config) -> Configured:
+    """The command with its configuration loaded; limits the threads before anything heavy is imported."""
+    limit_threads(values.runtime.blas_threads)
+    return dataclasses.replace(command, values=values)
+
+
+def _workers(values: Config) -> int:
+    """Parallel processes: one per core that this process may use when the configuration says 0."""
+    return values.runtime.workers or len(os.sched_getaffinity(0))

@@ -1,0 +1,85 @@
+"""What a person at the terminal sees: one bar per stage, or plain lines where there is no terminal.
+
+Everything goes to standard output; standard error is kept for the one line of an error.
+"""
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import perf_counter
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as RichProgress
+
+from polhode.progress import Advance, Progress
+
+_log = logging.getLogger(__name__)
+
+
+def choose_progress() -> Progress:
+    """Bars on a terminal, plain lines in a file, a pipe or CI."""
+    return Bars() if sys.stdout.isatty() else Lines()
+
+
+class Bars:
+    """A live bar per stage, which stays on the screen when the stage is done."""
+
+    @contextmanager
+    def stage(self, title: str, total: int) -> Iterator[Advance]:
+        """Open a bar of ``total`` steps; call what it yields once per step."""
+        bar = RichProgress(
+            TextColumn("{task.description:<28}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=Console(file=sys.stdout),
+        )
+        start = perf_counter()
+        with bar:
+            task = bar.add_task(title, total=total or None)
+            yield lambda: bar.advance(task)
+        _log.info("%s: %.1f s", title, perf_counter() - start)
+
+
+class Lines:
+    """One line when a stage is done."""
+
+    @contextmanager
+    def stage(self, title: str, total: int) -> Iterator[Advance]:
+        """Count the steps; print title, count and seconds at the end."""
+        del total
+        steps = 0
+        start = perf_counter()
+
+        def advance() -> None:
+            nonlocal steps
+            steps += 1
+
+        yield advance
+        seconds = perf_counter() - start
+        print(f"{title}: {steps} in {seconds:.1f} s" if steps else f"{title}: {seconds:.1f} s", flush=True)
+        _log.info("%s: %.1f s", title, seconds)
+
+
+class _PlainWarnings(logging.Handler):
+    """Warnings on standard output, one line each, whatever stream that is at the time."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print(f"{record.levelname.lower()}: {' '.join(record.getMessage().split())}", flush=True)
+
+
+@contextmanager
+def show_warnings() -> Iterator[None]:
+    """Print the program's warnings while the block runs."""
+    handler = _PlainWarnings(level=logging.WARNING)
+    # Errors are the business of the last line on standard error.
+    handler.addFilter(lambda record: record.levelno < logging.ERROR)
+    root = logging.getLogger()
+    root.addHandler(handler)
+    try:
+        yield
+    finally:
+        root.removeHandler(handler)

@@ -1,0 +1,72 @@
+"""Config overrides on a command line (``--backend.inertia ratios_axes``), apart from a command's own options.
+
+tyro lists these options in the help; their values go through the config loader, so that a wrong one is
+reported like one in a file: the option, the key, the valid values.
+"""
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from polhode.config import Config
+from polhode.config.keys import annotation_at, arrange, count_of, dotted, leaves, options_of
+from polhode.errors import InputError
+
+_NUMBER = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)
+_NULL = ("none", "null")
+
+
+def split_overrides(words: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
+    """Command-line words -> (words that are not overrides, dotted key -> value).
+
+    Values stay text, or lists of text, which the config's types convert. Dashes and underscores are the
+    same in a key. Raises InputError when a value is missing.
+    """
+    own: list[str] = []
+    overrides: dict[str, Any] = {}
+    rest = list(words)
+    while rest:
+        word = rest.pop(0)
+        path = _key_of(word)
+        if path is None:
+            own.append(word)
+            continue
+        given = [word.partition("=")[2]] if "=" in word else _take_values(path, rest)
+        if not given:
+            raise InputError(f"command line: {word}: a value is missing; see --help for what it takes")
+        overrides[dotted(path)] = _value(path, given)
+    return own, overrides
+
+
+def option_names() -> list[str]:
+    """Every override as it is written on the command line."""
+    return ["--" + dotted(path).replace("_", "-") for path, _ in leaves(Config)]
+
+
+def _key_of(word: str) -> tuple[str, ...] | None:
+    if not word.startswith("--"):
+        return None
+    path = tuple(word[2:].partition("=")[0].replace("-", "_").split("."))
+    return path if path[0] in Config.model_fields else None
+
+
+def _take_values(path: tuple[str, ...], rest: list[str]) -> list[str]:
+    """Take the words of one value off ``rest``: as many as the type has, never another option."""
+    count = count_of(annotation_at(Config, path))
+    given: list[str] = []
+    while rest and (not rest[0].startswith("-") or _NUMBER.match(rest[0])) and len(given) != count:
+        given.append(rest.pop(0))
+        if given[0].lower() in _NULL or given[0].startswith("["):
+            break
+    return given
+
+
+def _value(path: tuple[str, ...], given: list[str]) -> Any:
+    annotation = annotation_at(Config, path)
+    if len(given) == 1:
+        if given[0].lower() in _NULL and type(None) in options_of(annotation):
+            return None
+        if count_of(annotation) != 1:
+            # One word for many values: '[1, 2, 3]' or '1,2,3'.
+            given = [part for part in re.split(r"[\s,\[\]]+", given[0]) if part]
+    return arrange(annotation, given)

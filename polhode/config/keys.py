@@ -1,0 +1,129 @@
+"""The tree of configuration keys, read off the types: what is valid where, for help and for errors."""
+
+import difflib
+import types
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+
+Step = str | int
+Path = tuple[Step, ...]
+
+
+def dotted(path: Sequence[Step]) -> str:
+    """('backend', 'inertia') -> 'backend.inertia'."""
+    return ".".join(str(step) for step in path)
+
+
+def leaves(section: type[BaseModel], prefix: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every key that holds a value rather than a section, with its type: (path, annotation)."""
+    for name, field in section.model_fields.items():
+        path = (*prefix, name)
+        inner = section_of(field.annotation)
+        if inner is None:
+            yield path, field.annotation
+        else:
+            yield from leaves(inner, path)
+
+
+def section_of(annotation: Any) -> type[BaseModel] | None:
+    """The section behind ``Section`` or ``Section | None``; None for a value."""
+    for option in options_of(annotation):
+        if isinstance(option, type) and issubclass(option, BaseModel):
+            return option
+    return None
+
+
+def options_of(annotation: Any) -> tuple[Any, ...]:
+    """Members of a union, stripped of Annotated; a single type is a union of one."""
+    if get_origin(annotation) is Annotated:
+        return options_of(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, types.UnionType):
+        return tuple(option for member in get_args(annotation) for option in options_of(member))
+    return (annotation,)
+
+
+def section_at(root: type[BaseModel], path: Sequence[Step]) -> type[BaseModel] | None:
+    """The section at ``path``; None when the path leads to a value or nowhere."""
+    section: type[BaseModel] | None = root
+    for step in path:
+        if section is None or step not in section.model_fields:
+            return None
+        section = section_of(section.model_fields[str(step)].annotation)
+    return section
+
+
+def annotation_at(root: type[BaseModel], path: Sequence[Step]) -> Any:
+    """The type at ``path``; None when it leads nowhere."""
+    if not path:
+        return root
+    section = section_at(root, path[:-1])
+    return (
+        section.model_fields[str(path[-1])].annotation
+        if section and path[-1] in section.model_fields
+        else None
+    )
+
+
+def count_of(annotation: Any) -> int | None:
+    """How many words the value takes on a command line; None for as many as follow."""
+    for option in options_of(annotation):
+        origin, arguments = get_origin(option), get_args(option)
+        if origin is tuple and arguments[-1:] != (...,):
+            counts = [count_of(argument) for argument in arguments]
+            return None if None in counts else sum(count for count in counts if count is not None)
+        if origin in (tuple, list, dict, set, frozenset):
+            return None
+    return 1
+
+
+def arrange(annotation: Any, words: Sequence[str]) -> Any:
+    """Words of a command line as the value for pydantic to convert: a text, or (nested) lists of texts."""
+    for option in options_of(annotation):
+        arguments = get_args(option)
+        if get_origin(option) is tuple and arguments[-1:] != (...,) and len(words) == count_of(option):
+            values, rest = [], list(words)
+            for argument in arguments:
+                count = count_of(argument) or 1
+                values.append(arrange(argument, rest[:count]))
+                rest = rest[count:]
+            return values
+    if len(words) == 1 and count_of(annotation) == 1:
+        return words[0]
+    return list(words)
+
+
+def describe(annotation: Any) -> str:
+    """A type in words, for an error: 'a number', 'one of a, b'."""
+    return " or ".join(dict.fromkeys(_describe_one(option) for option in options_of(annotation)))
+
+
+def _describe_one(option: Any) -> str:
+    words = {
+        int: "a whole number",
+        float: "a number",
+        str: "a text",
+        bool: "true or false",
+        type(None): "null",
+    }
+    if option in words:
+        return words[option]
+    origin, arguments = get_origin(option), get_args(option)
+    if origin is Literal:
+        return f"one of {', '.join(str(choice) for choice in arguments)}"
+    if origin is tuple and arguments[-1:] == (...,):
+        return f"a list, each {describe(arguments[0])}"
+    if origin is tuple:
+        return f"a list of {len(arguments)}, each {describe(arguments[0])}"
+    if origin is list:
+        return f"a list, each {describe(arguments[0])}"
+    if isinstance(option, type) and issubclass(option, BaseModel):
+        return f"a section with keys {', '.join(option.model_fields)}"
+    return str(option)
+
+
+def suggestion(word: str, valid: Sequence[str]) -> str:
+    """' did you mean x?' where something is close, else nothing."""
+    close = difflib.get_close_matches(word, valid, n=1, cutoff=0.6)
+    return f" did you mean {close[0]}?" if close else ""

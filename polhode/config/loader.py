@@ -1,0 +1,238 @@
+"""Reading a configuration: YAML, ``extends``, overrides, and errors of one line each.
+
+An error names the file (or the option) that set the value, the dotted key, and what is valid there.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from polhode.config import Config
+from polhode.config import keys as config_keys
+from polhode.errors import InputError
+
+EXTENDS = "extends"
+COMMAND_LINE = "command line"
+
+
+@dataclass
+class _Layered:
+    """Values merged so far, and who set each key last."""
+
+    values: dict[str, Any] = field(default_factory=dict)
+    source: dict[config_keys.Path, str] = field(default_factory=dict)
+
+    def merge(self, update: Mapping[str, Any], source: str) -> None:
+        self._merge_into(self.values, update, (), source)
+
+    def source_of(self, path: Sequence[config_keys.Step]) -> str:
+        """Who set the key or the closest section above it."""
+        for length in range(len(path), -1, -1):
+            if tuple(path[:length]) in self.source:
+                return self.source[tuple(path[:length])]
+        return "configuration"
+
+    def _merge_into(
+        self, target: dict[str, Any], update: Mapping[str, Any], path: config_keys.Path, source: str
+    ) -> None:
+        self.source[path] = source
+        for key, value in update.items():
+            here = (*path, key)
+            if isinstance(value, dict):
+                base = target.get(key)
+                target[key] = dict(base) if isinstance(base, dict) else {}
+                self._merge_into(target[key], value, here, source)
+            else:
+                target[key] = value
+                self.source[here] = source
+
+
+def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Config:
+    """Read ``path`` and what it extends, lay ``overrides`` (dotted key -> value) over it, and validate.
+
+    Raises InputError: a missing file, a YAML syntax error with its line, a circle of ``extends``, an
+    unknown key, a wrong type, a value out of range.
+    """
+    layered = _Layered()
+    for source, values in _chain(path, ()):
+        layered.merge(values, str(source))
+    for key, value in (overrides or {}).items():
+        layered.merge(_nested(key.split("."), value), COMMAND_LINE)
+    _drop_empty_sections(layered.values, ())
+    return _validate(layered)
+
+
+def dump_config(config: Config) -> str:
+    """The resolved configuration as YAML, every default written out; ``load_config`` reads it back equal."""
+    header = "# Resolved configuration, every default written out.\n"
+    plain = _plain(config.model_dump())
+    return header + yaml.dump(plain, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000)
+
+
+def _chain(path: Path, above: tuple[Path, ...]) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """The files of an ``extends`` chain, base first."""
+    if path.resolve() in (other.resolve() for other in above):
+        circle = " -> ".join(str(each) for each in (*above, path))
+        raise InputError(f"{above[0]}: '{EXTENDS}' goes in a circle: {circle}")
+    values = _read_yaml(path, above)
+    base = values.pop(EXTENDS, None)
+    if base is not None:
+        if not isinstance(base, str):
+            raise InputError(f"{path}: '{EXTENDS}': expected the path of one file, got {base!r}")
+        yield from _chain(path.parent / base, (*above, path))
+    yield path, values
+
+
+def _read_yaml(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+    try:
+        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        named = f", which {above[-1]} extends," if above else ""
+        raise InputError(f"{path}{named} is missing: give an existing configuration file") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" line {mark.line + 1}" if mark is not None else ""
+        problem = getattr(error, "problem", None) or "syntax error"
+        raise InputError(f"{path}{where}: not valid YAML: {' '.join(problem.split())}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+    if loaded is None:
+        return {}
+    if not isinstance(loaded, dict):
+        raise InputError(f"{path}: expected keys such as 'frontend:' at the top, got {_shown(loaded)}")
+    return {str(key): _text_keys(value) for key, value in loaded.items()}
+
+
+def _text_keys(value: Any) -> Any:
+    """YAML allows numbers as keys; ours are all text, so that an unknown one is reported as such."""
+    if isinstance(value, dict):
+        return {str(key): _text_keys(inner) for key, inner in value.items()}
+    return value
+
+
+def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
+    for step in reversed(path):
+        value = {step: value}
+    assert isinstance(value, dict)
+    return value
+
+
+def _drop_empty_sections(values: dict[str, Any], path: config_keys.Path) -> None:
+    """``backend:`` with nothing below it is null to YAML; to its writer it is a section left as it is."""
+    for key, value in list(values.items()):
+        options = config_keys.options_of(config_keys.annotation_at(Config, (*path, key)))
+        if isinstance(value, dict):
+            _drop_empty_sections(value, (*path, key))
+        elif value is None and type(None) not in options and config_keys.section_at(Config, (*path, key)):
+            del values[key]
+
+
+def _validate(layered: _Layered) -> Config:
+    try:
+        config = Config.model_validate(layered.values)
+    except ValidationError as error:
+        problems = error.errors()
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise InputError(_one_line(layered, dict(problems[0])) + more) from None
+    _refuse_booleans_as_numbers(layered, layered.values, config, ())
+    return config
+
+
+def _one_line(layered: _Layered, problem: dict[str, Any]) -> str:
+    """One pydantic error as: file: key 'a.b': what is wrong; what is valid."""
+    path = _path_in(layered.values, problem["loc"], problem["type"])
+    source, key = layered.source_of(path), config_keys.dotted(path)
+    if problem["type"] == "extra_forbidden":
+        section = config_keys.section_at(Config, path[:-1]) or Config
+        valid = [*section.model_fields, *([EXTENDS] if len(path) == 1 else [])]
+        hint = config_keys.suggestion(str(path[-1]), valid)
+        return f"{source}: unknown key '{key}';{hint} valid keys: {', '.join(valid)}"
+    where = f"{source}: key '{key}'" if key else source
+    if problem["type"] == "missing":
+        return f"{where}: missing; {_expected(path)}"
+    got = _shown(problem["input"])
+    if problem["type"] == "value_error":
+        return f"{where}: {problem['msg'].removeprefix('Value error, ')}"
+    if problem["type"] in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
+        return f"{where}: {problem['msg'].replace('Input should', 'must')}, got {got}"
+    if problem["type"] == "literal_error":
+        return f"{where}: {_expected(path)}, got {got};{_choice_hint(path, problem['input'])}".rstrip(";")
+    return f"{where}: {_expected(path)}, got {got}"
+
+
+def _path_in(values: Any, location: Sequence[config_keys.Step], kind: str) -> config_keys.Path:
+    """The part of pydantic's location that names a key of ours: it also names members of unions."""
+    path: list[config_keys.Step] = []
+    for position, step in enumerate(location):
+        present = (isinstance(values, dict) and step in values) or (
+            isinstance(values, list | tuple) and isinstance(step, int) and step < len(values)
+        )
+        if present:
+            path.append(step)
+            values = values[step]
+        elif kind == "missing" and position == len(location) - 1:
+            path.append(step)
+    return tuple(path)
+
+
+def _expected(path: config_keys.Path) -> str:
+    """What the type at ``path`` takes, in words; an element of a list is described by its list."""
+    steps = list(path)
+    while steps and not isinstance(steps[-1], str):
+        steps.pop()
+    annotation = config_keys.annotation_at(Config, steps)
+    return f"expected {config_keys.describe(annotation)}" if annotation is not None else "not valid"
+
+
+def _choice_hint(path: config_keys.Path, value: Any) -> str:
+    words = config_keys.describe(config_keys.annotation_at(Config, path)).removeprefix("one of ").split(", ")
+    return config_keys.suggestion(str(value), words)
+
+
+def _shown(value: Any) -> str:
+    """A value of the user's, short and on one line, with its type in YAML's words."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    kind = "section " if isinstance(value, dict) else "list " if isinstance(value, list) else ""
+    kind = "text " if isinstance(value, str) else kind
+    shown = " ".join(repr(value).split())
+    return kind + (shown if len(shown) <= 60 else shown[:57] + "...")
+
+
+def _refuse_booleans_as_numbers(layered: _Layered, raw: Any, valid: Any, path: config_keys.Path) -> None:
+    """Pydantic reads true as 1; a person who writes true for a number has the wrong key."""
+    if isinstance(raw, bool) and not isinstance(valid, bool):
+        where = f"{layered.source_of(path)}: key '{config_keys.dotted(path)}'"
+        raise InputError(f"{where}: {_expected(path)}, got {_shown(raw)}")
+    if isinstance(raw, dict):
+        for key, value in raw.items():
+            inner = getattr(valid, key) if isinstance(valid, BaseModel) else valid[key]
+            _refuse_booleans_as_numbers(layered, value, inner, (*path, key))
+    elif isinstance(raw, list) and isinstance(valid, list | tuple):
+        for index, (value, inner) in enumerate(zip(raw, valid, strict=True)):
+            _refuse_booleans_as_numbers(layered, value, inner, (*path, index))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+class _Dumper(yaml.SafeDumper):
+    """Sections as blocks, lists on one line."""
+
+
+def _list_on_one_line(dumper: yaml.SafeDumper, values: list[Any]) -> yaml.Node:
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=True)
+
+
+_Dumper.add_representer(list, _list_on_one_line)
