@@ -1,0 +1,6 @@
+"""Target bodies: shape, surface and mass, in the geometric frame G."""
+
+from simulation.bodies.build import build_body
+from simulation.bodies.part import Body
+
+__all__ = ["Body", "build_body"]

@@ -1,0 +1,104 @@
+"""The stereo rig: intrinsics, poses, and the ray of every sample of every pixel.
+
+Pixel centres are integers. Distortion is inverted numerically, so images carry the true distortion.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from polhode.config import scene as config
+from polhode.errors import InputError
+from polhode.lie import Array, exp_so3, make_pose
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole with radial-tangential distortion."""
+
+    K: Array
+    """(3, 3) [px]"""
+    dist: Array
+    """(4,) k1, k2, p1, p2"""
+    X_CK: Array
+    """(4, 4) pose of this camera in the left one"""
+    width_px: int
+    height_px: int
+
+    @cached_property
+    def pixel_directions(self) -> Array:
+        """Unit rays through the pixel centres (H*W, 3), row by row, in this camera."""
+        v, u = np.mgrid[: self.height_px, : self.width_px]
+        return self.directions(np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64))
+
+    def directions(self, uv_px: Array) -> Array:
+        """Pixels (n, 2) -> unit rays (n, 3) in this camera."""
+        distorted = (uv_px - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
+        flat = _undistort(distorted, self.dist)
+        rays = np.column_stack([flat, np.ones(len(uv_px))])
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def project(self, p_K: Array) -> Array:
+        """Points (n, 3) [m] in this camera -> pixels (n, 2), distorted."""
+        uv, _ = cv2.projectPoints(np.ascontiguousarray(p_K), np.zeros(3), np.zeros(3), self.K, self.dist)
+        return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
+
+
+def _undistort(distorted: Array, dist: Array) -> Array:
+    """Invert the radial-tangential model for normalised points (n, 2), by fixed-point iteration."""
+    k1, k2, p1, p2 = dist
+    point = np.asarray(distorted)
+    if not dist.any():
+        return point
+    for _ in range(100):
+        x, y = point[:, 0], point[:, 1]
+        r2 = x * x + y * y
+        shift = np.stack(
+            [2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1
+        )
+        better = (distorted - shift) / (1 + r2 * (k1 + r2 * k2))[:, None]
+        moved = float(np.abs(better - point).max(initial=0.0))
+        if not np.isfinite(moved) or moved > 10.0:
+            break
+        point = np.asarray(better)
+        if moved < 1e-12:
+            return point
+    raise InputError("scene.rig.distortion cannot be inverted over the whole image: use smaller coefficients")
+
+
+def sample_offsets(samples: int) -> Array:
+    """Positions of the samples in a pixel (samples, 2) [px]: a rotated grid, each row and column once."""
+    side = round(np.sqrt(samples))
+    i, j = (index.ravel() for index in np.mgrid[:side, :side])
+    u, v = (i + (j + 0.5) / side) / side - 0.5, (j + (side - i - 0.5) / side) / side - 0.5
+    return np.stack([u, v], axis=1).astype(np.float64)
+
+
+def build_cameras(rig: config.Rig) -> tuple[Camera, Camera]:
+    """Left and right camera of the rig."""
+    centre = np.array([(rig.width_px - 1) / 2, (rig.height_px - 1) / 2])
+    offset = np.array(rig.principal_offset_px)
+    right_dist = rig.distortion if rig.distortion_right is None else rig.distortion_right
+    p_right = np.array([rig.baseline_m, 0.0, 0.0]) + np.array(rig.right_offset_mm) * 1e-3
+    X_right = make_pose(exp_so3(np.deg2rad(rig.right_rotation_deg)), p_right)
+    return (
+        Camera(
+            _K(rig.focal_px, centre + offset),
+            np.array(rig.distortion),
+            np.eye(4),
+            rig.width_px,
+            rig.height_px,
+        ),
+        Camera(_K(rig.focal_px, centre - offset), np.array(right_dist), X_right, rig.width_px, rig.height_px),
+    )
+
+
+def mount_pose(rig: config.Rig) -> Array:
+    """X_BC (4, 4) of the left camera in the inspector's body."""
+    return make_pose(exp_so3(np.deg2rad(rig.mount_rotation_deg)), rig.mount_position_m)
+
+
+def _K(focal_px: float, centre_px: Array) -> Array:
+    return np.array([[focal_px, 0.0, centre_px[0]], [0.0, focal_px, centre_px[1]], [0.0, 0.0, 1.0]])
