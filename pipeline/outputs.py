@@ -25,7 +25,7 @@ from pipeline.archives import (
 )
 from pipeline.atomic import write_bytes, write_text
 from pipeline.point_cloud_file import read_landmarks, write_landmarks
-from pipeline.report import write_report
+from pipeline.report import finding, refresh_report, write_report
 from pipeline.run_folder import RunFolder
 from pipeline.summary import Summary, build_summary, read_summary, write_summary
 from pipeline.trajectory_file import (
@@ -46,6 +46,7 @@ __all__ = [
     "Summary",
     "Trajectory",
     "build_summary",
+    "finding",
     "finish_run",
     "read_covariance",
     "read_landmarks",
@@ -54,11 +55,13 @@ __all__ = [
     "read_residuals",
     "read_summary",
     "read_trajectory",
+    "refresh_report",
     "trajectory_of",
     "write_config",
     "write_estimate",
     "write_measurements",
     "write_pictures",
+    "write_report",
     "write_run",
     "write_surface",
 ]
@@ -73,11 +76,15 @@ def write_config(folder: Path, config: Config) -> None:
 def write_estimate(
     folder: Path, tracks: StereoTracks, estimate: MotionEstimate, relative: RelativePoses | None = None
 ) -> None:
-    """trajectory.csv, covariance.npz and landmarks.ply; measurements.npz again, now with the residuals."""
+    """trajectory.csv, covariance.npz and landmarks.ply; measurements.npz again, now with the residuals.
+
+    Also a first summary.json, so that a run that fails later has one with all its numbers.
+    """
     write_trajectory(trajectory_of(estimate), folder / "trajectory.csv")
     write_covariance(estimate, folder / "covariance.npz")
     write_landmarks(estimate.landmarks, folder / "landmarks.ply")
     write_measurements(tracks, folder / "measurements.npz", relative, estimate)
+    write_summary(build_summary(tracks, estimate, None, {}), folder / "summary.json")
 
 
 def write_surface(folder: Path, surface: SurfaceModel) -> None:

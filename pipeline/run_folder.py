@@ -14,6 +14,7 @@ import tempfile
 from pathlib import Path
 from types import TracebackType
 
+from pipeline.archives import read_measurements
 from pipeline.report import write_report
 from pipeline.summary import build_summary, read_summary, write_summary
 from polhode.errors import InputError
@@ -68,22 +69,24 @@ class RunFolder:
     ) -> None:
         folder = self.folder
         assert folder is not None
-        try:
-            if error is None:
-                self._publish(folder)
-            elif isinstance(error, Exception) and not isinstance(error, InputError):
-                _log.error("the run failed: %s", error, exc_info=(type(error), error, trace))
-                if _found_something(folder) or not _holds_anything(self.path):
-                    record_failure(folder, str(error) or type(error).__name__)
-                    self._publish(folder)
-        finally:
+        failed = isinstance(error, Exception) and not isinstance(error, InputError)
+        if error is not None and not (failed and self._worth_keeping(folder)):
             self._close_log()
-            # Still there only when it was not published: nothing of it is wanted, except after a lost race.
+            shutil.rmtree(folder, ignore_errors=True)
+            return
+        try:
             if error is not None:
-                shutil.rmtree(folder, ignore_errors=True)
+                _log.error("the run failed: %s", error, exc_info=error)
+                record_failure(folder, _one_line(error))
+        finally:
+            # Whatever broke the run may break its report too: the files that stand are published all the same.
+            self._close_log()
+            self._publish(folder)
+
+    def _worth_keeping(self, folder: Path) -> bool:
+        return any((folder / name).exists() for name in RESULTS) or not _holds_anything(self.path)
 
     def _publish(self, folder: Path) -> None:
-        self._close_log()
         if not _holds_anything(self.path):
             folder.rename(self.path)
             return
@@ -126,7 +129,8 @@ def record_failure(folder: Path, message: str) -> None:
         warnings = list(dict.fromkeys([message, *summary.warnings]))
         summary = summary.model_copy(update={"status": "failed", "warnings": warnings})
     else:
-        summary = build_summary(None, None, None, {}, failure=message)
+        tracks = read_measurements(folder) if (folder / "measurements.npz").exists() else None
+        summary = build_summary(tracks, None, None, {}, failure=message)
     write_summary(summary, folder / "summary.json")
     write_report(folder)
 
@@ -147,12 +151,12 @@ def _refuse(path: Path, shown: Path, overwrite: bool) -> None:
         )
 
 
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def _holds_anything(path: Path) -> bool:
     return path.is_dir() and any(path.iterdir())
-
-
-def _found_something(folder: Path) -> bool:
-    return any((folder / name).exists() for name in RESULTS)
 
 
 def _umask() -> int:

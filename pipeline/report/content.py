@@ -1,0 +1,96 @@
+"""What the report is made from: the files of a run, each absent when the run did not get that far."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mapping.mesh_files import read_ply
+from pipeline.archives import Covariance, Residuals, read_covariance, read_measurements, read_residuals
+from pipeline.point_cloud_file import read_landmarks
+from pipeline.summary import Summary, read_summary
+from pipeline.trajectory_file import Trajectory, read_trajectory
+from polhode.lie import Array, make_pose
+from polhode.records import Landmarks, StereoTracks, SurfaceModel
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A run's estimate: trajectory, mass properties and covariance belong together."""
+
+    trajectory: Trajectory
+    covariance: Covariance
+    moments: Array
+    """(3,) Jxx >= Jyy >= Jzz, the middle one 1"""
+    R_GP: Array
+    """(3, 3)"""
+    com_G: Array
+    """(3,) [m]"""
+
+    @property
+    def X_NG(self) -> Array:
+        """(F, 4, 4) pose of the geometric frame."""
+        R_NG = self.trajectory.R_NP @ self.R_GP.T
+        return make_pose(R_NG, self.trajectory.r_N - R_NG @ self.com_G)
+
+
+@dataclass(frozen=True)
+class Content:
+    """A run as stored; None or empty where the run holds no such file."""
+
+    name: str
+    summary: Summary
+    motion: Motion | None
+    tracks: StereoTracks | None
+    residuals: Residuals | None
+    landmarks: Landmarks | None
+    surface: SurfaceModel | None
+    metrics: dict[str, Any]
+    pictures: dict[str, bytes]
+    """caption -> image file"""
+    config_text: str
+
+
+def read_content(folder: Path, name: str) -> Content:
+    """Read a run. Raises InputError when summary.json is missing or a file is damaged."""
+    summary = read_summary(folder)
+    has_tracks = (folder / "measurements.npz").is_file()
+    return Content(
+        name=name,
+        summary=summary,
+        motion=_motion(folder, summary),
+        tracks=read_measurements(folder) if has_tracks else None,
+        residuals=read_residuals(folder) if has_tracks else None,
+        landmarks=read_landmarks(folder) if (folder / "landmarks.ply").is_file() else None,
+        surface=read_ply(folder / "mesh.ply") if (folder / "mesh.ply").is_file() else None,
+        metrics=_json(folder / "metrics.json"),
+        pictures=_pictures(folder / "pictures"),
+        config_text=(folder / "config.yaml").read_text() if (folder / "config.yaml").is_file() else "",
+    )
+
+
+def _motion(folder: Path, summary: Summary) -> Motion | None:
+    files = (folder / "trajectory.csv", folder / "covariance.npz")
+    if summary.inertia is None or summary.R_GP is None or summary.com_G is None:
+        return None
+    if not all(file.is_file() for file in files):
+        return None
+    return Motion(
+        trajectory=read_trajectory(files[0]),
+        covariance=read_covariance(files[1]),
+        moments=np.array(summary.inertia.moments),
+        R_GP=np.array(summary.R_GP),
+        com_G=np.array(summary.com_G),
+    )
+
+
+def _pictures(folder: Path) -> dict[str, bytes]:
+    captions: dict[str, str] = _json(folder / "captions.json")
+    return {caption: (folder / name).read_bytes() for name, caption in captions.items()}
+
+
+def _json(file: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(file.read_text()) if file.is_file() else {}
+    return content

@@ -1,0 +1,94 @@
+"""Puts words and figures into one HTML file that needs nothing else: no network, no other file."""
+
+import base64
+import json
+import re
+from functools import cache
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from pipeline.atomic import write_text
+from pipeline.report import words
+from pipeline.report.content import Content, read_content
+from pipeline.report.motion import motion_figures
+from pipeline.report.plot import Figure
+from pipeline.report.residuals import measurement_figures
+from pipeline.report.rotation import rotation_figures
+from pipeline.report.shape import shape_figures
+
+
+def write_report(folder: Path, path: Path | None = None, name: str | None = None) -> None:
+    """Write the report of the run in ``folder`` to ``path``, RUN/report.html unless given.
+
+    Made from the stored files alone, so it can be written again at any time. ``name`` is what the page calls
+    the run, the folder's name unless given. Raises InputError when the folder holds no run.
+    """
+    content = read_content(folder, name or folder.resolve().name)
+    write_text(path or folder / "report.html", render(content))
+
+
+def refresh_report(folder: Path) -> None:
+    """Write RUN/report.html again, after metrics.json came to a run."""
+    write_report(folder)
+
+
+def render(content: Content) -> str:
+    """The whole page."""
+    summary, motion = content.summary, content.motion
+    sections = [
+        ("Motion", motion_figures(content), "The run did not reach an estimate of the motion."),
+        (
+            "Rotation and inertia",
+            rotation_figures(content),
+            "The run did not reach an estimate of the inertia.",
+        ),
+        ("Measurements", measurement_figures(content), "The run did not reach stereo measurements."),
+        ("Shape", shape_figures(content), "The run holds neither a map nor a surface."),
+    ]
+    return _template().render(
+        name=content.name,
+        finding=words.finding(summary, motion.trajectory if motion else None),
+        summary=summary,
+        inertia_rows=words.inertia_rows(summary),
+        reasons=words.reasons(summary),
+        motion_rows=words.motion_rows(motion),
+        run_rows=words.run_rows(content),
+        timing_rows=words.timing_rows(summary),
+        metric_rows=words.metric_rows(content.metrics),
+        sections=sections,
+        has_surface=content.surface is not None,
+        pictures=[(caption, _data_uri(image)) for caption, image in content.pictures.items()],
+        config_text=content.config_text,
+        figure_json=_figure_json,
+        plotly_js=_plotly_js(),
+    )
+
+
+def _template() -> Template:
+    loader = FileSystemLoader(Path(__file__).with_name("templates"))
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template("report.html.j2")
+
+
+def _figure_json(figure: Figure) -> Markup:
+    content = {"data": figure.data, "layout": {**figure.layout, "height": figure.height_px}}
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    # Inside a script element only "<" could end it early.
+    return Markup(text.replace("<", "\\u003c"))
+
+
+@cache
+def _plotly_js() -> Markup:
+    """The library, with the addresses in its own links (maps, its logo) written so that no scanner takes them for
+    something that this page loads; to JavaScript the strings are the same."""
+    return Markup(re.sub(r"((?:src|href)\s*=\s*.?https?:)//", r"\1\\u002f\\u002f", get_plotlyjs()))
+
+
+def _data_uri(image: bytes) -> str:
+    kind = "png" if image.startswith(b"\x89PNG") else "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(image).decode('ascii')}"

@@ -1,0 +1,204 @@
+"""The parts that every figure is drawn with: traces, axes, colours, as plain data for plotly.js."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from polhode.lie import Array
+
+Trace = dict[str, Any]
+Layout = dict[str, Any]
+
+AXIS_COLORS: tuple[str, str, str] = ("#d55e00", "#009e73", "#0072b2")
+"""x, y, z: vermillion, green, blue of Okabe and Ito, told apart by colour-blind readers too."""
+INK, FAINT, ACCENT = "#22303c", "#8a97a3", "#5b3f8c"
+GRID = "#e8ecf0"
+SIGMA_SCALE = [[0.0, "#fde725"], [0.33, "#35b779"], [0.66, "#31688e"], [1.0, "#440154"]]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One drawing with its words."""
+
+    key: str
+    title: str
+    caption: str
+    data: list[Trace]
+    layout: Layout
+    height_px: int = 420
+    wide: bool = True
+
+
+def packed(values: ArrayLike, dtype: str = "f4") -> dict[str, str]:
+    """An array as plotly.js reads it fastest and shortest: base64 of its bytes. Infinities become gaps."""
+    array = np.asarray(values)
+    if dtype.startswith("f"):
+        array = np.where(np.isfinite(array), array, np.nan)
+    array = np.ascontiguousarray(array.astype("<" + dtype if dtype != "u1" else dtype))
+    out = {"dtype": dtype, "bdata": base64.b64encode(array.tobytes()).decode("ascii")}
+    if array.ndim > 1:
+        out["shape"] = ", ".join(map(str, array.shape))
+    return out
+
+
+def translucent(color: str, alpha: float) -> str:
+    """#rrggbb -> rgba()."""
+    red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{alpha})"
+
+
+def line(x: ArrayLike, y: ArrayLike, name: str, color: str, panel: int = 1, **more: Any) -> Trace:
+    """A line through the points, on the axes of one panel."""
+    return {
+        "type": "scatter",
+        "mode": more.pop("mode", "lines+markers"),
+        "x": packed(x),
+        "y": packed(y),
+        "name": name,
+        "line": {"color": color, "width": 1.6},
+        "marker": {"color": color, "size": 3.5},
+        **on(panel),
+        **more,
+    }
+
+
+def band(x: ArrayLike, y: ArrayLike, half: ArrayLike, color: str, panel: int = 1, **more: Any) -> list[Trace]:
+    """The strip y - half .. y + half; nothing where half is not finite."""
+    y, half = np.asarray(y, dtype=np.float64), np.asarray(half, dtype=np.float64)
+    if not np.any(np.isfinite(half)):
+        return []
+    edge = {"type": "scatter", "mode": "lines", "x": packed(x), "line": {"width": 0}, "hoverinfo": "skip"}
+    style = {"showlegend": False, **on(panel), **more}
+    fill = {"fill": "tonexty", "fillcolor": translucent(color, 0.22)}
+    return [edge | style | {"y": packed(y - half)}, edge | style | fill | {"y": packed(y + half)}]
+
+
+def on(panel: int) -> dict[str, str]:
+    """Name the axes of a panel, counted from 1."""
+    suffix = "" if panel == 1 else str(panel)
+    return {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
+
+
+def axis(title: str = "", **more: Any) -> Layout:
+    """The common look of an axis."""
+    return {
+        "title": {"text": title, "font": {"size": 12}, "standoff": 6},
+        "gridcolor": GRID,
+        "zeroline": False,
+        "linecolor": "#c3ccd4",
+        "showline": True,
+        "ticks": "outside",
+        "ticklen": 3,
+        "tickcolor": "#c3ccd4",
+        "automargin": True,
+        **more,
+    }
+
+
+def layout(**more: Any) -> Layout:
+    """The common look of a drawing."""
+    return {
+        "font": {
+            "family": "Inter, 'Segoe UI', Roboto, Helvetica, Arial, sans-serif",
+            "size": 12,
+            "color": INK,
+        },
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "#ffffff",
+        "margin": {"l": 64, "r": 16, "t": 28, "b": 46},
+        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 1, "xanchor": "right"},
+        "hovermode": "closest",
+        "hoverlabel": {"font": {"size": 12}},
+        **more,
+    }
+
+
+def panels(
+    y_titles: Sequence[Sequence[str]], x_title: str, column_titles: Sequence[str] = (), **more: Any
+) -> Layout:
+    """Axes of a table of drawings that share x; panels are counted along the rows, from 1 at the top left."""
+    rows, columns = len(y_titles), len(y_titles[0])
+    out = layout(**more)
+    gap_x, gap_y = 0.09, 0.05
+    width, height = (1 - gap_x * (columns - 1)) / columns, (1 - gap_y * (rows - 1)) / rows
+    for row in range(rows):
+        for column in range(columns):
+            panel = row * columns + column + 1
+            name = on(panel)
+            left, top = column * (width + gap_x), 1 - row * (height + gap_y)
+            last = row == rows - 1
+            x = axis(x_title if last else "", domain=[left, left + width], anchor=name["yaxis"])
+            x |= {"matches": "x", "showticklabels": last} if panel > 1 else {"showticklabels": last}
+            y = axis(y_titles[row][column], domain=[top - height, top], anchor=name["xaxis"])
+            out[name["xaxis"].replace("x", "xaxis", 1)] = x
+            out[name["yaxis"].replace("y", "yaxis", 1)] = y
+    centres = [column * (width + gap_x) + width / 2 for column in range(len(column_titles))]
+    out["annotations"] = [
+        note(title, centre, 1.0, yanchor="bottom", yshift=6, font={"size": 13, "color": INK})
+        for title, centre in zip(column_titles, centres, strict=True)
+    ]
+    return out
+
+
+def note(text: str, x: float, y: float, **more: Any) -> Layout:
+    """Words on the paper of a drawing, 0..1."""
+    return {"text": text, "x": x, "y": y, "xref": "paper", "yref": "paper", "showarrow": False, **more}
+
+
+def gap_shapes(time_s: Array, seen: "np.ndarray[Any, np.dtype[np.bool_]]") -> list[Layout]:
+    """Grey strips over the frames without measurements, neighbours joined."""
+    bridged = np.flatnonzero(~seen)
+    if len(bridged) == 0 or len(time_s) < 2:
+        return []
+    edges = np.concatenate([time_s[:1], 0.5 * (time_s[1:] + time_s[:-1]), time_s[-1:]])
+    runs = np.split(bridged, np.flatnonzero(np.diff(bridged) > 1) + 1)
+    return [
+        {
+            "type": "rect",
+            "layer": "below",
+            "x0": float(edges[run[0]]),
+            "x1": float(edges[run[-1] + 1]),
+            "xref": "x",
+            "y0": 0,
+            "y1": 1,
+            "yref": "paper",
+            "fillcolor": "#dfe4e8",
+            "opacity": 0.6,
+            "line": {"width": 0},
+        }
+        for run in runs
+    ]
+
+
+def scene(unit: str, names: Sequence[str] = ("x", "y", "z"), **more: Any) -> Layout:
+    """Three axes of equal scale."""
+    look = {"backgroundcolor": "#fafbfc", "gridcolor": "#dde3e8", "showbackground": True, "zeroline": False}
+    axes = {
+        f"{k}axis": {"title": {"text": f"{name} [{unit}]"}, **look}
+        for k, name in zip("xyz", names, strict=True)
+    }
+    return {**axes, "aspectmode": "data", "camera": {"eye": {"x": 1.25, "y": -1.35, "z": 0.8}}, **more}
+
+
+def axis_arrows(origin: Array, R: Array, length: float, names: Sequence[str]) -> list[Trace]:
+    """Three coloured lines from an origin (3,), along the columns of R (3, 3), named at their ends."""
+    return [
+        {
+            "type": "scatter3d",
+            "mode": "lines+text",
+            "x": [float(origin[0]), float(tip[0])],
+            "y": [float(origin[1]), float(tip[1])],
+            "z": [float(origin[2]), float(tip[2])],
+            "text": ["", name],
+            "textfont": {"color": color, "size": 13},
+            "line": {"color": color, "width": 6},
+            "hoverinfo": "name",
+            "name": f"principal axis {name}",
+            "showlegend": False,
+        }
+        for tip, name, color in zip((origin + length * R.T), names, AXIS_COLORS, strict=True)
+    ]

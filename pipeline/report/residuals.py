@@ -1,0 +1,188 @@
+"""Figures of the measurements: residuals against their noise, per frame, and who was seen when."""
+
+import numpy as np
+
+from pipeline.archives import Residuals
+from pipeline.report.content import Content
+from pipeline.report.plot import (
+    ACCENT,
+    AXIS_COLORS,
+    FAINT,
+    INK,
+    Figure,
+    Trace,
+    axis,
+    layout,
+    line,
+    on,
+    packed,
+    panels,
+)
+from polhode.records import StereoTracks
+
+NAMES = ("u", "v", "disparity")
+INLIER_WEIGHT = 0.5
+"""A measurement with less weight in the robust kernel counts as an outlier here."""
+
+
+def measurement_figures(content: Content) -> list[Figure]:
+    """Histogram and history of the residuals, observations per frame, landmarks over time: those that exist."""
+    if content.tracks is None or len(content.tracks.frame) == 0:
+        return []
+    figures = []
+    if content.residuals is not None and len(content.residuals.residuals_px) == len(content.tracks.frame):
+        figures = [
+            _histogram(content, content.tracks, content.residuals),
+            _rms_per_frame(content.tracks, content.residuals),
+        ]
+    return [*figures, _observations(content.tracks), _landmarks_over_time(content.tracks)]
+
+
+def rms_per_frame(
+    tracks: StereoTracks, residuals: Residuals
+) -> "np.ndarray[tuple[int, int], np.dtype[np.float64]]":
+    """Root mean square of the inliers' residuals (F, 3) [px]; NaN for a frame without inliers."""
+    inlier = residuals.inlier_weight >= INLIER_WEIGHT
+    frame, squared = tracks.frame[inlier], residuals.residuals_px[inlier] ** 2
+    count = np.bincount(frame, minlength=tracks.n_frames).astype(np.float64)
+    sums = [np.bincount(frame, weights=squared[:, k], minlength=tracks.n_frames) for k in range(3)]
+    with np.errstate(invalid="ignore"):
+        return np.stack([np.sqrt(s / np.where(count > 0, count, np.nan)) for s in sums], axis=1)
+
+
+def _histogram(content: Content, tracks: StereoTracks, residuals: Residuals) -> Figure:
+    normalised = residuals.residuals_px / tracks.sigma_px
+    edges = np.linspace(-5, 5, 81)
+    centres, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
+    figure = layout(
+        xaxis=axis("residual / its standard deviation", range=[-5, 5]),
+        yaxis=axis("density", rangemode="tozero"),
+    )
+    data: list[Trace] = []
+    for k, name in enumerate(NAMES):
+        density = np.histogram(normalised[:, k], edges)[0] / (len(normalised) * width)
+        data.append(line(centres, density, name, AXIS_COLORS[k], mode="lines", line=_steps(AXIS_COLORS[k])))
+    gauss = np.exp(-0.5 * centres**2) / np.sqrt(2 * np.pi)
+    data.append(
+        line(centres, gauss, "Gaussian", INK, mode="lines", line={"color": INK, "width": 1.5, "dash": "dot"})
+    )
+    beyond = float(np.mean(np.any(np.abs(normalised) > 5, axis=1)))
+    outliers = float(np.mean(residuals.inlier_weight < INLIER_WEIGHT))
+    solver = content.summary.solver
+    chi2 = (
+        f" Reduced chi-squared {solver.reduced_chi2:.3g}."
+        if solver and solver.reduced_chi2 is not None
+        else ""
+    )
+    return Figure(
+        "residual-histogram",
+        "Residuals against their noise",
+        "Measured minus predicted, over the standard deviation that the estimate assumed; dotted: the Gaussian that "
+        f"they should follow.{chi2} {100 * outliers:.1f} % of the measurements have less than half their weight in "
+        f"the robust kernel; {100 * beyond:.1f} % lie outside the drawing.",
+        data,
+        figure,
+        height_px=380,
+        wide=False,
+    )
+
+
+def _rms_per_frame(tracks: StereoTracks, residuals: Residuals) -> Figure:
+    rms = rms_per_frame(tracks, residuals)
+    figure = layout(
+        xaxis=axis("time since the first frame [s]"),
+        yaxis=axis("residual, root mean square [px]", rangemode="tozero"),
+    )
+    data = [line(tracks.time_s, rms[:, k], name, AXIS_COLORS[k]) for k, name in enumerate(NAMES)]
+    return Figure(
+        "residual-rms",
+        "Residuals per frame",
+        "Inliers only. A frame that stands out points at light, blur or a wrong association.",
+        data,
+        figure,
+        height_px=380,
+        wide=False,
+    )
+
+
+def _observations(tracks: StereoTracks) -> Figure:
+    count = np.bincount(tracks.frame, minlength=tracks.n_frames)
+    length = np.bincount(tracks.landmark, minlength=tracks.n_landmarks)
+    lengths = np.bincount(length)[1:]
+    figure = panels(
+        [
+            ("landmarks seen",),
+        ],
+        "time since the first frame [s]",
+        showlegend=False,
+    )
+    figure["xaxis"] |= {"domain": [0, 0.56]}
+    figure["xaxis2"] = axis("observations of a landmark", domain=[0.66, 1], anchor="y2")
+    figure["yaxis2"] = axis("landmarks", anchor="x2", type="log")
+    bars = {"type": "bar", "marker": {"color": ACCENT}, "width": 0.8 * _spacing(tracks)}
+    data: list[Trace] = [
+        bars | {"x": packed(tracks.time_s), "y": packed(count, "i4"), **on(1)},
+        {
+            "type": "bar",
+            "marker": {"color": FAINT},
+            "x": packed(np.arange(1, len(lengths) + 1), "i4"),
+            "y": packed(lengths, "i4"),
+            **on(2),
+        },
+    ]
+    unseen = int(np.sum(count == 0))
+    return Figure(
+        "observations",
+        "Observations",
+        f"Left: stereo measurements per frame (median {np.median(count):.0f}"
+        + (f"; {unseen} without any, bridged by the dynamics" if unseen else "")
+        + f"). Right: how often each of the {tracks.n_landmarks} landmarks was seen (median {np.median(length):.0f}).",
+        data,
+        figure,
+        height_px=380,
+        wide=False,
+    )
+
+
+def _landmarks_over_time(tracks: StereoTracks) -> Figure:
+    first = np.full(tracks.n_landmarks, tracks.n_frames)
+    np.minimum.at(first, tracks.landmark, tracks.frame)
+    rank = np.empty(tracks.n_landmarks, dtype=np.int64)
+    rank[np.argsort(first, kind="stable")] = np.arange(tracks.n_landmarks)
+    rows = min(tracks.n_landmarks, 600)
+    seen = np.zeros((rows, tracks.n_frames), dtype=np.uint8)
+    seen[rank[tracks.landmark] * rows // tracks.n_landmarks, tracks.frame] = 1
+    figure = layout(
+        xaxis=axis("time since the first frame [s]", showgrid=False),
+        yaxis=axis("landmarks, by first sight", showgrid=False, autorange="reversed"),
+    )
+    data: list[Trace] = [
+        {
+            "type": "heatmap",
+            "x": packed(tracks.time_s),
+            "y": packed((np.arange(rows) + 0.5) * tracks.n_landmarks / rows),
+            "z": packed(seen, "u1"),
+            "colorscale": [[0, "#ffffff"], [1, ACCENT]],
+            "showscale": False,
+            "hoverinfo": "skip",
+            **on(1),
+        }
+    ]
+    return Figure(
+        "landmarks-over-time",
+        "Landmarks over time",
+        "Each row is a landmark (or a few), each dark cell a frame that saw it. Rows that go dark again after a gap "
+        "are landmarks recognised when the body had turned around: this loop closure is what fixes the inertia.",
+        data,
+        figure,
+        height_px=380,
+        wide=False,
+    )
+
+
+def _spacing(tracks: StereoTracks) -> float:
+    return float(np.median(np.diff(tracks.time_s))) if tracks.n_frames > 1 else 1.0
+
+
+def _steps(color: str) -> dict[str, object]:
+    return {"color": color, "width": 1.6, "shape": "hvh"}

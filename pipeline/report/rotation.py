@@ -1,0 +1,289 @@
+"""Figures of the rotation: the polhode, the inertia ratios, energy and angular momentum."""
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.report.content import Content, Motion
+from pipeline.report.plot import (
+    ACCENT,
+    FAINT,
+    INK,
+    Figure,
+    Trace,
+    axis,
+    band,
+    layout,
+    line,
+    note,
+    on,
+    packed,
+    panels,
+    scene,
+)
+from polhode.lie import Array
+from polhode.rigid_body import angular_acceleration, angular_momentum_N, rotational_energy
+
+FLAT_LIMIT = float(np.log(2.0))
+"""k1 of a thin disc that is symmetric about its axis, Jxx = 2 Jyy: no body with k2 = 0 lies beyond."""
+
+
+def rotation_figures(content: Content) -> list[Figure]:
+    """Polhode, inertia ratios, conserved quantities; nothing without an estimate."""
+    if content.motion is None:
+        return []
+    return [_polhode(content.motion), _ratios(content), _conserved(content.motion)]
+
+
+def torque_free_path(time_s: Array, w_P: Array, moments: Array) -> Array:
+    """The path between the frames by Euler's equation, each stretch from the frame before it.
+
+    time_s (F,), w_P (F, 3) [rad/s], moments (3,) -> (S, 3) with S >= F; ends at the last frame. RK4, all
+    stretches at once, steps of at most 0.05 rad of rotation.
+    """
+    dt = np.diff(time_s)
+    if len(dt) == 0:
+        return w_P
+    steps = int(np.clip(np.ceil(np.max(np.linalg.norm(w_P[:-1], axis=1) * dt) / 0.05), 4, 400))
+    J, h = np.diag(moments), (dt / steps)[:, None]
+    w, path = w_P[:-1], [w_P[:-1]]
+    for _ in range(steps - 1):
+        a = angular_acceleration(J, w)
+        b = angular_acceleration(J, w + 0.5 * h * a)
+        c = angular_acceleration(J, w + 0.5 * h * b)
+        d = angular_acceleration(J, w + h * c)
+        w = w + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+        path.append(w)
+    return np.concatenate([np.stack(path, axis=1).reshape(-1, 3), w_P[-1:]])
+
+
+def largest_k1(k2: Array) -> Array:
+    """The triangle inequality Jxx <= Jyy + Jzz in the ratios: k1 <= ln(1 + exp(-k2))."""
+    return np.asarray(np.log1p(np.exp(-k2)))
+
+
+def confidence_ellipse(mean: Array, covariance: Array, n_sigma: float) -> Array:
+    """Points (200, 2) where the Mahalanobis distance to the mean (2,) is n_sigma."""
+    values, vectors = np.linalg.eigh(covariance)
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(mean + n_sigma * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _polhode(motion: Motion) -> Figure:
+    path, moments = motion.trajectory, motion.moments
+    J = np.diag(moments)
+    energy = float(np.mean(rotational_energy(J, path.w_P)))
+    momentum = float(np.mean(np.linalg.norm(path.w_P * moments, axis=1)))
+    dense = np.rad2deg(torque_free_path(path.time_s, path.w_P, moments))
+    points = np.rad2deg(path.w_P)
+    data = [
+        _ellipsoid(np.rad2deg(np.sqrt(2.0 * energy / moments)), "energy ellipsoid"),
+        _wires(np.rad2deg(momentum / moments), "momentum ellipsoid"),
+        {
+            "type": "scatter3d",
+            "mode": "lines",
+            **_xyz(dense),
+            "line": {"color": INK, "width": 4},
+            "name": "path between frames",
+            "hoverinfo": "skip",
+        },
+        {
+            "type": "scatter3d",
+            "mode": "markers",
+            **_xyz(points),
+            "marker": {
+                "size": 3.5,
+                "color": packed(path.time_s),
+                "colorscale": "Plasma",
+                "colorbar": _bar("time [s]"),
+            },
+            "name": "ω at the frames",
+        },
+    ]
+    names = ("ω<sub>x</sub>", "ω<sub>y</sub>", "ω<sub>z</sub>")
+    figure = layout(
+        scene=scene("deg/s", names),
+        margin={"l": 0, "r": 0, "t": 8, "b": 0},
+        legend={"orientation": "h", "x": 0, "y": 0},
+    )
+    return Figure(
+        "polhode",
+        "Polhode",
+        "The path of the angular velocity in the principal axes (dots: frames; line: Euler's equation from each "
+        "frame to the next) on the two surfaces that a torque-free body cannot leave: the ellipsoids of constant "
+        "energy (surface) and of constant angular momentum (wires), drawn for the mean of the run. The path lies "
+        "where they intersect.",
+        data,
+        figure,
+        height_px=560,
+        wide=False,
+    )
+
+
+def _ellipsoid(semi_axes: Array, name: str) -> Trace:
+    polar, azimuth = np.meshgrid(np.linspace(0, np.pi, 41), np.linspace(0, 2 * np.pi, 61), indexing="ij")
+    unit = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
+    x, y, z = (packed(unit[k] * semi_axes[k]) for k in range(3))
+    return {
+        "type": "surface",
+        "x": x,
+        "y": y,
+        "z": z,
+        "opacity": 0.35,
+        "showscale": False,
+        "colorscale": [[0, "#b9a6dc"], [1, "#b9a6dc"]],
+        "lighting": {"ambient": 0.75, "diffuse": 0.5, "specular": 0.05},
+        "hoverinfo": "skip",
+        "name": name,
+        "showlegend": True,
+    }
+
+
+def _wires(semi_axes: Array, name: str) -> Trace:
+    t = np.linspace(0, 2 * np.pi, 73)
+    wires = []
+    for polar in np.linspace(0, np.pi, 9)[1:-1]:
+        wires.append(
+            np.stack([np.sin(polar) * np.cos(t), np.sin(polar) * np.sin(t), np.full_like(t, np.cos(polar))])
+        )
+    for azimuth in np.linspace(0, np.pi, 9)[:-1]:
+        wires.append(np.stack([np.sin(t) * np.cos(azimuth), np.sin(t) * np.sin(azimuth), np.cos(t)]))
+    gap = np.full((3, 1), np.nan)
+    points = np.concatenate([part for wire in wires for part in (wire, gap)], axis=1).T * semi_axes
+    return {
+        "type": "scatter3d",
+        "mode": "lines",
+        **_xyz(points),
+        "line": {"color": "#7a8b99", "width": 1.5},
+        "hoverinfo": "skip",
+        "name": name,
+    }
+
+
+def _ratios(content: Content) -> Figure:
+    inertia, known = content.summary.inertia, content.summary.identifiable
+    assert inertia is not None and known is not None
+    mean = np.array([inertia.k1, inertia.k2])
+    covariance = np.array([[np.inf if v is None else v for v in row] for row in inertia.cov])
+    determined = bool(np.all(np.isfinite(covariance)))
+    ellipse = confidence_ellipse(mean, covariance, 3.0) if determined else None
+    truth = _truth(content.metrics, mean)
+    figure = layout(
+        xaxis=axis("k<sub>1</sub> = ln(Jxx / Jyy)", domain=[0, 0.45], range=[0, 0.78], anchor="y"),
+        yaxis=axis("k<sub>2</sub> = ln(Jyy / Jzz)", range=[0, max(2.0, 1.3 * mean[1])], anchor="x"),
+        xaxis2=axis("k<sub>1</sub>", domain=[0.57, 1], anchor="y2"),
+        yaxis2=axis("k<sub>2</sub>", anchor="x2"),
+        annotations=[
+            note("all possible bodies", 0.225, 1.0, yanchor="bottom", font={"size": 13}),
+            note("close up", 0.785, 1.0, yanchor="bottom", font={"size": 13}),
+            *(_corner(*corner) for corner in ((0, 0, "sphere"), (FLAT_LIMIT, 0, "thin disc"))),
+        ],
+        showlegend=False,
+    )
+    zoom = ellipse if ellipse is not None else mean + 0.15 * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    for name, values in (("xaxis2", zoom[:, 0]), ("yaxis2", zoom[:, 1])):
+        low, high = float(values.min()), float(values.max())
+        if truth is not None:
+            column = 0 if name == "xaxis2" else 1
+            low, high = min(low, truth[column]), max(high, truth[column])
+        pad = 0.25 * max(high - low, 1e-6)
+        figure[name]["range"] = [low - pad, high + pad]
+    data = []
+    for panel in (1, 2):
+        data += _region(panel)
+        if ellipse is not None:
+            fill = {"fill": "toself", "fillcolor": "rgba(91,63,140,0.20)", "mode": "lines"}
+            data.append(line(ellipse[:, 0], ellipse[:, 1], "3σ", ACCENT, panel, **fill))
+        marker = {"color": ACCENT, "size": 9, "symbol": "circle" if determined else "circle-open"}
+        data.append(line(mean[:1], mean[1:], "estimate", ACCENT, panel, mode="markers", marker=marker))
+        if truth is not None:
+            marker = {"color": INK, "size": 11, "symbol": "x-thin", "line": {"width": 2, "color": INK}}
+            data.append(line(truth[:1], truth[1:], "truth", INK, panel, mode="markers", marker=marker))
+    words = (
+        "Dot: estimate; ellipse: where it is three standard deviations away."
+        if determined
+        else "The motion does not determine the ratios: the open dot is the best guess and has no ellipse."
+    )
+    return Figure(
+        "inertia-ratios",
+        "Inertia ratios",
+        "Where the body lies among all rigid bodies. Beyond the curve the largest moment would exceed the sum of the "
+        f"other two, which no mass distribution can do (triangle inequality). {words}"
+        + (" Cross: the truth of the simulation." if truth is not None else ""),
+        data,
+        figure,
+        height_px=560,
+        wide=False,
+    )
+
+
+def _region(panel: int) -> list[Trace]:
+    k2 = np.linspace(0, 8, 200)
+    x, y = np.concatenate([[0], largest_k1(k2), [0]]), np.concatenate([[0], k2, [8]])
+    style = {"type": "scatter", "mode": "lines", "hoverinfo": "skip", **on(panel)}
+    fill = {"fill": "toself", "fillcolor": "rgba(0,158,115,0.09)"}
+    return [style | fill | {"x": packed(x), "y": packed(y), "line": {"color": "#009e73", "width": 1.2}}]
+
+
+def _corner(x: float, y: float, text: str) -> dict[str, Any]:
+    place = {"xref": "x", "yref": "y", "xanchor": "left" if x == 0 else "right", "yanchor": "bottom"}
+    return note(text, x, y, **place, xshift=4 if x == 0 else -4, font={"size": 11, "color": FAINT})
+
+
+def _truth(metrics: dict[str, Any], mean: Array) -> Array | None:
+    errors = metrics.get("error_k1"), metrics.get("error_k2")
+    if not all(isinstance(error, int | float) for error in errors):
+        return None
+    return mean - np.array(errors, dtype=np.float64)
+
+
+def _conserved(motion: Motion) -> Figure:
+    path, moments = motion.trajectory, motion.moments
+    J = np.diag(moments)
+    cov_w = motion.covariance.covariance[:, 9:12, 9:12]
+    h_P = path.w_P * moments
+    energy, momentum = rotational_energy(J, path.w_P), np.linalg.norm(h_P, axis=1)
+    h_N = angular_momentum_N(J, path.R_NP, path.w_P)
+    mean_h = np.mean(h_N, axis=0)
+    cosine = h_N @ mean_h / np.maximum(np.linalg.norm(h_N, axis=1) * np.linalg.norm(mean_h), 1e-300)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope_h = h_P * moments / momentum[:, None]
+        relative = (
+            (100 * (energy / energy.mean() - 1), 100 * _sigma(h_P, cov_w) / energy.mean()),
+            (100 * (momentum / momentum.mean() - 1), 100 * _sigma(slope_h, cov_w) / momentum.mean()),
+        )
+    figure = panels(
+        [("energy [%]",), ("momentum [%]",), ("direction [deg]",)],
+        "time since the first frame [s]",
+        showlegend=False,
+    )
+    data = []
+    for panel, (value, sigma) in enumerate(relative, start=1):
+        data += band(path.time_s, value, 3 * sigma, ACCENT, panel)
+        data.append(line(path.time_s, value, "", ACCENT, panel))
+    data.append(line(path.time_s, np.rad2deg(np.arccos(np.clip(cosine, -1, 1))), "", ACCENT, 3))
+    figure["yaxis3"]["rangemode"] = "tozero"
+    return Figure(
+        "energy-momentum",
+        "Energy and angular momentum",
+        "Of the rotation, relative to their mean over the run, with bands of three standard deviations (from the "
+        "angular velocity alone), and the angle between the angular momentum in N and its mean direction. Without "
+        "a torque all three are constant: a drift beyond the bands speaks of a torque or of a wrong inertia.",
+        data,
+        figure,
+        height_px=520,
+    )
+
+
+def _sigma(gradient: Array, covariance: Array) -> Array:
+    """Root of g C g per row: gradient (F, 3), covariance (F, 3, 3) -> (F,)."""
+    return np.asarray(np.sqrt(np.einsum("fi,fij,fj->f", gradient, covariance, gradient)))
+
+
+def _xyz(points: Array) -> dict[str, Any]:
+    return {name: packed(points[:, k]) for k, name in enumerate("xyz")}
+
+
+def _bar(title: str) -> dict[str, Any]:
+    return {"title": {"text": title, "side": "right"}, "thickness": 12, "len": 0.6}

@@ -1,0 +1,190 @@
+"""Figures of the shape, in the geometric frame G: the sparse map and the surface."""
+
+from typing import Any
+
+import numpy as np
+import trimesh
+from trimesh.visual.color import ColorVisuals
+
+from pipeline.report.content import Content
+from pipeline.report.plot import INK, SIGMA_SCALE, Figure, Trace, axis_arrows, layout, packed, scene
+from polhode.lie import Array, inverse_pose
+from polhode.records import Ints, Landmarks
+
+MAX_FACES = 60_000
+"""A denser mesh is thinned for the page; mesh.ply keeps everything."""
+
+
+def shape_figures(content: Content) -> list[Figure]:
+    """Map and mesh: those that exist."""
+    figures = []
+    if content.landmarks is not None and len(content.landmarks.p_G):
+        figures.append(_map(content, content.landmarks))
+    if content.surface is not None and len(content.surface.mesh.faces):
+        figures.append(_mesh(content, content.surface.mesh))
+    return figures
+
+
+def thinned(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
+    """At most ``max_faces`` triangles by merging the vertices of each cell of a grid (Rossignac, Borrel 1993).
+
+    Returns vertices (V, 3) in the mesh's unit, faces (T, 3) and, for each new vertex, one old vertex (V,)
+    whose colour it takes. The mesh itself when it is small enough.
+    """
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    faces = np.asarray(mesh.faces, dtype=np.int64)
+    if len(faces) <= max_faces:
+        return vertices, faces, np.arange(len(vertices))
+    # A surface has about two triangles a cell that it crosses.
+    cell = float(np.sqrt(mesh.area / max_faces))
+    while True:
+        keys = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
+        _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        group = group.reshape(-1)
+        merged = group[faces]
+        apart = (
+            (merged[:, 0] != merged[:, 1]) & (merged[:, 1] != merged[:, 2]) & (merged[:, 2] != merged[:, 0])
+        )
+        merged = merged[apart]
+        _, keep = np.unique(np.sort(merged, axis=1), axis=0, return_index=True)
+        if len(keep) <= max_faces:
+            break
+        cell *= 1.15
+    count = np.bincount(group)
+    centres = np.stack([np.bincount(group, weights=vertices[:, k]) / count for k in range(3)], axis=1)
+    return centres, merged[np.sort(keep)], first
+
+
+def cameras_in_target(content: Content) -> Array | None:
+    """Positions of the left camera in G (F, 3) [m], one per frame."""
+    if content.motion is None or content.tracks is None:
+        return None
+    X_GN = inverse_pose(content.motion.X_NG)
+    return np.asarray((X_GN @ content.tracks.X_NR)[:, :3, 3])
+
+
+def _map(content: Content, landmarks: Landmarks) -> Figure:
+    p_mm, sigma_mm = 1e3 * landmarks.p_G, 1e3 * landmarks.sigma_m
+    known = np.isfinite(sigma_mm)
+    top = float(np.quantile(sigma_mm[known], 0.95)) if np.any(known) else 1.0
+    data: list[Trace] = [
+        {
+            "type": "scatter3d",
+            "mode": "markers",
+            **{name: packed(p_mm[:, k]) for k, name in enumerate("xyz")},
+            "marker": {
+                "size": 2.6,
+                "color": packed(np.where(known, np.minimum(sigma_mm, top), top)),
+                "colorscale": SIGMA_SCALE,
+                "cmin": 0,
+                "cmax": top,
+                "colorbar": {"title": {"text": "σ [mm]", "side": "right"}, "thickness": 12, "len": 0.6},
+            },
+            "name": "landmarks",
+            "hovertemplate": "(%{x:.1f}, %{y:.1f}, %{z:.1f}) mm<extra></extra>",
+        },
+        *_body_axes(content, p_mm),
+    ]
+    unknown = f" {int(np.sum(~known))} have no determined σ." if not np.all(known) else ""
+    median = f" Median σ {np.median(sigma_mm[known]):.2g} mm." if np.any(known) else ""
+    return Figure(
+        "sparse-map",
+        "Sparse map",
+        f"The {len(p_mm)} landmarks in the geometric frame G, coloured by their standard deviation (scale ends at "
+        f"the 95th percentile).{median}{unknown} The lines start at the centre of mass and follow the principal axes "
+        "x (largest moment), y, z (smallest).",
+        data,
+        _body_layout(),
+        height_px=560,
+        wide=False,
+    )
+
+
+def _mesh(content: Content, mesh: trimesh.Trimesh) -> Figure:
+    vertices, faces, source = thinned(mesh, MAX_FACES)
+    p_mm = 1e3 * vertices
+    rgb = _vertex_rgb(mesh)[source]
+    data: list[Trace] = [
+        {
+            "type": "mesh3d",
+            **{name: packed(p_mm[:, k]) for k, name in enumerate("xyz")},
+            **{name: packed(faces[:, k], "i4") for k, name in enumerate("ijk")},
+            "vertexcolor": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in rgb.tolist()],
+            "lighting": {"ambient": 0.75, "diffuse": 0.45, "specular": 0.05, "roughness": 0.9},
+            "lightposition": {"x": 1000, "y": -2000, "z": 3000},
+            "name": "surface",
+            "showlegend": False,
+            "hoverinfo": "skip",
+        },
+        *_body_axes(content, p_mm),
+        *_cameras(content, p_mm),
+    ]
+    thin = (
+        f" The page shows {len(faces)} of {len(mesh.faces)} triangles; mesh.ply holds all."
+        if len(faces) < len(mesh.faces)
+        else f" {len(mesh.faces)} triangles."
+    )
+    return Figure(
+        "mesh",
+        "Surface",
+        "Fused from the depth maps, with the brightness that the left camera saw; lines: principal axes at the centre "
+        "of mass. Dots: the direction from which the left camera looked at each frame, drawn close to the body (its "
+        f"true positions can be switched on in the legend).{thin}",
+        data,
+        _body_layout(),
+        height_px=560,
+        wide=False,
+    )
+
+
+def _vertex_rgb(mesh: trimesh.Trimesh) -> "np.ndarray[Any, np.dtype[np.uint8]]":
+    """(V, 3); grey where the mesh has no vertex colours."""
+    if not isinstance(mesh.visual, ColorVisuals):
+        return np.full((len(mesh.vertices), 3), 160, dtype=np.uint8)
+    return np.asarray(mesh.visual.vertex_colors, dtype=np.uint8)[:, :3]
+
+
+def _body_axes(content: Content, p_mm: Array) -> list[Trace]:
+    if content.motion is None:
+        return []
+    com_mm = 1e3 * content.motion.com_G
+    length = 0.75 * float(np.median(np.linalg.norm(p_mm - com_mm, axis=1))) * 2.0
+    centre: Trace = {
+        "type": "scatter3d",
+        "mode": "markers",
+        **{name: [float(com_mm[k])] for k, name in enumerate("xyz")},
+        "marker": {"size": 6, "color": INK, "symbol": "diamond"},
+        "name": "centre of mass",
+    }
+    return [centre, *axis_arrows(com_mm, content.motion.R_GP, length, "xyz")]
+
+
+def _cameras(content: Content, p_mm: Array) -> list[Trace]:
+    positions = cameras_in_target(content)
+    if positions is None or content.motion is None:
+        return []
+    com_mm = 1e3 * content.motion.com_G
+    away = 1e3 * positions - com_mm
+    distance = np.linalg.norm(away, axis=1, keepdims=True)
+    reach = 1.35 * float(np.max(np.linalg.norm(p_mm - com_mm, axis=1)))
+    close = com_mm + away / np.maximum(distance, 1e-9) * np.minimum(distance, reach)
+    time = packed(content.motion.trajectory.time_s)
+    bar = {"title": {"text": "time [s]", "side": "right"}, "thickness": 12, "len": 0.6}
+    marker = {"size": 3, "color": time, "colorscale": "Plasma"}
+    return [
+        _points(close, "camera direction", marker | {"colorbar": bar}),
+        _points(1e3 * positions, "camera position", marker, visible="legendonly"),
+    ]
+
+
+def _points(p_mm: Array, name: str, marker: dict[str, Any], **more: Any) -> Trace:
+    xyz = {key: packed(p_mm[:, k]) for k, key in enumerate("xyz")}
+    return {"type": "scatter3d", "mode": "markers", **xyz, "name": name, "marker": marker, **more}
+
+
+def _body_layout() -> dict[str, Any]:
+    return layout(
+        scene=scene("mm"),
+        margin={"l": 0, "r": 0, "t": 8, "b": 0},
+        legend={"orientation": "h", "x": 0, "y": 0},
+    )

@@ -1,0 +1,218 @@
+"""The words and numbers of the report: the finding in a sentence, values with their standard deviations."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.report.content import Content, Motion
+from pipeline.summary import Summary
+from pipeline.trajectory_file import Trajectory
+from polhode.lie import Array
+
+AXIS_WORDS = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a table."""
+
+    name: str
+    value: str
+    unit: str = ""
+    verdict: str = ""
+    sure: bool = True
+
+
+def with_sigma(value: float, sigma: float | None) -> str:
+    """``0.0317 ± 0.0021``: the standard deviation with two digits, the value to the same place."""
+    if sigma is None or not np.isfinite(sigma):
+        return f"{value:.3g}"
+    if sigma <= 0.0:
+        return f"{value:.6g} (exact)"
+    places = max(0, 1 - int(np.floor(np.log10(sigma))))
+    return f"{value:.{places}f} ± {sigma:.{places}f}"
+
+
+def finding(summary: Summary, trajectory: Trajectory | None) -> str:
+    """What the run found, in a sentence or two."""
+    if trajectory is None or summary.inertia is None or summary.identifiable is None:
+        reason = summary.warnings[0] if summary.warnings else "no estimate was reached"
+        return f"No motion was found: {reason.rstrip('.')}."
+    rate = float(np.median(np.linalg.norm(trajectory.w_P, axis=1)))
+    speed_mm_s = 1e3 * float(np.median(np.linalg.norm(trajectory.v_N, axis=1)))
+    motion = f"The target turns at {rate * 30 / np.pi:.2f} RPM {_about(trajectory.w_P)} and drifts at {speed_mm_s:.1f} mm/s"
+    inertia, known = summary.inertia, summary.identifiable
+    ratios = [
+        f"{name} = {with_sigma(value, _root(variance))}"
+        for name, value, variance, sure in (
+            ("k1", inertia.k1, inertia.cov[0][0], known.k1),
+            ("k2", inertia.k2, inertia.cov[1][1], known.k2),
+        )
+        if sure
+    ]
+    unknown = [name for name, sure in (("k1", known.k1), ("k2", known.k2)) if not sure]
+    told = f"its inertia ratios are {' and '.join(ratios)}" if ratios else ""
+    untold = f"this motion does not tell {' and '.join(unknown)}" if unknown else ""
+    return f"{motion}; {', '.join(part for part in (told, untold) if part)}."
+
+
+def inertia_rows(summary: Summary) -> list[Row]:
+    """The mass properties, each with its standard deviation and whether the motion determines it."""
+    inertia, known, parts = summary.inertia, summary.identifiable, summary.identifiable_components
+    if inertia is None or known is None or parts is None or summary.com_G is None or summary.R_GP is None:
+        return []
+    detail = summary.identifiable_detail
+    rows = [
+        _row("k1 = ln(Jxx / Jyy)", inertia.k1, _root(inertia.cov[0][0]), "", known.k1, detail.get("k1", "")),
+        _row("k2 = ln(Jyy / Jzz)", inertia.k2, _root(inertia.cov[1][1]), "", known.k2, detail.get("k2", "")),
+        Row(
+            "moments Jxx : Jyy : Jzz",
+            " : ".join(f"{moment:.4f}" for moment in inertia.moments),
+            "middle one 1",
+            _verdict(known.k1 and known.k2, ""),
+            known.k1 and known.k2,
+        ),
+    ]
+    for k, name in enumerate("xyz"):
+        sigma = _diagonal_mm(summary.cov_com_G, k)
+        reason = detail.get("com", "")
+        rows.append(
+            _row(f"centre of mass, G {name}", 1e3 * summary.com_G[k], sigma, "mm", sigma is not None, reason)
+        )
+    for k, name in enumerate(AXIS_WORDS):
+        sigma = None if summary.cov_R_GP is None else _root(summary.cov_R_GP[k][k])
+        value = "± " + f"{np.rad2deg(sigma):.2g}" if sigma is not None else "no bound"
+        sure = parts.axes_P[k]
+        rows.append(
+            Row(f"principal axes, about {name}", value, "deg", _verdict(sure, detail.get("axes", "")), sure)
+        )
+    return rows
+
+
+def reasons(summary: Summary) -> list[tuple[str, str]]:
+    """Every direction with its reason in words."""
+    return list(summary.identifiable_detail.items())
+
+
+def run_rows(content: Content) -> list[Row]:
+    """Size of the data, noise and solver."""
+    summary = content.summary
+    rows = [
+        Row("stereo pairs", f"{summary.frames}", f"{summary.frames_used} with measurements"),
+        Row("duration of the data", f"{summary.duration_s:.1f}", "s"),
+        Row("landmarks", f"{summary.landmarks}"),
+        Row("stereo observations", f"{summary.observations}"),
+    ]
+    if summary.noise is not None:
+        noise = summary.noise
+        rows += [
+            Row("residual of u, v", f"{noise.pixel_sigma_px:.3f}", "px"),
+            Row("residual of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"),
+            Row("disturbance acceleration", f"{np.sqrt(noise.accel_psd):.2g}", "m/s² /√Hz"),
+            Row("disturbance torque / Jyy", f"{np.sqrt(noise.torque_psd):.2g}", "rad/s² /√Hz"),
+        ]
+    if summary.solver is not None:
+        solver = summary.solver
+        ended = "converged" if solver.converged else f"stopped: {solver.message or 'not converged'}"
+        rows.append(
+            Row("solver", f"{solver.name}, {solver.iterations} iterations", ended, sure=solver.converged)
+        )
+        rows.append(Row("cost", f"{solver.cost:.6g}"))
+        if solver.reduced_chi2 is not None:
+            rows.append(Row("reduced chi-squared", f"{solver.reduced_chi2:.3f}"))
+        rows += [Row(f"cost from {name}", _cost(cost)) for name, cost in solver.runner_up.items()]
+    return rows
+
+
+def motion_rows(motion: Motion | None) -> list[Row]:
+    """The motion in a few numbers, with the median standard deviation over the run."""
+    if motion is None:
+        return []
+    path = motion.trajectory
+    rate = np.linalg.norm(path.w_P, axis=1)
+    return [
+        Row("rate of turn, median", f"{np.rad2deg(np.median(rate)):.2f}", "deg/s"),
+        Row("distance from the origin of N", f"{np.median(np.linalg.norm(path.r_N, axis=1)):.4f}", "m"),
+        Row("σ position, worst axis", _median(1e3 * path.sigma_r), "mm"),
+        Row("σ velocity, worst axis", _median(1e3 * path.sigma_v), "mm/s"),
+        Row("σ attitude, worst axis", _median(np.rad2deg(path.sigma_theta)), "deg"),
+        Row("σ angular velocity, worst axis", _median(np.rad2deg(path.sigma_w)), "deg/s"),
+    ]
+
+
+def timing_rows(summary: Summary) -> list[tuple[str, float, float]]:
+    """(stage, seconds, share of the longest) of the stages that took time; the report is timed after itself."""
+    times = {name: getattr(summary.timing_s, name) for name in type(summary.timing_s).model_fields}
+    stages = {name: s for name, s in times.items() if s > 0 and name not in ("total", "report")}
+    longest = max(stages.values(), default=1.0)
+    return [(name, seconds, seconds / longest) for name, seconds in stages.items()]
+
+
+def metric_rows(metrics: dict[str, Any]) -> list[Row]:
+    """metrics.json, one line a number; a nested group gives its name to its members."""
+    rows = []
+    for key, value in metrics.items():
+        if isinstance(value, dict):
+            rows += [Row(f"{_plain(key)}, {row.name}", row.value) for row in metric_rows(value)]
+        elif isinstance(value, bool | str) or value is None:
+            rows.append(Row(_plain(key), "–" if value is None else str(value)))
+        elif isinstance(value, int | float):
+            rows.append(Row(_plain(key), f"{value:.4g}"))
+        elif isinstance(value, list):
+            rows.append(
+                Row(_plain(key), ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value))
+            )
+    return rows
+
+
+def _about(w_P: Array) -> str:
+    """Near which principal axis the angular velocity lies, on the average."""
+    share = np.mean(np.abs(w_P), axis=0) / max(float(np.mean(np.linalg.norm(w_P, axis=1))), 1e-12)
+    k = int(np.argmax(share))
+    if share[k] > 0.9:
+        return f"about its principal axis {AXIS_WORDS[k]}"
+    return "about an axis that wanders through the body"
+
+
+def _row(name: str, value: float, sigma: float | None, unit: str, sure: bool, reason: str) -> Row:
+    return Row(name, with_sigma(value, sigma), unit, _verdict(sure, reason), sure)
+
+
+def _verdict(sure: bool, reason: str) -> str:
+    if sure:
+        return "determined"
+    return f"not determined: {reason}" if reason else "not determined by this motion"
+
+
+def _diagonal_mm(covariance: Any, k: int) -> float | None:
+    sigma = None if covariance is None else _root(covariance[k][k])
+    return None if sigma is None else 1e3 * sigma
+
+
+def _root(variance: float | None) -> float | None:
+    return None if variance is None else float(np.sqrt(max(variance, 0.0)))
+
+
+def _median(sigma: Array) -> str:
+    worst = np.max(np.median(sigma, axis=0))
+    return f"{worst:.2g}" if np.isfinite(worst) else "not determined"
+
+
+def _cost(cost: float | None) -> str:
+    return "did not end" if cost is None else f"{cost:.6g}"
+
+
+def _plain(key: str) -> str:
+    """rmse_angular_velocity_deg_s -> rmse angular velocity [deg/s]"""
+    for suffix, unit in (
+        ("_deg_s", "deg/s"),
+        ("_m_s", "m/s"),
+        ("_deg", "deg"),
+        ("_mm", "mm"),
+        ("_m", "m"),
+        ("_s", "s"),
+    ):
+        if key.endswith(suffix):
+            return f"{key.removesuffix(suffix).replace('_', ' ')} [{unit}]"
+    return key.replace("_", " ")
