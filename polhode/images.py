@@ -1,7 +1,7 @@
 """Reading images from disk as 8-bit grey, and telling damaged or empty ones.
 
-Pillow, not OpenCV: it raises on truncated files, where ``cv2.imread`` may return a partly filled image
-without a word (tests/polhode/test_images.py), and it decodes outside the interpreter's lock.
+Pillow, not OpenCV: a damaged file raises, where OpenCV's decoder also prints to standard error, and it
+decodes outside the interpreter's lock.
 """
 
 from pathlib import Path

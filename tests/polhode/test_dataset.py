@@ -1,0 +1,309 @@
+"""Opening sequences: what is read, what is dropped and told, and each bad input's one line."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from polhode.dataset import open_sequence
+from polhode.dataset_writer import image_path, write_camera_csv, write_inspector, write_png
+from polhode.errors import InputError
+from polhode.lie import exp_so3, make_pose
+
+START_NS, STEP_NS, COUNT = 1_600_000_000_000_000_000, 500_000_000, 6
+STAMPS = [START_NS + k * STEP_NS for k in range(COUNT)]
+
+
+def image_of(folder: Path, camera: int, k: int) -> Path:
+    return image_path(folder / "mav0" / f"cam{camera}", STAMPS[k])
+
+
+def truncate(path: Path, share: float = 0.5) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[: int(len(content) * share)])
+
+
+def message_of(folder: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        open_sequence(folder)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_a_good_sequence_is_read_whole(small_sequence: Path) -> None:
+    sequence = open_sequence(small_sequence)
+    assert sequence.timestamps_ns.tolist() == STAMPS
+    assert (len(sequence), sequence.n_listed, sequence.dropped, sequence.warnings) == (COUNT, COUNT, (), ())
+    calibration = sequence.calibration
+    np.testing.assert_array_equal(calibration.K0, [[50.0, 0.0, 31.5], [0.0, 51.0, 23.5], [0.0, 0.0, 1.0]])
+    np.testing.assert_array_equal(calibration.dist1, [-0.1, 0.01, 0.0, 0.0])
+    np.testing.assert_array_equal(calibration.X_BC1[:3, 3], [0.09, 0.0, 0.0])
+    assert (calibration.width_px, calibration.height_px) == (64, 48)
+    pair = sequence.read_pair(3)
+    np.testing.assert_array_equal(pair.left, np.asarray(Image.open(image_of(small_sequence, 0, 3))))
+    np.testing.assert_array_equal(pair.right, np.asarray(Image.open(image_of(small_sequence, 1, 3))))
+    assert pair.mask_left is None and pair.mask_right is None
+
+
+def test_without_inspector_n_is_the_left_camera_at_rest(small_sequence: Path) -> None:
+    sequence = open_sequence(small_sequence)
+    np.testing.assert_array_equal(sequence.X_NC, np.tile(np.eye(4), (COUNT, 1, 1)))
+    assert not sequence.inspector_moves
+    assert sequence.sigma_camera_p_m == sequence.sigma_camera_theta_rad == 0.0
+
+
+def test_missing_damaged_and_unpaired_frames_are_dropped_counted_and_told(small_sequence: Path) -> None:
+    image_of(small_sequence, 0, 0).unlink()
+    truncate(image_of(small_sequence, 1, 2))
+    write_camera_csv(small_sequence / "mav0" / "cam1", STAMPS[:5])
+    sequence = open_sequence(small_sequence)
+    assert sequence.timestamps_ns.tolist() == [STAMPS[1], STAMPS[3], STAMPS[4]]
+    assert sequence.n_listed == COUNT
+    assert sequence.dropped == (
+        (STAMPS[0], "cam0 image: file missing"),
+        (STAMPS[2], "cam1 image: damaged or truncated"),
+        (STAMPS[5], "only in cam0"),
+    )
+    assert len(sequence.warnings) == 1
+    assert sequence.warnings[0].startswith("3 of 6 frames dropped")
+
+
+def test_a_frame_of_the_wrong_size_is_dropped(small_sequence: Path) -> None:
+    write_png(image_of(small_sequence, 1, 4), np.full((24, 32), 200, dtype=np.uint8))
+    sequence = open_sequence(small_sequence)
+    assert sequence.dropped == ((STAMPS[4], "cam1 image: wrong size, 32x24 px instead of 64x48 px"),)
+
+
+def test_sixteen_bit_images_are_scaled_by_one_factor_for_the_whole_sequence(small_sequence: Path) -> None:
+    grey = {}
+    for camera in (0, 1):
+        for k in range(COUNT):
+            path = image_of(small_sequence, camera, k)
+            grey[camera, k] = np.asarray(Image.open(path))
+            # A 12-bit sensor; only some frames reach its upper half.
+            dimmed = grey[camera, k] // (1 if k else 4)
+            write_png(path, dimmed.astype(np.uint16) * np.uint16(16))
+    sequence = open_sequence(small_sequence)
+    np.testing.assert_array_equal(sequence.read_pair(1).left, grey[0, 1])
+    np.testing.assert_array_equal(sequence.read_pair(0).right, grey[1, 0] // 4)
+
+
+def test_colour_images_are_read_as_grey(small_sequence: Path) -> None:
+    grey = np.asarray(Image.open(image_of(small_sequence, 0, 1)))
+    write_png(image_of(small_sequence, 0, 1), np.repeat(grey[..., None], 3, axis=-1))
+    np.testing.assert_array_equal(open_sequence(small_sequence).read_pair(1).left, grey)
+
+
+def test_other_file_names_comments_and_blank_lines_are_read(small_sequence: Path) -> None:
+    camera = small_sequence / "mav0" / "cam0"
+    lines = ["# my rig", "#timestamp [ns],filename", ""]
+    for k, stamp in enumerate(STAMPS):
+        image_of(small_sequence, 0, k).rename(camera / "data" / f"left {k}.png")
+        lines.append(f" {stamp} , left {k}.png ")
+    (camera / "data.csv").write_text("\r\n".join(lines))
+    assert len(open_sequence(small_sequence)) == COUNT
+
+
+def test_masks_are_read_where_they_exist(small_sequence: Path) -> None:
+    mask = np.zeros((48, 64), dtype=np.bool_)
+    mask[12:36, 20:44] = True
+    for stamp in STAMPS[1:]:
+        write_png(small_sequence / "mav0" / "masks0" / f"{stamp}.png", mask)
+    # Labels other than 255 count: non-zero is the target.
+    write_png(small_sequence / "mav0" / "masks0" / f"{STAMPS[2]}.png", mask.astype(np.uint8))
+    sequence = open_sequence(small_sequence)
+    assert sequence.read_pair(0).mask_left is None
+    for k in (1, 2):
+        found = sequence.read_pair(k).mask_left
+        assert found is not None
+        np.testing.assert_array_equal(found, mask)
+    assert sequence.read_pair(1).mask_right is None
+    assert len(sequence.warnings) == 1
+    assert sequence.warnings[0].startswith("1 masks are missing or unreadable")
+
+
+def test_inspector_poses_are_interpolated_and_composed_with_the_camera(small_sequence: Path) -> None:
+    sensor = small_sequence / "mav0" / "cam0" / "sensor.yaml"
+    X_BC0 = make_pose(exp_so3([0.1, -0.2, 0.3]), [0.02, 0.03, 0.04])
+    identity = "[" + ", ".join(str(float(value)) for value in np.eye(4).ravel()) + "]"
+    edit(sensor, identity, str(X_BC0.ravel().tolist()))
+    # A screw motion, sampled 40 ms beside the frames: linear interpolation and slerp are exact on it.
+    offset_ns = 40_000_000
+    poses_ns = np.array([STAMPS[0] - STEP_NS, *STAMPS, STAMPS[-1] + STEP_NS], dtype=np.int64) + offset_ns
+
+    def X_NB(stamps_ns: np.ndarray) -> np.ndarray:
+        t_s = (stamps_ns - START_NS) * 1e-9
+        return make_pose(exp_so3(t_s[:, None] * [0.05, 0.1, -0.2]), t_s[:, None] * [0.01, -0.02, 0.03])
+
+    write_inspector(small_sequence / "mav0", poses_ns, X_NB(poses_ns), sigma_p_m=1e-3, sigma_theta_rad=2e-3)
+    sequence = open_sequence(small_sequence)
+    np.testing.assert_allclose(sequence.X_NC, X_NB(np.array(STAMPS)) @ X_BC0, atol=1e-12)
+    assert sequence.inspector_moves
+    assert (sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad) == (1e-3, 2e-3)
+    assert sequence.warnings == ()
+
+
+def test_an_inspector_that_stands_still_does_not_move(small_sequence: Path) -> None:
+    X_NB = np.tile(make_pose(exp_so3([0.4, 0.0, 0.0]), [1.0, 2.0, 3.0]), (COUNT, 1, 1))
+    write_inspector(small_sequence / "mav0", np.array(STAMPS), X_NB)
+    (small_sequence / "mav0" / "inspector0" / "sensor.yaml").unlink()
+    sequence = open_sequence(small_sequence)
+    assert not sequence.inspector_moves
+    np.testing.assert_allclose(sequence.X_NC, X_NB, atol=1e-12)
+    assert sequence.sigma_camera_p_m == 0.0
+
+
+def test_one_missing_inspector_pose_is_interpolated_and_told(small_sequence: Path) -> None:
+    X_NB = np.tile(np.eye(4), (COUNT - 1, 1, 1))
+    write_inspector(small_sequence / "mav0", np.delete(np.array(STAMPS), 2), X_NB)
+    assert "1 frames lack a pose" in open_sequence(small_sequence).warnings[0]
+
+
+def remove(*parts: str) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        path = folder.joinpath(*parts)
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    return damage
+
+
+def replace(name: str, old: str, new: str) -> Callable[[Path], None]:
+    return lambda folder: edit(folder / "mav0" / name, old, new)
+
+
+def rewrite(name: str, text: str) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        (folder / "mav0" / name).write_text(text)
+
+    return damage
+
+
+def rows(stamps: list[int]) -> str:
+    return "#timestamp [ns],filename\n" + "".join(f"{stamp},{stamp}.png\n" for stamp in stamps)
+
+
+def damage_images(count: int) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        for k in range(count):
+            truncate(image_of(folder, k % 2, k))
+
+    return damage
+
+
+def all_black(folder: Path) -> None:
+    rng = np.random.default_rng(1)
+    for camera in (0, 1):
+        for k in range(COUNT):
+            noise = rng.normal(1.0, 2.0, (48, 64)).clip(0, 255).astype(np.uint8)
+            noise[5, 7] = 255
+            write_png(image_of(folder, camera, k), noise)
+
+
+def resize_all(folder: Path) -> None:
+    for k in range(COUNT):
+        write_png(image_of(folder, 0, k), np.full((10, 10), 99, dtype=np.uint8))
+
+
+def list_two_pairs(folder: Path) -> None:
+    for camera in (0, 1):
+        write_camera_csv(folder / "mav0" / f"cam{camera}", STAMPS[:2])
+
+
+def small_mask(folder: Path) -> None:
+    write_png(folder / "mav0" / "masks1" / f"{STAMPS[1]}.png", np.ones((24, 32), dtype=np.bool_))
+
+
+def inspector(stamps: list[int], old: str = "", new: str = "") -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        X_NB = make_pose(np.tile(np.eye(3), (len(stamps), 1, 1)), np.full((len(stamps), 3), 0.625))
+        write_inspector(folder / "mav0", np.array(stamps, dtype=np.int64), X_NB)
+        if old:
+            edit(folder / "mav0" / "inspector0" / "data.csv", old, new)
+
+    return damage
+
+
+ROTATED = "[1.0, 0.5, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]"
+IDENTITY = "[1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]"
+
+BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str]] = {
+    "no folder": (remove(), "is not a folder"),
+    "no mav0": (remove("mav0"), "mav0/cam0 is missing"),
+    "no cam1": (remove("mav0", "cam1"), "mav0/cam1 is missing"),
+    "no calibration": (remove("mav0", "cam1", "sensor.yaml"), "a camera needs its calibration"),
+    "empty calibration": (rewrite("cam0/sensor.yaml", ""), "holds no keys"),
+    "broken yaml": (rewrite("cam0/sensor.yaml", "a: [1\nb: 2"), "sensor.yaml line 2: not valid YAML"),
+    "no intrinsics": (replace("cam0/sensor.yaml", "intrinsics", "intrinsic"), "lacks the key 'intrinsics'"),
+    "no pose": (replace("cam0/sensor.yaml", "T_BS", "T_SB"), "lacks the key 'T_BS'"),
+    "no distortion": (
+        replace("cam1/sensor.yaml", "distortion_model", "model"),
+        "lacks the key 'distortion_model'",
+    ),
+    "fisheye": (
+        replace("cam1/sensor.yaml", "radial-tangential", "equidistant"),
+        "'equidistant' is not supported",
+    ),
+    "nan intrinsics": (replace("cam0/sensor.yaml", "[50.0", "[.nan"), "'intrinsics': holds NaN or infinity"),
+    "nan as text": (replace("cam0/sensor.yaml", "[50.0", "[NaN"), "'intrinsics': holds NaN or infinity"),
+    "nan pose": (replace("cam1/sensor.yaml", "0.09", ".nan"), "'T_BS': holds NaN or infinity"),
+    "nan distortion": (replace("cam1/sensor.yaml", "-0.1", ".nan"), "'distortion_coefficients': holds NaN"),
+    "words": (replace("cam0/sensor.yaml", "[50.0", "[wide"), "'intrinsics': expected a list of numbers"),
+    "three intrinsics": (replace("cam0/sensor.yaml", "[50.0, ", "["), "3 numbers, expected 4"),
+    "negative focal": (replace("cam0/sensor.yaml", "[50.0", "[-50.0"), "focal lengths must be positive"),
+    "no rotation": (replace("cam0/sensor.yaml", IDENTITY, ROTATED), "'T_BS': not a rigid transform"),
+    "no baseline": (replace("cam1/sensor.yaml", "0.09", "0.0"), "at one place"),
+    "two resolutions": (replace("cam1/sensor.yaml", "[64, 48]", "[64, 50]"), "different resolutions"),
+    "no list": (remove("mav0", "cam0", "data.csv"), "data.csv is missing"),
+    "empty list": (rewrite("cam0/data.csv", ""), "data.csv is empty"),
+    "header only": (rewrite("cam1/data.csv", rows([])), "data.csv is empty"),
+    "time goes back": (rewrite("cam0/data.csv", rows(STAMPS[:3] + STAMPS[1:])), "line 5: timestamp"),
+    "time repeats": (rewrite("cam1/data.csv", rows([*STAMPS, STAMPS[-1]])), "line 8: timestamp"),
+    "time in seconds": (rewrite("cam1/data.csv", "1.5,a.png\n"), "not a whole number of nanoseconds"),
+    "most images lost": (damage_images(4), "4 of 6 frames are missing, unpaired or unreadable"),
+    "all of wrong size": (resize_all, "wrong size, 10x10 px instead of 64x48 px"),
+    "no common times": (
+        rewrite("cam1/data.csv", rows([stamp + 1 for stamp in STAMPS])),
+        "12 of 12 frames are missing, unpaired",
+    ),
+    "two pairs": (list_two_pairs, "2 usable stereo pairs of 2 frames; at least 3 are needed"),
+    "black": (all_black, "all frames are black"),
+    "mask of wrong size": (small_mask, "wrong size, 32x24 px instead of 64x48 px; masks must have"),
+    "nan inspector": (inspector(STAMPS, "0.625", "nan"), "line 2: NaN or infinity"),
+    "inspector ends early": (inspector(STAMPS[:3]), "does not cover 2 of 6 frames"),
+    "inspector starts late": (inspector(STAMPS[4:]), "does not cover 3 of 6 frames"),
+    "inspector not unit": (inspector(STAMPS, "1.0,0.0,0.0,0.0", "1.0,1.0,0.0,0.0"), "not a unit quaternion"),
+    "inspector short rows": (inspector(STAMPS, ",0.0,0.0,0.0", ""), "line 2: 5 columns, expected 8"),
+    "inspector empty": (inspector([]), "data.csv is empty"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_INPUTS)
+def test_bad_input_is_one_line_that_names_the_place(small_sequence: Path, name: str) -> None:
+    damage, expected = BAD_INPUTS[name]
+    damage(small_sequence)
+    message = message_of(small_sequence)
+    assert expected in message
+    assert str(small_sequence) in message
+
+
+def test_up_to_60_percent_of_the_frames_may_be_lost(small_sequence: Path) -> None:
+    # Of 6 frames 3 lost is half: the run goes on.
+    damage_images(3)(small_sequence)
+    assert len(open_sequence(small_sequence)) == 3
+
+
+def test_a_file_that_disappears_later_is_told(small_sequence: Path) -> None:
+    sequence = open_sequence(small_sequence)
+    image_of(small_sequence, 0, 0).unlink()
+    with pytest.raises(InputError, match="changed while in use: file missing"):
+        sequence.read_pair(0)

@@ -1,0 +1,88 @@
+"""What is written reads back equal, with the layout's own names."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from scipy.spatial.transform import Rotation
+
+from polhode.calibration import read_calibration
+from polhode.dataset_writer import write_sensor, write_truth
+from polhode.errors import InputError
+from polhode.lie import exp_so3, make_pose
+from polhode.records import Truth
+from polhode.truth import read_truth
+
+
+def make_truth() -> Truth:
+    rng = np.random.default_rng(2)
+    moments = np.array([1.3, 1.0, 0.8])
+    return Truth(
+        timestamps_ns=1_600_000_000_000_000_001 + 500_000_000 * np.arange(5, dtype=np.int64),
+        r_N=rng.normal(size=(5, 3)),
+        R_NP=Rotation.random(5, rng=rng).as_matrix(),
+        v_N=rng.normal(size=(5, 3)),
+        w_P=rng.normal(size=(5, 3)),
+        moments=moments,
+        k1=float(np.log(moments[0] / moments[1])),
+        k2=float(np.log(moments[1] / moments[2])),
+        com_G=rng.normal(size=3),
+        R_GP=exp_so3([0.1, 0.2, 0.3]),
+        mesh=trimesh.creation.icosphere(subdivisions=1, radius=0.1),
+    )
+
+
+def test_truth_reads_back_equal(tmp_path: Path) -> None:
+    truth = make_truth()
+    write_truth(tmp_path / "mav0", truth)
+    read = read_truth(tmp_path)
+    for name in ("timestamps_ns", "r_N", "v_N", "w_P", "moments", "k1", "k2", "com_G", "R_GP"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(truth, name))
+    np.testing.assert_allclose(read.R_NP, truth.R_NP, atol=1e-15)
+    assert read.mesh is not None and truth.mesh is not None
+    np.testing.assert_allclose(read.mesh.vertices, truth.mesh.vertices, atol=1e-7)
+    np.testing.assert_array_equal(read.mesh.faces, truth.mesh.faces)
+
+
+def test_truth_has_the_state_columns_of_euroc(tmp_path: Path) -> None:
+    write_truth(tmp_path / "mav0", make_truth())
+    header = (tmp_path / "mav0" / "target0" / "data.csv").read_text().splitlines()[0]
+    assert header == (
+        "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],"
+        "v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],"
+        "w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]"
+    )
+
+
+def test_a_sequence_without_truth_cannot_be_evaluated(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="target0 is missing: only a sequence with truth can be evaluated"):
+        read_truth(tmp_path)
+
+
+def test_calibration_reads_back_equal_in_euroc_keys(tmp_path: Path) -> None:
+    K = np.array([[467.1, 0.0, 320.3], [0.0, 466.9, 241.7], [0.0, 0.0, 1.0]])
+    dist = np.array([-0.2836, 0.0740, 1.9e-4, 1.76e-5, 1e-3])
+    poses = [make_pose(exp_so3([0.01, 0.02, angle]), [angle, 0.01, -0.02]) for angle in (0.0, 0.1)]
+    for index, X_BC in enumerate(poses):
+        write_sensor(tmp_path / f"cam{index}", K, dist, X_BC, 640, 480, rate_hz=2.0)
+    calibration = read_calibration(tmp_path)
+    np.testing.assert_array_equal(calibration.K1, K)
+    np.testing.assert_array_equal(calibration.dist0, dist)
+    np.testing.assert_allclose(calibration.X_BC1, poses[1], atol=1e-15)
+    sensor = yaml.safe_load((tmp_path / "cam0" / "sensor.yaml").read_text())
+    assert sensor["intrinsics"] == [467.1, 466.9, 320.3, 241.7]
+    assert sensor["T_BS"].keys() == {"cols", "rows", "data"}
+    assert sensor["resolution"] == [640, 480]
+    assert sensor["distortion_model"] == "radial-tangential"
+
+
+def test_rounding_in_a_pose_is_forgiven_and_made_exact(tmp_path: Path) -> None:
+    X_BC = make_pose(exp_so3([0.3, -0.2, 0.1]), [0.0, 0.0, 0.0])
+    for index in (0, 1):
+        X_BC[0, 3] = 0.1 * index
+        write_sensor(tmp_path / f"cam{index}", np.eye(3), np.zeros(4), np.round(X_BC, 4), 64, 48, rate_hz=2.0)
+    R = read_calibration(tmp_path).X_BC0[:3, :3]
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(R, X_BC[:3, :3], atol=1e-4)
