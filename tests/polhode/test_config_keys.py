@@ -6,7 +6,7 @@ import pytest
 from pydantic import BaseModel
 
 from polhode.config import Config
-from polhode.config.keys import arrange, count_of, describe, dotted, leaves, section_at
+from polhode.config.keys import arrange, count_of, describe, dotted, leaves, section_at, section_of
 
 
 def sections(section: type[BaseModel]) -> dict[str, type[BaseModel]]:
@@ -20,7 +20,7 @@ def test_every_key_is_documented() -> None:
         f"{name}.{key}"
         for name, section in sections(Config).items()
         for key, field in section.model_fields.items()
-        if not field.description and name
+        if not field.description and section_of(field.annotation) is None
     ]
     assert lacking == []
 
