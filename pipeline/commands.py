@@ -107,11 +107,34 @@ class Evaluate:
         return 0
 
 
+@dataclass(frozen=True)
+class Report:
+    """Make the report of a run again, as one self-contained page."""
+
+    run: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a run."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
+    """The page, HTML; replaced if it is there."""
+    debug: _Debug = False
+    """Show the traceback of an error."""
+
+    def execute(self) -> int:
+        """Write the page."""
+        if not self.output.parent.is_dir():
+            raise InputError(f"{self.output.parent} is not a folder: choose another -o")
+        from pipeline.report import write_report
+
+        write_report(self.run, self.output)
+        print(f"Report: {self.output}")
+        return 0
+
+
 Configured = Simulate | Run
-COMMANDS: dict[str, type[Simulate] | type[Run] | type[Evaluate]] = {
+COMMANDS: dict[str, type[Simulate] | type[Run] | type[Evaluate] | type[Report]] = {
     "simulate": Simulate,
     "run": Run,
     "evaluate": Evaluate,
+    "report": Report,
 }
 
 
