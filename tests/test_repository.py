@@ -1,0 +1,85 @@
+"""The repository as a package: our own modules are the ones imported, and what they import is declared."""
+
+import ast
+import importlib
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("polhode", "simulation", "frontend", "backend", "mapping", "planning", "pipeline", "train")
+LONGEST_MODULE = 350
+
+
+def project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def modules() -> list[Path]:
+    return [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_a_foreign_package_of_the_same_name_does_not_win(name: str) -> None:
+    found = importlib.import_module(name).__file__
+    assert found is not None
+    assert Path(found).parent == ROOT / name
+
+
+def test_all_packages_are_built() -> None:
+    assert tuple(project()["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]) == PACKAGES
+
+
+def normalised(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", re.split(r"[\s<>=!~;\[]", name, maxsplit=1)[0]).lower()
+
+
+def imported_names(path: Path) -> set[str]:
+    """Top-level names of everything that a module imports, also inside functions."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.partition(".")[0])
+    return names - set(sys.stdlib_module_names) - set(PACKAGES)
+
+
+def test_every_import_is_a_declared_dependency() -> None:
+    declared = {normalised(requirement) for requirement in project()["project"]["dependencies"]}
+    distributions = packages_distributions()
+    undeclared = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in modules()
+        for name in imported_names(path)
+        if not {normalised(each) for each in distributions.get(name, [name])} & declared
+    }
+    assert undeclared == set()
+
+
+def test_every_declared_dependency_has_a_tested_version() -> None:
+    groups = project()["project"]
+    declared = {normalised(each) for each in groups["dependencies"] + groups["optional-dependencies"]["dev"]}
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    tested = {normalised(line) for line in lines if line and not line.startswith("#")}
+    assert declared - tested == set()
+    assert all("==" in line and "+" not in line for line in lines if line and not line.startswith("#"))
+
+
+def test_modules_stay_short() -> None:
+    long = {
+        str(path.relative_to(ROOT))
+        for path in modules()
+        if len(path.read_text().splitlines()) > LONGEST_MODULE
+    }
+    assert long == set()
+
+
+def test_no_package_of_tests_shadows_ours() -> None:
+    # `tests/frontend/__init__.py` without `tests/__init__.py` would be imported as `frontend`.
+    assert list((ROOT / "tests").rglob("__init__.py")) == []
