@@ -15,7 +15,7 @@ from polhode.calibration import StereoCalibration, read_calibration
 from polhode.errors import InputError
 from polhode.images import Grey, UnreadableImage, bit_depth, has_content, read_mask, read_raw, to_grey
 from polhode.inspector import InspectorPoses, read_inspector
-from polhode.lie import Array, inverse_pose
+from polhode.lie import Array
 from polhode.records import Bools, Ints
 from polhode.tables import read_rows, timestamps_of
 
@@ -218,11 +218,6 @@ def _left_camera_poses(inspector: InspectorPoses | None, calibration: StereoCali
     if inspector is None:
         return np.tile(np.eye(4), (count, 1, 1))
     return np.asarray(inspector.X_NB @ calibration.X_BC0)
-
-
-def relative_camera_pose(calibration: StereoCalibration) -> Array:
-    """X_C0C1 (4, 4): the right camera in the left one [m]."""
-    return np.asarray(inverse_pose(calibration.X_BC0) @ calibration.X_BC1)
 
 
 def _warnings(

@@ -90,8 +90,19 @@ def arrange(annotation: Any, words: Sequence[str]) -> Any:
                 rest = rest[count:]
             return values
     if len(words) == 1 and count_of(annotation) == 1:
-        return words[0]
+        return _choice(annotation, words[0])
     return list(words)
+
+
+def _choice(annotation: Any, word: str) -> Any:
+    """The choice that is written so: of 1, 4, 9 the number, which a text would not match."""
+    choices = [
+        choice
+        for option in options_of(annotation)
+        if get_origin(option) is Literal
+        for choice in get_args(option)
+    ]
+    return next((choice for choice in choices if str(choice) == word), word)
 
 
 def describe(annotation: Any) -> str:

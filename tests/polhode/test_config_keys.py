@@ -52,6 +52,7 @@ def test_words_are_nested_as_the_type_says() -> None:
     assert arrange(nested, ["1", "2", "3", "4"]) == [["1", "2"], ["3", "4"]]
     assert arrange(float, ["1"]) == "1"
     assert arrange(tuple[int, ...], ["1"]) == ["1"]
+    assert arrange(Literal[1, 4], ["4"]) == 4
 
 
 def test_types_are_described_in_words() -> None:
