@@ -1,20 +1,20 @@
-"""Images to stereo features: every pair of the sequence, in parallel processes."""
+"""Images to stereo features and depth maps: every pair of the sequence, in parallel processes."""
 
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
 
 import cv2
 import numpy as np
 
+from frontend.depth import compute_depth
 from frontend.features import detect, no_key_points
+from frontend.parallel import in_order
 from frontend.rectify import Rectifier
 from frontend.stereo import StereoFeatures, match_stereo
 from frontend.target import Image, target_crop, target_mask
 from polhode.config.frontend import Frontend
 from polhode.dataset import StereoSequence
-from polhode.records import Bools
+from polhode.records import Bools, DepthMap
 
 Tick = Callable[[], None]
 
@@ -55,27 +55,45 @@ def stereo_features(pair: RectifiedPair, rectifier: Rectifier, config: Frontend)
 
 
 @dataclass(frozen=True)
-class _Job:
-    """What one worker needs to do any frame."""
-
+class _FeatureJob:
     sequence: StereoSequence
     rectifier: Rectifier
     config: Frontend
 
     def __call__(self, k: int) -> StereoFeatures:
-        # The frames are spread over the cores already.
-        cv2.setNumThreads(1)
         return stereo_features(rectified_pair(self.sequence, self.rectifier, k), self.rectifier, self.config)
+
+
+@dataclass(frozen=True)
+class _DepthJob:
+    sequence: StereoSequence
+    rectifier: Rectifier
+    config: Frontend
+    disparity_ranges_px: Sequence[tuple[float, float] | None]
+
+    def __call__(self, k: int) -> DepthMap:
+        pair = rectified_pair(self.sequence, self.rectifier, k)
+        rig, span = self.rectifier.rig, self.disparity_ranges_px[k]
+        return compute_depth(pair.left, pair.right, pair.mask_left, rig, self.config.depth, span)
 
 
 def extract_features(
     sequence: StereoSequence, rectifier: Rectifier, config: Frontend, workers: int, tick: Tick
 ) -> list[StereoFeatures]:
     """Stereo features of every pair, in the order of the sequence. ``tick`` is called once per pair."""
-    job = _Job(sequence, rectifier, config)
     features: list[StereoFeatures] = []
-    with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as pool:
-        for found in pool.map(job, range(len(sequence.timestamps_ns)), chunksize=4):
-            features.append(found)
-            tick()
+    for found in in_order(_FeatureJob(sequence, rectifier, config), len(sequence), workers):
+        features.append(found)
+        tick()
     return features
+
+
+def extract_depth(
+    sequence: StereoSequence,
+    rectifier: Rectifier,
+    config: Frontend,
+    disparity_ranges_px: Sequence[tuple[float, float] | None],
+    workers: int,
+) -> Iterator[DepthMap]:
+    """Depth map of every pair, in order; disparity_ranges_px: per pair, what the sparse map predicts."""
+    return in_order(_DepthJob(sequence, rectifier, config, disparity_ranges_px), len(sequence), workers)

@@ -49,7 +49,7 @@ def detect(image: Image, mask: Bools, crop: Crop, config: Features) -> KeyPoints
     size = (round(crop.width_px * zoom), round(crop.height_px * zoom))
     zoom_uv = np.array([size[0] / crop.width_px, size[1] / crop.height_px])
     enlarged = cv2.resize(patch, size, interpolation=cv2.INTER_CUBIC) if zoom > 1.0 else patch
-    sift = cv2.SIFT_create(
+    sift = cv2.SIFT.create(
         nfeatures=0,
         contrastThreshold=config.contrast_threshold,
         edgeThreshold=12.0,
@@ -77,10 +77,12 @@ def stretch(patch: Image) -> Image:
     high = float(np.percentile(patch, 99.5))
     if high < 8.0:
         return patch
-    return np.clip(patch.astype(np.float32) * (230.0 / high), 0, 255).astype(np.uint8)
+    bright: Image = np.clip(patch.astype(np.float32) * (230.0 / high), 0, 255).astype(np.uint8)
+    return bright
 
 
 def _root(sift: NDArray[np.float32]) -> Descriptors:
     """SIFT -> RootSIFT: the square root of the L1-normalised histogram has unit length."""
     total = np.maximum(sift.sum(axis=1, keepdims=True), 1e-9)
-    return np.sqrt(sift / total).astype(np.float32)
+    root: Descriptors = np.sqrt(sift / total).astype(np.float32)
+    return root

@@ -40,7 +40,7 @@ class _Map:
 
     @property
     def p_G(self) -> Array:
-        return np.linalg.solve(self.information, self.information_p_G[..., None])[..., 0]
+        return np.asarray(np.linalg.solve(self.information, self.information_p_G[..., None])[..., 0])
 
 
 def associate(
@@ -57,10 +57,10 @@ def associate(
     X_RG, connected = motion.X_RG.copy(), motion.connected.copy()
     labels: list[Ints] = [np.full(len(f), -1, dtype=np.int64) for f in frames]
     model = _Map()
-    for k in np.flatnonzero(connected):
+    for k in np.flatnonzero(connected).tolist():
         labels[k] = _associate_frame(model, frames[k], X_RG[k], rig, config)
-    waiting = [int(k) for k in np.flatnonzero(~connected) if len(frames[k]) >= config.min_inliers]
-    for k in sorted(waiting, key=lambda k: _distance_to(k, motion.connected)):
+    waiting = [k for k in np.flatnonzero(~connected).tolist() if len(frames[k]) >= config.min_inliers]
+    for k in sorted(waiting, key=lambda frame: _distance_to(frame, motion.connected)):
         X_found = _relocalise(model, frames[k], X_RG[k], rig, config, np.random.default_rng([seed, k]))
         if X_found is not None:
             X_RG[k], connected[k] = X_found, True

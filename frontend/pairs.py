@@ -5,13 +5,13 @@ the inertia depends on it, and a link that fails between neighbours is bridged b
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import kornia.feature
 import numpy as np
 import torch
 
+from frontend.parallel import in_order
 from frontend.ransac import ransac_rigid
 from frontend.stereo import StereoFeatures
 from polhode.camera import RectifiedRig
@@ -44,28 +44,36 @@ def match_all_pairs(
 ) -> list[PairMatch]:
     """Matches of all pairs of frames that pass the geometric check, sorted by (i, j).
 
-    ``tick`` is called once per frame i. The seed of a pair depends on (seed, i, j) alone, so the
+    ``tick`` is called once per frame i. The random numbers of a pair depend on (seed, i, j) alone, so the
     result does not depend on the number of workers.
     """
-    tensors = [torch.from_numpy(f.descriptors) for f in frames]
-
-    def row(i: int) -> list[PairMatch]:
-        found = (_match_pair(i, j, frames, tensors, rig, config, seed) for j in range(i + 1, len(frames)))
-        return [match for match in found if match is not None]
-
     matches: list[PairMatch] = []
-    with ThreadPoolExecutor(max_workers=workers) as pool:
-        for found in pool.map(row, range(len(frames))):
-            matches.extend(found)
-            tick()
+    for found in in_order(_RowJob(frames, rig, config, seed), len(frames), workers):
+        matches.extend(found)
+        tick()
     return matches
+
+
+@dataclass(frozen=True)
+class _RowJob:
+    """Frame i against all later frames."""
+
+    frames: Sequence[StereoFeatures]
+    rig: RectifiedRig
+    config: PairMatching
+    seed: int
+
+    def __call__(self, i: int) -> list[PairMatch]:
+        torch.set_num_threads(1)
+        later = range(i + 1, len(self.frames))
+        found = (_match_pair(i, j, self.frames, self.rig, self.config, self.seed) for j in later)
+        return [match for match in found if match is not None]
 
 
 def _match_pair(
     i: int,
     j: int,
     frames: Sequence[StereoFeatures],
-    tensors: Sequence[torch.Tensor],
     rig: RectifiedRig,
     config: PairMatching,
     seed: int,
@@ -73,7 +81,8 @@ def _match_pair(
     if min(len(frames[i]), len(frames[j])) < config.min_inliers:
         return None
     with torch.inference_mode():
-        _, index = kornia.feature.match_smnn(tensors[i], tensors[j], config.ratio)
+        a, b = (torch.from_numpy(frames[k].descriptors) for k in (i, j))
+        _, index = kornia.feature.match_smnn(a, b, config.ratio)
     pairs = index.numpy()
     if len(pairs) < config.min_inliers:
         return None

@@ -33,16 +33,17 @@ def target_mask(image: Image, given: Bools | None = None) -> Bools:
     """Pixels (H, W) of the target: the given mask, or what stands out of the sky, closed over shadows."""
     if given is not None:
         return given
-    smooth = cv2.GaussianBlur(image, (0, 0), 1.5)
+    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.5), dtype=np.uint8)
     bright = (smooth > sky_level(smooth)).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=8)
     if count <= 1:
         return np.zeros(image.shape, dtype=bool)
-    area = stats[1:, cv2.CC_STAT_AREA]
+    area = np.asarray(stats)[1:, cv2.CC_STAT_AREA].astype(np.int64)
+    largest = int(area.max())
     # Parts of one craft can be separated by shadow; stars and hot pixels are tiny.
-    kept = 1 + np.flatnonzero(area >= max(25, 0.02 * area.max()))
+    kept = 1 + np.flatnonzero(area >= max(25, 0.02 * largest))
     lit = np.isin(labels, kept).astype(np.uint8)
-    reach = max(3, int(0.04 * np.sqrt(area.max())) | 1)
+    reach = max(3, int(0.04 * np.sqrt(largest)) | 1)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     return np.asarray(cv2.morphologyEx(lit, cv2.MORPH_CLOSE, kernel), dtype=bool)
 
@@ -62,6 +63,6 @@ def target_crop(mask: Bools, margin_px: int = 8) -> Crop | None:
     return Crop(
         max(0, int(columns[0]) - margin_px),
         max(0, int(rows[0]) - margin_px),
-        min(width, int(columns[-1]) + 1 + margin_px),
-        min(height, int(rows[-1]) + 1 + margin_px),
+        min(int(width), int(columns[-1]) + 1 + margin_px),
+        min(int(height), int(rows[-1]) + 1 + margin_px),
     )

@@ -69,7 +69,7 @@ def test_a_landmark_seen_again_a_revolution_later_is_the_same_landmark(world: Wo
         assert len(np.unique(used)) == len(used)
 
 
-def test_guided_association_finds_more_and_reconnects_a_lost_frame(world: World) -> None:
+def test_guided_association_reconnects_lost_frames(world: World) -> None:
     rng = np.random.default_rng(5)
     connected = np.ones(24, dtype=bool)
     connected[[7, 13]] = False
@@ -82,13 +82,10 @@ def test_guided_association_finds_more_and_reconnects_a_lost_frame(world: World)
     assert np.rad2deg(np.linalg.norm(error, axis=1)).max() < 0.5
     labels = list(guided.association.landmark)
     assert purity(labels, world.shown) > 0.99
-    blind = join_matches(world.frames, match_all_pairs(world.frames, RIG, PairMatching(), 0, 2, lambda: None))
     stamps = (np.arange(24) * 500_000_000).astype(np.int64)
-    n_guided, n_blind = (
-        len(to_tracks(world.frames, a, RIG, stamps, np.tile(np.eye(4), (24, 1, 1))).frame)
-        for a in (guided.association, blind)
-    )
-    assert n_guided > n_blind
+    tracks = to_tracks(world.frames, guided.association, RIG, stamps, np.tile(np.eye(4), (24, 1, 1)))
+    counts = np.bincount(tracks.frame, minlength=24)
+    assert counts[[7, 13]].min() > 0.7 * np.median(counts)
 
 
 def test_a_wrong_prediction_is_not_locked_in(world: World) -> None:

@@ -1,0 +1,49 @@
+"""The same job on many frames, over processes, results in order and memory bounded."""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any, TypeVar
+
+import cv2
+
+Result = TypeVar("Result")
+
+_job: Callable[[int], Any] | None = None
+
+
+def in_order(job: Callable[[int], Result], count: int, workers: int) -> Iterator[Result]:
+    """Yield job(0), job(1), ..., job(count - 1); at most a few results wait in memory.
+
+    ``job`` must be picklable; each worker receives it once. One worker: no process is started.
+    """
+    if workers <= 1 or count <= 1:
+        _one_thread_each()
+        yield from (job(k) for k in range(count))
+        return
+    waiting: deque[Future[Result]] = deque()
+    # Spawned, not forked: a fork beside torch's threads can hang.
+    with ProcessPoolExecutor(workers, get_context("spawn"), _install, (job,)) as pool:
+        for k in range(count):
+            waiting.append(pool.submit(_call, k))
+            if len(waiting) > 3 * workers:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+def _install(job: Callable[[int], object]) -> None:
+    global _job
+    _job = job
+    _one_thread_each()
+
+
+def _one_thread_each() -> None:
+    """The frames are spread over the cores already."""
+    cv2.setNumThreads(1)
+
+
+def _call(k: int) -> Any:
+    assert _job is not None
+    return _job(k)

@@ -1,0 +1,227 @@
+"""The main job, as the data flows: images, tracks, first motion, motion, depth, fusion, mesh, report."""
+
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+
+from backend import estimate_motion, initialize_motion
+from frontend.extract import extract_depth, extract_features
+from frontend.guided import associate
+from frontend.pairs import match_all_pairs, relative_poses
+from frontend.rectify import Rectifier, make_rectifier
+from frontend.stereo import StereoFeatures
+from frontend.tracks import Association, join_matches, to_tracks
+from mapping.fusion import fuse
+from pipeline import outputs
+from pipeline.pictures import track_pictures
+from pipeline.run_folder import RunFolder
+from pipeline.summary import Summary, build_summary
+from polhode.config import Config
+from polhode.dataset import StereoSequence, open_sequence
+from polhode.errors import RunFailure
+from polhode.lie import Array, inverse_pose, transform_points
+from polhode.progress import Progress
+from polhode.records import InitialMotion, MotionEstimate, RelativePoses, StereoTracks, SurfaceModel
+
+_log = logging.getLogger(__name__)
+FEWEST_MEASURED_FRAMES = 3
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What the command line says at the end."""
+
+    status: Literal["ok", "degraded", "failed"]
+    report_path: Path
+    sentence: str
+
+
+def run(
+    config: Config, sequence_folder: Path, run_folder: Path, progress: Progress, overwrite: bool = False
+) -> RunResult:
+    """A stereo sequence on disk to a run directory (CONTRACT.md).
+
+    Raises InputError for bad input and then writes nothing; RunFailure when no consistent motion is found,
+    and then what was found by then is in the run directory.
+    """
+    with RunFolder(run_folder, overwrite) as folder:
+        clock = Stopwatch()
+        images = _open_images(sequence_folder)
+        outputs.write_config(folder, config)
+
+        features = _extract_features(images, config, progress, clock)
+        blind, links = _match_blind(images, features, config, progress, clock)
+        outputs.write_measurements(blind, folder / "measurements.npz", links)
+
+        with clock("initialization"):
+            motion = initialize_motion(blind, links, config.backend)
+        estimate, tracks = _associate_and_solve(images, features, motion, config, progress, clock)
+        outputs.write_estimate(folder, tracks, estimate, links)
+
+        surface = _build_surface(images, tracks, estimate, config, progress, clock)
+        outputs.write_surface(folder, surface)
+
+        outputs.write_pictures(folder, _pictures(images, tracks, estimate))
+        clock.add_total()
+        warnings = images.sequence.warnings
+        summary = build_summary(tracks, estimate, surface, clock.seconds, warnings)
+        with progress.stage("report", 1) as advance:
+            summary = outputs.finish_run(folder, summary)
+            advance()
+    return RunResult(summary.status, run_folder / "report.html", _sentence(summary, estimate))
+
+
+@dataclass(frozen=True)
+class _Images:
+    """The sequence on disk and how to rectify it."""
+
+    sequence: StereoSequence
+    rectifier: Rectifier
+
+    def tracks(self, features: Sequence[StereoFeatures], association: Association) -> StereoTracks:
+        return to_tracks(
+            features,
+            association,
+            self.rectifier.rig,
+            self.sequence.timestamps_ns,
+            self.sequence.X_NC @ self.rectifier.X_CR,
+            (self.sequence.sigma_camera_p_m, self.sequence.sigma_camera_theta_rad),
+        )
+
+
+@dataclass
+class Stopwatch:
+    """Seconds spent in each stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    start: float = field(default_factory=perf_counter)
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        begin = perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + perf_counter() - begin
+
+    def add_total(self) -> None:
+        """The whole time since the start, also what no stage claims."""
+        self.seconds["total"] = perf_counter() - self.start
+
+
+def _workers(config: Config) -> int:
+    return config.runtime.workers or os.cpu_count() or 1
+
+
+def _open_images(folder: Path) -> _Images:
+    sequence = open_sequence(folder)
+    for warning in sequence.warnings:
+        _log.warning(warning)
+    return _Images(sequence, make_rectifier(sequence.calibration))
+
+
+def _extract_features(
+    images: _Images, config: Config, progress: Progress, clock: Stopwatch
+) -> list[StereoFeatures]:
+    with clock("frontend"), progress.stage("features and stereo", len(images.sequence)) as advance:
+        features = extract_features(
+            images.sequence, images.rectifier, config.frontend, _workers(config), advance
+        )
+    _log.info("stereo features in a frame: median %d", int(np.median([len(f) for f in features])))
+    measured = sum(len(f) >= config.frontend.pairs.min_inliers for f in features)
+    if measured < FEWEST_MEASURED_FRAMES:
+        raise RunFailure(
+            f"only {measured} of {len(features)} frames show enough stereo features on the target; "
+            "check exposure, focus and the calibration"
+        )
+    return features
+
+
+def _match_blind(
+    images: _Images, features: Sequence[StereoFeatures], config: Config, progress: Progress, clock: Stopwatch
+) -> tuple[StereoTracks, RelativePoses]:
+    """Every frame against every frame, without a motion: links between frames, and tracks."""
+    pairs = config.frontend.pairs
+    with clock("frontend"), progress.stage("matching all pairs", len(features)) as advance:
+        matches = match_all_pairs(
+            features, images.rectifier.rig, pairs, config.seed, _workers(config), advance
+        )
+        tracks = images.tracks(features, join_matches(features, matches))
+    _log.info("%d links between frames, %d landmarks", len(matches), tracks.n_landmarks)
+    return tracks, relative_poses(matches)
+
+
+def _associate_and_solve(
+    images: _Images,
+    features: Sequence[StereoFeatures],
+    motion: InitialMotion,
+    config: Config,
+    progress: Progress,
+    clock: Stopwatch,
+) -> tuple[MotionEstimate, StereoTracks]:
+    """Look for landmarks where the motion puts them, solve for the motion, and again with the better motion."""
+    guided = config.frontend.guided
+    for turn in range(guided.rounds):
+        with clock("frontend"):
+            found = associate(features, motion, images.rectifier.rig, guided, config.seed)
+            tracks = images.tracks(features, found.association)
+        connected = found.motion.connected
+        _log.info("association %d: %d of %d frames measured", turn + 1, connected.sum(), len(connected))
+        with clock("backend"):
+            estimate = estimate_motion(tracks, found.motion, config.backend, progress)
+        motion = InitialMotion(_pose_RG(tracks, estimate), connected)
+    return estimate, tracks
+
+
+def _pose_RG(tracks: StereoTracks, estimate: MotionEstimate) -> Array:
+    """(F, 4, 4) pose of the target in the rectified left camera."""
+    return inverse_pose(tracks.X_NR) @ estimate.X_NG
+
+
+def _build_surface(
+    images: _Images,
+    tracks: StereoTracks,
+    estimate: MotionEstimate,
+    config: Config,
+    progress: Progress,
+    clock: Stopwatch,
+) -> SurfaceModel:
+    """Depth of every pair, moved into G by the motion, fused."""
+    rig = images.rectifier.rig
+    X_RG = _pose_RG(tracks, estimate)
+    # What the frame's own landmarks span bounds the search for its disparities.
+    spans: list[tuple[float, float] | None] = []
+    for X in X_RG:
+        disparity = rig.project(transform_points(X, estimate.landmarks.p_G))[:, 2]
+        spans.append((float(disparity.min()), float(disparity.max())) if len(disparity) else None)
+    with clock("fusion"):
+        maps = extract_depth(images.sequence, images.rectifier, config.frontend, spans, _workers(config))
+        return fuse(zip(maps, X_RG, strict=True), rig, config.mapping, progress, len(X_RG))
+
+
+def _pictures(images: _Images, tracks: StereoTracks, estimate: MotionEstimate) -> dict[str, bytes]:
+    return track_pictures(images.sequence, images.rectifier, tracks, estimate)
+
+
+def _sentence(summary: Summary, estimate: MotionEstimate) -> str:
+    """What was found, in a line."""
+    rate_rpm = float(np.median(np.linalg.norm(estimate.w_P, axis=1))) * 30.0 / np.pi
+    known = estimate.mass.identifiable
+    ratios = []
+    for name, value, variance, sure in (
+        ("k1", estimate.mass.k1, estimate.mass.cov_k[0, 0], known.k1),
+        ("k2", estimate.mass.k2, estimate.mass.cov_k[1, 1], known.k2),
+    ):
+        spread = f"{value:.4f} +- {np.sqrt(variance):.4f}" if sure else "not determined by this motion"
+        ratios.append(f"{name} {spread}")
+    return (
+        f"{summary.frames_used} of {summary.frames} frames: the target turns at {rate_rpm:.2f} RPM; "
+        f"{', '.join(ratios)}; {summary.landmarks} landmarks"
+    )

@@ -1,0 +1,75 @@
+"""Key points: where they are, and that they do not care about exposure."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from frontend.features import KeyPoints, detect, stretch
+from frontend.target import Crop, Image
+from polhode.config.frontend import Features
+
+WHOLE = Crop(0, 0, 220, 200)
+
+
+def texture(du: float = 0.0, dv: float = 0.0) -> Image:
+    """A random sum of Gaussians (200, 220), shifted exactly by (du, dv) pixels."""
+    rng = np.random.default_rng(4)
+    v, u = np.mgrid[0:200, 0:220].astype(np.float64)
+    image = np.full(u.shape, 110.0)
+    for x, y, width, height in rng.uniform([0, 0, 2, -60], [220, 200, 5, 60], (250, 4)):
+        image += height * np.exp(-((u - x - du) ** 2 + (v - y - dv) ** 2) / (2 * width**2))
+    return np.clip(np.round(image), 0, 255).astype(np.uint8)
+
+
+def found(image: Image, crop: Crop = WHOLE, **settings: float) -> KeyPoints:
+    return detect(image, np.ones(image.shape, dtype=bool), crop, Features.model_validate(settings))
+
+
+@pytest.mark.parametrize("upsample", [1.7, 2.0])
+def test_enlargement_does_not_shift_key_points(upsample: float) -> None:
+    image = texture()
+    plain, enlarged = found(image, upsample=1.0), found(image, Crop(11, 7, 211, 190), upsample=upsample)
+    distance, nearest = cKDTree(plain.uv_px).query(enlarged.uv_px)
+    shift = (enlarged.uv_px - plain.uv_px[nearest])[distance < 0.5]
+    assert len(shift) > 50
+    assert np.abs(np.median(shift, axis=0)).max() < 0.02
+
+
+def test_key_points_follow_a_sub_pixel_shift() -> None:
+    before, after = found(texture()), found(texture(0.37, -0.21))
+    distance, nearest = cKDTree(before.uv_px + [0.37, -0.21]).query(after.uv_px)
+    shift = (after.uv_px - before.uv_px[nearest])[distance < 0.5]
+    np.testing.assert_allclose(np.median(shift, axis=0), [0.37, -0.21], atol=0.02)
+
+
+def test_key_points_outside_the_mask_are_left_out() -> None:
+    image = texture()
+    mask = np.zeros(image.shape, dtype=bool)
+    mask[:, :100] = True
+    points = detect(image, mask, WHOLE, Features())
+    assert len(points) > 0
+    assert points.uv_px[:, 0].max() < 100
+
+
+def test_descriptors_do_not_depend_on_exposure() -> None:
+    bright, dark = texture(), (texture() * 0.35).astype(np.uint8)
+    points = [found(image) for image in (bright, dark)]
+    distance, nearest = cKDTree(points[0].uv_px).query(points[1].uv_px)
+    same = distance < 0.3
+    likeness = np.sum(points[1].descriptors[same] * points[0].descriptors[nearest[same]], axis=1)
+    assert same.mean() > 0.8
+    assert np.median(likeness) > 0.97
+    assert np.percentile(stretch(dark), 99.5) == pytest.approx(230, abs=8)
+
+
+def test_the_strongest_are_kept() -> None:
+    few, all_points = found(texture(), max_features=50), found(texture(), max_features=100000)
+    assert len(few) == 50 < len(all_points)
+    np.testing.assert_array_equal(few.uv_px, all_points.uv_px[:50])
+
+
+def test_the_crop_of_a_large_target_is_enlarged_less() -> None:
+    image = cv2.resize(texture(), (880, 800), interpolation=cv2.INTER_CUBIC)
+    small_crop = found(image, Crop(0, 0, 880, 800), max_crop_px=900)
+    assert 0 < len(small_crop) < len(found(image, Crop(0, 0, 880, 800), max_crop_px=1800))
