@@ -159,7 +159,7 @@ def _disparity(crop: _Crop, config: Depth) -> tuple[Floats, Floats]:
         disparity, sigma = refine_disparity(
             crop.left, crop.right, disparity, crop.search_px, config.window_px
         )
-        disparity, sigma = fit_planes(disparity, sigma, config.plane_radius_px)
+        disparity, sigma = fit_planes(disparity, sigma, config.plane_radius_px, float(config.window_px**2))
     certain = known & np.isfinite(disparity) & (sigma < config.max_sigma_px)
     keep = certain & ~_rims(np.where(certain, disparity, np.nan), crop.target, config)
     spread = np.hypot(sigma, _FLOOR_PX)

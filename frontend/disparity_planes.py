@@ -14,16 +14,21 @@ _LEAST_SHARE = 0.3
 _OUTLIER = 3.0
 
 
-def fit_planes(disparity: Floats, sigma: Floats, radius_px: int) -> tuple[Floats, Floats]:
-    """Smoothed disparity and its sigma (h, w) [px] from noisy ones; NaN stays NaN."""
+def fit_planes(
+    disparity: Floats, sigma: Floats, radius_px: int, correlated_px2: float
+) -> tuple[Floats, Floats]:
+    """Smoothed disparity and its sigma (h, w) [px] from noisy ones; NaN stays NaN.
+
+    correlated_px2: area over which the errors of neighbours are the same, so that averaging gains nothing.
+    """
     known = np.isfinite(disparity) & np.isfinite(sigma)
     d = np.where(known, disparity, 0.0).astype(np.float64)
     weight = np.where(known, 1.0 / (np.square(np.where(known, sigma, 1.0), dtype=np.float64) + 0.05**2), 0.0)
-    plane, _, _ = _best_plane(d, weight, radius_px)
+    plane, _, _ = _best_plane(d, weight, radius_px, correlated_px2)
     scatter = np.abs(d - plane)
     limit = _OUTLIER * np.hypot(np.where(known, sigma, 1.0), 0.1)
     robust = np.where(scatter < limit, weight, 0.01 * weight)
-    plane, variance, good = _best_plane(d, robust, radius_px)
+    plane, variance, good = _best_plane(d, robust, radius_px, correlated_px2)
     out = known & good
     return (
         np.where(out, plane, np.nan).astype(np.float32),
@@ -31,11 +36,13 @@ def fit_planes(disparity: Floats, sigma: Floats, radius_px: int) -> tuple[Floats
     )
 
 
-def _best_plane(d: Doubles, weight: Doubles, radius_px: int) -> tuple[Doubles, Doubles, NDArray[np.bool_]]:
+def _best_plane(
+    d: Doubles, weight: Doubles, radius_px: int, correlated_px2: float
+) -> tuple[Doubles, Doubles, NDArray[np.bool_]]:
     """Value of the best window's plane at each pixel, its variance, and whether there is one."""
     h, w = d.shape
     v, u = np.mgrid[:h, :w].astype(np.float64)
-    a, b, value, scatter, variance, share = _plane_per_window(d, weight, u, v, radius_px)
+    a, b, value, scatter, variance, share = _plane_per_window(d, weight, u, v, radius_px, correlated_px2)
     usable = share > _LEAST_SHARE
     score = np.where(usable, scatter, np.inf)
     best, best_value, best_variance = score.copy(), value.copy(), variance.copy()
@@ -55,7 +62,7 @@ def _best_plane(d: Doubles, weight: Doubles, radius_px: int) -> tuple[Doubles, D
 
 
 def _plane_per_window(
-    d: Doubles, weight: Doubles, u: Doubles, v: Doubles, radius_px: int
+    d: Doubles, weight: Doubles, u: Doubles, v: Doubles, radius_px: int, correlated_px2: float
 ) -> tuple[Doubles, Doubles, Doubles, Doubles, Doubles, Doubles]:
     """Slopes a, b, value at the centre, mean squared scatter, variance of the value, filled share; (h, w) each."""
     size = 2 * radius_px + 1
@@ -79,8 +86,8 @@ def _plane_per_window(
     scatter = np.maximum(dd - a * ud - b * vd, 0.0) + 1e-4
     count = total((weight > 0).astype(np.float64))
     # Neighbouring disparities share a window of pixels: far fewer are independent.
-    independent = np.maximum(count / 25.0, 1.0)
-    variance = np.maximum(scatter, 0.0) / independent + 25.0 / np.maximum(s, 1e-9)
+    independent = np.maximum(count / correlated_px2, 1.0)
+    variance = np.maximum(scatter, 0.0) / independent + correlated_px2 / np.maximum(s, 1e-9)
     return a, b, value, scatter, variance, count / size**2
 
 

@@ -29,9 +29,9 @@ def refine_disparity(
     other = right.astype(np.float32)
     warped = cv2.remap(other, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     slope = _slope(other)
-    gradient = cv2.remap(slope, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    # The mean of both images' slopes halves the noise that biases the information.
-    gradient = 0.5 * (gradient + _slope(left.astype(np.float32))[:, margin_px : margin_px + w])
+    slope_right = cv2.remap(slope, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    slope_left = _slope(left.astype(np.float32))[:, margin_px : margin_px + w]
+    gradient = 0.5 * (slope_left + slope_right)
 
     weight = known.astype(np.float32)
     count = _mean(weight, window_px)
@@ -45,18 +45,19 @@ def refine_disparity(
     var_warped = mean(warped * warped) - m_warped * m_warped
     covariance = mean(reference * warped) - m_left * m_warped
     gain = np.clip(covariance / np.maximum(var_warped, 1.0), 0.6, 1.6)
-    gg = mean(gradient * gradient) - m_gradient * m_gradient
+    # The product of the two images' slopes: their noise is independent, so it does not pass for texture.
+    gg = np.maximum(mean(slope_left * slope_right) - mean(slope_left) * mean(slope_right), 1e-3)
     error_gradient = (
         mean(reference * gradient)
         - m_left * m_gradient
         - gain * (mean(warped * gradient) - m_warped * m_gradient)
     )
     information = gain * gain * gg
-    delta = -gain * error_gradient / np.maximum(information, 1e-3)
+    delta = -gain * error_gradient / information
     left_over = var_left - 2 * gain * covariance + gain * gain * var_warped - delta * delta * information
     noise = np.maximum(left_over, 1.0)
     samples = np.maximum(count * window_px**2, 1.0)
-    sigma = np.sqrt(noise / np.maximum(information * samples, 1e-6))
+    sigma = np.sqrt(noise / (information * samples))
     delta = np.clip(delta, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
     # A weak window moves its pixel less than it asks for.
     delta *= 0.3**2 / (0.3**2 + np.minimum(sigma, 10.0) ** 2)

@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from frontend.pairs import PairMatch
 from frontend.stereo import StereoFeatures
 from polhode.camera import RectifiedRig
+from polhode.config.frontend import Tracks
 from polhode.lie import Array
 from polhode.records import Ints, StereoTracks
 
@@ -49,20 +50,16 @@ def to_tracks(
     rig: RectifiedRig,
     timestamps_ns: Ints,
     X_NR: Array,
+    config: Tracks,
     camera_sigma: tuple[float, float] = (0.0, 0.0),
-    min_views: int = 2,
 ) -> StereoTracks:
-    """The back end's measurements: landmarks seen in at least min_views frames."""
+    """The back end's measurements; camera_sigma: of the inspector's position [m] and attitude [rad]."""
     frame = np.concatenate([np.full(len(f), k, dtype=np.int64) for k, f in enumerate(frames)])
     label = np.concatenate(association.landmark)
     uvd = np.concatenate([f.uvd_px for f in frames])
     sigma = np.concatenate([f.sigma_px for f in frames])
-    views = np.bincount(label[label >= 0], minlength=association.n_landmarks)
-    used = (
-        (label >= 0) & (views[np.maximum(label, 0)] >= min_views)
-        if len(views)
-        else np.zeros(len(label), bool)
-    )
+    kept = _longest_tracks(label, frame, len(frames), config)
+    used = (label >= 0) & np.isin(label, kept)
     _, landmark = np.unique(label[used], return_inverse=True)
     return StereoTracks(
         rig=rig,
@@ -75,6 +72,28 @@ def to_tracks(
         sigma_camera_p_m=camera_sigma[0],
         sigma_camera_theta_rad=camera_sigma[1],
     )
+
+
+def _longest_tracks(label: Ints, frame: Ints, n_frames: int, config: Tracks) -> Ints:
+    """Landmarks worth their cost: by number of views, as long as one of their frames still needs more.
+
+    A long track ties distant frames together; a frame's thousandth short one adds time and nothing else.
+    """
+    order = np.argsort(label, kind="stable")
+    order = order[label[order] >= 0]
+    landmarks, start = np.unique(label[order], return_index=True)
+    members = np.split(frame[order], start[1:]) if len(landmarks) else []
+    views = np.array([len(m) for m in members], dtype=np.int64)
+    count = np.zeros(n_frames, dtype=np.int64)
+    kept = []
+    for index in np.argsort(-views, kind="stable").tolist():
+        if views[index] < config.min_views:
+            break
+        seen = members[index]
+        if np.any(count[seen] < config.enough_per_frame):
+            count[seen] += 1
+            kept.append(landmarks[index])
+    return np.array(kept, dtype=np.int64)
 
 
 def _one_per_frame(component: Ints, frame_of: Ints, links: Ints) -> Ints:

@@ -21,7 +21,11 @@ _PEEK = 5
 
 
 def fuse(
-    frames: Iterable[Frame], rig: RectifiedRig, config: Mapping, progress: Progress | None = None, n_frames: int = 0
+    frames: Iterable[Frame],
+    rig: RectifiedRig,
+    config: Mapping,
+    progress: Progress | None = None,
+    n_frames: int = 0,
 ) -> SurfaceModel:
     """Fuse depth maps into a mesh in G.
 
@@ -34,7 +38,9 @@ def fuse(
     voxel_m = choose_voxel_m([frame for frame, _ in head], rig, config)
     grid = BlockGrid(voxel_m, choose_device(config))
     cut = Truncation(
-        config.truncation_voxels * voxel_m, config.truncation_behind_voxels * voxel_m, config.free_space_weight
+        config.truncation_voxels * voxel_m,
+        config.truncation_behind_voxels * voxel_m,
+        config.free_space_weight,
     )
     used = 0
     with (progress or Silent()).stage("fusing depth", n_frames) as advance:

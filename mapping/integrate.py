@@ -49,7 +49,9 @@ class FrameTensors:
 
 def frame_tensors(frame: DepthMap, rig: RectifiedRig, device: torch.device) -> FrameTensors | None:
     """Crop and upload a depth map; None when it has no depth."""
-    known = np.isfinite(frame.depth_m) & np.isfinite(frame.sigma_m) & (frame.depth_m > 0) & (frame.sigma_m > 0)
+    known = (
+        np.isfinite(frame.depth_m) & np.isfinite(frame.sigma_m) & (frame.depth_m > 0) & (frame.sigma_m > 0)
+    )
     if not known.any():
         return None
     rows, columns = np.nonzero(known.any(axis=1))[0], np.nonzero(known.any(axis=0))[0]
@@ -113,7 +115,9 @@ def _blocks_near_surface(
     """Keys of the blocks that the truncation band of any depth pixel touches."""
     v, u = torch.nonzero(frame.weight > 0, as_tuple=True)
     z = frame.depth_m[v, u]
-    ray = torch.stack([(u + frame.u0 - rig.cx_px) / rig.focal_px, (v + frame.v0 - rig.cy_px) / rig.focal_px], -1)
+    ray = torch.stack(
+        [(u + frame.u0 - rig.cx_px) / rig.focal_px, (v + frame.v0 - rig.cy_px) / rig.focal_px], -1
+    )
     ray = torch.cat([ray, torch.ones_like(ray[:, :1])], dim=1)
     X_GR = torch.as_tensor(inverse_pose(X_RG), dtype=torch.float32, device=device)
     steps = max(2, int(np.ceil((cut.front_m + cut.behind_m) / (0.5 * EDGE * voxel_m))) + 1)

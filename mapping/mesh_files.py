@@ -24,7 +24,7 @@ _FACE = np.dtype([("count", "u1"), ("index", "<i4", (3,))])
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
 
 
-def write_ply(path: Path, surface: SurfaceModel) -> None:
+def write_ply(surface: SurfaceModel, path: Path) -> None:
     """Binary PLY: x y z [m in G], red green blue alpha, sigma_m [m], views; triangles."""
     mesh = surface.mesh
     vertices = np.zeros(len(mesh.vertices), dtype=_VERTEX)
@@ -40,7 +40,12 @@ def write_ply(path: Path, surface: SurfaceModel) -> None:
 
 
 def _header(n_vertices: int, n_faces: int) -> bytes:
-    lines = ["ply", "format binary_little_endian 1.0", "comment frame G, metres", f"element vertex {n_vertices}"]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment frame G, metres",
+        f"element vertex {n_vertices}",
+    ]
     lines += [f"property {_PLY_TYPES[_VERTEX[name].str]} {name}" for name in _VERTEX.names or ()]
     lines += [f"element face {n_faces}", "property list uchar int vertex_indices", "end_header"]
     return ("\n".join(lines) + "\n").encode("ascii")
@@ -60,6 +65,6 @@ def read_ply(path: Path) -> SurfaceModel:
     )
 
 
-def write_glb(path: Path, surface: SurfaceModel) -> None:
+def write_glb(surface: SurfaceModel, path: Path) -> None:
     """Binary glTF 2.0 with vertex colours and normals, in G [m]."""
     path.write_bytes(surface.mesh.export(file_type="glb", include_normals=True))

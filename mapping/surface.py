@@ -133,5 +133,3 @@ def _surface_model(vertices: Array, faces: Ints, values: Floats) -> SurfaceModel
         sigma_m=values[:, 0].astype(np.float64),
         views=np.maximum(np.round(values[:, 1]), 1).astype(np.int64),
     )
-
-

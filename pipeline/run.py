@@ -85,13 +85,16 @@ class _Images:
     sequence: StereoSequence
     rectifier: Rectifier
 
-    def tracks(self, features: Sequence[StereoFeatures], association: Association) -> StereoTracks:
+    def tracks(
+        self, features: Sequence[StereoFeatures], association: Association, config: Config
+    ) -> StereoTracks:
         return to_tracks(
             features,
             association,
             self.rectifier.rig,
             self.sequence.timestamps_ns,
             self.sequence.X_NC @ self.rectifier.X_CR,
+            config.frontend.tracks,
             (self.sequence.sigma_camera_p_m, self.sequence.sigma_camera_theta_rad),
         )
 
@@ -153,7 +156,7 @@ def _match_blind(
         matches = match_all_pairs(
             features, images.rectifier.rig, pairs, config.seed, _workers(config), advance
         )
-        tracks = images.tracks(features, join_matches(features, matches))
+        tracks = images.tracks(features, join_matches(features, matches), config)
     _log.info("%d links between frames, %d landmarks", len(matches), tracks.n_landmarks)
     return tracks, relative_poses(matches)
 
@@ -171,7 +174,7 @@ def _associate_and_solve(
     for turn in range(guided.rounds):
         with clock("frontend"):
             found = associate(features, motion, images.rectifier.rig, guided, config.seed)
-            tracks = images.tracks(features, found.association)
+            tracks = images.tracks(features, found.association, config)
         connected = found.motion.connected
         _log.info("association %d: %d of %d frames measured", turn + 1, connected.sum(), len(connected))
         with clock("backend"):

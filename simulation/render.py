@@ -34,7 +34,8 @@ class Renderer:
         self._samples = scene.render.samples
         self._caster = RayCaster(body)
         self._atlas = ChartAtlas(body.charts)
-        self._materials = MaterialTable(body.materials, seed, scene.body.contrast)
+        surface_seed = seed if scene.body.seed is None else scene.body.seed
+        self._materials = MaterialTable(body.materials, surface_seed, scene.body.contrast)
 
     def picture(self, camera: Camera, X_NK: Array, X_NG: Array) -> Picture:
         """Render a camera at X_NK (4, 4) and the target at X_NG (4, 4)."""

@@ -13,7 +13,7 @@ def motion_figures(content: Content) -> list[Figure]:
         return []
     shapes = _bridged(content)
     return [
-        _centre_of_mass(content.motion, shapes),
+        _centre_of_mass(content.motion, _bridged(content, columns=3)),
         _angular_velocity(content.motion, shapes),
         _attitude(content.motion, shapes),
     ]
@@ -31,12 +31,12 @@ def straight_line_residual(time_s: Array, p: Array, sigma: Array) -> Array:
     return out
 
 
-def _bridged(content: Content) -> list[Layout]:
+def _bridged(content: Content, columns: int = 1) -> list[Layout]:
     if content.tracks is None or content.motion is None:
         return []
     seen = np.zeros(content.tracks.n_frames, dtype=np.bool_)
     seen[content.tracks.frame] = True
-    return gap_shapes(content.motion.trajectory.time_s, seen)
+    return gap_shapes(content.motion.trajectory.time_s, seen, columns)
 
 
 def _centre_of_mass(motion: Motion, shapes: list[Layout]) -> Figure:

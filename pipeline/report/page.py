@@ -26,7 +26,7 @@ def write_report(folder: Path, path: Path | None = None, name: str | None = None
     Made from the stored files alone, so it can be written again at any time. ``name`` is what the page calls
     the run, the folder's name unless given. Raises InputError when the folder holds no run.
     """
-    content = read_content(folder, name or folder.resolve().name)
+    content = read_content(folder, name or _name(folder))
     write_text(path or folder / "report.html", render(content))
 
 
@@ -65,6 +65,11 @@ def render(content: Content) -> str:
         figure_json=_figure_json,
         plotly_js=_plotly_js(),
     )
+
+
+def _name(folder: Path) -> str:
+    """The run's name, also while it is being written in a hidden folder beside its place."""
+    return re.sub(r"^\.(.+)\.partial-\w+$", r"\1", folder.resolve().name)
 
 
 def _template() -> Template:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polhode.lie import Array
+from polhode.records import Bools
 
 Trace = dict[str, Any]
 Layout = dict[str, Any]
@@ -17,6 +18,7 @@ AXIS_COLORS: tuple[str, str, str] = ("#d55e00", "#009e73", "#0072b2")
 """x, y, z: vermillion, green, blue of Okabe and Ito, told apart by colour-blind readers too."""
 INK, FAINT, ACCENT = "#22303c", "#8a97a3", "#5b3f8c"
 GRID = "#e8ecf0"
+TIME_SCALE = [[0.0, "#3b0f70"], [0.35, "#b5367a"], [0.7, "#fb8861"], [1.0, "#f6d746"]]
 SIGMA_SCALE = [[0.0, "#fde725"], [0.33, "#35b779"], [0.66, "#31688e"], [1.0, "#440154"]]
 
 
@@ -95,6 +97,7 @@ def axis(title: str = "", **more: Any) -> Layout:
         "ticklen": 3,
         "tickcolor": "#c3ccd4",
         "automargin": True,
+        "exponentformat": "power",
         **more,
     }
 
@@ -110,9 +113,10 @@ def layout(**more: Any) -> Layout:
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "#ffffff",
         "margin": {"l": 64, "r": 16, "t": 28, "b": 46},
-        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 1, "xanchor": "right"},
+        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0, "xanchor": "left"},
         "hovermode": "closest",
         "hoverlabel": {"font": {"size": 12}},
+        "modebar": {"bgcolor": "rgba(255,255,255,0.85)", "color": "#b3bdc6", "activecolor": ACCENT},
         **more,
     }
 
@@ -149,8 +153,8 @@ def note(text: str, x: float, y: float, **more: Any) -> Layout:
     return {"text": text, "x": x, "y": y, "xref": "paper", "yref": "paper", "showarrow": False, **more}
 
 
-def gap_shapes(time_s: Array, seen: "np.ndarray[Any, np.dtype[np.bool_]]") -> list[Layout]:
-    """Grey strips over the frames without measurements, neighbours joined."""
+def gap_shapes(time_s: Array, seen: Bools, columns: int = 1) -> list[Layout]:
+    """Grey strips over the frames without measurements, neighbours joined, in the first panels (columns) of a row."""
     bridged = np.flatnonzero(~seen)
     if len(bridged) == 0 or len(time_s) < 2:
         return []
@@ -162,7 +166,7 @@ def gap_shapes(time_s: Array, seen: "np.ndarray[Any, np.dtype[np.bool_]]") -> li
             "layer": "below",
             "x0": float(edges[run[0]]),
             "x1": float(edges[run[-1] + 1]),
-            "xref": "x",
+            "xref": on(column)["xaxis"],
             "y0": 0,
             "y1": 1,
             "yref": "paper",
@@ -171,6 +175,7 @@ def gap_shapes(time_s: Array, seen: "np.ndarray[Any, np.dtype[np.bool_]]") -> li
             "line": {"width": 0},
         }
         for run in runs
+        for column in range(1, columns + 1)
     ]
 
 
@@ -181,7 +186,7 @@ def scene(unit: str, names: Sequence[str] = ("x", "y", "z"), **more: Any) -> Lay
         f"{k}axis": {"title": {"text": f"{name} [{unit}]"}, **look}
         for k, name in zip("xyz", names, strict=True)
     }
-    return {**axes, "aspectmode": "data", "camera": {"eye": {"x": 1.25, "y": -1.35, "z": 0.8}}, **more}
+    return {**axes, "aspectmode": "data", "camera": {"eye": {"x": 1.45, "y": -1.55, "z": 0.95}}, **more}
 
 
 def axis_arrows(origin: Array, R: Array, length: float, names: Sequence[str]) -> list[Trace]:

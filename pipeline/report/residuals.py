@@ -52,7 +52,7 @@ def rms_per_frame(
 
 def _histogram(content: Content, tracks: StereoTracks, residuals: Residuals) -> Figure:
     normalised = residuals.residuals_px / tracks.sigma_px
-    edges = np.linspace(-5, 5, 81)
+    edges = np.linspace(-5, 5, 1 + int(np.clip(np.sqrt(len(normalised)), 20, 80)))
     centres, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
     figure = layout(
         xaxis=axis("residual / its standard deviation", range=[-5, 5]),
@@ -118,7 +118,7 @@ def _observations(tracks: StereoTracks) -> Figure:
     )
     figure["xaxis"] |= {"domain": [0, 0.56]}
     figure["xaxis2"] = axis("observations of a landmark", domain=[0.66, 1], anchor="y2")
-    figure["yaxis2"] = axis("landmarks", anchor="x2", type="log")
+    figure["yaxis2"] = axis("landmarks", anchor="x2")
     bars = {"type": "bar", "marker": {"color": ACCENT}, "width": 0.8 * _spacing(tracks)}
     data: list[Trace] = [
         bars | {"x": packed(tracks.time_s), "y": packed(count, "i4"), **on(1)},

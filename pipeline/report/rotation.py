@@ -9,6 +9,7 @@ from pipeline.report.plot import (
     ACCENT,
     FAINT,
     INK,
+    TIME_SCALE,
     Figure,
     Trace,
     axis,
@@ -95,7 +96,7 @@ def _polhode(motion: Motion) -> Figure:
             "marker": {
                 "size": 3.5,
                 "color": packed(path.time_s),
-                "colorscale": "Plasma",
+                "colorscale": TIME_SCALE,
                 "colorbar": _bar("time [s]"),
             },
             "name": "ω at the frames",

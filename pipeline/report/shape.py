@@ -7,7 +7,17 @@ import trimesh
 from trimesh.visual.color import ColorVisuals
 
 from pipeline.report.content import Content
-from pipeline.report.plot import INK, SIGMA_SCALE, Figure, Trace, axis_arrows, layout, packed, scene
+from pipeline.report.plot import (
+    INK,
+    SIGMA_SCALE,
+    TIME_SCALE,
+    Figure,
+    Trace,
+    axis_arrows,
+    layout,
+    packed,
+    scene,
+)
 from polhode.lie import Array, inverse_pose
 from polhode.records import Ints, Landmarks
 
@@ -170,7 +180,7 @@ def _cameras(content: Content, p_mm: Array) -> list[Trace]:
     close = com_mm + away / np.maximum(distance, 1e-9) * np.minimum(distance, reach)
     time = packed(content.motion.trajectory.time_s)
     bar = {"title": {"text": "time [s]", "side": "right"}, "thickness": 12, "len": 0.6}
-    marker = {"size": 3, "color": time, "colorscale": "Plasma"}
+    marker = {"size": 3, "color": time, "colorscale": TIME_SCALE}
     return [
         _points(close, "camera direction", marker | {"colorbar": bar}),
         _points(1e3 * positions, "camera position", marker, visible="legendonly"),

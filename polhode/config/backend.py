@@ -12,6 +12,8 @@ class Backend(Section):
 
     inertia: Literal["second_moments", "ratios_axes"] = "second_moments"
     """Variables of the inertia in the program: log-Cholesky second moments, or log-ratios and principal axes."""
+    solver: Literal["ipopt", "gauss_newton"] = "ipopt"
+    """Solver of the whole problem; both reach the same optimum."""
     accel_psd: float = Field(1e-6, gt=0)
     """Disturbance acceleration, power spectral density [(m/s^2)^2/Hz] (thesis eq. 6.14, squared)."""
     torque_psd: float = Field(1e-6, gt=0)

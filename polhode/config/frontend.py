@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from polhode.config.depth import Depth
 from polhode.config.section import Section
 
 
@@ -59,12 +60,21 @@ class GuidedMatching(Section):
     """Largest change of viewing direction between descriptors that are compared [deg]."""
     coarse_gate_px: float = Field(25.0, gt=0)
     """Search radius in frames whose pose is only predicted [px]."""
-    fine_gate_px: float = Field(3.0, gt=0)
+    fine_gate_px: float = Field(2.0, gt=0)
     """Search radius in frames whose pose is measured [px]."""
-    max_distance: float = Field(0.75, gt=0)
+    max_distance: float = Field(0.65, gt=0)
     """Largest RootSIFT distance of an accepted association."""
     min_inliers: int = Field(7, ge=4)
     """Fewer consistent associations do not connect a frame."""
+
+
+class Tracks(Section):
+    """Which landmarks the back end gets: the longest tracks, until every frame has enough."""
+
+    min_views: int = Field(3, ge=2)
+    """Frames in which a landmark must be seen."""
+    enough_per_frame: int = Field(200, ge=10)
+    """Observations in a frame after which only landmarks that other frames need are added."""
 
 
 class Frontend(Section):
@@ -74,5 +84,5 @@ class Frontend(Section):
     stereo: StereoMatching = StereoMatching()
     pairs: PairMatching = PairMatching()
     guided: GuidedMatching = GuidedMatching()
-    depth: Literal["sgbm"] = "sgbm"
-    """Dense stereo."""
+    tracks: Tracks = Tracks()
+    depth: Depth = Depth()

@@ -17,7 +17,8 @@ class Body(Section):
     family: Literal["free_flyer", "bus", "asteroid", "mesh"] = "free_flyer"
     """Shape: an 18-faced free flyer, a box bus with two panels, a small rocky body, or a mesh file."""
     size_m: Positive = 0.22
-    """Width across flats (free_flyer), length of the bus without panels, or mean diameter (asteroid) [m]."""
+    """Width across flats (free_flyer), length of the bus without panels, or diameter of the sphere of
+    the same volume (asteroid) [m]."""
     seed: int | None = None
     """Seed of shape and surface; the config's own seed when absent."""
     path: str | None = None

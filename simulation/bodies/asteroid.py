@@ -13,7 +13,7 @@ SUBDIVISIONS = 6
 
 
 def asteroid_parts(size_m: float, rng: np.random.Generator, subdivisions: int = SUBDIVISIONS) -> list[Part]:
-    """One part, mean diameter size_m [m]; G's origin and axes are not those of the ellipsoid."""
+    """One part with the volume of a sphere of diameter size_m [m]; G's origin and axes are not those of the ellipsoid."""
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     direction = np.asarray(sphere.vertices)
     height = 1.0 + 0.22 * _noise(direction, 0.9, rng) + 0.05 * _noise(direction, 0.25, rng)
@@ -21,9 +21,9 @@ def asteroid_parts(size_m: float, rng: np.random.Generator, subdivisions: int = 
     height += _boulders(direction, rng)
     axes = np.array([1.22, 0.98, 0.83]) * rng.uniform(0.95, 1.05, 3)
     points = direction * height[:, None] * axes
-    points *= 0.5 * size_m / np.cbrt(np.prod(axes))
-    points = points @ exp_so3(rng.normal(0, 1.0, 3)).T + rng.uniform(-0.04, 0.04, 3) * size_m
+    points = points @ exp_so3(rng.normal(0, 1.0, 3)).T + rng.uniform(-0.08, 0.08, 3)
     mesh = trimesh.Trimesh(points, sphere.faces, process=False)
+    mesh.apply_scale(size_m * np.cbrt(np.pi / 6 / mesh.volume))
     return [Part(mesh, REGOLITH)]
 
 

@@ -10,8 +10,8 @@ from simulation.bodies.part import Part, flat_facets
 from simulation.materials import BARE_METAL, PAINT_DARK, PAINT_GREY, PLASTIC
 
 TEXEL_M = 0.0005
-PLAIN_SHARE = 0.2
-"""Share of the faces that carry no sticker."""
+PLAIN_FACES = 3
+"""Faces of 18 that carry no sticker."""
 
 
 def free_flyer_parts(size_m: float, rng: np.random.Generator) -> list[Part]:
@@ -36,10 +36,11 @@ def _shell(size_m: float, rng: np.random.Generator) -> Part:
     hull = ConvexHull(np.unique(np.round(vertices, 9), axis=0))
     mesh = trimesh.Trimesh(hull.points, hull.simplices, process=True)
     mesh.fix_normals()
-    charts = []
-    for faces in flat_facets(mesh):
+    charts, facets = [], flat_facets(mesh)
+    plain = rng.choice(len(facets), PLAIN_FACES, replace=False)
+    for index, faces in enumerate(facets):
         base = float(rng.choice([0.26, 0.32, 0.4]))
-        draw = draw_plain(base) if rng.random() < PLAIN_SHARE else draw_equipment_panel(base)
+        draw = draw_plain(base) if index in plain else draw_equipment_panel(base)
         charts.append(chart_of_facet(mesh, faces, TEXEL_M * size_m / 0.22, draw, rng))
     return Part(mesh, PLASTIC, tuple(charts))
 

@@ -39,4 +39,7 @@ def _load(path: Path) -> trimesh.Trimesh:
         raise InputError(f"{path}: the mesh has no faces; export it as triangles")
     if not np.isfinite(mesh.vertices).all():
         raise InputError(f"{path}: the mesh has vertices that are not finite; repair it")
+    # Exporters split vertices at seams of normals and textures; a piece is what hangs together in space.
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    mesh.update_faces(mesh.nondegenerate_faces())
     return mesh

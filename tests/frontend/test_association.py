@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from feature_world import RIG, World, make_world, purity
+from tests.frontend.feature_world import RIG, World, make_world, purity
 
 from frontend.guided import associate
 from frontend.pairs import match_all_pairs, relative_poses
 from frontend.ransac import fit_rigid, ransac_rigid
 from frontend.tracks import join_matches, to_tracks
-from polhode.config.frontend import GuidedMatching, PairMatching
+from polhode.config.frontend import GuidedMatching, PairMatching, Tracks
 from polhode.lie import exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import InitialMotion
 
@@ -83,7 +83,9 @@ def test_guided_association_reconnects_lost_frames(world: World) -> None:
     labels = list(guided.association.landmark)
     assert purity(labels, world.shown) > 0.99
     stamps = (np.arange(24) * 500_000_000).astype(np.int64)
-    tracks = to_tracks(world.frames, guided.association, RIG, stamps, np.tile(np.eye(4), (24, 1, 1)))
+    tracks = to_tracks(
+        world.frames, guided.association, RIG, stamps, np.tile(np.eye(4), (24, 1, 1)), Tracks()
+    )
     counts = np.bincount(tracks.frame, minlength=24)
     assert counts[[7, 13]].min() > 0.7 * np.median(counts)
 
@@ -102,10 +104,32 @@ def test_tracks_hold_every_observation_of_shared_landmarks_only(world: World) ->
     motion = InitialMotion(world.X_RG, np.ones(24, dtype=bool))
     guided = associate(world.frames, motion, RIG, GuidedMatching(), 0)
     stamps = (np.arange(24) * 500_000_000).astype(np.int64)
-    tracks = to_tracks(world.frames, guided.association, RIG, stamps, np.tile(np.eye(4), (24, 1, 1)))
+    tracks = to_tracks(
+        world.frames, guided.association, RIG, stamps, np.tile(np.eye(4), (24, 1, 1)), Tracks()
+    )
     views = np.bincount(tracks.landmark)
-    assert views.min() >= 2
+    assert views.min() >= 3
     assert tracks.n_landmarks == len(views)
     p_R = transform_points(world.X_RG[tracks.frame[0]], np.zeros((1, 3)))
     assert p_R[0, 2] == pytest.approx(0.6)
     assert len(tracks.uvd_px) == len(tracks.frame) == len(tracks.sigma_px)
+
+
+def test_the_longest_tracks_are_kept_until_every_frame_has_enough(world: World) -> None:
+    motion = InitialMotion(world.X_RG, np.ones(24, dtype=bool))
+    guided = associate(world.frames, motion, RIG, GuidedMatching(), 0)
+    stamps = (np.arange(24) * 500_000_000).astype(np.int64)
+    few, everything = (
+        to_tracks(
+            world.frames,
+            guided.association,
+            RIG,
+            stamps,
+            np.tile(np.eye(4), (24, 1, 1)),
+            Tracks(enough_per_frame=n),
+        )
+        for n in (20, 10**6)
+    )
+    assert np.bincount(few.frame, minlength=24).min() >= 20
+    assert len(few.frame) < 0.7 * len(everything.frame)
+    assert np.bincount(few.landmark).mean() > np.bincount(everything.landmark).mean()

@@ -16,7 +16,9 @@ def test_the_triangulation_jacobian_matches_finite_differences() -> None:
     p_R = np.random.default_rng(1).uniform([-0.3, -0.3, 0.4], [0.3, 0.3, 3.0], (20, 3))
     uvd = RIG.project(p_R)
     numeric = [(RIG.triangulate(uvd + e) - RIG.triangulate(uvd - e)) / 2e-5 for e in 1e-5 * np.eye(3)]
-    np.testing.assert_allclose(RIG.triangulation_jacobian(p_R), np.stack(numeric, axis=-1), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        RIG.triangulation_jacobian(p_R), np.stack(numeric, axis=-1), rtol=1e-6, atol=1e-9
+    )
 
 
 def test_a_wider_baseline_doubles_the_disparity() -> None:

@@ -1,0 +1,229 @@
+"""Gauss-Newton with Levenberg damping, landmarks eliminated: the reference solver, and the covariance's source."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from backend.kernels import N_CONSTANTS, N_STATE, dynamics_kernel, prior_kernel
+from backend.problem import Held, MotionData, substep_groups
+from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
+from polhode.lie import Array, right_jacobian_so3
+from polhode.records import Ints
+
+DAMPING_FLOOR = 1e-8
+TOLERANCE = 1e-9
+"""Relative decrease of the cost that ends the iterations."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a solver hands back; the grid of solvers shares it."""
+
+    x: Array
+    """vector of the unknowns around the reference that was held"""
+    cost: float
+    iterations: int
+    converged: bool
+    message: str
+
+
+@dataclass
+class NormalEquations:
+    """Gauss-Newton system at a point: dense part (states and constants), landmarks, coupling."""
+
+    H: Array
+    """(n, n) lower triangle valid, landmarks not yet eliminated"""
+    g: Array
+    """(n,) gradient"""
+    C: Array
+    """(L, 3, 3)"""
+    h: Array
+    """(L, 3) gradient of the landmarks"""
+    E: Array
+    """(M, 6, 3)"""
+    cost: float
+
+
+class GaussNewton:
+    """Solver of the weighted problem that ``program.MotionProgram`` states; substep kernels are built once."""
+
+    name = "gauss_newton"
+
+    def __init__(self, data: MotionData, with_dynamics: bool = True) -> None:
+        self.data = data
+        self.with_dynamics = with_dynamics
+        self._kernels: dict[int, Any] = {}
+        self._prior = prior_kernel(data.form)
+
+    def solve(self, held: Held, x: Array, max_iterations: int) -> Solution:
+        """Minimise from x; each iteration one damped step."""
+        damping, growth = DAMPING_FLOOR, 4.0
+        system = self.normal_equations(held, x)
+        converged, iteration = False, 0
+        for iteration in range(1, max_iterations + 1):
+            while True:
+                candidate = x + self._step(system, damping)
+                cost = self.cost(held, candidate)
+                if np.isfinite(cost) and cost <= system.cost * (1.0 + 1e-13):
+                    break
+                damping, growth = max(damping, 1e-6) * growth, growth * 2.0
+                if damping > 1e8:
+                    return Solution(x, system.cost, iteration, True, "no further decrease")
+            decrease = system.cost - cost
+            x = candidate
+            damping, growth = max(DAMPING_FLOOR, damping * 0.1), 4.0
+            if decrease <= TOLERANCE * max(cost, 1.0):
+                converged = True
+                break
+            if iteration < max_iterations:
+                system = self.normal_equations(held, x)
+        return Solution(x, float(cost), iteration, converged, "converged" if converged else "iteration limit")
+
+    def cost(self, held: Held, x: Array) -> float:
+        """The objective."""
+        residuals, _ = self.residuals(held, x)
+        total = robust_cost(np.sum(residuals**2, axis=1), self.data.robust_scale)
+        n = N_STATE * self.data.n_frames
+        total += self.dynamics_cost(held, x)
+        total += float(self._prior(x[n : n + 8], held.prior)[0])
+        return total + 0.5 * float(np.sum(held.gauge_information * self._gauge_offset(held, x) ** 2))
+
+    def dynamics_cost(self, held: Held, x: Array) -> float:
+        """The part of the objective that the dynamics contribute."""
+        return sum(
+            float(np.sum(self._dynamics(steps, held, x, index)[0])) for steps, index in self._groups(held)
+        )
+
+    def prior_information(self, held: Held, x: Array) -> Array:
+        """Gauss-Newton Hessian (8, 8) of the weak prior on com_G and xi."""
+        n = N_STATE * self.data.n_frames
+        rows, cols = _upper_by_columns(N_CONSTANTS)
+        block = np.zeros((N_CONSTANTS, N_CONSTANTS))
+        block[rows, cols] = block[cols, rows] = np.asarray(self._prior(x[n : n + 8], held.prior)[2]).ravel()
+        return block
+
+    def residuals(self, held: Held, x: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+        """Whitened stereo residuals (M, 3), and A (F, 3, 3), p_NG (F, 3), p_G (L, 3) at x."""
+        d, n = self.data, N_STATE * self.data.n_frames
+        at = held.reference.moved_to(x)
+        A = d.R_RN @ at.R_NG
+        p_NG, p_G = np.ascontiguousarray(at.p_NG), np.ascontiguousarray(x[n + 8 :].reshape(-1, 3))
+        r = stereo_residuals(d.frame, d.landmark, d.uvd_px, d.inv_sigma, d.rig, A, d.R_RN, d.t_R, p_NG, p_G)
+        return r, (A, p_NG, p_G)
+
+    def normal_equations(
+        self, held: Held, x: Array, weight: Array | None = None, prior: bool = True
+    ) -> NormalEquations:
+        """Linearise at x; robust weights unless given (M,). ``prior=False`` leaves prior and gauge out."""
+        d, n_states = self.data, N_STATE * self.data.n_frames
+        r, (A, p_NG, p_G) = self.residuals(held, x)
+        s = np.sum(r**2, axis=1)
+        w = robust_weight(s, d.robust_scale) if weight is None else weight
+        theta = x[:n_states].reshape(-1, N_STATE)[:, 3:6]
+        H6, g6, C, h, E = stereo_normal_equations(
+            d.frame,
+            d.landmark,
+            d.inv_sigma,
+            d.rig,
+            A,
+            d.R_RN,
+            d.t_R,
+            p_NG,
+            p_G,
+            right_jacobian_so3(theta),
+            r,
+            w,
+        )
+        n = n_states + 8
+        H, g, total = np.zeros((n, n)), np.zeros(n), robust_cost(s, d.robust_scale)
+        for k in range(d.n_frames):
+            H[12 * k : 12 * k + 6, 12 * k : 12 * k + 6] += H6[k]
+            g[12 * k : 12 * k + 6] += g6[k]
+        total += self._add_dynamics(held, x, H, g)
+        if prior:
+            total += self._add_prior(held, x, H, g)
+        untouched = np.diagonal(H) == 0.0
+        H[untouched, untouched] = 1.0
+        return NormalEquations(H, g, C, h, E, total)
+
+    def reduced(self, system: NormalEquations, damping: float = 0.0) -> tuple[Array, Array, Array]:
+        """Eliminate the landmarks: S (n, n) lower, gradient (n,), C^-1 (L, 3, 3)."""
+        C = system.C + (damping + 1e-12) * np.eye(3) * np.trace(system.C, axis1=1, axis2=2)[:, None, None]
+        C_inv = np.linalg.inv(C)
+        S, g = system.H.copy(), system.g.copy()
+        S[np.diag_indices_from(S)] *= 1.0 + damping
+        subtract_landmarks(S, g, self.data.frame, self.data.start, system.E, C_inv, system.h, N_STATE)
+        return S, g, C_inv
+
+    def _step(self, system: NormalEquations, damping: float) -> Array:
+        while True:
+            S, g, C_inv = self.reduced(system, damping)
+            try:
+                step = -cho_solve(cho_factor(S, lower=True, overwrite_a=True, check_finite=False), g)
+                break
+            except LinAlgError:
+                damping = max(damping, 1e-8) * 10.0
+        d = self.data
+        marks = back_substitute(step, d.frame, d.start, system.E, C_inv, -system.h, N_STATE)
+        return np.concatenate([step, marks.ravel()])
+
+    def _groups(self, held: Held) -> list[tuple[int, Ints]]:
+        return substep_groups(held.substeps) if self.with_dynamics else []
+
+    def _dynamics(self, steps: int, held: Held, x: Array, index: Ints) -> tuple[Array, Array, Array]:
+        if steps not in self._kernels:
+            self._kernels[steps] = dynamics_kernel(self.data.form, steps)
+        n = N_STATE * self.data.n_frames
+        states = x[:n].reshape(-1, N_STATE)
+        constants = np.broadcast_to(x[n : n + 8], (len(index), 8))
+        stacked = np.concatenate([states[index], states[index + 1], constants], axis=1)
+        kernel = self._kernels[steps].map(len(index))
+        cost, gradient, hessian = kernel(stacked.T, held.dynamics[index].T)
+        return np.asarray(cost).ravel(), np.asarray(gradient).T, np.asarray(hessian).T
+
+    def _add_dynamics(self, held: Held, x: Array, H: Array, g: Array) -> float:
+        n, total = N_STATE * self.data.n_frames, 0.0
+        rows, cols = _upper_by_columns(32)
+        for steps, index in self._groups(held):
+            cost, gradient, hessian = self._dynamics(steps, held, x, index)
+            total += float(cost.sum())
+            block = np.zeros((len(index), 32, 32))
+            block[:, rows, cols] = block[:, cols, rows] = hessian
+            for e, k in enumerate(index):
+                at = slice(12 * k, 12 * k + 24)
+                H[at, at] += block[e, :24, :24]
+                H[n:, at] += block[e, 24:, :24]
+                g[at] += gradient[e, :24]
+            H[n:, n:] += block[:, 24:, 24:].sum(axis=0)
+            g[n:] += gradient[:, 24:].sum(axis=0)
+        return total
+
+    def _add_prior(self, held: Held, x: Array, H: Array, g: Array) -> float:
+        n = N_STATE * self.data.n_frames
+        cost, gradient, _ = self._prior(x[n : n + 8], held.prior)
+        H[n:, n:] += self.prior_information(held, x)
+        g[n:] += np.asarray(gradient).ravel()
+        offset = self._gauge_offset(held, x)
+        H[np.arange(6), np.arange(6)] += held.gauge_information
+        g[:6] += held.gauge_information * offset
+        return float(cost) + 0.5 * float(np.sum(held.gauge_information * offset**2))
+
+    def _gauge_offset(self, held: Held, x: Array) -> Array:
+        return np.concatenate([x[:3] - held.reference.p_NG[0], x[3:6]])
+
+
+def robust_cost(s: Array, scale: float) -> float:
+    """Cauchy: sum of 0.5 c^2 ln(1 + s / c^2) over squared norms s (M,)."""
+    return float(0.5 * scale**2 * np.log1p(s / scale**2).sum())
+
+
+def robust_weight(s: Array, scale: float) -> Array:
+    """Derivative of the Cauchy kernel: 1 / (1 + s / c^2)."""
+    return np.asarray(1.0 / (1.0 + s / scale**2))
+
+
+def _upper_by_columns(n: int) -> tuple[Ints, Ints]:
+    cols, rows = np.tril_indices(n)
+    return rows, cols

@@ -1,0 +1,91 @@
+"""What the motion determines: eigen-directions of the information of centre of mass and inertia, without prior.
+
+Scaled so that 1 means a centimetre of the centre of mass, 0.1 of k1 or k2, or 0.1 rad of the axes; a direction
+whose scaled standard deviation exceeds 0.3 is undetermined. Measured: pure spin gives 2.5 to 4000, every
+determined case less than 0.18.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from backend.covariance import AxesDerivative
+from polhode.lie import Array
+from polhode.records import Bools, Identifiability
+
+SCALE = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1, 0.1, 0.1])
+LIMIT = 0.3
+CAP = 10.0
+"""Scaled sigma that is enough to call a direction lost: keeps rounding from spreading it to the others."""
+NAMES = ("com_x", "com_y", "com_z", "k1", "k2", "axes_x", "axes_y", "axes_z")
+
+
+@dataclass(frozen=True)
+class Determined:
+    """The verdict, and the directions that are lost."""
+
+    record: Identifiability
+    lost: Array
+    """(8, m) unit scaled directions, as changes of (com_G, xi)"""
+
+
+def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Determined:
+    """information (8, 8) of (com_G, xi) without prior; w_P (F, 3) the motion, for the reason in words."""
+    # d(com_G, xi) / d(com_P, k1, k2, theta), scaled
+    to_solver = block_diag(derivative.R_GP, np.linalg.inv(np.vstack([derivative.ratios, derivative.axes])))
+    to_solver = to_solver * SCALE
+    values, vectors = np.linalg.eigh(to_solver.T @ information @ to_solver)
+    sigma = 1.0 / np.sqrt(np.maximum(values, CAP**-2))
+    lost = sigma > LIMIT
+    share = np.sqrt(np.sum((vectors[:, lost] * sigma[lost]) ** 2, axis=1))
+    good = share <= LIMIT
+    total = np.sqrt(np.sum((vectors * sigma) ** 2, axis=1)) * SCALE
+    detail = {name: _words(n, good, total, w_P) for n, name in enumerate(NAMES)}
+    record = Identifiability(
+        k1=bool(good[3]),
+        k2=bool(good[4]),
+        com=bool(good[:3].all()),
+        axes=bool(good[5:].all()),
+        detail=detail,
+        com_P=good[:3],
+        axes_P=good[5:],
+    )
+    return Determined(record, to_solver @ vectors[:, lost])
+
+
+def _words(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
+    unit = "mm" if n < 3 else "" if n < 5 else "deg"
+    number = sigma[n] * (1e3 if n < 3 else 1.0 if n < 5 else np.rad2deg(1.0))
+    if good[n]:
+        return f"determined, standard deviation about {number:.2g} {unit}".strip()
+    mean_square = np.mean(w_P**2, axis=0)
+    rate = np.sqrt(mean_square.sum())
+    if rate < 0.01:
+        return "not determined: the target hardly rotates"
+    spin = int(np.argmax(mean_square))
+    steady = mean_square[spin] > 0.98 * mean_square.sum()
+    about = f"the {'xyz'[spin]} principal axis"
+    if n < 3:
+        if steady and n == spin:
+            return f"not determined: a shift along {about}, about which the target spins, moves nothing that is seen"
+        return "not determined: the rotation moves the centre of mass too little in the body"
+    if steady:
+        return f"not determined: the target spins steadily about {about}, without nutation"
+    return "not determined: the motion is too short, or two moments too nearly equal, to tell"
+
+
+def undetermined_states(determined: Determined, jacobians: Array, response: Array, w_P: Array) -> Bools:
+    """Components (F, 12) of the states that move with a lost direction.
+
+    jacobians (F, 12, 20) of the states in their own variables and the constants; response (12 F, 8).
+    """
+    n_frames = len(jacobians)
+    if determined.lost.shape[1] == 0:
+        return np.zeros((n_frames, 12), bool)
+    own = response.reshape(n_frames, 12, 8) @ determined.lost
+    constants = np.broadcast_to(determined.lost, (n_frames, *determined.lost.shape))
+    change = np.linalg.norm(jacobians @ np.concatenate([own, constants], axis=1), axis=2)
+    rate = max(float(np.sqrt(np.mean(np.sum(w_P**2, axis=1)))), 0.01)
+    unit = np.repeat([0.01, 0.01 * rate, 0.1, 0.1 * rate], 3)
+    return np.asarray(change > LIMIT * unit)

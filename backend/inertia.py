@@ -1,0 +1,135 @@
+"""Inertia up to scale, as five unconstrained numbers; both forms are always physical.
+
+A mass distribution has a positive-definite matrix of second moments Sigma = integral p p^T dm, and
+J = tr(Sigma) I - Sigma; every positive-definite Sigma gives a J that obeys the triangle inequality
+(Rucker and Wensing, "Smooth parameterization of rigid-body inertia", 2022). The scale is fixed by det Sigma = 1.
+"""
+
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+
+from polhode.lie import Array, exp_so3
+
+N_INERTIA = 5
+
+
+class InertiaForm(Protocol):
+    """Five numbers xi around a reference rotation; the reference is renewed between solves."""
+
+    name: str
+
+    def second_moments_sx(self, xi: Any, R_ref: Any) -> Any:
+        """Sigma (3, 3) as a CasADi expression of xi (5) and R_ref (3, 3)."""
+        ...
+
+    def second_moments(self, xi: Array, R_ref: Array) -> Array:
+        """Sigma (3, 3), determinant 1."""
+        ...
+
+    def coordinates(self, second: Array) -> tuple[Array, Array]:
+        """Sigma (3, 3), any positive scale -> xi (5,), R_ref (3, 3)."""
+        ...
+
+
+class SecondMoments:
+    """``xi = (l1, l2, l21, l31, l32)``: Sigma = L L^T, diagonal of L = exp(l1, l2, -l1 - l2). Zero: a sphere."""
+
+    name = "second_moments"
+
+    def second_moments_sx(self, xi: Any, R_ref: Any) -> Any:
+        del R_ref
+        L = ca.SX.zeros(3, 3)
+        L[0, 0], L[1, 1], L[2, 2] = ca.exp(xi[0]), ca.exp(xi[1]), ca.exp(-xi[0] - xi[1])
+        L[1, 0], L[2, 0], L[2, 1] = xi[2], xi[3], xi[4]
+        return L @ L.T
+
+    def second_moments(self, xi: Array, R_ref: Array) -> Array:
+        del R_ref
+        L = np.diag(np.exp([xi[0], xi[1], -xi[0] - xi[1]]))
+        L[1, 0], L[2, 0], L[2, 1] = xi[2:5]
+        return np.asarray(L @ L.T)
+
+    def coordinates(self, second: Array) -> tuple[Array, Array]:
+        L = np.linalg.cholesky(unit_determinant(second))
+        return np.array([np.log(L[0, 0]), np.log(L[1, 1]), L[1, 0], L[2, 0], L[2, 1]]), np.eye(3)
+
+
+class RatiosAxes:
+    """``xi = (a, b, eta)``: principal second moments with a = ln(d1/d3), b = ln(d2/d3); axes R_ref Exp(eta)."""
+
+    name = "ratios_axes"
+
+    def second_moments_sx(self, xi: Any, R_ref: Any) -> Any:
+        R = R_ref @ rotation_sx(xi[2:5])
+        a, b = xi[0], xi[1]
+        d = ca.exp(ca.vertcat((2 * a - b) / 3, (2 * b - a) / 3, -(a + b) / 3))
+        return R @ ca.diag(d) @ R.T
+
+    def second_moments(self, xi: Array, R_ref: Array) -> Array:
+        R = R_ref @ exp_so3(xi[2:5])
+        a, b = xi[0], xi[1]
+        d = np.exp([(2 * a - b) / 3, (2 * b - a) / 3, -(a + b) / 3])
+        return np.asarray(R @ np.diag(d) @ R.T)
+
+    def coordinates(self, second: Array) -> tuple[Array, Array]:
+        d, R = np.linalg.eigh(unit_determinant(second))
+        R = R * np.array([1.0, 1.0, np.linalg.det(R)])
+        # at equal moments the axes have no derivative: step off that point
+        gap = 1e-3
+        a, b = np.log(d[0] / d[2]), np.log(d[1] / d[2])
+        b = min(b, -gap)
+        a = min(a, b - gap)
+        return np.array([a, b, 0.0, 0.0, 0.0]), R
+
+
+FORMS: dict[str, InertiaForm] = {"second_moments": SecondMoments(), "ratios_axes": RatiosAxes()}
+
+
+def unit_determinant(second: Array) -> Array:
+    """Scale a positive-definite matrix (3, 3) to determinant 1."""
+    return np.asarray(second / np.linalg.det(second) ** (1.0 / 3.0))
+
+
+def inertia_from_second_moments(second: Array) -> Array:
+    """J = tr(Sigma) I - Sigma, (3, 3)."""
+    return np.asarray(np.trace(second) * np.eye(3) - second)
+
+
+def second_moments_from_inertia(J: Array, floor: float = 0.02) -> Array:
+    """Sigma of J (3, 3); an impossible J is projected: principal moments at least ``floor`` of the largest."""
+    values, vectors = np.linalg.eigh(0.5 * np.trace(J) * np.eye(3) - J)
+    values = np.maximum(values, floor * values.max())
+    return unit_determinant(vectors @ np.diag(values) @ vectors.T)
+
+
+def principal_axes(J: Array) -> tuple[Array, Array]:
+    """J (3, 3) -> moments (3,) descending with the middle one 1, and R_GP (3, 3), right-handed.
+
+    Of the four half-turns the one is taken whose x axis has its largest component positive and
+    whose z axis too, as far as a right-handed frame allows: one choice for a run.
+    """
+    values, vectors = np.linalg.eigh(J)
+    R = vectors[:, ::-1].copy()
+    for axis in (0, 2):
+        R[:, axis] *= np.sign(R[np.argmax(np.abs(R[:, axis])), axis])
+    R[:, 1] = np.cross(R[:, 2], R[:, 0])
+    return values[::-1] / values[1], R
+
+
+def quaternion_sx(theta: Any) -> Any:
+    """Rotation vector -> unit quaternion, scalar first; smooth at zero. CasADi."""
+    angle = ca.sqrt(ca.sumsqr(theta) + 1e-24)
+    return ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) / angle * theta)
+
+
+def rotation_sx(theta: Any) -> Any:
+    """Rotation vector (3) -> rotation matrix (3, 3); smooth at zero. CasADi."""
+    q = quaternion_sx(theta)
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return ca.vertcat(
+        ca.horzcat(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )

@@ -1,0 +1,154 @@
+"""Residuals as short pure functions on CasADi SX, and the kernels that the program maps over the data.
+
+Variables of a frame (12): p_NG [m], theta [rad] in R_NG = R_ref Exp(theta), v_N [m/s] of the centre of mass,
+w_G [rad/s]. Constants: com_G (3) [m], xi (5) of the inertia. A landmark: p_G (3) [m].
+"""
+
+from typing import Any
+
+import casadi as ca
+
+from backend.inertia import N_INERTIA, InertiaForm, quaternion_sx, rotation_sx
+
+N_STATE = 12
+N_CONSTANTS = 3 + N_INERTIA
+
+
+def quaternion_product_sx(a: Any, b: Any) -> Any:
+    """Hamilton product, scalar first."""
+    vector = a[0] * b[1:4] + b[0] * a[1:4] + ca.cross(a[1:4], b[1:4])
+    return ca.vertcat(a[0] * b[0] - ca.dot(a[1:4], b[1:4]), vector)
+
+
+def quaternion_log_sx(q: Any) -> Any:
+    """Rotation vector of a unit quaternion (4); the sign is made canonical first."""
+    q = q * ca.if_else(q[0] < 0, -1.0, 1.0)
+    norm = ca.sqrt(ca.sumsqr(q[1:4]) + 1e-20)
+    return 2.0 * ca.atan2(norm, q[0]) / norm * q[1:4]
+
+
+def stereo_residual(
+    pose: Any, p_G: Any, A: Any, R_RN: Any, t_R: Any, uvd: Any, inv_sigma: Any, rig: Any
+) -> Any:
+    """Measured minus predicted (u left, v, disparity), whitened (thesis eq. 4.85).
+
+    pose (6) = p_NG, theta; A = R_RN R_ref; p_R = A Exp(theta) p_G + R_RN p_NG + t_R. rig (5) = f, cx, cy, b, offset.
+    """
+    p_R = A @ (rotation_sx(pose[3:6]) @ p_G) + R_RN @ pose[0:3] + t_R
+    f, cx, cy, b, offset = rig[0], rig[1], rig[2], rig[3], rig[4]
+    predicted = ca.vertcat(f * p_R[0] / p_R[2] + cx, f * p_R[1] / p_R[2] + cy, f * b / p_R[2] + offset)
+    return (uvd - predicted) * inv_sigma
+
+
+def propagate_rotation(w_G: Any, J: Any, dt_s: Any, n_substeps: int) -> tuple[Any, Any]:
+    """Torque-free motion over dt (eqs. 4.62, 4.65) by classical Runge-Kutta: relative quaternion, rate after."""
+    J_inv = ca.inv(J)
+    h = dt_s / n_substeps
+    y = ca.vertcat(1.0, 0.0, 0.0, 0.0, w_G)
+
+    def derivative(y: Any) -> Any:
+        w = y[4:7]
+        q_dot = 0.5 * quaternion_product_sx(y[0:4], ca.vertcat(0.0, w))
+        return ca.vertcat(q_dot, -J_inv @ ca.cross(w, J @ w))
+
+    for _ in range(n_substeps):
+        k1 = derivative(y)
+        k2 = derivative(y + 0.5 * h * k1)
+        k3 = derivative(y + 0.5 * h * k2)
+        k4 = derivative(y + h * k3)
+        y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return y[0:4] / ca.norm_2(y[0:4]), y[4:7]
+
+
+def dynamics_residual(
+    before: Any,
+    after: Any,
+    com_G: Any,
+    J: Any,
+    R0: Any,
+    R1: Any,
+    q01: Any,
+    dt_s: Any,
+    W_t: Any,
+    W_r: Any,
+    n: int,
+) -> Any:
+    """State after minus predicted state, whitened by the process noise of the step (eqs. 4.77, 4.58).
+
+    before, after (12); R0, R1 (3, 3) reference attitudes, q01 (4) = q0^-1 q1; W_t (2, 2), W_r (6, 6).
+    """
+    turn0, turn1 = quaternion_sx(before[3:6]), quaternion_sx(after[3:6])
+    r0 = before[0:3] + R0 @ (rotation_sx(before[3:6]) @ com_G)
+    r1 = after[0:3] + R1 @ (rotation_sx(after[3:6]) @ com_G)
+    dr = r1 - r0 - dt_s * before[6:9]
+    dv = after[6:9] - before[6:9]
+    q_step, w_after = propagate_rotation(before[9:12], J, dt_s, n)
+    inverse = ca.vertcat(1.0, -1.0, -1.0, -1.0)
+    relative = quaternion_product_sx(quaternion_product_sx(turn0 * inverse, q01), turn1)
+    dtheta = quaternion_log_sx(quaternion_product_sx(q_step * inverse, relative))
+    rotation = W_r @ ca.vertcat(dtheta, after[9:12] - w_after)
+    return ca.vertcat(W_t[0, 0] * dr, W_t[1, 0] * dr + W_t[1, 1] * dv, rotation)
+
+
+def prior_residual(com_G: Any, com_prior: Any, com_sigma_m: Any, second: Any) -> Any:
+    """Weak prior (9): centre of mass near the middle of the landmarks, inertia near a sphere (unit log-ratios)."""
+    shape = 3.0 * second / ca.trace(second) - ca.SX.eye(3)
+    off = ca.sqrt(2.0) * ca.vertcat(shape[1, 0], shape[2, 0], shape[2, 1])
+    return ca.vertcat((com_G - com_prior) / com_sigma_m, ca.diag(shape), off)
+
+
+def stereo_kernel(robust_scale: float) -> Any:
+    """Function (x (9) = pose, p_G; A, R_RN, t_R, uvd, inv_sigma, rig) -> cost, gradient (9), upper Gauss-Newton Hessian (45).
+
+    Cauchy kernel on the squared norm s of the whitened residual: 0.5 c^2 ln(1 + s / c^2).
+    """
+    x = ca.SX.sym("x", 9)
+    A, R_RN = ca.SX.sym("A", 3, 3), ca.SX.sym("R_RN", 3, 3)
+    t_R, uvd, inv_sigma, rig = (
+        ca.SX.sym(name, size) for name, size in zip("tusr", (3, 3, 3, 5), strict=True)
+    )
+    r = stereo_residual(x[0:6], x[6:9], A, R_RN, t_R, uvd, inv_sigma, rig)
+    jacobian = ca.jacobian(r, x)
+    s, c2 = ca.sumsqr(r), robust_scale**2
+    weight = 1.0 / (1.0 + s / c2)
+    outputs = [0.5 * c2 * ca.log1p(s / c2), weight * jacobian.T @ r, upper(weight * jacobian.T @ jacobian)]
+    return ca.Function("stereo", [x, ca.vec(A), ca.vec(R_RN), t_R, uvd, inv_sigma, rig], outputs)
+
+
+def dynamics_kernel(form: InertiaForm, n_substeps: int, with_jacobian: bool = False) -> Any:
+    """Function (x (32), parameters (71)) -> cost, gradient (32), upper Hessian (528); or residual (12), Jacobian.
+
+    x = state before, state after, com_G, xi. Parameters: R0, R1, R_ref of the inertia (9 each, by columns),
+    q01 (4), dt, W_t (3: 00, 10, 11), W_r (36, by columns) packed by ``problem.dynamics_parameters``.
+    """
+    x, p = ca.SX.sym("x", 2 * N_STATE + N_CONSTANTS), ca.SX.sym("p", 71)
+    R0, R1, R_ref = (ca.reshape(p[9 * i : 9 * i + 9], 3, 3) for i in range(3))
+    q01, dt_s = p[27:31], p[31]
+    W_t = ca.vertcat(ca.horzcat(p[32], 0), ca.horzcat(p[33], p[34]))
+    W_r = ca.reshape(p[35:71], 6, 6)
+    second = form.second_moments_sx(x[27:32], R_ref)
+    J = ca.trace(second) * ca.SX.eye(3) - second
+    r = dynamics_residual(x[0:12], x[12:24], x[24:27], J, R0, R1, q01, dt_s, W_t, W_r, n_substeps)
+    return quadratic_kernel(f"dynamics{n_substeps}", r, x, p, with_jacobian)
+
+
+def prior_kernel(form: InertiaForm, with_jacobian: bool = False) -> Any:
+    """Function (x (8) = com_G, xi; p (13) = com_prior, com_sigma, R_ref) of the same outputs."""
+    x, p = ca.SX.sym("x", N_CONSTANTS), ca.SX.sym("p", 13)
+    second = form.second_moments_sx(x[3:8], ca.reshape(p[4:13], 3, 3))
+    return quadratic_kernel("prior", prior_residual(x[0:3], p[0:3], p[3], second), x, p, with_jacobian)
+
+
+def quadratic_kernel(name: str, residual: Any, x: Any, p: Any, with_jacobian: bool) -> Any:
+    """0.5 r.r with its gradient and Gauss-Newton Hessian, or r and its Jacobian."""
+    jacobian = ca.jacobian(residual, x)
+    if with_jacobian:
+        return ca.Function(name, [x, p], [residual, ca.densify(jacobian)])
+    hessian = upper(ca.densify(jacobian.T @ jacobian))
+    return ca.Function(name, [x, p], [0.5 * ca.sumsqr(residual), ca.densify(jacobian.T @ residual), hessian])
+
+
+def upper(matrix: Any) -> Any:
+    """Upper triangle by columns, as CasADi stores a symmetric block."""
+    n = matrix.size1()
+    return ca.vertcat(*[matrix[i, j] for j in range(n) for i in range(j + 1)])

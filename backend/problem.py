@@ -1,0 +1,154 @@
+"""The data of the estimation problem, and the values that are held during one solve."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backend.inertia import FORMS, InertiaForm
+from backend.iterate import Iterate
+from backend.process_noise import substeps, whitening
+from polhode.config.backend import Backend
+from polhode.lie import Array, inverse_pose
+from polhode.quaternion import wxyz_from_matrix
+from polhode.records import Ints, StereoTracks
+
+COM_PRIOR_M = 0.1
+"""Least standard deviation of the prior on the centre of mass; a larger body's own radius is taken."""
+
+
+@dataclass(frozen=True)
+class MotionData:
+    """Measurements sorted by landmark, the camera's poses and the noise: what does not change in a run."""
+
+    frame: Ints
+    """(M,)"""
+    landmark: Ints
+    """(M,) ascending"""
+    start: Ints
+    """(L + 1,) the observations of landmark l are start[l]:start[l + 1]"""
+    uvd_px: Array
+    """(M, 3)"""
+    inv_sigma: Array
+    """(M, 3) [1/px]"""
+    rig: Array
+    """(5,) f, cx, cy [px], baseline [m], disparity offset [px]"""
+    R_RN: Array
+    """(F, 3, 3)"""
+    t_R: Array
+    """(F, 3) origin of N in R [m]"""
+    dt_s: Array
+    """(F - 1,)"""
+    accel_psd: float
+    torque_psd: float
+    robust_scale: float
+    form: InertiaForm
+    order: Ints
+    """(M,) sorted observation -> observation of the tracks"""
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.R_RN)
+
+    @property
+    def n_landmarks(self) -> int:
+        return len(self.start) - 1
+
+    def with_sigma_px(self, sigma_px: Array) -> "MotionData":
+        """The same measurements with other standard deviations (M, 3), in the order of this object."""
+        return replace(self, inv_sigma=1.0 / sigma_px)
+
+
+def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
+    """Prepare the tracks for the solvers."""
+    order = np.lexsort((tracks.frame, tracks.landmark))
+    landmark = tracks.landmark[order]
+    X_RN, rig = inverse_pose(tracks.X_NR), tracks.rig
+    return MotionData(
+        frame=np.ascontiguousarray(tracks.frame[order], dtype=np.int64),
+        landmark=np.ascontiguousarray(landmark, dtype=np.int64),
+        start=np.searchsorted(landmark, np.arange(tracks.n_landmarks + 1)).astype(np.int64),
+        uvd_px=np.ascontiguousarray(tracks.uvd_px[order], dtype=np.float64),
+        inv_sigma=1.0 / inflated_sigma_px(tracks)[order],
+        rig=np.array([rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px]),
+        R_RN=np.ascontiguousarray(X_RN[:, :3, :3]),
+        t_R=np.ascontiguousarray(X_RN[:, :3, 3]),
+        dt_s=np.diff(tracks.time_s),
+        accel_psd=config.accel_psd,
+        torque_psd=config.torque_psd,
+        robust_scale=config.robust_scale,
+        form=FORMS[config.inertia],
+        order=order,
+    )
+
+
+def inflated_sigma_px(tracks: StereoTracks) -> Array:
+    """Pixel sigmas (M, 3) that include the stated noise of the camera's poses, as if it were white per point."""
+    sigma = np.array(tracks.sigma_px, dtype=np.float64)
+    if tracks.sigma_camera_p_m == 0.0 and tracks.sigma_camera_theta_rad == 0.0:
+        return sigma
+    rig = tracks.rig
+    depth = rig.triangulate(tracks.uvd_px)[:, 2]
+    shift = rig.focal_px * tracks.sigma_camera_p_m / depth
+    turn = rig.focal_px * tracks.sigma_camera_theta_rad
+    extra = np.stack([np.hypot(shift, turn), np.hypot(shift, turn), shift * rig.baseline_m / depth], axis=1)
+    return np.asarray(np.hypot(sigma, extra))
+
+
+@dataclass(frozen=True)
+class Held:
+    """What is held during one solve: reference attitudes, whitening at the current rate, priors, gauge.
+
+    The free frame G is kept near the reference by a soft hold on the first pose: it costs nothing at the
+    solution, because every motion of G with its landmarks leaves the other terms unchanged.
+    """
+
+    reference: Iterate
+    A: Array
+    """(F, 3, 3) R_RN R_ref"""
+    dynamics: Array
+    """(F - 1, 71) parameters of the dynamics kernel"""
+    substeps: Ints
+    """(F - 1,)"""
+    prior: Array
+    """(13,) parameters of the prior kernel"""
+    gauge_information: Array
+    """(6,) diagonal of the hold on p_NG, theta of the first frame"""
+    half_log_det: float
+    """Normalisation of the dynamics term: makes the costs of different inertias comparable"""
+
+
+def hold(data: MotionData, iterate: Iterate) -> Held:
+    """Freeze references and whitening at an iterate."""
+    w = iterate.w_G
+    rate = np.linalg.norm(w, axis=1)
+    W_t, W_r, half_log = whitening(w[:-1], iterate.J_G(data.form), data.dt_s, data.accel_psd, data.torque_psd)
+    middle = np.median(iterate.p_G, axis=0)
+    radius = float(np.sqrt(np.median(np.sum((iterate.p_G - middle) ** 2, axis=1))))
+    com_sigma = max(COM_PRIOR_M, radius)
+    return Held(
+        reference=iterate,
+        A=data.R_RN @ iterate.R_NG,
+        dynamics=dynamics_parameters(data, iterate, W_t, W_r),
+        substeps=substeps(np.maximum(rate[:-1], rate[1:]), data.dt_s),
+        prior=np.concatenate([middle, [com_sigma], iterate.R_inertia.T.ravel()]),
+        gauge_information=np.repeat([(0.1 * com_sigma) ** -2, 0.1**-2], 3),
+        half_log_det=half_log,
+    )
+
+
+def dynamics_parameters(data: MotionData, iterate: Iterate, W_t: Array, W_r: Array) -> Array:
+    """Pack the parameters (F - 1, 71) in the order that ``kernels.dynamics_kernel`` reads."""
+    R, n = iterate.R_NG, data.n_frames - 1
+    by_columns = np.swapaxes(R, 1, 2).reshape(-1, 9)
+    inertia = np.broadcast_to(iterate.R_inertia.T.ravel(), (n, 9))
+    q01 = wxyz_from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+    lower = np.stack([W_t[:, 0, 0], W_t[:, 1, 0], W_t[:, 1, 1]], axis=1)
+    whiten = np.swapaxes(W_r, 1, 2).reshape(-1, 36)
+    return np.concatenate(
+        [by_columns[:-1], by_columns[1:], inertia, q01, data.dt_s[:, None], lower, whiten], axis=1
+    )
+
+
+def substep_groups(substeps_per_interval: Ints) -> list[tuple[int, Ints]]:
+    """Intervals that share a number of Runge-Kutta steps: (steps, indices)."""
+    return [(int(n), np.flatnonzero(substeps_per_interval == n)) for n in np.unique(substeps_per_interval)]

@@ -1,0 +1,170 @@
+"""From the solved unknowns to the record that leaves the room: states in P, covariances, verdicts."""
+
+import numpy as np
+
+from backend.covariance import (
+    AxesDerivative,
+    Marginals,
+    axes_derivative,
+    marginals,
+    robust_information,
+    state_covariances,
+    state_jacobian,
+)
+from backend.gauss_newton import GaussNewton, robust_weight
+from backend.identifiability import Determined, analyse, undetermined_states
+from backend.iterate import Iterate
+from backend.noise import NoiseScales
+from backend.problem import MotionData, hold
+from polhode.lie import Array, make_pose
+from polhode.records import (
+    Identifiability,
+    InitialMotion,
+    Landmarks,
+    MassProperties,
+    MotionEstimate,
+    NoiseLevels,
+    SolverOutcome,
+    StereoTracks,
+)
+
+OUTLIER_WEIGHT = 0.1
+"""Weight of the robust kernel below which an observation counts as an outlier."""
+
+
+def assemble(
+    tracks: StereoTracks, data: MotionData, iterate: Iterate, scales: NoiseScales, initial: InitialMotion
+) -> MotionEstimate:
+    """Everything that is reported, at the solution."""
+    solver, held, x = GaussNewton(data), hold(data, iterate), iterate.vector()
+    residuals, _ = solver.residuals(held, x)
+    s = np.sum(residuals**2, axis=1)
+    weight = robust_weight(s, data.robust_scale)
+    m = marginals(solver, held, x, robust_information(s, data.robust_scale))
+    derivative = axes_derivative(data.form, iterate)
+    R_GP = derivative.R_GP
+    w_P = iterate.w_G @ R_GP
+    determined = analyse(m.constants_information, derivative, w_P)
+    covariance, joint = _state_covariances(iterate, m, derivative, determined, w_P)
+    warnings = _warnings(tracks, weight, data, determined.record, initial, iterate)
+    return MotionEstimate(
+        timestamps_ns=tracks.timestamps_ns,
+        r_N=iterate.p_NG + iterate.R_NG @ iterate.com_G,
+        v_N=iterate.v_N,
+        R_NP=iterate.R_NG @ R_GP,
+        w_P=w_P,
+        X_NG=make_pose(iterate.R_NG, iterate.p_NG),
+        covariance=covariance,
+        covariance_last_joint=joint,
+        mass=_mass(iterate, m, derivative, determined.record),
+        landmarks=_landmarks(data, iterate, m, weight),
+        residuals_px=_unsorted(data, residuals / data.inv_sigma),
+        inlier_weight=_unsorted(data, weight),
+        noise=_noise(tracks, scales, data),
+        solver=SolverOutcome("", 0, 0.0, False, reduced_chi2(data, s, solver.dynamics_cost(held, x))),
+        warnings=tuple(warnings),
+    )
+
+
+def _state_covariances(
+    iterate: Iterate, m: Marginals, derivative: AxesDerivative, determined: Determined, w_P: Array
+) -> tuple[Array, Array]:
+    covariance, joint = state_covariances(iterate, m, derivative)
+    frames = range(iterate.n_frames)
+    jacobians = np.stack([np.hstack(state_jacobian(iterate, k, derivative)) for k in frames])
+    lost = undetermined_states(determined, jacobians, m.response, w_P)
+    for k in frames:
+        covariance[k] = _with_infinite(covariance[k], lost[k])
+    constants_lost = np.abs(determined.lost).max(axis=1, initial=0.0) > 0.1 * np.array([0.01] * 3 + [0.1] * 5)
+    joint = _with_infinite(joint, np.concatenate([lost[-1], constants_lost[3:], constants_lost[:3]]))
+    return covariance, joint
+
+
+def _with_infinite(covariance: Array, lost: Array) -> Array:
+    out = covariance.copy()
+    out[lost, :] = 0.0
+    out[:, lost] = 0.0
+    out[lost, lost] = np.inf
+    return out
+
+
+def _mass(
+    iterate: Iterate, m: Marginals, derivative: AxesDerivative, known: Identifiability
+) -> MassProperties:
+    n = 12 * iterate.n_frames
+    cov_com, cov_J = m.dense[n : n + 3, n : n + 3], m.dense[n + 3 :, n + 3 :]
+    moments, R_GP = derivative.moments, derivative.R_GP
+    com_lost = np.abs(R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
+    return MassProperties(
+        J_G=R_GP @ np.diag(moments) @ R_GP.T,
+        moments=moments,
+        k1=float(np.log(moments[0] / moments[1])),
+        k2=float(np.log(moments[1] / moments[2])),
+        cov_k=_with_infinite(
+            derivative.ratios @ cov_J @ derivative.ratios.T, ~np.array([known.k1, known.k2])
+        ),
+        cov_J=cov_J,
+        R_GP=R_GP,
+        cov_R_GP=_with_infinite(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P),
+        com_G=iterate.com_G,
+        cov_com_G=_with_infinite(cov_com, com_lost),
+        identifiable=known,
+    )
+
+
+def _landmarks(data: MotionData, iterate: Iterate, m: Marginals, weight: Array) -> Landmarks:
+    sigma = np.sqrt(np.trace(m.landmarks, axis1=1, axis2=2) / 3.0)
+    seen = np.bincount(data.landmark[weight >= OUTLIER_WEIGHT], minlength=data.n_landmarks)
+    return Landmarks(iterate.p_G, sigma, seen.astype(np.int64))
+
+
+def _noise(tracks: StereoTracks, scales: NoiseScales, data: MotionData) -> NoiseLevels:
+    stated = np.median(tracks.sigma_px, axis=0)
+    return NoiseLevels(
+        float(scales.uv * 0.5 * (stated[0] + stated[1])),
+        float(scales.disparity * stated[2]),
+        data.accel_psd,
+        data.torque_psd,
+    )
+
+
+def reduced_chi2(data: MotionData, s: Array, dynamics_cost: float) -> float:
+    """Sum of squares of the inliers and the dynamics over the degrees of freedom."""
+    inlier = robust_weight(s, data.robust_scale) >= OUTLIER_WEIGHT
+    n_frames, n_landmarks = data.n_frames, data.n_landmarks
+    # six numbers of the frame G are free of charge
+    freedom = 3 * int(inlier.sum()) + 12 * (n_frames - 1) + 6 - 12 * n_frames - 8 - 3 * n_landmarks
+    return float((s[inlier].sum() + 2.0 * dynamics_cost) / max(freedom, 1))
+
+
+def _unsorted(data: MotionData, values: Array) -> Array:
+    out = np.empty_like(values)
+    out[data.order] = values
+    return out
+
+
+def _warnings(
+    tracks: StereoTracks,
+    weight: Array,
+    data: MotionData,
+    known: Identifiability,
+    initial: InitialMotion,
+    at: Iterate,
+) -> list[str]:
+    out = []
+    lost = [name for name, text in known.detail.items() if text.startswith("not")]
+    if lost:
+        out.append(f"the motion does not determine: {', '.join(lost)}")
+    outliers = float(np.mean(weight < OUTLIER_WEIGHT))
+    if outliers > 0.2:
+        out.append(f"{outliers:.0%} of the observations contradict the motion and were given no weight")
+    empty = np.setdiff1d(np.arange(tracks.n_frames), tracks.frame)
+    if len(empty):
+        out.append(f"{len(empty)} frames without measurements were bridged by the dynamics")
+    loose = int(np.sum(~initial.connected)) - len(empty)
+    if loose > 0:
+        out.append(f"{loose} frames could not be connected at first and started from interpolated poses")
+    turn = np.rad2deg(np.linalg.norm(at.w_G[:-1], axis=1) * data.dt_s).max()
+    if turn > 150.0:
+        out.append(f"up to {turn:.0f} degrees between frames: near half a turn the rate is ambiguous")
+    return out

@@ -1,0 +1,169 @@
+"""How far an estimate is from the truth (CONTRACT.md, ``metrics.json``): estimate minus truth.
+
+A half-turn about a principal axis changes the names of the axes, not the answer: the best of the four is
+taken. Nothing else is aligned, except where a metric's definition says so.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.errors import InputError
+from polhode.lie import Array, log_so3
+from polhode.records import Ints, Truth
+from polhode.rigid_body import propagate
+
+HALF_TURNS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+"""Diagonals of the four rotations that keep the principal axes: none, and half-turns about x, y, z."""
+HALF_TURN_NAMES = ("none", "x", "y", "z")
+_SAME_INSTANT_NS = 1_000
+
+
+@dataclass(frozen=True)
+class States:
+    """States of the target at F instants."""
+
+    timestamps_ns: Ints
+    r_N: Array
+    """(F, 3) [m]"""
+    v_N: Array
+    """(F, 3) [m/s]"""
+    R_NP: Array
+    """(F, 3, 3)"""
+    w_P: Array
+    """(F, 3) [rad/s]"""
+
+    @property
+    def w_N(self) -> Array:
+        """(F, 3) angular velocity along N [rad/s]."""
+        return np.asarray((self.R_NP @ self.w_P[..., None])[..., 0])
+
+
+def truth_at(truth: Truth, timestamps_ns: Ints) -> States:
+    """The truth at (F,) instants: its own row within 1 us, else carried on from the last row before.
+
+    Between rows the target moves as a free rigid body of the true inertia, so coarse rows do no harm.
+    Raises InputError when an instant lies outside the truth.
+    """
+    own = truth.timestamps_ns
+    if timestamps_ns[0] < own[0] - _SAME_INSTANT_NS or timestamps_ns[-1] > own[-1] + _SAME_INSTANT_NS:
+        raise InputError("the truth (target0/data.csv) does not cover the run: is this its sequence?")
+    right = np.clip(np.searchsorted(own, timestamps_ns), 0, len(own) - 1)
+    left = np.maximum(right - 1, 0)
+    closer = np.abs(own[left] - timestamps_ns) < np.abs(own[right] - timestamps_ns)
+    nearest = np.where(closer, left, right)
+    row = np.where(np.abs(own[nearest] - timestamps_ns) <= _SAME_INSTANT_NS, nearest, left)
+    gap_s = (timestamps_ns - own[row]) * 1e-9
+    r_N, v_N, R_NP, w_P = (a[row].copy() for a in (truth.r_N, truth.v_N, truth.R_NP, truth.w_P))
+    J_P = np.diag(truth.moments / truth.moments[1])
+    for k in np.flatnonzero(np.abs(gap_s) > _SAME_INSTANT_NS * 1e-9):
+        r, v, R, w = propagate([0.0, gap_s[k]], r_N[k], v_N[k], R_NP[k], w_P[k], J_P, rtol=1e-10)
+        r_N[k], v_N[k], R_NP[k], w_P[k] = r[-1], v[-1], R[-1], w[-1]
+    return States(timestamps_ns, r_N, v_N, R_NP, w_P)
+
+
+def best_half_turn(R_NP: Array, R_NP_true: Array) -> int:
+    """Index into HALF_TURNS of S for which R_NP diag(S) is nearest to the truth, over all frames (F, 3, 3)."""
+    between = np.swapaxes(R_NP, -1, -2) @ R_NP_true
+    agreement = np.einsum("sk,fkk->s", HALF_TURNS, between)
+    return int(np.argmax(agreement))
+
+
+def turned(states: States, half_turn: int) -> States:
+    """The same motion with the principal axes named otherwise."""
+    s = HALF_TURNS[half_turn]
+    return States(states.timestamps_ns, states.r_N, states.v_N, states.R_NP * s, states.w_P * s)
+
+
+def mean_rotation(R: Array) -> Array:
+    """Chordal mean of rotations (F, 3, 3) -> (3, 3)."""
+    U, _, Vt = np.linalg.svd(np.mean(R, axis=0))
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+
+
+def constant_body_rotation(states: States, truth: States) -> Array:
+    """R_PP* (3, 3) for which R_NP R_PP* fits the true attitude best: the error of the principal axes."""
+    return mean_rotation(np.swapaxes(states.R_NP, -1, -2) @ truth.R_NP)
+
+
+def angle_deg(R: Array) -> Array:
+    """Angle of rotations (..., 3, 3) -> (...) [deg]."""
+    return np.asarray(np.rad2deg(np.linalg.norm(log_so3(R), axis=-1)))
+
+
+def rms(errors: Array) -> float:
+    """Root mean square length of vectors (F, 3)."""
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
+
+
+@dataclass(frozen=True)
+class MotionErrors:
+    """Errors of the states over all frames; see CONTRACT.md."""
+
+    rmse_position_m: float
+    rmse_velocity_m_s: float
+    rmse_angular_velocity_deg_s: float
+    attitude_median_deg: float
+    attitude_max_deg: float
+    principal_axes_error_deg: float
+    error_com_mm: float
+    half_turn: int
+
+
+def motion_errors(estimate: States, truth: States) -> MotionErrors:
+    """Compare states at the same F instants."""
+    half_turn = best_half_turn(estimate.R_NP, truth.R_NP)
+    states = turned(estimate, half_turn)
+    R_fit = constant_body_rotation(states, truth)
+    attitude_deg = angle_deg(np.swapaxes(states.R_NP @ R_fit, -1, -2) @ truth.R_NP)
+    offset_P = (np.swapaxes(truth.R_NP, -1, -2) @ (states.r_N - truth.r_N)[..., None])[..., 0]
+    return MotionErrors(
+        rmse_position_m=rms(states.r_N - truth.r_N),
+        rmse_velocity_m_s=rms(states.v_N - truth.v_N),
+        rmse_angular_velocity_deg_s=float(np.rad2deg(rms(states.w_N - truth.w_N))),
+        attitude_median_deg=float(np.median(attitude_deg)),
+        attitude_max_deg=float(attitude_deg.max()),
+        principal_axes_error_deg=float(angle_deg(R_fit)),
+        error_com_mm=float(1e3 * np.linalg.norm(offset_P.mean(axis=0))),
+        half_turn=half_turn,
+    )
+
+
+def nees(errors: Array, covariance: Array) -> float | None:
+    """Mean normalised squared error of errors (F, n) with covariances (F, n, n); expected: n.
+
+    None when a component is undetermined (not finite) or the covariance is singular.
+    """
+    if not (np.isfinite(covariance).all() and np.isfinite(errors).all()):
+        return None
+    # Metres and radians differ by orders of magnitude: scale before inverting.
+    scale = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    if not (scale > 0.0).all():
+        return None
+    correlation = covariance / scale[..., :, None] / scale[..., None, :]
+    whitened = errors / scale
+    try:
+        solved = np.linalg.solve(correlation, whitened[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        return None
+    return float(np.mean(np.sum(whitened * solved, axis=-1)))
+
+
+def state_nees(estimate: States, truth: States, covariance: Array, half_turn: int) -> dict[str, float | None]:
+    """NEES of position, velocity, attitude (the half-turn resolved, nothing fitted) and angular velocity.
+
+    covariance (F, 12, 12) in the order r (N), v (N), theta (P), w (P), of the estimate's own axes.
+    """
+    # The truth is turned to the estimate's axes, because its covariance is stated in those.
+    same_axes = turned(truth, half_turn)
+    theta = log_so3(np.swapaxes(estimate.R_NP, -1, -2) @ same_axes.R_NP)
+    errors = {
+        "position": estimate.r_N - truth.r_N,
+        "velocity": estimate.v_N - truth.v_N,
+        "attitude": -theta,
+        "angular_velocity": estimate.w_P - same_axes.w_P,
+    }
+    return {
+        name: nees(error, covariance[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3])
+        for i, (name, error) in enumerate(errors.items())
+    }
