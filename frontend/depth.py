@@ -47,8 +47,8 @@ def compute_depth(
 ) -> DepthMap:
     """Depth map in the rectified left camera.
 
-    left, right (H, W) rectified; mask (H, W) true on the target in the left image; disparity_range_px the least
-    and the largest disparity of the target where sparse features tell (a margin is added), else searched for.
+    left, right (H, W) rectified; mask (H, W) true on the target in the left image; disparity_range_px the
+    least and the largest disparity of the target where sparse features tell (a margin is added), else found.
     Depth and sigma are NaN where the target is unlit, hidden from one camera or not certain.
     """
     shape = left.shape
@@ -74,10 +74,13 @@ def compute_depth(
 
 
 def find_disparity_range(left: Image, right: Image, mask: Bools, config: Depth) -> tuple[float, float] | None:
-    """Least and largest disparity of the target [px], from images of a quarter of the size; None if unclear."""
+    """Least and largest disparity of the target [px], from images of a quarter of the size, or None."""
     scale = 4 if min(left.shape) >= 200 else 2
     size = (left.shape[1] // scale, left.shape[0] // scale)
-    small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (left, right)]
+    small = [
+        np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        for image in (left, right)
+    ]
     inside = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     share = config.max_disparity_share * left.shape[1] / scale
     coarse = _crop(small[0], small[1], inside, (0.0, share), config)
@@ -122,7 +125,7 @@ def _matched(crop: _Crop, config: Depth) -> Floats:
     """Semi-global disparities of the target (h, w) [px] after the left-right check, NaN where none."""
     n = crop.search_px
     block = config.block_px
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=n,
         blockSize=block,
@@ -137,7 +140,7 @@ def _matched(crop: _Crop, config: Depth) -> Floats:
     # The right image's disparities come from the mirrored pair.
     mirrored = matcher.compute(crop.right[:, ::-1].copy(), crop.left[:, ::-1].copy())
     right = mirrored[:, ::-1].astype(np.float32) / 16.0
-    h, w = crop.target.shape
+    w = crop.target.shape[1]
     left = left[:, n : n + w]
     columns = np.clip(np.arange(w)[None, :] + n - np.round(left).astype(np.int64), 0, right.shape[1] - 1)
     back = np.take_along_axis(right, columns, axis=1)

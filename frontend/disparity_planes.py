@@ -46,7 +46,7 @@ def _best_plane(
     usable = share > _LEAST_SHARE
     score = np.where(usable, scatter, np.inf)
     best, best_value, best_variance = score.copy(), value.copy(), variance.copy()
-    r = max(1, int(round(0.7 * radius_px)))
+    r = max(1, round(0.7 * radius_px))
     for dv in (-r, 0, r):
         for du in (-r, 0, r):
             if du == dv == 0:
@@ -64,7 +64,7 @@ def _best_plane(
 def _plane_per_window(
     d: Doubles, weight: Doubles, u: Doubles, v: Doubles, radius_px: int, correlated_px2: float
 ) -> tuple[Doubles, Doubles, Doubles, Doubles, Doubles, Doubles]:
-    """Slopes a, b, value at the centre, mean squared scatter, variance of the value, filled share; (h, w) each."""
+    """Slopes a, b, value at the centre, mean squared scatter, the value's variance, filled share; (h, w)."""
     size = 2 * radius_px + 1
 
     def total(image: Doubles) -> Doubles:

@@ -16,7 +16,7 @@ _LARGEST_STEP_PX = 0.5
 def refine_disparity(
     left: Image, right: Image, disparity: Floats, margin_px: int, window_px: int
 ) -> tuple[Floats, Floats]:
-    """One step. left, right (h, w + 2 margin) with the target in columns margin..margin + w; disparity (h, w) [px].
+    """One step. left, right (h, w + 2 margin), target in columns margin..margin + w; disparity (h, w) [px].
 
     Returns disparity and sigma (h, w) [px]; NaN where the input is NaN.
     """
@@ -27,9 +27,9 @@ def refine_disparity(
     u = np.arange(w, dtype=np.float32)[None, :] + margin_px - filled
     v = np.broadcast_to(np.arange(h, dtype=np.float32)[:, None], (h, w)).copy()
     other = right.astype(np.float32)
-    warped = cv2.remap(other, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    warped = _sample(other, u, v, cv2.INTER_CUBIC)
     slope = _slope(other)
-    slope_right = cv2.remap(slope, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    slope_right = _sample(slope, u, v, cv2.INTER_LINEAR)
     slope_left = _slope(left.astype(np.float32))[:, margin_px : margin_px + w]
     gradient = 0.5 * (slope_left + slope_right)
 
@@ -38,7 +38,7 @@ def refine_disparity(
     safe = np.maximum(count, 1e-6)
 
     def mean(image: Floats) -> Floats:
-        return _mean(weight * image, window_px) / safe
+        return np.asarray(_mean(weight * image, window_px) / safe, dtype=np.float32)
 
     m_left, m_warped, m_gradient = mean(reference), mean(warped), mean(gradient)
     var_left = mean(reference * reference) - m_left * m_left
@@ -67,11 +67,19 @@ def refine_disparity(
     )
 
 
+def _sample(image: Floats, u: Floats, v: Floats, interpolation: int) -> Floats:
+    """Values at sub-pixel places."""
+    sampled = cv2.remap(image, u, v, interpolation, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled, dtype=np.float32)
+
+
 def _slope(image: Floats) -> Floats:
     """Derivative along the row [1/px]: central differences."""
-    return np.asarray(cv2.filter2D(image, cv2.CV_32F, np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)))
+    kernel = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
+    return np.asarray(cv2.filter2D(image, cv2.CV_32F, kernel), dtype=np.float32)
 
 
 def _mean(image: Floats, window_px: int) -> Floats:
     """Mean over a square window; what is outside counts as 0."""
-    return np.asarray(cv2.blur(image, (window_px, window_px), borderType=cv2.BORDER_CONSTANT))
+    blurred = cv2.blur(image, (window_px, window_px), borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(blurred, dtype=np.float32)

@@ -29,8 +29,8 @@ def fuse(
 ) -> SurfaceModel:
     """Fuse depth maps into a mesh in G.
 
-    frames: pairs of a DepthMap and X_RG (4, 4), the target's pose in the rectified left camera; read once, one
-    at a time. Depth or poses with NaN are left out. n_frames: how many are coming, for the progress bar.
+    frames: pairs of a DepthMap and X_RG (4, 4), the target's pose in the rectified left camera; read once,
+    one at a time. Depth or poses with NaN are left out. n_frames: how many are coming, for the progress bar.
     Returns an empty mesh when nothing was seen often enough.
     """
     stream = iter(frames)
@@ -61,7 +61,7 @@ def _stepping(frames: Iterable[Frame], advance: object) -> Iterator[Frame]:
 
 
 def choose_voxel_m(frames: list[DepthMap], rig: RectifiedRig, config: Mapping) -> float:
-    """Edge of a voxel [m]: the median footprint of a pixel, larger where the field would not fit in memory."""
+    """Edge of a voxel [m]: the median footprint of a pixel; larger where the field would fill the memory."""
     if config.voxel_mm is not None:
         return config.voxel_mm * 1e-3
     depths = [frame.depth_m[np.isfinite(frame.depth_m)] for frame in frames]

@@ -75,7 +75,7 @@ def frame_tensors(frame: DepthMap, rig: RectifiedRig, device: torch.device) -> F
 
 
 def _cosine_of_incidence(depth: Tensor, seen: Tensor, rig: RectifiedRig, u0: int, v0: int) -> Tensor:
-    """Cosine between ray and normal from the slope of a smoothed inverse depth (planes stay planes), (h, w)."""
+    """Cosine between ray and normal (h, w), from the slope of smoothed inverse depth (planes stay planes)."""
     inverse = torch.where(seen, 1.0 / depth.clamp_min(1e-6), 0.0)
     filled = seen.to(torch.float32)
 
@@ -126,7 +126,8 @@ def _blocks_near_surface(
         p_G = (ray * (z + float(offset))[:, None]) @ X_GR[:3, :3].T + X_GR[:3, 3]
         voxel = torch.round(p_G / voxel_m).to(torch.int64)
         found.append(pack_keys(torch.div(voxel, EDGE, rounding_mode="floor")).unique())
-    return torch.cat(found).unique()
+    keys: Tensor = torch.cat(found).unique()
+    return keys
 
 
 def _blocks_in_sight(

@@ -4,7 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from trimesh.visual import ColorVisuals
 
+from polhode.errors import InputError
 from polhode.records import SurfaceModel
 
 _VERTEX = np.dtype(
@@ -31,8 +33,9 @@ def write_ply(surface: SurfaceModel, path: Path) -> None:
     if len(vertices):
         for axis, name in enumerate("xyz"):
             vertices[name] = mesh.vertices[:, axis]
+        colours = mesh.visual.vertex_colors if isinstance(mesh.visual, ColorVisuals) else np.full((1, 4), 128)
         for channel, name in enumerate(("red", "green", "blue", "alpha")):
-            vertices[name] = mesh.visual.vertex_colors[:, channel]
+            vertices[name] = np.asarray(colours)[:, channel]
         vertices["sigma_m"], vertices["views"] = surface.sigma_m, surface.views
     faces = np.zeros(len(mesh.faces), dtype=_FACE)
     faces["count"], faces["index"] = 3, mesh.faces
@@ -52,8 +55,10 @@ def _header(n_vertices: int, n_faces: int) -> bytes:
 
 
 def read_ply(path: Path) -> SurfaceModel:
-    """The surface that ``write_ply`` wrote (float32 precision)."""
-    mesh = trimesh.load(path, process=False, force="mesh")
+    """The surface that ``write_ply`` wrote (float32 precision). Raises InputError for anything else."""
+    mesh = trimesh.load_mesh(path, process=False)
+    if not isinstance(mesh, trimesh.Trimesh):
+        raise InputError(f"{path}: not one triangle mesh; run 'polhode run' again")
     raw = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
     n = len(mesh.vertices)
     if raw is None or n == 0:
@@ -67,4 +72,6 @@ def read_ply(path: Path) -> SurfaceModel:
 
 def write_glb(surface: SurfaceModel, path: Path) -> None:
     """Binary glTF 2.0 with vertex colours and normals, in G [m]."""
-    path.write_bytes(surface.mesh.export(file_type="glb", include_normals=True))
+    content = surface.mesh.export(file_type="glb", include_normals=True)
+    assert isinstance(content, bytes)
+    path.write_bytes(content)

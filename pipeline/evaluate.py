@@ -65,8 +65,8 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     covariance = read_covariance(run_folder)
     truth = read_truth(sequence_folder)
     true_states = truth_at(truth, estimate.timestamps_ns)
-    X_NG = _target_poses(estimate, np.array(summary.R_GP), np.array(summary.com_G))
-    X_NG_true = _target_poses(true_states, truth.R_GP, truth.com_G)
+    X_NG = target_poses(estimate, np.array(summary.R_GP), np.array(summary.com_G))
+    X_NG_true = target_poses(true_states, truth.R_GP, truth.com_G)
     config = load_config(run_folder / "config.yaml")
     metrics = _motion_metrics(estimate, true_states, covariance)
     metrics["error_k1"] = summary.inertia.k1 - truth.k1
@@ -78,7 +78,7 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     return metrics
 
 
-def _target_poses(states: States, R_GP: Array, com_G: Array) -> Array:
+def target_poses(states: States, R_GP: Array, com_G: Array) -> Array:
     """X_NG (F, 4, 4) from the states of the principal frame: p_N = r_N + R_NP R_GP^T (p_G - com_G)."""
     R_NG = states.R_NP @ R_GP.T
     return make_pose(R_NG, states.r_N - R_NG @ com_G)
@@ -143,7 +143,7 @@ def _differences(function: Any, x: Array, step: float = 1e-6) -> Array:
 
 
 def moments_by_parameters(J: Array, form: InertiaForm) -> Array:
-    """Derivative (3, 5) of the sorted principal moments (middle one 1) by the solver's parameters, at J (3, 3)."""
+    """Derivative (3, 5) of the sorted moments (middle one 1) by the solver's parameters, at J (3, 3)."""
     xi, R_ref = form.coordinates(_second_moments(J))
 
     def moments(x: Array) -> Array:

@@ -29,7 +29,7 @@ def seen_and_lit(
 ) -> Bools:
     """(n,) true where a point of the true surface was seen and lit.
 
-    mesh, p_G (n, 3), normal_G (n, 3) in the true G [m]; X_NG (F, 4, 4) true poses at the pairs of the sequence.
+    mesh, p_G (n, 3), normal_G (n, 3) in the true G [m]; X_NG (F, 4, 4) true poses at the sequence's pairs.
     At most 60 frames, evenly spread, are looked at.
     """
     caster = RayMeshIntersector(mesh, scale_to_box=False)

@@ -55,7 +55,7 @@ class Prediction:
     w_P: Array
     """(T, 3) [rad/s]"""
     covariance: Array
-    """(T, 12, 12) r (N), v (N), theta (P) in R_NP Exp(theta), w (P); ``inf`` on the diagonal where undetermined"""
+    """(T, 12, 12) r (N), v (N), theta (P), w (P); ``inf`` on the diagonal where undetermined"""
 
 
 def predict(last: LastState, time_s: ArrayLike, accel_psd: float, torque_psd: float) -> Prediction:

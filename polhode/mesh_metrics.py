@@ -1,4 +1,4 @@
-"""How far two surfaces are apart: accuracy, completion, chamfer, Hausdorff (CONTRACT.md, ``metrics.json``)."""
+"""How far two surfaces are apart: accuracy, completion, chamfer, Hausdorff (CONTRACT.md, "metrics")."""
 
 from dataclasses import dataclass
 

@@ -63,7 +63,7 @@ def truth_at(truth: Truth, timestamps_ns: Ints) -> States:
 
 
 def best_half_turn(R_NP: Array, R_NP_true: Array) -> int:
-    """Index into HALF_TURNS of S for which R_NP diag(S) is nearest to the truth, over all frames (F, 3, 3)."""
+    """Index into HALF_TURNS of the S that brings R_NP diag(S) nearest to the truth, over frames (F, 3, 3)."""
     between = np.swapaxes(R_NP, -1, -2) @ R_NP_true
     agreement = np.einsum("sk,fkk->s", HALF_TURNS, between)
     return int(np.argmax(agreement))
