@@ -54,7 +54,7 @@ class Residuals:
 
 
 def undetermined_as_inf(covariance: Array) -> Array:
-    """A covariance (..., n, n) without NaN: undetermined rows and columns are 0 but for ``inf`` on the diagonal."""
+    """A covariance (..., n, n) without NaN: undetermined rows and columns are 0, their diagonal ``inf``."""
     diagonal = np.diagonal(covariance, axis1=-2, axis2=-1)
     unknown = ~np.isfinite(diagonal) | (diagonal < 0.0)
     out = np.where(unknown[..., :, None] | unknown[..., None, :], 0.0, covariance)
@@ -64,7 +64,7 @@ def undetermined_as_inf(covariance: Array) -> Array:
 
 
 def write_covariance(estimate: MotionEstimate, path: Path) -> None:
-    """Keys: timestamps_ns, covariance (F, 12, 12), last_joint (20, 20), order (12,), last_joint_order (20,)."""
+    """Keys: timestamps_ns, covariance (F, 12, 12), last_joint (20, 20), order (12), last_joint_order (20)."""
     _save(
         path,
         {

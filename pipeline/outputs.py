@@ -1,4 +1,4 @@
-"""The run directory: every file that a run leaves, its writer and its reader (CONTRACT.md, "A run directory").
+"""The run directory: every file that a run leaves, its writer and its reader (docs/run_directory.md).
 
 ``write_run`` writes them all; a run that may fail calls the writer of each stage as the stage ends, so that
 what was found is written. Bytes of every file but summary.json (timings), log.txt and report.html depend on
@@ -109,7 +109,7 @@ def write_pictures(folder: Path, pictures: Mapping[str, bytes]) -> None:
 
 
 def finish_run(folder: Path, summary: Summary) -> Summary:
-    """Write summary.json and report.html; the time that the report took enters the timings. Returns the summary."""
+    """Write summary.json and report.html; the timings then hold the report too. Returns the summary."""
     write_summary(summary, folder / "summary.json")
     start = perf_counter()
     write_report(folder)

@@ -79,7 +79,7 @@ class RunFolder:
                 _log.error("the run failed: %s", error, exc_info=error)
                 record_failure(folder, _one_line(error))
         finally:
-            # Whatever broke the run may break its report too: the files that stand are published all the same.
+            # Whatever broke the run may break its report too: the files that stand are published even so.
             self._close_log()
             self._publish(folder)
 

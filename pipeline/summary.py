@@ -162,6 +162,9 @@ def build_summary(
     if failure is not None or estimate is None:
         status = "failed"
     own = estimate.warnings if estimate is not None else ()
+    # The back end words the same alarm more precisely: its words stand, ours would repeat it.
+    told = [word for word in ("converge", "determine") if any(word in text for text in own)]
+    reasons = [reason for reason in reasons if not any(word in reason for word in told)]
     texts = [*([failure] if failure else []), *reasons, *own, *warnings]
     times = {stage: float(timing_s.get(stage, 0.0)) for stage in STAGES}
     times["total"] = times["total"] or sum(times.values())
@@ -185,7 +188,7 @@ def build_summary(
 def degradations(
     tracks: StereoTracks | None, estimate: MotionEstimate, surface: SurfaceModel | None
 ) -> tuple[str, ...]:
-    """Why an estimate must be read with care, in words: part of the answer is missing or not to be trusted."""
+    """Why an estimate must be read with care: a part of the answer is missing or not to be trusted."""
     known = estimate.mass.identifiable
     unknown = [name for name in ("k1", "k2", "com", "axes") if not getattr(known, name)]
     reasons = []
@@ -203,7 +206,7 @@ def degradations(
 
 
 def write_summary(summary: Summary, path: Path) -> None:
-    """Write summary.json, validated once more (pydantic.ValidationError: a copy was updated with a wrong value)."""
+    """Write summary.json, validated once more (pydantic.ValidationError if a copy got a wrong value)."""
     content = summary.model_dump(mode="json", by_alias=True)
     Summary.model_validate(content)
     text = json.dumps(content, indent=2, allow_nan=False)

@@ -61,7 +61,7 @@ class Trajectory:
 
 
 def standard_deviations(covariance: Array) -> Array:
-    """Square roots of the diagonals (..., n, n) -> (..., n); ``inf`` where undetermined (not finite or negative)."""
+    """Roots of the diagonals (..., n, n) -> (..., n); ``inf`` where undetermined: not finite or negative."""
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)
     known = np.isfinite(variance) & (variance >= 0.0)
     return np.where(known, np.sqrt(np.where(known, variance, 0.0)), np.inf)

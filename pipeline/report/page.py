@@ -53,7 +53,6 @@ def render(content: Content) -> str:
         finding=words.finding(summary, motion.trajectory if motion else None),
         summary=summary,
         inertia_rows=words.inertia_rows(summary),
-        reasons=words.reasons(summary),
         motion_rows=words.motion_rows(motion),
         run_rows=words.run_rows(content),
         timing_rows=words.timing_rows(summary),
@@ -89,8 +88,9 @@ def _figure_json(figure: Figure) -> Markup:
 
 @cache
 def _plotly_js() -> Markup:
-    """The library, with the addresses in its own links (maps, its logo) written so that no scanner takes them for
-    something that this page loads; to JavaScript the strings are the same."""
+    """The library; the addresses in its own links (maps, its logo) are respelt so that no scanner takes them
+    for something that this page loads. To JavaScript the strings are the same.
+    """
     return Markup(re.sub(r"((?:src|href)\s*=\s*.?https?:)//", r"\1\\u002f\\u002f", get_plotlyjs()))
 
 

@@ -71,12 +71,24 @@ def line(x: ArrayLike, y: ArrayLike, name: str, color: str, panel: int = 1, **mo
 def band(x: ArrayLike, y: ArrayLike, half: ArrayLike, color: str, panel: int = 1, **more: Any) -> list[Trace]:
     """The strip y - half .. y + half; nothing where half is not finite."""
     y, half = np.asarray(y, dtype=np.float64), np.asarray(half, dtype=np.float64)
-    if not np.any(np.isfinite(half)):
-        return []
-    edge = {"type": "scatter", "mode": "lines", "x": packed(x), "line": {"width": 0}, "hoverinfo": "skip"}
-    style = {"showlegend": False, **on(panel), **more}
-    fill = {"fill": "tonexty", "fillcolor": translucent(color, 0.22)}
-    return [edge | style | {"y": packed(y - half)}, edge | style | fill | {"y": packed(y + half)}]
+    x, known = np.asarray(x, dtype=np.float64), np.isfinite(half)
+    # A fill across a gap goes astray: each stretch without gaps is an outline of its own.
+    stretches = np.split(np.arange(len(x)), np.flatnonzero(np.diff(known)) + 1)
+    outlines = []
+    for stretch in stretches:
+        if len(stretch) and known[stretch[0]]:
+            there, back = stretch, stretch[::-1]
+            edge_x = np.concatenate([x[there], x[back]])
+            outlines.append((edge_x, np.concatenate([(y + half)[there], (y - half)[back]])))
+    style = {
+        "type": "scatter",
+        "mode": "lines",
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+        "showlegend": False,
+    }
+    fill = {"fill": "toself", "fillcolor": translucent(color, 0.22)}
+    return [{**style, **fill, "x": packed(a), "y": packed(b), **on(panel), **more} for a, b in outlines]
 
 
 def on(panel: int) -> dict[str, str]:
@@ -98,6 +110,7 @@ def axis(title: str = "", **more: Any) -> Layout:
         "tickcolor": "#c3ccd4",
         "automargin": True,
         "exponentformat": "power",
+        "minexponent": 5,
         **more,
     }
 
@@ -154,7 +167,7 @@ def note(text: str, x: float, y: float, **more: Any) -> Layout:
 
 
 def gap_shapes(time_s: Array, seen: Bools, columns: int = 1) -> list[Layout]:
-    """Grey strips over the frames without measurements, neighbours joined, in the first panels (columns) of a row."""
+    """Grey strips over the frames without measurements, neighbours joined, in the columns of a figure."""
     bridged = np.flatnonzero(~seen)
     if len(bridged) == 0 or len(time_s) < 2:
         return []
@@ -179,6 +192,12 @@ def gap_shapes(time_s: Array, seen: Bools, columns: int = 1) -> list[Layout]:
     ]
 
 
+def color_bar(title: str) -> Layout:
+    """A colour scale over the right edge of a scene."""
+    where = {"x": 1.0, "xanchor": "right", "y": 0.52, "len": 0.62, "thickness": 11}
+    return {"title": {"text": title, "side": "top", "font": {"size": 12}}, "outlinewidth": 0, **where}
+
+
 def scene(unit: str, names: Sequence[str] = ("x", "y", "z"), **more: Any) -> Layout:
     """Three axes of equal scale."""
     look = {"backgroundcolor": "#fafbfc", "gridcolor": "#dde3e8", "showbackground": True, "zeroline": False}
@@ -186,7 +205,12 @@ def scene(unit: str, names: Sequence[str] = ("x", "y", "z"), **more: Any) -> Lay
         f"{k}axis": {"title": {"text": f"{name} [{unit}]"}, **look}
         for k, name in zip("xyz", names, strict=True)
     }
-    return {**axes, "aspectmode": "data", "camera": {"eye": {"x": 1.45, "y": -1.55, "z": 0.95}}, **more}
+    return {
+        **axes,
+        "aspectmode": "data",
+        "camera": {"eye": {"x": 1.4, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}},
+        **more,
+    }
 
 
 def axis_arrows(origin: Array, R: Array, length: float, names: Sequence[str]) -> list[Trace]:

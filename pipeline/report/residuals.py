@@ -26,7 +26,7 @@ INLIER_WEIGHT = 0.5
 
 
 def measurement_figures(content: Content) -> list[Figure]:
-    """Histogram and history of the residuals, observations per frame, landmarks over time: those that exist."""
+    """Residuals (histogram, history), observations per frame, landmarks over time: those that exist."""
     if content.tracks is None or len(content.tracks.frame) == 0:
         return []
     figures = []
@@ -77,8 +77,10 @@ def _histogram(content: Content, tracks: StereoTracks, residuals: Residuals) -> 
     return Figure(
         "residual-histogram",
         "Residuals against their noise",
-        "Measured minus predicted, over the standard deviation that the estimate assumed; dotted: the Gaussian that "
-        f"they should follow.{chi2} {100 * outliers:.1f} % of the measurements have less than half their weight in "
+        "Measured minus predicted, over the standard deviation that the estimate assumed; "
+        "dotted: the Gaussian that "
+        f"they should follow.{chi2} {100 * outliers:.1f} % of the measurements have less than "
+        "half their weight in "
         f"the robust kernel; {100 * beyond:.1f} % lie outside the drawing.",
         data,
         figure,
@@ -116,8 +118,8 @@ def _observations(tracks: StereoTracks) -> Figure:
         "time since the first frame [s]",
         showlegend=False,
     )
-    figure["xaxis"] |= {"domain": [0, 0.56]}
-    figure["xaxis2"] = axis("observations of a landmark", domain=[0.66, 1], anchor="y2")
+    figure["xaxis"] |= {"domain": [0, 0.52]}
+    figure["xaxis2"] = axis("observations of a landmark", domain=[0.69, 1], anchor="y2")
     figure["yaxis2"] = axis("landmarks", anchor="x2")
     bars = {"type": "bar", "marker": {"color": ACCENT}, "width": 0.8 * _spacing(tracks)}
     data: list[Trace] = [
@@ -136,7 +138,8 @@ def _observations(tracks: StereoTracks) -> Figure:
         "Observations",
         f"Left: stereo measurements per frame (median {np.median(count):.0f}"
         + (f"; {unseen} without any, bridged by the dynamics" if unseen else "")
-        + f"). Right: how often each of the {tracks.n_landmarks} landmarks was seen (median {np.median(length):.0f}).",
+        + f"). Right: how often each of the {tracks.n_landmarks} landmarks was seen (median "
+        f"{np.median(length):.0f}).",
         data,
         figure,
         height_px=380,
@@ -171,8 +174,10 @@ def _landmarks_over_time(tracks: StereoTracks) -> Figure:
     return Figure(
         "landmarks-over-time",
         "Landmarks over time",
-        "Each row is a landmark (or a few), each dark cell a frame that saw it. Rows that go dark again after a gap "
-        "are landmarks recognised when the body had turned around: this loop closure is what fixes the inertia.",
+        "Each row is a landmark (or a few), each dark cell a frame that saw it. Rows that go "
+        "dark again after a gap "
+        "are landmarks recognised when the body had turned around: this loop closure is what "
+        "fixes the inertia.",
         data,
         figure,
         height_px=380,

@@ -14,6 +14,7 @@ from pipeline.report.plot import (
     Trace,
     axis,
     band,
+    color_bar,
     layout,
     line,
     note,
@@ -97,7 +98,7 @@ def _polhode(motion: Motion) -> Figure:
                 "size": 3.5,
                 "color": packed(path.time_s),
                 "colorscale": TIME_SCALE,
-                "colorbar": _bar("time [s]"),
+                "colorbar": color_bar("time [s]"),
             },
             "name": "ω at the frames",
         },
@@ -111,13 +112,16 @@ def _polhode(motion: Motion) -> Figure:
     return Figure(
         "polhode",
         "Polhode",
-        "The path of the angular velocity in the principal axes (dots: frames; line: Euler's equation from each "
-        "frame to the next) on the two surfaces that a torque-free body cannot leave: the ellipsoids of constant "
-        "energy (surface) and of constant angular momentum (wires), drawn for the mean of the run. The path lies "
+        "The path of the angular velocity in the principal axes (dots: frames; line: Euler's "
+        "equation from each "
+        "frame to the next) on the two surfaces that a torque-free body cannot leave: the "
+        "ellipsoids of constant "
+        "energy (surface) and of constant angular momentum (wires), drawn for the mean of the "
+        "run. The path lies "
         "where they intersect.",
         data,
         figure,
-        height_px=560,
+        height_px=520,
         wide=False,
     )
 
@@ -209,12 +213,13 @@ def _ratios(content: Content) -> Figure:
     return Figure(
         "inertia-ratios",
         "Inertia ratios",
-        "Where the body lies among all rigid bodies. Beyond the curve the largest moment would exceed the sum of the "
+        "Where the body lies among all rigid bodies. Beyond the curve the largest moment would "
+        "exceed the sum of the "
         f"other two, which no mass distribution can do (triangle inequality). {words}"
         + (" Cross: the truth of the simulation." if truth is not None else ""),
         data,
         figure,
-        height_px=560,
+        height_px=520,
         wide=False,
     )
 
@@ -247,7 +252,8 @@ def _conserved(motion: Motion) -> Figure:
     energy, momentum = rotational_energy(J, path.w_P), np.linalg.norm(h_P, axis=1)
     h_N = angular_momentum_N(J, path.R_NP, path.w_P)
     mean_h = np.mean(h_N, axis=0)
-    cosine = h_N @ mean_h / np.maximum(np.linalg.norm(h_N, axis=1) * np.linalg.norm(mean_h), 1e-300)
+    # The arctangent keeps its digits at small angles, where the arccosine has none.
+    tilt = np.arctan2(np.linalg.norm(np.cross(h_N, mean_h), axis=1), h_N @ mean_h)
     with np.errstate(invalid="ignore", divide="ignore"):
         slope_h = h_P * moments / momentum[:, None]
         relative = (
@@ -263,13 +269,15 @@ def _conserved(motion: Motion) -> Figure:
     for panel, (value, sigma) in enumerate(relative, start=1):
         data += band(path.time_s, value, 3 * sigma, ACCENT, panel)
         data.append(line(path.time_s, value, "", ACCENT, panel))
-    data.append(line(path.time_s, np.rad2deg(np.arccos(np.clip(cosine, -1, 1))), "", ACCENT, 3))
+    data.append(line(path.time_s, np.rad2deg(tilt), "", ACCENT, 3))
     figure["yaxis3"]["rangemode"] = "tozero"
     return Figure(
         "energy-momentum",
         "Energy and angular momentum",
-        "Of the rotation, relative to their mean over the run, with bands of three standard deviations (from the "
-        "angular velocity alone), and the angle between the angular momentum in N and its mean direction. Without "
+        "Of the rotation, relative to their mean over the run, with bands of three standard "
+        "deviations (from the "
+        "angular velocity alone), and the angle between the angular momentum in N and its mean "
+        "direction. Without "
         "a torque all three are constant: a drift beyond the bands speaks of a torque or of a wrong inertia.",
         data,
         figure,
@@ -284,7 +292,3 @@ def _sigma(gradient: Array, covariance: Array) -> Array:
 
 def _xyz(points: Array) -> dict[str, Any]:
     return {name: packed(points[:, k]) for k, name in enumerate("xyz")}
-
-
-def _bar(title: str) -> dict[str, Any]:
-    return {"title": {"text": title, "side": "right"}, "thickness": 12, "len": 0.6}

@@ -14,6 +14,7 @@ from pipeline.report.plot import (
     Figure,
     Trace,
     axis_arrows,
+    color_bar,
     layout,
     packed,
     scene,
@@ -36,7 +37,7 @@ def shape_figures(content: Content) -> list[Figure]:
 
 
 def thinned(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
-    """At most ``max_faces`` triangles by merging the vertices of each cell of a grid (Rossignac, Borrel 1993).
+    """At most ``max_faces`` triangles: the vertices of each cell of a grid merge (Rossignac, Borrel 1993).
 
     Returns vertices (V, 3) in the mesh's unit, faces (T, 3) and, for each new vertex, one old vertex (V,)
     whose colour it takes. The mesh itself when it is small enough.
@@ -83,12 +84,12 @@ def _map(content: Content, landmarks: Landmarks) -> Figure:
             "mode": "markers",
             **{name: packed(p_mm[:, k]) for k, name in enumerate("xyz")},
             "marker": {
-                "size": 2.6,
+                "size": 2.6 if len(p_mm) < 3000 else 1.7,
                 "color": packed(np.where(known, np.minimum(sigma_mm, top), top)),
                 "colorscale": SIGMA_SCALE,
                 "cmin": 0,
                 "cmax": top,
-                "colorbar": {"title": {"text": "σ [mm]", "side": "right"}, "thickness": 12, "len": 0.6},
+                "colorbar": color_bar("σ [mm]"),
             },
             "name": "landmarks",
             "hovertemplate": "(%{x:.1f}, %{y:.1f}, %{z:.1f}) mm<extra></extra>",
@@ -100,12 +101,14 @@ def _map(content: Content, landmarks: Landmarks) -> Figure:
     return Figure(
         "sparse-map",
         "Sparse map",
-        f"The {len(p_mm)} landmarks in the geometric frame G, coloured by their standard deviation (scale ends at "
-        f"the 95th percentile).{median}{unknown} The lines start at the centre of mass and follow the principal axes "
+        f"The {len(p_mm)} landmarks in the geometric frame G, coloured by their standard "
+        "deviation (scale ends at "
+        f"the 95th percentile).{median}{unknown} The lines start at the centre of mass and follow "
+        "the principal axes "
         "x (largest moment), y, z (smallest).",
         data,
         _body_layout(),
-        height_px=560,
+        height_px=520,
         wide=False,
     )
 
@@ -120,7 +123,7 @@ def _mesh(content: Content, mesh: trimesh.Trimesh) -> Figure:
             **{name: packed(p_mm[:, k]) for k, name in enumerate("xyz")},
             **{name: packed(faces[:, k], "i4") for k, name in enumerate("ijk")},
             "vertexcolor": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in rgb.tolist()],
-            "lighting": {"ambient": 0.75, "diffuse": 0.45, "specular": 0.05, "roughness": 0.9},
+            "lighting": {"ambient": 0.9, "diffuse": 0.4, "specular": 0.05, "roughness": 0.9},
             "lightposition": {"x": 1000, "y": -2000, "z": 3000},
             "name": "surface",
             "showlegend": False,
@@ -137,12 +140,14 @@ def _mesh(content: Content, mesh: trimesh.Trimesh) -> Figure:
     return Figure(
         "mesh",
         "Surface",
-        "Fused from the depth maps, with the brightness that the left camera saw; lines: principal axes at the centre "
-        "of mass. Dots: the direction from which the left camera looked at each frame, drawn close to the body (its "
+        "Fused from the depth maps, with the brightness that the left camera saw; lines: "
+        "principal axes at the centre "
+        "of mass. Dots: the direction from which the left camera looked at each frame, drawn "
+        "close to the body (its "
         f"true positions can be switched on in the legend).{thin}",
         data,
         _body_layout(),
-        height_px=560,
+        height_px=520,
         wide=False,
     )
 
@@ -179,10 +184,9 @@ def _cameras(content: Content, p_mm: Array) -> list[Trace]:
     reach = 1.35 * float(np.max(np.linalg.norm(p_mm - com_mm, axis=1)))
     close = com_mm + away / np.maximum(distance, 1e-9) * np.minimum(distance, reach)
     time = packed(content.motion.trajectory.time_s)
-    bar = {"title": {"text": "time [s]", "side": "right"}, "thickness": 12, "len": 0.6}
     marker = {"size": 3, "color": time, "colorscale": TIME_SCALE}
     return [
-        _points(close, "camera direction", marker | {"colorbar": bar}),
+        _points(close, "camera direction", marker | {"colorbar": color_bar("time [s]")}),
         _points(1e3 * positions, "camera position", marker, visible="legendonly"),
     ]
 

@@ -1,5 +1,6 @@
 """The words and numbers of the report: the finding in a sentence, values with their standard deviations."""
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,7 +42,8 @@ def finding(summary: Summary, trajectory: Trajectory | None) -> str:
         return f"No motion was found: {reason.rstrip('.')}."
     rate = float(np.median(np.linalg.norm(trajectory.w_P, axis=1)))
     speed_mm_s = 1e3 * float(np.median(np.linalg.norm(trajectory.v_N, axis=1)))
-    motion = f"The target turns at {rate * 30 / np.pi:.2f} RPM {_about(trajectory.w_P)} and drifts at {speed_mm_s:.1f} mm/s"
+    turns = f"The target turns at {rate * 30 / np.pi:.2f} RPM {_about(trajectory.w_P)}"
+    motion = f"{turns} and drifts at {speed_mm_s:.1f} mm/s"
     inertia, known = summary.inertia, summary.identifiable
     ratios = [
         f"{name} = {with_sigma(value, _root(variance))}"
@@ -76,23 +78,19 @@ def inertia_rows(summary: Summary) -> list[Row]:
     ]
     for k, name in enumerate("xyz"):
         sigma = _diagonal_mm(summary.cov_com_G, k)
-        reason = detail.get("com", "")
-        rows.append(
-            _row(f"centre of mass, G {name}", 1e3 * summary.com_G[k], sigma, "mm", sigma is not None, reason)
-        )
-    for k, name in enumerate(AXIS_WORDS):
-        sigma = None if summary.cov_R_GP is None else _root(summary.cov_R_GP[k][k])
-        value = "± " + f"{np.rad2deg(sigma):.2g}" if sigma is not None else "no bound"
+        row = _row(f"centre of mass, {name} in G", 1e3 * summary.com_G[k], sigma, "mm", sigma is not None, "")
+        rows.append(row)
+    for k, name in enumerate("xyz"):
+        sure = parts.com_P[k]
+        verdict = _verdict(sure, detail.get(f"com_{name}", ""))
+        rows.append(Row(f"centre of mass, along the principal axis {name}", "", "", verdict, sure))
+    for k, name in enumerate("xyz"):
+        root = None if summary.cov_R_GP is None else _root(summary.cov_R_GP[k][k])
+        value = "no bound" if root is None else f"± {np.rad2deg(root):.2g}"
         sure = parts.axes_P[k]
-        rows.append(
-            Row(f"principal axes, about {name}", value, "deg", _verdict(sure, detail.get("axes", "")), sure)
-        )
+        verdict = _verdict(sure, detail.get(f"axes_{name}", ""))
+        rows.append(Row(f"principal axes, turned about {name}", value, "deg", verdict, sure))
     return rows
-
-
-def reasons(summary: Summary) -> list[tuple[str, str]]:
-    """Every direction with its reason in words."""
-    return list(summary.identifiable_detail.items())
 
 
 def run_rows(content: Content) -> list[Row]:
@@ -142,7 +140,7 @@ def motion_rows(motion: Motion | None) -> list[Row]:
 
 
 def timing_rows(summary: Summary) -> list[tuple[str, float, float]]:
-    """(stage, seconds, share of the longest) of the stages that took time; the report is timed after itself."""
+    """(stage, seconds, share of the longest); without the report, which is timed after it is made."""
     times = {name: getattr(summary.timing_s, name) for name in type(summary.timing_s).model_fields}
     stages = {name: s for name, s in times.items() if s > 0 and name not in ("total", "report")}
     longest = max(stages.values(), default=1.0)
@@ -154,11 +152,13 @@ def metric_rows(metrics: dict[str, Any]) -> list[Row]:
     rows = []
     for key, value in metrics.items():
         if isinstance(value, dict):
-            rows += [Row(f"{_plain(key)}, {row.name}", row.value) for row in metric_rows(value)]
+            scaled = {f"{name}_m" if key.endswith("_m") else name: part for name, part in value.items()}
+            rows += [Row(f"{_plain(key)}: {_member(row.name)}", row.value) for row in metric_rows(scaled)]
         elif isinstance(value, bool | str) or value is None:
             rows.append(Row(_plain(key), "–" if value is None else str(value)))
         elif isinstance(value, int | float):
-            rows.append(Row(_plain(key), f"{value:.4g}"))
+            scale = 1e3 if key.endswith(("_m", "_m_s")) else 1.0
+            rows.append(Row(_plain(key), f"{scale * value:.4g}"))
         elif isinstance(value, list):
             rows.append(
                 Row(_plain(key), ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value))
@@ -180,9 +180,7 @@ def _row(name: str, value: float, sigma: float | None, unit: str, sure: bool, re
 
 
 def _verdict(sure: bool, reason: str) -> str:
-    if sure:
-        return "determined"
-    return f"not determined: {reason}" if reason else "not determined by this motion"
+    return reason or ("determined" if sure else "not determined by this motion")
 
 
 def _diagonal_mm(covariance: Any, k: int) -> float | None:
@@ -203,14 +201,20 @@ def _cost(cost: float | None) -> str:
     return "did not end" if cost is None else f"{cost:.6g}"
 
 
+def _member(name: str) -> str:
+    name = name.removesuffix(" [mm]") if name.split(" ")[0].isdigit() else name
+    return f"{name} s after the last image" if name.isdigit() else name
+
+
 def _plain(key: str) -> str:
-    """rmse_angular_velocity_deg_s -> rmse angular velocity [deg/s]"""
+    """rmse_angular_velocity_deg_s -> RMSE angular velocity [deg/s]; completeness_3mm stays a share."""
+    key = re.sub(r"^(rmse|nees)(?=_|$)", lambda word: word[0].upper(), key)
     for suffix, unit in (
         ("_deg_s", "deg/s"),
-        ("_m_s", "m/s"),
+        ("_m_s", "mm/s"),
         ("_deg", "deg"),
         ("_mm", "mm"),
-        ("_m", "m"),
+        ("_m", "mm"),
         ("_s", "s"),
     ):
         if key.endswith(suffix):
