@@ -13,7 +13,7 @@ SUBDIVISIONS = 6
 
 
 def asteroid_parts(size_m: float, rng: np.random.Generator, subdivisions: int = SUBDIVISIONS) -> list[Part]:
-    """One part with the volume of a sphere of diameter size_m [m]; G's origin and axes are not those of the ellipsoid."""
+    """One part, as large as a sphere of diameter size_m [m]; G is not aligned with the ellipsoid."""
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     direction = np.asarray(sphere.vertices)
     height = 1.0 + 0.22 * _noise(direction, 0.9, rng) + 0.05 * _noise(direction, 0.25, rng)

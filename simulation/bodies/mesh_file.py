@@ -32,7 +32,7 @@ def _load(path: Path) -> trimesh.Trimesh:
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file; give body.path relative to the working directory")
     try:
-        mesh = trimesh.load(path, force="mesh", process=True)
+        mesh = trimesh.load(path, force="mesh", process=False)
     except (ValueError, TypeError, KeyError, IndexError, NotImplementedError) as error:
         raise InputError(f"{path}: cannot be read as a mesh ({error}); give OBJ, STL, PLY or GLB") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:

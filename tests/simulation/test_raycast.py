@@ -1,0 +1,103 @@
+"""Hits against an independent intersection in double precision, and closed forms."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from polhode.config import scene as config
+from polhode.lie import Array, exp_so3, make_pose, transform_points
+from simulation.bodies import Body, build_body
+from simulation.bodies.part import Part, assemble
+from simulation.cameras import build_cameras
+from simulation.materials import PAINT_WHITE
+from simulation.raycast import RayCaster
+from simulation.render import Renderer
+
+RIG = config.Rig(width_px=48, height_px=36, focal_px=60.0)
+
+
+def _sphere_body(radius_m: float, subdivisions: int = 5) -> Body:
+    return assemble(
+        [Part(trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius_m), PAINT_WHITE)]
+    )
+
+
+def _nearest_depth(mesh: trimesh.Trimesh, X_KG: Array, directions: Array) -> Array:
+    """Moeller-Trumbore on every triangle for every ray; depth (n,), NaN for a miss."""
+    a, b, c = np.moveaxis(transform_points(X_KG, mesh.vertices)[mesh.faces], 1, 0)
+    depth = np.full(len(directions), np.nan)
+    for n, d in enumerate(directions):
+        p = np.cross(d, c - a)
+        det = np.einsum("fk,fk->f", b - a, p)
+        safe = np.where(np.abs(det) < 1e-14, np.inf, det)
+        u = np.einsum("fk,fk->f", -a, p) / safe
+        q = np.cross(-a, b - a)
+        v = (q @ d) / safe
+        t = np.einsum("fk,fk->f", c - a, q) / safe
+        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & np.isfinite(safe)
+        if hit.any():
+            depth[n] = t[hit].min() * d[2]
+    return depth
+
+
+@pytest.mark.parametrize("family", ["free_flyer", "bus"])
+def test_depth_agrees_with_an_independent_ray_cast(family: str) -> None:
+    body = build_body(config.Body.model_validate({"family": family}), 3)
+    left, _ = build_cameras(RIG)
+    X_NG = make_pose(exp_so3([0.4, -0.7, 0.2]), [0.02, 0.01, 0.7])
+    depth = Renderer(body, config.Scene(), 0).depth_m(left, np.eye(4), X_NG)
+    expected = _nearest_depth(body.mesh, X_NG, left.pixel_directions).reshape(depth.shape)
+    # A ray along an edge may pass on either side.
+    both = np.isfinite(depth) & np.isfinite(expected)
+    assert (np.isfinite(depth) != np.isfinite(expected)).sum() <= 1
+    assert both.sum() > 150
+    assert np.abs(depth - expected)[both].max() < 1e-5
+
+
+def test_distance_to_a_sphere_is_that_of_the_closed_form() -> None:
+    caster = RayCaster(_sphere_body(0.1, 6))
+    directions = np.random.default_rng(0).normal((0, 0, 1), 0.05, (400, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    hits = caster.first_hits(np.array([0.0, 0.0, -0.6]), directions)
+    along = 0.6 * directions[hits.ray, 2]
+    exact = along - np.sqrt(0.1**2 - 0.6**2 + along**2)
+    central = directions[hits.ray, 2] > np.cos(0.13)
+    assert np.abs(hits.distance_m - exact)[central].max() < 5e-5  # the facets' sagitta
+    radial = hits.p_G / np.linalg.norm(hits.p_G, axis=1, keepdims=True)
+    assert np.einsum("nk,nk->n", hits.normal_G, radial).min() > np.cos(np.deg2rad(0.2))
+
+
+def test_normals_face_the_viewer_on_a_mesh_wound_inside_out() -> None:
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
+    mesh.invert()
+    hits = RayCaster(assemble([Part(mesh, PAINT_WHITE)])).first_hits(
+        np.array([0, 0, -0.6]), np.array([[0, 0, 1.0]])
+    )
+    assert hits.flat_normal_G[0, 2] < -0.99
+    assert hits.normal_G[0, 2] < -0.99
+
+
+def test_a_ball_shades_the_disc_behind_it_and_nothing_else() -> None:
+    plate = trimesh.creation.box([1.0, 1.0, 0.01])
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.1)
+    ball.apply_translation([0, 0, 0.3])
+    caster = RayCaster(assemble([Part(plate, PAINT_WHITE), Part(ball, PAINT_WHITE)]))
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    for radius, shaded in [(0.097, True), (0.103, False)]:
+        origin = np.array([0.0, 0.0, 0.1])
+        rays = ring * radius + [0, 0, 0.005] - origin
+        hits = caster.first_hits(origin, rays / np.linalg.norm(rays, axis=1, keepdims=True))
+        assert len(hits.ray) == 60
+        assert (caster.lit(hits, np.array([0.0, 0.0, 1.0])) != shaded).all()
+
+
+def test_a_lamp_nearer_than_the_obstacle_is_not_blocked() -> None:
+    plate = trimesh.creation.box([1.0, 1.0, 0.01])
+    roof = trimesh.creation.box([1.0, 1.0, 0.01])
+    roof.apply_translation([0, 0, 0.5])
+    caster = RayCaster(assemble([Part(plate, PAINT_WHITE), Part(roof, PAINT_WHITE)]))
+    hits = caster.first_hits(np.array([0.0, 0.0, 0.2]), np.array([[0.0, 0.0, -1.0]]))
+    up = np.array([0.0, 0.0, 1.0])
+    assert caster.lit(hits, up, np.array([0.3])).all()
+    assert not caster.lit(hits, up, np.array([0.7])).any()

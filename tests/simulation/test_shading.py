@@ -1,0 +1,80 @@
+"""Reflection against closed forms."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from polhode.config import scene as config
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from simulation.bodies.part import Part, assemble
+from simulation.materials import Material, MaterialTable
+from simulation.raycast import Hits, RayCaster
+from simulation.shading import Lights, lights_in_body, shade
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def _plate_levels(material: Material, sun_G: Array, viewer_G: Array, **lights: float) -> Array:
+    """Level of a plate in the xy plane, seen from directions viewer_G (n, 3)."""
+    caster = RayCaster(assemble([Part(trimesh.creation.box([1.0, 1.0, 0.02]), material)]))
+    n = len(viewer_G)
+    up, p_G = np.tile(UP, (n, 1)), np.tile([0.0, 0.0, 0.01], (n, 1))
+    hits = Hits(np.arange(n), np.zeros(n, np.int64), np.ones(n), p_G, up, up)
+    surface = MaterialTable((material,), 0).evaluate(np.zeros(n, np.int64), p_G, up)
+    level = {"sun": 1.0, "earth": 0.0, "lamp": 0.0} | lights
+    scene = Lights(sun_G, level["sun"], UP, level["earth"], np.array([0.0, 0.0, 2.01]), level["lamp"])
+    return shade(hits, surface, viewer_G, scene, caster)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 30.0, 60.0, 85.0])
+def test_a_matt_surface_obeys_lamberts_law_from_everywhere(angle_deg: float) -> None:
+    matt = Material(0.4, specular=0.0)
+    sun = np.array([np.sin(np.deg2rad(angle_deg)), 0, np.cos(np.deg2rad(angle_deg))])
+    viewers = np.array([UP, [0.6, 0.0, 0.8], [0.0, -0.8, 0.6]])
+    np.testing.assert_allclose(_plate_levels(matt, sun, viewers), 0.4 * np.cos(np.deg2rad(angle_deg)))
+
+
+def test_a_surface_turned_from_the_sun_is_black_without_fill() -> None:
+    assert _plate_levels(Material(0.4), -UP, UP[None], sun=1.0) == 0.0
+
+
+def test_the_lamp_falls_with_the_square_of_the_distance() -> None:
+    assert _plate_levels(Material(0.4, specular=0.0), UP, UP[None], sun=0.0, lamp=1.0) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 45.0])
+def test_metal_never_reflects_more_than_falls_on_it(roughness: float, angle_deg: float) -> None:
+    """Integral of the reflected light over the hemisphere: at most 1, nearly all of it for smooth metal.
+
+    At full roughness and normal incidence one bounce keeps 1 - ln 2 (the rest would bounce again).
+    """
+    cosine = (np.arange(400) + 0.5) / 400
+    azimuth = 2 * np.pi * (np.arange(400) + 0.5) / 400
+    c, a = (grid.ravel() for grid in np.meshgrid(cosine, azimuth))
+    s = np.sqrt(1 - c**2)
+    viewers = np.stack([s * np.cos(a), s * np.sin(a), c], axis=1)
+    sun = np.array([np.sin(np.deg2rad(angle_deg)), 0, np.cos(np.deg2rad(angle_deg))])
+    mirror = Material(0.01, specular=1.0, roughness=roughness)
+    radiance = _plate_levels(mirror, sun, viewers) / np.pi
+    albedo = float(np.mean(radiance * c)) * 2 * np.pi / sun[2]
+    assert albedo < 1.001
+    if roughness == 0.3:
+        assert albedo > 0.97
+    if (roughness, angle_deg) == (1.0, 0.0):
+        assert albedo == pytest.approx(1 - np.log(2), abs=1e-3)
+
+
+def test_the_highlight_lies_in_the_mirror_direction() -> None:
+    sun = np.array([0.6, 0.0, 0.8])
+    angles = np.deg2rad(np.linspace(-80, 80, 321))
+    viewers = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
+    levels = _plate_levels(Material(0.01, specular=0.6, roughness=0.3), sun, viewers)
+    np.testing.assert_allclose(viewers[np.argmax(levels)], [-0.6, 0, 0.8], atol=0.02)
+
+
+def test_lights_are_fixed_in_N_and_turn_in_the_body() -> None:
+    """A body turned by R sees the Sun turned by R^T, at unit length."""
+    X_NG = make_pose(exp_so3([0.0, 0.0, np.pi / 2]), [0.0, 0.0, 0.6])
+    lights = lights_in_body(config.Light(sun_direction_N=(3, 0, 0)), inverse_pose(X_NG), np.eye(4))
+    np.testing.assert_allclose(lights.sun_direction_G, [0, -1, 0], atol=1e-12)
