@@ -1,0 +1,141 @@
+"""Quality and cost of the dense surface: depth and fusion alone, on sequences with truth.
+
+    python benchmarks/mesh_quality.py SEQ [SEQ ...]             with the true poses
+    python benchmarks/mesh_quality.py SEQ [SEQ ...] --runs RUN  with the poses of runs, one for each sequence
+
+Prints a line a sequence: distances to the true surface (as ``polhode evaluate``), size of the mesh, and
+seconds of one core a frame for depth and for fusion. ``--save FOLDER`` keeps the meshes, in the true frame G.
+"""
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+import torch
+
+from frontend.extract import extract_depth
+from frontend.rectify import Rectifier, make_rectifier
+from mapping.fusion import fuse
+from mapping.mesh_files import write_ply
+from pipeline.evaluate import between_target_frames, seen_truth, target_poses
+from pipeline.summary import read_summary
+from pipeline.trajectory_file import read_trajectory
+from polhode.config import Config
+from polhode.config.loader import load_config
+from polhode.dataset import StereoSequence, open_sequence
+from polhode.lie import Array, inverse_pose, transform_points
+from polhode.mesh_metrics import MeshMetrics, compare_surfaces
+from polhode.metrics import States, truth_at
+from polhode.records import DepthMap, SurfaceModel, Truth
+from polhode.truth import read_truth
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One line of the table."""
+
+    name: str
+    frames: int
+    metrics: MeshMetrics
+    vertices: int
+    depth_s: float
+    fusion_s: float
+
+
+def true_poses(sequence: StereoSequence, truth: Truth) -> Array:
+    """X_NG (F, 4, 4) at the pairs of the sequence."""
+    return target_poses(truth_at(truth, sequence.timestamps_ns), truth.R_GP, truth.com_G)
+
+
+def run_poses(run: Path) -> Array:
+    """X_NG (F, 4, 4) as a run estimated them."""
+    summary, table = read_summary(run), read_trajectory(run)
+    states = States(table.timestamps_ns, table.r_N, table.v_N, table.R_NP, table.w_P)
+    return target_poses(states, np.array(summary.R_GP), np.array(summary.com_G))
+
+
+def rebuild(
+    sequence: StereoSequence, rectifier: Rectifier, X_NG: Array, points_G: Array, config: Config
+) -> tuple[SurfaceModel, float, float]:
+    """The surface from given poses, seconds for depth, seconds for fusion. points_G bound the disparity."""
+    X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ X_NG
+    spans: list[tuple[float, float] | None] = []
+    for X in X_RG:
+        disparity = rectifier.rig.project(transform_points(X, points_G))[:, 2]
+        spans.append((float(disparity.min()), float(disparity.max())))
+    depth_s = 0.0
+
+    def timed() -> Iterator[tuple[DepthMap, Array]]:
+        nonlocal depth_s
+        maps = extract_depth(sequence, rectifier, config.frontend, spans, 1)
+        for X in X_RG:
+            begin = process_time()
+            frame = next(maps)
+            depth_s += process_time() - begin
+            yield frame, X
+
+    begin = process_time()
+    surface = fuse(timed(), rectifier.rig, config.mapping)
+    return surface, depth_s, process_time() - begin - depth_s
+
+
+def measure(folder: Path, run: Path | None, config: Config, save: Path | None) -> Outcome:
+    """Rebuild one sequence's surface and compare it with the truth."""
+    sequence, truth = open_sequence(folder), read_truth(folder)
+    if truth.mesh is None:
+        raise SystemExit(f"{folder}: this sequence has no true surface")
+    X_true = true_poses(sequence, truth)
+    X_NG = X_true if run is None else run_poses(run)
+    to_true_G = between_target_frames(X_NG, X_true, np.zeros(3))
+    corners = transform_points(inverse_pose(to_true_G), np.asarray(truth.mesh.vertices))
+    surface, depth_s, fusion_s = rebuild(
+        sequence, make_rectifier(sequence.calibration), X_NG, corners, config
+    )
+    mesh = surface.mesh.copy()
+    mesh.apply_transform(between_target_frames(X_NG, X_true, mesh.centroid))
+    if save is not None:
+        save.mkdir(parents=True, exist_ok=True)
+        write_ply(SurfaceModel(mesh, surface.sigma_m, surface.views), save / f"{folder.name}.ply")
+    metrics = compare_surfaces(mesh, truth.mesh, seen_truth(truth.mesh, X_true, sequence))
+    frames = len(sequence)
+    return Outcome(folder.name, frames, metrics, len(mesh.vertices), depth_s / frames, fusion_s / frames)
+
+
+def print_table(outcomes: Sequence[Outcome]) -> None:
+    """One line a sequence."""
+    print(
+        f"{'sequence':<18}{'frames':>7}{'accuracy':>10}{'completion':>11}{'chamfer':>9}{'hausdorff95':>12}"
+        f"{'within 3 mm':>12}{'vertices':>10}{'depth s':>9}{'fusion s':>9}"
+    )
+    for o in outcomes:
+        m = o.metrics
+        print(
+            f"{o.name:<18}{o.frames:>7}{m.accuracy_mm:>10.3f}{m.completion_mm:>11.3f}{m.chamfer_mm:>9.3f}"
+            f"{m.hausdorff95_mm:>12.2f}{m.completeness_3mm:>12.3f}"
+            f"{o.vertices:>10}{o.depth_s:>9.3f}{o.fusion_s:>9.3f}"
+        )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("sequences", nargs="+", type=Path)
+    parser.add_argument("--runs", nargs="*", type=Path, default=[], help="runs whose poses are used")
+    parser.add_argument("--config", type=Path, default=Path("configs/default.yaml"))
+    parser.add_argument("--save", type=Path, help="folder for the meshes")
+    options = parser.parse_args()
+    if options.runs and len(options.runs) != len(options.sequences):
+        parser.error("--runs needs one run for each sequence")
+    torch.set_num_threads(1)
+    config = load_config(options.config)
+    runs = options.runs or [None] * len(options.sequences)
+    print_table([measure(s, r, config, options.save) for s, r in zip(options.sequences, runs, strict=True)])
+
+
+if __name__ == "__main__":
+    main()
