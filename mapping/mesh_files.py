@@ -58,11 +58,10 @@ def read_ply(path: Path) -> SurfaceModel:
     """The surface that ``write_ply`` wrote (float32 precision). Raises InputError for anything else."""
     mesh = trimesh.load_mesh(path, process=False)
     if not isinstance(mesh, trimesh.Trimesh):
-        raise InputError(f"{path}: not one triangle mesh; run 'polhode run' again")
+        raise InputError(f"{path}: not a triangle mesh; give the mesh.ply of a run")
     raw = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
-    n = len(mesh.vertices)
-    if raw is None or n == 0:
-        return SurfaceModel(mesh=mesh, sigma_m=np.zeros(n), views=np.zeros(n, dtype=np.int64))
+    if raw is None or not {"sigma_m", "views"} <= set(raw.dtype.names or ()):
+        raise InputError(f"{path}: vertices without sigma_m and views: not a mesh of a run")
     return SurfaceModel(
         mesh=mesh,
         sigma_m=np.asarray(raw["sigma_m"], dtype=np.float64).reshape(-1),

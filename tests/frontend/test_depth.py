@@ -1,0 +1,149 @@
+"""Dense depth of planes and boxes painted with noise, rendered by exact warping."""
+
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from frontend.depth import compute_depth, find_disparity_range
+from polhode.camera import RectifiedRig
+from polhode.config.depth import Depth
+from polhode.lie import Array
+from polhode.records import Bools
+
+RIG = RectifiedRig(400.0, 159.5, 119.5, 0.1, 320, 240)
+CONFIG = Depth()
+
+
+def texture(seed: int, height: int = 240, width: int = 1024) -> Array:
+    """Noise of several sizes, smooth enough to be sampled between pixels."""
+    rng = np.random.default_rng(seed)
+    layers = [cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), s) * s for s in (1.2, 2.5, 6.0)]
+    image = sum(layers[1:], layers[0])
+    return 110.0 + 35.0 * image / image.std()
+
+
+def pair_of(
+    disparity: Array, mask: Bools, contrast: float = 1.0, noise: float = 1.5, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Left and right image of a surface whose disparity at left pixels (240, 320) is an affine function."""
+    painted = 110.0 + contrast * (texture(seed) - 110.0)
+    v, u = np.mgrid[:240, :320].astype(np.float32)
+    left = cv2.remap(painted.astype(np.float32), u + 300, v, cv2.INTER_CUBIC) * mask
+    # u_right = u - d(u, v): solve for u at every right pixel; d is affine in u.
+    slope = (disparity[:, -1] - disparity[:, 0])[:, None] / 319.0
+    source = ((u + disparity[:, :1]) / (1.0 - slope)).astype(np.float32)
+    inside = cv2.remap(mask.astype(np.float32), source, v, cv2.INTER_NEAREST)
+    right = cv2.remap(painted.astype(np.float32), source + 300, v, cv2.INTER_CUBIC) * inside
+    rng = np.random.default_rng(seed + 100)
+    noisy = [np.clip(i + 4 + rng.normal(0, noise, i.shape), 0, 255) for i in (left, right)]
+    return noisy[0].round().astype(np.uint8), noisy[1].round().astype(np.uint8)
+
+
+def slanted(base_px: float, slope_u: float, slope_v: float) -> Array:
+    v, u = np.mgrid[:240, :320].astype(np.float64)
+    return base_px + slope_u * (u - 160) + slope_v * (v - 120)
+
+
+@pytest.fixture(scope="module")
+def mask() -> Bools:
+    inside = np.zeros((240, 320), dtype=bool)
+    inside[60:180, 110:230] = True
+    return inside
+
+
+@pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.1, 0.05), (-0.12, 0.1)])
+def test_a_textured_plane_is_found_to_a_few_hundredths_of_a_pixel(
+    slopes: tuple[float, float], mask: Bools
+) -> None:
+    true = slanted(50.3, *slopes)
+    left, right = pair_of(true, mask)
+    depth = compute_depth(left, right, mask, RIG, CONFIG)
+    known = np.isfinite(depth.depth_m)
+    error = RIG.focal_px * RIG.baseline_m / depth.depth_m[known] - true[known]
+    assert known[mask].mean() > 0.85
+    assert np.median(np.abs(error)) < 0.05
+    assert np.percentile(np.abs(error), 99) < 0.4
+    assert abs(np.median(error)) < 0.02
+
+
+def test_sigma_tells_the_size_of_the_error(mask: Bools) -> None:
+    true = slanted(50.3, 0.05, 0.03)
+    left, right = pair_of(true, mask)
+    depth = compute_depth(left, right, mask, RIG, CONFIG)
+    known = np.isfinite(depth.depth_m)
+    error = np.abs(depth.depth_m[known] - RIG.focal_px * RIG.baseline_m / true[known])
+    assert 0.5 < np.mean(error < depth.sigma_m[known]) < 0.99
+    assert np.mean(error < 3 * depth.sigma_m[known]) > 0.97
+
+
+def test_weak_texture_means_larger_sigma(mask: Bools) -> None:
+    true = slanted(50.3, 0.0, 0.0)
+    strong, weak = (compute_depth(*pair_of(true, mask, c), mask, RIG, CONFIG) for c in (1.0, 0.15))
+    assert np.nanmedian(weak.sigma_m) > 1.5 * np.nanmedian(strong.sigma_m)
+
+
+def test_no_depth_without_texture_or_light(mask: Bools) -> None:
+    true = slanted(50.0, 0.0, 0.0)
+    left, right = pair_of(true, mask)
+    left[100:140, 150:190] = 4
+    for image in (left, right):
+        dark = np.random.default_rng(1).integers(2, 7, (40, 150))
+        image[100:140, 60:210] = dark
+    depth = compute_depth(left, right, mask, RIG, CONFIG)
+    assert not np.isfinite(depth.depth_m[104:136, 115:205]).any()
+    assert np.isfinite(depth.depth_m[mask]).mean() > 0.4
+
+
+def test_nothing_outside_the_mask_and_nothing_on_the_rim(mask: Bools) -> None:
+    left, right = pair_of(slanted(50.0, 0.0, 0.0), mask)
+    depth = compute_depth(left, right, mask, RIG, CONFIG)
+    rim = mask & ~(cv2.erode(mask.astype(np.uint8), np.ones((3, 3))) > 0)
+    assert not np.isfinite(depth.depth_m[~mask | rim]).any()
+    np.testing.assert_array_equal(np.isfinite(depth.depth_m), np.isfinite(depth.sigma_m))
+
+
+@pytest.mark.parametrize("base_px", [12.0, 40.0, 90.0])
+def test_the_range_of_disparity_is_found(base_px: float, mask: Bools) -> None:
+    true = slanted(base_px, 0.05, 0.0)
+    found = find_disparity_range(*pair_of(true, mask), mask, CONFIG)
+    assert found is not None
+    assert found[0] <= true[mask].min() + 1
+    assert found[1] >= true[mask].max() - 1
+    assert found[1] - found[0] < 40
+
+
+def test_a_target_at_the_images_edge_is_no_special_case() -> None:
+    mask = np.zeros((240, 320), dtype=bool)
+    mask[60:240, 60:320] = True
+    true = slanted(50.0, 0.02, 0.0)
+    depth = compute_depth(*pair_of(true, mask), mask, RIG, CONFIG, (45.0, 55.0))
+    known = np.isfinite(depth.depth_m)
+    error = RIG.focal_px * RIG.baseline_m / depth.depth_m[known] - true[known]
+    assert known[mask].mean() > 0.8
+    assert np.median(np.abs(error)) < 0.05
+
+
+def test_an_offset_of_the_principal_points_is_taken_out(mask: Bools) -> None:
+    true = slanted(50.0, 0.0, 0.0)
+    rig = RectifiedRig(400.0, 159.5, 119.5, 0.1, 320, 240, disparity_offset_px=10.0)
+    depth = compute_depth(*pair_of(true, mask), mask, rig, CONFIG)
+    assert np.nanmedian(depth.depth_m) == pytest.approx(1.0, rel=2e-3)
+
+
+def test_an_empty_mask_and_a_black_pair_give_no_depth(mask: Bools) -> None:
+    black = np.zeros((240, 320), dtype=np.uint8)
+    for inside in (mask, np.zeros_like(mask)):
+        depth = compute_depth(black, black, inside, RIG, CONFIG)
+        assert not np.isfinite(depth.depth_m).any()
+
+
+def test_the_same_pair_gives_the_same_bytes_in_a_fraction_of_a_second(mask: Bools) -> None:
+    pair = pair_of(slanted(50.0, 0.03, 0.0), mask)
+    first = compute_depth(*pair, mask, RIG, CONFIG)
+    start = time.process_time()
+    second = compute_depth(*pair, mask, RIG, CONFIG)
+    assert time.process_time() - start < 2.0
+    assert first.depth_m.tobytes() == second.depth_m.tobytes()
+    assert first.sigma_m.tobytes() == second.sigma_m.tobytes()

@@ -1,0 +1,51 @@
+"""Meshes on disk are read back by trimesh, with what each vertex knows."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from mapping.mesh_files import read_ply, write_glb, write_ply
+from mapping.surface import empty_surface
+from polhode.errors import InputError
+from polhode.records import SurfaceModel
+
+
+@pytest.fixture
+def surface() -> SurfaceModel:
+    mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    n = len(mesh.vertices)
+    grey = (np.arange(n) % 256).astype(np.uint8)
+    colours = np.column_stack([grey, grey, grey, np.full(n, 255, dtype=np.uint8)])
+    coloured = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colours, process=False)
+    return SurfaceModel(coloured, sigma_m=np.linspace(1e-4, 2e-3, n), views=np.arange(n) + 1)
+
+
+def test_ply_keeps_shape_colour_sigma_and_views(surface: SurfaceModel, tmp_path: Path) -> None:
+    write_ply(surface, tmp_path / "mesh.ply")
+    again = read_ply(tmp_path / "mesh.ply")
+    np.testing.assert_allclose(again.mesh.vertices, surface.mesh.vertices, atol=1e-8)
+    np.testing.assert_array_equal(again.mesh.faces, surface.mesh.faces)
+    np.testing.assert_array_equal(again.mesh.visual.vertex_colors, surface.mesh.visual.vertex_colors)
+    np.testing.assert_allclose(again.sigma_m, surface.sigma_m, rtol=1e-6)
+    np.testing.assert_array_equal(again.views, surface.views)
+
+
+def test_glb_opens_with_colours_and_metres(surface: SurfaceModel, tmp_path: Path) -> None:
+    write_glb(surface, tmp_path / "mesh.glb")
+    mesh = trimesh.load_mesh(tmp_path / "mesh.glb", process=False)
+    assert isinstance(mesh, trimesh.Trimesh)
+    np.testing.assert_allclose(mesh.extents, surface.mesh.extents, rtol=1e-5)
+    np.testing.assert_array_equal(mesh.visual.vertex_colors, surface.mesh.visual.vertex_colors)
+
+
+def test_an_empty_surface_is_written(tmp_path: Path) -> None:
+    write_ply(empty_surface(), tmp_path / "mesh.ply")
+    assert (tmp_path / "mesh.ply").read_bytes().startswith(b"ply\n")
+
+
+def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path) -> None:
+    trimesh.PointCloud(np.eye(3)).export(tmp_path / "mesh.ply")
+    with pytest.raises(InputError, match=r"mesh\.ply.*without sigma_m and views"):
+        read_ply(tmp_path / "mesh.ply")

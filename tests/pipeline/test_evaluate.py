@@ -1,0 +1,185 @@
+"""A run whose estimate is the truth, or off by a known amount, against a sequence with another frame G."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+from backend.inertia import FORMS, inertia_from_second_moments
+from pipeline.evaluate import (
+    evaluate,
+    format_table,
+    inertia_parameter_error,
+    last_state,
+    moments_by_parameters,
+)
+from pipeline.outputs import write_run
+from planning.prediction import predict
+from polhode.config import Config
+from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor, write_truth
+from polhode.errors import InputError
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.records import MotionEstimate, Truth
+from polhode.rigid_body import propagate
+from tests.pipeline.conftest import Example
+
+WIDTH, HEIGHT, FOCAL_PX = 160, 120, 120.0
+X_TRUE_G_G = make_pose(exp_so3([0.4, 1.0, -0.7]), [0.05, -0.02, 0.03])
+"""The truth's G is another frame than the estimate's."""
+
+
+@pytest.fixture(scope="module")
+def sequence(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Silhouettes of the box, all lit, and its truth, 65 s past the last image."""
+    folder = tmp_path_factory.mktemp("sequence")
+    motion, mass = example.estimate, example.estimate.mass
+    K = np.array([[FOCAL_PX, 0, WIDTH / 2], [0, FOCAL_PX, HEIGHT / 2], [0, 0, 1]])
+    mav0 = folder / "mav0"
+    for name, shift in (("cam0", 0.0), ("cam1", 0.09)):
+        write_sensor(mav0 / name, K, np.zeros(4), make_pose(np.eye(3), [shift, 0, 0]), WIDTH, HEIGHT, 2.0)
+        write_camera_csv(mav0 / name, motion.timestamps_ns)
+        for stamp, X_NG in zip(motion.timestamps_ns, motion.X_NG, strict=True):
+            picture = _silhouette(example.surface.mesh, X_NG, K, shift)
+            write_png(image_path(mav0 / name, int(stamp)), picture)
+    ahead_s = np.arange(0.0, 66.0, 1.0)
+    later = propagate(
+        ahead_s, motion.r_N[-1], motion.v_N[-1], motion.R_NP[-1], motion.w_P[-1], np.diag(mass.moments)
+    )
+    stamps = motion.timestamps_ns[-1] + (ahead_s * 1e9).astype(np.int64)
+    box = example.surface.mesh.copy()
+    box.apply_transform(X_TRUE_G_G)
+    truth = Truth(
+        timestamps_ns=np.concatenate([motion.timestamps_ns, stamps[1:]]),
+        r_N=np.concatenate([motion.r_N, later[0][1:]]),
+        v_N=np.concatenate([motion.v_N, later[1][1:]]),
+        R_NP=np.concatenate([motion.R_NP, later[2][1:]]),
+        w_P=np.concatenate([motion.w_P, later[3][1:]]),
+        moments=mass.moments,
+        k1=mass.k1,
+        k2=mass.k2,
+        com_G=X_TRUE_G_G[:3, :3] @ mass.com_G + X_TRUE_G_G[:3, 3],
+        R_GP=X_TRUE_G_G[:3, :3] @ mass.R_GP,
+        mesh=trimesh.Trimesh(box.vertices, box.faces, process=False),
+    )
+    write_truth(mav0, truth)
+    return folder
+
+
+def _silhouette(mesh: trimesh.Trimesh, X_NG: Array, K: Array, shift_m: float) -> np.ndarray:
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    rays = np.stack([(u - K[0, 2]) / FOCAL_PX, (v - K[1, 2]) / FOCAL_PX, np.ones(u.shape)], -1)
+    X_GN = inverse_pose(X_NG)
+    eye = X_GN[:3, :3] @ [shift_m, 0, 0] + X_GN[:3, 3]
+    directions = rays.reshape(-1, 3) @ X_GN[:3, :3].T
+    hit = RayMeshIntersector(mesh).intersects_any(np.broadcast_to(eye, directions.shape), directions)
+    noise = np.random.default_rng(0).integers(0, 4, u.shape)
+    return (hit.reshape(u.shape) * 120 + noise).astype(np.uint8)
+
+
+def write_example(example: Example, estimate: MotionEstimate, folder: Path) -> Path:
+    folder.mkdir()
+    write_run(
+        folder,
+        config=Config(),
+        tracks=example.tracks,
+        estimate=estimate,
+        surface=example.surface,
+        timing_s={},
+    )
+    return folder
+
+
+def test_the_truth_scores_zero_in_another_frame_G(example: Example, sequence: Path, tmp_path: Path) -> None:
+    run = write_example(example, example.estimate, tmp_path / "run")
+    metrics = evaluate(run, sequence)
+    assert metrics["rmse_position_m"] < 1e-12
+    assert metrics["attitude_error_deg"]["max"] < 1e-5
+    assert metrics["error_com_mm"] < 1e-9
+    assert abs(metrics["error_k1"]) < 1e-12
+    assert all(value < 1e-6 for value in metrics["nees"].values())
+    assert all(value < 1e-4 for value in metrics["prediction_error_deg"].values())
+    assert all(value < 1e-8 for value in metrics["prediction_error_m"].values())
+    assert metrics["mesh"]["chamfer_mm"] < 2e-3
+    assert metrics["mesh"]["completeness_3mm"] == 1.0
+    assert json.loads((run / "metrics.json").read_text()) == metrics
+    assert "rmse_position_m" in format_table(metrics)
+
+
+def test_an_offset_centre_of_mass_shows_in_com_and_position_not_in_the_mesh(
+    example: Example, sequence: Path, tmp_path: Path
+) -> None:
+    true = example.estimate
+    offset_P = np.array([1e-3, 2e-3, -2e-3])
+    wrong = replace(
+        true,
+        r_N=true.r_N + true.R_NP @ offset_P,
+        mass=replace(true.mass, com_G=true.mass.com_G + true.mass.R_GP @ offset_P),
+    )
+    metrics = evaluate(write_example(example, wrong, tmp_path / "run"), sequence)
+    assert metrics["error_com_mm"] == pytest.approx(3.0, rel=1e-6)
+    assert metrics["rmse_position_m"] == pytest.approx(3e-3, rel=1e-6)
+    assert metrics["nees"]["com"] == pytest.approx(9e-6 / 1e-7, rel=1e-6)
+    assert metrics["mesh"]["chamfer_mm"] < 2e-3
+
+
+def test_an_undetermined_run_has_no_nees_where_it_knows_nothing(
+    undetermined: Example, sequence: Path, tmp_path: Path
+) -> None:
+    metrics = evaluate(write_example(undetermined, undetermined.estimate, tmp_path / "run"), sequence)
+    assert metrics["nees"]["inertia"] is None
+    assert metrics["nees"]["com"] is None
+    assert metrics["nees"]["attitude"] is None
+    assert metrics["nees"]["angular_velocity"] < 1e-6
+
+
+def test_a_run_without_a_mesh_is_evaluated_all_the_same(
+    example: Example, sequence: Path, tmp_path: Path
+) -> None:
+    run = write_example(example, example.estimate, tmp_path / "run")
+    (run / "mesh.ply").unlink()
+    metrics = evaluate(run, sequence)
+    assert metrics["mesh"] is None
+    assert "not available" in format_table(metrics)
+
+
+def test_a_sequence_without_truth_is_refused(example: Example, tmp_path: Path) -> None:
+    run = write_example(example, example.estimate, tmp_path / "run")
+    (tmp_path / "sequence" / "mav0").mkdir(parents=True)
+    with pytest.raises(InputError, match="target0 is missing"):
+        evaluate(run, tmp_path / "sequence")
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_inertia_error_is_the_step_in_the_solvers_parameters(name: str) -> None:
+    form = FORMS[name]
+    J = np.diag([1.3, 1.0, 0.8])
+    xi, R_ref = form.coordinates(0.5 * np.trace(J) * np.eye(3) - J)
+    step = np.array([0.01, -0.02, 0.015, 0.005, -0.01])
+    J_true = 7.0 * inertia_from_second_moments(form.second_moments(xi - step, R_ref))
+    np.testing.assert_allclose(inertia_parameter_error(J, J_true, form), step, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_moments_follow_the_solvers_parameters(name: str) -> None:
+    form = FORMS[name]
+    R = exp_so3([0.3, -0.2, 0.5])
+    J = R @ np.diag([1.3, 1.0, 0.8]) @ R.T
+    xi, R_ref = form.coordinates(0.5 * np.trace(J) * np.eye(3) - J)
+    step = 1e-4 * np.array([1.0, -2.0, 1.5, 0.5, -1.0])
+    moved = np.linalg.eigvalsh(inertia_from_second_moments(form.second_moments(xi + step, R_ref)))[::-1]
+    expected = moved / moved[1] - np.array([1.3, 1.0, 0.8])
+    np.testing.assert_allclose(moments_by_parameters(J, form) @ step, expected, atol=2e-7)
+
+
+def test_the_last_state_of_a_run_can_be_carried_on(example: Example, tmp_path: Path) -> None:
+    state, summary, _ = last_state(write_example(example, example.estimate, tmp_path / "run"))
+    assert summary.noise is not None
+    ahead = predict(state, [0.0, 10.0], summary.noise.accel_psd, summary.noise.torque_psd)
+    np.testing.assert_allclose(ahead.r_N[0], example.estimate.r_N[-1])
+    before, after = (np.diagonal(c) for c in ahead.covariance)
+    assert (after[:6] > before[:6]).all()
+    assert np.isfinite(after).all()
