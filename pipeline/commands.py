@@ -90,7 +90,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Compare a run with the truth of its dataset: RUN/metrics.json and a table."""
+    """Compare a run with the truth of its dataset: RUN/metrics.json, a table, and a section of the report."""
 
     run: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a finished run."""
@@ -102,17 +102,20 @@ class Evaluate:
     def execute(self) -> int:
         """Write the metrics and print the table."""
         from pipeline.evaluate import evaluate, format_table
+        from pipeline.report import refresh_report
 
-        print(format_table(evaluate(self.run, self.data)))
+        metrics = evaluate(self.run, self.data)
+        refresh_report(self.run)
+        print(format_table(metrics))
         return 0
 
 
 @dataclass(frozen=True)
 class Report:
-    """Make the report of a run again, as one self-contained page."""
+    """Make the report of a run again, or one page that sets several runs side by side; each self-contained."""
 
-    run: Annotated[Positional[Path], arg(metavar="RUN")]
-    """Folder of a run."""
+    runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN...")]
+    """Folders of runs."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
     """The page, HTML; replaced if it is there."""
     debug: _Debug = False
@@ -120,11 +123,20 @@ class Report:
 
     def execute(self) -> int:
         """Write the page."""
+        if not self.runs:
+            raise InputError(
+                "a run is missing: give the folder of one or more runs; see polhode report --help"
+            )
         if not self.output.parent.is_dir():
             raise InputError(f"{self.output.parent} is not a folder: choose another -o")
-        from pipeline.report import write_report
+        if self.output.is_dir():
+            raise InputError(f"{self.output} is a folder: -o names the page, such as report.html")
+        from pipeline.report import write_comparison, write_report
 
-        write_report(self.run, self.output)
+        if len(self.runs) == 1:
+            write_report(self.runs[0], self.output)
+        else:
+            write_comparison(self.runs, self.output)
         print(f"Report: {self.output}")
         return 0
 

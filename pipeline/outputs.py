@@ -10,8 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
 
-import yaml
-
 from mapping.mesh_files import write_glb, write_ply
 from pipeline.archives import (
     Covariance,
@@ -36,6 +34,7 @@ from pipeline.trajectory_file import (
     write_trajectory,
 )
 from polhode.config import Config
+from polhode.config.loader import dump_config
 from polhode.records import MotionEstimate, RelativePoses, StereoTracks, SurfaceModel
 
 __all__ = [
@@ -69,8 +68,7 @@ __all__ = [
 
 def write_config(folder: Path, config: Config) -> None:
     """config.yaml with every default written out: running it repeats the run."""
-    content = config.model_dump(mode="json")
-    write_text(folder / "config.yaml", yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    write_text(folder / "config.yaml", dump_config(config))
 
 
 def write_estimate(

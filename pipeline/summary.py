@@ -117,7 +117,7 @@ class Summary(_Part):
     status: Status
     warnings: list[str]
     frames: int = Field(ge=0)
-    """Stereo pairs, each a row of trajectory.csv."""
+    """Stereo pairs, each a row of trajectory.csv; a frame that was dropped on reading has a warning."""
     frames_used: int = Field(ge=0)
     """Pairs with measurements; the others are bridged by the dynamics."""
     landmarks: int = Field(ge=0)
@@ -152,9 +152,10 @@ def build_summary(
 ) -> Summary:
     """Gather the summary of a run.
 
-    ``warnings`` do not change the status (a dropped frame); ``degraded`` are the caller's reasons to look
-    closely. The status is ``failed`` with a ``failure`` or without an estimate; ``degraded`` with a reason of
-    the caller or one of ``degradations``; else ``ok``. Every reason stands among the warnings, once.
+    ``warnings`` do not change the status (a dropped frame, what the motion does not determine); ``degraded``
+    are the caller's reasons to look closely. The status is ``failed`` with a ``failure`` or without an
+    estimate; ``degraded`` with a reason of the caller or one of ``degradations``; else ``ok``. Every reason
+    stands among the warnings, once.
     Seconds that ``timing_s`` does not name are 0; ``total`` is their sum unless it is given.
     """
     reasons = [*degraded, *(degradations(tracks, estimate, surface) if estimate is not None else ())]
@@ -162,10 +163,10 @@ def build_summary(
     if failure is not None or estimate is None:
         status = "failed"
     own = estimate.warnings if estimate is not None else ()
-    # The back end words the same alarm more precisely: its words stand, ours would repeat it.
-    told = [word for word in ("converge", "determine") if any(word in text for text in own)]
-    reasons = [reason for reason in reasons if not any(word in reason for word in told)]
-    texts = [*([failure] if failure else []), *reasons, *own, *warnings]
+    told = [*([failure] if failure else []), *reasons, *_undetermined(estimate)]
+    # Where the back end begins with the same words, it says more.
+    told = [text for text in told if not any(more.startswith(text) for more in own)]
+    texts = [*told, *own, *warnings]
     times = {stage: float(timing_s.get(stage, 0.0)) for stage in STAGES}
     times["total"] = times["total"] or sum(times.values())
     found: dict[str, Any] = dict.fromkeys(_OF_THE_ESTIMATE)
@@ -188,21 +189,32 @@ def build_summary(
 def degradations(
     tracks: StereoTracks | None, estimate: MotionEstimate, surface: SurfaceModel | None
 ) -> tuple[str, ...]:
-    """Why an estimate must be read with care: a part of the answer is missing or not to be trusted."""
-    known = estimate.mass.identifiable
-    unknown = [name for name in ("k1", "k2", "com", "axes") if not getattr(known, name)]
+    """Why the estimate is doubtful or incomplete, in words.
+
+    What the motion cannot tell is no such reason: a spin about one axis, measured well, is a complete answer.
+    """
     reasons = []
     if not estimate.solver.converged:
-        reasons.append(f"the solver stopped before it converged ({estimate.solver.message or 'no message'})")
-    if unknown:
-        reasons.append(f"this motion does not determine {', '.join(unknown)}: see identifiable_detail")
+        reasons.append("the solver stopped before convergence")
     if tracks is not None and len(np.unique(tracks.frame)) < 0.5 * tracks.n_frames:
         reasons.append(
             "fewer than half of the frames have measurements; the others are bridged by the dynamics"
         )
     if surface is None or len(surface.mesh.faces) == 0:
-        reasons.append("no surface could be built from the depth maps")
+        reasons.append("there is no surface: the depth maps gave none, or the run ended before them")
     return tuple(reasons)
+
+
+def _undetermined(estimate: MotionEstimate | None) -> list[str]:
+    """What the motion does not tell, as one warning."""
+    if estimate is None:
+        return []
+    known = estimate.mass.identifiable
+    flags = {f"com_{axis}": flag for axis, flag in zip("xyz", known.com_P, strict=True)}
+    flags |= {"k1": known.k1, "k2": known.k2}
+    flags |= {f"axes_{axis}": flag for axis, flag in zip("xyz", known.axes_P, strict=True)}
+    names = [name for name, flag in flags.items() if not flag]
+    return [f"the motion does not determine: {', '.join(names)}"] if names else []
 
 
 def write_summary(summary: Summary, path: Path) -> None:

@@ -64,10 +64,9 @@ def _centre_of_mass(motion: Motion, shapes: list[Layout]) -> Figure:
     return Figure(
         "centre-of-mass",
         "Centre of mass",
-        "Position and velocity in the inertial frame N, with bands of three standard deviations. The middle "
-        "column takes away the straight line at constant speed that fits best: what is left "
-        "shows disturbances "
-        "and errors at the scale of the bands. "
+        "Position and velocity in the inertial frame N, with bands of three standard deviations. The "
+        "middle column takes away the straight line at constant speed that fits best: what is left shows "
+        "disturbances and errors at the scale of the bands. "
         f"{_median_sigma(1e3 * path.sigma_r, 'position', 'mm')} "
         f"{_median_sigma(1e3 * path.sigma_v, 'velocity', 'mm/s')}{_grey(shapes)}",
         data,
@@ -92,9 +91,8 @@ def _angular_velocity(motion: Motion, shapes: list[Layout]) -> Figure:
     return Figure(
         "angular-velocity",
         "Angular velocity",
-        "Of the target relative to N, along its principal axes x, y, z (largest, middle and "
-        "smallest moment), with "
-        "bands of three standard deviations. "
+        "Of the target relative to N, along its principal axes x, y, z (largest, middle and smallest "
+        "moment), with bands of three standard deviations. "
         f"{_median_sigma(sigma_deg_s, 'angular velocity', 'deg/s')}{_grey(shapes)}",
         data,
         figure,

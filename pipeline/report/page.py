@@ -5,8 +5,9 @@ import json
 import re
 from functools import cache
 from pathlib import Path
+from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
@@ -26,7 +27,7 @@ def write_report(folder: Path, path: Path | None = None, name: str | None = None
     Made from the stored files alone, so it can be written again at any time. ``name`` is what the page calls
     the run, the folder's name unless given. Raises InputError when the folder holds no run.
     """
-    content = read_content(folder, name or _name(folder))
+    content = read_content(folder, name or run_name(folder))
     write_text(path or folder / "report.html", render(content))
 
 
@@ -48,7 +49,9 @@ def render(content: Content) -> str:
         ("Measurements", measurement_figures(content), "The run did not reach stereo measurements."),
         ("Shape", shape_figures(content), "The run holds neither a map nor a surface."),
     ]
-    return _template().render(
+    return fill(
+        "report.html.j2",
+        title=content.name,
         name=content.name,
         finding=words.finding(summary, motion.trajectory if motion else None),
         summary=summary,
@@ -61,22 +64,32 @@ def render(content: Content) -> str:
         has_surface=content.surface is not None,
         pictures=[(caption, _data_uri(image)) for caption, image in content.pictures.items()],
         config_text=content.config_text,
-        figure_json=_figure_json,
-        plotly_js=_plotly_js(),
     )
 
 
-def _name(folder: Path) -> str:
+def fill(template: str, **values: Any) -> str:
+    """A template of this package with its values, the drawing library and the writer of figures."""
+    return (
+        _environment()
+        .get_template(template)
+        .render(figure_json=_figure_json, plotly_js=_plotly_js(), **values)
+    )
+
+
+def run_name(folder: Path) -> str:
     """The run's name, also while it is being written in a hidden folder beside its place."""
     return re.sub(r"^\.(.+)\.partial-\w+$", r"\1", folder.resolve().name)
 
 
-def _template() -> Template:
-    loader = FileSystemLoader(Path(__file__).with_name("templates"))
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    return environment.get_template("report.html.j2")
 
 
 def _figure_json(figure: Figure) -> Markup:

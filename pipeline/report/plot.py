@@ -19,6 +19,8 @@ AXIS_COLORS: tuple[str, str, str] = ("#d55e00", "#009e73", "#0072b2")
 INK, FAINT, ACCENT = "#22303c", "#8a97a3", "#5b3f8c"
 GRID = "#e8ecf0"
 TIME_SCALE = [[0.0, "#3b0f70"], [0.35, "#b5367a"], [0.7, "#fb8861"], [1.0, "#f6d746"]]
+EYE_DISTANCE = 2.15
+"""In sizes of the scene: far enough that no axis leaves the drawing."""
 SIGMA_SCALE = [[0.0, "#fde725"], [0.33, "#35b779"], [0.66, "#31688e"], [1.0, "#440154"]]
 
 
@@ -163,7 +165,8 @@ def panels(
 
 def note(text: str, x: float, y: float, **more: Any) -> Layout:
     """Words on the paper of a drawing, 0..1."""
-    return {"text": text, "x": x, "y": y, "xref": "paper", "yref": "paper", "showarrow": False, **more}
+    place = {"x": x, "y": y, "xref": "paper", "yref": "paper", "xanchor": "center"}
+    return {"text": text, "showarrow": False, **place, **more}
 
 
 def gap_shapes(time_s: Array, seen: Bools, columns: int = 1) -> list[Layout]:
@@ -198,9 +201,20 @@ def color_bar(title: str) -> Layout:
     return {"title": {"text": title, "side": "top", "font": {"size": 12}}, "outlinewidth": 0, **where}
 
 
-def scene(unit: str, names: Sequence[str] = ("x", "y", "z"), **more: Any) -> Layout:
-    """Three axes of equal scale."""
-    look = {"backgroundcolor": "#fafbfc", "gridcolor": "#dde3e8", "showbackground": True, "zeroline": False}
+def scene(
+    unit: str, names: Sequence[str] = ("x", "y", "z"), eye: ArrayLike = (1.4, -1.5, 0.9), **more: Any
+) -> Layout:
+    """Three axes of equal scale, seen from the direction ``eye`` (3,)."""
+    look = {
+        "backgroundcolor": "#fafbfc",
+        "gridcolor": "#dde3e8",
+        "showbackground": True,
+        "zeroline": False,
+        "tickfont": {"size": 10.5},
+        "nticks": 6,
+    }
+    toward = np.asarray(eye, dtype=np.float64)
+    toward = EYE_DISTANCE * toward / np.linalg.norm(toward)
     axes = {
         f"{k}axis": {"title": {"text": f"{name} [{unit}]"}, **look}
         for k, name in zip("xyz", names, strict=True)
@@ -208,7 +222,10 @@ def scene(unit: str, names: Sequence[str] = ("x", "y", "z"), **more: Any) -> Lay
     return {
         **axes,
         "aspectmode": "data",
-        "camera": {"eye": {"x": 1.4, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}},
+        "camera": {
+            "eye": dict(zip("xyz", toward.tolist(), strict=True)),
+            "center": {"x": 0.0, "y": 0.0, "z": -0.06},
+        },
         **more,
     }
 

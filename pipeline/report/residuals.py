@@ -77,11 +77,9 @@ def _histogram(content: Content, tracks: StereoTracks, residuals: Residuals) -> 
     return Figure(
         "residual-histogram",
         "Residuals against their noise",
-        "Measured minus predicted, over the standard deviation that the estimate assumed; "
-        "dotted: the Gaussian that "
-        f"they should follow.{chi2} {100 * outliers:.1f} % of the measurements have less than "
-        "half their weight in "
-        f"the robust kernel; {100 * beyond:.1f} % lie outside the drawing.",
+        "Measured minus predicted, over the standard deviation that the estimate assumed; dotted: the "
+        f"Gaussian that they should follow.{chi2} {100 * outliers:.1f} % of the measurements have less "
+        f"than half their weight in the robust kernel; {100 * beyond:.1f} % lie outside the drawing.",
         data,
         figure,
         height_px=380,
@@ -174,9 +172,8 @@ def _landmarks_over_time(tracks: StereoTracks) -> Figure:
     return Figure(
         "landmarks-over-time",
         "Landmarks over time",
-        "Each row is a landmark (or a few), each dark cell a frame that saw it. Rows that go "
-        "dark again after a gap "
-        "are landmarks recognised when the body had turned around: this loop closure is what "
+        "Each row is a landmark (or a few), each dark cell a frame that saw it. Rows that go dark again "
+        "after a gap are landmarks recognised when the body had turned around: this loop closure is what "
         "fixes the inertia.",
         data,
         figure,

@@ -105,25 +105,31 @@ def _polhode(motion: Motion) -> Figure:
     ]
     names = ("ω<sub>x</sub>", "ω<sub>y</sub>", "ω<sub>z</sub>")
     figure = layout(
-        scene=scene("deg/s", names),
+        scene=scene("deg/s", names, _eye(path.w_P)),
         margin={"l": 0, "r": 0, "t": 8, "b": 0},
         legend={"orientation": "h", "x": 0, "y": 0},
     )
     return Figure(
         "polhode",
         "Polhode",
-        "The path of the angular velocity in the principal axes (dots: frames; line: Euler's "
-        "equation from each "
-        "frame to the next) on the two surfaces that a torque-free body cannot leave: the "
-        "ellipsoids of constant "
-        "energy (surface) and of constant angular momentum (wires), drawn for the mean of the "
-        "run. The path lies "
-        "where they intersect.",
+        "The path of the angular velocity in the principal axes (dots: frames; line: Euler's equation "
+        "from each frame to the next) on the two surfaces that a torque-free body cannot leave: the "
+        "ellipsoids of constant energy (surface) and of constant angular momentum (wires), drawn for the "
+        "mean of the run. The path lies where they intersect.",
         data,
         figure,
         height_px=520,
         wide=False,
     )
+
+
+def _eye(w_P: Array) -> Array:
+    """A direction (3,) from which the path is in front: over its middle, a little from above."""
+    middle = np.mean(w_P / np.maximum(np.linalg.norm(w_P, axis=1, keepdims=True), 1e-300), axis=0)
+    start = w_P[0] / max(float(np.linalg.norm(w_P[0])), 1e-300)
+    # A path right around the body has no middle: look at its start.
+    eye = middle if np.linalg.norm(middle) > 0.2 else start
+    return np.asarray(eye / np.linalg.norm(eye) + [0.25, -0.25, 0.3]) if np.any(eye) else np.ones(3)
 
 
 def _ellipsoid(semi_axes: Array, name: str) -> Trace:
@@ -196,7 +202,7 @@ def _ratios(content: Content) -> Figure:
         figure[name]["range"] = [low - pad, high + pad]
     data = []
     for panel in (1, 2):
-        data += _region(panel)
+        data += possible_bodies(panel)
         if ellipse is not None:
             fill = {"fill": "toself", "fillcolor": "rgba(91,63,140,0.20)", "mode": "lines"}
             data.append(line(ellipse[:, 0], ellipse[:, 1], "3σ", ACCENT, panel, **fill))
@@ -213,9 +219,8 @@ def _ratios(content: Content) -> Figure:
     return Figure(
         "inertia-ratios",
         "Inertia ratios",
-        "Where the body lies among all rigid bodies. Beyond the curve the largest moment would "
-        "exceed the sum of the "
-        f"other two, which no mass distribution can do (triangle inequality). {words}"
+        "Where the body lies among all rigid bodies. Beyond the curve the largest moment would exceed "
+        f"the sum of the other two, which no mass distribution can do (triangle inequality). {words}"
         + (" Cross: the truth of the simulation." if truth is not None else ""),
         data,
         figure,
@@ -224,12 +229,13 @@ def _ratios(content: Content) -> Figure:
     )
 
 
-def _region(panel: int) -> list[Trace]:
+def possible_bodies(panel: int) -> list[Trace]:
+    """The region of the ratios that the triangle inequality leaves to rigid bodies."""
     k2 = np.linspace(0, 8, 200)
     x, y = np.concatenate([[0], largest_k1(k2), [0]]), np.concatenate([[0], k2, [8]])
     style = {"type": "scatter", "mode": "lines", "hoverinfo": "skip", **on(panel)}
-    fill = {"fill": "toself", "fillcolor": "rgba(0,158,115,0.09)"}
-    return [style | fill | {"x": packed(x), "y": packed(y), "line": {"color": "#009e73", "width": 1.2}}]
+    fill, edge = {"fill": "toself", "fillcolor": "rgba(0,158,115,0.09)"}, {"color": "#009e73", "width": 1.2}
+    return [style | fill | {"x": packed(x), "y": packed(y), "line": edge, "showlegend": False}]
 
 
 def _corner(x: float, y: float, text: str) -> dict[str, Any]:
@@ -274,11 +280,10 @@ def _conserved(motion: Motion) -> Figure:
     return Figure(
         "energy-momentum",
         "Energy and angular momentum",
-        "Of the rotation, relative to their mean over the run, with bands of three standard "
-        "deviations (from the "
-        "angular velocity alone), and the angle between the angular momentum in N and its mean "
-        "direction. Without "
-        "a torque all three are constant: a drift beyond the bands speaks of a torque or of a wrong inertia.",
+        "Of the rotation, relative to their mean over the run, with bands of three standard deviations "
+        "(from the angular velocity alone), and the angle between the angular momentum in N and its mean "
+        "direction. Without a torque all three are constant: a drift beyond the bands speaks of a torque "
+        "or of a wrong inertia.",
         data,
         figure,
         height_px=520,

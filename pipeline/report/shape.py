@@ -101,11 +101,9 @@ def _map(content: Content, landmarks: Landmarks) -> Figure:
     return Figure(
         "sparse-map",
         "Sparse map",
-        f"The {len(p_mm)} landmarks in the geometric frame G, coloured by their standard "
-        "deviation (scale ends at "
-        f"the 95th percentile).{median}{unknown} The lines start at the centre of mass and follow "
-        "the principal axes "
-        "x (largest moment), y, z (smallest).",
+        f"The {len(p_mm)} landmarks in the geometric frame G, coloured by their standard deviation (scale "
+        f"ends at the 95th percentile).{median}{unknown} The lines start at the centre of mass and follow "
+        "the principal axes x (largest moment), y, z (smallest).",
         data,
         _body_layout(),
         height_px=520,
@@ -116,14 +114,14 @@ def _map(content: Content, landmarks: Landmarks) -> Figure:
 def _mesh(content: Content, mesh: trimesh.Trimesh) -> Figure:
     vertices, faces, source = thinned(mesh, MAX_FACES)
     p_mm = 1e3 * vertices
-    rgb = _vertex_rgb(mesh)[source]
+    rgb = _stretched(_vertex_rgb(mesh))[source]
     data: list[Trace] = [
         {
             "type": "mesh3d",
             **{name: packed(p_mm[:, k]) for k, name in enumerate("xyz")},
             **{name: packed(faces[:, k], "i4") for k, name in enumerate("ijk")},
             "vertexcolor": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in rgb.tolist()],
-            "lighting": {"ambient": 0.9, "diffuse": 0.4, "specular": 0.05, "roughness": 0.9},
+            "lighting": {"ambient": 0.75, "diffuse": 0.55, "specular": 0.05, "roughness": 0.9},
             "lightposition": {"x": 1000, "y": -2000, "z": 3000},
             "name": "surface",
             "showlegend": False,
@@ -140,11 +138,9 @@ def _mesh(content: Content, mesh: trimesh.Trimesh) -> Figure:
     return Figure(
         "mesh",
         "Surface",
-        "Fused from the depth maps, with the brightness that the left camera saw; lines: "
-        "principal axes at the centre "
-        "of mass. Dots: the direction from which the left camera looked at each frame, drawn "
-        "close to the body (its "
-        f"true positions can be switched on in the legend).{thin}",
+        "Fused from the depth maps, with the brightness that the left camera saw, stretched to the full "
+        "range; lines: principal axes at the centre of mass. The legend switches on from where the left "
+        f"camera looked at each frame: its direction, close to the body, and its position.{thin}",
         data,
         _body_layout(),
         height_px=520,
@@ -157,6 +153,13 @@ def _vertex_rgb(mesh: trimesh.Trimesh) -> "np.ndarray[Any, np.dtype[np.uint8]]":
     if not isinstance(mesh.visual, ColorVisuals):
         return np.full((len(mesh.vertices), 3), 160, dtype=np.uint8)
     return np.asarray(mesh.visual.vertex_colors, dtype=np.uint8)[:, :3]
+
+
+def _stretched(rgb: "np.ndarray[Any, np.dtype[np.uint8]]") -> "np.ndarray[Any, np.dtype[np.uint8]]":
+    """The colours (V, 3) with their 1st and 99th percentiles moved to black and white, and a gamma of 1.4."""
+    low, high = np.percentile(rgb, (1, 99))
+    share = ((rgb - low) / max(float(high - low), 1.0)).clip(0.0, 1.0)
+    return np.asarray(np.round(255.0 * share ** (1 / 1.4)), dtype=np.uint8)
 
 
 def _body_axes(content: Content, p_mm: Array) -> list[Trace]:
@@ -184,9 +187,10 @@ def _cameras(content: Content, p_mm: Array) -> list[Trace]:
     reach = 1.35 * float(np.max(np.linalg.norm(p_mm - com_mm, axis=1)))
     close = com_mm + away / np.maximum(distance, 1e-9) * np.minimum(distance, reach)
     time = packed(content.motion.trajectory.time_s)
+    bar = color_bar("time [s]")
     marker = {"size": 3, "color": time, "colorscale": TIME_SCALE}
     return [
-        _points(close, "camera direction", marker | {"colorbar": color_bar("time [s]")}),
+        _points(close, "camera direction", marker | {"colorbar": bar}, visible="legendonly"),
         _points(1e3 * positions, "camera position", marker, visible="legendonly"),
     ]
 

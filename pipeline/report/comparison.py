@@ -1,0 +1,134 @@
+"""One page for several runs: what each found, their inertia ratios and rates in common drawings, a table."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.atomic import write_text
+from pipeline.report import words
+from pipeline.report.content import Content, read_content
+from pipeline.report.page import fill, run_name
+from pipeline.report.plot import Figure, Trace, axis, layout, line, translucent
+from pipeline.report.rotation import confidence_ellipse, possible_bodies
+from polhode.lie import Array
+
+RUN_COLORS: tuple[str, ...] = (
+    "#5b3f8c",
+    "#d55e00",
+    "#0072b2",
+    "#009e73",
+    "#cc79a7",
+    "#b8860b",
+    "#56b4e9",
+    "#22303c",
+)
+"""Taken in turn."""
+NO_VALUE = "\u2013"
+OWN_FRAME = "centre of mass, "
+"""Rows in the frame G of one run say nothing beside another's."""
+
+
+def write_comparison(folders: Sequence[Path], path: Path) -> None:
+    """Write one page about several runs. Raises InputError when a folder holds no run."""
+    names = [run_name(folder) for folder in folders]
+    # Two folders of the same name are told apart by their paths.
+    names = [
+        name if names.count(name) == 1 else str(folder) for name, folder in zip(names, folders, strict=True)
+    ]
+    contents = [read_content(folder, name) for folder, name in zip(folders, names, strict=True)]
+    runs = [
+        {
+            "name": content.name,
+            "status": content.summary.status,
+            "finding": words.finding(content.summary, content.motion.trajectory if content.motion else None),
+        }
+        for content in contents
+    ]
+    figures = [*_ratios(contents), *_rates(contents)]
+    page = fill(
+        "comparison.html.j2", title=", ".join(names), runs=runs, figures=figures, table=side_by_side(contents)
+    )
+    write_text(path, page)
+
+
+def side_by_side(contents: Sequence[Content]) -> list[tuple[str, list[str]]]:
+    """(quantity, one cell per run) of every number that any of the runs holds, in the order of the report."""
+    columns = [_cells(content) for content in contents]
+    names = list(dict.fromkeys(name for column in columns for name in column))
+    return [(name, [column.get(name, NO_VALUE) for column in columns]) for name in names]
+
+
+def _cells(content: Content) -> dict[str, str]:
+    inertia = [row for row in words.inertia_rows(content.summary) if not row.name.startswith(OWN_FRAME)]
+    rows = [*inertia, *words.motion_rows(content.motion), *words.run_rows(content)]
+    cells = {row.name: f"{row.value} {row.unit}".strip() for row in rows}
+    cells |= {
+        f"time, {stage}": f"{seconds:.1f} s" for stage, seconds, _ in words.timing_rows(content.summary)
+    }
+    return cells | {f"against the truth: {row.name}": row.value for row in words.metric_rows(content.metrics)}
+
+
+def _color(k: int) -> str:
+    return RUN_COLORS[k % len(RUN_COLORS)]
+
+
+def _ratios(contents: Sequence[Content]) -> list[Figure]:
+    """k1 and k2 of the runs that have them, with ellipses where they are determined."""
+    data: list[Trace] = []
+    points: list[Array] = []
+    for k, content in enumerate(contents):
+        inertia = content.summary.inertia
+        if inertia is None:
+            continue
+        mean = np.array([inertia.k1, inertia.k2])
+        covariance = np.array([[np.inf if v is None else v for v in row] for row in inertia.cov])
+        determined = bool(np.all(np.isfinite(covariance)))
+        points.append(mean[None])
+        if determined:
+            ellipse = confidence_ellipse(mean, covariance, 3.0)
+            points.append(ellipse)
+            inside: dict[str, Any] = {
+                "fill": "toself",
+                "fillcolor": translucent(_color(k), 0.18),
+                "mode": "lines",
+            }
+            data.append(line(ellipse[:, 0], ellipse[:, 1], "3\u03c3", _color(k), showlegend=False, **inside))
+        marker = {"color": _color(k), "size": 8, "symbol": "circle" if determined else "circle-open"}
+        data.append(line(mean[:1], mean[1:], content.name, _color(k), mode="markers", marker=marker))
+    if not points:
+        return []
+    low, high = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)
+    pad = np.maximum(0.15 * (high - low), 0.01)
+    ranges = [[float(a), float(b)] for a, b in zip(low - pad, high + pad, strict=True)]
+    figure = layout(
+        xaxis=axis("k<sub>1</sub> = ln(Jxx / Jyy)", range=ranges[0]),
+        yaxis=axis("k<sub>2</sub> = ln(Jyy / Jzz)", range=ranges[1]),
+    )
+    caption = (
+        "Dots: estimates; ellipses: three standard deviations; an open dot has none, because the motion of "
+        "that run does not determine the ratios. Green: where rigid bodies can lie."
+    )
+    return [
+        Figure("ratios", "Inertia ratios", caption, [*possible_bodies(1), *data], figure, 460, wide=False)
+    ]
+
+
+def _rates(contents: Sequence[Content]) -> list[Figure]:
+    """The magnitude of the angular velocity: the same in every frame, so that runs can be laid together."""
+    data: list[Trace] = []
+    for k, content in enumerate(contents):
+        if content.motion is not None:
+            path = content.motion.trajectory
+            rate = np.rad2deg(np.linalg.norm(path.w_P, axis=1))
+            data.append(line(path.time_s, rate, content.name, _color(k)))
+    if not data:
+        return []
+    figure = layout(
+        xaxis=axis("time since the first frame [s]"), yaxis=axis("angular velocity, magnitude [deg/s]")
+    )
+    caption = (
+        "Its magnitude is the same in every frame and for every choice of axes, so runs can be compared."
+    )
+    return [Figure("rates", "Rate of turn", caption, data, figure, height_px=460, wide=False)]
