@@ -84,7 +84,7 @@ def _sample_triples(
 
 
 def _triads(p_A: Array, p_B: Array) -> tuple[Array, Array]:
-    """Motion from triangles (h, 3, 3): align edge and normal (TRIAD; Black 1964). R_AB (h, 3, 3), t (h, 3)."""
+    """Motion from triangles (h, 3, 3), by edge and normal (TRIAD; Black 1964): R_AB (h, 3, 3), t (h, 3)."""
     R = _triad(p_A) @ np.swapaxes(_triad(p_B), -1, -2)
     t = p_A.mean(axis=1) - np.einsum("hab,hb->ha", R, p_B.mean(axis=1))
     return R, t

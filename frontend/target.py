@@ -59,10 +59,10 @@ def target_crop(mask: Bools, margin_px: int = 8) -> Crop | None:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:
         return None
-    height, width = mask.shape
+    height, width = (int(n) for n in mask.shape)
     return Crop(
         max(0, int(columns[0]) - margin_px),
         max(0, int(rows[0]) - margin_px),
-        min(int(width), int(columns[-1]) + 1 + margin_px),
-        min(int(height), int(rows[-1]) + 1 + margin_px),
+        min(width, int(columns[-1]) + 1 + margin_px),
+        min(height, int(rows[-1]) + 1 + margin_px),
     )

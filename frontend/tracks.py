@@ -28,7 +28,7 @@ class Association:
 
 
 def join_matches(frames: Sequence[StereoFeatures], matches: Sequence[PairMatch]) -> Association:
-    """Connected components of the match graph; a component with two features in a frame keeps the better linked."""
+    """Connected components of the match graph; of two features in one frame the better linked is kept."""
     offset = np.concatenate([[0], np.cumsum([len(f) for f in frames])]).astype(np.int64)
     n = int(offset[-1])
     if not matches:

@@ -169,7 +169,7 @@ def _associate_and_solve(
     progress: Progress,
     clock: Stopwatch,
 ) -> tuple[MotionEstimate, StereoTracks]:
-    """Look for landmarks where the motion puts them, solve for the motion, and again with the better motion."""
+    """Look for landmarks where the motion puts them, solve, and again with the better motion."""
     guided = config.frontend.guided
     for turn in range(guided.rounds):
         with clock("frontend"):

@@ -54,7 +54,7 @@ class StereoTracks:
     @property
     def time_s(self) -> Array:
         """(F,) seconds since the first frame."""
-        return (self.timestamps_ns - self.timestamps_ns[0]) * 1e-9
+        return np.asarray((self.timestamps_ns - self.timestamps_ns[0]) * 1e-9, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class MotionEstimate:
-    """The back end's answer, one state per frame. Covariances absolute for r, v; attitude R_NP Exp(theta)."""
+    """The back end's answer, one state per frame; r, v are absolute, the attitude is R_NP Exp(theta)."""
 
     timestamps_ns: Ints
     """(F,)"""

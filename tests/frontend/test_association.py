@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from tests.frontend.feature_world import RIG, World, make_world, purity
 
 from frontend.guided import associate
 from frontend.pairs import match_all_pairs, relative_poses
@@ -11,6 +10,7 @@ from frontend.tracks import join_matches, to_tracks
 from polhode.config.frontend import GuidedMatching, PairMatching, Tracks
 from polhode.lie import exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import InitialMotion
+from tests.frontend.feature_world import RIG, World, make_world, purity
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ def texture(seed: int, height: int = 240, width: int = 1024) -> Array:
     rng = np.random.default_rng(seed)
     layers = [cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), s) * s for s in (1.2, 2.5, 6.0)]
     image = sum(layers[1:], layers[0])
-    return 110.0 + 35.0 * image / image.std()
+    return np.asarray(110.0 + 35.0 * image / image.std())
 
 
 def pair_of(
@@ -43,7 +43,7 @@ def pair_of(
 
 def slanted(base_px: float, slope_u: float, slope_v: float) -> Array:
     v, u = np.mgrid[:240, :320].astype(np.float64)
-    return base_px + slope_u * (u - 160) + slope_v * (v - 120)
+    return np.asarray(base_px + slope_u * (u - 160) + slope_v * (v - 120))
 
 
 @pytest.fixture(scope="module")

@@ -38,7 +38,7 @@ def test_enlargement_does_not_shift_key_points(upsample: float) -> None:
 
 def test_key_points_follow_a_sub_pixel_shift() -> None:
     before, after = found(texture()), found(texture(0.37, -0.21))
-    distance, nearest = cKDTree(before.uv_px + [0.37, -0.21]).query(after.uv_px)
+    distance, nearest = cKDTree(before.uv_px + np.array([0.37, -0.21])).query(after.uv_px)
     shift = (after.uv_px - before.uv_px[nearest])[distance < 0.5]
     np.testing.assert_allclose(np.median(shift, axis=0), [0.37, -0.21], atol=0.02)
 
@@ -70,6 +70,6 @@ def test_the_strongest_are_kept() -> None:
 
 
 def test_the_crop_of_a_large_target_is_enlarged_less() -> None:
-    image = cv2.resize(texture(), (880, 800), interpolation=cv2.INTER_CUBIC)
+    image = np.asarray(cv2.resize(texture(), (880, 800), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     small_crop = found(image, Crop(0, 0, 880, 800), max_crop_px=900)
     assert 0 < len(small_crop) < len(found(image, Crop(0, 0, 880, 800), max_crop_px=1800))

@@ -1,0 +1,132 @@
+"""The whole path on a small rendered sequence: images in, a run directory out."""
+
+import json
+import logging
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.evaluate import evaluate
+from pipeline.run import RunResult, run
+from pipeline.trajectory_file import read_trajectory
+from polhode.config import Config
+from polhode.dataset_writer import write_png
+from polhode.errors import InputError, RunFailure
+from polhode.progress import Silent
+from simulation import simulate
+
+SCENE = {
+    "frames": 16,
+    "interval_s": 0.5,
+    "body": {"family": "free_flyer", "size_m": 0.22},
+    "motion": {"position_m": [0.04, 0.0, 0.5], "spin_rpm": [3.0, 9.0, 2.0], "spin_axes": "principal"},
+    "rig": {"width_px": 400, "height_px": 320, "focal_px": 360.0, "baseline_m": 0.09},
+    "truth_horizon_s": 15.0,
+}
+CONFIG = Config.model_validate({"scene": SCENE, "runtime": {"workers": 1}})
+COMPARED = ("trajectory.csv", "landmarks.ply", "mesh.ply")
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "sequence"
+    assert CONFIG.scene is not None
+    simulate(CONFIG.scene, 3, folder, Silent(), 1, False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(sequence: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunResult, Path]:
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    return run(CONFIG, sequence, folder, Silent()), folder
+
+
+def test_the_motion_is_found_from_a_cold_start(finished: tuple[RunResult, Path], sequence: Path) -> None:
+    metrics = evaluate(finished[1], sequence)
+    assert metrics["rmse_position_m"] < 1e-3
+    assert metrics["rmse_velocity_m_s"] < 2e-3
+    assert metrics["rmse_angular_velocity_deg_s"] < 0.5
+    assert metrics["attitude_error_deg"]["median"] < 0.5
+    assert metrics["mesh"]["chamfer_mm"] < 3.0
+
+
+def test_every_pair_has_a_row_and_the_folder_is_complete(finished: tuple[RunResult, Path]) -> None:
+    result, folder = finished
+    assert result.status in ("ok", "degraded")
+    assert len(read_trajectory(folder / "trajectory.csv").timestamps_ns) == 16
+    names = {path.name for path in folder.iterdir()}
+    assert names >= {
+        "config.yaml",
+        "summary.json",
+        "trajectory.csv",
+        "covariance.npz",
+        "measurements.npz",
+        "landmarks.ply",
+        "mesh.ply",
+        "mesh.glb",
+        "report.html",
+        "log.txt",
+    }
+    assert result.report_path == folder / "report.html"
+
+
+def test_the_estimates_are_the_same_bytes_without_the_truth(
+    finished: tuple[RunResult, Path], sequence: Path, tmp_path: Path
+) -> None:
+    blind = tmp_path / "blind"
+    shutil.copytree(sequence, blind)
+    shutil.rmtree(blind / "mav0" / "target0")
+    run(CONFIG, blind, tmp_path / "run", Silent())
+    for name in COMPARED:
+        assert (tmp_path / "run" / name).read_bytes() == (finished[1] / name).read_bytes(), name
+
+
+def test_damaged_frames_are_dropped_counted_and_warned_of(sequence: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged"
+    shutil.copytree(sequence, damaged)
+    left = sorted((damaged / "mav0" / "cam0" / "data").iterdir())
+    left[3].write_bytes(left[3].read_bytes()[:300])
+    left[9].unlink()
+    run(CONFIG, damaged, tmp_path / "run", Silent())
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert len(read_trajectory(tmp_path / "run" / "trajectory.csv").timestamps_ns) == 14
+    assert any("2 of 16" in warning for warning in summary["warnings"])
+
+
+def test_a_frame_that_shows_nothing_is_bridged_with_a_larger_sigma(sequence: Path, tmp_path: Path) -> None:
+    dark = tmp_path / "dark"
+    shutil.copytree(sequence, dark)
+    for camera in ("cam0", "cam1"):
+        frames = sorted((dark / "mav0" / camera / "data").iterdir())
+        for frame in (frames[7], frames[8]):
+            write_png(frame, np.zeros((320, 400), dtype=np.uint8))
+    run(CONFIG, dark, tmp_path / "run", Silent())
+    trajectory = read_trajectory(tmp_path / "run" / "trajectory.csv")
+    assert len(trajectory.timestamps_ns) == 16
+    sigma = np.linalg.norm(trajectory.sigma_r, axis=1)
+    assert min(sigma[7], sigma[8]) > 1.2 * max(sigma[4], sigma[11])
+
+
+def test_images_without_texture_fail_with_the_reason_and_leave_what_was_found(
+    sequence: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    blank = tmp_path / "blank"
+    shutil.copytree(sequence, blank)
+    flat = np.zeros((320, 400), dtype=np.uint8)
+    flat[100:200, 150:250] = 120
+    for camera in ("cam0", "cam1"):
+        for frame in (blank / "mav0" / camera / "data").iterdir():
+            write_png(frame, flat)
+    with caplog.at_level(logging.WARNING), pytest.raises(RunFailure, match="stereo features"):
+        run(CONFIG, blank, tmp_path / "run", Silent())
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["status"] == "failed"
+
+
+def test_bad_input_writes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        run(CONFIG, tmp_path / "missing", tmp_path / "run", Silent())
+    assert not (tmp_path / "run").exists()
+    assert list(tmp_path.iterdir()) == []
