@@ -1,0 +1,114 @@
+"""covariance.npz, measurements.npz and landmarks.ply: round trips, and readers that are not ours."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from pipeline.archives import (
+    read_covariance,
+    read_measurements,
+    read_relative_poses,
+    read_residuals,
+    undetermined_as_inf,
+    write_covariance,
+    write_measurements,
+)
+from pipeline.point_cloud_file import read_landmarks, write_landmarks
+from polhode.errors import InputError
+
+
+def test_measurements_come_back_equal_with_their_rig(example: Any, tmp_path: Path) -> None:
+    write_measurements(example.tracks, tmp_path / "measurements.npz", example.relative, example.estimate)
+    again = read_measurements(tmp_path)
+    for field in fields(again):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(example.tracks, field.name))
+    assert again.rig == example.tracks.rig
+    relative = read_relative_poses(tmp_path)
+    assert relative is not None
+    for field in fields(relative):
+        np.testing.assert_array_equal(getattr(relative, field.name), getattr(example.relative, field.name))
+    residuals = read_residuals(tmp_path)
+    assert residuals is not None
+    np.testing.assert_array_equal(residuals.residuals_px, example.estimate.residuals_px)
+    np.testing.assert_array_equal(residuals.inlier_weight, example.estimate.inlier_weight)
+
+
+def test_measurements_of_a_run_that_stopped_early_have_neither_links_nor_residuals(
+    example: Any, tmp_path: Path
+) -> None:
+    write_measurements(example.tracks, tmp_path / "measurements.npz")
+    assert read_relative_poses(tmp_path) is None
+    assert read_residuals(tmp_path) is None
+
+
+def test_covariances_come_back_with_the_order_of_their_rows(example: Any, tmp_path: Path) -> None:
+    write_covariance(example.estimate, tmp_path / "covariance.npz")
+    again = read_covariance(tmp_path)
+    np.testing.assert_array_equal(again.timestamps_ns, example.estimate.timestamps_ns)
+    np.testing.assert_array_equal(again.covariance, example.estimate.covariance)
+    np.testing.assert_array_equal(again.last_joint, example.estimate.covariance_last_joint)
+    with np.load(tmp_path / "covariance.npz") as archive:
+        assert archive["order"].tolist()[::3] == ["r_N_x", "v_N_x", "theta_P_x", "w_P_x"]
+        assert len(archive["order"]) == 12 and len(archive["last_joint_order"]) == 20
+
+
+def test_no_nan_enters_the_archive(undetermined: Any, tmp_path: Path) -> None:
+    write_covariance(undetermined.estimate, tmp_path / "covariance.npz")
+    covariance = read_covariance(tmp_path).covariance
+    assert not np.any(np.isnan(covariance))
+    np.testing.assert_array_equal(covariance[:, 7, 7], np.inf)
+    np.testing.assert_array_equal(covariance[:, 7, :7], 0.0)
+    np.testing.assert_array_equal(covariance[:, 6, 6], undetermined.estimate.covariance[:, 6, 6])
+
+
+def test_a_determined_covariance_is_not_touched() -> None:
+    covariance = np.array([[2.0, 0.5], [0.5, 1.0]])
+    np.testing.assert_array_equal(undetermined_as_inf(covariance), covariance)
+
+
+def test_trimesh_opens_the_landmarks_with_their_properties(example: Any, tmp_path: Path) -> None:
+    landmarks = replace(example.estimate.landmarks, sigma_m=np.r_[np.nan, np.full(149, 4e-4)])
+    write_landmarks(landmarks, tmp_path / "landmarks.ply")
+    cloud = trimesh.load(tmp_path / "landmarks.ply")
+    np.testing.assert_array_equal(cloud.vertices, landmarks.p_G)
+    data = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_array_equal(data["observations"].ravel(), landmarks.observations)
+    again = read_landmarks(tmp_path)
+    np.testing.assert_array_equal(again.p_G, landmarks.p_G)
+    np.testing.assert_array_equal(again.sigma_m, np.r_[np.inf, np.full(149, 4e-4)])
+    np.testing.assert_array_equal(again.observations, landmarks.observations)
+
+
+def test_an_empty_map_can_be_written_and_read(example: Any, tmp_path: Path) -> None:
+    nothing = replace(
+        example.estimate.landmarks, p_G=np.empty((0, 3)), sigma_m=np.empty(0), observations=np.empty(0, int)
+    )
+    write_landmarks(nothing, tmp_path / "landmarks.ply")
+    assert read_landmarks(tmp_path).p_G.shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("read", "name"),
+    [
+        (read_measurements, "measurements.npz"),
+        (read_covariance, "covariance.npz"),
+        (read_landmarks, "landmarks.ply"),
+    ],
+)
+def test_a_missing_or_damaged_file_is_refused_in_one_line(read: Any, name: str, tmp_path: Path) -> None:
+    for content in (None, b"", b"PK\x03\x04 cut short", b"ply\nformat ascii 1.0\nend_header\n"):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError) as caught:
+            read(tmp_path)
+        assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_archive_of_something_else_names_what_it_lacks(tmp_path: Path) -> None:
+    np.savez(tmp_path / "covariance.npz", timestamps_ns=np.arange(3))
+    with pytest.raises(InputError, match="the array covariance is missing"):
+        read_covariance(tmp_path)

@@ -1,0 +1,74 @@
+"""The files of a run: all there, open in other programs, and the same bytes for the same content."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from pipeline.outputs import write_run
+from polhode.config import Config
+from polhode.records import SurfaceModel
+
+STATED = {
+    "config.yaml", "summary.json", "trajectory.csv", "covariance.npz", "measurements.npz", "landmarks.ply",
+    "mesh.ply", "mesh.glb", "report.html",
+}  # fmt: skip
+
+
+def _write(folder: Path, run: Any, surface: SurfaceModel | None) -> Path:
+    folder.mkdir()
+    write_run(
+        folder,
+        config=Config(seed=4),
+        tracks=run.tracks,
+        estimate=run.estimate,
+        surface=surface,
+        timing_s={"frontend": 2.0},
+        relative=run.relative,
+        pictures={"frame 0": b"\x89PNG not really"},
+    )
+    return folder
+
+
+def test_every_file_of_the_contract_is_written(example: Any, tmp_path: Path) -> None:
+    folder = _write(tmp_path / "run", example, example.surface)
+    assert {entry.name for entry in folder.iterdir()} == STATED | {"pictures"}
+
+
+def test_two_writes_give_the_same_bytes(example: Any, tmp_path: Path) -> None:
+    first, second = (_write(tmp_path / name, example, example.surface) for name in ("a", "b"))
+    # Timings differ: they stand in summary.json and on the page.
+    for name in sorted(STATED - {"summary.json", "report.html"}):
+        assert (first / name).read_bytes() == (second / name).read_bytes(), name
+
+
+def test_the_configuration_that_was_written_is_the_one_that_ran(example: Any, tmp_path: Path) -> None:
+    folder = _write(tmp_path / "run", example, None)
+    content = yaml.safe_load((folder / "config.yaml").read_text())
+    assert Config.model_validate(content) == Config(seed=4)
+    assert set(content) == set(Config.model_fields)
+
+
+@pytest.mark.parametrize("name", ["mesh.ply", "mesh.glb"])
+def test_trimesh_opens_the_surface(name: str, example: Any, tmp_path: Path) -> None:
+    folder = _write(tmp_path / "run", example, example.surface)
+    mesh = trimesh.load(folder / name, force="mesh")
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(example.surface.mesh.volume, rel=1e-5)
+
+
+def test_an_empty_surface_leaves_no_mesh(example: Any, tmp_path: Path) -> None:
+    empty = SurfaceModel(trimesh.Trimesh(), np.empty(0), np.empty(0, dtype=np.int64))
+    folder = _write(tmp_path / "run", example, empty)
+    assert not (folder / "mesh.ply").exists() and not (folder / "mesh.glb").exists()
+    assert "No surface" in (folder / "report.html").read_text()
+
+
+def test_an_estimate_that_is_not_finite_stops_the_run(example: Any, tmp_path: Path) -> None:
+    w_P = np.full_like(example.estimate.w_P, np.nan)
+    with pytest.raises(ValueError, match="not finite"):
+        _write(tmp_path / "run", replace(example, estimate=replace(example.estimate, w_P=w_P)), None)

@@ -1,0 +1,306 @@
+"""report.html: needs nothing but itself, shows what the run holds, says in words what it lacks."""
+
+import base64
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.integrate import solve_ivp
+
+from pipeline.outputs import build_summary, finish_run, write_measurements, write_run
+from pipeline.report import finding, refresh_report
+from pipeline.report.content import read_content
+from pipeline.report.motion import straight_line_residual
+from pipeline.report.plot import band, packed
+from pipeline.report.residuals import rms_per_frame
+from pipeline.report.rotation import confidence_ellipse, largest_k1, torque_free_path
+from pipeline.report.shape import MAX_FACES, cameras_in_target, thinned
+from pipeline.report.words import metric_rows, with_sigma
+from pipeline.trajectory_file import trajectory_of
+from polhode.config import Config
+from polhode.errors import InputError
+from polhode.records import SurfaceModel
+
+FIGURES = [
+    "centre-of-mass", "angular-velocity", "attitude", "polhode", "inertia-ratios", "energy-momentum",
+    "residual-histogram", "residual-rms", "observations", "landmarks-over-time", "sparse-map", "mesh",
+]  # fmt: skip
+
+
+class _Page(HTMLParser):
+    """Collects what a browser would load, and the figures."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.figures: dict[str, Any] = {}
+        self.words = ""
+        self._inside: str | None = None
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        self.loads += [f"{tag} {values[name]}" for name in ("src", "href", "data") if values.get(name)]
+        if tag in ("script", "style"):
+            figure = values.get("class") == "figure"
+            self._inside = (values["data-target"] or "").removeprefix("plot-") if figure else ""
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("script", "style"):
+            self._inside = None
+
+    def handle_data(self, data: str) -> None:
+        if self._inside:
+            self.figures[self._inside] = json.loads(data)
+        elif self._inside is None:
+            self.words += data
+
+
+def _write(folder: Path, run: Any, surface: SurfaceModel | None, **more: Any) -> Path:
+    folder.mkdir()
+    write_run(
+        folder,
+        config=Config(),
+        tracks=run.tracks,
+        estimate=run.estimate,
+        surface=surface,
+        timing_s={"frontend": 12.0},
+        **more,
+    )
+    return folder
+
+
+def _page(folder: Path) -> _Page:
+    return _Page((folder / "report.html").read_text())
+
+
+@pytest.fixture(scope="module")
+def run_folder(example: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report") / "tumbler"
+    return _write(folder, example, example.surface, pictures={"frame 3": b"\x89PNG\r\n"})
+
+
+def test_every_figure_is_there_with_data(run_folder: Path) -> None:
+    page = _page(run_folder)
+    assert list(page.figures) == FIGURES
+    assert all(figure["data"] for figure in page.figures.values())
+    for title in (
+        "Numbers",
+        "Motion",
+        "Rotation and inertia",
+        "Measurements",
+        "Shape",
+        "Images",
+        "Configuration",
+    ):
+        assert title in page.words
+    assert "tumbler" in page.words and "0.3042 ± 0.0020" in page.words
+
+
+def test_the_page_loads_nothing_from_anywhere(run_folder: Path) -> None:
+    text, page = (run_folder / "report.html").read_text(), _page(run_folder)
+    assert all(re.match(r"(a #|img data:image/)", load) for load in page.loads), page.loads
+    assert not re.search(r"(src|href)\s*=\s*[\"'`\\]*https?://|@import|url\(\s*[\"']?http", text)
+    assert "default-src 'none'" in text
+
+
+def test_the_page_holds_one_copy_of_the_library_and_stays_small(run_folder: Path) -> None:
+    text = (run_folder / "report.html").read_text()
+    assert len(re.findall(r"^\* plotly\.js v", text, flags=re.MULTILINE)) == 1
+    assert len(text) < 6e6
+
+
+def test_a_dense_mesh_is_thinned_for_the_page(example: Any, tmp_path: Path) -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=7, radius=0.1)
+    assert len(sphere.faces) > 4 * MAX_FACES
+    count = len(sphere.vertices)
+    surface = SurfaceModel(sphere, np.full(count, 1e-3), np.ones(count, dtype=np.int64))
+    folder = _write(tmp_path / "run", example, surface)
+    assert (folder / "report.html").stat().st_size < 12e6
+    assert f"of {len(sphere.faces)} triangles" in _page(folder).words
+
+
+def test_thinning_keeps_the_shape() -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=5, radius=0.1)
+    vertices, faces, source = thinned(sphere, 5000)
+    assert 1500 < len(faces) <= 5000
+    small = trimesh.Trimesh(vertices, faces, process=False)
+    assert small.area == pytest.approx(sphere.area, rel=0.02)
+    radii = np.linalg.norm(vertices, axis=1)
+    assert radii.min() > 0.098 and radii.max() <= 0.1 + 1e-12
+    assert np.all(np.linalg.norm(sphere.vertices[source] - vertices, axis=1) < 0.01)
+
+
+def test_undetermined_is_said_in_words_and_draws_no_band(undetermined: Any, tmp_path: Path) -> None:
+    page = _page(_write(tmp_path / "run", undetermined, None))
+    assert "pure spin: no torque-free wobble to see" in page.words
+    assert "this motion does not tell k1 and k2" in page.words
+    assert "The position along y is not determined by the data: no band is drawn." in page.words
+    assert "no bound" in page.words and "No surface" in page.words
+    names = [trace.get("name") for trace in page.figures["inertia-ratios"]["data"]]
+    assert "estimate" in names and "3σ" not in names
+    assert list(page.figures) == FIGURES[:-1]
+
+
+@pytest.mark.parametrize("tracks_found", [True, False])
+def test_a_failed_run_says_why_and_what_is_missing(tracks_found: bool, example: Any, tmp_path: Path) -> None:
+    tracks = example.tracks if tracks_found else None
+    if tracks is not None:
+        write_measurements(tracks, tmp_path / "measurements.npz")
+    finish_run(tmp_path, build_summary(tracks, None, None, {}, failure="the frames <fall> apart"))
+    page = _page(tmp_path)
+    assert "No motion was found: the frames <fall> apart." in page.words
+    assert "did not reach an estimate of the motion" in page.words
+    assert list(page.figures) == (["observations", "landmarks-over-time"] if tracks_found else [])
+
+
+def test_a_run_of_three_frames_with_no_measurement_is_drawn(example: Any, tmp_path: Path) -> None:
+    three = slice(0, 3)
+    estimate = replace(
+        example.estimate,
+        **{
+            name: getattr(example.estimate, name)[three]
+            for name in ("timestamps_ns", "r_N", "v_N", "R_NP", "w_P", "X_NG", "covariance")
+        },
+        residuals_px=np.empty((0, 3)),
+        inlier_weight=np.empty(0),
+    )
+    tracks = replace(
+        example.tracks,
+        timestamps_ns=example.tracks.timestamps_ns[three],
+        X_NR=example.tracks.X_NR[three],
+        frame=np.empty(0, dtype=np.int64),
+        landmark=np.empty(0, dtype=np.int64),
+        uvd_px=np.empty((0, 3)),
+        sigma_px=np.empty((0, 3)),
+    )
+    page = _page(_write(tmp_path / "run", replace(example, estimate=estimate, tracks=tracks), None))
+    assert "centre-of-mass" in page.figures and "observations" not in page.figures
+
+
+def test_metrics_enter_when_the_report_is_made_again(example: Any, tmp_path: Path) -> None:
+    folder = _write(tmp_path / "run", example, None)
+    assert "Against the truth" not in _page(folder).words
+    metrics = {"rmse_position_m": 1.25e-4, "error_k1": 0.002, "error_k2": -0.004, "nees": {"inertia": None}}
+    (folder / "metrics.json").write_text(json.dumps(metrics))
+    refresh_report(folder)
+    page = _page(folder)
+    assert "Against the truth" in page.words and "RMSE position [mm]" in page.words
+    truth = [trace for trace in page.figures["inertia-ratios"]["data"] if trace.get("name") == "truth"]
+    assert len(truth) == 2
+    assert [entry.name for entry in folder.iterdir() if entry.name.startswith(".")] == []
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        refresh_report(tmp_path)
+
+
+def test_the_finding_names_rate_axis_and_ratios(example: Any) -> None:
+    summary = build_summary(example.tracks, example.estimate, example.surface, {})
+    w_P = np.tile([0.0, 0.02, 1.0], (24, 1))
+    path = replace(trajectory_of(example.estimate), w_P=w_P)
+    assert finding(summary, path) == (
+        "The target turns at 9.55 RPM about its principal axis z (smallest moment) and drifts at 3.0 mm/s; "
+        "its inertia ratios are k1 = 0.3042 ± 0.0020 and k2 = 0.2803 ± 0.0060."
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "text"),
+    [
+        (0.031723, 0.00213, "0.0317 ± 0.0021"),
+        (14.238, 0.14, "14.24 ± 0.14"),
+        (1234.5, 38.0, "1234 ± 38"),
+        (0.3, None, "0.3"),
+        (0.3, float("inf"), "0.3"),
+    ],
+)
+def test_a_value_has_the_digits_that_its_sigma_allows(value: float, sigma: float | None, text: str) -> None:
+    assert with_sigma(value, sigma) == text
+
+
+def test_metrics_are_listed_with_their_units() -> None:
+    metrics = {
+        "rmse_velocity_m_s": 2e-4,
+        "prediction_error_m": {"10": 0.002},
+        "mesh": {"completeness_3mm": 0.9},
+    }
+    assert [(row.name, row.value) for row in metric_rows(metrics)] == [
+        ("RMSE velocity [mm/s]", "0.2"),
+        ("prediction error [mm]: 10 s after the last image", "2"),
+        ("mesh: completeness 3mm", "0.9"),
+    ]
+
+
+def test_the_drawn_polhode_is_the_motion_of_a_free_body(example: Any) -> None:
+    moments, w0 = example.estimate.mass.moments, example.estimate.w_P[0]
+    time_s = np.array([0.0, 0.5, 1.0])
+
+    def euler(t: float, w: np.ndarray) -> np.ndarray:
+        return -np.cross(w, moments * w) / moments
+
+    exact = solve_ivp(euler, (0, 1), w0, t_eval=time_s, rtol=1e-11, atol=1e-13).y.T
+    path = torque_free_path(time_s, exact, moments)
+    dense = solve_ivp(euler, (0, 1), w0, t_eval=np.linspace(0, 1, len(path)), rtol=1e-11, atol=1e-13).y.T
+    np.testing.assert_allclose(path, dense, atol=1e-6)
+
+
+def test_the_region_of_possible_bodies_ends_at_flat_ones() -> None:
+    k2 = np.array([0.0, 0.4, 2.0])
+    Jxx, Jyy, Jzz = np.exp(largest_k1(k2)), 1.0, np.exp(-k2)
+    np.testing.assert_allclose(Jxx, Jyy + Jzz)
+
+
+def test_the_ellipse_is_at_its_mahalanobis_distance() -> None:
+    covariance = np.array([[4.0, -1.5], [-1.5, 1.0]])
+    points = confidence_ellipse(np.array([1.0, 2.0]), covariance, 3.0) - [1.0, 2.0]
+    distance = np.sqrt(np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance), points))
+    np.testing.assert_allclose(distance, 3.0)
+
+
+def test_a_band_stops_at_undetermined_frames() -> None:
+    traces = band(np.arange(5.0), np.zeros(5), np.array([1.0, 1.0, np.inf, np.inf, 2.0]), "#112233")
+    assert [len(_unpacked(trace["x"])) for trace in traces] == [4, 2]
+    assert max(_unpacked(traces[1]["y"])) == 2.0
+    assert band(np.arange(2.0), np.zeros(2), np.full(2, np.inf), "#112233") == []
+
+
+def _unpacked(array: dict[str, str]) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(array["bdata"]), dtype="<" + array["dtype"])
+
+
+def test_packed_arrays_hold_gaps_instead_of_infinities() -> None:
+    np.testing.assert_array_equal(_unpacked(packed([1.0, np.inf, 2.5])), [1.0, np.nan, 2.5])
+    assert packed(np.zeros((2, 3)))["shape"] == "2, 3"
+
+
+def test_a_straight_line_leaves_no_residual() -> None:
+    time_s = np.linspace(0, 10, 20)
+    p = np.array([1.0, 2.0, 3.0]) + np.outer(time_s, [0.1, -0.2, 0.3])
+    sigma = np.full((20, 3), 0.1)
+    sigma[:, 1] = np.inf
+    np.testing.assert_allclose(straight_line_residual(time_s, p, sigma), 0.0, atol=1e-12)
+
+
+def test_rms_counts_inliers_only_and_bridged_frames_are_gaps(run_folder: Path, example: Any) -> None:
+    content = read_content(run_folder, "tumbler")
+    assert content.tracks is not None and content.residuals is not None
+    rms = rms_per_frame(content.tracks, content.residuals)
+    here = (example.tracks.frame == 4) & (example.estimate.inlier_weight >= 0.5)
+    np.testing.assert_allclose(rms[4], np.sqrt(np.mean(example.estimate.residuals_px[here] ** 2, axis=0)))
+    assert np.all(np.isnan(rms[11]))
+
+
+def test_cameras_stand_where_the_target_sees_them(run_folder: Path, example: Any) -> None:
+    positions = cameras_in_target(read_content(run_folder, "tumbler"))
+    assert positions is not None
+    X_NG = example.estimate.X_NG
+    expected = -np.einsum("fji,fj->fi", X_NG[:, :3, :3], X_NG[:, :3, 3])
+    np.testing.assert_allclose(positions, expected, atol=1e-12)

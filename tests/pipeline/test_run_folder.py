@@ -1,0 +1,200 @@
+"""The run directory appears complete or not at all, and what stood there is never half-overwritten."""
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.outputs import finish_run, write_config, write_estimate, write_measurements
+from pipeline.run_folder import RunFolder
+from pipeline.summary import build_summary, read_summary
+from polhode.config import Config
+from polhode.errors import InputError, RunFailure
+
+
+def _finish(folder: Path, run: Any, warning: str = "") -> None:
+    finish_run(folder, build_summary(run.tracks, run.estimate, run.surface, {}, [warning] if warning else []))
+
+
+def _leftovers(parent: Path) -> list[str]:
+    return [entry.name for entry in parent.iterdir() if entry.name.startswith(".")]
+
+
+def test_the_folder_appears_only_when_it_is_complete(example: Any, tmp_path: Path) -> None:
+    target = tmp_path / "deep" / "run"
+    with RunFolder(target) as folder:
+        assert folder.parent == target.parent and not target.exists()
+        _finish(folder, example)
+        assert not target.exists()
+    assert read_summary(target).status == "ok"
+    assert (target / "report.html").is_file() and (target / "log.txt").is_file()
+    assert _leftovers(target.parent) == []
+
+
+def test_an_empty_folder_may_be_filled(example: Any, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    with RunFolder(tmp_path / "run") as folder:
+        _finish(folder, example)
+    assert read_summary(tmp_path / "run").status == "ok"
+
+
+def test_the_run_is_as_readable_as_any_folder_of_the_user(example: Any, tmp_path: Path) -> None:
+    (tmp_path / "plain").mkdir()
+    with RunFolder(tmp_path / "run") as folder:
+        _finish(folder, example)
+    assert (tmp_path / "run").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+@pytest.mark.parametrize(
+    ("overwrite", "words"), [(False, "--overwrite"), (False, "not a run"), (True, "not a run")]
+)
+def test_a_folder_in_use_is_refused_at_once_in_one_line(
+    overwrite: bool, words: str, example: Any, tmp_path: Path
+) -> None:
+    target = tmp_path / "run"
+    target.mkdir()
+    (target / "notes.txt").write_text("mine")
+    if words == "--overwrite":
+        _finish(target, example)
+    before = sorted(entry.name for entry in target.iterdir())
+    with pytest.raises(InputError, match=words) as caught:
+        RunFolder(target, overwrite)
+    assert "\n" not in str(caught.value)
+    assert sorted(entry.name for entry in target.iterdir()) == before
+    assert _leftovers(tmp_path) == []
+
+
+def test_a_file_in_the_way_is_refused_even_with_overwrite(tmp_path: Path) -> None:
+    (tmp_path / "run").write_text("mine")
+    with pytest.raises(InputError, match="a file stands here"):
+        RunFolder(tmp_path / "run", overwrite=True)
+    assert (tmp_path / "run").read_text() == "mine"
+
+
+def test_overwriting_replaces_the_whole_run_and_only_at_the_end(example: Any, tmp_path: Path) -> None:
+    target = tmp_path / "run"
+    with RunFolder(target) as folder:
+        _finish(folder, example, "the first")
+        (folder / "metrics.json").write_text("{}")
+    with RunFolder(target, overwrite=True) as folder:
+        _finish(folder, example, "the second")
+        assert read_summary(target).warnings == ["the first"]
+    assert read_summary(target).warnings == ["the second"]
+    assert not (target / "metrics.json").exists()
+    assert _leftovers(tmp_path) == []
+
+
+def _run(target: Path, work: Callable[[Path], None], error: BaseException, overwrite: bool = False) -> None:
+    with RunFolder(target, overwrite) as folder:
+        work(folder)
+        raise error
+
+
+def test_a_failed_run_leaves_what_it_found_and_says_why(example: Any, tmp_path: Path) -> None:
+    def measure(folder: Path) -> None:
+        write_config(folder, Config())
+        write_measurements(example.tracks, folder / "measurements.npz")
+
+    with pytest.raises(RunFailure):
+        _run(tmp_path / "run", measure, RunFailure("the frames fall into two pieces;\n give masks"))
+    summary = read_summary(tmp_path / "run")
+    assert summary.status == "failed" and summary.inertia is None
+    assert summary.warnings == ["the frames fall into two pieces; give masks"]
+    assert summary.frames == 24
+    assert "two pieces" in (tmp_path / "run" / "report.html").read_text()
+    assert "two pieces" in (tmp_path / "run" / "log.txt").read_text()
+    assert _leftovers(tmp_path) == []
+
+
+def test_a_failure_after_the_estimate_keeps_its_numbers(example: Any, tmp_path: Path) -> None:
+    def solve(folder: Path) -> None:
+        write_config(folder, Config())
+        write_estimate(folder, example.tracks, example.estimate)
+
+    with pytest.raises(MemoryError):
+        _run(tmp_path / "run", solve, MemoryError("the grid is too large"))
+    summary = read_summary(tmp_path / "run")
+    assert summary.status == "failed" and summary.warnings[0] == "the grid is too large"
+    assert summary.inertia is not None and summary.inertia.k1 == example.estimate.mass.k1
+    assert "Polhode" in (tmp_path / "run" / "report.html").read_text()
+
+
+def test_a_failed_run_with_nothing_found_does_not_cost_the_old_one(example: Any, tmp_path: Path) -> None:
+    target = tmp_path / "run"
+    with RunFolder(target) as folder:
+        _finish(folder, example, "the first")
+    with pytest.raises(RunFailure):
+        _run(target, lambda folder: write_config(folder, Config()), RunFailure("black"), overwrite=True)
+    assert read_summary(target).warnings == ["the first"]
+
+    def measure(folder: Path) -> None:
+        write_measurements(example.tracks, folder / "measurements.npz")
+
+    with pytest.raises(RunFailure):
+        _run(target, measure, RunFailure("broken chain"), overwrite=True)
+    assert read_summary(target).status == "failed"
+    assert _leftovers(tmp_path) == []
+
+
+@pytest.mark.parametrize("error", [InputError("no images"), KeyboardInterrupt()])
+def test_bad_input_and_an_interrupt_leave_nothing(error: BaseException, example: Any, tmp_path: Path) -> None:
+    def measure(folder: Path) -> None:
+        write_measurements(example.tracks, folder / "measurements.npz")
+
+    with pytest.raises(type(error)):
+        _run(tmp_path / "run", measure, error)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_report_that_breaks_does_not_cost_what_was_found(
+    example: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def solve(folder: Path) -> None:
+        write_estimate(folder, example.tracks, example.estimate)
+
+    def broken(folder: Path) -> None:
+        raise KeyError(folder.name)
+
+    monkeypatch.setattr("pipeline.run_folder.write_report", broken)
+    with pytest.raises(KeyError):
+        _run(tmp_path / "run", solve, RunFailure("no surface"))
+    assert (tmp_path / "run" / "trajectory.csv").is_file()
+    assert read_summary(tmp_path / "run").status == "failed"
+
+
+def test_a_run_that_came_meanwhile_is_not_touched(example: Any, tmp_path: Path) -> None:
+    target = tmp_path / "run"
+
+    def race() -> None:
+        with RunFolder(target) as folder:
+            _finish(folder, example, "mine")
+            target.mkdir()
+            _finish(target, example, "theirs")
+
+    with pytest.raises(InputError, match="meanwhile") as caught:
+        race()
+    assert read_summary(target).warnings == ["theirs"]
+    kept = next(tmp_path.glob(".run.partial-*"))
+    assert str(kept) in str(caught.value) and read_summary(kept).warnings == ["mine"]
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match="cannot write here"), RunFolder(tmp_path / "file" / "run"):
+        pass
+
+
+def test_the_log_holds_our_messages_and_the_loggers_are_left_as_they_were(
+    example: Any, tmp_path: Path
+) -> None:
+    logger = logging.getLogger("frontend")
+    before = (logger.level, list(logger.handlers))
+    with RunFolder(tmp_path / "run") as folder:
+        logging.getLogger("frontend.stereo").info("562 matches")
+        logging.getLogger("some.library").warning("not ours")
+        _finish(folder, example)
+    text = (tmp_path / "run" / "log.txt").read_text()
+    assert "562 matches" in text and "not ours" not in text
+    assert (logger.level, list(logger.handlers)) == before

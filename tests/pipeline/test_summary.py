@@ -1,0 +1,140 @@
+"""summary.json: fits its schema, speaks of what is undetermined with null, and gives the right status."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator, ValidationError
+
+from pipeline.summary import (
+    SCHEMA_FILE,
+    STAGES,
+    Summary,
+    build_summary,
+    read_summary,
+    summary_schema,
+    write_summary,
+)
+from polhode.errors import InputError
+
+CONTRACT_KEYS = {
+    "schema",
+    "status",
+    "warnings",
+    "frames",
+    "frames_used",
+    "landmarks",
+    "observations",
+    "duration_s",
+    "timing_s",
+    "inertia",
+    "identifiable",
+    "identifiable_detail",
+    "com_G",
+    "cov_com_G",
+    "R_GP",
+    "cov_R_GP",
+    "solver",
+    "noise",
+}
+)
+
+
+def _strict(text: str) -> Any:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def _summary(run: Any, **more: Any) -> Summary:
+    return build_summary(run.tracks, run.estimate, run.surface, {"frontend": 3.0, "backend": 1.5}, **more)
+
+
+def test_the_shipped_schema_is_the_one_of_the_model() -> None:
+    assert json.loads(SCHEMA_FILE.read_text()) == summary_schema()
+    Draft202012Validator.check_schema(summary_schema())
+
+
+def test_every_kind_of_summary_fits_the_schema(example: Any, undetermined: Any, tmp_path: Path) -> None:
+    validator = Draft202012Validator(json.loads(SCHEMA_FILE.read_text()))
+    summaries = (
+        _summary(example),
+        _summary(undetermined),
+        build_summary(example.tracks, None, None, {}, failure="no motion"),
+        build_summary(None, None, None, {}, failure="nothing"),
+    )
+    for summary in summaries:
+        write_summary(summary, tmp_path / "summary.json")
+        content = _strict((tmp_path / "summary.json").read_text())
+        validator.validate(content)
+        assert content.keys() >= CONTRACT_KEYS
+        assert read_summary(tmp_path) == summary
+
+
+def test_the_schema_refuses_what_is_not_a_summary(example: Any) -> None:
+    validator = Draft202012Validator(summary_schema())
+    good = _summary(example).model_dump(mode="json", by_alias=True)
+    for change in ({"status": "fine"}, {"com_G": [0.0, 0.0]}, {"frames": -1}, {"surprise": 1}):
+        with pytest.raises(ValidationError):
+            validator.validate(good | change)
+
+
+def test_the_numbers_are_those_of_the_estimate(example: Any) -> None:
+    summary, mass = _summary(example), example.estimate.mass
+    assert summary.status == "ok" and summary.warnings == []
+    assert summary.inertia is not None and summary.com_G is not None and summary.R_GP is not None
+    assert (summary.inertia.k1, summary.inertia.k2) == (mass.k1, mass.k2)
+    np.testing.assert_array_equal(summary.inertia.J_G, mass.J_G)
+    np.testing.assert_array_equal(np.array(summary.inertia.cov), mass.cov_k)
+    np.testing.assert_array_equal(summary.com_G, mass.com_G)
+    assert (summary.frames, summary.frames_used) == (24, 23)
+    assert summary.observations == len(example.tracks.frame) and summary.landmarks == 150
+    assert summary.duration_s == pytest.approx(11.5)
+    assert set(type(summary.timing_s).model_fields) == set(STAGES)
+    assert summary.timing_s.total == pytest.approx(4.5)
+
+
+def test_undetermined_is_null_and_its_best_number_stays(undetermined: Any, tmp_path: Path) -> None:
+    write_summary(_summary(undetermined), tmp_path / "summary.json")
+    content = _strict((tmp_path / "summary.json").read_text())
+    assert content["inertia"]["cov"] == [[None, None], [None, None]]
+    assert content["cov_com_G"][1] == [None, None, None] and content["cov_com_G"][0][0] == 1e-8
+    assert content["inertia"]["k1"] == undetermined.estimate.mass.k1
+    assert content["identifiable"] == {"k1": False, "k2": False, "com": False, "axes": False}
+    assert "pure spin" in content["identifiable_detail"]["k1"]
+
+
+def test_the_status_follows_from_what_was_found(example: Any, undetermined: Any) -> None:
+    assert _summary(example, warnings=["one frame was dropped"]).status == "ok"
+    assert _summary(undetermined).status == "ok"
+    assert _summary(example, degraded=["the masks are empty"]).status == "degraded"
+    assert _summary(example, failure="out of memory").status == "failed"
+    assert build_summary(example.tracks, example.estimate, None, {}).status == "degraded"
+    stopped = replace(example.estimate, solver=replace(example.estimate.solver, converged=False))
+    assert _summary(replace(example, estimate=stopped)).status == "degraded"
+
+
+def test_every_reason_is_told_once_and_the_failure_first(example: Any) -> None:
+    estimate = replace(example.estimate, warnings=("the light changed", "the light changed"))
+    summary = _summary(replace(example, estimate=estimate), warnings=["dropped"], failure="stopped")
+    assert summary.warnings == ["stopped", "the light changed", "dropped"]
+    solver = replace(example.estimate.solver, converged=False)
+    own = replace(example.estimate, solver=solver, warnings=("the solver stopped before convergence: time",))
+    summary = _summary(replace(example, estimate=own))
+    assert summary.status == "degraded"
+    assert summary.warnings == ["the solver stopped before convergence: time"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"), [(None, "no such file"), ("{}", "Field required"), ("{", "JSON")]
+)
+def test_a_damaged_summary_is_refused_in_one_line(content: str | None, words: str, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / "summary.json").write_text(content)
+    with pytest.raises(InputError, match=words) as caught:
+        read_summary(tmp_path)
+    assert "\n" not in str(caught.value)
