@@ -50,8 +50,8 @@ def target_mask(image: Image, given: Bools | None = None) -> Bools:
 
 def sky_level(smooth: Image) -> float:
     """Intensity above which a smoothed pixel is not sky: the darkest level with its scatter, and a margin."""
-    dark = smooth[smooth <= np.percentile(smooth, 25)].astype(np.float64)
-    return float(np.median(dark) + 4.0 * max(1.0, np.std(dark)))
+    dark = smooth[smooth <= np.percentile(smooth, 10)].astype(np.float64)
+    return float(np.median(dark)) + 4.0 * max(1.0, float(np.std(dark)))
 
 
 def target_crop(mask: Bools, margin_px: int = 8) -> Crop | None:
