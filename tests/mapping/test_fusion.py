@@ -20,7 +20,8 @@ CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu")
 
 @pytest.fixture(scope="module")
 def sphere() -> trimesh.Trimesh:
-    return trimesh.creation.icosphere(subdivisions=5, radius=0.08)
+    mesh: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=5, radius=0.08)
+    return mesh
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
+from trimesh.visual import ColorVisuals
 
 from mapping.mesh_files import read_ply, write_glb, write_ply
 from mapping.surface import empty_surface
@@ -22,12 +24,17 @@ def surface() -> SurfaceModel:
     return SurfaceModel(coloured, sigma_m=np.linspace(1e-4, 2e-3, n), views=np.arange(n) + 1)
 
 
+def colours_of(mesh: trimesh.Trimesh) -> NDArray[np.uint8]:
+    assert isinstance(mesh.visual, ColorVisuals)
+    return np.asarray(mesh.visual.vertex_colors, dtype=np.uint8)
+
+
 def test_ply_keeps_shape_colour_sigma_and_views(surface: SurfaceModel, tmp_path: Path) -> None:
     write_ply(surface, tmp_path / "mesh.ply")
     again = read_ply(tmp_path / "mesh.ply")
     np.testing.assert_allclose(again.mesh.vertices, surface.mesh.vertices, atol=1e-8)
     np.testing.assert_array_equal(again.mesh.faces, surface.mesh.faces)
-    np.testing.assert_array_equal(again.mesh.visual.vertex_colors, surface.mesh.visual.vertex_colors)
+    np.testing.assert_array_equal(colours_of(again.mesh), colours_of(surface.mesh))
     np.testing.assert_allclose(again.sigma_m, surface.sigma_m, rtol=1e-6)
     np.testing.assert_array_equal(again.views, surface.views)
 
@@ -37,7 +44,7 @@ def test_glb_opens_with_colours_and_metres(surface: SurfaceModel, tmp_path: Path
     mesh = trimesh.load_mesh(tmp_path / "mesh.glb", process=False)
     assert isinstance(mesh, trimesh.Trimesh)
     np.testing.assert_allclose(mesh.extents, surface.mesh.extents, rtol=1e-5)
-    np.testing.assert_array_equal(mesh.visual.vertex_colors, surface.mesh.visual.vertex_colors)
+    np.testing.assert_array_equal(colours_of(mesh), colours_of(surface.mesh))
 
 
 def test_an_empty_surface_is_written(tmp_path: Path) -> None:

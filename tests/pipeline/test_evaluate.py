@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from backend.inertia import FORMS, inertia_from_second_moments
@@ -69,7 +70,7 @@ def sequence(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path
     return folder
 
 
-def _silhouette(mesh: trimesh.Trimesh, X_NG: Array, K: Array, shift_m: float) -> np.ndarray:
+def _silhouette(mesh: trimesh.Trimesh, X_NG: Array, K: Array, shift_m: float) -> NDArray[np.uint8]:
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     rays = np.stack([(u - K[0, 2]) / FOCAL_PX, (v - K[1, 2]) / FOCAL_PX, np.ones(u.shape)], -1)
     X_GN = inverse_pose(X_NG)
@@ -77,7 +78,7 @@ def _silhouette(mesh: trimesh.Trimesh, X_NG: Array, K: Array, shift_m: float) ->
     directions = rays.reshape(-1, 3) @ X_GN[:3, :3].T
     hit = RayMeshIntersector(mesh).intersects_any(np.broadcast_to(eye, directions.shape), directions)
     noise = np.random.default_rng(0).integers(0, 4, u.shape)
-    return (hit.reshape(u.shape) * 120 + noise).astype(np.uint8)
+    return np.asarray(hit.reshape(u.shape) * 120 + noise, dtype=np.uint8)
 
 
 def write_example(example: Example, estimate: MotionEstimate, folder: Path) -> Path:

@@ -9,7 +9,8 @@ from polhode.mesh_metrics import compare_surfaces, distance_to_surface, sample_s
 
 @pytest.fixture(scope="module")
 def sphere() -> trimesh.Trimesh:
-    return trimesh.creation.icosphere(subdivisions=5, radius=0.1)
+    mesh: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=5, radius=0.1)
+    return mesh
 
 
 def test_a_surface_is_within_a_micrometre_of_itself(sphere: trimesh.Trimesh) -> None:
