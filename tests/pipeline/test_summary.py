@@ -40,7 +40,6 @@ CONTRACT_KEYS = {
     "solver",
     "noise",
 }
-)
 
 
 def _strict(text: str) -> Any:
