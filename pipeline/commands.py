@@ -90,7 +90,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Compare a run with the truth of its dataset: RUN/metrics.json, a table, and a section of the report."""
+    """Compare a run with the truth of its dataset: RUN/metrics.json, a table, a section of the report."""
 
     run: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a finished run."""
@@ -112,7 +112,7 @@ class Evaluate:
 
 @dataclass(frozen=True)
 class Report:
-    """Make the report of a run again, or one page that sets several runs side by side; each self-contained."""
+    """Make the report of a run again, or one page that sets several runs side by side."""
 
     runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN...")]
     """Folders of runs."""

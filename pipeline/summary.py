@@ -96,7 +96,7 @@ class Solver(_Part):
     reduced_chi2: Finite | None
     message: str = ""
     runner_up: dict[str, Variance] = {}
-    """Cost of the other hypotheses, by name."""
+    """Cost of the other hypotheses, by name, minus that of the one chosen; null: did not end."""
 
 
 class Noise(_Part):

@@ -129,7 +129,7 @@ def _eye(w_P: Array) -> Array:
     start = w_P[0] / max(float(np.linalg.norm(w_P[0])), 1e-300)
     # A path right around the body has no middle: look at its start.
     eye = middle if np.linalg.norm(middle) > 0.2 else start
-    return np.asarray(eye / np.linalg.norm(eye) + [0.25, -0.25, 0.3]) if np.any(eye) else np.ones(3)
+    return np.asarray(eye / np.linalg.norm(eye) + [0.2, -0.2, 0.2]) if np.any(eye) else np.ones(3)
 
 
 def _ellipsoid(semi_axes: Array, name: str) -> Trace:

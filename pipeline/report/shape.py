@@ -105,7 +105,7 @@ def _map(content: Content, landmarks: Landmarks) -> Figure:
         f"ends at the 95th percentile).{median}{unknown} The lines start at the centre of mass and follow "
         "the principal axes x (largest moment), y, z (smallest).",
         data,
-        _body_layout(),
+        _body_layout(content),
         height_px=520,
         wide=False,
     )
@@ -142,7 +142,7 @@ def _mesh(content: Content, mesh: trimesh.Trimesh) -> Figure:
         "range; lines: principal axes at the centre of mass. The legend switches on from where the left "
         f"camera looked at each frame: its direction, close to the body, and its position.{thin}",
         data,
-        _body_layout(),
+        _body_layout(content),
         height_px=520,
         wide=False,
     )
@@ -200,9 +200,12 @@ def _points(p_mm: Array, name: str, marker: dict[str, Any], **more: Any) -> Trac
     return {"type": "scatter3d", "mode": "markers", **xyz, "name": name, "marker": marker, **more}
 
 
-def _body_layout() -> dict[str, Any]:
+def _body_layout(content: Content) -> dict[str, Any]:
+    """Seen from where the left camera stood at the first frame, so that a side that was seen is in front."""
+    positions = cameras_in_target(content)
+    away = positions[0] - content.motion.com_G if positions is not None and content.motion else np.zeros(3)
     return layout(
-        scene=scene("mm"),
+        scene=scene("mm", eye=away) if np.any(away) else scene("mm"),
         margin={"l": 0, "r": 0, "t": 8, "b": 0},
         legend={"orientation": "h", "x": 0, "y": 0},
     )

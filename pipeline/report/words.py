@@ -81,15 +81,17 @@ def inertia_rows(summary: Summary) -> list[Row]:
         row = _row(f"centre of mass, {name} in G", 1e3 * summary.com_G[k], sigma, "mm", sigma is not None, "")
         rows.append(row)
     for k, name in enumerate("xyz"):
-        sure = parts.com_P[k]
-        verdict = _verdict(sure, detail.get(f"com_{name}", ""))
-        rows.append(Row(f"centre of mass, along the principal axis {name}", "", "", verdict, sure))
+        if not parts.com_P[k]:
+            verdict = _verdict(False, detail.get(f"com_{name}", ""))
+            rows.append(
+                Row(f"centre of mass, along the principal axis {name}", "no bound", "", verdict, False)
+            )
     for k, name in enumerate("xyz"):
         root = None if summary.cov_R_GP is None else _root(summary.cov_R_GP[k][k])
-        value = "no bound" if root is None else f"± {np.rad2deg(root):.2g}"
+        value, unit = ("no bound", "") if root is None else (f"± {np.rad2deg(root):.2g}", "deg")
         sure = parts.axes_P[k]
         verdict = _verdict(sure, detail.get(f"axes_{name}", ""))
-        rows.append(Row(f"principal axes, turned about {name}", value, "deg", verdict, sure))
+        rows.append(Row(f"principal axes, turned about {name}", value, unit, verdict, sure))
     return rows
 
 
@@ -97,7 +99,8 @@ def run_rows(content: Content) -> list[Row]:
     """Size of the data, noise and solver."""
     summary = content.summary
     rows = [
-        Row("stereo pairs", f"{summary.frames}", f"{summary.frames_used} with measurements"),
+        Row("stereo pairs", f"{summary.frames}"),
+        Row("pairs with measurements", f"{summary.frames_used}"),
         Row("duration of the data", f"{summary.duration_s:.1f}", "s"),
         Row("landmarks", f"{summary.landmarks}"),
         Row("stereo observations", f"{summary.observations}"),
@@ -113,13 +116,12 @@ def run_rows(content: Content) -> list[Row]:
     if summary.solver is not None:
         solver = summary.solver
         ended = "converged" if solver.converged else f"stopped: {solver.message or 'not converged'}"
-        rows.append(
-            Row("solver", f"{solver.name}, {solver.iterations} iterations", ended, sure=solver.converged)
-        )
+        rows.append(Row("solver", f"{solver.name}, {solver.iterations} iterations"))
+        rows.append(Row("solver's end", ended, sure=solver.converged))
         rows.append(Row("cost", f"{solver.cost:.6g}"))
         if solver.reduced_chi2 is not None:
             rows.append(Row("reduced chi-squared", f"{solver.reduced_chi2:.3f}"))
-        rows += [Row(f"cost from {name}", _cost(cost)) for name, cost in solver.runner_up.items()]
+        rows += [Row(f"excess cost from {name}", _cost(cost)) for name, cost in solver.runner_up.items()]
     return rows
 
 
@@ -132,10 +134,10 @@ def motion_rows(motion: Motion | None) -> list[Row]:
     return [
         Row("rate of turn, median", f"{np.rad2deg(np.median(rate)):.2f}", "deg/s"),
         Row("distance from the origin of N", f"{np.median(np.linalg.norm(path.r_N, axis=1)):.4f}", "m"),
-        Row("σ position, worst axis", _median(1e3 * path.sigma_r), "mm"),
-        Row("σ velocity, worst axis", _median(1e3 * path.sigma_v), "mm/s"),
-        Row("σ attitude, worst axis", _median(np.rad2deg(path.sigma_theta)), "deg"),
-        Row("σ angular velocity, worst axis", _median(np.rad2deg(path.sigma_w)), "deg/s"),
+        _median_row("σ position, worst axis", 1e3 * path.sigma_r, "mm"),
+        _median_row("σ velocity, worst axis", 1e3 * path.sigma_v, "mm/s"),
+        _median_row("σ attitude, worst axis", np.rad2deg(path.sigma_theta), "deg"),
+        _median_row("σ angular velocity, worst axis", np.rad2deg(path.sigma_w), "deg/s"),
     ]
 
 
@@ -180,7 +182,7 @@ def _row(name: str, value: float, sigma: float | None, unit: str, sure: bool, re
 
 
 def _verdict(sure: bool, reason: str) -> str:
-    return reason or ("determined" if sure else "not determined by this motion")
+    return "determined" if sure else reason or "not determined by this motion"
 
 
 def _diagonal_mm(covariance: Any, k: int) -> float | None:
@@ -192,9 +194,9 @@ def _root(variance: float | None) -> float | None:
     return None if variance is None else float(np.sqrt(max(variance, 0.0)))
 
 
-def _median(sigma: Array) -> str:
+def _median_row(name: str, sigma: Array, unit: str) -> Row:
     worst = np.max(np.median(sigma, axis=0))
-    return f"{worst:.2g}" if np.isfinite(worst) else "not determined"
+    return Row(name, f"{worst:.2g}", unit) if np.isfinite(worst) else Row(name, "not determined")
 
 
 def _cost(cost: float | None) -> str:
