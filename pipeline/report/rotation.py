@@ -105,7 +105,7 @@ def _polhode(motion: Motion) -> Figure:
     ]
     names = ("ω<sub>x</sub>", "ω<sub>y</sub>", "ω<sub>z</sub>")
     figure = layout(
-        scene=scene("deg/s", names, _eye(path.w_P)),
+        scene=scene("deg/s", names, look_at(path.w_P)),
         margin={"l": 0, "r": 0, "t": 8, "b": 0},
         legend={"orientation": "h", "x": 0, "y": 0},
     )
@@ -123,7 +123,7 @@ def _polhode(motion: Motion) -> Figure:
     )
 
 
-def _eye(w_P: Array) -> Array:
+def look_at(w_P: Array) -> Array:
     """A direction (3,) from which the path is in front: over its middle, a little from above."""
     middle = np.mean(w_P / np.maximum(np.linalg.norm(w_P, axis=1, keepdims=True), 1e-300), axis=0)
     start = w_P[0] / max(float(np.linalg.norm(w_P[0])), 1e-300)

@@ -114,7 +114,7 @@ def _map(content: Content, landmarks: Landmarks) -> Figure:
 def _mesh(content: Content, mesh: trimesh.Trimesh) -> Figure:
     vertices, faces, source = thinned(mesh, MAX_FACES)
     p_mm = 1e3 * vertices
-    rgb = _stretched(_vertex_rgb(mesh))[source]
+    rgb = stretched(vertex_rgb(mesh))[source]
     data: list[Trace] = [
         {
             "type": "mesh3d",
@@ -148,14 +148,14 @@ def _mesh(content: Content, mesh: trimesh.Trimesh) -> Figure:
     )
 
 
-def _vertex_rgb(mesh: trimesh.Trimesh) -> "np.ndarray[Any, np.dtype[np.uint8]]":
+def vertex_rgb(mesh: trimesh.Trimesh) -> "np.ndarray[Any, np.dtype[np.uint8]]":
     """(V, 3); grey where the mesh has no vertex colours."""
     if not isinstance(mesh.visual, ColorVisuals):
         return np.full((len(mesh.vertices), 3), 160, dtype=np.uint8)
     return np.asarray(mesh.visual.vertex_colors, dtype=np.uint8)[:, :3]
 
 
-def _stretched(rgb: "np.ndarray[Any, np.dtype[np.uint8]]") -> "np.ndarray[Any, np.dtype[np.uint8]]":
+def stretched(rgb: "np.ndarray[Any, np.dtype[np.uint8]]") -> "np.ndarray[Any, np.dtype[np.uint8]]":
     """The colours (V, 3) with their 1st and 99th percentiles moved to black and white, and a gamma of 1.4."""
     low, high = np.percentile(rgb, (1, 99))
     share = ((rgb - low) / max(float(high - low), 1.0)).clip(0.0, 1.0)
