@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from backend.kernels import N_CONSTANTS, N_STATE, dynamics_kernel, prior_kernel
+from backend.kernels import N_CONSTANTS, N_STATE, Output, dynamics_kernel, prior_kernel
 from backend.problem import Held, MotionData, substep_groups
 from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
 from polhode.lie import Array, right_jacobian_so3
 from polhode.records import Ints
 
 DAMPING_FLOOR = 1e-8
-TOLERANCE = 1e-9
+TOLERANCE = 1e-8
 """Relative decrease of the cost that ends the iterations."""
 
 
@@ -54,7 +54,7 @@ class GaussNewton:
     def __init__(self, data: MotionData, with_dynamics: bool = True) -> None:
         self.data = data
         self.with_dynamics = with_dynamics
-        self._kernels: dict[int, Any] = {}
+        self._kernels: dict[tuple[int, int, str], Any] = {}
         self._prior = prior_kernel(data.form)
 
     def solve(self, held: Held, x: Array, max_iterations: int) -> Solution:
@@ -92,9 +92,8 @@ class GaussNewton:
 
     def dynamics_cost(self, held: Held, x: Array) -> float:
         """The part of the objective that the dynamics contribute."""
-        return sum(
-            float(np.sum(self._dynamics(steps, held, x, index)[0])) for steps, index in self._groups(held)
-        )
+        groups = self._groups(held)
+        return sum(float(self._dynamics(steps, held, x, index, "cost")[0].sum()) for steps, index in groups)
 
     def prior_information(self, held: Held, x: Array) -> Array:
         """Gauss-Newton Hessian (8, 8) of the weak prior on com_G and xi."""
@@ -172,22 +171,22 @@ class GaussNewton:
     def _groups(self, held: Held) -> list[tuple[int, Ints]]:
         return substep_groups(held.substeps) if self.with_dynamics else []
 
-    def _dynamics(self, steps: int, held: Held, x: Array, index: Ints) -> tuple[Array, Array, Array]:
-        if steps not in self._kernels:
-            self._kernels[steps] = dynamics_kernel(self.data.form, steps)
+    def _dynamics(self, steps: int, held: Held, x: Array, index: Ints, output: Output) -> list[Array]:
+        key = (steps, len(index), output)
+        if key not in self._kernels:
+            self._kernels[key] = dynamics_kernel(self.data.form, steps, output).map(len(index))
         n = N_STATE * self.data.n_frames
         states = x[:n].reshape(-1, N_STATE)
-        constants = np.broadcast_to(x[n : n + 8], (len(index), 8))
+        constants = np.broadcast_to(x[n : n + N_CONSTANTS], (len(index), N_CONSTANTS))
         stacked = np.concatenate([states[index], states[index + 1], constants], axis=1)
-        kernel = self._kernels[steps].map(len(index))
-        cost, gradient, hessian = kernel(stacked.T, held.dynamics[index].T)
-        return np.asarray(cost).ravel(), np.asarray(gradient).T, np.asarray(hessian).T
+        outputs = self._kernels[key].call([stacked.T, held.dynamics[index].T])
+        return [np.asarray(block).T for block in outputs]
 
     def _add_dynamics(self, held: Held, x: Array, H: Array, g: Array) -> float:
         n, total = N_STATE * self.data.n_frames, 0.0
         rows, cols = _upper_by_columns(32)
         for steps, index in self._groups(held):
-            cost, gradient, hessian = self._dynamics(steps, held, x, index)
+            cost, gradient, hessian = self._dynamics(steps, held, x, index, "quadratic")
             total += float(cost.sum())
             block = np.zeros((len(index), 32, 32))
             block[:, rows, cols] = block[:, cols, rows] = hessian

@@ -41,6 +41,11 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Deter
     share = np.sqrt(np.sum((vectors[:, lost] * sigma[lost]) ** 2, axis=1))
     good = share <= LIMIT
     total = np.sqrt(np.sum((vectors * sigma) ** 2, axis=1)) * SCALE
+    # axes whose moments may be equal are free to turn, however large the estimated difference
+    k = np.log(derivative.moments[:2] / derivative.moments[1:])
+    equal = ~good[3:5] | (k < 2.0 * total[3:5])
+    good[[7, 5]] &= ~equal
+    good[6] &= not equal.all()
     detail = {name: _words(n, good, total, w_P) for n, name in enumerate(NAMES)}
     record = Identifiability(
         k1=bool(good[3]),
@@ -51,7 +56,8 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Deter
         com_P=good[:3],
         axes_P=good[5:],
     )
-    return Determined(record, to_solver @ vectors[:, lost])
+    turned = to_solver[:, 5:][:, ~good[5:]]
+    return Determined(record, np.hstack([to_solver @ vectors[:, lost], turned]))
 
 
 def _words(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
@@ -87,5 +93,8 @@ def undetermined_states(determined: Determined, jacobians: Array, response: Arra
     constants = np.broadcast_to(determined.lost, (n_frames, *determined.lost.shape))
     change = np.linalg.norm(jacobians @ np.concatenate([own, constants], axis=1), axis=2)
     rate = max(float(np.sqrt(np.mean(np.sum(w_P**2, axis=1)))), 0.01)
-    unit = np.repeat([0.01, 0.01 * rate, 0.1, 0.1 * rate], 3)
-    return np.asarray(change > LIMIT * unit)
+    lost = change > np.repeat([1e-3, 1e-3 * rate, 0.01, 0.002 * rate], 3)
+    if np.sum(~determined.record.axes_P) >= 2:
+        # the axes may even be exchanged: nothing expressed in P is known
+        lost[:, 6:] = True
+    return np.asarray(lost)

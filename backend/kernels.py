@@ -4,11 +4,13 @@ Variables of a frame (12): p_NG [m], theta [rad] in R_NG = R_ref Exp(theta), v_N
 w_G [rad/s]. Constants: com_G (3) [m], xi (5) of the inertia. A landmark: p_G (3) [m].
 """
 
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 
 from backend.inertia import N_INERTIA, InertiaForm, quaternion_sx, rotation_sx
+
+Output = Literal["quadratic", "cost", "jacobian"]
 
 N_STATE = 12
 N_CONSTANTS = 3 + N_INERTIA
@@ -115,7 +117,7 @@ def stereo_kernel(robust_scale: float) -> Any:
     return ca.Function("stereo", [x, ca.vec(A), ca.vec(R_RN), t_R, uvd, inv_sigma, rig], outputs)
 
 
-def dynamics_kernel(form: InertiaForm, n_substeps: int, with_jacobian: bool = False) -> Any:
+def dynamics_kernel(form: InertiaForm, n_substeps: int, output: Output = "quadratic") -> Any:
     """Function (x (32), parameters (71)) -> cost, gradient (32), upper Hessian (528); or residual (12), Jacobian.
 
     x = state before, state after, com_G, xi. Parameters: R0, R1, R_ref of the inertia (9 each, by columns),
@@ -129,20 +131,22 @@ def dynamics_kernel(form: InertiaForm, n_substeps: int, with_jacobian: bool = Fa
     second = form.second_moments_sx(x[27:32], R_ref)
     J = ca.trace(second) * ca.SX.eye(3) - second
     r = dynamics_residual(x[0:12], x[12:24], x[24:27], J, R0, R1, q01, dt_s, W_t, W_r, n_substeps)
-    return quadratic_kernel(f"dynamics{n_substeps}", r, x, p, with_jacobian)
+    return quadratic_kernel(f"dynamics{n_substeps}", r, x, p, output)
 
 
-def prior_kernel(form: InertiaForm, with_jacobian: bool = False) -> Any:
+def prior_kernel(form: InertiaForm, output: Output = "quadratic") -> Any:
     """Function (x (8) = com_G, xi; p (13) = com_prior, com_sigma, R_ref) of the same outputs."""
     x, p = ca.SX.sym("x", N_CONSTANTS), ca.SX.sym("p", 13)
     second = form.second_moments_sx(x[3:8], ca.reshape(p[4:13], 3, 3))
-    return quadratic_kernel("prior", prior_residual(x[0:3], p[0:3], p[3], second), x, p, with_jacobian)
+    return quadratic_kernel("prior", prior_residual(x[0:3], p[0:3], p[3], second), x, p, output)
 
 
-def quadratic_kernel(name: str, residual: Any, x: Any, p: Any, with_jacobian: bool) -> Any:
-    """0.5 r.r with its gradient and Gauss-Newton Hessian, or r and its Jacobian."""
+def quadratic_kernel(name: str, residual: Any, x: Any, p: Any, output: Output) -> Any:
+    """0.5 r.r alone, or with its gradient and upper Gauss-Newton Hessian, or r and its Jacobian."""
+    if output == "cost":
+        return ca.Function(name, [x, p], [0.5 * ca.sumsqr(residual)])
     jacobian = ca.jacobian(residual, x)
-    if with_jacobian:
+    if output == "jacobian":
         return ca.Function(name, [x, p], [residual, ca.densify(jacobian)])
     hessian = upper(ca.densify(jacobian.T @ jacobian))
     return ca.Function(name, [x, p], [0.5 * ca.sumsqr(residual), ca.densify(jacobian.T @ residual), hessian])

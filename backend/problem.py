@@ -53,9 +53,9 @@ class MotionData:
     def n_landmarks(self) -> int:
         return len(self.start) - 1
 
-    def with_sigma_px(self, sigma_px: Array) -> "MotionData":
-        """The same measurements with other standard deviations (M, 3), in the order of this object."""
-        return replace(self, inv_sigma=1.0 / sigma_px)
+    def rescaled(self, factors: Array) -> "MotionData":
+        """The same measurements, the standard deviations of u, v and disparity times factors (3,)."""
+        return replace(self, inv_sigma=self.inv_sigma / factors)
 
 
 def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:

@@ -103,9 +103,9 @@ class MotionProgram:
                 "max_iter": max_iterations,
                 "tol": TOLERANCE,
                 "dual_inf_tol": TOLERANCE,
-                "acceptable_tol": 1.0,
-                "acceptable_iter": 2,
-                "acceptable_obj_change_tol": 1e-10,
+                "acceptable_tol": 1e3,
+                "acceptable_iter": 1,
+                "acceptable_obj_change_tol": 1e-8,
                 "nlp_scaling_method": "none",
             },
         }

@@ -16,6 +16,7 @@ from backend.identifiability import Determined, analyse, undetermined_states
 from backend.iterate import Iterate
 from backend.noise import NoiseScales
 from backend.problem import MotionData, hold
+from backend.prune import Kept, whitened_residuals
 from polhode.lie import Array, make_pose
 from polhode.records import (
     Identifiability,
@@ -28,18 +29,25 @@ from polhode.records import (
     StereoTracks,
 )
 
-OUTLIER_WEIGHT = 0.1
-"""Weight of the robust kernel below which an observation counts as an outlier."""
+MANY_OUTLIERS = 0.3
 
 
 def assemble(
-    tracks: StereoTracks, data: MotionData, iterate: Iterate, scales: NoiseScales, initial: InitialMotion
+    tracks: StereoTracks,
+    data: MotionData,
+    kept: Kept,
+    iterate: Iterate,
+    scales: NoiseScales,
+    initial: InitialMotion,
 ) -> MotionEstimate:
-    """Everything that is reported, at the solution."""
-    solver, held, x = GaussNewton(data), hold(data, iterate), iterate.vector()
-    residuals, _ = solver.residuals(held, x)
-    s = np.sum(residuals**2, axis=1)
-    weight = robust_weight(s, data.robust_scale)
+    """Everything that is reported, at the solution ``iterate`` of the whole data; information of what was kept."""
+    all_residuals = whitened_residuals(data, iterate)
+    weight = np.where(
+        kept.observations, robust_weight(np.sum(all_residuals**2, axis=1), data.robust_scale), 0.0
+    )
+    small = kept.restrict(iterate)
+    solver, held, x = GaussNewton(kept.data), hold(kept.data, small), small.vector()
+    s = np.sum(all_residuals[kept.observations] ** 2, axis=1)
     m = marginals(solver, held, x, robust_information(s, data.robust_scale))
     derivative = axes_derivative(data.form, iterate)
     R_GP = derivative.R_GP
@@ -57,11 +65,11 @@ def assemble(
         covariance=covariance,
         covariance_last_joint=joint,
         mass=_mass(iterate, m, derivative, determined.record),
-        landmarks=_landmarks(data, iterate, m, weight),
-        residuals_px=_unsorted(data, residuals / data.inv_sigma),
+        landmarks=_landmarks(kept.data, small, m),
+        residuals_px=_unsorted(data, all_residuals / data.inv_sigma),
         inlier_weight=_unsorted(data, weight),
         noise=_noise(tracks, scales, data),
-        solver=SolverOutcome("", 0, 0.0, False, reduced_chi2(data, s, solver.dynamics_cost(held, x))),
+        solver=SolverOutcome("", 0, 0.0, False, reduced_chi2(kept.data, s, solver.dynamics_cost(held, x))),
         warnings=tuple(warnings),
     )
 
@@ -112,10 +120,9 @@ def _mass(
     )
 
 
-def _landmarks(data: MotionData, iterate: Iterate, m: Marginals, weight: Array) -> Landmarks:
+def _landmarks(data: MotionData, iterate: Iterate, m: Marginals) -> Landmarks:
     sigma = np.sqrt(np.trace(m.landmarks, axis1=1, axis2=2) / 3.0)
-    seen = np.bincount(data.landmark[weight >= OUTLIER_WEIGHT], minlength=data.n_landmarks)
-    return Landmarks(iterate.p_G, sigma, seen.astype(np.int64))
+    return Landmarks(iterate.p_G, sigma, np.diff(data.start))
 
 
 def _noise(tracks: StereoTracks, scales: NoiseScales, data: MotionData) -> NoiseLevels:
@@ -129,12 +136,11 @@ def _noise(tracks: StereoTracks, scales: NoiseScales, data: MotionData) -> Noise
 
 
 def reduced_chi2(data: MotionData, s: Array, dynamics_cost: float) -> float:
-    """Sum of squares of the inliers and the dynamics over the degrees of freedom."""
-    inlier = robust_weight(s, data.robust_scale) >= OUTLIER_WEIGHT
+    """Sum of squares of the stereo residuals, s (M,) each, and of the dynamics over the degrees of freedom."""
     n_frames, n_landmarks = data.n_frames, data.n_landmarks
     # six numbers of the frame G are free of charge
-    freedom = 3 * int(inlier.sum()) + 12 * (n_frames - 1) + 6 - 12 * n_frames - 8 - 3 * n_landmarks
-    return float((s[inlier].sum() + 2.0 * dynamics_cost) / max(freedom, 1))
+    freedom = 3 * len(s) + 12 * (n_frames - 1) + 6 - 12 * n_frames - 8 - 3 * n_landmarks
+    return float((s.sum() + 2.0 * dynamics_cost) / max(freedom, 1))
 
 
 def _unsorted(data: MotionData, values: Array) -> Array:
@@ -155,9 +161,9 @@ def _warnings(
     lost = [name for name, text in known.detail.items() if text.startswith("not")]
     if lost:
         out.append(f"the motion does not determine: {', '.join(lost)}")
-    outliers = float(np.mean(weight < OUTLIER_WEIGHT))
-    if outliers > 0.2:
-        out.append(f"{outliers:.0%} of the observations contradict the motion and were given no weight")
+    outliers = float(np.mean(weight == 0.0))
+    if outliers > MANY_OUTLIERS:
+        out.append(f"{outliers:.0%} of the observations contradict the motion and were left out")
     empty = np.setdiff1d(np.arange(tracks.n_frames), tracks.frame)
     if len(empty):
         out.append(f"{len(empty)} frames without measurements were bridged by the dynamics")

@@ -1,0 +1,83 @@
+"""How strongly the target is disturbed, from the data: the process noise that makes them most likely.
+
+The evidence of a level q = (acceleration, torque) is Laplace's: the states, landmarks and constants are fitted
+under q and integrated out as a Gaussian (Bishop, "Pattern Recognition and Machine Learning", 2006, 4.4)::
+
+    -ln p(data | q) = cost(x_q) + 1/2 ln det Lambda(q) + 1/2 ln det H(x_q) + constant
+
+Lambda is the covariance of the process noise over all steps and H the Gauss-Newton Hessian. Both levels are
+searched in turn, in logarithmic steps.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError, cholesky
+
+from backend.gauss_newton import GaussNewton
+from backend.iterate import Iterate
+from backend.problem import MotionData, hold
+
+FLOOR_PSD, CEILING_PSD = 1e-10, 1e-2
+"""Below the floor nothing changes within a minute; above the ceiling the motion is not that of a free body."""
+FIRST_STEP, LAST_STEP = 1.0, 0.5
+"""Steps of the search [decades]: finer than the data tell."""
+ITERATIONS = 3
+"""Gauss-Newton steps at each level, from the solution at its neighbour."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A process noise, the motion fitted under it, and minus the logarithm of its evidence."""
+
+    data: MotionData
+    iterate: Iterate
+    minus_log_evidence: float
+
+
+def estimate_process_noise(data: MotionData, iterate: Iterate) -> Level:
+    """Most likely accel_psd and torque_psd between floor and ceiling, from those of ``data``."""
+    best = _level(data, iterate, data.accel_psd, data.torque_psd)
+    step = FIRST_STEP
+    while step >= LAST_STEP:
+        for torque in (True, False):
+            best = _descend(best, torque, step)
+        step *= 0.5
+    return best
+
+
+def _descend(start: Level, torque: bool, step: float) -> Level:
+    """Walk along one of the two levels, in the direction that the evidence rises, until it falls."""
+    for sign in (-1.0, 1.0):
+        best, found = start, False
+        while True:
+            accel_psd, torque_psd = best.data.accel_psd, best.data.torque_psd
+            factor = 10.0 ** (sign * step)
+            here = torque_psd if torque else accel_psd
+            there = float(np.clip(here * factor, FLOOR_PSD, CEILING_PSD))
+            if there == here:
+                break
+            levels = (accel_psd, there) if torque else (there, torque_psd)
+            trial = _level(best.data, best.iterate, *levels)
+            if not trial.minus_log_evidence < best.minus_log_evidence:
+                break
+            best, found = trial, True
+        if found:
+            return best
+    return start
+
+
+def _level(data: MotionData, iterate: Iterate, accel_psd: float, torque_psd: float) -> Level:
+    """Fit under a level and weigh it; infinite where the fit breaks down."""
+    data = replace(data, accel_psd=accel_psd, torque_psd=torque_psd)
+    solver, held = GaussNewton(data), hold(data, iterate)
+    try:
+        solution = solver.solve(held, iterate.vector(), ITERATIONS)
+        system = solver.normal_equations(held, solution.x)
+        reduced, _, _ = solver.reduced(system)
+        half_log_det_dense = float(np.log(np.diagonal(cholesky(reduced, lower=True))).sum())
+    except LinAlgError:
+        return Level(data, iterate, np.inf)
+    half_log_det_marks = 0.5 * float(np.linalg.slogdet(system.C)[1].sum())
+    minus_log_evidence = system.cost + held.half_log_det + half_log_det_dense + half_log_det_marks
+    return Level(data, iterate.moved_to(solution.x), minus_log_evidence)
