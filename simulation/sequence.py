@@ -197,13 +197,27 @@ def _replacing(folder: Path, overwrite: bool) -> Iterator[Path]:
     """A draft beside ``folder`` that takes its place when all went well, and vanishes otherwise."""
     if folder.exists() and not overwrite:
         raise InputError(f"{folder} exists: choose another folder or pass --overwrite")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file, not a dataset: choose another folder")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    except OSError as error:
+        raise InputError(f"{folder} cannot be made ({error.strerror}): choose another folder") from error
     try:
         yield draft
         draft.chmod(0o755)
-        if folder.exists():
-            shutil.rmtree(folder)
-        draft.rename(folder)
+        _exchange(draft, folder)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+
+
+def _exchange(draft: Path, folder: Path) -> None:
+    """Put the draft in the folder's place; what stood there is deleted last, so one of them always stands."""
+    if not folder.exists():
+        draft.rename(folder)
+        return
+    aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
+    folder.rename(aside / folder.name)
+    draft.rename(folder)
+    shutil.rmtree(aside)
