@@ -58,7 +58,7 @@ def test_several_runs_share_one_page(runs: list[Path], tmp_path: Path, capsys: C
     names = [trace["name"] for trace in figure(page, "rates")["data"]]
     assert names == ["tumbler", "spinner"]
     ratios = figure(page, "ratios")["data"]
-    symbols = {trace["name"]: trace["marker"]["symbol"] for trace in ratios if "marker" in trace}
+    symbols = {trace["name"]: trace["marker"]["symbol"] for trace in ratios if trace.get("name") in names}
     assert symbols["tumbler"] == "circle" and symbols["spinner"] == "circle-open"
     assert sum(trace.get("name") == "3σ" for trace in ratios) == 1
 
