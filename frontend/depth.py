@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frontend.disparity_facets import fit_facets
 from frontend.disparity_planes import fit_planes
-from frontend.disparity_refinement import refine_disparity
+from frontend.disparity_refinement import refine_dense
 from polhode.camera import RectifiedRig
 from polhode.config.depth import Depth
 from polhode.records import Bools, DepthMap
@@ -35,6 +36,13 @@ class _Crop:
     u0: int
     shift_px: int
     search_px: int
+    sky: float
+    """Intensity of the sky."""
+
+    @property
+    def image(self) -> Image:
+        """(h, w) the left image without the margins of the search."""
+        return self.left[:, self.search_px : self.search_px + self.lit.shape[1]]
 
 
 def compute_depth(
@@ -108,9 +116,8 @@ def _crop(left: Image, right: Image, mask: Bools, range_px: tuple[float, float],
     target = mask[v0:v1, u0:u1]
     smooth = cv2.blur(left[v0:v1, u0:u1].astype(np.float32), (config.block_px, config.block_px))
     sky = float(np.percentile(left, 5))
-    return _Crop(
-        cut_left, cut_right, target & (smooth > sky + config.min_intensity), target, v0, u0, shift, search
-    )
+    lit = target & (smooth > sky + config.min_intensity)
+    return _Crop(cut_left, cut_right, lit, target, v0, u0, shift, search, sky)
 
 
 def _columns(image: Image, start: int, stop: int) -> Image:
@@ -158,12 +165,20 @@ def _disparity(crop: _Crop, config: Depth) -> tuple[Floats, Floats]:
     if known.sum() < 50:
         return np.full_like(disparity, np.nan), np.full_like(disparity, np.nan)
     sigma = np.full_like(disparity, 0.3)
+    correlated_px2 = float(config.window_px**2)
     for _ in range(config.refinements):
-        disparity, sigma = refine_disparity(
+        by_window, sigma_window = refine_dense(
             crop.left, crop.right, disparity, crop.search_px, config.window_px
         )
-        disparity, sigma = fit_planes(disparity, sigma, config.plane_radius_px, float(config.window_px**2))
-    certain = known & np.isfinite(disparity) & (sigma < config.max_sigma_px)
+        disparity, sigma = fit_planes(by_window, sigma_window, config.plane_radius_px, correlated_px2)
+    if config.facets:
+        darkest = crop.sky + 2.0 * config.min_intensity
+        facet, sigma_facet = fit_facets(
+            crop.image, crop.lit, by_window, sigma_window, correlated_px2, darkest
+        )
+        flat = sigma_facet < np.where(np.isfinite(sigma), sigma, np.inf)
+        disparity, sigma = np.where(flat, facet, disparity), np.where(flat, sigma_facet, sigma)
+    certain = np.isfinite(disparity) & (sigma < config.max_sigma_px)
     keep = certain & ~_rims(np.where(certain, disparity, np.nan), crop.target, config)
     spread = np.hypot(sigma, _FLOOR_PX)
     return (

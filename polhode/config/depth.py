@@ -8,7 +8,7 @@ from polhode.config.section import Section
 class Depth(Section):
     """A rectified pair to a depth map of the target."""
 
-    block_px: int = Field(5, ge=1)
+    block_px: int = Field(3, ge=1)
     """Side of the window of the first, integer disparities [px], odd."""
     max_disparity_share: float = Field(0.4, gt=0, le=1)
     """Largest disparity that is searched when the range is not known, as a share of the image's width."""
@@ -16,12 +16,14 @@ class Depth(Section):
     """Largest difference between the left and the right image's disparity [px]."""
     speckle_px: int = Field(60, ge=0)
     """Smaller patches of disparity are removed [px]."""
-    window_px: int = Field(9, ge=3)
+    window_px: int = Field(7, ge=3)
     """Side of the window of the sub-pixel refinement [px], odd."""
     refinements: int = Field(3, ge=0)
     """Rounds of sub-pixel refinement and smoothing."""
     plane_radius_px: int = Field(6, ge=1)
     """Half side of the windows in which the disparity is taken as a plane [px]."""
+    facets: bool = True
+    """Carry planes across even, textureless patches from what surrounds them."""
     min_intensity: float = Field(6.0, ge=0)
     """Darker pixels (over the sky's level) are unlit: no depth there."""
     max_sigma_px: float = Field(0.5, gt=0)
