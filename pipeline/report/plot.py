@@ -19,7 +19,7 @@ AXIS_COLORS: tuple[str, str, str] = ("#d55e00", "#009e73", "#0072b2")
 INK, FAINT, ACCENT = "#22303c", "#8a97a3", "#5b3f8c"
 GRID = "#e8ecf0"
 TIME_SCALE = [[0.0, "#3b0f70"], [0.35, "#b5367a"], [0.7, "#fb8861"], [1.0, "#f6d746"]]
-EYE_DISTANCE = 2.0
+EYE_DISTANCE = 2.3
 """In sizes of the scene: far enough that no axis leaves the drawing."""
 SIGMA_SCALE = [[0.0, "#fde725"], [0.33, "#35b779"], [0.66, "#31688e"], [1.0, "#440154"]]
 
@@ -222,11 +222,11 @@ def scene(
     return {
         **axes,
         # The legend stands below.
-        "domain": {"x": [0.0, 1.0], "y": [0.09, 1.0]},
+        "domain": {"x": [0.0, 1.0], "y": [0.07, 1.0]},
         "aspectmode": "data",
         "camera": {
             "eye": dict(zip("xyz", toward.tolist(), strict=True)),
-            "center": {"x": 0.0, "y": 0.0, "z": -0.1},
+            "center": {"x": 0.0, "y": 0.0, "z": -0.07},
         },
         **more,
     }
