@@ -9,6 +9,7 @@ from backend.hypotheses import inertia_hypotheses
 from backend.initialize import frame_rates, robust_landmarks
 from backend.iterate import Iterate
 from backend.problem import MotionData, hold, motion_data
+from backend.process_level import estimate_process_noise
 from backend.program import MotionProgram
 from backend.prune import settle
 from backend.result import assemble
@@ -36,7 +37,7 @@ def estimate_motion(
     """
     data = motion_data(tracks, config)
     start, guesses = first_iterate(tracks, initial, data)
-    with progress.stage("Motion", len(guesses) + 3) as advance:
+    with progress.stage("Motion", len(guesses) + 4) as advance:
         trials = {}
         at = start
         for name, second in guesses.items():
@@ -51,6 +52,14 @@ def estimate_motion(
             raise RunFailure("no consistent motion: every hypothesis of the inertia diverged")
         best = min(trials, key=lambda name: trials[name].cost)
         data, kept, iterate, scales = settle(data, trials[best].iterate)
+        advance()
+        if config.process_noise == "estimated":
+            level = estimate_process_noise(kept.data, kept.restrict(iterate))
+            iterate = kept.expand(level.iterate, iterate)
+            data, kept = (
+                replace(data, accel_psd=level.data.accel_psd, torque_psd=level.data.torque_psd),
+                replace(kept, data=level.data),
+            )
         advance()
         solver: GaussNewton | MotionProgram
         solver = MotionProgram(kept.data) if config.solver == "ipopt" else GaussNewton(kept.data)

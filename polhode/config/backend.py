@@ -11,13 +11,17 @@ class Backend(Section):
     """Measurements to motion and mass properties."""
 
     inertia: Literal["second_moments", "ratios_axes"] = "second_moments"
-    """Variables of the inertia in the program: log-Cholesky second moments, or log-ratios and principal axes."""
+    """Variables of the inertia: log-Cholesky second moments, or log-ratios and principal axes."""
     solver: Literal["ipopt", "gauss_newton"] = "ipopt"
     """Solver of the whole problem; both reach the same optimum."""
+    process_noise: Literal["estimated", "given"] = "estimated"
+    """Strength of the disturbances: the most likely one given the data, or accel_psd and torque_psd."""
     accel_psd: float = Field(1e-6, gt=0)
-    """Disturbance acceleration, power spectral density [(m/s^2)^2/Hz] (thesis eq. 6.14, squared)."""
+    """Disturbance acceleration, power spectral density [(m/s^2)^2/Hz] (thesis eq. 6.14, squared); where the
+    estimate of it starts."""
     torque_psd: float = Field(1e-6, gt=0)
-    """Disturbance torque over the middle moment, power spectral density [(rad/s^2)^2/Hz] (eq. 6.15, squared)."""
+    """Disturbance torque over the middle moment, power spectral density [(rad/s^2)^2/Hz] (thesis eq. 6.15,
+    squared); where the estimate of it starts."""
     robust_scale: float = Field(3.0, gt=0)
     """Scale of the Cauchy kernel, in standard deviations."""
     max_iterations: int = Field(60, ge=1)
