@@ -74,6 +74,7 @@ def test_trimesh_opens_the_landmarks_with_their_properties(example: Any, tmp_pat
     landmarks = replace(example.estimate.landmarks, sigma_m=np.r_[np.nan, np.full(149, 4e-4)])
     write_landmarks(landmarks, tmp_path / "landmarks.ply")
     cloud = trimesh.load(tmp_path / "landmarks.ply")
+    assert isinstance(cloud, trimesh.PointCloud)
     np.testing.assert_array_equal(cloud.vertices, landmarks.p_G)
     data = cloud.metadata["_ply_raw"]["vertex"]["data"]
     np.testing.assert_array_equal(data["observations"].ravel(), landmarks.observations)

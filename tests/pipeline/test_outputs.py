@@ -57,6 +57,7 @@ def test_the_configuration_that_was_written_is_the_one_that_ran(example: Any, tm
 def test_trimesh_opens_the_surface(name: str, example: Any, tmp_path: Path) -> None:
     folder = _write(tmp_path / "run", example, example.surface)
     mesh = trimesh.load(folder / name, force="mesh")
+    assert isinstance(mesh, trimesh.Trimesh)
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(example.surface.mesh.volume, rel=1e-5)
 

@@ -244,7 +244,7 @@ def test_the_drawn_polhode_is_the_motion_of_a_free_body(example: Any) -> None:
     time_s = np.array([0.0, 0.5, 1.0])
 
     def euler(t: float, w: np.ndarray) -> np.ndarray:
-        return -np.cross(w, moments * w) / moments
+        return np.asarray(-np.cross(w, moments * w) / moments)
 
     exact = solve_ivp(euler, (0, 1), w0, t_eval=time_s, rtol=1e-11, atol=1e-13).y.T
     path = torque_free_path(time_s, exact, moments)
