@@ -74,8 +74,7 @@ def fit_facets(
     """Disparity and sigma (h, w) [px] on even patches of the image that are planes; NaN elsewhere.
 
     inside (h, w): lit pixels of the target; disparity, sigma (h, w): of every pixel by its own window, NaN
-    where none; darkest: darker facets are left out; correlated_px2: area over which the errors of neighbours are
-    the same.
+    where none; darkest: darker facets are left out; correlated_px2: area over which neighbours err alike.
     """
     labels, count = even_patches(image, inside)
     value = np.full(disparity.shape, np.nan, dtype=np.float32)
