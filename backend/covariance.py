@@ -2,7 +2,7 @@
 
 The information is singular: G and its landmarks may move together. G is held at its pose in the first frame.
 What does not depend on that choice (r_N, v_N, the attitude of the principal axes, w_P) gets its absolute
-covariance: the camera's frame is known, and with G held the landmarks carry the uncertainty of the first pose.
+covariance: the camera's frame is known; with G held, the landmarks carry the uncertainty of the first pose.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ SMALLEST_GAP = 1e-6
 
 @dataclass(frozen=True)
 class Marginals:
-    """Joint covariance of states and constants, covariances of the landmarks, information of the constants."""
+    """Joint covariance of states and constants, those of the landmarks, information of the constants."""
 
     dense: Array
     """(12 F + 8, 12 F + 8); zero for the first pose"""
@@ -99,7 +99,7 @@ def _gap(difference: float, middle: float) -> float:
 
 
 def state_jacobian(iterate: Iterate, k: int, derivative: AxesDerivative) -> tuple[Array, Array]:
-    """Derivative of (r_N, v_N, theta_P, w_P) of frame k: in its own 12 variables, and in (com_G, xi) (12, 8)."""
+    """Derivative of (r_N, v_N, theta_P, w_P) of frame k: in its 12 variables, and in (com_G, xi) (12, 8)."""
     R, R_GP = iterate.R_NG[k], derivative.R_GP
     own, constants = np.zeros((12, N_STATE)), np.zeros((12, N_CONSTANTS))
     # r_N = p + R com
@@ -140,4 +140,4 @@ def robust_information(s: Array, scale: float) -> Array:
     w = 1.0 / (1.0 + s / scale**2)
     slope = np.mean(w - (2.0 / 3.0) * s * w**2 / scale**2)
     spread = np.mean(w**2 * s) / 3.0
-    return np.asarray(w / np.mean(w) * max(slope, 0.1) ** 2 / max(spread, 1e-12))
+    return np.asarray(w / np.mean(w) * max(float(slope), 0.1) ** 2 / max(float(spread), 1e-12))

@@ -38,7 +38,7 @@ def estimate_motion(
     data = motion_data(tracks, config)
     start, guesses = first_iterate(tracks, initial, data)
     with progress.stage("Motion", len(guesses) + 4) as advance:
-        trials = {}
+        trials: dict[str, Trial] = {}
         at = start
         for name, second in guesses.items():
             trial = try_hypothesis(data, at, second, list(trials.values()))

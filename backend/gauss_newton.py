@@ -1,4 +1,4 @@
-"""Gauss-Newton with Levenberg damping, landmarks eliminated: the reference solver, and the covariance's source."""
+"""Gauss-Newton with Levenberg damping, landmarks eliminated: reference solver and source of covariances."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from backend.kernels import N_CONSTANTS, N_STATE, Output, dynamics_kernel, prior_kernel
+from backend.kernels import N_CONSTANTS, N_STATE, Output, bend_sx, dynamics_kernel, prior_kernel
 from backend.problem import Held, MotionData, substep_groups
 from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
 from polhode.lie import Array, right_jacobian_so3
@@ -47,7 +47,7 @@ class NormalEquations:
 
 
 class GaussNewton:
-    """Solver of the weighted problem that ``program.MotionProgram`` states; substep kernels are built once."""
+    """Solver of the weighted problem that ``program.MotionProgram`` states; kernels are built once."""
 
     name = "gauss_newton"
 
@@ -119,7 +119,9 @@ class GaussNewton:
         d, n_states = self.data, N_STATE * self.data.n_frames
         r, (A, p_NG, p_G) = self.residuals(held, x)
         s = np.sum(r**2, axis=1)
+        # the kernel's curvature speeds up the solution; information given from outside has none
         w = robust_weight(s, d.robust_scale) if weight is None else weight
+        bend = bend_sx(s, d.robust_scale) if weight is None else np.zeros_like(s)
         theta = x[:n_states].reshape(-1, N_STATE)[:, 3:6]
         H6, g6, C, h, E = stereo_normal_equations(
             d.frame,
@@ -134,6 +136,7 @@ class GaussNewton:
             right_jacobian_so3(theta),
             r,
             w,
+            bend,
         )
         n = n_states + 8
         H, g, total = np.zeros((n, n)), np.zeros(n), robust_cost(s, d.robust_scale)

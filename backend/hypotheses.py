@@ -23,7 +23,7 @@ def inertia_hypotheses(R_NG: Array, w_G: Array) -> dict[str, Array]:
 
 
 def inertia_from_momentum(R_NG: Array, w_G: Array) -> Array | None:
-    """J (3, 3) for which R J w is most nearly constant, as I + D with a unit prior on D; None when impossible.
+    """J (3, 3) for which R J w is most nearly constant, I + D with a unit prior on D; None when impossible.
 
     The momentum itself is eliminated by its mean. The noise of the rates, from their second differences, sets
     how much the data may say against the sphere.

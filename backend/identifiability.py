@@ -1,8 +1,8 @@
-"""What the motion determines: eigen-directions of the information of centre of mass and inertia, without prior.
+"""What the motion determines: eigen-directions of the information of com_G and inertia, without prior.
 
-Scaled so that 1 means a centimetre of the centre of mass, 0.1 of k1 or k2, or 0.1 rad of the axes; a direction
-whose scaled standard deviation exceeds 0.3 is undetermined. Measured: pure spin gives 2.5 to 4000, every
-determined case less than 0.18.
+Scaled so that 1 means a centimetre of the centre of mass, 0.1 of k1 or k2, or 0.1 rad of the axes; a
+direction whose scaled standard deviation exceeds 0.3 is undetermined. Measured: pure spin gives 2.5 to
+4000, every determined case less than 0.18.
 """
 
 from dataclasses import dataclass
@@ -28,6 +28,8 @@ class Determined:
     record: Identifiability
     lost: Array
     """(8, m) unit scaled directions, as changes of (com_G, xi)"""
+    turned: Array
+    """(8, n) the same for each rotation of the axes that is undetermined"""
 
 
 def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Determined:
@@ -56,8 +58,7 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Deter
         com_P=good[:3],
         axes_P=good[5:],
     )
-    turned = to_solver[:, 5:][:, ~good[5:]]
-    return Determined(record, np.hstack([to_solver @ vectors[:, lost], turned]))
+    return Determined(record, to_solver @ vectors[:, lost], to_solver[:, 5:][:, ~good[5:]])
 
 
 def _words(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
@@ -74,7 +75,7 @@ def _words(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
     about = f"the {'xyz'[spin]} principal axis"
     if n < 3:
         if steady and n == spin:
-            return f"not determined: a shift along {about}, about which the target spins, moves nothing that is seen"
+            return f"not determined: the target spins about {about}, a shift along it moves nothing"
         return "not determined: the rotation moves the centre of mass too little in the body"
     if steady:
         return f"not determined: the target spins steadily about {about}, without nutation"
@@ -86,15 +87,21 @@ def undetermined_states(determined: Determined, jacobians: Array, response: Arra
 
     jacobians (F, 12, 20) of the states in their own variables and the constants; response (12 F, 8).
     """
-    n_frames = len(jacobians)
-    if determined.lost.shape[1] == 0:
-        return np.zeros((n_frames, 12), bool)
-    own = response.reshape(n_frames, 12, 8) @ determined.lost
-    constants = np.broadcast_to(determined.lost, (n_frames, *determined.lost.shape))
-    change = np.linalg.norm(jacobians @ np.concatenate([own, constants], axis=1), axis=2)
+    change = _largest_change(determined.lost, jacobians, response)
+    of_axes = np.hstack([determined.lost, determined.turned])
+    change[:, 6:] = _largest_change(of_axes, jacobians, response)[:, 6:]
     rate = max(float(np.sqrt(np.mean(np.sum(w_P**2, axis=1)))), 0.01)
-    lost = change > np.repeat([1e-3, 1e-3 * rate, 0.01, 0.002 * rate], 3)
+    # the prior bounds what r and v can do; the axes may be far off, where the linear change says little
+    lost = change > np.repeat([0.3 * 0.01, 0.3 * 0.01 * rate, 0.01, 0.002 * rate], 3)
     if np.sum(~determined.record.axes_P) >= 2:
         # the axes may even be exchanged: nothing expressed in P is known
         lost[:, 6:] = True
     return np.asarray(lost)
+
+
+def _largest_change(directions: Array, jacobians: Array, response: Array) -> Array:
+    """Root of the summed squares (F, 12) of the states' changes along directions (8, m)."""
+    n_frames = len(jacobians)
+    own = response.reshape(n_frames, 12, 8) @ directions
+    constants = np.broadcast_to(directions, (n_frames, *directions.shape))
+    return np.asarray(np.linalg.norm(jacobians @ np.concatenate([own, constants], axis=1), axis=2))

@@ -2,7 +2,7 @@
 
 A mass distribution has a positive-definite matrix of second moments Sigma = integral p p^T dm, and
 J = tr(Sigma) I - Sigma; every positive-definite Sigma gives a J that obeys the triangle inequality
-(Rucker and Wensing, "Smooth parameterization of rigid-body inertia", 2022). The scale is fixed by det Sigma = 1.
+(Rucker and Wensing, "Smooth parameterization of rigid-body inertia", 2022). det Sigma = 1 fixes the scale.
 """
 
 from typing import Any, Protocol
@@ -34,7 +34,7 @@ class InertiaForm(Protocol):
 
 
 class SecondMoments:
-    """``xi = (l1, l2, l21, l31, l32)``: Sigma = L L^T, diagonal of L = exp(l1, l2, -l1 - l2). Zero: a sphere."""
+    """``xi = (l1, l2, l21, l31, l32)``: Sigma = L L^T, diag L = exp(l1, l2, -l1 - l2). Zero: a sphere."""
 
     name = "second_moments"
 
@@ -57,7 +57,7 @@ class SecondMoments:
 
 
 class RatiosAxes:
-    """``xi = (a, b, eta)``: principal second moments with a = ln(d1/d3), b = ln(d2/d3); axes R_ref Exp(eta)."""
+    """``xi = (a, b, eta)``: second moments d with a = ln(d1/d3), b = ln(d2/d3); axes R_ref Exp(eta)."""
 
     name = "ratios_axes"
 
@@ -98,7 +98,7 @@ def inertia_from_second_moments(second: Array) -> Array:
 
 
 def second_moments_from_inertia(J: Array, floor: float = 0.02) -> Array:
-    """Sigma of J (3, 3); an impossible J is projected: principal moments at least ``floor`` of the largest."""
+    """Sigma of J (3, 3); an impossible J is projected: second moments at least ``floor`` of the largest."""
     values, vectors = np.linalg.eigh(0.5 * np.trace(J) * np.eye(3) - J)
     values = np.maximum(values, floor * values.max())
     return unit_determinant(vectors @ np.diag(values) @ vectors.T)

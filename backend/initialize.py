@@ -1,6 +1,7 @@
 """A first motion without any guess: pose graph, bundle adjustment, frames left over bridged."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from polhode.records import Bools, InitialMotion, Ints, RelativePoses, StereoTra
 MIN_CONNECTED = 3
 MIN_COMMON = 4
 """Landmarks that a frame must share with the map to be placed in it."""
+LEAST_AGREEMENT = 0.4
+"""Share of a frame's observations that must fit the map; a frame below it was placed wrongly."""
 BUNDLE_ITERATIONS = 12
 
 
@@ -28,12 +31,18 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
     X_RG, connected, _ = connect(relative, tracks.n_frames)
     if connected.sum() < MIN_CONNECTED:
         raise RunFailure(
-            f"no consistent motion: only {int(connected.sum())} of {tracks.n_frames} frames could be connected"
+            f"no consistent motion: only {connected.sum()} of {tracks.n_frames} frames could be connected"
         )
     p_G, known = robust_landmarks(tracks, X_RG, connected)
     X_RG, connected = relocalize(tracks, X_RG, connected, p_G, known)
     X_RG = bundle_adjust(tracks, X_RG, connected, config)
     p_G, known = robust_landmarks(tracks, X_RG, connected)
+    agree = connected & (agreement(tracks, X_RG, p_G) >= LEAST_AGREEMENT)
+    if agree.sum() >= MIN_CONNECTED and not np.array_equal(agree, connected):
+        p_G, known = robust_landmarks(tracks, X_RG, agree)
+        X_RG, connected = relocalize(tracks, X_RG, agree, p_G, known)
+        X_RG = bundle_adjust(tracks, X_RG, connected, config)
+        p_G, known = robust_landmarks(tracks, X_RG, connected)
     X_RG, connected = relocalize(tracks, X_RG, connected, p_G, known)
     X_RG[connected] = X_RG[connected] @ make_pose(np.eye(3), np.median(p_G[known], axis=0))
     X_NG = bridge(tracks.time_s, tracks.X_NR @ X_RG, connected)
@@ -97,12 +106,29 @@ def relocalize(
         if len(of_frame) < MIN_COMMON:
             continue
         p_R, target = tracks.rig.triangulate(tracks.uvd_px[of_frame]), p_G[tracks.landmark[of_frame]]
-        sigma = tracks.rig.triangulation_jacobian(p_R) @ tracks.sigma_px[of_frame][:, :, None]
-        gate = 4.0 * np.linalg.norm(sigma[..., 0], axis=1)
+        gate = triangulation_gate_m(tracks, of_frame, p_R)
         X, inliers = ransac_orientation(p_R, target, gate, np.random.default_rng(int(k)))
         if inliers >= max(MIN_COMMON, 0.5 * len(of_frame)):
             X_RG[k], connected[k] = X, True
     return X_RG, connected
+
+
+def triangulation_gate_m(tracks: StereoTracks, use: Ints, p_R: Array) -> Array:
+    """Distance (n,) [m] that a good triangulation p_R (n, 3) of observations ``use`` stays below."""
+    sigma = tracks.rig.triangulation_jacobian(p_R) @ tracks.sigma_px[use][:, :, None]
+    return np.asarray(4.0 * np.linalg.norm(sigma[..., 0], axis=1))
+
+
+def agreement(tracks: StereoTracks, X_RG: Array, p_G: Array) -> Array:
+    """Share (F,) of each frame's observations that lie near their landmark; 0 without observations."""
+    p_R = tracks.rig.triangulate(tracks.uvd_px)
+    expected = np.einsum("mij,mj->mi", X_RG[tracks.frame, :3, :3], p_G[tracks.landmark])
+    expected += X_RG[tracks.frame, :3, 3]
+    near = np.linalg.norm(p_R - expected, axis=1) < triangulation_gate_m(
+        tracks, np.arange(len(p_R)), expected
+    )
+    total = np.bincount(tracks.frame, minlength=tracks.n_frames)
+    return np.asarray(np.bincount(tracks.frame, near, tracks.n_frames) / np.maximum(total, 1))
 
 
 def ransac_orientation(p_R: Array, p_G: Array, gate_m: Array, rng: np.random.Generator) -> tuple[Array, int]:
@@ -130,12 +156,12 @@ def absolute_orientation(p_A: Array, p_B: Array) -> Array:
 def bridge(time_s: Array, X_NG: Array, connected: Bools) -> Array:
     """Fill the frames between and outside the connected ones by constant rate, in N.
 
-    Over a long gap the turn is ambiguous by full revolutions: the one nearest to the rate on both sides is taken.
+    Over a long gap full revolutions are ambiguous: the turn nearest to the rate on both sides is taken.
     """
     X, index = X_NG.copy(), np.flatnonzero(connected)
     R, p = X[:, :3, :3], X[:, :3, 3]
     rates, centres = interval_rates(time_s[index], R[index])
-    for a, b in zip(index[:-1], index[1:], strict=True):
+    for a, b in pairwise(index):
         dt = time_s[b] - time_s[a]
         near = rates[np.argsort(np.abs(centres - 0.5 * (time_s[a] + time_s[b])))[:3]]
         turn = (
@@ -154,14 +180,14 @@ def bridge(time_s: Array, X_NG: Array, connected: Bools) -> Array:
 
 
 def interval_rates(time_s: Array, R_NG: Array) -> tuple[Array, Array]:
-    """Mean body rate over each interval (n - 1, 3) [rad/s] and its middle time (n - 1,); less than half a turn each."""
+    """Mean body rate (n - 1, 3) [rad/s] over each interval, less than half a turn, and its middle time."""
     dt = np.diff(time_s)
     turn = log_so3(np.swapaxes(R_NG[:-1], 1, 2) @ R_NG[1:])
     return turn / dt[:, None], 0.5 * (time_s[:-1] + time_s[1:])
 
 
 def nearest_branch(turn: Array, expected: Array) -> Array:
-    """The rotation vector equal to ``turn`` (3,) up to full revolutions that is nearest to ``expected`` (3,)."""
+    """The rotation vector equal to ``turn`` (3,) up to full revolutions, nearest to ``expected`` (3,)."""
     angle = float(np.linalg.norm(turn))
     if angle < 1e-9:
         return turn

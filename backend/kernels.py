@@ -7,12 +7,16 @@ w_G [rad/s]. Constants: com_G (3) [m], xi (5) of the inertia. A landmark: p_G (3
 from typing import Any, Literal
 
 import casadi as ca
+import numpy as np
 
 from backend.inertia import N_INERTIA, InertiaForm, quaternion_sx, rotation_sx
 
-Output = Literal["quadratic", "cost", "jacobian"]
+Output = Literal["cost", "gradient", "quadratic", "jacobian"]
+"""Cost alone; with its gradient; with gradient and upper Gauss-Newton Hessian; or residual and Jacobian."""
 
 N_STATE = 12
+MOST_BEND = 0.6
+"""Measured on a cold start and near the end: less converges slower there, more slower here."""
 N_CONSTANTS = 3 + N_INERTIA
 
 
@@ -34,7 +38,8 @@ def stereo_residual(
 ) -> Any:
     """Measured minus predicted (u left, v, disparity), whitened (thesis eq. 4.85).
 
-    pose (6) = p_NG, theta; A = R_RN R_ref; p_R = A Exp(theta) p_G + R_RN p_NG + t_R. rig (5) = f, cx, cy, b, offset.
+    pose (6) = p_NG, theta; A = R_RN R_ref; p_R = A Exp(theta) p_G + R_RN p_NG + t_R;
+    rig (5) = f, cx, cy, b, offset.
     """
     p_R = A @ (rotation_sx(pose[3:6]) @ p_G) + R_RN @ pose[0:3] + t_R
     f, cx, cy, b, offset = rig[0], rig[1], rig[2], rig[3], rig[4]
@@ -43,7 +48,7 @@ def stereo_residual(
 
 
 def propagate_rotation(w_G: Any, J: Any, dt_s: Any, n_substeps: int) -> tuple[Any, Any]:
-    """Torque-free motion over dt (eqs. 4.62, 4.65) by classical Runge-Kutta: relative quaternion, rate after."""
+    """Torque-free motion over dt (eqs. 4.62, 4.65) by Runge-Kutta: relative quaternion, rate after."""
     J_inv = ca.inv(J)
     h = dt_s / n_substeps
     y = ca.vertcat(1.0, 0.0, 0.0, 0.0, w_G)
@@ -93,14 +98,32 @@ def dynamics_residual(
 
 
 def prior_residual(com_G: Any, com_prior: Any, com_sigma_m: Any, second: Any) -> Any:
-    """Weak prior (9): centre of mass near the middle of the landmarks, inertia near a sphere (unit log-ratios)."""
+    """Weak prior (9): centre of mass near the middle of the landmarks, inertia near a sphere."""
     shape = 3.0 * second / ca.trace(second) - ca.SX.eye(3)
     off = ca.sqrt(2.0) * ca.vertcat(shape[1, 0], shape[2, 0], shape[2, 1])
     return ca.vertcat((com_G - com_prior) / com_sigma_m, ca.diag(shape), off)
 
 
-def stereo_kernel(robust_scale: float) -> Any:
-    """Function (x (9) = pose, p_G; A, R_RN, t_R, uvd, inv_sigma, rig) -> cost, gradient (9), upper Gauss-Newton Hessian (45).
+def bend_sx(s: Any, robust_scale: float) -> Any:
+    """How much of the Jacobian along the residual r the curvature of the Cauchy kernel takes, s = r.r.
+
+    The kernel's exact second derivative makes the Hessian w J^T (I - 2 w r r^T / c^2) J, with w the weight.
+    As w B^T B with B = J - bend r r^T J (Triggs et al., "Bundle adjustment", 2000, eq. 11) it stays positive;
+    beyond MOST_BEND it is limited. Works on CasADi's expressions and on arrays alike.
+    """
+    c2 = robust_scale**2
+    curvature = 2.0 / (c2 + s)
+    limited = (
+        ca.fmin(curvature, MOST_BEND / (s + 1e-12))
+        if isinstance(s, ca.SX)
+        else np.minimum(curvature, MOST_BEND / (s + 1e-12))
+    )
+    root = 1.0 - limited * s
+    return limited / (1.0 + root**0.5)
+
+
+def stereo_kernel(robust_scale: float, output: Output = "quadratic") -> Any:
+    """Function (x (9) = pose, p_G; A, R_RN, t_R, uvd, inv_sigma, rig) of cost, gradient (9), Hessian (45).
 
     Cauchy kernel on the squared norm s of the whitened residual: 0.5 c^2 ln(1 + s / c^2).
     """
@@ -110,15 +133,20 @@ def stereo_kernel(robust_scale: float) -> Any:
         ca.SX.sym(name, size) for name, size in zip("tusr", (3, 3, 3, 5), strict=True)
     )
     r = stereo_residual(x[0:6], x[6:9], A, R_RN, t_R, uvd, inv_sigma, rig)
-    jacobian = ca.jacobian(r, x)
     s, c2 = ca.sumsqr(r), robust_scale**2
-    weight = 1.0 / (1.0 + s / c2)
-    outputs = [0.5 * c2 * ca.log1p(s / c2), weight * jacobian.T @ r, upper(weight * jacobian.T @ jacobian)]
+    outputs = [0.5 * c2 * ca.log1p(s / c2)]
+    if output == "gradient":
+        outputs.append(ca.gradient(outputs[0], x))
+    if output == "quadratic":
+        jacobian, weight = ca.jacobian(r, x), 1.0 / (1.0 + s / c2)
+        along = jacobian.T @ r
+        bent = jacobian - bend_sx(s, robust_scale) * (r @ along.T)
+        outputs += [weight * along, upper(weight * bent.T @ bent)]
     return ca.Function("stereo", [x, ca.vec(A), ca.vec(R_RN), t_R, uvd, inv_sigma, rig], outputs)
 
 
 def dynamics_kernel(form: InertiaForm, n_substeps: int, output: Output = "quadratic") -> Any:
-    """Function (x (32), parameters (71)) -> cost, gradient (32), upper Hessian (528); or residual (12), Jacobian.
+    """Function (x (32), p (71)) of cost, gradient (32), upper Hessian (528); or residual (12), Jacobian.
 
     x = state before, state after, com_G, xi. Parameters: R0, R1, R_ref of the inertia (9 each, by columns),
     q01 (4), dt, W_t (3: 00, 10, 11), W_r (36, by columns) packed by ``problem.dynamics_parameters``.
@@ -143,13 +171,15 @@ def prior_kernel(form: InertiaForm, output: Output = "quadratic") -> Any:
 
 def quadratic_kernel(name: str, residual: Any, x: Any, p: Any, output: Output) -> Any:
     """0.5 r.r alone, or with its gradient and upper Gauss-Newton Hessian, or r and its Jacobian."""
-    if output == "cost":
-        return ca.Function(name, [x, p], [0.5 * ca.sumsqr(residual)])
-    jacobian = ca.jacobian(residual, x)
+    outputs = [0.5 * ca.sumsqr(residual)]
+    if output == "gradient":
+        outputs.append(ca.densify(ca.gradient(outputs[0], x)))
+    if output == "quadratic":
+        jacobian = ca.jacobian(residual, x)
+        outputs += [ca.densify(jacobian.T @ residual), upper(ca.densify(jacobian.T @ jacobian))]
     if output == "jacobian":
-        return ca.Function(name, [x, p], [residual, ca.densify(jacobian)])
-    hessian = upper(ca.densify(jacobian.T @ jacobian))
-    return ca.Function(name, [x, p], [0.5 * ca.sumsqr(residual), ca.densify(jacobian.T @ residual), hessian])
+        outputs = [residual, ca.densify(ca.jacobian(residual, x))]
+    return ca.Function(name, [x, p], outputs)
 
 
 def upper(matrix: Any) -> Any:

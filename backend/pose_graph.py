@@ -1,17 +1,25 @@
-"""From relative poses between pairs of frames to one pose per frame: spanning tree, robust averaging.
+"""From relative poses between pairs of frames to one pose per frame: islands that vote, robust averaging.
 
-One link in ten fails at 30 degrees between frames, and a wrong link may be in the tree: edges are judged by
-the triangles that they close before the tree is grown, and against the averaged poses afterwards.
+One link in ten fails at 30 degrees between frames, and a wrong link looks like a right one. So frames are
+joined to islands, and islands to larger ones, always by the group of links that agree with each other best:
+two links of seven inliers that agree are worth more than one of fifteen. In the end all are averaged robustly.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, RelativePoses
 
 MIN_INLIERS = 5
+AGREEING = 100.0
+"""Worth of a link that agrees with another one, in inliers."""
+LEAST_SCORE = 2.5
+"""A single link needs this many inliers times the share of its triangles that close (without any: 1/2)."""
+WORTH_AVERAGING = 4
+"""Islands of this size are averaged when they meet."""
+MOST_LINKS = 16
 REJECT_RAD = np.deg2rad(10.0)
 REJECT_SHIFT = 0.1
 """Largest error of a translation, as a share of the distance to the target."""
@@ -20,24 +28,18 @@ REJECT_SHIFT = 0.1
 def connect(relative: RelativePoses, n_frames: int) -> tuple[Array, Bools, Bools]:
     """Poses X_RG (F, 4, 4) of the largest consistent piece, frames in it (F,), edges accepted (E,).
 
-    G is the camera frame of the piece's root until the caller moves it.
+    G is the camera frame of one of the piece's frames until the caller moves it.
     """
     usable = relative.inliers >= MIN_INLIERS
-    accepted, X, connected = usable, np.tile(np.eye(4), (n_frames, 1, 1)), np.zeros(n_frames, bool)
     support = triangle_support(relative, usable, n_frames)
-    for _ in range(3):
-        X, connected = grow_tree(relative, accepted, support, n_frames)
-        X = average_poses(X, connected, relative, accepted)
-        consistent = usable & (edge_errors(X, relative) < 1.0) & connected[relative.i] & connected[relative.j]
-        # edges outside the piece stay: they may join it to the rest in the next round
-        outside = usable & ~(connected[relative.i] & connected[relative.j])
-        if np.array_equal(consistent | outside, accepted):
-            break
-        accepted = consistent | outside
-    X, connected = grow_tree(relative, accepted, support, n_frames)
+    X, island = join_islands(relative, usable, support, n_frames)
+    connected = island == np.argmax(np.bincount(island))
+    if connected.sum() < 2:
+        return X, np.zeros(n_frames, bool), np.zeros(len(usable), bool)
+    inside = usable & connected[relative.i] & connected[relative.j]
+    accepted = inside & (edge_errors(X, relative) < 2.0)
     X = average_poses(X, connected, relative, accepted)
-    inside = connected[relative.i] & connected[relative.j]
-    return X, connected, accepted & inside
+    return X, connected, inside & (edge_errors(X, relative) < 1.0)
 
 
 def relative_error(X_a: Array, X_b: Array) -> Array:
@@ -58,7 +60,7 @@ def edge_errors(X: Array, relative: RelativePoses) -> Array:
 
 
 def triangle_support(relative: RelativePoses, usable: Bools, n_frames: int) -> Array:
-    """Share of closed triangles that agree, per edge (E,), with one good and one bad one assumed beforehand."""
+    """Share of closed triangles that agree, per edge (E,); one good and one bad are assumed beforehand."""
     edge = np.full((n_frames, n_frames), -1, dtype=np.int64)
     index = np.flatnonzero(usable)
     edge[relative.i[index], relative.j[index]] = edge[relative.j[index], relative.i[index]] = index
@@ -74,28 +76,62 @@ def triangle_support(relative: RelativePoses, usable: Bools, n_frames: int) -> A
     return support
 
 
-def grow_tree(relative: RelativePoses, accepted: Bools, support: Array, n_frames: int) -> tuple[Array, Bools]:
-    """Chain poses along the best spanning tree of the largest piece, from its best connected frame."""
-    X, connected = np.tile(np.eye(4), (n_frames, 1, 1)), np.zeros(n_frames, bool)
-    index = np.flatnonzero(accepted)
-    if len(index) == 0:
-        return X, connected
-    i, j = relative.i[index], relative.j[index]
-    quality = support[index] ** 2 * np.minimum(relative.inliers[index], 50)
-    graph = coo_matrix((1.0 / (1e-6 + quality), (i, j)), shape=(n_frames, n_frames)).tocsr()
-    _, label = connected_components(graph, directed=False)
-    connected = label == np.argmax(np.bincount(label))
-    degree = np.bincount(i, quality, n_frames) + np.bincount(j, quality, n_frames)
-    root = int(np.argmax(np.where(connected, degree, -1.0)))
-    edge = {(int(a), int(b)): int(e) for a, b, e in zip(i, j, index, strict=True)}
-    order, parent = breadth_first_order(minimum_spanning_tree(graph), root, directed=False)
-    for k in order[1:]:
-        p = int(parent[k])
-        if (p, int(k)) in edge:
-            X[k] = inverse_pose(relative.X_RiRj[edge[p, int(k)]]) @ X[p]
-        else:
-            X[k] = relative.X_RiRj[edge[int(k), p]] @ X[p]
-    return X, connected
+@dataclass(frozen=True)
+class Bond:
+    """What the links between two islands a < b say."""
+
+    score: float
+    """Links that agree, each ``AGREEING`` plus its inliers; of a single link, inliers times support"""
+    T_ab: Array
+    """(4, 4) p_Ga = T_ab p_Gb"""
+
+
+def join_islands(relative: RelativePoses, usable: Bools, support: Array, n_frames: int) -> tuple[Array, Ints]:
+    """Merge frames to islands, the best bond first. Poses X_RG (F, 4, 4) in the island's G; island (F,)."""
+    X, island = np.tile(np.eye(4), (n_frames, 1, 1)), np.arange(n_frames)
+    i, j = relative.i[usable], relative.j[usable]
+    links = RelativePoses(i, j, relative.X_RiRj[usable], relative.inliers[usable])
+    weight = links.inliers * support[usable]
+    bonds: dict[tuple[int, int], Bond] = {}
+    for a, b in {(int(min(p, q)), int(max(p, q))) for p, q in zip(i, j, strict=True)}:
+        bonds[a, b] = _bond(links, weight, X, island, a, b)
+    while bonds:
+        a, b = max(bonds, key=lambda pair: (bonds[pair].score, pair))
+        if bonds[a, b].score < LEAST_SCORE:
+            break
+        small = min(np.sum(island == a), np.sum(island == b))
+        moved = island == b
+        X[moved] = X[moved] @ inverse_pose(bonds[a, b].T_ab)
+        island[moved] = a
+        if small >= WORTH_AVERAGING:
+            member = island == a
+            within = member[links.i] & member[links.j] & (edge_errors(X, links) < 1.5)
+            X = average_poses(X, member, links, within)
+        bonds = {pair: bond for pair, bond in bonds.items() if not {a, b} & set(pair)}
+        touching = (island[i] == a) ^ (island[j] == a)
+        for other in np.unique(np.where(island[i] == a, island[j], island[i])[touching]):
+            low, high = min(a, int(other)), max(a, int(other))
+            bonds[low, high] = _bond(links, weight, X, island, low, high)
+    return X, island
+
+
+def _bond(links: RelativePoses, weight: Array, X: Array, island: Ints, a: int, b: int) -> Bond:
+    """The largest group of links between islands a and b that agree."""
+    forward = (island[links.i] == a) & (island[links.j] == b)
+    index = np.flatnonzero(forward | ((island[links.i] == b) & (island[links.j] == a)))
+    index = index[np.argsort(-weight[index], kind="stable")][:MOST_LINKS]
+    ahead = forward[index][:, None, None]
+    X_ij = np.where(ahead, links.X_RiRj[index], inverse_pose(links.X_RiRj[index]))
+    X_a = X[np.where(forward[index], links.i[index], links.j[index])]
+    X_b = X[np.where(forward[index], links.j[index], links.i[index])]
+    T = inverse_pose(X_a) @ X_ij @ X_b
+    predicted = X_a[None] @ T[:, None] @ inverse_pose(X_b)[None]
+    agree = relative_error(predicted, np.broadcast_to(X_ij, predicted.shape)) < 1.0
+    agree |= np.eye(len(index), dtype=bool)
+    total = agree @ (AGREEING + links.inliers[index])
+    best = int(np.argmax(total))
+    single = agree[best].sum() == 1
+    return Bond(float(weight[index[0]] if single else total[best]), T[0] if single else T[best])
 
 
 def average_poses(
@@ -103,6 +139,8 @@ def average_poses(
 ) -> Array:
     """Robust averaging (Geman-McClure) of all edges of the piece: rotations, then translations."""
     index = np.flatnonzero(accepted & connected[relative.i] & connected[relative.j])
+    if len(index) == 0:
+        return X
     i, j, X_ij = relative.i[index], relative.j[index], relative.X_RiRj[index]
     R, p = X[:, :3, :3].copy(), X[:, :3, 3].copy()
     n = len(X)

@@ -82,7 +82,7 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
 
 
 def inflated_sigma_px(tracks: StereoTracks) -> Array:
-    """Pixel sigmas (M, 3) that include the stated noise of the camera's poses, as if it were white per point."""
+    """Pixel sigmas (M, 3) with the stated noise of the camera's poses, as if it were white per point."""
     sigma = np.array(tracks.sigma_px, dtype=np.float64)
     if tracks.sigma_camera_p_m == 0.0 and tracks.sigma_camera_theta_rad == 0.0:
         return sigma

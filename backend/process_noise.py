@@ -8,13 +8,14 @@ error on the right. The equation is integrated along the motion itself, in scale
 import numpy as np
 
 from polhode.lie import Array, hat
+from polhode.records import Ints
 
 SUBSTEP_RAD = 0.1
 """Largest rotation in one Runge-Kutta step: keeps the integrator's error far below the process noise."""
 MAX_SUBSTEPS = 64
 
 
-def substeps(rate_rad_s: Array, dt_s: Array) -> Array:
+def substeps(rate_rad_s: Array, dt_s: Array) -> Ints:
     """Runge-Kutta steps for each interval (n,), a power of two so that few programs are needed."""
     needed = np.maximum(np.asarray(rate_rad_s) * np.asarray(dt_s) / SUBSTEP_RAD, 1.0)
     return np.asarray(np.minimum(2 ** np.ceil(np.log2(needed)), MAX_SUBSTEPS), dtype=np.int64)

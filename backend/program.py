@@ -1,5 +1,6 @@
 """The whole optimisation problem as a CasADi nonlinear program, solved by IPOPT."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -7,7 +8,7 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from backend.gauss_newton import Solution
-from backend.kernels import N_CONSTANTS, N_STATE, dynamics_kernel, prior_kernel, stereo_kernel
+from backend.kernels import N_CONSTANTS, N_STATE, Output, dynamics_kernel, prior_kernel, stereo_kernel
 from backend.problem import Held, MotionData, substep_groups
 from polhode.lie import Array
 from polhode.records import Ints
@@ -16,23 +17,34 @@ TOLERANCE = 1e-3
 """Largest gradient at the end, where whitened residuals are of order one."""
 
 
+@dataclass(frozen=True)
+class _Term:
+    """Expressions of one kernel over its data, and the unknowns (n, width) that each application reads."""
+
+    slots: Ints
+    cost: Any
+    gradient: Any = None
+    hessian: Any = None
+
+
 class MotionProgram:
     r"""Full smoothing of a tumbling rigid body (thesis eqs. 4.77-4.108), stated once.
 
-    Unknowns ``x``, 12 F + 8 + 3 L numbers: for each frame k the pose of the geometric frame ``p_k``, ``theta_k``
-    (attitude R_k = R_ref,k Exp(theta_k)), the velocity ``v_k`` of the centre of mass and the angular velocity
-    ``w_k`` in G; the constants ``com`` and ``xi`` (inertia up to scale, see ``inertia.py``); landmarks ``l_j`` in G.
+    Unknowns ``x``, 12 F + 8 + 3 L numbers: for each frame k the pose of the geometric frame ``p_k``,
+    ``theta_k`` (attitude R_k = R_ref,k Exp(theta_k)), the velocity ``v_k`` of the centre of mass and the
+    angular velocity ``w_k`` in G; the constants ``com`` and ``xi`` (inertia up to scale, ``inertia.py``);
+    landmarks ``l_j`` in G.
 
     minimise over x, without constraints::
 
         sum_(k,j) rho(|| Sigma_kj^-1/2 (uvd_kj - project(R_RN,k (R_k l_j + p_k) + t_R,k)) ||^2)     stereo
       + 1/2 sum_k || Lambda_k^-1/2 [ r_k+1 - r_k - dt v_k;  v_k+1 - v_k;                            dynamics
                                      Log(dR_k^T R_k^T R_k+1);  w_k+1 - w'_k ] ||^2
-      + 1/2 || (com - middle) / s ||^2 + 1/2 || 3 Sigma(xi) / tr Sigma(xi) - I ||^2                 weak prior
-      + 1/2 || (p_0 - p_ref,0, theta_0) / gauge ||^2                                                frame G held
+      + 1/2 || (com - middle) / s ||^2 + 1/2 || 3 Sigma(xi) / tr Sigma(xi) - I ||^2              weak prior
+      + 1/2 || (p_0 - p_ref,0, theta_0) / gauge ||^2                                           frame G held
 
     where r_k = p_k + R_k com; dR_k, w'_k solve Euler's equation J(xi) w' = -w x J(xi) w over dt from w_k
-    (Runge-Kutta); rho(s) = c^2/2 ln(1 + s/c^2); Lambda_k solves the Lyapunov equation (4.58) at the current rate.
+    (Runge-Kutta); rho(s) = c^2/2 ln(1 + s/c^2); Lambda_k solves the Lyapunov equation (4.58) at that rate.
     R_ref, Lambda, middle and the gauge are parameters, renewed between solves (``problem.hold``).
 
     Each term is a small kernel that returns cost, gradient and Gauss-Newton Hessian; constant sparse matrices
@@ -43,14 +55,13 @@ class MotionProgram:
 
     def __init__(self, data: MotionData) -> None:
         self.data = data
-        self._substeps: Ints | None = None
+        self._substeps: Ints = np.zeros(0, dtype=np.int64)
         self._solver: Any = None
-        self._max_iterations = 0
 
     def solve(self, held: Held, x: Array, max_iterations: int) -> Solution:
         """Minimise from x. The program is built at the first call, and again if the substeps change."""
         if self._solver is None or not np.array_equal(held.substeps, self._substeps):
-            self._substeps, self._max_iterations = held.substeps, max_iterations
+            self._substeps = held.substeps
             self._solver = self._build(held, max_iterations)
         result = self._solver(x0=x, p=_parameters(held))
         stats = self._solver.stats()
@@ -69,15 +80,17 @@ class MotionProgram:
         n_x = N_STATE * d.n_frames + N_CONSTANTS + 3 * d.n_landmarks
         n_p = 9 * d.n_frames + 71 * (d.n_frames - 1) + 13 + 6
         x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", n_p)
-        blocks = [self._stereo(x, p), *self._dynamics(x, p, held.substeps), self._prior(x, p)]
-        hold_cost, hold_gradient, hold_hessian = self._gauge(x, p, held)
-        cost = sum((ca.sum2(b[0]) for b in blocks), hold_cost)
-        slots = np.concatenate([b[3].ravel() for b in blocks] + [np.arange(6)])
-        gradients = ca.vertcat(*[ca.vec(b[1]) for b in blocks], hold_gradient)
-        gradient = _scatter(slots, n_x) @ gradients
-        keys = np.concatenate([_upper_keys(b[3], n_x) for b in blocks] + [np.arange(6) * (n_x + 1)])
+        gauge_cost, gauge_gradient, gauge_hessian = self._gauge(x, p, held)
+        cost = sum((ca.sum2(b.cost) for b in self._terms(x, p, held, "cost")), gauge_cost)
+
+        terms = self._terms(x, p, held, "gradient")
+        slots = np.concatenate([b.slots.ravel() for b in terms] + [np.arange(6)])
+        gradient = _scatter(slots, n_x) @ ca.vertcat(*[ca.vec(b.gradient) for b in terms], gauge_gradient)
+
+        terms = self._terms(x, p, held, "quadratic")
+        keys = np.concatenate([_upper_keys(b.slots, n_x) for b in terms] + [np.arange(6) * (n_x + 1)])
         cells, position = np.unique(keys, return_inverse=True)
-        hessians = ca.vertcat(*[ca.vec(b[2]) for b in blocks], hold_hessian)
+        hessians = ca.vertcat(*[ca.vec(b.hessian) for b in terms], gauge_hessian)
         values = _scatter(position, len(cells)) @ hessians
         sparsity = _upper_sparsity(cells, n_x)
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
@@ -89,7 +102,7 @@ class MotionProgram:
             ["x", "p", "lam_f", "lam_g"],
             ["triu_hess_gamma_x_x"],
         )
-        options = {
+        options: Any = {
             "grad_f": grad_f,
             "hess_lag": hess,
             "no_nlp_grad": True,
@@ -109,9 +122,28 @@ class MotionProgram:
                 "nlp_scaling_method": "none",
             },
         }
-        return ca.nlpsol("motion", "ipopt", {"x": x, "p": p, "f": cost}, options)
+        problem: Any = {"x": x, "p": p, "f": cost}
+        return ca.nlpsol("motion", "ipopt", problem, options)
 
-    def _stereo(self, x: Any, p: Any) -> tuple[Any, Any, Any, Ints]:
+    def _terms(self, x: Any, p: Any, held: Held, output: Output) -> list[_Term]:
+        """Kernels mapped over their data: stereo, dynamics by number of substeps, prior."""
+        d, n = self.data, self.data.n_frames
+        at_prior = 9 * n + 71 * (n - 1)
+        prior = prior_kernel(d.form, output)
+        of_constants = N_STATE * n + np.arange(N_CONSTANTS)
+        terms = [self._stereo(x, p, output)]
+        for steps, index in substep_groups(held.substeps):
+            states = N_STATE * index[:, None] + np.arange(2 * N_STATE)
+            constants = np.broadcast_to(of_constants, (len(index), N_CONSTANTS))
+            slots = np.concatenate([states, constants], axis=1)
+            parameters = _gather(p, 9 * n + 71 * index[:, None] + np.arange(71))
+            kernel = dynamics_kernel(d.form, steps, output).map(len(index))
+            terms.append(_Term(slots, *kernel.call([_gather(x, slots), parameters])))
+        slots = of_constants[None]
+        terms.append(_Term(slots, *prior.call([_gather(x, slots), p[at_prior : at_prior + 13]])))
+        return terms
+
+    def _stereo(self, x: Any, p: Any, output: Output) -> _Term:
         d = self.data
         n_dense, m = N_STATE * d.n_frames + N_CONSTANTS, len(d.frame)
         pose = N_STATE * d.frame[:, None] + np.arange(6)
@@ -119,30 +151,10 @@ class MotionProgram:
         slots = np.concatenate([pose, mark], axis=1)
         A = _gather(p, 9 * d.frame[:, None] + np.arange(9))
         R_RN = np.swapaxes(d.R_RN, 1, 2).reshape(-1, 9)[d.frame]
-        kernel = stereo_kernel(d.robust_scale).map(m)
         constants = (R_RN, d.t_R[d.frame], d.uvd_px, d.inv_sigma)
         fixed = [ca.DM(np.ascontiguousarray(c.T)) for c in constants]
-        cost, gradient, hessian = kernel(_gather(x, slots), A, *fixed, ca.DM(d.rig))
-        return cost, gradient, hessian, slots
-
-    def _dynamics(self, x: Any, p: Any, substeps: Ints) -> list[tuple[Any, Any, Any, Ints]]:
-        out, n = [], self.data.n_frames
-        for steps, index in substep_groups(substeps):
-            states = N_STATE * index[:, None] + np.arange(24)
-            constants = np.broadcast_to(N_STATE * n + np.arange(8), (len(index), 8))
-            slots = np.concatenate([states, constants], axis=1)
-            parameters = _gather(p, 9 * n + 71 * index[:, None] + np.arange(71))
-            kernel = dynamics_kernel(self.data.form, steps).map(len(index))
-            cost, gradient, hessian = kernel(_gather(x, slots), parameters)
-            out.append((cost, gradient, hessian, slots))
-        return out
-
-    def _prior(self, x: Any, p: Any) -> tuple[Any, Any, Any, Ints]:
-        n = self.data.n_frames
-        slots = N_STATE * n + np.arange(8)[None]
-        at = 9 * n + 71 * (n - 1)
-        cost, gradient, hessian = prior_kernel(self.data.form)(_gather(x, slots), p[at : at + 13])
-        return cost, gradient, hessian, slots
+        kernel = stereo_kernel(d.robust_scale, output).map(m)
+        return _Term(slots, *kernel.call([_gather(x, slots), A, *fixed, ca.DM(d.rig)]))
 
     def _gauge(self, x: Any, p: Any, held: Held) -> tuple[Any, Any, Any]:
         information, n_p = ca.DM(held.gauge_information), p.numel()

@@ -1,7 +1,7 @@
 """Observations that contradict the motion leave the problem.
 
-A Cauchy kernel only bounds what a wrong observation can do. Many of them keep pulling, and the solver creeps for
-dozens of iterations while a landmark made of contradicting observations looks for its place.
+A Cauchy kernel only bounds what a wrong observation can do. Many of them keep pulling, and the solver creeps
+for dozens of iterations while a landmark made of contradicting observations looks for its place.
 """
 
 from dataclasses import dataclass, replace
@@ -50,9 +50,9 @@ class Kept:
 
 
 def settle(data: MotionData, iterate: Iterate) -> tuple[MotionData, Kept, Iterate, NoiseScales]:
-    """Tell noise from contradictions: the data with its own noise, what is kept of it, the motion, the factors.
+    """Tell noise from contradictions: data with its own noise, what is kept of it, motion, noise factors.
 
-    The first gate is set by the median absolute deviation; in the end the noise is the scatter of what is kept.
+    The median absolute deviation sets the first gate; in the end the noise is the scatter of what is kept.
     Raises RunFailure when most observations contradict the motion.
     """
     first = estimate_noise(data, iterate, robust=True)

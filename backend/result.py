@@ -19,6 +19,7 @@ from backend.problem import MotionData, hold
 from backend.prune import Kept, whitened_residuals
 from polhode.lie import Array, make_pose
 from polhode.records import (
+    Bools,
     Identifiability,
     InitialMotion,
     Landmarks,
@@ -40,7 +41,7 @@ def assemble(
     scales: NoiseScales,
     initial: InitialMotion,
 ) -> MotionEstimate:
-    """Everything that is reported, at the solution ``iterate`` of the whole data; information of what was kept."""
+    """Everything that is reported, at the solution ``iterate`` of the whole data, from what was kept."""
     all_residuals = whitened_residuals(data, iterate)
     weight = np.where(
         kept.observations, robust_weight(np.sum(all_residuals**2, axis=1), data.robust_scale), 0.0
@@ -88,7 +89,7 @@ def _state_covariances(
     return covariance, joint
 
 
-def _with_infinite(covariance: Array, lost: Array) -> Array:
+def _with_infinite(covariance: Array, lost: Bools) -> Array:
     out = covariance.copy()
     out[lost, :] = 0.0
     out[:, lost] = 0.0
@@ -102,7 +103,7 @@ def _mass(
     n = 12 * iterate.n_frames
     cov_com, cov_J = m.dense[n : n + 3, n : n + 3], m.dense[n + 3 :, n + 3 :]
     moments, R_GP = derivative.moments, derivative.R_GP
-    com_lost = np.abs(R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
+    com_lost: Bools = np.abs(R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
     return MassProperties(
         J_G=R_GP @ np.diag(moments) @ R_GP.T,
         moments=moments,
@@ -136,7 +137,7 @@ def _noise(tracks: StereoTracks, scales: NoiseScales, data: MotionData) -> Noise
 
 
 def reduced_chi2(data: MotionData, s: Array, dynamics_cost: float) -> float:
-    """Sum of squares of the stereo residuals, s (M,) each, and of the dynamics over the degrees of freedom."""
+    """Squares of the stereo residuals, s (M,), and of the dynamics, over the degrees of freedom."""
     n_frames, n_landmarks = data.n_frames, data.n_landmarks
     # six numbers of the frame G are free of charge
     freedom = 3 * len(s) + 12 * (n_frames - 1) + 6 - 12 * n_frames - 8 - 3 * n_landmarks

@@ -15,12 +15,12 @@ def stereo_residuals(
     """Whitened residuals (M, 3). A = R_RN R_NG at the current attitudes (F, 3, 3)."""
     out = np.empty((len(frame), 3))
     for m in range(len(frame)):
-        k, l = frame[m], landmark[m]
+        k, mark = frame[m], landmark[m]
         x = y = z = 0.0
         for c in range(3):
-            x += A[k, 0, c] * p_G[l, c] + R_RN[k, 0, c] * p_NG[k, c]
-            y += A[k, 1, c] * p_G[l, c] + R_RN[k, 1, c] * p_NG[k, c]
-            z += A[k, 2, c] * p_G[l, c] + R_RN[k, 2, c] * p_NG[k, c]
+            x += A[k, 0, c] * p_G[mark, c] + R_RN[k, 0, c] * p_NG[k, c]
+            y += A[k, 1, c] * p_G[mark, c] + R_RN[k, 1, c] * p_NG[k, c]
+            z += A[k, 2, c] * p_G[mark, c] + R_RN[k, 2, c] * p_NG[k, c]
         x, y, z = x + t_R[k, 0], y + t_R[k, 1], z + t_R[k, 2]
         out[m, 0] = (uvd[m, 0] - rig[0] * x / z - rig[1]) * inv_sigma[m, 0]
         out[m, 1] = (uvd[m, 1] - rig[0] * y / z - rig[2]) * inv_sigma[m, 1]
@@ -31,11 +31,12 @@ def stereo_residuals(
 @compiled
 def stereo_normal_equations(
     frame: Ints, landmark: Ints, inv_sigma: Array, rig: Array, A: Array, R_RN: Array, t_R: Array,
-    p_NG: Array, p_G: Array, Jr: Array, residuals: Array, weight: Array,
+    p_NG: Array, p_G: Array, Jr: Array, residuals: Array, weight: Array, bend: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
     """Blocks of the Gauss-Newton system of the weighted residuals.
 
-    Jr (F, 3, 3) right Jacobian at the current theta: the attitude variable is theta itself. Returns
+    Jr (F, 3, 3) right Jacobian at the current theta: the attitude variable is theta itself; bend (M,) of the
+    robust kernel (``kernels.bend_sx``). Returns
     H (F, 6, 6), g (F, 6) of the poses; C (L, 3, 3), h (L, 3) of the landmarks; E (M, 6, 3) coupling.
     """
     n_frames, n_landmarks, n = len(p_NG), len(p_G), len(frame)
@@ -43,23 +44,23 @@ def stereo_normal_equations(
     C, h, E = np.zeros((n_landmarks, 3, 3)), np.zeros((n_landmarks, 3)), np.empty((n, 6, 3))
     J, D, turn = np.empty((3, 9)), np.empty((3, 3)), np.empty((3, 3))
     for m in range(n):
-        k, l = frame[m], landmark[m]
+        k, mark = frame[m], landmark[m]
         x = y = z = 0.0
         for c in range(3):
-            x += A[k, 0, c] * p_G[l, c] + R_RN[k, 0, c] * p_NG[k, c]
-            y += A[k, 1, c] * p_G[l, c] + R_RN[k, 1, c] * p_NG[k, c]
-            z += A[k, 2, c] * p_G[l, c] + R_RN[k, 2, c] * p_NG[k, c]
+            x += A[k, 0, c] * p_G[mark, c] + R_RN[k, 0, c] * p_NG[k, c]
+            y += A[k, 1, c] * p_G[mark, c] + R_RN[k, 1, c] * p_NG[k, c]
+            z += A[k, 2, c] * p_G[mark, c] + R_RN[k, 2, c] * p_NG[k, c]
         x, y, z = x + t_R[k, 0], y + t_R[k, 1], z + t_R[k, 2]
         f = rig[0]
         # derivative of the prediction in p_R, then of the residual
         D[0, 0], D[0, 1], D[0, 2] = -f / z, 0.0, f * x / z**2
         D[1, 0], D[1, 1], D[1, 2] = 0.0, -f / z, f * y / z**2
         D[2, 0], D[2, 1], D[2, 2] = 0.0, 0.0, f * rig[3] / z**2
-        a, b, c_ = p_G[l, 0], p_G[l, 1], p_G[l, 2]
+        a, b, e = p_G[mark, 0], p_G[mark, 1], p_G[mark, 2]
         for c in range(3):
             # -hat(p_G) Jr
-            turn[0, c] = c_ * Jr[k, 1, c] - b * Jr[k, 2, c]
-            turn[1, c] = -c_ * Jr[k, 0, c] + a * Jr[k, 2, c]
+            turn[0, c] = e * Jr[k, 1, c] - b * Jr[k, 2, c]
+            turn[1, c] = -e * Jr[k, 0, c] + a * Jr[k, 2, c]
             turn[2, c] = b * Jr[k, 0, c] - a * Jr[k, 1, c]
         for i in range(3):
             s = inv_sigma[m, i]
@@ -69,17 +70,23 @@ def stereo_normal_equations(
             for c in range(3):
                 J[i, 3 + c] = J[i, 6] * turn[0, c] + J[i, 7] * turn[1, c] + J[i, 8] * turn[2, c]
         w = weight[m]
+        for i in range(9):
+            along = J[0, i] * residuals[m, 0] + J[1, i] * residuals[m, 1] + J[2, i] * residuals[m, 2]
+            if i < 6:
+                g[k, i] += w * along
+            else:
+                h[mark, i - 6] += w * along
+            for c in range(3):
+                J[c, i] -= bend[m] * along * residuals[m, c]
         for i in range(6):
-            g[k, i] += w * (J[0, i] * residuals[m, 0] + J[1, i] * residuals[m, 1] + J[2, i] * residuals[m, 2])
             for j in range(6):
                 H[k, i, j] += w * (J[0, i] * J[0, j] + J[1, i] * J[1, j] + J[2, i] * J[2, j])
             for j in range(3):
                 E[m, i, j] = w * (J[0, i] * J[0, 6 + j] + J[1, i] * J[1, 6 + j] + J[2, i] * J[2, 6 + j])
         for i in range(3):
             p = 6 + i
-            h[l, i] += w * (J[0, p] * residuals[m, 0] + J[1, p] * residuals[m, 1] + J[2, p] * residuals[m, 2])
             for j in range(3):
-                C[l, i, j] += w * (J[0, p] * J[0, 6 + j] + J[1, p] * J[1, 6 + j] + J[2, p] * J[2, 6 + j])
+                C[mark, i, j] += w * (J[0, p] * J[0, 6 + j] + J[1, p] * J[1, 6 + j] + J[2, p] * J[2, 6 + j])
     return H, g, C, h, E
 
 
@@ -89,18 +96,18 @@ def subtract_landmarks(
 ) -> None:
     """S -= E C^-1 E^T (lower triangle) and rhs -= E C^-1 h, in place; pose k sits at ``stride * k``."""
     T = np.empty((6, 3))
-    for l in range(len(start) - 1):
-        for a in range(start[l], start[l + 1]):
+    for mark in range(len(start) - 1):
+        for a in range(start[mark], start[mark + 1]):
             ka = stride * frame[a]
             for i in range(6):
                 for j in range(3):
                     T[i, j] = (
-                        E[a, i, 0] * C_inv[l, 0, j]
-                        + E[a, i, 1] * C_inv[l, 1, j]
-                        + E[a, i, 2] * C_inv[l, 2, j]
+                        E[a, i, 0] * C_inv[mark, 0, j]
+                        + E[a, i, 1] * C_inv[mark, 1, j]
+                        + E[a, i, 2] * C_inv[mark, 2, j]
                     )
-                rhs[ka + i] -= T[i, 0] * h[l, 0] + T[i, 1] * h[l, 1] + T[i, 2] * h[l, 2]
-            for b in range(start[l], a + 1):
+                rhs[ka + i] -= T[i, 0] * h[mark, 0] + T[i, 1] * h[mark, 1] + T[i, 2] * h[mark, 2]
+            for b in range(start[mark], a + 1):
                 kb = stride * frame[b]
                 for i in range(6):
                     for j in range(6):
@@ -116,15 +123,17 @@ def back_substitute(
     """Landmark steps (L, 3) = C^-1 (h - E^T step), with step the solution of the reduced system."""
     out = np.empty((len(start) - 1, 3))
     rest = np.empty(3)
-    for l in range(len(start) - 1):
-        rest[:] = h[l]
-        for a in range(start[l], start[l + 1]):
+    for mark in range(len(start) - 1):
+        rest[:] = h[mark]
+        for a in range(start[mark], start[mark + 1]):
             k = stride * frame[a]
             for j in range(3):
                 for i in range(6):
                     rest[j] -= E[a, i, j] * step[k + i]
         for j in range(3):
-            out[l, j] = C_inv[l, j, 0] * rest[0] + C_inv[l, j, 1] * rest[1] + C_inv[l, j, 2] * rest[2]
+            out[mark, j] = (
+                C_inv[mark, j, 0] * rest[0] + C_inv[mark, j, 1] * rest[1] + C_inv[mark, j, 2] * rest[2]
+            )
     return out
 
 
@@ -133,11 +142,11 @@ def landmark_covariances(cov: Array, frame: Ints, start: Ints, E: Array, C_inv: 
     """Covariances (L, 3, 3) = C^-1 + C^-1 E^T cov E C^-1, from that of the poses."""
     out = C_inv.copy()
     T = np.zeros((3, 3))
-    for l in range(len(start) - 1):
+    for mark in range(len(start) - 1):
         T[:] = 0.0
-        for a in range(start[l], start[l + 1]):
+        for a in range(start[mark], start[mark + 1]):
             ka = stride * frame[a]
-            for b in range(start[l], start[l + 1]):
+            for b in range(start[mark], start[mark + 1]):
                 kb = stride * frame[b]
                 for i in range(6):
                     for j in range(6):
@@ -149,5 +158,5 @@ def landmark_covariances(cov: Array, frame: Ints, start: Ints, E: Array, C_inv: 
             for q in range(3):
                 for i in range(3):
                     for j in range(3):
-                        out[l, p, q] += C_inv[l, p, i] * T[i, j] * C_inv[l, j, q]
+                        out[mark, p, q] += C_inv[mark, p, i] * T[i, j] * C_inv[mark, j, q]
     return out

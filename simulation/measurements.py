@@ -92,7 +92,7 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
     rng = np.random.default_rng(seed)
     J = J_SPHERES if scene.J_G is None else np.asarray(scene.J_G)
     com = np.asarray(scene.com_G)
-    time_s = np.arange(scene.frames) * scene.dt_s
+    time_s: Array = scene.dt_s * np.arange(scene.frames, dtype=np.float64)
     r, v, R_NG, w_G = _motion(scene, J, rng)
     X_NG = make_pose(R_NG, r - R_NG @ com)
     X_NR = _camera_path(scene, time_s)
