@@ -22,6 +22,8 @@ _EDGE_PX = 4
 """What lies this far around an even patch still belongs to its facet."""
 _EVEN_SLOPE = 0.025
 """Slope of the intensity that still counts as even, as a share of the intensity [1/px]."""
+_NOISE_SLOPE = 2.0
+"""Largest slope that is put down to noise [8-bit levels/px]."""
 _SCALES_PX = (2.0, 1.0, 0.5, 0.3)
 """Scale of the robust kernel, round by round."""
 _LEAST_AGREEMENT = 0.6
@@ -53,9 +55,9 @@ def even_patches(image: NDArray[np.uint8], inside: Bools) -> tuple[NDArray[np.in
     slope_u = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3) / 8.0
     slope_v = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3) / 8.0
     slope = np.hypot(slope_u, slope_v)
-    # Sensor noise after the blur: two thirds of what even pixels show is below this.
+    # Even pixels show the sensor's noise; where texture is everywhere, the lowest slopes are still texture.
     noise = float(np.percentile(slope[inside], 20)) if inside.any() else 0.0
-    even = inside & (slope < np.maximum(2.5 * noise, _EVEN_SLOPE * smooth))
+    even = inside & (slope < np.maximum(min(2.5 * noise, _NOISE_SLOPE), _EVEN_SLOPE * smooth))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(even.astype(np.uint8), connectivity=4)
     small = np.flatnonzero(np.asarray(stats)[:, cv2.CC_STAT_AREA] < _LEAST_AREA_PX)
     labels = np.asarray(labels, dtype=np.int32)

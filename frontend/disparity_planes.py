@@ -1,7 +1,8 @@
 """Smoothing of disparities by local planes: a flat facet of the target is a plane in disparity, exactly.
 
 Around every pixel the plane is fitted in several windows, centred and shifted; the one with the least
-scatter is used (Kuwahara's idea), so edges between facets are not rounded.
+scatter is used (Kuwahara's idea), so edges between facets are not rounded. Where even that plane leaves more
+than the noise, the surface is rough at this size and windows of half the size are used.
 """
 
 import cv2
@@ -12,6 +13,8 @@ Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 _LEAST_SHARE = 0.3
 _OUTLIER = 3.0
+_ROUGH = 2.0
+"""Mean squared distance from the plane, in variances: above it the surface is no plane at this size."""
 
 
 def fit_planes(
@@ -29,6 +32,12 @@ def fit_planes(
     limit = _OUTLIER * np.hypot(np.where(known, sigma, 1.0), 0.1)
     robust = np.where(scatter < limit, weight, 0.01 * weight)
     plane, variance, good = _best_plane(d, robust, radius_px, correlated_px2)
+    rough = cv2.blur(np.square(d - plane) * weight, (5, 5)) > _ROUGH
+    if rough.any():
+        near, near_variance, near_good = _best_plane(d, robust, max(radius_px // 2, 1), correlated_px2)
+        rough &= near_good
+        plane, variance = np.where(rough, near, plane), np.where(rough, near_variance, variance)
+        good |= rough
     out = known & good
     return (
         np.where(out, plane, np.nan).astype(np.float32),

@@ -12,7 +12,7 @@ class Mapping(Section):
 
     voxel_mm: float | None = Field(None, gt=0)
     """Edge of a voxel [mm]; chosen from the depth's footprint when absent."""
-    voxel_per_footprint: float = Field(1.2, gt=0)
+    voxel_per_footprint: float = Field(1.0, gt=0)
     """Edge of a voxel over the footprint of a pixel on the target, when ``voxel_mm`` is absent."""
     truncation_voxels: float = Field(4.0, ge=2)
     """Distance at which the field is cut off in front of the surface [voxels]."""
