@@ -8,7 +8,7 @@ seconds of one core a frame for depth and for fusion. ``--save FOLDER`` keeps th
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
@@ -104,8 +104,8 @@ def measure(folder: Path, run: Path | None, config: Config, save: Path | None) -
     return Outcome(folder.name, frames, metrics, len(mesh.vertices), depth_s / frames, fusion_s / frames)
 
 
-def print_table(outcomes: Sequence[Outcome]) -> None:
-    """One line a sequence."""
+def print_table(outcomes: Iterable[Outcome]) -> None:
+    """One line a sequence, as soon as it is known."""
     print(
         f"{'sequence':<18}{'frames':>7}{'accuracy':>10}{'completion':>11}{'chamfer':>9}{'hausdorff95':>12}"
         f"{'within 3 mm':>12}{'vertices':>10}{'depth s':>9}{'fusion s':>9}"
@@ -115,7 +115,8 @@ def print_table(outcomes: Sequence[Outcome]) -> None:
         print(
             f"{o.name:<18}{o.frames:>7}{m.accuracy_mm:>10.3f}{m.completion_mm:>11.3f}{m.chamfer_mm:>9.3f}"
             f"{m.hausdorff95_mm:>12.2f}{m.completeness_3mm:>12.3f}"
-            f"{o.vertices:>10}{o.depth_s:>9.3f}{o.fusion_s:>9.3f}"
+            f"{o.vertices:>10}{o.depth_s:>9.3f}{o.fusion_s:>9.3f}",
+            flush=True,
         )
 
 
@@ -134,7 +135,8 @@ def main() -> None:
     torch.set_num_threads(1)
     config = load_config(options.config)
     runs = options.runs or [None] * len(options.sequences)
-    print_table([measure(s, r, config, options.save) for s, r in zip(options.sequences, runs, strict=True)])
+    jobs = zip(options.sequences, runs, strict=True)
+    print_table(measure(sequence, run, config, options.save) for sequence, run in jobs)
 
 
 if __name__ == "__main__":
