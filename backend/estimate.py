@@ -8,7 +8,7 @@ from backend.gauss_newton import GaussNewton, Solution
 from backend.hypotheses import inertia_hypotheses
 from backend.initialize import frame_rates, robust_landmarks
 from backend.iterate import Iterate
-from backend.problem import MotionData, hold, motion_data
+from backend.problem import TIGHT_GAUGE, MotionData, hold, motion_data
 from backend.process_level import estimate_process_noise
 from backend.program import MotionProgram
 from backend.prune import settle
@@ -19,7 +19,7 @@ from polhode.lie import Array
 from polhode.progress import Progress
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 
-HYPOTHESIS_PASSES = (5, 4, 2)
+HYPOTHESIS_PASSES = (3, 3, 3, 2)
 """Iterations of the solves of one hypothesis; references and whitening are renewed between them."""
 SAME_BASIN = 0.03
 """Two inertias (second moments of determinant 1) closer than this will end in the same minimum."""
@@ -134,7 +134,7 @@ def refine(
     before, total = np.inf, 0
     for _ in range(MAX_PASSES):
         iterate = renew_inertia(data, iterate)
-        solution = solver.solve(hold(data, iterate), iterate.vector(), max_iterations)
+        solution = solver.solve(hold(data, iterate, TIGHT_GAUGE), iterate.vector(), max_iterations)
         iterate, total = iterate.moved_to(solution.x), total + solution.iterations
         if abs(before - solution.cost) <= PASS_TOLERANCE * max(solution.cost, 1.0):
             break

@@ -12,6 +12,9 @@ from polhode.lie import Array, inverse_pose
 from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints, StereoTracks
 
+LOOSE_GAUGE, TIGHT_GAUGE = 0.1, 1e-3
+"""How firmly G is held at the first frame [rad, and body radii]. A cold start must be free to move it; near the
+solution a step along it would leave the curved valley in which G may move."""
 COM_PRIOR_M = 0.1
 """Least standard deviation of the prior on the centre of mass; a larger body's own radius is taken."""
 
@@ -117,8 +120,8 @@ class Held:
     """Normalisation of the dynamics term: makes the costs of different inertias comparable"""
 
 
-def hold(data: MotionData, iterate: Iterate) -> Held:
-    """Freeze references and whitening at an iterate."""
+def hold(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> Held:
+    """Freeze references and whitening at an iterate; gauge is the standard deviation of the first pose."""
     w = iterate.w_G
     rate = np.linalg.norm(w, axis=1)
     W_t, W_r, half_log = whitening(w[:-1], iterate.J_G(data.form), data.dt_s, data.accel_psd, data.torque_psd)
@@ -131,7 +134,7 @@ def hold(data: MotionData, iterate: Iterate) -> Held:
         dynamics=dynamics_parameters(data, iterate, W_t, W_r),
         substeps=substeps(np.maximum(rate[:-1], rate[1:]), data.dt_s),
         prior=np.concatenate([middle, [com_sigma], iterate.R_inertia.T.ravel()]),
-        gauge_information=np.repeat([(0.1 * com_sigma) ** -2, 0.1**-2], 3),
+        gauge_information=np.repeat([(gauge * com_sigma) ** -2, gauge**-2], 3),
         half_log_det=half_log,
     )
 
