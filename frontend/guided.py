@@ -1,17 +1,20 @@
-"""Association with a known motion: every feature is compared with the landmarks that should be there.
+"""Association with a known motion: lost frames are looked for where the motion puts them.
 
-Given the target's pose in each frame, measured or predicted, landmarks are grown frame by frame. A
-frame whose pose is only predicted is searched in wide windows and must pass a rigid fit of its own
+Frames that blind matching has connected keep their matches: those passed a geometric check pair by pair, and
+are truer than what a search around predictions adds, since shaded features drift with the light. A frame that
+blind matching lost is searched in wide windows around its predicted pose and must pass a rigid fit of its own
 before it counts as measured, so that a wrong prediction is not locked in.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from frontend.ransac import fit_rigid, ransac_rigid
+from frontend.features import Descriptors
+from frontend.pairs import PairMatch
+from frontend.ransac import fit_rigid, ransac_rigid, reprojection_error_px
 from frontend.stereo import StereoFeatures
 from frontend.tracks import Association
 from polhode.camera import RectifiedRig
@@ -30,63 +33,90 @@ class GuidedResult:
 
 @dataclass
 class _Map:
-    """Landmarks and their observations while they grow."""
+    """Landmarks and their observations while frames are added."""
 
-    information: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    information_p_G: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    information: Array
+    """(L, 3, 3)"""
+    information_p_G: Array
+    """(L, 3)"""
     landmark: list[Ints] = field(default_factory=list)
+    """per frame (n,)"""
     direction_G: list[Array] = field(default_factory=list)
-    descriptors: list[np.ndarray[tuple[int, ...], np.dtype[np.float32]]] = field(default_factory=list)
+    """per frame (n, 3)"""
+    descriptors: list[Descriptors] = field(default_factory=list)
+    """per frame (n, 128)"""
+
+    @classmethod
+    def empty(cls, n_landmarks: int) -> "_Map":
+        return cls(np.zeros((n_landmarks, 3, 3)), np.zeros((n_landmarks, 3)))
 
     @property
     def p_G(self) -> Array:
-        return np.asarray(np.linalg.solve(self.information, self.information_p_G[..., None])[..., 0])
+        # Landmarks of frames that are not connected have no place yet: far away they match nothing.
+        placed = np.trace(self.information, axis1=1, axis2=2) > 0.0
+        p_G = np.full(self.information_p_G.shape, np.inf)
+        p_G[placed] = np.linalg.solve(self.information[placed], self.information_p_G[placed][..., None])[
+            ..., 0
+        ]
+        return p_G
 
 
-def associate(
+def consistent_matches(
+    matches: Sequence[PairMatch],
     frames: Sequence[StereoFeatures],
+    motion: InitialMotion,
+    rig: RectifiedRig,
+    gate_px: float,
+) -> list[PairMatch]:
+    """The matches between connected frames whose points the motion moves onto each other within the gate."""
+    kept = []
+    for match in matches:
+        if not (motion.connected[match.i] and motion.connected[match.j]):
+            continue
+        X_RiRj = motion.X_RG[match.i] @ inverse_pose(motion.X_RG[match.j])
+        p_Ri = transform_points(X_RiRj, frames[match.j].p_R[match.features[:, 1]])
+        error = reprojection_error_px(p_Ri, frames[match.i].uvd_px[match.features[:, 0]], rig)
+        good: Bools = error < gate_px
+        if good.any():
+            kept.append(replace(match, features=match.features[good]))
+    return kept
+
+
+def reconnect(
+    frames: Sequence[StereoFeatures],
+    association: Association,
     motion: InitialMotion,
     rig: RectifiedRig,
     config: GuidedMatching,
     seed: int,
 ) -> GuidedResult:
-    """Landmark of every feature of every frame, from scratch, given the motion.
+    """Look for the frames that are not connected, nearest to a connected one first.
 
-    Measured frames come first, in order of time; then the predicted ones, nearest to a measured one first.
+    Landmarks are those of the association, placed by the motion; a found frame adds its observations to them.
     """
     X_RG, connected = motion.X_RG.copy(), motion.connected.copy()
-    labels: list[Ints] = [np.full(len(f), -1, dtype=np.int64) for f in frames]
-    model = _Map()
-    for k in np.flatnonzero(connected).tolist():
-        labels[k] = _associate_frame(model, frames[k], X_RG[k], rig, config)
+    labels = [known.copy() for known in association.landmark]
     waiting = [k for k in np.flatnonzero(~connected).tolist() if len(frames[k]) >= config.min_inliers]
+    if not waiting or not np.any(connected):
+        return GuidedResult(association, motion)
+    model = _Map.empty(association.n_landmarks)
+    for k in np.flatnonzero(connected).tolist():
+        _enter(model, frames[k], labels[k], X_RG[k], rig)
     for k in sorted(waiting, key=lambda frame: _distance_to(frame, motion.connected)):
         X_found = _relocalise(model, frames[k], X_RG[k], rig, config, np.random.default_rng([seed, k]))
-        if X_found is not None:
-            X_RG[k], connected[k] = X_found, True
-            labels[k] = _associate_frame(model, frames[k], X_found, rig, config)
+        if X_found is None:
+            continue
+        X_RG[k], connected[k] = X_found, True
+        feature, landmark = _search(model, frames[k], X_found, rig, config, config.fine_gate_px)
+        labels[k] = np.full(len(frames[k]), -1, dtype=np.int64)
+        labels[k][feature] = landmark
+        _enter(model, frames[k], labels[k], X_found, rig)
     return GuidedResult(Association(tuple(labels)), InitialMotion(X_RG, connected))
 
 
 def _distance_to(k: int, connected: Bools) -> int:
     known = np.flatnonzero(connected)
     return int(np.min(np.abs(known - k))) if len(known) else 0
-
-
-def _associate_frame(
-    model: _Map, features: StereoFeatures, X_RG: Array, rig: RectifiedRig, config: GuidedMatching
-) -> Ints:
-    """Assign one measured frame's features and enter them into the map; unmatched ones become landmarks."""
-    labels = np.full(len(features), -1, dtype=np.int64)
-    if len(features) == 0:
-        return labels
-    direction = _viewing_direction(features.p_R, X_RG)
-    feature, landmark = _search(model, features, direction, X_RG, rig, config, config.fine_gate_px)
-    labels[feature] = landmark
-    new = labels < 0
-    labels[new] = len(model.information) + np.arange(new.sum())
-    _enter(model, features, labels, direction, X_RG, rig)
-    return labels
 
 
 def _relocalise(
@@ -98,8 +128,7 @@ def _relocalise(
     rng: np.random.Generator,
 ) -> Array | None:
     """Measured pose of a frame near its predicted one, or None when too few landmarks agree."""
-    direction = _viewing_direction(features.p_R, X_RG)
-    feature, landmark = _search(model, features, direction, X_RG, rig, config, config.coarse_gate_px)
+    feature, landmark = _search(model, features, X_RG, rig, config, config.coarse_gate_px)
     if len(feature) < config.min_inliers:
         return None
     p_R, p_G = features.p_R[feature], model.p_G[landmark]
@@ -118,7 +147,6 @@ def _viewing_direction(p_R: Array, X_RG: Array) -> Array:
 def _search(
     model: _Map,
     features: StereoFeatures,
-    direction_G: Array,
     X_RG: Array,
     rig: RectifiedRig,
     config: GuidedMatching,
@@ -126,11 +154,12 @@ def _search(
 ) -> tuple[Ints, Ints]:
     """Mutually best (feature, landmark) among those that agree in place, view and descriptor."""
     nothing = np.zeros(0, dtype=np.int64)
-    if not model.landmark:
-        return nothing, nothing
+    direction_G = _viewing_direction(features.p_R, X_RG)
     observed = np.concatenate(model.landmark)
-    p_R = transform_points(X_RG, model.p_G)
-    ahead = p_R[:, 2] > 1e-3
+    p_G = model.p_G
+    placed = np.asarray(np.isfinite(p_G).all(axis=1), dtype=np.bool_)
+    p_R = transform_points(X_RG, np.where(placed[:, None], p_G, 0.0))
+    ahead: Bools = placed & np.asarray(p_R[:, 2] > 1e-3)
     uvd = np.where(ahead[:, None], rig.project(np.where(ahead[:, None], p_R, 1.0)), -1e6)
     # The disparity's window is narrower than the image's: a landmark does not change its depth unseen.
     squeeze = np.array([1.0, 1.0, max(1.0, min(4.0, gate_px / 6.0))])
@@ -190,20 +219,16 @@ def _mutual_best(feature: Ints, landmark: Ints, distance: Array) -> tuple[Ints, 
     return feature[both], landmark[both]
 
 
-def _enter(
-    model: _Map, features: StereoFeatures, labels: Ints, direction_G: Array, X_RG: Array, rig: RectifiedRig
-) -> None:
-    """Add one frame's observations: information-weighted positions, directions, descriptors."""
+def _enter(model: _Map, features: StereoFeatures, labels: Ints, X_RG: Array, rig: RectifiedRig) -> None:
+    """Add one frame's labelled observations: information-weighted positions, directions, descriptors."""
+    used = labels >= 0
+    p_R, landmark = features.p_R[used], labels[used]
     X_GR = inverse_pose(X_RG)
-    J = X_GR[:3, :3] @ rig.triangulation_jacobian(features.p_R)
-    information = np.linalg.inv((J * features.sigma_px[:, None, :] ** 2) @ np.swapaxes(J, 1, 2))
-    p_G = transform_points(X_GR, features.p_R)
-    grown = int(labels.max()) + 1 - len(model.information)
-    if grown > 0:
-        model.information = np.concatenate([model.information, np.zeros((grown, 3, 3))])
-        model.information_p_G = np.concatenate([model.information_p_G, np.zeros((grown, 3))])
-    np.add.at(model.information, labels, information)
-    np.add.at(model.information_p_G, labels, (information @ p_G[..., None])[..., 0])
-    model.landmark.append(labels)
-    model.direction_G.append(direction_G)
-    model.descriptors.append(features.descriptors)
+    J = X_GR[:3, :3] @ rig.triangulation_jacobian(p_R)
+    information = np.linalg.inv((J * features.sigma_px[used, None, :] ** 2) @ np.swapaxes(J, 1, 2))
+    p_G = transform_points(X_GR, p_R)
+    np.add.at(model.information, landmark, information)
+    np.add.at(model.information_p_G, landmark, (information @ p_G[..., None])[..., 0])
+    model.landmark.append(landmark)
+    model.direction_G.append(_viewing_direction(p_R, X_RG))
+    model.descriptors.append(features.descriptors[used])

@@ -62,12 +62,17 @@ def ransac_rigid(
     return RigidFit(X, inlier)
 
 
+def reprojection_error_px(p_R: Array, uvd_px: Array, rig: RectifiedRig) -> Array:
+    """Larger of the image distance and the disparity's error (...) [px]; infinite behind the camera."""
+    in_front = p_R[..., 2] > 1e-6
+    safe = np.where(in_front[..., None], p_R, [0.0, 0.0, 1.0])
+    error = rig.project(safe) - uvd_px
+    worst = np.maximum(np.hypot(error[..., 0], error[..., 1]), np.abs(error[..., 2]))
+    return np.asarray(np.where(in_front, worst, np.inf))
+
+
 def _inliers(p_Ri: Array, uvd_i: Array, rig: RectifiedRig, gate_px: float) -> Bools:
-    in_front = p_Ri[..., 2] > 1e-6
-    safe = np.where(in_front[..., None], p_Ri, [0.0, 0.0, 1.0])
-    error = rig.project(safe) - uvd_i
-    image = np.hypot(error[..., 0], error[..., 1]) < gate_px
-    return np.asarray(in_front & image & (np.abs(error[..., 2]) < gate_px))
+    return np.asarray(reprojection_error_px(p_Ri, uvd_i, rig) < gate_px)
 
 
 def _sample_triples(

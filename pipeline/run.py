@@ -13,8 +13,8 @@ import numpy as np
 
 from backend import estimate_motion, initialize_motion
 from frontend.extract import extract_depth, extract_features
-from frontend.guided import associate
-from frontend.pairs import match_all_pairs, relative_poses
+from frontend.guided import consistent_matches, reconnect
+from frontend.pairs import PairMatch, match_all_pairs, relative_poses
 from frontend.rectify import Rectifier, make_rectifier
 from frontend.stereo import StereoFeatures
 from frontend.tracks import Association, join_matches, to_tracks
@@ -28,7 +28,7 @@ from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Progress
-from polhode.records import InitialMotion, MotionEstimate, RelativePoses, StereoTracks, SurfaceModel
+from polhode.records import InitialMotion, MotionEstimate, StereoTracks, SurfaceModel
 
 _log = logging.getLogger(__name__)
 FEWEST_MEASURED_FRAMES = 3
@@ -57,12 +57,16 @@ def run(
         outputs.write_config(folder, config)
 
         features = _extract_features(images, config, progress, clock)
-        blind, links = _match_blind(images, features, config, progress, clock)
+        matches = _match_all_pairs(images, features, config, progress, clock)
+        links, blind = (
+            relative_poses(matches),
+            images.tracks(features, join_matches(features, matches), config),
+        )
         outputs.write_measurements(blind, folder / "measurements.npz", links)
 
         with clock("initialization"):
-            motion = initialize_motion(blind, links, config.backend)
-        estimate, tracks = _associate_and_solve(images, features, motion, config, progress, clock)
+            first = initialize_motion(blind, links, config.backend)
+        estimate, tracks = _associate_and_solve(images, features, matches, first, config, progress, clock)
         outputs.write_estimate(folder, tracks, estimate, links)
 
         surface = _build_surface(images, tracks, estimate, config, progress, clock)
@@ -147,39 +151,42 @@ def _extract_features(
     return features
 
 
-def _match_blind(
+def _match_all_pairs(
     images: _Images, features: Sequence[StereoFeatures], config: Config, progress: Progress, clock: Stopwatch
-) -> tuple[StereoTracks, RelativePoses]:
-    """Every frame against every frame, without a motion: links between frames, and tracks."""
-    pairs = config.frontend.pairs
+) -> list[PairMatch]:
+    """Every frame against every frame, blind."""
+    rig, pairs = images.rectifier.rig, config.frontend.pairs
     with clock("frontend"), progress.stage("matching all pairs", len(features)) as advance:
-        matches = match_all_pairs(
-            features, images.rectifier.rig, pairs, config.seed, _workers(config), advance
-        )
-        tracks = images.tracks(features, join_matches(features, matches), config)
-    _log.info("%d links between frames, %d landmarks", len(matches), tracks.n_landmarks)
-    return tracks, relative_poses(matches)
+        matches = match_all_pairs(features, rig, pairs, config.seed, _workers(config), advance)
+    _log.info("%d links between frames", len(matches))
+    return matches
 
 
 def _associate_and_solve(
     images: _Images,
     features: Sequence[StereoFeatures],
+    matches: Sequence[PairMatch],
     motion: InitialMotion,
     config: Config,
     progress: Progress,
     clock: Stopwatch,
 ) -> tuple[MotionEstimate, StereoTracks]:
-    """Look for landmarks where the motion puts them, solve, and again with the better motion."""
-    guided = config.frontend.guided
+    """Solve, and again as long as the solved motion finds frames that were lost before."""
+    rig, guided = images.rectifier.rig, config.frontend.guided
+    matches = consistent_matches(matches, features, motion, rig, guided.consistency_px)
+    association = join_matches(features, matches)
     for turn in range(guided.rounds):
+        before = motion.connected
         with clock("frontend"):
-            found = associate(features, motion, images.rectifier.rig, guided, config.seed)
-            tracks = images.tracks(features, found.association, config)
-        connected = found.motion.connected
-        _log.info("association %d: %d of %d frames measured", turn + 1, connected.sum(), len(connected))
+            found = reconnect(features, association, motion, rig, guided, config.seed)
+            association, motion = found.association, found.motion
+            tracks = images.tracks(features, association, config)
+        _log.info("round %d: %d of %d frames connected", turn + 1, motion.connected.sum(), len(before))
+        if turn > 0 and np.array_equal(motion.connected, before):
+            break
         with clock("backend"):
-            estimate = estimate_motion(tracks, found.motion, config.backend, progress)
-        motion = InitialMotion(_pose_RG(tracks, estimate), connected)
+            estimate = estimate_motion(tracks, motion, config.backend, progress)
+        motion = InitialMotion(_pose_RG(tracks, estimate), motion.connected)
     return estimate, tracks
 
 

@@ -52,16 +52,18 @@ class PairMatching(Section):
 
 
 class GuidedMatching(Section):
-    """Association with the predicted motion: landmarks are looked for where they should be."""
+    """Association with the predicted motion: frames that blind matching lost are looked for."""
 
-    rounds: int = Field(2, ge=0)
-    """Times that the motion is solved and the association repeated."""
+    rounds: int = Field(2, ge=1)
+    """Largest number of times that lost frames are looked for and the motion is solved."""
+    consistency_px: float = Field(5.0, gt=0)
+    """A blind match that the first motion contradicts by more is wrong [px]."""
     max_view_angle_deg: float = Field(45.0, gt=0, le=90)
     """Largest change of viewing direction between descriptors that are compared [deg]."""
     coarse_gate_px: float = Field(25.0, gt=0)
-    """Search radius in frames whose pose is only predicted [px]."""
+    """Search radius around a predicted pose [px]."""
     fine_gate_px: float = Field(2.0, gt=0)
-    """Search radius in frames whose pose is measured [px]."""
+    """Search radius around a pose that the frame's own features confirm [px]."""
     max_distance: float = Field(0.65, gt=0)
     """Largest RootSIFT distance of an accepted association."""
     min_inliers: int = Field(7, ge=4)

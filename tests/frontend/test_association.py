@@ -1,14 +1,16 @@
 """Blind matching, tracks and guided association on a tumbling cloud of points with known truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from frontend.guided import associate
-from frontend.pairs import match_all_pairs, relative_poses
+from frontend.guided import consistent_matches, reconnect
+from frontend.pairs import PairMatch, match_all_pairs, relative_poses
 from frontend.ransac import fit_rigid, ransac_rigid
-from frontend.tracks import join_matches, to_tracks
+from frontend.tracks import Association, join_matches, to_tracks
 from polhode.config.frontend import GuidedMatching, PairMatching, Tracks
-from polhode.lie import exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import InitialMotion
 from tests.frontend.feature_world import RIG, World, make_world, purity
 
@@ -57,10 +59,10 @@ def test_blind_links_are_right_and_do_not_depend_on_the_workers(world: World) ->
     np.testing.assert_array_equal(first.inliers, second.inliers)
 
 
-def test_a_landmark_seen_again_a_revolution_later_is_the_same_landmark(world: World) -> None:
-    association = join_matches(
-        world.frames, match_all_pairs(world.frames, RIG, PairMatching(), 0, 2, lambda: None)
-    )
+def test_a_landmark_seen_again_a_revolution_later_is_the_same_landmark(
+    world: World, matches: list[PairMatch]
+) -> None:
+    association = join_matches(world.frames, matches)
     assert purity(list(association.landmark), world.shown) > 0.99
     returned = [np.intersect1d(association.landmark[k], association.landmark[k + 12]) for k in range(12)]
     assert min(np.sum(common >= 0) for common in returned) > 30
@@ -69,44 +71,63 @@ def test_a_landmark_seen_again_a_revolution_later_is_the_same_landmark(world: Wo
         assert len(np.unique(used)) == len(used)
 
 
-def test_guided_association_reconnects_lost_frames(world: World) -> None:
-    rng = np.random.default_rng(5)
-    connected = np.ones(24, dtype=bool)
-    connected[[7, 13]] = False
-    X_RG = world.X_RG.copy()
-    for k in (7, 13):
-        X_RG[k, :3, :3] = X_RG[k, :3, :3] @ exp_so3(rng.normal(size=3) * np.deg2rad(2.0))
-    guided = associate(world.frames, InitialMotion(X_RG, connected), RIG, GuidedMatching(), 0)
-    assert guided.motion.connected.all()
-    error = log_so3(np.swapaxes(guided.motion.X_RG[:, :3, :3], 1, 2) @ world.X_RG[:, :3, :3])
-    assert np.rad2deg(np.linalg.norm(error, axis=1)).max() < 0.5
-    labels = list(guided.association.landmark)
-    assert purity(labels, world.shown) > 0.99
-    stamps = (np.arange(24) * 500_000_000).astype(np.int64)
-    tracks = to_tracks(
-        world.frames, guided.association, RIG, stamps, np.tile(np.eye(4), (24, 1, 1)), Tracks()
-    )
-    counts = np.bincount(tracks.frame, minlength=24)
-    assert counts[[7, 13]].min() > 0.7 * np.median(counts)
+@pytest.fixture(scope="module")
+def matches(world: World) -> list[PairMatch]:
+    return match_all_pairs(world.frames, RIG, PairMatching(), 0, 1, lambda: None)
 
 
-def test_a_wrong_prediction_is_not_locked_in(world: World) -> None:
-    connected = np.ones(24, dtype=bool)
-    connected[9] = False
-    X_RG = world.X_RG.copy()
-    X_RG[9, :3, :3] = X_RG[9, :3, :3] @ exp_so3([0.0, 0.0, np.pi / 2])
-    guided = associate(world.frames, InitialMotion(X_RG, connected), RIG, GuidedMatching(), 0)
-    assert not guided.motion.connected[9]
-    assert np.all(guided.association.landmark[9] == -1)
-
-
-def test_tracks_hold_every_observation_of_shared_landmarks_only(world: World) -> None:
+def test_matches_that_the_motion_contradicts_are_dropped(world: World, matches: list[PairMatch]) -> None:
+    shuffled = np.random.default_rng(1).permutation(matches[0].features[:, 1])
+    wrong = replace(matches[0], features=np.column_stack([matches[0].features[:, 0], shuffled]))
     motion = InitialMotion(world.X_RG, np.ones(24, dtype=bool))
-    guided = associate(world.frames, motion, RIG, GuidedMatching(), 0)
-    stamps = (np.arange(24) * 500_000_000).astype(np.int64)
-    tracks = to_tracks(
-        world.frames, guided.association, RIG, stamps, np.tile(np.eye(4), (24, 1, 1)), Tracks()
+    kept = consistent_matches([matches[0], wrong], world.frames, motion, RIG, 5.0)
+    assert len(kept[0].features) > 0.95 * len(matches[0].features)
+    assert sum(len(m.features) for m in kept[1:]) < 0.2 * len(wrong.features)
+    lost = InitialMotion(world.X_RG, np.arange(24) != matches[0].i)
+    assert consistent_matches([matches[0]], world.frames, lost, RIG, 5.0) == []
+
+
+def lost_frames(
+    world: World, matches: list[PairMatch], turned: dict[int, Array]
+) -> tuple[Association, InitialMotion]:
+    """The blind association without the named frames, and a motion that predicts them turned."""
+    connected = np.ones(24, dtype=bool)
+    connected[list(turned)] = False
+    X_RG = world.X_RG.copy()
+    for k, rotation in turned.items():
+        X_RG[k, :3, :3] = X_RG[k, :3, :3] @ rotation
+    motion = InitialMotion(X_RG, connected)
+    return join_matches(world.frames, consistent_matches(matches, world.frames, motion, RIG, 5.0)), motion
+
+
+def test_lost_frames_are_found_near_their_predicted_pose(world: World, matches: list[PairMatch]) -> None:
+    rng = np.random.default_rng(5)
+    association, motion = lost_frames(
+        world, matches, {k: exp_so3(rng.normal(size=3) * np.deg2rad(2.0)) for k in (7, 13)}
     )
+    assert np.all(association.landmark[7] == -1)
+    found = reconnect(world.frames, association, motion, RIG, GuidedMatching(), 0)
+    assert found.motion.connected.all()
+    error = log_so3(np.swapaxes(found.motion.X_RG[:, :3, :3], 1, 2) @ world.X_RG[:, :3, :3])
+    assert np.rad2deg(np.linalg.norm(error, axis=1)).max() < 0.5
+    assert purity(list(found.association.landmark), world.shown) > 0.99
+    counts = [np.sum(labels >= 0) for labels in found.association.landmark]
+    assert min(counts[7], counts[13]) > 0.7 * np.median(counts)
+
+
+def test_a_wrong_prediction_is_not_locked_in(world: World, matches: list[PairMatch]) -> None:
+    association, motion = lost_frames(world, matches, {9: exp_so3([0.0, 0.0, np.pi / 2])})
+    found = reconnect(world.frames, association, motion, RIG, GuidedMatching(), 0)
+    assert not found.motion.connected[9]
+    assert np.all(found.association.landmark[9] == -1)
+
+
+def test_tracks_hold_every_observation_of_shared_landmarks_only(
+    world: World, matches: list[PairMatch]
+) -> None:
+    association = join_matches(world.frames, matches)
+    stamps = (np.arange(24) * 500_000_000).astype(np.int64)
+    tracks = to_tracks(world.frames, association, RIG, stamps, np.tile(np.eye(4), (24, 1, 1)), Tracks())
     views = np.bincount(tracks.landmark)
     assert views.min() >= 3
     assert tracks.n_landmarks == len(views)
@@ -115,14 +136,15 @@ def test_tracks_hold_every_observation_of_shared_landmarks_only(world: World) ->
     assert len(tracks.uvd_px) == len(tracks.frame) == len(tracks.sigma_px)
 
 
-def test_the_longest_tracks_are_kept_until_every_frame_has_enough(world: World) -> None:
-    motion = InitialMotion(world.X_RG, np.ones(24, dtype=bool))
-    guided = associate(world.frames, motion, RIG, GuidedMatching(), 0)
+def test_the_longest_tracks_are_kept_until_every_frame_has_enough(
+    world: World, matches: list[PairMatch]
+) -> None:
+    association = join_matches(world.frames, matches)
     stamps = (np.arange(24) * 500_000_000).astype(np.int64)
     few, everything = (
         to_tracks(
             world.frames,
-            guided.association,
+            association,
             RIG,
             stamps,
             np.tile(np.eye(4), (24, 1, 1)),
