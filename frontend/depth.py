@@ -66,7 +66,7 @@ def compute_depth(
     if not mask.any():
         return empty
     if disparity_range_px is None:
-        disparity_range_px = find_disparity_range(left, right, mask, config)
+        disparity_range_px = find_disparity_range(left, right, mask, config, rig.disparity_offset_px)
         if disparity_range_px is None:
             return empty
     crop = _crop(left, right, mask, disparity_range_px, config)
@@ -81,8 +81,13 @@ def compute_depth(
     return empty
 
 
-def find_disparity_range(left: Image, right: Image, mask: Bools, config: Depth) -> tuple[float, float] | None:
-    """Least and largest disparity of the target [px], from images of a quarter of the size, or None."""
+def find_disparity_range(
+    left: Image, right: Image, mask: Bools, config: Depth, offset_px: float = 0.0
+) -> tuple[float, float] | None:
+    """Least and largest disparity of the target [px], from images of a quarter of the size, or None.
+
+    offset_px: disparity of what is infinitely far, cx_left - cx_right.
+    """
     scale = 4 if min(left.shape) >= 200 else 2
     size = (left.shape[1] // scale, left.shape[0] // scale)
     small = [
@@ -91,14 +96,15 @@ def find_disparity_range(left: Image, right: Image, mask: Bools, config: Depth) 
     ]
     inside = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     share = config.max_disparity_share * left.shape[1] / scale
-    coarse = _crop(small[0], small[1], inside, (0.0, share), config)
+    far = offset_px / scale
+    coarse = _crop(small[0], small[1], inside, (far, far + share), config)
     disparity = _matched(coarse, config)
-    found = disparity[np.isfinite(disparity) & coarse.lit]
+    found = disparity[np.isfinite(disparity) & coarse.lit] + coarse.shift_px
     if len(found) < 20:
         return None
     low, high = np.percentile(found, [2.0, 98.0]) * scale
     margin = scale + 0.25 * (high - low)
-    return float(max(low - margin, 0.0)), float(high + margin)
+    return float(max(low - margin, offset_px)), float(high + margin)
 
 
 def _crop(left: Image, right: Image, mask: Bools, range_px: tuple[float, float], config: Depth) -> _Crop:
@@ -108,7 +114,7 @@ def _crop(left: Image, right: Image, mask: Bools, range_px: tuple[float, float],
     height, width = mask.shape
     v0, v1 = max(int(rows[0]) - margin, 0), min(int(rows[-1]) + 1 + margin, height)
     u0, u1 = max(int(columns[0]) - margin, 0), min(int(columns[-1]) + 1 + margin, width)
-    shift = max(int(np.floor(range_px[0])) - 3, 0)
+    shift = int(np.floor(range_px[0])) - 3
     search = int(np.ceil((range_px[1] + 3 - shift) / 16.0)) * 16
     search = max(search, 16)
     cut_left = _columns(left[v0:v1], u0 - search, u1 + search)

@@ -147,3 +147,15 @@ def test_the_same_pair_gives_the_same_bytes_in_a_fraction_of_a_second(mask: Bool
     assert time.process_time() - start < 2.0
     assert first.depth_m.tobytes() == second.depth_m.tobytes()
     assert first.sigma_m.tobytes() == second.sigma_m.tobytes()
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_disparities_below_zero_are_found_when_the_principal_points_differ(known: bool, mask: Bools) -> None:
+    true = slanted(-6.0, 0.08, 0.0)
+    left, right = pair_of(true, mask)
+    rig = RectifiedRig(400.0, 159.5, 119.5, 0.1, 320, 240, disparity_offset_px=-40.0)
+    depth = compute_depth(left, right, mask, rig, CONFIG, (-11.0, -1.0) if known else None)
+    found = np.isfinite(depth.depth_m)
+    assert found[mask].mean() > 0.8
+    disparity = 400.0 * 0.1 / depth.depth_m - 40.0
+    assert np.median(np.abs(disparity - true)[found]) < 0.06
