@@ -2,7 +2,7 @@
 
 One link in ten fails at 30 degrees between frames, and a wrong link looks like a right one. So frames are
 joined to islands, and islands to larger ones, always by the group of links that agree with each other best:
-two links of seven inliers that agree are worth more than one of fifteen. In the end all are averaged robustly.
+two links of seven inliers that agree are worth more than one of fifteen. Then all are averaged robustly.
 """
 
 from dataclasses import dataclass

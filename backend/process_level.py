@@ -1,12 +1,14 @@
 """How strongly the target is disturbed, from the data: the process noise that makes them most likely.
 
-The evidence of a level q = (acceleration, torque) is Laplace's: the states, landmarks and constants are fitted
+The evidence of a level q = (acceleration, torque) is Laplace's: states, landmarks and constants are fitted
 under q and integrated out as a Gaussian (Bishop, "Pattern Recognition and Machine Learning", 2006, 4.4)::
 
     -ln p(data | q) = cost(x_q) + 1/2 ln det Lambda(q) + 1/2 ln det H(x_q) + constant
 
 Lambda is the covariance of the process noise over all steps and H the Gauss-Newton Hessian. Both levels are
-searched in turn, in logarithmic steps.
+searched in turn, in logarithmic steps. A short sequence hardly tells levels apart that are below what it can
+see; then the most likely one is far too small as often as not, and every sigma with it. So the answer is the
+largest level, up to the stated one, that is nearly as likely as the best.
 """
 
 from dataclasses import dataclass, replace
@@ -19,9 +21,11 @@ from backend.iterate import Iterate
 from backend.problem import MotionData, hold
 
 FLOOR_PSD, CEILING_PSD = 1e-10, 1e-2
-"""Below the floor nothing changes within a minute; above the ceiling the motion is not that of a free body."""
+"""Below the floor nothing changes within a minute; above the ceiling the body is not free."""
 FIRST_STEP, LAST_STEP = 1.0, 0.5
 """Steps of the search [decades]: finer than the data tell."""
+INDIFFERENT = 2.0
+"""Difference of log-evidence that tells nothing."""
 ITERATIONS = 3
 """Gauss-Newton steps at each level, from the solution at its neighbour."""
 
@@ -43,6 +47,21 @@ def estimate_process_noise(data: MotionData, iterate: Iterate) -> Level:
         for torque in (True, False):
             best = _descend(best, torque, step)
         step *= 0.5
+    for torque in (True, False):
+        best = _climb(best, torque, data.torque_psd if torque else data.accel_psd, best.minus_log_evidence)
+    return best
+
+
+def _climb(best: Level, torque: bool, stated: float, least: float) -> Level:
+    """Raise one of the levels towards the stated one, as long as the evidence hardly falls."""
+    accel_psd, torque_psd = best.data.accel_psd, best.data.torque_psd
+    while (torque_psd if torque else accel_psd) < 0.99 * stated:
+        there = min((torque_psd if torque else accel_psd) * 10.0**LAST_STEP, stated)
+        accel_psd, torque_psd = (accel_psd, there) if torque else (there, torque_psd)
+        trial = _level(best.data, best.iterate, accel_psd, torque_psd)
+        if not trial.minus_log_evidence < least + INDIFFERENT:
+            break
+        best = trial
     return best
 
 

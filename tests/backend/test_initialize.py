@@ -1,0 +1,77 @@
+"""A first motion from relative poses, good ones and bad ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from backend.initialize import bridge, initialize_motion, nearest_branch
+from polhode.config.backend import Backend
+from polhode.errors import RunFailure
+from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
+from polhode.records import RelativePoses
+from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+
+SCENE = SyntheticScene(frames=30, landmarks=400, detection=0.4, sigma_uv_px=0.3, sigma_d_px=0.2)
+
+
+def rotation_errors_deg(sequence: SyntheticSequence, X_RG: Array) -> Array:
+    """After the one constant rotation of the freely chosen G."""
+    D = inverse_pose(sequence.tracks.X_NR @ X_RG) @ sequence.X_NG
+    middle = D[len(D) // 2, :3, :3]
+    return np.asarray(np.rad2deg(np.linalg.norm(log_so3(middle.T @ D[:, :3, :3]), axis=1)))
+
+
+@pytest.mark.parametrize("camera_moves", [False, True])
+def test_poses_are_found_without_a_guess(camera_moves: bool) -> None:
+    sequence = generate(replace(SCENE, camera_moves=camera_moves), 0)
+    initial = initialize_motion(sequence.tracks, sequence.relative, Backend())
+    assert initial.connected.all()
+    assert rotation_errors_deg(sequence, initial.X_RG).max() < 1.5
+
+
+def test_wrong_pairs_and_outliers_are_rejected() -> None:
+    sequence = generate(replace(SCENE, wrong_pairs=0.25, outliers=0.1), 1)
+    initial = initialize_motion(sequence.tracks, sequence.relative, Backend())
+    assert initial.connected.all()
+    assert rotation_errors_deg(sequence, initial.X_RG).max() < 3.0
+
+
+def test_a_wrong_pair_with_many_inliers_is_voted_out() -> None:
+    sequence = generate(SCENE, 2)
+    pairs = sequence.relative
+    bad = int(np.flatnonzero((pairs.i == 10) & (pairs.j == 11))[0])
+    X, inliers = pairs.X_RiRj.copy(), pairs.inliers.copy()
+    X[bad] = X[bad] @ make_pose(exp_so3([0.0, 1.0, 0.0]), [0.1, 0.0, 0.0])
+    inliers[bad] = 500
+    spoilt = RelativePoses(pairs.i, pairs.j, X, inliers)
+    initial = initialize_motion(sequence.tracks, spoilt, Backend())
+    assert rotation_errors_deg(sequence, initial.X_RG).max() < 1.5
+
+
+def test_frames_without_measurements_are_flagged_and_bridged_in_N() -> None:
+    sequence = generate(replace(SCENE, dropped=(0, 12, 13), camera_moves=True), 3)
+    initial = initialize_motion(sequence.tracks, sequence.relative, Backend())
+    assert list(np.flatnonzero(~initial.connected)) == [0, 12, 13]
+    assert rotation_errors_deg(sequence, initial.X_RG).max() < 12.0
+
+
+def test_bridge_follows_a_constant_rate_through_more_than_half_a_turn() -> None:
+    time_s, w = np.linspace(0.0, 5.5, 12, dtype=np.float64), np.array([0.0, 1.2, 0.1])
+    X = make_pose(exp_so3(time_s[:, None] * w), np.zeros((12, 3)))
+    connected = np.ones(12, bool)
+    connected[4:10] = False
+    filled = bridge(time_s, np.where(connected[:, None, None], X, np.eye(4)), connected)
+    np.testing.assert_allclose(filled, X, atol=1e-9)
+
+
+def test_nearest_branch_adds_full_revolutions() -> None:
+    turn = np.array([0.0, 0.0, -1.0])
+    np.testing.assert_allclose(nearest_branch(turn, np.array([0.0, 0.0, 5.0])), [0.0, 0.0, 2 * np.pi - 1.0])
+
+
+def test_unconnected_frames_are_a_failed_run() -> None:
+    sequence = generate(SCENE, 4)
+    none = np.zeros(0, dtype=np.int64)
+    with pytest.raises(RunFailure, match="no consistent motion"):
+        initialize_motion(sequence.tracks, RelativePoses(none, none, np.zeros((0, 4, 4)), none), Backend())
