@@ -41,6 +41,8 @@ class MotionData:
     """(F, 3) origin of N in R [m]"""
     dt_s: Array
     """(F - 1,)"""
+    pose_variance: tuple[float, float]
+    """[m^2, rad^2] of each pose, by the noise of the camera's own"""
     accel_psd: float
     torque_psd: float
     robust_scale: float
@@ -71,7 +73,8 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
         landmark=np.ascontiguousarray(landmark, dtype=np.int64),
         start=np.searchsorted(landmark, np.arange(tracks.n_landmarks + 1)).astype(np.int64),
         uvd_px=np.ascontiguousarray(tracks.uvd_px[order], dtype=np.float64),
-        inv_sigma=1.0 / inflated_sigma_px(tracks)[order],
+        inv_sigma=1.0 / np.array(tracks.sigma_px, dtype=np.float64)[order],
+        pose_variance=pose_variance(tracks),
         rig=np.array([rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px]),
         R_RN=np.ascontiguousarray(X_RN[:, :3, :3]),
         t_R=np.ascontiguousarray(X_RN[:, :3, 3]),
@@ -84,17 +87,16 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
     )
 
 
-def inflated_sigma_px(tracks: StereoTracks) -> Array:
-    """Pixel sigmas (M, 3) with the stated noise of the camera's poses, as if it were white per point."""
-    sigma = np.array(tracks.sigma_px, dtype=np.float64)
-    if tracks.sigma_camera_p_m == 0.0 and tracks.sigma_camera_theta_rad == 0.0:
-        return sigma
-    rig = tracks.rig
-    depth = rig.triangulate(tracks.uvd_px)[:, 2]
-    shift = rig.focal_px * tracks.sigma_camera_p_m / depth
-    turn = rig.focal_px * tracks.sigma_camera_theta_rad
-    extra = np.stack([np.hypot(shift, turn), np.hypot(shift, turn), shift * rig.baseline_m / depth], axis=1)
-    return np.asarray(np.hypot(sigma, extra))
+def pose_variance(tracks: StereoTracks) -> tuple[float, float]:
+    """Variance of the target's pose in N [m^2, rad^2] from the stated noise of the camera's own pose.
+
+    A turn of the camera moves the target by the distance times the angle.
+    """
+    if len(tracks.uvd_px) == 0:
+        return 0.0, 0.0
+    distance_m = float(np.median(tracks.rig.triangulate(tracks.uvd_px)[:, 2]))
+    turn = tracks.sigma_camera_theta_rad
+    return tracks.sigma_camera_p_m**2 + (distance_m * turn) ** 2, turn**2
 
 
 @dataclass(frozen=True)
@@ -124,8 +126,9 @@ def hold(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> Held
     """Freeze references and whitening at an iterate; gauge is the standard deviation of the first pose."""
     w = iterate.w_G
     rate = np.linalg.norm(w, axis=1)
-    W_t, W_r, half_log = whitening(w[:-1], iterate.J_G(data.form), data.dt_s, data.accel_psd, data.torque_psd)
-    middle = np.median(iterate.p_G, axis=0)
+    levels = data.accel_psd, data.torque_psd, data.pose_variance
+    W_t, W_r, half_log = whitening(w[:-1], iterate.J_G(data.form), data.dt_s, *levels)
+    middle = geometric_median(iterate.p_G)
     radius = float(np.sqrt(np.median(np.sum((iterate.p_G - middle) ** 2, axis=1))))
     com_sigma = max(COM_PRIOR_M, radius)
     return Held(
@@ -137,6 +140,15 @@ def hold(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> Held
         gauge_information=np.repeat([(gauge * com_sigma) ** -2, gauge**-2], 3),
         half_log_det=half_log,
     )
+
+
+def geometric_median(points: Array) -> Array:
+    """Middle (3,) of points (n, 3): robust, and the same whichever way the axes lie (Weiszfeld 1937)."""
+    middle = points.mean(axis=0)
+    for _ in range(10):
+        weight = 1.0 / np.maximum(np.linalg.norm(points - middle, axis=1), 1e-6)
+        middle = weight @ points / weight.sum()
+    return np.asarray(middle)
 
 
 def dynamics_parameters(data: MotionData, iterate: Iterate, W_t: Array, W_r: Array) -> Array:

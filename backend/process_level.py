@@ -24,6 +24,8 @@ FLOOR_PSD, CEILING_PSD = 1e-10, 1e-2
 """Below the floor nothing changes within a minute; above the ceiling the body is not free."""
 FIRST_STEP, LAST_STEP = 1.0, 0.5
 """Steps of the search [decades]: finer than the data tell."""
+START_FACTORS, START_ITERATIONS = (1.0, 1e-2, 1e-4), 10
+"""Of the stated levels: a noise taken too strong can hide in wrong constants, and so keep itself strong."""
 INDIFFERENT = 2.0
 """Difference of log-evidence that tells nothing."""
 ITERATIONS = 3
@@ -41,7 +43,9 @@ class Level:
 
 def estimate_process_noise(data: MotionData, iterate: Iterate) -> Level:
     """Most likely accel_psd and torque_psd between floor and ceiling, from those of ``data``."""
-    best = _level(data, iterate, data.accel_psd, data.torque_psd)
+    starts = ((data.accel_psd * factor, data.torque_psd * factor) for factor in START_FACTORS)
+    trials = [_level(data, iterate, *levels, START_ITERATIONS) for levels in starts]
+    best = min(trials, key=lambda trial: trial.minus_log_evidence)
     step = FIRST_STEP
     while step >= LAST_STEP:
         for torque in (True, False):
@@ -86,12 +90,14 @@ def _descend(start: Level, torque: bool, step: float) -> Level:
     return start
 
 
-def _level(data: MotionData, iterate: Iterate, accel_psd: float, torque_psd: float) -> Level:
+def _level(
+    data: MotionData, iterate: Iterate, accel_psd: float, torque_psd: float, iterations: int = ITERATIONS
+) -> Level:
     """Fit under a level and weigh it; infinite where the fit breaks down."""
     data = replace(data, accel_psd=accel_psd, torque_psd=torque_psd)
     solver, held = GaussNewton(data), hold(data, iterate)
     try:
-        solution = solver.solve(held, iterate.vector(), ITERATIONS)
+        solution = solver.solve(held, iterate.vector(), iterations)
         system = solver.normal_equations(held, solution.x)
         reduced, _, _ = solver.reduced(system)
         half_log_det_dense = float(np.log(np.diagonal(cholesky(reduced, lower=True))).sum())

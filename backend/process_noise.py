@@ -71,15 +71,24 @@ def rotation_covariance(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float) 
 
 
 def whitening(
-    w_G: Array, J_G: Array, dt_s: Array, accel_psd: float, torque_psd: float
+    w_G: Array,
+    J_G: Array,
+    dt_s: Array,
+    accel_psd: float,
+    torque_psd: float,
+    pose_variance: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Array, Array, float]:
     """Square roots of the information: translation (n, 2, 2), rotation (n, 6, 6), lower triangular.
 
     ``W @ error`` has unit covariance. Third: half the log-determinant of all covariances, which makes the
-    costs of different inertias comparable.
+    costs of different inertias comparable. ``pose_variance`` [m^2, rad^2] of each pose, by the noise of the
+    camera's own, enters every step twice: as if the steps were independent, which is on the safe side.
     """
-    T = np.linalg.cholesky(translation_covariance(dt_s, accel_psd))
+    translation = translation_covariance(dt_s, accel_psd)
+    translation[:, 0, 0] += 2.0 * pose_variance[0]
+    T = np.linalg.cholesky(translation)
     cov, scale = rotation_covariance_scaled(w_G, J_G, dt_s, torque_psd)
+    cov[:, [0, 1, 2], [0, 1, 2]] += 2.0 * pose_variance[1] / scale[:, :3] ** 2
     L = np.linalg.cholesky(cov)
     half_log = float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum() + np.log(scale).sum())
     half_log += 3.0 * float(np.log(np.diagonal(T, axis1=1, axis2=2)).sum())

@@ -54,7 +54,7 @@ def assemble(
     R_GP = derivative.R_GP
     w_P = iterate.w_G @ R_GP
     determined = analyse(m.constants_information, derivative, w_P)
-    covariance, joint = _state_covariances(iterate, m, derivative, determined, w_P)
+    covariance, joint = _state_covariances(data, iterate, m, derivative, determined, w_P)
     warnings = _warnings(tracks, weight, data, determined.record, initial, iterate)
     return MotionEstimate(
         timestamps_ns=tracks.timestamps_ns,
@@ -76,9 +76,18 @@ def assemble(
 
 
 def _state_covariances(
-    iterate: Iterate, m: Marginals, derivative: AxesDerivative, determined: Determined, w_P: Array
+    data: MotionData,
+    iterate: Iterate,
+    m: Marginals,
+    derivative: AxesDerivative,
+    determined: Determined,
+    w_P: Array,
 ) -> tuple[Array, Array]:
     covariance, joint = state_covariances(iterate, m, derivative)
+    # What is estimated is the pose as the camera's own noisy pose shows it.
+    seen = np.repeat([data.pose_variance[0], 0.0, data.pose_variance[1], 0.0], 3)
+    covariance[:, np.arange(12), np.arange(12)] += seen
+    joint[np.arange(12), np.arange(12)] += seen
     frames = range(iterate.n_frames)
     jacobians = np.stack([np.hstack(state_jacobian(iterate, k, derivative)) for k in frames])
     lost = undetermined_states(determined, jacobians, m.response, w_P)
