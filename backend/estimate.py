@@ -37,7 +37,7 @@ def estimate_motion(
     """
     data = motion_data(tracks, config)
     start, guesses = first_iterate(tracks, initial, data)
-    with progress.stage("Motion", len(guesses) + 4) as advance:
+    with progress.stage("motion and inertia", len(guesses) + 4) as advance:
         trials: dict[str, Trial] = {}
         at = start
         for name, second in guesses.items():

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,8 @@ from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Progress
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks, SurfaceModel
+
+Item = TypeVar("Item")
 
 _log = logging.getLogger(__name__)
 FEWEST_MEASURED_FRAMES = 3
@@ -64,8 +66,9 @@ def run(
         )
         outputs.write_measurements(blind, folder / "measurements.npz", links)
 
-        with clock("initialization"):
+        with clock("initialization"), progress.stage("first motion", 1) as advance:
             first = initialize_motion(blind, links, config.backend)
+            advance()
         estimate, tracks = _associate_and_solve(images, features, matches, first, config, progress, clock)
         outputs.write_estimate(folder, tracks, estimate, links)
 
@@ -117,6 +120,15 @@ class Stopwatch:
             yield
         finally:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + perf_counter() - begin
+
+    def waiting(self, stage: str, items: Iterator[Item]) -> Iterator[Item]:
+        """Pass the items on; the time until each comes counts as the stage's."""
+        while True:
+            with self(stage):
+                item = next(items, None)
+            if item is None:
+                return
+            yield item
 
     def add_total(self) -> None:
         """The whole time since the start, also what no stage claims."""
@@ -211,9 +223,13 @@ def _build_surface(
     for X in X_RG:
         disparity = rig.project(transform_points(X, estimate.landmarks.p_G))[:, 2]
         spans.append((float(disparity.min()), float(disparity.max())) if len(disparity) else None)
+    maps = extract_depth(images.sequence, images.rectifier, config.frontend, spans, _workers(config))
     with clock("fusion"):
-        maps = extract_depth(images.sequence, images.rectifier, config.frontend, spans, _workers(config))
-        return fuse(zip(maps, X_RG, strict=True), rig, config.mapping, progress, len(X_RG))
+        surface = fuse(
+            zip(clock.waiting("depth", maps), X_RG, strict=True), rig, config.mapping, progress, len(X_RG)
+        )
+    clock.seconds["fusion"] -= clock.seconds.get("depth", 0.0)
+    return surface
 
 
 def _pictures(images: _Images, tracks: StereoTracks, estimate: MotionEstimate) -> dict[str, bytes]:
