@@ -1,14 +1,12 @@
 # make setup   the environment .venv, with polhode in it
 # make demo    the shipped sample, end to end; the last line names the report
 # make test    the tests            make check   style, types, import rules
-# make bench   the thesis's session: simulate, run, evaluate, with the seconds of each stage
+# make bench   accuracy and time, from images on every scene and of the back end alone
 
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 DEMO_RUN := runs/demo
-BENCH_DATA := data/ts38
-BENCH_RUN := runs/ts38
 
 .PHONY: setup demo test check bench
 .DEFAULT_GOAL := setup
@@ -38,10 +36,6 @@ check: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-$(BENCH_DATA): configs/ts38.yaml
-	$(BIN)/polhode simulate $< -o $@ --overwrite
-
-bench: setup $(BENCH_DATA)
-	$(BIN)/polhode run configs/default.yaml --data $(BENCH_DATA) -o $(BENCH_RUN) --overwrite
-	$(BIN)/polhode evaluate $(BENCH_RUN) $(BENCH_DATA)
-	$(BIN)/python -c 'import json; print(json.load(open("$(BENCH_RUN)/summary.json"))["timing_s"])'
+bench: setup
+	$(BIN)/python -m benchmarks.scenes
+	$(BIN)/python -m benchmarks.backend_size 1

@@ -1,9 +1,9 @@
-"""Images to report on simulated scenes: simulate, run with configs/default.yaml, evaluate, print one row each.
+"""Images to report on simulated scenes: simulate, run with configs/default.yaml, evaluate, print a row.
 
     python -m benchmarks.scenes [CONFIG ...] [--again]
 
-Scenes: configs/ts38.yaml and configs/scenes/ unless named. Sequences go to data/, runs to runs/; what is there
-already is not made again, so an interrupted benchmark resumes. ``--again`` repeats the runs.
+Scenes: configs/ts38.yaml and configs/scenes/ unless named. Sequences go to data/, runs to runs/; what is
+there already is not made again, so an interrupted benchmark resumes. ``--again`` repeats the runs.
 """
 
 import argparse

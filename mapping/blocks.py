@@ -6,6 +6,7 @@ order in which blocks were asked for.
 """
 
 import torch
+from jaxtyping import Float32, Int64
 from torch import Tensor
 
 EDGE = 8
@@ -17,19 +18,19 @@ CHANNELS = ("weight", "weighted_distance", "weighted_square", "free", "views", "
 BYTES_PER_BLOCK = VOXELS * 4 * len(CHANNELS)
 
 
-def pack_keys(block: Tensor) -> Tensor:
+def pack_keys(block: Int64[Tensor, "n 3"]) -> Int64[Tensor, " n"]:
     """Block coordinates (n, 3) int64, each within +-2^19 -> keys (n,) int64 in lexicographic order."""
     shifted = block + _HALF
     return (shifted[:, 0] << (2 * _BITS)) | (shifted[:, 1] << _BITS) | shifted[:, 2]
 
 
-def unpack_keys(keys: Tensor) -> Tensor:
+def unpack_keys(keys: Int64[Tensor, " n"]) -> Int64[Tensor, "n 3"]:
     """Keys (n,) -> block coordinates (n, 3)."""
     mask = (1 << _BITS) - 1
     return torch.stack([keys >> (2 * _BITS), (keys >> _BITS) & mask, keys & mask], dim=1) - _HALF
 
 
-def voxel_offsets(device: torch.device) -> Tensor:
+def voxel_offsets(device: torch.device) -> Int64[Tensor, "512 3"]:
     """(512, 3) int64: voxel indices inside a block, last axis fastest."""
     axis = torch.arange(EDGE, device=device)
     return torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
@@ -57,7 +58,7 @@ class BlockGrid:
         """Memory of the channels."""
         return len(self) * BYTES_PER_BLOCK
 
-    def allocate(self, keys: Tensor) -> None:
+    def allocate(self, keys: Int64[Tensor, " m"]) -> None:
         """Add empty blocks where ``keys`` (m,) names new ones."""
         new = keys[~torch.isin(keys, self.keys)].unique()
         if len(new) == 0:
@@ -69,7 +70,7 @@ class BlockGrid:
             padded = torch.cat([values, values.new_zeros(len(new), VOXELS)])
             self.channels[name] = padded[order]
 
-    def centres_m(self) -> Tensor:
+    def centres_m(self) -> Float32[Tensor, "n 3"]:
         """(n, 3) float32: the blocks' centres in G [m]."""
         corner = unpack_keys(self.keys) * EDGE
         return (corner.to(torch.float32) + (EDGE - 1) / 2) * self.voxel_m

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
 
 from mapping.blocks import EDGE, VOXELS, BlockGrid, pack_keys, unpack_keys, voxel_offsets
@@ -34,14 +35,14 @@ class Truncation:
 class FrameTensors:
     """A depth map on the device, cropped to the target; images (h, w)."""
 
-    depth_m: Tensor
+    depth_m: Float32[Tensor, "h w"]
     """0 where unknown"""
-    weight: Tensor
+    weight: Float32[Tensor, "h w"]
     """[1/m^2], 0 where unknown"""
-    cosine: Tensor
+    cosine: Float32[Tensor, "h w"]
     """between viewing ray and surface normal"""
-    intensity: Tensor
-    background: Tensor
+    intensity: Float32[Tensor, "h w"]
+    background: Bool[Tensor, "h w"]
     """true outside the target's silhouette"""
     u0: int
     v0: int
@@ -74,12 +75,14 @@ def frame_tensors(frame: DepthMap, rig: RectifiedRig, device: torch.device) -> F
     )
 
 
-def _cosine_of_incidence(depth: Tensor, seen: Tensor, rig: RectifiedRig, u0: int, v0: int) -> Tensor:
+def _cosine_of_incidence(
+    depth: Float32[Tensor, "h w"], seen: Bool[Tensor, "h w"], rig: RectifiedRig, u0: int, v0: int
+) -> Float32[Tensor, "h w"]:
     """Cosine between ray and normal (h, w), from the slope of smoothed inverse depth (planes stay planes)."""
     inverse = torch.where(seen, 1.0 / depth.clamp_min(1e-6), 0.0)
     filled = seen.to(torch.float32)
 
-    def box(image: Tensor) -> Tensor:
+    def box(image: Float32[Tensor, "h w"]) -> Float32[Tensor, "h w"]:
         return F.avg_pool2d(image[None, None], 5, stride=1, padding=2, count_include_pad=True)[0, 0]
 
     share = box(filled)
@@ -111,7 +114,7 @@ def integrate(grid: BlockGrid, frame: FrameTensors, X_RG: Array, rig: RectifiedR
 
 def _blocks_near_surface(
     frame: FrameTensors, X_RG: Array, rig: RectifiedRig, voxel_m: float, cut: Truncation, device: torch.device
-) -> Tensor:
+) -> Int64[Tensor, " n"]:
     """Keys of the blocks that the truncation band of any depth pixel touches."""
     v, u = torch.nonzero(frame.weight > 0, as_tuple=True)
     z = frame.depth_m[v, u]
@@ -126,13 +129,13 @@ def _blocks_near_surface(
         p_G = (ray * (z + float(offset))[:, None]) @ X_GR[:3, :3].T + X_GR[:3, 3]
         voxel = torch.round(p_G / voxel_m).to(torch.int64)
         found.append(pack_keys(torch.div(voxel, EDGE, rounding_mode="floor")).unique())
-    keys: Tensor = torch.cat(found).unique()
+    keys: Int64[Tensor, " n"] = torch.cat(found).unique()
     return keys
 
 
 def _blocks_in_sight(
-    grid: BlockGrid, frame: FrameTensors, pose: Tensor, rig: RectifiedRig, cut: Truncation
-) -> Tensor:
+    grid: BlockGrid, frame: FrameTensors, pose: Float32[Tensor, "4 4"], rig: RectifiedRig, cut: Truncation
+) -> Int64[Tensor, " n"]:
     """Indices of blocks that project into the crop and do not lie wholly behind the surface."""
     p = grid.centres_m() @ pose[:3, :3].T + pose[:3, 3]
     z = p[:, 2].clamp_min(1e-6)
@@ -154,10 +157,10 @@ def _blocks_in_sight(
 
 def _update(
     grid: BlockGrid,
-    index: Tensor,
-    offsets: Tensor,
+    index: Int64[Tensor, " n"],
+    offsets: Int64[Tensor, "512 3"],
     frame: FrameTensors,
-    pose: Tensor,
+    pose: Float32[Tensor, "4 4"],
     rig: RectifiedRig,
     cut: Truncation,
 ) -> None:
@@ -188,7 +191,7 @@ def _update(
     at = (index[flat], hit - flat * VOXELS)
     channels = grid.channels
 
-    def add(name: str, values: Tensor) -> None:
+    def add(name: str, values: Float32[Tensor, " k"]) -> None:
         channels[name][at] += values
 
     add("weight", weight)
@@ -202,7 +205,7 @@ def _update(
     add("colour_weight", lit)
 
 
-def exposure_weight(intensity: Tensor) -> Tensor:
+def exposure_weight(intensity: Float32[Tensor, " n"]) -> Float32[Tensor, " n"]:
     """Trust in an 8-bit intensity: low in shadow and near saturation, never zero."""
     rise = ((intensity - 8.0) / 40.0).clamp(0.0, 1.0)
     fall = ((252.0 - intensity) / 20.0).clamp(0.0, 1.0)
