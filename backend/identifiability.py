@@ -1,8 +1,9 @@
 """What the motion determines: eigen-directions of the information of com_G and inertia, without prior.
 
-Scaled so that 1 means a centimetre of the centre of mass, 0.1 of k1 or k2, or 0.1 rad of the axes; a
-direction whose scaled standard deviation exceeds 0.3 is undetermined. Measured: pure spin gives 2.5 to
-4000, every determined case less than 0.18.
+Scaled so that 1 means a centimetre of the centre of mass, 0.2 of k1 or k2, or 0.3 rad of the axes; a
+direction whose scaled standard deviation exceeds 0.3 is undetermined: 3 mm, 0.06, 5 degrees. What a spin
+without nutation hides comes out at 0.5 to 20 and more, what a tumble shows below 0.25
+(``tests/backend/test_identifiability.py`` holds such motions).
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from backend.covariance import AxesDerivative
 from polhode.lie import Array
 from polhode.records import Bools, Identifiability
 
-SCALE = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1, 0.1, 0.1])
+SCALE = np.array([0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.3, 0.3])
 LIMIT = 0.3
 CAP = 10.0
 """Scaled sigma that is enough to call a direction lost: keeps rounding from spreading it to the others."""

@@ -13,7 +13,7 @@ from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints, StereoTracks
 
 LOOSE_GAUGE, TIGHT_GAUGE = 0.1, 1e-3
-"""How firmly G is held at the first frame [rad, and body radii]. A cold start must be free to move it; near the
+"""How firmly G is held at the first frame [rad, body radii]. A cold start must be free to move it; near the
 solution a step along it would leave the curved valley in which G may move."""
 COM_PRIOR_M = 0.1
 """Least standard deviation of the prior on the centre of mass; a larger body's own radius is taken."""

@@ -18,8 +18,8 @@ from polhode.records import Bools
 
 GATE = 4.5
 """Largest norm of a whitened stereo residual that stays; of Gaussian ones 1 in 5700 is larger."""
-FEWEST_LEFT = 3
-"""A landmark that lost observations and has fewer left leaves with them: what it is made of is unclear."""
+ENOUGH_LEFT = 3
+"""A landmark that lost observations stays with so many, or with two that are half of them."""
 
 ROUNDS = 2
 ITERATIONS = 3
@@ -76,7 +76,7 @@ def prune(data: MotionData, iterate: Iterate) -> Kept:
     residuals = whitened_residuals(data, iterate)
     agree = np.sum(residuals**2, axis=1) < GATE**2
     seen, left = np.diff(data.start), np.bincount(data.landmark[agree], minlength=data.n_landmarks)
-    landmarks = (left == seen) | (left >= FEWEST_LEFT)
+    landmarks = (left == seen) | (left >= ENOUGH_LEFT) | ((left == 2) & (seen <= 4))
     observations = agree & landmarks[data.landmark]
     share = float(np.mean(observations))
     if not share >= LEAST_SHARE:
