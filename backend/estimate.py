@@ -16,7 +16,7 @@ from backend.result import assemble
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array
-from polhode.progress import Progress
+from polhode.progress import Advance, Progress
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 
 HYPOTHESIS_PASSES = (3, 3, 3, 2)
@@ -38,18 +38,7 @@ def estimate_motion(
     data = motion_data(tracks, config)
     start, guesses = first_iterate(tracks, initial, data)
     with progress.stage("motion and inertia", len(guesses) + 4) as advance:
-        trials: dict[str, Trial] = {}
-        at = start
-        for name, second in guesses.items():
-            trial = try_hypothesis(data, at, second, list(trials.values()))
-            advance()
-            if trial is None:
-                continue
-            trials[name] = trial
-            # the poses and landmarks found first serve the others too
-            at = min(trials.values(), key=lambda t: t.cost).iterate
-        if not trials:
-            raise RunFailure("no consistent motion: every hypothesis of the inertia diverged")
+        trials = try_hypotheses(data, start, guesses, advance)
         best = min(trials, key=lambda name: trials[name].cost)
         data, kept, iterate, scales = settle(data, trials[best].iterate)
         advance()
@@ -106,6 +95,25 @@ def first_iterate(
     xi, R_inertia = data.form.coordinates(np.eye(3))
     v_N = np.tile(velocity, (len(p_NG), 1))
     return Iterate(p_NG, R_NG, v_N, w_G, com_G, xi, R_inertia, p_G), guesses
+
+
+def try_hypotheses(
+    data: MotionData, start: Iterate, guesses: dict[str, Array], advance: Advance
+) -> dict[str, Trial]:
+    """A brief solve from each guess that does not diverge; RunFailure when all do."""
+    trials: dict[str, Trial] = {}
+    at = start
+    for name, second in guesses.items():
+        trial = try_hypothesis(data, at, second, list(trials.values()))
+        advance()
+        if trial is None:
+            continue
+        trials[name] = trial
+        # the poses and landmarks found first serve the others too
+        at = min(trials.values(), key=lambda t: t.cost).iterate
+    if not trials:
+        raise RunFailure("no consistent motion: every hypothesis of the inertia diverged")
+    return trials
 
 
 def try_hypothesis(data: MotionData, start: Iterate, second: Array, found: list[Trial]) -> Trial | None:

@@ -110,7 +110,7 @@ class MotionProgram:
             "print_time": False,
             "error_on_fail": False,
             "ipopt": {
-                "print_level": 0,
+                "print_level": 5,
                 "sb": "yes",
                 "linear_solver": "mumps",
                 "max_iter": max_iterations,
@@ -118,7 +118,7 @@ class MotionProgram:
                 "dual_inf_tol": TOLERANCE,
                 "acceptable_tol": 1e3,
                 "acceptable_iter": 1,
-                "acceptable_obj_change_tol": 1e-8,
+                "acceptable_obj_change_tol": 1e-7,
                 "nlp_scaling_method": "none",
             },
         }
