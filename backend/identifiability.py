@@ -16,6 +16,8 @@ from polhode.lie import Array
 from polhode.records import Bools, Identifiability
 
 SCALE = np.array([0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.3, 0.3])
+CONSTANT_SCALE = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1, 0.1, 0.1])
+"""Of com_G [m] and xi."""
 LIMIT = 0.3
 CAP = 10.0
 """Scaled sigma that is enough to call a direction lost: keeps rounding from spreading it to the others."""
@@ -31,6 +33,11 @@ class Determined:
     """(8, m) unit scaled directions, as changes of (com_G, xi)"""
     turned: Array
     """(8, n) the same for each rotation of the axes that is undetermined"""
+
+    @property
+    def lost_constants(self) -> Bools:
+        """(8,) of com_G and xi, those in which a lost direction has a share."""
+        return np.asarray(np.abs(self.lost).max(axis=1, initial=0.0) > 0.1 * CONSTANT_SCALE)
 
 
 def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Determined:

@@ -65,7 +65,7 @@ def assemble(
         X_NG=make_pose(iterate.R_NG, iterate.p_NG),
         covariance=covariance,
         covariance_last_joint=joint,
-        mass=_mass(iterate, m, derivative, determined.record),
+        mass=_mass(iterate, m, derivative, determined),
         landmarks=_landmarks(kept.data, small, m),
         residuals_px=_unsorted(data, all_residuals / data.inv_sigma),
         inlier_weight=_unsorted(data, weight),
@@ -93,7 +93,7 @@ def _state_covariances(
     lost = undetermined_states(determined, jacobians, m.response, w_P)
     for k in frames:
         covariance[k] = _with_infinite(covariance[k], lost[k])
-    constants_lost = np.abs(determined.lost).max(axis=1, initial=0.0) > 0.1 * np.array([0.01] * 3 + [0.1] * 5)
+    constants_lost = determined.lost_constants
     joint = _with_infinite(joint, np.concatenate([lost[-1], constants_lost[3:], constants_lost[:3]]))
     return covariance, joint
 
@@ -107,8 +107,9 @@ def _with_infinite(covariance: Array, lost: Bools) -> Array:
 
 
 def _mass(
-    iterate: Iterate, m: Marginals, derivative: AxesDerivative, known: Identifiability
+    iterate: Iterate, m: Marginals, derivative: AxesDerivative, determined: Determined
 ) -> MassProperties:
+    known = determined.record
     n = 12 * iterate.n_frames
     cov_com, cov_J = m.dense[n : n + 3, n : n + 3], m.dense[n + 3 :, n + 3 :]
     moments, R_GP = derivative.moments, derivative.R_GP
@@ -121,7 +122,7 @@ def _mass(
         cov_k=_with_infinite(
             derivative.ratios @ cov_J @ derivative.ratios.T, ~np.array([known.k1, known.k2])
         ),
-        cov_J=cov_J,
+        cov_J=_with_infinite(cov_J, determined.lost_constants[3:]),
         R_GP=R_GP,
         cov_R_GP=_with_infinite(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P),
         com_G=iterate.com_G,

@@ -49,6 +49,7 @@ def test_a_pure_spin_hides_ratios_axes_and_the_shift_along_it() -> None:
     assert not known.k1 and not known.k2 and not known.axes and not known.com
     # only the shift along the spin is lost: it is known across
     assert known.com_P.sum() == 2
+    assert np.isinf(np.diag(motion.mass.cov_J)).any()
     assert np.isinf(motion.mass.cov_k[0, 0]) and np.isinf(motion.mass.cov_k[1, 1])
 
 
