@@ -176,7 +176,7 @@ def build_summary(
             "warnings": list(dict.fromkeys(texts)),
             "frames": tracks.n_frames if tracks else 0,
             "frames_used": len(np.unique(tracks.frame)) if tracks else 0,
-            "landmarks": tracks.n_landmarks if tracks else 0,
+            "landmarks": len(estimate.landmarks.p_G) if estimate else tracks.n_landmarks if tracks else 0,
             "observations": len(tracks.frame) if tracks else 0,
             "duration_s": float(tracks.time_s[-1]) if tracks and tracks.n_frames else 0.0,
             "timing_s": times,

@@ -199,7 +199,7 @@ class MotionEstimate:
 
 @dataclass(frozen=True)
 class DepthMap:
-    """Dense depth of one frame in the rectified left camera R (the target's crop may be all that is filled)."""
+    """Dense depth of one frame in the rectified left camera R; often only the target's crop is filled."""
 
     depth_m: NDArray[np.float32]
     """(H, W), NaN where unknown"""

@@ -1,5 +1,10 @@
-"""A tiny stereo sequence on disk, for tests to read and to damage."""
+"""One thread for BLAS, as in the program; a tiny stereo sequence on disk, for tests to read and to damage."""
 
+from pipeline.threads import limit_threads
+
+limit_threads(1)  # before NumPy is imported
+
+# isort: split
 from pathlib import Path
 
 import numpy as np
