@@ -1,1 +1,1 @@
-"""Data, losses and loop of the weights that the front end ships. Nothing is trained yet: all methods are classical."""
+"""Data, losses and loop of the weights that the front end ships; nothing is trained yet."""
