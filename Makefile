@@ -6,6 +6,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+PEERS := .venv/.peers
 DEMO_RUN := runs/demo
 
 .PHONY: setup demo test check bench
@@ -22,12 +23,16 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
+$(PEERS): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[peers]'
+	@touch $@
+
 demo: setup
 	$(BIN)/polhode run configs/default.yaml --data sample -o $(DEMO_RUN) --overwrite
 	$(BIN)/polhode evaluate $(DEMO_RUN) sample
 	@echo "Demo done. Open $(DEMO_RUN)/report.html"
 
-test: setup
+test: setup $(PEERS)
 	$(BIN)/python -m pytest
 
 check: setup

@@ -11,12 +11,13 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Union, cast
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from pipeline.commands import COMMANDS, Command, Run, Simulate, with_values
 from pipeline.console import show_warnings
 from pipeline.overrides import option_names, split_overrides
 from pipeline.threads import limit_threads
-from polhode.config.keys import suggestion
+from polhode.config.keys import is_structured, suggestion
 from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
 
@@ -86,7 +87,12 @@ def _parse(words: list[str]) -> Command | None:
     try:
         with contextlib.redirect_stderr(stderr):
             command, unknown = tyro.cli(
-                union, prog="polhode", description=DESCRIPTION, args=words, return_unknown_args=True
+                union,
+                prog="polhode",
+                description=DESCRIPTION,
+                args=words,
+                return_unknown_args=True,
+                registry=_registry(),
             )
     except SystemExit as stop:
         if stop.code in (0, None):
@@ -95,6 +101,25 @@ def _parse(words: list[str]) -> Command | None:
     if unknown:
         raise InputError(_unknown_option(words[0], unknown[0]))
     return cast(Command, command)
+
+
+def _registry() -> ConstructorRegistry:
+    """Tells tyro that lists of sections, and mappings, are one word of YAML: ``overrides`` reads it."""
+    registry = ConstructorRegistry()
+
+    @registry.primitive_rule
+    def structured(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+        if not is_structured(info.type):
+            return None
+        return PrimitiveConstructorSpec(
+            nargs=1,
+            metavar="YAML",
+            instance_from_str=lambda words: words[0],
+            is_instance=lambda value: isinstance(value, tuple | dict),
+            str_from_instance=lambda value: ["{}" if isinstance(value, dict) else "[]"],
+        )
+
+    return registry
 
 
 def _unknown_option(command: str, word: str) -> str:

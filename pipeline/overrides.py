@@ -8,8 +8,10 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+import yaml
+
 from polhode.config import Config
-from polhode.config.keys import annotation_at, arrange, count_of, dotted, leaves, options_of
+from polhode.config.keys import annotation_at, arrange, count_of, dotted, is_structured, leaves, options_of
 from polhode.errors import InputError
 
 _NUMBER = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)
@@ -19,7 +21,8 @@ _NULL = ("none", "null")
 def split_overrides(words: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
     """Command-line words -> (words that are not overrides, dotted key -> value).
 
-    Values stay text, or lists of text, which the config's types convert. Dashes and underscores are the
+    Values stay text, or lists of text, which the config's types convert; lists of sections and mappings
+    are one word of YAML. Dashes and underscores are the
     same in a key. Raises InputError when a value is missing.
     """
     own: list[str] = []
@@ -63,6 +66,11 @@ def _take_values(path: tuple[str, ...], rest: list[str]) -> list[str]:
 
 def _value(path: tuple[str, ...], given: list[str]) -> Any:
     annotation = annotation_at(Config, path)
+    if is_structured(annotation):
+        try:
+            return yaml.safe_load(given[0])
+        except yaml.YAMLError:
+            raise InputError(f"command line: --{dotted(path)}: {given[0]!r} is not valid YAML") from None
     if len(given) == 1:
         if given[0].lower() in _NULL and type(None) in options_of(annotation):
             return None

@@ -20,6 +20,8 @@ class Hits:
     """(n,) index of the ray"""
     face: Ints
     """(n,)"""
+    weights: Array
+    """(n, 3) of the face's corners; they add up to 1"""
     distance_m: Array
     """(n,) along the ray"""
     p_G: Array
@@ -52,12 +54,14 @@ class RayCaster:
         distance = self._exact_distance(origin_G, d, face, answer["tfar"][ray].astype(np.float64))
         u, v = (answer[name][ray, None].astype(np.float64) for name in ("u", "v"))
         corners = self._corner_normals[face]
-        normal = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
+        weights = np.hstack([1 - u - v, u, v])
+        normal = np.einsum("nc,nck->nk", weights, corners)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         flat = self._face_normals[face]
         away = np.einsum("nk,nk->n", flat, d) > 0
         turn = np.where(away, -1.0, 1.0)[:, None]
-        return Hits(ray, face, distance, origin_G + distance[:, None] * d, turn * flat, turn * normal)
+        p_G = origin_G + distance[:, None] * d
+        return Hits(ray, face, weights, distance, p_G, turn * flat, turn * normal)
 
     def _exact_distance(self, origin_G: Array, d: Array, face: Ints, coarse_m: Array) -> Array:
         """Distance to the face's plane in double precision, where the ray is not grazing."""

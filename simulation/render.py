@@ -9,10 +9,9 @@ from polhode.lie import Array, inverse_pose
 from polhode.records import Ints
 from simulation.bodies import Body
 from simulation.cameras import Camera, sample_offsets
-from simulation.charts import ChartAtlas
-from simulation.materials import MaterialTable
 from simulation.raycast import Hits, RayCaster
 from simulation.shading import Lights, lights_in_body, shade
+from simulation.skin import Skin
 
 
 @dataclass(frozen=True)
@@ -33,9 +32,7 @@ class Renderer:
         self._light = scene.light
         self._samples = scene.render.samples
         self._caster = RayCaster(body)
-        self._atlas = ChartAtlas(body.charts)
-        surface_seed = seed if scene.body.seed is None else scene.body.seed
-        self._materials = MaterialTable(body.materials, surface_seed, scene.body.contrast)
+        self._skin = Skin(body, scene.body, seed)
 
     def picture(self, camera: Camera, X_NK: Array, X_NG: Array) -> Picture:
         """Render a camera at X_NK (4, 4) and the target at X_NG (4, 4)."""
@@ -66,10 +63,7 @@ class Renderer:
         return np.flatnonzero(camera.pixel_directions @ (centre_K / distance) > np.cos(angle))
 
     def _levels(self, hits: Hits, rays_G: Array, lights: Lights) -> Array:
-        drawn = self._atlas.reflectance(self._body.face_chart[hits.face], hits.p_G)
-        surface = self._materials.evaluate(
-            self._body.face_material[hits.face], hits.p_G, hits.normal_G, drawn
-        )
+        surface = self._skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
         return shade(hits, surface, -rays_G[hits.ray], lights, self._caster)
 
     def _average(self, camera: Camera, pixel: Ints, level: Array) -> Picture:

@@ -64,7 +64,8 @@ def test_every_import_is_a_declared_dependency() -> None:
 
 def test_every_declared_dependency_has_a_tested_version() -> None:
     groups = project()["project"]
-    declared = {normalised(each) for each in groups["dependencies"] + groups["optional-dependencies"]["dev"]}
+    extras = groups["optional-dependencies"]
+    declared = {normalised(each) for each in groups["dependencies"] + extras["dev"] + extras["peers"]}
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     tested = {normalised(line) for line in lines if line and not line.startswith("#")}
     assert declared - tested == set()

@@ -66,8 +66,19 @@ def annotation_at(root: type[BaseModel], path: Sequence[Step]) -> Any:
     )
 
 
+def is_structured(annotation: Any) -> bool:
+    """Whether the value is a list of sections or a mapping: one word of YAML on a command line."""
+    for option in options_of(annotation):
+        origin, arguments = get_origin(option), get_args(option)
+        if origin is dict or (origin in (tuple, list) and section_of(arguments[0]) is not None):
+            return True
+    return False
+
+
 def count_of(annotation: Any) -> int | None:
     """How many words the value takes on a command line; None for as many as follow."""
+    if is_structured(annotation):
+        return 1
     for option in options_of(annotation):
         origin, arguments = get_origin(option), get_args(option)
         if origin is tuple and arguments[-1:] != (...,):
@@ -127,6 +138,8 @@ def _describe_one(option: Any) -> str:
         return f"a list, each {describe(arguments[0])}"
     if origin is tuple:
         return f"a list of {len(arguments)}, each {describe(arguments[0])}"
+    if origin is dict:
+        return f"a mapping of names, each {describe(arguments[1])}"
     if origin is list:
         return f"a list, each {describe(arguments[0])}"
     if isinstance(option, type) and issubclass(option, BaseModel):

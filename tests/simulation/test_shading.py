@@ -19,7 +19,8 @@ def _plate_levels(material: Material, sun_G: Array, viewer_G: Array, **lights: f
     caster = RayCaster(assemble([Part(trimesh.creation.box([1.0, 1.0, 0.02]), material)]))
     n = len(viewer_G)
     up, p_G = np.tile(UP, (n, 1)), np.tile([0.0, 0.0, 0.01], (n, 1))
-    hits = Hits(np.arange(n), np.zeros(n, np.int64), np.ones(n), p_G, up, up)
+    corner = np.tile([1.0, 0.0, 0.0], (n, 1))
+    hits = Hits(np.arange(n), np.zeros(n, np.int64), corner, np.ones(n), p_G, up, up)
     surface = MaterialTable((material,), 0).evaluate(np.zeros(n, np.int64), p_G, up)
     level = {"sun": 1.0, "earth": 0.0, "lamp": 0.0} | lights
     scene = Lights(sun_G, level["sun"], UP, level["earth"], np.array([0.0, 0.0, 2.01]), level["lamp"])
