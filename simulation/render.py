@@ -9,8 +9,9 @@ from polhode.lie import Array, inverse_pose
 from polhode.records import Ints
 from simulation.bodies import Body
 from simulation.cameras import Camera, sample_offsets
-from simulation.raycast import Hits, RayCaster
-from simulation.shading import Lights, lights_in_body, shade
+from simulation.light import lights_in_body
+from simulation.raycast import RayCaster
+from simulation.shading import shade
 from simulation.skin import Skin
 
 
@@ -34,17 +35,26 @@ class Renderer:
         self._caster = RayCaster(body)
         self._skin = Skin(body, scene.body, seed)
 
-    def picture(self, camera: Camera, X_NK: Array, X_NG: Array) -> Picture:
-        """Render a camera at X_NK (4, 4) and the target at X_NG (4, 4)."""
-        X_GN = inverse_pose(X_NG)
-        X_GK = X_GN @ X_NK
-        pixels = self._pixels_near_body(camera, X_GK)
-        rays_K = _sample_directions(camera, pixels, self._samples)
-        rays_G = rays_K @ X_GK[:3, :3].T
-        hits = self._caster.first_hits(X_GK[:3, 3], rays_G)
-        level = self._levels(hits, rays_G, lights_in_body(self._light, X_GN, X_GK))
-        pixel_of_hit = pixels[hits.ray // self._samples]
-        return self._average(camera, pixel_of_hit, level)
+    def picture(self, camera: Camera, X_NK: Array, X_NG: Array, t_s: float = 0.0) -> Picture:
+        """Render what a camera at X_NK sees of the target at X_NG, t_s after the first frame.
+
+        Poses are (4, 4), or (S, 4, 4) with one pose per sample of a pixel: that blurs what moves.
+        """
+        offsets = sample_offsets(self._samples)
+        poses_NK, poses_NG = (np.broadcast_to(X, (len(offsets), 4, 4)) for X in (X_NK, X_NG))
+        level, covered = np.zeros((2, camera.width_px * camera.height_px))
+        for offset, X_NK, X_NG in zip(offsets, poses_NK, poses_NG, strict=True):
+            X_GN = inverse_pose(X_NG)
+            X_GK = X_GN @ X_NK
+            lights = lights_in_body(self._light, X_GN, X_GK @ inverse_pose(camera.X_CK), t_s)
+            pixels = self._pixels_near_body(camera, X_GK)
+            rays_G = _directions(camera, pixels, offset) @ X_GK[:3, :3].T
+            hits = self._caster.first_hits(X_GK[:3, 3], rays_G)
+            surface = self._skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+            level[pixels[hits.ray]] += shade(hits, surface, -rays_G[hits.ray], lights, self._caster)
+            covered[pixels[hits.ray]] += 1.0
+        shape = (camera.height_px, camera.width_px)
+        return Picture(level.reshape(shape) / len(offsets), covered.reshape(shape) / len(offsets))
 
     def depth_m(self, camera: Camera, X_NK: Array, X_NG: Array) -> Array:
         """Depth (H, W) along the optical axis at pixel centres [m], NaN beside the body."""
@@ -62,20 +72,8 @@ class Renderer:
         angle = np.arcsin(min(self._body.radius_m / distance, 1.0)) + margin_rad
         return np.flatnonzero(camera.pixel_directions @ (centre_K / distance) > np.cos(angle))
 
-    def _levels(self, hits: Hits, rays_G: Array, lights: Lights) -> Array:
-        surface = self._skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
-        return shade(hits, surface, -rays_G[hits.ray], lights, self._caster)
 
-    def _average(self, camera: Camera, pixel: Ints, level: Array) -> Picture:
-        count = camera.width_px * camera.height_px
-        shape = (camera.height_px, camera.width_px)
-        total = np.bincount(pixel, weights=level, minlength=count) / self._samples
-        covered = np.bincount(pixel, minlength=count) / self._samples
-        return Picture(total.reshape(shape), covered.reshape(shape))
-
-
-def _sample_directions(camera: Camera, pixels: Ints, samples: int) -> Array:
-    """Unit rays (n * samples, 3) in the camera, the samples of a pixel side by side."""
+def _directions(camera: Camera, pixels: Ints, offset_px: Array) -> Array:
+    """Unit rays (n, 3) in the camera, through pixels (n,) at one offset (2,) from their centres."""
     v, u = np.divmod(pixels, camera.width_px)
-    centres = np.stack([u, v], axis=1).astype(np.float64)
-    return camera.directions((centres[:, None] + sample_offsets(samples)).reshape(-1, 2))
+    return camera.directions(np.stack([u, v], axis=1) + offset_px)

@@ -4,43 +4,13 @@ Levels are relative to a white diffuse surface that faces the Sun. GGX: Walter e
 models for refraction through rough surfaces", EGSR 2007; joint Smith shadowing; Schlick's Fresnel.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.records import Bools
+from simulation.light import Lights
 from simulation.materials import Surface
 from simulation.raycast import Hits, RayCaster
-
-
-@dataclass(frozen=True)
-class Lights:
-    """The lights in G at one frame."""
-
-    sun_direction_G: Array
-    """(3,) unit, towards the Sun"""
-    sun: float
-    earth_direction_G: Array
-    """(3,) unit"""
-    earth: float
-    lamp_G: Array
-    """(3,) position [m]"""
-    lamp: float
-    """at 1 m"""
-
-
-def lights_in_body(light: config.Light, X_GN: Array, X_GC: Array) -> Lights:
-    """Turn the scene's lights into G at one frame; poses (4, 4)."""
-
-    def direction(vector_N: tuple[float, float, float]) -> Array:
-        d = X_GN[:3, :3] @ np.array(vector_N)
-        return np.asarray(d / np.linalg.norm(d))
-
-    lamp_G = X_GC[:3, :3] @ np.array(light.lamp_position_m) + X_GC[:3, 3]
-    sun, earth = direction(light.sun_direction_N), direction(light.earth_direction_N)
-    return Lights(sun, light.sun, earth, light.earth, lamp_G, light.lamp)
 
 
 def shade(hits: Hits, surface: Surface, to_viewer_G: Array, lights: Lights, caster: RayCaster) -> Array:

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config import scene as config
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.lie import Array
 from simulation.bodies.part import Part, assemble
+from simulation.light import Lights
 from simulation.materials import Material, MaterialTable
 from simulation.raycast import Hits, RayCaster
-from simulation.shading import Lights, lights_in_body, shade
+from simulation.shading import shade
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -72,10 +72,3 @@ def test_the_highlight_lies_in_the_mirror_direction() -> None:
     viewers = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
     levels = _plate_levels(Material(0.01, specular=0.6, roughness=0.3), sun, viewers)
     np.testing.assert_allclose(viewers[np.argmax(levels)], [-0.6, 0, 0.8], atol=0.02)
-
-
-def test_lights_are_fixed_in_N_and_turn_in_the_body() -> None:
-    """A body turned by R sees the Sun turned by R^T, at unit length."""
-    X_NG = make_pose(exp_so3([0.0, 0.0, np.pi / 2]), [0.0, 0.0, 0.6])
-    lights = lights_in_body(config.Light(sun_direction_N=(3, 0, 0)), inverse_pose(X_NG), np.eye(4))
-    np.testing.assert_allclose(lights.sun_direction_G, [0, -1, 0], atol=1e-12)

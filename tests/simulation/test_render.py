@@ -1,0 +1,52 @@
+"""Pictures: what moves blurs, what is lit shows."""
+
+import numpy as np
+
+from polhode.config import scene as config
+from polhode.lie import make_pose
+from simulation.bodies import build_body
+from simulation.cameras import build_cameras
+from simulation.render import Renderer
+
+SCENE = config.Scene(
+    rig=config.Rig(width_px=96, height_px=72, focal_px=90.0), render=config.Render(samples=4, bounces=0)
+)
+LEFT, _ = build_cameras(SCENE.rig)
+X_NG = make_pose(np.eye(3), [0.0, 0.0, 0.6])
+
+
+def test_one_pose_per_sample_averages_the_pictures_of_the_poses() -> None:
+    """A body that jumps between two places for half of the samples each covers both, by halves."""
+    renderer = Renderer(build_body(SCENE.body, 3), SCENE, 3)
+    shifts = np.array([-0.14, -0.14, 0.14, 0.14])
+    moving = np.stack([make_pose(np.eye(3), [x, 0.0, 0.6]) for x in shifts])
+    blurred = renderer.picture(LEFT, np.eye(4), moving)
+    assert blurred.covered.max() <= 0.5
+    still = [renderer.picture(LEFT, np.eye(4), pose) for pose in moving[::2]]
+    expected = [0.5 * picture.covered.sum() for picture in still]
+    assert abs(blurred.covered.sum() / sum(expected) - 1.0) < 0.01
+    assert abs(blurred.level.sum() / sum(0.5 * picture.level.sum() for picture in still) - 1.0) < 0.02
+
+
+def test_the_same_pose_for_all_samples_is_no_motion() -> None:
+    renderer = Renderer(build_body(SCENE.body, 3), SCENE, 3)
+    repeated = np.broadcast_to(X_NG, (4, 4, 4))
+    still, held = renderer.picture(LEFT, np.eye(4), X_NG), renderer.picture(LEFT, np.eye(4), repeated)
+    np.testing.assert_array_equal(still.level, held.level)
+
+
+def test_a_camera_that_turns_with_the_body_keeps_its_edges_but_not_its_light() -> None:
+    """Camera and body move together: the outline stays, only the light turns."""
+    renderer = Renderer(build_body(SCENE.body, 3), SCENE, 3)
+    turn = np.stack([make_pose(np.eye(3), [x, 0.0, 0.0]) for x in (-0.3, -0.1, 0.1, 0.3)])
+    still, moved = renderer.picture(LEFT, np.eye(4), X_NG), renderer.picture(LEFT, turn, turn @ X_NG)
+    np.testing.assert_allclose(moved.covered, still.covered, atol=0.26)
+    np.testing.assert_allclose(moved.level.sum(), still.level.sum(), rtol=1e-3)
+
+
+def test_nothing_is_seen_in_the_eclipse_without_a_lamp() -> None:
+    light = config.Light(eclipse=config.Eclipse(start_s=10.0, duration_s=5.0))
+    dark = SCENE.model_copy(update={"light": light})
+    renderer = Renderer(build_body(SCENE.body, 3), dark, 3)
+    assert renderer.picture(LEFT, np.eye(4), X_NG, t_s=12.0).level.max() == 0.0
+    assert renderer.picture(LEFT, np.eye(4), X_NG, t_s=0.0).level.max() > 0.2
