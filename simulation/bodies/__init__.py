@@ -1,6 +1,6 @@
 """Target bodies: shape, surface and mass, in the geometric frame G."""
 
 from simulation.bodies.build import build_body
-from simulation.bodies.part import Body
+from simulation.bodies.part import Body, PartMass
 
-__all__ = ["Body", "build_body"]
+__all__ = ["Body", "PartMass", "build_body"]

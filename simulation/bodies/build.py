@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from polhode.config import scene as config
+from polhode.errors import InputError
 from simulation.bodies.asteroid import asteroid_parts
 from simulation.bodies.bus import bus_parts
 from simulation.bodies.free_flyer import free_flyer_parts
@@ -31,3 +32,5 @@ def _parts(body: config.Body, rng: np.random.Generator) -> list[Part]:
             assert body.path is not None
             assert body.metres_per_unit is not None
             return mesh_file_parts(Path(body.path), body.metres_per_unit, rng)
+        case _:
+            raise InputError(f"scene.body.family: {body.family} cannot be built yet; choose another family")

@@ -32,7 +32,7 @@ def _box(box_m: Array, texel_m: float, rng: np.random.Generator) -> Part:
             charts.append(chart_of_facet(mesh, faces, texel_m, draw_plain(0.65), rng))
         elif kind == "equipment":
             charts.append(chart_of_facet(mesh, faces, texel_m, draw_equipment_panel(0.35, 1100.0), rng))
-    return Part(mesh, FOIL, tuple(charts), density_factor=1.5)
+    return Part(mesh, FOIL, tuple(charts), density_factor=1.5, name="box")
 
 
 def _panels(box_m: Array, size_m: float, texel_m: float, rng: np.random.Generator) -> list[Part]:
@@ -52,11 +52,11 @@ def _panels(box_m: Array, size_m: float, texel_m: float, rng: np.random.Generato
                 charts.append(chart_of_facet(mesh, faces, texel_m, draw, rng))
         moved = tuple((_moved(chart, X), faces) for chart, faces in charts)
         mesh.apply_transform(X)
-        parts.append(Part(mesh, SOLAR_CELL, moved, density_factor=0.6))
+        parts.append(Part(mesh, SOLAR_CELL, moved, density_factor=0.6, name="panel"))
         arm = trimesh.creation.cylinder(0.018 * size_m, gap + 0.02 * size_m, sections=16)
         arm.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
         arm.apply_translation([0.05 * size_m, side * (0.5 * box_m[1] + 0.5 * gap), 0.02 * size_m])
-        parts.append(Part(arm, BARE_METAL))
+        parts.append(Part(arm, BARE_METAL, name="arm"))
     return parts
 
 
@@ -72,7 +72,11 @@ def _equipment(box_m: Array, size_m: float, texel_m: float, rng: np.random.Gener
     bell = trimesh.creation.revolve(bell_profile * size_m, sections=40)
     bell.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [0, 1, 0]))
     bell.apply_translation([-0.5 * box_m[0] + 0.005 * size_m, 0.0, 0.0])
-    parts = [Part(dish, PAINT_WHITE), Part(mast, BARE_METAL), Part(bell, PAINT_DARK)]
+    parts = [
+        Part(dish, PAINT_WHITE, name="dish"),
+        Part(mast, BARE_METAL, name="mast"),
+        Part(bell, PAINT_DARK, name="nozzle"),
+    ]
     for face in (np.array([1.0, 0, 0]), np.array([0, 0, -1.0])):
         size = size_m * rng.uniform((0.15, 0.18, 0.06), (0.28, 0.3, 0.1))
         mesh = trimesh.creation.box(size[[2, 0, 1]] if face[0] else size)
@@ -80,7 +84,7 @@ def _equipment(box_m: Array, size_m: float, texel_m: float, rng: np.random.Gener
         mesh.apply_translation(place)
         draw = draw_equipment_panel(float(rng.uniform(0.2, 0.5)), 1500.0)
         charts = tuple(chart_of_facet(mesh, f, texel_m, draw, rng) for f in flat_facets(mesh))
-        parts.append(Part(mesh, PAINT_GREY, charts))
+        parts.append(Part(mesh, PAINT_GREY, charts, name="equipment"))
     return parts
 
 

@@ -42,7 +42,7 @@ def _shell(size_m: float, rng: np.random.Generator) -> Part:
         base = float(rng.choice([0.26, 0.32, 0.4]))
         draw = draw_plain(base) if index in plain else draw_equipment_panel(base)
         charts.append(chart_of_facet(mesh, faces, TEXEL_M * size_m / 0.22, draw, rng))
-    return Part(mesh, PLASTIC, tuple(charts))
+    return Part(mesh, PLASTIC, tuple(charts), name="shell")
 
 
 def _thruster_places(size_m: float) -> list[tuple[Array, Array]]:
@@ -62,7 +62,7 @@ def _thruster(position_G: Array, direction_G: Array, scale: float) -> Part:
     profile = np.array([[0.0, -2.0], [4.5, -2.0], [4.5, 1.5], [6.5, 7.0], [5.6, 7.0], [3.0, 1.5], [0.0, 1.5]])
     mesh = trimesh.creation.revolve(profile * 1e-3 * scale, sections=20)
     mesh.apply_transform(_along(direction_G, position_G))
-    return Part(mesh, BARE_METAL)
+    return Part(mesh, BARE_METAL, name="thruster")
 
 
 def _tank(size_m: float, scale: float) -> list[Part]:
@@ -77,7 +77,7 @@ def _tank(size_m: float, scale: float) -> list[Part]:
     tank.apply_translation([0, 0, -0.5 * size_m])
     knob = trimesh.creation.cylinder(0.016 * scale, 0.018 * scale, sections=24)
     knob.apply_translation([0.01 * scale, 0, 0.5 * size_m + 0.006 * scale])
-    return [Part(tank, PAINT_GREY, density_factor=2.0), Part(knob, PAINT_DARK)]
+    return [Part(tank, PAINT_GREY, density_factor=2.0, name="tank"), Part(knob, PAINT_DARK, name="knob")]
 
 
 def _boxes(size_m: float, scale: float, rng: np.random.Generator) -> list[Part]:
@@ -94,7 +94,7 @@ def _boxes(size_m: float, scale: float, rng: np.random.Generator) -> list[Part]:
         mesh.apply_transform(_along(n, place))
         draw = draw_equipment_panel(float(rng.uniform(0.12, 0.5)), 1500.0)
         charts = tuple(chart_of_facet(mesh, f, TEXEL_M * scale, draw, rng) for f in flat_facets(mesh))
-        parts.append(Part(mesh, PAINT_GREY, charts))
+        parts.append(Part(mesh, PAINT_GREY, charts, name="box"))
     return parts
 
 
@@ -107,7 +107,7 @@ def _sonar_buttons(size_m: float, scale: float, rng: np.random.Generator) -> lis
             side = rng.choice([-1.0, 1.0]) * 0.17 * size_m * np.eye(3)[(axis + 2) % 3]
             mesh = trimesh.creation.cylinder(0.007 * scale, 0.006 * scale, sections=20)
             mesh.apply_transform(_along(normal, 0.5 * size_m * normal + side))
-            parts.append(Part(mesh, BARE_METAL if rng.random() < 0.5 else PAINT_DARK))
+            parts.append(Part(mesh, BARE_METAL if rng.random() < 0.5 else PAINT_DARK, name="receiver"))
     return parts
 
 

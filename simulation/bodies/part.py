@@ -38,6 +38,22 @@ class Part:
     charts: tuple[tuple[Chart, Ints], ...] = ()
     density_factor: float = 1.0
     """Density relative to the scene's."""
+    name: str = "body"
+    """What a scene calls it when it gives a density; parts of one name are one thing."""
+
+
+@dataclass(frozen=True)
+class PartMass:
+    """Mass properties of the parts of one name, at density 1 kg/m^3 (``density_factor`` not included)."""
+
+    name: str
+    volume_m3: float
+    com_G: Array
+    """(3,) [m]"""
+    inertia_per_density: Array
+    """(3, 3) about com_G, axes of G [m^5]"""
+    density_factor: float
+    """Density relative to the scene's"""
 
 
 @dataclass(frozen=True)
@@ -54,10 +70,13 @@ class Body:
     """(F,) index into charts, -1: none"""
     charts: tuple[Chart, ...]
     volume_m3: float
+    """Sum over the parts, each times its density factor"""
     com_G: Array
-    """(3,) centre of mass of uniform density [m]"""
+    """(3,) centre of mass [m], density factors included"""
     inertia_per_density: Array
-    """(3, 3) inertia of density 1 kg/m^3 about com_G, axes of G [m^5]"""
+    """(3, 3) inertia about com_G, axes of G, at a density of 1 kg/m^3 times the factors [m^5]"""
+    parts: tuple[PartMass, ...]
+    """One entry a name, in order of first appearance"""
 
     @property
     def radius_m(self) -> float:
@@ -79,7 +98,8 @@ def assemble(parts: list[Part]) -> Body:
             charts.append(chart)
         face_chart.append(of_part)
     mesh = join([part.mesh for part in parts])
-    volume, com, inertia = _mass_of_parts(parts)
+    masses = masses_by_name(parts)
+    volume, com, inertia = _together(masses, [mass.density_factor for mass in masses])
     return Body(
         mesh=mesh,
         corner_normals=np.concatenate([smooth_corner_normals(part.mesh) for part in parts]),
@@ -90,6 +110,7 @@ def assemble(parts: list[Part]) -> Body:
         volume_m3=volume,
         com_G=com,
         inertia_per_density=inertia,
+        parts=tuple(masses),
     )
 
 
@@ -102,22 +123,38 @@ def join(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     )
 
 
-def _mass_of_parts(parts: list[Part]) -> tuple[float, Array, Array]:
-    """Volume [m^3], centre of mass [m] and inertia per density [m^5]; open parts weigh as their hulls."""
-    masses, coms, inertias = [], [], []
+def masses_by_name(parts: list[Part]) -> list[PartMass]:
+    """Mass properties of each name; open parts weigh as their hulls."""
+    named: dict[str, list[PartMass]] = {}
     for part in parts:
         solid = part.mesh if part.mesh.is_volume else part.mesh.convex_hull
-        properties = solid.mass_properties
-        masses.append(properties.volume * part.density_factor)
-        coms.append(np.asarray(properties.center_mass))
-        inertias.append(np.asarray(properties.inertia) * part.density_factor)
-    total = float(np.sum(masses))
-    com = np.sum([m * c for m, c in zip(masses, coms, strict=True)], axis=0) / total
+        own = solid.mass_properties
+        mass = PartMass(
+            part.name,
+            float(own.volume),
+            np.asarray(own.center_mass),
+            np.asarray(own.inertia),
+            part.density_factor,
+        )
+        named.setdefault(part.name, []).append(mass)
+    return [_joined(name, masses) for name, masses in named.items()]
+
+
+def _joined(name: str, masses: list[PartMass]) -> PartMass:
+    weight, com, inertia = _together(masses, [mass.density_factor for mass in masses])
+    factor = weight / sum(mass.volume_m3 for mass in masses)
+    return PartMass(name, weight / factor, com, inertia / factor, factor)
+
+
+def _together(masses: list[PartMass], factors: list[float]) -> tuple[float, Array, Array]:
+    """Weighted volume [m^3], centre of mass (3,) [m] and inertia about it (3, 3) [m^5] of several masses."""
+    weights = np.array([mass.volume_m3 * factor for mass, factor in zip(masses, factors, strict=True)])
+    com = weights @ np.stack([mass.com_G for mass in masses]) / weights.sum()
     inertia = np.zeros((3, 3))
-    for m, c, own in zip(masses, coms, inertias, strict=True):
-        d = c - com
-        inertia += own + m * (d @ d * np.eye(3) - np.outer(d, d))
-    return total, np.asarray(com), inertia
+    for mass, weight, factor in zip(masses, weights, factors, strict=True):
+        d = mass.com_G - com
+        inertia += factor * mass.inertia_per_density + weight * (d @ d * np.eye(3) - np.outer(d, d))
+    return float(weights.sum()), np.asarray(com), inertia
 
 
 def smooth_corner_normals(mesh: trimesh.Trimesh) -> Array:

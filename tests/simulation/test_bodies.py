@@ -79,6 +79,23 @@ def test_mass_of_joined_parts_is_that_of_the_closed_form() -> None:
     )
 
 
+def test_masses_of_the_names_add_up_to_the_bodys() -> None:
+    body = _build("free_flyer")
+    assert len({part.name for part in body.parts}) == len(body.parts)
+    assert {"shell", "tank", "thruster"} <= {part.name for part in body.parts}
+    weights = np.array([part.volume_m3 * part.density_factor for part in body.parts])
+    assert weights.sum() == pytest.approx(body.volume_m3)
+    np.testing.assert_allclose(weights @ [part.com_G for part in body.parts] / weights.sum(), body.com_G)
+    about_origin = np.zeros((3, 3))
+    for weight, part in zip(weights, body.parts, strict=True):
+        p = part.com_G
+        about_origin += part.density_factor * part.inertia_per_density
+        about_origin += weight * (p @ p * np.eye(3) - np.outer(p, p))
+    p = body.com_G
+    whole = body.inertia_per_density + body.volume_m3 * (p @ p * np.eye(3) - np.outer(p, p))
+    np.testing.assert_allclose(about_origin, whole, atol=1e-12 * np.abs(whole).max())
+
+
 def test_normals_are_smooth_on_a_ball_and_flat_on_a_box() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3)
     corners = smooth_corner_normals(ball)
