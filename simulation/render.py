@@ -35,6 +35,21 @@ class Renderer:
         self._caster = RayCaster(body)
         self._skin = Skin(body, scene.body, seed)
 
+    @property
+    def caster(self) -> RayCaster:
+        """The body, ready for rays."""
+        return self._caster
+
+    @property
+    def skin(self) -> Skin:
+        """Its surface."""
+        return self._skin
+
+    @property
+    def light(self) -> config.Light:
+        """The scene's light."""
+        return self._light
+
     def picture(self, camera: Camera, X_NK: Array, X_NG: Array, t_s: float = 0.0) -> Picture:
         """Render what a camera at X_NK sees of the target at X_NG, t_s after the first frame.
 
