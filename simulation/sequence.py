@@ -35,6 +35,7 @@ from simulation.motion import (
     reported_inspector,
     target_motion,
 )
+from simulation.products import products_path, render_products, write_products
 from simulation.render import Renderer
 from simulation.sensor import expose
 
@@ -145,6 +146,10 @@ class _Painter:
             noise = np.random.default_rng([plan.seed, 0x2, k, index])
             image = expose(picture.level, plan.scene.sensor, noise)
             write_png(image_path(self._mav0 / f"cam{index}", stamp), image)
+            if asked := plan.scene.render.products:
+                pose_NK, pose_NG = plan.X_NC[k] @ camera.X_CK, plan.target.X_NG[k]
+                products = render_products(self._renderer, camera, pose_NK, pose_NG, asked)
+                write_products(products_path(self._mav0, index, stamp), products)
             if plan.scene.render.masks:
                 write_png(mask_path(self._mav0, index, stamp), picture.covered >= 0.5)
 
