@@ -5,6 +5,7 @@ the lens blurs the truth. Beside the target, numbers are NaN.
 """
 
 import os
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -111,7 +112,7 @@ def read_products(path: Path) -> Products:
     try:
         with np.load(path) as archive:
             arrays = {f.name: archive[f.name] for f in fields(Products) if f.name in archive.files}
-    except (OSError, BadZipFile, ValueError) as error:
+    except (OSError, EOFError, ValueError, BadZipFile, zlib.error) as error:
         reason = " ".join(str(error).split())
         raise InputError(
             f"{path}: no truth of pixels ({reason}); simulate with scene.render.products"
