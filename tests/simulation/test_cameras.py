@@ -6,7 +6,7 @@ import pytest
 
 from polhode.config import scene as config
 from polhode.errors import InputError
-from simulation.cameras import build_cameras, sample_offsets
+from simulation.cameras import build_cameras, sample_offsets, sample_times
 
 RIG = config.Rig(
     distortion=(-0.21, 0.06, 8e-4, -5e-4), principal_offset_px=(6, -4), right_rotation_deg=(0.5, -6, 0.8)
@@ -45,6 +45,33 @@ def test_samples_fill_every_row_and_column_of_a_pixel_once(samples: int) -> None
     np.testing.assert_allclose(sample_offsets(samples).mean(axis=0), 0, atol=1e-12)
     for axis in (0, 1):
         assert len(np.unique(cells[:, axis])) == samples
+
+
+@pytest.mark.parametrize(("samples", "largest"), [(4, 0.4), (9, 0.0), (16, 0.0)])
+def test_moments_of_the_samples_fill_the_exposure_and_do_not_follow_their_place(
+    samples: int, largest: float
+) -> None:
+    moments = sample_times(samples)
+    np.testing.assert_allclose(np.sort(moments), (np.arange(samples) + 0.5) / samples - 0.5)
+    for axis in (0, 1):
+        assert abs(np.corrcoef(moments, sample_offsets(samples)[:, axis])[0, 1]) <= largest + 1e-9
+
+
+def test_points_beside_and_behind_the_image_are_not_visible() -> None:
+    left, _ = build_cameras(RIG)
+    uv = np.array([[0.0, 0.0], [639.0, 479.0], [300.0, 200.0]])
+    inside = left.directions(uv) * 2.0
+    outside = np.array([[0.0, 0.0, -1.0], [5.0, 0.0, 1.0], [0.9, 0.0, 1.0], *-inside])
+    pixels, index = left.project_visible(np.concatenate([outside, inside]))
+    np.testing.assert_array_equal(index, 6 + np.arange(3))
+    np.testing.assert_allclose(pixels, uv, atol=1e-6)
+
+
+def test_strong_distortion_brings_no_far_point_back_into_the_image() -> None:
+    left, _ = build_cameras(config.Rig(distortion=(-0.15, 0.0, 0.0, 0.0)))
+    far = np.array([[2.5, 0.0, 1.0], [0.0, 2.45, 1.0]])
+    assert (np.abs(left.project(far) - left.K[:2, 2]) < 200).all()
+    assert len(left.project_visible(far)[1]) == 0
 
 
 def test_a_distortion_that_folds_the_image_is_refused() -> None:
