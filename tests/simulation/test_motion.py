@@ -35,7 +35,7 @@ def _mass(scene: config.Scene) -> MassDistribution:
     """Mass properties set by hand, which need no body."""
     assert scene.mass.inertia_kg_m2 is not None
     J_G = np.array(scene.mass.inertia_kg_m2)
-    return MassDistribution(np.array(scene.mass.com_m), J_G, *principal_axes(J_G))
+    return MassDistribution(np.array(scene.mass.com_m), J_G, *principal_axes(J_G), 4.487)
 
 
 def test_energy_and_momentum_are_constant_over_ten_minutes() -> None:
