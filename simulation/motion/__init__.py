@@ -1,0 +1,16 @@
+"""Motion of target and inspector over time: the truth of a sequence."""
+
+from simulation.motion.inspector import camera_motion, reported_inspector
+from simulation.motion.mass import MassDistribution, mass_distribution, principal_axes
+from simulation.motion.target import TargetMotion, target_motion, timestamps
+
+__all__ = [
+    "MassDistribution",
+    "TargetMotion",
+    "camera_motion",
+    "mass_distribution",
+    "principal_axes",
+    "reported_inspector",
+    "target_motion",
+    "timestamps",
+]
