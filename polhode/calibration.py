@@ -70,6 +70,22 @@ def read_calibration(mav0: Path) -> StereoCalibration:
     )
 
 
+def read_bits(mav0: Path) -> int | None:
+    """Depth of 16-bit image files, 8 to 16, where the cameras' ``sensor.yaml`` tell ``bits``; else None.
+
+    Raises InputError when it is no such number, or differs between the cameras.
+    """
+    told: list[int | None] = []
+    for path in (mav0 / name / "sensor.yaml" for name in ("cam0", "cam1")):
+        bits = read_mapping(path, "a camera needs its calibration (see docs/dataset.md)").get("bits")
+        if bits is not None and (type(bits) is not int or not 8 <= bits <= 16):
+            raise InputError(f"{path} key 'bits': expected the depth of the images, 8 to 16, got {bits!r}")
+        told.append(bits)
+    if told[0] != told[1]:
+        raise InputError(f"{mav0}: cam0 and cam1 tell different 'bits', {told[0]} and {told[1]}; correct one")
+    return told[0]
+
+
 def _read_camera(path: Path) -> _Camera:
     sensor = read_mapping(path, "a camera needs its calibration (see docs/dataset.md)")
     model = sensor.get("camera_model", "pinhole")

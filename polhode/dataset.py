@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polhode.calibration import StereoCalibration, read_calibration
+from polhode.calibration import StereoCalibration, read_bits, read_calibration
 from polhode.errors import InputError
 from polhode.images import Grey, UnreadableImage, bit_depth, has_content, read_mask, read_raw, to_grey
 from polhode.inspector import InspectorPoses, read_inspector
@@ -103,7 +103,7 @@ def open_sequence(folder: Path) -> StereoSequence:
     has the wrong size, or ``inspector0`` is wrong or does not cover the frames.
     """
     mav0 = _require_folders(folder)
-    calibration = read_calibration(mav0)
+    calibration, bits = read_calibration(mav0), read_bits(mav0)
     left, right = (_listed_files(mav0 / name) for name in ("cam0", "cam1"))
     listed = sorted(left.keys() | right.keys())
     paired = [stamp for stamp in listed if stamp in left and stamp in right]
@@ -111,7 +111,11 @@ def open_sequence(folder: Path) -> StereoSequence:
         stamp: f"only in {'cam0' if stamp in left else 'cam1'}" for stamp in listed if stamp not in paired
     }
     checked = dict(
-        zip(paired, _check_pairs(mav0, [(left[s], right[s], s) for s in paired], calibration), strict=True)
+        zip(
+            paired,
+            _check_pairs(mav0, [(left[s], right[s], s) for s in paired], calibration, bits),
+            strict=True,
+        )
     )
     reasons |= {stamp: check.reason for stamp, check in checked.items() if check.reason is not None}
     usable = [stamp for stamp in paired if stamp not in reasons]
@@ -123,7 +127,7 @@ def open_sequence(folder: Path) -> StereoSequence:
     timestamps_ns = np.array(usable, dtype=np.int64)
     inspector = _inspector_at(mav0, timestamps_ns)
     bad_masks = [bad for stamp in usable for bad in checked[stamp].bad_masks]
-    bits = bit_depth(max(checked[stamp].largest_16_bit for stamp in usable))
+    bits = bits or bit_depth(max(checked[stamp].largest_16_bit for stamp in usable))
     return StereoSequence(
         folder=folder,
         timestamps_ns=timestamps_ns,
@@ -162,13 +166,15 @@ def _listed_files(camera: Path) -> dict[int, Path]:
 
 
 def _check_pairs(
-    mav0: Path, pairs: list[tuple[Path, Path, int]], calibration: StereoCalibration
+    mav0: Path, pairs: list[tuple[Path, Path, int]], calibration: StereoCalibration, bits: int | None
 ) -> Iterator[_Checked]:
     with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 16)) as pool:
-        yield from pool.map(lambda pair: _check_pair(mav0, pair, calibration), pairs)
+        yield from pool.map(lambda pair: _check_pair(mav0, pair, calibration, bits), pairs)
 
 
-def _check_pair(mav0: Path, pair: tuple[Path, Path, int], calibration: StereoCalibration) -> _Checked:
+def _check_pair(
+    mav0: Path, pair: tuple[Path, Path, int], calibration: StereoCalibration, bits: int | None
+) -> _Checked:
     left, right, stamp = pair
     width, height = calibration.width_px, calibration.height_px
     content, largest = False, 0
@@ -179,7 +185,11 @@ def _check_pair(mav0: Path, pair: tuple[Path, Path, int], calibration: StereoCal
             return _Checked(f"{camera} image: {error}", False, 0, ())
         if raw.dtype == np.uint16:
             largest = max(largest, int(raw.max()))
-        content = content or has_content(to_grey(raw, bit_depth(int(raw.max()))))
+            if bits is not None and largest >= 2**bits:
+                raise InputError(
+                    f"{path}: value {largest} is above {bits} bits: correct 'bits' in sensor.yaml"
+                )
+        content = content or has_content(to_grey(raw, bits or bit_depth(int(raw.max()))))
     return _Checked(None, content, largest, tuple(_bad_masks(mav0, stamp, width, height)))
 
 

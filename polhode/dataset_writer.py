@@ -47,11 +47,15 @@ def write_sensor(
     width_px: int,
     height_px: int,
     rate_hz: float,
+    bits: int = 8,
 ) -> None:
-    """Write ``sensor.yaml`` of a camera folder: K (3, 3) [px], dist (n,) in OpenCV's order, X_BC (4, 4)."""
+    """Write ``sensor.yaml`` of a camera folder: K (3, 3) [px], dist (n,) in OpenCV's order, X_BC (4, 4).
+
+    More than 8 ``bits`` are told: dark images do not show them.
+    """
     camera.mkdir(parents=True, exist_ok=True)
     K, dist = np.asarray(K, dtype=np.float64), np.asarray(dist, dtype=np.float64)
-    sensor = {
+    sensor: dict[str, object] = {
         "sensor_type": "camera",
         "T_BS": {"cols": 4, "rows": 4, "data": _flat(X_BC)},
         "rate_hz": float(rate_hz),
@@ -61,6 +65,8 @@ def write_sensor(
         "distortion_model": "radial-tangential",
         "distortion_coefficients": _flat(dist if len(dist) else np.zeros(4)),
     }
+    if bits > 8:
+        sensor["bits"] = int(bits)
     _write_yaml(camera / "sensor.yaml", sensor)
 
 

@@ -98,6 +98,32 @@ def test_sixteen_bit_images_are_scaled_by_one_factor_for_the_whole_sequence(smal
     np.testing.assert_array_equal(sequence.read_pair(0).right, grey[1, 0] // 4)
 
 
+def tell_bits(folder: Path, bits: object, cameras: tuple[int, ...] = (0, 1)) -> None:
+    for camera in cameras:
+        path = folder / "mav0" / f"cam{camera}" / "sensor.yaml"
+        path.write_text(f"{path.read_text()}bits: {bits}\n")
+
+
+def write_12_bits(folder: Path, divisor: int) -> None:
+    """The images, darkened, as a 12-bit sensor writes them."""
+    for camera in (0, 1):
+        for k in range(COUNT):
+            path = image_of(folder, camera, k)
+            write_png(
+                path, np.asarray(Image.open(path)).astype(np.uint16) * np.uint16(16) // np.uint16(divisor)
+            )
+
+
+def test_a_dark_12_bit_sequence_that_tells_its_depth_is_not_taken_for_a_10_bit_one(
+    small_sequence: Path,
+) -> None:
+    grey = np.asarray(Image.open(image_of(small_sequence, 0, 2)))
+    write_12_bits(small_sequence, divisor=8)
+    np.testing.assert_array_equal(open_sequence(small_sequence).read_pair(2).left, grey * 16 // 8 // 2)
+    tell_bits(small_sequence, 12)
+    np.testing.assert_array_equal(open_sequence(small_sequence).read_pair(2).left, grey // 8)
+
+
 def test_colour_images_are_read_as_grey(small_sequence: Path) -> None:
     grey = np.asarray(Image.open(image_of(small_sequence, 0, 1)))
     write_png(image_of(small_sequence, 0, 1), np.repeat(grey[..., None], 3, axis=-1))
@@ -236,6 +262,12 @@ def inspector(stamps: list[int], old: str = "", new: str = "") -> Callable[[Path
 ROTATED = "[1.0, 0.5, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]"
 IDENTITY = "[1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]"
 
+
+def too_few_bits(folder: Path) -> None:
+    write_12_bits(folder, divisor=1)
+    tell_bits(folder, 10)
+
+
 BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str]] = {
     "no folder": (remove(), "is not a folder"),
     "no mav0": (remove("mav0"), "mav0/cam0 is missing"),
@@ -263,6 +295,9 @@ BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str]] = {
     "no rotation": (replace("cam0/sensor.yaml", IDENTITY, ROTATED), "'T_BS': not a rigid transform"),
     "no baseline": (replace("cam1/sensor.yaml", "0.09", "0.0"), "at one place"),
     "two resolutions": (replace("cam1/sensor.yaml", "[64, 48]", "[64, 50]"), "different resolutions"),
+    "bits as words": (lambda folder: tell_bits(folder, "many"), "key 'bits': expected the depth"),
+    "one camera tells bits": (lambda folder: tell_bits(folder, 12, (1,)), "different 'bits', None and 12"),
+    "too few bits": (too_few_bits, "is above 10 bits: correct 'bits' in sensor.yaml"),
     "no list": (remove("mav0", "cam0", "data.csv"), "data.csv is missing"),
     "empty list": (rewrite("cam0/data.csv", ""), "data.csv is empty"),
     "header only": (rewrite("cam1/data.csv", rows([])), "data.csv is empty"),
