@@ -110,13 +110,8 @@ def open_sequence(folder: Path) -> StereoSequence:
     reasons = {
         stamp: f"only in {'cam0' if stamp in left else 'cam1'}" for stamp in listed if stamp not in paired
     }
-    checked = dict(
-        zip(
-            paired,
-            _check_pairs(mav0, [(left[s], right[s], s) for s in paired], calibration, bits),
-            strict=True,
-        )
-    )
+    files = [(left[stamp], right[stamp], stamp) for stamp in paired]
+    checked = dict(zip(paired, _check_pairs(mav0, files, calibration, bits), strict=True))
     reasons |= {stamp: check.reason for stamp, check in checked.items() if check.reason is not None}
     usable = [stamp for stamp in paired if stamp not in reasons]
     dropped = tuple(sorted(reasons.items()))

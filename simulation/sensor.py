@@ -37,7 +37,7 @@ def through_lens(level: Array, sensor: config.Sensor, points: Array | None = Non
     if points is not None:
         light = light + points
     if sensor.vignetting > 0:
-        light = light * vignette(*light.shape, sensor.vignetting)
+        light = light * vignette(light.shape[0], light.shape[1], sensor.vignetting)
     if sensor.glare > 0:
         light = (1.0 - sensor.glare) * light + sensor.glare * _blurred(light, sensor.glare_px)
     return light
@@ -77,8 +77,8 @@ def digitise(signal_dn: Array, sensor: config.Sensor, rng: np.random.Generator) 
     """Signal (H, W) [DN] -> codes of the sensor's bits, with read noise and black level."""
     read_dn = rng.standard_normal(signal_dn.shape, dtype=np.float32) * sensor.read_noise_dn
     highest = 2**sensor.bits - 1
-    codes = np.rint((signal_dn + read_dn + sensor.black_level_dn) * (highest / 255.0))
-    return np.clip(codes, 0, highest).astype(np.uint8 if sensor.bits == 8 else np.uint16)
+    codes = np.clip(np.rint((signal_dn + read_dn + sensor.black_level_dn) * (highest / 255.0)), 0, highest)
+    return codes.astype(np.uint8) if sensor.bits == 8 else codes.astype(np.uint16)
 
 
 def _count(mean: Array, rng: np.random.Generator) -> Array:
