@@ -77,7 +77,9 @@ def digitise(signal_dn: Array, sensor: config.Sensor, rng: np.random.Generator) 
     """Signal (H, W) [DN] -> codes of the sensor's bits, with read noise and black level."""
     read_dn = rng.standard_normal(signal_dn.shape, dtype=np.float32) * sensor.read_noise_dn
     highest = 2**sensor.bits - 1
-    codes = np.clip(np.rint((signal_dn + read_dn + sensor.black_level_dn) * (highest / 255.0)), 0, highest)
+    codes: Array = np.clip(
+        np.rint((signal_dn + read_dn + sensor.black_level_dn) * (highest / 255.0)), 0, highest
+    )
     return codes.astype(np.uint8) if sensor.bits == 8 else codes.astype(np.uint16)
 
 
