@@ -68,8 +68,10 @@ class RayCaster:
         n = self._face_normals[face]
         slope = np.einsum("nk,nk->n", n, d)
         height = np.einsum("nk,nk->n", n, self._triangles[face, 0] - origin_G)
-        exact = height / np.where(np.abs(slope) < 1e-3, np.inf, slope)
-        return np.where(np.abs(exact - coarse_m) < 1e-5 * coarse_m, exact, coarse_m)
+        steep = np.abs(slope) > 1e-3
+        exact = np.where(steep, height / np.where(steep, slope, 1.0), coarse_m)
+        # Across the face the coarse hit is good to 1e-7 of the distance; along a grazing ray it is not.
+        return np.where(np.abs((exact - coarse_m) * slope) < 1e-6 * coarse_m, exact, coarse_m)
 
     def lit(self, hits: Hits, direction_G: Array, reach_m: Array | None = None) -> Bools:
         """True where nothing stands between a hit and the light.
