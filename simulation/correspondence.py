@@ -122,6 +122,8 @@ def _image_of(view: View, p_G: Array) -> Array:
     p_K = transform_points(inverse_pose(view.X_GK), p_G)
     uv = np.full((len(p_K), 2), np.nan)
     before = p_K[:, 2] > NEAREST_M
+    if not before.any():
+        return uv
     uv[before] = view.camera.project(p_K[before])
     if view.camera.dist.any():
         inside = np.flatnonzero(_inside(view.camera, uv))

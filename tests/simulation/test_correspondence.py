@@ -1,0 +1,230 @@
+"""Correspondences against mesh vertices, OpenCV's projection, plates before plates, and back again."""
+
+from pathlib import Path
+from time import perf_counter
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from polhode.config import scene as config
+from polhode.errors import InputError
+from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
+from simulation.bodies.part import Part, assemble
+from simulation.cameras import Camera, build_cameras
+from simulation.correspondence import (
+    Reason,
+    View,
+    angle_between,
+    correspond,
+    dense_correspondence,
+    main,
+    pixel_grid,
+    view_of,
+)
+from simulation.materials import Material
+from simulation.raycast import RayCaster
+from simulation.sequence import Plan, plan_sequence
+
+MATT = Material(0.4, specular=0.0)
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    """A free flyer that turns 27 degrees a frame before distorted, toed-in cameras."""
+    rig = {
+        "width_px": 160,
+        "height_px": 120,
+        "focal_px": 170.0,
+        "distortion": [-0.2, 0.05, 1e-3, -5e-4],
+        "right_rotation_deg": [0.5, -6.0, 0.8],
+        "right_offset_mm": [0.0, 1.5, -2.0],
+    }
+    motion = {"position_m": [0.04, 0.0, 0.5], "spin_rpm": [1.0, 9.0, 0.0]}
+    scene = config.Scene.model_validate({"frames": 4, "rig": rig, "motion": motion})
+    return plan_sequence(scene, 4)
+
+
+@pytest.fixture(scope="module")
+def caster(plan: Plan) -> RayCaster:
+    return RayCaster(plan.body)
+
+
+def _projected(p_G: Array, view: View) -> Array:
+    """OpenCV's own projection, pose included."""
+    X_KG = inverse_pose(view.X_GK)
+    uv, _ = cv2.projectPoints(p_G, log_so3(X_KG[:3, :3]), X_KG[:3, 3], view.camera.K, view.camera.dist)
+    return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("end", [(1, 0), (1, 1), (0, 1), (2, 0)])
+def test_points_on_faces_go_where_opencv_projects_them(
+    plan: Plan, caster: RayCaster, end: tuple[int, int]
+) -> None:
+    a, b = view_of(plan, 1, 0), view_of(plan, *end)
+    p_G = np.asarray(plan.body.mesh.triangles_center)
+    found = correspond(caster, a, b, _projected(p_G, a))
+    same_point = np.linalg.norm(found.p_G - p_G, axis=1) < 1e-6
+    assert same_point.sum() > 200  # the others lie behind the body
+    np.testing.assert_allclose(found.uv_b_px[same_point], _projected(p_G[same_point], b), atol=1e-5)
+    assert found.visible[same_point].any()
+
+
+@pytest.mark.parametrize("ends", [((1, 0), (1, 1)), ((0, 0), (1, 1)), ((3, 1), (2, 0))])
+def test_there_and_back_is_the_same_pixel(
+    plan: Plan, caster: RayCaster, ends: tuple[tuple[int, int], tuple[int, int]]
+) -> None:
+    a, b = (view_of(plan, *end) for end in ends)
+    there = dense_correspondence(caster, a, b)
+    back = correspond(caster, b, a, there.uv_b_px[there.visible])
+    assert there.visible.sum() > 1000
+    assert back.visible.all()
+    assert np.abs(back.uv_b_px - pixel_grid(a.camera)[there.visible]).max() < 1e-3
+    np.testing.assert_allclose(back.angle_rad, there.angle_rad[there.visible], atol=1e-5)
+
+
+def test_what_b_sees_first_is_what_is_called_visible(plan: Plan, caster: RayCaster) -> None:
+    """Visibility by the distance of b's own rays, not by the ray back to b."""
+    a, b = view_of(plan, 0, 0), view_of(plan, 1, 1)
+    there = dense_correspondence(caster, a, b)
+    tried = np.isin(there.reason, (Reason.VISIBLE, Reason.HIDDEN, Reason.TURNED_AWAY)) & np.isfinite(
+        there.uv_b_px
+    ).all(axis=-1)
+    seen_from_b = correspond(caster, b, a, there.uv_b_px[tried])
+    same = np.linalg.norm(seen_from_b.p_G - there.p_G[tried], axis=1) < 1e-4 * plan.body.radius_m
+    assert (same != there.visible[tried]).mean() < 1e-3
+    assert (there.reason == Reason.HIDDEN).sum() > 20
+
+
+def _view(camera: Camera, X_NG: Array, X_NK: Array) -> View:
+    return View(camera, inverse_pose(X_NG) @ X_NK)
+
+
+def test_a_plate_before_a_plate_hides_what_lies_on_the_line_to_it() -> None:
+    """Camera b stands 0.5 m to the right of a. On the far plate, 1 m away, it cannot see x = -0.6 to -0.4 m:
+    halfway stands the near plate, 0.1 m wide."""
+    near = trimesh.creation.box([0.1, 0.4, 0.002])
+    near.apply_translation([0.0, 0.0, -0.001])
+    far = trimesh.creation.box([1.6, 0.6, 0.002])
+    far.apply_translation([0.0, 0.0, 0.501])
+    caster = RayCaster(assemble([Part(near, MATT), Part(far, MATT)]))
+    camera, _ = build_cameras(config.Rig(width_px=320, height_px=120, focal_px=100.0))
+    X_NG = make_pose(np.eye(3), [0.0, 0.0, 0.5])
+    a = _view(camera, X_NG, np.eye(4))
+    b = _view(camera, X_NG, make_pose(np.eye(3), [0.5, 0.0, 0.0]))
+    expected = {-0.85: Reason.OFF_TARGET, -0.61: Reason.VISIBLE, -0.59: Reason.HIDDEN, -0.5: Reason.HIDDEN}
+    expected |= {-0.41: Reason.HIDDEN, -0.39: Reason.VISIBLE, 0.05: Reason.VISIBLE, 0.3: Reason.VISIBLE}
+    x = np.array(list(expected))
+    found = correspond(caster, a, b, np.stack([camera.K[0, 2] + 100.0 * x, np.full_like(x, 60.0)], axis=1))
+    assert found.reason.tolist() == list(expected.values())
+    on_far = (np.abs(x) < 0.8) & (np.abs(x) > 0.1)
+    np.testing.assert_allclose(
+        found.uv_b_px[on_far, 0], camera.K[0, 2] + 100.0 * (x - 0.5)[on_far], atol=1e-9
+    )
+
+
+def test_the_back_of_a_plate_is_turned_away() -> None:
+    plate = trimesh.creation.box([0.2, 0.2, 0.01])
+    caster = RayCaster(assemble([Part(plate, MATT)]))
+    camera, _ = build_cameras(config.Rig(width_px=64, height_px=48, focal_px=60.0))
+    front = View(camera, make_pose(np.eye(3), [0.0, 0.0, -0.5]))
+    behind = View(camera, make_pose(exp_so3([0.0, np.pi, 0.0]), [0.0, 0.0, 0.5]))
+    found = dense_correspondence(caster, front, behind)
+    on_target = found.reason != Reason.OFF_TARGET
+    assert on_target.sum() > 100
+    assert (found.reason[on_target] == Reason.TURNED_AWAY).all()
+    assert not found.visible.any()
+    assert angle_between(front, behind) == pytest.approx(np.pi)
+
+
+def test_a_point_behind_the_camera_has_no_image() -> None:
+    caster = RayCaster(assemble([Part(trimesh.creation.box([0.2, 0.2, 0.01]), MATT)]))
+    camera, _ = build_cameras(config.Rig(width_px=64, height_px=48, focal_px=60.0))
+    front = View(camera, make_pose(np.eye(3), [0.0, 0.0, -0.5]))
+    looks_away = View(camera, make_pose(exp_so3([0.0, np.pi, 0.0]), [0.0, 0.0, -0.5]))
+    found = correspond(caster, front, looks_away, np.array([[31.5, 23.5]]))
+    assert found.reason.tolist() == [Reason.OUTSIDE]
+    assert np.isnan(found.uv_b_px).all()
+
+
+def test_the_lens_does_not_fold_far_points_into_the_image() -> None:
+    """The polynomial of a strong barrel turns back at large angles; a point 62 degrees off is not in view."""
+    plate = trimesh.creation.box([6.0, 0.2, 0.01])
+    caster = RayCaster(assemble([Part(plate, MATT)]))
+    straight, _ = build_cameras(config.Rig(width_px=64, height_px=48, focal_px=10.0))
+    barrel, _ = build_cameras(
+        config.Rig(width_px=64, height_px=48, focal_px=60.0, distortion=(-0.35, 0.04, 0.0, 0.0))
+    )
+    X_GK = make_pose(np.eye(3), [0.0, 0.0, -1.0])
+    a, b = View(straight, X_GK), View(barrel, X_GK)
+    uv = straight.project(np.array([[1.9, 0.0, 0.995], [0.2, 0.0, 0.995]]))
+    folded = barrel.project(np.array([[1.9, 0.0, 0.995]]))
+    assert 0 < folded[0, 0] < 63
+    assert correspond(caster, a, b, uv).reason.tolist() == [Reason.OUTSIDE, Reason.VISIBLE]
+
+
+def test_a_hundred_thousand_points_take_less_than_half_a_second(plan: Plan, caster: RayCaster) -> None:
+    a, b = view_of(plan, 0, 0), view_of(plan, 1, 1)
+    on_target = pixel_grid(a.camera)[dense_correspondence(caster, a, b).reason != Reason.OFF_TARGET]
+    uv = np.resize(on_target, (100_000, 2))
+    seconds = []
+    for _ in range(3):
+        start = perf_counter()
+        correspond(caster, a, b, uv)
+        seconds.append(perf_counter() - start)
+    assert min(seconds) < 0.5
+
+
+def test_the_angle_is_that_of_the_turn(plan: Plan) -> None:
+    """Between two frames of a camera at rest the views differ by how far the body has turned across them."""
+    a, b = view_of(plan, 0, 0), view_of(plan, 1, 0)
+    turn = log_so3(plan.target.X_NG[0, :3, :3].T @ plan.target.X_NG[1, :3, :3])
+    assert angle_between(a, b) <= np.linalg.norm(turn) + 0.01
+    assert angle_between(a, b) > 0.8 * np.linalg.norm(turn)
+
+
+CONFIG = """
+seed: 4
+scene:
+  frames: 3
+  rig: {width_px: 96, height_px: 72, focal_px: 100.0}
+  motion: {position_m: [0.04, 0.0, 0.5], spin_rpm: [0, 6, 0]}
+"""
+
+
+def test_the_command_writes_points_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, file, picture = tmp_path / "scene.yaml", tmp_path / "points.npz", tmp_path / "points.png"
+    path.write_text(CONFIG)
+    words = ["--frames", "0", "1", "--cameras", "0", "1", "-o", str(file), "--picture", str(picture)]
+    main([str(path), *words])
+    assert "visible in both" in capsys.readouterr().out
+    with np.load(file) as found:
+        assert found["uv_a_px"].shape == found["uv_b_px"].shape == (len(found["visible"]), 2)
+        assert 0 < found["visible"].sum() < len(found["visible"])
+        assert np.isfinite(found["p_G"]).all()
+    coloured = np.asarray(Image.open(picture).convert("RGB")).astype(int)
+    assert (np.ptp(coloured, axis=-1) > 60).sum() > 100
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--frames", "0", "9"], "no frame 9"),
+        (["--frames", "-1", "1"], "no frame -1"),
+        (["--frames", "0", "1", "--cameras", "0", "2"], "no camera 2"),
+        (["--frames", "0", "1", "--picture", "nowhere/p.png"], "nowhere is not a folder"),
+    ],
+)
+def test_a_wrong_request_gives_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(CONFIG)
+    with pytest.raises(SystemExit) as caught:
+        main([str(path), *words, "-o", str(tmp_path / "points.npz")])
+    assert caught.value.code == InputError.exit_code
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
