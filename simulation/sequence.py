@@ -74,7 +74,13 @@ def plan_sequence(scene: Scene, seed: int) -> Plan:
     body = build_body(scene.body, seed)
     mass = mass_distribution(scene.mass, body)
     plan = Plan(
-        scene, seed, body, mass, build_cameras(scene.rig), target_motion(scene, mass), camera_motion(scene)
+        scene,
+        seed,
+        body,
+        mass,
+        build_cameras(scene.rig),
+        target_motion(scene, mass, seed),
+        camera_motion(scene),
     )
     _require_view(plan)
     return plan

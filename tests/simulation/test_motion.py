@@ -41,7 +41,7 @@ def _mass(scene: config.Scene) -> MassDistribution:
 def test_energy_and_momentum_are_constant_over_ten_minutes() -> None:
     scene = _scene(frames=1, interval_s=5.0, truth_horizon_s=600.0)
     mass = _mass(scene)
-    motion = target_motion(scene, mass)
+    motion = target_motion(scene, mass, 0)
     J_P = np.diag(mass.moments)
     energy = rotational_energy(J_P, motion.w_P)
     momentum = angular_momentum_N(J_P, motion.R_NP, motion.w_P)
@@ -53,7 +53,7 @@ def test_energy_and_momentum_are_constant_over_ten_minutes() -> None:
 def test_the_attitude_agrees_with_mujoco_after_a_minute() -> None:
     scene = _scene(frames=1, interval_s=60.0, truth_horizon_s=60.0)
     mass = _mass(scene)
-    motion = target_motion(scene, mass)
+    motion = target_motion(scene, mass, 0)
     R_NP_mujoco = _mujoco_attitude(mass.moments, motion.R_NP[0], motion.w_P[0], 60.0)
     error_deg = np.rad2deg(np.linalg.norm(log_so3(motion.R_NP[-1].T @ R_NP_mujoco)))
     assert error_deg < 0.01
@@ -75,7 +75,7 @@ def _mujoco_attitude(moments: Array, R_NP: Array, w_P: Array, duration_s: float)
 
 def test_the_thesis_session_flips_about_its_intermediate_axis() -> None:
     scene = _scene(truth_horizon_s=0.0)
-    w_y_rpm = target_motion(scene, _mass(scene)).w_P[:, 1] * 60 / (2 * np.pi)
+    w_y_rpm = target_motion(scene, _mass(scene), 0).w_P[:, 1] * 60 / (2 * np.pi)
     assert w_y_rpm[0] > 9.9
     assert w_y_rpm[-1] < 0.0
 
@@ -90,14 +90,14 @@ def test_the_thesis_inertia_gives_its_published_principal_axes() -> None:
 def test_centre_of_mass_in_G_maps_to_its_position_in_N() -> None:
     scene = _scene(frames=5, truth_horizon_s=2.0)
     mass = _mass(scene)
-    motion = target_motion(scene, mass)
+    motion = target_motion(scene, mass, 0)
     np.testing.assert_allclose(transform_points(motion.X_NG, mass.com_G[None])[:, 0], motion.r_N, atol=1e-15)
     np.testing.assert_allclose(motion.X_NG[:, :3, :3] @ mass.R_GP, motion.R_NP, atol=1e-14)
 
 
 def test_truth_goes_on_past_the_last_frame_at_the_frame_interval() -> None:
     scene = _scene(frames=10, interval_s=0.5, truth_horizon_s=60.0)
-    stamps = target_motion(scene, _mass(scene)).timestamps_ns
+    stamps = target_motion(scene, _mass(scene), 0).timestamps_ns
     assert len(stamps) == 130
     assert set(np.diff(stamps)) == {500_000_000}
 

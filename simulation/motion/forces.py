@@ -1,0 +1,86 @@
+"""What acts on the target: known pushes, white disturbances, loss of energy."""
+
+import numpy as np
+
+from polhode.config import scene as config
+from polhode.lie import Array
+from simulation.motion.energy import losses
+from simulation.motion.integrate import Forces
+from simulation.motion.mass import MassDistribution
+
+LONGEST_CELL_S = 0.025
+"""A white disturbance is constant for at most this long, and at most 1/20 of the frames' interval."""
+CELLS_PER_INTERVAL = 20
+_TAG = 0x30
+
+
+def acting_forces(
+    scene: config.Scene, mass: MassDistribution, w_P: Array, stop_s: float, seed: int
+) -> Forces:
+    """All that acts until ``stop_s`` after the first frame, on a target with w_P (3,) [rad/s] there.
+
+    The disturbances up to any moment depend on the seed and the interval between frames only.
+    Raises InputError for a loss of energy that cannot be.
+    """
+    motion = scene.motion
+    drag_hz, friction = losses(motion, mass.moments, w_P)
+    cell_s = cell_length_s(scene)
+    noisy = motion.accel_psd > 0 or motion.torque_psd > 0
+    cells = int(np.ceil(stop_s / cell_s)) + 1 if noisy else 0
+    white_accel_N, white_torque_P = _white(motion, mass, cells, cell_s, seed)
+    steady = [push for push in motion.pushes if push.period_s is None]
+    edges_s = [edge for push in motion.pushes for edge in span_s(push)]
+    knots_s = np.unique(np.concatenate([cell_s * np.arange(1, cells), edges_s]))
+    middles_s = _middles(knots_s)
+    cell = np.clip(np.floor(middles_s / cell_s).astype(int), 0, max(cells - 1, 0))
+    accel_N, torque_P = white_accel_N[cell], white_torque_P[cell]
+    for push in steady:
+        start_s, end_s = span_s(push)
+        on = (start_s <= middles_s) & (middles_s < end_s)
+        accel_N[on] += np.array(push.force_N) / mass.mass_kg
+        torque_P[on] += push.torque_P
+    sines = [_sine(push, mass.mass_kg) for push in motion.pushes if push.period_s is not None]
+    return Forces(mass.moments, knots_s, accel_N, torque_P, np.array(sines).reshape(-1, 9), drag_hz, friction)
+
+
+def is_free(motion: config.Motion) -> bool:
+    """Whether nothing acts on the target."""
+    return not (motion.pushes or motion.accel_psd or motion.torque_psd or motion.energy_loss)
+
+
+def cell_length_s(scene: config.Scene) -> float:
+    """How long a white disturbance keeps its value [s]."""
+    return float(min(LONGEST_CELL_S, scene.interval_s / CELLS_PER_INTERVAL))
+
+
+def span_s(push: config.Push) -> tuple[float, float]:
+    """First moment of a push and the first one after it [s]."""
+    return push.start_s, push.start_s + push.duration_s
+
+
+def _white(
+    motion: config.Motion, mass: MassDistribution, cells: int, cell_s: float, seed: int
+) -> tuple[Array, Array]:
+    """Acceleration in N and torque in P, constant within each cell: (max(cells, 1), 3) each.
+
+    The step of the velocity over a cell has the variance psd * cell_s on each axis.
+    """
+    if cells == 0:
+        return np.zeros((1, 3)), np.zeros((1, 3))
+    unit = np.random.default_rng([seed, _TAG]).normal(size=(cells, 6))
+    accel_N = unit[:, :3] * np.sqrt(motion.accel_psd / cell_s)
+    return accel_N, unit[:, 3:] * np.sqrt(motion.torque_psd / cell_s) * mass.moments[1]
+
+
+def _middles(knots_s: Array) -> Array:
+    """A time inside each of the n + 1 segments that n knots bound [s]."""
+    if len(knots_s) == 0:
+        return np.zeros(1)
+    return np.concatenate([knots_s[:1] - 1.0, 0.5 * (knots_s[1:] + knots_s[:-1]), knots_s[-1:] + 1.0])
+
+
+def _sine(push: config.Push, mass_kg: float) -> Array:
+    assert push.period_s is not None
+    start_s, end_s = span_s(push)
+    amplitudes = np.concatenate([np.array(push.force_N) / mass_kg, push.torque_P])
+    return np.array([start_s, end_s, 2.0 * np.pi / push.period_s, *amplitudes])
