@@ -1,13 +1,15 @@
 """Motion of target and inspector over time: the truth of a sequence."""
 
-from simulation.motion.inspector import camera_motion, reported_inspector
+from simulation.motion.inspector import InspectorMotion, camera_motion, inspector_motion, reported_inspector
 from simulation.motion.mass import MassDistribution, mass_distribution, principal_axes
 from simulation.motion.target import TargetMotion, target_motion, timestamps
 
 __all__ = [
+    "InspectorMotion",
     "MassDistribution",
     "TargetMotion",
     "camera_motion",
+    "inspector_motion",
     "mass_distribution",
     "principal_axes",
     "reported_inspector",

@@ -1,31 +1,71 @@
-"""Motion of the inspector's left camera over time."""
+"""Motion of the inspector's left camera: its course, the jitter of its control, and what it reports."""
+
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polhode.config import scene as config
-from polhode.errors import InputError
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose, right_jacobian_so3
+from simulation.motion.course import CameraStates, Course, course_of
+from simulation.motion.deadband import LimitCycle, limit_cycle
+from simulation.motion.target import timestamps
+
+_TAG = 0x31
+_BEYOND_S = 60.0
+"""The jitter goes on for this long after the last frame, for long exposures [s]."""
+
+
+@dataclass(frozen=True)
+class InspectorMotion:
+    """The left camera at the F frames, and between them."""
+
+    X_NC: Array
+    """(F, 4, 4)"""
+    v_N: Array
+    """(F, 3) [m/s]"""
+    w_C: Array
+    """(F, 3) angular velocity relative to N, in the camera's axes [rad/s]"""
+    t_s: Array
+    """(F,) time after the first frame [s]"""
+    course: Course
+    jitter: tuple[LimitCycle, ...]
+    """Position in N [m], then rotation vector in the camera's axes [rad]: x, y, z of each"""
+
+    def poses_during(self, k: int, offsets_s: ArrayLike) -> Array:
+        """X_NC (S, 4, 4) at times (S,) after, or before, frame k [s]."""
+        t_s = self.t_s[k] + np.atleast_1d(np.asarray(offsets_s, dtype=np.float64))
+        return camera_states(self.course, self.jitter, t_s).X_NC
+
+
+def inspector_motion(scene: config.Scene, seed: int) -> InspectorMotion:
+    """The inspector's motion over the frames; the seed is that of its limit cycles.
+
+    The first pose is the scene's, exactly: the jitter starts in the middle of its band. Raises InputError for
+    an approach that starts at the target.
+    """
+    stamps = timestamps(scene)[: scene.frames]
+    t_s = np.asarray((stamps - stamps[0]) * 1e-9)
+    course, jitter = course_of(scene), _jitter(scene.inspector, float(t_s[-1]) + _BEYOND_S, seed)
+    states = camera_states(course, jitter, t_s)
+    return InspectorMotion(states.X_NC, states.v_N, states.w_C, t_s, course, jitter)
 
 
 def camera_motion(scene: config.Scene) -> Array:
-    """Poses X_NC (F, 4, 4) of the left camera at the frames."""
-    inspector = scene.inspector
-    t_s = scene.interval_s * np.arange(scene.frames)
-    X_NC0 = make_pose(exp_so3(np.deg2rad(inspector.attitude_deg)), inspector.position_m)
-    match inspector.profile:
-        case "rest":
-            return np.repeat(X_NC0[None], scene.frames, axis=0)
-        case "drift":
-            R = X_NC0[:3, :3] @ exp_so3(t_s[:, None] * np.deg2rad(inspector.rate_deg_s))
-            return make_pose(R, X_NC0[:3, 3] + t_s[:, None] * np.array(inspector.velocity_mm_s) * 1e-3)
-        case "circle":
-            axis = np.array(inspector.circle_axis) / np.linalg.norm(inspector.circle_axis)
-            turn = exp_so3(t_s[:, None] * (2 * np.pi / inspector.circle_period_s) * axis)
-            centre_N = np.array(scene.motion.position_m)
-            about_centre = make_pose(turn, centre_N - turn @ centre_N)
-            return np.asarray(about_centre @ X_NC0)
-        case _:
-            raise InputError(f"scene.inspector.profile: {inspector.profile} cannot be moved yet")
+    """Poses X_NC (F, 4, 4) of the left camera at the frames, without a seed."""
+    return inspector_motion(scene, 0).X_NC
+
+
+def camera_states(course: Course, jitter: tuple[LimitCycle, ...], t_s: Array) -> CameraStates:
+    """Course and jitter together at times (n,) [s]."""
+    X_NC, v_N, w_C = course.at(t_s)
+    deviation = np.stack([cycle.value(t_s) for cycle in jitter], axis=1)
+    rate = np.stack([cycle.slope(t_s) for cycle in jitter], axis=1)
+    theta = deviation[:, 3:]
+    turn = exp_so3(theta)
+    w_C = np.einsum("nji,nj->ni", turn, w_C) + (right_jacobian_so3(theta) @ rate[:, 3:, None])[..., 0]
+    X_NC = make_pose(X_NC[:, :3, :3] @ turn, X_NC[:, :3, 3] + deviation[:, :3])
+    return CameraStates(X_NC, v_N + rate[:, :3], w_C)
 
 
 def reported_inspector(scene: config.Scene, X_NC: Array, X_BC: Array, rng: np.random.Generator) -> Array:
@@ -34,3 +74,13 @@ def reported_inspector(scene: config.Scene, X_NC: Array, X_BC: Array, rng: np.ra
     noise_p_N = rng.normal(0.0, 1.0, (len(X_NB), 3)) * scene.inspector.sigma_p_m
     noise_theta = rng.normal(0.0, 1.0, (len(X_NB), 3)) * np.deg2rad(scene.inspector.sigma_theta_deg)
     return make_pose(X_NB[:, :3, :3] @ exp_so3(noise_theta), X_NB[:, :3, 3] + noise_p_N)
+
+
+def _jitter(inspector: config.Inspector, stop_s: float, seed: int) -> tuple[LimitCycle, ...]:
+    """Limit cycles of the three components of position [m] and of attitude [rad], one generator each."""
+    position = (inspector.deadband_mm * 1e-3, inspector.deadband_mm_s * 1e-3)
+    attitude = (np.deg2rad(inspector.deadband_deg), np.deg2rad(inspector.deadband_deg_s))
+    return tuple(
+        limit_cycle(width, rate, stop_s, np.random.default_rng([seed, _TAG, axis]))
+        for axis, (width, rate) in enumerate([position] * 3 + [attitude] * 3)
+    )
