@@ -3,7 +3,7 @@
 An error names the file (or the option) that set the value, the dotted key, and what is valid there.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -66,10 +66,13 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
     return _validate(layered)
 
 
-def dump_config(config: Config) -> str:
-    """The resolved configuration as YAML, every default written out; ``load_config`` reads it back equal."""
+def dump_config(config: Config, keys: Collection[str] | None = None) -> str:
+    """The resolved configuration as YAML, every default written out; ``load_config`` reads it back equal.
+
+    ``keys``: only these of the top level.
+    """
     header = "# Resolved configuration, every default written out.\n"
-    plain = _plain(config.model_dump())
+    plain = _plain(config.model_dump(include=None if keys is None else set(keys)))
     return header + yaml.dump(plain, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000)
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from polhode.config import Config, Scene
 from polhode.config.loader import dump_config, load_config
@@ -140,3 +141,10 @@ def test_a_bad_override_names_the_command_line(tmp_path: Path) -> None:
     assert message_of(path, {"backend.x": "1"}).startswith(
         "command line: unknown key 'backend.x'; valid keys:"
     )
+
+
+def test_a_part_of_the_configuration_is_written_and_read_back_alone() -> None:
+    config = Config(seed=7, scene=Scene(frames=3))
+    text = dump_config(config, keys=("seed", "scene"))
+    assert set(yaml.safe_load(text)) == {"seed", "scene"}
+    assert Config.model_validate(yaml.safe_load(text)) == config
