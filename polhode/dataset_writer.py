@@ -20,6 +20,11 @@ STATE_COLUMNS = (
     *(f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz"),
 )
 POSE_COLUMNS = STATE_COLUMNS[:8]
+WRENCH_COLUMNS = (
+    "timestamp [ns]",
+    *(f"force_N_{axis} [N]" for axis in "xyz"),
+    *(f"torque_P_{axis} [N m]" for axis in "xyz"),
+)
 
 
 def image_path(camera: Path, timestamp_ns: int) -> Path:
@@ -93,6 +98,13 @@ def write_inspector(
     _write_yaml(folder / "sensor.yaml", sigmas)
 
 
+def write_wrench(mav0: Path, timestamps_ns: Ints, force_N: Array, torque_P: Array) -> None:
+    """Write ``wrench0``: known forces (n, 3) in N [N] and torques (n, 3) in P [N m] on the target."""
+    folder = mav0 / "wrench0"
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_states(folder / "data.csv", WRENCH_COLUMNS, timestamps_ns, np.hstack([force_N, torque_P]))
+
+
 def write_truth(mav0: Path, truth: Truth) -> None:
     """Write ``target0``: states, mass properties, and the surface in G when there is one."""
     folder = mav0 / "target0"
@@ -107,6 +119,8 @@ def write_truth(mav0: Path, truth: Truth) -> None:
         "com_G": _flat(truth.com_G),
         "R_GP": np.asarray(truth.R_GP, dtype=np.float64).tolist(),
     }
+    if truth.mass_kg is not None:
+        properties["mass_kg"] = float(truth.mass_kg)
     _write_yaml(folder / "target.yaml", properties)
     if truth.mesh is not None:
         truth.mesh.export(folder / "mesh.ply")

@@ -238,3 +238,4 @@ class Truth:
     com_G: Array
     R_GP: Array
     mesh: trimesh.Trimesh | None
+    mass_kg: float | None = None

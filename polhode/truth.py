@@ -41,11 +41,16 @@ def read_truth(folder: Path) -> Truth:
         com_G=numbers_at(properties_path, properties, "com_G", (3,)),
         R_GP=numbers_at(properties_path, properties, "R_GP", (9,)).reshape(3, 3),
         mesh=_read_mesh(target / "mesh.ply"),
+        mass_kg=_mass(properties_path, properties),
     )
 
 
 def _ratio(path: Path, properties: dict[str, Any], key: str, quotient: float) -> float:
     return float(numbers_at(path, properties, key, (1,))[0]) if key in properties else float(np.log(quotient))
+
+
+def _mass(path: Path, properties: dict[str, Any]) -> float | None:
+    return float(numbers_at(path, properties, "mass_kg", (1,))[0]) if "mass_kg" in properties else None
 
 
 def _read_mesh(path: Path) -> trimesh.Trimesh | None:

@@ -3,6 +3,7 @@
 from simulation.motion.inspector import InspectorMotion, camera_motion, inspector_motion, reported_inspector
 from simulation.motion.mass import MassDistribution, mass_distribution, principal_axes
 from simulation.motion.target import TargetMotion, target_motion, timestamps
+from simulation.motion.wrench import known_wrench
 
 __all__ = [
     "InspectorMotion",
@@ -10,6 +11,7 @@ __all__ = [
     "TargetMotion",
     "camera_motion",
     "inspector_motion",
+    "known_wrench",
     "mass_distribution",
     "principal_axes",
     "reported_inspector",

@@ -1,5 +1,6 @@
 """What is written reads back equal, with the layout's own names."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from polhode.calibration import read_bits, read_calibration
-from polhode.dataset_writer import write_sensor, write_truth
+from polhode.dataset_writer import write_sensor, write_truth, write_wrench
 from polhode.errors import InputError
 from polhode.lie import exp_so3, make_pose
 from polhode.records import Truth
@@ -31,6 +32,7 @@ def make_truth() -> Truth:
         com_G=rng.normal(size=3),
         R_GP=exp_so3([0.1, 0.2, 0.3]),
         mesh=trimesh.creation.icosphere(subdivisions=1, radius=0.1),
+        mass_kg=4.487,
     )
 
 
@@ -38,7 +40,7 @@ def test_truth_reads_back_equal(tmp_path: Path) -> None:
     truth = make_truth()
     write_truth(tmp_path / "mav0", truth)
     read = read_truth(tmp_path)
-    for name in ("timestamps_ns", "r_N", "v_N", "w_P", "moments", "k1", "k2", "com_G", "R_GP"):
+    for name in ("timestamps_ns", "r_N", "v_N", "w_P", "moments", "k1", "k2", "com_G", "R_GP", "mass_kg"):
         np.testing.assert_array_equal(getattr(read, name), getattr(truth, name))
     np.testing.assert_allclose(read.R_NP, truth.R_NP, atol=1e-15)
     assert read.mesh is not None and truth.mesh is not None
@@ -54,6 +56,26 @@ def test_truth_has_the_state_columns_of_euroc(tmp_path: Path) -> None:
         "v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],"
         "w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]"
     )
+
+
+def test_a_truth_without_mass_is_read(tmp_path: Path) -> None:
+    write_truth(tmp_path / "mav0", replace(make_truth(), mass_kg=None))
+    assert "mass_kg" not in yaml.safe_load((tmp_path / "mav0" / "target0" / "target.yaml").read_text())
+    assert read_truth(tmp_path).mass_kg is None
+
+
+def test_a_wrench_is_written_with_its_frames_and_units(tmp_path: Path) -> None:
+    stamps = 1_600_000_000_000_000_001 + 50_000_000 * np.arange(2, dtype=np.int64)
+    write_wrench(
+        tmp_path / "mav0", stamps, np.array([[1, 2, 3], [0, 0, 1e-3]]), np.array([[4, 5, 6], [0, 0.1, 0]])
+    )
+    lines = (tmp_path / "mav0" / "wrench0" / "data.csv").read_text().splitlines()
+    assert lines == [
+        "#timestamp [ns],force_N_x [N],force_N_y [N],force_N_z [N],"
+        "torque_P_x [N m],torque_P_y [N m],torque_P_z [N m]",
+        "1600000000000000001,1.0,2.0,3.0,4.0,5.0,6.0",
+        "1600000000050000001,0.0,0.0,0.001,0.0,0.1,0.0",
+    ]
 
 
 def test_a_sequence_without_truth_cannot_be_evaluated(tmp_path: Path) -> None:
