@@ -47,8 +47,12 @@ class Forces(NamedTuple):
 @njit(cache=True)
 def body_rate(h_P: Array, moments: Array, friction: float) -> Array:
     """Angular velocity w_P (3,) [rad/s] of a body whose momentum is h_P (3,)."""
-    w = h_P / moments
-    return w + friction * _cross(h_P, w) / moments**2
+    w = np.empty(3)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        cross = h_P[j] * h_P[k] * (1.0 / moments[k] - 1.0 / moments[j])
+        w[i] = (h_P[i] + friction * cross / moments[i]) / moments[i]
+    return w
 
 
 @njit(cache=True)
@@ -75,64 +79,63 @@ def _within_segment(y: Array, start_s: float, end_s: float, segment: int, forces
     """Equal steps over a span in which nothing jumps."""
     duration = end_s - start_s
     middle = 0.5 * (start_s + end_s)
-    sines = forces.sines[(forces.sines[:, 0] <= middle) & (middle < forces.sines[:, 1])]
-    torque = np.linalg.norm(forces.torque_P[segment])
+    torque = np.abs(forces.torque_P[segment]).sum()
     fastest = 0.0
-    for k in range(len(sines)):
-        torque += np.linalg.norm(sines[k, 6:9])
-        fastest = max(fastest, sines[k, 2])
-    rate = np.linalg.norm(body_rate(y[10:13], forces.moments, forces.friction))
+    active = np.zeros(len(forces.sines))
+    for k in range(len(forces.sines)):
+        if forces.sines[k, 0] <= middle < forces.sines[k, 1]:
+            active[k] = 1.0
+            torque += np.abs(forces.sines[k, 6:9]).sum()
+            fastest = max(fastest, forces.sines[k, 2])
+    rate = np.abs(body_rate(y[10:13], forces.moments, forces.friction)).sum()
     rate += torque * abs(duration) / forces.moments[2]
     turn = max(rate / LARGEST_TURN, fastest * STEPS_PER_PERIOD / (2.0 * np.pi)) * abs(duration)
     steps = max(int(np.ceil(turn)), 1)
     for k in range(steps):
-        time = start_s + duration * k / steps
-        y = _step(y, time, duration / steps, segment, sines, forces)
+        y = _step(y, start_s + duration * k / steps, duration / steps, segment, active, forces)
     return y
 
 
 @njit(cache=True)
-def _step(y: Array, time_s: float, step_s: float, segment: int, sines: Array, forces: Forces) -> Array:
+def _step(y: Array, time_s: float, step_s: float, segment: int, active: Array, forces: Forces) -> Array:
     """One step of order eight."""
     slopes = np.empty((STAGES, 13))
     for i in range(STAGES):
         inner = y.copy()
         for j in range(i):
-            if A[i, j] != 0.0:
-                inner += step_s * A[i, j] * slopes[j]
-        slopes[i] = _slope(inner, time_s + C[i] * step_s, segment, sines, forces)
+            for n in range(13):
+                inner[n] += step_s * A[i, j] * slopes[j, n]
+        _slope(inner, time_s + C[i] * step_s, segment, active, forces, slopes[i])
     out = y.copy()
     for i in range(STAGES):
-        out += step_s * B[i] * slopes[i]
-    out[6:10] /= np.linalg.norm(out[6:10])
+        for n in range(13):
+            out[n] += step_s * B[i] * slopes[i, n]
+    length = np.sqrt(out[6] ** 2 + out[7] ** 2 + out[8] ** 2 + out[9] ** 2)
+    for n in range(6, 10):
+        out[n] /= length
     return out
 
 
 @njit(cache=True)
-def _slope(y: Array, time_s: float, segment: int, sines: Array, forces: Forces) -> Array:
-    accel = forces.accel_N[segment].copy()
-    torque = forces.torque_P[segment] - forces.drag_hz * y[10:13]
-    for k in range(len(sines)):
-        wave = np.sin(sines[k, 2] * (time_s - sines[k, 0]))
-        accel += wave * sines[k, 3:6]
-        torque += wave * sines[k, 6:9]
+def _slope(y: Array, time_s: float, segment: int, active: Array, forces: Forces, out: Array) -> None:
+    """Derivative of the state, written to out (13,)."""
     rate = body_rate(y[10:13], forces.moments, forces.friction)
-    p, q, r = rate
-    w, x, yq, z = y[6:10]
-    out = np.empty(13)
-    out[0:3] = y[3:6]
-    out[3:6] = accel
-    out[6] = 0.5 * (-x * p - yq * q - z * r)
-    out[7] = 0.5 * (w * p + yq * r - z * q)
-    out[8] = 0.5 * (w * q + z * p - x * r)
-    out[9] = 0.5 * (w * r + x * q - yq * p)
-    out[10:13] = _cross(y[10:13], rate) + torque
-    return out
-
-
-@njit(cache=True)
-def _cross(a: Array, b: Array) -> Array:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[i] = y[3 + i]
+        out[3 + i] = forces.accel_N[segment, i]
+        out[10 + i] = y[10 + j] * rate[k] - y[10 + k] * rate[j]
+        out[10 + i] += forces.torque_P[segment, i] - forces.drag_hz * y[10 + i]
+    for n in range(len(active)):
+        wave = active[n] * np.sin(forces.sines[n, 2] * (time_s - forces.sines[n, 0]))
+        for i in range(3):
+            out[3 + i] += wave * forces.sines[n, 3 + i]
+            out[10 + i] += wave * forces.sines[n, 6 + i]
+    w, x, yq, z = y[6], y[7], y[8], y[9]
+    out[6] = 0.5 * (-x * rate[0] - yq * rate[1] - z * rate[2])
+    out[7] = 0.5 * (w * rate[0] + yq * rate[2] - z * rate[1])
+    out[8] = 0.5 * (w * rate[1] + z * rate[0] - x * rate[2])
+    out[9] = 0.5 * (w * rate[2] + x * rate[1] - yq * rate[0])
 
 
 def free_of_forces(moments: Array) -> Forces:
