@@ -1,12 +1,22 @@
-"""Surface materials and what they make of a point: reflectance, roughness, a bumped normal."""
+"""Surface materials and what they make of a point: reflectance, roughness, a bent normal.
+
+Reflectances are broadband visible. Paint, foil and cells follow the solar absorptances of spacecraft materials in
+Gilmore, "Spacecraft Thermal Control Handbook", 2002, appendix A (absorptance + reflectance = 1; white silicate
+paint 0.15-0.2, black Z306 0.95, aluminised Kapton 0.35-0.4, aluminium foil 0.1-0.15, cells under cover glass
+0.85-0.92); the metals follow their Fresnel reflectance at normal incidence less what an oxide and dirt take. The
+diffuse part that the light sees is ``albedo * (1 - specular)``. Lengths of the textures hold for a body of 0.3 m
+and grow with it.
+"""
 
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numba import njit
 
 from polhode.lie import Array
 from polhode.records import Ints
-from simulation.noise import cells, fractal, fractal_gradient
+from simulation.noise import cell_at, creases_at, fractal_at
+from simulation.spots import discs_at, folds_at, layered_spots_at
 
 
 @dataclass(frozen=True)
@@ -31,17 +41,32 @@ class Material:
     """Slope of the relief that bends the normals."""
     bump_m: float = 0.01
     """Size of the relief's largest feature."""
+    crease: float = 0.0
+    """Greatest tilt of the flat pieces of crumpled foil."""
+    crease_m: float = 0.03
+    """Size of the largest of them."""
+    streak: float = 1.0
+    """How much longer the variation is along z of G than across: brushed and drawn metal."""
 
 
-PAINT_WHITE = Material(0.72, 0.04, 0.45, grain=0.04, grain_m=0.03)
-PAINT_GREY = Material(0.38, 0.04, 0.5, grain=0.06, grain_m=0.03)
-PAINT_DARK = Material(0.12, 0.04, 0.4, grain=0.08, grain_m=0.02)
+PAINT_WHITE = Material(0.78, 0.04, 0.55, grain=0.05, grain_m=0.03)
+PAINT_GREY = Material(0.36, 0.04, 0.5, grain=0.06, grain_m=0.03)
+PAINT_BLACK = Material(0.05, 0.04, 0.5, grain=0.15, grain_m=0.02)
 PLASTIC = Material(0.30, 0.045, 0.35, grain=0.05, grain_m=0.04)
-BARE_METAL = Material(0.16, 0.55, 0.42, grain=0.1, grain_m=0.015, bump=0.03, bump_m=0.004)
-FOIL = Material(0.22, 0.5, 0.48, grain=0.15, grain_m=0.03, bump=0.22, bump_m=0.035)
-SOLAR_CELL = Material(0.07, 0.06, 0.25, grain=0.1, grain_m=0.01)
-REGOLITH = Material(0.34, 0.0, 1.0, grain=0.45, grain_m=0.05, bump=0.25, bump_m=0.012)
-WORN_PANEL = Material(0.45, 0.05, 0.45, grain=0.15, grain_m=0.02, patch=0.45, patch_m=0.018)
+BRUSHED_METAL = Material(0.08, 0.68, 0.42, grain=0.15, grain_m=0.008, bump=0.035, bump_m=0.004, streak=9.0)
+ANODISED = Material(0.28, 0.22, 0.5, grain=0.07, grain_m=0.02)
+DARK_METAL = Material(0.10, 0.30, 0.45, grain=0.2, grain_m=0.02, bump=0.02, bump_m=0.01)
+COMPOSITE = Material(0.045, 0.05, 0.35, grain=0.2, grain_m=0.006)
+GLASS = Material(0.015, 0.05, 0.15)
+FOIL_GOLD = Material(0.06, 0.55, 0.30, grain=0.3, grain_m=0.03, crease=0.30, crease_m=0.034)
+FOIL_SILVER = Material(0.06, 0.80, 0.30, grain=0.3, grain_m=0.03, crease=0.28, crease_m=0.034)
+FOIL_BLACK = Material(0.05, 0.06, 0.32, grain=0.3, grain_m=0.03, crease=0.30, crease_m=0.034)
+TAPE = Material(0.10, 0.60, 0.38, grain=0.1, grain_m=0.01, bump=0.05, bump_m=0.01)
+VINYL = Material(0.5, 0.045, 0.42)
+MIRROR = Material(0.03, 0.85, 0.14, bump=0.004, bump_m=0.03)
+SOLAR_CELL = Material(0.035, 0.045, 0.16, grain=0.15, grain_m=0.02)
+REGOLITH = Material(0.22, 0.0, 1.0, grain=0.22, grain_m=0.05, bump=0.14, bump_m=0.012)
+WORN_PANEL = Material(0.42, 0.05, 0.45, grain=0.15, grain_m=0.02, patch=0.45, patch_m=0.018)
 
 
 @dataclass(frozen=True)
@@ -61,44 +86,122 @@ class Surface:
 class MaterialTable:
     """All materials of a body, one row each, evaluated at many points at once."""
 
-    def __init__(self, materials: tuple[Material, ...], seed: int, contrast: float = 1.0) -> None:
-        self._columns = {f.name: np.array([getattr(m, f.name) for m in materials]) for f in fields(Material)}
+    def __init__(
+        self,
+        materials: tuple[Material, ...],
+        seed: int,
+        contrast: float = 1.0,
+        scale: float = 1.0,
+        collage: bool = False,
+    ) -> None:
+        """``scale`` multiplies all lengths; ``collage`` takes the second generator's noise."""
+        rows = [[getattr(material, field.name) for field in fields(Material)] for material in materials]
+        self._rows = np.array(rows, dtype=np.float64).reshape(-1, len(fields(Material)))
         # Each material draws from its own noise, so that two of them never share a pattern.
         self._seeds = np.arange(len(materials), dtype=np.int64) * 101 + seed % 1_000_003
         self._contrast = contrast
+        self._scale = scale
+        self._collage = collage
 
     def evaluate(
-        self, material: Ints, p_G: Array, normal_G: Array, drawn_albedo: Array | None = None
+        self,
+        material: Ints,
+        p_G: Array,
+        normal_G: Array,
+        drawn_albedo: Array | None = None,
+        slope_G: Array | None = None,
+        ground: Ints | None = None,
     ) -> Surface:
         """Material index (n,), points and normals (n, 3) -> Surface.
 
-        drawn_albedo (n,) replaces the material's mean reflectance where it is not NaN (stickers).
+        drawn_albedo (n,) replaces the material's mean reflectance where it is not NaN (stickers); slope_G (n, 3)
+        is the gradient of a drawn relief; ``ground`` (n,) is the material that lends its mean reflectance where
+        the contrast is below 1.
         """
-        column = {name: values[material] for name, values in self._columns.items()}
-        seed = self._seeds[material]
-        mean = column["albedo"]
-        variation = column["grain"] * fractal(p_G, column["grain_m"], seed)
-        patched = column["patch"] > 0
-        if patched.any():
-            variation[patched] += column["patch"][patched] * cells(
-                p_G[patched], column["patch_m"][patched], seed[patched] + 11
-            )
-        if drawn_albedo is not None:
-            drawn = np.isfinite(drawn_albedo)
-            blended = mean[drawn] + self._contrast * (drawn_albedo[drawn] - mean[drawn])
-            mean = mean.copy()
-            mean[drawn] = blended
-        albedo = np.clip(mean * (1.0 + self._contrast * variation), 0.01, 0.95)
-        normal = self._bumped(column, p_G, normal_G, seed)
-        return Surface(albedo, column["specular"], column["roughness"], normal)
+        n = len(material)
+        drawn = np.full(n, np.nan) if drawn_albedo is None else drawn_albedo
+        slope = np.zeros((n, 3)) if slope_G is None else slope_G
+        under = material if ground is None else ground
+        tables = (self._rows, self._seeds, self._scale, self._contrast, self._collage)
+        points = (np.ascontiguousarray(p_G), np.ascontiguousarray(normal_G))
+        return Surface(*_evaluate(material, under, *points, drawn, slope, *tables))
 
-    @staticmethod
-    def _bumped(column: dict[str, Array], p_G: Array, normal_G: Array, seed: Ints) -> Array:
-        bumped = column["bump"] > 0
-        if not bumped.any():
-            return normal_G
-        normal = normal_G.copy()
-        gradient = fractal_gradient(p_G[bumped], column["bump_m"][bumped], seed[bumped] + 23)
-        bent = normal_G[bumped] - column["bump"][bumped, None] * gradient
-        normal[bumped] = bent / np.linalg.norm(bent, axis=1, keepdims=True)
-        return normal
+
+@njit(cache=True)
+def _evaluate(
+    material: Ints,
+    ground: Ints,
+    p: Array,
+    normal: Array,
+    drawn: Array,
+    slope: Array,
+    rows: Array,
+    seeds: Ints,
+    scale: float,
+    contrast: float,
+    collage: bool,
+) -> tuple[Array, Array, Array, Array]:
+    count = len(material)
+    albedo, specular, roughness = np.empty(count), np.empty(count), np.empty(count)
+    bent = np.empty((count, 3))
+    for n in range(count):
+        m = material[n]
+        specular[n], roughness[n] = rows[m, 1], rows[m, 2]
+        mean = rows[ground[n], 0]
+        if np.isfinite(drawn[n]):
+            mean += contrast * (drawn[n] - mean)
+        elif contrast > 0.0:
+            mean += contrast * (rows[m, 0] - mean)
+        variation = _variation(rows[m], p[n], seeds[m], scale, collage) if contrast > 0.0 else 0.0
+        albedo[n] = min(max(mean * (1.0 + contrast * variation), 0.01), 0.95)
+        tilt = _tilt(rows[m], p[n], seeds[m], scale, collage)
+        length = 0.0
+        for axis in range(3):
+            bent[n, axis] = normal[n, axis] - slope[n, axis] - tilt[axis]
+            length += bent[n, axis] * bent[n, axis]
+        bent[n] /= np.sqrt(length)
+    return albedo, specular, roughness, bent
+
+
+@njit(cache=True)
+def _variation(row: Array, p: Array, seed: int, scale: float, collage: bool) -> float:
+    """Relative variation of the reflectance at a point, by grain (row 3, 4) and patches (row 5, 6)."""
+    variation = 0.0
+    along = 1.0 / row[11]
+    if row[3] > 0.0:
+        s = 1.0 / (scale * row[4])
+        if collage:
+            variation += row[3] * layered_spots_at(p[0] * s, p[1] * s, p[2] * s * along, seed)[0]
+        else:
+            variation += row[3] * fractal_at(p[0] * s, p[1] * s, p[2] * s * along, 4, seed)[0]
+    if row[5] > 0.0:
+        s = 1.0 / (scale * row[6])
+        if collage:
+            variation += row[5] * discs_at(0.5 * p[0] * s, 0.5 * p[1] * s, 0.5 * p[2] * s, seed + 11)
+        else:
+            variation += row[5] * cell_at(p[0] * s, p[1] * s, p[2] * s, seed + 11)
+    return variation
+
+
+@njit(cache=True)
+def _tilt(row: Array, p: Array, seed: int, scale: float, collage: bool) -> tuple[float, float, float]:
+    """Gradient of the relief at a point, by bumps (row 7, 8) and creases (row 9, 10)."""
+    tx, ty, tz = 0.0, 0.0, 0.0
+    along = 1.0 / row[11]
+    if row[7] > 0.0:
+        s = 1.0 / (scale * row[8])
+        if collage:
+            _, gx, gy, gz = layered_spots_at(p[0] * s, p[1] * s, p[2] * s * along, seed + 23)
+        else:
+            _, gx, gy, gz = fractal_at(p[0] * s, p[1] * s, p[2] * s * along, 3, seed + 23)
+        tx, ty, tz = row[7] * gx, row[7] * gy, row[7] * gz * along
+    if row[9] > 0.0:
+        s = 1.0 / (scale * row[10])
+        if collage:
+            gx, gy, gz = folds_at(p[0] * s, p[1] * s, p[2] * s, seed + 41)
+        else:
+            gx, gy, gz = creases_at(p[0] * s, p[1] * s, p[2] * s, seed + 41)
+        tx += row[9] * gx
+        ty += row[9] * gy
+        tz += row[9] * gz
+    return tx, ty, tz

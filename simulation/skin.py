@@ -1,4 +1,6 @@
-"""The surface of a body at points where rays have met it: drawings, textures and materials together."""
+"""The surface of a body at points where rays have met it: drawings, file colours, textures and materials."""
+
+import numpy as np
 
 from polhode.config import scene as config
 from polhode.lie import Array
@@ -16,7 +18,13 @@ class Skin:
         self._body = body
         self._atlas = ChartAtlas(body.charts)
         surface_seed = seed if description.seed is None else description.seed
-        self._materials = MaterialTable(body.materials, surface_seed, description.contrast)
+        self._materials = MaterialTable(
+            body.materials,
+            surface_seed,
+            description.contrast,
+            body.texture_scale,
+            description.texture == "collage",
+        )
 
     def evaluate(self, face: Ints, weights: Array, p_G: Array, normal_G: Array) -> Surface:
         """Surface at n hits.
@@ -24,5 +32,16 @@ class Skin:
         face (n,); weights (n, 3) of the face's corners; p_G (n, 3) [m]; normal_G (n, 3) unit, turned to the
         viewer.
         """
-        drawn = self._atlas.reflectance(self._body.face_chart[face], p_G)
-        return self._materials.evaluate(self._body.face_material[face], p_G, normal_G, drawn)
+        body = self._body
+        chart = body.face_chart[face]
+        drawn = self._atlas.look_up(chart, p_G)
+        ground = body.face_material[face]
+        material = ground
+        if body.chart_layers.shape[1] > 0:
+            own = body.chart_layers[chart, np.maximum(drawn.layer - 1, 0)]
+            material = np.where(drawn.layer > 0, own, ground)
+        reflectance = drawn.reflectance
+        if body.colours is not None:
+            coloured = body.colours.look_up(face, weights)
+            reflectance = np.where(np.isfinite(coloured), coloured, reflectance)
+        return self._materials.evaluate(material, p_G, normal_G, reflectance, drawn.slope_G, ground)

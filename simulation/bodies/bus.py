@@ -7,8 +7,9 @@ import trimesh
 
 from polhode.lie import Array
 from simulation.bodies.drawing import chart_of_facet, draw_equipment_panel, draw_plain, draw_solar_cells
-from simulation.bodies.part import Chart, Part, flat_facets
-from simulation.materials import BARE_METAL, FOIL, PAINT_DARK, PAINT_GREY, PAINT_WHITE, SOLAR_CELL
+from simulation.bodies.facets import flat_facets
+from simulation.bodies.part import Chart, Part
+from simulation.materials import BRUSHED_METAL, FOIL_GOLD, PAINT_BLACK, PAINT_GREY, PAINT_WHITE, SOLAR_CELL
 
 
 def bus_parts(size_m: float, rng: np.random.Generator) -> list[Part]:
@@ -32,7 +33,7 @@ def _box(box_m: Array, texel_m: float, rng: np.random.Generator) -> Part:
             charts.append(chart_of_facet(mesh, faces, texel_m, draw_plain(0.65), rng))
         elif kind == "equipment":
             charts.append(chart_of_facet(mesh, faces, texel_m, draw_equipment_panel(0.35, 1100.0), rng))
-    return Part(mesh, FOIL, tuple(charts), density_factor=1.5, name="box")
+    return Part(mesh, FOIL_GOLD, tuple(charts), density_factor=1.5, name="box")
 
 
 def _panels(box_m: Array, size_m: float, texel_m: float, rng: np.random.Generator) -> list[Part]:
@@ -56,7 +57,7 @@ def _panels(box_m: Array, size_m: float, texel_m: float, rng: np.random.Generato
         arm = trimesh.creation.cylinder(0.018 * size_m, gap + 0.02 * size_m, sections=16)
         arm.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
         arm.apply_translation([0.05 * size_m, side * (0.5 * box_m[1] + 0.5 * gap), 0.02 * size_m])
-        parts.append(Part(arm, BARE_METAL, name="arm"))
+        parts.append(Part(arm, BRUSHED_METAL, name="arm"))
     return parts
 
 
@@ -74,8 +75,8 @@ def _equipment(box_m: Array, size_m: float, texel_m: float, rng: np.random.Gener
     bell.apply_translation([-0.5 * box_m[0] + 0.005 * size_m, 0.0, 0.0])
     parts = [
         Part(dish, PAINT_WHITE, name="dish"),
-        Part(mast, BARE_METAL, name="mast"),
-        Part(bell, PAINT_DARK, name="nozzle"),
+        Part(mast, BRUSHED_METAL, name="mast"),
+        Part(bell, PAINT_BLACK, name="nozzle"),
     ]
     for face in (np.array([1.0, 0, 0]), np.array([0, 0, -1.0])):
         size = size_m * rng.uniform((0.15, 0.18, 0.06), (0.28, 0.3, 0.1))

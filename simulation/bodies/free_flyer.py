@@ -6,8 +6,9 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from polhode.lie import Array
 from simulation.bodies.drawing import chart_of_facet, draw_equipment_panel, draw_plain
-from simulation.bodies.part import Part, flat_facets
-from simulation.materials import BARE_METAL, PAINT_DARK, PAINT_GREY, PLASTIC
+from simulation.bodies.facets import flat_facets
+from simulation.bodies.part import Part
+from simulation.materials import BRUSHED_METAL, PAINT_BLACK, PAINT_GREY, PLASTIC
 
 TEXEL_M = 0.0005
 PLAIN_FACES = 3
@@ -62,7 +63,7 @@ def _thruster(position_G: Array, direction_G: Array, scale: float) -> Part:
     profile = np.array([[0.0, -2.0], [4.5, -2.0], [4.5, 1.5], [6.5, 7.0], [5.6, 7.0], [3.0, 1.5], [0.0, 1.5]])
     mesh = trimesh.creation.revolve(profile * 1e-3 * scale, sections=20)
     mesh.apply_transform(_along(direction_G, position_G))
-    return Part(mesh, BARE_METAL, name="thruster")
+    return Part(mesh, BRUSHED_METAL, name="thruster")
 
 
 def _tank(size_m: float, scale: float) -> list[Part]:
@@ -77,7 +78,7 @@ def _tank(size_m: float, scale: float) -> list[Part]:
     tank.apply_translation([0, 0, -0.5 * size_m])
     knob = trimesh.creation.cylinder(0.016 * scale, 0.018 * scale, sections=24)
     knob.apply_translation([0.01 * scale, 0, 0.5 * size_m + 0.006 * scale])
-    return [Part(tank, PAINT_GREY, density_factor=2.0, name="tank"), Part(knob, PAINT_DARK, name="knob")]
+    return [Part(tank, PAINT_GREY, density_factor=2.0, name="tank"), Part(knob, PAINT_BLACK, name="knob")]
 
 
 def _boxes(size_m: float, scale: float, rng: np.random.Generator) -> list[Part]:
@@ -107,7 +108,7 @@ def _sonar_buttons(size_m: float, scale: float, rng: np.random.Generator) -> lis
             side = rng.choice([-1.0, 1.0]) * 0.17 * size_m * np.eye(3)[(axis + 2) % 3]
             mesh = trimesh.creation.cylinder(0.007 * scale, 0.006 * scale, sections=20)
             mesh.apply_transform(_along(normal, 0.5 * size_m * normal + side))
-            parts.append(Part(mesh, BARE_METAL if rng.random() < 0.5 else PAINT_DARK, name="receiver"))
+            parts.append(Part(mesh, BRUSHED_METAL if rng.random() < 0.5 else PAINT_BLACK, name="receiver"))
     return parts
 
 

@@ -7,9 +7,9 @@ import trimesh
 
 from polhode.errors import InputError
 from simulation.bodies.part import Part, join
-from simulation.materials import BARE_METAL, PAINT_GREY, PAINT_WHITE, WORN_PANEL, Material
+from simulation.materials import BRUSHED_METAL, PAINT_GREY, PAINT_WHITE, WORN_PANEL, Material
 
-CHOICES = (WORN_PANEL, WORN_PANEL, PAINT_WHITE, PAINT_GREY, BARE_METAL)
+CHOICES = (WORN_PANEL, WORN_PANEL, PAINT_WHITE, PAINT_GREY, BRUSHED_METAL)
 """Materials of the separate pieces; the largest piece is always a worn panel, which has texture."""
 LARGEST_PIECES = 40
 

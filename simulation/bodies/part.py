@@ -1,6 +1,6 @@
 """What a body is made of: parts with a material each, and charts drawn onto flat faces."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -8,9 +8,13 @@ from numpy.typing import NDArray
 
 from polhode.lie import Array
 from polhode.records import Ints
+from simulation.bodies.colours import FileColours
+from simulation.bodies.facets import smooth_corner_normals
+from simulation.bodies.mass import PartMass, masses_by_name, together
 from simulation.materials import Material
 
-SMOOTH_BELOW_DEG = 40.0
+SLOPE_STEP = 0.01
+"""Slope of a chart's relief for one count of ``Chart.slope``."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +31,23 @@ class Chart:
     texel_m: float
     image: NDArray[np.float32]
     """(h, w) reflectance"""
+    slope: NDArray[np.int8] | None = None
+    """(h, w, 2) slope of the relief to the right and down, in SLOPE_STEP; flat when absent"""
+    layer: NDArray[np.uint8] | None = None
+    """(h, w) 0: the part's material; k: materials[k - 1]"""
+    materials: tuple[Material, ...] = ()
+
+    def moved(self, X: Array) -> "Chart":
+        """The chart after the rigid transform (4, 4) of its part."""
+        R = X[:3, :3]
+        return replace(
+            self, origin_G=R @ self.origin_G + X[:3, 3], right_G=R @ self.right_G, down_G=R @ self.down_G
+        )
 
 
 @dataclass(frozen=True)
 class Part:
-    """A closed mesh of one material; ``chart_faces`` maps a chart to the faces that it covers."""
+    """A closed mesh of one material; ``charts`` maps a chart to the faces that it covers."""
 
     mesh: trimesh.Trimesh
     material: Material
@@ -40,20 +56,14 @@ class Part:
     """Density relative to the scene's."""
     name: str = "body"
     """What a scene calls it when it gives a density; parts of one name are one thing."""
+    colours: FileColours | None = None
+    """Colours that a mesh file holds."""
 
-
-@dataclass(frozen=True)
-class PartMass:
-    """Mass properties of the parts of one name, at density 1 kg/m^3 (``density_factor`` not included)."""
-
-    name: str
-    volume_m3: float
-    com_G: Array
-    """(3,) [m]"""
-    inertia_per_density: Array
-    """(3, 3) about com_G, axes of G [m^5]"""
-    density_factor: float
-    """Density relative to the scene's"""
+    def moved(self, X: Array) -> "Part":
+        """The part after the rigid transform (4, 4)."""
+        mesh = self.mesh.copy()
+        mesh.apply_transform(X)
+        return replace(self, mesh=mesh, charts=tuple((chart.moved(X), faces) for chart, faces in self.charts))
 
 
 @dataclass(frozen=True)
@@ -69,6 +79,12 @@ class Body:
     face_chart: Ints
     """(F,) index into charts, -1: none"""
     charts: tuple[Chart, ...]
+    chart_layers: Ints
+    """(charts, layers) index into materials of a chart's layers 1, 2, ..."""
+    colours: FileColours | None
+    """Colours from a mesh file, for all faces"""
+    texture_scale: float
+    """Factor on the lengths of the materials' textures"""
     volume_m3: float
     """Sum over the parts, each times its density factor"""
     com_G: Array
@@ -84,29 +100,37 @@ class Body:
         return float(np.linalg.norm(self.mesh.vertices, axis=1).max())
 
 
-def assemble(parts: list[Part]) -> Body:
+def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
     """Join parts into a body; the mass of overlapping parts is counted twice."""
-    materials = tuple(dict.fromkeys(part.material for part in parts))
-    charts: list[Chart] = []
-    face_material, face_chart = [], []
+    drawn = [(part, chart) for part in parts for chart, _ in part.charts]
+    every = [part.material for part in parts] + [m for _, chart in drawn for m in chart.materials]
+    materials = tuple(dict.fromkeys(every))
+    index = {material: i for i, material in enumerate(materials)}
+    layers = np.zeros((len(drawn), max((len(chart.materials) for _, chart in drawn), default=0)), np.int64)
+    face_material, face_chart, count = [], [], 0
     for part in parts:
-        n = len(part.mesh.faces)
-        face_material.append(np.full(n, materials.index(part.material)))
-        of_part = np.full(n, -1)
+        face_material.append(np.full(len(part.mesh.faces), index[part.material]))
+        of_part = np.full(len(part.mesh.faces), -1)
         for chart, faces in part.charts:
-            of_part[faces] = len(charts)
-            charts.append(chart)
+            of_part[faces] = count
+            layers[count, : len(chart.materials)] = [index[m] for m in chart.materials]
+            count += 1
         face_chart.append(of_part)
-    mesh = join([part.mesh for part in parts])
-    masses = masses_by_name(parts)
-    volume, com, inertia = _together(masses, [mass.density_factor for mass in masses])
+    masses = masses_by_name([(part.name, part.mesh, part.density_factor) for part in parts])
+    volume, com, inertia = together(masses, [mass.density_factor for mass in masses])
+    coloured = any(part.colours is not None for part in parts)
     return Body(
-        mesh=mesh,
+        mesh=join([part.mesh for part in parts]),
         corner_normals=np.concatenate([smooth_corner_normals(part.mesh) for part in parts]),
         face_material=np.concatenate(face_material),
         materials=materials,
         face_chart=np.concatenate(face_chart),
-        charts=tuple(charts),
+        charts=tuple(chart for _, chart in drawn),
+        chart_layers=layers,
+        colours=FileColours.joined([(part.colours, len(part.mesh.faces)) for part in parts])
+        if coloured
+        else None,
+        texture_scale=texture_scale,
         volume_m3=volume,
         com_G=com,
         inertia_per_density=inertia,
@@ -121,67 +145,3 @@ def join(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     return trimesh.Trimesh(
         np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), process=False
     )
-
-
-def masses_by_name(parts: list[Part]) -> list[PartMass]:
-    """Mass properties of each name; open parts weigh as their hulls."""
-    named: dict[str, list[PartMass]] = {}
-    for part in parts:
-        solid = part.mesh if part.mesh.is_volume else part.mesh.convex_hull
-        own = solid.mass_properties
-        mass = PartMass(
-            part.name,
-            float(own.volume),
-            np.asarray(own.center_mass),
-            np.asarray(own.inertia),
-            part.density_factor,
-        )
-        named.setdefault(part.name, []).append(mass)
-    return [_joined(name, masses) for name, masses in named.items()]
-
-
-def _joined(name: str, masses: list[PartMass]) -> PartMass:
-    weight, com, inertia = _together(masses, [mass.density_factor for mass in masses])
-    factor = weight / sum(mass.volume_m3 for mass in masses)
-    return PartMass(name, weight / factor, com, inertia / factor, factor)
-
-
-def _together(masses: list[PartMass], factors: list[float]) -> tuple[float, Array, Array]:
-    """Weighted volume [m^3], centre of mass (3,) [m] and inertia about it (3, 3) [m^5] of several masses."""
-    weights = np.array([mass.volume_m3 * factor for mass, factor in zip(masses, factors, strict=True)])
-    com = weights @ np.stack([mass.com_G for mass in masses]) / weights.sum()
-    inertia = np.zeros((3, 3))
-    for mass, weight, factor in zip(masses, weights, factors, strict=True):
-        d = mass.com_G - com
-        inertia += factor * mass.inertia_per_density + weight * (d @ d * np.eye(3) - np.outer(d, d))
-    return float(weights.sum()), np.asarray(com), inertia
-
-
-def smooth_corner_normals(mesh: trimesh.Trimesh) -> Array:
-    """Normals per corner (F, 3, 3): mean of the neighbouring faces less than 40 degrees away.
-
-    Faces wound the wrong way count with their sign turned: real meshes mix windings.
-    """
-    face_normals = np.asarray(mesh.face_normals)
-    neighbours = mesh.vertex_faces[mesh.faces]
-    n = np.where(neighbours[..., None] >= 0, face_normals[neighbours], 0.0)
-    cosine = np.einsum("fcnk,fk->fcn", n, face_normals)
-    area = np.where(neighbours >= 0, mesh.area_faces[neighbours], 0.0)
-    weight = np.sign(cosine) * area * (np.abs(cosine) > np.cos(np.deg2rad(SMOOTH_BELOW_DEG)))
-    total = np.einsum("fcn,fcnk->fck", weight, n)
-    length = np.linalg.norm(total, axis=-1, keepdims=True)
-    flat = np.broadcast_to(face_normals[:, None], total.shape)
-    return np.where(length > 0, total / np.where(length > 0, length, 1.0), flat)
-
-
-def flat_facets(mesh: trimesh.Trimesh) -> list[Ints]:
-    """Faces of the same plane, one array per plane, in order of the first face."""
-    key = np.round(
-        np.column_stack([mesh.face_normals, np.einsum("fk,fk->f", mesh.face_normals, mesh.triangles[:, 0])]),
-        5,
-    )
-    key += 0.0
-    _, group = np.unique(key, axis=0, return_inverse=True)
-    group = group.reshape(-1)
-    order = dict.fromkeys(group.tolist())
-    return [np.flatnonzero(group == g) for g in order]

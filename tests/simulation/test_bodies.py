@@ -9,7 +9,8 @@ import trimesh
 from polhode.config import scene as config
 from polhode.errors import InputError
 from simulation.bodies import Body, build_body
-from simulation.bodies.part import Part, assemble, flat_facets, smooth_corner_normals
+from simulation.bodies.facets import flat_facets, smooth_corner_normals
+from simulation.bodies.part import Part, assemble
 from simulation.charts import ChartAtlas
 from simulation.materials import PAINT_GREY, PAINT_WHITE
 
@@ -115,7 +116,7 @@ def test_a_chart_is_read_where_it_was_drawn() -> None:
         chart = body.charts[index]
         row, column = 11, 23
         p_G = chart.origin_G + chart.texel_m * (column * chart.right_G + row * chart.down_G)
-        read = atlas.reflectance(np.array([index, -1]), np.stack([p_G, p_G]))
+        read = atlas.look_up(np.array([index, -1]), np.stack([p_G, p_G])).reflectance
         assert read[0] == pytest.approx(chart.image[row, column], abs=1e-6)
         assert np.isnan(read[1])
 

@@ -1,0 +1,175 @@
+"""Closed meshes that spacecraft are built of: bevelled boxes, solids of revolution, tubes, tapered prisms."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull
+
+from polhode.lie import Array
+from polhode.records import Ints
+
+
+@dataclass(frozen=True)
+class Revolved:
+    """A solid of revolution about z, and which faces make up each of its planar panels."""
+
+    mesh: trimesh.Trimesh
+    profile: Array
+    """(n, 2) radius and height [m], from the lower end to the upper"""
+    panels: Ints
+    """(n - 1, sections, 2) faces of the panel between two profile points and two meridians; -1: none"""
+
+
+def hull(points: ArrayLike) -> trimesh.Trimesh:
+    """Convex hull of points (n, 3) as a closed mesh with outward faces."""
+    corners = np.asarray(points, dtype=np.float64)
+    shape = ConvexHull(corners)
+    used = np.unique(shape.simplices)
+    faces = np.searchsorted(used, shape.simplices)
+    vertices = corners[used]
+    middle = vertices.mean(axis=0)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inward = np.einsum("fk,fk->f", np.cross(b - a, c - a), a - middle) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def box(extents: ArrayLike, bevel: float = 0.06) -> trimesh.Trimesh:
+    """A box around the origin whose edges are cut at 45 degrees; bevel relative to its shortest side.
+
+    Real edges catch the light: a box without bevels looks drawn.
+    """
+    half = 0.5 * np.asarray(extents, dtype=np.float64)
+    cut = 2.0 * bevel * float(half.min())
+    points = []
+    for sign in np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T:
+        for axis in range(3):
+            inset = np.full(3, cut)
+            inset[axis] = 0.0
+            points.append(sign * (half - inset))
+    return hull(points)
+
+
+def prism(outline: ArrayLike, height: float, taper: float = 1.0) -> trimesh.Trimesh:
+    """Convex outline (n, 2) at z = 0, scaled by ``taper`` at z = height [m]."""
+    flat = np.asarray(outline, dtype=np.float64)
+    lower = np.column_stack([flat, np.zeros(len(flat))])
+    upper = np.column_stack([taper * flat, np.full(len(flat), height)])
+    return hull(np.vstack([lower, upper]))
+
+
+def revolve(profile: ArrayLike, sections: int, closed: bool = False) -> Revolved:
+    """Turn a profile (n, 2) of radius and height [m] about z.
+
+    Open profiles start and end on the axis; closed ones (rings) return to their first point.
+    """
+    line = np.asarray(profile, dtype=np.float64)
+    if closed:
+        line = np.vstack([line, line[:1]])
+    angle = 2.0 * np.pi * np.arange(sections) / sections
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    vertices: list[Array] = []
+    rings: list[Ints] = []
+    count = 0
+    for radius, height in line[:-1] if closed else line:
+        if radius < 1e-12:
+            vertices.append(np.array([[0.0, 0.0, height]]))
+            rings.append(np.full(sections, count))
+            count += 1
+        else:
+            vertices.append(np.column_stack([radius * circle, np.full(sections, height)]))
+            rings.append(count + np.arange(sections))
+            count += sections
+    if closed:
+        rings.append(rings[0])
+    faces: list[tuple[int, int, int]] = []
+    panels = np.full((len(line) - 1, sections, 2), -1, dtype=np.int64)
+    for s in range(len(line) - 1):
+        low, high = rings[s], rings[s + 1]
+        for k in range(sections):
+            n = (k + 1) % sections
+            corners = [(low[k], low[n], high[n]), (low[k], high[n], high[k])]
+            for place, corner in enumerate(corners):
+                if len(set(corner)) == 3:
+                    panels[s, k, place] = len(faces)
+                    faces.append(corner)
+    mesh = trimesh.Trimesh(np.vstack(vertices), faces, process=False)
+    if mesh.volume < 0:
+        mesh.invert()
+    return Revolved(mesh, line, panels)
+
+
+def drum(radius: float, height: float, sections: int = 24, bevel: float = 0.08) -> trimesh.Trimesh:
+    """A cylinder along z from 0 to height [m] whose rims are cut; bevel relative to the smaller side."""
+    cut = bevel * min(radius, height)
+    profile = [
+        (0, 0),
+        (radius - cut, 0),
+        (radius, cut),
+        (radius, height - cut),
+        (radius - cut, height),
+        (0, height),
+    ]
+    return revolve(profile, sections).mesh
+
+
+def ellipsoid_cap(radius: float, height: float, rings: int = 8) -> Array:
+    """Profile (rings + 1, 2) of half an ellipse, from the axis at ``height`` out to the radius at zero [m]."""
+    angle = np.linspace(np.pi / 2, 0.0, rings + 1)
+    profile = np.column_stack([radius * np.cos(angle), height * np.sin(angle)])
+    profile[0, 0] = 0.0
+    return profile
+
+
+def ball(radius: float, sections: int = 20, rings: int = 10) -> trimesh.Trimesh:
+    """A ball around the origin [m]."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
+    profile = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    profile[[0, -1], 0] = 0.0
+    return revolve(profile, sections).mesh
+
+
+def tube(path: ArrayLike, radius: float, sections: int = 8) -> trimesh.Trimesh:
+    """A closed round bar along a path (n, 3) [m], its ends flat."""
+    points = np.asarray(path, dtype=np.float64)
+    ahead = np.diff(points, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    tangent = np.vstack([ahead[:1], ahead[:-1] + ahead[1:], ahead[-1:]])
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    side = np.cross(tangent[0], np.eye(3)[int(np.argmin(np.abs(tangent[0])))])
+    angle = 2.0 * np.pi * np.arange(sections) / sections
+    rings = []
+    for point, direction in zip(points, tangent, strict=True):
+        # Each ring's axis is the last one's, laid into the new plane: the bar does not twist.
+        side = side - (side @ direction) * direction
+        side /= np.linalg.norm(side)
+        other = np.cross(direction, side)
+        rings.append(point + radius * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other))
+    vertices = np.vstack([*rings, points[:1], points[-1:]])
+    first, last = len(points) * sections, len(points) * sections + 1
+    faces = []
+    for s in range(len(points) - 1):
+        for k in range(sections):
+            a, b = s * sections + k, s * sections + (k + 1) % sections
+            faces += [(a, b, b + sections), (a, b + sections, a + sections)]
+    top = (len(points) - 1) * sections
+    for k in range(sections):
+        n = (k + 1) % sections
+        faces += [(first, n, k), (last, top + k, top + n)]
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def strut(start: ArrayLike, end: ArrayLike, radius: float, sections: int = 8) -> trimesh.Trimesh:
+    """A straight round bar between two points [m]."""
+    return tube([np.asarray(start), np.asarray(end)], radius, sections)
+
+
+def pose(direction_G: ArrayLike, position_G: ArrayLike, turn: float = 0.0) -> Array:
+    """Pose (4, 4) that turns z to a direction and moves the origin to a position; first a turn about z [rad]."""
+    towards = np.asarray(direction_G, dtype=np.float64)
+    X = np.asarray(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], towards), dtype=np.float64)
+    X = X @ np.asarray(trimesh.transformations.rotation_matrix(turn, [0, 0, 1]))
+    X[:3, 3] = position_G
+    return X

@@ -1,0 +1,105 @@
+"""What every family builds with: a texture generator, its random numbers, the size of a texel."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import trimesh
+
+from polhode.lie import Array
+from simulation.bodies.canvas import Draw, chart_of_facet, charts_around
+from simulation.bodies.facets import flat_facets
+from simulation.bodies.part import Part
+from simulation.bodies.solids import Revolved
+from simulation.materials import Material
+
+
+class Artist(Protocol):
+    """A texture generator: the sheets that spacecraft show. A module with these functions will do."""
+
+    def panel(self, base: float, richness: float = ...) -> Draw:
+        """An equipment panel of mean reflectance ``base``; richness scales the number of marks."""
+
+    def plain(self, base: float) -> Draw:
+        """A painted panel with next to nothing on it."""
+
+    def machined_plate(self) -> Draw:
+        """Bare metal."""
+
+    def cells(self, cell: int = ...) -> Draw:
+        """Solar cells, ``cell`` texels long."""
+
+    def radiator(self) -> Draw:
+        """A heat radiator."""
+
+    def blanket(self) -> Draw:
+        """Foil."""
+
+    def tank_wall(self, base: float) -> Draw:
+        """The unrolled wall of a tank; its lower end is the aft one."""
+
+    def ring_wall(self, base: float) -> Draw:
+        """The unrolled wall of an interstage or adapter."""
+
+    def nozzle_wall(self) -> Draw:
+        """The unrolled wall of a nozzle."""
+
+    def reflector(self, base: float, gores: int) -> Draw:
+        """The unrolled face of a dish."""
+
+
+@dataclass(frozen=True)
+class Studio:
+    """A texture generator at work on one body."""
+
+    artist: Artist
+    rng: np.random.Generator
+    texel_m: float
+    smallest_texels: int = 12
+    """Faces narrower than this stay undrawn."""
+
+    def faced(
+        self,
+        mesh: trimesh.Trimesh,
+        material: Material,
+        draw: Draw | Callable[[Array], Draw | None],
+        name: str,
+        density_factor: float = 1.0,
+        by_normal: bool = False,
+        down_G: Array | None = None,
+    ) -> Part:
+        """A part with a drawing on each flat face that is large enough.
+
+        With ``by_normal``, ``draw`` names the drawing for an outward normal (3,), or none. Rows of the drawings
+        run along down_G (3,) where a face is not square to it.
+        """
+        charts = []
+        for faces in flat_facets(mesh):
+            corners = mesh.triangles[faces].reshape(-1, 3)
+            if mesh.area_faces[faces].sum() < (self.smallest_texels * self.texel_m) ** 2:
+                continue
+            normal = np.asarray(mesh.face_normals[faces[0]])
+            own = draw(normal) if by_normal else draw  # type: ignore[call-arg,arg-type]
+            if own is None or np.ptp(corners, axis=0).max() < self.smallest_texels * self.texel_m:
+                continue
+            lies = down_G is not None and abs(normal @ down_G) < 0.7
+            down = down_G - (down_G @ normal) * normal if lies and down_G is not None else None
+            charts.append(chart_of_facet(mesh, faces, self.texel_m, own, self.rng, down))  # type: ignore[arg-type]
+        return Part(mesh, material, tuple(charts), density_factor, name)
+
+    def wrapped(
+        self,
+        solid: Revolved,
+        walls: list[tuple[int, int, Draw]],
+        material: Material,
+        name: str,
+        density_factor: float = 1.0,
+    ) -> Part:
+        """A solid of revolution with drawings around its walls (first and last profile point, drawing)."""
+        charts = [
+            chart
+            for first, last, draw in walls
+            for chart in charts_around(solid, first, last, self.texel_m, draw, self.rng)
+        ]
+        return Part(solid.mesh, material, tuple(charts), density_factor, name)
