@@ -50,6 +50,12 @@ class SyntheticScene:
     loop_closure: bool = True
     """False: a landmark that comes back into view is a new one."""
     camera_moves: bool = False
+    station_keeping: bool = False
+    """The camera follows the target's drift, so that as much is seen at the end as at the start."""
+    sigma_camera_p_m: float = 0.0
+    """Noise of the stated camera position, independent from frame to frame [m]."""
+    sigma_camera_theta_rad: float = 0.0
+    """The same of its attitude [rad]."""
     wrong_pairs: float = 0.0
     """Share of the relative poses that are wrong, with few inliers."""
     min_inliers: int = 8
@@ -95,7 +101,7 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
     time_s: Array = scene.dt_s * np.arange(scene.frames, dtype=np.float64)
     r, v, R_NG, w_G = _motion(scene, J, rng)
     X_NG = make_pose(R_NG, r - R_NG @ com)
-    X_NR = _camera_path(scene, time_s)
+    X_NR = _camera_path(scene, time_s, r)
     points, normals = _surface(scene, rng)
     frame, point, uvd = _observe(scene, X_NR, X_NG, points, normals, rng)
     noise = np.array([scene.sigma_uv_px, scene.sigma_uv_px, scene.sigma_d_px])
@@ -111,11 +117,13 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
     tracks = StereoTracks(
         RIG,
         np.round(time_s * 1e9).astype(np.int64),
-        X_NR,
+        _stated(scene, X_NR, seed),
         frame,
         landmark.astype(np.int64),
         measured,
         np.broadcast_to(noise, uvd.shape).copy(),
+        scene.sigma_camera_p_m,
+        scene.sigma_camera_theta_rad,
     )
     truth = _truth(tracks, J, com, (r, v, R_NG, w_G))
     return SyntheticSequence(tracks, relative, truth, X_NG, points[used % len(points)], outlier)
@@ -148,9 +156,18 @@ def _motion(scene: SyntheticScene, J: Array, rng: np.random.Generator) -> tuple[
     return r_all, v_all, R_all, w_all
 
 
-def _camera_path(scene: SyntheticScene, time_s: Array) -> Array:
-    """Camera at rest at N, or on a slow arc about the target with a swaying attitude."""
+def _stated(scene: SyntheticScene, X_NR: Array, seed: int) -> Array:
+    """The camera's poses (F, 4, 4) as the inspector states them."""
+    noise = np.random.default_rng([seed, 78]).normal(size=(2, len(X_NR), 3))
+    R = X_NR[:, :3, :3] @ exp_so3(scene.sigma_camera_theta_rad * noise[0])
+    return make_pose(R, X_NR[:, :3, 3] + scene.sigma_camera_p_m * noise[1])
+
+
+def _camera_path(scene: SyntheticScene, time_s: Array, r_N: Array) -> Array:
+    """Camera at rest at N, drifting with the target, or on a slow arc about it with a swaying attitude."""
     X = np.tile(np.eye(4), (len(time_s), 1, 1))
+    if scene.station_keeping:
+        X[:, :3, 3] = r_N - r_N[0]
     if not scene.camera_moves:
         return X
     centre = np.array([0.0, 0.0, scene.r_N[2]])
