@@ -45,7 +45,7 @@ def inspector_motion(scene: config.Scene, seed: int) -> InspectorMotion:
     an approach that starts at the target.
     """
     stamps = timestamps(scene)[: scene.frames]
-    t_s = np.asarray((stamps - stamps[0]) * 1e-9)
+    t_s = np.asarray((stamps - stamps[0]) / 1e9)
     course, jitter = course_of(scene), _jitter(scene.inspector, float(t_s[-1]) + _BEYOND_S, seed)
     states = camera_states(course, jitter, t_s)
     return InspectorMotion(states.X_NC, states.v_N, states.w_C, t_s, course, jitter)

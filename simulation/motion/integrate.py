@@ -2,11 +2,11 @@
 
 State y (13,): r_N [m], v_N [m/s], quaternion of R_NP (w, x, y, z), angular momentum h_P [N m s].
 
-Friction is that of a body with a ball inside, in a thin layer of a viscous fluid; the ball follows the body
-at once, as it does where the fluid is thick (Chernous'ko, "Motion of a rigid body with cavities containing a
-viscous fluid", NASA TT F-665, 1972). With the ball's moment I and the layer's coefficient c the whole has
-h = J w - f dw/dt with f = I^2/c [kg m^2 s], so the body turns at w = J^-1 h + f J^-2 (h x J^-1 h). The
-momentum in N stays exactly, and the energy h.J^-1 h / 2 falls by f |dw/dt|^2 per second.
+Friction is that of a body with a ball inside, in a thin layer of viscous fluid, that lags a little behind:
+with the ball's moment I and the layer's coefficient c its momentum relative to the body is -f dw/dt,
+f = I^2/c [kg m^2 s] (quasi-static, as Chernous'ko, "Motion of a rigid body with cavities containing a viscous
+fluid", NASA TT F-665, 1972). The whole has h = J w - f dw/dt and turns at w = J^-1 h + f J^-2 (h x J^-1 h).
+Its momentum in N stays exactly; its energy h.J^-1 h / 2 falls by f |J^-1 (h x J^-1 h)|^2 a second.
 """
 
 from typing import NamedTuple

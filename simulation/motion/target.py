@@ -43,7 +43,7 @@ class TargetMotion:
     @property
     def t_s(self) -> Array:
         """(T,) time after the first frame [s]."""
-        return np.asarray((self.timestamps_ns - self.timestamps_ns[0]) * 1e-9)
+        return np.asarray((self.timestamps_ns - self.timestamps_ns[0]) / 1e9)
 
     def poses_during(self, k: int, offsets_s: ArrayLike) -> Array:
         """X_NG (S, 4, 4) at times (S,) after, or before, time k [s]; everything acts as it does between."""
@@ -66,7 +66,7 @@ def target_motion(scene: config.Scene, mass: MassDistribution, seed: int) -> Tar
     R_NP = exp_so3(np.deg2rad(start.attitude_deg)) @ mass.R_GP
     v_N = np.array(start.velocity_mm_s) * 1e-3
     stamps = timestamps(scene)
-    t_s = (stamps - stamps[0]) * 1e-9
+    t_s = (stamps - stamps[0]) / 1e9
     forces = acting_forces(scene, mass, w_P, float(t_s[-1]), seed)
     if is_free(start):
         states = propagate(t_s, start.position_m, v_N, R_NP, w_P, np.diag(mass.moments))

@@ -1,0 +1,161 @@
+"""The inspector takes the course that the scene names; its velocities are derivatives of its poses."""
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polhode.config.scene import Scene
+from polhode.errors import InputError
+from polhode.lie import Array, exp_so3, log_so3
+from simulation.motion import InspectorMotion, inspector_motion, reported_inspector
+
+WAYPOINTS: list[dict[str, Any]] = [
+    {"t_s": 2.0, "position_m": [0.0, 0.0, 0.0]},
+    {"t_s": 8.0, "position_m": [0.2, 0.0, 0.0], "attitude_deg": [0, -20, 0]},
+    {"t_s": 13.0, "position_m": [0.3, 0.1, 0.1], "attitude_deg": [10, -40, 60]},
+    {"t_s": 18.0, "position_m": [0.3, 0.2, 0.2], "attitude_deg": [0, -40, 90]},
+]
+JITTER: dict[str, Any] = {"deadband_mm": 4.0, "deadband_mm_s": 2.0, "deadband_deg": 0.5}
+COURSES: dict[str, dict[str, Any]] = {
+    "rest": {},
+    "drift": {"velocity_mm_s": [5, 2, -3], "rate_deg_s": [0.2, 0.4, -0.3], "attitude_deg": [10, 0, 0]},
+    "circle": {"circle_period_s": 40.0, "position_m": [0.1, 0.0, 0.1], "attitude_deg": [0, 5, 0]},
+    "approach": {"approach_mm_s": 30.0, "approach_stop_m": 0.5, "attitude_deg": [0, 5, 0]},
+    "waypoints": {"waypoints": WAYPOINTS},
+}
+TARGET_N = np.array([0.0, 0.0, 0.8])
+
+
+def _motion(
+    profile: str, frames: int = 41, seed: int = 3, interval_s: float = 0.5, **more: Any
+) -> InspectorMotion:
+    inspector = {"profile": profile, **COURSES[profile], **more}
+    motion = {"position_m": TARGET_N.tolist()}
+    scene = {"frames": frames, "interval_s": interval_s, "motion": motion, "inspector": inspector}
+    return inspector_motion(Scene.model_validate(scene), seed)
+
+
+@pytest.mark.parametrize("jitter", [{}, JITTER], ids=["steady", "jitters"])
+@pytest.mark.parametrize("profile", COURSES)
+def test_velocities_are_the_derivatives_of_the_poses(profile: str, jitter: dict[str, Any]) -> None:
+    motion = _motion(profile, **jitter)
+    e = 1e-5
+    for k in range(0, 41, 3):
+        before, after = motion.poses_during(k, [-e, e])
+        np.testing.assert_allclose((after - before)[:3, 3] / (2 * e), motion.v_N[k], atol=1e-6)
+        turn = log_so3(before[:3, :3].T @ after[:3, :3]) / (2 * e)
+        np.testing.assert_allclose(turn, motion.w_C[k], atol=1e-5)
+
+
+@pytest.mark.parametrize("profile", COURSES)
+def test_the_camera_never_jumps_and_never_jerks_its_velocity(profile: str) -> None:
+    motion = _motion(profile, frames=20_001, interval_s=0.001, **JITTER)
+    assert np.abs(np.diff(motion.v_N, axis=0)).max() < 0.1 * 0.001
+    assert np.abs(np.diff(motion.w_C, axis=0)).max() < 0.3 * 0.001
+
+
+@pytest.mark.parametrize("profile", COURSES)
+def test_poses_depend_on_time_and_seed_alone(profile: str) -> None:
+    coarse, fine = (_motion(profile, n, interval_s=dt, **JITTER) for n, dt in [(5, 2.0), (33, 0.25)])
+    np.testing.assert_allclose(coarse.X_NC, fine.X_NC[::8], atol=1e-14)
+    np.testing.assert_array_equal(fine.poses_during(0, fine.t_s), fine.X_NC)
+    assert np.abs(_motion(profile, 33, 4, 0.25, **JITTER).X_NC - fine.X_NC).max() > 1e-3
+    np.testing.assert_array_equal(_motion(profile, seed=3).X_NC, _motion(profile, seed=4).X_NC)
+
+
+@pytest.mark.parametrize("profile", COURSES)
+def test_a_motion_travels_to_another_process(profile: str) -> None:
+    motion = _motion(profile, **JITTER)
+    moved = pickle.loads(pickle.dumps(motion))
+    np.testing.assert_array_equal(moved.poses_during(7, [0.1]), motion.poses_during(7, [0.1]))
+
+
+def test_at_rest_the_first_camera_is_N_exactly_also_when_it_jitters() -> None:
+    np.testing.assert_array_equal(_motion("rest", **JITTER).X_NC[0], np.eye(4))
+    np.testing.assert_array_equal(_motion("rest").X_NC, np.tile(np.eye(4), (41, 1, 1)))
+
+
+@pytest.mark.parametrize("profile", COURSES)
+def test_jitter_stays_within_its_bands_around_the_course(profile: str) -> None:
+    steady, jittery = _motion(profile, frames=200), _motion(profile, frames=200, **JITTER)
+    offset_mm = 1e3 * (jittery.X_NC - steady.X_NC)[:, :3, 3]
+    turn_deg = np.rad2deg(log_so3(np.swapaxes(steady.X_NC[:, :3, :3], 1, 2) @ jittery.X_NC[:, :3, :3]))
+    for deviation, band in ((offset_mm, 4.0), (turn_deg, 0.5)):
+        assert (np.abs(deviation).max(axis=0) <= band).all()
+        assert (np.abs(deviation).max(axis=0) > 0.8 * band).all()
+        # Six axes that start together do not stay together.
+        assert np.abs(np.corrcoef(deviation.T) - np.eye(3)).max() < 0.9
+
+
+def test_a_drift_is_steady() -> None:
+    motion = _motion("drift")
+    np.testing.assert_allclose(motion.X_NC[:, :3, 3], motion.t_s[:, None] * [5e-3, 2e-3, -3e-3], atol=1e-15)
+    turn = log_so3(np.swapaxes(motion.X_NC[:-1, :3, :3], 1, 2) @ motion.X_NC[1:, :3, :3])
+    np.testing.assert_allclose(np.rad2deg(turn), np.tile([0.1, 0.2, -0.15], (40, 1)), atol=1e-12)
+
+
+def test_a_circle_keeps_the_target_where_the_first_frame_has_it() -> None:
+    motion = _motion("circle")
+    p_C = [X_NC[:3, :3].T @ (TARGET_N - X_NC[:3, 3]) for X_NC in motion.X_NC]
+    np.testing.assert_allclose(p_C, np.tile(p_C[0], (41, 1)), atol=1e-12)
+    speed = np.linalg.norm(motion.v_N, axis=1)
+    np.testing.assert_allclose(speed, 2 * np.pi / 40.0 * np.hypot(0.1, 0.7), rtol=1e-12)
+
+
+def test_an_approach_closes_in_at_its_speed_and_stops_at_its_distance() -> None:
+    motion = _motion("approach")
+    distance_m = np.linalg.norm(TARGET_N - motion.X_NC[:, :3, 3], axis=1)
+    cruising = motion.t_s < 9.0
+    np.testing.assert_allclose(distance_m[cruising], 0.8 - 0.03 * motion.t_s[cruising], atol=1e-12)
+    np.testing.assert_allclose(distance_m[motion.t_s > 11.0], 0.5, atol=1e-12)
+    assert (np.diff(distance_m) <= 1e-15).all()
+    np.testing.assert_array_equal(motion.X_NC[:, :3, :3], np.tile(motion.X_NC[0, :3, :3], (41, 1, 1)))
+
+
+@pytest.mark.parametrize(("stop_m", "reached_m"), [(0.9, 0.8), (0.799, 0.799)])
+def test_an_approach_that_starts_near_its_stop_goes_no_further(stop_m: float, reached_m: float) -> None:
+    motion = _motion("approach", approach_stop_m=stop_m)
+    assert np.linalg.norm(TARGET_N - motion.X_NC[-1, :3, 3]) == pytest.approx(reached_m, abs=1e-12)
+    np.testing.assert_array_equal(motion.v_N[-1], 0.0)
+
+
+def test_waypoints_are_met_in_time_and_the_ends_hold() -> None:
+    motion = _motion("waypoints")
+    for point in WAYPOINTS:
+        k = round(2 * point["t_s"])
+        np.testing.assert_allclose(motion.X_NC[k, :3, 3], point["position_m"], atol=1e-14)
+        R_NC = exp_so3(np.deg2rad(point.get("attitude_deg", [0, 0, 0])))
+        np.testing.assert_allclose(motion.X_NC[k, :3, :3], R_NC, atol=1e-14)
+    for held in (slice(0, 5), slice(36, None)):
+        np.testing.assert_allclose(motion.X_NC[held], motion.X_NC[held][:1].repeat(5, axis=0), atol=1e-14)
+        np.testing.assert_array_equal(motion.v_N[held], 0.0)
+        np.testing.assert_array_equal(motion.w_C[held], 0.0)
+
+
+def test_two_waypoints_are_joined_by_a_straight_line() -> None:
+    motion = _motion("waypoints", waypoints=WAYPOINTS[:2])
+    on_line = motion.X_NC[:, :3, 3]
+    np.testing.assert_array_equal(on_line[:, 1:], 0.0)
+    assert (np.diff(on_line[:, 0]) >= 0).all()
+    assert on_line[10, 0] == pytest.approx(0.1)
+
+
+def test_an_approach_from_the_target_itself_is_refused() -> None:
+    with pytest.raises(InputError, match=r"scene.inspector.position_m .* must start away from it"):
+        _motion("approach", position_m=TARGET_N.tolist())
+
+
+def test_reported_poses_scatter_as_the_scene_says() -> None:
+    inspector = {"profile": "drift", "sigma_p_m": 1e-3, "sigma_theta_deg": 0.1}
+    scene = Scene.model_validate({"frames": 2000, "inspector": inspector})
+    X_NC = inspector_motion(scene, 0).X_NC
+    reported = reported_inspector(scene, X_NC, np.eye(4), np.random.default_rng(0))
+    assert _spread(reported[:, :3, 3] - X_NC[:, :3, 3]) == pytest.approx(1e-3, rel=0.05)
+    theta = log_so3(np.swapaxes(X_NC[:, :3, :3], 1, 2) @ reported[:, :3, :3])
+    assert _spread(np.rad2deg(theta)) == pytest.approx(0.1, rel=0.05)
+
+
+def _spread(values: Array) -> float:
+    return float(values.std())
