@@ -1,11 +1,10 @@
 """Surface materials and what they make of a point: reflectance, roughness, a bent normal.
 
-Reflectances are broadband visible. Paint, foil and cells follow the solar absorptances of spacecraft materials in
-Gilmore, "Spacecraft Thermal Control Handbook", 2002, appendix A (absorptance + reflectance = 1; white silicate
-paint 0.15-0.2, black Z306 0.95, aluminised Kapton 0.35-0.4, aluminium foil 0.1-0.15, cells under cover glass
-0.85-0.92); the metals follow their Fresnel reflectance at normal incidence less what an oxide and dirt take. The
-diffuse part that the light sees is ``albedo * (1 - specular)``. Lengths of the textures hold for a body of 0.3 m
-and grow with it.
+Paint, foil and cells follow the solar absorptances of spacecraft materials in Gilmore, "Spacecraft Thermal
+Control Handbook", 2002, appendix A (absorptance + reflectance = 1; white silicate paint 0.15-0.2, black Z306
+0.95, aluminised Kapton 0.35-0.4, aluminium foil 0.1-0.15, cells under cover glass 0.85-0.92); the metals follow
+their Fresnel reflectance at normal incidence, less what an oxide and dirt take. The diffuse part that the light
+sees is ``albedo * (1 - specular)``. Lengths of the textures hold for a body of 0.3 m and grow with it.
 """
 
 from dataclasses import dataclass, fields
@@ -114,17 +113,20 @@ class MaterialTable:
     ) -> Surface:
         """Material index (n,), points and normals (n, 3) -> Surface.
 
-        drawn_albedo (n,) replaces the material's mean reflectance where it is not NaN (stickers); slope_G (n, 3)
-        is the gradient of a drawn relief; ``ground`` (n,) is the material that lends its mean reflectance where
-        the contrast is below 1.
+        drawn_albedo (n,) replaces the material's mean reflectance where it is not NaN (stickers); slope_G
+        (n, 3) is the gradient of a drawn relief; ``ground`` (n,) is the material that lends its mean reflectance
+        where the contrast is below 1.
         """
         n = len(material)
         drawn = np.full(n, np.nan) if drawn_albedo is None else drawn_albedo
         slope = np.zeros((n, 3)) if slope_G is None else slope_G
         under = material if ground is None else ground
-        tables = (self._rows, self._seeds, self._scale, self._contrast, self._collage)
-        points = (np.ascontiguousarray(p_G), np.ascontiguousarray(normal_G))
-        return Surface(*_evaluate(material, under, *points, drawn, slope, *tables))
+        p, normal = np.ascontiguousarray(p_G), np.ascontiguousarray(normal_G)
+        found = _evaluate(
+            material, under, p, normal, drawn, slope,
+            self._rows, self._seeds, self._scale, self._contrast, self._collage,
+        )  # fmt: skip
+        return Surface(*found)
 
 
 @njit(cache=True)

@@ -14,6 +14,8 @@ from polhode.records import Ints
 
 LACUNARITY, PERSISTENCE = 2.03, 0.6
 """Each octave of the fractal: so many times finer, so many times weaker."""
+Bits = np.uint64
+
 CREASE_SCALES = (1.0, 0.37, 0.15)
 """Sizes of the flat pieces of crumpled foil, relative to the largest."""
 CREASE_TILTS = (1.0, 0.75, 0.55)
@@ -21,7 +23,7 @@ CREASE_TILTS = (1.0, 0.75, 0.55)
 
 
 @njit(cache=True, inline="always")
-def hash_bits(i: int, j: int, k: int, seed: int) -> int:
+def hash_bits(i: int, j: int, k: int, seed: int) -> Bits:
     """Lattice point and seed -> 64 random bits."""
     h = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)
     h ^= np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
@@ -29,11 +31,11 @@ def hash_bits(i: int, j: int, k: int, seed: int) -> int:
     h += np.uint64(seed) * np.uint64(0xD6E8FEB86659FD93)
     h = (h ^ (h >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
     h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
-    return h ^ (h >> np.uint64(32))  # type: ignore[no-any-return]
+    return h ^ (h >> np.uint64(32))
 
 
 @njit(cache=True, inline="always")
-def unit_of(bits: int, place: int) -> float:
+def unit_of(bits: Bits, place: int) -> float:
     """The first, second or third 21 bits (place 0, 1, 2) as a number in [0, 1)."""
     return float((bits >> np.uint64(21 * place)) & np.uint64(0x1FFFFF)) / 2097152.0
 
@@ -85,7 +87,7 @@ def fractal_at(x: float, y: float, z: float, octaves: int, seed: int) -> tuple[f
 
 
 @njit(cache=True)
-def nearest_cell_at(x: float, y: float, z: float, seed: int) -> int:
+def nearest_cell_at(x: float, y: float, z: float, seed: int) -> Bits:
     """Random bits of the nearest of the points that are strewn one to a unit cube."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     u, v, w = x - i, y - j, z - k

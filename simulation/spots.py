@@ -1,12 +1,14 @@
 """The second generator's solid textures: noise of random spots, and foil folded along straight lines.
 
 It shares nothing with ``simulation.noise``, so that one can train what the other tests. Spots: sparse
-convolution, after Lewis, "Algorithms for solid noise synthesis", SIGGRAPH 1989. Folds: a sum of functions that
-are piecewise linear along random directions, so every crease is straight and the sheet stays whole.
+convolution, after Lewis, "Algorithms for solid noise synthesis", SIGGRAPH 1989. Folds: a sum of functions
+that are piecewise linear along random directions, so every crease is straight and the sheet stays whole.
 """
 
 import numpy as np
 from numba import njit
+
+State = np.uint64
 
 SPOTS_PER_CELL = 2
 FOLDS = 7
@@ -14,25 +16,25 @@ FOLDS = 7
 
 
 @njit(cache=True, inline="always")
-def _next(state: int) -> int:
+def _next(state: State) -> State:
     """The next state of a linear congruential generator of 64 bits (Knuth's MMIX constants)."""
-    return state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)  # type: ignore[no-any-return]
+    return state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
 
 
 @njit(cache=True, inline="always")
-def _draw(state: int) -> float:
+def _draw(state: State) -> float:
     """A number in [0, 1) of the state's upper bits."""
     return float(state >> np.uint64(40)) / 16777216.0
 
 
 @njit(cache=True, inline="always")
-def _start(i: int, j: int, k: int, seed: int) -> int:
+def _start(i: int, j: int, k: int, seed: int) -> State:
     """The generator's first state in a cell, after three steps of mixing."""
     state = np.uint64(seed) + np.uint64(0x5851F42D)
     state = _next(state ^ np.uint64(i & 0x1FFFFF))
     state = _next(state ^ (np.uint64(j & 0x1FFFFF) << np.uint64(20)))
     state = _next(state ^ (np.uint64(k & 0x1FFFFF) << np.uint64(40)))
-    return state ^ (state >> np.uint64(31))  # type: ignore[no-any-return]
+    return state ^ (state >> np.uint64(31))
 
 
 @njit(cache=True)

@@ -5,26 +5,62 @@ from pathlib import Path
 import numpy as np
 
 from polhode.config import scene as config
-from polhode.errors import InputError
+from simulation.bodies.artist import artist_of
 from simulation.bodies.asteroid import asteroid_parts
 from simulation.bodies.bus import bus_parts
+from simulation.bodies.cubesat import cubesat_parts
+from simulation.bodies.dish import dish_parts
 from simulation.bodies.free_flyer import free_flyer_parts
 from simulation.bodies.mesh_file import mesh_file_parts
 from simulation.bodies.part import Body, Part, assemble
+from simulation.bodies.studio import Studio
+from simulation.bodies.truss import truss_parts
+from simulation.bodies.upper_stage import upper_stage_parts
+
+TEXELS = {
+    "free_flyer": 440.0,
+    "bus": 420.0,
+    "upper_stage": 700.0,
+    "dish": 640.0,
+    "truss": 900.0,
+    "cubesat": 480.0,
+}
+"""Texels along ``size_m``: about two to a pixel where the whole body fills an image of 640x480."""
+GRAINS = {
+    "free_flyer": 0.22,
+    "bus": 0.3,
+    "upper_stage": 0.5,
+    "dish": 0.5,
+    "truss": 0.7,
+    "cubesat": 0.3,
+    "asteroid": 0.3,
+}
+"""Size [m] for which the materials' textures are made; they grow with the body."""
 
 
 def build_body(body: config.Body, seed: int) -> Body:
     """Build the target; ``seed`` serves where the description has none. Raises InputError (mesh files)."""
     rng = np.random.default_rng([0xB0D1, seed if body.seed is None else body.seed])
-    return assemble(_parts(body, rng))
+    scale = body.size_m / GRAINS.get(body.family, body.size_m)
+    return assemble(_parts(body, rng), scale)
 
 
 def _parts(body: config.Body, rng: np.random.Generator) -> list[Part]:
+    texel_m = body.size_m / TEXELS.get(body.family, 440.0)
+    studio = Studio(artist_of(body.texture), rng, texel_m)
     match body.family:
         case "free_flyer":
-            return free_flyer_parts(body.size_m, rng)
+            return free_flyer_parts(body.size_m, studio)
         case "bus":
-            return bus_parts(body.size_m, rng)
+            return bus_parts(body.size_m, studio)
+        case "upper_stage":
+            return upper_stage_parts(body.size_m, studio)
+        case "dish":
+            return dish_parts(body.size_m, studio)
+        case "truss":
+            return truss_parts(body.size_m, studio)
+        case "cubesat":
+            return cubesat_parts(body.size_m, studio)
         case "asteroid":
             return asteroid_parts(body.size_m, rng)
         case "mesh":
@@ -32,5 +68,3 @@ def _parts(body: config.Body, rng: np.random.Generator) -> list[Part]:
             assert body.path is not None
             assert body.metres_per_unit is not None
             return mesh_file_parts(Path(body.path), body.metres_per_unit, rng)
-        case _:
-            raise InputError(f"scene.body.family: {body.family} cannot be built yet; choose another family")

@@ -1,97 +1,156 @@
-"""A box bus wrapped in foil and radiators, with two thin solar panels, a dish and a nozzle."""
-
-from dataclasses import replace
+"""A box bus wrapped in foil and radiators, with solar wings, a dish, a nozzle and equipment on its walls."""
 
 import numpy as np
-import trimesh
 
 from polhode.lie import Array
-from simulation.bodies.drawing import chart_of_facet, draw_equipment_panel, draw_plain, draw_solar_cells
-from simulation.bodies.facets import flat_facets
-from simulation.bodies.part import Chart, Part
-from simulation.materials import BRUSHED_METAL, FOIL_GOLD, PAINT_BLACK, PAINT_GREY, PAINT_WHITE, SOLAR_CELL
+from simulation.bodies.antennas import helix, horn, patch, small_dish, whip
+from simulation.bodies.canvas import Draw
+from simulation.bodies.deck import Deck, decks_of_box
+from simulation.bodies.equipment import (
+    electronics_box,
+    grapple_pin,
+    handrail,
+    hexagonal_can,
+    star_tracker,
+    sun_sensor,
+    umbilical,
+)  # fmt: skip
+from simulation.bodies.part import Part
+from simulation.bodies.propulsion import engine, thruster, thruster_block
+from simulation.bodies.solids import box, pose, revolve
+from simulation.bodies.studio import Studio
+from simulation.bodies.wing import solar_wing
+from simulation.materials import ANODISED, BRUSHED_METAL, FOIL_BLACK, FOIL_GOLD, FOIL_SILVER, Material
 
 
-def bus_parts(size_m: float, rng: np.random.Generator) -> list[Part]:
-    """Parts of a bus size_m [m] long (x); panels along +-y; G near the middle of the box."""
-    box_m = size_m * np.array([1.0, rng.uniform(0.7, 0.85), rng.uniform(0.75, 0.95)])
-    texel_m = 0.0022 * size_m
-    parts = [_box(box_m, texel_m, rng)]
-    parts += _panels(box_m, size_m, texel_m, rng)
-    parts += _equipment(box_m, size_m, texel_m, rng)
+def bus_parts(size_m: float, studio: Studio) -> list[Part]:
+    """Parts of a bus size_m [m] long (x); wings along +-y; G near the middle of the box."""
+    rng = studio.rng
+    box_m = size_m * np.array([1.0, rng.uniform(0.6, 0.9), rng.uniform(0.65, 1.0)])
+    decks = decks_of_box(box_m, np.zeros(3))
+    foil = [FOIL_GOLD, FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(4))]
+    parts = [_hull(box_m, foil, studio)]
+    parts += _wings(box_m, size_m, studio)
+    parts += _aft(size_m, box_m, decks["-x"], studio)
+    parts += _front(size_m, decks, studio)
+    for name in ("+y", "-y"):
+        # The wing's drive sits in the middle of this wall.
+        decks[name].reserve(0.0, 0.0, 0.16 * size_m)
+    for deck in decks.values():
+        parts += _equipment(deck, size_m, studio)
     return parts
 
 
-def _box(box_m: Array, texel_m: float, rng: np.random.Generator) -> Part:
-    """Foil on two faces (no chart), a plain radiator on one, equipment on three."""
-    mesh = trimesh.creation.box(box_m)
-    facets = flat_facets(mesh)
-    kinds = rng.permutation(["foil", "foil", "radiator", "equipment", "equipment", "equipment"])
-    charts = []
-    for faces, kind in zip(facets, kinds, strict=True):
-        if kind == "radiator":
-            charts.append(chart_of_facet(mesh, faces, texel_m, draw_plain(0.65), rng))
-        elif kind == "equipment":
-            charts.append(chart_of_facet(mesh, faces, texel_m, draw_equipment_panel(0.35, 1100.0), rng))
-    return Part(mesh, FOIL_GOLD, tuple(charts), density_factor=1.5, name="box")
+def _hull(box_m: Array, foil: Material, studio: Studio) -> Part:
+    """Foil, a radiator on one or two walls, bare structure on the others."""
+    rng, artist = studio.rng, studio.artist
+    sheets: list[Draw] = [
+        artist.blanket(), artist.blanket(), artist.blanket(), artist.radiator(),
+        artist.panel(float(rng.choice([0.3, 0.65])), 0.7), artist.machined_plate(),
+    ]  # fmt: skip
+    order = rng.permutation(6)
+
+    def draw(normal: Array) -> Draw | None:
+        if np.abs(normal).max() < 0.9:
+            return None
+        axis = int(np.argmax(np.abs(normal)))
+        return sheets[order[2 * axis + int(normal[axis] > 0)]]
+
+    return studio.faced(box(box_m, bevel=0.02), foil, draw, "box", 1.5, by_normal=True)
 
 
-def _panels(box_m: Array, size_m: float, texel_m: float, rng: np.random.Generator) -> list[Part]:
+def _wings(box_m: Array, size_m: float, studio: Studio) -> list[Part]:
+    rng = studio.rng
+    panels = int(rng.integers(1, 4))
+    length, width = size_m * (0.45 + 0.42 * panels), size_m * rng.uniform(0.55, 0.8)
+    tilt, cell = rng.uniform(-0.9, 0.9), int(rng.integers(34, 62))
+    sides = [-1.0, 1.0] if rng.random() < 0.85 else [1.0]
     parts = []
-    tilt = rng.uniform(-0.5, 0.5)
-    for side in (-1.0, 1.0):
-        length, chord, thickness = 1.1 * size_m, 0.7 * size_m, 0.012 * size_m
-        mesh = trimesh.creation.box([chord, length, thickness])
-        gap = 0.14 * size_m
-        X = trimesh.transformations.rotation_matrix(tilt, [0, 1, 0])
-        X[:3, 3] = [0.05 * size_m, side * (0.5 * box_m[1] + gap + 0.5 * length), 0.02 * size_m]
-        charts = []
-        for faces in flat_facets(mesh):
-            if mesh.area_faces[faces].sum() > 0.5 * chord * length:
-                front = mesh.face_normals[faces[0], 2] > 0
-                draw = draw_solar_cells(0.085 * size_m) if front else draw_equipment_panel(0.3, 350.0)
-                charts.append(chart_of_facet(mesh, faces, texel_m, draw, rng))
-        moved = tuple((_moved(chart, X), faces) for chart, faces in charts)
-        mesh.apply_transform(X)
-        parts.append(Part(mesh, SOLAR_CELL, moved, density_factor=0.6, name="panel"))
-        arm = trimesh.creation.cylinder(0.018 * size_m, gap + 0.02 * size_m, sections=16)
-        arm.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-        arm.apply_translation([0.05 * size_m, side * (0.5 * box_m[1] + 0.5 * gap), 0.02 * size_m])
-        parts.append(Part(arm, BRUSHED_METAL, name="arm"))
+    for side in sides:
+        wing = solar_wing(studio, length, width, 0.014 * size_m, panels, 0.22 * size_m, cell)
+        X = np.eye(4)
+        front = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+        X[:3, 0], X[:3, 2] = [0.0, side, 0.0], front
+        X[:3, 1] = np.cross(X[:3, 2], X[:3, 0])
+        X[:3, 3] = [0.0, side * 0.5 * box_m[1], 0.0]
+        parts += [part.moved(X) for part in wing]
     return parts
 
 
-def _equipment(box_m: Array, size_m: float, texel_m: float, rng: np.random.Generator) -> list[Part]:
-    """A dish on top, a nozzle at the rear, two electronics boxes."""
-    dish_profile = np.array([[0.0, 0.0], [0.1, 0.012], [0.2, 0.05], [0.2, 0.056], [0.1, 0.02], [0.0, 0.008]])
-    dish = trimesh.creation.revolve(dish_profile * size_m, sections=48)
-    dish.apply_transform(trimesh.transformations.rotation_matrix(0.5, [0.3, 1, 0]))
-    dish.apply_translation([0.15 * size_m, 0.0, 0.5 * box_m[2] + 0.1 * size_m])
-    mast = trimesh.creation.cylinder(0.02 * size_m, 0.16 * size_m, sections=16)
-    mast.apply_translation([0.15 * size_m, 0.0, 0.5 * box_m[2] + 0.04 * size_m])
-    bell_profile = np.array([[0.0, 0.0], [0.045, 0.0], [0.1, 0.14], [0.094, 0.14], [0.03, 0.01], [0.0, 0.01]])
-    bell = trimesh.creation.revolve(bell_profile * size_m, sections=40)
-    bell.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [0, 1, 0]))
-    bell.apply_translation([-0.5 * box_m[0] + 0.005 * size_m, 0.0, 0.0])
-    parts = [
-        Part(dish, PAINT_WHITE, name="dish"),
-        Part(mast, BRUSHED_METAL, name="mast"),
-        Part(bell, PAINT_BLACK, name="nozzle"),
-    ]
-    for face in (np.array([1.0, 0, 0]), np.array([0, 0, -1.0])):
-        size = size_m * rng.uniform((0.15, 0.18, 0.06), (0.28, 0.3, 0.1))
-        mesh = trimesh.creation.box(size[[2, 0, 1]] if face[0] else size)
-        place = 0.5 * box_m * face + rng.uniform(-0.15, 0.15, 3) * size_m * (1 - np.abs(face))
-        mesh.apply_translation(place)
-        draw = draw_equipment_panel(float(rng.uniform(0.2, 0.5)), 1500.0)
-        charts = tuple(chart_of_facet(mesh, f, texel_m, draw, rng) for f in flat_facets(mesh))
-        parts.append(Part(mesh, PAINT_GREY, charts, name="equipment"))
+def _aft(size_m: float, box_m: Array, deck: Deck, studio: Studio) -> list[Part]:
+    """Launch adapter ring, main engine inside it, four thrusters in the corners."""
+    rng = studio.rng
+    radius = 0.36 * float(box_m[1:].min())
+    ring = revolve([(0.9 * radius, -0.01 * size_m), (radius, -0.01 * size_m), (radius, 0.05 * size_m),
+                    (1.06 * radius, 0.055 * size_m), (1.06 * radius, 0.075 * size_m),
+                    (0.9 * radius, 0.075 * size_m)], 64, closed=True)  # fmt: skip
+    wall = studio.artist.ring_wall(0.3)
+    parts = deck.put([studio.wrapped(ring, [(1, 2, wall)], ANODISED, "adapter")], 0, 0)
+    deck.reserve(0, 0, 1.1 * radius)
+    if rng.random() < 0.8:
+        nozzle = engine(studio, 0.5 * radius, 0.9 * radius)
+        parts += deck.put([part.moved(pose([0, 0, 1.0], [0, 0, 0.4 * radius])) for part in nozzle], 0, 0)
+    for x in (-0.42, 0.42):
+        for y in (-0.42, 0.42):
+            parts += deck.put(thruster(0.045 * size_m), x * deck.width_m, y * deck.height_m)
+            deck.reserve(x * deck.width_m, y * deck.height_m, 0.04 * size_m)
     return parts
 
 
-def _moved(chart: Chart, X: Array) -> Chart:
-    """The chart after the rigid transform (4, 4) of its part."""
-    R = X[:3, :3]
-    return replace(
-        chart, origin_G=R @ chart.origin_G + X[:3, 3], right_G=R @ chart.right_G, down_G=R @ chart.down_G
-    )
+def _front(size_m: float, decks: dict[str, Deck], studio: Studio) -> list[Part]:
+    """The payload: a dish, a horn farm or a telescope's ring on one of the free walls."""
+    rng = studio.rng
+    deck = decks[str(rng.choice(["+x", "+z"]))]
+    kind = rng.integers(3)
+    if kind == 0:
+        deck.reserve(0, 0, 0.3 * size_m)
+        return deck.put(small_dish(studio, size_m * float(rng.uniform(0.45, 0.65))), 0, 0)
+    if kind == 1:
+        parts = []
+        for _ in range(int(rng.integers(3, 7))):
+            size = size_m * float(rng.uniform(0.1, 0.2))
+            parts += deck.place(horn(size), 0.45 * size, rng)
+        return parts
+    radius = 0.3 * size_m * float(rng.uniform(0.7, 1.0))
+    height = size_m * float(rng.uniform(0.2, 0.45))
+    tube = revolve([(0, -0.02 * size_m), (radius, -0.02 * size_m), (radius, height), (0.9 * radius, height),
+                    (0.86 * radius, 0.1 * height), (0, 0.1 * height)], 64)  # fmt: skip
+    deck.reserve(0, 0, 1.1 * radius)
+    wall = studio.artist.blanket() if rng.random() < 0.6 else studio.artist.ring_wall(0.1)
+    material = FOIL_BLACK if rng.random() < 0.5 else FOIL_GOLD
+    return deck.put([studio.wrapped(tube, [(1, 2, wall)], material, "telescope", 0.4)], 0, 0)
+
+
+def _equipment(deck: Deck, size_m: float, studio: Studio) -> list[Part]:
+    """What fits on a wall, the largest first."""
+    rng, s = studio.rng, size_m
+    parts = []
+    for _ in range(int(rng.integers(1, 3))):
+        w, d = s * rng.uniform(0.12, 0.26, 2)
+        things = electronics_box(studio, w, d, s * rng.uniform(0.05, 0.1))
+        parts += deck.place(things, 0.6 * float(np.hypot(w, d)), rng)
+    for _ in range(int(rng.integers(3, 7))):
+        kind = rng.integers(9)
+        if kind == 0:
+            parts += deck.place(star_tracker(studio, 0.17 * s), 0.12 * s, rng)
+        elif kind == 1:
+            parts += deck.place(thruster_block(studio, 0.08 * s), 0.1 * s, rng)
+        elif kind == 2:
+            parts += deck.place(sun_sensor(0.05 * s), 0.04 * s, rng)
+        elif kind == 3:
+            parts += deck.place(patch(studio, 0.11 * s), 0.08 * s, rng)
+        elif kind == 4:
+            parts += deck.place(handrail(0.2 * s, 0.006 * s), 0.12 * s, rng)
+        elif kind == 5:
+            parts += deck.place(hexagonal_can(studio, 0.12 * s), 0.08 * s, rng)
+        elif kind == 6:
+            parts += deck.place(umbilical(studio, 0.14 * s), 0.1 * s, rng)
+        elif kind == 7:
+            parts += deck.place(helix(0.16 * s, 0.03 * s), 0.06 * s, rng)
+        else:
+            things = whip(0.3 * s, 0.004 * s) if rng.random() < 0.5 else grapple_pin(0.12 * s)
+            parts += deck.place(things, 0.08 * s, rng)
+    clamp = box([0.03 * s, 0.03 * s, 0.02 * s], bevel=0.2)
+    for _ in range(6):
+        parts += deck.place([Part(clamp, BRUSHED_METAL, name="fitting")], 0.03 * s, rng)
+    return parts

@@ -30,6 +30,8 @@ class Canvas:
     tilt: NDArray[np.float32]
     """(h, w, 2) slope to the right and down, beside the relief's: tiles that lie askew"""
     materials: list[Material] = field(default_factory=list)
+    taken: list[tuple[float, float, float]] = field(default_factory=list)
+    """Discs (column, row, radius) that marks lie on"""
 
     @staticmethod
     def blank(height: int, width: int) -> "Canvas":
@@ -56,6 +58,16 @@ class Canvas:
         if material not in self.materials:
             self.materials.append(material)
         return self.materials.index(material) + 1
+
+    def free_place(self, radius: float, rng: np.random.Generator, tries: int = 8) -> Array | None:
+        """Column and row (2,) for a mark of a radius that lies on no other; taken from then on."""
+        size = np.array([self.code.shape[1], self.code.shape[0]])
+        for _ in range(tries):
+            at = rng.uniform(0.04 * size, 0.96 * size)
+            if all((at[0] - u) ** 2 + (at[1] - v) ** 2 > (radius + r) ** 2 for u, v, r in self.taken):
+                self.taken.append((float(at[0]), float(at[1]), radius))
+                return np.asarray(at)
+        return None
 
     def slope(self) -> NDArray[np.float32]:
         """(h, w, 2) of the relief and the tilts, to the right and down."""

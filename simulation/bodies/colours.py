@@ -1,4 +1,4 @@
-"""Colours that a mesh file holds, as reflectances: an image by texture coordinates, or values at the corners."""
+"""Colours that a mesh file holds, as reflectances: an image by texture coordinates, or corner values."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -35,7 +35,7 @@ def masses_by_name(parts: list[tuple[str, trimesh.Trimesh, float]]) -> list[Part
 
 
 def _pieces(name: str, mesh: trimesh.Trimesh, factor: float) -> list[PartMass]:
-    """A closed mesh is itself; an open one falls into pieces: closed ones, hulls of open ones, flat sheets."""
+    """A closed mesh is itself; an open one falls into pieces: closed ones, hulls of open ones, sheets."""
     if mesh.is_volume:
         return [_solid(name, mesh, factor)]
     pieces = mesh.split(only_watertight=False)

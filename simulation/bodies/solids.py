@@ -116,7 +116,7 @@ def drum(radius: float, height: float, sections: int = 24, bevel: float = 0.08) 
 
 
 def ellipsoid_cap(radius: float, height: float, rings: int = 8) -> Array:
-    """Profile (rings + 1, 2) of half an ellipse, from the axis at ``height`` out to the radius at zero [m]."""
+    """Profile (rings + 1, 2) of half an ellipse, from the axis at ``height`` to the radius at zero [m]."""
     angle = np.linspace(np.pi / 2, 0.0, rings + 1)
     profile = np.column_stack([radius * np.cos(angle), height * np.sin(angle)])
     profile[0, 0] = 0.0
@@ -167,9 +167,9 @@ def strut(start: ArrayLike, end: ArrayLike, radius: float, sections: int = 8) ->
 
 
 def pose(direction_G: ArrayLike, position_G: ArrayLike, turn: float = 0.0) -> Array:
-    """Pose (4, 4) that turns z to a direction and moves the origin to a position; first a turn about z [rad]."""
+    """Pose (4, 4): a turn about z [rad], then z turned to a direction, then the origin moved."""
     towards = np.asarray(direction_G, dtype=np.float64)
     X = np.asarray(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], towards), dtype=np.float64)
     X = X @ np.asarray(trimesh.transformations.rotation_matrix(turn, [0, 0, 1]))
     X[:3, 3] = position_G
-    return X
+    return np.asarray(X)

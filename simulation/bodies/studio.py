@@ -71,8 +71,8 @@ class Studio:
     ) -> Part:
         """A part with a drawing on each flat face that is large enough.
 
-        With ``by_normal``, ``draw`` names the drawing for an outward normal (3,), or none. Rows of the drawings
-        run along down_G (3,) where a face is not square to it.
+        With ``by_normal``, ``draw`` names the drawing for an outward normal (3,), or none. Rows of the
+        drawings run along down_G (3,) where a face is not square to it.
         """
         charts = []
         for faces in flat_facets(mesh):

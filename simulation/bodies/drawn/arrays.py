@@ -55,7 +55,7 @@ def _cell(
     layers: tuple[int, int],
     rng: np.random.Generator,
 ) -> None:
-    """One cell: dark glass with its own tilt and tone, bright tabs on one side, sometimes replaced or cracked."""
+    """One cell: dark glass with its own tilt and tone, bright tabs on one side; some replaced or cracked."""
     left, top, right, bottom = corners
     outline = np.array([
         (left + cut, top), (right - cut, top), (right, top + cut), (right, bottom - cut),

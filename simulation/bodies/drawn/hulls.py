@@ -114,9 +114,11 @@ def reflector(base: float, gores: int) -> Draw:
         for ring in rng.uniform(0.25, 0.8, int(rng.integers(1, 3))):
             v = int(ring * height)
             canvas.code[v : v + 1] = (canvas.code[v : v + 1] * 0.75).astype(np.uint8)
-        for _ in range(int(rng.poisson(1.5e-4 * canvas.area))):
-            at = tuple(rng.uniform((0, 0), (width, height)).astype(int).tolist())
-            cv2.circle(canvas.code, at, 3, code(0.04 if base > 0.2 else 0.8), -1, cv2.LINE_AA)
+        for v in np.linspace(0.15, 0.95, int(rng.integers(3, 6))) * (height - 1):
+            for u in 0.5 * (edges[:-1] + edges[1:])[:: int(rng.integers(1, 3))]:
+                cv2.circle(
+                    canvas.code, (int(u), int(v)), 3, code(0.04 if base > 0.2 else 0.8), -1, cv2.LINE_AA
+                )
         for _ in range(int(rng.poisson(1e-5 * canvas.area))):
             sticker(canvas, rng)
         smudges(canvas, 0.03, rng)
@@ -174,7 +176,9 @@ def _livery(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
             )
     name = str(rng.choice(NAMES))
     size = int(min(0.09 * width, 1.1 * height / len(name)))
-    for share in (rng.uniform(0, 1), rng.uniform(0, 1)):
+    start = float(rng.random())
+    for share in (start, (start + rng.uniform(0.4, 0.6)) % 1.0):
+        canvas.taken.append((share * width, 0.5 * height, 0.2 * height))
         letters = lettering(name, size)
         scale = min(1.0, 0.8 * height / letters.shape[1])
         letters = cv2.resize(letters, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -196,8 +200,9 @@ def _emblem(canvas: Canvas, ink: float, rng: np.random.Generator) -> None:
                 plate[k * h // 3 : (k + 1) * h // 3] = code(float(rng.choice([0.05, 0.2, 0.35])))
         else:
             cv2.circle(plate, (w // 2, h // 2), int(0.35 * h), code(ink), -1, cv2.LINE_AA)
-        at = rng.uniform((0, 0.15 * height), (width, 0.85 * height))
-        stamp(canvas, plate, at, 0.0, layer=paint)
+        at = canvas.free_place(0.6 * w, rng)
+        if at is not None:
+            stamp(canvas, plate, at, 0.0, layer=paint)
 
 
 def _doors(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
@@ -217,7 +222,10 @@ def _doors(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
 def _scorch(canvas: Canvas, reach: float, rng: np.random.Generator) -> None:
     """Soot at the lower end, in streaks."""
     height, width = canvas.shape
-    ragged = cv2.resize(rng.normal(0, 1, (1, max(8, width // 14))).astype(np.float32), (width, 1))
     v = np.linspace(0, 1, height, dtype=np.float32)[:, None]
-    amount = np.clip((v - 1.0 + reach * (1.0 + 0.35 * ragged)) / reach, 0, 1) ** 1.5
-    canvas.code[...] = (canvas.code * (1.0 - 0.72 * amount)).astype(np.uint8)
+    ragged = np.zeros((1, width), np.float32)
+    for texels, strength in ((60, 0.25), (16, 0.2), (4, 0.15)):
+        waves = rng.normal(0, strength, (1, max(4, width // texels))).astype(np.float32)
+        ragged += cv2.resize(waves, (width, 1), interpolation=cv2.INTER_CUBIC)
+    amount = np.clip((v - 1.0 + reach * (1.0 + ragged)) / reach, 0, 1) ** 2
+    canvas.code[...] = (canvas.code * (1.0 - 0.7 * amount)).astype(np.uint8)

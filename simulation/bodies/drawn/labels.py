@@ -13,8 +13,8 @@ from simulation.bodies.drawn.marks import stamp
 from simulation.materials import VINYL
 
 WORDS = (
-    "CAUTION", "VENT", "LIFT HERE", "HOT", "S/N", "PORT", "REV C", "NO STEP", "ARM", "FILL", "J4", "GND", "RCS",
-    "REMOVE BEFORE FLIGHT", "P/N", "HINGE", "AFT", "FWD", "UMB", "TEST", "OPEN", "LOX", "GN2", "28 V", "STBD",
+    "CAUTION", "VENT", "LIFT HERE", "HOT", "S/N", "PORT", "REV C", "NO STEP", "ARM", "FILL", "J4", "GND",
+    "REMOVE BEFORE FLIGHT", "P/N", "HINGE", "AFT", "FWD", "UMB", "TEST", "OPEN", "LOX", "GN2", "28 V", "RCS",
 )  # fmt: skip
 PAPERS = (0.06, 0.12, 0.3, 0.5, 0.68, 0.8)
 """Reflectances of stickers."""
@@ -61,7 +61,9 @@ def sticker(canvas: Canvas, rng: np.random.Generator, askew_deg: float = 3.0) ->
     if rng.random() < 0.6:
         cv2.rectangle(plate, (0, 0), (plate.shape[1] - 1, plate.shape[0] - 1), code(ink), 1)
     turn = float(rng.choice([0.0, 90.0, 180.0, 270.0], p=[0.55, 0.2, 0.05, 0.2]) + rng.normal(0, askew_deg))
-    centre = rng.uniform((0.04 * width, 0.04 * height), (0.96 * width, 0.96 * height))
+    centre = canvas.free_place(0.4 * float(np.hypot(*plate.shape)), rng)
+    if centre is None:
+        return
     stamp(canvas, plate, centre, turn, layer=canvas.layer_of(VINYL), lift=0.25)
 
 
@@ -150,6 +152,7 @@ def _two_tone(h: int, w: int, paper: int, ink: int, rng: np.random.Generator) ->
     size = (min(letters.shape[1], int(0.9 * w)), min(letters.shape[0], head))
     letters = cv2.resize(letters, size, interpolation=cv2.INTER_AREA)
     window = plate[: size[1], 2 : 2 + size[0]]
+    letters = letters[: window.shape[0], : window.shape[1]]
     window[...] = np.rint(window + letters * (np.float32(paper) - window))
     for row in range(head + 3, h - 2, 4):
         plate[row, 3 : 3 + int(rng.uniform(0.4, 0.9) * w)] = (ink + paper) // 2
