@@ -39,20 +39,21 @@ class Simulate:
     output: Annotated[Path, arg(aliases=["-o"], metavar="SEQ")]
     """Folder of the dataset, to be made."""
     overwrite: FlagCreatePairsOff[bool] = False
-    """Replace a dataset that is already there."""
+    """Replace a dataset that is already there; nothing else is ever replaced."""
     debug: _Debug = False
     """Show the traceback of an error."""
     values: _Values = field(default_factory=lambda: Config(scene=Scene()))
 
     def execute(self) -> int:
-        """Render; the dataset appears when it is complete."""
+        """Render; the dataset appears when it is complete, and an interrupted one is taken up again."""
         if self.values.scene is None:
             raise InputError(f"{self.config}: no 'scene' to simulate; add one, or extend a file that has it")
-        from simulation.sequence import simulate
+        from simulation.sequence import plan_sequence, require_free, write_sequence
 
-        scene, workers = self.values.scene, _workers(self.values)
-        simulate(scene, self.values.seed, self.output, choose_progress(), workers, self.overwrite)
-        print(f"{scene.frames} stereo pairs with truth: {self.output}")
+        require_free(self.output, self.overwrite)
+        plan = plan_sequence(self.values.scene, self.values.seed)
+        write_sequence(plan, self.output, choose_progress(), _workers(self.values), self.overwrite)
+        print(f"{len(plan.frames)} stereo pairs with truth: {self.output}")
         return 0
 
 

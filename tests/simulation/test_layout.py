@@ -60,7 +60,7 @@ def test_images_are_grey_of_the_calibrations_size_and_hold_the_target(sequence_f
 
 def test_truth_names_moments_ratios_and_frames(sequence_folder: Path) -> None:
     target = yaml.safe_load((sequence_folder / "mav0/target0/target.yaml").read_text())
-    assert set(target) == {"moments", "k1", "k2", "com_G", "R_GP"}
+    assert set(target) == {"moments", "k1", "k2", "com_G", "R_GP", "mass_kg"}
     rows = (sequence_folder / "mav0/target0/data.csv").read_text().splitlines()
     assert len(rows) == 1 + FRAMES + 120
     assert {len(row.split(",")) for row in rows} == {14}
