@@ -38,8 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(InputError.exit_code, str(error), debug)
     except RunFailure as error:
         return _fail(RunFailure.exit_code, str(error), debug)
-    except KeyboardInterrupt:
-        return _fail(INTERRUPTED, "interrupted", debug)
+    except KeyboardInterrupt as stop:
+        return _fail(INTERRUPTED, str(stop) or "interrupted", debug)
     except Exception as error:  # noqa: BLE001  the last resort: one line instead of a traceback
         message = (
             f"unexpected {type(error).__name__}: {error}; this is a fault of polhode, --debug shows where"
