@@ -136,7 +136,9 @@ def robust_information(s: Array, scale: float) -> Array:
 
     Huber's sandwich for an M-estimator, per degree of freedom: a^2 / b with a = mean(psi'), b = mean(psi^2),
     shared out in proportion to the weights. Equals 1 on average for a loose kernel and Gaussian noise.
+    The noise level is known by now, residuals are smaller by what the fit took: they are scaled back to it.
     """
+    s = s * (3.0 / max(float(np.mean(s)), 1e-12))
     w = 1.0 / (1.0 + s / scale**2)
     slope = np.mean(w - (2.0 / 3.0) * s * w**2 / scale**2)
     spread = np.mean(w**2 * s) / 3.0
