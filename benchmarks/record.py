@@ -1,0 +1,59 @@
+"""Long benchmarks that can be interrupted: one JSON line per case in a file, cases on several processes."""
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from pipeline.threads import limit_threads
+
+Case = dict[str, Any]
+"""What names a case: its values are strings, numbers or booleans."""
+
+
+def complete(path: Path, cases: Iterable[Case], measure: Callable[[Case], Case], workers: int) -> list[Case]:
+    """Measure the cases that the file lacks, append them to it, and return the lines of all cases.
+
+    ``measure`` runs in a new process of one BLAS thread; its answer becomes a line, under "case" the case.
+    """
+    wanted = list(cases)
+    done = {_key(line["case"]): line for line in _lines(path)}
+    missing = [case for case in wanted if _key(case) not in done]
+    if missing:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        limit_threads(1)
+        # a process is renewed now and then: compiled kernels pile up
+        with get_context("spawn").Pool(workers, maxtasksperchild=20) as pool, path.open("a") as stream:
+            for number, line in enumerate(pool.imap_unordered(_Joined(measure), missing), start=1):
+                done[_key(line["case"])] = line
+                stream.write(json.dumps(line) + "\n")
+                stream.flush()
+                print(f"\r{number} of {len(missing)}", end="", flush=True)
+        print()
+    return [done[_key(case)] for case in wanted]
+
+
+class _Joined:
+    """Runs in the other process."""
+
+    def __init__(self, measure: Callable[[Case], Case]) -> None:
+        self.measure = measure
+
+    def __call__(self, case: Case) -> Case:
+        return {"case": case, **self.measure(case)}
+
+
+def _key(case: Case) -> str:
+    return json.dumps(case, sort_keys=True)
+
+
+def _lines(path: Path) -> Iterator[Case]:
+    if not path.is_file():
+        return
+    for text in path.read_text().splitlines():
+        try:
+            yield json.loads(text)
+        except json.JSONDecodeError:
+            # the last line of an interrupted run may be cut off
+            continue
