@@ -20,8 +20,8 @@ from simulation.bodies.upper_stage import upper_stage_parts
 TEXELS = {
     "free_flyer": 440.0,
     "bus": 420.0,
-    "upper_stage": 700.0,
-    "dish": 640.0,
+    "upper_stage": 950.0,
+    "dish": 700.0,
     "truss": 900.0,
     "cubesat": 480.0,
 }

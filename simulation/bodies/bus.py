@@ -1,26 +1,20 @@
 """A box bus wrapped in foil and radiators, with solar wings, a dish, a nozzle and equipment on its walls."""
 
+from functools import partial
+
 import numpy as np
 
 from polhode.lie import Array
-from simulation.bodies.antennas import helix, horn, patch, small_dish, whip
+from simulation.bodies.antennas import horn, small_dish
 from simulation.bodies.canvas import Draw
 from simulation.bodies.deck import Deck, decks_of_box
-from simulation.bodies.equipment import (
-    electronics_box,
-    grapple_pin,
-    handrail,
-    hexagonal_can,
-    star_tracker,
-    sun_sensor,
-    umbilical,
-)  # fmt: skip
+from simulation.bodies.fittings import fit_out
 from simulation.bodies.part import Part
-from simulation.bodies.propulsion import engine, thruster, thruster_block
+from simulation.bodies.propulsion import engine, thruster
 from simulation.bodies.solids import box, pose, revolve
 from simulation.bodies.studio import Studio
 from simulation.bodies.wing import solar_wing
-from simulation.materials import ANODISED, BRUSHED_METAL, FOIL_BLACK, FOIL_GOLD, FOIL_SILVER, Material
+from simulation.materials import ANODISED, FOIL_BLACK, FOIL_GOLD, FOIL_SILVER, Material
 
 
 def bus_parts(size_m: float, studio: Studio) -> list[Part]:
@@ -37,7 +31,7 @@ def bus_parts(size_m: float, studio: Studio) -> list[Part]:
         # The wing's drive sits in the middle of this wall.
         decks[name].reserve(0.0, 0.0, 0.16 * size_m)
     for deck in decks.values():
-        parts += _equipment(deck, size_m, studio)
+        parts += fit_out(deck, size_m, studio, int(rng.integers(1, 3)), int(rng.integers(3, 7)))
     return parts
 
 
@@ -109,7 +103,7 @@ def _front(size_m: float, decks: dict[str, Deck], studio: Studio) -> list[Part]:
         parts = []
         for _ in range(int(rng.integers(3, 7))):
             size = size_m * float(rng.uniform(0.1, 0.2))
-            parts += deck.place(horn(size), 0.45 * size, rng)
+            parts += deck.place(partial(horn, size), 0.45 * size, rng)
         return parts
     radius = 0.3 * size_m * float(rng.uniform(0.7, 1.0))
     height = size_m * float(rng.uniform(0.2, 0.45))
@@ -119,38 +113,3 @@ def _front(size_m: float, decks: dict[str, Deck], studio: Studio) -> list[Part]:
     wall = studio.artist.blanket() if rng.random() < 0.6 else studio.artist.ring_wall(0.1)
     material = FOIL_BLACK if rng.random() < 0.5 else FOIL_GOLD
     return deck.put([studio.wrapped(tube, [(1, 2, wall)], material, "telescope", 0.4)], 0, 0)
-
-
-def _equipment(deck: Deck, size_m: float, studio: Studio) -> list[Part]:
-    """What fits on a wall, the largest first."""
-    rng, s = studio.rng, size_m
-    parts = []
-    for _ in range(int(rng.integers(1, 3))):
-        w, d = s * rng.uniform(0.12, 0.26, 2)
-        things = electronics_box(studio, w, d, s * rng.uniform(0.05, 0.1))
-        parts += deck.place(things, 0.6 * float(np.hypot(w, d)), rng)
-    for _ in range(int(rng.integers(3, 7))):
-        kind = rng.integers(9)
-        if kind == 0:
-            parts += deck.place(star_tracker(studio, 0.17 * s), 0.12 * s, rng)
-        elif kind == 1:
-            parts += deck.place(thruster_block(studio, 0.08 * s), 0.1 * s, rng)
-        elif kind == 2:
-            parts += deck.place(sun_sensor(0.05 * s), 0.04 * s, rng)
-        elif kind == 3:
-            parts += deck.place(patch(studio, 0.11 * s), 0.08 * s, rng)
-        elif kind == 4:
-            parts += deck.place(handrail(0.2 * s, 0.006 * s), 0.12 * s, rng)
-        elif kind == 5:
-            parts += deck.place(hexagonal_can(studio, 0.12 * s), 0.08 * s, rng)
-        elif kind == 6:
-            parts += deck.place(umbilical(studio, 0.14 * s), 0.1 * s, rng)
-        elif kind == 7:
-            parts += deck.place(helix(0.16 * s, 0.03 * s), 0.06 * s, rng)
-        else:
-            things = whip(0.3 * s, 0.004 * s) if rng.random() < 0.5 else grapple_pin(0.12 * s)
-            parts += deck.place(things, 0.08 * s, rng)
-    clamp = box([0.03 * s, 0.03 * s, 0.02 * s], bevel=0.2)
-    for _ in range(6):
-        parts += deck.place([Part(clamp, BRUSHED_METAL, name="fitting")], 0.03 * s, rng)
-    return parts

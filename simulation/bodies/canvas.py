@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
@@ -120,7 +121,10 @@ def charts_around(
     across = max(2, round(2.0 * profile[:, 0].max() * np.sin(np.pi / sections) / texel_m))
     canvas = Canvas.blank(max(2, round(float(lengths.sum()) / texel_m)), across * sections)
     draw(canvas, rng)
-    image, slope, layer = (_wrapped(sheet) for sheet in _finished(canvas))
+    image, slope, layer = _finished(canvas)
+    # OpenCV remaps no signed bytes.
+    painted, steep = _wrapped(image), None if slope is None else _wrapped(slope.astype(np.float32))
+    layers = None if layer is None else _wrapped(layer)
     materials = tuple(canvas.materials)
     charts = []
     covered = 0.0
@@ -135,8 +139,13 @@ def charts_around(
             faces = solid.panels[first + s, k]
             place = _panel_axes(lower_m, upper_m, k, sections)
             origin = place[0] - 0.5 * (size[1] - 1) * texel_m * place[1] - 0.5 * texel_m * place[2]
-            sliced = [_slice(sheet, u + k * across, v) for sheet in (image, slope, layer)]
-            chart = Chart(origin, place[1], place[2], texel_m, *sliced, materials)  # type: ignore[arg-type]
+            where = (u + np.float32(k * across), v)
+            own_slope = (
+                None if steep is None else np.rint(cv2.remap(steep, *where, cv2.INTER_LINEAR)).astype(np.int8)
+            )
+            own_layer = None if layers is None else cv2.remap(layers, *where, cv2.INTER_NEAREST)
+            flat = cv2.remap(painted, *where, cv2.INTER_LINEAR)
+            chart = Chart(origin, place[1], place[2], texel_m, flat, own_slope, own_layer, materials)
             charts.append((chart, faces[faces >= 0]))
     return tuple(charts)
 
@@ -161,10 +170,8 @@ def _finished(
     return image, steps if steps.any() else None, canvas.layer if canvas.layer.any() else None
 
 
-def _wrapped(sheet: NDArray[np.generic] | None) -> NDArray[np.generic] | None:
+def _wrapped(sheet: NDArray[Any]) -> NDArray[Any]:
     """The sheet with some of its other end on either side."""
-    if sheet is None:
-        return None
     return np.concatenate([sheet[:, -MARGIN:], sheet, sheet[:, :MARGIN]], axis=1)
 
 
@@ -203,16 +210,3 @@ def _panel_axes(lower: Array, upper: Array, k: int, sections: int) -> tuple[Arra
     bottom = lower[0] * flat * outward + [0.0, 0.0, lower[1]]
     right = np.array([-np.sin(angle), np.cos(angle), 0.0])
     return top, right, (bottom - top) / np.linalg.norm(bottom - top)
-
-
-def _slice(
-    sheet: NDArray[np.generic] | None, u: NDArray[np.float32], v: NDArray[np.float32]
-) -> NDArray[np.generic] | None:
-    if sheet is None:
-        return None
-    if sheet.dtype == np.int8:
-        # OpenCV remaps no signed bytes.
-        moved = cv2.remap(sheet.astype(np.float32), u, v, cv2.INTER_LINEAR)
-        return np.rint(moved).astype(np.int8)
-    how = cv2.INTER_NEAREST if sheet.dtype == np.uint8 else cv2.INTER_LINEAR
-    return np.asarray(cv2.remap(sheet, u, v, how, borderMode=cv2.BORDER_REPLICATE))

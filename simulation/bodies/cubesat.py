@@ -1,6 +1,7 @@
 """A cubesat of one to six units: rails, body-mounted cells, a lens, antennas of tape, folding wings."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -94,7 +95,7 @@ def _ends(form: _Form, decks: dict[str, Deck], studio: Studio) -> list[Part]:
     kind = rng.integers(3)
     if kind == 0:
         top.reserve(x, 0, 0.36 * u)
-        parts += top.put(camera_lens(0.62 * u), x, 0)
+        parts += top.put(camera_lens(0.5 * u), x, 0)
     elif kind == 1:
         top.reserve(x, 0, 0.4 * u)
         parts += top.put(patch(studio, 0.6 * u), x, 0)
@@ -109,9 +110,9 @@ def _ends(form: _Form, decks: dict[str, Deck], studio: Studio) -> list[Part]:
         parts += bottom.put(patch(studio, 0.5 * u), 0, 0)
         bottom.reserve(0, 0, 0.36 * u)
     for deck in (top, bottom):
-        parts += deck.place(star_tracker(studio, 0.32 * u), 0.24 * u, rng)
-        parts += deck.place(sun_sensor(0.13 * u), 0.09 * u, rng)
-        parts += deck.place(electronics_box(studio, 0.26 * u, 0.18 * u, 0.07 * u), 0.18 * u, rng)
+        parts += deck.place(partial(star_tracker, studio, 0.32 * u), 0.24 * u, rng)
+        parts += deck.place(partial(sun_sensor, 0.13 * u), 0.09 * u, rng)
+        parts += deck.place(partial(electronics_box, studio, 0.26 * u, 0.18 * u, 0.07 * u), 0.18 * u, rng)
     plunger = drum(0.02 * u, 0.12 * u, 10)
     for sign in (-1.0, 1.0):
         at = pose([0, 0, -1.0], [sign * 0.5 * (form.sides_m[0] - 0.085 * u), sign * 0.5 * (form.sides_m[1] - 0.085 * u),
@@ -127,13 +128,13 @@ def _side(form: _Form, deck: Deck, studio: Studio) -> list[Part]:
     for _ in range(int(rng.integers(0, 3))):
         kind = rng.integers(4)
         if kind == 0:
-            parts += deck.place(umbilical(studio, 0.26 * u), 0.2 * u, rng)
+            parts += deck.place(partial(umbilical, studio, 0.26 * u), 0.2 * u, rng)
         elif kind == 1:
-            parts += deck.place(sun_sensor(0.1 * u), 0.08 * u, rng)
+            parts += deck.place(partial(sun_sensor, 0.1 * u), 0.08 * u, rng)
         elif kind == 2:
-            parts += deck.place(patch(studio, 0.3 * u), 0.22 * u, rng)
+            parts += deck.place(partial(patch, studio, 0.3 * u), 0.22 * u, rng)
         else:
-            parts += deck.place(camera_lens(0.2 * u), 0.14 * u, rng)
+            parts += deck.place(partial(camera_lens, 0.2 * u), 0.14 * u, rng)
     return parts
 
 

@@ -1,5 +1,6 @@
 """Places for equipment on a flat wall, none on top of another."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,10 +40,10 @@ class Deck:
         X = self.X_G @ pose([0, 0, 1.0], [x_m, y_m, 0.0], turn)
         return [part.moved(X) for part in parts]
 
-    def place(self, parts: list[Part], radius_m: float, rng: np.random.Generator) -> list[Part]:
-        """The parts wherever there is room, turned by a multiple of 90 degrees; none without room."""
+    def place(self, make: Callable[[], list[Part]], radius_m: float, rng: np.random.Generator) -> list[Part]:
+        """What ``make`` gives, wherever there is room, turned by a multiple of 90 degrees; nothing without."""
         at = self.find(radius_m, rng)
-        return [] if at is None else self.put(parts, *at, turn=float(rng.integers(4)) * np.pi / 2)
+        return [] if at is None else self.put(make(), *at, turn=float(rng.integers(4)) * np.pi / 2)
 
 
 def decks_of_box(size_m: Array, centre_G: Array) -> dict[str, Deck]:

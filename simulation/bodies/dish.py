@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from simulation.bodies.antennas import helix, paraboloid, patch, whip
+from simulation.bodies.antennas import paraboloid
 from simulation.bodies.canvas import Draw
 from simulation.bodies.deck import decks_of_box
-from simulation.bodies.equipment import electronics_box, star_tracker, sun_sensor
+from simulation.bodies.fittings import fit_out
 from simulation.bodies.part import Part
-from simulation.bodies.propulsion import thruster, thruster_block
 from simulation.bodies.solids import box, drum, pose, revolve, strut, tube
 from simulation.bodies.studio import Studio
 from simulation.bodies.wing import solar_wing
@@ -47,7 +46,7 @@ def _reflector(studio: Studio, size_m: float, focal: float, gores: int) -> list[
     wall_m = 0.006 * size_m
     solid = paraboloid(size_m, focal, wall_m, SECTIONS, STEPS)
     last = len(solid.profile) - 1
-    base = float(rng.choice([0.78, 0.7, 0.3, 0.1]))
+    base = float(rng.choice([0.78, 0.78, 0.6, 0.3]))
     front = studio.artist.reflector(base, gores)
     back: Draw = studio.artist.blanket() if rng.random() < 0.4 else studio.artist.reflector(0.08, gores)
     material = PAINT_WHITE if base > 0.2 else COMPOSITE
@@ -153,16 +152,7 @@ def _bus(studio: Studio, size_m: float, hub: float) -> list[Part]:
         wing = solar_wing(studio, length, width, 0.008 * size_m, panels, 0.1 * size_m, cell)
         parts += [part.moved(X) for part in wing]
         decks["+x" if side > 0 else "-x"].reserve(0, 0, 0.1 * size_m)
-    s = 0.5 * size_m
     for name, deck in decks.items():
-        if name == "+z":
-            continue
-        parts += deck.place(electronics_box(studio, 0.16 * s, 0.12 * s, 0.06 * s), 0.12 * s, rng)
-        parts += deck.place(star_tracker(studio, 0.16 * s), 0.12 * s, rng) if rng.random() < 0.4 else []
-        parts += deck.place(sun_sensor(0.05 * s), 0.05 * s, rng)
-        parts += deck.place(patch(studio, 0.1 * s), 0.08 * s, rng) if rng.random() < 0.5 else []
-        parts += deck.place(thruster_block(studio, 0.08 * s), 0.09 * s, rng) if rng.random() < 0.4 else []
-        parts += deck.place(helix(0.2 * s, 0.035 * s), 0.08 * s, rng) if rng.random() < 0.3 else []
-        parts += deck.place(whip(0.4 * s, 0.004 * s), 0.04 * s, rng) if rng.random() < 0.2 else []
-    parts += decks["-z"].place(thruster(0.14 * s), 0.1 * s, rng)
+        if name != "+z":
+            parts += fit_out(deck, 0.5 * size_m, studio, 1, int(rng.integers(1, 5)))
     return parts

@@ -2,6 +2,7 @@
 
 import numpy as np
 import trimesh
+from numba import njit
 
 from polhode.lie import Array
 from polhode.records import Ints
@@ -15,16 +16,39 @@ def smooth_corner_normals(mesh: trimesh.Trimesh) -> Array:
 
     Faces wound the wrong way count with their sign turned: real meshes mix windings.
     """
-    face_normals = np.asarray(mesh.face_normals)
-    neighbours = mesh.vertex_faces[mesh.faces]
-    n = np.where(neighbours[..., None] >= 0, face_normals[neighbours], 0.0)
-    cosine = np.einsum("fcnk,fk->fcn", n, face_normals)
-    area = np.where(neighbours >= 0, mesh.area_faces[neighbours], 0.0)
-    weight = np.sign(cosine) * area * (np.abs(cosine) > np.cos(np.deg2rad(SMOOTH_BELOW_DEG)))
-    total = np.einsum("fcn,fcnk->fck", weight, n)
-    length = np.linalg.norm(total, axis=-1, keepdims=True)
-    flat = np.broadcast_to(face_normals[:, None], total.shape)
-    return np.where(length > 0, total / np.where(length > 0, length, 1.0), flat)
+    faces = np.ascontiguousarray(mesh.faces)
+    order = np.argsort(faces.ravel(), kind="stable")
+    start = np.searchsorted(faces.ravel()[order], np.arange(len(mesh.vertices) + 1))
+    normals, area = np.ascontiguousarray(mesh.face_normals), np.ascontiguousarray(mesh.area_faces)
+    return np.asarray(_smooth(faces, order // 3, start, normals, area))
+
+
+@njit(cache=True)
+def _smooth(faces: Ints, face_at: Ints, start: Ints, normals: Array, area: Array) -> Array:
+    """``face_at[start[v] : start[v + 1]]`` are the faces around vertex v."""
+    out = np.empty((len(faces), 3, 3))
+    limit = np.cos(np.deg2rad(SMOOTH_BELOW_DEG))
+    for f in range(len(faces)):
+        for c in range(3):
+            x, y, z = 0.0, 0.0, 0.0
+            for at in range(start[faces[f, c]], start[faces[f, c] + 1]):
+                g = face_at[at]
+                cosine = (
+                    normals[f, 0] * normals[g, 0]
+                    + normals[f, 1] * normals[g, 1]
+                    + normals[f, 2] * normals[g, 2]
+                )
+                if abs(cosine) > limit:
+                    weight = area[g] if cosine > 0.0 else -area[g]
+                    x += weight * normals[g, 0]
+                    y += weight * normals[g, 1]
+                    z += weight * normals[g, 2]
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > 0.0:
+                out[f, c, 0], out[f, c, 1], out[f, c, 2] = x / length, y / length, z / length
+            else:
+                out[f, c] = normals[f]
+    return out
 
 
 def flat_facets(mesh: trimesh.Trimesh) -> list[Ints]:

@@ -102,6 +102,7 @@ class Body:
 
 def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
     """Join parts into a body; the mass of overlapping parts is counted twice."""
+    parts = _gathered(parts)
     drawn = [(part, chart) for part in parts for chart, _ in part.charts]
     every = [part.material for part in parts] + [m for _, chart in drawn for m in chart.materials]
     materials = tuple(dict.fromkeys(every))
@@ -136,6 +137,19 @@ def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
         inertia_per_density=inertia,
         parts=tuple(masses),
     )
+
+
+def _gathered(parts: list[Part]) -> list[Part]:
+    """The parts, with those that differ in their mesh alone made one: few large meshes are quick to handle."""
+    alike: dict[tuple[str, Material, float], list[Part]] = {}
+    kept = []
+    for part in parts:
+        if part.charts or part.colours is not None:
+            kept.append(part)
+        else:
+            alike.setdefault((part.name, part.material, part.density_factor), []).append(part)
+    joined = [replace(group[0], mesh=join([part.mesh for part in group])) for group in alike.values()]
+    return kept + joined
 
 
 def join(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:

@@ -1,6 +1,7 @@
 """Closed meshes that spacecraft are built of: bevelled boxes, solids of revolution, tubes, tapered prisms."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import trimesh
@@ -43,13 +44,22 @@ def box(extents: ArrayLike, bevel: float = 0.06) -> trimesh.Trimesh:
     """
     half = 0.5 * np.asarray(extents, dtype=np.float64)
     cut = 2.0 * bevel * float(half.min())
-    points = []
-    for sign in np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T:
-        for axis in range(3):
-            inset = np.full(3, cut)
-            inset[axis] = 0.0
-            points.append(sign * (half - inset))
-    return hull(points)
+    signs, inset = _box_corners()
+    return trimesh.Trimesh(signs * (half - cut * inset), _box_faces(), process=False)
+
+
+def _box_corners() -> tuple[Array, Array]:
+    """Octant (24, 3) of each corner of a bevelled box, and 1 (24, 3) along the axes in which it is set back."""
+    octants = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
+    return np.repeat(octants, 3, axis=0), np.tile(1.0 - np.eye(3), (8, 1))
+
+
+@lru_cache(maxsize=1)
+def _box_faces() -> Ints:
+    signs, inset = _box_corners()
+    shape = hull(signs * (1.0 - 0.1 * inset))
+    # The hull sorts nothing: its vertices are all the corners in their order.
+    return np.asarray(shape.faces)
 
 
 def prism(outline: ArrayLike, height: float, taper: float = 1.0) -> trimesh.Trimesh:
@@ -84,17 +94,15 @@ def revolve(profile: ArrayLike, sections: int, closed: bool = False) -> Revolved
             count += sections
     if closed:
         rings.append(rings[0])
-    faces: list[tuple[int, int, int]] = []
-    panels = np.full((len(line) - 1, sections, 2), -1, dtype=np.int64)
-    for s in range(len(line) - 1):
-        low, high = rings[s], rings[s + 1]
-        for k in range(sections):
-            n = (k + 1) % sections
-            corners = [(low[k], low[n], high[n]), (low[k], high[n], high[k])]
-            for place, corner in enumerate(corners):
-                if len(set(corner)) == 3:
-                    panels[s, k, place] = len(faces)
-                    faces.append(corner)
+    low, high = np.stack(rings[:-1]), np.stack(rings[1:])
+    after_low, after_high = np.roll(low, -1, axis=1), np.roll(high, -1, axis=1)
+    halves = np.stack(
+        [np.stack([low, after_low, after_high], axis=-1), np.stack([low, after_high, high], axis=-1)], axis=2
+    )
+    a, b, c = (halves[..., k] for k in range(3))
+    whole = (a != b) & (b != c) & (c != a)
+    panels = np.where(whole, np.cumsum(whole.ravel()).reshape(whole.shape) - 1, -1)
+    faces = halves[whole]
     mesh = trimesh.Trimesh(np.vstack(vertices), faces, process=False)
     if mesh.volume < 0:
         mesh.invert()
@@ -168,8 +176,14 @@ def strut(start: ArrayLike, end: ArrayLike, radius: float, sections: int = 8) ->
 
 def pose(direction_G: ArrayLike, position_G: ArrayLike, turn: float = 0.0) -> Array:
     """Pose (4, 4): a turn about z [rad], then z turned to a direction, then the origin moved."""
-    towards = np.asarray(direction_G, dtype=np.float64)
-    X = np.asarray(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], towards), dtype=np.float64)
-    X = X @ np.asarray(trimesh.transformations.rotation_matrix(turn, [0, 0, 1]))
-    X[:3, 3] = position_G
-    return np.asarray(X)
+    z = np.array(direction_G, dtype=np.float64)
+    z /= np.sqrt(z @ z)
+    # Any x square to z will do; this one is smooth over the upper half sphere.
+    reference = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    x = reference - (reference @ z) * z
+    x /= np.sqrt(x @ x)
+    y = np.array([z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]])
+    c, s = np.cos(turn), np.sin(turn)
+    X = np.eye(4)
+    X[:3, 0], X[:3, 1], X[:3, 2], X[:3, 3] = c * x + s * y, c * y - s * x, z, position_G
+    return X

@@ -6,29 +6,15 @@ from polhode.lie import Array
 from simulation.bodies.antennas import small_dish, whip
 from simulation.bodies.canvas import Draw
 from simulation.bodies.deck import decks_of_box
-from simulation.bodies.equipment import (
-    cable,
-    electronics_box,
-    grapple_pin,
-    handrail,
-    star_tracker,
-    sun_sensor,
-)
+from simulation.bodies.equipment import cable, electronics_box, grapple_pin, handrail
+from simulation.bodies.fittings import fit_out
 from simulation.bodies.part import Part
-from simulation.bodies.propulsion import bottle, thruster_block
+from simulation.bodies.propulsion import bottle
 from simulation.bodies.solids import ball, box, drum, pose, strut
 from simulation.bodies.studio import Studio
 from simulation.bodies.wing import solar_wing
 from simulation.materials import (
-    ANODISED,
-    BRUSHED_METAL,
-    COMPOSITE,
-    FOIL_BLACK,
-    FOIL_GOLD,
-    FOIL_SILVER,
-    PAINT_GREY,
-    PAINT_WHITE,
-    Material,
+    ANODISED, BRUSHED_METAL, COMPOSITE, FOIL_BLACK, FOIL_GOLD, FOIL_SILVER, PAINT_GREY, PAINT_WHITE, Material,
 )  # fmt: skip
 
 
@@ -118,12 +104,7 @@ def _end_module(studio: Studio, start: float, length: float, radius: float, size
     parts += [part.moved(X) for part in wing]
     decks["+y"].reserve(0, 0, 0.06 * size_m)
     for name in ("-x", "-y", "+z", "-z"):
-        parts += decks[name].place(
-            electronics_box(studio, 0.07 * size_m, 0.05 * size_m, 0.025 * size_m), 0.05 * size_m, rng
-        )
-        parts += decks[name].place(thruster_block(studio, 0.03 * size_m), 0.035 * size_m, rng)
-        parts += decks[name].place(sun_sensor(0.02 * size_m), 0.02 * size_m, rng)
-    parts += decks["-z"].place(star_tracker(studio, 0.07 * size_m), 0.05 * size_m, rng)
+        parts += fit_out(decks[name], 0.4 * size_m, studio, 1, int(rng.integers(1, 4)))
     return parts
 
 

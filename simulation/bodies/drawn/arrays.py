@@ -21,25 +21,27 @@ def cells(cell: int = 60) -> Draw:
         canvas.code[:] = code(substrate)
         canvas.layer[:] = canvas.layer_of(PAINT_WHITE)
         glass, metal = canvas.layer_of(SOLAR_CELL), canvas.layer_of(BRUSHED_METAL)
-        margin = max(3, cell // 9)
+        margin = max(3, cell // 14)
         long, short = cell, max(6, int(cell * rng.choice([0.5, 0.55, 0.98])))
         if rng.random() < 0.5:
             long, short = short, long
-        cut = int(0.13 * min(long, short)) if rng.random() < 0.8 else 0
         gap = max(1, cell // 40)
+        columns, rows = (
+            max(1, round((width - 2 * margin) / long)),
+            max(1, round((height - 2 * margin) / short)),
+        )
+        lefts = np.linspace(margin, width - margin, columns + 1).astype(int)
+        tops = np.linspace(margin, height - margin, rows + 1).astype(int)
+        corner = int(0.13 * min(long, short)) if rng.random() < 0.8 else 0
         tone = float(rng.uniform(0.025, 0.05))
-        rows = max(1, (height - 2 * margin) // (short + gap))
-        columns = max(1, (width - 2 * margin) // (long + gap))
         string = int(rng.integers(3, 7))
-        spare = (width - columns * (long + gap), height - rows * (short + gap))
         for row in range(rows):
             for column in range(columns):
-                # A wider gap parts the strings; the spare room is spread over the gaps.
-                left = (
-                    margin + column * (long + gap) + (spare[0] - 2 * margin) * (column // string) // columns
-                )
-                top = margin + row * (short + gap) + (spare[1] - 2 * margin) * row // rows
-                _cell(canvas, (left, top, left + long, top + short), cut, tone, (glass, metal), rng)
+                # A wider gap parts the strings.
+                wide = gap + (2 * gap if (column + 1) % string == 0 and column + 1 < columns else 0)
+                corners = (lefts[column], tops[row], lefts[column + 1] - wide, tops[row + 1] - gap)
+                if corners[2] - corners[0] > 3 and corners[3] - corners[1] > 3:
+                    _cell(canvas, corners, corner, tone, (glass, metal), rng)
         _hold_downs(canvas, rng)
         for _ in range(int(rng.poisson(1.2e-5 * canvas.area))):
             sticker(canvas, rng)

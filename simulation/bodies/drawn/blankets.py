@@ -14,7 +14,7 @@ def blanket() -> Draw:
 
     def draw(canvas: Canvas, rng: np.random.Generator) -> None:
         height, width = canvas.shape
-        canvas.code[:] = code(0.06)
+        canvas.code[:] = code(0.14)
         _sheets(canvas, rng)
         _quilting(canvas, rng)
         _pull_lines(canvas, rng)

@@ -1,5 +1,7 @@
 """Unrolled walls of the first generator: tanks with their lettering, nozzles, reflectors."""
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 
@@ -26,13 +28,12 @@ def tank_wall(base: float) -> Draw:
     """A painted tank: weld rings, stiffeners, black fields, large lettering down the side, a scorched end."""
 
     def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
         canvas.code[:] = code(base)
         _weld_rings(canvas, base, rng)
         if rng.random() < 0.45:
             _corrugation(canvas, rng)
         _livery(canvas, base, rng)
-        _doors(canvas, base, rng)
+        _doors(canvas, rng)
         for _ in range(int(rng.poisson(2.5e-5 * canvas.area))):
             sticker(canvas, rng)
         smudges(canvas, 0.05, rng, streak=5)
@@ -105,7 +106,7 @@ def reflector(base: float, gores: int) -> Draw:
         height, width = canvas.shape
         canvas.code[:] = code(base)
         edges = np.linspace(0, width, gores + 1).astype(int)
-        for left, right in zip(edges[:-1], edges[1:], strict=True):
+        for left, right in pairwise(edges.tolist()):
             fill(canvas, (left, 0, right, height), code(base * float(np.exp(rng.normal(0, 0.035)))))
             canvas.tilt[:, left:right] += rng.normal(0, 0.006, 2).astype(np.float32)
             groove(canvas, (left, 0, right, height), 0.5, 0.7)
@@ -130,11 +131,11 @@ def _weld_rings(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
     """Rings of welds or rivets that part the wall into courses, and seams between their plates."""
     height, width = canvas.shape
     courses = np.unique(np.rint(np.linspace(0, height, int(rng.integers(3, 6)))).astype(int))
-    for top, bottom in zip(courses[:-1], courses[1:], strict=True):
+    for top, bottom in pairwise(courses.tolist()):
         edges = np.rint(np.linspace(0, width, int(rng.integers(3, 7))) + rng.uniform(0, width / 8)).astype(
             int
         )
-        for left, right in zip(edges[:-1], edges[1:], strict=True):
+        for left, right in pairwise(edges.tolist()):
             fill(canvas, (left, top, right, bottom), code(base * float(np.exp(rng.normal(0, 0.025)))))
             groove(canvas, (left, top, right, bottom), 0.7, 0.8)
         rivets(canvas, np.array([2.0, top + 4.0]), np.array([width - 2.0, top + 4.0]), 8.0, 1.5)
@@ -205,14 +206,17 @@ def _emblem(canvas: Canvas, ink: float, rng: np.random.Generator) -> None:
             stamp(canvas, plate, at, 0.0, layer=paint)
 
 
-def _doors(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
+def _doors(canvas: Canvas, rng: np.random.Generator) -> None:
     """Access doors and umbilical plates with screws around them."""
-    height, width = canvas.shape
     for _ in range(int(rng.poisson(1.5e-5 * canvas.area))):
         w, h = rng.uniform((30, 24), (70, 60)).astype(int)
-        left, top = rng.uniform((0, 0), np.maximum((width - w, height - h), 1)).astype(int).tolist()
+        at = canvas.free_place(0.6 * float(np.hypot(w, h)), rng)
+        if at is None:
+            continue
+        left, top = int(at[0] - w // 2), int(at[1] - h // 2)
         corners = (left, top, left + int(w), top + int(h))
-        fill(canvas, corners, code(base * float(rng.choice([0.5, 0.85, 1.1]))))
+        window = canvas.code[max(top, 0) : top + h, max(left, 0) : left + w]
+        window[...] = np.clip(window * float(rng.choice([0.75, 0.92, 1.05])), 0, 255)
         groove(canvas, corners, 1.0, 0.6)
         for u in np.linspace(left + 4, left + w - 4, 4):
             for v in (top + 4.0, top + h - 4.0):

@@ -1,5 +1,7 @@
 """Single marks of the first generator: stamps, relief, screws, scratches."""
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -73,15 +75,22 @@ def groove(canvas: Canvas, corners: tuple[int, int, int, int], depth: float, dar
 
 def dome(canvas: Canvas, centre: Array, radius: float, height: float) -> None:
     """A rivet's round head."""
+    head = _head(radius, height)
+    reach = len(head) // 2
+    u, v = round(float(centre[0])), round(float(centre[1]))
+    left, top = max(u - reach, 0), max(v - reach, 0)
+    window = canvas.height[top : v + reach + 1, left : u + reach + 1]
+    if window.size > 0:
+        i, j = top - v + reach, left - u + reach
+        window += head[i : i + window.shape[0], j : j + window.shape[1]]
+
+
+@lru_cache(maxsize=64)
+def _head(radius: float, height: float) -> NDArray[np.float32]:
+    """Relief of a round head in the middle of a square."""
     reach = int(np.ceil(radius)) + 1
-    u, v = np.floor(centre).astype(int).tolist()
-    rows, columns = slice(max(v - reach, 0), v + reach + 1), slice(max(u - reach, 0), u + reach + 1)
-    window = canvas.height[rows, columns]
-    if window.size == 0:
-        return
-    i, j = np.mgrid[: window.shape[0], : window.shape[1]]
-    x2 = ((j + columns.start - centre[0]) ** 2 + (i + rows.start - centre[1]) ** 2) / radius**2
-    window += (height * np.sqrt(np.clip(1.0 - x2, 0.0, None))).astype(np.float32)
+    i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    return np.asarray(height * np.sqrt(np.clip(1.0 - (i * i + j * j) / radius**2, 0.0, None)), np.float32)
 
 
 def screw(canvas: Canvas, centre: Array, radius: float, rng: np.random.Generator) -> None:
