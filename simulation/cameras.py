@@ -8,6 +8,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
+from numba import njit
 
 from polhode.config import scene as config
 from polhode.errors import InputError
@@ -69,25 +70,45 @@ class Camera:
 
 
 def _undistort(distorted: Array, dist: Array) -> Array:
-    """Invert the radial-tangential model for normalised points (n, 2), by fixed-point iteration."""
-    k1, k2, p1, p2 = dist
-    point = np.asarray(distorted)
+    """Invert the radial-tangential model for normalised points (n, 2).
+
+    Raises InputError where the lens folds the image: it maps no direction, or two, to a point.
+    """
     if not dist.any():
-        return point
-    for _ in range(100):
-        x, y = point[:, 0], point[:, 1]
-        r2 = x * x + y * y
-        shift = np.stack(
-            [2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1
+        return np.asarray(distorted)
+    points, folded = _inverted(np.ascontiguousarray(distorted), *dist)
+    if folded:
+        raise InputError(
+            "scene.rig.distortion cannot be inverted over the whole image: use smaller coefficients"
         )
-        better = (distorted - shift) / (1 + r2 * (k1 + r2 * k2))[:, None]
-        moved = float(np.abs(better - point).max(initial=0.0))
-        if not np.isfinite(moved) or moved > 10.0:
-            break
-        point = np.asarray(better)
-        if moved < 1e-12:
-            return point
-    raise InputError("scene.rig.distortion cannot be inverted over the whole image: use smaller coefficients")
+    return np.asarray(points)
+
+
+@njit(cache=True)
+def _inverted(distorted: Array, k1: float, k2: float, p1: float, p2: float) -> tuple[Array, bool]:
+    """Newton's iteration from the distorted points; true when the Jacobian's determinant reaches zero."""
+    points = distorted.copy()
+    for n in range(len(points)):
+        x, y = distorted[n]
+        for _ in range(50):
+            r2 = x * x + y * y
+            radial, slope = 1.0 + r2 * (k1 + r2 * k2), 2.0 * (k1 + 2.0 * r2 * k2)
+            off_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - distorted[n, 0]
+            off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - distorted[n, 1]
+            xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+            xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+            yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+            determinant = xx * yy - xy * xy
+            if not (determinant > 1e-6 and xx > 0.0):
+                return points, True
+            step_x, step_y = (yy * off_x - xy * off_y) / determinant, (xx * off_y - xy * off_x) / determinant
+            x, y = x - step_x, y - step_y
+            if abs(step_x) + abs(step_y) < 1e-12:
+                break
+        else:
+            return points, True
+        points[n] = x, y
+    return points, False
 
 
 def sample_offsets(samples: int) -> Array:
