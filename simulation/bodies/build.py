@@ -40,14 +40,14 @@ GRAINS = {
 
 def build_body(body: config.Body, seed: int) -> Body:
     """Build the target; ``seed`` serves where the description has none. Raises InputError (mesh files)."""
-    rng = np.random.default_rng([0xB0D1, seed if body.seed is None else body.seed])
-    scale = body.size_m / GRAINS.get(body.family, body.size_m)
-    return assemble(_parts(body, rng), scale)
-
-
-def _parts(body: config.Body, rng: np.random.Generator) -> list[Part]:
+    own = seed if body.seed is None else body.seed
+    rng, ink = np.random.default_rng([0xB0D1, own]), np.random.default_rng([0x1A4C, own])
     texel_m = body.size_m / TEXELS.get(body.family, 440.0)
-    studio = Studio(artist_of(body.texture), rng, texel_m)
+    scale = body.size_m / GRAINS.get(body.family, body.size_m)
+    return assemble(_parts(body, Studio(artist_of(body.texture), rng, ink, texel_m)), scale)
+
+
+def _parts(body: config.Body, studio: Studio) -> list[Part]:
     match body.family:
         case "free_flyer":
             return free_flyer_parts(body.size_m, studio)
@@ -62,9 +62,9 @@ def _parts(body: config.Body, rng: np.random.Generator) -> list[Part]:
         case "cubesat":
             return cubesat_parts(body.size_m, studio)
         case "asteroid":
-            return asteroid_parts(body.size_m, rng)
+            return asteroid_parts(body.size_m, studio.rng)
         case "mesh":
             # The section has validated both.
             assert body.path is not None
             assert body.metres_per_unit is not None
-            return mesh_file_parts(Path(body.path), body.metres_per_unit, rng)
+            return mesh_file_parts(Path(body.path), body.metres_per_unit, studio.rng)

@@ -46,8 +46,8 @@ def _shell(size_m: float, studio: Studio) -> Part:
     plain = rng.choice(len(facets), PLAIN_FACES, replace=False)
     for index, faces in enumerate(facets):
         base = float(rng.choice([0.26, 0.32, 0.4]))
-        draw = studio.artist.plain(base) if index in plain else studio.artist.panel(base, 2.2)
-        charts.append(chart_of_facet(mesh, faces, studio.texel_m, draw, rng))
+        draw = studio.artist.plain(base) if index in plain else studio.artist.panel(base, 1.8)
+        charts.append(chart_of_facet(mesh, faces, studio.texel_m, draw, studio.ink))
     return Part(mesh, PLASTIC, tuple(charts), name="shell")
 
 

@@ -55,6 +55,9 @@ class Studio:
 
     artist: Artist
     rng: np.random.Generator
+    """For shapes and the choice of sheets: the same with either generator"""
+    ink: np.random.Generator
+    """For the sheets themselves"""
     texel_m: float
     smallest_texels: int = 12
     """Faces narrower than this stay undrawn."""
@@ -85,7 +88,7 @@ class Studio:
                 continue
             lies = down_G is not None and abs(normal @ down_G) < 0.7
             down = down_G - (down_G @ normal) * normal if lies and down_G is not None else None
-            charts.append(chart_of_facet(mesh, faces, self.texel_m, own, self.rng, down))  # type: ignore[arg-type]
+            charts.append(chart_of_facet(mesh, faces, self.texel_m, own, self.ink, down))  # type: ignore[arg-type]
         return Part(mesh, material, tuple(charts), density_factor, name)
 
     def wrapped(
@@ -100,6 +103,6 @@ class Studio:
         charts = [
             chart
             for first, last, draw in walls
-            for chart in charts_around(solid, first, last, self.texel_m, draw, self.rng)
+            for chart in charts_around(solid, first, last, self.texel_m, draw, self.ink)
         ]
         return Part(solid.mesh, material, tuple(charts), density_factor, name)

@@ -57,7 +57,7 @@ def _panel(studio: Studio, length_m: float, width_m: float, thickness_m: float, 
 
 def _back(studio: Studio) -> Draw:
     rng = studio.rng
-    return studio.artist.panel(float(rng.choice([0.06, 0.1, 0.3, 0.6])), 0.45)
+    return studio.artist.panel(float(rng.choice([0.12, 0.25, 0.35, 0.6])), 0.45)
 
 
 def _yoke(studio: Studio, width_m: float, thickness_m: float, yoke_m: float) -> list[Part]:

@@ -80,7 +80,7 @@ def dome(canvas: Canvas, centre: Array, radius: float, height: float) -> None:
     u, v = round(float(centre[0])), round(float(centre[1]))
     left, top = max(u - reach, 0), max(v - reach, 0)
     window = canvas.height[top : v + reach + 1, left : u + reach + 1]
-    if window.size > 0:
+    if window.size > 0 and v + reach >= 0 and u + reach >= 0:
         i, j = top - v + reach, left - u + reach
         window += head[i : i + window.shape[0], j : j + window.shape[1]]
 
