@@ -20,8 +20,8 @@ from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Bools
 from simulation.cameras import Camera
+from simulation.plan import Plan, plan_sequence
 from simulation.raycast import Hits, RayCaster
-from simulation.sequence import Plan, plan_sequence
 
 NEAREST_M = 1e-6
 """Points closer to the camera's plane than this, or behind it, have no image [m]."""

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from polhode.images import to_grey
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 from simulation.correspondence import Correspondence, Reason, pixel_grid
-from simulation.render import Picture, Renderer
-from simulation.sensor import expose
-from simulation.sequence import Plan
+from simulation.painting import Painter
+from simulation.plan import Plan
+from simulation.sensor import Image as Grey
 
 Rgb = NDArray[np.uint8]
 UNSEEN = (110, 110, 110)
@@ -36,24 +37,18 @@ def draw_correspondence(
     chosen &= on_target
     uv_a, uv_b = pixel_grid(plan.cameras[ends[0][1]])[chosen], found.uv_b_px[chosen]
     colours, visible = _colours(uv_a), found.visible[chosen]
-    pictures = [_picture(plan, *end) for end in ends]
-    corners_px, size_px = _boxes([picture.covered > 0 for picture in pictures])
+    painter = Painter(plan)
+    images = [painter.image(*end) for end in ends]
+    corners_px, size_px = _boxes([picture.covered > 0 for _, picture in images])
     panels = []
     for k, (uv, shown) in enumerate([(uv_a, np.ones_like(visible)), (uv_b, visible)]):
-        panel = _panel(plan, pictures[k].level, corners_px[k], size_px)
+        panel = _panel(images[k][0], plan.scene.sensor.bits, corners_px[k], size_px)
         at = ENLARGED * (uv - corners_px[k] + 0.5) - 0.5
         for n in np.flatnonzero(shown):
             _circle(panel, at[n], colours[n] if visible[n] else UNSEEN, filled=bool(visible[n]))
         panels.append(panel)
     gap = np.full((panels[0].shape[0], 4, 3), 60, np.uint8)
     return Image.fromarray(np.hstack([panels[0], gap, panels[1]]))
-
-
-def _picture(plan: Plan, frame: int, index: int) -> Picture:
-    camera = plan.cameras[index]
-    renderer = Renderer(plan.body, plan.scene, plan.seed)
-    t_s = frame * plan.scene.interval_s
-    return renderer.picture(camera, plan.X_NC[frame] @ camera.X_CK, plan.target.X_NG[frame], t_s)
 
 
 def _boxes(covered: list[Bools]) -> tuple[list[Ints], tuple[int, int]]:
@@ -69,10 +64,10 @@ def _boxes(covered: list[Bools]) -> tuple[list[Ints], tuple[int, int]]:
     ], (w, h)
 
 
-def _panel(plan: Plan, level: Array, corner_px: Ints, size_px: tuple[int, int]) -> Rgb:
+def _panel(image: Grey, bits: int, corner_px: Ints, size_px: tuple[int, int]) -> Rgb:
     """A box of the image, enlarged, grey as RGB (h, w, 3)."""
     (left, top), (w, h) = corner_px, size_px
-    grey = expose(level, plan.scene.sensor, np.random.default_rng(plan.seed))[top : top + h, left : left + w]
+    grey = to_grey(image, bits)[top : top + h, left : left + w]
     large = cv2.resize(grey, (ENLARGED * w, ENLARGED * h), interpolation=cv2.INTER_LINEAR)
     return np.repeat(large[..., None], 3, axis=2).astype(np.uint8)
 

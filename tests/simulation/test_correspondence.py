@@ -25,8 +25,8 @@ from simulation.correspondence import (
     view_of,
 )
 from simulation.materials import Material
+from simulation.plan import Plan, plan_sequence
 from simulation.raycast import RayCaster
-from simulation.sequence import Plan, plan_sequence
 
 MATT = Material(0.4, specular=0.0)
 

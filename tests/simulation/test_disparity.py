@@ -15,10 +15,10 @@ from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.records import Bools
 from simulation.correspondence import Correspondence, dense_correspondence, view_of
+from simulation.plan import Plan, plan_sequence
 from simulation.raycast import RayCaster
 from simulation.render import Renderer
 from simulation.sensor import expose
-from simulation.sequence import Plan, plan_sequence
 
 PARALLEL = {"width_px": 240, "height_px": 180, "focal_px": 250.0}
 TOED_IN = PARALLEL | {
