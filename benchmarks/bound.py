@@ -11,6 +11,7 @@ import numpy as np
 
 from backend.covariance import axes_derivative, marginals, state_jacobian
 from backend.gauss_newton import GaussNewton
+from backend.identifiability import analyse
 from backend.inertia import FORMS, InertiaForm, second_moments_from_inertia
 from backend.iterate import Iterate
 from backend.kernels import N_CONSTANTS, N_STATE
@@ -205,3 +206,25 @@ def _nees(errors: Array, covariance: Array) -> float:
         return float("nan")
     solved = np.linalg.solve(covariance, errors[..., None])[..., 0]
     return float(np.mean(np.sum(errors * solved, axis=-1)))
+
+
+def determined_at_truth(sequence: SyntheticSequence, config: Backend) -> list[bool]:
+    """What the information at the truth determines (8): com along x, y, z of P, k1, k2, axes about them."""
+    data, truth = motion_data(sequence.tracks, config), true_iterate(sequence, config)
+    weight = np.where(sequence.outlier[data.order], 1e-6, 1.0)
+    m = marginals(GaussNewton(data), hold(data, truth, TIGHT_GAUGE), truth.vector(), weight)
+    derivative = axes_derivative(data.form, truth)
+    record = analyse(m.constants_information, derivative, truth.w_G @ derivative.R_GP).record
+    return [*map(bool, record.com_P), record.k1, record.k2, *map(bool, record.axes_P)]
+
+
+def constants_errors(estimate: MotionEstimate, sequence: SyntheticSequence) -> Array:
+    """Estimate minus truth (8,): com along the estimate's principal axes [m], k1, k2, axes [rad]."""
+    truth, mass = sequence.truth, estimate.mass
+    R_NG = estimate.X_NG[0, :3, :3]
+    com_true = R_NG.T @ (truth.r_N[0] - estimate.X_NG[0, :3, 3])
+    between = mass.R_GP.T @ R_NG.T @ truth.R_NP[0]
+    turn = HALF_TURNS[int(np.argmax(HALF_TURNS @ np.diag(between)))]
+    axes = -log_so3(between * turn)
+    ratios = mass.k1 - truth.k1, mass.k2 - truth.k2
+    return np.array([*(mass.R_GP.T @ (mass.com_G - com_true)), *ratios, *axes])
