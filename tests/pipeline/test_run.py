@@ -24,6 +24,7 @@ SCENE = {
     "motion": {"position_m": [0.04, 0.0, 0.5], "spin_rpm": [3.0, 9.0, 2.0], "spin_axes": "principal"},
     "rig": {"width_px": 400, "height_px": 320, "focal_px": 360.0, "baseline_m": 0.09},
     "truth_horizon_s": 15.0,
+    "render": {"products": ["depth"]},
 }
 CONFIG = Config.model_validate({"scene": SCENE, "runtime": {"workers": 1}})
 COMPARED = ("trajectory.csv", "landmarks.ply", "mesh.ply")
@@ -77,7 +78,8 @@ def test_the_estimates_are_the_same_bytes_without_the_truth(
 ) -> None:
     blind = tmp_path / "blind"
     shutil.copytree(sequence, blind)
-    shutil.rmtree(blind / "mav0" / "target0")
+    for truth in ("target0", "truth0", "truth1"):
+        shutil.rmtree(blind / "mav0" / truth)
     run(CONFIG, blind, tmp_path / "run", Silent())
     for name in COMPARED:
         assert (tmp_path / "run" / name).read_bytes() == (finished[1] / name).read_bytes(), name
