@@ -22,14 +22,16 @@ from polhode.config import scene as config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.records import Bools
 from simulation.bodies.part import assemble
-from simulation.cameras import build_cameras
-from simulation.products import render_products
+from simulation.cameras import Camera, build_cameras
+from simulation.products import Products, render_products
 from simulation.render import Renderer
 
 FULL_SCALE = 255.0 / config.Sensor().white_dn
 """Level of a saturated pixel."""
 EDGE_PX = 2
 """Pixels so near to a silhouette or a shadow's edge are left out: they measure where the samples fall."""
+SAME_FACE_M, SAME_FACE_COSINE = 2e-3, 0.9
+"""Neighbours on one face: so near to its plane, with normals so alike."""
 X_NG = make_pose(exp_so3([2.35, 0.0, 0.0]) @ exp_so3([0.0, 0.0, 0.4]), [0.01, 0.01, 0.66])
 SUN_N = (0.7, -0.55, -0.45)
 EARTH_N = (-0.6, 0.5, -0.6)
@@ -99,19 +101,24 @@ def compare(case: Case, width_px: int = 96, samples: int = 64) -> Comparison:
     lights = PeerLights(to_sun, case.sun_diameter_deg, to_earth, case.earth, light.earth_radius_deg)
     theirs = render(parts, lights, camera, X_GN, samples, case.bounces)
     truth = render_products(renderer, camera, np.eye(4), X_NG, ("depth", "normals", "shadow"))
+    lit = minimum_filter(np.minimum(ours, theirs) > 1e-3, 2 * EDGE_PX + 1)
+    edges = maximum_filter(_edges(truth, camera), 2 * EDGE_PX - 1)
+    return Comparison(ours, theirs, np.asarray(lit & ~edges))
+
+
+def _edges(truth: Products, camera: Camera) -> Bools:
+    """Pixels (H, W) whose right or lower neighbour shows another face, nothing, or another kind of shadow."""
     assert truth.depth is not None and truth.normals is not None and truth.shadow is not None
-    edges = _jumps(truth.depth, 0.004) | _jumps(truth.shadow.astype(np.float64), 0.5)
-    for k in range(3):
-        edges |= _jumps(truth.normals[..., k], 0.3)
-    lit = (np.minimum(ours, theirs) > 1e-3) & np.isfinite(truth.depth)
-    inside = minimum_filter(lit, 2 * EDGE_PX + 1) & ~maximum_filter(edges, 2 * EDGE_PX - 1)
-    return Comparison(ours, theirs, np.asarray(inside))
-
-
-def _jumps(values: Array, threshold: float) -> Bools:
-    """Pixels (H, W) that differ from one of their neighbours by more, or beside nothing."""
-    filled = np.where(np.isfinite(values), values, 1e3)
-    return np.asarray(maximum_filter(filled, 3) - minimum_filter(filled, 3) > threshold)
+    rays = camera.pixel_directions.reshape(*truth.depth.shape, 3)
+    p_K = np.nan_to_num(rays * (truth.depth / rays[..., 2])[..., None], nan=1e3)
+    normals = np.nan_to_num(truth.normals)
+    edges = np.zeros(truth.depth.shape, np.bool_)
+    for axis in (0, 1):
+        n, p, shadow = (np.roll(values, -1, axis) for values in (normals, p_K, truth.shadow))
+        step_m = np.abs(np.einsum("hwk,hwk->hw", p - p_K, normals))
+        bent = np.einsum("hwk,hwk->hw", n, normals) < SAME_FACE_COSINE
+        edges |= (step_m > SAME_FACE_M) | bent | (shadow != truth.shadow)
+    return edges
 
 
 def picture(comparison: Comparison) -> Image.Image:
