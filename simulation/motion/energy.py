@@ -9,7 +9,7 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from simulation.motion.integrate import advance, body_rate, free_of_forces
 
-LARGEST_LAG = 0.3
+LARGEST_LAG = 1.0
 """Friction times the body's rate over the least moment: how far the ball may lag; beyond, the law is void."""
 SMALLEST_EXCESS = 1e-9
 """Share of the energy below which a spin counts as one about a principal axis, where nothing rubs."""

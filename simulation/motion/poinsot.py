@@ -1,0 +1,149 @@
+"""Poinsot's construction of a free motion: polhode, herpolhode, body cone and space cone, as curves of rates.
+
+H is an inertial frame with its third axis along the angular momentum and the rate at the first frame in its
+plane of x and z. The cones' mantles are the lines from the centre of mass to the curves.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from polhode.lie import Array
+from polhode.quaternion import matrix_from_wxyz
+from simulation.motion.integrate import Forces, advance, free_of_forces
+from simulation.motion.precession import Precession, circulation_order, precession_of
+
+POINTS = 361
+"""Points of a closed curve."""
+STEADY_S = 10.0
+"""How long a spin without precession is followed [s]."""
+
+
+@dataclass(frozen=True)
+class Poinsot:
+    """The free motion that starts with a state, as geometry. Rates in rad/s."""
+
+    moments: Array
+    """(3,) sorted, greatest first [kg m^2]"""
+    two_energy: float
+    """[J]"""
+    precession: Precession
+    axis_P: Array
+    """(3,) unit: the principal axis that the rate circles, on its side; a steady rate itself"""
+    R_HP: Array
+    """(3, 3) at the first frame"""
+    polhode_P: Array
+    """(n, 3) rate in the body over one circuit"""
+    herpolhode_H: Array
+    """(m, 3) rate in H over many circuits, from the first frame on"""
+    around_H: Array
+    """(k, 3) its beginning: the axis goes around the momentum once"""
+
+    @property
+    def body_cone_H(self) -> Array:
+        """(n, 3) edge of the body cone, where it is at the first frame."""
+        return np.asarray(self.polhode_P @ self.R_HP.T)
+
+    @property
+    def semi_axes(self) -> Array:
+        """(3,) of the ellipsoid of rates of the same energy."""
+        return np.asarray(np.sqrt(self.two_energy / self.moments))
+
+
+def poinsot(moments: Array, w_P: Array, circuits: int = 12) -> Poinsot:
+    """The geometry of a free motion; moments (3,) sorted [kg m^2], w_P (3,) [rad/s], not zero."""
+    precession = precession_of(moments, w_P)
+    steady = precession.sense == "none"
+    period_s = STEADY_S if steady else precession.spin_period_s
+    once_s = STEADY_S if steady else precession.precession_period_s
+    long_s = max(circuits * period_s, once_s)
+    around_t = np.linspace(0.0, once_s, POINTS)
+    later_t = np.linspace(once_s, long_s, int(np.clip((long_s - once_s) / around_t[1], 2, 40 * POINTS)))
+    R_HP, rates_P = free_rotation(moments, w_P, np.concatenate([around_t, later_t[1:]]))
+    herpolhode_H = (R_HP @ rates_P[..., None])[..., 0]
+    polhode_P = free_rotation(moments, w_P, np.linspace(0.0, period_s, POINTS))[1]
+    return Poinsot(
+        moments,
+        float(moments @ w_P**2),
+        precession,
+        _circled_axis(moments, w_P),
+        R_HP[0],
+        polhode_P,
+        herpolhode_H,
+        herpolhode_H[:POINTS],
+    )
+
+
+def free_rotation(moments: Array, w_P: Array, t_s: Array) -> tuple[Array, Array]:
+    """R_HP (n, 3, 3) and w_P (n, 3) of a free body at times (n,), the first of them zero."""
+    quaternion, h_P = rotation_states(free_of_forces(moments), moments * w_P, t_s)
+    return _momentum_frame(moments * w_P, w_P) @ matrix_from_wxyz(quaternion), h_P / moments
+
+
+def rotation_states(forces: Forces, h_P: Array, t_s: Array) -> tuple[Array, Array]:
+    """Quaternion (n, 4) from the first attitude and momentum h_P (n, 3) at times (n,), under forces."""
+    states = [np.concatenate([np.zeros(6), [1.0, 0.0, 0.0, 0.0], h_P])]
+    for before, after in pairwise(t_s):
+        states.append(advance(states[-1], before, after, forces))
+    y = np.stack(states)
+    return y[:, 6:10], y[:, 10:13]
+
+
+def polhodes(moments: Array, two_energy: float, count: int) -> list[Array]:
+    """Closed polhodes (n, 3) of one energy, all over the ellipsoid: ``count`` around each end of two axes."""
+    curves = []
+    for order in ([2, 1, 0], [0, 1, 2]):
+        middle, last = moments[order[1]], moments[order[2]]
+        if middle == last:
+            continue
+        for step in range(1, count + 1):
+            # Evenly over the angle between the axis and the separatrix.
+            share = np.sin(0.5 * np.pi * step / (count + 1)) ** 2
+            h_squared = two_energy * (last + (middle - last) * share)
+            curve = _polhode(moments[order], two_energy, h_squared)
+            for side in (1.0, -1.0):
+                points = np.empty_like(curve)
+                points[:, order] = curve * [1.0, 1.0, side]
+                curves.append(points)
+    return curves
+
+
+def separatrix(moments: Array, two_energy: float) -> list[Array]:
+    """The two curves (n, 3) between the polhodes around the greatest axis and those around the least."""
+    J1, J2, J3 = moments
+    if J1 == J2 or J2 == J3:
+        return []
+    turn = np.linspace(0.0, 2.0 * np.pi, POINTS)
+    first = np.sqrt(two_energy * (J2 - J3) / (J1 * (J1 - J3))) * np.sin(turn)
+    second = np.sqrt(two_energy / J2) * np.cos(turn)
+    third = np.sqrt(two_energy * (J1 - J2) / (J3 * (J1 - J3))) * np.sin(turn)
+    return [np.stack([first, second, side * third], axis=1) for side in (1.0, -1.0)]
+
+
+def _polhode(J: Array, two_energy: float, h_squared: float) -> Array:
+    """One polhode around the last of the axes, moments (3,) in their order -> (n, 3)."""
+    d3 = two_energy * J[2] - h_squared
+    turn = np.linspace(0.0, 2.0 * np.pi, POINTS)
+    first = np.sqrt(d3 / (J[0] * (J[2] - J[0]))) * np.cos(turn)
+    second = np.sqrt(d3 / (J[1] * (J[2] - J[1]))) * np.sin(turn)
+    third = np.sqrt(np.maximum(two_energy - J[0] * first**2 - J[1] * second**2, 0.0) / J[2])
+    return np.stack([first, second, third], axis=1)
+
+
+def _circled_axis(moments: Array, w_P: Array) -> Array:
+    order = circulation_order(moments, w_P)
+    if order is None:
+        return np.asarray(w_P / np.linalg.norm(w_P))
+    return np.asarray(np.eye(3)[order[2]] * np.sign(w_P[order[2]]))
+
+
+def _momentum_frame(h_P: Array, w_P: Array) -> Array:
+    """R_HP (3, 3) at the first frame."""
+    up = h_P / np.linalg.norm(h_P)
+    across = w_P - up * (up @ w_P)
+    if np.linalg.norm(across) <= 1e-9 * np.linalg.norm(w_P):
+        across = np.eye(3)[int(np.argmin(np.abs(up)))]
+        across = across - up * (up @ across)
+    across = across / np.linalg.norm(across)
+    return np.stack([across, np.cross(up, across), up])

@@ -1,0 +1,88 @@
+"""The picture of a motion names its sense and its numbers, and comes from the command line."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from polhode.config.scene import Scene
+from polhode.errors import InputError
+from simulation.motion.poinsot import poinsot
+from simulation.motion_plot import headline, main, motion_figure, numbers, save
+
+MOMENTS = np.array([1.4e-2, 1.1e-2, 0.8e-2])
+
+
+def _scene(spin_rpm: list[float], **motion: object) -> Scene:
+    mass = {"inertia_kg_m2": np.diag(MOMENTS).tolist(), "mass_kg": 4.0, "com_m": [0, 0, 0]}
+    return Scene.model_validate(
+        {
+            "frames": 10,
+            "truth_horizon_s": 0.0,
+            "mass": mass,
+            "motion": {"spin_rpm": spin_rpm, "spin_axes": "principal", **motion},
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("w_P", "words"),
+    [
+        ([1.0, 0.2, 0.1], "retrograde precession about the axis of greatest inertia; the body cone encloses"),
+        ([0.1, 0.2, 1.0], "prograde precession about the axis of least inertia; the body cone lies beside"),
+        ([0.0, 1.0, 0.0], "no precession"),
+    ],
+)
+def test_the_headline_states_the_sense(w_P: list[float], words: str) -> None:
+    assert headline(poinsot(MOMENTS, np.array(w_P)), "name").startswith(f"name: {words}")
+
+
+def test_the_numbers_of_a_disc_are_the_textbooks() -> None:
+    """h = (0.6, 0, 0.8): tilt 36.9 deg; precession 2 pi J_t / h; spin 2 pi / (w_a (J_a / J_t - 1))."""
+    text = numbers(poinsot(np.array([1.6, 1.0, 1.0]), np.array([0.5, 0.6, 0.0])))
+    for part in ("rate 7.46 RPM", "wobble 36.9°", "precession period 6.3 s", "moments 1.600 : 1.000 : 1.000"):
+        assert part in text
+    assert f"spin period (polhode) {2 * np.pi / 0.3:.1f} s" in text
+
+
+def test_three_panels_are_drawn_and_saved_at_their_size(tmp_path: Path) -> None:
+    figure = motion_figure(_scene([6.0, 1.8, 1.2]), 0, "major", pixels=60)
+    assert _titles(figure)[:2] == ["Cones in space", "Polhode on the energy ellipsoid"]
+    save(figure, tmp_path / "major.png")
+    image = Image.open(tmp_path / "major.png")
+    assert image.size == (1650, 704)
+    colors = np.asarray(image.convert("HSV"))
+    for hue_deg in (216, 33, 349):  # body cone, space cone, rate
+        near = abs(colors[..., 0] * 360.0 / 255.0 - hue_deg) < 12
+        assert np.count_nonzero(near & (colors[..., 1] > 90)) > 500
+
+
+def test_the_true_path_is_drawn_when_something_acts() -> None:
+    free, lossy = _scene([1.0, 0.8, 6.0]), _scene([1.0, 0.8, 6.0], energy_loss=0.3, energy_loss_by="friction")
+    labels = [
+        [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+        for figure in (motion_figure(scene, 0, "name", pixels=40) for scene in (free, lossy))
+    ]
+    assert "true path, not free" not in labels[0]
+    assert "true path, not free" in labels[1]
+
+
+def _titles(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.texts if text.get_fontsize() == 12.5]
+
+
+def test_a_target_at_rest_is_refused() -> None:
+    with pytest.raises(InputError, match="spin_rpm is zero"):
+        motion_figure(_scene([0.0, 0.0, 0.0]), 0, "still")
+
+
+def test_a_config_without_a_scene_gives_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = tmp_path / "empty.yaml"
+    config.write_text("seed: 1\n")
+    monkeypatch.setattr(sys, "argv", ["motion_plot", str(config), "-o", str(tmp_path / "x.png")])
+    with pytest.raises(SystemExit, match="holds no scene: give the configuration of a simulation") as caught:
+        main()
+    assert len(str(caught.value).splitlines()) == 1
