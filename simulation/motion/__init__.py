@@ -1,6 +1,6 @@
 """Motion of target and inspector over time: the truth of a sequence."""
 
-from simulation.motion.inspector import InspectorMotion, camera_motion, inspector_motion, reported_inspector
+from simulation.motion.inspector import InspectorMotion, inspector_motion, reported_inspector
 from simulation.motion.mass import MassDistribution, mass_distribution, principal_axes
 from simulation.motion.target import TargetMotion, target_motion, timestamps
 from simulation.motion.wrench import known_wrench
@@ -9,7 +9,6 @@ __all__ = [
     "InspectorMotion",
     "MassDistribution",
     "TargetMotion",
-    "camera_motion",
     "inspector_motion",
     "known_wrench",
     "mass_distribution",

@@ -51,11 +51,6 @@ def inspector_motion(scene: config.Scene, seed: int) -> InspectorMotion:
     return InspectorMotion(states.X_NC, states.v_N, states.w_C, t_s, course, jitter)
 
 
-def camera_motion(scene: config.Scene) -> Array:
-    """Poses X_NC (F, 4, 4) of the left camera at the frames, without a seed."""
-    return inspector_motion(scene, 0).X_NC
-
-
 def camera_states(course: Course, jitter: tuple[LimitCycle, ...], t_s: Array) -> CameraStates:
     """Course and jitter together at times (n,) [s]."""
     X_NC, v_N, w_C = course.at(t_s)
