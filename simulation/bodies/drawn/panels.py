@@ -26,6 +26,7 @@ def panel(base: float, richness: float = 1.0) -> Draw:
         for _ in range(int(rng.poisson(richness * STICKERS_PER_TEXEL * canvas.area))):
             sticker(canvas, rng)
         _edge(canvas, rng)
+        smudges(canvas, 0.02, rng)
         scratches(canvas, int(rng.poisson(1.5e-4 * canvas.area)), rng)
 
     return draw
