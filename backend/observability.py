@@ -4,8 +4,8 @@ A system x' = f(x), y = h(x) is locally weakly observable where the gradients of
 along f span the whole state space. What they leave out, the null space, is what no measurement can tell: for
 a free body whose rates are measured, the scale of its inertia.
 
-Two misprints of the thesis: eq. 3.14 has the gradient of L^0 h in both rows, where its listing B.3 has L^0 and
-L^1; eq. 3.15 has minus signs, which its own reading (a common factor of Jxx, Jyy, Jzz) does not bear out.
+Two misprints of the thesis: eq. 3.14 has the gradient of L^0 h in both rows, where its listing B.3 has L^0
+and L^1; eq. 3.15 has minus signs, but its own reading is a common factor of Jxx, Jyy and Jzz.
 """
 
 from dataclasses import dataclass
