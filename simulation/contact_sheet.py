@@ -1,14 +1,24 @@
-"""A contact sheet of a sequence: ``python -m simulation.contact_sheet SEQ -o SHEET.png``."""
+"""A contact sheet of one sequence, or of scenes that are rendered for it.
+
+``python -m simulation.contact_sheet SEQ -o SHEET.png``
+``python -m simulation.contact_sheet configs/ts38.yaml configs/scenes -o SHEET.png``
+"""
 
 import argparse
+import os
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from rich.progress import Progress as RichProgress
 
 from polhode.dataset import open_sequence
+from polhode.errors import InputError
 from polhode.records import Bools
+from simulation.scene_sheet import draw_sheet, scene_files, strips_of
 
 Grey = NDArray[np.uint8]
 
@@ -45,14 +55,32 @@ def _lit_box(images: Grey, above_dn: int = 20, margin_px: int = 8) -> tuple[int,
     )
 
 
-def main() -> None:
-    """Write the sheet that the command line asks for."""
+def main(words: Sequence[str] | None = None) -> int:
+    """Write the sheet that the command line asks for; 2 for a mistake in it."""
     parser = argparse.ArgumentParser(prog="python -m simulation.contact_sheet", description=__doc__)
-    parser.add_argument("sequence", type=Path, metavar="SEQ")
+    what = "a dataset; or configurations with a scene, and folders of them"
+    parser.add_argument("sources", type=Path, nargs="+", metavar="SOURCE", help=what)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="SHEET.png")
-    arguments = parser.parse_args()
-    Image.fromarray(contact_sheet(arguments.sequence)).save(arguments.output, optimize=True)
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="parallel processes")
+    arguments = parser.parse_args(words)
+    try:
+        draw(arguments.sources, arguments.workers).save(arguments.output, optimize=True)
+    except InputError as error:
+        print(f"contact_sheet: error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def draw(sources: list[Path], workers: int = 1) -> Image.Image:
+    """The sheet of one dataset, or of scenes. Raises InputError."""
+    if len(sources) == 1 and (sources[0] / "mav0").is_dir():
+        return Image.fromarray(contact_sheet(sources[0]))
+    files = scene_files(sources)
+    with RichProgress() as progress:
+        task = progress.add_task("scenes", total=len(files))
+        strips = strips_of(files, workers, lambda: progress.advance(task))
+    return draw_sheet(strips)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

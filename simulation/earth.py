@@ -118,7 +118,7 @@ def _disc(place: Array, up: float, ray: Array, sun: Array, footprint: float, see
     direct = max(sun_up, 0.0) * math.exp(-DEPTH * _air_mass(max(sun_up, 0.0)))
     half = sun - ray
     tilt = float(half @ place) ** 2 / float(half @ half)
-    glint = 0.3 * math.exp(-(1.0 / max(tilt, 1e-3) - 1.0) / 0.03) if ground < 0.06 else 0.0
+    glint = 0.12 * math.exp(-(1.0 / max(tilt, 1e-3) - 1.0) / 0.03) if ground < 0.06 else 0.0
     below = (1.0 - clouds) * (ground + glint) + clouds * (0.5 + 0.35 * clouds)
     return clear * below * (direct + 0.12 * day) + day * SKY * (1.0 - clear)
 
