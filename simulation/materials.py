@@ -57,14 +57,26 @@ ANODISED = Material(0.28, 0.22, 0.5, grain=0.07, grain_m=0.02)
 DARK_METAL = Material(0.10, 0.30, 0.45, grain=0.2, grain_m=0.02, bump=0.02, bump_m=0.01)
 COMPOSITE = Material(0.045, 0.05, 0.35, grain=0.2, grain_m=0.006)
 GLASS = Material(0.015, 0.05, 0.15)
-FOIL_GOLD = Material(0.06, 0.55, 0.30, grain=0.3, grain_m=0.03, crease=0.30, crease_m=0.034)
-FOIL_SILVER = Material(0.06, 0.80, 0.30, grain=0.3, grain_m=0.03, crease=0.28, crease_m=0.034)
-FOIL_BLACK = Material(0.05, 0.06, 0.32, grain=0.3, grain_m=0.03, crease=0.30, crease_m=0.034)
+FOIL_GOLD = Material(0.14, 0.52, 0.34, grain=0.3, grain_m=0.03, crease=0.36, crease_m=0.034)
+FOIL_SILVER = Material(0.25, 0.75, 0.34, grain=0.3, grain_m=0.03, crease=0.34, crease_m=0.034)
+FOIL_BLACK = Material(0.05, 0.08, 0.34, grain=0.3, grain_m=0.03, crease=0.36, crease_m=0.034)
 TAPE = Material(0.10, 0.60, 0.38, grain=0.1, grain_m=0.01, bump=0.05, bump_m=0.01)
 VINYL = Material(0.5, 0.045, 0.42)
 MIRROR = Material(0.03, 0.85, 0.14, bump=0.004, bump_m=0.03)
 SOLAR_CELL = Material(0.035, 0.045, 0.16, grain=0.15, grain_m=0.02)
-REGOLITH = Material(0.22, 0.0, 1.0, grain=0.22, grain_m=0.05, bump=0.14, bump_m=0.012)
+REGOLITH = Material(
+    0.30,
+    0.0,
+    1.0,
+    grain=0.2,
+    grain_m=0.06,
+    patch=0.13,
+    patch_m=0.006,
+    bump=0.10,
+    bump_m=0.012,
+    crease=0.16,
+    crease_m=0.008,
+)
 WORN_PANEL = Material(0.42, 0.05, 0.45, grain=0.15, grain_m=0.02, patch=0.45, patch_m=0.018)
 
 
