@@ -78,6 +78,7 @@ def test_the_estimates_are_the_same_bytes_without_the_truth(
 ) -> None:
     blind = tmp_path / "blind"
     shutil.copytree(sequence, blind)
+    (blind / "scene.yaml").unlink()
     for truth in ("target0", "truth0", "truth1"):
         shutil.rmtree(blind / "mav0" / truth)
     run(CONFIG, blind, tmp_path / "run", Silent())

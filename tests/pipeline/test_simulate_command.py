@@ -1,0 +1,69 @@
+"""``polhode simulate`` at the command line: what it says, what it refuses, and that it goes on."""
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.cli import main
+from simulation.painting import Painter
+
+SCENE = """
+seed: 4
+scene:
+  frames: 4
+  truth_horizon_s: 0
+  rig: {width_px: 48, height_px: 36, focal_px: 35.0}
+  motion: {position_m: [0.04, 0.0, 0.6]}
+  render: {samples: 1}
+  sensor: {dropped_frames: [2]}
+runtime: {workers: 1}
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.yaml"
+    path.write_text(SCENE)
+    return path
+
+
+def test_the_last_line_tells_the_pairs_and_the_path(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "S"
+    assert main(["simulate", str(config), "-o", str(folder)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"3 stereo pairs with truth: {folder}"
+
+
+def test_an_interrupt_is_one_line_and_the_same_command_goes_on(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ["simulate", str(config), "-o", str(tmp_path / "S")]
+    paint = Painter.pair
+    with monkeypatch.context() as patch:
+
+        def interrupted(self: Painter, k: int, mav0: Path) -> None:
+            if k == 3:
+                raise KeyboardInterrupt
+            paint(self, k, mav0)
+
+        patch.setattr(Painter, "pair", interrupted)
+        assert main(command) == 130
+    error = capsys.readouterr().err
+    assert (
+        error == "polhode: error: interrupted; 2 of 3 pairs are kept, the same command goes on from there\n"
+    )
+    assert main(command) == 0
+    assert "rendering (2 of 3 were there): 1 in" in capsys.readouterr().out
+
+
+def test_a_folder_that_is_no_dataset_is_never_overwritten(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "thesis"
+    mine.mkdir()
+    (mine / "chapter.tex").write_text("x")
+    assert main(["simulate", str(config), "-o", str(mine), "--overwrite"]) == 2
+    error = capsys.readouterr().err
+    assert "holds no mav0/" in error and error.count("\n") == 1
+    assert (mine / "chapter.tex").read_text() == "x"
