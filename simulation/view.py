@@ -1,6 +1,7 @@
 """Whether a scene can be seen: the target comes into view, and no camera comes into the target."""
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 import trimesh
@@ -74,12 +75,17 @@ class Eye:
 
     def distance_m(self, p_G: Array) -> float:
         """Distance from a point (3,) to the surface: exact on the triangles that can be nearest."""
-        centres = self._triangles.mean(axis=1)
-        reach = np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
+        centres, reach = self._spheres
         to_centre = np.linalg.norm(centres - p_G, axis=1)
         candidates = self._triangles[to_centre - reach <= to_centre.min()]
         closest = trimesh.triangles.closest_point(candidates, np.broadcast_to(p_G, (len(candidates), 3)))
         return float(np.linalg.norm(closest - p_G, axis=1).min())
+
+    @cached_property
+    def _spheres(self) -> tuple[Array, Array]:
+        """Centre (F, 3) and radius (F,) around each triangle."""
+        centres = self._triangles.mean(axis=1)
+        return centres, np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
 
     def sees(self, camera: Camera, X_GK: Array) -> bool:
         """Whether a vertex or, of faces larger than the view, a ray of a coarse grid meets the image."""

@@ -42,8 +42,15 @@ def _bytes(folder: Path) -> dict[str, bytes]:
 
 
 def test_the_bytes_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
-    simulate(_scene(), 4, tmp_path / "one", Silent(), workers=1)
-    simulate(_scene(), 4, tmp_path / "two", Silent(), workers=2)
+    scene = _scene(
+        inspector={"profile": "drift", "rate_deg_s": [0, 2, 0], "deadband_mm": 3.0, "sigma_p_m": 1e-3},
+        background={"stars": True, "earth": True},
+        light={"earth_direction_N": [0, 0.5, 1]},
+        sensor={"bits": 10, "glare": 0.1, "bloom": 0.5, "full_well_dn": 200.0, "drop_probability": 0.2},
+        render={"masks": True, "products": ["depth", "shadow"]},
+    )
+    simulate(scene, 4, tmp_path / "one", Silent(), workers=1)
+    simulate(scene, 4, tmp_path / "two", Silent(), workers=2)
     assert _bytes(tmp_path / "one") == _bytes(tmp_path / "two")
 
 
