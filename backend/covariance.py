@@ -131,6 +131,21 @@ def state_covariances(iterate: Iterate, m: Marginals, derivative: AxesDerivative
     return out, joint
 
 
+def last_body_covariance(iterate: Iterate, m: Marginals) -> Array:
+    """Covariance (20, 20) of the last r_N, v_N, theta in R_NG Exp(theta), w_G, then xi, com_G.
+
+    Free of the principal axes, so it stays finite where they are undetermined; the prior bounds the rest.
+    """
+    own, constants = np.zeros((12, N_STATE)), np.zeros((12, N_CONSTANTS))
+    R, n = iterate.R_NG[-1], N_STATE * iterate.n_frames
+    own[0:3, 0:3], own[0:3, 3:6] = np.eye(3), -R @ hat(iterate.com_G)
+    constants[0:3, 0:3] = R
+    own[3:6, 6:9] = own[6:9, 3:6] = own[9:12, 9:12] = np.eye(3)
+    at = np.r_[n - N_STATE : n, n : n + N_CONSTANTS]
+    T = np.vstack([np.hstack([own, constants]), np.eye(20)[np.r_[15:20, 12:15]]])
+    return np.asarray(T @ m.dense[np.ix_(at, at)] @ T.T)
+
+
 def robust_information(s: Array, scale: float) -> Array:
     """Information (M,) that each observation contributes under the Cauchy kernel, s its squared norm.
 

@@ -6,6 +6,7 @@ from backend.covariance import (
     AxesDerivative,
     Marginals,
     axes_derivative,
+    last_body_covariance,
     marginals,
     robust_information,
     state_covariances,
@@ -65,6 +66,7 @@ def assemble(
         X_NG=make_pose(iterate.R_NG, iterate.p_NG),
         covariance=covariance,
         covariance_last_joint=joint,
+        covariance_last_body=_with_camera_noise(last_body_covariance(iterate, m), data),
         mass=_mass(iterate, m, derivative, determined),
         landmarks=_landmarks(kept.data, small, m),
         residuals_px=_unsorted(data, all_residuals / data.inv_sigma),
@@ -84,10 +86,7 @@ def _state_covariances(
     w_P: Array,
 ) -> tuple[Array, Array]:
     covariance, joint = state_covariances(iterate, m, derivative)
-    # What is estimated is the pose as the camera's own noisy pose shows it.
-    seen = np.repeat([data.pose_variance[0], 0.0, data.pose_variance[1], 0.0], 3)
-    covariance[:, np.arange(12), np.arange(12)] += seen
-    joint[np.arange(12), np.arange(12)] += seen
+    covariance, joint = _with_camera_noise(covariance, data), _with_camera_noise(joint, data)
     frames = range(iterate.n_frames)
     jacobians = np.stack([np.hstack(state_jacobian(iterate, k, derivative)) for k in frames])
     lost = undetermined_states(determined, jacobians, m.response, w_P)
@@ -96,6 +95,14 @@ def _state_covariances(
     constants_lost = determined.lost_constants
     joint = _with_infinite(joint, np.concatenate([lost[-1], constants_lost[3:], constants_lost[:3]]))
     return covariance, joint
+
+
+def _with_camera_noise(covariance: Array, data: MotionData) -> Array:
+    """(..., n, n) of r, v, theta, w, ...: the pose is the one that the camera's own noisy pose shows."""
+    at = np.arange(12)
+    out = covariance.copy()
+    out[..., at, at] += np.repeat([data.pose_variance[0], 0.0, data.pose_variance[1], 0.0], 3)
+    return out
 
 
 def _with_infinite(covariance: Array, lost: Bools) -> Array:

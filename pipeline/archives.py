@@ -27,6 +27,8 @@ JOINT_ORDER: tuple[str, ...] = (
     *(f"com_G_{a}" for a in "xyz"),
 )
 """Rows and columns of the 20x20 joint covariance: last state, the solver's inertia parameters, com_G."""
+BODY_ORDER: tuple[str, ...] = tuple(name.replace("_P_", "_G_") for name in JOINT_ORDER)
+"""The same with attitude and rate of the body itself, along G."""
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -41,6 +43,8 @@ class Covariance:
     """(F, 12, 12)"""
     last_joint: Array
     """(20, 20)"""
+    last_body: Array | None = None
+    """(20, 20) always finite; None in a run of an earlier version"""
 
 
 @dataclass(frozen=True)
@@ -64,17 +68,17 @@ def undetermined_as_inf(covariance: Array) -> Array:
 
 
 def write_covariance(estimate: MotionEstimate, path: Path) -> None:
-    """Keys: timestamps_ns, covariance (F, 12, 12), last_joint (20, 20), order (12), last_joint_order (20)."""
-    _save(
-        path,
-        {
-            "timestamps_ns": estimate.timestamps_ns,
-            "covariance": undetermined_as_inf(estimate.covariance),
-            "last_joint": undetermined_as_inf(estimate.covariance_last_joint),
-            "order": np.array(STATE_ORDER),
-            "last_joint_order": np.array(JOINT_ORDER),
-        },
-    )
+    """Keys: timestamps_ns, covariance (F, 12, 12), last_joint and last_body (20, 20), and their orders."""
+    arrays: Arrays = {
+        "timestamps_ns": estimate.timestamps_ns,
+        "covariance": undetermined_as_inf(estimate.covariance),
+        "last_joint": undetermined_as_inf(estimate.covariance_last_joint),
+        "order": np.array(STATE_ORDER),
+        "last_joint_order": np.array(JOINT_ORDER),
+    }
+    if estimate.covariance_last_body is not None:
+        arrays |= {"last_body": estimate.covariance_last_body, "last_body_order": np.array(BODY_ORDER)}
+    _save(path, arrays)
 
 
 def read_covariance(path: Path) -> Covariance:
@@ -84,6 +88,7 @@ def read_covariance(path: Path) -> Covariance:
         np.asarray(arrays["timestamps_ns"], dtype=np.int64),
         np.asarray(arrays["covariance"], dtype=np.float64),
         np.asarray(arrays["last_joint"], dtype=np.float64),
+        np.asarray(arrays["last_body"], dtype=np.float64) if "last_body" in arrays else None,
     )
 
 

@@ -195,6 +195,9 @@ class MotionEstimate:
     noise: NoiseLevels
     solver: SolverOutcome
     warnings: tuple[str, ...] = ()
+    covariance_last_body: Array | None = None
+    """(20, 20): the last r_N, v_N, theta in R_NG Exp(theta), w_G, then the 5 inertia parameters, com_G (3).
+    Always finite: nothing in it is expressed in the principal axes; a weak prior bounds the undetermined."""
 
 
 @dataclass(frozen=True)
