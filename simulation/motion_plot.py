@@ -25,6 +25,11 @@ from simulation.motion_drawing import Drawing
 INK, FAINT = "#1c2530", "#8a96a3"
 BODY, SPACE, ELLIPSOID = "#3f78c9", "#e2942f", "#d5dae2"
 MOMENTUM, RATE, AXIS, PATH = "#1c2530", "#c62f4b", "#2f5f9e", "#2a8f5b"
+CONES = {
+    "prograde": "The body cone rolls beside the space cone",
+    "retrograde": "The body cone rolls around the space cone",
+    "none": "No cones: a steady spin",
+}
 DPI, SHARPER = 110, 2
 RINGS = 16
 """Strips of a cone from its tip to its edge, for the sorting by depth."""
@@ -58,11 +63,7 @@ def headline(geometry: Poinsot, name: str) -> str:
     precession = geometry.precession
     if precession.sense == "none":
         return f"{name}: no precession"
-    where = {"greatest": "encloses", "least": "lies beside"}[precession.axis]
-    return (
-        f"{name}: {precession.sense} precession about the axis of {precession.axis} inertia; "
-        f"the body cone {where} the space cone"
-    )
+    return f"{name}: {precession.sense} precession about the axis of {precession.axis} inertia"
 
 
 def numbers(geometry: Poinsot) -> str:
@@ -100,9 +101,12 @@ def draw_cones(axes: Axes, geometry: Poinsot, pixels: int) -> None:
     for tip, color, label in tips:
         _tip(axes, drawing, tip, color, label)
     axes.plot(0, 0, "o", color=INK, ms=4, zorder=6)
-    entries = [("space cone, at rest", SPACE), ("body cone, rolls on it", BODY)]
+    entries = [("space cone, at rest", SPACE), ("body cone, at the first frame", BODY)]
     _caption(
-        axes, "Cones in space", entries, "h angular momentum   ω angular velocity   x, z axes of inertia"
+        axes,
+        CONES[geometry.precession.sense],
+        entries,
+        "h angular momentum   ω angular velocity   x, z axes of inertia",
     )
 
 
@@ -121,7 +125,7 @@ def draw_polhode(axes: Axes, geometry: Poinsot, path_P: Array | None, pixels: in
     drawing.line(geometry.polhode_P, RATE, 2.6, 0.2)
     spikes = [
         (sign * semi * unit, 1.28 * sign * semi * unit, f"{'−' if sign < 0 else ''}{name}")
-        for unit, name in zip(np.eye(3), ("x greatest", "y middle", "z least"), strict=True)
+        for unit, name in zip(np.eye(3), _axis_names(geometry.moments), strict=True)
         for sign in (1.0, -1.0)
     ]
     for root, tip, _ in spikes:
@@ -216,6 +220,13 @@ def _heading(axes: Axes, points: Array, k: int) -> None:
 def _head(axes: Axes, before: Array, end: Array, color: str) -> None:
     style = {"arrowstyle": "-|>,head_width=0.32,head_length=0.62", "color": color, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", (end[0], end[1]), (before[0], before[1]), arrowprops=style, zorder=5)
+
+
+def _axis_names(moments: Array) -> tuple[str, str, str]:
+    """Of two equal moments neither axis is the middle one."""
+    if moments[0] == moments[1] or moments[1] == moments[2]:
+        return ("x greatest", "y", "z") if moments[1] == moments[2] else ("x", "y", "z least")
+    return "x greatest", "y middle", "z least"
 
 
 def _name_spike(axes: Axes, drawing: Drawing, root: Array, tip: Array, label: str) -> None:

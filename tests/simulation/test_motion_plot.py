@@ -31,13 +31,13 @@ def _scene(spin_rpm: list[float], **motion: object) -> Scene:
 @pytest.mark.parametrize(
     ("w_P", "words"),
     [
-        ([1.0, 0.2, 0.1], "retrograde precession about the axis of greatest inertia; the body cone encloses"),
-        ([0.1, 0.2, 1.0], "prograde precession about the axis of least inertia; the body cone lies beside"),
+        ([1.0, 0.2, 0.1], "retrograde precession about the axis of greatest inertia"),
+        ([0.1, 0.2, 1.0], "prograde precession about the axis of least inertia"),
         ([0.0, 1.0, 0.0], "no precession"),
     ],
 )
 def test_the_headline_states_the_sense(w_P: list[float], words: str) -> None:
-    assert headline(poinsot(MOMENTS, np.array(w_P)), "name").startswith(f"name: {words}")
+    assert headline(poinsot(MOMENTS, np.array(w_P)), "name") == f"name: {words}"
 
 
 def test_the_numbers_of_a_disc_are_the_textbooks() -> None:
@@ -50,7 +50,10 @@ def test_the_numbers_of_a_disc_are_the_textbooks() -> None:
 
 def test_three_panels_are_drawn_and_saved_at_their_size(tmp_path: Path) -> None:
     figure = motion_figure(_scene([6.0, 1.8, 1.2]), 0, "major", pixels=60)
-    assert _titles(figure)[:2] == ["Cones in space", "Polhode on the energy ellipsoid"]
+    assert _titles(figure)[:2] == [
+        "The body cone rolls around the space cone",
+        "Polhode on the energy ellipsoid",
+    ]
     save(figure, tmp_path / "major.png")
     image = Image.open(tmp_path / "major.png")
     assert image.size == (1650, 704)
