@@ -1,5 +1,6 @@
 """What is written of known pushes says the same to readers that hold rows and that interpolate."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from polhode.lie import Array
 from simulation.motion import known_wrench, target_motion
+from simulation.sequence import plan_sequence, write_knowledge
 from tests.simulation.motion_scenes import MASS_KG, mass_of, scene_of
 
 PUSHES = [
@@ -69,3 +71,14 @@ def test_torques_are_written_beside_the_forces() -> None:
 @pytest.mark.parametrize("motion", [{}, {"pushes": PUSHES, "pushes_known": False}])
 def test_nothing_is_known_without_pushes_or_when_they_are_kept_back(motion: dict[str, Any]) -> None:
     assert known_wrench(scene_of(3, **motion)) is None
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_sequence_tells_the_pushes_when_they_are_known(known: bool, tmp_path: Path) -> None:
+    scene = scene_of(3, pushes=PUSHES, pushes_known=known, position_m=[0.0, 0.0, 0.8])
+    write_knowledge(plan_sequence(scene, 0), tmp_path)
+    path = tmp_path / "wrench0" / "data.csv"
+    assert path.exists() == known
+    if known:
+        first = path.read_text().splitlines()[1].split(",")
+        assert [float(value) for value in first] == [scene.start_ns, 0.01, 0, 0, 0, 1e-3, 0]
