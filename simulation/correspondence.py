@@ -146,7 +146,7 @@ def _reasons(caster: RayCaster, hits: Hits, view: View, uv_px: Array) -> NDArray
     distance = np.linalg.norm(toward, axis=1)
     toward /= distance[:, None]
     facing = np.einsum("nk,nk->n", hits.flat_normal_G, toward) > 0
-    clear = caster.lit(hits, toward, distance)
+    clear = caster.clear(hits, toward, distance)
     reason = np.where(clear, Reason.VISIBLE, Reason.HIDDEN)
     reason = np.where(_inside(view.camera, uv_px), reason, Reason.OUTSIDE)
     return np.where(facing, reason, Reason.TURNED_AWAY).astype(np.uint8)

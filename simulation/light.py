@@ -1,11 +1,14 @@
 """The lights at one moment, seen from the body: Sun, Earth, lamp, and how an eclipse dims them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from polhode.config import scene as config
 from polhode.lie import Array
+
+HALF_SKY_RAD = 0.5 * float(np.pi)
+"""Radius of the largest disc: no sphere that one is outside of covers more."""
 
 
 @dataclass(frozen=True)
@@ -13,15 +16,39 @@ class Lights:
     """The lights in G at one moment."""
 
     sun_direction_G: Array
-    """(3,) unit, towards the Sun"""
+    """(3,) unit, towards the Sun's middle"""
     sun: float
+    """level of a white surface that faces it"""
     earth_direction_G: Array
-    """(3,) unit"""
+    """(3,) unit, towards the Earth's middle"""
     earth: float
+    """radiance of its disc"""
     lamp_G: Array
     """(3,) position [m]"""
     lamp: float
     """at 1 m"""
+    sun_radius_rad: float = 0.0
+    earth_radius_rad: float = HALF_SKY_RAD
+
+    def coarse(self, step: float, step_m: float) -> "Lights":
+        """The same lights, directions in steps of ``step`` [rad] and the lamp in steps of ``step_m``."""
+
+        def rounded(direction: Array) -> Array:
+            d = np.round(direction / step)
+            return np.asarray(d / np.linalg.norm(d))
+
+        return replace(
+            self,
+            sun_direction_G=rounded(self.sun_direction_G),
+            earth_direction_G=rounded(self.earth_direction_G),
+            lamp_G=np.round(self.lamp_G / step_m) * step_m if self.lamp > 0 else np.zeros(3),
+        )
+
+    @property
+    def key(self) -> bytes:
+        """The same for the same lights."""
+        numbers = (self.sun, self.earth, self.lamp, self.sun_radius_rad, self.earth_radius_rad)
+        return np.concatenate([self.sun_direction_G, self.earth_direction_G, self.lamp_G, numbers]).tobytes()
 
 
 def lights_in_body(light: config.Light, X_GN: Array, X_GC: Array, t_s: float = 0.0) -> Lights:
@@ -34,7 +61,16 @@ def lights_in_body(light: config.Light, X_GN: Array, X_GC: Array, t_s: float = 0
     lamp_G = X_GC[:3, :3] @ np.array(light.lamp_position_m) + X_GC[:3, 3]
     sun, earth = direction(light.sun_direction_N), direction(light.earth_direction_N)
     factor = sunlight(light, t_s)
-    return Lights(sun, factor * light.sun, earth, factor * light.earth, lamp_G, light.lamp)
+    return Lights(
+        sun_direction_G=sun,
+        sun=factor * light.sun,
+        earth_direction_G=earth,
+        earth=factor * light.earth,
+        lamp_G=lamp_G,
+        lamp=light.lamp,
+        sun_radius_rad=0.5 * float(np.deg2rad(light.sun_diameter_deg)),
+        earth_radius_rad=min(float(np.deg2rad(light.earth_radius_deg)), HALF_SKY_RAD),
+    )
 
 
 def sunlight(light: config.Light, t_s: float) -> float:

@@ -74,7 +74,7 @@ def render_products(
 
 
 def _shadow(caster: RayCaster, hits: Hits, sun_G: Array) -> NDArray[np.uint8]:
-    away = hits.flat_normal_G @ sun_G <= 0
+    away = hits.normal_G @ sun_G <= 0
     return np.where(away, AWAY, np.where(caster.lit(hits, sun_G), 0, CAST)).astype(np.uint8)
 
 

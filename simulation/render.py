@@ -1,6 +1,7 @@
 """One image: rays, hits, materials, light, and the mean over the samples of each pixel."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -9,9 +10,13 @@ from polhode.lie import Array, inverse_pose
 from polhode.records import Ints
 from simulation.bodies import Body
 from simulation.cameras import Camera, sample_offsets
-from simulation.light import lights_in_body
-from simulation.raycast import RayCaster
-from simulation.shading import shade
+from simulation.disc import Stratum, rays_over_disc
+from simulation.indirect import IndirectLight
+from simulation.light import Lights, lights_in_body
+from simulation.materials import Surface
+from simulation.mirror import Mirror
+from simulation.raycast import Hits, RayCaster
+from simulation.shading import Arriving, shade
 from simulation.skin import Skin
 
 
@@ -34,6 +39,7 @@ class Renderer:
         self._samples = scene.render.samples
         self._caster = RayCaster(body)
         self._skin = Skin(body, scene.body, seed)
+        self._bounces = scene.render.bounces
 
     @property
     def caster(self) -> RayCaster:
@@ -50,6 +56,11 @@ class Renderer:
         """The scene's light."""
         return self._light
 
+    @cached_property
+    def _indirect(self) -> IndirectLight:
+        """Built when first needed: it takes a second."""
+        return IndirectLight(self._body, self._caster, self._skin, self._bounces)
+
     def picture(self, camera: Camera, X_NK: Array, X_NG: Array, t_s: float = 0.0) -> Picture:
         """Render what a camera at X_NK sees of the target at X_NG, t_s after the first frame.
 
@@ -58,18 +69,33 @@ class Renderer:
         offsets = sample_offsets(self._samples)
         poses_NK, poses_NG = (np.broadcast_to(X, (len(offsets), 4, 4)) for X in (X_NK, X_NG))
         level, covered = np.zeros((2, camera.width_px * camera.height_px))
-        for offset, X_NK, X_NG in zip(offsets, poses_NK, poses_NG, strict=True):
+        for i, (X_NK, X_NG) in enumerate(zip(poses_NK, poses_NG, strict=True)):
             X_GN = inverse_pose(X_NG)
             X_GK = X_GN @ X_NK
             lights = lights_in_body(self._light, X_GN, X_GK @ inverse_pose(camera.X_CK), t_s)
             pixels = self._pixels_near_body(camera, X_GK)
-            rays_G = _directions(camera, pixels, offset) @ X_GK[:3, :3].T
+            rays_G = _directions(camera, pixels, offsets[i]) @ X_GK[:3, :3].T
             hits = self._caster.first_hits(X_GK[:3, 3], rays_G)
             surface = self._skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
-            level[pixels[hits.ray]] += shade(hits, surface, -rays_G[hits.ray], lights, self._caster)
-            covered[pixels[hits.ray]] += 1.0
+            to_viewer = -rays_G[hits.ray]
+            stratum = Stratum(pixels[hits.ray], i, len(offsets))
+            to_sun = rays_over_disc(lights.sun_direction_G, lights.sun_radius_rad, stratum)
+            arriving = self._arriving(hits, surface, to_viewer, lights, stratum)
+            level[stratum.pixel] += shade(hits, surface, to_viewer, lights, self._caster, to_sun, arriving)
+            covered[stratum.pixel] += 1.0
         shape = (camera.height_px, camera.width_px)
         return Picture(level.reshape(shape) / len(offsets), covered.reshape(shape) / len(offsets))
+
+    def _arriving(
+        self, hits: Hits, surface: Surface, to_viewer_G: Array, lights: Lights, stratum: Stratum
+    ) -> Arriving | None:
+        """What n hits receive by way of the body itself."""
+        if lights.earth == 0 and not self._bounces:
+            return None
+        around = self._indirect.at(hits, lights)
+        mirror = Mirror(self._caster, self._skin, self._indirect, self._bounces)
+        mirrored = mirror.level(hits, surface, to_viewer_G, lights, around, stratum)
+        return Arriving(around.bounced(surface.normal_G), around.earth_share(), mirrored)
 
     def depth_m(self, camera: Camera, X_NK: Array, X_NG: Array) -> Array:
         """Depth (H, W) along the optical axis at pixel centres [m], NaN beside the body."""

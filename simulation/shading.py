@@ -1,60 +1,83 @@
-"""Light on surfaces: Sun, Earth, lamp; a diffuse and a GGX term, two-sided.
+"""Light on surfaces: Sun, Earth, lamp, and what other parts of the body pass on.
 
-Levels are relative to a white diffuse surface that faces the Sun. GGX: Walter et al., "Microfacet
-models for refraction through rough surfaces", EGSR 2007; joint Smith shadowing; Schlick's Fresnel.
+Levels are relative to a white diffuse surface that faces the Sun.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from polhode.lie import Array
 from polhode.records import Bools
+from simulation.disc import disc_irradiance
 from simulation.light import Lights
 from simulation.materials import Surface
 from simulation.raycast import Hits, RayCaster
+from simulation.reflection import mirrored_earth, mirrored_share, reflected
 
 
-def shade(hits: Hits, surface: Surface, to_viewer_G: Array, lights: Lights, caster: RayCaster) -> Array:
-    """Level (n,) of light that leaves the hits towards the viewer, to_viewer_G (n, 3) unit."""
-    level = _fill(surface, to_viewer_G, lights)
+@dataclass(frozen=True)
+class Arriving:
+    """What n hits receive by way of the body itself."""
+
+    bounced: Array | float = 0.0
+    """(n,) irradiance of light that other parts reflect"""
+    earth_share: Array | float = 1.0
+    """(n,) share of the Earth's light that no part hides"""
+    mirrored: Array | None = None
+    """(n,) level of body and Earth in the mirror; None: the Earth alone, less what is hidden of it"""
+
+
+def shade(
+    hits: Hits,
+    surface: Surface,
+    to_viewer_G: Array,
+    lights: Lights,
+    caster: RayCaster,
+    to_sun_G: Array | None = None,
+    arriving: Arriving | None = None,
+) -> Array:
+    """Level (n,) of light that leaves the hits towards the viewer.
+
+    to_viewer_G (n, 3) unit; to_sun_G (n, 3) unit, to the point of the Sun's disc that the shadow ray tries,
+    its middle when absent; arriving: what the body itself adds and hides, nothing when absent.
+    """
+    level = _filled(surface, to_viewer_G, lights, arriving or Arriving())
+    n = len(level)
     if lights.sun > 0:
-        visible = caster.lit(hits, lights.sun_direction_G)
-        toward = np.broadcast_to(lights.sun_direction_G, hits.p_G.shape)
+        visible = caster.lit(hits, lights.sun_direction_G if to_sun_G is None else to_sun_G)
+        toward = np.broadcast_to(lights.sun_direction_G, (n, 3))
         level[visible] += lights.sun * _reflected(surface, toward, to_viewer_G, visible)
     if lights.lamp > 0:
         offset = lights.lamp_G - hits.p_G
         reach = np.linalg.norm(offset, axis=1)
         toward = offset / reach[:, None]
         visible = caster.lit(hits, toward, reach)
-        level[visible] += (
-            lights.lamp / reach[visible] ** 2 * _reflected(surface, toward, to_viewer_G, visible)
-        )
+        at_hit = lights.lamp / reach[visible] ** 2
+        level[visible] += at_hit * _reflected(surface, toward, to_viewer_G, visible)
     return level
 
 
-def _fill(surface: Surface, to_viewer_G: Array, lights: Lights) -> Array:
-    """The Earth's broad disc: soft on the diffuse part, mirrored by the clear part."""
-    n = surface.normal_G
-    from_earth = 0.5 * (1.0 + n @ lights.earth_direction_G)
-    mirrored = 2.0 * np.einsum("nk,nk->n", n, to_viewer_G)[:, None] * n - to_viewer_G
-    seen = np.clip((mirrored @ lights.earth_direction_G - 0.2) / 0.5, 0.0, 1.0)
-    return np.asarray(lights.earth * (surface.albedo * from_earth**2 + 1.5 * surface.specular * seen))
+def _filled(surface: Surface, to_viewer_G: Array, lights: Lights, arriving: Arriving) -> Array:
+    """Level (n,) of the Earth and of the body around, diffuse and mirrored."""
+    cosine = surface.normal_G @ lights.earth_direction_G
+    earth = lights.earth * arriving.earth_share * disc_irradiance(cosine, lights.earth_radius_rad)
+    level = surface.albedo * (1.0 - surface.specular) * (earth + arriving.bounced)
+    if arriving.mirrored is not None:
+        return np.asarray(level + arriving.mirrored)
+    share = mirrored_share(surface, to_viewer_G) * mirrored_earth(surface, to_viewer_G, lights)
+    return np.asarray(level + lights.earth * arriving.earth_share * share)
 
 
 def _reflected(surface: Surface, toward_G: Array, to_viewer_G: Array, where: Bools) -> Array:
-    """Diffuse and specular reflection of unit light at the points ``where`` (n,) bool."""
-    n, light, view = surface.normal_G[where], toward_G[where], to_viewer_G[where]
-    n_l = np.clip(np.einsum("nk,nk->n", n, light), 0.0, 1.0)
-    n_v = np.clip(np.einsum("nk,nk->n", n, view), 1e-3, 1.0)
-    half = light + view
-    half /= np.linalg.norm(half, axis=1, keepdims=True)
-    n_h = np.clip(np.einsum("nk,nk->n", n, half), 0.0, 1.0)
-    v_h = np.clip(np.einsum("nk,nk->n", view, half), 0.0, 1.0)
-    alpha2 = surface.roughness[where] ** 4
-    f0 = surface.specular[where]
-    fresnel = f0 + (1.0 - f0) * (1.0 - v_h) ** 5
-    density = alpha2 / (np.pi * (n_h**2 * (alpha2 - 1.0) + 1.0) ** 2)
-    smith = n_l * np.sqrt(n_v**2 * (1 - alpha2) + alpha2) + n_v * np.sqrt(n_l**2 * (1 - alpha2) + alpha2)
-    specular = np.pi * density * fresnel * 0.5 / np.maximum(smith, 1e-6)
-    # Without a clear coat (f0 = 0, regolith) there is no mirror term at grazing angles either.
-    specular = np.where(f0 > 0, specular, 0.0)
-    return np.asarray(n_l * (surface.albedo[where] * (1.0 - f0) + specular))
+    """Diffuse and specular reflection of unit light at the points ``where`` (n,)."""
+    return np.asarray(
+        reflected(
+            surface.normal_G[where],
+            toward_G[where],
+            to_viewer_G[where],
+            surface.albedo[where],
+            surface.specular[where],
+            surface.roughness[where] ** 4,
+        )
+    )

@@ -35,3 +35,16 @@ def test_the_eclipse_dims_sun_and_earth_but_not_the_lamp() -> None:
     light = ECLIPSE.model_copy(update={"lamp": 0.4})
     lights = lights_in_body(light, np.eye(4), np.eye(4), 12.0)
     assert (lights.sun, lights.earth, lights.lamp) == (0.0, 0.0, 0.4)
+
+
+def test_coarse_lights_are_near_and_change_seldom() -> None:
+    light = config.Light(lamp=0.3)
+    turns = [make_pose(exp_so3([0.0, angle, 0.1]), [0.0, 0.0, 0.6]) for angle in np.linspace(0.0, 0.02, 41)]
+    exact = [lights_in_body(light, inverse_pose(X), inverse_pose(X)) for X in turns]
+    coarse = [lights.coarse(1 / 256, 0.001) for lights in exact]
+    assert len({lights.key for lights in exact}) == 41
+    assert len({lights.key for lights in coarse}) < 30
+    for near, lights in zip(coarse, exact, strict=True):
+        assert near.sun_direction_G @ lights.sun_direction_G > np.cos(np.deg2rad(0.25))
+        assert np.abs(near.lamp_G - lights.lamp_G).max() < 0.00051
+        assert near.sun == lights.sun

@@ -10,7 +10,7 @@ from simulation.bodies import Body, build_body
 from simulation.bodies.part import Part, assemble
 from simulation.cameras import build_cameras
 from simulation.materials import PAINT_WHITE
-from simulation.raycast import RayCaster
+from simulation.raycast import Hits, RayCaster
 from simulation.render import Renderer
 
 RIG = config.Rig(width_px=48, height_px=36, focal_px=60.0)
@@ -101,3 +101,39 @@ def test_a_lamp_nearer_than_the_obstacle_is_not_blocked() -> None:
     up = np.array([0.0, 0.0, 1.0])
     assert caster.lit(hits, up, np.array([0.3])).all()
     assert not caster.lit(hits, up, np.array([0.7])).any()
+
+
+def _beam_hits(caster: RayCaster, from_G: Array, width_m: float) -> Hits:
+    """Hits of a pencil of rays that spreads from a point towards the origin."""
+    rng = np.random.default_rng(3)
+    toward = -from_G + rng.uniform(-width_m, width_m, (4000, 3))
+    return caster.first_hits(from_G, toward / np.linalg.norm(toward, axis=1, keepdims=True))
+
+
+@pytest.mark.parametrize("subdivisions", [1, 2, 4])
+@pytest.mark.parametrize("turned_inside_out", [False, True])
+def test_the_terminator_of_a_smooth_ball_follows_its_normals(
+    subdivisions: int, turned_inside_out: bool
+) -> None:
+    """However few faces stand for the ball, it is lit where its interpolated normals face the Sun."""
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.1)
+    if turned_inside_out:
+        mesh.invert()
+    caster = RayCaster(assemble([Part(mesh, PAINT_WHITE)]))
+    hits = _beam_hits(caster, np.array([0.5, 0.1, 0.2]), 0.1)
+    for sun in np.array([[0.0, 0.0, 1.0], [-0.6, 0.0, 0.8], [0.3, -0.95, 0.08]]):
+        sun /= np.linalg.norm(sun)
+        faces_sun = hits.normal_G @ sun
+        lit = caster.lit(hits, sun)
+        assert not lit[faces_sun <= 0].any()
+        assert lit[faces_sun > 0.02].mean() > 0.998
+
+
+def test_a_neighbour_shades_a_smooth_ball_up_to_its_terminator() -> None:
+    """Faces that turn away early are lit by way of the round surface, but not through other parts."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    roof = trimesh.creation.box([0.6, 0.6, 0.01])
+    roof.apply_translation([0, 0, 0.3])
+    caster = RayCaster(assemble([Part(ball, PAINT_WHITE), Part(roof, PAINT_WHITE)]))
+    hits = _beam_hits(caster, np.array([0.5, 0.1, 0.02]), 0.1)
+    assert not caster.lit(hits[hits.p_G[:, 2] < 0.2], np.array([0.0, 0.0, 1.0])).any()

@@ -1,5 +1,8 @@
 """Reflection against closed forms."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,12 +12,14 @@ from simulation.bodies.part import Part, assemble
 from simulation.light import Lights
 from simulation.materials import Material, MaterialTable
 from simulation.raycast import Hits, RayCaster
-from simulation.shading import shade
+from simulation.shading import Arriving, shade
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def _plate_levels(material: Material, sun_G: Array, viewer_G: Array, **lights: float) -> Array:
+def _plate_levels(
+    material: Material, sun_G: Array, viewer_G: Array, arriving: Arriving | None = None, **lights: Any
+) -> Array:
     """Level of a plate in the xy plane, seen from directions viewer_G (n, 3)."""
     caster = RayCaster(assemble([Part(trimesh.creation.box([1.0, 1.0, 0.02]), material)]))
     n = len(viewer_G)
@@ -22,9 +27,8 @@ def _plate_levels(material: Material, sun_G: Array, viewer_G: Array, **lights: f
     corner = np.tile([1.0, 0.0, 0.0], (n, 1))
     hits = Hits(np.arange(n), np.zeros(n, np.int64), corner, np.ones(n), p_G, up, up)
     surface = MaterialTable((material,), 0).evaluate(np.zeros(n, np.int64), p_G, up)
-    level = {"sun": 1.0, "earth": 0.0, "lamp": 0.0} | lights
-    scene = Lights(sun_G, level["sun"], UP, level["earth"], np.array([0.0, 0.0, 2.01]), level["lamp"])
-    return shade(hits, surface, viewer_G, scene, caster)
+    bright = Lights(sun_G, 1.0, UP, 0.0, np.array([0.0, 0.0, 2.01]), 0.0)
+    return shade(hits, surface, viewer_G, replace(bright, **lights), caster, arriving=arriving)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0, 60.0, 85.0])
@@ -72,3 +76,18 @@ def test_the_highlight_lies_in_the_mirror_direction() -> None:
     viewers = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
     levels = _plate_levels(Material(0.01, specular=0.6, roughness=0.3), sun, viewers)
     np.testing.assert_allclose(viewers[np.argmax(levels)], [-0.6, 0, 0.8], atol=0.02)
+
+
+def test_a_plate_under_the_earth_has_the_level_of_its_disc() -> None:
+    matt, angle = Material(0.4, specular=0.0), np.deg2rad(66.0)
+    lights = {"sun": 0.0, "earth": 0.15, "earth_radius_rad": angle}
+    level = _plate_levels(matt, UP, UP[None], **lights)
+    assert level == pytest.approx(0.4 * 0.15 * np.sin(angle) ** 2)
+
+
+def test_what_arrives_by_way_of_the_body_adds_to_the_diffuse_level() -> None:
+    matt, arriving = Material(0.4, specular=0.0), Arriving(bounced=np.full(1, 0.3), mirrored=np.full(1, 0.02))
+    level = _plate_levels(matt, UP, UP[None], arriving, sun=0.0)
+    assert level == pytest.approx(0.4 * 0.3 + 0.02)
+    hidden = _plate_levels(matt, UP, UP[None], Arriving(earth_share=np.full(1, 0.25)), sun=0.0, earth=0.15)
+    assert hidden == pytest.approx(0.25 * _plate_levels(matt, UP, UP[None], sun=0.0, earth=0.15))

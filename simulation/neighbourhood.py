@@ -1,0 +1,201 @@
+"""Smooth interpolation over a surface between scattered points, without leaking around edges.
+
+A point counts where it is near, faces the same way, and lies in the same plane. All within reach share in
+the mean, with weights that fade to zero at its end, so that nothing jumps.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from polhode.lie import Array
+from polhode.records import Ints
+
+LEAST_AGREEMENT = 0.3
+"""Cosine between normals at which a neighbour stops to count."""
+STEPS_COUNT = 3.0
+"""Distances off the tangent plane count as so many times those within."""
+LONGEST_GRID = 128
+MOST_NEIGHBOURS = 12
+
+
+@dataclass(frozen=True)
+class Near:
+    """Which points count at each of n places, and how much."""
+
+    index: NDArray[np.int32]
+    """(n, K) of N points"""
+    weight: NDArray[np.float32]
+    """(n, K) adds up to 1; 0 where unused, all of them where no point counts"""
+
+    def __getitem__(self, which: Ints) -> "Near":
+        return Near(self.index[which], self.weight[which])
+
+    def mean(self, values: NDArray[np.float32]) -> Array:
+        """Mean (n, C) of the points' values (N, C); zero where no point counts."""
+        return np.asarray(_blend(self.index, self.weight, values))
+
+
+class Neighbourhood:
+    """Points (N, 3) [m] with unit normals (N, 3), found by place: those within ``reach_m`` count."""
+
+    def __init__(self, p_G: Array, normal_G: Array, reach_m: float) -> None:
+        self._p, self._n, self._reach_m = np.ascontiguousarray(p_G), np.ascontiguousarray(normal_G), reach_m
+        low, high = p_G.min(axis=0) - reach_m, p_G.max(axis=0) + reach_m
+        self._cell_m = max(0.5 * reach_m, float((high - low).max()) / LONGEST_GRID)
+        self._low = low
+        shape = np.ceil((high - low) / self._cell_m).astype(np.int64)
+        self._start, self._member = _fill_cells(self._p, low, self._cell_m, shape, reach_m)
+        self._shape = shape
+
+    def nearest(self, p_G: Array, normal_G: Array) -> NDArray[np.int32]:
+        """The point (n,) that counts most at p_G (n, 3) with unit normals (n, 3); -1: none."""
+        return np.asarray(_nearest(p_G, normal_G, *self._table()))
+
+    def near(self, p_G: Array, normal_G: Array) -> "Near":
+        """The points that count at p_G (n, 3) with unit normals (n, 3)."""
+        return Near(*_near(p_G, normal_G, *self._table()))
+
+    def _table(self) -> tuple[Array, Array, float, Array, float, Ints, Ints, Ints]:
+        reach_m, cell_m = self._reach_m, self._cell_m
+        return self._p, self._n, reach_m, self._low, cell_m, self._shape, self._start, self._member
+
+
+@njit(cache=True)
+def _fill_cells(p: Array, low: Array, cell_m: float, shape: Ints, reach_m: float) -> tuple[Ints, Ints]:
+    """For each cell of the grid, the points that reach into it: members[start[cell]:start[cell + 1]]."""
+    count = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
+    for turn in range(2):
+        if turn == 1:
+            start = np.cumsum(count)
+            members = np.empty(start[-1], np.int64)
+            count[:] = 0
+        for m in range(len(p)):
+            first = np.empty(3, np.int64)
+            last = np.empty(3, np.int64)
+            for k in range(3):
+                first[k] = max(int((p[m, k] - reach_m - low[k]) / cell_m), 0)
+                last[k] = min(int((p[m, k] + reach_m - low[k]) / cell_m), shape[k] - 1)
+            for i in range(first[0], last[0] + 1):
+                for j in range(first[1], last[1] + 1):
+                    for h in range(first[2], last[2] + 1):
+                        gap = 0.0
+                        for k, index in ((0, i), (1, j), (2, h)):
+                            edge = low[k] + index * cell_m
+                            gap += max(edge - p[m, k], p[m, k] - edge - cell_m, 0.0) ** 2
+                        if gap > reach_m * reach_m:
+                            continue
+                        cell = (i * shape[1] + j) * shape[2] + h
+                        if turn == 1:
+                            members[start[cell] + count[cell + 1]] = m
+                        count[cell + 1] += 1
+    return start, members
+
+
+@njit(cache=True)
+def _cell_of(x: float, y: float, z: float, low: Array, cell_m: float, shape: Ints) -> int:
+    i, j, k = int((x - low[0]) / cell_m), int((y - low[1]) / cell_m), int((z - low[2]) / cell_m)
+    if x < low[0] or y < low[1] or z < low[2] or i >= shape[0] or j >= shape[1] or k >= shape[2]:
+        return -1
+    return int((i * shape[1] + j) * shape[2] + k)
+
+
+@njit(cache=True)
+def _weight(
+    x: float, y: float, z: float, nx: float, ny: float, nz: float, q: Array, m: Array, reach2: float
+) -> float:
+    """What a neighbour at q (3,) with normal m (3,) counts at (x, y, z) with normal (nx, ny, nz)."""
+    dx, dy, dz = x - q[0], y - q[1], z - q[2]
+    square = dx * dx + dy * dy + dz * dz
+    if square >= reach2:
+        return 0.0
+    agreement = nx * m[0] + ny * m[1] + nz * m[2]
+    if agreement <= LEAST_AGREEMENT:
+        return 0.0
+    step = 0.5 * (abs(dx * nx + dy * ny + dz * nz) + abs(dx * m[0] + dy * m[1] + dz * m[2]))
+    square += (STEPS_COUNT * STEPS_COUNT - 1.0) * step * step
+    if square >= reach2:
+        return 0.0
+    near, alike = 1.0 - square / reach2, (agreement - LEAST_AGREEMENT) / (1.0 - LEAST_AGREEMENT)
+    return float(near * near * alike * alike)
+
+
+@njit(cache=True)
+def _nearest(
+    p: Array,
+    n: Array,
+    q: Array,
+    m: Array,
+    reach_m: float,
+    low: Array,
+    cell_m: float,
+    shape: Ints,
+    start: Ints,
+    member: Ints,
+) -> NDArray[np.int32]:
+    out = np.full(len(p), -1, np.int32)
+    for a in range(len(p)):
+        cell = _cell_of(p[a, 0], p[a, 1], p[a, 2], low, cell_m, shape)
+        if cell < 0:
+            continue
+        best = 0.0
+        for at in range(start[cell], start[cell + 1]):
+            i = member[at]
+            w = _weight(p[a, 0], p[a, 1], p[a, 2], n[a, 0], n[a, 1], n[a, 2], q[i], m[i], reach_m * reach_m)
+            if w > best:
+                best = w
+                out[a] = i
+    return out
+
+
+@njit(cache=True)
+def _near(
+    p: Array,
+    n: Array,
+    q: Array,
+    m: Array,
+    reach_m: float,
+    low: Array,
+    cell_m: float,
+    shape: Ints,
+    start: Ints,
+    member: Ints,
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    index = np.zeros((len(p), MOST_NEIGHBOURS), np.int32)
+    weight = np.zeros((len(p), MOST_NEIGHBOURS), np.float32)
+    for a in range(len(p)):
+        cell = _cell_of(p[a, 0], p[a, 1], p[a, 2], low, cell_m, shape)
+        if cell < 0:
+            continue
+        total, slot, used = 0.0, 0, 0
+        for at in range(start[cell], start[cell + 1]):
+            i = member[at]
+            w = _weight(p[a, 0], p[a, 1], p[a, 2], n[a, 0], n[a, 1], n[a, 2], q[i], m[i], reach_m * reach_m)
+            if w <= 0.0:
+                continue
+            if used < MOST_NEIGHBOURS:
+                slot = used
+                used += 1
+            else:
+                slot = int(np.argmin(weight[a]))
+                if weight[a, slot] >= w:
+                    continue
+                total -= weight[a, slot]
+            index[a, slot], weight[a, slot] = i, w
+            total += w
+        if used > 0:
+            weight[a] /= total
+    return index, weight
+
+
+@njit(cache=True)
+def _blend(index: NDArray[np.int32], weight: NDArray[np.float32], values: NDArray[np.float32]) -> Array:
+    out = np.zeros((len(index), values.shape[1]))
+    for n in range(len(index)):
+        for k in range(MOST_NEIGHBOURS):
+            if weight[n, k] > 0.0:
+                for c in range(values.shape[1]):
+                    out[n, c] += weight[n, k] * values[index[n, k], c]
+    return out
