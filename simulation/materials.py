@@ -166,7 +166,9 @@ def _evaluate(
             mean += contrast * (drawn[n] - mean)
         elif contrast > 0.0:
             mean += contrast * (rows[m, 0] - mean)
-        variation = _variation(rows[m], p[n], seeds[m], scale, collage) if contrast > 0.0 else 0.0
+        # A drawing takes the place of the patches, not of the grain.
+        patched = not np.isfinite(drawn[n])
+        variation = _variation(rows[m], p[n], seeds[m], scale, collage, patched) if contrast > 0.0 else 0.0
         albedo[n] = min(max(mean * (1.0 + contrast * variation), 0.01), 0.95)
         tilt = _tilt(rows[m], p[n], seeds[m], scale, collage)
         length = 0.0
@@ -178,7 +180,7 @@ def _evaluate(
 
 
 @njit(cache=True)
-def _variation(row: Array, p: Array, seed: int, scale: float, collage: bool) -> float:
+def _variation(row: Array, p: Array, seed: int, scale: float, collage: bool, patched: bool) -> float:
     """Relative variation of the reflectance at a point, by grain (row 3, 4) and patches (row 5, 6)."""
     variation = 0.0
     along = 1.0 / row[11]
@@ -188,7 +190,7 @@ def _variation(row: Array, p: Array, seed: int, scale: float, collage: bool) -> 
             variation += row[3] * layered_spots_at(p[0] * s, p[1] * s, p[2] * s * along, seed)[0]
         else:
             variation += row[3] * fractal_at(p[0] * s, p[1] * s, p[2] * s * along, 4, seed)[0]
-    if row[5] > 0.0:
+    if patched and row[5] > 0.0:
         s = 1.0 / (scale * row[6])
         if collage:
             variation += row[5] * discs_at(0.5 * p[0] * s, 0.5 * p[1] * s, 0.5 * p[2] * s, seed + 11)

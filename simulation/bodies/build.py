@@ -1,5 +1,6 @@
 """From a scene's description to a body."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ from simulation.bodies.asteroid import asteroid_parts
 from simulation.bodies.bus import bus_parts
 from simulation.bodies.cubesat import cubesat_parts
 from simulation.bodies.dish import dish_parts
+from simulation.bodies.dressing import texel_for
 from simulation.bodies.free_flyer import free_flyer_parts
 from simulation.bodies.mesh_file import mesh_file_parts
+from simulation.bodies.override import in_one_material
 from simulation.bodies.part import Body, Part, assemble
 from simulation.bodies.studio import Studio
 from simulation.bodies.truss import truss_parts
@@ -38,13 +41,24 @@ GRAINS = {
 """Size [m] for which the materials' textures are made; they grow with the body."""
 
 
+MESH_GRAIN_M = 0.25
+"""The same for mesh files: the side of a cube of the same surface."""
+
+
 def build_body(body: config.Body, seed: int) -> Body:
     """Build the target; ``seed`` serves where the description has none. Raises InputError (mesh files)."""
     own = seed if body.seed is None else body.seed
     rng, ink = np.random.default_rng([0xB0D1, own]), np.random.default_rng([0x1A4C, own])
     texel_m = body.size_m / TEXELS.get(body.family, 440.0)
     scale = body.size_m / GRAINS.get(body.family, body.size_m)
-    return assemble(_parts(body, Studio(artist_of(body.texture), rng, ink, texel_m)), scale)
+    studio = Studio(artist_of(body.texture), rng, ink, texel_m)
+    parts = _parts(body, studio)
+    if body.family == "mesh":
+        area_m2 = sum(float(part.mesh.area) for part in parts)
+        scale, texel_m = float(np.sqrt(area_m2 / 6.0)) / MESH_GRAIN_M, texel_for(area_m2)
+    if body.material != "automatic":
+        parts = in_one_material(parts, body.material, replace(studio, texel_m=texel_m))
+    return assemble(parts, scale)
 
 
 def _parts(body: config.Body, studio: Studio) -> list[Part]:
@@ -67,4 +81,4 @@ def _parts(body: config.Body, studio: Studio) -> list[Part]:
             # The section has validated both.
             assert body.path is not None
             assert body.metres_per_unit is not None
-            return mesh_file_parts(Path(body.path), body.metres_per_unit, studio.rng)
+            return mesh_file_parts(Path(body.path), body.metres_per_unit, studio)

@@ -5,10 +5,12 @@ import trimesh
 from numba import njit
 
 from polhode.lie import Array
-from polhode.records import Ints
+from polhode.records import Bools, Ints
 
 SMOOTH_BELOW_DEG = 40.0
 SAME_PLANE_DEG = 1.0
+CURVED_BELOW_DEG = 30.0
+"""Neighbouring facets of a curved wall meet at less than this."""
 
 
 def smooth_corner_normals(mesh: trimesh.Trimesh) -> Array:
@@ -64,17 +66,17 @@ def flat_facets(mesh: trimesh.Trimesh) -> list[Ints]:
 
 
 def flat_regions(mesh: trimesh.Trimesh, smallest_m2: float) -> list[Ints]:
-    """Faces that hang together in one plane, at least smallest_m2 [m^2] large, the largest first.
+    """Flat sides: faces that hang together in one plane, at least smallest_m2 [m^2] large, the largest first.
 
-    A finely cut curved surface is no region: its faces hang together, but in no plane.
+    A facet of a curved wall is no side: more than half of its rim goes smoothly over into the next.
     """
     if len(mesh.faces) < 2:
         return []
-    almost_flat = np.abs(mesh.face_adjacency_angles) < np.deg2rad(0.5 * SAME_PLANE_DEG)
-    labels = trimesh.graph.connected_component_labels(
-        mesh.face_adjacency[almost_flat], node_count=len(mesh.faces)
-    )
+    angle = np.abs(mesh.face_adjacency_angles)
+    same = angle < np.deg2rad(0.5 * SAME_PLANE_DEG)
+    labels = trimesh.graph.connected_component_labels(mesh.face_adjacency[same], node_count=len(mesh.faces))
     area = np.bincount(labels, weights=mesh.area_faces)
+    rim, soft = _rims(mesh, labels, same, angle < np.deg2rad(CURVED_BELOW_DEG))
     regions = []
     for label in np.argsort(-area, kind="stable"):
         if area[label] < smallest_m2:
@@ -82,8 +84,25 @@ def flat_regions(mesh: trimesh.Trimesh, smallest_m2: float) -> list[Ints]:
         faces = np.flatnonzero(labels == label)
         normal = mesh.area_faces[faces] @ mesh.face_normals[faces]
         length = np.linalg.norm(normal)
-        if length > 0 and (mesh.face_normals[faces] @ normal / length).min() > np.cos(
+        flat = length > 0 and (mesh.face_normals[faces] @ normal).min() > length * np.cos(
             np.deg2rad(SAME_PLANE_DEG)
-        ):
+        )
+        if flat and soft[label] <= 0.5 * rim[label]:
             regions.append(faces)
     return regions
+
+
+def _rims(mesh: trimesh.Trimesh, labels: Ints, same: Bools, smooth: Bools) -> tuple[Array, Array]:
+    """Length of each region's rim, and of that part of it over which it goes smoothly into another."""
+    a, b, c = (mesh.triangles[:, k] for k in range(3))
+    around = np.linalg.norm(b - a, axis=1) + np.linalg.norm(c - b, axis=1) + np.linalg.norm(a - c, axis=1)
+    rim = np.bincount(labels, weights=around)
+    ends = mesh.vertices[mesh.face_adjacency_edges]
+    edge = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    one, other = labels[mesh.face_adjacency.T]
+    count = len(rim)
+    inner = np.bincount(one[same], weights=2.0 * edge[same], minlength=count)
+    bent = smooth & ~same
+    soft = np.bincount(one[bent], weights=edge[bent], minlength=count)
+    soft += np.bincount(other[bent], weights=edge[bent], minlength=count)
+    return rim - inner, soft

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from scipy.spatial import QhullError
+from scipy.spatial import ConvexHull, QhullError
 
 from polhode.lie import Array
 
@@ -36,21 +36,30 @@ def masses_by_name(parts: list[tuple[str, trimesh.Trimesh, float]]) -> list[Part
 
 def _pieces(name: str, mesh: trimesh.Trimesh, factor: float) -> list[PartMass]:
     """A closed mesh is itself; an open one falls into pieces: closed ones, hulls of open ones, sheets."""
-    if mesh.is_volume:
+    if _is_solid(mesh):
         return [_solid(name, mesh, factor)]
     pieces = mesh.split(only_watertight=False)
     return [_piece(name, piece, factor) for piece in pieces] or [_piece(name, mesh, factor)]
 
 
 def _piece(name: str, piece: trimesh.Trimesh, factor: float) -> PartMass:
-    if piece.is_watertight and piece.is_winding_consistent:
+    if _is_solid(piece):
         return _solid(name, piece, factor)
     try:
-        hull = piece.convex_hull
+        volume = float(ConvexHull(piece.vertices).volume)
     except QhullError:
         return _sheet(name, piece, factor)
-    thin = hull.volume < SHEET_THICKNESS * piece.area**1.5
-    return _sheet(name, piece, factor) if thin else _solid(name, hull, factor)
+    thin = volume < SHEET_THICKNESS * piece.area**1.5
+    return _sheet(name, piece, factor) if thin else _solid(name, piece.convex_hull, factor)
+
+
+def _is_solid(mesh: trimesh.Trimesh) -> bool:
+    """Closed, wound one way, and no folded sheet that holds nothing."""
+    if not (mesh.is_watertight and mesh.is_winding_consistent):
+        return False
+    a, b, c = (mesh.triangles[:, k] for k in range(3))
+    volume = float(np.einsum("fk,fk->", np.cross(a, b), c)) / 6.0
+    return abs(volume) > 1e-9 * mesh.area**1.5
 
 
 def _solid(name: str, mesh: trimesh.Trimesh, factor: float) -> PartMass:

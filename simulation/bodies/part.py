@@ -102,7 +102,7 @@ class Body:
 
 def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
     """Join parts into a body; the mass of overlapping parts is counted twice."""
-    parts = _gathered(parts)
+    parts = gathered(parts)
     drawn = [(part, chart) for part in parts for chart, _ in part.charts]
     every = [part.material for part in parts] + [m for _, chart in drawn for m in chart.materials]
     materials = tuple(dict.fromkeys(every))
@@ -139,7 +139,7 @@ def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
     )
 
 
-def _gathered(parts: list[Part]) -> list[Part]:
+def gathered(parts: list[Part]) -> list[Part]:
     """The parts, with those that differ in their mesh alone made one: few large meshes are quick to handle."""
     alike: dict[tuple[str, Material, float], list[Part]] = {}
     kept = []

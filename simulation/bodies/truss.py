@@ -14,7 +14,15 @@ from simulation.bodies.solids import ball, box, drum, pose, strut
 from simulation.bodies.studio import Studio
 from simulation.bodies.wing import solar_wing
 from simulation.materials import (
-    ANODISED, BRUSHED_METAL, COMPOSITE, FOIL_BLACK, FOIL_GOLD, FOIL_SILVER, PAINT_GREY, PAINT_WHITE, Material,
+    ANODISED,
+    BRUSHED_METAL,
+    COMPOSITE,
+    FOIL_BLACK,
+    FOIL_GOLD,
+    FOIL_SILVER,
+    PAINT_GREY,
+    PAINT_WHITE,
+    Material,
 )  # fmt: skip
 
 

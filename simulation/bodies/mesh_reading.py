@@ -1,0 +1,140 @@
+"""Reading mesh files (OBJ, STL, PLY, GLB): named pieces in one frame, or one clear line of what is wrong."""
+
+import re
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from trimesh.resolvers import FilePathResolver
+
+from polhode.errors import InputError
+from polhode.lie import Array
+from polhode.records import Ints
+
+SMALLEST_M, LARGEST_M = 1e-3, 1e3
+"""Radius of bodies that are believed."""
+
+
+@dataclass(frozen=True)
+class FilePiece:
+    """One geometry of a file, in metres and in the file's common frame."""
+
+    label: str
+    """Name of the geometry in the file"""
+    name: str
+    """All names in the file that tell of its surface: node, geometry, group and material"""
+    mesh: trimesh.Trimesh
+    """Vertices merged where they coincide, no colours"""
+    source: trimesh.Trimesh
+    """As the file has it, with its colours; ``corners`` maps to its vertices"""
+    corners: Ints
+    """(F, 3) vertices of ``source`` at the faces' corners"""
+    faces: Ints
+    """(F,) faces of ``source``"""
+
+
+def read_pieces(path: Path, metres_per_unit: float) -> list[FilePiece]:
+    """Pieces of a mesh file, scaled to metres. Raises InputError, one line, when it holds nothing usable."""
+    pieces = [
+        _piece(label, name, mesh, metres_per_unit)
+        for label, name, mesh in _geometries(path)
+        if len(mesh.faces) > 0
+    ]
+    if not pieces:
+        raise InputError(f"{path}: the mesh has no faces; export it as triangles")
+    for piece in pieces:
+        used = np.asarray(piece.source.vertices)[piece.source.faces]
+        if not np.isfinite(used).all():
+            raise InputError(f"{path}: the mesh has vertices that are not finite; repair it")
+    pieces = [piece for piece in pieces if len(piece.mesh.faces) > 0]
+    if not pieces:
+        raise InputError(f"{path}: all faces of the mesh have no area; repair it")
+    _require_sensible_size(path, pieces)
+    return pieces
+
+
+def _geometries(path: Path) -> list[tuple[str, str, trimesh.Trimesh]]:
+    """All meshes of a file with their names, moved to where the file's scene puts them."""
+    if not path.exists():
+        raise InputError(f"{path}: no such mesh file; give body.path relative to the working directory")
+    if not path.is_file():
+        raise InputError(f"{path}: not a file; give body.path of an OBJ, STL, PLY or GLB")
+    try:
+        scene = _load(path)
+        found = []
+        for node in scene.graph.nodes_geometry:
+            X, geometry = scene.graph[node]
+            mesh = scene.geometry[geometry]
+            if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces) > 0:
+                if mesh.faces.max() >= len(mesh.vertices) or mesh.faces.min() < 0:
+                    raise ValueError("faces refer to vertices that do not exist")
+                material = getattr(getattr(mesh.visual, "material", None), "name", None)
+                name = " ".join(dict.fromkeys(filter(None, (node, geometry, material))))
+                found.append((str(geometry), name, mesh.copy().apply_transform(X)))
+        return found
+    # Parsers of other people's files fail in ways that no list of exceptions covers.
+    except Exception as error:
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(f"{path}: cannot be read as a mesh ({reason}); give OBJ, STL, PLY or GLB") from error
+
+
+def _load(path: Path) -> trimesh.Scene:
+    content = path.read_bytes()
+    kind = path.suffix.lower().lstrip(".")
+    beside = FilePathResolver(str(path))
+    if kind != "obj":
+        return trimesh.load_scene(BytesIO(content), file_type=kind, resolver=beside, process=False)
+    names = list(dict.fromkeys(re.findall(rb"^usemtl[ \t]+(.+?)\s*$", content, re.MULTILINE)))
+    objects = re.search(rb"^o\s", content, re.MULTILINE) is not None
+    if names and not re.search(rb"^mtllib\s", content, re.MULTILINE):
+        content = b"mtllib absent.mtl\n" + content
+    return trimesh.load_scene(
+        BytesIO(content),
+        file_type="obj",
+        resolver=_MaterialNames(path, names),
+        split_objects=objects,
+        split_groups=not objects,
+        process=False,
+    )
+
+
+class _MaterialNames(FilePathResolver):  # type: ignore[misc]
+    """Files beside an OBJ; where its material library is absent, one with the bare names that the OBJ uses."""
+
+    def __init__(self, path: Path, names: list[bytes]) -> None:
+        super().__init__(str(path))
+        self._names = names
+
+    def get(self, name: str) -> bytes:
+        """Content of a file by its name."""
+        try:
+            return bytes(super().get(name))
+        except OSError:
+            if not name.strip().lower().endswith(".mtl"):
+                raise
+            return b"\n".join(b"newmtl " + own for own in self._names)
+
+    def __getitem__(self, name: str) -> bytes:
+        return self.get(name)
+
+
+def _piece(label: str, name: str, source: trimesh.Trimesh, metres_per_unit: float) -> FilePiece:
+    source.apply_scale(metres_per_unit)
+    mesh = trimesh.Trimesh(source.vertices, source.faces, process=False)
+    # Exporters split vertices at seams of normals and textures; a piece is what hangs together in space.
+    mesh.merge_vertices()
+    whole = np.flatnonzero(mesh.nondegenerate_faces()) if np.isfinite(mesh.vertices).all() else np.arange(0)
+    mesh.update_faces(whole)
+    mesh.remove_unreferenced_vertices()
+    return FilePiece(label, name, mesh, source, np.asarray(source.faces)[whole], whole)
+
+
+def _require_sensible_size(path: Path, pieces: list[FilePiece]) -> None:
+    corners: Array = np.concatenate([np.asarray(piece.mesh.vertices) for piece in pieces])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    radius = 0.5 * float(np.linalg.norm(high - low))
+    if not SMALLEST_M <= radius <= LARGEST_M:
+        size = " x ".join(f"{side:.3g}" for side in high - low)
+        raise InputError(f"{path}: the body is {size} m large; check body.metres_per_unit")
