@@ -1,16 +1,17 @@
 """Gauss-Newton with Levenberg damping, landmarks eliminated: reference solver and source of covariances."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from backend.kernels import N_CONSTANTS, N_STATE, Output, bend_sx, dynamics_kernel, prior_kernel
-from backend.problem import Held, MotionData, substep_groups
+from backend.dynamics import States, add_steps, dynamics_jacobians, dynamics_residuals
+from backend.inertia import inertia_derivative
+from backend.iterate import Iterate
+from backend.kernels import N_CONSTANTS, N_STATE, bend_sx, prior_kernel
+from backend.problem import Held, MotionData
 from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
 from polhode.lie import Array, right_jacobian_so3
-from polhode.records import Ints
 
 DAMPING_FLOOR = 1e-8
 TOLERANCE = 1e-8
@@ -54,7 +55,6 @@ class GaussNewton:
     def __init__(self, data: MotionData, with_dynamics: bool = True) -> None:
         self.data = data
         self.with_dynamics = with_dynamics
-        self._kernels: dict[tuple[int, int, str], Any] = {}
         self._prior = prior_kernel(data.form)
 
     def solve(self, held: Held, x: Array, max_iterations: int) -> Solution:
@@ -65,7 +65,9 @@ class GaussNewton:
         for iteration in range(1, max_iterations + 1):
             while True:
                 candidate = x + self._step(system, damping)
-                cost = self.cost(held, candidate)
+                # a wild step may leave the range of the exponential: it is refused like any other
+                with np.errstate(over="ignore", invalid="ignore"):
+                    cost = self.cost(held, candidate)
                 if np.isfinite(cost) and cost <= system.cost * (1.0 + 1e-13):
                     break
                 damping, growth = max(damping, 1e-6) * growth, growth * 2.0
@@ -92,13 +94,16 @@ class GaussNewton:
 
     def dynamics_cost(self, held: Held, x: Array) -> float:
         """The part of the objective that the dynamics contribute."""
-        groups = self._groups(held)
-        return sum(float(self._dynamics(steps, held, x, index, "cost")[0].sum()) for steps, index in groups)
+        if not self.with_dynamics:
+            return 0.0
+        states, at = self._states(held, x)
+        residuals = dynamics_residuals(states, held.steps, at.J_G(self.data.form))
+        return 0.5 * float(np.sum(residuals**2))
 
     def prior_information(self, held: Held, x: Array) -> Array:
         """Gauss-Newton Hessian (8, 8) of the weak prior on com_G and xi."""
         n = N_STATE * self.data.n_frames
-        rows, cols = _upper_by_columns(N_CONSTANTS)
+        cols, rows = np.tril_indices(N_CONSTANTS)
         block = np.zeros((N_CONSTANTS, N_CONSTANTS))
         block[rows, cols] = block[cols, rows] = np.asarray(self._prior(x[n : n + 8], held.prior)[2]).ravel()
         return block
@@ -171,36 +176,20 @@ class GaussNewton:
         marks = back_substitute(step, d.frame, d.start, system.E, C_inv, -system.h, N_STATE)
         return np.concatenate([step, marks.ravel()])
 
-    def _groups(self, held: Held) -> list[tuple[int, Ints]]:
-        return substep_groups(held.substeps) if self.with_dynamics else []
-
-    def _dynamics(self, steps: int, held: Held, x: Array, index: Ints, output: Output) -> list[Array]:
-        key = (steps, len(index), output)
-        if key not in self._kernels:
-            self._kernels[key] = dynamics_kernel(self.data.form, steps, output).map(len(index))
-        n = N_STATE * self.data.n_frames
-        states = x[:n].reshape(-1, N_STATE)
-        constants = np.broadcast_to(x[n : n + N_CONSTANTS], (len(index), N_CONSTANTS))
-        stacked = np.concatenate([states[index], states[index + 1], constants], axis=1)
-        outputs = self._kernels[key].call([stacked.T, held.dynamics[index].T])
-        return [np.asarray(block).T for block in outputs]
-
     def _add_dynamics(self, held: Held, x: Array, H: Array, g: Array) -> float:
-        n, total = N_STATE * self.data.n_frames, 0.0
-        rows, cols = _upper_by_columns(32)
-        for steps, index in self._groups(held):
-            cost, gradient, hessian = self._dynamics(steps, held, x, index, "quadratic")
-            total += float(cost.sum())
-            block = np.zeros((len(index), 32, 32))
-            block[:, rows, cols] = block[:, cols, rows] = hessian
-            for e, k in enumerate(index):
-                at = slice(12 * k, 12 * k + 24)
-                H[at, at] += block[e, :24, :24]
-                H[n:, at] += block[e, 24:, :24]
-                g[at] += gradient[e, :24]
-            H[n:, n:] += block[:, 24:, 24:].sum(axis=0)
-            g[n:] += gradient[:, 24:].sum(axis=0)
-        return total
+        if not self.with_dynamics:
+            return 0.0
+        states, at = self._states(held, x)
+        form = self.data.form
+        dJ = inertia_derivative(form, at.xi, at.R_inertia)
+        residual, jacobian = dynamics_jacobians(states, held.steps, at.J_G(form), dJ)
+        add_steps(H, g, residual, jacobian, N_STATE)
+        return 0.5 * float(np.sum(residual**2))
+
+    def _states(self, held: Held, x: Array) -> tuple[States, Iterate]:
+        at = held.reference.moved_to(x)
+        of_frames = x[: N_STATE * at.n_frames].reshape(-1, N_STATE)
+        return States(of_frames, at.R_NG, self.data.camera_N, at.com_G), at
 
     def _add_prior(self, held: Held, x: Array, H: Array, g: Array) -> float:
         n = N_STATE * self.data.n_frames
@@ -224,8 +213,3 @@ def robust_cost(s: Array, scale: float) -> float:
 def robust_weight(s: Array, scale: float) -> Array:
     """Derivative of the Cauchy kernel: 1 / (1 + s / c^2)."""
     return np.asarray(1.0 / (1.0 + s / scale**2))
-
-
-def _upper_by_columns(n: int) -> tuple[Ints, Ints]:
-    cols, rows = np.tril_indices(n)
-    return rows, cols

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from polhode.lie import Array, exp_so3
+from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 
 N_INERTIA = 5
 
@@ -26,6 +26,10 @@ class InertiaForm(Protocol):
 
     def second_moments(self, xi: Array, R_ref: Array) -> Array:
         """Sigma (3, 3), determinant 1."""
+        ...
+
+    def derivative(self, xi: Array, R_ref: Array) -> Array:
+        """d Sigma / d xi, (5, 3, 3)."""
         ...
 
     def coordinates(self, second: Array) -> tuple[Array, Array]:
@@ -51,6 +55,16 @@ class SecondMoments:
         L[1, 0], L[2, 0], L[2, 1] = xi[2:5]
         return np.asarray(L @ L.T)
 
+    def derivative(self, xi: Array, R_ref: Array) -> Array:
+        del R_ref
+        L, dL = np.diag(np.exp([xi[0], xi[1], -xi[0] - xi[1]])), np.zeros((5, 3, 3))
+        dL[0, 0, 0], dL[1, 1, 1] = L[0, 0], L[1, 1]
+        dL[0, 2, 2] = dL[1, 2, 2] = -L[2, 2]
+        dL[2, 1, 0] = dL[3, 2, 0] = dL[4, 2, 1] = 1.0
+        L[1, 0], L[2, 0], L[2, 1] = xi[2:5]
+        half = dL @ L.T
+        return np.asarray(half + np.swapaxes(half, 1, 2))
+
     def coordinates(self, second: Array) -> tuple[Array, Array]:
         L = np.linalg.cholesky(unit_determinant(second))
         return np.array([np.log(L[0, 0]), np.log(L[1, 1]), L[1, 0], L[2, 0], L[2, 1]]), np.eye(3)
@@ -72,6 +86,17 @@ class RatiosAxes:
         a, b = xi[0], xi[1]
         d = np.exp([(2 * a - b) / 3, (2 * b - a) / 3, -(a + b) / 3])
         return np.asarray(R @ np.diag(d) @ R.T)
+
+    def derivative(self, xi: Array, R_ref: Array) -> Array:
+        R = R_ref @ exp_so3(xi[2:5])
+        a, b = xi[0], xi[1]
+        d = np.exp([(2 * a - b) / 3, (2 * b - a) / 3, -(a + b) / 3])
+        out = np.empty((5, 3, 3))
+        out[0] = R @ np.diag(d * np.array([2.0, -1.0, -1.0]) / 3.0) @ R.T
+        out[1] = R @ np.diag(d * np.array([-1.0, 2.0, -1.0]) / 3.0) @ R.T
+        turned = hat(right_jacobian_so3(xi[2:5]).T) @ np.diag(d)
+        out[2:] = R @ (turned + np.swapaxes(turned, 1, 2)) @ R.T
+        return out
 
     def coordinates(self, second: Array) -> tuple[Array, Array]:
         d, R = np.linalg.eigh(unit_determinant(second))
@@ -95,6 +120,12 @@ def unit_determinant(second: Array) -> Array:
 def inertia_from_second_moments(second: Array) -> Array:
     """J = tr(Sigma) I - Sigma, (3, 3)."""
     return np.asarray(np.trace(second) * np.eye(3) - second)
+
+
+def inertia_derivative(form: InertiaForm, xi: Array, R_ref: Array) -> Array:
+    """dJ / d xi, (5, 3, 3)."""
+    second = form.derivative(xi, R_ref)
+    return np.asarray(np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second)
 
 
 def second_moments_from_inertia(J: Array, floor: float = 0.02) -> Array:

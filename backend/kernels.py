@@ -4,11 +4,13 @@ Variables of a frame (12): p_NG [m], theta [rad] in R_NG = R_ref Exp(theta), v_N
 w_G [rad/s]. Constants: com_G (3) [m], xi (5) of the inertia. A landmark: p_G (3) [m].
 """
 
+from functools import lru_cache
 from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 
+from backend.flow import ORDER
 from backend.inertia import N_INERTIA, InertiaForm, quaternion_sx, rotation_sx
 
 Output = Literal["cost", "gradient", "quadratic", "jacobian"]
@@ -47,49 +49,70 @@ def stereo_residual(
     return (uvd - predicted) * inv_sigma
 
 
-def propagate_rotation(w_G: Any, J: Any, dt_s: Any, n_substeps: int) -> tuple[Any, Any]:
-    """Torque-free motion over dt (eqs. 4.62, 4.65) by Runge-Kutta: relative quaternion, rate after."""
-    J_inv = ca.inv(J)
-    h = dt_s / n_substeps
-    y = ca.vertcat(1.0, 0.0, 0.0, 0.0, w_G)
+def series_sx(q: Any, w: Any, J: Any, J_inv: Any, h_s: Any) -> tuple[list[Any], list[Any], list[Any]]:
+    """Terms of the Taylor series of attitude, rate and momentum over a step (``flow.py``); they add up."""
+    qs, ws, momenta = [q], [w], [J @ w]
+    for k in range(ORDER):
+        total = -sum((ca.cross(ws[i], momenta[k - i]) for i in range(k + 1)), ca.SX.zeros(3))
+        momenta.append(h_s / (k + 1) * total)
+        turned = (quaternion_product_sx(qs[i], ca.vertcat(0.0, ws[k - i])) for i in range(k + 1))
+        qs.append(0.5 * h_s / (k + 1) * sum(turned, ca.SX.zeros(4)))
+        ws.append(J_inv @ momenta[k + 1])
+    return qs, ws, momenta
 
-    def derivative(y: Any) -> Any:
-        w = y[4:7]
-        q_dot = 0.5 * quaternion_product_sx(y[0:4], ca.vertcat(0.0, w))
-        return ca.vertcat(q_dot, -J_inv @ ca.cross(w, J @ w))
 
-    for _ in range(n_substeps):
-        k1 = derivative(y)
-        k2 = derivative(y + 0.5 * h * k1)
-        k3 = derivative(y + 0.5 * h * k2)
-        k4 = derivative(y + h * k3)
-        y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    return y[0:4] / ca.norm_2(y[0:4]), y[4:7]
+@lru_cache
+def step_function(with_derivatives: bool) -> Any:
+    """Function (y, p) -> y over one Taylor series; its ``fold`` makes a step of any length.
+
+    y (7) = attitude since the start of the step, rate; with derivatives (55) also those of the attitude error
+    on the right and of the rate, (3, 8) each by columns, in (w_G, xi). p (64) = J, J^-1, dJ / dxi (9 each, by
+    columns), h [s].
+    """
+    y, p = ca.SX.sym("y", 55 if with_derivatives else 7), ca.SX.sym("p", 64)
+    J, J_inv = ca.reshape(p[0:9], 3, 3), ca.reshape(p[9:18], 3, 3)
+    qs, ws, momenta = series_sx(y[0:4], y[4:7], J, J_inv, p[63])
+    q, w = ca.SX(sum(qs)), ca.SX(sum(ws))
+    out = [q / ca.norm_2(q), w]
+    if with_derivatives:
+        dJ = [ca.SX.zeros(3, 3)] * 3 + [ca.reshape(p[18 + 9 * n : 27 + 9 * n], 3, 3) for n in range(5)]
+        at_turn, at_rate = ca.reshape(y[7:31], 3, 8), ca.reshape(y[31:55], 3, 8)
+
+        def of_J(w: Any) -> Any:
+            return ca.horzcat(*[matrix @ w for matrix in dJ])
+
+        turns, rates, changes = [at_turn], [at_rate], [J @ at_rate + of_J(ws[0])]
+        for k in range(ORDER):
+            change, turn = ca.SX.zeros(3, 8), rates[k]
+            for i in range(k + 1):
+                change += skew_sx(momenta[k - i]) @ rates[i] - skew_sx(ws[i]) @ changes[k - i]
+                turn -= skew_sx(ws[i]) @ turns[k - i]
+            changes.append(p[63] / (k + 1) * change)
+            turns.append(p[63] / (k + 1) * turn)
+            rates.append(J_inv @ (changes[k + 1] - of_J(ws[k + 1])))
+        out += [ca.vec(sum(turns)), ca.vec(sum(rates))]
+    return ca.Function("series", [y, p], [ca.vertcat(*out)])
+
+
+def skew_sx(v: Any) -> Any:
+    """``skew_sx(a) @ b == cross(a, b)``."""
+    return ca.vertcat(ca.horzcat(0, -v[2], v[1]), ca.horzcat(v[2], 0, -v[0]), ca.horzcat(-v[1], v[0], 0))
 
 
 def dynamics_residual(
-    before: Any,
-    after: Any,
-    com_G: Any,
-    J: Any,
-    R0: Any,
-    R1: Any,
-    q01: Any,
-    dt_s: Any,
-    W_t: Any,
-    W_r: Any,
-    n: int,
-) -> Any:
+    before: Any, after: Any, com_G: Any, R0: Any, R1: Any, q01: Any, dt_s: Any, W_t: Any, W_r: Any,
+    q_step: Any, w_after: Any,
+) -> Any:  # fmt: skip
     """State after minus predicted state, whitened by the process noise of the step (eqs. 4.77, 4.58).
 
-    before, after (12); R0, R1 (3, 3) reference attitudes, q01 (4) = q0^-1 q1; W_t (2, 2), W_r (6, 6).
+    before, after (12); R0, R1 (3, 3) reference attitudes, q01 (4) = q0^-1 q1; W_t (2, 2), W_r (6, 6);
+    q_step (4), w_after (3) relative attitude and rate that the torque-free motion leads to (eqs. 4.62, 4.65).
     """
     turn0, turn1 = quaternion_sx(before[3:6]), quaternion_sx(after[3:6])
     r0 = before[0:3] + R0 @ (rotation_sx(before[3:6]) @ com_G)
     r1 = after[0:3] + R1 @ (rotation_sx(after[3:6]) @ com_G)
     dr = r1 - r0 - dt_s * before[6:9]
     dv = after[6:9] - before[6:9]
-    q_step, w_after = propagate_rotation(before[9:12], J, dt_s, n)
     inverse = ca.vertcat(1.0, -1.0, -1.0, -1.0)
     relative = quaternion_product_sx(quaternion_product_sx(turn0 * inverse, q01), turn1)
     dtheta = quaternion_log_sx(quaternion_product_sx(q_step * inverse, relative))
@@ -145,21 +168,59 @@ def stereo_kernel(robust_scale: float, output: Output = "quadratic") -> Any:
     return ca.Function("stereo", [x, ca.vec(A), ca.vec(R_RN), t_R, uvd, inv_sigma, rig], outputs)
 
 
-def dynamics_kernel(form: InertiaForm, n_substeps: int, output: Output = "quadratic") -> Any:
+def dynamics_kernel(form: InertiaForm, n_steps: int, output: Output = "quadratic") -> Any:
     """Function (x (32), p (71)) of cost, gradient (32), upper Hessian (528); or residual (12), Jacobian.
 
     x = state before, state after, com_G, xi. Parameters: R0, R1, R_ref of the inertia (9 each, by columns),
-    q01 (4), dt, W_t (3: 00, 10, 11), W_r (36, by columns) packed by ``problem.dynamics_parameters``.
+    q01 (4), dt, W_t (3: 00, 10, 11), W_r (36, by columns) packed by ``program.dynamics_parameters``.
+    The step is a fold of ``n_steps`` Taylor series, between two functions that prepare and finish.
     """
+    with_derivatives = output != "cost"
+    prepare, finish = _series_parameters(form, n_steps), _dynamics_outputs(output)
+    x, p = ca.MX.sym("x", 2 * N_STATE + N_CONSTANTS), ca.MX.sym("p", 71)
+    start = ca.vertcat(1.0, 0.0, 0.0, 0.0, x[9:12])
+    if with_derivatives:
+        start = ca.vertcat(start, np.zeros(24), np.eye(3).ravel(), np.zeros(15))
+    of_series = prepare(x, p)
+    advance = step_function(with_derivatives)
+    if n_steps > 1:
+        y = advance.fold(n_steps)(start, ca.repmat(of_series, 1, n_steps))
+    else:
+        y = advance(start, of_series)
+    return ca.Function(f"dynamics{n_steps}", [x, p], finish.call([x, p, y]))
+
+
+def _series_parameters(form: InertiaForm, n_steps: int) -> Any:
+    """Function (x, p) of the parameters (64) of ``step_function``."""
     x, p = ca.SX.sym("x", 2 * N_STATE + N_CONSTANTS), ca.SX.sym("p", 71)
-    R0, R1, R_ref = (ca.reshape(p[9 * i : 9 * i + 9], 3, 3) for i in range(3))
-    q01, dt_s = p[27:31], p[31]
+    second = form.second_moments_sx(x[27:32], ca.reshape(p[18:27], 3, 3))
+    J = ca.trace(second) * ca.SX.eye(3) - second
+    dJ = ca.densify(ca.jacobian(ca.vec(J), x[27:32]))
+    packed = ca.vertcat(ca.vec(J), ca.vec(ca.inv(J)), ca.vec(dJ), p[31] / n_steps)
+    return ca.Function("prepare", [x, p], [packed])
+
+
+@lru_cache
+def _dynamics_outputs(output: Output) -> Any:
+    """Function (x, p, y of ``step_function``) of what ``dynamics_kernel`` returns."""
+    x, p = ca.SX.sym("x", 2 * N_STATE + N_CONSTANTS), ca.SX.sym("p", 71)
+    y = ca.SX.sym("y", 7 if output == "cost" else 55)
+    R0, R1 = (ca.reshape(p[9 * i : 9 * i + 9], 3, 3) for i in range(2))
     W_t = ca.vertcat(ca.horzcat(p[32], 0), ca.horzcat(p[33], p[34]))
     W_r = ca.reshape(p[35:71], 6, 6)
-    second = form.second_moments_sx(x[27:32], R_ref)
-    J = ca.trace(second) * ca.SX.eye(3) - second
-    r = dynamics_residual(x[0:12], x[12:24], x[24:27], J, R0, R1, q01, dt_s, W_t, W_r, n_substeps)
-    return quadratic_kernel(f"dynamics{n_substeps}", r, x, p, output)
+    turn, w_after = ca.SX.sym("turn", 3), ca.SX.sym("w_after", 3)
+    q_step = quaternion_product_sx(y[0:4], quaternion_sx(turn))
+    r = dynamics_residual(x[0:12], x[12:24], x[24:27], R0, R1, p[27:31], p[31], W_t, W_r, q_step, w_after)
+    of_end = ca.vertcat(turn, w_after)
+    here = ca.vertcat(ca.SX.zeros(3), y[4:7])
+    residual = ca.substitute(r, of_end, here)
+    if output == "cost":
+        return ca.Function("finish", [x, p, y], [0.5 * ca.sumsqr(residual)])
+    jacobian, along = (ca.substitute(ca.densify(ca.jacobian(r, to)), of_end, here) for to in (x, of_end))
+    of_step = along @ ca.vertcat(ca.reshape(y[7:31], 3, 8), ca.reshape(y[31:55], 3, 8))
+    jacobian[:, 9:12] += of_step[:, 0:3]
+    jacobian[:, 27:32] += of_step[:, 3:8]
+    return ca.Function("finish", [x, p, y], quadratic_outputs(residual, jacobian, output))
 
 
 def prior_kernel(form: InertiaForm, output: Output = "quadratic") -> Any:
@@ -171,15 +232,19 @@ def prior_kernel(form: InertiaForm, output: Output = "quadratic") -> Any:
 
 def quadratic_kernel(name: str, residual: Any, x: Any, p: Any, output: Output) -> Any:
     """0.5 r.r alone, or with its gradient and upper Gauss-Newton Hessian, or r and its Jacobian."""
-    outputs = [0.5 * ca.sumsqr(residual)]
-    if output == "gradient":
-        outputs.append(ca.densify(ca.gradient(outputs[0], x)))
-    if output == "quadratic":
-        jacobian = ca.jacobian(residual, x)
-        outputs += [ca.densify(jacobian.T @ residual), upper(ca.densify(jacobian.T @ jacobian))]
+    return ca.Function(name, [x, p], quadratic_outputs(residual, ca.jacobian(residual, x), output))
+
+
+def quadratic_outputs(residual: Any, jacobian: Any, output: Output) -> list[Any]:
+    """Outputs of ``quadratic_kernel`` from the residual and its Jacobian."""
     if output == "jacobian":
-        outputs = [residual, ca.densify(ca.jacobian(residual, x))]
-    return ca.Function(name, [x, p], outputs)
+        return [residual, ca.densify(jacobian)]
+    outputs = [0.5 * ca.sumsqr(residual)]
+    if output != "cost":
+        outputs.append(ca.densify(jacobian.T @ residual))
+    if output == "quadratic":
+        outputs.append(upper(ca.densify(jacobian.T @ jacobian)))
+    return outputs
 
 
 def upper(matrix: Any) -> Any:

@@ -4,12 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from backend.dynamics import Steps
+from backend.flow import series_steps
 from backend.inertia import FORMS, InertiaForm
 from backend.iterate import Iterate
-from backend.process_noise import substeps, whitening
+from backend.process_noise import whitening
 from polhode.config.backend import Backend
 from polhode.lie import Array, inverse_pose
-from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints, StereoTracks
 
 LOOSE_GAUGE, TIGHT_GAUGE = 0.1, 1e-3
@@ -39,6 +40,8 @@ class MotionData:
     """(F, 3, 3)"""
     t_R: Array
     """(F, 3) origin of N in R [m]"""
+    camera_N: Array
+    """(F, 3) stated position of the camera [m]"""
     dt_s: Array
     """(F - 1,)"""
     pose_variance: tuple[float, float]
@@ -78,6 +81,7 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
         rig=np.array([rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px]),
         R_RN=np.ascontiguousarray(X_RN[:, :3, :3]),
         t_R=np.ascontiguousarray(X_RN[:, :3, 3]),
+        camera_N=np.ascontiguousarray(tracks.X_NR[:, :3, 3]),
         dt_s=np.diff(tracks.time_s),
         accel_psd=config.accel_psd,
         torque_psd=config.torque_psd,
@@ -110,10 +114,8 @@ class Held:
     reference: Iterate
     A: Array
     """(F, 3, 3) R_RN R_ref"""
-    dynamics: Array
-    """(F - 1, 71) parameters of the dynamics kernel"""
-    substeps: Ints
-    """(F - 1,)"""
+    steps: Steps
+    """Lengths, numbers of series and whitening of the steps between frames"""
     prior: Array
     """(13,) parameters of the prior kernel"""
     gauge_information: Array
@@ -124,18 +126,16 @@ class Held:
 
 def hold(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> Held:
     """Freeze references and whitening at an iterate; gauge is the standard deviation of the first pose."""
-    w = iterate.w_G
-    rate = np.linalg.norm(w, axis=1)
+    w, J_G = iterate.w_G[:-1], iterate.J_G(data.form)
     levels = data.accel_psd, data.torque_psd, data.pose_variance
-    W_t, W_r, half_log = whitening(w[:-1], iterate.J_G(data.form), data.dt_s, *levels)
+    W_t, W_r, half_log = whitening(w, J_G, data.dt_s, *levels)
     middle = geometric_median(iterate.p_G)
     radius = float(np.sqrt(np.median(np.sum((iterate.p_G - middle) ** 2, axis=1))))
     com_sigma = max(COM_PRIOR_M, radius)
     return Held(
         reference=iterate,
         A=data.R_RN @ iterate.R_NG,
-        dynamics=dynamics_parameters(data, iterate, W_t, W_r),
-        substeps=substeps(np.maximum(rate[:-1], rate[1:]), data.dt_s),
+        steps=Steps(data.dt_s, series_steps(w, J_G, data.dt_s, data.torque_psd), W_t, W_r),
         prior=np.concatenate([middle, [com_sigma], iterate.R_inertia.T.ravel()]),
         gauge_information=np.repeat([(gauge * com_sigma) ** -2, gauge**-2], 3),
         half_log_det=half_log,
@@ -151,19 +151,6 @@ def geometric_median(points: Array) -> Array:
     return np.asarray(middle)
 
 
-def dynamics_parameters(data: MotionData, iterate: Iterate, W_t: Array, W_r: Array) -> Array:
-    """Pack the parameters (F - 1, 71) in the order that ``kernels.dynamics_kernel`` reads."""
-    R, n = iterate.R_NG, data.n_frames - 1
-    by_columns = np.swapaxes(R, 1, 2).reshape(-1, 9)
-    inertia = np.broadcast_to(iterate.R_inertia.T.ravel(), (n, 9))
-    q01 = wxyz_from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:])
-    lower = np.stack([W_t[:, 0, 0], W_t[:, 1, 0], W_t[:, 1, 1]], axis=1)
-    whiten = np.swapaxes(W_r, 1, 2).reshape(-1, 36)
-    return np.concatenate(
-        [by_columns[:-1], by_columns[1:], inertia, q01, data.dt_s[:, None], lower, whiten], axis=1
-    )
-
-
-def substep_groups(substeps_per_interval: Ints) -> list[tuple[int, Ints]]:
-    """Intervals that share a number of Runge-Kutta steps: (steps, indices)."""
-    return [(int(n), np.flatnonzero(substeps_per_interval == n)) for n in np.unique(substeps_per_interval)]
+def series_groups(series: Ints) -> list[tuple[int, Ints]]:
+    """Intervals that share a number of Taylor series: (number, indices)."""
+    return [(int(n), np.flatnonzero(series == n)) for n in np.unique(series)]

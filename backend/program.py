@@ -9,8 +9,9 @@ from scipy.sparse import csc_matrix
 
 from backend.gauss_newton import Solution
 from backend.kernels import N_CONSTANTS, N_STATE, Output, dynamics_kernel, prior_kernel, stereo_kernel
-from backend.problem import Held, MotionData, substep_groups
+from backend.problem import Held, MotionData, series_groups
 from polhode.lie import Array
+from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints
 
 TOLERANCE = 1e-3
@@ -46,7 +47,7 @@ class MotionProgram:
       + 1/2 || (p_0 - p_ref,0, theta_0) / gauge ||^2                                           frame G held
 
     where r_k = p_k + R_k com; dR_k, w'_k solve Euler's equation J(xi) w' = -w x J(xi) w over dt from w_k
-    (Runge-Kutta); rho(s) = c^2/2 ln(1 + s/c^2); Lambda_k solves the Lyapunov equation (4.58) at that rate.
+    (Taylor series); rho(s) = c^2/2 ln(1 + s/c^2); Lambda_k solves the Lyapunov equation (4.58) at that rate.
     R_ref, Lambda, middle and the gauge are parameters, renewed between solves (``problem.hold``).
 
     Each term is a small kernel that returns cost, gradient and Gauss-Newton Hessian; constant sparse matrices
@@ -57,15 +58,15 @@ class MotionProgram:
 
     def __init__(self, data: MotionData) -> None:
         self.data = data
-        self._substeps: Ints = np.zeros(0, dtype=np.int64)
+        self._series: Ints = np.zeros(0, dtype=np.int64)
         self._solver: Any = None
 
     def solve(self, held: Held, x: Array, max_iterations: int) -> Solution:
-        """Minimise from x. The program is built at the first call, and again if the substeps change."""
-        if self._solver is None or not np.array_equal(held.substeps, self._substeps):
-            self._substeps = held.substeps
-            self._solver = self._build(held, max_iterations)
-        result = self._solver(x0=x, p=_parameters(held))
+        """Minimise from x. The program is built at the first call, and when a step needs more series."""
+        if self._solver is None or np.any(held.steps.series > self._series):
+            self._series = np.maximum(held.steps.series, self._series) if self._solver else held.steps.series
+            self._solver = self._build(max_iterations)
+        result = self._solver(x0=x, p=_parameters(self.data, held))
         stats = self._solver.stats()
         status = str(stats["return_status"])
         good = status in (
@@ -77,19 +78,19 @@ class MotionProgram:
             np.asarray(result["x"]).ravel(), float(result["f"]), int(stats["iter_count"]), good, status
         )
 
-    def _build(self, held: Held, max_iterations: int) -> Any:
+    def _build(self, max_iterations: int) -> Any:
         d = self.data
         n_x = N_STATE * d.n_frames + N_CONSTANTS + 3 * d.n_landmarks
-        n_p = 9 * d.n_frames + 71 * (d.n_frames - 1) + 13 + 6
+        n_p = 9 * d.n_frames + 71 * (d.n_frames - 1) + 13 + 12
         x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", n_p)
-        gauge_cost, gauge_gradient, gauge_hessian = self._gauge(x, p, held)
-        cost = sum((ca.sum2(b.cost) for b in self._terms(x, p, held, "cost")), gauge_cost)
+        gauge_cost, gauge_gradient, gauge_hessian = self._gauge(x, p)
+        cost = sum((ca.sum2(b.cost) for b in self._terms(x, p, "cost")), gauge_cost)
 
-        terms = self._terms(x, p, held, "gradient")
+        terms = self._terms(x, p, "gradient")
         slots = np.concatenate([b.slots.ravel() for b in terms] + [np.arange(6)])
         gradient = _scatter(slots, n_x) @ ca.vertcat(*[ca.vec(b.gradient) for b in terms], gauge_gradient)
 
-        terms = self._terms(x, p, held, "quadratic")
+        terms = self._terms(x, p, "quadratic")
         keys = np.concatenate([_upper_keys(b.slots, n_x) for b in terms] + [np.arange(6) * (n_x + 1)])
         cells, position = np.unique(keys, return_inverse=True)
         hessians = ca.vertcat(*[ca.vec(b.hessian) for b in terms], gauge_hessian)
@@ -128,19 +129,19 @@ class MotionProgram:
         problem: Any = {"x": x, "p": p, "f": cost}
         return ca.nlpsol("motion", "ipopt", problem, options)
 
-    def _terms(self, x: Any, p: Any, held: Held, output: Output) -> list[_Term]:
-        """Kernels mapped over their data: stereo, dynamics by number of substeps, prior."""
+    def _terms(self, x: Any, p: Any, output: Output) -> list[_Term]:
+        """Kernels mapped over their data: stereo, dynamics by number of series, prior."""
         d, n = self.data, self.data.n_frames
         at_prior = 9 * n + 71 * (n - 1)
         prior = prior_kernel(d.form, output)
         of_constants = N_STATE * n + np.arange(N_CONSTANTS)
         terms = [self._stereo(x, p, output)]
-        for steps, index in substep_groups(held.substeps):
+        for series, index in series_groups(self._series):
             states = N_STATE * index[:, None] + np.arange(2 * N_STATE)
             constants = np.broadcast_to(of_constants, (len(index), N_CONSTANTS))
             slots = np.concatenate([states, constants], axis=1)
             parameters = _gather(p, 9 * n + 71 * index[:, None] + np.arange(71))
-            kernel = dynamics_kernel(d.form, steps, output).map(len(index))
+            kernel = dynamics_kernel(d.form, series, output).map(len(index))
             terms.append(_Term(slots, *kernel.call([_gather(x, slots), parameters])))
         slots = of_constants[None]
         terms.append(_Term(slots, *prior.call([_gather(x, slots), p[at_prior : at_prior + 13]])))
@@ -159,16 +160,28 @@ class MotionProgram:
         kernel = stereo_kernel(d.robust_scale, output).map(m)
         return _Term(slots, *kernel.call([_gather(x, slots), A, *fixed, ca.DM(d.rig)]))
 
-    def _gauge(self, x: Any, p: Any, held: Held) -> tuple[Any, Any, Any]:
-        information, n_p = ca.DM(held.gauge_information), p.numel()
-        offset = x[0:6] - p[n_p - 6 : n_p]
-        return 0.5 * ca.dot(information, offset**2), information * offset, ca.MX(information)
+    def _gauge(self, x: Any, p: Any) -> tuple[Any, Any, Any]:
+        n_p = p.numel()
+        information, offset = p[n_p - 6 : n_p], x[0:6] - p[n_p - 12 : n_p - 6]
+        return 0.5 * ca.dot(information, offset**2), information * offset, information
 
 
-def _parameters(held: Held) -> Array:
-    by_columns = np.swapaxes(held.A, 1, 2).ravel()
+def _parameters(data: MotionData, held: Held) -> Array:
+    by_columns, first = np.swapaxes(held.A, 1, 2).ravel(), held.reference.p_NG[0]
+    steps = dynamics_parameters(data, held).ravel()
+    return np.concatenate([by_columns, steps, held.prior, first, np.zeros(3), held.gauge_information])
+
+
+def dynamics_parameters(data: MotionData, held: Held) -> Array:
+    """Pack the parameters (F - 1, 71) in the order that ``kernels.dynamics_kernel`` reads."""
+    R, W_t, n = held.reference.R_NG, held.steps.W_t, data.n_frames - 1
+    by_columns = np.swapaxes(R, 1, 2).reshape(-1, 9)
+    inertia = np.broadcast_to(held.reference.R_inertia.T.ravel(), (n, 9))
+    q01 = wxyz_from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+    lower = np.stack([W_t[:, 0, 0], W_t[:, 1, 0], W_t[:, 1, 1]], axis=1)
+    whiten = np.swapaxes(held.steps.W_r, 1, 2).reshape(-1, 36)
     return np.concatenate(
-        [by_columns, held.dynamics.ravel(), held.prior, held.reference.p_NG[0], np.zeros(3)]
+        [by_columns[:-1], by_columns[1:], inertia, q01, data.dt_s[:, None], lower, whiten], axis=1
     )
 
 

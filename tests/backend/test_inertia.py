@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from backend.inertia import FORMS, inertia_from_second_moments, principal_axes, second_moments_from_inertia
+from backend.inertia import (
+    FORMS,
+    inertia_derivative,
+    inertia_from_second_moments,
+    principal_axes,
+    second_moments_from_inertia,
+)
 
 
 @pytest.mark.parametrize("name", ["second_moments", "ratios_axes"])
@@ -42,3 +48,16 @@ def test_principal_axes_are_sorted_and_right_handed() -> None:
     np.testing.assert_allclose(moments, [2.0 / 1.6, 1.0, 1.0 / 1.6])
     assert np.linalg.det(R_GP) == pytest.approx(1.0)
     np.testing.assert_allclose(np.abs(R_GP.T @ R), [[0, 1, 0], [0, 0, 1], [1, 0, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["second_moments", "ratios_axes"])
+def test_the_derivative_matches_finite_differences(name: str) -> None:
+    form, rng = FORMS[name], np.random.default_rng(3)
+    xi, R_ref = rng.normal(size=5) * 0.4, Rotation.random(rng=rng).as_matrix()
+    for n, e in enumerate(1e-6 * np.eye(5)):
+        numeric = (form.second_moments(xi + e, R_ref) - form.second_moments(xi - e, R_ref)) / 2e-6
+        np.testing.assert_allclose(form.derivative(xi, R_ref)[n], numeric, atol=1e-8)
+    trace = np.trace(form.derivative(xi, R_ref), axis1=1, axis2=2)
+    np.testing.assert_allclose(
+        np.trace(inertia_derivative(form, xi, R_ref), axis1=1, axis2=2), 2.0 * trace, atol=1e-12
+    )

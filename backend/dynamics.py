@@ -1,0 +1,149 @@
+"""Residuals of the rigid-body dynamics between frames, with their Jacobians.
+
+The same residual as ``kernels.dynamics_residual`` states in CasADi. Variables of a step, in this order: state
+before, state after, constants. A state holds p_NG, theta, v_N, w_G (12). Where the camera's own pose is
+noisy it holds also b_N and alpha_N (6), the errors of its stated position and attitude: the poses are those
+that the stated camera sees, the true ones follow by ``Exp(alpha)`` about the camera and the shift b.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from backend.compiled import compiled
+from backend.flow import flow_derivatives, flows
+from polhode.lie import Array, exp_so3, hat, inverse_right_jacobian_so3, log_so3, right_jacobian_so3
+from polhode.quaternion import matrix_from_wxyz
+from polhode.records import Ints
+
+RESIDUALS = 12
+BARE_STATE = 12
+
+
+@dataclass(frozen=True)
+class States:
+    """Unknowns of the frames at a point, s = 12 or 18 numbers each."""
+
+    x: Array
+    """(F, s)"""
+    R_NG: Array
+    """(F, 3, 3) attitudes, theta applied"""
+    camera_N: Array
+    """(F, 3) stated position of the camera [m]"""
+    com_G: Array
+    """(3,) [m]"""
+
+    def true_attitudes(self) -> Array:
+        """(F, 3, 3) freed from the errors of the camera's attitude."""
+        return exp_so3(self.x[:, 15:18]) @ self.R_NG if self.x.shape[1] > BARE_STATE else self.R_NG
+
+    def centres(self) -> Array:
+        """(F, 3) true position of the centre of mass in N [m]."""
+        seen = self.x[:, 0:3] + self.R_NG @ self.com_G
+        if self.x.shape[1] == BARE_STATE:
+            return np.asarray(seen)
+        arm = np.einsum("fij,fj->fi", exp_so3(self.x[:, 15:18]), seen - self.camera_N)
+        return np.asarray(self.camera_N + self.x[:, 12:15] + arm)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What is held of the steps between frames."""
+
+    dt_s: Array
+    """(F - 1,)"""
+    series: Ints
+    """(F - 1,) Taylor series of each"""
+    W_t: Array
+    """(F - 1, 2, 2) lower, whitens the translation"""
+    W_r: Array
+    """(F - 1, 6, 6) lower, whitens the rotation"""
+
+    def whiten(self, errors: Array) -> Array:
+        """errors (F - 1, 12, ...) of position, velocity, attitude, rate to unit covariance."""
+        W = np.zeros((len(self.dt_s), RESIDUALS, RESIDUALS))
+        W[:, :6, :6] = np.kron(self.W_t, np.eye(3))
+        W[:, 6:, 6:] = self.W_r
+        return np.asarray(W @ errors)
+
+
+def dynamics_residuals(states: States, steps: Steps, J_G: Array) -> Array:
+    """Whitened residuals (F - 1, 12); J_G (3, 3) any scale. Infinite where rates are beyond reason."""
+    q, w_end, _, _ = flows(states.x[:-1, 9:12], J_G, steps.dt_s, steps.series)
+    if not np.isfinite(q).all():
+        return np.full((len(q), RESIDUALS), np.inf)
+    errors, _ = _errors(states, steps, matrix_from_wxyz(q), w_end)
+    return steps.whiten(errors[:, :, None])[:, :, 0]
+
+
+def _errors(states: States, steps: Steps, R_step: Array, w_end: Array) -> tuple[Array, Array]:
+    """State after minus predicted state (F - 1, 12), and the true attitudes (F, 3, 3)."""
+    x, R, r_N = states.x, states.true_attitudes(), states.centres()
+    dr = r_N[1:] - r_N[:-1] - steps.dt_s[:, None] * x[:-1, 6:9]
+    dtheta = log_so3(np.swapaxes(R[:-1] @ R_step, 1, 2) @ R[1:])
+    return np.hstack([dr, x[1:, 6:9] - x[:-1, 6:9], dtheta, x[1:, 9:12] - w_end]), R
+
+
+def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> tuple[Array, Array]:
+    """Whitened residuals (F - 1, 12) and Jacobians (F - 1, 12, 2 s + 8); dJ (5, 3, 3) in xi."""
+    x, n, s = states.x, len(steps.dt_s), states.x.shape[1]
+    q, w_end, turn, rate = flow_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series)
+    turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), matrix_from_wxyz(q)
+    errors, R = _errors(states, steps, R_step, w_end)
+    of_centre, of_turn = _state_derivatives(states, R)
+    D = np.zeros((n, RESIDUALS, 2 * s + 8))
+    D[:, 0:3, :s], D[:, 0:3, s : 2 * s] = -of_centre[:-1], of_centre[1:]
+    D[:, 0:3, 6:9] -= steps.dt_s[:, None, None] * np.eye(3)
+    D[:, 0:3, 2 * s : 2 * s + 3] = R[1:] - R[:-1]
+    D[:, 3:6, 6:9], D[:, 3:6, s + 6 : s + 9] = -np.eye(3), np.eye(3)
+    # what turns the attitude before the step, or is the step's own, passes to its end
+    left = inverse_right_jacobian_so3(errors[:, 6:9])
+    back = left @ np.swapaxes(R[1:], 1, 2) @ R[:-1]
+    D[:, 6:9, :s], D[:, 6:9, s : 2 * s] = -back @ of_turn[:-1], left @ of_turn[1:]
+    of_step = back @ R_step @ turn
+    D[:, 6:9, 9:12] -= of_step[:, :, :3]
+    D[:, 6:9, 2 * s + 3 :] = -of_step[:, :, 3:]
+    D[:, 9:12, s + 9 : s + 12] = np.eye(3)
+    D[:, 9:12, 9:12] = -rate[:, :, :3]
+    D[:, 9:12, 2 * s + 3 :] = -rate[:, :, 3:]
+    return steps.whiten(errors[:, :, None])[:, :, 0], steps.whiten(D)
+
+
+def _state_derivatives(states: States, R: Array) -> tuple[Array, Array]:
+    """Of the centre of mass, and of the turn of the true attitude R on the right: (F, 3, s) each."""
+    x, s = states.x, states.x.shape[1]
+    Jr = right_jacobian_so3(x[:, 3:6])
+    of_centre, of_turn = np.zeros((len(x), 3, s)), np.zeros((len(x), 3, s))
+    of_centre[:, :, 3:6] = -R @ hat(states.com_G) @ Jr
+    of_turn[:, :, 3:6] = Jr
+    if s == BARE_STATE:
+        of_centre[:, :, 0:3] = np.eye(3)
+        return of_centre, of_turn
+    alpha = x[:, 15:18]
+    arm = states.centres() - states.camera_N - x[:, 12:15]
+    left = right_jacobian_so3(-alpha)
+    of_centre[:, :, 0:3], of_centre[:, :, 12:15] = exp_so3(alpha), np.eye(3)
+    of_centre[:, :, 15:18] = -hat(arm) @ left
+    of_turn[:, :, 15:18] = np.swapaxes(R, 1, 2) @ left
+    return of_centre, of_turn
+
+
+def add_steps(H: Array, g: Array, residual: Array, jacobian: Array, s: int) -> None:
+    """Add ``J^T J`` (both triangles) and ``J^T r`` of every step to the dense system, constants last."""
+    square = np.swapaxes(jacobian, 1, 2) @ jacobian
+    slope = (np.swapaxes(jacobian, 1, 2) @ residual[:, :, None])[:, :, 0]
+    _scatter(H, g, square, slope, s)
+
+
+@compiled
+def _scatter(H: Array, g: Array, square: Array, slope: Array, s: int) -> None:
+    n, width = slope.shape
+    first = s * (n + 1)
+    at = np.empty(width, dtype=np.int64)
+    for k in range(n):
+        for c in range(width):
+            at[c] = s * k + c if c < 2 * s else first + c - 2 * s
+        for a in range(width):
+            g[at[a]] += slope[k, a]
+            for b in range(width):
+                H[at[a], at[b]] += square[k, a, b]
