@@ -65,17 +65,7 @@ VINYL = Material(0.5, 0.045, 0.42)
 MIRROR = Material(0.03, 0.85, 0.14, bump=0.004, bump_m=0.03)
 SOLAR_CELL = Material(0.035, 0.045, 0.16, grain=0.15, grain_m=0.02)
 REGOLITH = Material(
-    0.30,
-    0.0,
-    1.0,
-    grain=0.2,
-    grain_m=0.06,
-    patch=0.13,
-    patch_m=0.006,
-    bump=0.10,
-    bump_m=0.012,
-    crease=0.16,
-    crease_m=0.008,
+    0.30, 0.0, 1.0, grain=0.2, grain_m=0.06, patch=0.13, patch_m=0.005, crease=0.2, crease_m=0.008
 )
 WORN_PANEL = Material(0.42, 0.05, 0.45, grain=0.15, grain_m=0.02, patch=0.45, patch_m=0.018)
 

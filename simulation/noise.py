@@ -37,7 +37,15 @@ def hash_bits(i: int, j: int, k: int, seed: int) -> Bits:
 @njit(cache=True, inline="always")
 def unit_of(bits: Bits, place: int) -> float:
     """The first, second or third 21 bits (place 0, 1, 2) as a number in [0, 1)."""
-    return float((bits >> np.uint64(21 * place)) & np.uint64(0x1FFFFF)) / 2097152.0
+    # Signed numbers turn into floats in one instruction, unsigned ones do not.
+    return np.int64((bits >> np.uint64(21 * place)) & np.uint64(0x1FFFFF)) / 2097152.0
+
+
+@njit(cache=True, inline="always")
+def _stirred(bits: Bits) -> Bits:
+    """Other random bits of the same cell."""
+    h = bits * np.uint64(0x9E3779B97F4A7C15)
+    return h ^ (h >> np.uint64(32))
 
 
 @njit(cache=True)
@@ -92,30 +100,37 @@ def nearest_cell_at(x: float, y: float, z: float, seed: int) -> Bits:
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     u, v, w = x - i, y - j, z - k
     best, answer = 1e9, np.uint64(0)
-    # The own cube comes first: a close point spares most of the neighbours.
-    for order in range(27):
-        n = (order + 13) % 27
-        a, b, c = n // 9 - 1, (n // 3) % 3 - 1, n % 3 - 1
-        nearest_x = u if a < 0 else (1.0 - u if a > 0 else 0.0)
-        nearest_y = v if b < 0 else (1.0 - v if b > 0 else 0.0)
-        nearest_z = w if c < 0 else (1.0 - w if c > 0 else 0.0)
-        if nearest_x * nearest_x + nearest_y * nearest_y + nearest_z * nearest_z >= best:
-            continue
-        bits = hash_bits(i + a, j + b, k + c, seed)
-        dx = a + unit_of(bits, 0) - u
-        dy = b + unit_of(bits, 1) - v
-        dz = c + unit_of(bits, 2) - w
-        distance = dx * dx + dy * dy + dz * dz
-        if distance < best:
-            best, answer = distance, bits
+    # The near side comes first: a close point spares most of the far cubes.
+    side_x, side_y, side_z = (1 if u > 0.5 else -1), (1 if v > 0.5 else -1), (1 if w > 0.5 else -1)
+    for at_x in range(3):
+        a = (0, side_x, -side_x)[at_x]
+        reach_x = (u if a < 0 else 1.0 - u) if a else 0.0
+        if reach_x * reach_x >= best:
+            break
+        for at_y in range(3):
+            b = (0, side_y, -side_y)[at_y]
+            reach_y = (v if b < 0 else 1.0 - v) if b else 0.0
+            if reach_x * reach_x + reach_y * reach_y >= best:
+                break
+            for at_z in range(3):
+                c = (0, side_z, -side_z)[at_z]
+                reach_z = (w if c < 0 else 1.0 - w) if c else 0.0
+                if reach_x * reach_x + reach_y * reach_y + reach_z * reach_z >= best:
+                    break
+                bits = hash_bits(i + a, j + b, k + c, seed)
+                dx = a + unit_of(bits, 0) - u
+                dy = b + unit_of(bits, 1) - v
+                dz = c + unit_of(bits, 2) - w
+                distance = dx * dx + dy * dy + dz * dz
+                if distance < best:
+                    best, answer = distance, bits
     return answer
 
 
 @njit(cache=True)
 def cell_at(x: float, y: float, z: float, seed: int) -> float:
     """One uniform value in [-1, 1] per random cell of size 1."""
-    bits = nearest_cell_at(x, y, z, seed)
-    return 2.0 * unit_of(hash_bits(int(bits & np.uint64(0xFFFFFF)), 1, 2, seed), 0) - 1.0
+    return 2.0 * unit_of(_stirred(nearest_cell_at(x, y, z, seed)), 0) - 1.0
 
 
 @njit(cache=True)
@@ -125,7 +140,7 @@ def creases_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, f
     for level in range(3):
         s = 1.0 / CREASE_SCALES[level]
         bits = nearest_cell_at(x * s, y * s, z * s, seed + 7 * level)
-        own = hash_bits(int(bits & np.uint64(0xFFFFFF)), level, 3, seed)
+        own = _stirred(bits)
         amplitude = 2.0 * CREASE_TILTS[level]
         tx += amplitude * (unit_of(own, 0) - 0.5)
         ty += amplitude * (unit_of(own, 1) - 0.5)

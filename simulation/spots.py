@@ -24,7 +24,7 @@ def _next(state: State) -> State:
 @njit(cache=True, inline="always")
 def _draw(state: State) -> float:
     """A number in [0, 1) of the state's upper bits."""
-    return float(state >> np.uint64(40)) / 16777216.0
+    return np.int64(state >> np.uint64(40)) / 16777216.0
 
 
 @njit(cache=True, inline="always")
