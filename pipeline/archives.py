@@ -78,7 +78,7 @@ def write_covariance(estimate: MotionEstimate, path: Path) -> None:
     }
     if estimate.covariance_last_body is not None:
         arrays |= {"last_body": estimate.covariance_last_body, "last_body_order": np.array(BODY_ORDER)}
-    _save(path, arrays)
+    write_arrays(path, arrays)
 
 
 def read_covariance(path: Path) -> Covariance:
@@ -108,7 +108,7 @@ def write_measurements(
         arrays |= {f"relative_{f.name}": np.asarray(getattr(relative, f.name)) for f in fields(relative)}
     if estimate is not None:
         arrays |= {"residuals_px": estimate.residuals_px, "inlier_weight": estimate.inlier_weight}
-    _save(path, arrays)
+    write_arrays(path, arrays)
 
 
 def read_measurements(path: Path) -> StereoTracks:
@@ -161,7 +161,8 @@ def read_residuals(path: Path) -> Residuals | None:
     )
 
 
-def _save(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+    """An .npz archive: the same bytes for the same content."""
     with replaced(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 

@@ -17,15 +17,13 @@ import trimesh
 from rich.console import Console
 from rich.table import Table
 
-from backend.inertia import FORMS, InertiaForm, inertia_from_second_moments, unit_determinant
+from backend.inertia import FORMS, InertiaForm, unit_determinant
 from mapping.mesh_files import read_ply
 from pipeline.archives import Covariance, read_covariance
 from pipeline.atomic import write_text
 from pipeline.seen_surface import seen_and_lit
 from pipeline.summary import Summary, read_summary
 from pipeline.trajectory_file import read_trajectory
-from planning.prediction import LastState, predict
-from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
@@ -44,6 +42,7 @@ from polhode.metrics import (
     turned,
 )
 from polhode.records import Truth
+from polhode.rigid_body import propagate
 from polhode.truth import read_truth
 
 HORIZONS_S = (10, 30, 60)
@@ -142,33 +141,6 @@ def _differences(function: Any, x: Array, step: float = 1e-6) -> Array:
     return np.stack(columns, axis=1)
 
 
-def moments_by_parameters(J: Array, form: InertiaForm) -> Array:
-    """Derivative (3, 5) of the sorted moments (middle one 1) by the solver's parameters, at J (3, 3)."""
-    xi, R_ref = form.coordinates(_second_moments(J))
-
-    def moments(x: Array) -> Array:
-        values = np.linalg.eigvalsh(inertia_from_second_moments(form.second_moments(x, R_ref)))[::-1]
-        return np.asarray(values / values[1])
-
-    return _differences(moments, xi)
-
-
-def last_state(run_folder: Path) -> tuple[LastState, Summary, Config]:
-    """The end of a run, ready for ``planning.prediction.predict``. Raises InputError when there is none."""
-    summary = read_summary(run_folder)
-    if summary.inertia is None:
-        raise InputError(f"{run_folder}: this run failed before it had an estimate; nothing can be predicted")
-    config = load_config(run_folder / "config.yaml")
-    table = read_trajectory(run_folder)
-    joint = read_covariance(run_folder).last_joint[:17, :17]
-    by_parameters = moments_by_parameters(np.array(summary.inertia.J_G), FORMS[config.backend.inertia])
-    moments = np.array(summary.inertia.moments)
-    state = LastState(
-        table.r_N[-1], table.v_N[-1], table.R_NP[-1], table.w_P[-1], moments, joint, by_parameters
-    )
-    return state, summary, config
-
-
 def _prediction_errors(estimate: States, true_states: States, truth: Truth, summary: Summary) -> Metrics:
     """Errors of position and attitude past the last image.
 
@@ -183,20 +155,18 @@ def _prediction_errors(estimate: States, true_states: States, truth: Truth, summ
     degrees: dict[str, float | None] = {str(h): None for h in HORIZONS_S}
     metres: dict[str, float | None] = {str(h): None for h in HORIZONS_S}
     if horizons:
-        end = LastState(
+        at = truth_at(truth, end_ns + np.array(horizons, dtype=np.int64) * 1_000_000_000)
+        r_N, v_N, R_NP, w_P = propagate(
+            [0.0, *horizons],
             estimate.r_N[-1],
             estimate.v_N[-1],
             estimate.R_NP[-1],
             estimate.w_P[-1],
-            np.array(summary.inertia.moments),
-            np.zeros((12, 12)),
-            np.zeros((3, 0)),
+            np.diag(summary.inertia.moments),
         )
-        ahead = predict(end, np.array(horizons, dtype=np.float64), 0.0, 0.0)
-        at = truth_at(truth, end_ns + np.array(horizons, dtype=np.int64) * 1_000_000_000)
-        predicted = turned(States(at.timestamps_ns, ahead.r_N, ahead.v_N, ahead.R_NP, ahead.w_P), half_turn)
+        predicted = turned(States(at.timestamps_ns, r_N[1:], v_N[1:], R_NP[1:], w_P[1:]), half_turn)
         angles = angle_deg(np.swapaxes(predicted.R_NP @ R_fit, -1, -2) @ at.R_NP)
-        distances = np.linalg.norm(ahead.r_N - at.r_N, axis=1)
+        distances = np.linalg.norm(predicted.r_N - at.r_N, axis=1)
         for h, angle, distance in zip(horizons, angles, distances, strict=True):
             degrees[str(h)], metres[str(h)] = float(angle), float(distance)
     return {"prediction_error_deg": degrees, "prediction_error_m": metres}

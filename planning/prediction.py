@@ -1,139 +1,238 @@
 """Where the target will be: the last state carried on as a free rigid body, with its covariance.
 
-The mean follows ``polhode.rigid_body.propagate``; the covariance follows the linearised flow (variational
-equations of Newton and Euler) with white acceleration and torque (thesis eqs. 4.56-4.59). Only the principal
-moments enter, so inertia and axes in G need not be known.
+A flip multiplies small errors, and an undetermined inertia is known only as far as the motion showed it: a
+linearised covariance fails there. So the last state and the inertia are drawn from their joint covariance, in
+pairs of opposite deviations whose second moments are exactly those of the covariance: while errors stay small
+the answer is the linear one. Each member moves as a free rigid body of its own inertia. White disturbances
+are added by their linearised flow (thesis eqs. 4.56-4.59).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from polhode.lie import Array, hat
+from polhode.lie import Array, exp_so3, hat, log_so3
+from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
 from polhode.rigid_body import propagate
 
-N_STATE = 12
-_NEGLIGIBLE = 1e-9
-"""Sensitivity, in units of state per unit of state, below which an undetermined input does not matter."""
+PAIRS = 128
+LEAST_SECOND_MOMENT = 0.02
+"""Of the largest: a drawn inertia is pulled towards the estimate until it is a possible body."""
 
 
 @dataclass(frozen=True)
-class LastState:
-    """The end of a run."""
+class LastBody:
+    """The end of a run, the body itself: nothing is expressed in the principal axes."""
 
     r_N: Array
-    """(3,) [m]"""
+    """(3,) centre of mass [m]"""
     v_N: Array
     """(3,) [m/s]"""
-    R_NP: Array
+    R_NG: Array
     """(3, 3)"""
-    w_P: Array
+    w_G: Array
     """(3,) [rad/s]"""
-    moments: Array
-    """(3,) principal moments, middle one 1"""
+    J_G: Array
+    """(3, 3) inertia, any scale"""
+    R_GP: Array
+    """(3, 3) its principal axes"""
+    J_by_parameters: Array
+    """(5, 3, 3) derivative of J_G by the five parameters of the inertia"""
     covariance: Array
-    """(12 + k, 12 + k): r (N), v (N), theta (P), w (P), then k parameters of the inertia; ``inf`` on the
-    diagonal where undetermined"""
-    moments_by_parameters: Array
-    """(3, k) derivative of the moments by those parameters; k = 0: the moments are exact"""
+    """(20, 20): r_N, v_N, theta in R_NG Exp(theta), w_G, the five parameters, com_G; finite"""
+    seen_s: Array | None = None
+    """(H,) instants < 0 before the last one, descending: what an undetermined inertia is held against"""
+    seen_R_NG: Array | None = None
+    """(H, 3, 3) attitudes there"""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """States at T instants after the last one."""
+    """States at T instants, with two covariances (T, 12, 12) of r (N), v (N), theta (P), w (P)."""
 
     time_s: Array
     """(T,) since the last state"""
     r_N: Array
-    """(T, 3) [m]"""
     v_N: Array
-    """(T, 3) [m/s]"""
     R_NP: Array
-    """(T, 3, 3)"""
     w_P: Array
-    """(T, 3) [rad/s]"""
     covariance: Array
-    """(T, 12, 12) r (N), v (N), theta (P), w (P); ``inf`` on the diagonal where undetermined"""
+    """of the centre of mass and the principal axes: large where those are hardly known"""
+    covariance_of_marks: Array
+    """of the body: the estimated centre of mass and axes are marks on it, and exact"""
 
 
-def predict(last: LastState, time_s: ArrayLike, accel_psd: float, torque_psd: float) -> Prediction:
+def predict(last: LastBody, time_s: ArrayLike, accel_psd: float, torque_psd: float) -> Prediction:
     """Propagate to time_s (T,), increasing, >= 0 [s] after the last state.
 
     accel_psd [(m/s^2)^2/Hz]; torque_psd [(rad/s^2)^2/Hz], torque over the middle moment.
     """
     time = np.asarray(time_s, dtype=np.float64)
-    grid = np.concatenate([[0.0], time])
-    first = 1 if len(time) and time[0] > 0.0 else 0
-    grid = grid if first else time
-    r_N, v_N, R_NP, w_P = propagate(grid, last.r_N, last.v_N, last.R_NP, last.w_P, np.diag(last.moments))
-    flow, noise = _rotation_flow(last, time, torque_psd)
-    covariance = np.stack(
-        [_covariance(last, t, F, Q, accel_psd) for t, F, Q in zip(time, flow, noise, strict=True)]
-    )
-    return Prediction(time, r_N[first:], v_N[first:], R_NP[first:], w_P[first:], covariance)
+    grid = time if time[0] == 0.0 else np.concatenate([[0.0], time])
+    states = propagate(grid, last.r_N, last.v_N, last.R_NG, last.w_G, last.J_G)
+    r_N, v_N, R_NG, w_G = (each[len(grid) - len(time) :] for each in states)
+    deviation, J = draw(last)
+    R, w = _carry_on(last, deviation, J, time)
+    moments = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
+    noise = process_noise(moments / moments[1], last.w_G @ last.R_GP, time, accel_psd, torque_psd)
+    dr = deviation[:, 0:3] + time[:, None, None] * deviation[:, 3:6]
+    dv = np.broadcast_to(deviation[:, 3:6], dr.shape)
+
+    # how each member's principal axes lie against the estimated ones
+    turn = exp_so3(deviation[:, 12:17] @ axes_by_parameters(last).T)
+    R_NP, R_GP = R_NG @ last.R_GP, last.R_GP
+    back = np.swapaxes(R_NP, 1, 2)[:, None]
+    theta = log_so3(back @ R @ R_GP @ turn)
+    dw = np.einsum("nji,tnj->tni", R_GP @ turn, w) - (w_G @ R_GP)[:, None]
+    of_axes = _second_moments(dr, dv, theta, dw) + noise
+
+    com = deviation[:, 17:20]
+    lever = np.einsum("tnij,nj->tni", R, com)
+    swing = np.einsum("tnij,tnj->tni", R, np.cross(w, com))
+    theta, dw = log_so3(back @ R @ R_GP), (w - w_G[:, None]) @ R_GP
+    of_marks = _second_moments(dr - lever, dv - swing, theta, dw) + noise
+    return Prediction(time, r_N, v_N, R_NP, w_G @ R_GP, of_axes, of_marks)
 
 
-def _rotation_flow(last: LastState, time: Array, torque_psd: float) -> tuple[Array, Array]:
-    """Derivative of (theta, w) at each time by (theta, w, moments) at the start (T, 6, 9); noise (T, 6, 6).
+def draw(last: LastBody) -> tuple[Array, Array]:
+    """Deviations (2 PAIRS, 20) from the last state, and the inertias (2 PAIRS, 3, 3) that go with them."""
+    sigma = np.sqrt(np.diag(last.covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    values, vectors = np.linalg.eigh(last.covariance / scale[:, None] / scale)
+    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    z = np.random.default_rng([0, 60]).normal(size=(PAIRS, len(root)))
+    z = z @ np.linalg.inv(np.linalg.cholesky(z.T @ z / PAIRS)).T
+    deviation = np.concatenate([z, -z]) @ root.T
+    # linear in the parameters: what the motion forbids stays so, such as a spin about no principal axis
+    change = np.einsum("nk,kij->nij", deviation[:, 12:17], last.J_by_parameters)
+    share = _largest_share(last.J_G, change)
+    deviation[:, 12:17] *= share[:, None]
+    change *= share[:, None, None]
+    if last.seen_s is not None and last.seen_R_NG is not None:
+        share = _share_as_seen(last, deviation, change, last.seen_s, last.seen_R_NG)
+        deviation[:, 12:17] *= share[:, None]
+        change *= share[:, None, None]
+    return deviation, last.J_G + change
 
-    theta' = -w x theta + dw;  dw' = J^-1 ((J w) x - w x J) dw + (dw'/dJ) dJ, J diagonal.
+
+def _largest_share(J: Array, change: Array) -> Array:
+    """Shares (N,) of the changes (N, 3, 3), halved until J + share change is a possible body."""
+    share = np.ones(len(change))
+    for _ in range(12):
+        moved = J + share[:, None, None] * change
+        values = np.linalg.eigvalsh(
+            0.5 * np.trace(moved, axis1=1, axis2=2)[:, None, None] * np.eye(3) - moved
+        )
+        bad = values[:, 0] < LEAST_SECOND_MOMENT * values[:, 2]
+        if not bad.any():
+            break
+        share[bad] *= 0.5
+    return share
+
+
+def _share_as_seen(last: LastBody, deviation: Array, change: Array, seen_s: Array, seen_R_NG: Array) -> Array:
+    """Shares (N,) of the changes of J, halved until the member's past is the one that was seen.
+
+    A linear covariance lets through bodies whose spin would have tipped over long ago. A past may differ from
+    the one seen twice as much as the estimate's own, and by three standard deviations of attitude and rate.
     """
-    J = last.moments
+
+    def past(members: Array, J: Array) -> Array:
+        R, _ = _carry_on(last, members, J, seen_s)
+        return np.asarray(np.linalg.norm(log_so3(np.swapaxes(R, -1, -2) @ seen_R_NG[:, None]), axis=-1))
+
+    own = past(np.zeros((1, 20)), last.J_G[None])[:, 0]
+    variance = np.diag(last.covariance)
+    free = variance[6:9].sum() + variance[9:12].sum() * seen_s**2
+    limit = np.sqrt(4.0 * own**2 + 9.0 * free)
+    share = np.ones(len(change))
+    for factor in (1.0, 0.5, 0.25, 0.125, 0.0625):
+        open_ = np.flatnonzero(share == factor)
+        if len(open_) == 0:
+            break
+        off = past(deviation[open_], last.J_G + factor * change[open_])
+        share[open_[(off > limit[:, None]).any(axis=0)]] = 0.5 * factor
+    return share
+
+
+def axes_by_parameters(last: LastBody) -> Array:
+    """Derivative (3, 5) of theta in R_GP Exp(theta); of equal moments it has no meaning, and is zero."""
+    changes = last.R_GP.T @ last.J_by_parameters @ last.R_GP
+    values = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
+    gaps = np.array([values[1] - values[2], values[2] - values[0], values[0] - values[1]])
+    turns = np.stack([changes[:, 2, 1], changes[:, 0, 2], changes[:, 1, 0]])
+    known = np.abs(gaps) > 1e-9 * values[1]
+    return np.where(known, 1.0, 0.0)[:, None] * turns / np.where(known, gaps, 1.0)[:, None]
+
+
+def _carry_on(last: LastBody, deviation: Array, J: Array, time: Array) -> tuple[Array, Array]:
+    """Attitudes (T, N, 3, 3) and rates (T, N, 3) in G of all members."""
+    n = len(deviation)
+    q = wxyz_from_matrix(last.R_NG @ exp_so3(deviation[:, 6:9]))
+    start = np.concatenate([q.T, (last.w_G + deviation[:, 9:12]).T]).ravel()
+    J_inv = np.linalg.inv(J)
 
     def derivative(_: float, y: Array) -> Array:
-        w, F, Q = y[:3], y[3:57].reshape(6, 9), y[57:].reshape(6, 6)
+        q0, q1, q2, q3, a, b, c = y.reshape(7, n)
+        w = np.stack([a, b, c], axis=1)
+        h = np.einsum("nij,nj->ni", J, w)
+        w_dot = np.einsum("nij,nj->ni", J_inv, np.cross(h, w))
+        q_dot = 0.5 * np.stack(
+            [
+                -q1 * a - q2 * b - q3 * c,
+                q0 * a + q2 * c - q3 * b,
+                q0 * b + q3 * a - q1 * c,
+                q0 * c + q1 * b - q2 * a,
+            ]
+        )
+        return np.concatenate([q_dot, w_dot.T]).ravel()
+
+    states = _integrate(derivative, start, time)
+    parts = np.moveaxis(states.reshape(len(time), 7, n), 1, 2)
+    q = parts[..., :4] / np.linalg.norm(parts[..., :4], axis=-1, keepdims=True)
+    return matrix_from_wxyz(q), parts[..., 4:]
+
+
+def _second_moments(*deviations: Array) -> Array:
+    """Mean square (T, 12, 12) of four deviations (T, N, 3) about the prediction itself."""
+    d = np.concatenate(deviations, axis=-1)
+    return np.asarray(np.swapaxes(d, 1, 2) @ d / d.shape[1])
+
+
+def process_noise(moments: Array, w_P: Array, time_s: Array, accel_psd: float, torque_psd: float) -> Array:
+    """What white disturbances add to the covariance (T, 12, 12) of r (N), v (N), theta (P), w (P).
+
+    moments (3,), middle one 1; w_P (3,) [rad/s] at the start; time_s (T,) >= 0 [s], increasing.
+    theta' = -w x theta + dw;  dw' = J^-1 ((J w) x - w x J) dw.
+    """
+
+    def derivative(_: float, y: Array) -> Array:
+        w, Q = y[:3], y[3:].reshape(6, 6)
         A = np.zeros((6, 6))
         A[:3, :3], A[:3, 3:] = -hat(w), np.eye(3)
-        A[3:, 3:] = (hat(J * w) - hat(w) * J) / J[:, None]
-        F_dot = A @ F
-        F_dot[3:, 6:] += _acceleration_by_moments(J, w)
+        A[3:, 3:] = (hat(moments * w) - hat(w) * moments) / moments[:, None]
         Q_dot = A @ Q + Q @ A.T
-        Q_dot[3:, 3:] += torque_psd * np.diag(1.0 / J**2)
-        w_dot = np.cross(J * w, w) / J
-        return np.concatenate([w_dot, F_dot.ravel(), Q_dot.ravel()])
+        Q_dot[3:, 3:] += torque_psd * np.diag(1.0 / moments**2)
+        return np.concatenate([np.cross(moments * w, w) / moments, Q_dot.ravel()])
 
-    start = np.concatenate([last.w_P, np.eye(6, 9).ravel(), np.zeros(36)])
-    end = float(time[-1]) if len(time) else 0.0
-    if end <= 0.0:
-        states = np.tile(start, (len(time), 1))
-    else:
-        answer = solve_ivp(derivative, (0.0, end), start, "DOP853", t_eval=time, rtol=1e-8, atol=1e-12)
-        if not answer.success:
-            raise FloatingPointError(f"the prediction's covariance could not be integrated: {answer.message}")
-        states = answer.y.T
-    return states[:, 3:57].reshape(-1, 6, 9), states[:, 57:].reshape(-1, 6, 6)
-
-
-def _acceleration_by_moments(J: Array, w: Array) -> Array:
-    """d w' / d (J1, J2, J3) (3, 3): w'_1 = (J2 - J3) / J1 w2 w3 and cyclic."""
-    out = np.zeros((3, 3))
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        product = w[j] * w[k] / J[i]
-        out[i, i], out[i, j], out[i, k] = -(J[j] - J[k]) / J[i] * product, product, -product
+    states = _integrate(derivative, np.concatenate([w_P, np.zeros(36)]), time_s)
+    out, i = np.zeros((len(time_s), 12, 12)), np.arange(3)
+    out[:, 6:, 6:] = states[:, 3:].reshape(-1, 6, 6)
+    out[:, i, i] = accel_psd * time_s[:, None] ** 3 / 3
+    out[:, i, i + 3] = out[:, i + 3, i] = accel_psd * time_s[:, None] ** 2 / 2
+    out[:, i + 3, i + 3] = accel_psd * time_s[:, None]
     return out
 
 
-def _covariance(last: LastState, t: float, rotation: Array, noise: Array, accel_psd: float) -> Array:
-    """(12, 12) at time t [s]."""
-    n = len(last.covariance)
-    flow = np.zeros((N_STATE, n))
-    flow[:6, :6] = np.eye(6)
-    flow[:3, 3:6] = t * np.eye(3)
-    flow[6:, 6:12] = rotation[:, :6]
-    flow[6:, 12:] = rotation[:, 6:] @ last.moments_by_parameters
-    unknown = ~np.isfinite(np.diagonal(last.covariance))
-    known = np.where(unknown[:, None] | unknown[None, :], 0.0, last.covariance)
-    out = np.asarray(flow @ known @ flow.T)
-    out[6:, 6:] += noise
-    eye = np.eye(3)
-    out[:3, :3] += accel_psd * t**3 / 3 * eye
-    out[:3, 3:6] += accel_psd * t**2 / 2 * eye
-    out[3:6, :3] += accel_psd * t**2 / 2 * eye
-    out[3:6, 3:6] += accel_psd * t * eye
-    lost = (np.abs(flow[:, unknown]) > _NEGLIGIBLE).any(axis=1)
-    out[lost, :], out[:, lost] = 0.0, 0.0
-    out[lost, lost] = np.inf
-    return out
+def _integrate(derivative: Callable[[float, Array], Array], start: Array, time: Array) -> Array:
+    """States (T, n) at the times, which go away from 0, from ``start`` at 0."""
+    end = float(time[-1])
+    if end == 0.0:
+        return np.tile(start, (len(time), 1))
+    answer = solve_ivp(derivative, (0.0, end), start, "DOP853", t_eval=time, rtol=1e-8, atol=1e-12)
+    if not answer.success:
+        raise FloatingPointError(f"the prediction could not be integrated: {answer.message}")
+    return np.asarray(answer.y.T)

@@ -61,6 +61,7 @@ def example() -> Example:
         X_NG=X_NG,
         covariance=covariance,
         covariance_last_joint=np.eye(20) * 1e-6,
+        covariance_last_body=np.eye(20) * 1e-6,
         mass=mass,
         landmarks=Landmarks(points, np.full(150, 4e-4), np.bincount(tracks.landmark, minlength=150)),
         residuals_px=residuals,

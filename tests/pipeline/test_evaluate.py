@@ -11,15 +11,8 @@ from numpy.typing import NDArray
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from backend.inertia import FORMS, inertia_from_second_moments
-from pipeline.evaluate import (
-    evaluate,
-    format_table,
-    inertia_parameter_error,
-    last_state,
-    moments_by_parameters,
-)
+from pipeline.evaluate import evaluate, format_table, inertia_parameter_error
 from pipeline.outputs import write_run
-from planning.prediction import predict
 from polhode.config import Config
 from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor, write_truth
 from polhode.errors import InputError
@@ -162,25 +155,3 @@ def test_inertia_error_is_the_step_in_the_solvers_parameters(name: str) -> None:
     step = np.array([0.01, -0.02, 0.015, 0.005, -0.01])
     J_true = 7.0 * inertia_from_second_moments(form.second_moments(xi - step, R_ref))
     np.testing.assert_allclose(inertia_parameter_error(J, J_true, form), step, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", FORMS)
-def test_moments_follow_the_solvers_parameters(name: str) -> None:
-    form = FORMS[name]
-    R = exp_so3([0.3, -0.2, 0.5])
-    J = R @ np.diag([1.3, 1.0, 0.8]) @ R.T
-    xi, R_ref = form.coordinates(0.5 * np.trace(J) * np.eye(3) - J)
-    step = 1e-4 * np.array([1.0, -2.0, 1.5, 0.5, -1.0])
-    moved = np.linalg.eigvalsh(inertia_from_second_moments(form.second_moments(xi + step, R_ref)))[::-1]
-    expected = moved / moved[1] - np.array([1.3, 1.0, 0.8])
-    np.testing.assert_allclose(moments_by_parameters(J, form) @ step, expected, atol=2e-7)
-
-
-def test_the_last_state_of_a_run_can_be_carried_on(example: Example, tmp_path: Path) -> None:
-    state, summary, _ = last_state(write_example(example, example.estimate, tmp_path / "run"))
-    assert summary.noise is not None
-    ahead = predict(state, [0.0, 10.0], summary.noise.accel_psd, summary.noise.torque_psd)
-    np.testing.assert_allclose(ahead.r_N[0], example.estimate.r_N[-1])
-    before, after = (np.diagonal(c) for c in ahead.covariance)
-    assert (after[:6] > before[:6]).all()
-    assert np.isfinite(after).all()

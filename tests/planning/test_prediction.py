@@ -1,92 +1,162 @@
-"""Predictions against the integrated truth and against Monte Carlo."""
+"""Predictions against the integrated truth, against linear flows and against Monte Carlo."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from planning.prediction import LastState, predict
-from polhode.lie import exp_so3, log_so3
+from planning.prediction import LastBody, axes_by_parameters, draw, predict, process_noise
+from polhode.lie import Array, exp_so3, log_so3
 from polhode.rigid_body import propagate
 
 MOMENTS = np.array([1.3, 1.0, 0.8])
 R0 = exp_so3([0.4, -0.2, 0.9])
-W0 = np.array([0.15, 0.5, 0.1])
+R_GP = exp_so3([-0.3, 0.5, 0.2])
+W_P = np.array([0.15, 0.5, 0.1])
+SYMMETRIC = np.zeros((5, 3, 3))
+for n, (i, j) in enumerate([(0, 0), (1, 1), (0, 1), (0, 2), (1, 2)]):
+    SYMMETRIC[n, i, j] = SYMMETRIC[n, j, i] = 1.0
+ANY_BODY = R_GP @ SYMMETRIC @ R_GP.T
+"""Derivatives of J_G by five parameters: two moments and three products of inertia, along P."""
 
 
-def last_state(covariance: np.ndarray, by_parameters: np.ndarray | None = None) -> LastState:
-    by = np.zeros((3, 0)) if by_parameters is None else by_parameters
-    return LastState(np.array([0.1, 0.0, 0.6]), np.array([1e-3, 2e-3, 0.0]), R0, W0, MOMENTS, covariance, by)
+def last_body(covariance: Array, w_P: Array = W_P, moments: Array = MOMENTS) -> LastBody:
+    J = R_GP @ np.diag(moments) @ R_GP.T
+    r, v = np.array([0.1, 0.0, 0.6]), np.array([1e-3, 2e-3, 0.0])
+    return LastBody(r, v, R0 @ R_GP.T, R_GP @ w_P, J, R_GP, ANY_BODY, covariance)
+
+
+def small_covariance(seed: int, size: float = 1.0) -> Array:
+    scale = (
+        np.concatenate([np.repeat([1e-3, 1e-4, 2e-4, 1e-4], 3), np.full(5, 2e-4), np.full(3, 1e-3)]) * size
+    )
+    A = (np.eye(20) + 0.3 * np.random.default_rng(seed).normal(size=(20, 20))) * scale[:, None]
+    return np.asarray(A @ A.T)
 
 
 def test_the_mean_follows_the_rigid_body() -> None:
     t = np.array([0.0, 5.0, 20.0])
-    found = predict(last_state(np.zeros((12, 12))), t, 0.0, 0.0)
-    r, v, R, w = propagate(t, [0.1, 0.0, 0.6], [1e-3, 2e-3, 0.0], R0, W0, np.diag(MOMENTS))
+    found = predict(last_body(np.zeros((20, 20))), t, 0.0, 0.0)
+    r, v, R, w = propagate(t, [0.1, 0.0, 0.6], [1e-3, 2e-3, 0.0], R0, W_P, np.diag(MOMENTS))
     np.testing.assert_allclose(found.R_NP, R, atol=1e-9)
     np.testing.assert_allclose(found.r_N, r, atol=1e-12)
     np.testing.assert_allclose(found.w_P, w, atol=1e-9)
     np.testing.assert_allclose(found.v_N, v, atol=1e-12)
-    np.testing.assert_allclose(found.covariance, 0.0, atol=1e-20)
+    np.testing.assert_allclose(found.covariance, 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.covariance_of_marks, 0.0, atol=1e-12)
 
 
 def test_at_time_zero_the_covariance_is_that_of_the_state() -> None:
-    A = np.random.default_rng(0).normal(size=(12, 12)) * 1e-3
-    found = predict(last_state(A @ A.T), [0.0], 1e-6, 1e-6)
-    np.testing.assert_allclose(found.covariance[0], A @ A.T, atol=1e-15)
+    covariance = small_covariance(0)
+    last = last_body(covariance)
+    found = predict(last, [0.0], 1e-6, 1e-6)
+    # theta and w turned from G to P, plus what the axes add
+    T = np.zeros((12, 20))
+    T[:6, :6], T[6:9, 6:9], T[9:, 9:12] = np.eye(6), R_GP.T, R_GP.T
+    of_axes = T.copy()
+    D = axes_by_parameters(last)
+    of_axes[6:9, 12:17] = D
+    of_axes[9:, 12:17] = np.cross(W_P, D.T).T
+    np.testing.assert_allclose(found.covariance[0], of_axes @ covariance @ of_axes.T, atol=3e-9)
+    # a mark at the estimated centre of mass lies where p_NG + R_NG com is, whatever the true one
+    T[0:3, 17:20] = -last.R_NG
+    T[3:6, 17:20] = -last.R_NG @ np.cross(np.eye(3), last.w_G)
+    lever = T @ covariance @ T.T
+    np.testing.assert_allclose(found.covariance_of_marks[0][:3, :3], lever[:3, :3], atol=3e-9)
+    np.testing.assert_allclose(found.covariance_of_marks[0][6:, 6:], lever[6:, 6:], atol=3e-9)
 
 
-def test_covariance_matches_monte_carlo_with_uncertain_moments() -> None:
-    rng = np.random.default_rng(2)
-    scale = np.concatenate([np.repeat([1e-3, 1e-4, 2e-4, 1e-4], 3), np.full(5, 2e-4)])
-    A = (np.eye(17) + 0.3 * rng.normal(size=(17, 17))) * scale[:, None]
-    by_parameters = np.zeros((3, 5))
-    by_parameters[0, :2], by_parameters[2, 2:4] = (1.0, 0.5), (-0.7, 0.4)
-    last = last_state(A @ A.T, by_parameters)
-    predicted = predict(last, [12.0], 0.0, 0.0)
-    errors = []
-    for e in rng.normal(size=(400, 17)) @ A.T:
-        J = np.diag(MOMENTS + by_parameters @ e[12:])
+def test_small_errors_grow_as_differences_of_the_motion_say() -> None:
+    covariance, t = small_covariance(1, 0.1), [12.0]
+    last = last_body(covariance)
+    found = predict(last, t, 0.0, 0.0)
+    columns = []
+    for k in range(20):
+        e = np.zeros(20)
+        e[k] = 1e-6
+        J = last.J_G + np.einsum("k,kij->ij", e[12:17], ANY_BODY)
         r, v, R, w = propagate(
-            [0.0, 12.0], last.r_N + e[:3], last.v_N + e[3:6], R0 @ exp_so3(e[6:9]), W0 + e[9:12], J, rtol=1e-9
+            [0.0, *t], last.r_N + e[:3], last.v_N + e[3:6], last.R_NG @ exp_so3(e[6:9]), last.w_G + e[9:12], J
         )
-        theta = log_so3(predicted.R_NP[0].T @ R[1])
-        errors.append(
-            np.concatenate([r[1] - predicted.r_N[0], v[1] - predicted.v_N[0], theta, w[1] - predicted.w_P[0]])
+        R_NP = R[1] @ R_GP @ exp_so3(axes_by_parameters(last) @ e[12:17])
+        w_P = R_NP.T @ R[1] @ w[1]
+        theta = log_so3(found.R_NP[0].T @ R_NP)
+        columns.append(np.concatenate([r[1] - found.r_N[0], v[1] - found.v_N[0], theta, w_P - found.w_P[0]]))
+    flow = np.stack(columns, axis=1) / 1e-6
+    expected = flow @ covariance @ flow.T
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        found.covariance[0] / scale[:, None] / scale, expected / scale[:, None] / scale, atol=0.01
+    )
+
+
+def test_large_errors_are_spread_as_a_monte_carlo_spreads_them() -> None:
+    # 2 degrees and 0.01 rad/s before a flip: after 40 s the linear flow would say several turns
+    covariance = np.diag(np.repeat([1e-6, 1e-8, 1e-3, 1e-4, 1e-8, 1e-8, 1e-6], [3, 3, 3, 3, 2, 3, 3]))
+    w_P = np.array([0.02, 0.8, 0.02])
+    last = last_body(covariance, w_P)
+    found = predict(last, [40.0], 0.0, 0.0)
+    rng = np.random.default_rng(4)
+    angles = []
+    for e in rng.normal(size=(150, 20)) * np.sqrt(np.diag(covariance)):
+        J = last.J_G + np.einsum("k,kij->ij", e[12:17], ANY_BODY)
+        _, _, R, _ = propagate(
+            [0.0, 40.0], last.r_N, last.v_N, last.R_NG @ exp_so3(e[6:9]), last.w_G + e[9:12], J, rtol=1e-6
         )
-    sampled = np.cov(np.array(errors).T)
-    whiten = np.linalg.inv(np.linalg.cholesky(predicted.covariance[0]))
-    # Of 400 samples, eigenvalues of the whitened 12 x 12 sample covariance lie within about 1 +- 0.35.
-    values = np.linalg.eigvalsh(whiten @ sampled @ whiten.T)
-    assert values.min() > 0.6
-    assert values.max() < 1.5
+        angles.append(np.sum(log_so3(found.R_NP[0].T @ R[1] @ R_GP) ** 2))
+    # 150 draws against 256: two means of squares with heavy tails
+    spread = np.trace(found.covariance_of_marks[0, 6:9, 6:9])
+    assert spread == pytest.approx(np.mean(angles), rel=0.35)
+    assert np.sqrt(spread) < np.pi
+
+
+def test_a_spin_that_was_long_steady_stays_predictable_though_its_inertia_is_undetermined() -> None:
+    variances = np.repeat([1e-6, 1e-8, 1e-6, 1e-8, 0.3, 1e-8, 0.3, 1e-2], [3, 3, 3, 3, 2, 0, 3, 3])
+    # what would make the spin axis no principal axis is known
+    variances[15:17] = 1e-8
+    last = last_body(np.diag(variances), np.array([0.0, 0.0, 0.8]))
+    spread = []
+    for seen in (0, 20, 120):
+        seen_s = -np.arange(1.0, 1.0 + seen)
+        R_NG = last.R_NG @ exp_so3(seen_s[:, None] * last.w_G)
+        body = replace(last, seen_s=seen_s, seen_R_NG=R_NG) if seen else last
+        covariance = predict(body, [30.0], 0.0, 0.0).covariance_of_marks[0]
+        spread.append(np.rad2deg(np.sqrt(np.trace(covariance[6:9, 6:9]))))
+    # about the middle axis it would tip over: the longer it did not, the surer it will not
+    assert spread[0] > 3.0 * spread[1] > 10.0 * spread[2]
+    assert spread[2] < 0.5
+
+
+def test_drawn_deviations_have_the_covariance_and_drawn_bodies_are_possible() -> None:
+    covariance = small_covariance(3)
+    deviation, _ = draw(last_body(covariance))
+    np.testing.assert_allclose(deviation.T @ deviation / len(deviation), covariance, rtol=1e-6, atol=1e-14)
+    np.testing.assert_allclose(deviation.mean(axis=0), 0.0, atol=1e-12)
+    wild = np.diag(np.repeat([1e-6, 1.0, 1e-6], [12, 5, 3]))
+    _, J = draw(last_body(wild))
+    moments = np.linalg.eigvalsh(J)
+    assert np.all(moments > 0.0) and np.all(moments[:, 0] + moments[:, 1] > moments[:, 2])
 
 
 def test_process_noise_matches_monte_carlo() -> None:
     rng = np.random.default_rng(5)
     psd, dt, steps = 1e-6, 0.1, 60
-    last = last_state(np.zeros((12, 12)))
-    predicted = predict(last, [dt * steps], psd, psd)
+    noise = process_noise(MOMENTS, W_P, np.array([dt * steps]), psd, psd)[0]
+    R_end = predict(last_body(np.zeros((20, 20))), [dt * steps], 0.0, 0.0)
     n = 3000
-    w = np.tile(W0, (n, 1))
-    theta_R = np.tile(R0, (n, 1, 1))
-    v = np.zeros((n, 3))
+    w, R, v = np.tile(W_P, (n, 1)), np.tile(R0, (n, 1, 1)), np.zeros((n, 3))
     for _ in range(steps):
         # Midpoint rule for the body, kicks of white torque and acceleration between the steps.
         w = w + rng.normal(size=(n, 3)) * np.sqrt(psd * dt) / MOMENTS
         v = v + rng.normal(size=(n, 3)) * np.sqrt(psd * dt)
         middle = w + 0.5 * dt * np.cross(w * MOMENTS, w) / MOMENTS
         w = w + dt * np.cross(middle * MOMENTS, middle) / MOMENTS
-        theta_R = theta_R @ exp_so3(middle * dt)
-    errors = np.hstack([log_so3(predicted.R_NP[0].T @ theta_R), w - predicted.w_P[0]])
-    spread = np.sqrt(np.diagonal(predicted.covariance[0]))
+        R = R @ exp_so3(middle * dt)
+    errors = np.hstack([log_so3(R_end.R_NP[0].T @ R), w - R_end.w_P[0]])
+    spread = np.sqrt(np.diagonal(noise))
     np.testing.assert_allclose(errors.std(axis=0), spread[6:], rtol=0.1)
     np.testing.assert_allclose(v.std(axis=0), spread[3:6], rtol=0.1)
     assert spread[0] == pytest.approx(np.sqrt(psd * (dt * steps) ** 3 / 3))
-
-
-def test_what_is_undetermined_makes_undetermined_only_what_depends_on_it() -> None:
-    covariance = np.diag(np.full(12, 1e-6))
-    covariance[6, 6] = np.inf
-    found = predict(last_state(covariance), [3.0], 0.0, 0.0)
-    assert np.isfinite(np.diagonal(found.covariance[0])[:6]).all()
-    assert np.isfinite(np.diagonal(found.covariance[0])[9:]).all()
-    assert np.isinf(np.diagonal(found.covariance[0])[6:9]).any()
+    np.testing.assert_allclose(
+        predict(last_body(np.zeros((20, 20))), [dt * steps], psd, psd).covariance[0], noise, atol=1e-10
+    )
