@@ -1,5 +1,6 @@
 """``polhode simulate`` at the command line: what it says, what it refuses, and that it goes on."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,8 @@ scene:
   truth_horizon_s: 0
   rig: {width_px: 48, height_px: 36, focal_px: 35.0}
   motion: {position_m: [0.04, 0.0, 0.6]}
-  render: {samples: 1}
+  light: {earth: 0.0}
+  render: {samples: 1, bounces: 0}
   sensor: {dropped_frames: [2]}
 runtime: {workers: 1}
 """
@@ -27,12 +29,14 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_last_line_tells_the_pairs_and_the_path(
+def test_the_first_line_tells_the_bodys_size_and_the_last_the_pairs_and_the_path(
     config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "S"
     assert main(["simulate", str(config), "-o", str(folder)]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == f"3 stereo pairs with truth: {folder}"
+    lines = capsys.readouterr().out.splitlines()
+    assert re.match(r"body [\d.]+ x [\d.]+ x [\d.]+ m along x, y, z; \d+ faces", lines[0])
+    assert lines[-1] == f"3 stereo pairs with truth: {folder}"
 
 
 def test_an_interrupt_is_one_line_and_the_same_command_goes_on(

@@ -13,7 +13,9 @@ from simulation.sequence import simulate
 def test_every_tile_of_the_sheet_shows_the_target(tmp_path: Path) -> None:
     rig = {"width_px": 96, "height_px": 72, "focal_px": 70.0}
     motion = {"position_m": [0.04, 0.0, 0.6], "spin_rpm": [1.0, 9.0, 0.0]}
-    simulate(Scene.model_validate({"frames": 6, "rig": rig, "motion": motion}), 4, tmp_path / "S", Silent())
+    plain = {"light": {"earth": 0.0}, "render": {"bounces": 0}}
+    scene = Scene.model_validate({"frames": 6, "rig": rig, "motion": motion, **plain})
+    simulate(scene, 4, tmp_path / "S", Silent())
     sheet = contact_sheet(tmp_path / "S", columns=3, rows=2, width_px=60)
     assert sheet.shape[1] == 180
     tiles = [tile for row in np.split(sheet, 2) for tile in np.split(row, 3, axis=1)]

@@ -28,13 +28,15 @@ def _scene(**changes: object) -> Scene:
         "right_offset_mm": [0.0, 1.5, -2.0],
     }
     motion = {"position_m": [0.04, 0.0, 0.6], "spin_rpm": [1.0, 9.0, 0.0]}
-    return Scene.model_validate({"frames": FRAMES, "rig": rig, "motion": motion, **changes})
+    light, render = {"earth": 0.0}, {"bounces": 0}
+    plain = {"frames": FRAMES, "rig": rig, "motion": motion, "light": light, "render": render}
+    return Scene.model_validate({**plain, **changes})
 
 
 @pytest.fixture(scope="module")
 def sequence_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("layout") / "S"
-    simulate(_scene(render={"masks": True, "samples": 16}), 4, folder, Silent())
+    simulate(_scene(render={"masks": True, "samples": 16, "bounces": 0}), 4, folder, Silent())
     return folder
 
 
@@ -82,7 +84,7 @@ def test_the_calibration_read_back_projects_the_mesh_onto_the_images(sequence_fo
     """OpenCV projects the truth's mesh with the file's calibration; silhouettes agree in both cameras."""
     sequence, plan = open_sequence(sequence_folder), plan_sequence(_scene(), 4)
     calibration, pair = sequence.calibration, sequence.read_pair(1)
-    renderer = Renderer(plan.body, _scene(render={"samples": 16}), 4)
+    renderer = Renderer(plan.body, _scene(render={"samples": 16, "bounces": 0}), 4)
     X_NB = plan.X_NC[1] @ np.linalg.inv(calibration.X_BC0)
     for K, dist, X_BC, mask, camera in (
         (calibration.K0, calibration.dist0, calibration.X_BC0, pair.mask_left, plan.cameras[0]),

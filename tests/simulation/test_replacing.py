@@ -21,7 +21,8 @@ SCENE = Scene.model_validate(
         "truth_horizon_s": 1.0,
         "rig": {"width_px": 48, "height_px": 36, "focal_px": 35.0},
         "motion": {"position_m": [0.04, 0.0, 0.6]},
-        "render": {"masks": True, "products": ["depth"], "samples": 1},
+        "light": {"earth": 0.0},
+        "render": {"masks": True, "products": ["depth"], "samples": 1, "bounces": 0},
     }
 )
 

@@ -21,7 +21,8 @@ scene:
   truth_horizon_s: 0
   rig: {width_px: 96, height_px: 72, focal_px: 70.0}
   motion: {position_m: [0.04, 0.0, 0.6], spin_rpm: [1.0, 9.0, 0.0]}
-  render: {samples: 1}
+  light: {earth: 0.0}
+  render: {samples: 1, bounces: 0}
 """
 
 
