@@ -22,6 +22,7 @@ from pipeline.archives import (
     write_measurements,
 )
 from pipeline.atomic import write_bytes, write_text
+from pipeline.online_file import read_online, write_online
 from pipeline.point_cloud_file import read_landmarks, write_landmarks
 from pipeline.report import finding, refresh_report, write_report
 from pipeline.run_folder import RunFolder
@@ -35,7 +36,7 @@ from pipeline.trajectory_file import (
 )
 from polhode.config import Config
 from polhode.config.loader import dump_config
-from polhode.records import MotionEstimate, RelativePoses, StereoTracks, SurfaceModel
+from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks, SurfaceModel
 
 __all__ = [
     "TRAJECTORY_COLUMNS",
@@ -50,6 +51,7 @@ __all__ = [
     "read_covariance",
     "read_landmarks",
     "read_measurements",
+    "read_online",
     "read_relative_poses",
     "read_residuals",
     "read_summary",
@@ -59,6 +61,7 @@ __all__ = [
     "write_config",
     "write_estimate",
     "write_measurements",
+    "write_online_estimate",
     "write_pictures",
     "write_report",
     "write_run",
@@ -83,6 +86,12 @@ def write_estimate(
     write_landmarks(estimate.landmarks, folder / "landmarks.ply")
     write_measurements(tracks, folder / "measurements.npz", relative, estimate)
     write_summary(build_summary(tracks, estimate, None, {}), folder / "summary.json")
+
+
+def write_online_estimate(folder: Path, online: OnlineEstimate) -> None:
+    """trajectory_online.csv and online.npz: what was known when each frame came."""
+    write_trajectory(trajectory_of(online), folder / "trajectory_online.csv")
+    write_online(online, folder / "online.npz")
 
 
 def write_surface(folder: Path, surface: SurfaceModel) -> None:

@@ -1,4 +1,4 @@
-"""The main job, as the data flows: images, tracks, first motion, motion, depth, fusion, mesh, report."""
+"""The main job, as the data flows: images, tracks, first motion, motion, window, depth, fusion, report."""
 
 import logging
 import os
@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from backend import estimate_motion, initialize_motion
+from backend import estimate_motion, estimate_online, in_words_of, initialize_motion
 from frontend.extract import extract_depth, extract_features
 from frontend.guided import consistent_matches, reconnect
 from frontend.pairs import PairMatch, match_all_pairs, relative_poses
@@ -28,7 +28,7 @@ from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Progress
-from polhode.records import InitialMotion, MotionEstimate, StereoTracks, SurfaceModel
+from polhode.records import InitialMotion, MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
 
 Item = TypeVar("Item")
 
@@ -71,6 +71,8 @@ def run(
             advance()
         estimate, tracks = _associate_and_solve(images, features, matches, first, config, progress, clock)
         outputs.write_estimate(folder, tracks, estimate, links)
+        if config.backend.window.enabled:
+            outputs.write_online_estimate(folder, _replay(tracks, estimate, config, progress, clock))
 
         surface = _build_surface(images, tracks, estimate, config, progress, clock)
         outputs.write_surface(folder, surface)
@@ -200,6 +202,14 @@ def _associate_and_solve(
             estimate = estimate_motion(tracks, motion, config.backend, progress)
         motion = InitialMotion(_pose_RG(tracks, estimate), motion.connected)
     return estimate, tracks
+
+
+def _replay(
+    tracks: StereoTracks, estimate: MotionEstimate, config: Config, progress: Progress, clock: Stopwatch
+) -> OnlineEstimate:
+    """What a sliding window knew when each frame came, in the words of the final estimate."""
+    with clock("backend"):
+        return in_words_of(estimate_online(tracks, config.backend, progress), estimate)
 
 
 def _pose_RG(tracks: StereoTracks, estimate: MotionEstimate) -> Array:

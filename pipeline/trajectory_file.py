@@ -1,4 +1,4 @@
-"""trajectory.csv: one row per stereo pair, 26 numeric columns under one header line (CONTRACT.md).
+"""trajectory.csv, trajectory_online.csv: one row per stereo pair, 26 numeric columns (CONTRACT.md).
 
 Numbers are written with the shortest text that reads back to the same float64, so the file is exact
 and its bytes depend on the estimate alone. Undetermined quantities have sigma ``inf``.
@@ -13,7 +13,7 @@ from pipeline.atomic import write_text
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.quaternion import continuous_wxyz, matrix_from_wxyz, wxyz_from_matrix
-from polhode.records import Ints, MotionEstimate
+from polhode.records import Ints, MotionEstimate, OnlineEstimate
 
 TRAJECTORY_COLUMNS: tuple[str, ...] = (
     "timestamp_ns",
@@ -67,8 +67,8 @@ def standard_deviations(covariance: Array) -> Array:
     return np.where(known, np.sqrt(np.where(known, variance, 0.0)), np.inf)
 
 
-def trajectory_of(estimate: MotionEstimate) -> Trajectory:
-    """The smoothed estimate as the table has it."""
+def trajectory_of(estimate: MotionEstimate | OnlineEstimate) -> Trajectory:
+    """The smoothed estimate, or the causal one, as the table has it."""
     sigma = standard_deviations(estimate.covariance)
     return Trajectory(
         timestamps_ns=estimate.timestamps_ns,

@@ -201,6 +201,42 @@ class MotionEstimate:
 
 
 @dataclass(frozen=True)
+class OnlineEstimate:
+    """The causal estimate, one row per frame, from the frames up to it. G is held at the first frame.
+
+    Undetermined quantities hold the best finite numbers; their variance is inf. ``MotionEstimate`` has the
+    meaning of the states.
+    """
+
+    timestamps_ns: Ints
+    """(F,)"""
+    r_N: Array
+    """(F, 3) [m]"""
+    v_N: Array
+    """(F, 3) [m/s]"""
+    R_NP: Array
+    """(F, 3, 3)"""
+    w_P: Array
+    """(F, 3) [rad/s]"""
+    covariance: Array
+    """(F, 12, 12) in the order r (N), v (N), theta (P), w (P)"""
+    X_NG: Array
+    """(F, 4, 4)"""
+    k: Array
+    """(F, 2) k1, k2"""
+    cov_k: Array
+    """(F, 2, 2)"""
+    com_G: Array
+    """(F, 3) [m]"""
+    cov_com_G: Array
+    """(F, 3, 3) [m^2]"""
+    R_GP: Array
+    """(F, 3, 3)"""
+    determined: Bools
+    """(F, 4) whether k1, k2, com and axes are"""
+
+
+@dataclass(frozen=True)
 class DepthMap:
     """Dense depth of one frame in the rectified left camera R; often only the target's crop is filled."""
 

@@ -7,6 +7,21 @@ from pydantic import Field
 from polhode.config.section import Section
 
 
+class Window(Section):
+    """The sliding window: the causal estimate of each frame, as known when it came."""
+
+    enabled: bool = True
+    """Write trajectory_online.csv."""
+    solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
+    """Solver of the window's program; both reach the same optimum."""
+    frames: int = Field(12, ge=2)
+    """Latest frames whose whole state is estimated."""
+    key_frames: int = Field(36, ge=2)
+    """Earlier frames whose pose and observations stay: the sides of the target that will come back."""
+    history: int = Field(96, ge=4)
+    """So many frames are solved as a whole before the first state is marginalized."""
+
+
 class Backend(Section):
     """Measurements to motion and mass properties."""
 
@@ -26,3 +41,4 @@ class Backend(Section):
     """Scale of the Cauchy kernel, in standard deviations."""
     max_iterations: int = Field(60, ge=1)
     """Iterations of one solve."""
+    window: Window = Window()

@@ -1,0 +1,125 @@
+"""All that the window believes at a moment; the steps of the estimator work on it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from backend.flow import flows, series_steps
+from backend.inertia import inertia_from_second_moments
+from backend.kernels import N_CONSTANTS
+from backend.problem import COM_PRIOR_M, geometric_median
+from backend.window.active import Active
+from backend.window.history import History
+from backend.window.landmarks import LandmarkSlots
+from backend.window.links import NoiseOfSteps, make_links
+from backend.window.problem import Shape
+from backend.window.state import LastInformation
+from backend.window.vision import Condensed, Sight, condense, poses_of, robust_gain, sight_of
+from polhode.camera import RectifiedRig
+from polhode.config.backend import Backend
+from polhode.lie import Array, inverse_pose, make_pose, transform_points
+from polhode.quaternion import matrix_from_wxyz
+
+GAUGE_SIGMA = 1e-5
+"""How firmly G is held at the first frame [rad, radii of the target]."""
+
+
+@dataclass
+class Belief:
+    """Frames, landmarks, constants, and the levels of noise they are weighed with."""
+
+    rig: RectifiedRig
+    robust_scale: float
+    shape: Shape
+    noise_of_steps: NoiseOfSteps
+    landmarks: LandmarkSlots = field(default_factory=LandmarkSlots)
+    active: Active = field(default_factory=Active)
+    history: History | None = None
+    """until the number of frames outgrows it"""
+    R_inertia: Array = field(default_factory=lambda: np.eye(3))
+    weak_prior: Array = field(default_factory=lambda: np.zeros(13))
+    """parameters of ``kernels.prior_kernel``"""
+    noise: Array = field(default_factory=lambda: np.ones(3))
+    """factors on the stated standard deviations of u, v and disparity"""
+    last: LastInformation | None = None
+    """about the newest state and the constants"""
+
+    def __post_init__(self) -> None:
+        r = self.rig
+        self.rig_vector = np.array([r.focal_px, r.cx_px, r.cy_px, r.baseline_m, r.disparity_offset_px])
+        self.gain = robust_gain(self.robust_scale)
+
+    @property
+    def xi(self) -> Array:
+        """(5,)"""
+        return self.active.constants[3:]
+
+    @property
+    def J_G(self) -> Array:
+        """(3, 3) up to scale."""
+        return inertia_from_second_moments(self.shape.form.second_moments(self.xi, self.R_inertia))
+
+    def sight(self) -> Sight:
+        """What the frames see of landmarks that are seen again."""
+        return sight_of(self.active.frames, len(self.landmarks))
+
+    def condensed(self, sight: Sight) -> Condensed:
+        """Vision at the present unknowns, landmarks eliminated."""
+        p_G = self.landmarks.p_G[sight.slot]
+        return condense(
+            sight, poses_of(self.active.frames), self.rig_vector, p_G, self.robust_scale, self.gain
+        )
+
+    def move_landmarks(self, condensed: Condensed, step: Array) -> None:
+        """They follow the step (6 F,) of the poses; those seen once follow their frame."""
+        slot = condensed.sight.slot
+        self.landmarks.p_G[slot] += condensed.landmark_steps(step)
+        self.landmarks.covariance[slot] = condensed.C_inv
+        for frame in self.active.frames:
+            frame.settle()
+            once = self.landmarks.views[frame.slot] == 1
+            if once.any():
+                X_GR = inverse_pose(make_pose(frame.R_RN, frame.t_R) @ frame.X_NG)
+                p_R = self.rig.triangulate(frame.uvd_px[once])
+                self.landmarks.p_G[frame.slot[once]] = transform_points(X_GR, p_R)
+
+    def renew_weak_prior(self) -> float:
+        """The centre of mass is expected in the middle of the landmarks. Returns their radius [m]."""
+        p_G = self.landmarks.p_G[self.landmarks.used]
+        middle = geometric_median(p_G)
+        radius = float(np.sqrt(np.median(np.sum((p_G - middle) ** 2, axis=1))))
+        sigma = max(COM_PRIOR_M, radius)
+        self.weak_prior = np.concatenate([middle, [sigma], self.R_inertia.T.ravel()])
+        return radius
+
+    def gauge_information(self, radius_m: float) -> Array:
+        """(6,) of the hold on the first pose."""
+        return np.repeat([(GAUGE_SIGMA * max(radius_m, 1e-3)) ** -2, GAUGE_SIGMA**-2], 3)
+
+    def predict(self, time_s: float) -> tuple[Array, Array]:
+        """State (12,) and attitude R_NG (3, 3) at a later time, by the dynamics."""
+        last, com_G = self.active.recent[-1], self.active.constants[:3]
+        dt = time_s - last.time_s
+        w_G = last.x[9:12]
+        J_G, dt_s = self.J_G, np.array([dt])
+        series = series_steps(w_G[None], J_G, dt_s, self.noise_of_steps.torque_psd)
+        q, w_after, _, _ = flows(w_G[None], J_G, dt_s, series)
+        R_NG = last.R_NG @ matrix_from_wxyz(q[0])
+        r_N = last.x[:3] + last.R_NG @ com_G + dt * last.x[6:9]
+        return np.concatenate([r_N - R_NG @ com_G, np.zeros(3), last.x[6:9], w_after[0]]), R_NG
+
+    def link_newest(self) -> None:
+        """The step to the newest state, whitened at the present rates."""
+        before, frame = self.active.recent[-2:]
+        dt_s = np.array([frame.time_s - before.time_s])
+        link = make_links(before.x[None, 9:12], self.J_G, dt_s, self.noise_of_steps)
+        self.active.links = self.active.links.and_then(link)
+
+
+def new_belief(rig: RectifiedRig, config: Backend) -> Belief:
+    """Nothing seen yet: the inertia of a sphere."""
+    shape = Shape(config.inertia)
+    belief = Belief(rig, config.robust_scale, shape, NoiseOfSteps(config.accel_psd, config.torque_psd))
+    xi, belief.R_inertia = shape.form.coordinates(np.eye(3))
+    belief.active.constants = np.concatenate([np.zeros(N_CONSTANTS - len(xi)), xi])
+    return belief

@@ -1,0 +1,126 @@
+"""The sliding window: frame by frame, the causal state with its covariance, in bounded time and memory."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from backend.window.admit import first_frame, next_frame
+from backend.window.basin import choose_basin
+from backend.window.belief import new_belief
+from backend.window.frame import FrameMeasurements
+from backend.window.history import History
+from backend.window.newton import NewtonSolver
+from backend.window.problem import WindowSolver
+from backend.window.release import release
+from backend.window.state import OnlineState, online_state, unknown_state
+from backend.window.steps import expand_arrival, solve_whole, solve_window
+from polhode.camera import RectifiedRig
+from polhode.config.backend import Backend
+from polhode.lie import Array
+
+LOOK_AROUND = (6, 12, 24, 48, 96, 192)
+"""Numbers of frames at which other inertias are tried, while the history lasts."""
+FIRST_FRAMES = 3
+
+
+class SlidingWindow:
+    """Causal estimator: ``add`` each frame as it comes.
+
+    Unknowns: the states of the latest ``frames`` frames, the poses of at most ``key_frames`` earlier ones,
+    com_G and the inertia; landmarks are eliminated. What leaves goes to an arrival cost by marginalization.
+    The first ``history`` frames are solved as a whole.
+    """
+
+    def __init__(
+        self, rig: RectifiedRig, config: Backend, sigma_camera: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
+        """sigma_camera: stated noise of the camera's own poses [m, rad]."""
+        self.settings = config.window
+        self.solver: WindowSolver = NewtonSolver()
+        self._sigma_camera = sigma_camera
+        self._rig, self._config = rig, config
+        self._axes: Array = np.eye(3)
+        self._first_ns: int | None = None
+        self._number = 0
+        self._missed = 0
+        self.belief = new_belief(rig, config)
+
+    def add(self, m: FrameMeasurements) -> OnlineState:
+        """Take one frame, later than all before; its state as known now."""
+        if self._first_ns is None:
+            self._first_ns = m.timestamp_ns
+        time_s = (m.timestamp_ns - self._first_ns) * 1e-9
+        self._number += 1
+        if not self.belief.active.recent:
+            return self._begin(m, time_s)
+        frame = next_frame(self.belief, m, self._number, time_s)
+        if frame is None:
+            return self._wait(m, time_s)
+        belief, history = self.belief, self.belief.history
+        belief.active.recent.append(frame)
+        if history is not None:
+            history.append(frame)
+            n = len(history.frames)
+            if n <= 24 or n in LOOK_AROUND:
+                belief.renew_weak_prior()
+            solve_whole(belief, history)
+            if n in LOOK_AROUND:
+                choose_basin(belief, history)
+                solve_whole(belief, history)
+            if self.solver.name != "gauss_newton":
+                expand_arrival(belief, history)
+                solve_window(belief, self.solver)
+        else:
+            belief.active.make_room()
+            belief.link_newest()
+            solve_window(belief, self.solver)
+        state = self._report(m)
+        release(belief, self.settings.frames, self.settings.key_frames)
+        if history is not None and len(history.frames) >= self.settings.history:
+            expand_arrival(belief, history)
+            belief.active.recent[0].hold()
+            belief.history = None
+        return state
+
+    def _begin(self, m: FrameMeasurements, time_s: float) -> OnlineState:
+        """The first frame with measurements: nothing is known of the motion."""
+        belief = self.belief
+        if len(m.landmark) < FIRST_FRAMES:
+            return unknown_state(m.timestamp_ns, m.X_NR)
+        frame = first_frame(belief, m, self._number, time_s)
+        radius = belief.renew_weak_prior()
+        belief.active.constants[:3] = belief.weak_prior[:3]
+        belief.active.recent.append(frame)
+        belief.history = History(frame, belief.gauge_information(radius))
+        distance = float(np.median(belief.rig.triangulate(m.uvd_px)[:, 2]))
+        p, turn = self._sigma_camera
+        seen = p**2 + (distance * turn) ** 2, turn**2
+        belief.noise_of_steps = replace(belief.noise_of_steps, pose_variance=seen)
+        return unknown_state(m.timestamp_ns, m.X_NR, frame, belief.active.constants[:3])
+
+    def _wait(self, m: FrameMeasurements, time_s: float) -> OnlineState:
+        """The frame cannot be placed yet. When that goes on, the first ones were at fault: begin anew."""
+        self._missed += len(m.landmark) >= FIRST_FRAMES
+        active = self.belief.active
+        state = unknown_state(m.timestamp_ns, m.X_NR, active.recent[-1], active.constants[:3])
+        if self._missed > 2:
+            self._missed, self.belief = 0, new_belief(self._rig, self._config)
+            return self._begin(m, time_s)
+        return state
+
+    def _report(self, m: FrameMeasurements) -> OnlineState:
+        belief, active = self.belief, self.belief.active
+        assert belief.last is not None
+        state = online_state(
+            m.timestamp_ns,
+            active.recent[-1],
+            active.constants,
+            belief.R_inertia,
+            belief.shape.form,
+            belief.last,
+            np.stack([frame.x[9:12] for frame in active.recent]),
+            belief.noise_of_steps.pose_variance,
+            self._axes,
+        )
+        self._axes = state.R_GP
+        return state

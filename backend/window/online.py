@@ -1,0 +1,93 @@
+"""The sliding window over a whole sequence: what was known when each frame came."""
+
+import logging
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from backend.window.estimator import SlidingWindow
+from backend.window.frame import frames_of
+from backend.window.state import HALF_TURNS, OnlineState
+from polhode.config.backend import Backend
+from polhode.lie import Array, inverse_pose, transform_points
+from polhode.progress import Progress
+from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks
+
+ALIGNED_FRAMES = 10
+"""Last frames by whose poses the causal G and the final one are laid on each other."""
+
+_log = logging.getLogger(__name__)
+
+
+def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -> OnlineEstimate:
+    """Feed the frames in the order of time. A row depends on what its frame and earlier ones show."""
+    window = SlidingWindow(tracks.rig, config, (tracks.sigma_camera_p_m, tracks.sigma_camera_theta_rad))
+    states, seconds = [], []
+    with progress.stage("sliding window", tracks.n_frames) as advance:
+        for measurements in frames_of(tracks):
+            begin = perf_counter()
+            states.append(window.add(measurements))
+            seconds.append(perf_counter() - begin)
+            advance()
+    _log.info("window: median %.0f ms a frame, %.1f s in all", 1e3 * np.median(seconds), sum(seconds))
+    return stacked(states)
+
+
+def stacked(states: list[OnlineState]) -> OnlineEstimate:
+    """One record of all rows."""
+    return OnlineEstimate(
+        timestamps_ns=np.array([s.timestamp_ns for s in states], dtype=np.int64),
+        r_N=np.stack([s.r_N for s in states]),
+        v_N=np.stack([s.v_N for s in states]),
+        R_NP=np.stack([s.R_NP for s in states]),
+        w_P=np.stack([s.w_P for s in states]),
+        covariance=np.stack([s.covariance for s in states]),
+        X_NG=np.stack([s.X_NG for s in states]),
+        k=np.array([[s.k1, s.k2] for s in states]),
+        cov_k=np.stack([s.cov_k for s in states]),
+        com_G=np.stack([s.com_G for s in states]),
+        cov_com_G=np.stack([s.cov_com_G for s in states]),
+        R_GP=np.stack([s.R_GP for s in states]),
+        determined=np.stack([s.determined for s in states]),
+    )
+
+
+def in_words_of(online: OnlineEstimate, final: MotionEstimate) -> OnlineEstimate:
+    """The same estimate in the frame G and with the half-turns of the final one: names only, no number gains.
+
+    Each row takes the half-turn of the axes that lies nearest to the final attitude at its frame. The two
+    frames G differ by a constant: the mean over the last frames is taken.
+    """
+    last = slice(-ALIGNED_FRAMES, None)
+    X = inverse_pose(final.X_NG[last]) @ online.X_NG[last]
+    R = Rotation.from_matrix(X[:, :3, :3]).mean().as_matrix()
+    X_FG = np.eye(4)
+    X_FG[:3, :3], X_FG[:3, 3] = R, np.median(X[:, :3, 3], axis=0)
+    along = np.einsum("fij,fij->fj", online.R_NP, final.R_NP)
+    turn: Array = HALF_TURNS[np.argmax(along @ HALF_TURNS.T, axis=1)]
+    sign = np.concatenate([np.ones((len(turn), 6)), turn, turn], axis=1)
+    return replace(
+        online,
+        R_NP=online.R_NP * turn[:, None, :],
+        w_P=online.w_P * turn,
+        covariance=online.covariance * sign[:, :, None] * sign[:, None, :],
+        X_NG=online.X_NG @ inverse_pose(X_FG),
+        com_G=transform_points(X_FG, online.com_G),
+        cov_com_G=_turned(online.cov_com_G, R),
+        R_GP=R @ online.R_GP * turn[:, None, :],
+    )
+
+
+def _turned(covariance: Array, R: Array) -> Array:
+    """(F, 3, 3) in other axes; a component with a share of an undetermined one is undetermined."""
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    lost = ~np.isfinite(variance)
+    finite = np.where(lost[:, :, None] | lost[:, None, :], 0.0, covariance)
+    out = R @ finite @ R.T
+    touched = (np.abs(R)[None] * lost[:, None, :]).max(axis=2) > 0.1
+    out[touched[:, :, None] | touched[:, None, :]] = 0.0
+    rows, components = np.nonzero(touched)
+    out[rows, components, components] = np.inf
+    return np.asarray(out)

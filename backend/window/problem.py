@@ -1,0 +1,90 @@
+"""The nonlinear program of one step of the window, landmarks and key poses already eliminated."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from backend.dynamics import add_steps
+from backend.gauss_newton import Solution
+from backend.inertia import FORMS, InertiaForm
+from backend.kernels import N_CONSTANTS, N_STATE, prior_kernel
+from backend.window.links import Links, link_jacobians, link_residuals
+from backend.window.quadratic import Quadratic
+from polhode.lie import Array
+
+
+class Shape:
+    """A form of the inertia and the weak prior about it; built once."""
+
+    def __init__(self, name: str) -> None:
+        self.form: InertiaForm = FORMS[name]
+        self._prior: Any = prior_kernel(self.form)
+
+    def weak_prior(self, x: Array, parameters: Array) -> tuple[float, Array, Array]:
+        """Cost, gradient (8,) and Hessian (8, 8) of the weak prior on com_G and xi."""
+        cost, gradient, upper = self._prior(x[-N_CONSTANTS:], parameters)
+        cols, rows = np.tril_indices(N_CONSTANTS)
+        block = np.zeros((N_CONSTANTS, N_CONSTANTS))
+        block[rows, cols] = block[cols, rows] = np.asarray(upper).ravel()
+        return float(cost), np.asarray(gradient).ravel(), block
+
+
+@dataclass(frozen=True)
+class WindowProblem:
+    r"""States of W consecutive frames and the constants (``Iterate`` has their meaning), 12 W + 8 numbers x.
+
+    minimise over x, without constraints::
+
+        1/2 (x - x0)^T Q (x - x0) + q^T (x - x0)                 vision, landmarks and key poses eliminated,
+                                                                 and the arrival cost
+      + 1/2 sum_k || W_k [ r_k+1 - r_k - dt v_k; v_k+1 - v_k;    dynamics, as ``program.MotionProgram``
+                           Log(dR_k^T R_k^T R_k+1); w_k+1 - w'_k ] ||^2
+      + 1/2 || (com - middle) / s ||^2 + 1/2 || 3 Sigma(xi) / tr Sigma(xi) - I ||^2      weak prior
+    """
+
+    vision: Quadratic
+    R_ref: Array
+    """(W, 3, 3) the states' theta turn these"""
+    links: Links
+    weak_prior: Array
+    """(13,) parameters of ``kernels.prior_kernel``"""
+    shape: Shape
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.R_ref)
+
+    @property
+    def R_inertia(self) -> Array:
+        """(3, 3) reference rotation of the inertia's form."""
+        return self.weak_prior[4:13].reshape(3, 3).T
+
+    def cost(self, x: Array) -> float:
+        """The objective."""
+        # a wild step may leave the range of the exponential: it is refused like any other
+        with np.errstate(over="ignore", invalid="ignore"):
+            r = link_residuals(x, self.R_ref, self.links, self.shape.form, self.R_inertia)
+            weak, _, _ = self.shape.weak_prior(x, self.weak_prior)
+            return self.vision.value(x) + 0.5 * float(np.sum(r**2)) + weak
+
+    def normal_equations(self, x: Array) -> tuple[Array, Array]:
+        """Gauss-Newton Hessian (n, n) and gradient (n,) of the objective."""
+        H, g = self.vision.H.copy(), self.vision.gradient(x)
+        if len(self.links):
+            r, D = link_jacobians(x, self.R_ref, self.links, self.shape.form, self.R_inertia)
+            add_steps(H, g, r, D, N_STATE)
+        _, gradient, hessian = self.shape.weak_prior(x, self.weak_prior)
+        H[-N_CONSTANTS:, -N_CONSTANTS:] += hessian
+        g[-N_CONSTANTS:] += gradient
+        return H, g
+
+
+class WindowSolver(Protocol):
+    """What solves the window's program."""
+
+    name: str
+
+    def solve(self, problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
+        """Minimise from x (12 W + 8,)."""
+        ...

@@ -1,0 +1,189 @@
+"""The observations of the window, condensed to information on its poses (landmarks eliminated)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from backend.compiled import compiled
+from backend.gauss_newton import robust_weight
+from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
+from backend.window.frame import Frame
+from polhode.lie import Array, exp_so3, right_jacobian_so3
+from polhode.records import Bools, Ints
+
+N_POSE = 6
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Observations of F frames sorted by landmark; landmarks that are seen once are left out."""
+
+    frame: Ints
+    """(M,)"""
+    landmark: Ints
+    """(M,) ascending"""
+    start: Ints
+    """(L + 1,)"""
+    uvd_px: Array
+    inv_sigma: Array
+    slot: Ints
+    """(L,) where the window keeps the landmark"""
+
+    def of(self, landmarks: Bools, without_frame: int = -1) -> "Sight":
+        """Observations of the chosen landmarks (L,), without those in one frame."""
+        use = landmarks[self.landmark] & (self.frame != without_frame)
+        number = np.cumsum(landmarks) - 1
+        landmark = number[self.landmark[use]]
+        start = np.searchsorted(landmark, np.arange(int(landmarks.sum()) + 1))
+        return Sight(
+            self.frame[use], landmark, start, self.uvd_px[use], self.inv_sigma[use], self.slot[landmarks]
+        )
+
+
+def sight_of(frames: list[Frame], n_slots: int) -> Sight:
+    """Gather what the frames see."""
+    count = np.array([len(frame.slot) for frame in frames])
+    slot = np.concatenate([frame.slot for frame in frames])
+    seen = np.bincount(slot, minlength=n_slots)
+    number = np.cumsum(seen >= 2) - 1
+    use = np.flatnonzero(seen[slot] >= 2)
+    # radix sort, for which NumPy wants 16 bits
+    order = use[np.argsort(slot[use].astype(np.uint16 if n_slots < 2**16 else np.int64), kind="stable")]
+    landmark = number[slot[order]]
+    kept = np.flatnonzero(seen >= 2)
+    return Sight(
+        frame=np.repeat(np.arange(len(frames)), count)[order],
+        landmark=landmark,
+        start=np.concatenate([[0], np.cumsum(seen[kept])]),
+        uvd_px=np.concatenate([frame.uvd_px for frame in frames])[order],
+        inv_sigma=np.concatenate([frame.inv_sigma for frame in frames])[order],
+        slot=kept,
+    )
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses of F frames, where vision is evaluated and where it is linearised."""
+
+    R_RN: Array
+    t_R: Array
+    p_NG: Array
+    A: Array
+    """(F, 3, 3) R_RN R_NG"""
+    p_held: Array
+    A_held: Array
+    Jr: Array
+    """(F, 3, 3) right Jacobian at the held theta"""
+
+
+def poses_of(frames: list[Frame]) -> Poses:
+    """Stack the frames' poses."""
+    R_RN, R_ref = np.stack([f.R_RN for f in frames]), np.stack([f.R_ref for f in frames])
+    now = np.stack([f.x[:6] for f in frames])
+    held = np.stack([f.x[:6] if f.held is None else f.held for f in frames])
+    return Poses(
+        R_RN=R_RN,
+        t_R=np.stack([f.t_R for f in frames]),
+        p_NG=np.ascontiguousarray(now[:, :3]),
+        A=R_RN @ R_ref @ exp_so3(now[:, 3:]),
+        p_held=np.ascontiguousarray(held[:, :3]),
+        A_held=R_RN @ R_ref @ exp_so3(held[:, 3:]),
+        Jr=right_jacobian_so3(held[:, 3:]),
+    )
+
+
+@dataclass(frozen=True)
+class Condensed:
+    """Information on the poses, and what the landmarks' own step needs."""
+
+    S: Array
+    """(6 F, 6 F)"""
+    g: Array
+    """(6 F,)"""
+    sight: Sight
+    E: Array
+    """(M, 6, 3)"""
+    C_inv: Array
+    """(L, 3, 3)"""
+    h: Array
+    """(L, 3)"""
+    squared: Array
+    """(M,) squared norms of the whitened residuals"""
+
+    def landmark_steps(self, step: Array) -> Array:
+        """(L, 3) that follow from the step (6 F,) of the poses."""
+        s = self.sight
+        return back_substitute(step, s.frame, s.start, self.E, self.C_inv, -self.h, N_POSE)
+
+
+def residuals(sight: Sight, poses: Poses, rig: Array, p_G: Array) -> Array:
+    """Whitened (M, 3) at the present poses; p_G (L, 3)."""
+    return stereo_residuals(
+        sight.frame, sight.landmark, sight.uvd_px, sight.inv_sigma, rig,
+        poses.A, poses.R_RN, poses.t_R, poses.p_NG, p_G,
+    )  # fmt: skip
+
+
+def robust_gain(scale: float) -> float:
+    """What makes the Cauchy kernel's weights the information of the observations, if these are Gaussian.
+
+    Huber's sandwich for an M-estimator, a^2 / b with a = E psi', b = E psi^2, over the mean weight; three
+    dimensions, by quadrature.
+    """
+    s = (np.arange(4000) + 0.5) * 0.01
+    density = np.sqrt(s) * np.exp(-0.5 * s)
+    w = 1.0 / (1.0 + s / scale**2)
+    slope = np.average(w - (2.0 / 3.0) * s * w**2 / scale**2, weights=density)
+    spread = np.average(w**2 * s, weights=density) / 3.0
+    return float(slope**2 / spread / np.average(w, weights=density))
+
+
+def condense(
+    sight: Sight, poses: Poses, rig: Array, p_G: Array, robust_scale: float, gain: float = 1.0
+) -> Condensed:
+    """Linearise the observations, ``gain`` times the Cauchy kernel; eliminate their landmarks p_G (L, 3)."""
+    r = residuals(sight, poses, rig, p_G)
+    s = np.sum(r**2, axis=1)
+    H6, g6, C, h, E = stereo_normal_equations(
+        sight.frame, sight.landmark, sight.inv_sigma, rig,
+        poses.A_held, poses.R_RN, poses.t_R, poses.p_held, p_G, poses.Jr,
+        r, gain * robust_weight(s, robust_scale), np.zeros_like(s),
+    )  # fmt: skip
+    n = len(H6)
+    blocks, g = np.zeros((n, N_POSE, n, N_POSE)), g6.ravel().copy()
+    blocks[np.arange(n), :, np.arange(n), :] = H6
+    S = blocks.reshape(N_POSE * n, N_POSE * n)
+    C_inv = inverted(C)
+    subtract_landmarks(S, g, sight.frame, sight.start, E, C_inv, h, N_POSE)
+    return Condensed(np.tril(S) + np.tril(S, -1).T, g, sight, E, C_inv, h, s)
+
+
+@compiled
+def inverted(C: Array) -> Array:
+    """Inverses of symmetric positive-definite blocks (L, 3, 3)."""
+    out = np.empty_like(C)
+    for n in range(len(C)):
+        a, b, c = C[n, 0, 0], C[n, 1, 0], C[n, 2, 0]
+        d, e, f = C[n, 1, 1], C[n, 2, 1], C[n, 2, 2]
+        A, B, D = d * f - e * e, c * e - b * f, b * e - c * d
+        scale = 1.0 / (a * A + b * B + c * D)
+        out[n, 0, 0], out[n, 1, 1], out[n, 2, 2] = A * scale, (a * f - c * c) * scale, (a * d - b * b) * scale
+        out[n, 0, 1] = out[n, 1, 0] = B * scale
+        out[n, 0, 2] = out[n, 2, 0] = D * scale
+        out[n, 1, 2] = out[n, 2, 1] = (b * c - a * e) * scale
+    return out
+
+
+def information_of(
+    leaving: int, sight: Sight, poses: Poses, rig: Array, p_G: Array, robust_scale: float, gain: float = 1.0
+) -> tuple[Array, Array]:
+    """What the observations of frame ``leaving`` say about the poses, given all the others: H and gradient.
+
+    With this in the arrival cost instead of them nothing is lost at that moment, and nothing counts twice
+    later: the likelihood is p(leaving | rest) p(rest), and only the second factor goes on to change.
+    """
+    of_frame = np.zeros(len(sight.slot), bool)
+    of_frame[sight.landmark[sight.frame == leaving]] = True
+    common = sight.of(of_frame), sight.of(of_frame, without_frame=leaving)
+    whole, rest = (condense(part, poses, rig, p_G[of_frame], robust_scale, gain) for part in common)
+    return whole.S - rest.S, whole.g - rest.g
