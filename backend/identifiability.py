@@ -56,6 +56,9 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Deter
     equal = ~good[3:5] | (k < 2.0 * total[3:5])
     good[[7, 5]] &= ~equal
     good[6] &= not equal.all()
+    # Without both ratios the order of the moments is open, and with it which axis is which. A spin about any
+    # axis of a nearly round body looks like one about a principal axis of another: seen, 60 degrees off.
+    good[5:] &= good[3:5].all()
     detail = {name: _words(n, good, total, w_P) for n, name in enumerate(NAMES)}
     record = Identifiability(
         k1=bool(good[3]),

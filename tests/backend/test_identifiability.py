@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from backend import estimate_motion, initialize_motion
+from backend.covariance import AxesDerivative
+from backend.identifiability import analyse
 from polhode.config.backend import Backend
 from polhode.progress import Silent
-from polhode.records import MotionEstimate
+from polhode.records import Identifiability, MotionEstimate
 from simulation.measurements import SyntheticScene, generate
 
 BOX = np.diag([1.5, 1.2, 0.9])
@@ -25,6 +27,12 @@ def estimate(J_G: np.ndarray, w_G: tuple[float, float, float], psd: float = 1e-8
     return estimate_motion(sequence.tracks, initial, config, Silent())
 
 
+def verdict(sigma: list[float], moments: list[float]) -> Identifiability:
+    """From uncorrelated standard deviations of com_P [m], k1, k2, theta [rad]; xi are the last five."""
+    derivative = AxesDerivative(np.array(moments), np.eye(3), np.eye(5)[:2], np.eye(5)[2:])
+    return analyse(np.diag(np.array(sigma) ** -2.0), derivative, np.tile([0.1, 0.4, 0.3], (9, 1))).record
+
+
 def lost(motion: MotionEstimate) -> set[str]:
     return {name for name, text in motion.mass.identifiable.detail.items() if text.startswith("not")}
 
@@ -41,6 +49,21 @@ def test_a_nutating_body_of_unequal_moments_is_determined_whole(
     motion = estimate(BOX, w_G, psd)
     assert lost(motion) == set()
     assert np.all(np.isfinite(motion.covariance))
+
+
+def test_axes_are_not_known_while_the_order_of_the_moments_is_open() -> None:
+    fine = [1e-4, 1e-4, 1e-4, 0.01, 0.01, 0.01, 0.01, 0.01]
+    assert verdict(fine, [1.4, 1.0, 0.7]).axes_P.all()
+    for ratio in (3, 4):
+        known = verdict([*fine[:ratio], 0.2, *fine[ratio + 1 :]], [1.4, 1.0, 0.7])
+        assert not known.axes_P.any() and known.com
+
+
+def test_moments_that_may_be_equal_leave_the_turn_between_their_axes_open() -> None:
+    fine = [1e-4, 1e-4, 1e-4, 0.01, 0.01, 0.01, 0.01, 0.01]
+    np.testing.assert_array_equal(verdict(fine, [1.01, 1.0, 0.7]).axes_P, [True, True, False])
+    np.testing.assert_array_equal(verdict(fine, [1.4, 1.0, 0.99]).axes_P, [False, True, True])
+    assert not verdict(fine, [1.01, 1.0, 0.99]).axes_P.any()
 
 
 def test_a_pure_spin_hides_ratios_axes_and_the_shift_along_it() -> None:
