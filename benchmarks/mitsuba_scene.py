@@ -23,7 +23,7 @@ mi.set_variant("scalar_rgb")
 
 FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Mitsuba's camera has x to the left and y up."""
-SUN_DISTANCE_M = 1e3
+FAR_M = 1e3
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,8 @@ class PeerLights:
 
     sun_direction_G: Array
     """(3,) unit, towards the Sun"""
+    sun: float = 1.0
+    """Level of a white surface that faces it"""
     sun_diameter_deg: float = 0.0
     """0: a point at infinity"""
     earth_direction_G: Array | None = None
@@ -86,27 +88,34 @@ def _sensor(camera: Camera, X_GK: Array, samples: int) -> dict[str, Any]:
 
 
 def _emitters(lights: PeerLights) -> dict[str, Any]:
+    emitters: dict[str, Any] = {}
     toward = lights.sun_direction_G
-    if lights.sun_diameter_deg == 0:
-        sun = {"type": "directional", "direction": (-toward).tolist(), "irradiance": _grey(np.pi)}
-    else:
-        sine = float(np.sin(np.deg2rad(0.5 * lights.sun_diameter_deg)))
-        sun = {
-            "type": "sphere",
-            "center": (SUN_DISTANCE_M * toward).tolist(),
-            "radius": SUN_DISTANCE_M * sine,
-            "emitter": {"type": "area", "radiance": _grey(1.0 / sine**2)},
+    if lights.sun > 0 and lights.sun_diameter_deg == 0:
+        irradiance = _grey(np.pi * lights.sun)
+        emitters["sun"] = {
+            "type": "directional",
+            "direction": (-toward).tolist(),
+            "irradiance": irradiance,
         }
-    emitters: dict[str, Any] = {"sun": sun}
+    elif lights.sun > 0:
+        radius_rad = np.deg2rad(0.5 * lights.sun_diameter_deg)
+        emitters["sun"] = _disc(toward, radius_rad, lights.sun / np.sin(radius_rad) ** 2)
     if lights.earth > 0 and lights.earth_direction_G is not None:
-        sine = float(np.sin(np.deg2rad(lights.earth_radius_deg)))
-        emitters["earth"] = {
-            "type": "sphere",
-            "center": (2 * SUN_DISTANCE_M * lights.earth_direction_G).tolist(),
-            "radius": 2 * SUN_DISTANCE_M * sine,
-            "emitter": {"type": "area", "radiance": _grey(lights.earth)},
-        }
+        emitters["earth"] = _disc(lights.earth_direction_G, np.deg2rad(lights.earth_radius_deg), lights.earth)
     return emitters
+
+
+def _disc(toward_G: Array, radius_rad: float, radiance: float) -> dict[str, Any]:
+    """A far sphere of even radiance."""
+    sine = np.sin(radius_rad)
+    # Mitsuba works out the cone of the sphere in single precision: 0.3 % too wide for the Sun.
+    single = 1.0 - float(np.sqrt(np.float32(1.0) - np.float32(sine) ** 2))
+    return {
+        "type": "sphere",
+        "center": (FAR_M * toward_G).tolist(),
+        "radius": float(FAR_M * sine),
+        "emitter": {"type": "area", "radiance": _grey(radiance * (1.0 - np.cos(radius_rad)) / single)},
+    }
 
 
 def _meshes(part: Part) -> list[mi.Mesh]:
