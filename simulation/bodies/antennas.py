@@ -34,7 +34,7 @@ def helix(length_m: float, radius_m: float) -> list[Part]:
     return [
         Part(plate, BRUSHED_METAL, name="antenna"),
         Part(tube(path, 0.1 * radius_m, 6), BRUSHED_METAL, name="antenna"),
-        Part(strut([0, 0, 0], [0, 0, length_m], 0.16 * radius_m), PAINT_WHITE, name="antenna"),
+        Part(strut([0, 0, -0.02 * length_m], [0, 0, length_m], 0.16 * radius_m), PAINT_WHITE, name="antenna"),
     ]
 
 
@@ -44,7 +44,7 @@ def whip(length_m: float, radius_m: float) -> list[Part]:
     foot.apply_translation([0, 0, -2.0 * radius_m])
     return [
         Part(foot, PAINT_BLACK, name="antenna"),
-        Part(strut([0, 0, 0], [0, 0, length_m], radius_m, 6), BRUSHED_METAL, name="antenna"),
+        Part(strut([0, 0, -0.9 * radius_m], [0, 0, length_m], radius_m, 6), BRUSHED_METAL, name="antenna"),
     ]
 
 

@@ -83,7 +83,7 @@ def _feed(studio: Studio, size_m: float, focal: float) -> list[Part]:
         a, b = foot * out + [0, 0, _depth(foot, focal)], 0.05 * size_m * out + [0, 0, top]
         parts.append(Part(strut(a, b, 0.007 * size_m, 10), PAINT_WHITE, name="feed"))
         shoe = drum(0.016 * size_m, 0.02 * size_m, 12)
-        shoe.apply_transform(pose(b - a, a))
+        shoe.apply_transform(pose(b - a, a - 0.004 * (b - a)))
         parts.append(Part(shoe, BRUSHED_METAL, name="feed"))
     if rng.random() < 0.5:
         r = 0.085 * size_m

@@ -30,7 +30,7 @@ def electronics_box(studio: Studio, width_m: float, depth_m: float, height_m: fl
     body.apply_translation([0, 0, 0.5 * height_m * (1 - SINK)])
     draw = studio.artist.panel(base, 0.8) if rng.random() < 0.75 else studio.artist.machined_plate()
     parts = [studio.faced(body, PAINT_GREY if base > 0.1 else PAINT_BLACK, draw, "equipment")]
-    flange = box([1.14 * width_m, 1.14 * depth_m, 0.16 * height_m], bevel=0.1)
+    flange = box([1.14 * width_m, 1.14 * depth_m, 0.14 * height_m], bevel=0.1)
     parts.append(Part(flange, ANODISED, name="equipment"))
     count = int(rng.integers(2, 5))
     size = min(0.2 * height_m, 0.5 * width_m / count)
@@ -126,7 +126,7 @@ def umbilical(studio: Studio, size_m: float) -> list[Part]:
                         (0.1 * size_m, 0.16 * size_m)], 20, closed=True).mesh  # fmt: skip
         core = drum(0.09 * size_m, 0.12 * size_m, 16)
         for mesh, material in ((ring, BRUSHED_METAL), (core, PAINT_BLACK)):
-            mesh.apply_translation([x * size_m, 0, 0])
+            mesh.apply_translation([x * size_m, 0, -0.01 * size_m])
             parts.append(Part(mesh, material, name="connector"))
     return parts
 

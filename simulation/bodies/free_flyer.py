@@ -132,7 +132,7 @@ def _sonar_buttons(size_m: float, scale: float, studio: Studio) -> list[Part]:
             bright = bool(rng.random() < 0.5)
             low, high = (
                 pose(normal, 0.4865 * size_m * normal + side),
-                pose(normal, 0.5 * size_m * normal + side),
+                pose(normal, 0.4995 * size_m * normal + side),
             )
             parts += [
                 Part(disc, BRUSHED_METAL if bright else PAINT_BLACK, name="receiver").moved(low),

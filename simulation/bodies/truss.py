@@ -59,6 +59,8 @@ def _lattice(
     parts = []
     nodes = np.stack([np.column_stack([np.full(len(section), x), section]) for x in stations])
     crossed = bool(rng.random() < 0.4)
+    for first, last in zip(nodes[0], nodes[-1], strict=True):
+        parts.append(Part(strut(first, last, thick), material, name="truss"))
     for k, ring in enumerate(nodes):
         for c, node in enumerate(ring):
             n = (c + 1) % len(ring)
@@ -68,12 +70,10 @@ def _lattice(
             parts.append(Part(strut(node, ring[n], thin), material, name="truss"))
             if k + 1 == len(nodes):
                 continue
-            parts.append(Part(strut(node, nodes[k + 1, c], thick), material, name="truss"))
-            flip = (k + c) % 2 == 0
-            for a, b in [(node, nodes[k + 1, n]), (ring[n], nodes[k + 1, c])]:
-                if crossed or flip:
-                    parts.append(Part(strut(a, b, thin), material, name="truss"))
-                flip = not flip
+            ahead = nodes[k + 1]
+            both = [(node, ahead[n], thin), (ring[n], ahead[c], 0.9 * thin)]
+            for a, b, radius in both if crossed else both[(k + c) % 2 :][:1]:
+                parts.append(Part(strut(a, b, radius), material, name="truss"))
             if rng.random() < 0.3:
                 # Collars and labels of the assembly: no two struts look alike.
                 collar = drum(1.35 * thick, 0.03 * size_m, 12)

@@ -10,18 +10,7 @@ from simulation.bodies.drawn.labels import lettering, sticker, write
 from simulation.bodies.drawn.marks import fill, groove, rivets, scratches, screw, smudges, stamp
 from simulation.materials import BRUSHED_METAL, PAINT_WHITE
 
-NAMES = (
-    "STAGE 2",
-    "UPPER STAGE",
-    "POLHODE",
-    "ORBITER II",
-    "BLOCK D",
-    "K-3M",
-    "L-14",
-    "HELIOS",
-    "NORD",
-    "ATLAS-X",
-)
+NAMES = ("STAGE 2", "UPPER STAGE", "POLHODE", "BLOCK 7", "K-3M", "L-14", "NORD", "ALTAIR", "HERPOL", "TS-38")
 
 
 def tank_wall(base: float) -> Draw:
