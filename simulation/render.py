@@ -97,14 +97,6 @@ class Renderer:
         mirrored = mirror.level(hits, surface, to_viewer_G, lights, around, stratum)
         return Arriving(around.bounced(surface.normal_G), around.earth_share(), mirrored)
 
-    def depth_m(self, camera: Camera, X_NK: Array, X_NG: Array) -> Array:
-        """Depth (H, W) along the optical axis at pixel centres [m], NaN beside the body."""
-        X_GK = inverse_pose(X_NG) @ X_NK
-        hits = self._caster.first_hits(X_GK[:3, 3], camera.pixel_directions @ X_GK[:3, :3].T)
-        depth = np.full(camera.width_px * camera.height_px, np.nan)
-        depth[hits.ray] = hits.distance_m * camera.pixel_directions[hits.ray, 2]
-        return depth.reshape(camera.height_px, camera.width_px)
-
     def _pixels_near_body(self, camera: Camera, X_GK: Array) -> Ints:
         """Pixels whose ray passes the body's bounding sphere."""
         centre_K = inverse_pose(X_GK)[:3, 3]
