@@ -41,30 +41,34 @@ class Stratum:
     def __getitem__(self, which: Ints) -> "Stratum":
         return Stratum(self.pixel[which], self.sample, self.samples)
 
-    def on_disc(self, use: int) -> tuple[Array, Array]:
-        """A place on the unit disc for each ray: square of the radius (n,) in [0, 1), and angle (n,) [rad].
+    def on_disc(self, use: int) -> Array:
+        """A place (n, 2) on the unit disc for each ray.
 
         The samples of a pixel lie on a spiral that covers the disc evenly; each pixel turns and shifts the
         spiral by its own hash, so that no bands are seen. Each use has hashes of its own.
         """
         turn, shift = _hash(self.pixel, use)
-        return (self.sample + shift) / self.samples, self.sample * GOLDEN_ANGLE + 2.0 * np.pi * turn
+        return spiral(self.sample + shift, self.samples, 2.0 * np.pi * turn)
+
+
+def spiral(index: Array, count: int, turn_rad: Array | float = 0.0) -> Array:
+    """Places (n, 2) on the unit disc: those of index (n,) in [0, count) on a spiral of ``count`` places."""
+    radius, angle = np.sqrt(index / count), np.floor(index) * GOLDEN_ANGLE + turn_rad
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
 
 
 def rays_over_disc(direction_G: Array, radius_rad: float, stratum: Stratum) -> Array:
     """Unit directions (n, 3) to points of the disc around direction_G (3,), one for each ray."""
-    radius2, angle = stratum.on_disc(use=0)
-    distance = radius_rad * np.sqrt(radius2)
-    right, up = _across(direction_G)
-    across = (distance * np.cos(angle))[:, None] * right + (distance * np.sin(angle))[:, None] * up
-    return np.asarray((direction_G + across) / np.sqrt(1.0 + distance**2)[:, None])
+    place = np.tan(radius_rad) * stratum.on_disc(use=0)
+    bent = direction_G + place @ _across(direction_G)
+    return np.asarray(bent / np.sqrt(1.0 + np.einsum("nk,nk->n", place, place))[:, None])
 
 
-def _across(direction: Array) -> tuple[Array, Array]:
-    """Two unit vectors (3,) at right angles to a unit direction (3,) and to each other."""
+def _across(direction: Array) -> Array:
+    """Two unit vectors (2, 3) at right angles to a unit direction (3,) and to each other."""
     right = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     right /= np.linalg.norm(right)
-    return right, np.cross(direction, right)
+    return np.stack([right, np.cross(direction, right)])
 
 
 @njit(cache=True)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from polhode.lie import Array
 from simulation.bodies import Body
-from simulation.directions import GOLDEN_ANGLE, find, nearest_map
-from simulation.disc import Stratum, disc_irradiance
+from simulation.directions import find, nearest_map
+from simulation.disc import Stratum, disc_irradiance, spiral
 from simulation.light import Lights
 from simulation.materials import Surface
 from simulation.neighbourhood import Near
@@ -30,7 +30,7 @@ STEP_RAD, STEP_SHARE = 1.0 / 256.0, 0.005
 """Steps of the lights' directions, and of the lamp's place relative to the body's size."""
 CLEAR = 0.1
 """Reflectance (F0) from which a surface mirrors much."""
-LOBE_RAYS, FAINT_RAYS = 48, 12
+LOBE_RAYS, FAINT_RAYS = 48, 8
 """Rays a pixel in the lobe of a surface that mirrors much, or little."""
 LEAST_SHARE = 0.05
 """Weight from which a probe's view is looked up."""
@@ -63,7 +63,8 @@ class Around:
 
     def earth_share(self) -> Array:
         """Share (n,) of the Earth's light that no part hides."""
-        return self.near.mean(self.fill.earth_share)[:, 0]
+        alone = self.near.weight[:, 0] == 0
+        return np.where(alone, 1.0, self.near.mean(self.fill.earth_share)[:, 0])
 
     def mirrored(self, surface: Surface, to_viewer_G: Array, flat_normal_G: Array, stratum: Stratum) -> Array:
         """Level (n,) of body and Earth in the surface's lobe, as the probes see them.
@@ -73,7 +74,8 @@ class Around:
         fill, near, s = self.fill, self.near, surface
         probes = (near.index, near.weight, fill.views, fill.nearest)
         lobe = (s.normal_G, to_viewer_G, flat_normal_G, s.roughness**2, s.specular)
-        return np.asarray(_mirrored(*probes, *lobe, stratum.sample, stratum.samples))
+        many, few = (_places(count, stratum) for count in (LOBE_RAYS, FAINT_RAYS))
+        return np.asarray(_mirrored(*probes, *lobe, many, few))
 
 
 class IndirectLight:
@@ -152,6 +154,13 @@ class IndirectLight:
         return np.clip(0.5 + (lights.earth_radius_rad - off_middle) / (2.0 * CELL_RAD), 0.0, 1.0)
 
 
+def _places(count: int, stratum: Stratum) -> Array:
+    """Places (rays, 2) in a lobe: the samples of a pixel share about ``count`` of them, on a spiral."""
+    rays = max(count // stratum.samples, 1)
+    index = np.arange(rays, dtype=np.float64) * stratum.samples + stratum.sample + 0.5
+    return spiral(index, rays * stratum.samples)
+
+
 @njit(cache=True)
 def _open_share(sees: NDArray[np.int16], normal: Array, directions: Array, inside: Array) -> Array:
     """Share (P,) of the disc's light above the horizon that comes from open sky; 1 where there is none."""
@@ -228,20 +237,18 @@ def _mirrored(
     horizon: Array,
     alpha: Array,
     f0: Array,
-    sample: int,
-    samples: int,
+    many: Array,
+    few: Array,
 ) -> Array:
-    """Level (n,): the samples of a pixel share the rays of its lobe, which lie on a spiral."""
+    """Level (n,), by rays at ``many`` (rays, 2) places of the lobe, or at few where the surface is faint."""
     out = np.zeros(len(index))
     for i in range(len(index)):
         if f0[i] <= 0.0 or share[i, 0] <= 0.0:
             continue
-        rays = max((LOBE_RAYS if f0[i] > CLEAR else FAINT_RAYS) // samples, 1)
-        for ray in range(rays):
-            place = ray * samples + sample
-            radius2, angle = (place + 0.5) / (rays * samples), GOLDEN_ANGLE * place
-            x, y, z, weight = lobe_ray(normal[i], to_viewer[i], alpha[i], f0[i], radius2, angle)
-            h = horizon[i]
+        places = many if f0[i] > CLEAR else few
+        n, v, h = normal[i], to_viewer[i], horizon[i]
+        for ray in range(len(places)):
+            x, y, z, weight = lobe_ray(n, v, alpha[i], f0[i], places[ray, 0], places[ray, 1])
             below = 2.0 * min(x * h[0] + y * h[1] + z * h[2], 0.0)
             d = find(x - below * h[0], y - below * h[1], z - below * h[2], nearest)
             seen, total = 0.0, 1e-9
@@ -250,5 +257,5 @@ def _mirrored(
                     seen += share[i, k] * views[index[i, k], d]
                     total += share[i, k]
             out[i] += weight * seen / total
-        out[i] /= rays
+        out[i] /= len(places)
     return out

@@ -25,6 +25,8 @@ SHARP_ALPHA = 0.07
 """GGX alpha below which a surface is sharp: the probes' views resolve about as much."""
 DULLEST = 0.5
 """Least roughness of what such a ray meets: one ray cannot average sharper highlights."""
+CORE = 0.92
+"""Radius of the part of the lobe that is sent rays: a far tail that meets something bright makes specks."""
 EARTH_EDGE = 0.5
 """Width of the Earth's edge for one ray, relative to the lobe that the rays of a pixel are spread over."""
 
@@ -62,7 +64,7 @@ class Mirror:
         """Level (n,) that one ray a hit brings."""
         alpha = np.maximum(surface.roughness**2, 1e-3)
         lobe = (surface.normal_G, to_viewer_G, alpha, surface.specular)
-        rays, weight = lobe_rays(*lobe, *stratum.on_disc(use=1), hits.flat_normal_G)
+        rays, weight = lobe_rays(*lobe, CORE * stratum.on_disc(use=1), hits.flat_normal_G)
         met = self._caster.next_hits(hits, rays)
         seen = lights.earth * earth_seen(rays, EARTH_EDGE * alpha, lights)
         seen[met.ray] = self._glow(met, -rays[met.ray], lights) if self._bounces else 0.0

@@ -1,7 +1,8 @@
 """Smooth interpolation over a surface between scattered points, without leaking around edges.
 
 A point counts where it is near, faces the same way, and lies in the same plane. All within reach share in
-the mean, with weights that fade to zero at its end, so that nothing jumps.
+the mean, with weights that fade to zero at its end, so that nothing jumps. Small parts that have no points of
+their own take the nearest one.
 """
 
 from dataclasses import dataclass
@@ -95,27 +96,29 @@ def _fill_cells(p: Array, low: Array, cell_m: float, shape: Ints, reach_m: float
 
 
 @njit(cache=True)
-def _cell_of(x: float, y: float, z: float, low: Array, cell_m: float, shape: Ints) -> int:
-    i, j, k = int((x - low[0]) / cell_m), int((y - low[1]) / cell_m), int((z - low[2]) / cell_m)
-    if x < low[0] or y < low[1] or z < low[2] or i >= shape[0] or j >= shape[1] or k >= shape[2]:
-        return -1
-    return int((i * shape[1] + j) * shape[2] + k)
+def _cell_of(p: Array, a: int, low: Array, cell_m: float, shape: Ints) -> int:
+    """The cell that holds p[a]; -1: outside of the grid."""
+    cell = 0
+    for k in range(3):
+        along = (p[a, k] - low[k]) / cell_m
+        if along < 0.0 or along >= shape[k]:
+            return -1
+        cell = cell * shape[k] + int(along)
+    return cell
 
 
 @njit(cache=True)
-def _weight(
-    x: float, y: float, z: float, nx: float, ny: float, nz: float, q: Array, m: Array, reach2: float
-) -> float:
-    """What a neighbour at q (3,) with normal m (3,) counts at (x, y, z) with normal (nx, ny, nz)."""
-    dx, dy, dz = x - q[0], y - q[1], z - q[2]
+def _weight(p: Array, n: Array, a: int, q: Array, m: Array, i: int, reach2: float) -> float:
+    """What the neighbour at q[i] with normal m[i] counts at p[a] with normal n[a]."""
+    dx, dy, dz = p[a, 0] - q[i, 0], p[a, 1] - q[i, 1], p[a, 2] - q[i, 2]
     square = dx * dx + dy * dy + dz * dz
     if square >= reach2:
         return 0.0
-    agreement = nx * m[0] + ny * m[1] + nz * m[2]
+    agreement = n[a, 0] * m[i, 0] + n[a, 1] * m[i, 1] + n[a, 2] * m[i, 2]
     if agreement <= LEAST_AGREEMENT:
         return 0.0
-    step = 0.5 * (abs(dx * nx + dy * ny + dz * nz) + abs(dx * m[0] + dy * m[1] + dz * m[2]))
-    square += (STEPS_COUNT * STEPS_COUNT - 1.0) * step * step
+    step = abs(dx * n[a, 0] + dy * n[a, 1] + dz * n[a, 2]) + abs(dx * m[i, 0] + dy * m[i, 1] + dz * m[i, 2])
+    square += 0.25 * (STEPS_COUNT * STEPS_COUNT - 1.0) * step * step
     if square >= reach2:
         return 0.0
     near, alike = 1.0 - square / reach2, (agreement - LEAST_AGREEMENT) / (1.0 - LEAST_AGREEMENT)
@@ -137,16 +140,15 @@ def _nearest(
 ) -> NDArray[np.int32]:
     out = np.full(len(p), -1, np.int32)
     for a in range(len(p)):
-        cell = _cell_of(p[a, 0], p[a, 1], p[a, 2], low, cell_m, shape)
+        cell = _cell_of(p, a, low, cell_m, shape)
         if cell < 0:
             continue
         best = 0.0
         for at in range(start[cell], start[cell + 1]):
-            i = member[at]
-            w = _weight(p[a, 0], p[a, 1], p[a, 2], n[a, 0], n[a, 1], n[a, 2], q[i], m[i], reach_m * reach_m)
+            w = _weight(p, n, a, q, m, member[at], reach_m * reach_m)
             if w > best:
                 best = w
-                out[a] = i
+                out[a] = member[at]
     return out
 
 
@@ -166,28 +168,44 @@ def _near(
     index = np.zeros((len(p), MOST_NEIGHBOURS), np.int32)
     weight = np.zeros((len(p), MOST_NEIGHBOURS), np.float32)
     for a in range(len(p)):
-        cell = _cell_of(p[a, 0], p[a, 1], p[a, 2], low, cell_m, shape)
+        cell = _cell_of(p, a, low, cell_m, shape)
         if cell < 0:
             continue
-        total, slot, used = 0.0, 0, 0
+        total, used = 0.0, 0
         for at in range(start[cell], start[cell + 1]):
-            i = member[at]
-            w = _weight(p[a, 0], p[a, 1], p[a, 2], n[a, 0], n[a, 1], n[a, 2], q[i], m[i], reach_m * reach_m)
+            w = _weight(p, n, a, q, m, member[at], reach_m * reach_m)
             if w <= 0.0:
                 continue
-            if used < MOST_NEIGHBOURS:
-                slot = used
-                used += 1
-            else:
-                slot = int(np.argmin(weight[a]))
+            slot = used
+            if used == MOST_NEIGHBOURS:
+                slot = 0
+                for k in range(1, MOST_NEIGHBOURS):
+                    if weight[a, k] < weight[a, slot]:
+                        slot = k
                 if weight[a, slot] >= w:
                     continue
                 total -= weight[a, slot]
-            index[a, slot], weight[a, slot] = i, w
+            else:
+                used += 1
+            index[a, slot], weight[a, slot] = member[at], w
             total += w
-        if used > 0:
-            weight[a] /= total
+        for k in range(used):
+            weight[a, k] /= total
+        if used == 0:
+            index[a, 0], weight[a, 0] = _next_best(p, n, a, q, m, member[start[cell] : start[cell + 1]])
     return index, weight
+
+
+@njit(cache=True)
+def _next_best(p: Array, n: Array, a: int, q: Array, m: Array, member: Ints) -> tuple[int, float]:
+    """Where no point counts: the nearest that faces the same half of space, and 1; 0 if there is none."""
+    nearest, found, share = np.inf, 0, 0.0
+    for i in member:
+        square = (p[a, 0] - q[i, 0]) ** 2 + (p[a, 1] - q[i, 1]) ** 2 + (p[a, 2] - q[i, 2]) ** 2
+        facing = n[a, 0] * m[i, 0] + n[a, 1] * m[i, 1] + n[a, 2] * m[i, 2]
+        if facing > 0.0 and square < nearest:
+            nearest, found, share = square, i, 1.0
+    return found, share
 
 
 @njit(cache=True)

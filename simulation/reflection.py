@@ -82,58 +82,53 @@ def earth_seen(directions_G: Array, alpha: Array, lights: Lights) -> Array:
 
 @njit(cache=True)
 def lobe_ray(
-    n: Array, v: Array, alpha: float, f0: float, radius2: float, angle: float
+    n: Array, v: Array, alpha: float, f0: float, right: float, up: float
 ) -> tuple[float, float, float, float]:
     """A mirrored direction (x, y, z) from the lobe of normal n and viewer v (3,), and its weight, at most 1.
 
-    radius2 in [0, 1) and angle [rad]: the place in the lobe. Heitz, "Sampling the GGX distribution of visible
-    normals", JCGT 2018.
+    right and up: the place in the lobe, on the unit disc. Heitz, "Sampling the GGX distribution of visible
+    normals", JCGT 2018, in the frame of the normal and the viewer: x towards the viewer, z along n.
     """
-    # A frame around the normal: Duff et al., "Building an orthonormal basis, revisited", JCGT 2017.
-    sign = 1.0 if n[2] >= 0.0 else -1.0
-    a = -1.0 / (sign + n[2])
-    b = n[0] * n[1] * a
-    x0, x1, x2 = 1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]
-    y0, y1, y2 = b, sign + n[1] * n[1] * a, -n[1]
-    vx, vy = x0 * v[0] + x1 * v[1] + x2 * v[2], y0 * v[0] + y1 * v[1] + y2 * v[2]
-    vz = max(n[0] * v[0] + n[1] * v[1] + n[2] * v[2], 1e-3)
+    vz = min(max(n[0] * v[0] + n[1] * v[1] + n[2] * v[2], 1e-3), 1.0)
+    vx = np.sqrt(1.0 - vz * vz)
     # The visible normals of a hemisphere, stretched by alpha.
-    length = np.sqrt(alpha * alpha * (vx * vx + vy * vy) + vz * vz)
-    sx, sy, sz = alpha * vx / length, alpha * vy / length, vz / length
-    flat = np.sqrt(sx * sx + sy * sy)
-    t1x, t1y = (-sy / flat, sx / flat) if flat > 1e-9 else (1.0, 0.0)
-    t2x, t2y, t2z = -sz * t1y, sz * t1x, sx * t1y - sy * t1x
-    r = np.sqrt(radius2)
-    p1, p2 = r * np.cos(angle), r * np.sin(angle)
-    side = 0.5 * (1.0 + sz)
-    p2 = (1.0 - side) * np.sqrt(max(1.0 - p1 * p1, 0.0)) + side * p2
-    p3 = np.sqrt(max(1.0 - p1 * p1 - p2 * p2, 0.0))
-    hx, hy = alpha * (p1 * t1x + p2 * t2x + p3 * sx), alpha * (p1 * t1y + p2 * t2y + p3 * sy)
-    hz = max(p2 * t2z + p3 * sz, 1e-6)
+    length = np.sqrt(alpha * alpha * vx * vx + vz * vz)
+    sx, sz = alpha * vx / length, vz / length
+    up = 0.5 * (1.0 - sz) * np.sqrt(max(1.0 - right * right, 0.0)) + 0.5 * (1.0 + sz) * up
+    out = np.sqrt(max(1.0 - right * right - up * up, 0.0))
+    hx, hy, hz = alpha * (out * sx - up * sz), alpha * right, max(out * sz + up * sx, 1e-6)
     length = np.sqrt(hx * hx + hy * hy + hz * hz)
     hx, hy, hz = hx / length, hy / length, hz / length
-    v_h = vx * hx + vy * hy + vz * hz
-    lx, ly, lz = 2.0 * v_h * hx - vx, 2.0 * v_h * hy - vy, 2.0 * v_h * hz - vz
+    v_h = vx * hx + vz * hz
+    lx, ly, lz = 2.0 * v_h * hx - vx, 2.0 * v_h * hy, 2.0 * v_h * hz - vz
     weight = 0.0
     if lz > 0.0 and v_h > 0.0:
         a2 = alpha * alpha
         to_v, to_l = np.sqrt(a2 + (1.0 - a2) * vz * vz), np.sqrt(a2 + (1.0 - a2) * lz * lz)
-        fresnel = f0 + (1.0 - f0) * (1.0 - min(v_h, 1.0)) ** 5
+        dark = 1.0 - min(v_h, 1.0)
+        fresnel = f0 + (1.0 - f0) * dark * dark * dark * dark * dark
         weight = fresnel * lz * (vz + to_v) / (vz * to_l + lz * to_v)
+    x0, x1, x2 = v[0] - vz * n[0], v[1] - vz * n[1], v[2] - vz * n[2]
+    if vx < 1e-4:
+        # Seen from right above: any direction across n.
+        x0, x1, x2 = (0.0, n[2], -n[1]) if abs(n[0]) < 0.7 else (-n[2], 0.0, n[0])
+    length = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+    x0, x1, x2 = x0 / length, x1 / length, x2 / length
+    y0, y1, y2 = n[1] * x2 - n[2] * x1, n[2] * x0 - n[0] * x2, n[0] * x1 - n[1] * x0
     return lx * x0 + ly * y0 + lz * n[0], lx * x1 + ly * y1 + lz * n[1], lx * x2 + ly * y2 + lz * n[2], weight
 
 
 @njit(cache=True)
 def lobe_rays(
-    normal: Array, to_viewer: Array, alpha: Array, f0: Array, radius2: Array, angle: Array, horizon: Array
+    normal: Array, to_viewer: Array, alpha: Array, f0: Array, place: Array, horizon: Array
 ) -> tuple[Array, Array]:
-    """One ``lobe_ray`` a hit: directions (n, 3), weights (n,).
+    """One ``lobe_ray`` a hit, at places (n, 2): directions (n, 3), weights (n,).
 
     What would go below the surface, of normals ``horizon`` (n, 3), is mirrored up: bent normals do that.
     """
     out, weight = np.empty((len(normal), 3)), np.empty(len(normal))
     for i in range(len(normal)):
-        x, y, z, weight[i] = lobe_ray(normal[i], to_viewer[i], alpha[i], f0[i], radius2[i], angle[i])
+        x, y, z, weight[i] = lobe_ray(normal[i], to_viewer[i], alpha[i], f0[i], place[i, 0], place[i, 1])
         below = 2.0 * min(x * horizon[i, 0] + y * horizon[i, 1] + z * horizon[i, 2], 0.0)
         out[i, 0] = x - below * horizon[i, 0]
         out[i, 1] = y - below * horizon[i, 1]

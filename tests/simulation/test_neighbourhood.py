@@ -46,6 +46,15 @@ def test_a_step_to_a_parallel_plane_does_not_count() -> None:
     assert around.near(_grid(0.0), _facing(UP, 441)).mean(upper).max() == 0.0
 
 
+def test_a_place_without_points_takes_the_nearest_that_faces_the_same_half() -> None:
+    points = np.concatenate([_grid(0.0), _grid(-0.01)])
+    around = Neighbourhood(points, np.concatenate([_facing(UP, 441), _facing(-UP, 441)]), 0.025)
+    tilted = np.array([[0.98, 0.0, 0.2]])
+    near = around.near(np.array([[0.1, 0.1, 0.012]]), tilted)
+    assert near.weight.tolist() == [[1.0] + 11 * [0.0]]
+    np.testing.assert_allclose(points[near.index[0, 0]], [0.1, 0.1, 0.0])
+
+
 def test_nothing_near_is_told_and_has_no_value() -> None:
     points = _grid()
     around = Neighbourhood(points, _facing(UP, 441), 0.025)
