@@ -2,9 +2,9 @@
 
 Paint, foil and cells follow the solar absorptances of spacecraft materials in Gilmore, "Spacecraft Thermal
 Control Handbook", 2002, appendix A (absorptance + reflectance = 1; white silicate paint 0.15-0.2, black Z306
-0.95, aluminised Kapton 0.35-0.4, aluminium foil 0.1-0.15, cells under cover glass 0.85-0.92); the metals follow
-their Fresnel reflectance at normal incidence, less what an oxide and dirt take. The diffuse part that the light
-sees is ``albedo * (1 - specular)``. Lengths of the textures hold for a body of 0.3 m and grow with it.
+0.95, aluminised Kapton 0.35-0.4, aluminium foil 0.1-0.15, cells under glass 0.85-0.92). The metals follow
+their Fresnel reflectance at normal incidence, less what an oxide and dirt take. The diffuse part that light
+meets is ``albedo * (1 - specular)``. Lengths of the textures hold for a body of 0.3 m and grow with it.
 """
 
 from dataclasses import dataclass, fields
@@ -116,7 +116,7 @@ class MaterialTable:
         """Material index (n,), points and normals (n, 3) -> Surface.
 
         drawn_albedo (n,) replaces the material's mean reflectance where it is not NaN (stickers); slope_G
-        (n, 3) is the gradient of a drawn relief; ``ground`` (n,) is the material that lends its mean reflectance
+        (n, 3) is the gradient of a drawn relief; ``ground`` (n,) is the material whose mean reflectance shows
         where the contrast is below 1.
         """
         n = len(material)

@@ -51,8 +51,8 @@ def whip(length_m: float, radius_m: float) -> list[Part]:
 def horn(size_m: float) -> list[Part]:
     """A conical horn with corrugations; size_m is its height."""
     s = size_m
-    outer = [(0, -0.05 * s), (0.16 * s, -0.05 * s), (0.16 * s, 0.2 * s), (0.32 * s, 0.7 * s), (0.35 * s, 0.72 * s),
-             (0.35 * s, 0.78 * s), (0.4 * s, s)]  # fmt: skip
+    outer = [(0, -0.05 * s), (0.16 * s, -0.05 * s), (0.16 * s, 0.2 * s), (0.32 * s, 0.7 * s),
+             (0.35 * s, 0.72 * s), (0.35 * s, 0.78 * s), (0.4 * s, s)]  # fmt: skip
     inner = [(0.375 * s, s), (0.28 * s, 0.66 * s), (0.12 * s, 0.25 * s), (0, 0.25 * s)]
     return [Part(revolve([*outer, *inner], 32).mesh, ANODISED, name="antenna")]
 
@@ -60,7 +60,7 @@ def horn(size_m: float) -> list[Part]:
 def paraboloid(diameter_m: float, focal_m: float, wall_m: float, sections: int, steps: int) -> Revolved:
     """A dish around z that opens towards +z, its front's vertex at the origin, its rim turned back.
 
-    Points 0 .. steps of the profile are the back from the axis to the rim, the last steps + 1 the front inwards.
+    Points 0 .. steps of the profile are the back from the axis to the rim, the last steps + 1 the front.
     """
     r = np.linspace(0.0, 0.5 * diameter_m, steps + 1)
     front = np.column_stack([r, r * r / (4.0 * focal_m)])

@@ -17,8 +17,8 @@ SUBDIVISIONS = 6
 def asteroid_parts(size_m: float, rng: np.random.Generator, subdivisions: int = SUBDIVISIONS) -> list[Part]:
     """One part, as large as a sphere of diameter size_m [m]; G is not aligned with the longest axis.
 
-    Seeds differ in shape (ellipsoid, two lobes, spinning top) and in cover: from smooth and cratered to a pile of
-    boulders.
+    Seeds differ in shape (ellipsoid, two lobes, spinning top) and in cover, from smooth and cratered to a
+    pile of boulders.
     """
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     direction = np.ascontiguousarray(sphere.vertices)

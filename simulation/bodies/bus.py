@@ -11,8 +11,8 @@ from simulation.bodies.deck import Deck, decks_of_box
 from simulation.bodies.fittings import fit_out
 from simulation.bodies.part import Part
 from simulation.bodies.propulsion import engine, thruster
-from simulation.bodies.solids import box, pose, revolve
-from simulation.bodies.studio import Studio
+from simulation.bodies.solids import box, frame, pose, revolve
+from simulation.bodies.studio import Studio, sheet_by_side
 from simulation.bodies.wing import solar_wing
 from simulation.materials import ANODISED, FOIL_BLACK, FOIL_GOLD, FOIL_SILVER, Material
 
@@ -42,15 +42,8 @@ def _hull(box_m: Array, foil: Material, studio: Studio) -> Part:
         artist.blanket(), artist.blanket(), artist.blanket(), artist.radiator(),
         artist.panel(float(rng.choice([0.3, 0.65])), 0.7), artist.machined_plate(),
     ]  # fmt: skip
-    order = rng.permutation(6)
-
-    def draw(normal: Array) -> Draw | None:
-        if np.abs(normal).max() < 0.9:
-            return None
-        axis = int(np.argmax(np.abs(normal)))
-        return sheets[order[2 * axis + int(normal[axis] > 0)]]
-
-    return studio.faced(box(box_m, bevel=0.02), foil, draw, "box", 1.5, by_normal=True)
+    rng.shuffle(sheets)
+    return studio.faced_by(box(box_m, bevel=0.02), foil, sheet_by_side(sheets), "box", 1.5)
 
 
 def _wings(box_m: Array, size_m: float, studio: Studio) -> list[Part]:
@@ -62,11 +55,8 @@ def _wings(box_m: Array, size_m: float, studio: Studio) -> list[Part]:
     parts = []
     for side in sides:
         wing = solar_wing(studio, length, width, 0.014 * size_m, panels, 0.22 * size_m, cell)
-        X = np.eye(4)
-        front = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
-        X[:3, 0], X[:3, 2] = [0.0, side, 0.0], front
-        X[:3, 1] = np.cross(X[:3, 2], X[:3, 0])
-        X[:3, 3] = [0.0, side * 0.5 * box_m[1], 0.0]
+        front = [np.sin(tilt), 0.0, np.cos(tilt)]
+        X = frame([0.0, side, 0.0], front, [0.0, side * 0.5 * box_m[1], 0.0])
         parts += [part.moved(X) for part in wing]
     return parts
 

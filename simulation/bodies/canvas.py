@@ -140,11 +140,11 @@ def charts_around(
             place = _panel_axes(lower_m, upper_m, k, sections)
             origin = place[0] - 0.5 * (size[1] - 1) * texel_m * place[1] - 0.5 * texel_m * place[2]
             where = (u + np.float32(k * across), v)
-            own_slope = (
-                None if steep is None else np.rint(cv2.remap(steep, *where, cv2.INTER_LINEAR)).astype(np.int8)
-            )
-            own_layer = None if layers is None else cv2.remap(layers, *where, cv2.INTER_NEAREST)
-            flat = cv2.remap(painted, *where, cv2.INTER_LINEAR)
+            flat = _sliced(painted, where, cv2.INTER_LINEAR)
+            own_slope = None if steep is None else np.rint(_sliced(steep, where, cv2.INTER_LINEAR))
+            own_layer = None if layers is None else _sliced(layers, where, cv2.INTER_NEAREST)
+            if own_slope is not None:
+                own_slope = own_slope.astype(np.int8)
             chart = Chart(origin, place[1], place[2], texel_m, flat, own_slope, own_layer, materials)
             charts.append((chart, faces[faces >= 0]))
     return tuple(charts)
@@ -173,6 +173,11 @@ def _finished(
 def _wrapped(sheet: NDArray[Any]) -> NDArray[Any]:
     """The sheet with some of its other end on either side."""
     return np.concatenate([sheet[:, -MARGIN:], sheet, sheet[:, :MARGIN]], axis=1)
+
+
+def _sliced(sheet: NDArray[Any], where: tuple[NDArray[Any], NDArray[Any]], how: int) -> NDArray[Any]:
+    """The sheet at columns and rows (h, w) each."""
+    return np.asarray(cv2.remap(sheet, *where, how))
 
 
 MARGIN = 4

@@ -13,7 +13,7 @@ from simulation.bodies.equipment import camera_lens, electronics_box, star_track
 from simulation.bodies.part import Part
 from simulation.bodies.propulsion import thruster
 from simulation.bodies.solids import box, drum, pose, tube
-from simulation.bodies.studio import Studio
+from simulation.bodies.studio import Studio, sheet_by_side
 from simulation.materials import ANODISED, BRUSHED_METAL, COMPOSITE, PAINT_BLACK, PAINT_GREY, SOLAR_CELL
 
 FORMS = ((1, 1, 1.0), (1, 1, 1.5), (1, 1, 2.0), (1, 1, 3.0), (1, 1, 3.0), (2, 1, 3.0))
@@ -54,14 +54,9 @@ def _core(form: _Form, studio: Studio) -> Part:
     order = rng.permutation(4)
     end = artist.machined_plate() if rng.random() < 0.5 else artist.panel(0.12, 1.3)
 
-    def draw(normal: Array) -> Draw | None:
-        axis = int(np.argmax(np.abs(normal)))
-        if abs(normal[axis]) < 0.9:
-            return None
-        return end if axis == 2 else sheets[order[2 * axis + int(normal[axis] > 0)]]
-
     core = box(form.sides_m - 0.05 * form.unit_m, bevel=0.01)
-    return studio.faced(core, SOLAR_CELL, draw, "core", by_normal=True, down_G=np.array([0, 0, -1.0]))
+    sides = sheet_by_side([*(sheets[k] for k in order), end, end])
+    return studio.faced_by(core, SOLAR_CELL, sides, "core", down_G=np.array([0, 0, -1.0]))
 
 
 def _rails(form: _Form) -> list[Part]:
@@ -114,10 +109,10 @@ def _ends(form: _Form, decks: dict[str, Deck], studio: Studio) -> list[Part]:
         parts += deck.place(partial(sun_sensor, 0.13 * u), 0.09 * u, rng)
         parts += deck.place(partial(electronics_box, studio, 0.26 * u, 0.18 * u, 0.07 * u), 0.18 * u, rng)
     plunger = drum(0.02 * u, 0.12 * u, 10)
+    corner = 0.5 * (form.sides_m - 0.085 * u)
     for sign in (-1.0, 1.0):
-        at = pose([0, 0, -1.0], [sign * 0.5 * (form.sides_m[0] - 0.085 * u), sign * 0.5 * (form.sides_m[1] - 0.085 * u),
-                                 -0.5 * form.sides_m[2] - 0.04 * u])  # fmt: skip
-        parts.append(Part(plunger, BRUSHED_METAL, name="plunger").moved(at))
+        at = [sign * corner[0], sign * corner[1], -0.5 * form.sides_m[2] - 0.04 * u]
+        parts.append(Part(plunger, BRUSHED_METAL, name="plunger").moved(pose([0, 0, -1.0], at)))
     return parts
 
 
@@ -184,10 +179,8 @@ def _wings(form: _Form, studio: Studio) -> list[Part]:
         def draw(normal: Array) -> Draw | None:
             return cells if normal[1] < -0.9 else back if normal[1] > 0.9 else None
 
-        sheet = studio.faced(
-            board, COMPOSITE, draw, "wing", 0.6, by_normal=True, down_G=np.array([0, 0, -1.0])
-        )
-        # The hinge lies at the lower end of the box; folded, the board stands along +z with its cells outward.
+        sheet = studio.faced_by(board, COMPOSITE, draw, "wing", 0.6, down_G=np.array([0, 0, -1.0]))
+        # The hinge lies at the lower end of the box; folded, the board stands along +z, its cells outward.
         fold = np.eye(4)
         fold[:3, 0], fold[:3, 1], fold[:3, 2] = wide, -side, [0, 0, 1.0]
         fold[:3, 3] = 0.5 * length * np.array([0, 0, 1.0])

@@ -7,7 +7,7 @@ import numpy as np
 
 from polhode.lie import Array
 from simulation.bodies.part import Part
-from simulation.bodies.solids import pose
+from simulation.bodies.solids import frame, pose
 
 
 @dataclass
@@ -41,7 +41,7 @@ class Deck:
         return [part.moved(X) for part in parts]
 
     def place(self, make: Callable[[], list[Part]], radius_m: float, rng: np.random.Generator) -> list[Part]:
-        """What ``make`` gives, wherever there is room, turned by a multiple of 90 degrees; nothing without."""
+        """What ``make`` gives, wherever there is room, turned by 0 to 270 degrees; else nothing."""
         at = self.find(radius_m, rng)
         return [] if at is None else self.put(make(), *at, turn=float(rng.integers(4)) * np.pi / 2)
 
@@ -53,9 +53,7 @@ def decks_of_box(size_m: Array, centre_G: Array) -> dict[str, Deck]:
         for sign in (1.0, -1.0):
             z = sign * np.eye(3)[axis]
             x = np.eye(3)[(axis + 1) % 3]
-            X = np.eye(4)
-            X[:3, 0], X[:3, 1], X[:3, 2] = x, np.cross(z, x), z
-            X[:3, 3] = centre_G + 0.5 * size_m[axis] * z
+            X = frame(x, z, centre_G + 0.5 * size_m[axis] * z)
             name = ("+" if sign > 0 else "-") + "xyz"[axis]
             decks[name] = Deck(X, float(size_m[(axis + 1) % 3]), float(size_m[(axis + 2) % 3]))
     return decks

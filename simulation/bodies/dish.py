@@ -7,8 +7,8 @@ from simulation.bodies.canvas import Draw
 from simulation.bodies.deck import decks_of_box
 from simulation.bodies.fittings import fit_out
 from simulation.bodies.part import Part
-from simulation.bodies.solids import box, drum, pose, revolve, strut, tube
-from simulation.bodies.studio import Studio
+from simulation.bodies.solids import box, drum, frame, pose, revolve, strut, tube
+from simulation.bodies.studio import Studio, sheet_by_side
 from simulation.bodies.wing import solar_wing
 from simulation.materials import (
     ANODISED,
@@ -70,7 +70,7 @@ def _reflector(studio: Studio, size_m: float, focal: float, gores: int) -> list[
 
 
 def _feed(studio: Studio, size_m: float, focal: float) -> list[Part]:
-    """Three or four struts that hold a horn at the focus, or a secondary mirror before a horn at the vertex."""
+    """Struts that hold a horn at the focus, or a secondary mirror before a horn at the vertex."""
     rng = studio.rng
     legs = int(rng.integers(3, 5))
     start = float(rng.uniform(0, 2))
@@ -86,12 +86,11 @@ def _feed(studio: Studio, size_m: float, focal: float) -> list[Part]:
         shoe.apply_transform(pose(b - a, a - 0.004 * (b - a)))
         parts.append(Part(shoe, BRUSHED_METAL, name="feed"))
     if rng.random() < 0.5:
-        r = 0.085 * size_m
-        mirror = revolve([(0, top - 0.035 * size_m), (0.6 * r, top - 0.02 * size_m), (r, top + 0.012 * size_m),
-                          (r, top + 0.025 * size_m), (0, top + 0.045 * size_m)], 40)  # fmt: skip
-        horn = revolve([(0, -0.02 * size_m), (0.04 * size_m, -0.02 * size_m), (0.045 * size_m, 0.1 * size_m),
-                        (0.065 * size_m, 0.17 * size_m), (0.06 * size_m, 0.17 * size_m),
-                        (0.035 * size_m, 0.1 * size_m), (0, 0.1 * size_m)], 36)  # fmt: skip
+        d, r = size_m, 0.085 * size_m
+        mirror = revolve([(0, top - 0.035 * d), (0.6 * r, top - 0.02 * d), (r, top + 0.012 * d),
+                          (r, top + 0.025 * d), (0, top + 0.045 * d)], 40)  # fmt: skip
+        horn = revolve([(0, -0.02 * d), (0.04 * d, -0.02 * d), (0.045 * d, 0.1 * d), (0.065 * d, 0.17 * d),
+                        (0.06 * d, 0.17 * d), (0.035 * d, 0.1 * d), (0, 0.1 * d)], 36)  # fmt: skip
         return [*parts, Part(mirror.mesh, PAINT_WHITE, name="feed"), Part(horn.mesh, ANODISED, name="feed")]
     can = box([0.1 * size_m, 0.1 * size_m, 0.09 * size_m], bevel=0.08)
     can.apply_translation([0, 0, top + 0.03 * size_m])
@@ -125,17 +124,10 @@ def _bus(studio: Studio, size_m: float, hub: float) -> list[Part]:
     middle = np.array([0.0, 0.0, -hub - 0.5 * sides[2]])
     foil = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(3))]
     sheets = [artist.blanket(), artist.panel(0.35, 0.8), artist.radiator(), artist.blanket()]
-    order = rng.permutation(6)
-
-    def draw(normal: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Draw | None:
-        axis = int(np.argmax(np.abs(normal)))
-        if abs(normal[axis]) < 0.9:
-            return None
-        return sheets[order[2 * axis + int(normal[axis] > 0)] % 4]
-
+    order = rng.permutation(6) % 4
     hull = box(sides, bevel=0.025)
     hull.apply_translation(middle)
-    parts = [studio.faced(hull, foil, draw, "box", 1.5, by_normal=True)]
+    parts = [studio.faced_by(hull, foil, sheet_by_side([sheets[k] for k in order]), "box", 1.5)]
     decks = decks_of_box(sides, middle)
     wings = [1.0] if rng.random() < 0.55 else [1.0, -1.0]
     tilt, cell = float(rng.uniform(-1.2, 1.2)), int(rng.integers(34, 56))
@@ -145,10 +137,8 @@ def _bus(studio: Studio, size_m: float, hub: float) -> list[Part]:
         size_m * float(rng.uniform(0.24, 0.36)),
     )
     for side in wings:
-        X = np.eye(4)
-        X[:3, 0], X[:3, 2] = [side, 0, 0], [0, np.sin(tilt), np.cos(tilt)]
-        X[:3, 1] = np.cross(X[:3, 2], X[:3, 0])
-        X[:3, 3] = middle + [0.5 * side * sides[0], 0, -0.1 * sides[2]]
+        root = middle + np.array([0.5 * side * sides[0], 0, -0.1 * sides[2]])
+        X = frame([side, 0, 0], [0, np.sin(tilt), np.cos(tilt)], root)
         wing = solar_wing(studio, length, width, 0.008 * size_m, panels, 0.1 * size_m, cell)
         parts += [part.moved(X) for part in wing]
         decks["+x" if side > 0 else "-x"].reserve(0, 0, 0.1 * size_m)

@@ -142,7 +142,7 @@ def cable(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], radius_m: f
 
 
 def hexagonal_can(studio: Studio, size_m: float) -> list[Part]:
-    """A six-sided canister with a lid: a reaction wheel or a tape drive, whatever the seed says on its label."""
+    """A six-sided canister with a lid."""
     angle = np.arange(6) * np.pi / 3
     outline = 0.5 * size_m * np.column_stack([np.cos(angle), np.sin(angle)])
     height = size_m * float(studio.rng.uniform(0.4, 0.8))

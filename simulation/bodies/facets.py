@@ -103,6 +103,5 @@ def _rims(mesh: trimesh.Trimesh, labels: Ints, same: Bools, smooth: Bools) -> tu
     count = len(rim)
     inner = np.bincount(one[same], weights=2.0 * edge[same], minlength=count)
     bent = smooth & ~same
-    soft = np.bincount(one[bent], weights=edge[bent], minlength=count)
-    soft += np.bincount(other[bent], weights=edge[bent], minlength=count)
-    return rim - inner, soft
+    soft = np.bincount(np.r_[one[bent], other[bent]], weights=np.r_[edge[bent], edge[bent]], minlength=count)
+    return np.asarray(rim - inner, np.float64), np.asarray(soft, np.float64)

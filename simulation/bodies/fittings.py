@@ -29,8 +29,8 @@ def fit_out(deck: Deck, size_m: float, studio: Studio, boxes: int, small: int) -
     parts = []
     for _ in range(boxes):
         w, d, h = s * rng.uniform((0.12, 0.12, 0.05), (0.26, 0.26, 0.1))
-        make = partial(electronics_box, studio, w, d, h)
-        parts += deck.place(make, 0.6 * float(np.hypot(w, d)), rng)
+        boxed = partial(electronics_box, studio, w, d, h)
+        parts += deck.place(boxed, 0.6 * float(np.hypot(w, d)), rng)
     for _ in range(small):
         make, radius = _small_thing(s, studio)
         parts += deck.place(make, radius, rng)

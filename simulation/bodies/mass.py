@@ -59,7 +59,7 @@ def _is_solid(mesh: trimesh.Trimesh) -> bool:
         return False
     a, b, c = (mesh.triangles[:, k] for k in range(3))
     volume = float(np.einsum("fk,fk->", np.cross(a, b), c)) / 6.0
-    return abs(volume) > 1e-9 * mesh.area**1.5
+    return bool(abs(volume) > 1e-9 * mesh.area**1.5)
 
 
 def _solid(name: str, mesh: trimesh.Trimesh, factor: float) -> PartMass:

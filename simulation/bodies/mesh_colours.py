@@ -7,7 +7,7 @@ vertex colours of GLB are linear as its specification says; those of the other f
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
@@ -62,10 +62,10 @@ def _varying(corners: Array) -> Look:
     return Look(colours=FileColours(corners, absent.face_image, absent.corner_uv))
 
 
-def _grey(colours: Array, encoded: bool) -> Array:
+def _grey(colours: ArrayLike, encoded: bool) -> Array:
     """Colours (n, 3 or 4), bytes or numbers in [0, 1] -> reflectance (n,)."""
     values = np.asarray(colours)
-    scale = 1.0 if np.issubdtype(values.dtype, np.floating) else float(np.iinfo(values.dtype).max)
+    scale = 255.0 if values.dtype == np.uint8 else 65535.0 if values.dtype == np.uint16 else 1.0
     return linear_grey(np.atleast_2d(values)[:, :3] / scale, encoded)
 
 

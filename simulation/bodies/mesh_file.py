@@ -45,7 +45,8 @@ def _parts_of_piece(piece: FilePiece, look: Look, stem: str, first: bool, studio
         return [_dressed_part(piece.mesh, material_with_look(named, look), piece.label, studio)]
     parts = []
     for order, faces in enumerate(_islands(piece.mesh)):
-        island = piece.mesh.submesh([faces], append=True, repair=False)
+        island = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces[faces], process=False)
+        island.remove_unreferenced_vertices()
         if _is_rock(island):
             material = REGOLITH
         elif order < MOST_PIECES:

@@ -1,4 +1,4 @@
-"""Materials for the pieces of a mesh file: by what the file calls them, by what it says of gloss, by chance."""
+"""Materials for the pieces of a mesh file: by their names, by what the file says of gloss, by chance."""
 
 import re
 from dataclasses import replace
@@ -38,7 +38,7 @@ NAMES: tuple[tuple[str, Material], ...] = (
 )
 """The first pattern that is found in a piece's name, in any case of letters, decides."""
 CHOICES = (WORN_PANEL, WORN_PANEL, PAINT_WHITE, PAINT_GREY, BRUSHED_METAL)
-"""Materials of separate pieces without a telling name; the largest is always a worn panel, which has texture."""
+"""Materials of separate pieces without a telling name; the largest is a worn panel, which has texture."""
 
 
 def material_by_name(name: str) -> Material | None:

@@ -71,7 +71,7 @@ def _geometries(path: Path) -> list[tuple[str, str, trimesh.Trimesh]]:
                 if mesh.faces.max() >= len(mesh.vertices) or mesh.faces.min() < 0:
                     raise ValueError("faces refer to vertices that do not exist")
                 material = getattr(getattr(mesh.visual, "material", None), "name", None)
-                name = " ".join(dict.fromkeys(filter(None, (node, geometry, material))))
+                name = " ".join(dict.fromkeys(str(n) for n in (node, geometry, material) if n))
                 found.append((str(geometry), name, mesh.copy().apply_transform(X)))
         return found
     # Parsers of other people's files fail in ways that no list of exceptions covers.
@@ -100,8 +100,8 @@ def _load(path: Path) -> trimesh.Scene:
     )
 
 
-class _MaterialNames(FilePathResolver):  # type: ignore[misc]
-    """Files beside an OBJ; where its material library is absent, one with the bare names that the OBJ uses."""
+class _MaterialNames(FilePathResolver):
+    """Files beside an OBJ; where its material library is absent, one with the names that the OBJ uses."""
 
     def __init__(self, path: Path, names: list[bytes]) -> None:
         super().__init__(str(path))

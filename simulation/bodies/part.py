@@ -140,7 +140,7 @@ def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
 
 
 def gathered(parts: list[Part]) -> list[Part]:
-    """The parts, with those that differ in their mesh alone made one: few large meshes are quick to handle."""
+    """The parts, with those that differ in their mesh alone made one: few large meshes are quick."""
     alike: dict[tuple[str, Material, float], list[Part]] = {}
     kept = []
     for part in parts:

@@ -54,26 +54,26 @@ def thruster_block(studio: Studio, size_m: float) -> list[Part]:
 
 
 def engine(studio: Studio, exit_m: float, length_m: float) -> list[Part]:
-    """A main engine with the throat at z = 0: bell, chamber, pumps, feed lines, gimbal struts up to z = -0.5 length.
+    """A main engine with the throat at z = 0: bell, chamber, pumps, feed lines, gimbal struts.
 
-    exit_m is the radius of the exit, length_m that of the bell.
+    exit_m is the radius of the exit, length_m the length of the bell; all ends at z = -length_m / 2.
     """
     rng = studio.rng
     throat = 0.2 * exit_m
     solid = bell(throat, exit_m, length_m, 0.022 * exit_m, 56, 11)
     # Points 3 .. 13 of the profile are the outer skin from the throat down to the exit.
     parts = [studio.wrapped(solid, [(3, 13, studio.artist.nozzle_wall())], DARK_METAL, "nozzle", 2.0)]
-    chamber = revolve([(0, -0.5 * length_m), (1.3 * throat, -0.5 * length_m), (1.9 * throat, -0.42 * length_m),
-                       (1.9 * throat, -0.22 * length_m), (1.1 * throat, -0.04 * length_m),
-                       (0, -0.04 * length_m)], 32).mesh  # fmt: skip
+    t, ell = throat, length_m
+    chamber = revolve([(0, -0.5 * ell), (1.3 * t, -0.5 * ell), (1.9 * t, -0.42 * ell), (1.9 * t, -0.22 * ell),
+                       (1.1 * t, -0.04 * ell), (0, -0.04 * ell)], 32).mesh  # fmt: skip
     parts.append(Part(chamber, DARK_METAL, name="engine", density_factor=2.0))
     for angle in rng.uniform(0, 2 * np.pi) + np.array([0.0, 2.2, 4.0]):
         out = np.array([np.cos(angle), np.sin(angle), 0.0])
         pump = drum(0.9 * throat, 0.3 * length_m, 20, bevel=0.25)
         pump.apply_transform(pose([0, 0, 1.0], 2.6 * throat * out + [0, 0, -0.48 * length_m]))
         parts.append(Part(pump, BRUSHED_METAL if rng.random() < 0.6 else PAINT_BLACK, name="engine"))
-        line = [2.6 * throat * out + [0, 0, -0.2 * length_m], 2.7 * throat * out + [0, 0, -0.1 * length_m],
-                2.0 * throat * out + [0, 0, 0.02 * length_m], 1.0 * throat * out + [0, 0, 0.06 * length_m]]  # fmt: skip
+        line = np.array([2.6, 2.7, 2.0, 1.0])[:, None] * t * out
+        line[:, 2] = np.array([-0.2, -0.1, 0.02, 0.06]) * ell
         parts.append(Part(tube(line, 0.22 * throat, 10), BRUSHED_METAL, name="engine"))
         foot = 4.2 * throat * out + [0, 0, -0.5 * length_m]
         parts.append(

@@ -49,7 +49,7 @@ def box(extents: ArrayLike, bevel: float = 0.06) -> trimesh.Trimesh:
 
 
 def _box_corners() -> tuple[Array, Array]:
-    """Octant (24, 3) of each corner of a bevelled box, and 1 (24, 3) along the axes in which it is set back."""
+    """Octant (24, 3) of each corner of a bevelled box, and (24, 3) 1 along axes in which it is set back."""
     octants = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
     return np.repeat(octants, 3, axis=0), np.tile(1.0 - np.eye(3), (8, 1))
 
@@ -172,6 +172,14 @@ def tube(path: ArrayLike, radius: float, sections: int = 8) -> trimesh.Trimesh:
 def strut(start: ArrayLike, end: ArrayLike, radius: float, sections: int = 8) -> trimesh.Trimesh:
     """A straight round bar between two points [m]."""
     return tube([np.asarray(start), np.asarray(end)], radius, sections)
+
+
+def frame(x_G: ArrayLike, z_G: ArrayLike, position_G: ArrayLike) -> Array:
+    """Pose (4, 4) of a frame with these x and z axes (3,), unit and square to each other."""
+    x, z = np.asarray(x_G, dtype=np.float64), np.asarray(z_G, dtype=np.float64)
+    X = np.eye(4)
+    X[:3, 0], X[:3, 1], X[:3, 2], X[:3, 3] = x, np.cross(z, x), z, position_G
+    return X
 
 
 def pose(direction_G: ArrayLike, position_G: ArrayLike, turn: float = 0.0) -> Array:

@@ -1,6 +1,6 @@
 """What every family builds with: a texture generator, its random numbers, the size of a texel."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -49,6 +49,17 @@ class Artist(Protocol):
         """The unrolled face of a dish."""
 
 
+def sheet_by_side(sheets: Sequence[Draw]) -> Callable[[Array], Draw | None]:
+    """One sheet for each side of a box along the axes, from its outward normal (3,); none for its bevels."""
+
+    def choose(normal: Array) -> Draw | None:
+        axis = int(np.argmax(np.abs(normal)))
+        side = 2 * axis + int(normal[axis] > 0)
+        return sheets[side % len(sheets)] if abs(normal[axis]) > 0.9 else None
+
+    return choose
+
+
 @dataclass(frozen=True)
 class Studio:
     """A texture generator at work on one body."""
@@ -63,32 +74,37 @@ class Studio:
     """Faces narrower than this stay undrawn."""
 
     def faced(
+        self, mesh: trimesh.Trimesh, material: Material, draw: Draw, name: str, density_factor: float = 1.0
+    ) -> Part:
+        """A part with a drawing on each flat face that is large enough."""
+        return self.faced_by(mesh, material, lambda _: draw, name, density_factor)
+
+    def faced_by(
         self,
         mesh: trimesh.Trimesh,
         material: Material,
-        draw: Draw | Callable[[Array], Draw | None],
+        choose: Callable[[Array], Draw | None],
         name: str,
         density_factor: float = 1.0,
-        by_normal: bool = False,
         down_G: Array | None = None,
     ) -> Part:
-        """A part with a drawing on each flat face that is large enough.
+        """The same with a drawing for each outward normal (3,), or none.
 
-        With ``by_normal``, ``draw`` names the drawing for an outward normal (3,), or none. Rows of the
-        drawings run along down_G (3,) where a face is not square to it.
+        Rows of the drawings run along down_G (3,) where a face is not square to it.
         """
         charts = []
+        smallest_m = self.smallest_texels * self.texel_m
         for faces in flat_facets(mesh):
-            corners = mesh.triangles[faces].reshape(-1, 3)
-            if mesh.area_faces[faces].sum() < (self.smallest_texels * self.texel_m) ** 2:
+            if mesh.area_faces[faces].sum() < smallest_m**2:
                 continue
             normal = np.asarray(mesh.face_normals[faces[0]])
-            own = draw(normal) if by_normal else draw  # type: ignore[call-arg,arg-type]
-            if own is None or np.ptp(corners, axis=0).max() < self.smallest_texels * self.texel_m:
+            draw = choose(normal)
+            if draw is None or np.ptp(mesh.triangles[faces].reshape(-1, 3), axis=0).max() < smallest_m:
                 continue
-            lies = down_G is not None and abs(normal @ down_G) < 0.7
-            down = down_G - (down_G @ normal) * normal if lies and down_G is not None else None
-            charts.append(chart_of_facet(mesh, faces, self.texel_m, own, self.ink, down))  # type: ignore[arg-type]
+            down = None
+            if down_G is not None and abs(normal @ down_G) < 0.7:
+                down = down_G - (down_G @ normal) * normal
+            charts.append(chart_of_facet(mesh, faces, self.texel_m, draw, self.ink, down))
         return Part(mesh, material, tuple(charts), density_factor, name)
 
     def wrapped(

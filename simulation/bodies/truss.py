@@ -4,14 +4,13 @@ import numpy as np
 
 from polhode.lie import Array
 from simulation.bodies.antennas import small_dish, whip
-from simulation.bodies.canvas import Draw
 from simulation.bodies.deck import decks_of_box
 from simulation.bodies.equipment import cable, electronics_box, grapple_pin, handrail
 from simulation.bodies.fittings import fit_out
 from simulation.bodies.part import Part
 from simulation.bodies.propulsion import bottle
-from simulation.bodies.solids import ball, box, drum, pose, strut
-from simulation.bodies.studio import Studio
+from simulation.bodies.solids import ball, box, drum, frame, pose, strut
+from simulation.bodies.studio import Studio, sheet_by_side
 from simulation.bodies.wing import solar_wing
 from simulation.materials import (
     ANODISED,
@@ -94,21 +93,14 @@ def _end_module(studio: Studio, start: float, length: float, radius: float, size
     foil = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(3))]
     sheets = [artist.blanket(), artist.panel(float(rng.choice([0.3, 0.7])), 0.8), artist.machined_plate()]
 
-    def draw(normal: Array) -> Draw | None:
-        axis = int(np.argmax(np.abs(normal)))
-        return sheets[int(rng.integers(3))] if abs(normal[axis]) > 0.9 else None
-
-    parts = [studio.faced(hull, foil, draw, "module", 1.5, by_normal=True)]
+    chosen = [sheets[k] for k in rng.integers(3, size=6)]
+    parts = [studio.faced_by(hull, foil, sheet_by_side(chosen), "module", 1.5)]
     decks = decks_of_box(sides, middle)
-    wing = solar_wing(
-        studio, size_m * float(rng.uniform(0.3, 0.45)), 0.22 * size_m, 0.007 * size_m, int(rng.integers(1, 4)),
-        0.06 * size_m, int(rng.integers(30, 50)),
-    )  # fmt: skip
-    X = np.eye(4)
+    length, panels = size_m * float(rng.uniform(0.3, 0.45)), int(rng.integers(1, 4))
+    cell = int(rng.integers(30, 50))
+    wing = solar_wing(studio, length, 0.22 * size_m, 0.007 * size_m, panels, 0.06 * size_m, cell)
     tilt = float(rng.uniform(-0.8, 0.8))
-    X[:3, 0], X[:3, 2] = [0, 1.0, 0], [np.sin(tilt), 0, np.cos(tilt)]
-    X[:3, 1] = np.cross(X[:3, 2], X[:3, 0])
-    X[:3, 3] = middle + [0, 0.5 * side, 0]
+    X = frame([0, 1.0, 0], [np.sin(tilt), 0, np.cos(tilt)], middle + np.array([0, 0.5 * side, 0]))
     parts += [part.moved(X) for part in wing]
     decks["+y"].reserve(0, 0, 0.06 * size_m)
     for name in ("-x", "-y", "+z", "-z"):
@@ -165,11 +157,8 @@ def _radiator(studio: Studio, stations: Array, radius: float, size_m: float) -> 
     x = float(rng.uniform(stations[0] + 0.6 * length, stations[-1] - 0.6 * length))
     aside = -radius - 0.05 * size_m
     lean = float(rng.normal(0, 0.15))
-    X = np.eye(4)
-    X[:3, :3] = [[1, 0, 0], [0, np.cos(lean), -np.sin(lean)], [0, np.sin(lean), np.cos(lean)]]
-    X[:3, 3] = [x, aside, 0.2 * height]
-    draw = studio.artist.radiator()
-    parts = [studio.faced(sheet, PAINT_WHITE, draw, "radiator", 0.6, down_G=np.array([0, 0, -1.0])).moved(X)]
+    X = frame([1.0, 0, 0], [0, -np.sin(lean), np.cos(lean)], [x, aside, 0.2 * height])
+    parts = [studio.faced(sheet, PAINT_WHITE, studio.artist.radiator(), "radiator", 0.6).moved(X)]
     for side in (-0.35, 0.35):
         arm = strut(
             [x + side * length, -0.6 * radius, 0], [x + side * length, aside, 0.1 * height], 0.006 * size_m

@@ -7,7 +7,7 @@ from simulation.bodies.antennas import patch
 from simulation.bodies.equipment import cable, electronics_box, umbilical
 from simulation.bodies.part import Part
 from simulation.bodies.propulsion import bottle, engine, thruster_block
-from simulation.bodies.solids import ellipsoid_cap, pose, prism, revolve, strut, tube
+from simulation.bodies.solids import ellipsoid_cap, frame, pose, prism, revolve, strut, tube
 from simulation.bodies.studio import Studio
 from simulation.materials import (
     ANODISED,
@@ -81,8 +81,8 @@ def _dome(studio: Studio, radius: float, z: float, height: float) -> list[Part]:
     cap = ellipsoid_cap(0.985 * radius, abs(height))[::-1]
     solid = revolve(np.vstack([[(0, -0.1 * radius)], [(0.985 * radius, -0.1 * radius)], cap]), 48)
     material = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK, PAINT_GREY, BRUSHED_METAL][int(rng.integers(5))]
-    cover = revolve([(0, 0.9 * abs(height)), (0.2 * radius, 0.9 * abs(height)), (0.2 * radius, 1.03 * abs(height)),
-                     (0, 1.03 * abs(height))], 28)  # fmt: skip
+    r, h = 0.2 * radius, abs(height)
+    cover = revolve([(0, 0.9 * h), (r, 0.9 * h), (r, 1.03 * h), (0, 1.03 * h)], 28)
     X = pose([0, 0, np.sign(height)], [0, 0, z])
     return [
         Part(solid.mesh, material, name="dome").moved(X),
@@ -148,7 +148,9 @@ def _thrust_section(studio: Studio, radius: float, nozzle: float, throat: float,
         angle = 2 * np.pi * (k + 0.5) / count + 0.4
         at = np.array([0.74 * radius * np.cos(angle), 0.74 * radius * np.sin(angle), frame + 0.02 * radius])
         parts += [part.moved(pose([0, 0, 1.0], at)) for part in bottle(size, rng)]
-        pipe = [at, at + [0, 0, 1.4 * size], at * [0.7, 0.7, 1.0] + [0, 0, 1.6 * size]]
+        pipe = at * np.array([[1, 1, 1], [1, 1, 1], [0.7, 0.7, 1]]) + size * np.array(
+            [[0, 0, 0], [0, 0, 1.4], [0, 0, 1.6]]
+        )
         parts.append(Part(tube(pipe, 0.07 * size, 8), BRUSHED_METAL, name="pipe"))
     return parts
 
@@ -166,8 +168,8 @@ def _front(studio: Studio, radius: float, top: float, adapter: float) -> list[Pa
     base = float(rng.choice([0.05, 0.35, 0.7]))
     material = COMPOSITE if base < 0.1 else PAINT_GREY
     parts = [studio.wrapped(cone, [(0, 2, studio.artist.ring_wall(base))], material, "adapter")]
-    flange = revolve([(upper - 1.5 * wall_m, rim - 0.14 * adapter), (upper + 0.6 * wall_m, rim - 0.14 * adapter),
-                      (upper + 0.6 * wall_m, rim), (upper - 1.5 * wall_m, rim)], SECTIONS, closed=True)  # fmt: skip
+    inner, outer, foot = upper - 1.5 * wall_m, upper + 0.6 * wall_m, rim - 0.14 * adapter
+    flange = revolve([(inner, foot), (outer, foot), (outer, rim), (inner, rim)], SECTIONS, closed=True)
     parts.append(Part(flange.mesh, BRUSHED_METAL, name="adapter"))
     for k in range(int(rng.integers(3, 6))):
         angle = 2 * np.pi * k / 6 + rng.uniform(0, 0.4)
@@ -225,8 +227,4 @@ def _tunnel(studio: Studio, radius: float, low: float, high: float, angle: float
 def _on_wall(radius: float, angle: float, z: float) -> Array:
     """Frame on a cylinder: z outward, y along the cylinder's axis."""
     out = np.array([np.cos(angle), np.sin(angle), 0.0])
-    X = np.eye(4)
-    X[:3, 2], X[:3, 1] = out, [0.0, 0.0, 1.0]
-    X[:3, 0] = np.cross(X[:3, 1], out)
-    X[:3, 3] = radius * out + [0, 0, z]
-    return X
+    return frame([-np.sin(angle), np.cos(angle), 0.0], out, radius * out + np.array([0.0, 0.0, z]))

@@ -42,9 +42,7 @@ def _panel(studio: Studio, length_m: float, width_m: float, thickness_m: float, 
             return front
         return back if normal[2] < -edge else None
 
-    parts = [
-        studio.faced(board, SOLAR_CELL, draw, "panel", 0.6, by_normal=True, down_G=np.array([0.0, 1.0, 0.0]))
-    ]
+    parts = [studio.faced_by(board, SOLAR_CELL, draw, "panel", 0.6, down_G=np.array([0.0, 1.0, 0.0]))]
     # Stiffeners and a harness on the back, so that it is no bare sheet.
     for y in (-0.32, 0.32):
         rib = box([0.94 * length_m, 0.035 * width_m, 1.2 * thickness_m], bevel=0.2)

@@ -48,9 +48,9 @@ def ring_wall(base: float) -> Draw:
         count = max(3, round(width / (1.2 * height + 8)))
         for k in range(count + 1):
             for a, b in (((k - 0.5), k), ((k + 0.5), k)):
-                ends = [(round(a * width / count), 0), (round(b * width / count), height - 1)]
-                cv2.line(canvas.height, *ends, 1.5, 3)
-                cv2.line(canvas.code, *ends, code(0.7 * base), 2, cv2.LINE_AA)
+                top, bottom = (round(a * width / count), 0), (round(b * width / count), height - 1)
+                cv2.line(canvas.height, top, bottom, 1.5, 3)
+                cv2.line(canvas.code, top, bottom, code(0.7 * base), 2, cv2.LINE_AA)
         inscriptions(canvas, int(rng.poisson(8e-5 * canvas.area)), rng, tallest=0.5 * height + 8)
 
     return draw

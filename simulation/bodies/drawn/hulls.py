@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from simulation.bodies.canvas import Canvas, Draw, code
-from simulation.bodies.drawn.labels import lettering, sticker, write
+from simulation.bodies.drawn.labels import lettering, resized, sticker, write
 from simulation.bodies.drawn.marks import fill, groove, rivets, scratches, screw, smudges, stamp
 from simulation.materials import BRUSHED_METAL, PAINT_WHITE
 
@@ -171,7 +171,8 @@ def _livery(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
         canvas.taken.append((share * width, 0.5 * height, 0.2 * height))
         letters = lettering(name, size)
         scale = min(1.0, 0.8 * height / letters.shape[1])
-        letters = cv2.resize(letters, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        h, w = letters.shape
+        letters = resized(letters, (max(1, round(scale * w)), max(1, round(scale * h))))
         plate = np.full(letters.shape, code(ink), np.uint8)
         stamp(canvas, plate, np.array([share * width, 0.5 * height]), 90.0, letters, paint)
     _emblem(canvas, ink, rng)
@@ -179,7 +180,7 @@ def _livery(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
 
 def _emblem(canvas: Canvas, ink: float, rng: np.random.Generator) -> None:
     """Fields of stripes and a disc, large enough to tell the sides apart."""
-    height, width = canvas.shape
+    height, _ = canvas.shape
     paint = canvas.layer_of(PAINT_WHITE)
     for _ in range(2):
         h = int(rng.uniform(0.1, 0.16) * height) + 6
@@ -219,6 +220,6 @@ def _scorch(canvas: Canvas, reach: float, rng: np.random.Generator) -> None:
     ragged = np.zeros((1, width), np.float32)
     for texels, strength in ((60, 0.25), (16, 0.2), (4, 0.15)):
         waves = rng.normal(0, strength, (1, max(4, width // texels))).astype(np.float32)
-        ragged += cv2.resize(waves, (width, 1), interpolation=cv2.INTER_CUBIC)
+        ragged += np.asarray(cv2.resize(waves, (width, 1), interpolation=cv2.INTER_CUBIC), np.float32)
     amount = np.clip((v - 1.0 + reach * (1.0 + ragged)) / reach, 0, 1) ** 2
     canvas.code[...] = (canvas.code * (1.0 - 0.7 * amount)).astype(np.uint8)

@@ -36,6 +36,11 @@ def lettering(text: str, height: int, bold: bool = True) -> NDArray[np.float32]:
     return np.asarray(sheet, dtype=np.float32) / np.float32(255)
 
 
+def resized(letters: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    """The letters at another width and height."""
+    return np.asarray(cv2.resize(letters, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
 def write(
     canvas: Canvas, text: str, height: int, centre: Array, reflectance: float, turn_deg: float = 0.0
 ) -> None:
@@ -75,7 +80,7 @@ def _label(h: int, w: int, paper: int, ink: int, rng: np.random.Generator) -> Co
         letters = lettering(random_text(rng), max(5, int(0.6 * h / lines)), bold=lines == 1)
         scale = min(1.0, 0.88 * w / letters.shape[1], 0.9 * h / lines / letters.shape[0])
         size = (max(2, int(scale * letters.shape[1])), max(2, int(scale * letters.shape[0])))
-        letters = cv2.resize(letters, size, interpolation=cv2.INTER_AREA)
+        letters = resized(letters, size)
         top = int((line + 0.5) * h / lines - 0.5 * size[1])
         left = max(0, (w - size[0]) // 2 if lines == 1 else int(0.06 * w))
         window = plate[max(top, 0) : top + size[1], left : left + size[0]]
@@ -150,7 +155,7 @@ def _two_tone(h: int, w: int, paper: int, ink: int, rng: np.random.Generator) ->
     plate[:head] = ink
     letters = lettering(str(rng.choice(WORDS)), max(4, int(0.5 * head)))
     size = (min(letters.shape[1], int(0.9 * w)), min(letters.shape[0], head))
-    letters = cv2.resize(letters, size, interpolation=cv2.INTER_AREA)
+    letters = resized(letters, size)
     window = plate[: size[1], 2 : 2 + size[0]]
     letters = letters[: window.shape[0], : window.shape[1]]
     window[...] = np.rint(window + letters * (np.float32(paper) - window))

@@ -31,7 +31,7 @@ def stamp(
     M = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), turn_deg, 1.0)
     M[:, 2] += np.asarray(centre) - (left, top) - np.array([(w - 1) / 2, (h - 1) / 2])
     opaque = np.ones((h, w), np.float32) if cover is None else cover
-    opaque = cv2.warpAffine(opaque, M, (size, size))
+    turned = cv2.warpAffine(opaque, M, (size, size))
     laid = cv2.warpAffine(plate, M, (size, size), borderMode=cv2.BORDER_REPLICATE)
     height, width = canvas.shape
     rows = slice(max(top, 0), min(top + size, height))
@@ -39,7 +39,7 @@ def stamp(
     if rows.start >= rows.stop or columns.start >= columns.stop:
         return
     inner = (slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left))
-    share, under = opaque[inner], canvas.code[rows, columns]
+    share, under = np.asarray(turned[inner], np.float32), canvas.code[rows, columns]
     canvas.code[rows, columns] = np.rint(under + share * (laid[inner].astype(np.float32) - under))
     if layer is not None:
         canvas.layer[rows, columns][share > 0.5] = layer
@@ -137,6 +137,6 @@ def smudges(canvas: Canvas, strength: float, rng: np.random.Generator, streak: i
     height, width = canvas.shape
     coarse = rng.normal(0, 1, (max(3, height // (40 * streak)), max(3, width // 40))).astype(np.float32)
     fine = rng.normal(0, 1, (max(3, height // (12 * streak)), max(3, width // 12))).astype(np.float32)
-    dirt = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
-    dirt += 0.5 * cv2.resize(fine, (width, height), interpolation=cv2.INTER_CUBIC)
+    broad = np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC), np.float32)
+    dirt = broad + 0.5 * np.asarray(cv2.resize(fine, (width, height), interpolation=cv2.INTER_CUBIC))
     canvas.code[...] = np.clip(canvas.code * (1.0 + strength * dirt), 0, 255)
