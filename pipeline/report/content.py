@@ -9,11 +9,12 @@ import numpy as np
 
 from mapping.mesh_files import read_ply
 from pipeline.archives import Covariance, Residuals, read_covariance, read_measurements, read_residuals
+from pipeline.online_file import read_online
 from pipeline.point_cloud_file import read_landmarks
 from pipeline.summary import Summary, read_summary
 from pipeline.trajectory_file import Trajectory, read_trajectory
 from polhode.lie import Array, make_pose
-from polhode.records import Landmarks, StereoTracks, SurfaceModel
+from polhode.records import Landmarks, OnlineEstimate, StereoTracks, SurfaceModel
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class Content:
     name: str
     summary: Summary
     motion: Motion | None
+    online: OnlineEstimate | None
     tracks: StereoTracks | None
     residuals: Residuals | None
     landmarks: Landmarks | None
@@ -61,6 +63,7 @@ def read_content(folder: Path, name: str) -> Content:
         name=name,
         summary=summary,
         motion=_motion(folder, summary),
+        online=read_online(folder),
         tracks=read_measurements(folder) if has_tracks else None,
         residuals=read_residuals(folder) if has_tracks else None,
         landmarks=read_landmarks(folder) if (folder / "landmarks.ply").is_file() else None,

@@ -13,12 +13,15 @@ from plotly.offline import get_plotlyjs
 
 from pipeline.atomic import write_text
 from pipeline.report import words
+from pipeline.report.conserved import conserved_figures
 from pipeline.report.content import Content, read_content
+from pipeline.report.convergence import convergence_figures
 from pipeline.report.motion import motion_figures
 from pipeline.report.plot import Figure
 from pipeline.report.residuals import measurement_figures
 from pipeline.report.rotation import rotation_figures
 from pipeline.report.shape import shape_figures
+from pipeline.report.sigmas import sigma_rows
 
 
 def write_report(folder: Path, path: Path | None = None, name: str | None = None) -> None:
@@ -43,9 +46,10 @@ def render(content: Content) -> str:
         ("Motion", motion_figures(content), "The run did not reach an estimate of the motion."),
         (
             "Rotation and inertia",
-            rotation_figures(content),
+            [*rotation_figures(content), *conserved_figures(content)],
             "The run did not reach an estimate of the inertia.",
         ),
+        ("Convergence", convergence_figures(content), "The run holds no causal estimate."),
         ("Measurements", measurement_figures(content), "The run did not reach stereo measurements."),
         ("Shape", shape_figures(content), "The run holds neither a map nor a surface."),
     ]
@@ -57,6 +61,7 @@ def render(content: Content) -> str:
         summary=summary,
         inertia_rows=words.inertia_rows(summary),
         motion_rows=words.motion_rows(motion),
+        sigma_rows=sigma_rows(content),
         run_rows=words.run_rows(content),
         timing_rows=words.timing_rows(summary),
         metric_rows=words.metric_rows(content.metrics),

@@ -1,4 +1,4 @@
-"""Figures of the rotation: the polhode, the inertia ratios, energy and angular momentum."""
+"""Figures of the rotation: the polhode and the inertia ratios."""
 
 from typing import Any
 
@@ -13,28 +13,26 @@ from pipeline.report.plot import (
     Figure,
     Trace,
     axis,
-    band,
     color_bar,
     layout,
     line,
     note,
     on,
     packed,
-    panels,
     scene,
 )
 from polhode.lie import Array
-from polhode.rigid_body import angular_acceleration, angular_momentum_N, rotational_energy
+from polhode.rigid_body import angular_acceleration, rotational_energy
 
 FLAT_LIMIT = float(np.log(2.0))
 """k1 of a thin disc that is symmetric about its axis, Jxx = 2 Jyy: no body with k2 = 0 lies beyond."""
 
 
 def rotation_figures(content: Content) -> list[Figure]:
-    """Polhode, inertia ratios, conserved quantities; nothing without an estimate."""
+    """Polhode, inertia ratios; nothing without an estimate."""
     if content.motion is None:
         return []
-    return [_polhode(content.motion), _ratios(content), _conserved(content.motion)]
+    return [_polhode(content.motion), _ratios(content)]
 
 
 def torque_free_path(time_s: Array, w_P: Array, moments: Array) -> Array:
@@ -248,51 +246,6 @@ def _truth(metrics: dict[str, Any], mean: Array) -> Array | None:
     if not all(isinstance(error, int | float) for error in errors):
         return None
     return mean - np.array(errors, dtype=np.float64)
-
-
-def _conserved(motion: Motion) -> Figure:
-    path, moments = motion.trajectory, motion.moments
-    J = np.diag(moments)
-    cov_w = motion.covariance.covariance[:, 9:12, 9:12]
-    h_P = path.w_P * moments
-    energy, momentum = rotational_energy(J, path.w_P), np.linalg.norm(h_P, axis=1)
-    h_N = angular_momentum_N(J, path.R_NP, path.w_P)
-    mean_h = np.mean(h_N, axis=0)
-    # The arctangent keeps its digits at small angles, where the arccosine has none.
-    tilt = np.arctan2(np.linalg.norm(np.cross(h_N, mean_h), axis=1), h_N @ mean_h)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        slope_h = h_P * moments / momentum[:, None]
-        relative = (
-            (100 * (energy / energy.mean() - 1), 100 * _sigma(h_P, cov_w) / energy.mean()),
-            (100 * (momentum / momentum.mean() - 1), 100 * _sigma(slope_h, cov_w) / momentum.mean()),
-        )
-    figure = panels(
-        [("energy [%]",), ("momentum [%]",), ("direction [deg]",)],
-        "time since the first frame [s]",
-        showlegend=False,
-    )
-    data = []
-    for panel, (value, sigma) in enumerate(relative, start=1):
-        data += band(path.time_s, value, 3 * sigma, ACCENT, panel)
-        data.append(line(path.time_s, value, "", ACCENT, panel))
-    data.append(line(path.time_s, np.rad2deg(tilt), "", ACCENT, 3))
-    figure["yaxis3"]["rangemode"] = "tozero"
-    return Figure(
-        "energy-momentum",
-        "Energy and angular momentum",
-        "Of the rotation, relative to their mean over the run, with bands of three standard deviations "
-        "(from the angular velocity alone), and the angle between the angular momentum in N and its mean "
-        "direction. Without a torque all three are constant: a drift beyond the bands speaks of a torque "
-        "or of a wrong inertia.",
-        data,
-        figure,
-        height_px=520,
-    )
-
-
-def _sigma(gradient: Array, covariance: Array) -> Array:
-    """Root of g C g per row: gradient (F, 3), covariance (F, 3, 3) -> (F,)."""
-    return np.asarray(np.sqrt(np.einsum("fi,fij,fj->f", gradient, covariance, gradient)))
 
 
 def _xyz(points: Array) -> dict[str, Any]:

@@ -11,6 +11,8 @@ from pipeline.summary import Summary
 from pipeline.trajectory_file import Trajectory
 from polhode.lie import Array
 
+SAME_COST, AMBIGUOUS_COST = 0.01, 6.0
+"""Excess over the best minimum: below the first it is the same, below the second the data hardly decide."""
 AXIS_WORDS = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
 
 
@@ -121,7 +123,7 @@ def run_rows(content: Content) -> list[Row]:
         rows.append(Row("cost", f"{solver.cost:.6g}"))
         if solver.reduced_chi2 is not None:
             rows.append(Row("reduced chi-squared", f"{solver.reduced_chi2:.3f}"))
-        rows += [Row(f"excess cost from {name}", _cost(cost)) for name, cost in solver.runner_up.items()]
+        rows += [Row(f"start from {name}", _outcome(cost)) for name, cost in solver.runner_up.items()]
     return rows
 
 
@@ -199,8 +201,14 @@ def _median_row(name: str, sigma: Array, unit: str) -> Row:
     return Row(name, f"{worst:.2g}", unit) if np.isfinite(worst) else Row(name, "not determined")
 
 
-def _cost(cost: float | None) -> str:
-    return "did not end" if cost is None else f"{cost:.6g}"
+def _outcome(cost: float | None) -> str:
+    """Where another start of the inertia ended, by the cost that it has more than the one chosen."""
+    if cost is None:
+        return "did not end"
+    if cost < SAME_COST:
+        return "ended in the same minimum"
+    likely = "nearly as likely: an ambiguity" if cost < AMBIGUOUS_COST else "far less likely"
+    return f"a minimum of {cost:.1f} more: {likely}"
 
 
 def _member(name: str) -> str:

@@ -1,0 +1,118 @@
+"""The report's account of the causal estimate, of final standard deviations and of the other starts."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.outputs import write_online_estimate, write_run
+from pipeline.report.content import Content, read_content
+from pipeline.report.convergence import convergence_figures
+from pipeline.report.sigmas import sigma_rows
+from pipeline.report.words import run_rows
+from polhode.config import Config
+from polhode.lie import make_pose
+from polhode.records import MotionEstimate, OnlineEstimate
+from tests.pipeline.test_report import _unpacked
+
+UNKNOWN_UNTIL = 9
+
+
+def online_of(motion: MotionEstimate) -> OnlineEstimate:
+    """As if the final estimate had been known causally, in another G; undetermined in the first frames."""
+    F, mass = len(motion.r_N), motion.mass
+    shift = make_pose(np.eye(3), [0.01, 0.02, -0.03])
+    determined = np.arange(F)[:, None] >= np.array([UNKNOWN_UNTIL, UNKNOWN_UNTIL, 0, F])
+    variance = np.where(determined, 1e-6, np.inf)
+    cov_k, cov_com = np.zeros((F, 2, 2)), np.zeros((F, 3, 3))
+    cov_k[:, [0, 1], [0, 1]] = variance[:, :2]
+    cov_com[:, [0, 1, 2], [0, 1, 2]] = variance[:, 2:3]
+    return OnlineEstimate(
+        timestamps_ns=motion.timestamps_ns,
+        r_N=motion.r_N,
+        v_N=motion.v_N,
+        R_NP=motion.R_NP,
+        w_P=motion.w_P,
+        covariance=4.0 * motion.covariance,
+        X_NG=motion.X_NG @ shift,
+        k=np.tile([mass.k1, mass.k2], (F, 1)),
+        cov_k=cov_k,
+        com_G=np.tile(mass.com_G - shift[:3, 3], (F, 1)),
+        cov_com_G=cov_com,
+        R_GP=np.tile(mass.R_GP, (F, 1, 1)),
+        determined=determined,
+    )
+
+
+@pytest.fixture(scope="module")
+def content(example: Any, tmp_path_factory: pytest.TempPathFactory) -> Content:
+    return _content(example, example.estimate, tmp_path_factory.mktemp("convergence") / "run")
+
+
+def _content(example: Any, estimate: MotionEstimate, folder: Path) -> Content:
+    folder.mkdir()
+    write_run(folder, config=Config(), tracks=example.tracks, estimate=estimate, surface=None, timing_s={})
+    write_online_estimate(folder, online_of(example.estimate))
+    return read_content(folder, "run")
+
+
+def test_what_was_not_determined_yet_is_a_gap(content: Content) -> None:
+    mass, states = convergence_figures(content)
+    assert (mass.key, states.key) == ("convergence-mass", "convergence-states")
+    curve = next(trace for trace in mass.data if trace.get("name") == "k1")
+    known = np.isfinite(_unpacked(curve["y"]))
+    np.testing.assert_array_equal(np.flatnonzero(known), np.arange(UNKNOWN_UNTIL, len(known)))
+    assert f"k1 from frame {UNKNOWN_UNTIL + 1} on" in mass.caption
+    assert "the centre of mass from frame 1 on" in mass.caption and "the axes never" in mass.caption
+
+
+def test_the_centre_of_mass_is_compared_in_the_final_frame_G(content: Content) -> None:
+    mass, _ = convergence_figures(content)
+    curves = [
+        trace for trace in mass.data if trace.get("yaxis") == "y3" and trace.get("name") in ("x", "y", "z")
+    ]
+    assert len(curves) == 3
+    for curve in curves:
+        np.testing.assert_allclose(_unpacked(curve["y"]), 0.0, atol=1e-5)
+
+
+def test_smoothing_is_drawn_beside_the_causal_state(content: Content) -> None:
+    _, states = convergence_figures(content)
+    causal, smooth = (
+        _unpacked(next(t for t in states.data if t.get("name") == name)["y"])
+        for name in ("causal", "smoothed")
+    )
+    np.testing.assert_allclose(causal, 2.0 * smooth, rtol=1e-5)
+
+
+def test_a_run_without_a_causal_estimate_has_no_such_figures(content: Content) -> None:
+    assert convergence_figures(replace(content, online=None)) == []
+
+
+def test_final_sigmas_are_listed_with_their_units(content: Content) -> None:
+    rows = {row.name.split(",")[0]: row for row in sigma_rows(content)}
+    assert rows["position"].cells == ("0.3", "0.3", "0.3") and rows["position"].unit == "mm"
+    assert rows["inertia ratios k1"].cells == ("0.002", "0.006", "")
+    assert float(rows["attitude"].cells[0]) == pytest.approx(np.rad2deg(2e-3), rel=1e-2)
+
+
+def test_undetermined_sigmas_have_no_bound(example: Any, undetermined: Any, tmp_path: Path) -> None:
+    rows = {
+        row.name.split(",")[0]: row
+        for row in sigma_rows(_content(example, undetermined.estimate, tmp_path / "run"))
+    }
+    assert rows["position"].cells == ("0.3", "no bound", "0.3")
+    assert rows["centre of mass"].cells[1] == "no bound"
+    assert rows["inertia ratios k1"].cells == ("no bound", "no bound", "")
+
+
+def test_the_other_starts_are_told_in_words(example: Any, tmp_path: Path) -> None:
+    others = {"momentum": 0.0, "oblate": 2.5, "prolate": 114.0, "flat across": float("inf")}
+    estimate = replace(example.estimate, solver=replace(example.estimate.solver, runner_up=others))
+    told = {row.name: row.value for row in run_rows(_content(example, estimate, tmp_path / "run"))}
+    assert told["start from momentum"] == "ended in the same minimum"
+    assert told["start from oblate"] == "a minimum of 2.5 more: nearly as likely: an ambiguity"
+    assert told["start from prolate"] == "a minimum of 114.0 more: far less likely"
+    assert told["start from flat across"] == "did not end"
