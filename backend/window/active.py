@@ -1,6 +1,6 @@
 """What the window holds: key poses, recent states, constants, and the arrival cost about all of them."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -74,33 +74,27 @@ class Active:
         H[np.ix_(old, old)], g[old], x0[old] = self.arrival.H, self.arrival.g, self.arrival.x0
         self.arrival = Quadratic(H, g, x0)
 
-    def touch(self, entries: Ints, H: Array, g: Array) -> None:
-        """Add information about some entries, and its gradient at the present vector, to the arrival cost."""
-        arrival = self.arrival.about(self.vector())
-        whole, gradient = arrival.H.copy(), arrival.g.copy()
-        whole[np.ix_(entries, entries)] += H
-        gradient[entries] += g
-        self.arrival = replace(arrival, H=whole, g=gradient)
+    def absorb(self, parts: list[tuple[Ints, Array, Array]], gone: Ints) -> None:
+        """Add information (entries, H, g at the present vector) to the arrival cost, then eliminate entries.
 
-    def forget(self, gone: Ints) -> None:
-        """Eliminate entries that only the arrival cost knows of; the caller takes them out of the frames."""
-        arrival = self.arrival.about(self.vector())
-        kept = np.setdiff1d(np.arange(len(arrival.g)), gone)
-        H, g = eliminate(arrival.H, arrival.g, gone, kept)
-        self.arrival = Quadratic(H, g, arrival.x0[kept])
+        The caller takes what is gone out of the frames.
+        """
+        x = self.vector()
+        H, g = self.arrival.H.copy(), self.arrival.gradient(x)
+        for entries, more, gradient in parts:
+            H[np.ix_(entries, entries)] += more
+            g[entries] += gradient
+        kept = np.setdiff1d(np.arange(len(g)), gone)
+        left = eliminate(H, g, gone, kept)
+        self.arrival = Quadratic(left.H, left.g, x[kept])
 
-    def turn_oldest_to_key(self, form: InertiaForm, R_inertia: Array) -> None:
-        """The oldest state's velocities and its step go to the arrival cost; its pose becomes a key."""
+    def oldest_step(self, form: InertiaForm, R_inertia: Array) -> tuple[Ints, Array, Array]:
+        """The dynamics from the oldest recent state to the next: entries, information, gradient."""
         x, start = self.vector(), self.n_keys
         both = np.r_[start : start + 2 * N_STATE, len(x) - N_CONSTANTS : len(x)]
         first = self.links.part(slice(0, 1))
         r, D = link_jacobians(x[both], self.R_ref[:2], first, form, R_inertia)
-        self.touch(both, D[0].T @ D[0], D[0].T @ r[0])
-        self.forget(np.arange(start + N_POSE, start + N_STATE))
-        self.shift()
-        self.links = self.links.part(slice(1, None))
-        for frame in (self.keys[-1], self.recent[0]):
-            frame.hold()
+        return both, D[0].T @ D[0], D[0].T @ r[0]
 
     def shift(self) -> None:
         """The oldest state becomes a key."""

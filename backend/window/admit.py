@@ -94,6 +94,8 @@ def _let_in(belief: Belief, slot: Ints, index: Ints, found: Located) -> Bools:
     wrong = (marks.refused[slot[other]] >= STRIKES) | (marks.views[slot[other]] <= 1)
     enter[other] = wrong
     restart = slot[other[wrong]]
+    if len(restart) == 0:
+        return enter
     for frame in belief.active.frames:
         stays = ~np.isin(frame.slot, restart)
         if not stays.all():

@@ -17,7 +17,7 @@ from backend.window.state import LastInformation
 from backend.window.vision import Condensed, Sight, condense, poses_of, robust_gain, sight_of
 from polhode.camera import RectifiedRig
 from polhode.config.backend import Backend
-from polhode.lie import Array, inverse_pose, make_pose, transform_points
+from polhode.lie import Array
 from polhode.quaternion import matrix_from_wxyz
 
 GAUGE_SIGMA = 1e-5
@@ -75,13 +75,17 @@ class Belief:
         slot = condensed.sight.slot
         self.landmarks.p_G[slot] += condensed.landmark_steps(step)
         self.landmarks.covariance[slot] = condensed.C_inv
-        for frame in self.active.frames:
+        frames = self.active.frames
+        for frame in frames:
             frame.settle()
-            once = self.landmarks.views[frame.slot] == 1
-            if once.any():
-                X_GR = inverse_pose(make_pose(frame.R_RN, frame.t_R) @ frame.X_NG)
-                p_R = self.rig.triangulate(frame.uvd_px[once])
-                self.landmarks.p_G[frame.slot[once]] = transform_points(X_GR, p_R)
+        once = [self.landmarks.views[frame.slot] == 1 for frame in frames]
+        slot = np.concatenate([frame.slot[one] for frame, one in zip(frames, once, strict=True)])
+        p_R = self.rig.triangulate(
+            np.concatenate([frame.uvd_px[one] for frame, one in zip(frames, once, strict=True)])
+        )
+        poses, of = poses_of(frames), np.repeat(np.arange(len(frames)), [int(one.sum()) for one in once])
+        p_N = p_R - poses.t_R[of] - np.einsum("mij,mj->mi", poses.R_RN[of], poses.p_NG[of])
+        self.landmarks.p_G[slot] = np.einsum("mji,mj->mi", poses.A[of], p_N)
 
     def renew_weak_prior(self) -> float:
         """The centre of mass is expected in the middle of the landmarks. Returns their radius [m]."""

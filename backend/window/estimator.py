@@ -6,10 +6,12 @@ import numpy as np
 
 from backend.window.admit import first_frame, next_frame
 from backend.window.basin import choose_basin
-from backend.window.belief import new_belief
+from backend.window.belief import Belief, new_belief
 from backend.window.frame import FrameMeasurements
 from backend.window.history import History
+from backend.window.level import estimate_levels
 from backend.window.newton import NewtonSolver
+from backend.window.noise import estimate_noise
 from backend.window.problem import WindowSolver
 from backend.window.release import release
 from backend.window.state import OnlineState, online_state, unknown_state
@@ -20,6 +22,8 @@ from polhode.lie import Array
 
 LOOK_AROUND = (6, 12, 24, 48, 96, 192)
 """Numbers of frames at which other inertias are tried, while the history lasts."""
+LEAST_FOR_LEVELS = 20
+"""Frames that tell something about disturbances."""
 FIRST_FRAMES = 3
 
 
@@ -65,8 +69,7 @@ class SlidingWindow:
                 belief.renew_weak_prior()
             solve_whole(belief, history)
             if n in LOOK_AROUND:
-                choose_basin(belief, history)
-                solve_whole(belief, history)
+                self._look_around(belief, history)
             if self.solver.name != "gauss_newton":
                 expand_arrival(belief, history)
                 solve_window(belief, self.solver)
@@ -81,6 +84,15 @@ class SlidingWindow:
             belief.active.recent[0].hold()
             belief.history = None
         return state
+
+    def _look_around(self, belief: Belief, history: History) -> None:
+        """What is held while solving is estimated anew: noise, disturbances, the basin of the inertia."""
+        estimate_noise(belief)
+        solve_whole(belief, history)
+        if self._config.process_noise == "estimated" and len(history.frames) >= LEAST_FOR_LEVELS:
+            estimate_levels(belief, history, (self._config.accel_psd, self._config.torque_psd))
+        choose_basin(belief, history)
+        solve_whole(belief, history)
 
     def _begin(self, m: FrameMeasurements, time_s: float) -> OnlineState:
         """The first frame with measurements: nothing is known of the motion."""

@@ -76,7 +76,7 @@ class Frame:
 
     def settle(self) -> None:
         """Make the present attitude the reference, as long as nothing else depends on the reference."""
-        if self.held is None:
+        if self.held is None and np.any(self.x[3:6]):
             self.R_ref, self.x[3:6] = self.R_NG, 0.0
 
     def hold(self) -> None:

@@ -96,6 +96,5 @@ class History:
             add_links(H, g, r[:n_old], D[:n_old], N_STATE * np.arange(n_old))
         kept = np.concatenate([self.pose_entries(active.keys), np.arange(N_STATE * n_old, len(x))])
         gone = np.setdiff1d(np.arange(len(x)), kept)
-        if len(gone):
-            H, g = eliminate(H, g, gone, kept)
-        return Quadratic(H, g, active.vector())
+        left = eliminate(H, g, gone, kept)
+        return Quadratic(left.H, left.g, active.vector())

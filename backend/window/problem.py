@@ -64,20 +64,26 @@ class WindowProblem:
         """The objective."""
         # a wild step may leave the range of the exponential: it is refused like any other
         with np.errstate(over="ignore", invalid="ignore"):
-            r = link_residuals(x, self.R_ref, self.links, self.shape.form, self.R_inertia)
+            try:
+                r = link_residuals(x, self.R_ref, self.links, self.shape.form, self.R_inertia)
+            except ValueError:
+                return np.inf
             weak, _, _ = self.shape.weak_prior(x, self.weak_prior)
             return self.vision.value(x) + 0.5 * float(np.sum(r**2)) + weak
 
-    def normal_equations(self, x: Array) -> tuple[Array, Array]:
-        """Gauss-Newton Hessian (n, n) and gradient (n,) of the objective."""
-        H, g = self.vision.H.copy(), self.vision.gradient(x)
+    def normal_equations(self, x: Array) -> tuple[float, Array, Array]:
+        """The objective, its Gauss-Newton Hessian (n, n) and its gradient (n,)."""
+        H, d = self.vision.H.copy(), x - self.vision.x0
+        along = self.vision.H @ d
+        g, cost = self.vision.g + along, float(d @ (self.vision.g + 0.5 * along))
         if len(self.links):
             r, D = link_jacobians(x, self.R_ref, self.links, self.shape.form, self.R_inertia)
             add_steps(H, g, r, D, N_STATE)
-        _, gradient, hessian = self.shape.weak_prior(x, self.weak_prior)
+            cost += 0.5 * float(np.sum(r**2))
+        weak, gradient, hessian = self.shape.weak_prior(x, self.weak_prior)
         H[-N_CONSTANTS:, -N_CONSTANTS:] += hessian
         g[-N_CONSTANTS:] += gradient
-        return H, g
+        return cost + weak, H, g
 
 
 class WindowSolver(Protocol):

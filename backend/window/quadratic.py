@@ -29,18 +29,32 @@ class Quadratic:
         d = x - self.x0
         return float(d @ (self.g + 0.5 * (self.H @ d)))
 
-    def about(self, x: Array) -> "Quadratic":
-        """The same cost, expanded about another point."""
-        return Quadratic(self.H, self.gradient(x), x)
 
+@dataclass(frozen=True)
+class Elimination:
+    """What is left about the ``kept`` entries when the best ``gone`` ones follow them.
 
-def eliminate(H: Array, g: Array, gone: Ints, kept: Ints) -> tuple[Array, Array]:
-    """Information and gradient about the ``kept`` entries when the best ``gone`` ones follow them.
-
-    For a Gaussian that is its marginal. H[gone, gone] must be positive definite.
+    For a Gaussian that is its marginal.
     """
+
+    H: Array
+    """(k, k)"""
+    g: Array
+    """(k,)"""
+    solved: Array
+    """(n - k, k + 1) of H[gone, gone]^-1 [H[gone, kept], g[gone]]"""
+
+    def follow(self, step: Array) -> Array:
+        """Step of the eliminated entries (n - k,) when the kept ones take theirs (k,)."""
+        return np.asarray(-self.solved[:, :-1] @ step - self.solved[:, -1])
+
+
+def eliminate(H: Array, g: Array, gone: Ints, kept: Ints) -> Elimination:
+    """Eliminate entries of a quadratic about 0. H[gone, gone] must be positive definite."""
+    if len(gone) == 0:
+        return Elimination(H[np.ix_(kept, kept)], g[kept], np.zeros((0, len(kept) + 1)))
     factor = cho_factor(H[np.ix_(gone, gone)], lower=True, check_finite=False)
     across = H[np.ix_(gone, kept)]
     solved = cho_solve(factor, np.column_stack([across, g[gone]]), check_finite=False)
     left = H[np.ix_(kept, kept)] - across.T @ solved[:, :-1]
-    return 0.5 * (left + left.T), g[kept] - across.T @ solved[:, -1]
+    return Elimination(0.5 * (left + left.T), g[kept] - across.T @ solved[:, -1], solved)

@@ -2,61 +2,81 @@
 
 import numpy as np
 
+from backend.kernels import N_STATE
 from backend.window.belief import Belief
-from backend.window.vision import N_POSE, information_of, poses_of, residuals
+from backend.window.vision import N_POSE, Poses, Sight, information_of, poses_of, residuals
+from polhode.lie import Array
+from polhode.records import Ints
 
 GATE = 4.5
 """Largest norm of a whitened residual that may leave with its frame; of Gaussian ones 1 in 5700 is larger."""
+
+Part = tuple[Ints, Array, Array]
+"""Entries of the window's vector, information about them, its gradient."""
 
 
 def release(belief: Belief, n_recent: int, n_keys: int) -> None:
     """Keep the latest states and the most valuable key poses, in these numbers."""
     active = belief.active
     while len(active.recent) > n_recent:
+        dropped = least_valuable(belief) if len(active.keys) >= n_keys else None
         if belief.history is None:
-            active.turn_oldest_to_key(belief.shape.form, belief.R_inertia)
+            _marginalize(belief, dropped)
         else:
+            if dropped is not None:
+                belief.history.absorb(active.frames, *_condense(belief, dropped))
             active.shift()
-        while len(active.keys) > n_keys:
-            drop_key(belief, least_valuable(belief))
+        if dropped is not None:
+            frame = active.keys.pop(dropped)
+            belief.landmarks.leave(frame.slot)
+            frame.keep(np.zeros(len(frame.slot), bool))
 
 
 def least_valuable(belief: Belief) -> int:
-    """The key frame whose landmarks are seen by the most other frames.
+    """Among the keys and the oldest recent frame: whose landmarks are seen by the most other frames.
 
-    Each of its observations counts as the share that it is of those of its landmark: a frame that shows a
-    side of the target that no other shows is worth its number of landmarks.
+    Each observation counts as the share that it is of those of its landmark: a frame that shows a side of
+    the target that no other shows is worth its number of landmarks.
     """
-    worth = [np.sum(1.0 / belief.landmarks.views[frame.slot]) for frame in belief.active.keys]
+    candidates = [*belief.active.keys, belief.active.recent[0]]
+    worth = [np.sum(1.0 / belief.landmarks.views[frame.slot]) for frame in candidates]
     return int(np.argmin(worth))
 
 
-def drop_key(belief: Belief, k: int) -> None:
-    """What key frame k saw becomes information on the poses; its pose is eliminated."""
-    active, history = belief.active, belief.history
-    _leave_out_contradictions(belief, k)
-    sight, poses = belief.sight(), poses_of(active.frames)
+def _marginalize(belief: Belief, dropped: int | None) -> None:
+    """The oldest state's velocities and its step go to the arrival cost; its pose becomes a key.
+
+    ``dropped``: a key, or the one it becomes, of which nothing stays.
+    """
+    active = belief.active
+    parts: list[Part] = [active.oldest_step(belief.shape.form, belief.R_inertia)]
+    gone = [np.arange(active.n_keys + N_POSE, active.n_keys + N_STATE)]
+    if dropped is not None:
+        parts.append((active.pose_entries, *_condense(belief, dropped)))
+        gone.append(np.arange(N_POSE * dropped, N_POSE * (dropped + 1)))
+    active.absorb(parts, np.concatenate(gone))
+    active.shift()
+    active.links = active.links.part(slice(1, None))
+    for frame in (active.keys[-1], active.recent[0]):
+        frame.hold()
+
+
+def _condense(belief: Belief, k: int) -> tuple[Array, Array]:
+    """Information on all poses, and its gradient, by what frame k alone sees."""
+    frames = belief.active.frames
+    poses = poses_of(frames)
+    sight = _without_contradictions(belief, k, belief.sight().common_with(k), poses)
     p_G = belief.landmarks.p_G[sight.slot]
     H, g = information_of(k, sight, poses, belief.rig_vector, p_G, belief.robust_scale, belief.gain)
-    for frame in active.frames:
+    for frame in frames:
         frame.hold()
-    if history is None:
-        active.touch(active.pose_entries, H, g)
-        active.forget(np.arange(N_POSE * k, N_POSE * (k + 1)))
-    else:
-        history.absorb(active.frames, H, g)
-    frame = active.keys.pop(k)
-    belief.landmarks.leave(frame.slot)
-    frame.keep(np.zeros(len(frame.slot), bool))
+    return H, g
 
 
-def _leave_out_contradictions(belief: Belief, k: int) -> None:
-    """Observations of key frame k beyond the gate leave, with nothing said."""
-    frame, sight = belief.active.keys[k], belief.sight()
-    p_G = belief.landmarks.p_G[sight.slot]
-    r = residuals(sight, poses_of(belief.active.frames), belief.rig_vector, p_G)
+def _without_contradictions(belief: Belief, k: int, sight: Sight, poses: Poses) -> Sight:
+    """Observations of frame k beyond the gate leave, with nothing said."""
+    r = residuals(sight, poses, belief.rig_vector, belief.landmarks.p_G[sight.slot])
     wrong = (sight.frame == k) & (np.sum(r**2, axis=1) > GATE**2)
-    if wrong.any():
-        slots = sight.slot[sight.landmark[wrong]]
-        belief.landmarks.leave(slots)
-        frame.keep(~np.isin(frame.slot, slots))
+    bad = np.zeros(len(sight.slot), bool)
+    bad[sight.landmark[wrong]] = True
+    return sight.of(~bad) if bad.any() else sight

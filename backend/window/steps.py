@@ -1,7 +1,6 @@
 """The solves of one step: of the whole history while there is one, of the window alone afterwards."""
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from backend.gauss_newton import Solution
 from backend.kernels import N_CONSTANTS
@@ -60,25 +59,16 @@ def solve_window(belief: Belief, solver: WindowSolver) -> None:
         H[np.ix_(at, at)] += condensed.S
         g[at] += condensed.g
         left = eliminate(H, g, np.arange(n), np.arange(n, len(x)))
-        problem = WindowProblem(
-            Quadratic(*left, x[n:]), active.R_ref, active.links, belief.weak_prior, belief.shape
-        )
+        vision = Quadratic(left.H, left.g, x[n:])
+        problem = WindowProblem(vision, active.R_ref, active.links, belief.weak_prior, belief.shape)
         solution = solver.solve(problem, x[n:], INNER_ITERATIONS)
-        step = np.concatenate([np.zeros(n), solution.x - x[n:]])
-        step[:n] = _follow(H, g, step, n)
+        step = solution.x - x[n:]
+        step = np.concatenate([left.follow(step), step])
         active.take(x + step)
         belief.move_landmarks(condensed, step[at])
         if _small(step[at], step[-N_CONSTANTS:]):
             break
     _remember(belief, problem, solution)
-
-
-def _follow(H: Array, g: Array, step: Array, n: int) -> Array:
-    """Steps (n,) of the key poses that the others' steps lead to."""
-    if n == 0:
-        return np.zeros(0)
-    factor = cho_factor(H[:n, :n], lower=True, check_finite=False)
-    return np.asarray(-cho_solve(factor, g[:n] + H[:n, n:] @ step[n:], check_finite=False))
 
 
 def _small(poses: Array, constants: Array) -> bool:
@@ -87,5 +77,5 @@ def _small(poses: Array, constants: Array) -> bool:
 
 
 def _remember(belief: Belief, problem: WindowProblem, solution: Solution) -> None:
-    H, _ = problem.normal_equations(solution.x)
+    _, H, _ = problem.normal_equations(solution.x)
     belief.last = last_information(H, problem.shape.weak_prior(solution.x, problem.weak_prior)[2])

@@ -39,6 +39,12 @@ class Sight:
             self.frame[use], landmark, start, self.uvd_px[use], self.inv_sigma[use], self.slot[landmarks]
         )
 
+    def common_with(self, frame: int) -> "Sight":
+        """Observations of the landmarks that one frame sees."""
+        seen = np.zeros(len(self.slot), bool)
+        seen[self.landmark[self.frame == frame]] = True
+        return self.of(seen)
+
 
 def sight_of(frames: list[Frame], n_slots: int) -> Sight:
     """Gather what the frames see."""
@@ -179,11 +185,14 @@ def information_of(
 ) -> tuple[Array, Array]:
     """What the observations of frame ``leaving`` say about the poses, given all the others: H and gradient.
 
+    ``sight`` holds all observations of the landmarks that it sees.
+
     With this in the arrival cost instead of them nothing is lost at that moment, and nothing counts twice
     later: the likelihood is p(leaving | rest) p(rest), and only the second factor goes on to change.
     """
-    of_frame = np.zeros(len(sight.slot), bool)
-    of_frame[sight.landmark[sight.frame == leaving]] = True
-    common = sight.of(of_frame), sight.of(of_frame, without_frame=leaving)
-    whole, rest = (condense(part, poses, rig, p_G[of_frame], robust_scale, gain) for part in common)
+    every = np.ones(len(sight.slot), bool)
+    whole, rest = (
+        condense(part, poses, rig, p_G, robust_scale, gain)
+        for part in (sight, sight.of(every, without_frame=leaving))
+    )
     return whole.S - rest.S, whole.g - rest.g
