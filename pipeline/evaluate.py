@@ -37,6 +37,7 @@ from polhode.metrics import (
     mean_rotation,
     motion_errors,
     nees,
+    state_coverage,
     state_nees,
     truth_at,
     turned,
@@ -92,6 +93,7 @@ def _motion_metrics(estimate: States, truth: States, covariance: Covariance) -> 
         "attitude_error_deg": attitude,
         "half_turn": HALF_TURN_NAMES[half_turn],
         "nees": state_nees(estimate, truth, covariance.covariance, half_turn),
+        "coverage_3sigma": state_coverage(estimate, truth, covariance.covariance, half_turn),
     }
 
 

@@ -154,16 +154,38 @@ def state_nees(estimate: States, truth: States, covariance: Array, half_turn: in
 
     covariance (F, 12, 12) in the order r (N), v (N), theta (P), w (P), of the estimate's own axes.
     """
-    # The truth is turned to the estimate's axes, because its covariance is stated in those.
+    errors = state_errors(estimate, truth, half_turn)
+    return {
+        name: nees(error, covariance[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3])
+        for i, (name, error) in enumerate(errors.items())
+    }
+
+
+def state_coverage(
+    estimate: States, truth: States, covariance: Array, half_turn: int, sigmas: float = 3.0
+) -> dict[str, float | None]:
+    """Share of the components, over all frames, that lie within so many of their standard deviations.
+
+    For the same four quantities as ``state_nees``. Undetermined components do not count; None without others.
+    """
+    out: dict[str, float | None] = {}
+    for i, (name, error) in enumerate(state_errors(estimate, truth, half_turn).items()):
+        variance = np.diagonal(covariance, axis1=-2, axis2=-1)[:, 3 * i : 3 * i + 3]
+        known = np.isfinite(variance)
+        inside = np.abs(error[known]) <= sigmas * np.sqrt(variance[known])
+        out[name] = float(np.mean(inside)) if known.any() else None
+    return out
+
+
+def state_errors(estimate: States, truth: States, half_turn: int) -> dict[str, Array]:
+    """Position, velocity, attitude and angular velocity, estimate minus truth (F, 3) each, along the axes in
+    which the covariance of the estimate is stated: those of N, and the estimate's own P.
+    """
     same_axes = turned(truth, half_turn)
     theta = log_so3(np.swapaxes(estimate.R_NP, -1, -2) @ same_axes.R_NP)
-    errors = {
+    return {
         "position": estimate.r_N - truth.r_N,
         "velocity": estimate.v_N - truth.v_N,
         "attitude": -theta,
         "angular_velocity": estimate.w_P - same_axes.w_P,
-    }
-    return {
-        name: nees(error, covariance[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3])
-        for i, (name, error) in enumerate(errors.items())
     }

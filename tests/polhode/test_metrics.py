@@ -11,6 +11,7 @@ from polhode.metrics import (
     best_half_turn,
     motion_errors,
     nees,
+    state_coverage,
     state_nees,
     truth_at,
     turned,
@@ -163,3 +164,21 @@ def test_truth_between_its_rows_follows_the_rigid_body(truth: Truth) -> None:
 def test_truth_that_does_not_cover_the_run_is_refused(truth: Truth) -> None:
     with pytest.raises(InputError, match="does not cover"):
         truth_at(truth, truth.timestamps_ns[-1:] + 10**9)
+
+
+def test_coverage_counts_determined_components_within_three_sigma(truth: Truth) -> None:
+    s = truth_at(truth, truth.timestamps_ns)
+    n = len(s.r_N)
+    off = s.r_N.copy()
+    off[0, 0] += 0.0031
+    estimate = States(s.timestamps_ns, off, s.v_N, s.R_NP, s.w_P)
+    covariance = np.tile(np.eye(12) * 1e-6, (n, 1, 1))
+    covariance[:, 1, 1] = np.inf
+    covariance[:, 6:9, 6:9] = np.diag([np.inf] * 3)
+    found = state_coverage(estimate, s, covariance, 0)
+    assert found == {
+        "position": pytest.approx(1.0 - 1.0 / (2 * n)),
+        "velocity": 1.0,
+        "attitude": None,
+        "angular_velocity": 1.0,
+    }
