@@ -39,7 +39,7 @@ def _hull(box_m: Array, foil: Material, studio: Studio) -> Part:
     """Foil, a radiator on one or two walls, bare structure on the others."""
     rng, artist = studio.rng, studio.artist
     sheets: list[Draw] = [
-        artist.blanket(), artist.blanket(), artist.blanket(), artist.radiator(),
+        artist.blanket(foil), artist.blanket(foil), artist.blanket(foil), artist.radiator(),
         artist.panel(float(rng.choice([0.3, 0.65])), 0.7), artist.machined_plate(),
     ]  # fmt: skip
     rng.shuffle(sheets)
@@ -100,6 +100,6 @@ def _front(size_m: float, decks: dict[str, Deck], studio: Studio) -> list[Part]:
     tube = revolve([(0, -0.02 * size_m), (radius, -0.02 * size_m), (radius, height), (0.9 * radius, height),
                     (0.86 * radius, 0.1 * height), (0, 0.1 * height)], 64)  # fmt: skip
     deck.reserve(0, 0, 1.1 * radius)
-    wall = studio.artist.blanket() if rng.random() < 0.6 else studio.artist.ring_wall(0.1)
     material = FOIL_BLACK if rng.random() < 0.5 else FOIL_GOLD
+    wall = studio.artist.blanket(material) if rng.random() < 0.6 else studio.artist.ring_wall(0.1)
     return deck.put([studio.wrapped(tube, [(1, 2, wall)], material, "telescope", 0.4)], 0, 0)

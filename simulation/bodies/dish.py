@@ -48,7 +48,9 @@ def _reflector(studio: Studio, size_m: float, focal: float, gores: int) -> list[
     last = len(solid.profile) - 1
     base = float(rng.choice([0.78, 0.78, 0.6, 0.3]))
     front = studio.artist.reflector(base, gores)
-    back: Draw = studio.artist.blanket() if rng.random() < 0.4 else studio.artist.reflector(0.08, gores)
+    back: Draw = (
+        studio.artist.blanket(FOIL_BLACK) if rng.random() < 0.4 else studio.artist.reflector(0.08, gores)
+    )
     material = PAINT_WHITE if base > 0.2 else COMPOSITE
     parts = [
         studio.wrapped(solid, [(last - STEPS, last - 1, front), (1, STEPS, back)], material, "reflector", 0.5)
@@ -94,7 +96,7 @@ def _feed(studio: Studio, size_m: float, focal: float) -> list[Part]:
         return [*parts, Part(mirror.mesh, PAINT_WHITE, name="feed"), Part(horn.mesh, ANODISED, name="feed")]
     can = box([0.1 * size_m, 0.1 * size_m, 0.09 * size_m], bevel=0.08)
     can.apply_translation([0, 0, top + 0.03 * size_m])
-    draw = studio.artist.panel(0.6, 0.8) if rng.random() < 0.5 else studio.artist.blanket()
+    draw = studio.artist.panel(0.6, 0.8) if rng.random() < 0.5 else studio.artist.blanket(FOIL_GOLD)
     horn = revolve([(0, top), (0.02 * size_m, top), (0.045 * size_m, top - 0.06 * size_m),
                     (0.04 * size_m, top - 0.06 * size_m), (0, top - 0.02 * size_m)], 28)  # fmt: skip
     return [
@@ -123,7 +125,7 @@ def _bus(studio: Studio, size_m: float, hub: float) -> list[Part]:
     sides = size_m * rng.uniform((0.24, 0.24, 0.2), (0.36, 0.36, 0.42))
     middle = np.array([0.0, 0.0, -hub - 0.5 * sides[2]])
     foil = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(3))]
-    sheets = [artist.blanket(), artist.panel(0.35, 0.8), artist.radiator(), artist.blanket()]
+    sheets = [artist.blanket(foil), artist.panel(0.35, 0.8), artist.radiator(), artist.blanket(foil)]
     order = rng.permutation(6) % 4
     hull = box(sides, bevel=0.025)
     hull.apply_translation(middle)

@@ -22,7 +22,7 @@ def sheet_for(material: Material, artist: Artist) -> Draw | None:
     if material.specular == REGOLITH.specular and material.roughness == REGOLITH.roughness:
         return None
     if material.crease > 0:
-        return artist.blanket()
+        return artist.blanket(material)
     if material.specular > 0.2:
         return artist.machined_plate()
     if material.albedo <= SOLAR_CELL.albedo and material.roughness < 0.3:

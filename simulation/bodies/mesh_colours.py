@@ -82,6 +82,9 @@ def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> Look:
         roughness = _roughness_of_phong(material.kwargs.get("ns"))
     else:
         return Look()
+    if image is not None and max(image.size) <= 2 and isinstance(material, SimpleMaterial):
+        # trimesh fills in a tiny grey image where the file names none.
+        image = None
     uv = None if visual.uv is None else np.asarray(visual.uv, dtype=np.float64)
     if image is None or uv is None or len(uv) != len(piece.source.vertices) or not np.isfinite(uv).all():
         vertex = visual.vertex_attributes.get("color") if hasattr(visual, "vertex_attributes") else None

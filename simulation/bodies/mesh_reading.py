@@ -37,17 +37,12 @@ class FilePiece:
 
 def read_pieces(path: Path, metres_per_unit: float) -> list[FilePiece]:
     """Pieces of a mesh file, scaled to metres. Raises InputError, one line, when it holds nothing usable."""
-    pieces = [
-        _piece(label, name, mesh, metres_per_unit)
-        for label, name, mesh in _geometries(path)
-        if len(mesh.faces) > 0
-    ]
-    if not pieces:
+    found = _geometries(path)
+    if not found:
         raise InputError(f"{path}: the mesh has no faces; export it as triangles")
-    for piece in pieces:
-        used = np.asarray(piece.source.vertices)[piece.source.faces]
-        if not np.isfinite(used).all():
-            raise InputError(f"{path}: the mesh has vertices that are not finite; repair it")
+    if not all(np.isfinite(mesh.vertices).all() for _, _, mesh in found):
+        raise InputError(f"{path}: the mesh has vertices that are not finite; repair it")
+    pieces = [_piece(label, name, mesh, metres_per_unit) for label, name, mesh in found]
     pieces = [piece for piece in pieces if len(piece.mesh.faces) > 0]
     if not pieces:
         raise InputError(f"{path}: all faces of the mesh have no area; repair it")
@@ -72,7 +67,9 @@ def _geometries(path: Path) -> list[tuple[str, str, trimesh.Trimesh]]:
                     raise ValueError("faces refer to vertices that do not exist")
                 material = getattr(getattr(mesh.visual, "material", None), "name", None)
                 name = " ".join(dict.fromkeys(str(n) for n in (node, geometry, material) if n))
-                found.append((str(geometry), name, mesh.copy().apply_transform(X)))
+                moved = mesh.copy()
+                moved.remove_unreferenced_vertices()
+                found.append((str(geometry), name, moved.apply_transform(X)))
         return found
     # Parsers of other people's files fail in ways that no list of exceptions covers.
     except Exception as error:
@@ -125,7 +122,7 @@ def _piece(label: str, name: str, source: trimesh.Trimesh, metres_per_unit: floa
     mesh = trimesh.Trimesh(source.vertices, source.faces, process=False)
     # Exporters split vertices at seams of normals and textures; a piece is what hangs together in space.
     mesh.merge_vertices()
-    whole = np.flatnonzero(mesh.nondegenerate_faces()) if np.isfinite(mesh.vertices).all() else np.arange(0)
+    whole = np.flatnonzero(mesh.nondegenerate_faces())
     mesh.update_faces(whole)
     mesh.remove_unreferenced_vertices()
     return FilePiece(label, name, mesh, source, np.asarray(source.faces)[whole], whole)

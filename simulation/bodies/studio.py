@@ -33,8 +33,8 @@ class Artist(Protocol):
     def radiator(self) -> Draw:
         """A heat radiator."""
 
-    def blanket(self) -> Draw:
-        """Foil."""
+    def blanket(self, foil: Material) -> Draw:
+        """A blanket of a foil."""
 
     def tank_wall(self, base: float) -> Draw:
         """The unrolled wall of a tank; its lower end is the aft one."""

@@ -91,7 +91,7 @@ def _end_module(studio: Studio, start: float, length: float, radius: float, size
     hull = box(sides, bevel=0.04)
     hull.apply_translation(middle)
     foil = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(3))]
-    sheets = [artist.blanket(), artist.panel(float(rng.choice([0.3, 0.7])), 0.8), artist.machined_plate()]
+    sheets = [artist.blanket(foil), artist.panel(float(rng.choice([0.3, 0.7])), 0.8), artist.machined_plate()]
 
     chosen = [sheets[k] for k in rng.integers(3, size=6)]
     parts = [studio.faced_by(hull, foil, sheet_by_side(chosen), "module", 1.5)]

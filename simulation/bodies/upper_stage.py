@@ -63,7 +63,7 @@ def _tank(studio: Studio, radius: float, bottom: float, top: float) -> list[Part
         wall = studio.artist.tank_wall(base)
     else:
         material = FOIL_GOLD if rng.random() < 0.6 else FOIL_SILVER
-        wall = studio.artist.blanket()
+        wall = studio.artist.blanket(material)
     parts = [studio.wrapped(solid, [(1, 2, wall)], material, "tank")]
     parts += _dome(studio, radius, bottom, -0.4 * radius) + _dome(studio, radius, top, 0.36 * radius)
     # Raised rings at the welds of the domes.
@@ -96,9 +96,10 @@ def _second_tank(studio: Studio, radius: float, upper_radius: float, bottom: flo
     gap = 0.16 * (top - bottom) + 0.3 * upper_radius
     upper = top - gap
     solid = revolve([(0, bottom), (radius, bottom), (radius, upper), (0, upper)], SECTIONS)
-    foil = bool(rng.random() < 0.5)
-    wall = studio.artist.blanket() if foil else studio.artist.tank_wall(float(rng.choice([0.1, 0.6])))
-    material = [FOIL_GOLD, FOIL_SILVER][int(rng.integers(2))] if foil else PAINT_WHITE
+    foil = FOIL_GOLD if rng.random() < 0.5 else FOIL_SILVER
+    wrapped, base = bool(rng.random() < 0.5), float(rng.choice([0.1, 0.6]))
+    wall = studio.artist.blanket(foil) if wrapped else studio.artist.tank_wall(base)
+    material = foil if wrapped else PAINT_WHITE
     parts = [studio.wrapped(solid, [(1, 2, wall)], material, "tank")]
     parts += _dome(studio, radius, bottom, -0.4 * radius) + _dome(studio, radius, upper, 0.4 * radius)
     count = int(rng.integers(8, 13))

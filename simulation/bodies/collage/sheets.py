@@ -6,7 +6,7 @@ import numpy as np
 from simulation.bodies.canvas import Canvas, Draw, code
 from simulation.bodies.collage.leaves import Leaves, strew
 from simulation.bodies.collage.strokes import combs, inscriptions, strokes
-from simulation.materials import ANODISED, TAPE, VINYL
+from simulation.materials import ANODISED, TAPE, VINYL, Material
 
 
 def panel(base: float, richness: float = 1.0) -> Draw:
@@ -51,12 +51,13 @@ def machined_plate() -> Draw:
     return draw
 
 
-def blanket() -> Draw:
+def blanket(foil: Material) -> Draw:
     """Foil: patches of tape of all sizes and straight wrinkles across the sheet."""
 
     def draw(canvas: Canvas, rng: np.random.Generator) -> None:
         height, width = canvas.shape
-        canvas.code[:] = code(0.14)
+        canvas.code[:] = code(foil.albedo)
+        canvas.layer[:] = canvas.layer_of(foil)
         few = Leaves(smallest=9.0, largest=60.0, spread=0.5, coverings=0.25, relief=0.8)
         strew(canvas, 0.15, few, rng, canvas.layer_of(TAPE))
         folds = np.zeros(canvas.shape, np.float32)

@@ -6,15 +6,16 @@ import numpy as np
 from simulation.bodies.canvas import Canvas, Draw, code
 from simulation.bodies.drawn.labels import sticker
 from simulation.bodies.drawn.marks import fill
-from simulation.materials import TAPE, VINYL
+from simulation.materials import TAPE, VINYL, Material
 
 
-def blanket() -> Draw:
-    """Foil in sheets; the part's own material shows everywhere but under tape, buttons and labels."""
+def blanket(foil: Material) -> Draw:
+    """Foil in sheets, under tape, buttons and labels."""
 
     def draw(canvas: Canvas, rng: np.random.Generator) -> None:
         height, width = canvas.shape
-        canvas.code[:] = code(0.14)
+        canvas.code[:] = code(foil.albedo)
+        canvas.layer[:] = canvas.layer_of(foil)
         _sheets(canvas, rng)
         _quilting(canvas, rng)
         _pull_lines(canvas, rng)
