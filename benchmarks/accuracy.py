@@ -79,7 +79,9 @@ def measure(case: Case) -> Case:
 
     noise = case["noise_px"]
     scene = replace(MOTIONS[case["motion"]], sigma_uv_px=noise, sigma_d_px=noise)
-    sequence = generate(scene, case["seed"])
+    # other draws in every cell
+    cell = list(MOTIONS).index(case["motion"]) * len(NOISES_PX) + NOISES_PX.index(noise)
+    sequence = generate(scene, 1000 * cell + case["seed"])
     known = {"accel_psd": scene.accel_psd, "torque_psd": scene.torque_psd}
     given = Backend(solver="gauss_newton", process_noise="given", **known)
     estimated = Backend(solver="gauss_newton", process_noise="estimated")
