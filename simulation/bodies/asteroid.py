@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 from polhode.lie import Array, exp_so3
 from polhode.records import Ints
 from simulation.bodies.part import Part
+from simulation.bodies.studio import Studio
 from simulation.materials import REGOLITH
 from simulation.noise import fractal
 
@@ -14,12 +15,13 @@ SUBDIVISIONS = 6
 """Of an icosahedron: 81,920 faces, 2 mm edges on a body of 0.3 m."""
 
 
-def asteroid_parts(size_m: float, rng: np.random.Generator, subdivisions: int = SUBDIVISIONS) -> list[Part]:
+def asteroid_parts(size_m: float, studio: Studio, subdivisions: int = SUBDIVISIONS) -> list[Part]:
     """One part, as large as a sphere of diameter size_m [m]; G is not aligned with the longest axis.
 
     Seeds differ in shape (ellipsoid, two lobes, spinning top) and in cover, from smooth and cratered to a
     pile of boulders.
     """
+    rng = studio.rng
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     direction = np.ascontiguousarray(sphere.vertices)
     tree = cKDTree(direction)
