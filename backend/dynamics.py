@@ -70,7 +70,7 @@ class Steps:
 def dynamics_residuals(states: States, steps: Steps, J_G: Array) -> Array:
     """Whitened residuals (F - 1, 12); J_G (3, 3) any scale. Infinite where rates are beyond reason."""
     q, w_end, _, _ = flows(states.x[:-1, 9:12], J_G, steps.dt_s, steps.series)
-    if not np.isfinite(q).all():
+    if not (np.isfinite(q).all() and (np.linalg.norm(q, axis=1) > 0.5).all()):
         return np.full((len(q), RESIDUALS), np.inf)
     errors, _ = _errors(states, steps, matrix_from_wxyz(q), w_end)
     return steps.whiten(errors[:, :, None])[:, :, 0]
