@@ -17,7 +17,7 @@ from simulation.disc import Stratum, disc_irradiance, spiral
 from simulation.light import Lights
 from simulation.materials import Surface
 from simulation.neighbourhood import Near
-from simulation.probes import DARK, DIRECTIONS, SKY, place_probes
+from simulation.probes import DARK, DIRECTIONS, PROBES, SKY, place_probes
 from simulation.raycast import Hits, RayCaster
 from simulation.reflection import glossy, lobe_ray
 from simulation.skin import Skin
@@ -81,9 +81,9 @@ class Around:
 class IndirectLight:
     """A body's probes and their surface, ready for the lights of any moment."""
 
-    def __init__(self, body: Body, caster: RayCaster, skin: Skin, bounces: int) -> None:
+    def __init__(self, body: Body, caster: RayCaster, skin: Skin, bounces: int, probes: int = PROBES) -> None:
         self._caster, self._bounces = caster, bounces
-        self._probes = place_probes(body.mesh, caster)
+        self._probes = place_probes(body.mesh, caster, probes)
         places = self._probes.points
         self._points = points = caster.hits_at(places.face, places.weights, places.normal_G)
         self._surface = surface = skin.evaluate(points.face, points.weights, points.p_G, points.normal_G)

@@ -20,6 +20,12 @@ from simulation.shading import Arriving, shade
 from simulation.skin import Skin
 
 
+PIXELS_A_PROBE = 60
+"""Probes of indirect light are as fine as the image asks for,"""
+PROBES = (2000, 8000)
+"""within these numbers."""
+
+
 @dataclass(frozen=True)
 class Picture:
     """What the lens forms on the sensor."""
@@ -40,6 +46,8 @@ class Renderer:
         self._caster = RayCaster(body)
         self._skin = Skin(body, scene.body, seed)
         self._bounces = scene.render.bounces
+        pixels = scene.rig.width_px * scene.rig.height_px
+        self._probes = int(np.clip(pixels // PIXELS_A_PROBE, *PROBES))
 
     @property
     def caster(self) -> RayCaster:
@@ -59,7 +67,7 @@ class Renderer:
     @cached_property
     def _indirect(self) -> IndirectLight:
         """Built when first needed: it takes a second."""
-        return IndirectLight(self._body, self._caster, self._skin, self._bounces)
+        return IndirectLight(self._body, self._caster, self._skin, self._bounces, self._probes)
 
     def picture(self, camera: Camera, X_NK: Array, X_NG: Array, t_s: float = 0.0) -> Picture:
         """Render what a camera at X_NK sees of the target at X_NG, t_s after the first frame.

@@ -30,7 +30,7 @@ def _box(extents_m: list[float], centre_G: list[float]) -> trimesh.Trimesh:
 def _indirect(*meshes: trimesh.Trimesh, material: Material = MATT) -> tuple[IndirectLight, RayCaster]:
     body = assemble([Part(mesh, material) for mesh in meshes])
     caster = RayCaster(body)
-    return IndirectLight(body, caster, Skin(body, config.Body(contrast=0.0), 0), 1), caster
+    return IndirectLight(body, caster, Skin(body, config.Body(contrast=0.0), 0), 1, probes=2500), caster
 
 
 def _irradiance(
@@ -90,7 +90,7 @@ def test_a_highlight_carries_the_light_of_a_metal_to_its_neighbour() -> None:
     ]
     body = assemble(parts)
     caster = RayCaster(body)
-    scene = IndirectLight(body, caster, Skin(body, config.Body(contrast=0.0), 0), 1), caster
+    scene = IndirectLight(body, caster, Skin(body, config.Body(contrast=0.0), 0), 1, probes=2500), caster
     sun = np.array([np.cos(1.0), 0.0, np.sin(1.0)])
     found = _irradiance(scene, replace(SUN, sun_direction_G=sun), [0.1, 0.0, 0.0], UP)
     assert 0.4 * np.sin(1.0) < found < np.sin(1.0)

@@ -33,7 +33,7 @@ def _levels(
     """Level (n,) in the mirror at points at_G (n, 3), as seen from a point (3,); mean over the samples."""
     body = assemble(parts)
     caster, skin = RayCaster(body), Skin(body, config.Body(contrast=0.0), 0)
-    indirect = IndirectLight(body, caster, skin, 1)
+    indirect = IndirectLight(body, caster, skin, 1, probes=1500)
     rays = at_G - np.array(seen_from_G)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     hits = caster.first_hits(np.array(seen_from_G), rays)

@@ -7,6 +7,7 @@ import trimesh
 from polhode.lie import Array
 from simulation.bodies import Body
 from simulation.bodies.part import Part, assemble
+from simulation.disc import Stratum, rays_over_disc
 from simulation.materials import PAINT_WHITE
 from simulation.raycast import Hits, RayCaster
 
@@ -100,3 +101,23 @@ def test_a_neighbour_shades_a_smooth_ball_up_to_its_terminator() -> None:
     caster = RayCaster(assemble([Part(ball, PAINT_WHITE), Part(roof, PAINT_WHITE)]))
     hits = _beam_hits(caster, np.array([0.5, 0.1, 0.02]), 0.1)
     assert not caster.lit(hits[hits.p_G[:, 2] < 0.2], np.array([0.0, 0.0, 1.0])).any()
+
+
+def test_the_penumbra_of_an_edge_holds_the_visible_share_of_the_suns_disc() -> None:
+    """A roof 0.4 m above a floor, its edge at x = 0, under a Sun of 4 degrees: 28 mm of half shadow."""
+    roof = trimesh.creation.box([1.0, 4.0, 1e-4])
+    roof.apply_translation([-0.5, 0.0, 0.4])
+    floor = trimesh.creation.box([2.0, 2.0, 0.01])
+    floor.apply_translation([0.0, 0.0, -0.005])
+    caster = RayCaster(assemble([Part(floor, PAINT_WHITE), Part(roof, PAINT_WHITE)]))
+    radius_rad, up = np.deg2rad(2.0), np.array([0.0, 0.0, 1.0])
+    width_m = 0.4 * np.tan(radius_rad)
+    places = np.linspace(-1.2, 1.2, 25)
+    x = np.repeat(places * width_m, 200)
+    rays = np.stack([x, np.zeros_like(x), np.full_like(x, -0.3)], axis=1)
+    hits = caster.first_hits(np.array([0.0, 0.0, 0.3]), rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    strata = [Stratum(np.arange(len(x)), i, 16) for i in range(16)]
+    lit = np.mean([caster.lit(hits, rays_over_disc(up, radius_rad, stratum)) for stratum in strata], axis=0)
+    clipped = np.clip(places, -1.0, 1.0)
+    share = 1.0 - (np.arccos(clipped) - clipped * np.sqrt(1.0 - clipped**2)) / np.pi
+    np.testing.assert_allclose(lit.reshape(25, 200).mean(axis=1), share, atol=0.015)

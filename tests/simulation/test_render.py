@@ -3,7 +3,7 @@
 import numpy as np
 
 from polhode.config import scene as config
-from polhode.lie import make_pose
+from polhode.lie import exp_so3, make_pose
 from simulation.bodies import build_body
 from simulation.cameras import build_cameras
 from simulation.render import Renderer
@@ -50,3 +50,27 @@ def test_nothing_is_seen_in_the_eclipse_without_a_lamp() -> None:
     renderer = Renderer(build_body(SCENE.body, 3), dark, 3)
     assert renderer.picture(LEFT, np.eye(4), X_NG, t_s=12.0).level.max() == 0.0
     assert renderer.picture(LEFT, np.eye(4), X_NG, t_s=0.0).level.max() > 0.2
+
+
+def test_a_picture_does_not_depend_on_what_was_rendered_before() -> None:
+    """Indirect light is kept from picture to picture; the next picture must not show it."""
+    scene = SCENE.model_copy(update={"render": config.Render(samples=4, bounces=1)})
+    used, fresh = (Renderer(build_body(scene.body, 3), scene, 3) for _ in range(2))
+    turned = make_pose(exp_so3([0.0, 0.002, 0.0]), [0.0, 0.0, 0.6])
+    used.picture(LEFT, np.eye(4), turned)
+    for renderer in (used, used, fresh):
+        picture = renderer.picture(LEFT, np.eye(4), X_NG)
+        assert picture.level.tobytes() == fresh.picture(LEFT, np.eye(4), X_NG).level.tobytes()
+
+
+def test_a_bounce_adds_light_and_never_takes_any_away_from_a_matt_body() -> None:
+    """On the rocky body, which mirrors nothing: more light in its hollows, the same elsewhere."""
+    body = build_body(config.Body(family="asteroid"), 3)
+    direct, bounced = (
+        Renderer(body, SCENE.model_copy(update={"render": config.Render(samples=4, bounces=bounces)}), 3)
+        .picture(LEFT, np.eye(4), X_NG)
+        .level
+        for bounces in (0, 1)
+    )
+    assert (bounced - direct).min() > -1e-12
+    assert 1.005 < bounced.sum() / direct.sum() < 1.2
