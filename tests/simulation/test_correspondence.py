@@ -191,6 +191,8 @@ scene:
   frames: 3
   rig: {width_px: 96, height_px: 72, focal_px: 100.0}
   motion: {position_m: [0.04, 0.0, 0.5], spin_rpm: [0, 6, 0]}
+  light: {earth: 0}
+  render: {bounces: 0}
 """
 
 

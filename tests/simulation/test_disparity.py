@@ -36,7 +36,9 @@ def _plan(family: str, rig: dict[str, Any]) -> Plan:
         "rig": rig,
         "body": {"family": family, "size_m": 0.22},
         "motion": {"position_m": [0.03, 0.0, 0.5], "attitude_deg": [20, 30, 10]},
-        "light": {"sun_direction_N": [0.2, -0.4, -1.0]},
+        # Without the light from part to part, which takes a second to prepare.
+        "light": {"sun_direction_N": [0.2, -0.4, -1.0], "earth": 0.0},
+        "render": {"bounces": 0},
     }
     return plan_sequence(config.Scene.model_validate(scene), 4)
 

@@ -17,7 +17,15 @@ from simulation.bodies.part import Body, Part, assemble
 from simulation.cameras import Camera, build_cameras
 from simulation.materials import Material
 from simulation.plan import plan_sequence
-from simulation.products import AWAY, CAST, Products, products_path, read_products, render_products
+from simulation.products import (
+    AWAY,
+    CAST,
+    Products,
+    products_path,
+    read_products,
+    render_products,
+    write_products,
+)
 from simulation.render import Renderer
 from simulation.sequence import simulate
 
@@ -93,53 +101,67 @@ def test_albedo_is_that_of_the_material_and_beside_the_target_nothing_is_known()
 def _scene(**render: object) -> config.Scene:
     rig = {"width_px": 64, "height_px": 48, "focal_px": 50.0}
     motion = {"position_m": [0.04, 0.0, 0.6], "spin_rpm": [1.0, 9.0, 0.0]}
-    return config.Scene.model_validate({"frames": 3, "rig": rig, "motion": motion, "render": render})
+    # Without the light from part to part, which takes a second to prepare.
+    light, render = {"earth": 0.0}, {"bounces": 0, **render}
+    return config.Scene.model_validate(
+        {"frames": 3, "rig": rig, "motion": motion, "light": light, "render": render}
+    )
 
 
 def _bytes(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-def test_products_add_files_and_change_none_and_are_the_same_bytes_from_two_workers(tmp_path: Path) -> None:
-    simulate(_scene(), 4, tmp_path / "plain", Silent(), workers=1)
-    simulate(_scene(products=ALL), 4, tmp_path / "one", Silent(), workers=1)
-    simulate(_scene(products=ALL), 4, tmp_path / "two", Silent(), workers=2)
-    plain, one = _bytes(tmp_path / "plain"), _bytes(tmp_path / "one")
-    assert one == _bytes(tmp_path / "two")
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sequence with all products."""
+    folder = tmp_path_factory.mktemp("products") / "S"
+    simulate(_scene(products=ALL), 4, folder, Silent(), workers=1)
+    return folder
+
+
+def test_products_add_files_and_change_no_others(stored: Path, tmp_path: Path) -> None:
+    simulate(_scene(), 4, tmp_path / "S", Silent(), workers=1)
+    plain, full = _bytes(tmp_path / "S"), _bytes(stored)
     same = plain.keys() - {"scene.yaml"}  # it says what was asked for
-    assert {name: one[name] for name in same} == {name: plain[name] for name in same}
-    added = sorted(one.keys() - plain.keys())
-    stamps = open_sequence(tmp_path / "one").timestamps_ns
-    assert added == [f"mav0/truth{index}/{stamp}.npz" for index in (0, 1) for stamp in stamps]
+    assert {name: full[name] for name in same} == {name: plain[name] for name in same}
+    stamps = open_sequence(stored).timestamps_ns
+    added = [f"mav0/truth{index}/{stamp}.npz" for index in (0, 1) for stamp in stamps]
+    assert sorted(full.keys() - plain.keys()) == added
 
 
-def test_a_reader_of_the_sequence_does_not_see_the_products(tmp_path: Path) -> None:
-    simulate(_scene(products=("depth",)), 4, tmp_path / "S", Silent())
-    sequence = open_sequence(tmp_path / "S")
+def test_products_are_the_same_bytes_from_two_processes(stored: Path, tmp_path: Path) -> None:
+    simulate(_scene(products=ALL), 4, tmp_path / "S", Silent(), workers=2)
+    assert _bytes(tmp_path / "S") == _bytes(stored)
+
+
+def test_a_reader_of_the_sequence_does_not_see_the_products(stored: Path) -> None:
+    sequence = open_sequence(stored)
     assert not sequence.warnings
     assert sequence.read_pair(0).mask_left is None
 
 
-def test_products_read_back_as_rendered_and_hold_what_was_asked_for(tmp_path: Path) -> None:
-    scene = _scene(products=("depth", "shadow", "normals"))
-    simulate(scene, 4, tmp_path / "S", Silent())
-    plan = plan_sequence(scene, 4)
-    renderer = Renderer(plan.body, scene, 4)
+def test_products_read_back_as_rendered(stored: Path) -> None:
+    plan = plan_sequence(_scene(), 4)
+    renderer = Renderer(plan.body, plan.scene, 4)
     for index, camera in enumerate(plan.cameras):
         X_NK = plan.X_NC[1] @ camera.X_CK
         truth = render_products(renderer, camera, X_NK, plan.target.X_NG[1], ALL)
-        stamp = int(plan.target.timestamps_ns[1])
-        stored = read_products(products_path(tmp_path / "S" / "mav0", index, stamp))
-        assert {f.name for f in fields(stored) if getattr(stored, f.name) is not None} == {
-            "depth",
-            "shadow",
-            "normals",
-        }
-        assert stored.depth is not None and truth.depth is not None
-        assert stored.normals is not None and truth.normals is not None and stored.shadow is not None
-        np.testing.assert_allclose(stored.depth, truth.depth, rtol=1e-7)
-        np.testing.assert_allclose(stored.normals, truth.normals, atol=1e-7)
-        assert (stored.shadow == truth.shadow).all()
+        found = read_products(products_path(stored / "mav0", index, int(plan.target.timestamps_ns[1])))
+        for name in ALL:
+            np.testing.assert_allclose(getattr(found, name), getattr(truth, name), rtol=1e-7, atol=1e-7)
+
+
+def test_a_file_holds_what_was_asked_for(tmp_path: Path) -> None:
+    camera, _ = build_cameras(DISTORTED)
+    renderer = Renderer(assemble([_box((0.3, 0.2, 0.05))]), config.Scene(), 0)
+    X_NG = make_pose(np.eye(3), [0.0, 0.0, 0.8])
+    write_products(
+        tmp_path / "7.npz", render_products(renderer, camera, np.eye(4), X_NG, ("shadow", "depth"))
+    )
+    found = read_products(tmp_path / "7.npz")
+    assert [f.name for f in fields(found) if getattr(found, f.name) is not None] == ["depth", "shadow"]
+    assert [path.name for path in tmp_path.iterdir()] == ["7.npz"]
 
 
 @pytest.mark.parametrize("content", [None, b"", b"not an archive"])
