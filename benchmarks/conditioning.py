@@ -82,6 +82,7 @@ def draw(path: Path) -> None:
         axes.grid(color="#e8ecf0")
         axes.legend(frameon=False, fontsize=9)
     figure.tight_layout()
+    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
     plt.close(figure)
 

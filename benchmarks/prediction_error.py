@@ -124,6 +124,7 @@ def draw(found: Comparison, path: Path) -> None:
         axes.legend(frameon=False, ncols=4, fontsize=9, loc="upper left")
     middle.set_title("bands: three standard deviations", fontsize=10)
     figure.tight_layout()
+    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)
     plt.close(figure)
 
