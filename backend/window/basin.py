@@ -54,10 +54,9 @@ def choose_basin(belief: Belief, history: History) -> str:
             best, name = basin, guess
     if best is None:
         return "none"
-    xi, belief.R_inertia = belief.shape.form.coordinates(best.second)
-    belief.weak_prior[4:] = belief.R_inertia.T.ravel()
     history.take(best.x)
-    belief.active.constants = np.concatenate([best.x[-N_CONSTANTS:-5], xi])
+    belief.active.constants = best.x[-N_CONSTANTS:].copy()
+    belief.set_inertia(*belief.shape.form.coordinates(best.second))
     belief.move_landmarks(condensed, (best.x - before)[history.pose_entries(belief.active.frames)])
     return name
 

@@ -96,6 +96,17 @@ class Belief:
         self.weak_prior = np.concatenate([middle, [sigma], self.R_inertia.T.ravel()])
         return radius
 
+    def renew_inertia(self) -> None:
+        """The same inertia about a reference of its own; only while nothing else depends on the reference."""
+        xi, R_inertia = self.shape.form.coordinates(self.shape.form.second_moments(self.xi, self.R_inertia))
+        self.set_inertia(xi, R_inertia)
+
+    def set_inertia(self, xi: Array, R_inertia: Array) -> None:
+        """Another inertia."""
+        self.R_inertia = R_inertia
+        self.weak_prior[4:] = R_inertia.T.ravel()
+        self.active.constants = np.concatenate([self.active.constants[:3], xi])
+
     def gauge_information(self, radius_m: float) -> Array:
         """(6,) of the hold on the first pose."""
         return np.repeat([(GAUGE_SIGMA * max(radius_m, 1e-3)) ** -2, GAUGE_SIGMA**-2], 3)

@@ -9,6 +9,7 @@ from backend.window.basin import choose_basin
 from backend.window.belief import Belief, new_belief
 from backend.window.frame import FrameMeasurements
 from backend.window.history import History
+from backend.window.ipopt import IpoptSolver
 from backend.window.level import estimate_levels
 from backend.window.newton import NewtonSolver
 from backend.window.noise import estimate_noise
@@ -40,7 +41,9 @@ class SlidingWindow:
     ) -> None:
         """sigma_camera: stated noise of the camera's own poses [m, rad]."""
         self.settings = config.window
-        self.solver: WindowSolver = NewtonSolver()
+        self.solver: WindowSolver = (
+            IpoptSolver(config.window.frames + 1) if config.window.solver == "ipopt" else NewtonSolver()
+        )
         self._sigma_camera = sigma_camera
         self._rig, self._config = rig, config
         self._axes: Array = np.eye(3)

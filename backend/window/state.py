@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
 
 from backend.covariance import axes_derivative, state_jacobian
 from backend.identifiability import analyse, undetermined_states
@@ -15,6 +15,8 @@ from polhode.lie import Array, make_pose
 from polhode.records import Bools, Identifiability
 
 N_JOINT = N_STATE + N_CONSTANTS
+ROUNDING = 1e-7
+"""Share of the diagonal of a Hessian that does no harm to what is known."""
 HALF_TURNS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=np.float64)
 """Diagonals of no turn and of the half-turns about x, y, z."""
 
@@ -58,7 +60,12 @@ class LastInformation:
 
 def last_information(H: Array, weak_prior: Array) -> LastInformation:
     """From the Hessian of the window's program, whose last 20 entries they are."""
-    L = cholesky(H, lower=True, check_finite=False)[-N_JOINT:, -N_JOINT:]
+    try:
+        L = cholesky(H, lower=True, check_finite=False)
+    except LinAlgError:
+        # axes of equal moments have no curvature at all
+        L = cholesky(H + ROUNDING * np.diag(np.diagonal(H)), lower=True, check_finite=False)
+    L = L[-N_JOINT:, -N_JOINT:]
     return LastInformation(L @ L.T, weak_prior)
 
 

@@ -24,6 +24,7 @@ def solve_whole(belief: Belief, history: History) -> None:
     """All states so far, with the vision that is active linearised at the solution."""
     sight, active = belief.sight(), belief.active
     for _ in range(MOST_ROUNDS):
+        belief.renew_inertia()
         condensed = belief.condensed(sight)
         x = history.vector(active.constants)
         links = history.links(x, belief.J_G, belief.noise_of_steps)

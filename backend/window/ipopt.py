@@ -1,0 +1,192 @@
+"""IPOPT with MUMPS on the window's program, built once for a fixed number of states and warm-started.
+
+States that are not there yet are held at 0 by a unit quadratic, and their steps weigh nothing. The unknowns
+are the changes from the start, divided by what the Hessian's diagonal says of their size.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.sparse import csc_matrix
+
+from backend.gauss_newton import Solution
+from backend.inertia import InertiaForm
+from backend.kernels import N_CONSTANTS, N_STATE, Output, dynamics_kernel, prior_kernel
+from backend.window.problem import WindowProblem
+from polhode.lie import Array
+from polhode.quaternion import wxyz_from_matrix
+from polhode.records import Ints
+
+TOLERANCE = 1e-3
+"""Largest gradient at the end: a thousandth of a standard deviation."""
+COST_AT_REST = 1e-4
+"""Change of the cost that nobody would notice, three times in a row."""
+MAX_ITERATIONS = 40
+N_LINK, N_PRIOR = 71, 13
+SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
+
+
+class IpoptSolver:
+    """Solver of ``WindowProblem``; a new program is built only when the steps need longer series."""
+
+    name = "ipopt"
+
+    def __init__(self, n_frames: int) -> None:
+        """n_frames: the most states that a problem will have."""
+        self.n_frames = n_frames
+        self._series = 0
+        self._program: Any = None
+
+    def solve(self, problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
+        """Minimise from x (12 W + 8,). The program's own limit of iterations stands."""
+        del max_iterations
+        series = int(problem.links.steps.series.max(initial=1))
+        if self._program is None or series > self._series:
+            self._series = series
+            self._program = _build(_Layout(self.n_frames), problem.shape.form, series)
+        at = _Layout(self.n_frames).entries(problem.n_frames)
+        _, H, _ = problem.normal_equations(x)
+        size = np.ones(N_STATE * self.n_frames + N_CONSTANTS)
+        # what is hardly determined is not stretched: metres, radians and ratios of 1 are large enough
+        size[at] = 1.0 / np.sqrt(np.maximum(np.diagonal(H), 1.0))
+        result = self._program(x0=0.0, p=_parameters(problem, x, at, size, self.n_frames))
+        stats = self._program.stats()
+        status = str(stats["return_status"])
+        step = size * np.asarray(result["x"]).ravel()
+        return Solution(x + step[at], float(result["f"]), int(stats["iter_count"]), status in SOLVED, status)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where things stand among the unknowns: states of ``n_frames`` frames, then the constants."""
+
+    n_frames: int
+
+    @property
+    def size(self) -> int:
+        return N_STATE * self.n_frames + N_CONSTANTS
+
+    @property
+    def upper(self) -> tuple[Ints, Ints]:
+        """Rows and columns of the upper triangle, by columns."""
+        cols, rows = np.tril_indices(self.size)
+        return rows, cols
+
+    def entries(self, n_frames: int) -> Ints:
+        """Of a problem with fewer states."""
+        of_constants = np.arange(self.size - N_CONSTANTS, self.size)
+        return np.concatenate([np.arange(N_STATE * n_frames), of_constants])
+
+    def slots(self) -> Ints:
+        """(W - 1, 32) entries that each step between states reads."""
+        states = N_STATE * np.arange(self.n_frames - 1)[:, None] + np.arange(2 * N_STATE)
+        of_constants = np.arange(self.size - N_CONSTANTS, self.size)
+        constants = np.broadcast_to(of_constants, (len(states), N_CONSTANTS))
+        return np.concatenate([states, constants], axis=1)
+
+
+def _build(layout: _Layout, form: InertiaForm, series: int) -> Any:
+    """Unknowns z (n), x = start + size z. Parameters: start, size, q (n each), Q (n, n), links, weak prior.
+
+    Every kernel returns its cost, gradient and Hessian blocks; constant sparse matrices add them up.
+    """
+    n, slots = layout.size, layout.slots()
+    z, start, size, q = ca.MX.sym("z", n), ca.MX.sym("start", n), ca.MX.sym("size", n), ca.MX.sym("q", n)
+    Q, links = ca.MX.sym("Q", n, n), ca.MX.sym("links", N_LINK, len(slots))
+    weak = ca.MX.sym("weak", N_PRIOR)
+    x = start + size * z
+    at_links = ca.reshape(x[slots.ravel().tolist()], slots.shape[1], slots.shape[0])
+
+    def terms(output: Output) -> list[Any]:
+        dynamics = dynamics_kernel(form, series, output).map(len(slots)).call([at_links, links])
+        prior = prior_kernel(form, output).call([x[n - N_CONSTANTS :], weak])
+        return list(zip(dynamics, prior, strict=True))
+
+    along = ca.mtimes(Q, z)
+    quadratic = ca.dot(z, q + 0.5 * along)
+    (of_links, of_prior), *_ = terms("cost")
+    cost = quadratic + ca.sum2(of_links) + of_prior
+    (of_links, of_prior), (g_links, g_prior) = terms("gradient")
+    where = np.concatenate([slots.ravel(), np.arange(n - N_CONSTANTS, n)])
+    slope = _adder(where, n) @ ca.vertcat(ca.vec(g_links), g_prior)
+    gradient = q + along + size * slope
+    _, _, (h_links, h_prior) = terms("quadratic")
+    rows, cols = layout.upper
+    all_slots = [slots, np.arange(n - N_CONSTANTS, n)[None]]
+    where = np.concatenate([_upper_cells(each) for each in all_slots])
+    bend = _adder(where, len(rows)) @ ca.vertcat(ca.vec(h_links), h_prior)
+    scale = size[rows.tolist()] * size[cols.tolist()]
+    values = ca.vec(Q)[(rows + n * cols).tolist()] + scale * bend
+    sparsity = ca.Sparsity.upper(n)
+    p = ca.vertcat(start, size, q, ca.vec(Q), ca.vec(links), weak)
+    symbols = ca.MX.sym("p", p.numel())
+    parts = ca.vertsplit(symbols, np.cumsum([0, n, n, n, n * n, N_LINK * len(slots), N_PRIOR]).tolist())
+    parts[3], parts[4] = ca.reshape(parts[3], n, n), ca.reshape(parts[4], N_LINK, len(slots))
+    old = [start, size, q, Q, links, weak]
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
+    cost, gradient, values = ca.graph_substitute([cost, gradient, values], old, parts)
+    grad_f = ca.Function("nlp_grad_f", [z, symbols], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
+    hess = ca.Function(
+        "nlp_hess_l",
+        [z, symbols, lam_f, lam_g],
+        [ca.MX(sparsity, lam_f * values)],
+        ["x", "p", "lam_f", "lam_g"],
+        ["triu_hess_gamma_x_x"],
+    )
+    options: Any = {
+        "grad_f": grad_f,
+        "hess_lag": hess,
+        "no_nlp_grad": True,
+        "calc_lam_p": False,
+        "print_time": False,
+        "error_on_fail": False,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "linear_solver": "mumps",
+            "max_iter": MAX_ITERATIONS,
+            "tol": TOLERANCE,
+            "dual_inf_tol": TOLERANCE,
+            # In the flat valley of what the first frames leave open, the cost rests before the gradient does.
+            "acceptable_tol": 1e8,
+            "acceptable_iter": 3,
+            "acceptable_obj_change_tol": COST_AT_REST,
+            "nlp_scaling_method": "none",
+        },
+    }
+    return ca.nlpsol("window", "ipopt", {"x": z, "p": symbols, "f": cost}, options)
+
+
+def _parameters(problem: WindowProblem, x: Array, at: Ints, size: Array, n_frames: int) -> Array:
+    n, n_links = len(size), n_frames - 1
+    start, q, Q = np.zeros(n), np.zeros(n), np.eye(n)
+    start[at] = x
+    q[at] = problem.vision.gradient(x)
+    Q[np.ix_(at, at)] = problem.vision.H
+    links = np.zeros((n_links, N_LINK))
+    links[:, [0, 4, 8, 9, 13, 17, 27, 31]] = 1.0
+    links[:, 18:27] = problem.weak_prior[4:13]
+    steps, R, m = problem.links.steps, problem.R_ref, len(problem.links)
+    by_columns = np.swapaxes(R, 1, 2).reshape(-1, 9)
+    links[:m, 0:9], links[:m, 9:18] = by_columns[:-1], by_columns[1:]
+    links[:m, 27:31] = wxyz_from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+    links[:m, 31] = steps.dt_s
+    links[:m, 32], links[:m, 33], links[:m, 34] = steps.W_t[:, 0, 0], steps.W_t[:, 1, 0], steps.W_t[:, 1, 1]
+    links[:m, 35:71] = np.swapaxes(steps.W_r, 1, 2).reshape(-1, 36)
+    scaled = (size[:, None] * Q * size).ravel()
+    return np.concatenate([start, size, size * q, scaled, links.ravel(), problem.weak_prior])
+
+
+def _adder(target: Ints, size: int) -> Any:
+    """Constant matrix (size, n) that adds entry e of a vector to ``target[e]``."""
+    n = len(target)
+    return ca.DM(csc_matrix((np.ones(n), (target, np.arange(n))), shape=(size, n)))
+
+
+def _upper_cells(slots: Ints) -> Ints:
+    """Cells of the upper triangle, counted by columns, that the blocks on each row of slots touch."""
+    cols, rows = np.tril_indices(slots.shape[1])
+    first, second = slots[:, rows], slots[:, cols]
+    return np.asarray(second * (second + 1) // 2 + first).ravel()
