@@ -15,7 +15,7 @@ from numba import njit
 from polhode.lie import Array
 from polhode.records import Ints
 from simulation.noise import cell_at, creases_at, fractal_at
-from simulation.spots import discs_at, folds_at, layered_spots_at
+from simulation.spots import SPOT_SLOPE, discs_at, folds_at, layered_spots_at
 
 
 @dataclass(frozen=True)
@@ -198,6 +198,7 @@ def _tilt(row: Array, p: Array, seed: int, scale: float, collage: bool) -> tuple
         s = 1.0 / (scale * row[8])
         if collage:
             _, gx, gy, gz = layered_spots_at(p[0] * s, p[1] * s, p[2] * s * along, seed + 23)
+            gx, gy, gz = SPOT_SLOPE * gx, SPOT_SLOPE * gy, SPOT_SLOPE * gz
         else:
             _, gx, gy, gz = fractal_at(p[0] * s, p[1] * s, p[2] * s * along, 3, seed + 23)
         tx, ty, tz = row[7] * gx, row[7] * gy, row[7] * gz * along

@@ -10,6 +10,9 @@ from numba import njit
 
 State = np.uint64
 
+SPOT_SLOPE = 0.21
+"""Brings the slopes of layered spots to those of the other generator's fractal."""
+
 SPOTS_PER_CELL = 2
 FOLDS = 7
 """Directions along which the foil is folded."""
@@ -88,7 +91,7 @@ def discs_at(x: float, y: float, z: float, seed: int) -> float:
     for cell in range(8):
         a, b, c = i + (cell & 1), j + ((cell >> 1) & 1), k + (cell >> 2)
         state = _start(a, b, c, seed)
-        for _ in range(4):
+        for _ in range(6):
             state = _next(state)
             dx = x - a - _draw(state)
             state = _next(state)
@@ -98,8 +101,8 @@ def discs_at(x: float, y: float, z: float, seed: int) -> float:
             state = _next(state)
             order = _draw(state)
             state = _next(state)
-            # Areas of all sizes: radius^-3 between 0.12 and 0.5 (dead leaves).
-            radius = 1.0 / np.sqrt(69.4 - 65.4 * _draw(state))
+            # Areas of all sizes: radius^-3 between 0.25 and 0.5 (dead leaves).
+            radius = 1.0 / np.sqrt(16.0 - 12.0 * _draw(state))
             if dx * dx + dy * dy + dz * dz < radius * radius and order > top:
                 top = order
                 state = _next(state)
@@ -125,7 +128,7 @@ def folds_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, flo
         crease = place + 0.15 + 0.7 * _draw(state)
         after = place if along > crease else place - 1
         state = _next(_start(after, fold, 2, seed))
-        slope = 1.3 * (2.0 * _draw(state) - 1.0) * (0.5 + 0.13 * fold)
+        slope = 0.9 * (2.0 * _draw(state) - 1.0) * (0.5 + 0.13 * fold)
         tx += slope * nx
         ty += slope * ny
         tz += slope * nz

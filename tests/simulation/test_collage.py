@@ -1,0 +1,96 @@
+"""Two texture generators that share nothing, told apart by their statistics."""
+
+import ast
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import simulation.bodies.collage
+import simulation.bodies.drawn
+from polhode.lie import Array
+from simulation import noise, spots
+from simulation.bodies.artist import artist_of
+from simulation.bodies.canvas import Canvas, Draw
+from simulation.bodies.studio import Artist
+from simulation.materials import FOIL_GOLD
+
+SHEETS: dict[str, Callable[[Artist], Draw]] = {
+    "panel": lambda artist: artist.panel(0.3),
+    "plain": lambda artist: artist.plain(0.3),
+    "machined_plate": lambda artist: artist.machined_plate(),
+    "cells": lambda artist: artist.cells(40),
+    "radiator": lambda artist: artist.radiator(),
+    "blanket": lambda artist: artist.blanket(FOIL_GOLD),
+    "tank_wall": lambda artist: artist.tank_wall(0.7),
+    "ring_wall": lambda artist: artist.ring_wall(0.4),
+    "nozzle_wall": lambda artist: artist.nozzle_wall(),
+    "reflector": lambda artist: artist.reflector(0.7, 12),
+}
+
+
+def _canvas(draw: Draw, seed: int = 1, shape: tuple[int, int] = (160, 200)) -> Canvas:
+    canvas = Canvas.blank(*shape)
+    draw(canvas, np.random.default_rng(seed))
+    return canvas
+
+
+def _imports(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text())
+    return {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+
+
+def test_neither_generator_imports_the_other() -> None:
+    for own, other in (("drawn", "collage"), ("collage", "drawn")):
+        folder = Path(
+            {"drawn": simulation.bodies.drawn, "collage": simulation.bodies.collage}[own].__file__ or ""
+        )
+        for path in folder.parent.glob("*.py"):
+            assert not any(f".{other}" in name for name in _imports(path)), path
+    for path, other in ((noise.__file__, "spots"), (spots.__file__, "noise")):
+        assert f"simulation.{other}" not in _imports(Path(path))
+
+
+@pytest.mark.parametrize("texture", ["drawn", "collage"])
+@pytest.mark.parametrize("sheet", SHEETS)
+def test_a_sheet_is_its_seeds_and_of_any_size(texture: str, sheet: str) -> None:
+    draw = SHEETS[sheet](artist_of("drawn" if texture == "drawn" else "collage"))
+    np.testing.assert_array_equal(_canvas(draw, 1).code, _canvas(draw, 1).code)
+    assert (_canvas(draw, 1).code != _canvas(draw, 2).code).any()
+    for shape in ((3, 40), (40, 3), (14, 14)):
+        assert _canvas(draw, 3, shape).code.shape == shape
+
+
+def _along_axes(code: Array) -> float:
+    """Share of the gradient's energy within 10 degrees of the sheet's rows or columns."""
+    down, right = np.gradient(code.astype(np.float64))
+    energy, angle = right**2 + down**2, np.arctan2(down, right)
+    from_axis = np.abs((angle + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+    return float(energy[from_axis < np.deg2rad(10)].sum() / energy.sum())
+
+
+def test_drawn_panels_keep_to_rows_and_columns_and_collages_do_not() -> None:
+    def shares(texture: Artist) -> list[float]:
+        return [_along_axes(_canvas(texture.panel(0.3), seed, (300, 300)).code) for seed in range(4)]
+
+    # Directions without preference have 0.22.
+    assert min(shares(artist_of("drawn"))) > 0.4
+    assert max(shares(artist_of("collage"))) < 0.28
+
+
+def test_leaves_have_structure_at_all_scales() -> None:
+    """The spectrum of dead leaves falls with the square of the frequency (Lee, Mumford and Huang 2001)."""
+    power = np.zeros(128)
+    for seed in range(4):
+        code = _canvas(artist_of("collage").panel(0.3, 1.0), seed, (256, 256)).code.astype(np.float64)
+        spectrum = np.abs(np.fft.fft2(code - code.mean())) ** 2
+        v, u = np.meshgrid(np.fft.fftfreq(256) * 256, np.fft.fftfreq(256) * 256, indexing="ij")
+        radius = np.rint(np.hypot(u, v)).astype(int)
+        inside = radius < 128
+        power += np.bincount(radius[inside], spectrum[inside], 128) / np.bincount(
+            radius[inside], minlength=128
+        )
+    frequency = np.arange(4, 60)
+    slope = np.polyfit(np.log(frequency), np.log(power[4:60]), 1)[0]
+    assert -2.8 < slope < -1.2
