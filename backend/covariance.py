@@ -1,22 +1,24 @@
 """Covariance of everything reported, from the Gauss-Newton information at the solution.
 
-The information is singular: G and its landmarks may move together. G is held at its pose in the first frame.
+The information is singular: G and its landmarks may move together. G is held at its true first pose.
 What does not depend on that choice (r_N, v_N, the attitude of the principal axes, w_P) gets its absolute
 covariance: the camera's frame is known; with G held, the landmarks carry the uncertainty of the first pose.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotri
 
+from backend.dynamics import States, state_derivatives
 from backend.gauss_newton import GaussNewton
 from backend.inertia import InertiaForm, inertia_from_second_moments, principal_axes
 from backend.iterate import Iterate
 from backend.kernels import N_CONSTANTS, N_STATE
 from backend.problem import Held
 from backend.schur import landmark_covariances
-from polhode.lie import Array, hat
+from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 
 N_GAUGE = 6
 SMALLEST_GAP = 1e-6
@@ -28,37 +30,69 @@ class Marginals:
     """Joint covariance of states and constants, those of the landmarks, information of the constants."""
 
     dense: Array
-    """(12 F + 8, 12 F + 8); zero for the first pose"""
+    """(s F + 8, s F + 8); zero for the first pose, where the camera's is exact"""
     landmarks: Array
     """(L, 3, 3) [m^2]"""
     constants_information: Array
     """(8, 8) of com_G and xi, everything else eliminated, without prior"""
     response: Array
-    """(12 F, 8) how the states follow when the constants are changed and everything else is fitted again"""
+    """(s F, 8) how the states follow when the constants are changed and everything else is fitted again"""
 
 
 def marginals(solver: GaussNewton, held: Held, x: Array, weight: Array) -> Marginals:
     """Invert the information at x; weight (M,) is the information that each observation contributes."""
     bare = solver.normal_equations(held, x, weight, prior=False)
     S, _, C_inv = solver.reduced(bare)
+    S = np.tril(S) + np.tril(S, -1).T
     n, first = len(S), N_GAUGE
     n_states = n - N_CONSTANTS
-    S = np.tril(S) + np.tril(S, -1).T
+    follow = _first_pose_follows(held.reference.moved_to(x), solver.data.camera_N)
+    _substitute_first_pose(S, follow)
     factor = cho_factor(S[first:n_states, first:n_states], lower=True, check_finite=False)
     response = np.zeros((n_states, N_CONSTANTS))
     response[first:] = -cho_solve(factor, S[first:n_states, n_states:], check_finite=False)
-    information = S[n_states:, n_states:] + S[n_states:, :n_states] @ response
+    information = S[n_states:, n_states:] + S[n_states:, first:n_states] @ response[first:]
     information = 0.5 * (information + information.T)
     constants = np.linalg.inv(information + solver.prior_information(held, x))
     dense = np.zeros((n, n))
-    inner = cho_solve(factor, np.eye(n_states - first), check_finite=False)
-    dense[first:n_states, first:n_states] = inner + response[first:] @ constants @ response[first:].T
+    dense[first:n_states, first:n_states] = _inverse(factor[0])
+    dense[first:n_states, first:n_states] += response[first:] @ constants @ response[first:].T
     dense[:n_states, n_states:] = response @ constants
     dense[n_states:, :n_states] = dense[:n_states, n_states:].T
     dense[n_states:, n_states:] = constants
+    errors = slice(N_STATE, N_STATE + follow.shape[1])
+    response[:first] = follow @ response[errors]
+    dense[:first] = follow @ dense[errors]
+    dense[:, :first] = dense[:, errors] @ follow.T
     d = solver.data
-    marks = landmark_covariances(dense, d.frame, d.start, bare.E, C_inv, N_STATE)
+    marks = landmark_covariances(dense, d.frame, d.start, bare.E, C_inv, bare.n_state)
     return Marginals(dense, marks, information, response)
+
+
+def _first_pose_follows(iterate: Iterate, camera_N: Array) -> Array:
+    """How the first pose (6) moves with the errors (0 or 6) of the camera's, while the true one is held."""
+    if iterate.camera is None:
+        return np.zeros((N_GAUGE, 0))
+    alpha = iterate.camera[0, 3:]
+    turn, left = exp_so3(alpha), right_jacobian_so3(-alpha)
+    arm = turn @ (iterate.p_NG[0] - camera_N[0])
+    out = np.zeros((N_GAUGE, N_GAUGE))
+    out[0:3, 0:3], out[0:3, 3:6] = -turn.T, turn.T @ hat(arm) @ left
+    out[3:6, 3:6] = -(turn @ iterate.R_NG[0]).T @ left
+    return out
+
+
+def _substitute_first_pose(S: Array, follow: Array) -> None:
+    """Put the first pose's dependence on the camera's errors into the information S, in place."""
+    at = slice(N_STATE, N_STATE + follow.shape[1])
+    S[at] += follow.T @ S[:N_GAUGE]
+    S[:, at] += S[:, :N_GAUGE] @ follow
+
+
+def _inverse(cholesky: Array) -> Array:
+    """Inverse of a matrix from the lower factor that ``cho_factor`` gives."""
+    inverse, _ = dpotri(cholesky, lower=1)
+    return np.asarray(np.tril(inverse) + np.tril(inverse, -1).T)
 
 
 @dataclass(frozen=True)
@@ -98,52 +132,65 @@ def _gap(difference: float, middle: float) -> float:
     return max(difference, SMALLEST_GAP * middle)
 
 
+def body_jacobians(iterate: Iterate, camera_N: Array | None = None) -> Array:
+    """Derivative (F, 12, s + 8) of r_N, v_N, theta in R_NG Exp(theta), w_G of each frame, true poses.
+
+    In the s unknowns of the frame and in (com_G, xi). camera_N (F, 3), see MotionData, is needed when s = 18.
+    """
+    n, s = iterate.n_frames, iterate.n_state
+    numbers = iterate.vector()[: iterate.n_states].reshape(n, s)
+    states = States(numbers, iterate.R_NG, np.zeros((n, 3)) if camera_N is None else camera_N, iterate.com_G)
+    out = np.zeros((n, 12, s + N_CONSTANTS))
+    out[:, 0:3, :s], out[:, 6:9, :s] = state_derivatives(states)
+    out[:, 0:3, s : s + 3] = states.true_attitudes()
+    out[:, 3:6, 6:9] = out[:, 9:12, 9:12] = np.eye(3)
+    return out
+
+
+def state_jacobians(iterate: Iterate, derivative: AxesDerivative, camera_N: Array | None = None) -> Array:
+    """The same (F, 12, s + 8) of r_N, v_N, theta_P, w_P: attitude and rate of the principal axes."""
+    out, R_GP, s = body_jacobians(iterate, camera_N), derivative.R_GP, iterate.n_state
+    # R_NG Exp(theta_G) R_GP Exp(theta_GP), and w_P = (R_GP Exp(theta_GP))^T w_G
+    out[:, 6:9], out[:, 9:12] = R_GP.T @ out[:, 6:9], R_GP.T @ out[:, 9:12]
+    out[:, 6:9, s + 3 :] += derivative.axes
+    out[:, 9:12, s + 3 :] += hat(iterate.w_G @ R_GP) @ derivative.axes
+    return out
+
+
 def state_jacobian(iterate: Iterate, k: int, derivative: AxesDerivative) -> tuple[Array, Array]:
-    """Derivative of (r_N, v_N, theta_P, w_P) of frame k: in its 12 variables, and in (com_G, xi) (12, 8)."""
-    R, R_GP = iterate.R_NG[k], derivative.R_GP
-    own, constants = np.zeros((12, N_STATE)), np.zeros((12, N_CONSTANTS))
-    # r_N = p + R com
-    own[0:3, 0:3], own[0:3, 3:6] = np.eye(3), -R @ hat(iterate.com_G)
-    constants[0:3, 0:3] = R
-    own[3:6, 6:9] = np.eye(3)
-    # R_NG Exp(theta_G) R_GP Exp(theta_GP)
-    own[6:9, 3:6] = R_GP.T
-    constants[6:9, 3:8] = derivative.axes
-    # w_P = (R_GP Exp(theta_GP))^T w_G
-    own[9:12, 9:12] = R_GP.T
-    constants[9:12, 3:8] = hat(R_GP.T @ iterate.w_G[k]) @ derivative.axes
+    """The same of frame k alone, the camera's pose exact: in its 12 unknowns, and in (com_G, xi) (12, 8)."""
+    only = slice(k, k + 1)
+    frame = replace(
+        iterate,
+        p_NG=iterate.p_NG[only],
+        R_NG=iterate.R_NG[only],
+        v_N=iterate.v_N[only],
+        w_G=iterate.w_G[only],
+    )
+    own, constants = np.split(state_jacobians(frame, derivative)[0], [N_STATE], axis=1)
     return own, constants
 
 
-def state_covariances(iterate: Iterate, m: Marginals, derivative: AxesDerivative) -> tuple[Array, Array]:
-    """Covariances (F, 12, 12) of the states, and the last one jointly with xi and com_G (20, 20)."""
-    n = N_STATE * iterate.n_frames
+def state_covariances(iterate: Iterate, m: Marginals, jacobians: Array) -> tuple[Array, Array]:
+    """Covariances (F, 12, 12) of the states, and the last one jointly with xi and com_G (20, 20).
+
+    jacobians (F, 12, s + 8) of the states in their own unknowns and the constants.
+    """
+    s, n = iterate.n_state, iterate.n_states
     out = np.zeros((iterate.n_frames, 12, 12))
-    for k in range(iterate.n_frames):
-        own, constants = state_jacobian(iterate, k, derivative)
-        at = np.r_[N_STATE * k : N_STATE * k + N_STATE, n : n + N_CONSTANTS]
-        T = np.hstack([own, constants])
+    for k, T in enumerate(jacobians):
+        at = np.r_[s * k : s * k + s, n : n + N_CONSTANTS]
         out[k] = T @ m.dense[np.ix_(at, at)] @ T.T
-        if k == iterate.n_frames - 1:
-            order = np.r_[15:20, 12:15]
-            T = np.vstack([T, np.eye(20)[order]])
-            joint = T @ m.dense[np.ix_(at, at)] @ T.T
-    return out, joint
+    T = np.vstack([T, np.eye(s + N_CONSTANTS)[np.r_[s + 3 : s + 8, s : s + 3]]])
+    return out, np.asarray(T @ m.dense[np.ix_(at, at)] @ T.T)
 
 
-def last_body_covariance(iterate: Iterate, m: Marginals) -> Array:
+def last_body_covariance(iterate: Iterate, m: Marginals, camera_N: Array | None = None) -> Array:
     """Covariance (20, 20) of the last r_N, v_N, theta in R_NG Exp(theta), w_G, then xi, com_G.
 
     Free of the principal axes, so it stays finite where they are undetermined; the prior bounds the rest.
     """
-    own, constants = np.zeros((12, N_STATE)), np.zeros((12, N_CONSTANTS))
-    R, n = iterate.R_NG[-1], N_STATE * iterate.n_frames
-    own[0:3, 0:3], own[0:3, 3:6] = np.eye(3), -R @ hat(iterate.com_G)
-    constants[0:3, 0:3] = R
-    own[3:6, 6:9] = own[6:9, 3:6] = own[9:12, 9:12] = np.eye(3)
-    at = np.r_[n - N_STATE : n, n : n + N_CONSTANTS]
-    T = np.vstack([np.hstack([own, constants]), np.eye(20)[np.r_[15:20, 12:15]]])
-    return np.asarray(T @ m.dense[np.ix_(at, at)] @ T.T)
+    return state_covariances(iterate, m, body_jacobians(iterate, camera_N))[1]
 
 
 def robust_information(s: Array, scale: float) -> Array:

@@ -90,7 +90,7 @@ def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> t
     q, w_end, turn, rate = flow_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series)
     turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), matrix_from_wxyz(q)
     errors, R = _errors(states, steps, R_step, w_end)
-    of_centre, of_turn = _state_derivatives(states, R)
+    of_centre, of_turn = state_derivatives(states)
     D = np.zeros((n, RESIDUALS, 2 * s + 8))
     D[:, 0:3, :s], D[:, 0:3, s : 2 * s] = -of_centre[:-1], of_centre[1:]
     D[:, 0:3, 6:9] -= steps.dt_s[:, None, None] * np.eye(3)
@@ -109,9 +109,9 @@ def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> t
     return steps.whiten(errors[:, :, None])[:, :, 0], steps.whiten(D)
 
 
-def _state_derivatives(states: States, R: Array) -> tuple[Array, Array]:
-    """Of the centre of mass, and of the turn of the true attitude R on the right: (F, 3, s) each."""
-    x, s = states.x, states.x.shape[1]
+def state_derivatives(states: States) -> tuple[Array, Array]:
+    """Of the true centre of mass, and of the turn of the true attitude on the right: (F, 3, s) each."""
+    x, s, R = states.x, states.x.shape[1], states.true_attitudes()
     Jr = right_jacobian_so3(x[:, 3:6])
     of_centre, of_turn = np.zeros((len(x), 3, s)), np.zeros((len(x), 3, s))
     of_centre[:, :, 3:6] = -R @ hat(states.com_G) @ Jr

@@ -8,6 +8,7 @@ from backend.gauss_newton import GaussNewton, Solution
 from backend.hypotheses import inertia_hypotheses
 from backend.initialize import frame_rates, robust_landmarks
 from backend.iterate import Iterate
+from backend.kernels import N_CAMERA
 from backend.problem import TIGHT_GAUGE, MotionData, hold, motion_data
 from backend.process_level import estimate_process_noise
 from backend.program import MotionProgram
@@ -94,7 +95,8 @@ def first_iterate(
     guesses = inertia_hypotheses(R_NG[use], w_G[use])
     xi, R_inertia = data.form.coordinates(np.eye(3))
     v_N = np.tile(velocity, (len(p_NG), 1))
-    return Iterate(p_NG, R_NG, v_N, w_G, com_G, xi, R_inertia, p_G), guesses
+    camera = np.zeros((len(p_NG), N_CAMERA)) if data.camera_is_noisy else None
+    return Iterate(p_NG, R_NG, v_N, w_G, com_G, xi, R_inertia, p_G, camera), guesses
 
 
 def try_hypotheses(

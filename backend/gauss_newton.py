@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import LinAlgError
 
+from backend.chain import POSE, eliminate_chain, solve_with_chain
 from backend.dynamics import States, add_steps, dynamics_jacobians, dynamics_residuals
 from backend.inertia import inertia_derivative
 from backend.iterate import Iterate
-from backend.kernels import N_CONSTANTS, N_STATE, bend_sx, prior_kernel
+from backend.kernels import N_CAMERA, N_CONSTANTS, N_STATE, bend_sx, prior_kernel
 from backend.problem import Held, MotionData
 from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
 from polhode.lie import Array, right_jacobian_so3
@@ -45,6 +46,8 @@ class NormalEquations:
     E: Array
     """(M, 6, 3)"""
     cost: float
+    n_state: int = N_STATE
+    """Numbers of a frame in H and g"""
 
 
 class GaussNewton:
@@ -87,9 +90,10 @@ class GaussNewton:
         """The objective."""
         residuals, _ = self.residuals(held, x)
         total = robust_cost(np.sum(residuals**2, axis=1), self.data.robust_scale)
-        n = N_STATE * self.data.n_frames
+        n = held.reference.n_states
         total += self.dynamics_cost(held, x)
         total += float(self._prior(x[n : n + 8], held.prior)[0])
+        total += self.camera_cost(held, x)
         return total + 0.5 * float(np.sum(held.gauge_information * self._gauge_offset(held, x) ** 2))
 
     def dynamics_cost(self, held: Held, x: Array) -> float:
@@ -100,9 +104,13 @@ class GaussNewton:
         residuals = dynamics_residuals(states, held.steps, at.J_G(self.data.form))
         return 0.5 * float(np.sum(residuals**2))
 
+    def camera_cost(self, held: Held, x: Array) -> float:
+        """The part of the objective that the errors of the camera's pose contribute."""
+        return 0.5 * float(np.sum(held.camera_information * camera_errors(held, x) ** 2))
+
     def prior_information(self, held: Held, x: Array) -> Array:
         """Gauss-Newton Hessian (8, 8) of the weak prior on com_G and xi."""
-        n = N_STATE * self.data.n_frames
+        n = held.reference.n_states
         cols, rows = np.tril_indices(N_CONSTANTS)
         block = np.zeros((N_CONSTANTS, N_CONSTANTS))
         block[rows, cols] = block[cols, rows] = np.asarray(self._prior(x[n : n + 8], held.prior)[2]).ravel()
@@ -110,7 +118,7 @@ class GaussNewton:
 
     def residuals(self, held: Held, x: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         """Whitened stereo residuals (M, 3), and A (F, 3, 3), p_NG (F, 3), p_G (L, 3) at x."""
-        d, n = self.data, N_STATE * self.data.n_frames
+        d, n = self.data, held.reference.n_states
         at = held.reference.moved_to(x)
         A = d.R_RN @ at.R_NG
         p_NG, p_G = np.ascontiguousarray(at.p_NG), np.ascontiguousarray(x[n + 8 :].reshape(-1, 3))
@@ -121,13 +129,13 @@ class GaussNewton:
         self, held: Held, x: Array, weight: Array | None = None, prior: bool = True
     ) -> NormalEquations:
         """Linearise at x; robust weights unless given (M,). ``prior=False`` leaves prior and gauge out."""
-        d, n_states = self.data, N_STATE * self.data.n_frames
+        d, s, n_states = self.data, held.reference.n_state, held.reference.n_states
         r, (A, p_NG, p_G) = self.residuals(held, x)
-        s = np.sum(r**2, axis=1)
+        squares = np.sum(r**2, axis=1)
         # the kernel's curvature speeds up the solution; information given from outside has none
-        w = robust_weight(s, d.robust_scale) if weight is None else weight
-        bend = bend_sx(s, d.robust_scale) if weight is None else np.zeros_like(s)
-        theta = x[:n_states].reshape(-1, N_STATE)[:, 3:6]
+        w = robust_weight(squares, d.robust_scale) if weight is None else weight
+        bend = bend_sx(squares, d.robust_scale) if weight is None else np.zeros_like(squares)
+        theta = x[:n_states].reshape(-1, s)[:, 3:6]
         H6, g6, C, h, E = stereo_normal_equations(
             d.frame,
             d.landmark,
@@ -144,36 +152,44 @@ class GaussNewton:
             bend,
         )
         n = n_states + 8
-        H, g, total = np.zeros((n, n)), np.zeros(n), robust_cost(s, d.robust_scale)
+        H, g, total = np.zeros((n, n)), np.zeros(n), robust_cost(squares, d.robust_scale)
         for k in range(d.n_frames):
-            H[12 * k : 12 * k + 6, 12 * k : 12 * k + 6] += H6[k]
-            g[12 * k : 12 * k + 6] += g6[k]
+            H[s * k : s * k + 6, s * k : s * k + 6] += H6[k]
+            g[s * k : s * k + 6] += g6[k]
         total += self._add_dynamics(held, x, H, g)
+        total += self._add_camera(held, x, H, g)
         if prior:
             total += self._add_prior(held, x, H, g)
         untouched = np.diagonal(H) == 0.0
         H[untouched, untouched] = 1.0
-        return NormalEquations(H, g, C, h, E, total)
+        return NormalEquations(H, g, C, h, E, total, s)
 
     def reduced(self, system: NormalEquations, damping: float = 0.0) -> tuple[Array, Array, Array]:
         """Eliminate the landmarks: S (n, n) lower, gradient (n,), C^-1 (L, 3, 3)."""
-        C = system.C + (damping + 1e-12) * np.eye(3) * np.trace(system.C, axis1=1, axis2=2)[:, None, None]
-        C_inv = np.linalg.inv(C)
+        C_inv = self._inverse_landmarks(system, damping)
         S, g = system.H.copy(), system.g.copy()
         S[np.diag_indices_from(S)] *= 1.0 + damping
-        subtract_landmarks(S, g, self.data.frame, self.data.start, system.E, C_inv, system.h, N_STATE)
+        subtract_landmarks(S, g, self.data.frame, self.data.start, system.E, C_inv, system.h, system.n_state)
         return S, g, C_inv
 
+    @staticmethod
+    def _inverse_landmarks(system: NormalEquations, damping: float) -> Array:
+        C = system.C + (damping + 1e-12) * np.eye(3) * np.trace(system.C, axis1=1, axis2=2)[:, None, None]
+        return np.asarray(np.linalg.inv(C))
+
     def _step(self, system: NormalEquations, damping: float) -> Array:
+        d = self.data
         while True:
-            S, g, C_inv = self.reduced(system, damping)
             try:
-                step = -cho_solve(cho_factor(S, lower=True, overwrite_a=True, check_finite=False), g)
+                C_inv = self._inverse_landmarks(system, damping)
+                chain = eliminate_chain(system.H, system.g, d.n_frames, system.n_state, damping)
+                S, g = chain.dense, chain.dense_gradient
+                subtract_landmarks(S, g, d.frame, d.start, system.E, C_inv, system.h, POSE)
+                step = solve_with_chain(chain, system.n_state)
                 break
             except LinAlgError:
                 damping = max(damping, 1e-8) * 10.0
-        d = self.data
-        marks = back_substitute(step, d.frame, d.start, system.E, C_inv, -system.h, N_STATE)
+        marks = back_substitute(step, d.frame, d.start, system.E, C_inv, -system.h, system.n_state)
         return np.concatenate([step, marks.ravel()])
 
     def _add_dynamics(self, held: Held, x: Array, H: Array, g: Array) -> float:
@@ -183,16 +199,24 @@ class GaussNewton:
         form = self.data.form
         dJ = inertia_derivative(form, at.xi, at.R_inertia)
         residual, jacobian = dynamics_jacobians(states, held.steps, at.J_G(form), dJ)
-        add_steps(H, g, residual, jacobian, N_STATE)
+        add_steps(H, g, residual, jacobian, at.n_state)
         return 0.5 * float(np.sum(residual**2))
 
     def _states(self, held: Held, x: Array) -> tuple[States, Iterate]:
         at = held.reference.moved_to(x)
-        of_frames = x[: N_STATE * at.n_frames].reshape(-1, N_STATE)
+        of_frames = x[: at.n_states].reshape(-1, at.n_state)
         return States(of_frames, at.R_NG, self.data.camera_N, at.com_G), at
 
+    def _add_camera(self, held: Held, x: Array, H: Array, g: Array) -> float:
+        error = camera_errors(held, x)
+        slots = np.arange(len(error))[:, None] * held.reference.n_state + N_STATE + np.arange(N_CAMERA)
+        if len(error):
+            H[slots, slots] += held.camera_information
+            g[slots] += held.camera_information * error
+        return self.camera_cost(held, x)
+
     def _add_prior(self, held: Held, x: Array, H: Array, g: Array) -> float:
-        n = N_STATE * self.data.n_frames
+        n = held.reference.n_states
         cost, gradient, _ = self._prior(x[n : n + 8], held.prior)
         H[n:, n:] += self.prior_information(held, x)
         g[n:] += np.asarray(gradient).ravel()
@@ -203,6 +227,14 @@ class GaussNewton:
 
     def _gauge_offset(self, held: Held, x: Array) -> Array:
         return np.concatenate([x[:3] - held.reference.p_NG[0], x[3:6]])
+
+
+def camera_errors(held: Held, x: Array) -> Array:
+    """Errors (F, 6) of the camera's stated poses in the unknowns x; (0, 6) where these are exact."""
+    s = held.reference.n_state
+    if s == N_STATE:
+        return np.zeros((0, N_CAMERA))
+    return np.asarray(x[: held.reference.n_states].reshape(-1, s)[:, N_STATE:])
 
 
 def robust_cost(s: Array, scale: float) -> float:

@@ -96,7 +96,7 @@ def _words(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
 def undetermined_states(determined: Determined, jacobians: Array, response: Array, w_P: Array) -> Bools:
     """Components (F, 12) of the states that move with a lost direction.
 
-    jacobians (F, 12, 20) of the states in their own variables and the constants; response (12 F, 8).
+    jacobians (F, 12, s + 8) of the states in their own s variables and the constants; response (s F, 8).
     """
     change = _largest_change(determined.lost, jacobians, response)
     of_axes = np.hstack([determined.lost, determined.turned])
@@ -113,6 +113,6 @@ def undetermined_states(determined: Determined, jacobians: Array, response: Arra
 def _largest_change(directions: Array, jacobians: Array, response: Array) -> Array:
     """Root of the summed squares (F, 12) of the states' changes along directions (8, m)."""
     n_frames = len(jacobians)
-    own = response.reshape(n_frames, 12, 8) @ directions
+    own = response.reshape(n_frames, -1, 8) @ directions
     constants = np.broadcast_to(directions, (n_frames, *directions.shape))
     return np.asarray(np.linalg.norm(jacobians @ np.concatenate([own, constants], axis=1), axis=2))

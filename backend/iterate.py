@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from backend.inertia import InertiaForm, inertia_from_second_moments
-from backend.kernels import N_CONSTANTS, N_STATE
+from backend.kernels import N_CAMERA, N_CONSTANTS, N_STATE
 from polhode.lie import Array, exp_so3
 
 
@@ -13,7 +13,8 @@ from polhode.lie import Array, exp_so3
 class Iterate:
     """One value of all unknowns. F frames, L landmarks.
 
-    As a vector (12 F + 8 + 3 L): per frame p_NG, theta, v_N, w_G; then com_G, xi; then the landmarks.
+    As a vector (s F + 8 + 3 L): per frame p_NG, theta, v_N, w_G (s = 12), and the errors of the camera's pose
+    where they are unknowns (s = 18); then com_G, xi; then the landmarks.
     theta = 0 at the iterate itself: it is a right perturbation of its R_NG.
     """
 
@@ -33,28 +34,49 @@ class Iterate:
     """(3, 3) reference rotation of the inertia's form"""
     p_G: Array
     """(L, 3) landmarks [m]"""
+    camera: Array | None = None
+    """(F, 6) shift [m] and turn [rad], along N, that make the stated camera pose the true one; None: exact"""
 
     @property
     def n_frames(self) -> int:
         return len(self.p_NG)
 
     @property
+    def n_state(self) -> int:
+        """Numbers of a frame in the vector."""
+        return N_STATE if self.camera is None else N_STATE + N_CAMERA
+
+    @property
+    def n_states(self) -> int:
+        """Numbers of all frames: the constants follow."""
+        return self.n_state * self.n_frames
+
+    @property
     def n_dense(self) -> int:
         """Size of the part of the vector without the landmarks."""
-        return N_STATE * self.n_frames + N_CONSTANTS
+        return self.n_states + N_CONSTANTS
 
     def vector(self) -> Array:
         """The unknowns as a vector, theta = 0."""
-        states = np.concatenate([self.p_NG, np.zeros_like(self.p_NG), self.v_N, self.w_G], axis=1)
+        camera = np.zeros((self.n_frames, 0)) if self.camera is None else self.camera
+        states = np.concatenate([self.p_NG, np.zeros_like(self.p_NG), self.v_N, self.w_G, camera], axis=1)
         return np.concatenate([states.ravel(), self.com_G, self.xi, self.p_G.ravel()])
 
     def moved_to(self, x: Array) -> "Iterate":
         """The unknowns at vector x, whose theta turns the R_NG of this iterate."""
-        n = N_STATE * self.n_frames
-        states = x[:n].reshape(-1, N_STATE)
-        R_NG = self.R_NG @ exp_so3(states[:, 3:6])
-        com_G, xi, p_G = x[n : n + 3], x[n + 3 : n + 8], x[n + 8 :].reshape(-1, 3)
-        return Iterate(states[:, 0:3], R_NG, states[:, 6:9], states[:, 9:12], com_G, xi, self.R_inertia, p_G)
+        n = self.n_states
+        states = x[:n].reshape(-1, self.n_state)
+        return Iterate(
+            p_NG=states[:, 0:3],
+            R_NG=self.R_NG @ exp_so3(states[:, 3:6]),
+            v_N=states[:, 6:9],
+            w_G=states[:, 9:12],
+            com_G=x[n : n + 3],
+            xi=x[n + 3 : n + 8],
+            R_inertia=self.R_inertia,
+            p_G=x[n + 8 :].reshape(-1, 3),
+            camera=None if self.camera is None else states[:, 12:18],
+        )
 
     def second_moments(self, form: InertiaForm) -> Array:
         """Sigma (3, 3) in G, determinant 1."""

@@ -17,9 +17,16 @@ Output = Literal["cost", "gradient", "quadratic", "jacobian"]
 """Cost alone; with its gradient; with gradient and upper Gauss-Newton Hessian; or residual and Jacobian."""
 
 N_STATE = 12
+N_CAMERA = 6
+"""Errors of the camera's stated pose: shift and turn along N. Unknowns of a frame when that pose is noisy."""
 MOST_BEND = 0.6
 """Measured on a cold start and near the end: less converges slower there, more slower here."""
 N_CONSTANTS = 3 + N_INERTIA
+
+
+def step_parameters(n_state: int) -> int:
+    """Parameters of a step between frames: with a noisy camera its stated positions too."""
+    return 71 if n_state == N_STATE else 77
 
 
 def quaternion_product_sx(a: Any, b: Any) -> Any:
@@ -99,21 +106,33 @@ def skew_sx(v: Any) -> Any:
     return ca.vertcat(ca.horzcat(0, -v[2], v[1]), ca.horzcat(v[2], 0, -v[0]), ca.horzcat(-v[1], v[0], 0))
 
 
+def centre_sx(state: Any, com_G: Any, R_ref: Any, camera_N: Any) -> Any:
+    """True centre of mass r_N (3) of a state (12 or 18), the camera's errors taken out."""
+    seen = state[0:3] + R_ref @ (rotation_sx(state[3:6]) @ com_G)
+    if state.numel() == N_STATE:
+        return seen
+    return camera_N + state[12:15] + rotation_sx(state[15:18]) @ (seen - camera_N)
+
+
 def dynamics_residual(
     before: Any, after: Any, com_G: Any, R0: Any, R1: Any, q01: Any, dt_s: Any, W_t: Any, W_r: Any,
-    q_step: Any, w_after: Any,
+    q_step: Any, w_after: Any, camera0_N: Any, camera1_N: Any,
 ) -> Any:  # fmt: skip
     """State after minus predicted state, whitened by the process noise of the step (eqs. 4.77, 4.58).
 
-    before, after (12); R0, R1 (3, 3) reference attitudes, q01 (4) = q0^-1 q1; W_t (2, 2), W_r (6, 6);
-    q_step (4), w_after (3) relative attitude and rate that the torque-free motion leads to (eqs. 4.62, 4.65).
+    before, after (12 or 18); R0, R1 (3, 3) reference attitudes, q01 (4) = q0^-1 q1; W_t (2, 2), W_r (6, 6);
+    q_step (4), w_after (3) relative attitude and rate that the torque-free motion leads to (eqs. 4.62, 4.65);
+    camera0_N, camera1_N (3) stated positions of the camera.
     """
     turn0, turn1 = quaternion_sx(before[3:6]), quaternion_sx(after[3:6])
-    r0 = before[0:3] + R0 @ (rotation_sx(before[3:6]) @ com_G)
-    r1 = after[0:3] + R1 @ (rotation_sx(after[3:6]) @ com_G)
+    r0, r1 = centre_sx(before, com_G, R0, camera0_N), centre_sx(after, com_G, R1, camera1_N)
     dr = r1 - r0 - dt_s * before[6:9]
     dv = after[6:9] - before[6:9]
     inverse = ca.vertcat(1.0, -1.0, -1.0, -1.0)
+    if before.numel() > N_STATE:
+        # the camera's turns along N become turns along the reference before the step
+        error0, error1 = quaternion_sx(R0.T @ before[15:18]), quaternion_sx(R0.T @ after[15:18])
+        q01 = quaternion_product_sx(quaternion_product_sx(error0 * inverse, error1), q01)
     relative = quaternion_product_sx(quaternion_product_sx(turn0 * inverse, q01), turn1)
     dtheta = quaternion_log_sx(quaternion_product_sx(q_step * inverse, relative))
     rotation = W_r @ ca.vertcat(dtheta, after[9:12] - w_after)
@@ -168,49 +187,55 @@ def stereo_kernel(robust_scale: float, output: Output = "quadratic") -> Any:
     return ca.Function("stereo", [x, ca.vec(A), ca.vec(R_RN), t_R, uvd, inv_sigma, rig], outputs)
 
 
-def dynamics_kernel(form: InertiaForm, n_steps: int, output: Output = "quadratic") -> Any:
-    """Function (x (32), p (71)) of cost, gradient (32), upper Hessian (528); or residual (12), Jacobian.
+def dynamics_kernel(
+    form: InertiaForm, n_series: int, output: Output = "quadratic", n_state: int = N_STATE
+) -> Any:
+    """Function (x (w), p (71 or 77)) of cost, gradient (w), upper Hessian; or residual (12), Jacobian.
 
-    x = state before, state after, com_G, xi. Parameters: R0, R1, R_ref of the inertia (9 each, by columns),
-    q01 (4), dt, W_t (3: 00, 10, 11), W_r (36, by columns) packed by ``program.dynamics_parameters``.
-    The step is a fold of ``n_steps`` Taylor series, between two functions that prepare and finish.
+    x = state before, state after (s = n_state each), com_G, xi: w = 2 s + 8. Parameters: R0, R1, R_ref of the
+    inertia (9 each, by columns), q01 (4), dt, W_t (3: 00, 10, 11), W_r (36, by columns), and where s = 18 the
+    camera's stated positions (3 each), packed by ``program.dynamics_parameters``. The step is a fold of
+    ``n_series`` Taylor series, between two functions that prepare and finish.
     """
     with_derivatives = output != "cost"
-    prepare, finish = _series_parameters(form, n_steps), _dynamics_outputs(output)
-    x, p = ca.MX.sym("x", 2 * N_STATE + N_CONSTANTS), ca.MX.sym("p", 71)
+    prepare, finish = _series_parameters(form, n_series, n_state), _dynamics_outputs(output, n_state)
+    x, p = ca.MX.sym("x", 2 * n_state + N_CONSTANTS), ca.MX.sym("p", step_parameters(n_state))
     start = ca.vertcat(1.0, 0.0, 0.0, 0.0, x[9:12])
     if with_derivatives:
         start = ca.vertcat(start, np.zeros(24), np.eye(3).ravel(), np.zeros(15))
     of_series = prepare(x, p)
     advance = step_function(with_derivatives)
-    if n_steps > 1:
-        y = advance.fold(n_steps)(start, ca.repmat(of_series, 1, n_steps))
+    if n_series > 1:
+        y = advance.fold(n_series)(start, ca.repmat(of_series, 1, n_series))
     else:
         y = advance(start, of_series)
-    return ca.Function(f"dynamics{n_steps}", [x, p], finish.call([x, p, y]))
+    return ca.Function(f"dynamics{n_series}", [x, p], finish.call([x, p, y]))
 
 
-def _series_parameters(form: InertiaForm, n_steps: int) -> Any:
+def _series_parameters(form: InertiaForm, n_series: int, n_state: int) -> Any:
     """Function (x, p) of the parameters (64) of ``step_function``."""
-    x, p = ca.SX.sym("x", 2 * N_STATE + N_CONSTANTS), ca.SX.sym("p", 71)
-    second = form.second_moments_sx(x[27:32], ca.reshape(p[18:27], 3, 3))
+    x, p = ca.SX.sym("x", 2 * n_state + N_CONSTANTS), ca.SX.sym("p", step_parameters(n_state))
+    xi = x[2 * n_state + 3 :]
+    second = form.second_moments_sx(xi, ca.reshape(p[18:27], 3, 3))
     J = ca.trace(second) * ca.SX.eye(3) - second
-    dJ = ca.densify(ca.jacobian(ca.vec(J), x[27:32]))
-    packed = ca.vertcat(ca.vec(J), ca.vec(ca.inv(J)), ca.vec(dJ), p[31] / n_steps)
+    dJ = ca.densify(ca.jacobian(ca.vec(J), xi))
+    packed = ca.vertcat(ca.vec(J), ca.vec(ca.inv(J)), ca.vec(dJ), p[31] / n_series)
     return ca.Function("prepare", [x, p], [packed])
 
 
 @lru_cache
-def _dynamics_outputs(output: Output) -> Any:
+def _dynamics_outputs(output: Output, n_state: int) -> Any:
     """Function (x, p, y of ``step_function``) of what ``dynamics_kernel`` returns."""
-    x, p = ca.SX.sym("x", 2 * N_STATE + N_CONSTANTS), ca.SX.sym("p", 71)
+    x, p = ca.SX.sym("x", 2 * n_state + N_CONSTANTS), ca.SX.sym("p", step_parameters(n_state))
     y = ca.SX.sym("y", 7 if output == "cost" else 55)
+    before, after, com_G = x[:n_state], x[n_state : 2 * n_state], x[2 * n_state : 2 * n_state + 3]
     R0, R1 = (ca.reshape(p[9 * i : 9 * i + 9], 3, 3) for i in range(2))
     W_t = ca.vertcat(ca.horzcat(p[32], 0), ca.horzcat(p[33], p[34]))
     W_r = ca.reshape(p[35:71], 6, 6)
     turn, w_after = ca.SX.sym("turn", 3), ca.SX.sym("w_after", 3)
     q_step = quaternion_product_sx(y[0:4], quaternion_sx(turn))
-    r = dynamics_residual(x[0:12], x[12:24], x[24:27], R0, R1, p[27:31], p[31], W_t, W_r, q_step, w_after)
+    cameras = (p[71:74], p[74:77]) if n_state > N_STATE else (ca.SX.zeros(3), ca.SX.zeros(3))
+    r = dynamics_residual(before, after, com_G, R0, R1, p[27:31], p[31], W_t, W_r, q_step, w_after, *cameras)
     of_end = ca.vertcat(turn, w_after)
     here = ca.vertcat(ca.SX.zeros(3), y[4:7])
     residual = ca.substitute(r, of_end, here)
@@ -219,7 +244,7 @@ def _dynamics_outputs(output: Output) -> Any:
     jacobian, along = (ca.substitute(ca.densify(ca.jacobian(r, to)), of_end, here) for to in (x, of_end))
     of_step = along @ ca.vertcat(ca.reshape(y[7:31], 3, 8), ca.reshape(y[31:55], 3, 8))
     jacobian[:, 9:12] += of_step[:, 0:3]
-    jacobian[:, 27:32] += of_step[:, 3:8]
+    jacobian[:, 2 * n_state + 3 :] += of_step[:, 3:8]
     return ca.Function("finish", [x, p, y], quadratic_outputs(residual, jacobian, output))
 
 
@@ -228,6 +253,12 @@ def prior_kernel(form: InertiaForm, output: Output = "quadratic") -> Any:
     x, p = ca.SX.sym("x", N_CONSTANTS), ca.SX.sym("p", 13)
     second = form.second_moments_sx(x[3:8], ca.reshape(p[4:13], 3, 3))
     return quadratic_kernel("prior", prior_residual(x[0:3], p[0:3], p[3], second), x, p, output)
+
+
+def hold_kernel(output: Output = "quadratic") -> Any:
+    """Function (x (6), p (12) = centre, information) of the same outputs: a pose or its error held softly."""
+    x, p = ca.SX.sym("x", 6), ca.SX.sym("p", 12)
+    return quadratic_kernel("hold", ca.sqrt(p[6:12]) * (x - p[0:6]), x, p, output)
 
 
 def quadratic_kernel(name: str, residual: Any, x: Any, p: Any, output: Output) -> Any:

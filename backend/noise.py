@@ -77,4 +77,6 @@ def landmark_leverage(data: MotionData, A: Array, p_NG: Array, p_G: Array, weigh
     J = data.inv_sigma[:, :, None] * (D @ A[k])
     information = np.zeros((data.n_landmarks, 3, 3))
     np.add.at(information, mark, weight[:, None, None] * (np.swapaxes(J, 1, 2) @ J))
+    # a landmark that contradicts all its observations has next to no information
+    information += 1e-12 * (1.0 + np.trace(information, axis1=1, axis2=2))[:, None, None] * np.eye(3)
     return np.asarray(weight[:, None] * np.einsum("mij,mjk,mik->mi", J, np.linalg.inv(information)[mark], J))

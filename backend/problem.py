@@ -20,6 +20,10 @@ COM_PRIOR_M = 0.1
 """Least standard deviation of the prior on the centre of mass; a larger body's own radius is taken."""
 
 
+LEAST_CAMERA_SIGMA = 1e-7
+"""[m, rad] where only the other half of the camera's pose is noisy."""
+
+
 @dataclass(frozen=True)
 class MotionData:
     """Measurements sorted by landmark, the camera's poses and the noise: what does not change in a run."""
@@ -41,11 +45,11 @@ class MotionData:
     t_R: Array
     """(F, 3) origin of N in R [m]"""
     camera_N: Array
-    """(F, 3) stated position of the camera [m]"""
+    """(F, 3) stated position of the body whose pose is stated, with the camera on it [m]"""
     dt_s: Array
     """(F - 1,)"""
-    pose_variance: tuple[float, float]
-    """[m^2, rad^2] of each pose, by the noise of the camera's own"""
+    camera_sigma: tuple[float, float]
+    """[m, rad] of the camera's stated poses, independent from frame to frame; zeros: they are exact"""
     accel_psd: float
     torque_psd: float
     robust_scale: float
@@ -56,6 +60,11 @@ class MotionData:
     @property
     def n_frames(self) -> int:
         return len(self.R_RN)
+
+    @property
+    def camera_is_noisy(self) -> bool:
+        """Whether the errors of the camera's pose are unknowns."""
+        return max(self.camera_sigma) > 0.0
 
     @property
     def n_landmarks(self) -> int:
@@ -77,11 +86,11 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
         start=np.searchsorted(landmark, np.arange(tracks.n_landmarks + 1)).astype(np.int64),
         uvd_px=np.ascontiguousarray(tracks.uvd_px[order], dtype=np.float64),
         inv_sigma=1.0 / np.array(tracks.sigma_px, dtype=np.float64)[order],
-        pose_variance=pose_variance(tracks),
+        camera_sigma=(tracks.sigma_camera_p_m, tracks.sigma_camera_theta_rad),
         rig=np.array([rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px]),
         R_RN=np.ascontiguousarray(X_RN[:, :3, :3]),
         t_R=np.ascontiguousarray(X_RN[:, :3, 3]),
-        camera_N=np.ascontiguousarray(tracks.X_NR[:, :3, 3]),
+        camera_N=(tracks.X_NR @ inverse_pose(tracks.X_BR))[:, :3, 3],
         dt_s=np.diff(tracks.time_s),
         accel_psd=config.accel_psd,
         torque_psd=config.torque_psd,
@@ -89,18 +98,6 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
         form=FORMS[config.inertia],
         order=order,
     )
-
-
-def pose_variance(tracks: StereoTracks) -> tuple[float, float]:
-    """Variance of the target's pose in N [m^2, rad^2] from the stated noise of the camera's own pose.
-
-    A turn of the camera moves the target by the distance times the angle.
-    """
-    if len(tracks.uvd_px) == 0:
-        return 0.0, 0.0
-    distance_m = float(np.median(tracks.rig.triangulate(tracks.uvd_px)[:, 2]))
-    turn = tracks.sigma_camera_theta_rad
-    return tracks.sigma_camera_p_m**2 + (distance_m * turn) ** 2, turn**2
 
 
 @dataclass(frozen=True)
@@ -120,6 +117,8 @@ class Held:
     """(13,) parameters of the prior kernel"""
     gauge_information: Array
     """(6,) diagonal of the hold on p_NG, theta of the first frame"""
+    camera_information: Array
+    """(6,) diagonal of the prior on the errors of the camera's pose, for each frame"""
     half_log_det: float
     """Normalisation of the dynamics term: makes the costs of different inertias comparable"""
 
@@ -127,8 +126,7 @@ class Held:
 def hold(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> Held:
     """Freeze references and whitening at an iterate; gauge is the standard deviation of the first pose."""
     w, J_G = iterate.w_G[:-1], iterate.J_G(data.form)
-    levels = data.accel_psd, data.torque_psd, data.pose_variance
-    W_t, W_r, half_log = whitening(w, J_G, data.dt_s, *levels)
+    W_t, W_r, half_log = whitening(w, J_G, data.dt_s, data.accel_psd, data.torque_psd)
     middle = geometric_median(iterate.p_G)
     radius = float(np.sqrt(np.median(np.sum((iterate.p_G - middle) ** 2, axis=1))))
     com_sigma = max(COM_PRIOR_M, radius)
@@ -138,6 +136,9 @@ def hold(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> Held
         steps=Steps(data.dt_s, series_steps(w, J_G, data.dt_s, data.torque_psd), W_t, W_r),
         prior=np.concatenate([middle, [com_sigma], iterate.R_inertia.T.ravel()]),
         gauge_information=np.repeat([(gauge * com_sigma) ** -2, gauge**-2], 3),
+        camera_information=np.repeat(
+            [max(sigma, LEAST_CAMERA_SIGMA) ** -2 for sigma in data.camera_sigma], 3
+        ),
         half_log_det=half_log,
     )
 

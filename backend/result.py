@@ -10,8 +10,9 @@ from backend.covariance import (
     marginals,
     robust_information,
     state_covariances,
-    state_jacobian,
+    state_jacobians,
 )
+from backend.dynamics import States
 from backend.gauss_newton import GaussNewton, robust_weight
 from backend.identifiability import Determined, analyse, undetermined_states
 from backend.iterate import Iterate
@@ -56,23 +57,30 @@ def assemble(
     w_P = iterate.w_G @ R_GP
     determined = analyse(m.constants_information, derivative, w_P)
     covariance, joint = _state_covariances(data, iterate, m, derivative, determined, w_P)
+    true = States(_numbers(iterate), iterate.R_NG, data.camera_N, iterate.com_G)
     warnings = _warnings(tracks, weight, data, determined.record, initial, iterate)
     return MotionEstimate(
         timestamps_ns=tracks.timestamps_ns,
-        r_N=iterate.p_NG + iterate.R_NG @ iterate.com_G,
+        r_N=true.centres(),
         v_N=iterate.v_N,
-        R_NP=iterate.R_NG @ R_GP,
+        R_NP=true.true_attitudes() @ R_GP,
         w_P=w_P,
         X_NG=make_pose(iterate.R_NG, iterate.p_NG),
         covariance=covariance,
         covariance_last_joint=joint,
-        covariance_last_body=_with_camera_noise(last_body_covariance(iterate, m), data),
+        covariance_last_body=last_body_covariance(iterate, m, data.camera_N),
         mass=_mass(iterate, m, derivative, determined),
         landmarks=_landmarks(kept.data, small, m),
         residuals_px=_unsorted(data, all_residuals / data.inv_sigma),
         inlier_weight=_unsorted(data, weight),
         noise=_noise(tracks, scales, data),
-        solver=SolverOutcome("", 0, 0.0, False, reduced_chi2(kept.data, s, solver.dynamics_cost(held, x))),
+        solver=SolverOutcome(
+            "",
+            0,
+            0.0,
+            False,
+            reduced_chi2(kept.data, s, solver.dynamics_cost(held, x) + solver.camera_cost(held, x)),
+        ),
         warnings=tuple(warnings),
     )
 
@@ -85,24 +93,18 @@ def _state_covariances(
     determined: Determined,
     w_P: Array,
 ) -> tuple[Array, Array]:
-    covariance, joint = state_covariances(iterate, m, derivative)
-    covariance, joint = _with_camera_noise(covariance, data), _with_camera_noise(joint, data)
-    frames = range(iterate.n_frames)
-    jacobians = np.stack([np.hstack(state_jacobian(iterate, k, derivative)) for k in frames])
+    jacobians = state_jacobians(iterate, derivative, data.camera_N)
+    covariance, joint = state_covariances(iterate, m, jacobians)
     lost = undetermined_states(determined, jacobians, m.response, w_P)
-    for k in frames:
+    for k in range(iterate.n_frames):
         covariance[k] = _with_infinite(covariance[k], lost[k])
     constants_lost = determined.lost_constants
     joint = _with_infinite(joint, np.concatenate([lost[-1], constants_lost[3:], constants_lost[:3]]))
     return covariance, joint
 
 
-def _with_camera_noise(covariance: Array, data: MotionData) -> Array:
-    """(..., n, n) of r, v, theta, w, ...: the pose is the one that the camera's own noisy pose shows."""
-    at = np.arange(12)
-    out = covariance.copy()
-    out[..., at, at] += np.repeat([data.pose_variance[0], 0.0, data.pose_variance[1], 0.0], 3)
-    return out
+def _numbers(iterate: Iterate) -> Array:
+    return iterate.vector()[: iterate.n_states].reshape(-1, iterate.n_state)
 
 
 def _with_infinite(covariance: Array, lost: Bools) -> Array:
@@ -117,7 +119,7 @@ def _mass(
     iterate: Iterate, m: Marginals, derivative: AxesDerivative, determined: Determined
 ) -> MassProperties:
     known = determined.record
-    n = 12 * iterate.n_frames
+    n = iterate.n_states
     cov_com, cov_J = m.dense[n : n + 3, n : n + 3], m.dense[n + 3 :, n + 3 :]
     moments, R_GP = derivative.moments, derivative.R_GP
     com_lost: Bools = np.abs(R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
@@ -154,7 +156,10 @@ def _noise(tracks: StereoTracks, scales: NoiseScales, data: MotionData) -> Noise
 
 
 def reduced_chi2(data: MotionData, s: Array, dynamics_cost: float) -> float:
-    """Squares of the stereo residuals, s (M,), and of the dynamics, over the degrees of freedom."""
+    """Squares of the stereo residuals, s (M,), and of the dynamics, over the degrees of freedom.
+
+    The errors of the camera's pose are unknowns, each measured once, by zero: they take no freedom.
+    """
     n_frames, n_landmarks = data.n_frames, data.n_landmarks
     # six numbers of the frame G are free of charge
     freedom = 3 * len(s) + 12 * (n_frames - 1) + 6 - 12 * n_frames - 8 - 3 * n_landmarks

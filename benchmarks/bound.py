@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.covariance import axes_derivative, marginals, state_jacobian
+from backend.covariance import axes_derivative, marginals, state_jacobians
 from backend.gauss_newton import GaussNewton
 from backend.identifiability import analyse
 from backend.inertia import FORMS, InertiaForm, second_moments_from_inertia
@@ -82,10 +82,10 @@ def joint_of_states(iterate: Iterate, form: InertiaForm, dense: Array) -> Array:
     """Covariance (12 F, 12 F) of (r_N, v_N, theta_P, w_N) of all frames from that of the unknowns."""
     derivative, n = axes_derivative(form, iterate), N_STATE * iterate.n_frames
     R_NP, w_P = iterate.R_NG @ derivative.R_GP, iterate.w_G @ derivative.R_GP
-    parts = []
+    jacobians, parts = state_jacobians(iterate, derivative), []
     for k in range(iterate.n_frames):
         T = rate_along_N(R_NP[k], w_P[k])
-        own, constants = state_jacobian(iterate, k, derivative)
+        own, constants = jacobians[k, :, :N_STATE], jacobians[k, :, N_STATE:]
         parts.append((slice(12 * k, 12 * k + 12), T @ own, T @ constants))
     half, joint = np.empty((n, n + N_CONSTANTS)), np.empty((n, n))
     for at, own, constants in parts:

@@ -134,6 +134,7 @@ def read_measurements(path: Path) -> StereoTracks:
         sigma_px=np.asarray(arrays["sigma_px"], dtype=np.float64),
         sigma_camera_p_m=float(arrays["sigma_camera_p_m"]),
         sigma_camera_theta_rad=float(arrays["sigma_camera_theta_rad"]),
+        X_BR=np.asarray(arrays["X_BR"], dtype=np.float64),
     )
 
 

@@ -4,7 +4,7 @@ import logging
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Literal, TypeVar
@@ -97,7 +97,7 @@ class _Images:
     def tracks(
         self, features: Sequence[StereoFeatures], association: Association, config: Config
     ) -> StereoTracks:
-        return to_tracks(
+        tracks = to_tracks(
             features,
             association,
             self.rectifier.rig,
@@ -106,6 +106,7 @@ class _Images:
             config.frontend.tracks,
             (self.sequence.sigma_camera_p_m, self.sequence.sigma_camera_theta_rad),
         )
+        return replace(tracks, X_BR=self.sequence.calibration.X_BC0 @ self.rectifier.X_CR)
 
 
 @dataclass

@@ -42,6 +42,8 @@ class StereoTracks:
     """Standard deviation of the inspector's position [m]; 0: exact."""
     sigma_camera_theta_rad: float = 0.0
     """Standard deviation of the inspector's attitude [rad]; 0: exact."""
+    X_BR: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) rectified left camera in the inspector's body, whose pose these standard deviations are of."""
 
     @property
     def n_frames(self) -> int:
@@ -181,7 +183,8 @@ class MotionEstimate:
     w_P: Array
     """(F, 3) [rad/s]"""
     X_NG: Array
-    """(F, 4, 4)"""
+    """(F, 4, 4) as seen from the camera's stated poses, which joins landmarks and depth. Where those poses
+    are noisy, r_N and R_NP are freed from their noise, and differ by it."""
     covariance: Array
     """(F, 12, 12) in the order r (N), v (N), theta (P), w (P); inf on the diagonal where undetermined."""
     covariance_last_joint: Array

@@ -61,14 +61,15 @@ def test_jacobian_matches_finite_differences(form: str, size: int) -> None:
     np.testing.assert_allclose(jacobian, np.stack(columns, axis=1), rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.parametrize("size", [12, 18])
 @pytest.mark.parametrize("form", FORMS)
-def test_it_is_the_residual_that_the_nonlinear_program_holds(form: str) -> None:
-    case = Case(form, 12)
+def test_it_is_the_residual_that_the_nonlinear_program_holds(form: str, size: int) -> None:
+    case = Case(form, size)
     q01 = wxyz_from_matrix(case.R[0].T @ case.R[1])
     by_columns = [M.ravel(order="F") for M in (*case.R, case.R_ref)]
     whiten = [W_T[0, 0, 0], W_T[0, 1, 0], W_T[0, 1, 1], *W_R[0].ravel(order="F")]
-    p = np.concatenate([*by_columns, q01, case.steps.dt_s, whiten])
-    expected = [np.asarray(out) for out in dynamics_kernel(case.form, 8, "jacobian")(case.x, p)]
+    p = np.concatenate([*by_columns, q01, case.steps.dt_s, whiten, *(case.camera_N if size > 12 else [])])
+    expected = [np.asarray(out) for out in dynamics_kernel(case.form, 8, "jacobian", size)(case.x, p)]
     residual, jacobian = case.jacobian(case.x)
     np.testing.assert_allclose(residual, expected[0].ravel(), atol=1e-12)
     np.testing.assert_allclose(jacobian, expected[1], atol=1e-11)

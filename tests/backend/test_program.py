@@ -1,5 +1,7 @@
 """The nonlinear program and Gauss-Newton are two writings of one problem."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,9 +17,13 @@ from simulation.measurements import SyntheticScene, generate
 SCENE = SyntheticScene(frames=6, landmarks=60, detection=0.6, outliers=0.05, J_G=np.diag([1.5, 1.2, 0.9]))
 
 
-def start(form: str) -> tuple[GaussNewton, MotionProgram, Iterate]:
+CASES = [("second_moments", 0.0), ("ratios_axes", 0.0), ("second_moments", 1e-3)]
+
+
+def start(form: str, sigma_camera: float = 0.0) -> tuple[GaussNewton, MotionProgram, Iterate]:
     """Off the truth by a centimetre and a degree, so that every term pulls."""
-    sequence, rng = generate(SCENE, 0), np.random.default_rng(1)
+    scene = replace(SCENE, sigma_camera_p_m=sigma_camera, sigma_camera_theta_rad=sigma_camera)
+    sequence, rng = generate(scene, 0), np.random.default_rng(1)
     data = motion_data(sequence.tracks, Backend.model_validate({"inertia": form}))
     X_NG, truth = sequence.X_NG, sequence.truth
     w_G = np.einsum("fba,fbc,fc->fa", X_NG[:, :3, :3], truth.R_NP, truth.w_P)
@@ -26,13 +32,14 @@ def start(form: str) -> tuple[GaussNewton, MotionProgram, Iterate]:
         X_NG[:, :3, 3] + 0.01 * rng.normal(size=(6, 3)), X_NG[:, :3, :3], truth.v_N,
         w_G + 0.02 * rng.normal(size=(6, 3)), truth.com_G, xi, R_inertia,
         sequence.p_G + 0.01 * rng.normal(size=sequence.p_G.shape),
+        1e-3 * rng.normal(size=(6, 6)) if data.camera_is_noisy else None,
     )  # fmt: skip
     return GaussNewton(data), MotionProgram(data), iterate
 
 
-@pytest.mark.parametrize("form", ["second_moments", "ratios_axes"])
-def test_both_solvers_see_the_same_cost(form: str) -> None:
-    solver, program, iterate = start(form)
+@pytest.mark.parametrize(("form", "sigma_camera"), CASES)
+def test_both_solvers_see_the_same_cost(form: str, sigma_camera: float) -> None:
+    solver, program, iterate = start(form, sigma_camera)
     held = hold(solver.data, iterate)
     # no iteration: the program returns the cost at the start
     solution = program.solve(held, iterate.vector(), 0)
@@ -40,9 +47,9 @@ def test_both_solvers_see_the_same_cost(form: str) -> None:
     assert not solution.converged
 
 
-@pytest.mark.parametrize("form", ["second_moments", "ratios_axes"])
-def test_gradient_of_the_normal_equations_matches_finite_differences(form: str) -> None:
-    solver, _, iterate = start(form)
+@pytest.mark.parametrize(("form", "sigma_camera"), CASES)
+def test_gradient_of_the_normal_equations_matches_finite_differences(form: str, sigma_camera: float) -> None:
+    solver, _, iterate = start(form, sigma_camera)
     held, x = hold(solver.data, iterate), iterate.vector()
     system = solver.normal_equations(held, x)
     gradient = np.concatenate([system.g, system.h.ravel()])
@@ -53,8 +60,9 @@ def test_gradient_of_the_normal_equations_matches_finite_differences(form: str) 
         assert gradient @ along == pytest.approx(slope, rel=1e-5, abs=1e-4 * np.abs(gradient).max())
 
 
-def test_both_solvers_end_in_the_same_point() -> None:
-    solver, program, iterate = start("second_moments")
+@pytest.mark.parametrize("sigma_camera", [0.0, 1e-3])
+def test_both_solvers_end_in_the_same_point(sigma_camera: float) -> None:
+    solver, program, iterate = start("second_moments", sigma_camera)
     held = hold(solver.data, iterate)
     a, b = solver.solve(held, iterate.vector(), 100), program.solve(held, iterate.vector(), 100)
     assert a.converged and b.converged
