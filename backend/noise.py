@@ -79,4 +79,7 @@ def landmark_leverage(data: MotionData, A: Array, p_NG: Array, p_G: Array, weigh
     np.add.at(information, mark, weight[:, None, None] * (np.swapaxes(J, 1, 2) @ J))
     # a landmark that contradicts all its observations has next to no information
     information += 1e-12 * (1.0 + np.trace(information, axis1=1, axis2=2))[:, None, None] * np.eye(3)
-    return np.asarray(weight[:, None] * np.einsum("mij,mjk,mik->mi", J, np.linalg.inv(information)[mark], J))
+    # a landmark whose observations all lost their weight takes nothing
+    least = 1e-12 * np.trace(information, axis1=1, axis2=2) + 1e-300
+    inverse = np.linalg.inv(information + least[:, None, None] * np.eye(3))
+    return np.asarray(weight[:, None] * np.einsum("mij,mjk,mik->mi", J, inverse[mark], J))
