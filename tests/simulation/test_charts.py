@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from polhode.lie import Array
 from simulation.bodies.canvas import Canvas, chart_of_facet, charts_around, code
 from simulation.bodies.facets import flat_facets
 from simulation.bodies.part import SLOPE_STEP, Chart
@@ -19,8 +20,8 @@ def _chart(**more: object) -> Chart:
     return Chart(np.array([0.1, 0.2, 0.3]), RIGHT, DOWN, TEXEL_M, image, **more)  # type: ignore[arg-type]
 
 
-def _at(chart: Chart, row: float, column: float) -> np.ndarray:  # type: ignore[type-arg]
-    return (chart.origin_G + TEXEL_M * (column * chart.right_G + row * chart.down_G))[None]
+def _at(chart: Chart, row: float, column: float) -> Array:
+    return np.asarray(chart.origin_G + TEXEL_M * (column * chart.right_G + row * chart.down_G))[None]
 
 
 def test_reflectance_is_interpolated_between_texels() -> None:

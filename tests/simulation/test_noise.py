@@ -6,7 +6,7 @@ import pytest
 from polhode.lie import Array
 from polhode.records import Ints
 from simulation.materials import FOIL_GOLD, PAINT_WHITE, REGOLITH, WORN_PANEL, Material, MaterialTable
-from simulation.noise import cells, fractal, fractal_gradient
+from simulation.noise import cells, creases_at, fractal, fractal_gradient
 
 SIDE = 64
 
@@ -76,3 +76,13 @@ def test_the_gradient_is_that_of_the_noise() -> None:
     behind = fractal(points - step * direction, scale, seed, octaves=1)
     gradient = fractal_gradient(points, scale, seed, octaves=1) @ direction
     np.testing.assert_allclose(gradient, 0.5 * (ahead - behind) / (2 * step), atol=0.02)
+
+
+def test_creased_foil_is_flat_between_jumps() -> None:
+    points = np.random.default_rng(1).uniform(-5, 5, (500, 3))
+    here = np.array([creases_at(x, y, z, 5) for x, y, z in points])
+    there = np.array([creases_at(x, y, z, 5) for x, y, z in points + 0.004])
+    same = (here == there).all(axis=1)
+    assert 0.8 < same.mean() < 0.995
+    assert np.linalg.norm(here - there, axis=1)[~same].min() > 1e-3
+    assert np.abs(here.mean(axis=0)).max() < 0.1
