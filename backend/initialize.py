@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from backend.continuity import jumping_frames
 from backend.gauss_newton import GaussNewton
 from backend.inertia import FORMS
 from backend.iterate import Iterate
@@ -44,6 +45,8 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
         X_RG = bundle_adjust(tracks, X_RG, connected, config)
         p_G, known = robust_landmarks(tracks, X_RG, connected)
     X_RG, connected = relocalize(tracks, X_RG, connected, p_G, known)
+    odd = jumping_frames(tracks.time_s, (tracks.X_NR @ X_RG)[:, :3, :3], connected)
+    connected = connected & ~odd
     X_RG[connected] = X_RG[connected] @ make_pose(np.eye(3), np.median(p_G[known], axis=0))
     X_NG = bridge(tracks.time_s, tracks.X_NR @ X_RG, connected)
     return InitialMotion(inverse_pose(tracks.X_NR) @ X_NG, connected)

@@ -1,0 +1,77 @@
+"""Frames that a look-alike side has put into the wrong attitude: the turn breaks there and mends after.
+
+A body whose sides look alike (by a half-turn about a wing's axis, say) leaves weak frames with a pose that is
+off by that symmetry. No rigid body jumps and jumps back; such frames are better bridged, and searched for
+again.
+"""
+
+import numpy as np
+
+from polhode.lie import Array, exp_so3, log_so3
+from polhode.records import Bools, Ints
+
+JUMP_RAD = np.deg2rad(60.0)
+"""Beyond this from what the turn around it says, a frame has jumped: nutation bends a turn less."""
+NEIGHBOURS = 9
+"""Intervals whose median is the local rate."""
+LARGEST_SHARE = 0.25
+"""Of the connected frames; a longer stretch is not what is odd."""
+
+
+def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
+    """(F,) frames whose removal makes the turn whole; time_s (F,), R_NG (F, 3, 3), connected (F,)."""
+    index: Ints = np.flatnonzero(connected)
+    odd = np.zeros(len(time_s), dtype=np.bool_)
+    if len(index) < NEIGHBOURS:
+        return odd
+    rate, centre = _local_rates(time_s[index], R_NG[index])
+    stretches = _stretches(time_s, R_NG, index, rate, centre)
+    limit = LARGEST_SHARE * len(index)
+    while len(stretches) > 1:
+        n = _odd_one(time_s, R_NG, stretches, rate, centre)
+        if n is None or len(stretches[n]) > limit:
+            break
+        odd[stretches[n]] = True
+        inner = [np.concatenate([stretches[n - 1], stretches[n + 1]])] if 0 < n < len(stretches) - 1 else []
+        stretches = (
+            [*stretches[: max(n - 1, 0)], *inner, *stretches[n + 2 :]]
+            if inner
+            else (stretches[1:] if n == 0 else stretches[:-1])
+        )
+    return odd
+
+
+def _odd_one(time_s: Array, R_NG: Array, stretches: list[Ints], rate: Array, centre: Array) -> int | None:
+    """The shortest stretch without which its neighbours join; else the shorter of the two at the ends."""
+    inner = range(1, len(stretches) - 1)
+    joining = [n for n in inner if _continues(time_s, R_NG, stretches[n - 1], stretches[n + 1], rate, centre)]
+    if joining:
+        return min(joining, key=lambda n: len(stretches[n]))
+    return min((0, len(stretches) - 1), key=lambda n: len(stretches[n]))
+
+
+def _local_rates(time_s: Array, R_NG: Array) -> tuple[Array, Array]:
+    """Median body rate (n - 1, 3) [rad/s] around each interval, and the intervals' middles (n - 1,) [s]."""
+    turn = log_so3(np.swapaxes(R_NG[:-1], 1, 2) @ R_NG[1:])
+    rate = turn / np.diff(time_s)[:, None]
+    half = NEIGHBOURS // 2
+    windows = [rate[max(0, k - half) : k + half + 1] for k in range(len(rate))]
+    return np.stack([np.median(window, axis=0) for window in windows]), 0.5 * (time_s[:-1] + time_s[1:])
+
+
+def _stretches(time_s: Array, R_NG: Array, index: Ints, rate: Array, centre: Array) -> list[Ints]:
+    """The connected frames, cut where the turn jumps."""
+    whole = [
+        _continues(time_s, R_NG, index[k : k + 1], index[k + 1 : k + 2], rate, centre)
+        for k in range(len(index) - 1)
+    ]
+    return list(np.split(index, np.flatnonzero(~np.array(whole)) + 1))
+
+
+def _continues(time_s: Array, R_NG: Array, before: Ints, after: Ints, rate: Array, centre: Array) -> bool:
+    """Whether the local rate leads from the last frame of one stretch to the first of the next."""
+    a, b = int(before[-1]), int(after[0])
+    middle = 0.5 * (time_s[a] + time_s[b])
+    local = np.array([np.interp(middle, centre, rate[:, axis]) for axis in range(3)])
+    expected = R_NG[a] @ exp_so3(local * (time_s[b] - time_s[a]))
+    return bool(np.linalg.norm(log_so3(expected.T @ R_NG[b])) < JUMP_RAD)
