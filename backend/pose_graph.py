@@ -44,9 +44,11 @@ def connect(relative: RelativePoses, n_frames: int) -> tuple[Array, Bools, Bools
 
 def relative_error(X_a: Array, X_b: Array) -> Array:
     """Disagreement of two relative poses (..., 4, 4) in units of the rejection thresholds."""
-    turn = np.linalg.norm(log_so3(np.swapaxes(X_a[..., :3, :3], -1, -2) @ X_b[..., :3, :3]), axis=-1)
-    distance = np.maximum(np.linalg.norm(X_b[..., :3, 3], axis=-1), 1e-9)
-    shift = np.linalg.norm(X_a[..., :3, 3] - X_b[..., :3, 3], axis=-1)
+    # the trace of R_a^T R_b tells the angle: digits at small angles are not needed here
+    trace = np.sum(X_a[..., :3, :3] * X_b[..., :3, :3], axis=(-2, -1))
+    turn = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
+    distance = np.maximum(np.sqrt(np.sum(X_b[..., :3, 3] ** 2, axis=-1)), 1e-9)
+    shift = np.sqrt(np.sum((X_a[..., :3, 3] - X_b[..., :3, 3]) ** 2, axis=-1))
     return np.asarray(
         np.maximum(
             turn / REJECT_RAD, shift / np.maximum(distance, 0.3 * np.median(distance)) / REJECT_SHIFT / 2
