@@ -62,8 +62,8 @@ def test_a_sheet_is_its_seeds_and_of_any_size(texture: str, sheet: str) -> None:
 def _along_axes(code: Code) -> float:
     """Share of the gradient's energy within 10 degrees of the sheet's rows or columns."""
     down, right = np.gradient(code.astype(np.float64))
-    energy, angle = right**2 + down**2, np.arctan2(down, right)
-    from_axis = np.abs((angle + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+    energy = np.asarray(right**2 + down**2)
+    from_axis: Array = np.abs((np.arctan2(down, right) + np.pi / 4) % (np.pi / 2) - np.pi / 4)
     return float(energy[from_axis < np.deg2rad(10)].sum() / energy.sum())
 
 
