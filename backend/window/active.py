@@ -15,11 +15,19 @@ from polhode.records import Ints
 
 NOTHING = Quadratic(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
 
+Part = tuple[Ints, Array, Array]
+"""Entries of a vector, information about them, its gradient."""
+
 
 @dataclass
 class Active:
-    """The unknowns as one vector: 6 of each key pose (p_NG, theta), 12 of each recent state, com_G, xi."""
+    """The unknowns as one vector: seen poses, recent states, com_G, xi.
 
+    Six of each key pose (p_NG, theta), the same of each recent one if the camera's own pose is noisy; 12 of
+    each recent state.
+    """
+
+    noisy_camera: bool = False
     keys: list[Frame] = field(default_factory=list)
     recent: list[Frame] = field(default_factory=list)
     links: Links = NO_LINKS
@@ -35,16 +43,22 @@ class Active:
         return [*self.keys, *self.recent]
 
     @property
-    def n_keys(self) -> int:
-        """Entries of the vector that belong to keys."""
-        return N_POSE * len(self.keys)
+    def n_seen(self) -> int:
+        """Entries of the vector before the states: seen poses that are no part of a state."""
+        return N_POSE * len(self.frames if self.noisy_camera else self.keys)
+
+    @property
+    def seen_entries(self) -> Ints:
+        """(6 F,) where the seen poses stand in the vector."""
+        if self.noisy_camera:
+            return np.arange(self.n_seen)
+        return np.concatenate([np.arange(self.n_seen), self.pose_entries])
 
     @property
     def pose_entries(self) -> Ints:
-        """(6 F,) where the poses stand in the vector."""
-        start = self.n_keys + N_STATE * np.arange(len(self.recent))
-        of_recent = (start[:, None] + np.arange(N_POSE)).ravel()
-        return np.concatenate([np.arange(self.n_keys), of_recent])
+        """(6 W,) where the true poses of the recent states stand."""
+        start = self.n_seen + N_STATE * np.arange(len(self.recent))
+        return np.asarray(start[:, None] + np.arange(N_POSE)).ravel()
 
     @property
     def R_ref(self) -> Array:
@@ -52,50 +66,81 @@ class Active:
         return np.stack([frame.R_ref for frame in self.recent])
 
     def vector(self) -> Array:
-        """The unknowns (6 K + 12 W + 8,)."""
-        of_keys = np.concatenate([np.zeros(0), *(frame.x[:N_POSE] for frame in self.keys)])
-        return np.concatenate([of_keys, states_of(self.recent).ravel(), self.constants])
+        """The unknowns (n,)."""
+        seen = self.frames if self.noisy_camera else self.keys
+        of_seen = np.concatenate([np.zeros(0), *(frame.seen for frame in seen)])
+        return np.concatenate([of_seen, states_of(self.recent).ravel(), self.constants])
 
     def take(self, x: Array) -> None:
         """Take the unknowns from a vector."""
-        for n, frame in enumerate(self.keys):
-            frame.x[:N_POSE] = x[N_POSE * n : N_POSE * (n + 1)]
+        for n, frame in enumerate(self.frames if self.noisy_camera else self.keys):
+            frame.seen[:] = x[N_POSE * n : N_POSE * (n + 1)]
         for n, frame in enumerate(self.recent):
-            start = self.n_keys + N_STATE * n
+            start = self.n_seen + N_STATE * n
             frame.x[:] = x[start : start + N_STATE]
         self.constants = x[-N_CONSTANTS:].copy()
 
     def make_room(self) -> None:
-        """A state was added before the constants, of which the arrival cost knows nothing."""
-        n = len(self.arrival.g) - N_CONSTANTS
-        old = np.r_[0:n, n + N_STATE : n + N_STATE + N_CONSTANTS]
-        size = n + N_STATE + N_CONSTANTS
-        H, g, x0 = np.zeros((size, size)), np.zeros(size), self.vector()
+        """A frame was added, of which the arrival cost knows nothing."""
+        x, last = self.vector(), len(self.recent) - 1
+        new = np.arange(N_STATE) + self.n_seen + N_STATE * last
+        if self.noisy_camera:
+            new = np.concatenate([np.arange(self.n_seen - N_POSE, self.n_seen), new])
+        old = np.setdiff1d(np.arange(len(x)), new)
+        H, g, x0 = np.zeros((len(x), len(x))), np.zeros(len(x)), x.copy()
         H[np.ix_(old, old)], g[old], x0[old] = self.arrival.H, self.arrival.g, self.arrival.x0
         self.arrival = Quadratic(H, g, x0)
 
-    def absorb(self, parts: list[tuple[Ints, Array, Array]], gone: Ints) -> None:
-        """Add information (entries, H, g at the present vector) to the arrival cost, then eliminate entries.
+    def absorb(self, parts: list[Part], gone: Ints) -> None:
+        """Add information, with gradients at the present vector, to the arrival cost; eliminate entries.
 
         The caller takes what is gone out of the frames.
         """
         x = self.vector()
         H, g = self.arrival.H.copy(), self.arrival.gradient(x)
-        for entries, more, gradient in parts:
-            H[np.ix_(entries, entries)] += more
-            g[entries] += gradient
+        add_parts(H, g, parts)
         kept = np.setdiff1d(np.arange(len(g)), gone)
         left = eliminate(H, g, gone, kept)
         self.arrival = Quadratic(left.H, left.g, x[kept])
 
-    def oldest_step(self, form: InertiaForm, R_inertia: Array) -> tuple[Ints, Array, Array]:
-        """The dynamics from the oldest recent state to the next: entries, information, gradient."""
-        x, start = self.vector(), self.n_keys
+    def oldest_step(self, form: InertiaForm, R_inertia: Array) -> Part:
+        """The dynamics from the oldest recent state to the next."""
+        x, start = self.vector(), self.n_seen
         both = np.r_[start : start + 2 * N_STATE, len(x) - N_CONSTANTS : len(x)]
         first = self.links.part(slice(0, 1))
         r, D = link_jacobians(x[both], self.R_ref[:2], first, form, R_inertia)
         return both, D[0].T @ D[0], D[0].T @ r[0]
 
+    def camera_parts(self, n_frames: int | None = None) -> list[Part]:
+        """How far the seen poses of the (first) recent frames may be from the true ones."""
+        if not self.noisy_camera:
+            return []
+        seen = self.seen_entries[N_POSE * len(self.keys) :].reshape(-1, N_POSE)
+        true = self.pose_entries.reshape(-1, N_POSE)
+        frames = self.recent[:n_frames]
+        return [camera_part(frame, a, b) for frame, a, b in zip(frames, seen, true, strict=False)]
+
+    def oldest_velocities(self) -> Ints:
+        """Entries of the oldest recent frame that do not stay when its seen pose becomes a key."""
+        first = 0 if self.noisy_camera else N_POSE
+        return np.arange(self.n_seen + first, self.n_seen + N_STATE)
+
     def shift(self) -> None:
         """The oldest state becomes a key."""
         self.keys.append(self.recent.pop(0))
+
+
+def camera_part(frame: Frame, seen: Ints, true: Ints) -> Part:
+    """The seen pose minus the true one, by the noise of the camera's own; entries (6,) of both."""
+    assert frame.camera_information is not None
+    one = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    force = frame.camera_information @ (frame.seen - frame.x[:N_POSE])
+    entries = np.concatenate([seen, true])
+    return entries, np.kron(one, frame.camera_information), np.concatenate([force, -force])
+
+
+def add_parts(H: Array, g: Array, parts: list[Part]) -> None:
+    """Add each part to H and g in place."""
+    for entries, more, gradient in parts:
+        H[np.ix_(entries, entries)] += more
+        g[entries] += gradient

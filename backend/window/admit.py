@@ -20,7 +20,7 @@ def first_frame(belief: Belief, m: FrameMeasurements, number: int, time_s: float
     """The frame that defines G: its axes those of N, its origin in the middle of what is seen."""
     p_R = belief.rig.triangulate(m.uvd_px)
     R_NG, p_NG = m.X_NR[:3, :3], (m.X_NR @ np.append(np.median(p_R, axis=0), 1.0))[:3]
-    frame = _frame(m, number, time_s, R_NG, np.concatenate([p_NG, np.zeros(9)]))
+    frame = _frame(belief, m, number, time_s, R_NG, np.concatenate([p_NG, np.zeros(9)]))
     frame.hold()
     _see(belief, frame, m, np.ones(len(m.landmark), bool))
     return frame
@@ -49,7 +49,7 @@ def next_frame(belief: Belief, m: FrameMeasurements, number: int, time_s: float)
         R_NG, x[:3] = X_NG[:3, :3], X_NG[:3, 3]
         if n_located < STEADY_FRAMES:
             _difference(belief, before, x, R_NG, time_s - before.time_s, whole=n_located == 1)
-    frame = _frame(m, number, time_s, R_NG, x)
+    frame = _frame(belief, m, number, time_s, R_NG, x)
     if found.by == "nothing" and (len(index) >= LEAST_COMMON or _predicted_sigma(belief, time_s) > LOST_RAD):
         # it contradicts the map, or nobody knows where it is: what it sees would only do harm
         return frame
@@ -57,10 +57,11 @@ def next_frame(belief: Belief, m: FrameMeasurements, number: int, time_s: float)
     return frame
 
 
-def _frame(m: FrameMeasurements, number: int, time_s: float, R_NG: Array, x: Array) -> Frame:
+def _frame(belief: Belief, m: FrameMeasurements, number: int, time_s: float, R_NG: Array, x: Array) -> Frame:
     R_RN, t_R = camera_of(m.X_NR)
-    nothing = np.zeros(0, np.int64)
-    return Frame(number, time_s, R_RN, t_R, nothing, np.zeros((0, 3)), np.zeros((0, 3)), R_NG, x)
+    nothing, none = np.zeros(0, np.int64), np.zeros((0, 3))
+    information = belief.camera.information(m.X_NR, R_NG, x[:3])
+    return Frame(number, time_s, R_RN, t_R, nothing, none, none, R_NG, x, information)
 
 
 def _difference(belief: Belief, before: Frame, x: Array, R_NG: Array, dt_s: float, whole: bool) -> None:
@@ -79,7 +80,7 @@ def _predicted_sigma(belief: Belief, time_s: float) -> float:
     covariance = np.linalg.inv(belief.last.joint)
     dt = time_s - belief.active.recent[-1].time_s
     turn = covariance[3:6, 3:6] + dt**2 * covariance[9:12, 9:12]
-    return float(np.sqrt(np.linalg.eigvalsh(turn)[-1] + belief.noise_of_steps.torque_psd * dt**3 / 3.0))
+    return float(np.sqrt(np.linalg.eigvalsh(turn)[-1] + belief.disturbances.torque_psd * dt**3 / 3.0))
 
 
 def _let_in(belief: Belief, slot: Ints, index: Ints, found: Located) -> Bools:
@@ -111,7 +112,7 @@ def _see(belief: Belief, frame: Frame, m: FrameMeasurements, enter: Bools) -> No
     slot = marks.find(names)
     new = slot < 0
     slot[new] = marks.take(names[new])
-    X_GR = inverse_pose(frame.X_NG) @ m.X_NR
+    X_GR = inverse_pose(frame.X_NG_seen) @ m.X_NR
     p_R = belief.rig.triangulate(uvd[new])
     marks.p_G[slot[new]] = transform_points(X_GR, p_R)
     spread = X_GR[:3, :3] @ belief.rig.triangulation_jacobian(p_R) / inv_sigma[new][:, None, :]

@@ -14,6 +14,7 @@ from backend.window.history import History
 from backend.window.newton import NewtonSolver
 from backend.window.problem import WindowProblem
 from backend.window.quadratic import Quadratic
+from backend.window.steps import take_whole
 from polhode.lie import Array
 
 PASSES = (3, 3, 3, 2)
@@ -39,14 +40,13 @@ def choose_basin(belief: Belief, history: History) -> str:
     condensed = belief.condensed(sight)
     vision = history.vision(belief.active, condensed)
     before = history.vector(belief.active.constants)
-    present = _descend(
-        belief, history, vision, before, belief.shape.form.second_moments(belief.xi, belief.R_inertia), []
-    )
+    second = belief.shape.form.second_moments(belief.xi, belief.R_inertia)
+    present = _descend(belief, history, vision.quadratic, before, second, [])
     found = [] if present is None else [present]
     best, name = present, "present"
     start, R_NG, w_G = _fresh_rates(history, before)
     for guess, second in inertia_hypotheses(R_NG, w_G).items():
-        basin = _descend(belief, history, vision, start, second, found)
+        basin = _descend(belief, history, vision.quadratic, start, second, found)
         if basin is None or any(basin is other for other in found):
             continue
         found.append(basin)
@@ -54,10 +54,8 @@ def choose_basin(belief: Belief, history: History) -> str:
             best, name = basin, guess
     if best is None:
         return "none"
-    history.take(best.x)
-    belief.active.constants = best.x[-N_CONSTANTS:].copy()
+    take_whole(belief, history, vision, condensed, best.x)
     belief.set_inertia(*belief.shape.form.coordinates(best.second))
-    belief.move_landmarks(condensed, (best.x - before)[history.pose_entries(belief.active.frames)])
     return name
 
 
@@ -84,7 +82,7 @@ def _descend(
         weak = belief.weak_prior.copy()
         weak[4:] = R_inertia.T.ravel()
         J_G = inertia_from_second_moments(second)
-        links = history.links(x, J_G, belief.noise_of_steps)
+        links = history.links(x, J_G, belief.J_noise, belief.disturbances)
         problem = WindowProblem(vision, history.R_ref, links, weak, belief.shape)
         try:
             solution = NewtonSolver().solve(problem, x, iterations)

@@ -9,9 +9,10 @@ from backend.inertia import inertia_from_second_moments
 from backend.kernels import N_CONSTANTS
 from backend.problem import COM_PRIOR_M, geometric_median
 from backend.window.active import Active
+from backend.window.frame import CameraNoise
 from backend.window.history import History
 from backend.window.landmarks import LandmarkSlots
-from backend.window.links import NoiseOfSteps, make_links
+from backend.window.links import Disturbances, make_links
 from backend.window.problem import Shape
 from backend.window.state import LastInformation
 from backend.window.vision import Condensed, Sight, condense, poses_of, robust_gain, sight_of
@@ -31,7 +32,7 @@ class Belief:
     rig: RectifiedRig
     robust_scale: float
     shape: Shape
-    noise_of_steps: NoiseOfSteps
+    disturbances: Disturbances
     landmarks: LandmarkSlots = field(default_factory=LandmarkSlots)
     active: Active = field(default_factory=Active)
     history: History | None = None
@@ -41,6 +42,9 @@ class Belief:
     """parameters of ``kernels.prior_kernel``"""
     noise: Array = field(default_factory=lambda: np.ones(3))
     """factors on the stated standard deviations of u, v and disparity"""
+    camera: CameraNoise = field(default_factory=CameraNoise)
+    inertia_known: bool = False
+    """Both ratios were determined at the last frame"""
     last: LastInformation | None = None
     """about the newest state and the constants"""
 
@@ -58,6 +62,14 @@ class Belief:
     def J_G(self) -> Array:
         """(3, 3) up to scale."""
         return inertia_from_second_moments(self.shape.form.second_moments(self.xi, self.R_inertia))
+
+    @property
+    def J_noise(self) -> Array:
+        """(3, 3) inertia by which a torque disturbs the rates: a sphere's until the ratios are determined.
+
+        Else a guess that is too long loosens the dynamics about its axis, and nothing speaks against it then.
+        """
+        return self.J_G if self.inertia_known else np.eye(3)
 
     def sight(self) -> Sight:
         """What the frames see of landmarks that are seen again."""
@@ -117,7 +129,7 @@ class Belief:
         dt = time_s - last.time_s
         w_G = last.x[9:12]
         J_G, dt_s = self.J_G, np.array([dt])
-        series = series_steps(w_G[None], J_G, dt_s, self.noise_of_steps.torque_psd)
+        series = series_steps(w_G[None], J_G, dt_s, self.disturbances.torque_psd)
         q, w_after, _, _ = flows(w_G[None], J_G, dt_s, series)
         R_NG = last.R_NG @ matrix_from_wxyz(q[0])
         r_N = last.x[:3] + last.R_NG @ com_G + dt * last.x[6:9]
@@ -127,14 +139,15 @@ class Belief:
         """The step to the newest state, whitened at the present rates."""
         before, frame = self.active.recent[-2:]
         dt_s = np.array([frame.time_s - before.time_s])
-        link = make_links(before.x[None, 9:12], self.J_G, dt_s, self.noise_of_steps)
+        link = make_links(before.x[None, 9:12], self.J_G, self.J_noise, dt_s, self.disturbances)
         self.active.links = self.active.links.and_then(link)
 
 
-def new_belief(rig: RectifiedRig, config: Backend) -> Belief:
+def new_belief(rig: RectifiedRig, config: Backend, camera: CameraNoise) -> Belief:
     """Nothing seen yet: the inertia of a sphere."""
     shape = Shape(config.inertia)
-    belief = Belief(rig, config.robust_scale, shape, NoiseOfSteps(config.accel_psd, config.torque_psd))
+    belief = Belief(rig, config.robust_scale, shape, Disturbances(config.accel_psd, config.torque_psd))
+    belief.camera, belief.active.noisy_camera = camera, not camera.exact
     xi, belief.R_inertia = shape.form.coordinates(np.eye(3))
     belief.active.constants = np.concatenate([np.zeros(N_CONSTANTS - len(xi)), xi])
     return belief

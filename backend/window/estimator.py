@@ -1,13 +1,11 @@
 """The sliding window: frame by frame, the causal state with its covariance, in bounded time and memory."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from backend.window.admit import first_frame, next_frame
 from backend.window.basin import choose_basin
 from backend.window.belief import Belief, new_belief
-from backend.window.frame import FrameMeasurements
+from backend.window.frame import CameraNoise, FrameMeasurements
 from backend.window.history import History
 from backend.window.ipopt import IpoptSolver
 from backend.window.level import estimate_levels
@@ -36,21 +34,19 @@ class SlidingWindow:
     The first ``history`` frames are solved as a whole.
     """
 
-    def __init__(
-        self, rig: RectifiedRig, config: Backend, sigma_camera: tuple[float, float] = (0.0, 0.0)
-    ) -> None:
-        """sigma_camera: stated noise of the camera's own poses [m, rad]."""
+    def __init__(self, rig: RectifiedRig, config: Backend, camera: CameraNoise | None = None) -> None:
+        """camera: noise of the stated camera poses; None: they are exact."""
         self.settings = config.window
         self.solver: WindowSolver = (
             IpoptSolver(config.window.frames + 1) if config.window.solver == "ipopt" else NewtonSolver()
         )
-        self._sigma_camera = sigma_camera
+        self._camera = camera or CameraNoise()
         self._rig, self._config = rig, config
         self._axes: Array = np.eye(3)
         self._first_ns: int | None = None
         self._number = 0
         self._missed = 0
-        self.belief = new_belief(rig, config)
+        self.belief = new_belief(rig, config, self._camera)
 
     def add(self, m: FrameMeasurements) -> OnlineState:
         """Take one frame, later than all before; its state as known now."""
@@ -107,10 +103,6 @@ class SlidingWindow:
         belief.active.constants[:3] = belief.weak_prior[:3]
         belief.active.recent.append(frame)
         belief.history = History(frame, belief.gauge_information(radius))
-        distance = float(np.median(belief.rig.triangulate(m.uvd_px)[:, 2]))
-        p, turn = self._sigma_camera
-        seen = p**2 + (distance * turn) ** 2, turn**2
-        belief.noise_of_steps = replace(belief.noise_of_steps, pose_variance=seen)
         return unknown_state(m.timestamp_ns, m.X_NR, frame, belief.active.constants[:3])
 
     def _wait(self, m: FrameMeasurements, time_s: float) -> OnlineState:
@@ -119,7 +111,7 @@ class SlidingWindow:
         active = self.belief.active
         state = unknown_state(m.timestamp_ns, m.X_NR, active.recent[-1], active.constants[:3])
         if self._missed > 2:
-            self._missed, self.belief = 0, new_belief(self._rig, self._config)
+            self._missed, self.belief = 0, new_belief(self._rig, self._config, self._camera)
             return self._begin(m, time_s)
         return state
 
@@ -134,8 +126,8 @@ class SlidingWindow:
             belief.shape.form,
             belief.last,
             np.stack([frame.x[9:12] for frame in active.recent]),
-            belief.noise_of_steps.pose_variance,
             self._axes,
         )
         self._axes = state.R_GP
+        belief.inertia_known = bool(state.determined[:2].all())
         return state

@@ -1,13 +1,16 @@
 """What goes into the window, frame by frame, and a frame while the window holds it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from backend.kernels import N_STATE
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, StereoTracks
+
+EXACT = 1e-6
+"""Standard deviation [m, rad] that stands for none, where the other one is not."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,41 @@ def frames_of(tracks: StereoTracks) -> Iterator[FrameMeasurements]:
         )
 
 
+@dataclass(frozen=True)
+class CameraNoise:
+    """Standard deviations of the inspector's stated poses; both 0: exact."""
+
+    sigma_p_m: float = 0.0
+    sigma_theta_rad: float = 0.0
+    X_BR: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) rectified left camera in the inspector's body"""
+
+    @property
+    def exact(self) -> bool:
+        return max(self.sigma_p_m, self.sigma_theta_rad) == 0.0
+
+    def information(self, X_NR: Array, R_NG: Array, p_NG: Array) -> Array | None:
+        """Information (6, 6) of the target's seen pose about the true one; None when exact.
+
+        The inspector is off by a shift and a turn alpha about itself: p moves by alpha x (p - inspector),
+        theta by R_NG^T alpha.
+        """
+        if self.exact:
+            return None
+        shift, turn = max(self.sigma_p_m, EXACT) ** 2, max(self.sigma_theta_rad, EXACT) ** 2
+        arm = hat(p_NG - (X_NR @ inverse_pose(self.X_BR))[:3, 3])
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = shift * np.eye(3) - turn * arm @ arm
+        covariance[:3, 3:], covariance[3:, :3] = -turn * arm @ R_NG, turn * R_NG.T @ arm
+        covariance[3:, 3:] = turn * np.eye(3)
+        return np.asarray(np.linalg.inv(covariance))
+
+
+def camera_noise_of(tracks: StereoTracks) -> CameraNoise:
+    """As the sequence states it."""
+    return CameraNoise(tracks.sigma_camera_p_m, tracks.sigma_camera_theta_rad, tracks.X_BR)
+
+
 @dataclass
 class Frame:
     """A frame that the window holds: what is measured in it, and its state."""
@@ -60,29 +98,39 @@ class Frame:
     R_ref: Array
     """(3, 3) theta turns it"""
     x: Array
-    """(12,) p_NG, theta, v_N, w_G"""
+    """(12,) p_NG, theta, v_N, w_G; changed in place only"""
+    camera_information: Array | None = None
+    """(6, 6) of the seen pose minus the true one; None: the camera's own pose is exact"""
+    seen: Array = field(init=False)
+    """(6,) p_NG, theta as the camera sees it from where it is said to be; without noise a part of x"""
     held: Array | None = None
-    """(6,) p_NG, theta at which vision is linearised, once the arrival cost depends on this pose"""
+    """(6,) the seen pose at which vision is linearised, once the arrival cost depends on it"""
+
+    def __post_init__(self) -> None:
+        self.seen = self.x[:6] if self.camera_information is None else self.x[:6].copy()
 
     @property
     def R_NG(self) -> Array:
-        """(3, 3)"""
+        """(3, 3) the true attitude."""
         return np.asarray(self.R_ref @ exp_so3(self.x[3:6]))
 
     @property
-    def X_NG(self) -> Array:
+    def X_NG_seen(self) -> Array:
         """(4, 4)"""
-        return make_pose(self.R_NG, self.x[:3])
+        return make_pose(self.R_ref @ exp_so3(self.seen[3:6]), self.seen[:3])
 
     def settle(self) -> None:
         """Make the present attitude the reference, as long as nothing else depends on the reference."""
         if self.held is None and np.any(self.x[3:6]):
-            self.R_ref, self.x[3:6] = self.R_NG, 0.0
+            R_NG, R_seen = self.R_NG, self.X_NG_seen[:3, :3]
+            self.R_ref, self.x[3:6] = R_NG, 0.0
+            if self.camera_information is not None:
+                self.seen[3:6] = log_so3(R_NG.T @ R_seen)
 
     def hold(self) -> None:
         """From now on vision is linearised at the present pose (first-estimate Jacobians)."""
         if self.held is None:
-            self.held = self.x[:6].copy()
+            self.held = self.seen.copy()
 
     def keep(self, chosen: Bools) -> None:
         """Leave out the observations that are not ``chosen`` (m,)."""

@@ -5,29 +5,52 @@ confident. So the states of the first frames stay, in a bounded number; what lea
 frames that are not key frames, condensed to information on the poses, which knows nothing of the inertia.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from backend.inertia import InertiaForm
 from backend.kernels import N_CONSTANTS, N_STATE
-from backend.window.active import Active
+from backend.window.active import Active, add_parts, camera_part
 from backend.window.frame import Frame
-from backend.window.links import NO_LINKS, Links, NoiseOfSteps, add_links, link_jacobians, make_links
-from backend.window.quadratic import Quadratic, eliminate
+from backend.window.links import NO_LINKS, Disturbances, Links, add_links, link_jacobians, make_links
+from backend.window.quadratic import Elimination, Quadratic, eliminate
 from backend.window.vision import N_POSE, Condensed
 from polhode.lie import Array
 from polhode.records import Ints
+
+
+@dataclass(frozen=True)
+class WholeVision:
+    """What all vision says about the true states, and how the seen poses follow them."""
+
+    quadratic: Quadratic
+    """about the states of N frames and the constants (12 N + 8,)"""
+    poses: Ints
+    """(6 N,) where their poses stand"""
+    elimination: Elimination | None
+    """of the seen poses; None: they are the true ones"""
+
+    def seen_steps(self, step: Array) -> Array:
+        """(6 N,) of the seen poses, from the step (12 N + 8,) of the unknowns."""
+        at_poses = step[self.poses]
+        return at_poses if self.elimination is None else self.elimination.follow(at_poses)
 
 
 class History:
     """States of all frames so far, and what vision that is no longer active said about their poses."""
 
     def __init__(self, first: Frame, gauge_information: Array) -> None:
-        """gauge_information (6,): how firmly G is held at the first frame's pose."""
+        """gauge_information (6,): how firmly G is held at the first frame's true pose."""
         self.frames: list[Frame] = [first]
-        self._H = np.diag(gauge_information)
-        self._b = -gauge_information * first.x[:N_POSE]
+        self._gauge, self._first = gauge_information, first.x[:N_POSE].copy()
+        self._H, self._b = np.zeros((N_POSE, N_POSE)), np.zeros(N_POSE)
         self.steps: Links = NO_LINKS
         """between all frames, as they were solved for last"""
+
+    @property
+    def noisy_camera(self) -> bool:
+        return self.frames[0].camera_information is not None
 
     def append(self, frame: Frame) -> None:
         """A new frame, the window's own object: its state is shared."""
@@ -38,13 +61,12 @@ class History:
         self.frames.append(frame)
 
     def absorb(self, frames: list[Frame], H: Array, g: Array) -> None:
-        """Vision that leaves the window: H, g at the present poses of ``frames`` (6 each)."""
-        at = self.pose_entries(frames, N_POSE)
-        x = np.concatenate([frame.x[:N_POSE] for frame in frames])
+        """Vision that leaves the window: H, g at the present seen poses of ``frames`` (6 each)."""
+        at = self.entries(frames, N_POSE)
         self._H[np.ix_(at, at)] += H
-        self._b[at] += g - H @ x
+        self._b[at] += g - H @ np.concatenate([frame.seen for frame in frames])
 
-    def pose_entries(self, frames: list[Frame], stride: int = N_STATE) -> Ints:
+    def entries(self, frames: list[Frame], stride: int = N_STATE) -> Ints:
         """(6 F,) where the poses of ``frames`` stand among those of all, each ``stride`` long."""
         index = {frame.number: n for n, frame in enumerate(self.frames)}
         start = np.array([stride * index[frame.number] for frame in frames], dtype=np.int64)
@@ -59,42 +81,71 @@ class History:
         """States of all frames and the constants (12 N + 8,)."""
         return np.concatenate([*(frame.x for frame in self.frames), constants])
 
-    def take(self, x: Array) -> None:
-        """Take the states from a vector; the constants are the window's."""
+    def take(self, x: Array, vision: WholeVision) -> Array:
+        """Take the states from a vector, not the constants. Returns the steps of the seen poses (6 N,)."""
+        step = vision.seen_steps(x - vision.quadratic.x0)
         for n, frame in enumerate(self.frames):
             frame.x[:] = x[N_STATE * n : N_STATE * (n + 1)]
+            if self.noisy_camera:
+                frame.seen += step[N_POSE * n : N_POSE * (n + 1)]
+        return step
 
-    def past_vision(self, x: Array) -> tuple[Array, Array]:
-        """Information (n, n) and gradient (n,) at x of the vision that left, with the hold on G."""
+    def _past_vision(self) -> tuple[Array, Array]:
+        """Information (6 N, 6 N) on the seen poses by vision that left, and its gradient."""
+        return self._H.copy(), self._H @ np.concatenate([frame.seen for frame in self.frames]) + self._b
+
+    def vision(self, active: Active, condensed: Condensed) -> WholeVision:
+        """All vision, what left and what is active, about the present states."""
+        x, n = self.vector(active.constants), N_POSE * len(self.frames)
         H, g = np.zeros((len(x), len(x))), np.zeros(len(x))
-        at = self.pose_entries(self.frames)
-        H[np.ix_(at, at)] = self._H
-        g[at] = self._H @ x[at] + self._b
-        return H, g
+        poses = self.entries(self.frames)
+        of_seen, slope = self._past_vision()
+        at = self.entries(active.frames, N_POSE)
+        of_seen[np.ix_(at, at)] += condensed.S
+        slope[at] += condensed.g
+        elimination = None
+        if self.noisy_camera:
+            both, along = np.zeros((2 * n, 2 * n)), np.zeros(2 * n)
+            both[:n, :n], along[:n] = of_seen, slope
+            self._add_cameras(both, along, np.arange(n), np.arange(n, 2 * n), len(self.frames))
+            elimination = eliminate(both, along, np.arange(n), np.arange(n, 2 * n))
+            of_seen, slope = elimination.H, elimination.g
+        H[np.ix_(poses, poses)], g[poses] = of_seen, slope
+        self._hold_gauge(H, g, poses)
+        return WholeVision(Quadratic(H, g, x), poses, elimination)
 
-    def vision(self, active: Active, condensed: Condensed) -> Quadratic:
-        """All vision, what left and what is active, about the present states (12 N + 8,)."""
-        x = self.vector(active.constants)
-        H, g = self.past_vision(x)
-        at = self.pose_entries(active.frames)
-        H[np.ix_(at, at)] += condensed.S
-        g[at] += condensed.g
-        return Quadratic(H, g, x)
+    def _hold_gauge(self, H: Array, g: Array, true: Ints) -> None:
+        first = true[:N_POSE]
+        H[first, first] += self._gauge
+        g[first] += self._gauge * (self.frames[0].x[:N_POSE] - self._first)
 
-    def links(self, x: Array, J_G: Array, noise: NoiseOfSteps) -> Links:
-        """The steps between all frames, whitened at the rates in x."""
+    def _add_cameras(self, H: Array, g: Array, seen: Ints, true: Ints, n_frames: int) -> None:
+        pairs = zip(self.frames[:n_frames], seen.reshape(-1, N_POSE), true.reshape(-1, N_POSE), strict=False)
+        add_parts(H, g, [camera_part(frame, a, b) for frame, a, b in pairs])
+
+    def links(self, x: Array, J_G: Array, J_noise: Array, disturbances: Disturbances) -> Links:
+        """The steps between all frames, whitened at the rates in x (``make_links``)."""
         w_G = x[:-N_CONSTANTS].reshape(-1, N_STATE)[:-1, 9:12]
-        return make_links(w_G, J_G, np.diff([frame.time_s for frame in self.frames]), noise)
+        return make_links(w_G, J_G, J_noise, np.diff([frame.time_s for frame in self.frames]), disturbances)
 
     def arrival(self, active: Active, form: InertiaForm, R_inertia: Array) -> Quadratic:
         """The arrival cost about the window's unknowns: everything but its own vision and dynamics."""
-        x = self.vector(active.constants)
-        H, g = self.past_vision(x)
-        n_old = len(self.frames) - len(active.recent)
+        x, n = self.vector(active.constants), N_POSE * len(self.frames)
+        n_seen = n if self.noisy_camera else 0
+        size, n_old = n_seen + len(x), len(self.frames) - len(active.recent)
+        H, g = np.zeros((size, size)), np.zeros(size)
+        true = n_seen + self.entries(self.frames)
+        seen = np.arange(n) if self.noisy_camera else true
+        of_seen, slope = self._past_vision()
+        H[np.ix_(seen, seen)], g[seen] = of_seen, slope
+        self._hold_gauge(H, g, true)
+        if self.noisy_camera:
+            self._add_cameras(H, g, seen, true, n_old)
         if n_old > 0:
             r, D = link_jacobians(x, self.R_ref, self.steps, form, R_inertia)
-            add_links(H, g, r[:n_old], D[:n_old], N_STATE * np.arange(n_old))
-        kept = np.concatenate([self.pose_entries(active.keys), np.arange(N_STATE * n_old, len(x))])
-        gone = np.setdiff1d(np.arange(len(x)), kept)
-        left = eliminate(H, g, gone, kept)
+            add_links(H, g, r[:n_old], D[:n_old], n_seen + N_STATE * np.arange(n_old))
+        frames = active.frames if self.noisy_camera else active.keys
+        of_frames = self.entries(frames, N_POSE if self.noisy_camera else N_STATE)
+        kept = np.concatenate([of_frames, np.arange(n_seen + N_STATE * n_old, size)])
+        left = eliminate(H, g, np.setdiff1d(np.arange(size), kept), kept)
         return Quadratic(left.H, left.g, active.vector())

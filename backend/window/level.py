@@ -27,15 +27,15 @@ Grid = tuple[int, int]
 
 def estimate_levels(belief: Belief, history: History, stated: tuple[float, float]) -> None:
     """Take the most likely accel_psd and torque_psd, from those stated."""
-    vision = history.vision(belief.active, belief.condensed(belief.sight()))
+    vision = history.vision(belief.active, belief.condensed(belief.sight())).quadratic
     x = history.vector(belief.active.constants)
 
     def minus_log_evidence(at: Grid) -> float:
         levels = [value * 10.0 ** (DECADE * n) for value, n in zip(stated, at, strict=True)]
         if min(levels) < FLOOR_PSD or max(levels) > CEILING_PSD:
             return np.inf
-        noise = replace(belief.noise_of_steps, accel_psd=levels[0], torque_psd=levels[1])
-        links = history.links(x, belief.J_G, noise)
+        noise = replace(belief.disturbances, accel_psd=levels[0], torque_psd=levels[1])
+        links = history.links(x, belief.J_G, belief.J_noise, noise)
         problem = WindowProblem(vision, history.R_ref, links, belief.weak_prior, belief.shape)
         try:
             solution = NewtonSolver().solve(problem, x, ITERATIONS)
@@ -46,7 +46,7 @@ def estimate_levels(belief: Belief, history: History, stated: tuple[float, float
 
     best = most_likely(minus_log_evidence)
     accel_psd, torque_psd = (value * 10.0 ** (DECADE * n) for value, n in zip(stated, best, strict=True))
-    belief.noise_of_steps = replace(belief.noise_of_steps, accel_psd=accel_psd, torque_psd=torque_psd)
+    belief.disturbances = replace(belief.disturbances, accel_psd=accel_psd, torque_psd=torque_psd)
 
 
 def most_likely(minus_log_evidence: Callable[[Grid], float]) -> Grid:

@@ -45,20 +45,18 @@ NO_LINKS = Links(Steps(np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 2, 2)), 
 
 
 @dataclass(frozen=True)
-class NoiseOfSteps:
-    """How strongly the target is disturbed, and how well the camera's own pose is known."""
+class Disturbances:
+    """How strongly the target is disturbed."""
 
     accel_psd: float
     torque_psd: float
-    pose_variance: tuple[float, float] = (0.0, 0.0)
-    """[m^2, rad^2] of each pose"""
 
 
-def make_links(w_G: Array, J_G: Array, dt_s: Array, noise: NoiseOfSteps) -> Links:
-    """n steps from the rates (n, 3) at their starts."""
+def make_links(w_G: Array, J_G: Array, J_noise: Array, dt_s: Array, noise: Disturbances) -> Links:
+    """n steps from the rates (n, 3) at their starts; J_noise (3, 3) is what the disturbances act on."""
     if len(dt_s) == 0:
         return NO_LINKS
-    W_t, W_r, half_log = whitening(w_G, J_G, dt_s, noise.accel_psd, noise.torque_psd, noise.pose_variance)
+    W_t, W_r, half_log = whitening(w_G, J_noise, dt_s, noise.accel_psd, noise.torque_psd)
     return Links(Steps(dt_s, series_steps(w_G, J_G, dt_s, noise.torque_psd), W_t, W_r), half_log)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from backend.window.estimator import SlidingWindow
-from backend.window.frame import frames_of
+from backend.window.frame import camera_noise_of, frames_of
 from backend.window.state import HALF_TURNS, OnlineState
 from polhode.config.backend import Backend
 from polhode.lie import Array, inverse_pose, transform_points
@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -> OnlineEstimate:
     """Feed the frames in the order of time. A row depends on what its frame and earlier ones show."""
-    window = SlidingWindow(tracks.rig, config, (tracks.sigma_camera_p_m, tracks.sigma_camera_theta_rad))
+    window = SlidingWindow(tracks.rig, config, camera_noise_of(tracks))
     states, seconds = [], []
     with progress.stage("sliding window", tracks.n_frames) as advance:
         for measurements in frames_of(tracks):

@@ -2,17 +2,12 @@
 
 import numpy as np
 
-from backend.kernels import N_STATE
 from backend.window.belief import Belief
 from backend.window.vision import N_POSE, Poses, Sight, information_of, poses_of, residuals
 from polhode.lie import Array
-from polhode.records import Ints
 
 GATE = 4.5
 """Largest norm of a whitened residual that may leave with its frame; of Gaussian ones 1 in 5700 is larger."""
-
-Part = tuple[Ints, Array, Array]
-"""Entries of the window's vector, information about them, its gradient."""
 
 
 def release(belief: Belief, n_recent: int, n_keys: int) -> None:
@@ -49,10 +44,10 @@ def _marginalize(belief: Belief, dropped: int | None) -> None:
     ``dropped``: a key, or the one it becomes, of which nothing stays.
     """
     active = belief.active
-    parts: list[Part] = [active.oldest_step(belief.shape.form, belief.R_inertia)]
-    gone = [np.arange(active.n_keys + N_POSE, active.n_keys + N_STATE)]
+    parts = [active.oldest_step(belief.shape.form, belief.R_inertia), *active.camera_parts(1)]
+    gone = [active.oldest_velocities()]
     if dropped is not None:
-        parts.append((active.pose_entries, *_condense(belief, dropped)))
+        parts.append((active.seen_entries, *_condense(belief, dropped)))
         gone.append(np.arange(N_POSE * dropped, N_POSE * (dropped + 1)))
     active.absorb(parts, np.concatenate(gone))
     active.shift()

@@ -12,7 +12,7 @@ from backend.iterate import Iterate
 from backend.kernels import N_CONSTANTS, N_STATE
 from backend.window.frame import Frame
 from polhode.lie import Array, make_pose
-from polhode.records import Bools, Identifiability
+from polhode.records import Bools
 
 N_JOINT = N_STATE + N_CONSTANTS
 ROUNDING = 1e-7
@@ -77,7 +77,6 @@ def online_state(
     form: InertiaForm,
     information: LastInformation,
     recent_w_G: Array,
-    pose_variance: tuple[float, float],
     half_turn: Array,
 ) -> OnlineState:
     """Express the last state in principal axes, with the covariance of it.
@@ -108,12 +107,13 @@ def online_state(
     T = np.hstack([own, of_constants])
     dense = np.asarray(np.linalg.inv(joint))
     covariance = T @ dense @ T.T
-    covariance[np.arange(12), np.arange(12)] += np.repeat([pose_variance[0], 0.0, pose_variance[1], 0.0], 3)
     lost = undetermined_states(determined, T[None], response, w_P[-1:])[0]
     turn = nearest_half_turn(derivative.R_GP, half_turn)
     R_GP = derivative.R_GP @ turn
     flip = np.concatenate([np.ones(6), np.diag(turn), np.diag(turn)])
     known = determined.record
+    # along the curved valley of what one ratio leaves open, the other one moves too
+    ratios = known.k1 and known.k2
     cov_com, cov_J = dense[12:15, 12:15], dense[15:, 15:]
     com_lost: Bools = np.abs(derivative.R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
     moments = derivative.moments
@@ -124,16 +124,16 @@ def online_state(
         frame.R_NG @ R_GP,
         R_GP.T @ frame.x[9:12],
         with_infinite(covariance, lost) * np.outer(flip, flip),
-        make_pose(frame.R_NG, frame.x[:3]),
+        frame.X_NG_seen,
         float(np.log(moments[0] / moments[1])),
         float(np.log(moments[1] / moments[2])),
-        with_infinite(derivative.ratios @ cov_J @ derivative.ratios.T, ~np.array([known.k1, known.k2])),
+        with_infinite(derivative.ratios @ cov_J @ derivative.ratios.T, np.repeat(not ratios, 2)),
         constants[:3].copy(),
         with_infinite(cov_com, com_lost),
         R_GP,
         constants[3:].copy(),
         with_infinite(cov_J, determined.lost_constants[3:]),
-        verdicts(known),
+        np.array([ratios, ratios, known.com, known.axes]),
     )
 
 
@@ -141,7 +141,7 @@ def unknown_state(
     timestamp_ns: int, X_NR: Array, frame: Frame | None = None, com_G: Array | None = None
 ) -> OnlineState:
     """Before the motion is known: the latest place of the target, or one meter before the camera."""
-    X_NG = X_NR @ make_pose(np.eye(3), [0.0, 0.0, 1.0]) if frame is None else frame.X_NG
+    X_NG = X_NR @ make_pose(np.eye(3), [0.0, 0.0, 1.0]) if frame is None else frame.X_NG_seen
     com = np.zeros(3) if com_G is None else com_G.copy()
     return OnlineState(
         timestamp_ns,
@@ -161,11 +161,6 @@ def unknown_state(
         np.diag(np.full(5, np.inf)),
         np.zeros(4, bool),
     )
-
-
-def verdicts(known: Identifiability) -> Bools:
-    """(4,) k1, k2, com, axes."""
-    return np.array([known.k1, known.k2, known.com, known.axes])
 
 
 def nearest_half_turn(R_GP: Array, wanted: Array) -> Array:

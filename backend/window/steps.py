@@ -4,20 +4,21 @@ import numpy as np
 
 from backend.gauss_newton import Solution
 from backend.kernels import N_CONSTANTS
+from backend.window.active import add_parts
 from backend.window.belief import Belief
-from backend.window.history import History
+from backend.window.history import History, WholeVision
 from backend.window.newton import NewtonSolver
 from backend.window.problem import WindowProblem, WindowSolver
 from backend.window.quadratic import Quadratic, eliminate
 from backend.window.state import last_information
-from backend.window.vision import N_POSE
+from backend.window.vision import N_POSE, Condensed
 from polhode.lie import Array
 
 INNER_ITERATIONS = 10
 MOST_ROUNDS = 8
 """Of linearising vision anew."""
-SMALL_TURN_RAD, SMALL_CHANGE = 2e-3, 0.02
-"""A step of the attitudes, and of com_G and xi, after which vision need not be linearised again."""
+SMALL_TURN_RAD = 2e-3
+"""A step of the attitudes after which vision need not be linearised again."""
 
 
 def solve_whole(belief: Belief, history: History) -> None:
@@ -27,19 +28,25 @@ def solve_whole(belief: Belief, history: History) -> None:
         belief.renew_inertia()
         condensed = belief.condensed(sight)
         x = history.vector(active.constants)
-        links = history.links(x, belief.J_G, belief.noise_of_steps)
-        problem = WindowProblem(
-            history.vision(active, condensed), history.R_ref, links, belief.weak_prior, belief.shape
-        )
+        links = history.links(x, belief.J_G, belief.J_noise, belief.disturbances)
+        vision = history.vision(active, condensed)
+        problem = WindowProblem(vision.quadratic, history.R_ref, links, belief.weak_prior, belief.shape)
         solution = NewtonSolver().solve(problem, x, INNER_ITERATIONS)
-        step = solution.x - x
-        history.take(solution.x)
-        active.constants = solution.x[-N_CONSTANTS:].copy()
-        belief.move_landmarks(condensed, step[history.pose_entries(active.frames)])
-        if _small(step[history.pose_entries(history.frames)], step[-N_CONSTANTS:]):
+        step = take_whole(belief, history, vision, condensed, solution.x)
+        if _small(step):
             break
     history.steps = links
     _remember(belief, problem, solution)
+
+
+def take_whole(
+    belief: Belief, history: History, vision: WholeVision, condensed: Condensed, x: Array
+) -> Array:
+    """Take a solution of the whole history. Returns the steps of its seen poses (6 N,)."""
+    step = history.take(x, vision)
+    belief.active.constants = x[-N_CONSTANTS:].copy()
+    belief.move_landmarks(condensed, step[history.entries(belief.active.frames, N_POSE)])
+    return step
 
 
 def expand_arrival(belief: Belief, history: History) -> None:
@@ -50,15 +57,16 @@ def expand_arrival(belief: Belief, history: History) -> None:
 
 
 def solve_window(belief: Belief, solver: WindowSolver) -> None:
-    """The recent states, the key poses and the constants under the arrival cost."""
+    """The recent states, the seen poses and the constants under the arrival cost."""
     sight, active = belief.sight(), belief.active
-    n = active.n_keys
+    n = active.n_seen
     for _ in range(MOST_ROUNDS):
         condensed = belief.condensed(sight)
-        x, at = active.vector(), active.pose_entries
+        x, at = active.vector(), active.seen_entries
         H, g = active.arrival.H.copy(), active.arrival.gradient(x)
         H[np.ix_(at, at)] += condensed.S
         g[at] += condensed.g
+        add_parts(H, g, active.camera_parts())
         left = eliminate(H, g, np.arange(n), np.arange(n, len(x)))
         vision = Quadratic(left.H, left.g, x[n:])
         problem = WindowProblem(vision, active.R_ref, active.links, belief.weak_prior, belief.shape)
@@ -67,14 +75,13 @@ def solve_window(belief: Belief, solver: WindowSolver) -> None:
         step = np.concatenate([left.follow(step), step])
         active.take(x + step)
         belief.move_landmarks(condensed, step[at])
-        if _small(step[at], step[-N_CONSTANTS:]):
+        if _small(step[at]):
             break
     _remember(belief, problem, solution)
 
 
-def _small(poses: Array, constants: Array) -> bool:
-    turn = np.abs(poses.reshape(-1, N_POSE)[:, 3:]).max()
-    return bool(turn < SMALL_TURN_RAD and np.abs(constants).max() < SMALL_CHANGE)
+def _small(poses: Array) -> bool:
+    return bool(np.abs(poses.reshape(-1, N_POSE)[:, 3:]).max() < SMALL_TURN_RAD)
 
 
 def _remember(belief: Belief, problem: WindowProblem, solution: Solution) -> None:

@@ -85,8 +85,8 @@ class Poses:
 def poses_of(frames: list[Frame]) -> Poses:
     """Stack the frames' poses."""
     R_RN, R_ref = np.stack([f.R_RN for f in frames]), np.stack([f.R_ref for f in frames])
-    now = np.stack([f.x[:6] for f in frames])
-    held = np.stack([f.x[:6] if f.held is None else f.held for f in frames])
+    now = np.stack([f.seen for f in frames])
+    held = np.stack([f.seen if f.held is None else f.held for f in frames])
     return Poses(
         R_RN=R_RN,
         t_R=np.stack([f.t_R for f in frames]),
