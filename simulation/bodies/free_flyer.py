@@ -23,7 +23,7 @@ def free_flyer_parts(size_m: float, studio: Studio) -> list[Part]:
         parts += _thruster(position, direction, scale)
     return (
         parts
-        + _tank(size_m, scale)
+        + _tank(size_m, scale, studio)
         + _boxes(size_m, scale, studio)
         + _sonar_buttons(size_m, scale, studio)
         + _window(size_m, scale)
@@ -46,7 +46,7 @@ def _shell(size_m: float, studio: Studio) -> Part:
     plain = rng.choice(len(facets), PLAIN_FACES, replace=False)
     for index, faces in enumerate(facets):
         base = float(rng.choice([0.26, 0.32, 0.4]))
-        draw = studio.artist.plain(base) if index in plain else studio.artist.panel(base, 1.8)
+        draw = studio.artist.plain(base) if index in plain else studio.artist.panel(base, 1.5)
         charts.append(chart_of_facet(mesh, faces, studio.texel_m, draw, studio.ink))
     return Part(mesh, PLASTIC, tuple(charts), name="shell")
 
@@ -76,7 +76,7 @@ def _thruster(position_G: Array, direction_G: Array, scale: float) -> list[Part]
     ]
 
 
-def _tank(size_m: float, scale: float) -> list[Part]:
+def _tank(size_m: float, scale: float, studio: Studio) -> list[Part]:
     """The gas tank under the shell in its collar, and the regulator knob above it."""
     radius, length = 0.034 * scale, 0.042 * scale
     angle = np.linspace(-np.pi / 2, 0, 13)
@@ -84,8 +84,10 @@ def _tank(size_m: float, scale: float) -> list[Part]:
     profile = np.vstack([dome, [[radius, 0.01 * scale], [0.0, 0.01 * scale]]])
     profile[0, 0] = 0.0
     profile[:, 1] += 0.6 * radius
-    tank = revolve(profile, 56).mesh
-    tank.apply_translation([0, 0, -0.5 * size_m])
+    tank = revolve(profile, 56)
+    # The wall above the dome carries a label of its own.
+    label = studio.artist.panel(0.36, 0.7)
+    wall = studio.wrapped(tank, [(12, 13, label)], PAINT_GREY, "tank", 2.0)
     collar = revolve(
         np.array([[0.033, -0.004], [0.041, -0.004], [0.041, 0.006], [0.033, 0.008]]) * scale, 56, closed=True
     )
@@ -95,7 +97,7 @@ def _tank(size_m: float, scale: float) -> list[Part]:
     cap = drum(0.010 * scale, 0.004 * scale, 20)
     cap.apply_translation([0.01 * scale, 0, 0.5 * size_m + 0.0165 * scale])
     return [
-        Part(tank, PAINT_GREY, density_factor=2.0, name="tank"),
+        wall.moved(pose([0, 0, 1.0], [0, 0, -0.5 * size_m])),
         Part(collar.mesh, PAINT_BLACK, name="collar"),
         Part(knob, PAINT_BLACK, name="knob"),
         Part(cap, BRUSHED_METAL, name="knob"),

@@ -111,7 +111,7 @@ def reflector(base: float, gores: int) -> Draw:
                 )
         for _ in range(int(rng.poisson(1e-5 * canvas.area))):
             sticker(canvas, rng)
-        smudges(canvas, 0.03, rng)
+        smudges(canvas, 0.008, rng)
 
     return draw
 

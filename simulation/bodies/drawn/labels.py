@@ -57,11 +57,12 @@ def random_text(rng: np.random.Generator) -> str:
 def sticker(canvas: Canvas, rng: np.random.Generator, askew_deg: float = 3.0) -> None:
     """One label anywhere on the canvas: text, bars, matrix code, hazard stripes, arrow, roundel or target."""
     height, width = canvas.shape
-    size = rng.uniform((26, 16), (84, 50))
+    size = np.array([1.0, rng.uniform(0.4, 0.8)]) * np.exp(rng.uniform(np.log(22), np.log(86)))
     w, h = np.minimum(size, 0.8 * np.array([width, height])).astype(int) + 4
     paper = float(rng.choice(PAPERS))
     ink = float(np.clip(paper + (0.55 if paper < 0.35 else -0.5) * rng.uniform(0.7, 1.1), 0.04, 0.85))
-    drawer = (_label, _bars, _matrix, _hazard, _arrow, _roundel, _two_tone)[int(rng.integers(7))]
+    kind = int(rng.choice(7, p=[0.34, 0.16, 0.12, 0.05, 0.05, 0.08, 0.2]))
+    drawer = (_label, _bars, _matrix, _hazard, _arrow, _roundel, _two_tone)[kind]
     plate = drawer(int(h), int(w), code(paper), code(ink), rng)
     if rng.random() < 0.6:
         cv2.rectangle(plate, (0, 0), (plate.shape[1] - 1, plate.shape[0] - 1), code(ink), 1)

@@ -57,7 +57,7 @@ def machined_plate() -> Draw:
             for left in range(8, width - pitch, pitch):
                 if rng.random() < 0.75:
                     pocket = slice(top + 4, top + pitch - 3), slice(left + 4, left + pitch - 3)
-                    canvas.height[pocket] -= 2.0
+                    canvas.height[pocket] -= 0.9
                     canvas.code[pocket] = (canvas.code[pocket] * rng.uniform(0.75, 0.95)).astype(np.uint8)
         canvas.height[:] = cv2.GaussianBlur(canvas.height, (5, 5), 1.0)
         _edge(canvas, rng)
