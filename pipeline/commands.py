@@ -114,6 +114,39 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Predict:
+    """Where the target will be: its state carried on as a free rigid body, with standard deviations.
+
+    Prints a few rows; -o writes them all with the columns of trajectory.csv.
+    """
+
+    run: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a finished run."""
+    horizon: Annotated[float, arg(metavar="S")]
+    """How far to look ahead of the last stereo pair [s]."""
+    output: Annotated[Path | None, arg(aliases=["-o"], metavar="FILE")] = None
+    """Table, CSV; with the ending .npz an archive with the full covariances. Replaced if it is there."""
+    step_s: Annotated[float | None, arg(metavar="S")] = None
+    """Time between two rows [s]; the run's own interval unless given."""
+    marks: FlagCreatePairsOff[bool] = False
+    """Standard deviations of the body itself: the estimated centre of mass and principal axes are marks on
+    it. Finite also where the motion does not determine those."""
+    debug: _Debug = False
+    """Show the traceback of an error."""
+
+    def execute(self) -> int:
+        """Predict, write, print."""
+        from pipeline.predict import format_prediction, predict_run, write_prediction
+
+        prediction = predict_run(self.run, self.horizon, self.step_s)
+        print(format_prediction(prediction))
+        if self.output is not None:
+            write_prediction(prediction, self.output, self.marks)
+            print(f"Prediction: {self.output}")
+        return 0
+
+
+@dataclass(frozen=True)
 class Report:
     """Make the report of a run again, or one page that sets several runs side by side."""
 
@@ -145,10 +178,11 @@ class Report:
 
 
 Configured = Simulate | Run
-COMMANDS: dict[str, type[Simulate] | type[Run] | type[Evaluate] | type[Report]] = {
+COMMANDS: dict[str, type[Simulate] | type[Run] | type[Evaluate] | type[Predict] | type[Report]] = {
     "simulate": Simulate,
     "run": Run,
     "evaluate": Evaluate,
+    "predict": Predict,
     "report": Report,
 }
 
