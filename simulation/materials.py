@@ -70,6 +70,12 @@ REGOLITH = Material(
 WORN_PANEL = Material(0.42, 0.05, 0.45, grain=0.15, grain_m=0.02, patch=0.45, patch_m=0.018)
 
 
+ALBEDO, SPECULAR, ROUGHNESS, GRAIN, GRAIN_M, PATCH, PATCH_M, BUMP, BUMP_M, CREASE, CREASE_M, STREAK = range(
+    12
+)
+"""Columns of the table that compiled loops read: the material's fields in their order."""
+
+
 @dataclass(frozen=True)
 class Surface:
     """What the light meets at n points."""
@@ -150,12 +156,12 @@ def _evaluate(
     bent = np.empty((count, 3))
     for n in range(count):
         m = material[n]
-        specular[n], roughness[n] = rows[m, 1], rows[m, 2]
-        mean = rows[ground[n], 0]
+        specular[n], roughness[n] = rows[m, SPECULAR], rows[m, ROUGHNESS]
+        mean = rows[ground[n], ALBEDO]
         if np.isfinite(drawn[n]):
             mean += contrast * (drawn[n] - mean)
         elif contrast > 0.0:
-            mean += contrast * (rows[m, 0] - mean)
+            mean += contrast * (rows[m, ALBEDO] - mean)
         # A drawing takes the place of the patches, not of the grain.
         patched = not np.isfinite(drawn[n])
         variation = _variation(rows[m], p[n], seeds[m], scale, collage, patched) if contrast > 0.0 else 0.0
@@ -171,44 +177,44 @@ def _evaluate(
 
 @njit(cache=True)
 def _variation(row: Array, p: Array, seed: int, scale: float, collage: bool, patched: bool) -> float:
-    """Relative variation of the reflectance at a point, by grain (row 3, 4) and patches (row 5, 6)."""
+    """Relative variation of the reflectance at a point, by grain and patches."""
     variation = 0.0
-    along = 1.0 / row[11]
-    if row[3] > 0.0:
-        s = 1.0 / (scale * row[4])
+    along = 1.0 / row[STREAK]
+    if row[GRAIN] > 0.0:
+        s = 1.0 / (scale * row[GRAIN_M])
         if collage:
-            variation += row[3] * layered_spots_at(p[0] * s, p[1] * s, p[2] * s * along, seed)[0]
+            variation += row[GRAIN] * layered_spots_at(p[0] * s, p[1] * s, p[2] * s * along, seed)[0]
         else:
-            variation += row[3] * fractal_at(p[0] * s, p[1] * s, p[2] * s * along, 4, seed)[0]
-    if patched and row[5] > 0.0:
-        s = 1.0 / (scale * row[6])
+            variation += row[GRAIN] * fractal_at(p[0] * s, p[1] * s, p[2] * s * along, 4, seed)[0]
+    if patched and row[PATCH] > 0.0:
+        s = 1.0 / (scale * row[PATCH_M])
         if collage:
-            variation += row[5] * discs_at(0.5 * p[0] * s, 0.5 * p[1] * s, 0.5 * p[2] * s, seed + 11)
+            variation += row[PATCH] * discs_at(0.5 * p[0] * s, 0.5 * p[1] * s, 0.5 * p[2] * s, seed + 11)
         else:
-            variation += row[5] * cell_at(p[0] * s, p[1] * s, p[2] * s, seed + 11)
+            variation += row[PATCH] * cell_at(p[0] * s, p[1] * s, p[2] * s, seed + 11)
     return variation
 
 
 @njit(cache=True)
 def _tilt(row: Array, p: Array, seed: int, scale: float, collage: bool) -> tuple[float, float, float]:
-    """Gradient of the relief at a point, by bumps (row 7, 8) and creases (row 9, 10)."""
+    """Gradient of the relief at a point, by bumps and creases."""
     tx, ty, tz = 0.0, 0.0, 0.0
-    along = 1.0 / row[11]
-    if row[7] > 0.0:
-        s = 1.0 / (scale * row[8])
+    along = 1.0 / row[STREAK]
+    if row[BUMP] > 0.0:
+        s = 1.0 / (scale * row[BUMP_M])
         if collage:
             _, gx, gy, gz = layered_spots_at(p[0] * s, p[1] * s, p[2] * s * along, seed + 23)
             gx, gy, gz = SPOT_SLOPE * gx, SPOT_SLOPE * gy, SPOT_SLOPE * gz
         else:
             _, gx, gy, gz = fractal_at(p[0] * s, p[1] * s, p[2] * s * along, 3, seed + 23)
-        tx, ty, tz = row[7] * gx, row[7] * gy, row[7] * gz * along
-    if row[9] > 0.0:
-        s = 1.0 / (scale * row[10])
+        tx, ty, tz = row[BUMP] * gx, row[BUMP] * gy, row[BUMP] * gz * along
+    if row[CREASE] > 0.0:
+        s = 1.0 / (scale * row[CREASE_M])
         if collage:
             gx, gy, gz = folds_at(p[0] * s, p[1] * s, p[2] * s, seed + 41)
         else:
             gx, gy, gz = creases_at(p[0] * s, p[1] * s, p[2] * s, seed + 41)
-        tx += row[9] * gx
-        ty += row[9] * gy
-        tz += row[9] * gz
+        tx += row[CREASE] * gx
+        ty += row[CREASE] * gy
+        tz += row[CREASE] * gz
     return tx, ty, tz

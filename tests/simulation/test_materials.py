@@ -1,6 +1,6 @@
 """Materials: believable values, and what contrast and scale do."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -28,6 +28,11 @@ def _surface(material: Material, points: Array, **more: float) -> Surface:
 
 def _points(n: int = 2000) -> Array:
     return np.random.default_rng(0).uniform(-0.1, 0.1, (n, 3)) * [1, 1, 0]
+
+
+def test_columns_are_the_fields_in_their_order() -> None:
+    for place, field in enumerate(fields(Material)):
+        assert getattr(materials, field.name.upper()) == place
 
 
 @pytest.mark.parametrize("name", ALL)
