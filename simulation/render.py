@@ -19,7 +19,6 @@ from simulation.raycast import Hits, RayCaster
 from simulation.shading import Arriving, shade
 from simulation.skin import Skin
 
-
 PIXELS_A_PROBE = 60
 """Probes of indirect light are as fine as the image asks for,"""
 PROBES = (2000, 8000)
