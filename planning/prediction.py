@@ -19,6 +19,8 @@ from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
 from polhode.rigid_body import propagate
 
 PAIRS = 128
+UNKNOWN_RAD = float(np.sqrt((np.pi**2 / 3.0 + 2.0) / 3.0))
+"""Root mean square of each component of the rotation vector of a random attitude, all equally likely."""
 LEAST_SECOND_MOMENT = 0.02
 """Of the largest: a drawn inertia is pulled towards the estimate until it is a possible body."""
 
@@ -87,13 +89,13 @@ def predict(last: LastBody, time_s: ArrayLike, accel_psd: float, torque_psd: flo
     back = np.swapaxes(R_NP, 1, 2)[:, None]
     theta = log_so3(back @ R @ R_GP @ turn)
     dw = np.einsum("nji,tnj->tni", R_GP @ turn, w) - (w_G @ R_GP)[:, None]
-    of_axes = _second_moments(dr, dv, theta, dw) + noise
+    of_axes = _no_worse_than_unknown(_second_moments(dr, dv, theta, dw) + noise)
 
     com = deviation[:, 17:20]
     lever = np.einsum("tnij,nj->tni", R, com)
     swing = np.einsum("tnij,tnj->tni", R, np.cross(w, com))
     theta, dw = log_so3(back @ R @ R_GP), (w - w_G[:, None]) @ R_GP
-    of_marks = _second_moments(dr - lever, dv - swing, theta, dw) + noise
+    of_marks = _no_worse_than_unknown(_second_moments(dr - lever, dv - swing, theta, dw) + noise)
     return Prediction(time, r_N, v_N, R_NP, w_G @ R_GP, of_axes, of_marks)
 
 
@@ -200,6 +202,14 @@ def _second_moments(*deviations: Array) -> Array:
     """Mean square (T, 12, 12) of four deviations (T, N, 3) about the prediction itself."""
     d = np.concatenate(deviations, axis=-1)
     return np.asarray(np.swapaxes(d, 1, 2) @ d / d.shape[1])
+
+
+def _no_worse_than_unknown(covariance: Array) -> Array:
+    """(T, 12, 12), the attitude's standard deviations at most those of one of which nothing is known."""
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 6:9])
+    factor = np.ones(covariance.shape[:2])
+    factor[:, 6:9] = UNKNOWN_RAD / np.maximum(sigma, UNKNOWN_RAD)
+    return np.asarray(factor[:, :, None] * covariance * factor[:, None, :])
 
 
 def process_noise(moments: Array, w_P: Array, time_s: Array, accel_psd: float, torque_psd: float) -> Array:

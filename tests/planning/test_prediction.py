@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from planning.prediction import LastBody, axes_by_parameters, draw, predict, process_noise
+from planning.prediction import UNKNOWN_RAD, LastBody, axes_by_parameters, draw, predict, process_noise
 from polhode.lie import Array, exp_so3, log_so3
 from polhode.rigid_body import propagate
 
@@ -125,6 +126,15 @@ def test_a_spin_that_was_long_steady_stays_predictable_though_its_inertia_is_und
     # about the middle axis it would tip over: the longer it did not, the surer it will not
     assert spread[0] > 3.0 * spread[1] > 10.0 * spread[2]
     assert spread[2] < 0.5
+
+
+def test_an_attitude_is_never_less_known_than_not_at_all() -> None:
+    turns = log_so3(Rotation.random(20_000, rng=np.random.default_rng(0)).as_matrix())
+    assert np.sqrt(np.mean(turns**2)) == pytest.approx(UNKNOWN_RAD, rel=0.01)
+    found = predict(last_body(small_covariance(6)), [10.0, 2000.0], 1e-8, 1e-3)
+    sigma = np.sqrt(np.diagonal(found.covariance_of_marks, axis1=1, axis2=2))[:, 6:9]
+    assert np.all(sigma[0] < 0.5 * UNKNOWN_RAD)
+    np.testing.assert_allclose(sigma[1], UNKNOWN_RAD)
 
 
 def test_drawn_deviations_have_the_covariance_and_drawn_bodies_are_possible() -> None:
