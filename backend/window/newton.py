@@ -44,6 +44,7 @@ class NewtonSolver:
                     share *= 0.5
                 if step is None or share < SHORTEST:
                     return Solution(x, cost, iteration, False, "no further decrease")
+            assert step is not None  # the loop above ends with a step that serves
             step = share * step
             expected = cost + float(g @ step + 0.5 * step @ (H @ step))
             x, exact = x + step, level == 0 and abs(candidate - expected) < AT_REST
