@@ -5,7 +5,7 @@ What does not depend on that choice (r_N, v_N, the attitude of the principal axe
 covariance: the camera's frame is known; with G held, the landmarks carry the uncertainty of the first pose.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -18,6 +18,7 @@ from backend.iterate import Iterate
 from backend.kernels import N_CONSTANTS, N_STATE
 from backend.problem import Held
 from backend.schur import landmark_covariances
+from backend.wrench import LN_MASS, LN_SCALE, TURN
 from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 
 N_GAUGE = 6
@@ -35,8 +36,10 @@ class Marginals:
     """(L, 3, 3) [m^2]"""
     constants_information: Array
     """(8, 8) of com_G and xi, everything else eliminated, without prior"""
+    wrench_information: Array | None
+    """(2, 2) of the logarithms of the inertia's scale and of the mass, everything else eliminated"""
     response: Array
-    """(s F, 8) how the states follow when the constants are changed and everything else is fitted again"""
+    """(s F, 8) how the states follow when com_G and xi are changed and everything else is fitted again"""
 
 
 def marginals(solver: GaussNewton, held: Held, x: Array, weight: Array) -> Marginals:
@@ -44,16 +47,16 @@ def marginals(solver: GaussNewton, held: Held, x: Array, weight: Array) -> Margi
     bare = solver.normal_equations(held, x, weight, prior=False)
     S, _, C_inv = solver.reduced(bare)
     S = np.tril(S) + np.tril(S, -1).T
-    n, first = len(S), N_GAUGE
-    n_states = n - N_CONSTANTS
+    n, n_states, first = len(S), held.reference.n_states, N_GAUGE
     follow = _first_pose_follows(held.reference.moved_to(x), solver.data.camera_N)
     _substitute_first_pose(S, follow)
     factor = cho_factor(S[first:n_states, first:n_states], lower=True, check_finite=False)
-    response = np.zeros((n_states, N_CONSTANTS))
+    response = np.zeros((n_states, n - n_states))
     response[first:] = -cho_solve(factor, S[first:n_states, n_states:], check_finite=False)
     information = S[n_states:, n_states:] + S[n_states:, first:n_states] @ response[first:]
     information = 0.5 * (information + information.T)
-    constants = np.linalg.inv(information + solver.prior_information(held, x))
+    prior = solver.prior_information(held, x)
+    constants = np.linalg.inv(information + prior)
     dense = np.zeros((n, n))
     dense[first:n_states, first:n_states] = _inverse(factor[0])
     dense[first:n_states, first:n_states] += response[first:] @ constants @ response[first:].T
@@ -66,7 +69,28 @@ def marginals(solver: GaussNewton, held: Held, x: Array, weight: Array) -> Margi
     dense[:, :first] = dense[:, errors] @ follow.T
     d = solver.data
     marks = landmark_covariances(dense, d.frame, d.start, bare.E, C_inv, bare.n_state)
-    return Marginals(dense, marks, information, response)
+    return _with_constants(dense, marks, information, prior, response)
+
+
+def _with_constants(
+    dense: Array, marks: Array, information: Array, prior: Array, response: Array
+) -> Marginals:
+    """What is known of com_G and xi, and of mass and scale, each with all other constants eliminated."""
+    if len(information) == N_CONSTANTS:
+        return Marginals(dense, marks, information, None, response)
+    at = np.arange(len(information))
+    body, rest = at[:N_CONSTANTS], at[N_CONSTANTS:]
+    # the weak prior of the others: what a push does not show must not make the matrix singular
+    follow = -np.linalg.solve((information + prior)[np.ix_(rest, rest)], information[np.ix_(rest, body)])
+    of_body = information[np.ix_(body, body)] + information[np.ix_(body, rest)] @ follow
+    logs = N_CONSTANTS + np.array([LN_SCALE, LN_MASS])
+    others = np.setdiff1d(at, logs)
+    follow_logs = np.linalg.solve(
+        (information + prior)[np.ix_(others, others)], information[np.ix_(others, logs)]
+    )
+    of_logs = information[np.ix_(logs, logs)] - information[np.ix_(logs, others)] @ follow_logs
+    response = response[:, body] + response[:, rest] @ follow
+    return Marginals(dense, marks, 0.5 * (of_body + of_body.T), of_logs, response)
 
 
 def _first_pose_follows(iterate: Iterate, camera_N: Array) -> Array:
@@ -105,14 +129,21 @@ class AxesDerivative:
     """(2, 5) d(k1, k2) / d xi"""
     axes: Array
     """(3, 5) d theta / d xi, theta in R_GP Exp(theta)"""
+    ln_middle: Array = field(default_factory=lambda: np.zeros(5))
+    """(5,) d ln(middle moment of J of unit second moments) / d xi"""
 
 
 def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
-    """First-order change of moments and axes; nearly equal moments give large, finite derivatives."""
+    """First-order change of moments and axes; nearly equal moments give large, finite derivatives.
+
+    Where a known torque acts its axes set the half-turn of the principal ones.
+    """
     J = iterate.J_G(form)
     moments, R = principal_axes(J)
+    if iterate.wrench is not None and iterate.R_torque is not None:
+        R = R @ _nearest_half_turn(R.T @ iterate.R_torque @ exp_so3(iterate.wrench[TURN]))
     values = np.diag(R.T @ J @ R)
-    ratios, axes = np.zeros((2, 5)), np.zeros((3, 5))
+    ratios, axes, ln_middle = np.zeros((2, 5)), np.zeros((3, 5)), np.zeros(5)
     step = 1e-6
     for n in range(5):
         change = np.zeros(5)
@@ -122,10 +153,17 @@ def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
         M = R.T @ (after - before) @ R / (2.0 * step)
         relative = np.diag(M) / values
         ratios[:, n] = relative[0] - relative[1], relative[1] - relative[2]
+        ln_middle[n] = relative[1]
         axes[0, n] = M[2, 1] / _gap(values[1] - values[2], values[1])
         axes[1, n] = -M[0, 2] / _gap(values[0] - values[2], values[1])
         axes[2, n] = M[1, 0] / _gap(values[0] - values[1], values[1])
-    return AxesDerivative(moments, R, ratios, axes)
+    return AxesDerivative(moments, R, ratios, axes, ln_middle)
+
+
+def _nearest_half_turn(R: Array) -> Array:
+    """Of the identity and the half-turns about x, y, z, as diagonal matrices, the one nearest to R (3, 3)."""
+    signs = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+    return np.diag(signs[np.argmax(signs @ np.diag(R))])
 
 
 def _gap(difference: float, middle: float) -> float:

@@ -1,7 +1,7 @@
 """Residuals of the rigid-body dynamics between frames, with their Jacobians.
 
-The same residual as ``kernels.dynamics_residual`` states in CasADi. Variables of a step, in this order: state
-before, state after, constants. A state holds p_NG, theta, v_N, w_G (12). Where the camera's own pose is
+The same residual as ``step_kernels.dynamics_residual`` states in CasADi. Variables of a step, in this order:
+state before, state after, constants. A state holds p_NG, theta, v_N, w_G (12). Where the camera's own pose is
 noisy it holds also b_N and alpha_N (6), the errors of its stated position and attitude: the poses are those
 that the stated camera sees, the true ones follow by ``Exp(alpha)`` about the camera and the shift b.
 """
@@ -12,12 +12,14 @@ import numpy as np
 
 from backend.compiled import compiled
 from backend.flow import flow_derivatives, flows
+from backend.inertia import N_INERTIA
+from backend.kernels import N_CONSTANTS, N_STATE
+from backend.wrench import FORCE_BIAS, LN_MASS, N_OF_ROTATION, N_WRENCH, torque_in_G
 from polhode.lie import Array, exp_so3, hat, inverse_right_jacobian_so3, log_so3, right_jacobian_so3
 from polhode.quaternion import matrix_from_wxyz
 from polhode.records import Ints
 
 RESIDUALS = 12
-BARE_STATE = 12
 
 
 @dataclass(frozen=True)
@@ -32,15 +34,24 @@ class States:
     """(F, 3) stated position of the camera [m]"""
     com_G: Array
     """(3,) [m]"""
+    wrench: Array | None = None
+    """(11,) unknowns of a known wrench (``wrench.py``); None: none acts"""
+    R_torque: Array | None = None
+    """(3, 3) reference of the torque's axes in G"""
+
+    @property
+    def n_constants(self) -> int:
+        """Numbers of com_G, xi and the wrench's unknowns."""
+        return N_CONSTANTS if self.wrench is None else N_CONSTANTS + N_WRENCH
 
     def true_attitudes(self) -> Array:
         """(F, 3, 3) freed from the errors of the camera's attitude."""
-        return exp_so3(self.x[:, 15:18]) @ self.R_NG if self.x.shape[1] > BARE_STATE else self.R_NG
+        return exp_so3(self.x[:, 15:18]) @ self.R_NG if self.x.shape[1] > N_STATE else self.R_NG
 
     def centres(self) -> Array:
         """(F, 3) true position of the centre of mass in N [m]."""
         seen = self.x[:, 0:3] + self.R_NG @ self.com_G
-        if self.x.shape[1] == BARE_STATE:
+        if self.x.shape[1] == N_STATE:
             return np.asarray(seen)
         arm = np.einsum("fij,fj->fi", exp_so3(self.x[:, 15:18]), seen - self.camera_N)
         return np.asarray(self.camera_N + self.x[:, 12:15] + arm)
@@ -58,6 +69,10 @@ class Steps:
     """(F - 1, 2, 2) lower, whitens the translation"""
     W_r: Array
     """(F - 1, 6, 6) lower, whitens the rotation"""
+    of_force: Array | None = None
+    """(F - 1, 2, 3) what a known force does to position [N s^2] and velocity [N s] of 1 kg"""
+    torque_P: Array | None = None
+    """(F - 1, S, 2, 3) known torque over each series [N m]"""
 
     def whiten(self, errors: Array) -> Array:
         """errors (F - 1, 12, ...) of position, velocity, attitude, rate to unit covariance."""
@@ -69,7 +84,8 @@ class Steps:
 
 def dynamics_residuals(states: States, steps: Steps, J_G: Array) -> Array:
     """Whitened residuals (F - 1, 12); J_G (3, 3) any scale. Infinite where rates are beyond reason."""
-    q, w_end, _, _ = flows(states.x[:-1, 9:12], J_G, steps.dt_s, steps.series)
+    torque, _ = _torque(states, steps)
+    q, w_end, _, _ = flows(states.x[:-1, 9:12], J_G, steps.dt_s, steps.series, torque)
     if not (np.isfinite(q).all() and (np.linalg.norm(q, axis=1) > 0.5).all()):
         return np.full((len(q), RESIDUALS), np.inf)
     errors, _ = _errors(states, steps, matrix_from_wxyz(q), w_end)
@@ -79,19 +95,45 @@ def dynamics_residuals(states: States, steps: Steps, J_G: Array) -> Array:
 def _errors(states: States, steps: Steps, R_step: Array, w_end: Array) -> tuple[Array, Array]:
     """State after minus predicted state (F - 1, 12), and the true attitudes (F, 3, 3)."""
     x, R, r_N = states.x, states.true_attitudes(), states.centres()
-    dr = r_N[1:] - r_N[:-1] - steps.dt_s[:, None] * x[:-1, 6:9]
+    by_force = _by_force(states, steps)
+    dr = r_N[1:] - r_N[:-1] - steps.dt_s[:, None] * x[:-1, 6:9] - by_force[:, 0]
+    dv = x[1:, 6:9] - x[:-1, 6:9] - by_force[:, 1]
     dtheta = log_so3(np.swapaxes(R[:-1] @ R_step, 1, 2) @ R[1:])
-    return np.hstack([dr, x[1:, 6:9] - x[:-1, 6:9], dtheta, x[1:, 9:12] - w_end]), R
+    return np.hstack([dr, dv, dtheta, x[1:, 9:12] - w_end]), R
+
+
+def _by_force(states: States, steps: Steps) -> Array:
+    """What a known force and its bias do to position and velocity, (F - 1, 2, 3)."""
+    if states.wrench is None or steps.of_force is None:
+        return np.zeros((len(steps.dt_s), 2, 3))
+    of_bias = np.stack([0.5 * steps.dt_s**2, steps.dt_s], axis=1)[:, :, None] * states.wrench[FORCE_BIAS]
+    return np.asarray(np.exp(-states.wrench[LN_MASS]) * (steps.of_force + of_bias))
+
+
+def _torque(states: States, steps: Steps) -> tuple[Array | None, Array | None]:
+    """A known torque in G, and its derivatives in (xi, ln scale, turn, bias): (F - 1, S, 12, 2, 3)."""
+    if states.wrench is None or states.R_torque is None or steps.torque_P is None:
+        return None, None
+    torque, of_unknowns = torque_in_G(steps.torque_P, states.wrench, states.R_torque)
+    of_xi = np.zeros((*torque.shape[:2], N_INERTIA, 2, 3))
+    return torque, np.concatenate([of_xi, of_unknowns], axis=2)
 
 
 def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> tuple[Array, Array]:
-    """Whitened residuals (F - 1, 12) and Jacobians (F - 1, 12, 2 s + 8); dJ (5, 3, 3) in xi."""
+    """Whitened residuals (F - 1, 12) and Jacobians (F - 1, 12, 2 s + c); dJ (5, 3, 3) in xi.
+
+    c = 8 constants com_G, xi, or 19 with the unknowns of a known wrench.
+    """
     x, n, s = states.x, len(steps.dt_s), states.x.shape[1]
-    q, w_end, turn, rate = flow_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series)
+    torque, dtorque = _torque(states, steps)
+    if dtorque is not None:
+        dJ = np.concatenate([dJ, np.zeros((N_OF_ROTATION, 3, 3))])
+    q, w_end, turn, rate = flow_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series, torque, dtorque)
     turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), matrix_from_wxyz(q)
     errors, R = _errors(states, steps, R_step, w_end)
     of_centre, of_turn = state_derivatives(states)
-    D = np.zeros((n, RESIDUALS, 2 * s + 8))
+    D = np.zeros((n, RESIDUALS, 2 * s + states.n_constants))
+    at = slice(2 * s + 3, 2 * s + 3 + len(dJ))
     D[:, 0:3, :s], D[:, 0:3, s : 2 * s] = -of_centre[:-1], of_centre[1:]
     D[:, 0:3, 6:9] -= steps.dt_s[:, None, None] * np.eye(3)
     D[:, 0:3, 2 * s : 2 * s + 3] = R[1:] - R[:-1]
@@ -102,11 +144,21 @@ def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> t
     D[:, 6:9, :s], D[:, 6:9, s : 2 * s] = -back @ of_turn[:-1], left @ of_turn[1:]
     of_step = back @ R_step @ turn
     D[:, 6:9, 9:12] -= of_step[:, :, :3]
-    D[:, 6:9, 2 * s + 3 :] = -of_step[:, :, 3:]
+    D[:, 6:9, at] = -of_step[:, :, 3:]
     D[:, 9:12, s + 9 : s + 12] = np.eye(3)
     D[:, 9:12, 9:12] = -rate[:, :, :3]
-    D[:, 9:12, 2 * s + 3 :] = -rate[:, :, 3:]
+    D[:, 9:12, at] = -rate[:, :, 3:]
+    if states.wrench is not None:
+        _add_force(D, states, steps)
     return steps.whiten(errors[:, :, None])[:, :, 0], steps.whiten(D)
+
+
+def _add_force(D: Array, states: States, steps: Steps) -> None:
+    """Derivatives in the logarithm of the mass and in the force's bias: the last four columns."""
+    assert states.wrench is not None
+    D[:, 0:6, -4] = _by_force(states, steps).reshape(-1, 6)
+    D[:, 0:3, -3:] = -np.exp(-states.wrench[LN_MASS]) * 0.5 * steps.dt_s[:, None, None] ** 2 * np.eye(3)
+    D[:, 3:6, -3:] = -np.exp(-states.wrench[LN_MASS]) * steps.dt_s[:, None, None] * np.eye(3)
 
 
 def state_derivatives(states: States) -> tuple[Array, Array]:
@@ -116,7 +168,7 @@ def state_derivatives(states: States) -> tuple[Array, Array]:
     of_centre, of_turn = np.zeros((len(x), 3, s)), np.zeros((len(x), 3, s))
     of_centre[:, :, 3:6] = -R @ hat(states.com_G) @ Jr
     of_turn[:, :, 3:6] = Jr
-    if s == BARE_STATE:
+    if s == N_STATE:
         of_centre[:, :, 0:3] = np.eye(3)
         return of_centre, of_turn
     alpha = x[:, 15:18]

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from backend.attach import attach_wrench
 from backend.gauss_newton import GaussNewton, Solution
 from backend.hypotheses import inertia_hypotheses
 from backend.initialize import frame_rates, robust_landmarks
@@ -43,6 +44,9 @@ def estimate_motion(
         best = min(trials, key=lambda name: trials[name].cost)
         data, kept, iterate, scales = settle(data, trials[best].iterate)
         advance()
+        attached = attach_wrench(kept.data, kept.restrict(iterate)) if _pushed(data) else None
+        if attached is not None:
+            iterate = kept.expand(attached.iterate, iterate)
         if config.process_noise == "estimated":
             level = estimate_process_noise(kept.data, kept.restrict(iterate))
             iterate = kept.expand(level.iterate, iterate)
@@ -58,6 +62,7 @@ def estimate_motion(
         estimate = assemble(tracks, data, kept, kept.expand(small, iterate), scales, initial)
         advance()
     runner_up = {name: trial.cost - trials[best].cost for name, trial in trials.items() if name != best}
+    runner_up |= attached.runner_up if attached is not None else {}
     outcome = replace(
         estimate.solver,
         name=solver.name,
@@ -71,6 +76,10 @@ def estimate_motion(
     if not solution.converged:
         warnings.append(f"the solver stopped before convergence: {solution.message}")
     return replace(estimate, solver=outcome, warnings=tuple(warnings))
+
+
+def _pushed(data: MotionData) -> bool:
+    return data.impulses is not None and bool(data.impulses.acting.any())
 
 
 @dataclass(frozen=True)

@@ -224,10 +224,11 @@ def flow_derivatives(
     return _flow_derivatives(w, J, J_inv, dJ, dt_s, torque, of_torque, steps)
 
 
-def series_steps(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float) -> Ints:
+def series_steps(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float | Array) -> Ints:
     """Series for each interval (n,), a power of two so that few programs are needed.
 
-    w_G (n, 3) rate at the start [rad/s], J_G (3, 3) any scale, dt_s (n,), torque_psd [(rad/s^2)^2/Hz]. The
+    w_G (n, 3) rate at the start [rad/s], J_G (3, 3) any scale, dt_s (n,), torque_psd [(rad/s^2)^2/Hz], one
+    or (n,). The
     errors stay below ``SHARE_OF_NOISE`` of sqrt(psd dt^3 / 3) in attitude and sqrt(psd dt) in rate, which the
     largest moment makes smaller. Both are correlated: a quarter of the share is left to each.
     """

@@ -7,11 +7,12 @@ from scipy.linalg import LinAlgError
 
 from backend.chain import POSE, eliminate_chain, solve_with_chain
 from backend.dynamics import States, add_steps, dynamics_jacobians, dynamics_residuals
-from backend.inertia import inertia_derivative
+from backend.inertia import N_INERTIA, inertia_derivative
 from backend.iterate import Iterate
 from backend.kernels import N_CAMERA, N_CONSTANTS, N_STATE, bend_sx, prior_kernel
 from backend.problem import Held, MotionData
 from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
+from backend.wrench import LN_MASS, LN_PRIOR, LN_SCALE, wrench_residual
 from polhode.lie import Array, right_jacobian_so3
 
 DAMPING_FLOOR = 1e-8
@@ -93,7 +94,7 @@ class GaussNewton:
         n = held.reference.n_states
         total += self.dynamics_cost(held, x)
         total += float(self._prior(x[n : n + 8], held.prior)[0])
-        total += self.camera_cost(held, x)
+        total += self.camera_cost(held, x) + self.wrench_cost(held, x)
         return total + 0.5 * float(np.sum(held.gauge_information * self._gauge_offset(held, x) ** 2))
 
     def dynamics_cost(self, held: Held, x: Array) -> float:
@@ -108,20 +109,26 @@ class GaussNewton:
         """The part of the objective that the errors of the camera's pose contribute."""
         return 0.5 * float(np.sum(held.camera_information * camera_errors(held, x) ** 2))
 
+    def wrench_cost(self, held: Held, x: Array) -> float:
+        """The part of the objective that what is known of a wrench's unknowns contributes."""
+        return 0.5 * float(np.sum(self._wrench(held, x)[0] ** 2))
+
     def prior_information(self, held: Held, x: Array) -> Array:
-        """Gauss-Newton Hessian (8, 8) of the weak prior on com_G and xi."""
-        n = held.reference.n_states
+        """Gauss-Newton Hessian (8, 8) of the weak prior on com_G and xi; (19, 19) with a known wrench."""
+        n, c = held.reference.n_states, held.reference.n_constants
         cols, rows = np.tril_indices(N_CONSTANTS)
-        block = np.zeros((N_CONSTANTS, N_CONSTANTS))
+        block = np.zeros((c, c))
         block[rows, cols] = block[cols, rows] = np.asarray(self._prior(x[n : n + 8], held.prior)[2]).ravel()
+        logs = np.array([LN_SCALE, LN_MASS]) + N_CONSTANTS if c > N_CONSTANTS else np.zeros(0, dtype=int)
+        block[logs, logs] = LN_PRIOR**-2
         return block
 
     def residuals(self, held: Held, x: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         """Whitened stereo residuals (M, 3), and A (F, 3, 3), p_NG (F, 3), p_G (L, 3) at x."""
-        d, n = self.data, held.reference.n_states
+        d = self.data
         at = held.reference.moved_to(x)
         A = d.R_RN @ at.R_NG
-        p_NG, p_G = np.ascontiguousarray(at.p_NG), np.ascontiguousarray(x[n + 8 :].reshape(-1, 3))
+        p_NG, p_G = np.ascontiguousarray(at.p_NG), np.ascontiguousarray(at.p_G)
         r = stereo_residuals(d.frame, d.landmark, d.uvd_px, d.inv_sigma, d.rig, A, d.R_RN, d.t_R, p_NG, p_G)
         return r, (A, p_NG, p_G)
 
@@ -151,13 +158,14 @@ class GaussNewton:
             w,
             bend,
         )
-        n = n_states + 8
+        n = held.reference.n_dense
         H, g, total = np.zeros((n, n)), np.zeros(n), robust_cost(squares, d.robust_scale)
         for k in range(d.n_frames):
             H[s * k : s * k + 6, s * k : s * k + 6] += H6[k]
             g[s * k : s * k + 6] += g6[k]
         total += self._add_dynamics(held, x, H, g)
         total += self._add_camera(held, x, H, g)
+        total += self._add_wrench(held, x, H, g, prior)
         if prior:
             total += self._add_prior(held, x, H, g)
         untouched = np.diagonal(H) == 0.0
@@ -205,7 +213,7 @@ class GaussNewton:
     def _states(self, held: Held, x: Array) -> tuple[States, Iterate]:
         at = held.reference.moved_to(x)
         of_frames = x[: at.n_states].reshape(-1, at.n_state)
-        return States(of_frames, at.R_NG, self.data.camera_N, at.com_G), at
+        return States(of_frames, at.R_NG, self.data.camera_N, at.com_G, at.wrench, at.R_torque), at
 
     def _add_camera(self, held: Held, x: Array, H: Array, g: Array) -> float:
         error = camera_errors(held, x)
@@ -215,11 +223,28 @@ class GaussNewton:
             g[slots] += held.camera_information * error
         return self.camera_cost(held, x)
 
+    def _wrench(self, held: Held, x: Array) -> tuple[Array, Array]:
+        at, form = held.reference.moved_to(x), self.data.form
+        if at.wrench is None or at.R_torque is None:
+            return np.zeros(0), np.zeros((0, N_INERTIA))
+        dJ = inertia_derivative(form, at.xi, at.R_inertia)
+        return wrench_residual(at.J_G(form), dJ, at.wrench, at.R_torque, held.bias_sigma)
+
+    def _add_wrench(self, held: Held, x: Array, H: Array, g: Array, prior: bool) -> float:
+        residual, jacobian = self._wrench(held, x)
+        if not prior:
+            # the logarithms stand last
+            residual, jacobian = residual[:-2], jacobian[:-2]
+        at = slice(held.reference.n_states + 3, held.reference.n_states + 3 + jacobian.shape[1])
+        H[at, at] += jacobian.T @ jacobian
+        g[at] += jacobian.T @ residual
+        return 0.5 * float(np.sum(residual**2))
+
     def _add_prior(self, held: Held, x: Array, H: Array, g: Array) -> float:
         n = held.reference.n_states
         cost, gradient, _ = self._prior(x[n : n + 8], held.prior)
-        H[n:, n:] += self.prior_information(held, x)
-        g[n:] += np.asarray(gradient).ravel()
+        H[n : n + 8, n : n + 8] += self.prior_information(held, x)[:8, :8]
+        g[n : n + 8] += np.asarray(gradient).ravel()
         offset = self._gauge_offset(held, x)
         H[np.arange(6), np.arange(6)] += held.gauge_information
         g[:6] += held.gauge_information * offset

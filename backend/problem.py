@@ -9,6 +9,7 @@ from backend.flow import series_steps
 from backend.inertia import FORMS, InertiaForm
 from backend.iterate import Iterate
 from backend.process_noise import whitening
+from backend.wrench import Impulses, impulses_of
 from polhode.config.backend import Backend
 from polhode.lie import Array, inverse_pose
 from polhode.records import Ints, StereoTracks
@@ -20,6 +21,10 @@ COM_PRIOR_M = 0.1
 """Least standard deviation of the prior on the centre of mass; a larger body's own radius is taken."""
 
 
+TINY = 1e-12
+"""[N, N m] bias of a force or a torque where there is none."""
+UNKNOWN_PUSH_PSD = 1.0
+"""[(m/s^2)^2/Hz], [(rad/s^2)^2/Hz] so strong that a step tells nothing of the body."""
 LEAST_CAMERA_SIGMA = 1e-7
 """[m, rad] where only the other half of the camera's pose is noisy."""
 
@@ -54,6 +59,10 @@ class MotionData:
     torque_psd: float
     robust_scale: float
     form: InertiaForm
+    impulses: Impulses | None
+    """Of the known wrench; None: none acts"""
+    bias_sigma: tuple[float, float]
+    """[N, N m] of the constant biases of the known force and torque"""
     order: Ints
     """(M,) sorted observation -> observation of the tracks"""
 
@@ -80,6 +89,8 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
     order = np.lexsort((tracks.frame, tracks.landmark))
     landmark = tracks.landmark[order]
     X_RN, rig = inverse_pose(tracks.X_NR), tracks.rig
+    impulses = impulses_of(tracks.wrench, tracks.timestamps_ns) if tracks.wrench is not None else None
+    force_N, torque_Nm = impulses.largest if impulses is not None else (0.0, 0.0)
     return MotionData(
         frame=np.ascontiguousarray(tracks.frame[order], dtype=np.int64),
         landmark=np.ascontiguousarray(landmark, dtype=np.int64),
@@ -96,6 +107,8 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
         torque_psd=config.torque_psd,
         robust_scale=config.robust_scale,
         form=FORMS[config.inertia],
+        impulses=impulses,
+        bias_sigma=(max(config.wrench_bias * force_N, TINY), max(config.wrench_bias * torque_Nm, TINY)),
         order=order,
     )
 
@@ -119,6 +132,8 @@ class Held:
     """(6,) diagonal of the hold on p_NG, theta of the first frame"""
     camera_information: Array
     """(6,) diagonal of the prior on the errors of the camera's pose, for each frame"""
+    bias_sigma: tuple[float, float]
+    """[N, N m] of the constant biases of a known wrench"""
     half_log_det: float
     """Normalisation of the dynamics term: makes the costs of different inertias comparable"""
 
@@ -126,21 +141,39 @@ class Held:
 def hold(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> Held:
     """Freeze references and whitening at an iterate; gauge is the standard deviation of the first pose."""
     w, J_G = iterate.w_G[:-1], iterate.J_G(data.form)
-    W_t, W_r, half_log = whitening(w, J_G, data.dt_s, data.accel_psd, data.torque_psd)
+    accel_psd, torque_psd = _levels(data, iterate)
+    W_t, W_r, half_log = whitening(w, J_G, data.dt_s, accel_psd, torque_psd)
     middle = geometric_median(iterate.p_G)
     radius = float(np.sqrt(np.median(np.sum((iterate.p_G - middle) ** 2, axis=1))))
     com_sigma = max(COM_PRIOR_M, radius)
     return Held(
         reference=iterate,
         A=data.R_RN @ iterate.R_NG,
-        steps=Steps(data.dt_s, series_steps(w, J_G, data.dt_s, data.torque_psd), W_t, W_r),
+        steps=_steps(data, iterate, series_steps(w, J_G, data.dt_s, torque_psd), W_t, W_r),
         prior=np.concatenate([middle, [com_sigma], iterate.R_inertia.T.ravel()]),
         gauge_information=np.repeat([(gauge * com_sigma) ** -2, gauge**-2], 3),
         camera_information=np.repeat(
             [max(sigma, LEAST_CAMERA_SIGMA) ** -2 for sigma in data.camera_sigma], 3
         ),
+        bias_sigma=data.bias_sigma,
         half_log_det=half_log,
     )
+
+
+def _levels(data: MotionData, iterate: Iterate) -> tuple[Array, Array]:
+    """Disturbances in each step (F - 1,); where a known wrench acts that the iterate does not have, any."""
+    unknown = np.zeros_like(data.dt_s)
+    if data.impulses is not None and iterate.wrench is None:
+        unknown[data.impulses.acting] = UNKNOWN_PUSH_PSD
+    return np.maximum(data.accel_psd, unknown), np.maximum(data.torque_psd, unknown)
+
+
+def _steps(data: MotionData, iterate: Iterate, series: Ints, W_t: Array, W_r: Array) -> Steps:
+    known = data.impulses
+    if known is None or iterate.wrench is None:
+        return Steps(data.dt_s, series, W_t, W_r)
+    series = known.finer(series, iterate.w_G[:-1], data.dt_s)
+    return Steps(data.dt_s, series, W_t, W_r, known.of_force, known.torque(series))
 
 
 def geometric_median(points: Array) -> Array:

@@ -17,22 +17,26 @@ _ABSCISSAS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 NODES, WEIGHTS = 0.5 * (_ABSCISSAS + 1.0), 0.5 * _WEIGHTS
 
 
-def translation_covariance(dt_s: Array, accel_psd: float) -> Array:
-    """Covariance (n, 2, 2) of (r, v) along one axis: q [dt^3/3, dt^2/2; dt^2/2, dt]."""
+def translation_covariance(dt_s: Array, accel_psd: float | Array) -> Array:
+    """Covariance (n, 2, 2) of (r, v) along one axis: q [dt^3/3, dt^2/2; dt^2/2, dt]; q may differ by step."""
     t = np.asarray(dt_s, dtype=np.float64)
-    return accel_psd * np.stack([np.stack([t**3 / 3, t**2 / 2], -1), np.stack([t**2 / 2, t], -1)], -2)
+    unit = np.stack([np.stack([t**3 / 3, t**2 / 2], -1), np.stack([t**2 / 2, t], -1)], -2)
+    return np.asarray(np.broadcast_to(accel_psd, t.shape)[:, None, None] * unit)
 
 
-def rotation_covariance_scaled(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float) -> tuple[Array, Array]:
+def rotation_covariance_scaled(
+    w_G: Array, J_G: Array, dt_s: Array, torque_psd: float | Array
+) -> tuple[Array, Array]:
     """Covariance (n, 6, 6) of (theta, w) divided by the scale (n, 6): Lambda = S Lambda_scaled S.
 
     w_G (n, 3) rate at the start [rad/s], J_G (3, 3) any scale, dt_s (n,), torque_psd [(rad/s^2)^2/Hz] over
-    the middle moment.
+    the middle moment, one or (n,).
     """
     t = np.asarray(dt_s, dtype=np.float64)
     J = np.ascontiguousarray(J_G / np.linalg.eigvalsh(J_G)[1])
     w = np.ascontiguousarray(w_G, dtype=np.float64)
-    scale = np.sqrt(torque_psd) * np.repeat(np.stack([t**1.5, t**0.5], 1), 3, axis=1)
+    root = np.broadcast_to(np.sqrt(torque_psd), t.shape)[:, None]
+    scale = root * np.repeat(np.stack([t**1.5, t**0.5], 1), 3, axis=1)
     return _integrated(w, J, t), scale
 
 
@@ -83,8 +87,8 @@ def whitening(
     w_G: Array,
     J_G: Array,
     dt_s: Array,
-    accel_psd: float,
-    torque_psd: float,
+    accel_psd: float | Array,
+    torque_psd: float | Array,
     pose_variance: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Array, Array, float]:
     """Square roots of the information: translation (n, 2, 2), rotation (n, 6, 6), lower triangular.

@@ -8,18 +8,19 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from backend.gauss_newton import Solution
+from backend.iterate import Iterate
 from backend.kernels import (
     N_CAMERA,
     N_CONSTANTS,
     N_STATE,
     Output,
-    dynamics_kernel,
     hold_kernel,
     prior_kernel,
-    step_parameters,
     stereo_kernel,
+    wrench_kernel,
 )
 from backend.problem import Held, MotionData, series_groups
+from backend.step_kernels import StepLayout, dynamics_kernel
 from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints
@@ -43,11 +44,12 @@ class _Term:
 class MotionProgram:
     r"""Full smoothing of a tumbling rigid body (thesis eqs. 4.77-4.108), stated once.
 
-    Unknowns ``x``, s F + 8 + 3 L numbers: for each frame k the pose of the geometric frame ``p_k``,
+    Unknowns ``x``, s F + c + 3 L numbers: for each frame k the pose of the geometric frame ``p_k``,
     ``theta_k`` (attitude R_k = R_ref,k Exp(theta_k)), the velocity ``v_k`` of the centre of mass and the
     angular velocity ``w_k`` in G (s = 12), and where the camera's stated poses are noisy their errors
-    ``b_k``, ``alpha_k`` (s = 18); the constants ``com`` and ``xi`` (inertia up to scale, ``inertia.py``);
-    landmarks ``l_j`` in G.
+    ``b_k``, ``alpha_k`` (s = 18); the constants ``com`` and ``xi`` (inertia up to scale, ``inertia.py``;
+    c = 8), and where forces or torques are known mass, scale, biases and the torque's axes (``wrench.py``;
+    c = 19); landmarks ``l_j`` in G.
 
     minimise over x, without constraints::
 
@@ -57,10 +59,12 @@ class MotionProgram:
       + 1/2 || (com - middle) / s ||^2 + 1/2 || 3 Sigma(xi) / tr Sigma(xi) - I ||^2              weak prior
       + 1/2 || (p_0 - p_ref,0, theta_0) / gauge ||^2                                           frame G held
       + 1/2 sum_k || (b_k / sigma_p, alpha_k / sigma_theta) ||^2                              camera's poses
+      + 1/2 || products of inertia in the torque's axes, biases, logarithms ||^2                known wrench
 
     where r_k = p_k + R_k com; with a noisy camera at c_k the dynamics have Exp(alpha_k) R_k for R_k and
     c_k + b_k + Exp(alpha_k) (r_k - c_k) for r_k: vision sees from the stated pose, mechanics acts on the true
-    one; dR_k, w'_k solve Euler's equation J(xi) w' = -w x J(xi) w over dt from w_k (Taylor series);
+    one; dR_k, w'_k solve Euler's equation J(xi) w' = -w x J(xi) w over dt from w_k (Taylor series),
+    with a known torque over the scale added, and force over mass in the translation;
     rho(s) = c^2/2 ln(1 + s/c^2); Lambda_k solves the Lyapunov equation (4.58) at that rate.
     R_ref, Lambda, middle and the gauge are parameters, renewed between solves (``problem.hold``).
 
@@ -78,9 +82,10 @@ class MotionProgram:
     def solve(self, held: Held, x: Array, max_iterations: int) -> Solution:
         """Minimise from x. The program is built at the first call, and when a step needs more series."""
         if self._solver is None or np.any(held.steps.series > self._series):
-            self._series = np.maximum(held.steps.series, self._series) if self._solver else held.steps.series
-            self._solver = self._build(held.reference.n_state, max_iterations)
-        result = self._solver(x0=x, p=_parameters(self.data, held))
+            series = held.steps.series
+            self._series = np.maximum(series, self._series) if self._solver else series
+            self._solver = self._build(_Layout(held.reference, int(self._series.max())), max_iterations)
+        result = self._solver(x0=x, p=_parameters(self.data, held, self._series))
         stats = self._solver.stats()
         status = str(stats["return_status"])
         good = status in (
@@ -92,17 +97,16 @@ class MotionProgram:
             np.asarray(result["x"]).ravel(), float(result["f"]), int(stats["iter_count"]), good, status
         )
 
-    def _build(self, n_state: int, max_iterations: int) -> Any:
-        d = self.data
-        n_x = n_state * d.n_frames + N_CONSTANTS + 3 * d.n_landmarks
-        x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", _Packed(d.n_frames, n_state).size)
-        cost = sum(ca.sum2(term.cost) for term in self._terms(x, p, n_state, "cost"))
+    def _build(self, layout: "_Layout", max_iterations: int) -> Any:
+        n_x = layout.n_dense + 3 * self.data.n_landmarks
+        x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", layout.n_p)
+        cost = sum(ca.sum2(term.cost) for term in self._terms(x, p, layout, "cost"))
 
-        terms = self._terms(x, p, n_state, "gradient")
+        terms = self._terms(x, p, layout, "gradient")
         slots = np.concatenate([term.slots.ravel() for term in terms])
         gradient = _scatter(slots, n_x) @ ca.vertcat(*[ca.vec(term.gradient) for term in terms])
 
-        terms = self._terms(x, p, n_state, "quadratic")
+        terms = self._terms(x, p, layout, "quadratic")
         keys = np.concatenate([_upper_keys(term.slots, n_x) for term in terms])
         cells, position = np.unique(keys, return_inverse=True)
         values = _scatter(position, len(cells)) @ ca.vertcat(*[ca.vec(term.hessian) for term in terms])
@@ -140,36 +144,43 @@ class MotionProgram:
         problem: Any = {"x": x, "p": p, "f": cost}
         return ca.nlpsol("motion", "ipopt", problem, options)
 
-    def _terms(self, x: Any, p: Any, n_state: int, output: Output) -> list[_Term]:
-        """Kernels mapped over their data: stereo, dynamics by number of series, prior, what is held."""
-        d, at = self.data, _Packed(self.data.n_frames, n_state)
-        of_constants = n_state * d.n_frames + np.arange(N_CONSTANTS)
-        terms = [self._stereo(x, p, n_state, output)]
+    def _terms(self, x: Any, p: Any, at: "_Layout", output: Output) -> list[_Term]:
+        """Kernels mapped over their data: stereo, dynamics by number of series, priors, what is held."""
+        d, s, step = self.data, at.n_state, at.step
+        of_constants = s * d.n_frames + np.arange(step.n_constants)
+        terms = [self._stereo(x, p, at, output)]
         for series, index in series_groups(self._series):
-            states = n_state * index[:, None] + np.arange(2 * n_state)
-            constants = np.broadcast_to(of_constants, (len(index), N_CONSTANTS))
+            states = s * index[:, None] + np.arange(2 * s)
+            constants = np.broadcast_to(of_constants, (len(index), step.n_constants))
             slots = np.concatenate([states, constants], axis=1)
-            parameters = _gather(p, at.steps + at.of_step * index[:, None] + np.arange(at.of_step))
-            kernel = dynamics_kernel(d.form, series, output, n_state).map(len(index))
-            terms.append(_Term(slots, *kernel.call([_gather(x, slots), parameters])))
+            arguments = [
+                _gather(x, slots),
+                _gather(p, at.steps + step.n_p * index[:, None] + np.arange(step.n_p)),
+            ]
+            if step.pushed:
+                torque = _gather(p, at.torque + at.n_torque * index[:, None] + np.arange(6 * series))
+                arguments.append(ca.reshape(torque, 6, series * len(index)))
+            kernel = dynamics_kernel(d.form, series, output, step).map(len(index))
+            terms.append(_Term(slots, *kernel.call(arguments)))
+        body = of_constants[None, :N_CONSTANTS]
         prior = prior_kernel(d.form, output)
-        terms.append(
-            _Term(of_constants[None], *prior.call([x[of_constants.tolist()], p[at.prior : at.gauge]]))
-        )
+        terms.append(_Term(body, *prior.call([_gather(x, body), p[at.prior : at.prior + 13]])))
         hold = hold_kernel(output)
         gauge = np.arange(6)[None]
-        terms.append(_Term(gauge, *hold.call([x[0:6], p[at.gauge : at.camera]])))
-        if n_state > N_STATE:
-            errors = n_state * np.arange(d.n_frames)[:, None] + N_STATE + np.arange(N_CAMERA)
-            held = ca.repmat(p[at.camera : at.size], 1, d.n_frames)
+        terms.append(_Term(gauge, *hold.call([_gather(x, gauge), p[at.gauge : at.gauge + 12]])))
+        if s > N_STATE:
+            errors = s * np.arange(d.n_frames)[:, None] + N_STATE + np.arange(N_CAMERA)
+            held = ca.repmat(p[at.camera : at.camera + 12], 1, d.n_frames)
             terms.append(_Term(errors, *hold.map(d.n_frames).call([_gather(x, errors), held])))
+        if step.pushed:
+            unknowns, wrench = of_constants[None, 3:], wrench_kernel(d.form, output)
+            terms.append(_Term(unknowns, *wrench.call([_gather(x, unknowns), p[at.wrench : at.wrench + 20]])))
         return terms
 
-    def _stereo(self, x: Any, p: Any, n_state: int, output: Output) -> _Term:
-        d = self.data
-        n_dense, m = n_state * d.n_frames + N_CONSTANTS, len(d.frame)
-        pose = n_state * d.frame[:, None] + np.arange(6)
-        mark = n_dense + 3 * d.landmark[:, None] + np.arange(3)
+    def _stereo(self, x: Any, p: Any, at: "_Layout", output: Output) -> _Term:
+        d, m = self.data, len(self.data.frame)
+        pose = at.n_state * d.frame[:, None] + np.arange(6)
+        mark = at.n_dense + 3 * d.landmark[:, None] + np.arange(3)
         slots = np.concatenate([pose, mark], axis=1)
         A = _gather(p, 9 * d.frame[:, None] + np.arange(9))
         R_RN = np.swapaxes(d.R_RN, 1, 2).reshape(-1, 9)[d.frame]
@@ -179,36 +190,56 @@ class MotionProgram:
         return _Term(slots, *kernel.call([_gather(x, slots), A, *fixed, ca.DM(d.rig)]))
 
 
-class _Packed:
-    """Where each kind of parameter begins in the program's vector: attitudes A come first."""
+class _Layout:
+    """Where each kind of unknown and of parameter begins in the program's vectors; attitudes A are first."""
 
-    def __init__(self, n_frames: int, n_state: int) -> None:
-        self.steps, self.of_step = 9 * n_frames, step_parameters(n_state)
-        self.prior = self.steps + self.of_step * (n_frames - 1)
+    def __init__(self, reference: Iterate, most_series: int) -> None:
+        self.n_state, self.n_dense, n = reference.n_state, reference.n_dense, reference.n_frames
+        self.step = StepLayout(reference.n_state, reference.wrench is not None)
+        self.n_torque = 6 * most_series if self.step.pushed else 0
+        self.steps = 9 * n
+        self.torque = self.steps + self.step.n_p * (n - 1)
+        self.prior = self.torque + self.n_torque * (n - 1)
         self.gauge = self.prior + 13
         self.camera = self.gauge + 12
-        self.size = self.camera + 12
+        self.wrench = self.camera + 12
+        self.n_p = self.wrench + 20
 
 
-def _parameters(data: MotionData, held: Held) -> Array:
-    by_columns, first = np.swapaxes(held.A, 1, 2).ravel(), held.reference.p_NG[0]
-    gauge = [first, np.zeros(3), held.gauge_information]
-    camera = [np.zeros(N_CAMERA), held.camera_information]
-    steps = dynamics_parameters(data, held).ravel()
-    return np.concatenate([by_columns, steps, held.prior, *gauge, *camera])
+def _parameters(data: MotionData, held: Held, series: Ints) -> Array:
+    reference = held.reference
+    torque, wrench = np.zeros(0), np.zeros(20)
+    if reference.wrench is not None and reference.R_torque is not None and data.impulses is not None:
+        # by columns: each series has its six numbers together
+        torque = data.impulses.torque(series).ravel()
+        axes = [reference.R_inertia.T.ravel(), reference.R_torque.T.ravel()]
+        wrench = np.concatenate([*axes, held.bias_sigma])
+    return np.concatenate(
+        [
+            np.swapaxes(held.A, 1, 2).ravel(),
+            dynamics_parameters(data, held).ravel(),
+            torque,
+            held.prior,
+            *(reference.p_NG[0], np.zeros(3), held.gauge_information),
+            *(np.zeros(N_CAMERA), held.camera_information),
+            wrench,
+        ]
+    )
 
 
 def dynamics_parameters(data: MotionData, held: Held) -> Array:
-    """Pack the parameters (F - 1, 71 or 77) in the order that ``kernels.dynamics_kernel`` reads."""
-    R, W_t, n = held.reference.R_NG, held.steps.W_t, data.n_frames - 1
-    by_columns = np.swapaxes(R, 1, 2).reshape(-1, 9)
-    inertia = np.broadcast_to(held.reference.R_inertia.T.ravel(), (n, 9))
-    q01 = wxyz_from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+    """Parameters (F - 1, n_p) of the steps, as ``step_kernels.StepLayout`` orders them."""
+    at, W_t, n = held.reference, held.steps.W_t, data.n_frames - 1
+    by_columns = np.swapaxes(at.R_NG, 1, 2).reshape(-1, 9)
+    inertia = np.broadcast_to(at.R_inertia.T.ravel(), (n, 9))
+    q01 = wxyz_from_matrix(np.swapaxes(at.R_NG[:-1], 1, 2) @ at.R_NG[1:])
     lower = np.stack([W_t[:, 0, 0], W_t[:, 1, 0], W_t[:, 1, 1]], axis=1)
     whiten = np.swapaxes(held.steps.W_r, 1, 2).reshape(-1, 36)
     columns = [by_columns[:-1], by_columns[1:], inertia, q01, data.dt_s[:, None], lower, whiten]
-    if held.reference.n_state > N_STATE:
+    if at.n_state > N_STATE:
         columns += [data.camera_N[:-1], data.camera_N[1:]]
+    if at.R_torque is not None and held.steps.of_force is not None:
+        columns += [np.broadcast_to(at.R_torque.T.ravel(), (n, 9)), held.steps.of_force.reshape(n, 6)]
     return np.concatenate(columns, axis=1)
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from backend.absolute import with_absolute_scale
 from backend.covariance import (
     AxesDerivative,
     Marginals,
@@ -58,7 +59,9 @@ def assemble(
     determined = analyse(m.constants_information, derivative, w_P)
     covariance, joint = _state_covariances(data, iterate, m, derivative, determined, w_P)
     true = States(_numbers(iterate), iterate.R_NG, data.camera_N, iterate.com_G)
-    warnings = _warnings(tracks, weight, data, determined.record, initial, iterate)
+    mass = _mass(iterate, m, derivative, determined)
+    mass = with_absolute_scale(mass, iterate, data.form, m, derivative, data.impulses)
+    warnings = _warnings(tracks, weight, data, mass.identifiable, initial, iterate)
     return MotionEstimate(
         timestamps_ns=tracks.timestamps_ns,
         r_N=true.centres(),
@@ -69,7 +72,7 @@ def assemble(
         covariance=covariance,
         covariance_last_joint=joint,
         covariance_last_body=last_body_covariance(iterate, m, data.camera_N),
-        mass=_mass(iterate, m, derivative, determined),
+        mass=mass,
         landmarks=_landmarks(kept.data, small, m),
         residuals_px=_unsorted(data, all_residuals / data.inv_sigma),
         inlier_weight=_unsorted(data, weight),
@@ -120,7 +123,7 @@ def _mass(
 ) -> MassProperties:
     known = determined.record
     n = iterate.n_states
-    cov_com, cov_J = m.dense[n : n + 3, n : n + 3], m.dense[n + 3 :, n + 3 :]
+    cov_com, cov_J = m.dense[n : n + 3, n : n + 3], m.dense[n + 3 : n + 8, n + 3 : n + 8]
     moments, R_GP = derivative.moments, derivative.R_GP
     com_lost: Bools = np.abs(R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
     return MassProperties(

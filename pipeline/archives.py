@@ -15,7 +15,7 @@ from pipeline.atomic import replaced
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.records import Ints, MotionEstimate, RelativePoses, StereoTracks
+from polhode.records import Ints, MotionEstimate, RelativePoses, StereoTracks, Wrench
 
 STATE_ORDER: tuple[str, ...] = tuple(
     f"{name}_{axis}" for name in ("r_N", "v_N", "theta_P", "w_P") for axis in "xyz"
@@ -31,6 +31,7 @@ BODY_ORDER: tuple[str, ...] = tuple(name.replace("_P_", "_G_") for name in JOINT
 """The same with attitude and rate of the body itself, along G."""
 
 Arrays = dict[str, NDArray[np.generic]]
+_TRACKS = tuple(f.name for f in fields(StereoTracks) if f.name not in ("rig", "wrench"))
 
 
 @dataclass(frozen=True)
@@ -100,9 +101,12 @@ def write_measurements(
 ) -> None:
     """Tracks, rig and noise; the relative poses and the back end's residuals when they are given.
 
-    Keys: the fields of StereoTracks; ``rig_<field>``; ``relative_<field>``; residuals_px, inlier_weight.
+    Keys: the fields of StereoTracks; ``rig_<field>``; ``wrench_<field>``; ``relative_<field>``; residuals_px,
+    inlier_weight.
     """
-    arrays: Arrays = {f.name: np.asarray(getattr(tracks, f.name)) for f in fields(tracks) if f.name != "rig"}
+    arrays: Arrays = {name: np.asarray(getattr(tracks, name)) for name in _TRACKS}
+    if tracks.wrench is not None:
+        arrays |= {f"wrench_{f.name}": np.asarray(getattr(tracks.wrench, f.name)) for f in fields(Wrench)}
     arrays |= {f"rig_{f.name}": np.asarray(getattr(tracks.rig, f.name)) for f in fields(tracks.rig)}
     if relative is not None:
         arrays |= {f"relative_{f.name}": np.asarray(getattr(relative, f.name)) for f in fields(relative)}
@@ -113,8 +117,7 @@ def write_measurements(
 
 def read_measurements(path: Path) -> StereoTracks:
     """Read the tracks of measurements.npz (the file, or the run folder). Raises InputError, one line."""
-    names = [f.name for f in fields(StereoTracks) if f.name != "rig"]
-    arrays = _load(path, "measurements.npz", (*names, *(f"rig_{f.name}" for f in fields(RectifiedRig))))
+    arrays = _load(path, "measurements.npz", (*_TRACKS, *(f"rig_{f.name}" for f in fields(RectifiedRig))))
     rig = RectifiedRig(
         focal_px=float(arrays["rig_focal_px"]),
         cx_px=float(arrays["rig_cx_px"]),
@@ -135,6 +138,17 @@ def read_measurements(path: Path) -> StereoTracks:
         sigma_camera_p_m=float(arrays["sigma_camera_p_m"]),
         sigma_camera_theta_rad=float(arrays["sigma_camera_theta_rad"]),
         X_BR=np.asarray(arrays["X_BR"], dtype=np.float64),
+        wrench=_wrench(arrays),
+    )
+
+
+def _wrench(arrays: Arrays) -> Wrench | None:
+    if "wrench_time_ns" not in arrays:
+        return None
+    return Wrench(
+        time_ns=np.asarray(arrays["wrench_time_ns"], dtype=np.int64),
+        force_N=np.asarray(arrays["wrench_force_N"], dtype=np.float64),
+        torque_P=np.asarray(arrays["wrench_torque_P"], dtype=np.float64),
     )
 
 

@@ -106,7 +106,8 @@ class _Images:
             config.frontend.tracks,
             (self.sequence.sigma_camera_p_m, self.sequence.sigma_camera_theta_rad),
         )
-        return replace(tracks, X_BR=self.sequence.calibration.X_BC0 @ self.rectifier.X_CR)
+        X_BR = self.sequence.calibration.X_BC0 @ self.rectifier.X_CR
+        return replace(tracks, X_BR=X_BR, wrench=self.sequence.wrench)
 
 
 @dataclass

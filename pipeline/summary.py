@@ -68,6 +68,14 @@ class Inertia(_Part):
     )
     """In the solver's five parameters."""
     moments: Vector
+    mass_kg: Finite | None = None
+    """From known forces; null: none are known."""
+    sigma_mass_kg: Variance = None
+    """null: undetermined, or no force is known."""
+    scale_kg_m2: Finite | None = None
+    """From known torques, the middle moment: times J_G it is the inertia in kg m^2; null: none are known."""
+    sigma_scale_kg_m2: Variance = None
+    """null: undetermined, or no torque is known."""
 
 
 class Identifiable(_Part):
@@ -290,7 +298,15 @@ def _inertia(mass: MassProperties) -> dict[str, Any]:
         "J_G": mass.J_G.tolist(),
         "cov_J": _nullable(mass.cov_J),
         "moments": mass.moments.tolist(),
+        "mass_kg": mass.mass_kg,
+        "sigma_mass_kg": _sigma(mass.sigma_mass_kg),
+        "scale_kg_m2": mass.inertia_scale_kg_m2,
+        "sigma_scale_kg_m2": _sigma(mass.sigma_inertia_scale_kg_m2),
     }
+
+
+def _sigma(value: float | None) -> float | None:
+    return None if value is None else _number(value)
 
 
 def _number(value: float) -> float | None:

@@ -16,8 +16,9 @@ from polhode.errors import InputError
 from polhode.images import Grey, UnreadableImage, bit_depth, has_content, read_mask, read_raw, to_grey
 from polhode.inspector import InspectorPoses, read_inspector
 from polhode.lie import Array
-from polhode.records import Bools, Ints
+from polhode.records import Bools, Ints, Wrench
 from polhode.tables import read_rows, timestamps_of
+from polhode.wrench import read_wrench
 
 FEWEST_PAIRS = 3
 LARGEST_LOSS = 0.6
@@ -57,6 +58,8 @@ class StereoSequence:
     dropped: tuple[tuple[int, str], ...]
     """(timestamp_ns, reason) of what is listed but not usable"""
     warnings: tuple[str, ...]
+    wrench: Wrench | None
+    """Known force and torque on the target, of ``wrench0``; None when there is none"""
     _files: tuple[tuple[Path, Path], ...] = field(repr=False)
     _bits: int = 8
 
@@ -100,7 +103,7 @@ def open_sequence(folder: Path) -> StereoSequence:
     Unpaired and unreadable frames are dropped, counted in ``dropped`` and warned of. Raises InputError,
     one line, when the folder, a camera or its calibration is missing or wrong, timestamps do not increase,
     more than 60 % of the listed frames are lost, fewer than 3 pairs remain, all frames are black, a mask
-    has the wrong size, or ``inspector0`` is wrong or does not cover the frames.
+    has the wrong size, or ``inspector0`` or ``wrench0`` is wrong or does not cover the frames.
     """
     mav0 = _require_folders(folder)
     calibration, bits = read_calibration(mav0), read_bits(mav0)
@@ -133,7 +136,8 @@ def open_sequence(folder: Path) -> StereoSequence:
         sigma_camera_theta_rad=inspector.sigma_theta_rad if inspector else 0.0,
         n_listed=len(listed),
         dropped=dropped,
-        warnings=tuple(_warnings(mav0, dropped, len(listed), bad_masks, inspector)),
+        warnings=tuple(_warnings(dropped, len(listed), bad_masks, inspector)),
+        wrench=read_wrench(mav0 / "wrench0", timestamps_ns) if (mav0 / "wrench0").is_dir() else None,
         _files=tuple((left[stamp], right[stamp]) for stamp in usable),
         _bits=bits,
     )
@@ -226,7 +230,6 @@ def _left_camera_poses(inspector: InspectorPoses | None, calibration: StereoCali
 
 
 def _warnings(
-    mav0: Path,
     dropped: tuple[tuple[int, str], ...],
     n_listed: int,
     bad_masks: list[str],
@@ -238,7 +241,5 @@ def _warnings(
         yield f"{len(dropped)} of {n_listed} frames dropped: unpaired or unreadable {example}"
     if bad_masks:
         yield f"{len(bad_masks)} masks are missing or unreadable and not used (first: {bad_masks[0]})"
-    if (mav0 / "wrench0").is_dir():
-        yield f"{mav0 / 'wrench0'} is not used: the motion is taken as free of known forces and torques"
     if inspector is not None:
         yield from inspector.warnings

@@ -18,6 +18,18 @@ Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
+class Wrench:
+    """Known force and torque on the target. A row holds until the next, the last one on."""
+
+    time_ns: Ints
+    """(n,) strictly increasing, on the clock of the frames"""
+    force_N: Array
+    """(n, 3) along N [N]"""
+    torque_P: Array
+    """(n, 3) about the centre of mass, along the principal axes [N m]"""
+
+
+@dataclass(frozen=True)
 class StereoTracks:
     """Stereo measurements with data association: all that the back end sees of the images.
 
@@ -44,6 +56,8 @@ class StereoTracks:
     """Standard deviation of the inspector's attitude [rad]; 0: exact."""
     X_BR: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) rectified left camera in the inspector's body, whose pose these standard deviations are of."""
+    wrench: Wrench | None = None
+    """Known force and torque on the target; None: free of known ones."""
 
     @property
     def n_frames(self) -> int:
@@ -154,6 +168,14 @@ class MassProperties:
     cov_com_G: Array
     """(3, 3) [m^2]; inf on the diagonal where undetermined."""
     identifiable: Identifiability
+    mass_kg: float | None = None
+    """From known forces; None: none are known. So too the others."""
+    sigma_mass_kg: float | None = None
+    """inf: undetermined"""
+    inertia_scale_kg_m2: float | None = None
+    """Middle moment, from known torques: times J_G it gives the inertia in kg m^2"""
+    sigma_inertia_scale_kg_m2: float | None = None
+    """inf: undetermined"""
 
 
 @dataclass(frozen=True)

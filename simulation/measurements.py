@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
-from polhode.records import Bools, Ints, RelativePoses, StereoTracks, Truth
+from polhode.records import Bools, Ints, RelativePoses, StereoTracks, Truth, Wrench
 from polhode.rigid_body import angular_acceleration
 
+Vector = tuple[float, float, float]
 RPM = 2.0 * np.pi / 60.0
 J_SPHERES = np.array(
     [[2.41e-2, -1.3e-4, -1.42e-4], [-1.3e-4, 2.34e-2, 5.74e-5], [-1.42e-4, 5.74e-5, 2.01e-2]]
@@ -56,6 +57,10 @@ class SyntheticScene:
     """Noise of the stated camera position, independent from frame to frame [m]."""
     sigma_camera_theta_rad: float = 0.0
     """The same of its attitude [rad]."""
+    mass_kg: float = 4.487
+    """Of the thesis's satellite; with ``J_G`` in kg m^2."""
+    pushes: tuple[tuple[float, float, Vector, Vector], ...] = ()
+    """Known: start [s], duration [s], force along N [N], torque along the principal axes [N m]."""
     wrong_pairs: float = 0.0
     """Share of the relative poses that are wrong, with few inliers."""
     min_inliers: int = 8
@@ -124,6 +129,7 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
         np.broadcast_to(noise, uvd.shape).copy(),
         scene.sigma_camera_p_m,
         scene.sigma_camera_theta_rad,
+        wrench=_wrench(scene),
     )
     truth = _truth(tracks, J, com, (r, v, R_NG, w_G))
     return SyntheticSequence(tracks, relative, truth, X_NG, points[used % len(points)], outlier)
@@ -133,14 +139,16 @@ def _motion(scene: SyntheticScene, J: Array, rng: np.random.Generator) -> tuple[
     """Classical Runge-Kutta with white disturbances held over each small step."""
     steps = max(4, int(np.ceil(np.linalg.norm(scene.w_G) * scene.dt_s / 0.03)))
     h = scene.dt_s / steps
-    middle = np.linalg.eigvalsh(J)[1]
+    middle, R_GP = np.linalg.eigvalsh(J)[1], principal_axes(J)[1]
     r, v, w = np.array(scene.r_N), np.array(scene.v_N), np.array(scene.w_G)
     R = np.asarray(Rotation.random(rng=rng).as_matrix())
     states = [(r, v, R, w)]
-    for _ in range(scene.frames - 1):
-        for _ in range(steps):
+    for k in range(scene.frames - 1):
+        for n in range(steps):
             accel = rng.normal(size=3) * np.sqrt(scene.accel_psd / h)
             torque = rng.normal(size=3) * np.sqrt(scene.torque_psd / h) * middle
+            force_N, torque_P = _push(scene.pushes, k * scene.dt_s + (n + 0.5) * h)
+            accel, torque = accel + force_N / scene.mass_kg, torque + R_GP @ torque_P
             r, v = r + h * v + 0.5 * h * h * accel, v + h * accel
             a1 = angular_acceleration(J, w, torque)
             a2 = angular_acceleration(J, w + 0.5 * h * a1, torque)
@@ -267,11 +275,35 @@ def _absolute_orientation(p_i: Array, p_j: Array) -> Array:
     return make_pose(R, c_i - R @ c_j)
 
 
-def _truth(tracks: StereoTracks, J: Array, com: Array, states: tuple[Array, Array, Array, Array]) -> Truth:
-    r, v, R_NG, w_G = states
+def principal_axes(J: Array) -> tuple[Array, Array]:
+    """Moments (3,) descending, the middle one 1, and R_GP (3, 3), right-handed."""
     values, vectors = np.linalg.eigh(J)
     R_GP = vectors[:, ::-1] * np.array([1.0, 1.0, np.linalg.det(vectors[:, ::-1])])
-    moments = values[::-1] / values[1]
+    return values[::-1] / values[1], R_GP
+
+
+def _push(pushes: tuple[tuple[float, float, Vector, Vector], ...], time_s: float) -> tuple[Array, Array]:
+    """Force along N [N] and torque along P [N m] at a time."""
+    total = np.zeros((2, 3))
+    for start_s, duration_s, force_N, torque_P in pushes:
+        if start_s <= time_s < start_s + duration_s:
+            total += np.array([force_N, torque_P])
+    return total[0], total[1]
+
+
+def _wrench(scene: SyntheticScene) -> Wrench | None:
+    """The known pushes as rows that hold; None without any."""
+    if not scene.pushes:
+        return None
+    edges_s = {0.0, *(edge for start, length, _, _ in scene.pushes for edge in (start, start + length))}
+    time_s = np.array(sorted(edges_s))
+    rows = np.array([_push(scene.pushes, float(t) + 1e-9) for t in time_s])
+    return Wrench(np.round(time_s * 1e9).astype(np.int64), rows[:, 0], rows[:, 1])
+
+
+def _truth(tracks: StereoTracks, J: Array, com: Array, states: tuple[Array, Array, Array, Array]) -> Truth:
+    r, v, R_NG, w_G = states
+    moments, R_GP = principal_axes(J)
     k1, k2 = np.log(moments[0] / moments[1]), np.log(moments[1] / moments[2])
     return Truth(
         tracks.timestamps_ns, r, R_NG @ R_GP, v, w_G @ R_GP, moments, float(k1), float(k2), com, R_GP, None

@@ -13,7 +13,8 @@ from scipy.sparse import csc_matrix
 
 from backend.gauss_newton import Solution
 from backend.inertia import InertiaForm
-from backend.kernels import N_CONSTANTS, N_STATE, Output, dynamics_kernel, prior_kernel
+from backend.kernels import N_CONSTANTS, N_STATE, Output, prior_kernel
+from backend.step_kernels import dynamics_kernel
 from backend.window.problem import WindowProblem
 from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix

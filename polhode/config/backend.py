@@ -37,6 +37,8 @@ class Backend(Section):
     torque_psd: float = Field(1e-6, gt=0)
     """Disturbance torque over the middle moment, power spectral density [(rad/s^2)^2/Hz] (thesis eq. 6.15,
     squared); where the estimate of it starts."""
+    wrench_bias: float = Field(0.02, gt=0)
+    """Standard deviation of a constant bias of known forces and torques, over the largest of each."""
     robust_scale: float = Field(3.0, gt=0)
     """Scale of the Cauchy kernel, in standard deviations."""
     max_iterations: int = Field(60, ge=1)

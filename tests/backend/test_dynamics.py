@@ -1,12 +1,14 @@
 """The residual of the dynamics against finite differences and against its twin in CasADi."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from backend.dynamics import States, Steps, add_steps, dynamics_jacobians, dynamics_residuals
 from backend.inertia import FORMS, inertia_derivative, inertia_from_second_moments
-from backend.kernels import dynamics_kernel
+from backend.step_kernels import StepLayout, dynamics_kernel
 from polhode.lie import Array, exp_so3
 from polhode.quaternion import wxyz_from_matrix
 
@@ -17,7 +19,7 @@ W_R = np.asarray(np.linalg.cholesky(np.eye(6) + 0.1 * np.ones((6, 6))), dtype=np
 class Case:
     """Two states of ``size`` numbers, constants, a reference attitude each, and the camera's position."""
 
-    def __init__(self, form: str, size: int, seed: int = 3) -> None:
+    def __init__(self, form: str, size: int, pushed: bool = False, seed: int = 3) -> None:
         rng = np.random.default_rng(seed)
         self.form, self.size = FORMS[form], size
         M = rng.normal(size=(3, 3)) * 0.4
@@ -30,6 +32,12 @@ class Case:
         self.x = np.concatenate([states.ravel(), 0.01 * rng.normal(size=3), xi + 0.1 * rng.normal(size=5)])
         self.camera_N = rng.normal(size=(2, 3))
         self.steps = Steps(np.array([0.5]), np.array([8]), W_T, W_R)
+        self.R_torque: Array | None = None
+        if pushed:
+            known = rng.normal(size=(1, 2, 3)), rng.normal(size=(1, 8, 2, 3))
+            self.steps = replace(self.steps, of_force=known[0], torque_P=known[1])
+            self.R_torque = Rotation.random(rng=rng).as_matrix()
+            self.x = np.concatenate([self.x, 0.3 * rng.normal(size=11)])
 
     def residual(self, x: Array) -> Array:
         states, xi = self._unpack(x)
@@ -47,13 +55,15 @@ class Case:
     def _unpack(self, x: Array) -> tuple[States, Array]:
         numbers, constants = x[: 2 * self.size].reshape(2, self.size), x[2 * self.size :]
         R_NG = self.R @ exp_so3(numbers[:, 3:6])
-        return States(numbers, R_NG, self.camera_N, constants[:3]), constants[3:]
+        wrench = None if self.R_torque is None else constants[8:]
+        states = States(numbers, R_NG, self.camera_N, constants[:3], wrench, self.R_torque)
+        return states, constants[3:8]
 
 
-@pytest.mark.parametrize("size", [12, 18])
+@pytest.mark.parametrize(("size", "pushed"), [(12, False), (18, False), (12, True)])
 @pytest.mark.parametrize("form", FORMS)
-def test_jacobian_matches_finite_differences(form: str, size: int) -> None:
-    case, step = Case(form, size), 1e-6
+def test_jacobian_matches_finite_differences(form: str, size: int, pushed: bool) -> None:
+    case, step = Case(form, size, pushed), 1e-6
     residual, jacobian = case.jacobian(case.x)
     np.testing.assert_allclose(residual, case.residual(case.x), rtol=1e-12)
     columns = [(case.residual(case.x + step * e) - case.residual(case.x - step * e)) / (2.0 * step)
@@ -61,15 +71,21 @@ def test_jacobian_matches_finite_differences(form: str, size: int) -> None:
     np.testing.assert_allclose(jacobian, np.stack(columns, axis=1), rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.parametrize("size", [12, 18])
+@pytest.mark.parametrize(("size", "pushed"), [(12, False), (18, False), (12, True), (18, True)])
 @pytest.mark.parametrize("form", FORMS)
-def test_it_is_the_residual_that_the_nonlinear_program_holds(form: str, size: int) -> None:
-    case = Case(form, size)
+def test_it_is_the_residual_that_the_nonlinear_program_holds(form: str, size: int, pushed: bool) -> None:
+    case = Case(form, size, pushed)
     q01 = wxyz_from_matrix(case.R[0].T @ case.R[1])
     by_columns = [M.ravel(order="F") for M in (*case.R, case.R_ref)]
     whiten = [W_T[0, 0, 0], W_T[0, 1, 0], W_T[0, 1, 1], *W_R[0].ravel(order="F")]
-    p = np.concatenate([*by_columns, q01, case.steps.dt_s, whiten, *(case.camera_N if size > 12 else [])])
-    expected = [np.asarray(out) for out in dynamics_kernel(case.form, 8, "jacobian", size)(case.x, p)]
+    parts = [*by_columns, q01, case.steps.dt_s, whiten, *(case.camera_N if size > 12 else [])]
+    arguments = [case.x]
+    if case.R_torque is not None and case.steps.of_force is not None and case.steps.torque_P is not None:
+        parts += [case.R_torque.ravel(order="F"), case.steps.of_force.ravel()]
+        arguments.append(case.steps.torque_P.reshape(8, 6).T)
+    arguments.insert(1, np.concatenate(parts))
+    kernel = dynamics_kernel(case.form, 8, "jacobian", StepLayout(size, pushed))
+    expected = [np.asarray(out) for out in kernel(*arguments)]
     residual, jacobian = case.jacobian(case.x)
     np.testing.assert_allclose(residual, expected[0].ravel(), atol=1e-12)
     np.testing.assert_allclose(jacobian, expected[1], atol=1e-11)

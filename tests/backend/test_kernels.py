@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from backend.inertia import FORMS, inertia_from_second_moments
-from backend.kernels import dynamics_kernel, prior_kernel, stereo_kernel
+from backend.kernels import prior_kernel, stereo_kernel
+from backend.step_kernels import dynamics_kernel
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, log_so3
 from polhode.quaternion import wxyz_from_matrix

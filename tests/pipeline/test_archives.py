@@ -19,6 +19,7 @@ from pipeline.archives import (
 )
 from pipeline.point_cloud_file import read_landmarks, write_landmarks
 from polhode.errors import InputError
+from polhode.records import Wrench
 
 
 def test_measurements_come_back_equal_with_their_rig(example: Any, tmp_path: Path) -> None:
@@ -35,6 +36,15 @@ def test_measurements_come_back_equal_with_their_rig(example: Any, tmp_path: Pat
     assert residuals is not None
     np.testing.assert_array_equal(residuals.residuals_px, example.estimate.residuals_px)
     np.testing.assert_array_equal(residuals.inlier_weight, example.estimate.inlier_weight)
+
+
+def test_a_known_wrench_comes_back_equal(example: Any, tmp_path: Path) -> None:
+    wrench = Wrench(np.array([5, 9], dtype=np.int64), np.eye(2, 3), -np.eye(2, 3))
+    write_measurements(replace(example.tracks, wrench=wrench), tmp_path / "measurements.npz")
+    again = read_measurements(tmp_path).wrench
+    assert again is not None
+    for field in fields(Wrench):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(wrench, field.name))
 
 
 def test_measurements_of_a_run_that_stopped_early_have_neither_links_nor_residuals(
