@@ -55,7 +55,9 @@ def _key_of(word: str) -> tuple[str, ...] | None:
 
 def _take_values(path: tuple[str, ...], rest: list[str]) -> list[str]:
     """Take the words of one value off ``rest``: as many as the type has, never another option."""
-    count = count_of(annotation_at(Config, path))
+    annotation = annotation_at(Config, path)
+    # A mistyped key takes all its values with it, so that the key is what is complained of.
+    count = None if annotation is None else count_of(annotation)
     given: list[str] = []
     while rest and (not rest[0].startswith("-") or _NUMBER.match(rest[0])) and len(given) != count:
         given.append(rest.pop(0))

@@ -64,6 +64,8 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="parallel processes")
     arguments = parser.parse_args(words)
     try:
+        # Before the work, so that none is lost.
+        arguments.output.parent.mkdir(parents=True, exist_ok=True)
         draw(arguments.sources, arguments.workers).save(arguments.output, optimize=True)
     except InputError as error:
         print(f"contact_sheet: error: {error}", file=sys.stderr)

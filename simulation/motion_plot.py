@@ -1,7 +1,6 @@
 """Cones, polhode, herpolhode of a scene: ``python -m simulation.motion_plot CONFIG -o FILE.png``."""
 
 import argparse
-import sys
 from io import BytesIO
 from pathlib import Path
 
@@ -296,9 +295,10 @@ def main() -> None:
         config = load_config(arguments.config)
         if config.scene is None:
             raise InputError(f"{arguments.config} holds no scene: give the configuration of a simulation")
+        arguments.output.parent.mkdir(parents=True, exist_ok=True)
         save(motion_figure(config.scene, config.seed, arguments.config.stem), arguments.output)
     except InputError as error:
-        sys.exit(str(error))
+        parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
 
 
 if __name__ == "__main__":

@@ -30,21 +30,11 @@ class NewtonSolver:
         """Minimise from x (12 W + 8,). Ends when the cost after a step is what its quadratic model said."""
         level, iteration = 0, 0
         cost, H, g = problem.normal_equations(x)
+        candidate = cost
         for iteration in range(1, max_iterations + 1):
-            share = 1.0
-            step = _damped_step(H, g, DAMPINGS[level])
-            while True:
-                candidate = np.inf if step is None else problem.cost(x + share * step)
-                if candidate <= cost + AT_REST:
-                    break
-                if level + 1 < len(DAMPINGS):
-                    level += 1
-                    step = _damped_step(H, g, DAMPINGS[level])
-                else:
-                    share *= 0.5
-                if step is None or share < SHORTEST:
-                    return Solution(x, cost, iteration, False, "no further decrease")
-            step = share * step
+            step, candidate, level = _descending_step(problem, x, cost, H, g, level)
+            if step is None:
+                return Solution(x, cost, iteration, False, "no further decrease")
             expected = cost + float(g @ step + 0.5 * step @ (H @ step))
             x, exact = x + step, level == 0 and abs(candidate - expected) < AT_REST
             if exact:
@@ -53,6 +43,23 @@ class NewtonSolver:
             if iteration < max_iterations:
                 cost, H, g = problem.normal_equations(x)
         return Solution(x, candidate, iteration, False, "iteration limit")
+
+
+def _descending_step(
+    problem: WindowProblem, x: Array, cost: float, H: Array, g: Array, level: int
+) -> tuple[Array | None, float, int]:
+    """A step after which the cost is no higher, that cost, and the level of damping that it took."""
+    step = None
+    for tried in range(level, len(DAMPINGS)):
+        step = _damped_step(H, g, DAMPINGS[tried])
+        if step is not None and (candidate := problem.cost(x + step)) <= cost + AT_REST:
+            return step, candidate, tried
+    share = 0.5
+    while step is not None and share > SHORTEST:
+        if (candidate := problem.cost(x + share * step)) <= cost + AT_REST:
+            return share * step, candidate, len(DAMPINGS) - 1
+        share *= 0.5
+    return None, cost, level
 
 
 def _damped_step(H: Array, g: Array, damping: float) -> Array | None:

@@ -40,3 +40,9 @@ def test_words_are_split(words: list[str], own: list[str], overrides: dict[str, 
 def test_a_missing_value_is_told(words: list[str]) -> None:
     with pytest.raises(InputError, match="--seed: a value is missing"):
         split_overrides(words)
+
+
+def test_a_mistyped_key_takes_its_values_along() -> None:
+    own, overrides = split_overrides(["--scene.motion.spin_rmp", "0", "8", "0", "-o", "S"])
+    assert own == ["-o", "S"]
+    assert list(overrides) == ["scene.motion.spin_rmp"]

@@ -42,7 +42,7 @@ class Motion(Section):
     torque_psd: NonNegative = 0.0
     """Disturbing torque over the middle moment: power spectral density, each axis [(rad/s^2)^2/Hz]."""
     pushes: tuple[Push, ...] = ()
-    """Known forces and torques."""
+    """Known forces and torques, each with start_s, duration_s, force_N (in N), torque_P, period_s."""
     pushes_known: bool = True
     """Write the pushes to wrench0/ for the estimator; false: it is not told."""
     energy_loss: Share = 0.0
