@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from backend.covariance import AxesDerivative
+from backend.equal_moments import of_free_turn, ratio_covariance
 from polhode.lie import Array
 from polhode.records import Bools, Identifiability
 
@@ -50,7 +51,12 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Deter
     lost = sigma > LIMIT
     share = np.sqrt(np.sum((vectors[:, lost] * sigma[lost]) ** 2, axis=1))
     good = share <= LIMIT
-    total = np.sqrt(np.sum((vectors * sigma) ** 2, axis=1)) * SCALE
+    covariance = (vectors * sigma**2) @ vectors.T * SCALE[:, None] * SCALE
+    total = np.sqrt(np.diag(covariance))
+    in_solver = to_solver / SCALE
+    of_ratios = ratio_covariance(derivative, (in_solver @ covariance @ in_solver.T)[3:, 3:])
+    total[3:5] = np.maximum(total[3:5], np.sqrt(np.diag(of_ratios)))
+    good[3:5] &= total[3:5] <= LIMIT * SCALE[3:5]
     # axes whose moments may be equal are free to turn, however large the estimated difference
     k = np.log(derivative.moments[:2] / derivative.moments[1:])
     equal = ~good[3:5] | (k < 2.0 * total[3:5])
@@ -59,6 +65,8 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Deter
     # Without both ratios the order of the moments is open, and with it which axis is which. A spin about any
     # axis of a nearly round body looks like one about a principal axis of another: seen, 60 degrees off.
     good[5:] &= good[3:5].all()
+    total[5:] = np.sqrt(np.diag(of_free_turn(covariance[5:, 5:], ~good[5:])))
+    good[5:] &= total[5:] <= LIMIT * SCALE[5:]
     detail = {name: _words(n, good, total, w_P) for n, name in enumerate(NAMES)}
     record = Identifiability(
         k1=bool(good[3]),

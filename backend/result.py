@@ -14,6 +14,7 @@ from backend.covariance import (
     state_jacobians,
 )
 from backend.dynamics import States
+from backend.equal_moments import of_free_turn, ratio_covariance
 from backend.gauss_newton import GaussNewton, robust_weight
 from backend.identifiability import Determined, analyse, undetermined_states
 from backend.iterate import Iterate
@@ -98,6 +99,9 @@ def _state_covariances(
 ) -> tuple[Array, Array]:
     jacobians = state_jacobians(iterate, derivative, data.camera_N)
     covariance, joint = state_covariances(iterate, m, jacobians)
+    axes_lost = ~determined.record.axes_P
+    covariance[:, 6:9, 6:9] = of_free_turn(covariance[:, 6:9, 6:9], axes_lost)
+    joint[6:9, 6:9] = of_free_turn(joint[6:9, 6:9], axes_lost)
     lost = undetermined_states(determined, jacobians, m.response, w_P)
     for k in range(iterate.n_frames):
         covariance[k] = _with_infinite(covariance[k], lost[k])
@@ -131,12 +135,12 @@ def _mass(
         moments=moments,
         k1=float(np.log(moments[0] / moments[1])),
         k2=float(np.log(moments[1] / moments[2])),
-        cov_k=_with_infinite(
-            derivative.ratios @ cov_J @ derivative.ratios.T, ~np.array([known.k1, known.k2])
-        ),
+        cov_k=_with_infinite(ratio_covariance(derivative, cov_J), ~np.array([known.k1, known.k2])),
         cov_J=_with_infinite(cov_J, determined.lost_constants[3:]),
         R_GP=R_GP,
-        cov_R_GP=_with_infinite(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P),
+        cov_R_GP=_with_infinite(
+            of_free_turn(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P), ~known.axes_P
+        ),
         com_G=iterate.com_G,
         cov_com_G=_with_infinite(cov_com, com_lost),
         identifiable=known,

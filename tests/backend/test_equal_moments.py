@@ -1,0 +1,78 @@
+"""Ratios and axes of nearly equal moments against eigenvalues of drawn inertias."""
+
+import numpy as np
+import pytest
+
+from backend.covariance import AxesDerivative, axes_derivative
+from backend.equal_moments import of_free_turn, ratio_covariance, ratios_after
+from backend.inertia import FORMS, inertia_from_second_moments, second_moments_from_inertia
+from backend.iterate import Iterate
+from polhode.lie import Array, exp_so3
+
+FORM = FORMS["second_moments"]
+R = exp_so3([0.3, -0.4, 0.8])
+
+
+def at(moments: list[float]) -> tuple[Iterate, AxesDerivative]:
+    second = second_moments_from_inertia(R @ np.diag(moments) @ R.T)
+    xi, R_inertia = FORM.coordinates(second)
+    zero = np.zeros((1, 3))
+    iterate = Iterate(zero, np.eye(3)[None], zero, zero, np.zeros(3), xi, R_inertia, zero)
+    return iterate, axes_derivative(FORM, iterate)
+
+
+def drawn_ratios(iterate: Iterate, cov: Array, n: int = 4000) -> Array:
+    """k1, k2 (n, 2) of inertias drawn from a Gaussian of xi."""
+    change = np.random.default_rng(1).multivariate_normal(np.zeros(5), cov, n)
+    out = []
+    for xi in iterate.xi + change:
+        moments = np.linalg.eigvalsh(inertia_from_second_moments(FORM.second_moments(xi, iterate.R_inertia)))[
+            ::-1
+        ]
+        out.append(np.log(moments[:2] / moments[1:]))
+    return np.array(out)
+
+
+def test_with_gaps_it_is_the_delta_method() -> None:
+    _, derivative = at([1.4, 1.0, 0.7])
+    cov = np.diag([1.0, 2.0, 1.5, 0.5, 1.0]) * 1e-7
+    linear = derivative.ratios @ cov @ derivative.ratios.T
+    np.testing.assert_allclose(ratio_covariance(derivative, cov), linear, rtol=0.01, atol=1e-3 * linear.max())
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.002, 0.02])
+def test_repelling_moments_have_the_spread_of_drawn_ones(gap: float) -> None:
+    iterate, derivative = at([1.0 + gap, 1.0, 0.7])
+    cov = np.diag([1.0, 2.0, 1.5, 0.5, 1.0]) * 4e-6
+    here = np.log(derivative.moments[:2] / derivative.moments[1:])
+    expected = np.mean((drawn_ratios(iterate, cov) - here) ** 2, axis=0)
+    found = np.diag(ratio_covariance(derivative, cov))
+    np.testing.assert_allclose(np.sqrt(found), np.sqrt(expected), rtol=0.06)
+
+
+def test_a_small_gap_that_is_well_known_alone_is_not_a_well_known_ratio() -> None:
+    _, derivative = at([1.005, 1.0, 0.7])
+    inverse = np.linalg.inv(np.vstack([derivative.ratios, derivative.axes]))
+    # k1 to 1e-4, but the axes may turn by 0.3 rad: a product of inertia of 0.0015
+    cov = inverse @ np.diag([1e-4, 1e-3, 1e-3, 1e-3, 0.3]) ** 2 @ inverse.T
+    assert (derivative.ratios @ cov @ derivative.ratios.T)[0, 0] == pytest.approx(1e-8, rel=1e-3)
+    assert np.sqrt(ratio_covariance(derivative, cov)[0, 0]) > 5e-4
+
+
+def test_changes_are_exact_in_the_eigenvalues() -> None:
+    iterate, derivative = at([1.01, 1.0, 0.7])
+    change = 1e-3 * np.random.default_rng(0).normal(size=(20, 5))
+    for xi, found in zip(iterate.xi + change, ratios_after(derivative, change), strict=True):
+        moments = np.linalg.eigvalsh(inertia_from_second_moments(FORM.second_moments(xi, iterate.R_inertia)))
+        exact = np.log(moments[::-1][:2] / moments[::-1][1:])
+        # what is left is of second order in xi
+        np.testing.assert_allclose(found, exact, atol=2e-5)
+
+
+def test_a_free_turn_leaves_the_worse_tilt_in_both_directions() -> None:
+    covariance = np.array([[4.0, 0.5, 0.2], [0.5, 1.0, 0.3], [0.2, 0.3, 9.0]])
+    mixed = of_free_turn(covariance, np.array([True, False, False]))
+    worst = np.linalg.eigvalsh(covariance[1:, 1:])[-1]
+    np.testing.assert_allclose(mixed, np.diag([4.0, worst, worst]))
+    np.testing.assert_array_equal(of_free_turn(covariance, np.array([False] * 3)), covariance)
+    np.testing.assert_array_equal(of_free_turn(covariance, np.array([True, True, False])), covariance)
