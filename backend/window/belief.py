@@ -82,13 +82,16 @@ class Belief:
             sight, poses_of(self.active.frames), self.rig_vector, p_G, self.robust_scale, self.gain
         )
 
-    def move_landmarks(self, condensed: Condensed, step: Array) -> None:
-        """They follow the step (6 F,) of the poses; those seen once follow their frame."""
+    def move_landmarks(self, condensed: Condensed, step: Array, n_fixed: int = 0) -> None:
+        """They follow the step (6 F,) of the poses; those seen once follow their frame.
+
+        The first ``n_fixed`` frames keep their reference attitudes: an arrival cost depends on them.
+        """
         slot = condensed.sight.slot
         self.landmarks.p_G[slot] += condensed.landmark_steps(step)
         self.landmarks.covariance[slot] = condensed.C_inv
         frames = self.active.frames
-        for frame in frames:
+        for frame in frames[n_fixed:]:
             frame.settle()
         once = [self.landmarks.views[frame.slot] == 1 for frame in frames]
         slot = np.concatenate([frame.slot[one] for frame, one in zip(frames, once, strict=True)])

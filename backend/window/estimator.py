@@ -80,7 +80,8 @@ class SlidingWindow:
         release(belief, self.settings.frames, self.settings.key_frames)
         if history is not None and len(history.frames) >= self.settings.history:
             expand_arrival(belief, history)
-            belief.active.recent[0].hold()
+            for frame in (*belief.active.keys, belief.active.recent[0]):
+                frame.hold()
             belief.history = None
         return state
 

@@ -56,7 +56,8 @@ class IpoptSolver:
         stats = self._program.stats()
         status = str(stats["return_status"])
         step = size * np.asarray(result["x"]).ravel()
-        return Solution(x + step[at], float(result["f"]), int(stats["iter_count"]), status in SOLVED, status)
+        cost = float(result["f"]) + problem.vision.value(x)
+        return Solution(x + step[at], cost, int(stats["iter_count"]), status in SOLVED, status)
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ def solve_window(belief: Belief, solver: WindowSolver) -> None:
         step = solution.x - x[n:]
         step = np.concatenate([left.follow(step), step])
         active.take(x + step)
-        belief.move_landmarks(condensed, step[at])
+        belief.move_landmarks(condensed, step[at], n_fixed=len(active.keys) + 1)
         if _small(step[at]):
             break
     _remember(belief, problem, solution)

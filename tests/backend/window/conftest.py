@@ -1,0 +1,50 @@
+"""A small tumble, and a window that has seen some of it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from backend.window.estimator import SlidingWindow
+from backend.window.frame import camera_noise_of, frames_of
+from backend.window.problem import WindowProblem
+from backend.window.state import OnlineState
+from polhode.config.backend import Backend
+from polhode.lie import Array
+from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+
+TUMBLE = SyntheticScene(
+    frames=40, landmarks=800, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9])
+)
+Fed = tuple[SlidingWindow, list[OnlineState]]
+Feed = Callable[..., Fed]
+
+
+@pytest.fixture(scope="session")
+def tumble() -> SyntheticSequence:
+    return generate(TUMBLE, 0)
+
+
+@pytest.fixture(scope="session")
+def feed() -> Feed:
+    """Feed the first frames of a sequence to a window with given settings."""
+
+    def run(
+        sequence: SyntheticSequence, n_frames: int = 1000, inertia: str = "second_moments", **window: Any
+    ) -> Fed:
+        config = Backend.model_validate({"process_noise": "given", "inertia": inertia, "window": window})
+        estimator = SlidingWindow(sequence.tracks.rig, config, camera_noise_of(sequence.tracks))
+        frames = [m for k, m in enumerate(frames_of(sequence.tracks)) if k < n_frames]
+        return estimator, [estimator.add(m) for m in frames]
+
+    return run
+
+
+def problem_of(window: SlidingWindow) -> tuple[WindowProblem, Array]:
+    """The program of the whole history as it stands, and where the window is."""
+    belief, history = window.belief, window.belief.history
+    assert history is not None
+    x = history.vector(belief.active.constants)
+    vision = history.vision(belief.active, belief.condensed(belief.sight())).quadratic
+    return WindowProblem(vision, history.R_ref, history.steps, belief.weak_prior, belief.shape), x

@@ -1,0 +1,173 @@
+"""The window as a whole: causal, bounded, as good as full smoothing, honest, the same by either solver."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from backend.estimate import refine
+from backend.gauss_newton import GaussNewton
+from backend.inertia import second_moments_from_inertia
+from backend.iterate import Iterate
+from backend.problem import motion_data
+from backend.window.estimator import SlidingWindow
+from backend.window.frame import FrameMeasurements, frames_of
+from backend.window.state import HALF_TURNS, OnlineState
+from polhode.config.backend import Backend
+from polhode.lie import Array, log_so3
+from simulation.measurements import SyntheticSequence, generate
+from tests.backend.window.conftest import TUMBLE, Feed
+
+SMALL = {"frames": 6, "key_frames": 10, "history": 14}
+
+
+def errors(sequence: SyntheticSequence, k: int, state: OnlineState) -> Array:
+    """Truth minus estimate (12,) in the order and frames of the covariance, half-turn resolved."""
+    truth = sequence.truth
+    turns = [log_so3(state.R_NP.T @ truth.R_NP[k] @ np.diag(h)) for h in HALF_TURNS]
+    best = int(np.argmin([np.linalg.norm(turn) for turn in turns]))
+    w_P = truth.w_P[k] * HALF_TURNS[best] - state.w_P
+    return np.concatenate([truth.r_N[k] - state.r_N, truth.v_N[k] - state.v_N, turns[best], w_P])
+
+
+def deviations(sequence: SyntheticSequence, states: list[OnlineState]) -> Array:
+    """Errors over their standard deviations, those that are determined."""
+    z = [errors(sequence, k, s) / np.sqrt(np.diag(s.covariance)) for k, s in enumerate(states)]
+    determined = np.isfinite([np.diag(s.covariance) for s in states])
+    return np.array(z)[determined]
+
+
+def same(a: OnlineState, b: OnlineState) -> bool:
+    names = ("r_N", "R_NP", "covariance", "com_G")
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
+
+
+def test_a_row_does_not_depend_on_what_comes_later(tumble: SyntheticSequence, feed: Feed) -> None:
+    later = tumble.tracks.frame >= 20
+    noise = np.random.default_rng(0).normal(0.0, 3.0, (len(later), 3))
+    tracks = replace(tumble.tracks, uvd_px=tumble.tracks.uvd_px + later[:, None] * noise)
+    _, before = feed(tumble, 22, **SMALL)
+    _, after = feed(replace(tumble, tracks=tracks), 22, **SMALL)
+    assert all(same(a, b) for a, b in zip(before[:20], after[:20], strict=True))
+    assert not same(before[21], after[21])
+
+
+def test_a_window_that_covers_everything_is_full_smoothing() -> None:
+    sequence = generate(replace(TUMBLE, frames=20), 4)
+    # without a kernel: the window takes its weights for information, the batch solver does not
+    config = Backend.model_validate(
+        {"process_noise": "given", "robust_scale": 1e4, "window": {"frames": 20, "history": 100}}
+    )
+    window = SlidingWindow(sequence.tracks.rig, config)
+    state = [window.add(m) for m in frames_of(sequence.tracks)][-1]
+    data, truth = motion_data(sequence.tracks, config), sequence.truth
+    R_GP, X = truth.R_GP, sequence.X_NG
+    J_G = R_GP @ np.diag(truth.moments) @ R_GP.T
+    xi, R_inertia = data.form.coordinates(second_moments_from_inertia(J_G))
+    start = Iterate(
+        X[:, :3, 3], X[:, :3, :3], truth.v_N, truth.w_P @ R_GP.T, truth.com_G, xi, R_inertia, sequence.p_G
+    )
+    whole, _, _ = refine(GaussNewton(data), data, start, 50)
+    J = whole.J_G(data.form)
+    moments = np.linalg.eigvalsh(J)[::-1]
+    k = np.log(moments[:2] / moments[1:])
+    assert np.all(np.abs(k - [state.k1, state.k2]) < 0.1 * np.sqrt(np.diag(state.cov_k)))
+    sigma = np.sqrt(np.diag(state.covariance))
+    assert np.all(np.isfinite(sigma))
+    r_N = whole.p_NG[-1] + whole.R_NG[-1] @ whole.com_G
+    assert np.all(np.abs(r_N - state.r_N) < 0.1 * sigma[:3])
+    assert np.all(np.abs(whole.v_N[-1] - state.v_N) < 0.1 * sigma[3:6])
+    assert np.all(np.abs(whole.w_G[-1] - state.R_GP @ state.w_P) < 0.1 * sigma[9:12])
+
+
+def test_a_small_window_loses_little_against_the_whole_history(tumble: SyntheticSequence, feed: Feed) -> None:
+    small, whole = feed(tumble, **SMALL)[1][-1], feed(tumble, frames=12, key_frames=40)[1][-1]
+    sigma, best = (np.sqrt(np.diag(s.covariance)) for s in (small, whole))
+    assert np.all(sigma < 1.3 * best)
+    assert np.all(np.sqrt(np.diag(small.cov_k)) < 1.3 * np.sqrt(np.diag(whole.cov_k)))
+
+
+def test_errors_are_as_large_as_the_covariance_says(feed: Feed) -> None:
+    z = np.concatenate(
+        [deviations(s, feed(s, **SMALL)[1]) for s in (generate(TUMBLE, 20 + n) for n in range(3))]
+    )
+    assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3
+    assert np.mean(np.abs(z) < 3.0) > 0.97
+
+
+def test_memory_is_bounded_by_the_frames_that_are_held(feed: Feed) -> None:
+    sequence = generate(replace(TUMBLE, frames=90, landmarks=200), 6)
+    config = Backend.model_validate({"process_noise": "given", "window": SMALL})
+    window, sizes = SlidingWindow(sequence.tracks.rig, config), []
+    for k, m in enumerate(frames_of(sequence.tracks)):
+        # every landmark is a new one when it comes back after 20 frames
+        window.add(replace(m, landmark=m.landmark + 1000 * (k // 20)))
+        active, marks = window.belief.active, window.belief.landmarks
+        sizes.append(
+            (len(active.keys), len(active.recent), len(active.arrival.g), len(marks.used), len(marks))
+        )
+        assert len(marks.used) <= sum(len(frame.slot) for frame in active.frames)
+    assert window.belief.history is None
+    keys, recent, arrival, _, slots = np.array(sizes[20:]).T
+    assert (
+        set(keys) == {10}
+        and set(recent) == {6}
+        and set(arrival) == {10 * 6 + 6 * 12 + 8}
+        and set(slots) == {1024}
+    )
+
+
+@pytest.mark.parametrize("inertia", ["second_moments", "ratios_axes"])
+def test_both_solvers_and_both_forms_of_the_inertia_agree(
+    tumble: SyntheticSequence, feed: Feed, inertia: str
+) -> None:
+    reference = feed(tumble, 30, frames=6, key_frames=10, history=22)[1][-1]
+    state = feed(tumble, 30, inertia, solver="ipopt", frames=6, key_frames=10, history=22)[1][-1]
+    sigma = np.sqrt(np.diag(reference.covariance))
+    assert np.all(np.abs(state.r_N - reference.r_N) < 0.15 * sigma[:3])
+    assert np.all(np.abs(state.v_N - reference.v_N) < 0.15 * sigma[3:6])
+    assert np.all(np.abs(log_so3(reference.R_NP.T @ state.R_NP)) < 0.15 * sigma[6:9])
+    np.testing.assert_allclose(np.sqrt(np.diag(state.covariance)), sigma, rtol=0.05)
+    k, sigma_k = np.array([reference.k1, reference.k2]), np.sqrt(np.diag(reference.cov_k))
+    assert np.all(np.abs(k - [state.k1, state.k2]) < 0.15 * sigma_k)
+
+
+def test_lost_frames_are_predicted_and_the_target_is_found_again(feed: Feed) -> None:
+    sequence = generate(replace(TUMBLE, dropped=tuple(range(24, 34))), 7)
+    _, states = feed(sequence, **SMALL)
+    sigma = np.sqrt([np.diag(s.covariance) for s in states])
+    assert np.all(np.diff(sigma[23:34, :3].max(axis=1)) > 0.0)
+    assert sigma[33, 0] > 5.0 * sigma[23, 0]
+    assert np.all(sigma[35, :6] < 2.0 * sigma[23, :6])
+    assert np.mean(np.abs(deviations(sequence, states)) < 3.0) > 0.97
+
+
+def test_gross_outliers_do_no_harm(feed: Feed) -> None:
+    sequence = generate(replace(TUMBLE, outliers=0.3), 8)
+    _, states = feed(sequence, **SMALL)
+    assert np.mean(np.abs(deviations(sequence, states)) < 3.0) > 0.97
+    assert np.sqrt(states[-1].cov_k[1, 1]) < 0.03
+
+
+def test_what_a_spin_does_not_tell_is_infinite(feed: Feed) -> None:
+    spin = replace(TUMBLE, w_G=(0.0, 0.0, 1.0), J_G=np.diag([1.0, 1.1, 1.3]), accel_psd=0.0, torque_psd=0.0)
+    sequence = generate(spin, 9)
+    _, states = feed(sequence, **SMALL)
+    assert not states[-1].determined.any()
+    assert np.all(np.isinf(np.diag(states[-1].cov_k)))
+    assert np.isfinite(states[-1].r_N).all() and np.isfinite(states[-1].R_NP).all()
+    assert np.mean(np.abs(deviations(sequence, states)) < 3.0) > 0.97
+
+
+def test_first_frames_without_anything_in_common_begin_anew(tumble: SyntheticSequence, feed: Feed) -> None:
+    config = Backend.model_validate({"process_noise": "given", "window": SMALL})
+    window = SlidingWindow(tumble.tracks.rig, config)
+    nothing = np.zeros((0, 3))
+    states = []
+    for k, m in enumerate(frames_of(tumble.tracks)):
+        if k == 0:
+            m = FrameMeasurements(m.timestamp_ns, m.X_NR, np.zeros(0, np.int64), nothing, nothing)
+        states.append(window.add(replace(m, landmark=m.landmark + 1000) if k == 1 else m))
+    assert all(np.all(np.isinf(np.diag(s.covariance))) for s in states[:4])
+    assert np.isfinite(states[-1].covariance).all()
+    assert np.mean(np.abs(deviations(tumble, states)) < 3.0) > 0.97

@@ -1,0 +1,149 @@
+"""Landmarks eliminated as the batch solver does it; what leaves is kept whole; G may move with everything."""
+
+import numpy as np
+import pytest
+
+from backend.gauss_newton import GaussNewton
+from backend.inertia import FORMS
+from backend.iterate import Iterate
+from backend.problem import hold, motion_data
+from backend.window.frame import Frame, camera_of, frames_of
+from backend.window.vision import (
+    condense,
+    information_of,
+    inverted,
+    poses_of,
+    residuals,
+    robust_gain,
+    sight_of,
+)
+from polhode.config.backend import Backend
+from polhode.lie import Array
+from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+
+RNG = np.random.default_rng(5)
+
+
+@pytest.fixture(scope="module")
+def sequence() -> SyntheticSequence:
+    return generate(SyntheticScene(frames=8, landmarks=80, detection=0.5, w_G=(0.4, 0.5, 0.45)), 3)
+
+
+@pytest.fixture(scope="module")
+def frames(sequence: SyntheticSequence) -> list[Frame]:
+    """All frames near their true poses, each landmark kept at its number."""
+    out = []
+    for k, m in enumerate(frames_of(sequence.tracks)):
+        R_RN, t_R = camera_of(m.X_NR)
+        x = np.concatenate([sequence.X_NG[k, :3, 3], RNG.normal(0.0, 0.01, 3), np.zeros(6)])
+        out.append(
+            Frame(k, 0.5 * k, R_RN, t_R, m.landmark, m.uvd_px, 1.0 / m.sigma_px, sequence.X_NG[k, :3, :3], x)
+        )
+    return out
+
+
+def rig_vector(sequence: SyntheticSequence) -> Array:
+    return motion_data(sequence.tracks, Backend()).rig
+
+
+def test_condensed_vision_is_the_batch_solvers_reduced_system(
+    sequence: SyntheticSequence, frames: list[Frame]
+) -> None:
+    tracks = sequence.tracks
+    data = motion_data(tracks, Backend())
+    xi, R_inertia = FORMS["second_moments"].coordinates(np.eye(3))
+    zero = np.zeros((len(frames), 3))
+    reference = Iterate(
+        sequence.X_NG[:, :3, 3],
+        sequence.X_NG[:, :3, :3],
+        zero,
+        zero,
+        np.zeros(3),
+        xi,
+        R_inertia,
+        sequence.p_G,
+    )
+    x = reference.vector()
+    x[: 12 * len(frames)].reshape(-1, 12)[:, 3:6] = [frame.x[3:6] for frame in frames]
+    solver, held = GaussNewton(data, with_dynamics=False), hold(data, reference)
+    s = np.sum(solver.residuals(held, x)[0] ** 2, axis=1)
+    # the weights without the kernel's curvature, as the window has them
+    S, g, _ = solver.reduced(solver.normal_equations(held, x, 1.0 / (1.0 + s / 9.0), prior=False))
+    at = (12 * np.arange(len(frames))[:, None] + np.arange(6)).ravel()
+    S = np.tril(S) + np.tril(S, -1).T
+    sight = sight_of(frames, tracks.n_landmarks)
+    condensed = condense(sight, poses_of(frames), data.rig, sequence.p_G[sight.slot], 3.0)
+    np.testing.assert_allclose(condensed.S, S[np.ix_(at, at)], rtol=1e-6, atol=1e-8 * S[at, at].max())
+    np.testing.assert_allclose(condensed.g, g[at], rtol=1e-6, atol=1e-8 * np.abs(g).max())
+
+
+def test_what_a_frame_says_given_the_others_completes_what_they_say(
+    sequence: SyntheticSequence, frames: list[Frame]
+) -> None:
+    rig, n = rig_vector(sequence), sequence.tracks.n_landmarks
+    sight, poses = sight_of(frames, n), poses_of(frames)
+    p_G = sequence.p_G
+    whole = condense(sight, poses, rig, p_G[sight.slot], 3.0)
+    common = sight.common_with(3)
+    H, g = information_of(3, common, poses, rig, p_G[common.slot], 3.0)
+    others = sight_of([f if f.number != 3 else blind(f) for f in frames], n)
+    rest = condense(others, poses, rig, p_G[others.slot], 3.0)
+    np.testing.assert_allclose(rest.S + H, whole.S, atol=1e-9 * whole.S.max())
+    np.testing.assert_allclose(rest.g + g, whole.g, atol=1e-9 * np.abs(whole.g).max())
+    assert np.linalg.eigvalsh(H)[0] > -1e-9 * whole.S.max()
+
+
+def blind(frame: Frame) -> Frame:
+    nothing, none = np.zeros(0, np.int64), np.zeros((0, 3))
+    return Frame(frame.number, frame.time_s, frame.R_RN, frame.t_R, nothing, none, none, frame.R_ref, frame.x)
+
+
+def test_vision_says_nothing_about_a_motion_of_G_with_all_that_is_in_it(
+    sequence: SyntheticSequence, frames: list[Frame]
+) -> None:
+    sight = sight_of(frames, sequence.tracks.n_landmarks)
+    poses = poses_of(frames)
+    S = condense(sight, poses, rig_vector(sequence), sequence.p_G[sight.slot], 3.0).S
+    # X_NG Exp(shift, turn): p moves by R shift, theta by Jr^-1 turn
+    moves = np.zeros((len(frames), 6, 6))
+    moves[:, :3, :3] = np.stack([f.R_NG for f in frames])
+    moves[:, 3:, 3:] = np.linalg.inv(poses.Jr)
+    gauge = moves.reshape(-1, 6)
+    assert np.abs(gauge.T @ S @ gauge).max() < 1e-9 * np.abs(S).max()
+
+
+def test_held_poses_keep_their_jacobian_but_not_their_residual(
+    sequence: SyntheticSequence, frames: list[Frame]
+) -> None:
+    rig, sight = rig_vector(sequence), sight_of(frames, sequence.tracks.n_landmarks)
+    p_G = sequence.p_G[sight.slot]
+    before = poses_of(frames)
+    frames[2].hold()
+    frames[2].x[:6] += 1e-3
+    after = poses_of(frames)
+    frames[2].x[:6] -= 1e-3
+    frames[2].held = None
+    np.testing.assert_array_equal(after.A_held[2], before.A_held[2])
+    assert np.abs(residuals(sight, after, rig, p_G) - residuals(sight, before, rig, p_G)).max() > 0.1
+
+
+def test_landmark_steps_lead_to_the_joint_optimum(sequence: SyntheticSequence, frames: list[Frame]) -> None:
+    sight = sight_of(frames, sequence.tracks.n_landmarks)
+    c = condense(sight, poses_of(frames), rig_vector(sequence), sequence.p_G[sight.slot], 3.0)
+    step = RNG.normal(0.0, 1e-4, 6 * len(frames))
+    marks = c.landmark_steps(step)
+    # at the optimum of a landmark its own gradient vanishes: C step + E^T pose + h = 0
+    along = np.einsum("lij,lj->li", np.linalg.inv(c.C_inv), marks) + c.h
+    np.add.at(along, sight.landmark, np.einsum("mij,mi->mj", c.E, step.reshape(-1, 6)[sight.frame]))
+    assert np.abs(along).max() < 1e-8 * np.abs(c.h).max()
+
+
+def test_inverses_of_small_blocks() -> None:
+    A = RNG.normal(size=(20, 3, 3))
+    C = A @ np.swapaxes(A, 1, 2) + 0.1 * np.eye(3)
+    np.testing.assert_allclose(inverted(C), np.linalg.inv(C), rtol=1e-9)
+
+
+def test_a_loose_kernel_needs_no_gain_and_a_tight_one_more() -> None:
+    assert robust_gain(1e3) == pytest.approx(1.0, abs=1e-4)
+    assert robust_gain(3.0) == pytest.approx(1.24, abs=0.01)
