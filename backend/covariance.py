@@ -17,7 +17,7 @@ from backend.inertia import InertiaForm, inertia_from_second_moments, principal_
 from backend.iterate import Iterate
 from backend.kernels import N_CONSTANTS, N_STATE
 from backend.problem import Held
-from backend.schur import landmark_covariances
+from backend.schur import landmark_covariances, mirror
 from backend.wrench import LN_MASS, LN_SCALE, TURN
 from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 
@@ -46,11 +46,12 @@ def marginals(solver: GaussNewton, held: Held, x: Array, weight: Array) -> Margi
     """Invert the information at x; weight (M,) is the information that each observation contributes."""
     bare = solver.normal_equations(held, x, weight, prior=False)
     S, _, C_inv = solver.reduced(bare)
-    S = np.tril(S) + np.tril(S, -1).T
+    mirror(S)
     n, n_states, first = len(S), held.reference.n_states, N_GAUGE
     follow = _first_pose_follows(held.reference.moved_to(x), solver.data.camera_N)
     _substitute_first_pose(S, follow)
-    factor = cho_factor(S[first:n_states, first:n_states], lower=True, check_finite=False)
+    of_states = np.asfortranarray(S[first:n_states, first:n_states])
+    factor = cho_factor(of_states, lower=True, overwrite_a=True, check_finite=False)
     response = np.zeros((n_states, n - n_states))
     response[first:] = -cho_solve(factor, S[first:n_states, n_states:], check_finite=False)
     information = S[n_states:, n_states:] + S[n_states:, first:n_states] @ response[first:]
@@ -59,7 +60,8 @@ def marginals(solver: GaussNewton, held: Held, x: Array, weight: Array) -> Margi
     constants = np.linalg.inv(information + prior)
     dense = np.zeros((n, n))
     dense[first:n_states, first:n_states] = _inverse(factor[0])
-    dense[first:n_states, first:n_states] += response[first:] @ constants @ response[first:].T
+    mirror(dense[first:n_states, first:n_states])
+    dense[first:n_states, first:n_states] += (response[first:] @ constants) @ response[first:].T
     dense[:n_states, n_states:] = response @ constants
     dense[n_states:, :n_states] = dense[:n_states, n_states:].T
     dense[n_states:, n_states:] = constants
@@ -114,9 +116,9 @@ def _substitute_first_pose(S: Array, follow: Array) -> None:
 
 
 def _inverse(cholesky: Array) -> Array:
-    """Inverse of a matrix from the lower factor that ``cho_factor`` gives."""
-    inverse, _ = dpotri(cholesky, lower=1)
-    return np.asarray(np.tril(inverse) + np.tril(inverse, -1).T)
+    """Inverse, lower triangle, of a matrix from its lower factor by columns, which is overwritten."""
+    inverse, _ = dpotri(cholesky, lower=1, overwrite_c=1)
+    return np.asarray(inverse)
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,9 @@ joined to islands, and islands to larger ones, always by the group of links that
 two links of seven inliers that agree are worth more than one of fifteen. Then all are averaged robustly.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from backend.bonds import closed_triangles, renew_bonds
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, RelativePoses
 
@@ -19,7 +18,6 @@ LEAST_SCORE = 2.5
 """A single link needs this many inliers times the share of its triangles that close (without any: 1/2)."""
 WORTH_AVERAGING = 4
 """Islands of this size are averaged when they meet."""
-MOST_LINKS = 16
 REJECT_RAD = np.deg2rad(10.0)
 REJECT_SHIFT = 0.1
 """Largest error of a translation, as a share of the distance to the target."""
@@ -63,77 +61,48 @@ def edge_errors(X: Array, relative: RelativePoses) -> Array:
 
 def triangle_support(relative: RelativePoses, usable: Bools, n_frames: int) -> Array:
     """Share of closed triangles that agree, per edge (E,); one good and one bad are assumed beforehand."""
-    edge = np.full((n_frames, n_frames), -1, dtype=np.int64)
-    index = np.flatnonzero(usable)
-    edge[relative.i[index], relative.j[index]] = edge[relative.j[index], relative.i[index]] = index
+    i, j, X_ij = relative.i[usable], relative.j[usable], relative.X_RiRj[usable]
+    linked = np.zeros((n_frames, n_frames), bool)
+    linked[i, j] = linked[j, i] = True
     X = np.tile(np.eye(4), (n_frames, n_frames, 1, 1))
-    X[relative.i[index], relative.j[index]] = relative.X_RiRj[index]
-    X[relative.j[index], relative.i[index]] = inverse_pose(relative.X_RiRj[index])
+    X[i, j], X[j, i] = X_ij, inverse_pose(X_ij)
+    agree, seen = closed_triangles(i, j, linked, X, 1.5 * REJECT_RAD, 1.5 * 2.0 * REJECT_SHIFT)
     support = np.zeros(len(relative.i))
-    for e in index:
-        i, j = relative.i[e], relative.j[e]
-        third = np.flatnonzero((edge[i] >= 0) & (edge[j] >= 0))[:40]
-        agree = int(np.sum(relative_error(X[i, third] @ X[third, j], X[i, j]) < 1.5)) if len(third) else 0
-        support[e] = (agree + 1.0) / (len(third) + 2.0)
+    support[usable] = (agree + 1.0) / (seen + 2.0)
     return support
-
-
-@dataclass(frozen=True)
-class Bond:
-    """What the links between two islands a < b say."""
-
-    score: float
-    """Links that agree, each ``AGREEING`` plus its inliers; of a single link, inliers times support"""
-    T_ab: Array
-    """(4, 4) p_Ga = T_ab p_Gb"""
 
 
 def join_islands(relative: RelativePoses, usable: Bools, support: Array, n_frames: int) -> tuple[Array, Ints]:
     """Merge frames to islands, the best bond first. Poses X_RG (F, 4, 4) in the island's G; island (F,)."""
     X, island = np.tile(np.eye(4), (n_frames, 1, 1)), np.arange(n_frames)
     i, j = relative.i[usable], relative.j[usable]
-    links = RelativePoses(i, j, relative.X_RiRj[usable], relative.inliers[usable])
+    links = RelativePoses(i, j, np.ascontiguousarray(relative.X_RiRj[usable]), relative.inliers[usable])
     weight = links.inliers * support[usable]
-    bonds: dict[tuple[int, int], Bond] = {}
-    for a, b in {(int(min(p, q)), int(max(p, q))) for p, q in zip(i, j, strict=True)}:
-        bonds[a, b] = _bond(links, weight, X, island, a, b)
-    while bonds:
-        a, b = max(bonds, key=lambda pair: (bonds[pair].score, pair))
-        if bonds[a, b].score < LEAST_SCORE:
+    order = np.argsort(-weight, kind="stable")
+    score, T = np.full((n_frames, n_frames), -np.inf), np.empty((n_frames, n_frames, 4, 4))
+
+    def renew(a: int) -> None:
+        facts = (order, i, j, links.X_RiRj, links.inliers, weight)
+        renew_bonds(a, *facts, X, island, REJECT_RAD, REJECT_SHIFT, AGREEING, score, T)
+
+    for a in range(n_frames):
+        renew(a)
+    while True:
+        # of equal scores the last one
+        a, b = divmod(score.size - 1 - int(np.argmax(score.ravel()[::-1])), n_frames)
+        if score[a, b] < LEAST_SCORE:
             break
         small = min(np.sum(island == a), np.sum(island == b))
         moved = island == b
-        X[moved] = X[moved] @ inverse_pose(bonds[a, b].T_ab)
+        X[moved] = X[moved] @ inverse_pose(T[a, b])
         island[moved] = a
         if small >= WORTH_AVERAGING:
             member = island == a
             within = member[links.i] & member[links.j] & (edge_errors(X, links) < 1.5)
             X = average_poses(X, member, links, within)
-        bonds = {pair: bond for pair, bond in bonds.items() if not {a, b} & set(pair)}
-        touching = (island[i] == a) ^ (island[j] == a)
-        for other in np.unique(np.where(island[i] == a, island[j], island[i])[touching]):
-            low, high = min(a, int(other)), max(a, int(other))
-            bonds[low, high] = _bond(links, weight, X, island, low, high)
+        score[b], score[:, b] = -np.inf, -np.inf
+        renew(a)
     return X, island
-
-
-def _bond(links: RelativePoses, weight: Array, X: Array, island: Ints, a: int, b: int) -> Bond:
-    """The largest group of links between islands a and b that agree."""
-    forward = (island[links.i] == a) & (island[links.j] == b)
-    index = np.flatnonzero(forward | ((island[links.i] == b) & (island[links.j] == a)))
-    index = index[np.argsort(-weight[index], kind="stable")][:MOST_LINKS]
-    ahead = forward[index][:, None, None]
-    X_ij = np.where(ahead, links.X_RiRj[index], inverse_pose(links.X_RiRj[index]))
-    X_a = X[np.where(forward[index], links.i[index], links.j[index])]
-    X_b = X[np.where(forward[index], links.j[index], links.i[index])]
-    T = inverse_pose(X_a) @ X_ij @ X_b
-    predicted = X_a[None] @ T[:, None] @ inverse_pose(X_b)[None]
-    agree = relative_error(predicted, np.broadcast_to(X_ij, predicted.shape)) < 1.0
-    agree |= np.eye(len(index), dtype=bool)
-    total = agree @ (AGREEING + links.inliers[index])
-    best = int(np.argmax(total))
-    single = agree[best].sum() == 1
-    return Bond(float(weight[index[0]] if single else total[best]), T[0] if single else T[best])
 
 
 def average_poses(

@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from backend.compiled import compiled
+from backend.compiled import compiled, fused
 from polhode.lie import Array
 from polhode.records import Ints
+
+BLOCK = 64
 
 
 @compiled
@@ -90,15 +92,20 @@ def stereo_normal_equations(
     return H, g, C, h, E
 
 
-@compiled
+@fused
 def subtract_landmarks(
     S: Array, rhs: Array, frame: Ints, start: Ints, E: Array, C_inv: Array, h: Array, stride: int
 ) -> None:
     """S -= E C^-1 E^T (lower triangle) and rhs -= E C^-1 h, in place; pose k sits at ``stride * k``."""
-    T = np.empty((6, 3))
+    T, rows = np.empty((6, 3)), np.empty((len(E), 3, 6))
+    for m in range(len(E)):
+        for i in range(6):
+            for j in range(3):
+                rows[m, j, i] = E[m, i, j]
     for mark in range(len(start) - 1):
         for a in range(start[mark], start[mark + 1]):
-            ka = stride * frame[a]
+            # an index without sign needs no test for negative ones: the innermost loop stays in registers
+            ka = np.uint64(stride * frame[a])
             for i in range(6):
                 for j in range(3):
                     T[i, j] = (
@@ -106,13 +113,14 @@ def subtract_landmarks(
                         + E[a, i, 1] * C_inv[mark, 1, j]
                         + E[a, i, 2] * C_inv[mark, 2, j]
                     )
-                rhs[ka + i] -= T[i, 0] * h[mark, 0] + T[i, 1] * h[mark, 1] + T[i, 2] * h[mark, 2]
+                rhs[ka + np.uint64(i)] -= T[i, 0] * h[mark, 0] + T[i, 1] * h[mark, 1] + T[i, 2] * h[mark, 2]
             for b in range(start[mark], a + 1):
-                kb = stride * frame[b]
-                for i in range(6):
-                    for j in range(6):
-                        S[ka + i, kb + j] -= (
-                            T[i, 0] * E[b, j, 0] + T[i, 1] * E[b, j, 1] + T[i, 2] * E[b, j, 2]
+                kb = np.uint64(stride * frame[b])
+                for row in range(np.uint64(6)):
+                    x, y, z = T[row, 0], T[row, 1], T[row, 2]
+                    for column in range(np.uint64(6)):
+                        S[ka + row, kb + column] -= (
+                            x * rows[b, 0, column] + y * rows[b, 1, column] + z * rows[b, 2, column]
                         )
 
 
@@ -137,26 +145,44 @@ def back_substitute(
     return out
 
 
-@compiled
+@fused
 def landmark_covariances(cov: Array, frame: Ints, start: Ints, E: Array, C_inv: Array, stride: int) -> Array:
     """Covariances (L, 3, 3) = C^-1 + C^-1 E^T cov E C^-1, from that of the poses."""
     out = C_inv.copy()
-    T = np.zeros((3, 3))
+    T, right = np.zeros((3, 3)), np.empty((6, 3))
     for mark in range(len(start) - 1):
         T[:] = 0.0
         for a in range(start[mark], start[mark + 1]):
-            ka = stride * frame[a]
-            for b in range(start[mark], start[mark + 1]):
-                kb = stride * frame[b]
-                for i in range(6):
-                    for j in range(6):
-                        s = cov[ka + i, kb + j]
-                        for p in range(3):
-                            for q in range(3):
-                                T[p, q] += E[a, i, p] * s * E[b, j, q]
+            ka = np.uint64(stride * frame[a])
+            right[:] = 0.0
+            # twice the frames before this one, this one once
+            for b in range(start[mark], a + 1):
+                kb = np.uint64(stride * frame[b])
+                times = 1.0 if a == b else 2.0
+                for i in range(np.uint64(6)):
+                    for j in range(np.uint64(6)):
+                        s = times * cov[ka + i, kb + j]
+                        for p in range(np.uint64(3)):
+                            right[i, p] += s * E[b, j, p]
+            for p in range(3):
+                for q in range(3):
+                    for n in range(6):
+                        T[p, q] += E[a, n, p] * right[n, q]
         for p in range(3):
             for q in range(3):
-                for i in range(3):
-                    for j in range(3):
-                        out[mark, p, q] += C_inv[mark, p, i] * T[i, j] * C_inv[mark, j, q]
+                for n in range(3):
+                    for m in range(3):
+                        across = 0.5 * (T[n, m] + T[m, n])
+                        out[mark, p, q] += C_inv[mark, p, n] * across * C_inv[mark, m, q]
     return out
+
+
+@compiled
+def mirror(A: Array) -> None:
+    """Copy the lower triangle of A (n, n) to the upper one, in place."""
+    for start in range(0, len(A), BLOCK):
+        for other in range(0, start + 1, BLOCK):
+            # a block at a time: both sides stay in the cache
+            for i in range(start, min(start + BLOCK, len(A))):
+                for j in range(other, min(other + BLOCK, i)):
+                    A[j, i] = A[i, j]

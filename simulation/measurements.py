@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.records import Bools, Ints, RelativePoses, StereoTracks, Truth, Wrench
-from polhode.rigid_body import angular_acceleration
+from simulation.disturbed_motion import disturbed_motion
+from simulation.pair_poses import pair_poses
 
 Vector = tuple[float, float, float]
 RPM = 2.0 * np.pi / 60.0
@@ -136,32 +137,19 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
 
 
 def _motion(scene: SyntheticScene, J: Array, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """Classical Runge-Kutta with white disturbances held over each small step."""
+    """States of the centre of mass and of G at the frames, under white disturbances."""
     steps = max(4, int(np.ceil(np.linalg.norm(scene.w_G) * scene.dt_s / 0.03)))
-    h = scene.dt_s / steps
+    h, n = scene.dt_s / steps, (scene.frames - 1) * steps
     middle, R_GP = np.linalg.eigvalsh(J)[1], principal_axes(J)[1]
-    r, v, w = np.array(scene.r_N), np.array(scene.v_N), np.array(scene.w_G)
     R = np.asarray(Rotation.random(rng=rng).as_matrix())
-    states = [(r, v, R, w)]
-    for k in range(scene.frames - 1):
-        for n in range(steps):
-            accel = rng.normal(size=3) * np.sqrt(scene.accel_psd / h)
-            torque = rng.normal(size=3) * np.sqrt(scene.torque_psd / h) * middle
-            force_N, torque_P = _push(scene.pushes, k * scene.dt_s + (n + 0.5) * h)
-            accel, torque = accel + force_N / scene.mass_kg, torque + R_GP @ torque_P
-            r, v = r + h * v + 0.5 * h * h * accel, v + h * accel
-            a1 = angular_acceleration(J, w, torque)
-            a2 = angular_acceleration(J, w + 0.5 * h * a1, torque)
-            a3 = angular_acceleration(J, w + 0.5 * h * a2, torque)
-            a4 = angular_acceleration(J, w + h * a3, torque)
-            # Magnus expansion of fourth order: mean rate and the commutator of its slope
-            mean = w + h * (a1 + a2 + a3) / 6.0
-            after = w + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
-            R = R @ exp_so3(h * mean + h * h / 12.0 * np.cross(w, after))
-            w = after
-        states.append((r, v, R, w))
-    r_all, v_all, R_all, w_all = (np.stack([s[n] for s in states]) for n in range(4))
-    return r_all, v_all, R_all, w_all
+    noise = rng.normal(size=(n, 2, 3))
+    known = np.array([_push(scene.pushes, (k + 0.5) * h) for k in range(n)] if scene.pushes else [])
+    force_N, torque_P = np.moveaxis(known.reshape(-1, 2, 3), 1, 0) if scene.pushes else np.zeros((2, 1, 3))
+    accel = noise[:, 0] * np.sqrt(scene.accel_psd / h) + force_N / scene.mass_kg
+    torque = noise[:, 1] * np.sqrt(scene.torque_psd / h) * middle + torque_P @ R_GP.T
+    start = (np.array(scene.r_N), np.array(scene.v_N), R, np.array(scene.w_G))
+    r, v, R_all, w = disturbed_motion(start, J, h, accel, torque)
+    return r[::steps], v[::steps], R_all[::steps], w[::steps]
 
 
 def _stated(scene: SyntheticScene, X_NR: Array, seed: int) -> Array:
@@ -243,36 +231,11 @@ def _relative_poses(
     scene: SyntheticScene, frame: Ints, point: Ints, uvd: Array, X_RG: Array, rng: np.random.Generator
 ) -> RelativePoses:
     """Absolute orientation of common landmarks, as RANSAC would give it (outliers excluded by truth)."""
-    p_R = RIG.triangulate(uvd)
-    index = [np.flatnonzero(frame == k) for k in range(scene.frames)]
-    i_all, j_all, X_all, inliers = [], [], [], []
-    for i in range(scene.frames):
-        for j in range(i + 1, scene.frames):
-            _, a, b = np.intersect1d(point[index[i]], point[index[j]], return_indices=True)
-            if len(a) < scene.min_inliers:
-                continue
-            p_i, p_j = p_R[index[i][a]], p_R[index[j][b]]
-            X_true = X_RG[i] @ inverse_pose(X_RG[j])
-            good = np.linalg.norm(p_i - transform_points(X_true, p_j), axis=1) < 0.03
-            if good.sum() < scene.min_inliers:
-                continue
-            i_all.append(i)
-            j_all.append(j)
-            X_all.append(_absolute_orientation(p_i[good], p_j[good]))
-            inliers.append(int(good.sum()))
-    X, count = np.array(X_all).reshape(-1, 4, 4), np.array(inliers, dtype=np.int64)
+    i, j, X, count = pair_poses(frame, point, RIG.triangulate(uvd), X_RG, 0.03, scene.min_inliers)
     wrong = rng.random(len(X)) < scene.wrong_pairs
     X[wrong, :3, :3] = Rotation.random(int(wrong.sum()), rng=rng).as_matrix()
     count[wrong] = rng.integers(6, 12, int(wrong.sum()))
-    return RelativePoses(np.array(i_all, dtype=np.int64), np.array(j_all, dtype=np.int64), X, count)
-
-
-def _absolute_orientation(p_i: Array, p_j: Array) -> Array:
-    """X_ij of least squares (Kabsch) with p_i ~ X_ij p_j, both (n, 3)."""
-    c_i, c_j = p_i.mean(axis=0), p_j.mean(axis=0)
-    U, _, V_T = np.linalg.svd((p_i - c_i).T @ (p_j - c_j))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V_T)]) @ V_T
-    return make_pose(R, c_i - R @ c_j)
+    return RelativePoses(i, j, X, count)
 
 
 def principal_axes(J: Array) -> tuple[Array, Array]:

@@ -1,0 +1,63 @@
+"""Links between frames: groups that agree outvote single ones, triangles tell wrong links from right ones."""
+
+import numpy as np
+
+from backend.pose_graph import connect, join_islands, triangle_support
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.records import Bools, RelativePoses
+
+
+def poses(n: int, seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    return make_pose(exp_so3(rng.normal(size=(n, 3))), [0.0, 0.0, 0.6] + 0.05 * rng.normal(size=(n, 3)))
+
+
+def links(X_RG: Array, pairs: list[tuple[int, int]], inliers: int = 20) -> RelativePoses:
+    i, j = np.array(pairs).T
+    return RelativePoses(i, j, X_RG[i] @ inverse_pose(X_RG[j]), np.full(len(pairs), inliers))
+
+
+def usable(relative: RelativePoses) -> Bools:
+    return np.ones(len(relative.i), bool)
+
+
+def test_every_frame_of_a_chain_of_perfect_links_is_joined_in_one_frame_G() -> None:
+    X_RG = poses(8, 0)
+    # some of the links point backwards
+    relative = links(X_RG, [(k, k + 1) if k % 2 else (k + 1, k) for k in range(7)])
+    X, island = join_islands(relative, usable(relative), np.ones(7), 8)
+    assert np.all(island == island[0])
+    G = inverse_pose(X) @ X_RG
+    np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-12)
+
+
+def test_two_links_that_agree_outvote_a_stronger_one() -> None:
+    X_RG = poses(4, 1)
+    relative = links(X_RG, [(0, 1), (2, 3), (0, 2), (1, 3), (0, 3)], 7)
+    X_ij, inliers = relative.X_RiRj.copy(), np.array([40, 40, 7, 7, 15])
+    X_ij[4] = X_ij[4] @ make_pose(exp_so3([0.0, 0.7, 0.0]), [0.0, 0.0, 0.0])
+    relative = RelativePoses(relative.i, relative.j, X_ij, inliers)
+    X, island = join_islands(relative, usable(relative), np.ones(5), 4)
+    assert np.all(island == island[0])
+    G = inverse_pose(X) @ X_RG
+    np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-12)
+
+
+def test_the_triangles_of_a_wrong_link_do_not_close() -> None:
+    X_RG = poses(7, 2)
+    pairs = [(a, b) for a in range(7) for b in range(a + 1, 7)]
+    relative = links(X_RG, pairs)
+    relative.X_RiRj[4] = relative.X_RiRj[4] @ make_pose(exp_so3([0.5, 0.0, 0.0]), np.zeros(3))
+    support = triangle_support(relative, usable(relative), 7)
+    # five triangles on each link; one good and one bad are assumed
+    assert support[4] == 1.0 / 7.0
+    touching = [n for n, pair in enumerate(pairs) if n != 4 and set(pair) & set(pairs[4])]
+    apart = [n for n, pair in enumerate(pairs) if not set(pair) & set(pairs[4])]
+    np.testing.assert_allclose(support[touching], 5.0 / 7.0)
+    np.testing.assert_allclose(support[apart], 6.0 / 7.0)
+
+
+def test_frames_without_a_link_stay_out() -> None:
+    X_RG = poses(5, 3)
+    _, connected, accepted = connect(links(X_RG, [(0, 1), (1, 2), (0, 2)]), 5)
+    assert list(connected) == [True, True, True, False, False] and accepted.all()
