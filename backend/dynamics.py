@@ -77,7 +77,9 @@ class Steps:
     def whiten(self, errors: Array) -> Array:
         """errors (F - 1, 12, ...) of position, velocity, attitude, rate to unit covariance."""
         W = np.zeros((len(self.dt_s), RESIDUALS, RESIDUALS))
-        W[:, :6, :6] = np.kron(self.W_t, np.eye(3))
+        W[:, 0:3, 0:3] = self.W_t[:, 0, 0, None, None] * np.eye(3)
+        W[:, 3:6, 0:3] = self.W_t[:, 1, 0, None, None] * np.eye(3)
+        W[:, 3:6, 3:6] = self.W_t[:, 1, 1, None, None] * np.eye(3)
         W[:, 6:, 6:] = self.W_r
         return np.asarray(W @ errors)
 

@@ -30,7 +30,7 @@ def stereo_residuals(
     return out
 
 
-@compiled
+@fused
 def stereo_normal_equations(
     frame: Ints, landmark: Ints, inv_sigma: Array, rig: Array, A: Array, R_RN: Array, t_R: Array,
     p_NG: Array, p_G: Array, Jr: Array, residuals: Array, weight: Array, bend: Array,
@@ -44,51 +44,56 @@ def stereo_normal_equations(
     n_frames, n_landmarks, n = len(p_NG), len(p_G), len(frame)
     H, g = np.zeros((n_frames, 6, 6)), np.zeros((n_frames, 6))
     C, h, E = np.zeros((n_landmarks, 3, 3)), np.zeros((n_landmarks, 3)), np.empty((n, 6, 3))
-    J, D, turn = np.empty((3, 9)), np.empty((3, 3)), np.empty((3, 3))
+    J, f, fb = np.empty((3, 9)), rig[0], rig[0] * rig[3]
     for m in range(n):
-        k, mark = frame[m], landmark[m]
-        x = y = z = 0.0
-        for c in range(3):
+        # indices without sign: see ``subtract_landmarks``
+        k, mark = np.uint64(frame[m]), np.uint64(landmark[m])
+        x, y, z = t_R[k, 0], t_R[k, 1], t_R[k, 2]
+        for c in range(np.uint64(3)):
             x += A[k, 0, c] * p_G[mark, c] + R_RN[k, 0, c] * p_NG[k, c]
             y += A[k, 1, c] * p_G[mark, c] + R_RN[k, 1, c] * p_NG[k, c]
             z += A[k, 2, c] * p_G[mark, c] + R_RN[k, 2, c] * p_NG[k, c]
-        x, y, z = x + t_R[k, 0], y + t_R[k, 1], z + t_R[k, 2]
-        f = rig[0]
-        # derivative of the prediction in p_R, then of the residual
-        D[0, 0], D[0, 1], D[0, 2] = -f / z, 0.0, f * x / z**2
-        D[1, 0], D[1, 1], D[1, 2] = 0.0, -f / z, f * y / z**2
-        D[2, 0], D[2, 1], D[2, 2] = 0.0, 0.0, f * rig[3] / z**2
+        # derivatives of the prediction in p_R, then of the residual
+        fz = f / z
+        xz, yz, bz = fz * x / z, fz * y / z, fb / z**2
         a, b, e = p_G[mark, 0], p_G[mark, 1], p_G[mark, 2]
-        for c in range(3):
-            # -hat(p_G) Jr
-            turn[0, c] = e * Jr[k, 1, c] - b * Jr[k, 2, c]
-            turn[1, c] = -e * Jr[k, 0, c] + a * Jr[k, 2, c]
-            turn[2, c] = b * Jr[k, 0, c] - a * Jr[k, 1, c]
-        for i in range(3):
-            s = inv_sigma[m, i]
-            for c in range(3):
-                J[i, c] = s * (D[i, 0] * R_RN[k, 0, c] + D[i, 1] * R_RN[k, 1, c] + D[i, 2] * R_RN[k, 2, c])
-                J[i, 6 + c] = s * (D[i, 0] * A[k, 0, c] + D[i, 1] * A[k, 1, c] + D[i, 2] * A[k, 2, c])
-            for c in range(3):
-                J[i, 3 + c] = J[i, 6] * turn[0, c] + J[i, 7] * turn[1, c] + J[i, 8] * turn[2, c]
         w = weight[m]
-        for i in range(9):
-            along = J[0, i] * residuals[m, 0] + J[1, i] * residuals[m, 1] + J[2, i] * residuals[m, 2]
+        s0, s1, s2 = inv_sigma[m, 0], inv_sigma[m, 1], inv_sigma[m, 2]
+        for c in range(np.uint64(3)):
+            J[0, c] = s0 * (xz * R_RN[k, 2, c] - fz * R_RN[k, 0, c])
+            J[1, c] = s1 * (yz * R_RN[k, 2, c] - fz * R_RN[k, 1, c])
+            J[2, c] = s2 * bz * R_RN[k, 2, c]
+            J[0, 6 + c] = s0 * (xz * A[k, 2, c] - fz * A[k, 0, c])
+            J[1, 6 + c] = s1 * (yz * A[k, 2, c] - fz * A[k, 1, c])
+            J[2, 6 + c] = s2 * bz * A[k, 2, c]
+        for c in range(np.uint64(3)):
+            # -hat(p_G) Jr
+            t0 = e * Jr[k, 1, c] - b * Jr[k, 2, c]
+            t1 = a * Jr[k, 2, c] - e * Jr[k, 0, c]
+            t2 = b * Jr[k, 0, c] - a * Jr[k, 1, c]
+            for i in range(np.uint64(3)):
+                J[i, 3 + c] = J[i, 6] * t0 + J[i, 7] * t1 + J[i, 8] * t2
+        r0, r1, r2 = residuals[m, 0], residuals[m, 1], residuals[m, 2]
+        for i in range(np.uint64(9)):
+            along = J[0, i] * r0 + J[1, i] * r1 + J[2, i] * r2
             if i < 6:
                 g[k, i] += w * along
             else:
                 h[mark, i - 6] += w * along
-            for c in range(3):
-                J[c, i] -= bend[m] * along * residuals[m, c]
-        for i in range(6):
-            for j in range(6):
-                H[k, i, j] += w * (J[0, i] * J[0, j] + J[1, i] * J[1, j] + J[2, i] * J[2, j])
-            for j in range(3):
-                E[m, i, j] = w * (J[0, i] * J[0, 6 + j] + J[1, i] * J[1, 6 + j] + J[2, i] * J[2, 6 + j])
-        for i in range(3):
-            p = 6 + i
-            for j in range(3):
-                C[mark, i, j] += w * (J[0, p] * J[0, 6 + j] + J[1, p] * J[1, 6 + j] + J[2, p] * J[2, 6 + j])
+            if bend[m] != 0.0:
+                J[0, i] -= bend[m] * along * r0
+                J[1, i] -= bend[m] * along * r1
+                J[2, i] -= bend[m] * along * r2
+        for i in range(np.uint64(6)):
+            u0, u1, u2 = w * J[0, i], w * J[1, i], w * J[2, i]
+            for j in range(np.uint64(6)):
+                H[k, i, j] += u0 * J[0, j] + u1 * J[1, j] + u2 * J[2, j]
+            for j in range(np.uint64(3)):
+                E[m, i, j] = u0 * J[0, 6 + j] + u1 * J[1, 6 + j] + u2 * J[2, 6 + j]
+        for i in range(np.uint64(3)):
+            u0, u1, u2 = w * J[0, 6 + i], w * J[1, 6 + i], w * J[2, 6 + i]
+            for j in range(np.uint64(3)):
+                C[mark, i, j] += u0 * J[0, 6 + j] + u1 * J[1, 6 + j] + u2 * J[2, 6 + j]
     return H, g, C, h, E
 
 

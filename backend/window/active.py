@@ -6,6 +6,7 @@ import numpy as np
 
 from backend.inertia import InertiaForm
 from backend.kernels import N_CONSTANTS, N_STATE
+from backend.window.dense import add_block, others
 from backend.window.frame import Frame, states_of
 from backend.window.links import NO_LINKS, Links, link_jacobians
 from backend.window.quadratic import Quadratic, eliminate
@@ -86,9 +87,10 @@ class Active:
         new = np.arange(N_STATE) + self.n_seen + N_STATE * last
         if self.noisy_camera:
             new = np.concatenate([np.arange(self.n_seen - N_POSE, self.n_seen), new])
-        old = np.setdiff1d(np.arange(len(x)), new)
+        old = others(new, len(x))
         H, g, x0 = np.zeros((len(x), len(x))), np.zeros(len(x)), x.copy()
-        H[np.ix_(old, old)], g[old], x0[old] = self.arrival.H, self.arrival.g, self.arrival.x0
+        add_block(H, old, self.arrival.H)
+        g[old], x0[old] = self.arrival.g, self.arrival.x0
         self.arrival = Quadratic(H, g, x0)
 
     def absorb(self, parts: list[Part], gone: Ints) -> None:
@@ -99,7 +101,7 @@ class Active:
         x = self.vector()
         H, g = self.arrival.H.copy(), self.arrival.gradient(x)
         add_parts(H, g, parts)
-        kept = np.setdiff1d(np.arange(len(g)), gone)
+        kept = others(gone, len(g))
         left = eliminate(H, g, gone, kept)
         self.arrival = Quadratic(left.H, left.g, x[kept])
 
@@ -142,5 +144,5 @@ def camera_part(frame: Frame, seen: Ints, true: Ints) -> Part:
 def add_parts(H: Array, g: Array, parts: list[Part]) -> None:
     """Add each part to H and g in place."""
     for entries, more, gradient in parts:
-        H[np.ix_(entries, entries)] += more
+        add_block(H, entries, more)
         g[entries] += gradient

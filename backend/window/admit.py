@@ -97,8 +97,10 @@ def _let_in(belief: Belief, slot: Ints, index: Ints, found: Located) -> Bools:
     restart = slot[other[wrong]]
     if len(restart) == 0:
         return enter
+    anew = np.zeros(len(marks), bool)
+    anew[restart] = True
     for frame in belief.active.frames:
-        stays = ~np.isin(frame.slot, restart)
+        stays: Bools = ~anew[frame.slot]
         if not stays.all():
             marks.leave(frame.slot[~stays])
             frame.keep(stays)

@@ -1,6 +1,7 @@
 """All that the window believes at a moment; the steps of the estimator work on it."""
 
 from dataclasses import dataclass, field
+from operator import is_
 
 import numpy as np
 
@@ -52,6 +53,8 @@ class Belief:
         r = self.rig
         self.rig_vector = np.array([r.focal_px, r.cx_px, r.cy_px, r.baseline_m, r.disparity_offset_px])
         self.gain = robust_gain(self.robust_scale)
+        self._sight: Sight | None = None
+        self._gathered: list[Array] = []
 
     @property
     def xi(self) -> Array:
@@ -73,7 +76,12 @@ class Belief:
 
     def sight(self) -> Sight:
         """What the frames see of landmarks that are seen again."""
-        return sight_of(self.active.frames, len(self.landmarks))
+        # whatever changes what a frame sees gives it another array of these
+        now = [frame.inv_sigma for frame in self.active.frames]
+        same = len(now) == len(self._gathered) and all(map(is_, now, self._gathered))
+        if self._sight is None or not same:
+            self._sight, self._gathered = sight_of(self.active.frames, len(self.landmarks)), now
+        return self._sight
 
     def condensed(self, sight: Sight) -> Condensed:
         """Vision at the present unknowns, landmarks eliminated."""
@@ -93,14 +101,13 @@ class Belief:
         frames = self.active.frames
         for frame in frames[n_fixed:]:
             frame.settle()
-        once = [self.landmarks.views[frame.slot] == 1 for frame in frames]
-        slot = np.concatenate([frame.slot[one] for frame, one in zip(frames, once, strict=True)])
-        p_R = self.rig.triangulate(
-            np.concatenate([frame.uvd_px[one] for frame, one in zip(frames, once, strict=True)])
-        )
-        poses, of = poses_of(frames), np.repeat(np.arange(len(frames)), [int(one.sum()) for one in once])
+        slot = np.concatenate([frame.slot for frame in frames])
+        once = self.landmarks.views[slot] == 1
+        of = np.repeat(np.arange(len(frames)), [len(frame.slot) for frame in frames])[once]
+        p_R = self.rig.triangulate(np.concatenate([frame.uvd_px for frame in frames])[once])
+        poses = poses_of(frames)
         p_N = p_R - poses.t_R[of] - np.einsum("mij,mj->mi", poses.R_RN[of], poses.p_NG[of])
-        self.landmarks.p_G[slot] = np.einsum("mji,mj->mi", poses.A[of], p_N)
+        self.landmarks.p_G[slot[once]] = np.einsum("mji,mj->mi", poses.A[of], p_N)
 
     def renew_weak_prior(self) -> float:
         """The centre of mass is expected in the middle of the landmarks. Returns their radius [m]."""

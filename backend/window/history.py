@@ -12,6 +12,7 @@ import numpy as np
 from backend.inertia import InertiaForm
 from backend.kernels import N_CONSTANTS, N_STATE
 from backend.window.active import Active, add_parts, camera_part
+from backend.window.dense import add_block, others
 from backend.window.frame import Frame
 from backend.window.links import NO_LINKS, Disturbances, Links, add_links, link_jacobians, make_links
 from backend.window.quadratic import Elimination, Quadratic, eliminate
@@ -63,7 +64,7 @@ class History:
     def absorb(self, frames: list[Frame], H: Array, g: Array) -> None:
         """Vision that leaves the window: H, g at the present seen poses of ``frames`` (6 each)."""
         at = self.entries(frames, N_POSE)
-        self._H[np.ix_(at, at)] += H
+        add_block(self._H, at, H)
         self._b[at] += g - H @ np.concatenate([frame.seen for frame in frames])
 
     def entries(self, frames: list[Frame], stride: int = N_STATE) -> Ints:
@@ -101,7 +102,7 @@ class History:
         poses = self.entries(self.frames)
         of_seen, slope = self._past_vision()
         at = self.entries(active.frames, N_POSE)
-        of_seen[np.ix_(at, at)] += condensed.S
+        add_block(of_seen, at, condensed.S)
         slope[at] += condensed.g
         elimination = None
         if self.noisy_camera:
@@ -147,5 +148,5 @@ class History:
         frames = active.frames if self.noisy_camera else active.keys
         of_frames = self.entries(frames, N_POSE if self.noisy_camera else N_STATE)
         kept = np.concatenate([of_frames, np.arange(n_seen + N_STATE * n_old, size)])
-        left = eliminate(H, g, np.setdiff1d(np.arange(size), kept), kept)
+        left = eliminate(H, g, others(kept, size), kept)
         return Quadratic(left.H, left.g, active.vector())

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cholesky, solve_triangular
 
+from backend.window.dense import block_of
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -41,20 +42,28 @@ class Elimination:
     """(k, k)"""
     g: Array
     """(k,)"""
-    solved: Array
-    """(n - k, k + 1) of H[gone, gone]^-1 [H[gone, kept], g[gone]]"""
+    factor: Array
+    """(n - k, n - k) lower L with L L^T = H[gone, gone]"""
+    across: Array
+    """(n - k, k + 1) of L^-1 [H[gone, kept], g[gone]]"""
 
     def follow(self, step: Array) -> Array:
         """Step of the eliminated entries (n - k,) when the kept ones take theirs (k,)."""
-        return np.asarray(-self.solved[:, :-1] @ step - self.solved[:, -1])
+        if len(self.factor) == 0:
+            return np.zeros(0)
+        right = self.across[:, :-1] @ step + self.across[:, -1]
+        return np.asarray(-solve_triangular(self.factor, right, lower=True, trans=1, check_finite=False))
 
 
 def eliminate(H: Array, g: Array, gone: Ints, kept: Ints) -> Elimination:
     """Eliminate entries of a quadratic about 0. H[gone, gone] must be positive definite."""
+    left, force = block_of(H, kept, kept), g[kept]
     if len(gone) == 0:
-        return Elimination(H[np.ix_(kept, kept)], g[kept], np.zeros((0, len(kept) + 1)))
-    factor = cho_factor(H[np.ix_(gone, gone)], lower=True, check_finite=False)
-    across = H[np.ix_(gone, kept)]
-    solved = cho_solve(factor, np.column_stack([across, g[gone]]), check_finite=False)
-    left = H[np.ix_(kept, kept)] - across.T @ solved[:, :-1]
-    return Elimination(0.5 * (left + left.T), g[kept] - across.T @ solved[:, -1], solved)
+        return Elimination(left, force, np.zeros((0, 0)), np.zeros((0, len(kept) + 1)))
+    factor = cholesky(block_of(H, gone, gone), lower=True, check_finite=False)
+    both = np.empty((len(gone), len(kept) + 1))
+    both[:, :-1], both[:, -1] = block_of(H, gone, kept), g[gone]
+    across = solve_triangular(factor, both, lower=True, check_finite=False)
+    from_kept, from_force = np.ascontiguousarray(across[:, :-1]), across[:, -1]
+    left -= from_kept.T @ from_kept
+    return Elimination(left, force - from_kept.T @ from_force, factor, across)

@@ -64,9 +64,7 @@ def solve_window(belief: Belief, solver: WindowSolver) -> None:
         condensed = belief.condensed(sight)
         x, at = active.vector(), active.seen_entries
         H, g = active.arrival.H.copy(), active.arrival.gradient(x)
-        H[np.ix_(at, at)] += condensed.S
-        g[at] += condensed.g
-        add_parts(H, g, active.camera_parts())
+        add_parts(H, g, [(at, condensed.S, condensed.g), *active.camera_parts()])
         left = eliminate(H, g, np.arange(n), np.arange(n, len(x)))
         vision = Quadratic(left.H, left.g, x[n:])
         problem = WindowProblem(vision, active.R_ref, active.links, belief.weak_prior, belief.shape)

@@ -7,6 +7,7 @@ import numpy as np
 from backend.compiled import compiled
 from backend.gauss_newton import robust_weight
 from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
+from backend.window.dense import mirror_lower
 from backend.window.frame import Frame
 from polhode.lie import Array, exp_so3, right_jacobian_so3
 from polhode.records import Bools, Ints
@@ -161,7 +162,8 @@ def condense(
     S = blocks.reshape(N_POSE * n, N_POSE * n)
     C_inv = inverted(C)
     subtract_landmarks(S, g, sight.frame, sight.start, E, C_inv, h, N_POSE)
-    return Condensed(np.tril(S) + np.tril(S, -1).T, g, sight, E, C_inv, h, s)
+    mirror_lower(S)
+    return Condensed(S, g, sight, E, C_inv, h, s)
 
 
 @compiled

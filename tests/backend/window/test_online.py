@@ -9,7 +9,7 @@ from backend import estimate_motion, estimate_online, in_words_of, initialize_mo
 from polhode.config.backend import Backend
 from polhode.lie import inverse_pose, transform_points
 from polhode.progress import Silent
-from polhode.records import Bools, MotionEstimate, OnlineEstimate
+from polhode.records import MotionEstimate, OnlineEstimate
 from simulation.measurements import SyntheticSequence
 
 FAST = Backend.model_validate({"solver": "gauss_newton", "process_noise": "given"})
@@ -27,7 +27,7 @@ def test_one_row_per_frame_and_only_the_first_ones_unknown(
 ) -> None:
     online, final = both
     np.testing.assert_array_equal(online.timestamps_ns, final.timestamps_ns)
-    unknown: Bools = ~np.isfinite(online.covariance).all(axis=(1, 2))
+    unknown = ~np.asarray(np.isfinite(online.covariance).all(axis=(1, 2)))
     assert unknown[0] and not unknown[-20:].any()
     assert online.determined[-1].all()
 
