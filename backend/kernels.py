@@ -11,6 +11,7 @@ import numpy as np
 
 from backend.inertia import N_INERTIA, InertiaForm, rotation_sx
 from backend.wrench import ALIGNMENT_SIGMA, LN_PRIOR, N_WRENCH
+from polhode.lie import Array
 
 Output = Literal["cost", "gradient", "quadratic", "jacobian"]
 """Cost alone; with its gradient; with gradient and upper Gauss-Newton Hessian; or residual and Jacobian."""
@@ -36,20 +37,6 @@ def quaternion_log_sx(q: Any) -> Any:
     return 2.0 * ca.atan2(norm, q[0]) / norm * q[1:4]
 
 
-def stereo_residual(
-    pose: Any, p_G: Any, A: Any, R_RN: Any, t_R: Any, uvd: Any, inv_sigma: Any, rig: Any
-) -> Any:
-    """Measured minus predicted (u left, v, disparity), whitened (thesis eq. 4.85).
-
-    pose (6) = p_NG, theta; A = R_RN R_ref; p_R = A Exp(theta) p_G + R_RN p_NG + t_R;
-    rig (5) = f, cx, cy, b, offset.
-    """
-    p_R = A @ (rotation_sx(pose[3:6]) @ p_G) + R_RN @ pose[0:3] + t_R
-    f, cx, cy, b, offset = rig[0], rig[1], rig[2], rig[3], rig[4]
-    predicted = ca.vertcat(f * p_R[0] / p_R[2] + cx, f * p_R[1] / p_R[2] + cy, f * b / p_R[2] + offset)
-    return (uvd - predicted) * inv_sigma
-
-
 def prior_residual(com_G: Any, com_prior: Any, com_sigma_m: Any, second: Any) -> Any:
     """Weak prior (9): centre of mass near the middle of the landmarks, inertia near a sphere."""
     shape = 3.0 * second / ca.trace(second) - ca.SX.eye(3)
@@ -57,45 +44,15 @@ def prior_residual(com_G: Any, com_prior: Any, com_sigma_m: Any, second: Any) ->
     return ca.vertcat((com_G - com_prior) / com_sigma_m, ca.diag(shape), off)
 
 
-def bend_sx(s: Any, robust_scale: float) -> Any:
-    """How much of the Jacobian along the residual r the curvature of the Cauchy kernel takes, s = r.r.
+def bend_sx(s: Array, robust_scale: float) -> Array:
+    """How much of the Jacobian along the residual r the curvature of the Cauchy kernel takes, s = r.r (M,).
 
     The kernel's exact second derivative makes the Hessian w J^T (I - 2 w r r^T / c^2) J, with w the weight.
     As w B^T B with B = J - bend r r^T J (Triggs et al., "Bundle adjustment", 2000, eq. 11) it stays positive;
-    beyond MOST_BEND it is limited. Works on CasADi's expressions and on arrays alike.
+    beyond MOST_BEND it is limited.
     """
-    c2 = robust_scale**2
-    curvature = 2.0 / (c2 + s)
-    limited = (
-        ca.fmin(curvature, MOST_BEND / (s + 1e-12))
-        if isinstance(s, ca.SX)
-        else np.minimum(curvature, MOST_BEND / (s + 1e-12))
-    )
-    root = 1.0 - limited * s
-    return limited / (1.0 + root**0.5)
-
-
-def stereo_kernel(robust_scale: float, output: Output = "quadratic") -> Any:
-    """Function (x (9) = pose, p_G; A, R_RN, t_R, uvd, inv_sigma, rig) of cost, gradient (9), Hessian (45).
-
-    Cauchy kernel on the squared norm s of the whitened residual: 0.5 c^2 ln(1 + s / c^2).
-    """
-    x = ca.SX.sym("x", 9)
-    A, R_RN = ca.SX.sym("A", 3, 3), ca.SX.sym("R_RN", 3, 3)
-    t_R, uvd, inv_sigma, rig = (
-        ca.SX.sym(name, size) for name, size in zip("tusr", (3, 3, 3, 5), strict=True)
-    )
-    r = stereo_residual(x[0:6], x[6:9], A, R_RN, t_R, uvd, inv_sigma, rig)
-    s, c2 = ca.sumsqr(r), robust_scale**2
-    outputs = [0.5 * c2 * ca.log1p(s / c2)]
-    if output == "gradient":
-        outputs.append(ca.gradient(outputs[0], x))
-    if output == "quadratic":
-        jacobian, weight = ca.jacobian(r, x), 1.0 / (1.0 + s / c2)
-        along = jacobian.T @ r
-        bent = jacobian - bend_sx(s, robust_scale) * (r @ along.T)
-        outputs += [weight * along, upper(weight * bent.T @ bent)]
-    return ca.Function("stereo", [x, ca.vec(A), ca.vec(R_RN), t_R, uvd, inv_sigma, rig], outputs)
+    limited = np.minimum(2.0 / (robust_scale**2 + s), MOST_BEND / (s + 1e-12))
+    return np.asarray(limited / (1.0 + np.sqrt(1.0 - limited * s)))
 
 
 def prior_kernel(form: InertiaForm, output: Output = "quadratic") -> Any:

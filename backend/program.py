@@ -5,7 +5,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import csc_matrix
 
 from backend.gauss_newton import Solution
 from backend.iterate import Iterate
@@ -16,11 +15,11 @@ from backend.kernels import (
     Output,
     hold_kernel,
     prior_kernel,
-    stereo_kernel,
     wrench_kernel,
 )
 from backend.problem import Held, MotionData, series_groups
 from backend.step_kernels import StepLayout, dynamics_kernel
+from backend.stereo_terms import FromOutside, StereoTerms
 from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints
@@ -68,8 +67,9 @@ class MotionProgram:
     rho(s) = c^2/2 ln(1 + s/c^2); Lambda_k solves the Lyapunov equation (4.58) at that rate.
     R_ref, Lambda, middle and the gauge are parameters, renewed between solves (``problem.hold``).
 
-    Each term is a small kernel that returns cost, gradient and Gauss-Newton Hessian; constant sparse matrices
-    scatter the stacked blocks into the program's gradient and Hessian. CasADi never differentiates the whole.
+    Each term of the dynamics and the priors is a small kernel that returns cost, gradient and Gauss-Newton
+    Hessian; constant sparse matrices scatter the stacked blocks into the program's gradient and Hessian. The
+    stereo terms come from compiled loops (``stereo_terms.py``). CasADi never differentiates the whole.
     """
 
     name = "ipopt"
@@ -78,6 +78,8 @@ class MotionProgram:
         self.data = data
         self._series: Ints = np.zeros(0, dtype=np.int64)
         self._solver: Any = None
+        # CasADi holds only a weak hand on them
+        self._outside: list[FromOutside] = []
 
     def solve(self, held: Held, x: Array, max_iterations: int) -> Solution:
         """Minimise from x. The program is built at the first call, and when a step needs more series."""
@@ -98,18 +100,27 @@ class MotionProgram:
         )
 
     def _build(self, layout: "_Layout", max_iterations: int) -> Any:
-        n_x = layout.n_dense + 3 * self.data.n_landmarks
+        stereo = StereoTerms(self.data, layout.n_state, layout.n_dense)
+        n_x, n_attitudes = stereo.n_x, 9 * self.data.n_frames
         x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", layout.n_p)
-        cost = sum(ca.sum2(term.cost) for term in self._terms(x, p, layout, "cost"))
+        keys = stereo.keys()
+        sizes = (n_x, n_attitudes)
+        functions = ((stereo.cost, 1), (stereo.gradient, n_x), (stereo.hessian, len(keys)))
+        self._outside = [FromOutside(f.__name__, f, sizes, n_out) for f, n_out in functions]
+        of_stereo = [outside(x, p[:n_attitudes]) for outside in self._outside]
+        cost = of_stereo[0] + sum(ca.sum2(term.cost) for term in self._terms(x, p, layout, "cost"))
 
         terms = self._terms(x, p, layout, "gradient")
         slots = np.concatenate([term.slots.ravel() for term in terms])
-        gradient = _scatter(slots, n_x) @ ca.vertcat(*[ca.vec(term.gradient) for term in terms])
+        gradient = of_stereo[1] + _scatter(slots, n_x) @ ca.vertcat(
+            *[ca.vec(term.gradient) for term in terms]
+        )
 
         terms = self._terms(x, p, layout, "quadratic")
-        keys = np.concatenate([_upper_keys(term.slots, n_x) for term in terms])
+        keys = np.concatenate([keys, *[_upper_keys(term.slots, n_x) for term in terms]])
         cells, position = np.unique(keys, return_inverse=True)
-        values = _scatter(position, len(cells)) @ ca.vertcat(*[ca.vec(term.hessian) for term in terms])
+        blocks = ca.vertcat(of_stereo[2], *[ca.vec(term.hessian) for term in terms])
+        values = _scatter(position, len(cells)) @ blocks
         sparsity = _upper_sparsity(cells, n_x)
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
         grad_f = ca.Function("nlp_grad_f", [x, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
@@ -145,10 +156,10 @@ class MotionProgram:
         return ca.nlpsol("motion", "ipopt", problem, options)
 
     def _terms(self, x: Any, p: Any, at: "_Layout", output: Output) -> list[_Term]:
-        """Kernels mapped over their data: stereo, dynamics by number of series, priors, what is held."""
+        """Kernels mapped over their data: dynamics by number of series, priors, what is held."""
         d, s, step = self.data, at.n_state, at.step
         of_constants = s * d.n_frames + np.arange(step.n_constants)
-        terms = [self._stereo(x, p, at, output)]
+        terms = []
         for series, index in series_groups(self._series):
             states = s * index[:, None] + np.arange(2 * s)
             constants = np.broadcast_to(of_constants, (len(index), step.n_constants))
@@ -176,18 +187,6 @@ class MotionProgram:
             unknowns, wrench = of_constants[None, 3:], wrench_kernel(d.form, output)
             terms.append(_Term(unknowns, *wrench.call([_gather(x, unknowns), p[at.wrench : at.wrench + 20]])))
         return terms
-
-    def _stereo(self, x: Any, p: Any, at: "_Layout", output: Output) -> _Term:
-        d, m = self.data, len(self.data.frame)
-        pose = at.n_state * d.frame[:, None] + np.arange(6)
-        mark = at.n_dense + 3 * d.landmark[:, None] + np.arange(3)
-        slots = np.concatenate([pose, mark], axis=1)
-        A = _gather(p, 9 * d.frame[:, None] + np.arange(9))
-        R_RN = np.swapaxes(d.R_RN, 1, 2).reshape(-1, 9)[d.frame]
-        constants = (R_RN, d.t_R[d.frame], d.uvd_px, d.inv_sigma)
-        fixed = [ca.DM(np.ascontiguousarray(c.T)) for c in constants]
-        kernel = stereo_kernel(d.robust_scale, output).map(m)
-        return _Term(slots, *kernel.call([_gather(x, slots), A, *fixed, ca.DM(d.rig)]))
 
 
 class _Layout:
@@ -251,7 +250,7 @@ def _gather(vector: Any, slots: Ints) -> Any:
 def _scatter(target: Ints, size: int) -> Any:
     """Constant matrix (size, n) that adds entry e of a vector to ``target[e]``."""
     n = len(target)
-    return ca.DM(csc_matrix((np.ones(n), (target, np.arange(n))), shape=(size, n)))
+    return ca.DM(ca.Sparsity(size, n, list(range(n + 1)), target.tolist()), np.ones(n))
 
 
 def _upper_keys(slots: Ints, n_x: int) -> Ints:

@@ -1,33 +1,23 @@
 """Residual kernels against finite differences and against code that does not share theirs."""
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from backend.inertia import FORMS, inertia_from_second_moments
-from backend.kernels import prior_kernel, stereo_kernel
+from backend.kernels import prior_kernel
 from backend.step_kernels import dynamics_kernel
-from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, log_so3
 from polhode.quaternion import wxyz_from_matrix
 from polhode.rigid_body import propagate
-
-RIG = RectifiedRig(467.0, 320.0, 240.0, 0.09, 640, 480, 1.5)
 
 
 def numeric_gradient(function: Callable[[Array], Array], x: Array, step: float = 1e-6) -> Array:
     """Central differences, (..., n)."""
     columns = [(function(x + step * e) - function(x - step * e)) / (2 * step) for e in np.eye(len(x))]
     return np.stack(columns, axis=-1)
-
-
-def call_first(kernel: Any, rest: list[Any], x: Array) -> Array:
-    """First output of a kernel as a function of x alone."""
-    return np.array(float(kernel(x, *rest)[0]))
 
 
 def symmetric(upper: Array, n: int) -> Array:
@@ -38,47 +28,6 @@ def symmetric(upper: Array, n: int) -> Array:
             out[i, j] = out[j, i] = upper[at]
             at += 1
     return out
-
-
-def stereo_inputs(rng: np.random.Generator) -> tuple[Array, list[Any]]:
-    R_RN, R_ref = Rotation.random(2, rng=rng).as_matrix()
-    t_R = rng.normal(size=3)
-    p_G = rng.normal(size=3) * 0.1
-    p_NG = R_RN.T @ (np.array([0.02, -0.03, 0.7]) - t_R)
-    x = np.concatenate([p_NG, rng.normal(size=3) * 0.3, p_G])
-    uvd = RIG.project(R_RN @ (R_ref @ exp_so3(x[3:6]) @ p_G + p_NG) + t_R) + rng.normal(size=3) * 2
-    rig = np.array([RIG.focal_px, RIG.cx_px, RIG.cy_px, RIG.baseline_m, RIG.disparity_offset_px])
-    A = (R_RN @ R_ref).ravel(order="F")
-    return x, [A, R_RN.ravel(order="F"), t_R, uvd, np.array([1.0, 1.1, 2.0]), rig]
-
-
-def test_stereo_cost_is_the_robust_norm_of_the_camera_model() -> None:
-    rng = np.random.default_rng(0)
-    x, rest = stereo_inputs(rng)
-    A, R_RN = rest[0].reshape(3, 3, order="F"), rest[1].reshape(3, 3, order="F")
-    predicted = RIG.project(A @ exp_so3(x[3:6]) @ x[6:9] + R_RN @ x[:3] + rest[2])
-    s = np.sum(((rest[3] - predicted) * rest[4]) ** 2)
-    assert float(stereo_kernel(3.0)(x, *rest)[0]) == pytest.approx(4.5 * np.log1p(s / 9.0), rel=1e-12)
-
-
-def test_stereo_gradient_matches_finite_differences() -> None:
-    rng = np.random.default_rng(1)
-    kernel = stereo_kernel(3.0)
-    for _ in range(5):
-        x, rest = stereo_inputs(rng)
-        numeric = numeric_gradient(partial(call_first, kernel, rest), x)
-        np.testing.assert_allclose(np.asarray(kernel(x, *rest)[1]).ravel(), numeric, rtol=1e-5, atol=1e-4)
-
-
-def test_stereo_hessian_is_the_second_derivative_where_the_residual_vanishes() -> None:
-    rng = np.random.default_rng(2)
-    kernel = stereo_kernel(3.0)
-    x, rest = stereo_inputs(rng)
-    A, R_RN = rest[0].reshape(3, 3, order="F"), rest[1].reshape(3, 3, order="F")
-    rest[3] = RIG.project(A @ exp_so3(x[3:6]) @ x[6:9] + R_RN @ x[:3] + rest[2])
-    numeric = numeric_gradient(lambda y: np.asarray(kernel(y, *rest)[1]).ravel(), x)
-    hessian = symmetric(np.asarray(kernel(x, *rest)[2]).ravel(), 9)
-    np.testing.assert_allclose(hessian, numeric, rtol=1e-4, atol=1e-3 * np.abs(numeric).max())
 
 
 def dynamics_inputs(form_name: str, rng: np.random.Generator) -> tuple[Array, Array]:
