@@ -19,11 +19,13 @@ from polhode.camera import RectifiedRig
 from polhode.config.backend import Backend
 from polhode.lie import Array
 
-LOOK_AROUND = (6, 12, 24, 48, 96, 192)
+LOOK_AROUND = (6, 12, 24, 48, 96, 192, 384, 768)
 """Numbers of frames at which other inertias are tried, while the history lasts."""
 LEAST_FOR_LEVELS = 20
 """Frames that tell something about disturbances."""
 FIRST_FRAMES = 3
+KNOWN = 0.02
+"""Standard deviation of k1, k2 at which the inertia is good enough for an arrival cost."""
 
 
 class SlidingWindow:
@@ -31,7 +33,7 @@ class SlidingWindow:
 
     Unknowns: the states of the latest ``frames`` frames, the poses of at most ``key_frames`` earlier ones,
     com_G and the inertia; landmarks are eliminated. What leaves goes to an arrival cost by marginalization.
-    The first ``history`` frames are solved as a whole.
+    The first ``history`` frames are solved as a whole, and those that follow until the inertia is known.
     """
 
     def __init__(self, rig: RectifiedRig, config: Backend, camera: CameraNoise | None = None) -> None:
@@ -63,7 +65,7 @@ class SlidingWindow:
         belief.active.recent.append(frame)
         if history is not None:
             history.append(frame)
-            n = len(history.frames)
+            n = history.came
             if n <= 24 or n in LOOK_AROUND:
                 belief.renew_weak_prior()
             solve_whole(belief, history)
@@ -78,12 +80,19 @@ class SlidingWindow:
             solve_window(belief, self.solver)
         state = self._report(m)
         release(belief, self.settings.frames, self.settings.key_frames)
-        if history is not None and len(history.frames) >= self.settings.history:
-            expand_arrival(belief, history)
-            for frame in (*belief.active.keys, belief.active.recent[0]):
-                frame.hold()
-            belief.history = None
+        if history is not None and history.came >= self.settings.history:
+            if np.diag(state.cov_k).max() < KNOWN**2:
+                self._leave(belief, history)
+            else:
+                history.thin(belief.active, self.settings.history)
         return state
+
+    def _leave(self, belief: Belief, history: History) -> None:
+        """From now on an arrival cost stands for the history."""
+        expand_arrival(belief, history)
+        for frame in (*belief.active.keys, belief.active.recent[0]):
+            frame.hold()
+        belief.history = None
 
     def _look_around(self, belief: Belief, history: History) -> None:
         """What is held while solving is estimated anew: noise, disturbances, the basin of the inertia."""

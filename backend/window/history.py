@@ -1,8 +1,10 @@
 """The first frames of a run as a whole, without their landmarks: as long as the inertia may be a guess.
 
 An arrival cost is expanded about the inertia of its time, and an inertia found late would leave it wrong and
-confident. So the states of the first frames stay, in a bounded number; what leaves is only the vision of
-frames that are not key frames, condensed to information on the poses, which knows nothing of the inertia.
+confident. So the states of the first frames stay until the inertia is known. What leaves is only the vision
+of frames that are not key frames, condensed to information on the poses, which knows nothing of the inertia.
+When there are too many frames, the one with the closest neighbours goes, and one longer step of the dynamics
+takes the place of two.
 """
 
 from dataclasses import dataclass
@@ -19,6 +21,9 @@ from backend.window.quadratic import Elimination, Quadratic, eliminate
 from backend.window.vision import N_POSE, Condensed
 from polhode.lie import Array
 from polhode.records import Ints
+
+OPEN = 1e-9
+"""Information on a direction of a pose, over that on the best known one, that is none."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,8 @@ class History:
     def __init__(self, first: Frame, gauge_information: Array) -> None:
         """gauge_information (6,): how firmly G is held at the first frame's true pose."""
         self.frames: list[Frame] = [first]
+        self.came = 1
+        """frames so far, those that went included"""
         self._gauge, self._first = gauge_information, first.x[:N_POSE].copy()
         self._H, self._b = np.zeros((N_POSE, N_POSE)), np.zeros(N_POSE)
         self.steps: Links = NO_LINKS
@@ -60,6 +67,32 @@ class History:
         H[:n, :n] = self._H
         self._H, self._b = H, np.concatenate([self._b, np.zeros(N_POSE)])
         self.frames.append(frame)
+        self.came += 1
+
+    def thin(self, active: Active, most: int) -> None:
+        """Leave out states until ``most`` are left; never the first one, nor those that are active."""
+        stay = {self.frames[0].number, *(frame.number for frame in active.frames)}
+        while len(self.frames) > most:
+            time_s = np.array([frame.time_s for frame in self.frames])
+            gap_s = np.append(time_s[2:] - time_s[:-2], np.inf)
+            free = np.array([frame.number not in stay for frame in self.frames[1:]])
+            if not free.any():
+                return
+            self._leave_out(1 + int(np.argmin(np.where(free, gap_s, np.inf))))
+
+    def _leave_out(self, n: int) -> None:
+        """What vision says of the other poses stays, whatever the pose of frame n is."""
+        gone = np.arange(N_POSE * n, N_POSE * (n + 1))
+        kept = others(gone, len(self._b))
+        own, across = self._H[np.ix_(gone, gone)], self._H[np.ix_(gone, kept)]
+        values, vectors = np.linalg.eigh(own)
+        # few landmarks leave directions of the pose open
+        sure = values > OPEN * values[-1]
+        root = vectors[:, sure] / np.sqrt(values[sure]) if values[-1] > 0.0 else np.zeros((N_POSE, 0))
+        through = root.T @ across
+        self._H = self._H[np.ix_(kept, kept)] - through.T @ through
+        self._b = self._b[kept] - through.T @ (root.T @ self._b[gone])
+        del self.frames[n]
 
     def absorb(self, frames: list[Frame], H: Array, g: Array) -> None:
         """Vision that leaves the window: H, g at the present seen poses of ``frames`` (6 each)."""

@@ -15,7 +15,13 @@ from polhode.lie import Array
 from simulation.measurements import SyntheticScene, SyntheticSequence, generate
 
 TUMBLE = SyntheticScene(
-    frames=40, landmarks=800, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9])
+    frames=40,
+    landmarks=500,
+    detection=0.4,
+    w_G=(0.4, 0.5, 0.45),
+    J_G=np.diag([1.5, 1.2, 0.9]),
+    sigma_uv_px=0.3,
+    sigma_d_px=0.3,
 )
 Fed = tuple[SlidingWindow, list[OnlineState]]
 Feed = Callable[..., Fed]

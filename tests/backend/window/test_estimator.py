@@ -30,11 +30,11 @@ def errors(sequence: SyntheticSequence, k: int, state: OnlineState) -> Array:
     return np.concatenate([truth.r_N[k] - state.r_N, truth.v_N[k] - state.v_N, turns[best], w_P])
 
 
-def deviations(sequence: SyntheticSequence, states: list[OnlineState]) -> Array:
-    """Errors over their standard deviations, those that are determined."""
+def deviations(sequence: SyntheticSequence, states: list[OnlineState], first: int = 0) -> Array:
+    """Errors over their standard deviations, those that are determined, from a frame on."""
     z = [errors(sequence, k, s) / np.sqrt(np.diag(s.covariance)) for k, s in enumerate(states)]
     determined = np.isfinite([np.diag(s.covariance) for s in states])
-    return np.array(z)[determined]
+    return np.array(z)[first:][determined[first:]]
 
 
 def same(a: OnlineState, b: OnlineState) -> bool:
@@ -53,10 +53,10 @@ def test_a_row_does_not_depend_on_what_comes_later(tumble: SyntheticSequence, fe
 
 
 def test_a_window_that_covers_everything_is_full_smoothing() -> None:
-    sequence = generate(replace(TUMBLE, frames=20), 4)
+    sequence = generate(replace(TUMBLE, frames=30), 4)
     # without a kernel: the window takes its weights for information, the batch solver does not
     config = Backend.model_validate(
-        {"process_noise": "given", "robust_scale": 1e4, "window": {"frames": 20, "history": 100}}
+        {"process_noise": "given", "robust_scale": 1e4, "window": {"frames": 30, "history": 100}}
     )
     window = SlidingWindow(sequence.tracks.rig, config)
     state = [window.add(m) for m in frames_of(sequence.tracks)][-1]
@@ -77,7 +77,8 @@ def test_a_window_that_covers_everything_is_full_smoothing() -> None:
     r_N = whole.p_NG[-1] + whole.R_NG[-1] @ whole.com_G
     assert np.all(np.abs(r_N - state.r_N) < 0.1 * sigma[:3])
     assert np.all(np.abs(whole.v_N[-1] - state.v_N) < 0.1 * sigma[3:6])
-    assert np.all(np.abs(whole.w_G[-1] - state.R_GP @ state.w_P) < 0.1 * sigma[9:12])
+    w_P = state.R_NP.T @ whole.R_NG[-1] @ whole.w_G[-1]
+    assert np.all(np.abs(w_P - state.w_P) < 0.1 * sigma[9:12])
 
 
 def test_a_small_window_loses_little_against_the_whole_history(tumble: SyntheticSequence, feed: Feed) -> None:
@@ -87,9 +88,9 @@ def test_a_small_window_loses_little_against_the_whole_history(tumble: Synthetic
     assert np.all(np.sqrt(np.diag(small.cov_k)) < 1.3 * np.sqrt(np.diag(whole.cov_k)))
 
 
-def test_errors_are_as_large_as_the_covariance_says(feed: Feed) -> None:
+def test_once_the_inertia_is_known_errors_are_as_large_as_the_covariance_says(feed: Feed) -> None:
     z = np.concatenate(
-        [deviations(s, feed(s, **SMALL)[1]) for s in (generate(TUMBLE, 20 + n) for n in range(3))]
+        [deviations(s, feed(s, **SMALL)[1], 24) for s in (generate(TUMBLE, 20 + n) for n in range(3))]
     )
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3
     assert np.mean(np.abs(z) < 3.0) > 0.97
@@ -108,7 +109,7 @@ def test_memory_is_bounded_by_the_frames_that_are_held(feed: Feed) -> None:
         )
         assert len(marks.used) <= sum(len(frame.slot) for frame in active.frames)
     assert window.belief.history is None
-    keys, recent, arrival, _, slots = np.array(sizes[20:]).T
+    keys, recent, arrival, _, slots = np.array(sizes[45:]).T
     assert (
         set(keys) == {10}
         and set(recent) == {6}
@@ -121,12 +122,15 @@ def test_memory_is_bounded_by_the_frames_that_are_held(feed: Feed) -> None:
 def test_both_solvers_and_both_forms_of_the_inertia_agree(
     tumble: SyntheticSequence, feed: Feed, inertia: str
 ) -> None:
-    reference = feed(tumble, 30, frames=6, key_frames=10, history=22)[1][-1]
-    state = feed(tumble, 30, inertia, solver="ipopt", frames=6, key_frames=10, history=22)[1][-1]
+    reference = feed(tumble, 36, **SMALL)[1][-1]
+    window, states = feed(tumble, 36, inertia, solver="ipopt", **SMALL)
+    state = states[-1]
+    assert window.belief.history is None
     sigma = np.sqrt(np.diag(reference.covariance))
     assert np.all(np.abs(state.r_N - reference.r_N) < 0.15 * sigma[:3])
     assert np.all(np.abs(state.v_N - reference.v_N) < 0.15 * sigma[3:6])
-    assert np.all(np.abs(log_so3(reference.R_NP.T @ state.R_NP)) < 0.15 * sigma[6:9])
+    turns = [log_so3(reference.R_NP.T @ state.R_NP @ np.diag(h)) for h in HALF_TURNS]
+    assert any(np.all(np.abs(turn) < 0.15 * sigma[6:9]) for turn in turns)
     np.testing.assert_allclose(np.sqrt(np.diag(state.covariance)), sigma, rtol=0.05)
     k, sigma_k = np.array([reference.k1, reference.k2]), np.sqrt(np.diag(reference.cov_k))
     assert np.all(np.abs(k - [state.k1, state.k2]) < 0.15 * sigma_k)

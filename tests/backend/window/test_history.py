@@ -46,3 +46,33 @@ def test_camera_noise_loosens_the_pose_and_not_the_velocity_by_as_much(feed: Fee
     exact, noisy = sigmas
     assert np.all(noisy[:3] > exact[:3])
     assert np.all(noisy[3:6] < 2.0 * exact[3:6])
+
+
+def test_what_is_left_out_takes_only_its_own_pose_along(feed: Feed) -> None:
+    window, _ = feed(generate(TUMBLE, 0), 30, frames=5, key_frames=6, history=100)
+    active, history = window.belief.active, window.belief.history
+    assert history is not None
+    numbers = [frame.number for frame in history.frames]
+    held = {numbers[0], *(frame.number for frame in active.frames)}
+    before = history._H
+    history.thin(active, 20)
+    left = [frame.number for frame in history.frames]
+    assert len(left) == 20 and held <= set(left) and history.came == 30
+    at = (6 * np.array([numbers.index(n) for n in left])[:, None] + np.arange(6)).ravel()
+    gone = np.setdiff1d(np.arange(len(before)), at)
+    sure = before[np.ix_(gone, gone)]
+    expected = (
+        before[np.ix_(at, at)] - before[np.ix_(at, gone)] @ np.linalg.pinv(sure) @ before[np.ix_(gone, at)]
+    )
+    np.testing.assert_allclose(history._H, expected, atol=1e-6 * expected.max())
+
+
+def test_a_motion_that_does_not_tell_the_inertia_keeps_a_bounded_history(feed: Feed) -> None:
+    scene = replace(TUMBLE, w_G=(0.0, 0.0, 1.0), accel_psd=1e-9, torque_psd=1e-9)
+    window, states = feed(generate(scene, 9), frames=5, key_frames=6, history=16)
+    history = window.belief.history
+    assert history is not None and len(history.frames) == 16 and history.came == 40
+    assert history.frames[0].number == 1
+    gaps = np.diff([frame.number for frame in history.frames])
+    assert gaps.max() < 9
+    assert not states[-1].determined[:2].any()

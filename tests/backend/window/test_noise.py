@@ -11,7 +11,9 @@ from tests.backend.window.conftest import TUMBLE, Feed
 
 
 def test_pixel_and_disparity_noise_are_recovered_among_outliers(feed: Feed) -> None:
-    sequence = generate(replace(TUMBLE, frames=24, sigma_uv_px=0.4, sigma_d_px=0.2, outliers=0.05), 2)
+    sequence = generate(
+        replace(TUMBLE, frames=24, landmarks=1500, sigma_uv_px=0.4, sigma_d_px=0.2, outliers=0.05), 2
+    )
     tracks = replace(sequence.tracks, sigma_px=np.ones_like(sequence.tracks.sigma_px))
     window, _ = feed(replace(sequence, tracks=tracks))
     estimate_noise(window.belief)
