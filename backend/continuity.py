@@ -5,6 +5,8 @@ off by that symmetry. No rigid body jumps and jumps back; such frames are better
 again.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from polhode.lie import Array, exp_so3, log_so3
@@ -12,6 +14,8 @@ from polhode.records import Bools, Ints
 
 JUMP_RAD = np.deg2rad(60.0)
 """Beyond this from what the turn around it says, a frame has jumped: nutation bends a turn less."""
+JUMP_OF_MEDIAN = 4.0
+"""And beyond so many times what frames usually stray: a fast tumble bends every turn."""
 NEIGHBOURS = 9
 """Intervals whose median is the local rate."""
 LARGEST_SHARE = 0.25
@@ -24,11 +28,13 @@ def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
     odd = np.zeros(len(time_s), dtype=np.bool_)
     if len(index) < NEIGHBOURS:
         return odd
-    rate, centre = _local_rates(time_s[index], R_NG[index])
-    stretches = _stretches(time_s, R_NG, index, rate, centre)
+    local = _local_rates(time_s[index], R_NG[index])
+    strays = [_stray(time_s, R_NG, a, b, local) for a, b in pairwise(index)]
+    jump = max(JUMP_RAD, JUMP_OF_MEDIAN * float(np.median(strays)))
+    stretches: list[Ints] = list(np.split(index, np.flatnonzero(np.array(strays) > jump) + 1))
     limit = LARGEST_SHARE * len(index)
     while len(stretches) > 1:
-        n = _odd_one(time_s, R_NG, stretches, rate, centre)
+        n = _odd_one(time_s, R_NG, stretches, local, jump)
         if n is None or len(stretches[n]) > limit:
             break
         odd[stretches[n]] = True
@@ -41,10 +47,15 @@ def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
     return odd
 
 
-def _odd_one(time_s: Array, R_NG: Array, stretches: list[Ints], rate: Array, centre: Array) -> int | None:
+def _odd_one(
+    time_s: Array, R_NG: Array, stretches: list[Ints], local: tuple[Array, Array], jump: float
+) -> int | None:
     """The shortest stretch without which its neighbours join; else the shorter of the two at the ends."""
-    inner = range(1, len(stretches) - 1)
-    joining = [n for n in inner if _continues(time_s, R_NG, stretches[n - 1], stretches[n + 1], rate, centre)]
+    joining = [
+        n
+        for n in range(1, len(stretches) - 1)
+        if _stray(time_s, R_NG, stretches[n - 1][-1], stretches[n + 1][0], local) < jump
+    ]
     if joining:
         return min(joining, key=lambda n: len(stretches[n]))
     return min((0, len(stretches) - 1), key=lambda n: len(stretches[n]))
@@ -59,19 +70,10 @@ def _local_rates(time_s: Array, R_NG: Array) -> tuple[Array, Array]:
     return np.stack([np.median(window, axis=0) for window in windows]), 0.5 * (time_s[:-1] + time_s[1:])
 
 
-def _stretches(time_s: Array, R_NG: Array, index: Ints, rate: Array, centre: Array) -> list[Ints]:
-    """The connected frames, cut where the turn jumps."""
-    whole = [
-        _continues(time_s, R_NG, index[k : k + 1], index[k + 1 : k + 2], rate, centre)
-        for k in range(len(index) - 1)
-    ]
-    return list(np.split(index, np.flatnonzero(~np.array(whole)) + 1))
-
-
-def _continues(time_s: Array, R_NG: Array, before: Ints, after: Ints, rate: Array, centre: Array) -> bool:
-    """Whether the local rate leads from the last frame of one stretch to the first of the next."""
-    a, b = int(before[-1]), int(after[0])
+def _stray(time_s: Array, R_NG: Array, a: int, b: int, local: tuple[Array, Array]) -> float:
+    """Angle [rad] between where the local rate leads from frame a and the attitude of frame b."""
+    rate, centre = local
     middle = 0.5 * (time_s[a] + time_s[b])
-    local = np.array([np.interp(middle, centre, rate[:, axis]) for axis in range(3)])
-    expected = R_NG[a] @ exp_so3(local * (time_s[b] - time_s[a]))
-    return bool(np.linalg.norm(log_so3(expected.T @ R_NG[b])) < JUMP_RAD)
+    here = np.array([np.interp(middle, centre, rate[:, axis]) for axis in range(3)])
+    expected = R_NG[a] @ exp_so3(here * (time_s[b] - time_s[a]))
+    return float(np.linalg.norm(log_so3(expected.T @ R_NG[b])))

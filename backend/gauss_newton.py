@@ -1,6 +1,7 @@
 """Gauss-Newton with Levenberg damping, landmarks eliminated: reference solver and source of covariances."""
 
 from dataclasses import dataclass
+from time import perf_counter
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -16,8 +17,42 @@ from backend.wrench import LN_MASS, LN_PRIOR, LN_SCALE, wrench_residual
 from polhode.lie import Array, right_jacobian_so3
 
 DAMPING_FLOOR = 1e-8
+MOST_DAMPED, MOST_FIRM = 1e8, 1e5
+AT_REST, REST_ITERATIONS = 1e-6, 8
+"""So many iterations in a row with a smaller decrease end them too: what is left is a valley along which the
+data tell nothing."""
+CONSTANT_SCALE = np.repeat([0.01, 0.1], [3, N_INERTIA])
+"""Of com_G [m] and xi."""
+ITERATION_LIMIT = "limit of iterations (backend.max_iterations)"
+TIME_LIMIT = "limit of time (backend.max_seconds)"
 TOLERANCE = 1e-8
 """Relative decrease of the cost that ends the iterations."""
+
+
+@dataclass(frozen=True)
+class Damping:
+    """What keeps a step short. Either grows when a step is refused, and both are tried.
+
+    Given the constants the states are stiff but almost linear: then only the constants need damping, and the
+    states follow them freely. Far from the solution everything may go too far.
+    """
+
+    of_all: float = DAMPING_FLOOR
+    """In units of the Hessian's diagonal (Marquardt)."""
+    of_constants: float = 0.0
+    """In units of ``CONSTANT_SCALE``."""
+
+    def more(self, times: int) -> "list[Damping]":
+        """What to try when steps were refused so many times; nothing when they cannot be made shorter."""
+        firm = max(self.of_constants, 1e-3) * 100.0**times
+        stiff = max(self.of_all, 1e-6) * 4.0**times * 2.0 ** (times * (times - 1) // 2)
+        firmer = [Damping(of_constants=firm)] if firm < MOST_FIRM else []
+        return firmer + ([Damping(of_all=stiff)] if stiff < MOST_DAMPED else [])
+
+    def less(self) -> "Damping":
+        """What to begin the next iteration with."""
+        of_constants = 0.01 * self.of_constants
+        return Damping(max(DAMPING_FLOOR, 0.1 * self.of_all), of_constants if of_constants > 0.01 else 0.0)
 
 
 @dataclass(frozen=True)
@@ -61,31 +96,51 @@ class GaussNewton:
         self.with_dynamics = with_dynamics
         self._prior = prior_kernel(data.form)
 
-    def solve(self, held: Held, x: Array, max_iterations: int) -> Solution:
+    def solve(self, held: Held, x: Array, max_iterations: int, max_seconds: float = np.inf) -> Solution:
         """Minimise from x; each iteration one damped step."""
-        damping, growth = DAMPING_FLOOR, 4.0
+        begin = perf_counter()
+        damping = Damping()
         system = self.normal_equations(held, x)
-        converged, iteration = False, 0
+        converged, iteration, resting = False, 0, 0
         for iteration in range(1, max_iterations + 1):
-            while True:
-                candidate = x + self._step(system, damping)
+            found = self._descend(held, x, system, damping)
+            if found is None:
+                return Solution(x, system.cost, iteration, True, "no further decrease")
+            x, cost, damping = found
+            decrease = system.cost - cost
+            resting = resting + 1 if decrease <= AT_REST * max(cost, 1.0) else 0
+            if decrease <= TOLERANCE * max(cost, 1.0) or resting >= REST_ITERATIONS:
+                converged = True
+                break
+            damping = damping.less()
+            if perf_counter() - begin > max_seconds:
+                return Solution(x, float(cost), iteration, False, TIME_LIMIT)
+            if iteration < max_iterations:
+                system = self.normal_equations(held, x)
+        return Solution(x, float(cost), iteration, converged, "converged" if converged else ITERATION_LIMIT)
+
+    def _descend(
+        self, held: Held, x: Array, system: NormalEquations, damping: Damping
+    ) -> tuple[Array, float, Damping] | None:
+        """A point of no higher cost, that cost and the damping that led there; None when there is none."""
+        trials, refused = [damping], 0
+        while trials:
+            best, least = None, system.cost * (1.0 + 1e-13)
+            for trial in trials:
+                candidate = x + self._step(system, trial)
                 # a wild step may leave the range of the exponential: it is refused like any other
                 with np.errstate(over="ignore", invalid="ignore"):
                     cost = self.cost(held, candidate)
-                if np.isfinite(cost) and cost <= system.cost * (1.0 + 1e-13):
-                    break
-                damping, growth = max(damping, 1e-6) * growth, growth * 2.0
-                if damping > 1e8:
-                    return Solution(x, system.cost, iteration, True, "no further decrease")
-            decrease = system.cost - cost
-            x = candidate
-            damping, growth = max(DAMPING_FLOOR, damping * 0.1), 4.0
-            if decrease <= TOLERANCE * max(cost, 1.0):
-                converged = True
-                break
-            if iteration < max_iterations:
-                system = self.normal_equations(held, x)
-        return Solution(x, float(cost), iteration, converged, "converged" if converged else "iteration limit")
+                if np.isfinite(cost) and cost <= least:
+                    best, least = (candidate, float(cost), trial), cost
+            if best is not None:
+                return best
+            refused += 1
+            trials = damping.more(refused)
+            if held.reference.wrench is not None:
+                # a wrench's unknowns bend the valley too: firm states alone follow it
+                trials = [trial for trial in trials if trial.of_constants == 0.0]
+        return None
 
     def cost(self, held: Held, x: Array) -> float:
         """The objective."""
@@ -101,7 +156,7 @@ class GaussNewton:
         """The part of the objective that the dynamics contribute."""
         if not self.with_dynamics:
             return 0.0
-        states, at = self._states(held, x)
+        states, at = self.states(held, x)
         residuals = dynamics_residuals(states, held.steps, at.J_G(self.data.form))
         return 0.5 * float(np.sum(residuals**2))
 
@@ -185,13 +240,15 @@ class GaussNewton:
         C = system.C + (damping + 1e-12) * np.eye(3) * np.trace(system.C, axis1=1, axis2=2)[:, None, None]
         return np.asarray(np.linalg.inv(C))
 
-    def _step(self, system: NormalEquations, damping: float) -> Array:
-        d = self.data
+    def _step(self, system: NormalEquations, damped: Damping) -> Array:
+        d, damping = self.data, damped.of_all
         while True:
             try:
                 C_inv = self._inverse_landmarks(system, damping)
                 chain = eliminate_chain(system.H, system.g, d.n_frames, system.n_state, damping)
                 S, g = chain.dense, chain.dense_gradient
+                at = POSE * d.n_frames + np.arange(N_CONSTANTS)
+                S[at, at] += damped.of_constants / CONSTANT_SCALE**2
                 subtract_landmarks(S, g, d.frame, d.start, system.E, C_inv, system.h, POSE)
                 step = solve_with_chain(chain, system.n_state)
                 break
@@ -203,14 +260,15 @@ class GaussNewton:
     def _add_dynamics(self, held: Held, x: Array, H: Array, g: Array) -> float:
         if not self.with_dynamics:
             return 0.0
-        states, at = self._states(held, x)
+        states, at = self.states(held, x)
         form = self.data.form
         dJ = inertia_derivative(form, at.xi, at.R_inertia)
         residual, jacobian = dynamics_jacobians(states, held.steps, at.J_G(form), dJ)
         add_steps(H, g, residual, jacobian, at.n_state)
         return 0.5 * float(np.sum(residual**2))
 
-    def _states(self, held: Held, x: Array) -> tuple[States, Iterate]:
+    def states(self, held: Held, x: Array) -> tuple[States, Iterate]:
+        """The states as the dynamics read them, and the iterate, at x."""
         at = held.reference.moved_to(x)
         of_frames = x[: at.n_states].reshape(-1, at.n_state)
         return States(of_frames, at.R_NG, self.data.camera_N, at.com_G, at.wrench, at.R_torque), at

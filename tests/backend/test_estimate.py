@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from backend import estimate_motion, initialize_motion
-from backend.estimate import first_iterate, refine, try_hypothesis
+from backend.estimate import refine
 from backend.gauss_newton import GaussNewton
 from backend.problem import motion_data
 from backend.program import MotionProgram
+from backend.trials import first_starts, try_hypothesis
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
@@ -87,8 +88,8 @@ def test_both_inertia_forms_and_both_solvers_reach_the_same_optimum() -> None:
         ("second_moments", GaussNewton),
     ):
         data = motion_data(sequence.tracks, Backend.model_validate({"inertia": form}))
-        start, _ = first_iterate(sequence.tracks, initial, data)
-        trial = try_hypothesis(data, start, np.diag([1.0, 1.3, 1.6]), [])
+        start = first_starts(sequence.tracks, initial, data)[0]
+        trial = try_hypothesis(data, start, start.iterate, np.diag([1.0, 1.3, 1.6]), [])
         assert trial is not None
         # the whitening follows the rate: a second round lets it come to rest
         rough, _, _ = refine(solver(data), data, trial.iterate, 100)
