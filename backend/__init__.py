@@ -2,6 +2,6 @@
 
 from backend.estimate import estimate_motion
 from backend.initialize import initialize_motion
-from backend.window.online import estimate_online, in_words_of
+from backend.window.online import estimate_online, in_words_of, window_warnings
 
-__all__ = ["estimate_motion", "estimate_online", "in_words_of", "initialize_motion"]
+__all__ = ["estimate_motion", "estimate_online", "in_words_of", "initialize_motion", "window_warnings"]

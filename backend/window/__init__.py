@@ -2,7 +2,7 @@
 
 from backend.window.estimator import SlidingWindow
 from backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
-from backend.window.online import estimate_online, in_words_of
+from backend.window.online import estimate_online, in_words_of, window_warnings
 from backend.window.state import OnlineState
 
 __all__ = [
@@ -14,4 +14,5 @@ __all__ = [
     "estimate_online",
     "frames_of",
     "in_words_of",
+    "window_warnings",
 ]

@@ -46,6 +46,8 @@ class Belief:
     camera: CameraNoise = field(default_factory=CameraNoise)
     inertia_known: bool = False
     """Both ratios were determined at the last frame"""
+    contradicted: float = 0.0
+    """Share of the observations that the last solution does not agree with"""
     last: LastInformation | None = None
     """about the newest state and the constants"""
 

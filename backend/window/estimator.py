@@ -1,6 +1,9 @@
 """The sliding window: frame by frame, the causal state with its covariance, in bounded time and memory."""
 
+import logging
+
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from backend.window.admit import first_frame, next_frame
 from backend.window.basin import choose_basin
@@ -24,8 +27,12 @@ LOOK_AROUND = (6, 12, 24, 48, 96, 192, 384, 768)
 LEAST_FOR_LEVELS = 20
 """Frames that tell something about disturbances."""
 FIRST_FRAMES = 3
+MOST_CONTRADICTED = 0.5
+"""Share of the observations; above it the motion that was found is none."""
 KNOWN = 0.02
 """Standard deviation of k1, k2 at which the inertia is good enough for an arrival cost."""
+
+_log = logging.getLogger(__name__)
 
 
 class SlidingWindow:
@@ -58,6 +65,15 @@ class SlidingWindow:
         self._number += 1
         if not self.belief.active.recent:
             return self._begin(m, time_s)
+        try:
+            state = self._continue(m, time_s)
+        except (LinAlgError, ZeroDivisionError) as error:
+            return self._begin_anew(m, time_s, str(error))
+        if self.belief.contradicted > MOST_CONTRADICTED:
+            return self._begin_anew(m, time_s, "most observations contradict it")
+        return state
+
+    def _continue(self, m: FrameMeasurements, time_s: float) -> OnlineState:
         frame = next_frame(self.belief, m, self._number, time_s)
         if frame is None:
             return self._wait(m, time_s)
@@ -121,9 +137,17 @@ class SlidingWindow:
         active = self.belief.active
         state = unknown_state(m.timestamp_ns, m.X_NR, active.recent[-1], active.constants[:3])
         if self._missed > 2:
-            self._missed, self.belief = 0, new_belief(self._rig, self._config, self._camera)
-            return self._begin(m, time_s)
+            return self._begin_anew(
+                m, time_s, "its first frames had nothing in common with those that follow"
+            )
         return state
+
+    def _begin_anew(self, m: FrameMeasurements, time_s: float, why: str) -> OnlineState:
+        """Forget all: from here on the frame G is another one."""
+        level = logging.WARNING if self.belief.inertia_known else logging.INFO
+        _log.log(level, "sliding window: begun anew at %.2f s, %s", time_s, why)
+        self._missed, self.belief = 0, new_belief(self._rig, self._config, self._camera)
+        return self._begin(m, time_s)
 
     def _report(self, m: FrameMeasurements) -> OnlineState:
         belief, active = self.belief, self.belief.active

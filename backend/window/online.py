@@ -35,6 +35,17 @@ def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -
     return stacked(states)
 
 
+def window_warnings(n_frames: int, config: Backend) -> list[str]:
+    """What of the settings does not fit the sequence; one line each."""
+    window = config.window
+    if not window.enabled or window.frames <= n_frames:
+        return []
+    return [
+        f"backend.window.frames: the sliding window of {window.frames} frames is longer than the sequence of "
+        f"{n_frames}; the causal estimate smooths all frames so far"
+    ]
+
+
 def stacked(states: list[OnlineState]) -> OnlineEstimate:
     """One record of all rows."""
     return OnlineEstimate(

@@ -3,11 +3,8 @@
 import numpy as np
 
 from backend.window.belief import Belief
-from backend.window.vision import N_POSE, Poses, Sight, information_of, poses_of, residuals
+from backend.window.vision import GATE, N_POSE, Poses, Sight, information_of, poses_of, residuals
 from polhode.lie import Array
-
-GATE = 4.5
-"""Largest norm of a whitened residual that may leave with its frame; of Gaussian ones 1 in 5700 is larger."""
 
 
 def release(belief: Belief, n_recent: int, n_keys: int) -> None:

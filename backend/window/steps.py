@@ -11,7 +11,7 @@ from backend.window.newton import NewtonSolver
 from backend.window.problem import WindowProblem, WindowSolver
 from backend.window.quadratic import Quadratic, eliminate
 from backend.window.state import last_information
-from backend.window.vision import N_POSE, Condensed
+from backend.window.vision import GATE, N_POSE, Condensed
 from polhode.lie import Array
 
 INNER_ITERATIONS = 10
@@ -36,7 +36,7 @@ def solve_whole(belief: Belief, history: History) -> None:
         if _small(step):
             break
     history.steps = links
-    _remember(belief, problem, solution)
+    _remember(belief, problem, solution, condensed)
 
 
 def take_whole(
@@ -75,13 +75,14 @@ def solve_window(belief: Belief, solver: WindowSolver) -> None:
         belief.move_landmarks(condensed, step[at], n_fixed=len(active.keys) + 1)
         if _small(step[at]):
             break
-    _remember(belief, problem, solution)
+    _remember(belief, problem, solution, condensed)
 
 
 def _small(poses: Array) -> bool:
     return bool(np.abs(poses.reshape(-1, N_POSE)[:, 3:]).max() < SMALL_TURN_RAD)
 
 
-def _remember(belief: Belief, problem: WindowProblem, solution: Solution) -> None:
+def _remember(belief: Belief, problem: WindowProblem, solution: Solution, condensed: Condensed) -> None:
     _, H, _ = problem.normal_equations(solution.x)
+    belief.contradicted = float(np.mean(condensed.squared > GATE**2)) if len(condensed.squared) else 0.0
     belief.last = last_information(H, problem.shape.weak_prior(solution.x, problem.weak_prior)[2])

@@ -19,7 +19,8 @@ class Window(Section):
     key_frames: int = Field(36, ge=2)
     """Earlier frames whose pose and observations stay: the sides of the target that will come back."""
     history: int = Field(96, ge=4)
-    """So many frames are solved as a whole before the first state is marginalized."""
+    """So many frames are solved as a whole before the first state is marginalized; when the inertia is not
+    known by then, more, thinned out to this number."""
 
 
 class Backend(Section):

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend import estimate_motion, estimate_online, in_words_of, initialize_motion
+from backend import estimate_motion, estimate_online, in_words_of, initialize_motion, window_warnings
+from benchmarks.window import first_frames
 from polhode.config.backend import Backend
 from polhode.lie import inverse_pose, transform_points
 from polhode.progress import Silent
@@ -64,3 +65,12 @@ def test_names_change_and_sigmas_with_them(both: tuple[OnlineEstimate, MotionEst
     trace, told_trace = (np.trace(e.cov_com_G[known], axis1=1, axis2=2) for e in (online, told))
     np.testing.assert_allclose(told_trace, trace, rtol=1e-9)
     assert np.isfinite(inverse_pose(told.X_NG)).all()
+
+
+def test_a_window_longer_than_the_sequence_is_said_and_works(tumble: SyntheticSequence) -> None:
+    short = first_frames(tumble, 10)
+    for frames, expected in ((10, 0), (40, 1)):
+        config = Backend.model_validate({"process_noise": "given", "window": {"frames": frames}})
+        assert len(window_warnings(10, config)) == expected
+        assert np.isfinite(estimate_online(short.tracks, config, Silent()).r_N).all()
+    assert "backend.window.frames" in window_warnings(10, config)[0]
