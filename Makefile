@@ -1,13 +1,15 @@
 # make setup   the environment .venv, with polhode in it
 # make demo    the shipped sample, end to end; the last line names the report
 # make test    the tests            make check   style, types, import rules
-# make bench   accuracy and time, from images on every scene and of the back end alone
+# make bench   accuracy and time, from images on every scene and of the back end alone: hours. What was measured
+#              before is read from runs/, so it can be interrupted. make bench SHORT=--short: a few minutes
 
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 PEERS := .venv/.peers
 DEMO_RUN := runs/demo
+SHORT ?=
 
 .PHONY: setup demo test check bench
 .DEFAULT_GOAL := setup
@@ -42,5 +44,11 @@ check: setup
 	$(BIN)/lint-imports --no-logo
 
 bench: setup
-	$(BIN)/python -m benchmarks.scenes
-	$(BIN)/python -m benchmarks.backend_size 1
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.scenes)
+	$(BIN)/python -m benchmarks.lie_rank
+	$(BIN)/python -m benchmarks.conditioning -o runs/conditioning.png
+	$(BIN)/python -m benchmarks.backend_size $(SHORT) -o runs/backend_growth.png
+	$(BIN)/python -m benchmarks.window $(SHORT)
+	$(BIN)/python -m benchmarks.convergence $(SHORT)
+	$(BIN)/python -m benchmarks.accuracy --motions 6 --seeds 8 --estimated $(SHORT)
+	$(BIN)/python -m benchmarks.accuracy --motions 6 $(SHORT)

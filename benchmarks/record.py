@@ -25,6 +25,9 @@ def complete(path: Path, cases: Iterable[Case], measure: Callable[[Case], Case],
         limit_threads(1)
         # a process is renewed now and then: compiled kernels pile up
         with get_context("spawn").Pool(workers, maxtasksperchild=20) as pool, path.open("a") as stream:
+            if path.stat().st_size and not path.read_text().endswith("\n"):
+                # the rest of a line that was cut off
+                stream.write("\n")
             for number, line in enumerate(pool.imap_unordered(_Joined(measure), missing), start=1):
                 done[_key(line["case"])] = line
                 stream.write(json.dumps(line) + "\n")

@@ -16,4 +16,6 @@ def test_only_missing_cases_are_measured_and_a_cut_line_does_no_harm(tmp_path: P
     record.write_text(record.read_text().replace('"square": 4', '"square": 5') + '{"case": {"x": 3}, "squ')
     again = complete(record, [{"x": 3}, {"x": 2}], square, workers=1)
     assert [line["square"] for line in again] == [9, 5]
-    assert complete(record, [{"x": 3}], square, workers=1)[0]["square"] == 9
+    # what came after the cut line is a line of its own
+    record.write_text(record.read_text().replace('"square": 9', '"square": 8'))
+    assert complete(record, [{"x": 3}], square, workers=1)[0]["square"] == 8
