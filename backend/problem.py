@@ -12,7 +12,7 @@ from backend.process_noise import whitening
 from backend.wrench import Impulses, impulses_of
 from polhode.config.backend import Backend
 from polhode.lie import Array, inverse_pose
-from polhode.records import Ints, StereoTracks
+from polhode.records import Bools, Ints, StereoTracks
 
 LOOSE_GAUGE, TIGHT_GAUGE = 0.1, 1e-3
 """How firmly G is held at the first frame [rad, body radii]. A cold start must be free to move it; near the
@@ -65,6 +65,12 @@ class MotionData:
     """[N, N m] of the constant biases of the known force and torque"""
     order: Ints
     """(M,) sorted observation -> observation of the tracks"""
+    nodes: Bools
+    """(F - 1,) steps in which something unknown may push"""
+    node_sigma: tuple[float, float]
+    """[m/s^2, rad/s^2] of such a push, zero on average"""
+    loose: Bools | None = None
+    """(F - 1,) steps whose dynamics tell nothing; None: all tell"""
 
     @property
     def n_frames(self) -> int:
@@ -110,7 +116,20 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
         impulses=impulses,
         bias_sigma=(max(config.wrench_bias * force_N, TINY), max(config.wrench_bias * torque_Nm, TINY)),
         order=order,
+        nodes=nodes_of(
+            config.unknown_wrench_s, config.unknown_wrench == "everywhere", np.diff(tracks.time_s)
+        ),
+        node_sigma=(config.unknown_acceleration, config.unknown_angular_acceleration),
     )
+
+
+def nodes_of(windows_s: tuple[tuple[float, float], ...], everywhere: bool, dt_s: Array) -> Bools:
+    """(F - 1,) steps in which a push is stated to be possible."""
+    ends = np.concatenate([[0.0], np.cumsum(dt_s)])
+    nodes = np.full(len(dt_s), everywhere)
+    for start, end in windows_s:
+        nodes |= (ends[:-1] < end) & (ends[1:] > start)
+    return nodes
 
 
 @dataclass(frozen=True)
@@ -142,7 +161,9 @@ def hold(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> Held
     """Freeze references and whitening at an iterate; gauge is the standard deviation of the first pose."""
     w, J_G = iterate.w_G[:-1], iterate.J_G(data.form)
     accel_psd, torque_psd = _levels(data, iterate)
-    W_t, W_r, half_log = whitening(w, J_G, data.dt_s, accel_psd, torque_psd)
+    # an unknown push of any course within its step, integrated out: white, and as strong over the whole step
+    accel_node, torque_node = np.square(data.node_sigma)[:, None] * data.nodes * data.dt_s
+    W_t, W_r, half_log = whitening(w, J_G, data.dt_s, accel_psd + accel_node, torque_psd + torque_node)
     middle = geometric_median(iterate.p_G)
     radius = float(np.sqrt(np.median(np.sum((iterate.p_G - middle) ** 2, axis=1))))
     com_sigma = max(COM_PRIOR_M, radius)
@@ -161,8 +182,11 @@ def hold(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> Held
 
 
 def _levels(data: MotionData, iterate: Iterate) -> tuple[Array, Array]:
-    """Disturbances in each step (F - 1,); where a known wrench acts that the iterate does not have, any."""
+    """Disturbances in each step (F - 1,); in loose ones any, and where a known wrench acts that the iterate
+    does not have."""
     unknown = np.zeros_like(data.dt_s)
+    if data.loose is not None:
+        unknown[data.loose] = UNKNOWN_PUSH_PSD
     if data.impulses is not None and iterate.wrench is None:
         unknown[data.impulses.acting] = UNKNOWN_PUSH_PSD
     return np.maximum(data.accel_psd, unknown), np.maximum(data.torque_psd, unknown)

@@ -44,7 +44,7 @@ class Level:
 def estimate_process_noise(data: MotionData, iterate: Iterate) -> Level:
     """Most likely accel_psd and torque_psd between floor and ceiling, from those of ``data``."""
     starts = ((data.accel_psd * factor, data.torque_psd * factor) for factor in START_FACTORS)
-    trials = [_level(data, iterate, *levels, START_ITERATIONS) for levels in starts]
+    trials = [level_at(data, iterate, *levels, START_ITERATIONS) for levels in starts]
     best = min(trials, key=lambda trial: trial.minus_log_evidence)
     step = FIRST_STEP
     while step >= LAST_STEP:
@@ -62,7 +62,7 @@ def _climb(best: Level, torque: bool, stated: float, least: float) -> Level:
     while (torque_psd if torque else accel_psd) < 0.99 * stated:
         there = min((torque_psd if torque else accel_psd) * 10.0**LAST_STEP, stated)
         accel_psd, torque_psd = (accel_psd, there) if torque else (there, torque_psd)
-        trial = _level(best.data, best.iterate, accel_psd, torque_psd)
+        trial = level_at(best.data, best.iterate, accel_psd, torque_psd)
         if not trial.minus_log_evidence < least + INDIFFERENT:
             break
         best = trial
@@ -81,7 +81,7 @@ def _descend(start: Level, torque: bool, step: float) -> Level:
             if there == here:
                 break
             levels = (accel_psd, there) if torque else (there, torque_psd)
-            trial = _level(best.data, best.iterate, *levels)
+            trial = level_at(best.data, best.iterate, *levels)
             if not trial.minus_log_evidence < best.minus_log_evidence:
                 break
             best, found = trial, True
@@ -90,7 +90,7 @@ def _descend(start: Level, torque: bool, step: float) -> Level:
     return start
 
 
-def _level(
+def level_at(
     data: MotionData, iterate: Iterate, accel_psd: float, torque_psd: float, iterations: int = ITERATIONS
 ) -> Level:
     """Fit under a level and weigh it; infinite where the fit breaks down."""

@@ -6,7 +6,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from backend.gauss_newton import Solution
+from backend.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, Solution
 from backend.iterate import Iterate
 from backend.kernels import (
     N_CAMERA,
@@ -24,6 +24,10 @@ from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints
 
+LIMITS = {
+    "Maximum_Iterations_Exceeded": ITERATION_LIMIT,
+    "Maximum_WallTime_Exceeded": TIME_LIMIT,
+}
 TOLERANCE = 1e-3
 """Largest gradient at the end, where whitened residuals are of order one."""
 COST_AT_REST = 1e-7
@@ -81,12 +85,13 @@ class MotionProgram:
         # CasADi holds only a weak hand on them
         self._outside: list[FromOutside] = []
 
-    def solve(self, held: Held, x: Array, max_iterations: int) -> Solution:
+    def solve(self, held: Held, x: Array, max_iterations: int, max_seconds: float = np.inf) -> Solution:
         """Minimise from x. The program is built at the first call, and when a step needs more series."""
         if self._solver is None or np.any(held.steps.series > self._series):
             series = held.steps.series
             self._series = np.maximum(series, self._series) if self._solver else series
-            self._solver = self._build(_Layout(held.reference, int(self._series.max())), max_iterations)
+            layout = _Layout(held.reference, int(self._series.max()))
+            self._solver = self._build(layout, max_iterations, max_seconds)
         result = self._solver(x0=x, p=_parameters(self.data, held, self._series))
         stats = self._solver.stats()
         status = str(stats["return_status"])
@@ -95,11 +100,12 @@ class MotionProgram:
             "Solved_To_Acceptable_Level",
             "Search_Direction_Becomes_Too_Small",
         )
+        message = LIMITS.get(status, status)
         return Solution(
-            np.asarray(result["x"]).ravel(), float(result["f"]), int(stats["iter_count"]), good, status
+            np.asarray(result["x"]).ravel(), float(result["f"]), int(stats["iter_count"]), good, message
         )
 
-    def _build(self, layout: "_Layout", max_iterations: int) -> Any:
+    def _build(self, layout: "_Layout", max_iterations: int, max_seconds: float) -> Any:
         stereo = StereoTerms(self.data, layout.n_state, layout.n_dense)
         n_x, n_attitudes = stereo.n_x, 9 * self.data.n_frames
         x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", layout.n_p)
@@ -143,6 +149,7 @@ class MotionProgram:
                 "sb": "yes",
                 "linear_solver": "mumps",
                 "max_iter": max_iterations,
+                "max_wall_time": min(max_seconds, 1e6),
                 "tol": TOLERANCE,
                 "dual_inf_tol": TOLERANCE,
                 # In the flat valley of an undetermined motion gradients stay large while the cost rests.

@@ -21,6 +21,7 @@ from backend.iterate import Iterate
 from backend.noise import NoiseScales
 from backend.problem import MotionData, hold
 from backend.prune import Kept, whitened_residuals
+from backend.recovered import in_words, recovered_pushes
 from polhode.lie import Array, make_pose
 from polhode.records import (
     Bools,
@@ -62,7 +63,12 @@ def assemble(
     true = States(_numbers(iterate), iterate.R_NG, data.camera_N, iterate.com_G)
     mass = _mass(iterate, m, derivative, determined)
     mass = with_absolute_scale(mass, iterate, data.form, m, derivative, data.impulses)
+    pushes = recovered_pushes(
+        kept.data, held, small, m, derivative, mass.identifiable.axes_P, tracks.timestamps_ns
+    )
     warnings = _warnings(tracks, weight, data, mass.identifiable, initial, iterate)
+    if pushes is not None:
+        warnings += in_words(pushes, int(tracks.timestamps_ns[0]))
     return MotionEstimate(
         timestamps_ns=tracks.timestamps_ns,
         r_N=true.centres(),
@@ -86,6 +92,7 @@ def assemble(
             reduced_chi2(kept.data, s, solver.dynamics_cost(held, x) + solver.camera_cost(held, x)),
         ),
         warnings=tuple(warnings),
+        pushes=pushes,
     )
 
 
@@ -200,6 +207,9 @@ def _warnings(
     loose = int(np.sum(~initial.connected)) - len(empty)
     if loose > 0:
         out.append(f"{loose} frames could not be connected at first and started from interpolated poses")
+    once = int(np.sum(np.bincount(tracks.landmark) == 1))
+    if once:
+        out.append(f"{once} landmarks were seen only once: each is where that one stereo pair puts it")
     turn = np.rad2deg(np.linalg.norm(at.w_G[:-1], axis=1) * data.dt_s).max()
     if turn > 150.0:
         out.append(f"up to {turn:.0f} degrees between frames: near half a turn the rate is ambiguous")

@@ -88,7 +88,9 @@ class Run:
         except RunFailure as failure:
             raise RunFailure(f"{failure}; what was found: {self.output / 'report.html'}") from failure
         print(f"{result.sentence} {result.report_path}")
-        return 1 if result.status == "failed" else 0
+        if result.failure is not None:
+            raise RunFailure(f"{result.failure}; the best motion found: {result.report_path}")
+        return 0
 
 
 @dataclass(frozen=True)

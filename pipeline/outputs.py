@@ -24,6 +24,7 @@ from pipeline.archives import (
 from pipeline.atomic import write_bytes, write_text
 from pipeline.online_file import read_online, write_online
 from pipeline.point_cloud_file import read_landmarks, write_landmarks
+from pipeline.pushes_file import write_pushes
 from pipeline.report import finding, refresh_report, write_report
 from pipeline.run_folder import RunFolder
 from pipeline.summary import Summary, build_summary, read_summary, write_summary
@@ -77,7 +78,8 @@ def write_config(folder: Path, config: Config) -> None:
 def write_estimate(
     folder: Path, tracks: StereoTracks, estimate: MotionEstimate, relative: RelativePoses | None = None
 ) -> None:
-    """trajectory.csv, covariance.npz and landmarks.ply; measurements.npz again, now with the residuals.
+    """trajectory.csv, covariance.npz and landmarks.ply; measurements.npz again, now with the residuals;
+    pushes.csv where something unknown may have pushed.
 
     Also a first summary.json, so that a run that fails later has one with all its numbers.
     """
@@ -85,6 +87,9 @@ def write_estimate(
     write_covariance(estimate, folder / "covariance.npz")
     write_landmarks(estimate.landmarks, folder / "landmarks.ply")
     write_measurements(tracks, folder / "measurements.npz", relative, estimate)
+    (folder / "pushes.csv").unlink(missing_ok=True)
+    if estimate.pushes is not None:
+        write_pushes(estimate.pushes, folder / "pushes.csv")
     write_summary(build_summary(tracks, estimate, None, {}), folder / "summary.json")
 
 

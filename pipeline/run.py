@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from backend import estimate_motion, estimate_online, in_words_of, initialize_motion
+from backend import estimate_motion, estimate_online, in_words_of, initialize_motion, window_warnings
 from frontend.extract import extract_depth, extract_features
 from frontend.guided import consistent_matches, reconnect
 from frontend.pairs import PairMatch, match_all_pairs, relative_poses
@@ -20,6 +20,7 @@ from frontend.stereo import StereoFeatures
 from frontend.tracks import Association, join_matches, to_tracks
 from mapping.fusion import fuse
 from pipeline import outputs
+from pipeline.assumed import assumed_properties
 from pipeline.pictures import track_pictures
 from pipeline.run_folder import RunFolder
 from pipeline.summary import Summary, build_summary
@@ -43,6 +44,8 @@ class RunResult:
     status: Literal["ok", "degraded", "failed"]
     report_path: Path
     sentence: str
+    failure: str | None = None
+    """Why the status is "failed"; everything that was found is in the run directory all the same"""
 
 
 def run(
@@ -69,8 +72,11 @@ def run(
         with clock("initialization"), progress.stage("first motion", 1) as advance:
             first = initialize_motion(blind, links, config.backend)
             advance()
-        estimate, tracks = _associate_and_solve(images, features, matches, first, config, progress, clock)
-        outputs.write_estimate(folder, tracks, estimate, links)
+        for tracks, estimate in _associate_and_solve(
+            images, features, matches, first, config, progress, clock
+        ):
+            # what is known by now stands, should a later round fail
+            outputs.write_estimate(folder, tracks, estimate, links)
         if config.backend.window.enabled:
             outputs.write_online_estimate(folder, _replay(tracks, estimate, config, progress, clock))
 
@@ -79,12 +85,16 @@ def run(
 
         outputs.write_pictures(folder, _pictures(images, tracks, estimate))
         clock.add_total()
-        warnings = images.sequence.warnings
-        summary = build_summary(tracks, estimate, surface, clock.seconds, warnings)
+        assumed, doubts = assumed_properties(estimate.mass, surface, config.backend)
+        doubts = [*doubts, *window_warnings(tracks.n_frames, config.backend)]
+        warnings = [*images.sequence.warnings, *doubts]
+        summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, assumed=assumed)
         with progress.stage("report", 1) as advance:
             summary = outputs.finish_run(folder, summary)
             advance()
-    return RunResult(summary.status, run_folder / "report.html", _sentence(summary, estimate))
+    failure = summary.warnings[0] if summary.status == "failed" else None
+    report = run_folder / "report.html"
+    return RunResult(summary.status, report, _sentence(summary, estimate), failure)
 
 
 @dataclass(frozen=True)
@@ -186,8 +196,8 @@ def _associate_and_solve(
     config: Config,
     progress: Progress,
     clock: Stopwatch,
-) -> tuple[MotionEstimate, StereoTracks]:
-    """Solve, and again as long as the solved motion finds frames that were lost before."""
+) -> Iterator[tuple[StereoTracks, MotionEstimate]]:
+    """Solve, and again as long as the solved motion finds frames that were lost before; the last counts."""
     rig, guided = images.rectifier.rig, config.frontend.guided
     matches = consistent_matches(matches, features, motion, rig, guided.consistency_px)
     association = join_matches(features, matches)
@@ -202,8 +212,8 @@ def _associate_and_solve(
             break
         with clock("backend"):
             estimate = estimate_motion(tracks, motion, config.backend, progress)
+        yield tracks, estimate
         motion = InitialMotion(_pose_RG(tracks, estimate), motion.connected)
-    return estimate, tracks
 
 
 def _replay(

@@ -9,116 +9,38 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from pipeline.archives import undetermined_as_inf
 from pipeline.atomic import write_text
+from pipeline.summary_parts import (
+    Assumed,
+    Finite,
+    Identifiable,
+    IdentifiableComponents,
+    Inertia,
+    Matrix,
+    Noise,
+    Part,
+    Solver,
+    Status,
+    Timing,
+    UnknownPush,
+    VarianceMatrix,
+    Vector,
+)
 from polhode.errors import InputError
 from polhode.records import MassProperties, MotionEstimate, StereoTracks, SurfaceModel
 
 STAGES: tuple[str, ...] = ("frontend", "initialization", "backend", "depth", "fusion", "report", "total")
 SCHEMA_FILE = Path(__file__).with_name("summary.schema.json")
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Variance = Finite | None
-"""null: undetermined."""
-Vector = tuple[Finite, Finite, Finite]
-Matrix = tuple[Vector, Vector, Vector]
-VarianceRow = tuple[Variance, Variance, Variance]
-VarianceMatrix = tuple[VarianceRow, VarianceRow, VarianceRow]
-Flags = tuple[bool, bool, bool]
-Status = Literal["ok", "degraded", "failed"]
 
-
-class _Part(BaseModel):
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, use_attribute_docstrings=True, populate_by_name=True
-    )
-
-
-class Timing(_Part):
-    """Wall-clock seconds of each stage; 0 where a stage was not reached."""
-
-    frontend: Finite = 0.0
-    initialization: Finite = 0.0
-    backend: Finite = 0.0
-    depth: Finite = 0.0
-    fusion: Finite = 0.0
-    report: Finite = 0.0
-    total: Finite = 0.0
-
-
-class Inertia(_Part):
-    """Mass distribution up to scale; moments sorted Jxx >= Jyy >= Jzz, the middle one 1."""
-
-    k1: Finite
-    """ln(Jxx / Jyy)"""
-    k2: Finite
-    """ln(Jyy / Jzz)"""
-    cov: tuple[tuple[Variance, Variance], tuple[Variance, Variance]]
-    """Covariance of (k1, k2)."""
-    J_G: Matrix
-    """About the centre of mass, axes of G."""
-    cov_J: tuple[tuple[Variance, Variance, Variance, Variance, Variance], ...] = Field(
-        min_length=5, max_length=5
-    )
-    """In the solver's five parameters."""
-    moments: Vector
-    mass_kg: Finite | None = None
-    """From known forces; null: none are known."""
-    sigma_mass_kg: Variance = None
-    """null: undetermined, or no force is known."""
-    scale_kg_m2: Finite | None = None
-    """From known torques, the middle moment: times J_G it is the inertia in kg m^2; null: none are known."""
-    sigma_scale_kg_m2: Variance = None
-    """null: undetermined, or no torque is known."""
-
-
-class Identifiable(_Part):
-    """com and axes are true only when every component is determined."""
-
-    k1: bool
-    k2: bool
-    com: bool
-    axes: bool
-
-
-class IdentifiableComponents(_Part):
-    """Each component by itself, along (about) the principal axes x, y, z of P."""
-
-    com_P: Flags
-    axes_P: Flags
-
-
-class Solver(_Part):
-    """How the optimisation ended."""
-
-    name: str
-    iterations: int
-    cost: Finite
-    converged: bool
-    reduced_chi2: Finite | None
-    message: str = ""
-    runner_up: dict[str, Variance] = {}
-    """Cost of the other hypotheses, by name, minus that of the one chosen; null: did not end."""
-
-
-class Noise(_Part):
-    """Noise that the estimate was made with."""
-
-    pixel_sigma_px: Finite
-    disparity_sigma_px: Finite
-    accel_psd: Finite
-    """[(m/s^2)^2/Hz]"""
-    torque_psd: Finite
-    """[(rad/s^2)^2/Hz], torque over the middle moment."""
-
-
-class Summary(_Part):
+class Summary(Part):
     """What a run found. Parts that a failed run did not reach are null."""
 
     schema_: Literal["polhode-summary/1"] = Field("polhode-summary/1", alias="schema")
@@ -147,6 +69,10 @@ class Summary(_Part):
     """Of theta in R_GP Exp(theta) [rad^2]."""
     solver: Solver | None
     noise: Noise | None
+    unknown_pushes: tuple[UnknownPush, ...] = ()
+    """Of unknown forces and torques, in time."""
+    assumed: Assumed | None = None
+    """From uniform density of the mesh, where the user gave a mass or a density; null: neither."""
 
 
 def build_summary(
@@ -157,15 +83,18 @@ def build_summary(
     warnings: Sequence[str] = (),
     degraded: Sequence[str] = (),
     failure: str | None = None,
+    assumed: Assumed | None = None,
 ) -> Summary:
     """Gather the summary of a run.
 
     ``warnings`` do not change the status (a dropped frame, what the motion does not determine); ``degraded``
-    are the caller's reasons to look closely. The status is ``failed`` with a ``failure`` or without an
-    estimate; ``degraded`` with a reason of the caller or one of ``degradations``; else ``ok``. Every reason
-    stands among the warnings, once.
+    are the caller's reasons to look closely. The status is ``failed`` with a ``failure``, without an
+    estimate, or when the solver did not converge; ``degraded`` with a reason of the caller or one of
+    ``degradations``; else ``ok``. Every reason stands among the warnings, once, that of a failure first.
     Seconds that ``timing_s`` does not name are 0; ``total`` is their sum unless it is given.
     """
+    if failure is None and estimate is not None and not estimate.solver.converged:
+        failure = "the solver stopped before convergence"
     reasons = [*degraded, *(degradations(tracks, estimate, surface) if estimate is not None else ())]
     status: Status = "degraded" if reasons else "ok"
     if failure is not None or estimate is None:
@@ -175,6 +104,8 @@ def build_summary(
     # Where the back end begins with the same words, it says more.
     told = [text for text in told if not any(more.startswith(text) for more in own)]
     texts = [*told, *own, *warnings]
+    if failure is not None:
+        texts.sort(key=lambda text: not text.startswith(failure))
     times = {stage: float(timing_s.get(stage, 0.0)) for stage in STAGES}
     times["total"] = times["total"] or sum(times.values())
     found: dict[str, Any] = dict.fromkeys(_OF_THE_ESTIMATE)
@@ -188,6 +119,7 @@ def build_summary(
             "observations": len(tracks.frame) if tracks else 0,
             "duration_s": float(tracks.time_s[-1]) if tracks and tracks.n_frames else 0.0,
             "timing_s": times,
+            "assumed": assumed,
             "identifiable_detail": dict(estimate.mass.identifiable.detail) if estimate else {},
             **(found if estimate is None else _found(estimate)),
         }
@@ -202,8 +134,6 @@ def degradations(
     What the motion cannot tell is no such reason: a spin about one axis, measured well, is a complete answer.
     """
     reasons = []
-    if not estimate.solver.converged:
-        reasons.append("the solver stopped before convergence")
     if tracks is not None and len(np.unique(tracks.frame)) < 0.5 * tracks.n_frames:
         reasons.append(
             "fewer than half of the frames have measurements; the others are bridged by the dynamics"
@@ -287,7 +217,23 @@ def _found(estimate: MotionEstimate) -> dict[str, Any]:
             "runner_up": {name: _number(cost) for name, cost in solver.runner_up.items()},
         },
         "noise": {name: float(getattr(estimate.noise, name)) for name in Noise.model_fields},
+        "unknown_pushes": _pushes(estimate),
     }
+
+
+def _pushes(estimate: MotionEstimate) -> list[dict[str, Any]]:
+    first_ns = int(estimate.timestamps_ns[0])
+    return [
+        {
+            "start_s": (push.start_ns - first_ns) * 1e-9,
+            "end_s": (push.end_ns - first_ns) * 1e-9,
+            "delta_v_N": push.delta_v_N.tolist(),
+            "sigma_delta_v_N": [_number(sigma) for sigma in push.sigma_delta_v_N],
+            "delta_w_P": push.delta_w_P.tolist(),
+            "sigma_delta_w_P": [_number(sigma) for sigma in push.sigma_delta_w_P],
+        }
+        for push in (estimate.pushes.pushes if estimate.pushes is not None else ())
+    ]
 
 
 def _inertia(mass: MassProperties) -> dict[str, Any]:

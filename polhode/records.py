@@ -179,6 +179,42 @@ class MassProperties:
 
 
 @dataclass(frozen=True)
+class Push:
+    """What unknown forces and torques did over steps that follow each other."""
+
+    start_ns: int
+    end_ns: int
+    delta_v_N: Array
+    """(3,) change of velocity [m/s]"""
+    sigma_delta_v_N: Array
+    """(3,)"""
+    delta_w_P: Array
+    """(3,) changes of angular velocity, added up in the body [rad/s]"""
+    sigma_delta_w_P: Array
+    """(3,) inf where the principal axes are undetermined"""
+
+
+@dataclass(frozen=True)
+class UnknownPushes:
+    """What unknown forces and torques did, mean over each step between frames; n steps."""
+
+    start_ns: Ints
+    """(n,)"""
+    end_ns: Ints
+    """(n,)"""
+    accel_N: Array
+    """(n, 3) force over mass [m/s^2]"""
+    sigma_accel_N: Array
+    """(n, 3)"""
+    angular_accel_P: Array
+    """(n, 3) inverse inertia times torque [rad/s^2]"""
+    sigma_angular_accel_P: Array
+    """(n, 3) inf where the principal axes are undetermined"""
+    pushes: tuple[Push, ...]
+    """The same of each run of steps: better known than its parts"""
+
+
+@dataclass(frozen=True)
 class Landmarks:
     """The sparse map in G."""
 
@@ -223,6 +259,8 @@ class MotionEstimate:
     covariance_last_body: Array | None = None
     """(20, 20): the last r_N, v_N, theta in R_NG Exp(theta), w_G, then the 5 inertia parameters, com_G (3).
     Always finite: nothing in it is expressed in the principal axes; a weak prior bounds the undetermined."""
+    pushes: UnknownPushes | None = None
+    """Of unknown forces and torques; None: none was looked for, or none found"""
 
 
 @dataclass(frozen=True)

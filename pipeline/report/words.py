@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.report.content import Content, Motion
 from pipeline.summary import Summary
+from pipeline.summary_parts import Assumed
 from pipeline.trajectory_file import Trajectory
 from polhode.lie import Array
 
@@ -94,6 +95,67 @@ def inertia_rows(summary: Summary) -> list[Row]:
         sure = parts.axes_P[k]
         verdict = _verdict(sure, detail.get(f"axes_{name}", ""))
         rows.append(Row(f"principal axes, turned about {name}", value, unit, verdict, sure))
+    return rows
+
+
+def absolute_rows(summary: Summary) -> list[Row]:
+    """Mass and inertia in kilograms, from known forces and torques; nothing when none are known."""
+    inertia, detail = summary.inertia, summary.identifiable_detail
+    if inertia is None:
+        return []
+    rows = []
+    for name, value, sigma, unit, key in (
+        ("mass", inertia.mass_kg, inertia.sigma_mass_kg, "kg", "mass"),
+        ("middle moment Jyy", inertia.scale_kg_m2, inertia.sigma_scale_kg_m2, "kg m²", "inertia_scale"),
+    ):
+        if value is not None:
+            rows.append(_row(name, value, sigma, unit, sigma is not None, detail.get(key, "")))
+    return rows
+
+
+def push_rows(summary: Summary) -> list[Row]:
+    """What unknown forces and torques did, two lines a push."""
+    rows = []
+    for push in summary.unknown_pushes:
+        when = f"from {push.start_s:.1f} s to {push.end_s:.1f} s"
+        for name, change, sigma, scale, unit in (
+            ("change of velocity, along N", push.delta_v_N, push.sigma_delta_v_N, 1e3, "mm/s"),
+            (
+                "change of rate, along P",
+                push.delta_w_P,
+                push.sigma_delta_w_P,
+                float(np.rad2deg(1.0)),
+                "deg/s",
+            ),
+        ):
+            parts = [
+                with_sigma(scale * value, None if s is None else scale * s)
+                for value, s in zip(change, sigma, strict=True)
+            ]
+            rows.append(Row(f"{when}: {name}", ", ".join(parts), unit))
+    return rows
+
+
+def assumed_rows(assumed: Assumed | None) -> list[Row]:
+    """What uniform density says, in kilograms; not estimated."""
+    if assumed is None:
+        return []
+    moments = np.linalg.eigvalsh(np.array(assumed.inertia_kg_m2))[::-1]
+    rows = [
+        Row("volume", f"{1e3 * assumed.volume_m3:.4g}", "litres"),
+        Row("density", f"{assumed.density_kg_m3:.4g}", "kg/m³"),
+        Row("mass", f"{assumed.mass_kg:.4g}", "kg"),
+        Row("moments Jxx, Jyy, Jzz", ", ".join(f"{moment:.4g}" for moment in moments), "kg m²"),
+    ]
+    rows += [
+        Row(name, f"{value:.3f}")
+        for name, value in (("k1", assumed.k1), ("k2", assumed.k2))
+        if value is not None
+    ]
+    if assumed.com_G is not None:
+        rows.append(
+            Row("centre of mass in G", ", ".join(f"{1e3 * part:.1f}" for part in assumed.com_G), "mm")
+        )
     return rows
 
 

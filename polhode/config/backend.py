@@ -40,8 +40,22 @@ class Backend(Section):
     squared); where the estimate of it starts."""
     wrench_bias: float = Field(0.02, gt=0)
     """Standard deviation of a constant bias of known forces and torques, over the largest of each."""
+    unknown_wrench: Literal["none", "found", "everywhere"] = "found"
+    """Unknown pushes: none; in the steps between frames that contradict free motion; in every step."""
+    unknown_wrench_s: tuple[tuple[float, float], ...] = ()
+    """Times in which something unknown pushes, start and end of each in seconds since the first frame."""
+    unknown_acceleration: float = Field(0.1, gt=0)
+    """Standard deviation of the acceleration of an unknown push [m/s^2]."""
+    unknown_angular_acceleration: float = Field(1.0, gt=0)
+    """Standard deviation of its angular acceleration [rad/s^2]."""
+    mass_kg: float | None = Field(None, gt=0)
+    """Mass of the target [kg], if known: with the mesh it sets the scale of the inertia, as an assumption."""
+    density_kg_m3: float | None = Field(None, gt=0)
+    """Density of the target [kg/m^3], if known and the mass is not: the mesh then tells mass and inertia."""
     robust_scale: float = Field(3.0, gt=0)
     """Scale of the Cauchy kernel, in standard deviations."""
     max_iterations: int = Field(60, ge=1)
     """Iterations of one solve."""
+    max_seconds: float = Field(600.0, gt=0)
+    """Time limit of one solve [s]; a run that meets it fails and keeps the best motion found."""
     window: Window = Window()

@@ -213,6 +213,7 @@ class Result:
     status: str
     report_path: Path
     sentence: str = "Found it."
+    failure: str | None = None
 
 
 @pytest.mark.parametrize(("status", "code"), [("ok", 0), ("degraded", 0), ("failed", 1)])
@@ -224,7 +225,7 @@ def test_the_last_line_of_a_run_ends_with_the_report_however_long(
 
     def fake(values: Config, *arguments: Any, **more: Any) -> Result:
         seen.append(values)
-        return Result(status, report)
+        return Result(status, report, failure="the solver stopped" if status == "failed" else None)
 
     monkeypatch.setattr(pipeline.run, "run", fake)
     arguments = run_arguments(config, tmp_path, tmp_path / "run", "--backend.inertia", "ratios_axes")
