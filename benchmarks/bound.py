@@ -3,9 +3,13 @@
 The bound is the inverse of the Gauss-Newton information at the true state: the measurements' true noise, and
 the true process noise as prior on the motion (posterior Cramer-Rao bound of Van Trees, for the states that
 were drawn). G is held at its pose in the first frame, as in the estimate's covariance.
+
+    python -m benchmarks.bound
+
+prints how it falls with the noise of the pixels and with the disturbances.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +24,7 @@ from polhode.config.backend import Backend
 from polhode.lie import Array, hat, log_so3
 from polhode.metrics import HALF_TURNS, best_half_turn
 from polhode.records import MotionEstimate
-from simulation.measurements import SyntheticSequence
+from simulation.measurements import SyntheticSequence, generate
 
 QUANTITIES = ("position", "velocity", "attitude", "angular velocity", "centre of mass", "inertia")
 """r along N [m], v along N [m/s], theta in P [rad], w along N [rad/s], com_G [m], the five numbers xi."""
@@ -228,3 +232,31 @@ def constants_errors(estimate: MotionEstimate, sequence: SyntheticSequence) -> A
     axes = -log_so3(between * turn)
     ratios = mass.k1 - truth.k1, mass.k2 - truth.k2
     return np.array([*(mass.R_GP.T @ (mass.com_G - com_true)), *ratios, *axes])
+
+
+SHOWN = ("spin of 10 RPM near the middle axis (TS38)", "triaxial tumble, 7 RPM")
+PIXELS, DISTURBANCES = (1.0, 0.3, 0.1), (1e-6, 1e-8, 1e-10)
+
+
+def main() -> None:
+    """Root mean squared bounds over the frames, for noises of pixels and disturbances."""
+    from benchmarks.accuracy import MOTIONS
+
+    unit = np.array([1e3, 1e3, np.rad2deg(1.0), np.rad2deg(1.0), 1e3, 1.0])
+    print(
+        "| motion | noise [px] | disturbances | r mm | v mm/s | attitude deg | w deg/s | com mm | inertia |"
+    )
+    print("|" + "---|" * 9)
+    for motion in SHOWN:
+        for psd in DISTURBANCES:
+            for noise in PIXELS:
+                scene = replace(
+                    MOTIONS[motion], sigma_uv_px=noise, sigma_d_px=noise, accel_psd=psd, torque_psd=psd
+                )
+                bound = cramer_rao_bound(generate(scene, 0), Backend(accel_psd=psd, torque_psd=psd))
+                numbers = " | ".join(f"{x:.2g}" for x in unit * np.sqrt(bound.mean_squares))
+                print(f"| {motion} | {noise} | {psd:.0e} | {numbers} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
