@@ -48,16 +48,19 @@ class IpoptSolver:
             self._series = series
             self._program = _build(_Layout(self.n_frames), problem.shape.form, series)
         at = _Layout(self.n_frames).entries(problem.n_frames)
-        _, H, _ = problem.normal_equations(x)
+        before, H, _ = problem.normal_equations(x)
         size = np.ones(N_STATE * self.n_frames + N_CONSTANTS)
         # what is hardly determined is not stretched: metres, radians and ratios of 1 are large enough
         size[at] = 1.0 / np.sqrt(np.maximum(np.diagonal(H), 1.0))
         result = self._program(x0=0.0, p=_parameters(problem, x, at, size, self.n_frames))
         stats = self._program.stats()
         status = str(stats["return_status"])
-        step = size * np.asarray(result["x"]).ravel()
-        cost = float(result["f"]) + problem.vision.value(x)
-        return Solution(x + step[at], cost, int(stats["iter_count"]), status in SOLVED, status)
+        found = x + (size * np.asarray(result["x"]).ravel())[at]
+        # counted by the reference: a step into nowhere is not taken
+        cost = problem.cost(found) if np.isfinite(found).all() else np.inf
+        if not cost <= before + COST_AT_REST:
+            return Solution(x, before, int(stats["iter_count"]), False, f"no decrease: {status}")
+        return Solution(found, cost, int(stats["iter_count"]), status in SOLVED, status)
 
 
 @dataclass(frozen=True)
@@ -144,6 +147,7 @@ def _build(layout: _Layout, form: InertiaForm, series: int) -> Any:
         "calc_lam_p": False,
         "print_time": False,
         "error_on_fail": False,
+        "show_eval_warnings": False,
         "ipopt": {
             "print_level": 0,
             "sb": "yes",
