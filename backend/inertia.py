@@ -13,6 +13,9 @@ import numpy as np
 from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 
 N_INERTIA = 5
+THINNEST = 1e-7
+"""Smallest second moment over the largest. Where the data do not bound a ratio the solver may leave for ever
+thinner bodies, and rounding would take their last sign."""
 
 
 class InertiaForm(Protocol):
@@ -113,8 +116,12 @@ FORMS: dict[str, InertiaForm] = {"second_moments": SecondMoments(), "ratios_axes
 
 
 def unit_determinant(second: Array) -> Array:
-    """Scale a positive-definite matrix (3, 3) to determinant 1."""
-    return np.asarray(second / np.linalg.det(second) ** (1.0 / 3.0))
+    """Scale second moments (3, 3) to determinant 1; those of a needle or a disc get a thickness."""
+    values, vectors = np.linalg.eigh(second)
+    if values[0] < THINNEST * values[2]:
+        values = np.maximum(values, THINNEST * values[2])
+        second = (vectors * values) @ vectors.T
+    return np.asarray(second / np.cbrt(np.prod(values)))
 
 
 def inertia_from_second_moments(second: Array) -> Array:

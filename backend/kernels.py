@@ -22,6 +22,8 @@ N_CAMERA = 6
 MOST_BEND = 0.6
 """Measured on a cold start and near the end: less converges slower there, more slower here."""
 N_CONSTANTS = 3 + N_INERTIA
+THIN_PRIOR = 3.0
+"""Standard deviation of ln(tr Sigma / 3): 2 for a rod of ten times its thickness."""
 
 
 def quaternion_product_sx(a: Any, b: Any) -> Any:
@@ -38,10 +40,14 @@ def quaternion_log_sx(q: Any) -> Any:
 
 
 def prior_residual(com_G: Any, com_prior: Any, com_sigma_m: Any, second: Any) -> Any:
-    """Weak prior (9): centre of mass near the middle of the landmarks, inertia near a sphere."""
+    """Weak prior (10): centre of mass near the middle of the landmarks, inertia near a sphere.
+
+    The last one grows without end for ever thinner bodies, second moments of determinant 1.
+    """
     shape = 3.0 * second / ca.trace(second) - ca.SX.eye(3)
     off = ca.sqrt(2.0) * ca.vertcat(shape[1, 0], shape[2, 0], shape[2, 1])
-    return ca.vertcat((com_G - com_prior) / com_sigma_m, ca.diag(shape), off)
+    thin = ca.log(ca.trace(second) / 3.0) / THIN_PRIOR
+    return ca.vertcat((com_G - com_prior) / com_sigma_m, ca.diag(shape), off, thin)
 
 
 def bend_sx(s: Array, robust_scale: float) -> Array:

@@ -61,3 +61,13 @@ def test_the_derivative_matches_finite_differences(name: str) -> None:
     np.testing.assert_allclose(
         np.trace(inertia_derivative(form, xi, R_ref), axis1=1, axis2=2), 2.0 * trace, atol=1e-12
     )
+
+
+@pytest.mark.parametrize("name", ["second_moments", "ratios_axes"])
+def test_a_needle_thinner_than_numbers_can_tell_gets_a_thickness(name: str) -> None:
+    R = Rotation.random(rng=np.random.default_rng(3)).as_matrix()
+    needle = R @ np.diag([1.0, 1e-13, -1e-17]) @ R.T
+    second = FORMS[name].second_moments(*FORMS[name].coordinates(needle))
+    values = np.linalg.eigvalsh(second)
+    assert values[0] > 0.0 and np.prod(values) == pytest.approx(1.0, rel=1e-6)
+    assert values[2] / values[0] < 1e8

@@ -1,0 +1,94 @@
+"""What uniform density says: right for a box, apart from the estimates, refused where there is no volume."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from pipeline.assumed import assumed_properties, coverage, solid_of
+from polhode.config.backend import Backend
+from polhode.records import MassProperties, SurfaceModel
+
+BOX_M = (0.12, 0.20, 0.24)
+GIVEN = Backend(mass_kg=4.5)
+
+
+def surface_of(mesh: trimesh.Trimesh) -> SurfaceModel:
+    n = len(mesh.vertices)
+    return SurfaceModel(mesh, np.full(n, 1e-3), np.full(n, 5, dtype=np.int64))
+
+
+def moments_of_a_box(mass_kg: float) -> np.ndarray:
+    x, y, z = BOX_M
+    return mass_kg / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+
+
+def partly_known(mass: MassProperties, **flags: Any) -> MassProperties:
+    return replace(mass, identifiable=replace(mass.identifiable, **flags))
+
+
+def test_a_given_mass_scales_the_inertia_that_the_motion_determines(example: Any) -> None:
+    found, warnings = assumed_properties(example.estimate.mass, example.surface, GIVEN)
+    assert found is not None and warnings == []
+    assert found.mass_kg == 4.5 and found.volume_m3 == pytest.approx(np.prod(BOX_M), rel=1e-9)
+    np.testing.assert_allclose(np.diag(found.inertia_kg_m2), moments_of_a_box(4.5), rtol=1e-9)
+    # what the motion determines stays its own
+    assert found.k1 is found.k2 is found.com_G is found.R_GP is None
+    assert "as given" in found.words[1]
+
+
+def test_the_estimated_ratios_are_kept_where_the_mass_is_not_uniform(example: Any) -> None:
+    other = np.diag([1.4, 1.0, 0.7])
+    found, _ = assumed_properties(replace(example.estimate.mass, J_G=other), example.surface, GIVEN)
+    assert found is not None
+    inertia = np.array(found.inertia_kg_m2)
+    np.testing.assert_allclose(inertia / inertia[1, 1], other, atol=1e-12)
+    assert np.trace(inertia) == pytest.approx(moments_of_a_box(4.5).sum(), rel=1e-9)
+
+
+def test_a_density_tells_mass_and_all_that_the_motion_does_not(example: Any) -> None:
+    mass = partly_known(
+        example.estimate.mass, k1=False, axes=False, com=False, com_P=np.array([True, False, True])
+    )
+    found, _ = assumed_properties(mass, example.surface, Backend(density_kg_m3=1000.0))
+    assert found is not None
+    assert found.mass_kg == pytest.approx(1000.0 * np.prod(BOX_M), rel=1e-9)
+    moments = moments_of_a_box(1.0)
+    assert found.k1 == pytest.approx(np.log(moments[0] / moments[1])) and found.k2 is None
+    assert found.R_GP is not None and np.abs(np.array(found.R_GP)).max(axis=0) == pytest.approx(np.ones(3))
+    # along the lost axis the box's own middle, along the others the estimate
+    assert found.com_G == pytest.approx((0.003, 0.0, 0.002))
+    assert {text.split(":")[0] for text in found.words} >= {"k1", "axes", "com", "inertia"}
+
+
+def test_an_open_mesh_is_taken_as_its_hull_and_said_to_be(example: Any) -> None:
+    box = trimesh.creation.box(BOX_M).subdivide().subdivide()
+    opened = trimesh.Trimesh(box.vertices, box.faces[20:], process=False)
+    solid, _ = solid_of(opened)
+    assert solid is not None and "convex hull" in solid.words and "open" in solid.words
+    assert solid.volume_m3 == pytest.approx(np.prod(BOX_M), rel=0.02)
+
+
+def test_a_surface_seen_from_one_side_has_no_volume(example: Any) -> None:
+    box = trimesh.creation.box(BOX_M).subdivide().subdivide()
+    front = trimesh.Trimesh(box.vertices, box.faces[box.triangles_center[:, 2] > 0.119], process=False)
+    bowl = trimesh.util.concatenate(
+        [front, trimesh.Trimesh(box.vertices, box.faces[box.triangles_center[:, 0] > 0.059], process=False)]
+    )
+    found, warnings = assumed_properties(example.estimate.mass, surface_of(bowl), GIVEN)
+    assert found is None and len(warnings) == 1 and "covers only" in warnings[0]
+    nothing, why = assumed_properties(example.estimate.mass, surface_of(trimesh.Trimesh()), GIVEN)
+    assert nothing is None and "no surface" in why[0]
+
+
+def test_coverage_is_the_share_of_directions() -> None:
+    ball = trimesh.creation.icosphere(3)
+    assert coverage(ball, np.zeros(3)) == 1.0
+    half = trimesh.Trimesh(ball.vertices, ball.faces[ball.triangles_center[:, 2] > 0.0], process=False)
+    assert coverage(half, np.zeros(3)) == pytest.approx(0.5, abs=0.03)
+
+
+def test_nothing_is_assumed_unless_the_user_gives_a_mass_or_a_density(example: Any) -> None:
+    assert assumed_properties(example.estimate.mass, example.surface, Backend()) == (None, [])
