@@ -10,7 +10,7 @@ from backend.chain import POSE, eliminate_chain, solve_with_chain
 from backend.dynamics import States, add_steps, dynamics_jacobians, dynamics_residuals
 from backend.inertia import N_INERTIA, inertia_derivative
 from backend.iterate import Iterate
-from backend.kernels import N_CAMERA, N_CONSTANTS, N_STATE, bend_sx, prior_kernel
+from backend.kernels import N_CAMERA, N_CONSTANTS, N_STATE, kernel_bend, prior_kernel
 from backend.problem import Held, MotionData
 from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
 from backend.wrench import LN_MASS, LN_PRIOR, LN_SCALE, wrench_residual
@@ -196,7 +196,7 @@ class GaussNewton:
         squares = np.sum(r**2, axis=1)
         # the kernel's curvature speeds up the solution; information given from outside has none
         w = robust_weight(squares, d.robust_scale) if weight is None else weight
-        bend = bend_sx(squares, d.robust_scale) if weight is None else np.zeros_like(squares)
+        bend = kernel_bend(squares, d.robust_scale) if weight is None else np.zeros_like(squares)
         theta = x[:n_states].reshape(-1, s)[:, 3:6]
         H6, g6, C, h, E = stereo_normal_equations(
             d.frame,

@@ -50,7 +50,7 @@ def prior_residual(com_G: Any, com_prior: Any, com_sigma_m: Any, second: Any) ->
     return ca.vertcat((com_G - com_prior) / com_sigma_m, ca.diag(shape), off, thin)
 
 
-def bend_sx(s: Array, robust_scale: float) -> Array:
+def kernel_bend(s: Array, robust_scale: float) -> Array:
     """How much of the Jacobian along the residual r the curvature of the Cauchy kernel takes, s = r.r (M,).
 
     The kernel's exact second derivative makes the Hessian w J^T (I - 2 w r r^T / c^2) J, with w the weight.

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from backend.gauss_newton import robust_cost, robust_weight
-from backend.kernels import bend_sx
+from backend.kernels import kernel_bend
 from backend.problem import MotionData
 from backend.schur import stereo_normal_equations, stereo_residuals
 from polhode.lie import Array, exp_so3, right_jacobian_so3
@@ -84,7 +84,7 @@ class StereoTerms:
         fixed = (d.frame, d.landmark, d.inv_sigma, d.rig)
         point = (now, d.R_RN, d.t_R, p_NG, p_G, right_jacobian_so3(theta), residuals)
         return stereo_normal_equations(
-            *fixed, *point, robust_weight(s, d.robust_scale), bend_sx(s, d.robust_scale)
+            *fixed, *point, robust_weight(s, d.robust_scale), kernel_bend(s, d.robust_scale)
         )
 
 
