@@ -14,9 +14,15 @@ from backend.compiled import compiled
 from backend.flow import flow_derivatives, flows
 from backend.inertia import N_INERTIA
 from backend.kernels import N_CONSTANTS, N_STATE
+from backend.turns import (
+    inverse_right_jacobians,
+    right_jacobians,
+    rotation_vectors,
+    turns,
+    turns_of_quaternions,
+)
 from backend.wrench import FORCE_BIAS, LN_MASS, N_OF_ROTATION, N_WRENCH, torque_in_G
-from polhode.lie import Array, exp_so3, hat, inverse_right_jacobian_so3, log_so3, right_jacobian_so3
-from polhode.quaternion import matrix_from_wxyz
+from polhode.lie import Array, hat
 from polhode.records import Ints
 
 RESIDUALS = 12
@@ -46,14 +52,14 @@ class States:
 
     def true_attitudes(self) -> Array:
         """(F, 3, 3) freed from the errors of the camera's attitude."""
-        return exp_so3(self.x[:, 15:18]) @ self.R_NG if self.x.shape[1] > N_STATE else self.R_NG
+        return turns(self.x[:, 15:18]) @ self.R_NG if self.x.shape[1] > N_STATE else self.R_NG
 
     def centres(self) -> Array:
         """(F, 3) true position of the centre of mass in N [m]."""
         seen = self.x[:, 0:3] + self.R_NG @ self.com_G
         if self.x.shape[1] == N_STATE:
             return np.asarray(seen)
-        arm = np.einsum("fij,fj->fi", exp_so3(self.x[:, 15:18]), seen - self.camera_N)
+        arm = np.einsum("fij,fj->fi", turns(self.x[:, 15:18]), seen - self.camera_N)
         return np.asarray(self.camera_N + self.x[:, 12:15] + arm)
 
 
@@ -90,7 +96,7 @@ def dynamics_residuals(states: States, steps: Steps, J_G: Array) -> Array:
     q, w_end, _, _ = flows(states.x[:-1, 9:12], J_G, steps.dt_s, steps.series, torque)
     if not (np.isfinite(q).all() and (np.linalg.norm(q, axis=1) > 0.5).all()):
         return np.full((len(q), RESIDUALS), np.inf)
-    errors, _ = _errors(states, steps, matrix_from_wxyz(q), w_end)
+    errors, _ = _errors(states, steps, turns_of_quaternions(q), w_end)
     return steps.whiten(errors[:, :, None])[:, :, 0]
 
 
@@ -100,7 +106,7 @@ def _errors(states: States, steps: Steps, R_step: Array, w_end: Array) -> tuple[
     by_force = _by_force(states, steps)
     dr = r_N[1:] - r_N[:-1] - steps.dt_s[:, None] * x[:-1, 6:9] - by_force[:, 0]
     dv = x[1:, 6:9] - x[:-1, 6:9] - by_force[:, 1]
-    dtheta = log_so3(np.swapaxes(R[:-1] @ R_step, 1, 2) @ R[1:])
+    dtheta = rotation_vectors(np.swapaxes(R[:-1] @ R_step, 1, 2) @ R[1:])
     return np.hstack([dr, dv, dtheta, x[1:, 9:12] - w_end]), R
 
 
@@ -131,7 +137,7 @@ def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> t
     if dtorque is not None:
         dJ = np.concatenate([dJ, np.zeros((N_OF_ROTATION, 3, 3))])
     q, w_end, turn, rate = flow_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series, torque, dtorque)
-    turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), matrix_from_wxyz(q)
+    turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), turns_of_quaternions(q)
     errors, R = _errors(states, steps, R_step, w_end)
     of_centre, of_turn = state_derivatives(states)
     D = np.zeros((n, RESIDUALS, 2 * s + states.n_constants))
@@ -141,7 +147,7 @@ def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> t
     D[:, 0:3, 2 * s : 2 * s + 3] = R[1:] - R[:-1]
     D[:, 3:6, 6:9], D[:, 3:6, s + 6 : s + 9] = -np.eye(3), np.eye(3)
     # what turns the attitude before the step, or is the step's own, passes to its end
-    left = inverse_right_jacobian_so3(errors[:, 6:9])
+    left = inverse_right_jacobians(errors[:, 6:9])
     back = left @ np.swapaxes(R[1:], 1, 2) @ R[:-1]
     D[:, 6:9, :s], D[:, 6:9, s : 2 * s] = -back @ of_turn[:-1], left @ of_turn[1:]
     of_step = back @ R_step @ turn
@@ -166,7 +172,7 @@ def _add_force(D: Array, states: States, steps: Steps) -> None:
 def state_derivatives(states: States) -> tuple[Array, Array]:
     """Of the true centre of mass, and of the turn of the true attitude on the right: (F, 3, s) each."""
     x, s, R = states.x, states.x.shape[1], states.true_attitudes()
-    Jr = right_jacobian_so3(x[:, 3:6])
+    Jr = right_jacobians(x[:, 3:6])
     of_centre, of_turn = np.zeros((len(x), 3, s)), np.zeros((len(x), 3, s))
     of_centre[:, :, 3:6] = -R @ hat(states.com_G) @ Jr
     of_turn[:, :, 3:6] = Jr
@@ -175,8 +181,8 @@ def state_derivatives(states: States) -> tuple[Array, Array]:
         return of_centre, of_turn
     alpha = x[:, 15:18]
     arm = states.centres() - states.camera_N - x[:, 12:15]
-    left = right_jacobian_so3(-alpha)
-    of_centre[:, :, 0:3], of_centre[:, :, 12:15] = exp_so3(alpha), np.eye(3)
+    left = right_jacobians(-alpha)
+    of_centre[:, :, 0:3], of_centre[:, :, 12:15] = turns(alpha), np.eye(3)
     of_centre[:, :, 15:18] = -hat(arm) @ left
     of_turn[:, :, 15:18] = np.swapaxes(R, 1, 2) @ left
     return of_centre, of_turn

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from backend.kernels import N_STATE
-from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose
+from backend.turns import turns
+from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, StereoTracks
 
 EXACT = 1e-6
@@ -112,12 +113,12 @@ class Frame:
     @property
     def R_NG(self) -> Array:
         """(3, 3) the true attitude."""
-        return np.asarray(self.R_ref @ exp_so3(self.x[3:6]))
+        return np.asarray(self.R_ref @ turns(self.x[None, 3:6])[0])
 
     @property
     def X_NG_seen(self) -> Array:
         """(4, 4)"""
-        return make_pose(self.R_ref @ exp_so3(self.seen[3:6]), self.seen[:3])
+        return make_pose(self.R_ref @ turns(self.seen[None, 3:6])[0], self.seen[:3])
 
     def settle(self) -> None:
         """Make the present attitude the reference, as long as nothing else depends on the reference."""

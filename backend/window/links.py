@@ -9,7 +9,8 @@ from backend.flow import series_steps
 from backend.inertia import InertiaForm, inertia_derivative, inertia_from_second_moments
 from backend.kernels import N_CONSTANTS, N_STATE
 from backend.process_noise import whitening
-from polhode.lie import Array, exp_so3
+from backend.turns import turns
+from polhode.lie import Array
 from polhode.records import Ints
 
 
@@ -62,7 +63,7 @@ def make_links(w_G: Array, J_G: Array, J_noise: Array, dt_s: Array, noise: Distu
 
 def _states(x: Array, R_ref: Array) -> States:
     of_frames = x[:-N_CONSTANTS].reshape(-1, N_STATE)
-    return States(of_frames, R_ref @ exp_so3(of_frames[:, 3:6]), np.zeros((len(R_ref), 3)), x[-8:-5])
+    return States(of_frames, R_ref @ turns(of_frames[:, 3:6]), np.zeros((len(R_ref), 3)), x[-8:-5])
 
 
 def _inertia(x: Array, form: InertiaForm, R_inertia: Array) -> Array:

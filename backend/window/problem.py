@@ -20,9 +20,17 @@ class Shape:
     def __init__(self, name: str) -> None:
         self.form: InertiaForm = FORMS[name]
         self._prior: Any = prior_kernel(self.form)
+        self._known: tuple[bytes, tuple[float, Array, Array]] | None = None
 
     def weak_prior(self, x: Array, parameters: Array) -> tuple[float, Array, Array]:
         """Cost, gradient (8,) and Hessian (8, 8) of the weak prior on com_G and xi."""
+        # a step asks for it at the same point again and again
+        at = x[-N_CONSTANTS:].tobytes() + parameters.tobytes()
+        if self._known is None or self._known[0] != at:
+            self._known = at, self._evaluated(x, parameters)
+        return self._known[1]
+
+    def _evaluated(self, x: Array, parameters: Array) -> tuple[float, Array, Array]:
         cost, gradient, upper = self._prior(x[-N_CONSTANTS:], parameters)
         cols, rows = np.tril_indices(N_CONSTANTS)
         block = np.zeros((N_CONSTANTS, N_CONSTANTS))

@@ -7,9 +7,10 @@ import numpy as np
 from backend.compiled import compiled
 from backend.gauss_newton import robust_weight
 from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
+from backend.turns import right_jacobians, turns
 from backend.window.dense import mirror_lower
 from backend.window.frame import Frame
-from polhode.lie import Array, exp_so3, right_jacobian_so3
+from polhode.lie import Array
 from polhode.records import Bools, Ints
 
 N_POSE = 6
@@ -94,10 +95,10 @@ def poses_of(frames: list[Frame]) -> Poses:
         R_RN=R_RN,
         t_R=np.stack([f.t_R for f in frames]),
         p_NG=np.ascontiguousarray(now[:, :3]),
-        A=R_RN @ R_ref @ exp_so3(now[:, 3:]),
+        A=R_RN @ R_ref @ turns(now[:, 3:]),
         p_held=np.ascontiguousarray(held[:, :3]),
-        A_held=R_RN @ R_ref @ exp_so3(held[:, 3:]),
-        Jr=right_jacobian_so3(held[:, 3:]),
+        A_held=R_RN @ R_ref @ turns(held[:, 3:]),
+        Jr=right_jacobians(held[:, 3:]),
     )
 
 
