@@ -1,6 +1,7 @@
 """Measurements and a first guess to motion, mass properties and covariance: full smoothing."""
 
 from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 
@@ -82,16 +83,19 @@ def refine(
     max_iterations: int,
     max_seconds: float = np.inf,
 ) -> tuple[Iterate, Solution, int]:
-    """Solve, renew references and whitening, until the cost rests. The limits are those of each solve."""
-    before, total = np.inf, 0
+    """Solve, renew references and whitening, until the cost rests or a limit is met."""
+    before, total, end = np.inf, 0, perf_counter() + max_seconds
     for _ in range(MAX_PASSES):
         iterate = renew_inertia(data, iterate)
         held = hold(data, iterate, TIGHT_GAUGE)
-        solution = solver.solve(held, iterate.vector(), max_iterations, max_seconds)
+        left = (max_iterations - total, end - perf_counter())
+        solution = solver.solve(held, iterate.vector(), *left)
         iterate, total = iterate.moved_to(solution.x), total + solution.iterations
         if abs(before - solution.cost) <= PASS_TOLERANCE * max(solution.cost, 1.0):
             # nothing is left to gain, whatever ended the last solve
             solution = replace(solution, converged=True)
+            break
+        if total >= max_iterations or perf_counter() >= end:
             break
         before = solution.cost
     return iterate, solution, total

@@ -54,8 +54,8 @@ class Backend(Section):
     """Density of the target [kg/m^3], if known and the mass is not: the mesh then tells mass and inertia."""
     robust_scale: float = Field(3.0, gt=0)
     """Scale of the Cauchy kernel, in standard deviations."""
-    max_iterations: int = Field(60, ge=1)
-    """Iterations of one solve."""
+    max_iterations: int = Field(200, ge=1)
+    """Most iterations of the solution; a run that needs more fails and keeps the best motion found."""
     max_seconds: float = Field(600.0, gt=0)
-    """Time limit of one solve [s]; a run that meets it fails and keeps the best motion found."""
+    """Most time for the solution [s]; the same holds."""
     window: Window = Window()

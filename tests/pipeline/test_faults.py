@@ -1,0 +1,134 @@
+"""Faults of the data and of the solver, by what the command says: its exit code, one line, what it leaves."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from backend import estimate_motion
+from frontend.guided import reconnect
+from pipeline.cli import main
+from pipeline.trajectory_file import read_trajectory
+from polhode.config import Config
+from polhode.errors import RunFailure
+from polhode.progress import Silent
+from polhode.records import InitialMotion, MotionEstimate, StereoTracks
+from simulation import simulate
+
+FRAMES = 6
+SCENE = {
+    "frames": FRAMES,
+    "interval_s": 0.5,
+    "body": {"family": "free_flyer", "size_m": 0.22},
+    "motion": {"position_m": [0.02, 0.0, 0.5], "spin_rpm": [0.0, 0.0, 0.0]},
+    "rig": {"width_px": 240, "height_px": 180, "focal_px": 230.0, "baseline_m": 0.09},
+    "render": {"products": []},
+}
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def at_rest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "sequence"
+    config = Config.model_validate({"scene": SCENE})
+    assert config.scene is not None
+    simulate(config.scene, 3, folder, Silent(), 1, False)
+    return folder
+
+
+def run(sequence: Path, folder: Path, *overrides: str) -> int:
+    arguments = ["run", "configs/default.yaml", "--data", str(sequence), "-o", str(folder)]
+    return main([*arguments, "--runtime.workers", "1", *overrides])
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return content
+
+
+def test_a_target_at_rest_is_a_complete_answer_with_a_warning(
+    at_rest: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    assert run(at_rest, tmp_path / "run") == 0
+    summary = summary_of(tmp_path / "run")
+    assert summary["status"] != "failed"
+    assert any("does not determine" in text for text in summary["warnings"])
+    trajectory = read_trajectory(tmp_path / "run")
+    assert len(trajectory.timestamps_ns) == FRAMES
+    assert np.linalg.norm(trajectory.w_P, axis=1).max() < np.deg2rad(2.0)
+    assert capsys.readouterr().out.splitlines()[-1].endswith("report.html")
+
+
+def test_a_solver_that_meets_its_limit_fails_and_leaves_the_best_motion(
+    at_rest: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    assert run(at_rest, tmp_path / "run", "--backend.max-iterations", "1") == 1
+    summary = summary_of(tmp_path / "run")
+    assert summary["status"] == "failed" and "backend.max_iterations" in summary["warnings"][0]
+    assert summary["solver"]["converged"] is False
+    assert len(read_trajectory(tmp_path / "run").timestamps_ns) == FRAMES
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1 and "backend.max_iterations" in told[0] and "report.html" in told[0]
+
+
+def test_measurements_without_a_consistent_motion_fail_the_run_and_stay(
+    at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    def of_outliers(tracks: StereoTracks, motion: InitialMotion, *more: Any) -> MotionEstimate:
+        rng = np.random.default_rng(0)
+        uvd_px = rng.uniform(20.0, 200.0, tracks.uvd_px.shape)
+        return estimate_motion(replace(tracks, uvd_px=uvd_px), motion, *more)
+
+    monkeypatch.setattr("pipeline.run.estimate_motion", of_outliers)
+    assert run(at_rest, tmp_path / "run") == 1
+    assert "no consistent motion" in capsys.readouterr().err
+    assert summary_of(tmp_path / "run")["status"] == "failed"
+    assert {"measurements.npz", "report.html"} <= {path.name for path in (tmp_path / "run").iterdir()}
+
+
+def test_what_an_earlier_round_found_stays_when_a_later_one_fails(
+    at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rounds: list[int] = []
+
+    def failing(*arguments: Any) -> Any:
+        rounds.append(1)
+        if len(rounds) > 1:
+            raise RunFailure("no consistent motion")
+        return reconnect(*arguments)
+
+    monkeypatch.setattr("pipeline.run.reconnect", failing)
+    assert run(at_rest, tmp_path / "run") == 1
+    assert len(read_trajectory(tmp_path / "run").timestamps_ns) == FRAMES
+    summary = summary_of(tmp_path / "run")
+    assert summary["status"] == "failed" and summary["inertia"] is not None
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "words"),
+    [
+        ("cam0", None, "repeats"),
+        ("inspector0", ["{0},0,0,0,1,0,0,0", "{1},nan,0,0,1,0,0,0"], "NaN"),
+        ("wrench0", ["{0},0,0,0,0,0,0", "{1},0,nan,0,0,0,0"], "NaN"),
+        ("wrench0", ["{0},0,0,0,0,0,0", "{0},0,0,0,0,0,0"], "repeats"),
+    ],
+    ids=["two frames at one time", "NaN in a pose", "NaN in a force", "two forces at one time"],
+)
+def test_bad_rows_are_refused_in_one_line_and_nothing_is_written(
+    at_rest: Path, tmp_path: Path, capsys: Capture, name: str, rows: list[str] | None, words: str
+) -> None:
+    shutil.copytree(at_rest, tmp_path / "sequence")
+    path = tmp_path / "sequence" / "mav0" / name / "data.csv"
+    path.parent.mkdir(exist_ok=True)
+    listed = (at_rest / "mav0" / "cam0" / "data.csv").read_text().splitlines()
+    stamps = [line.split(",")[0] for line in listed if line[0].isdigit()]
+    lines = [row.format(*stamps) for row in rows] if rows else [*listed[:3], listed[2], *listed[3:]]
+    path.write_text("\n".join(lines) + "\n")
+    assert run(tmp_path / "sequence", tmp_path / "run") == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1 and words in told[0] and name in told[0]
+    assert not (tmp_path / "run").exists()

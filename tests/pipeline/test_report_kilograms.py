@@ -1,0 +1,53 @@
+"""Kilograms, unknown pushes and assumptions: in summary.json, pushes.csv and the report, each by its name."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.assumed import assumed_properties
+from pipeline.outputs import build_summary, finish_run, write_estimate
+from polhode.config.backend import Backend
+from polhode.records import Push, UnknownPushes
+
+
+def test_what_is_known_in_kilograms_and_what_is_assumed_stand_apart(example: Any, tmp_path: Path) -> None:
+    mass = replace(
+        example.estimate.mass, mass_kg=4.56, sigma_mass_kg=0.07,
+        inertia_scale_kg_m2=0.0234, sigma_inertia_scale_kg_m2=np.inf,
+    )  # fmt: skip
+    first_ns = int(example.estimate.timestamps_ns[0])
+    push = Push(
+        first_ns + 2 * 10**9, first_ns + 3 * 10**9, np.array([0.0, -0.004, 0.003]), np.full(3, 1e-4),
+        np.array([0.1, 0.0, 0.2]), np.full(3, np.inf),
+    )  # fmt: skip
+    step = np.zeros((1, 3))
+    steps = np.array([push.start_ns]), np.array([push.end_ns])
+    pushes = UnknownPushes(*steps, step, step + 0.1, step, step + 0.1, (push,))
+    estimate = replace(example.estimate, mass=mass, pushes=pushes)
+    assumed, _ = assumed_properties(mass, example.surface, Backend(mass_kg=4.5))
+    write_estimate(tmp_path, example.tracks, estimate)
+    summary = build_summary(example.tracks, estimate, example.surface, {}, assumed=assumed)
+    finish_run(tmp_path, summary)
+
+    content = json.loads((tmp_path / "summary.json").read_text())
+    assert content["inertia"]["mass_kg"] == 4.56 and content["inertia"]["sigma_scale_kg_m2"] is None
+    assert content["assumed"]["mass_kg"] == 4.5
+    (told,) = content["unknown_pushes"]
+    assert (told["start_s"], told["end_s"]) == (2.0, 3.0)
+    assert told["sigma_delta_w_P"] == [None, None, None]
+    page = (tmp_path / "report.html").read_text()
+    for words in ("In kilograms, from known", "4.560 ± 0.070", "Unknown pushes", "Assumed, not estimated"):
+        assert words in page
+    assert (tmp_path / "pushes.csv").is_file()
+    # a later round without pushes leaves no table of an earlier one
+    write_estimate(tmp_path, example.tracks, example.estimate)
+    assert not (tmp_path / "pushes.csv").exists()
+
+
+def test_a_run_without_them_speaks_of_none(example: Any, tmp_path: Path) -> None:
+    finish_run(tmp_path, build_summary(example.tracks, example.estimate, example.surface, {}))
+    page = (tmp_path / "report.html").read_text()
+    assert "In kilograms" not in page and "Unknown pushes" not in page and "Assumed" not in page
