@@ -149,7 +149,7 @@ class MotionProgram:
                 "sb": "yes",
                 "linear_solver": "mumps",
                 "max_iter": max_iterations,
-                "max_wall_time": min(max_seconds, 1e6),
+                "max_wall_time": float(np.clip(max_seconds, 1e-6, 1e6)),
                 "tol": TOLERANCE,
                 "dual_inf_tol": TOLERANCE,
                 # In the flat valley of an undetermined motion gradients stay large while the cost rests.

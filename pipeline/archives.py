@@ -127,6 +127,7 @@ def read_measurements(path: Path) -> StereoTracks:
         height_px=int(arrays["rig_height_px"]),
         disparity_offset_px=float(arrays["rig_disparity_offset_px"]),
     )
+    _require_sound(path, arrays)
     return StereoTracks(
         rig=rig,
         timestamps_ns=np.asarray(arrays["timestamps_ns"], dtype=np.int64),
@@ -140,6 +141,25 @@ def read_measurements(path: Path) -> StereoTracks:
         X_BR=np.asarray(arrays["X_BR"], dtype=np.float64),
         wrench=_wrench(arrays),
     )
+
+
+def _require_sound(path: Path, arrays: Arrays) -> None:
+    """Raise InputError when measurements are NaN, or times do not increase."""
+    for name in ("X_NR", "uvd_px", "sigma_px"):
+        bad = ~np.isfinite(np.asarray(arrays[name], dtype=np.float64))
+        if bad.any():
+            row = int(np.argwhere(bad)[0][0])
+            raise InputError(f"{path}: {name} holds NaN or infinity in row {row}; run 'polhode run' again")
+    if np.any(np.asarray(arrays["sigma_px"], dtype=np.float64) <= 0.0):
+        raise InputError(f"{path}: sigma_px is not positive everywhere; run 'polhode run' again")
+    later = np.diff(np.asarray(arrays["timestamps_ns"], dtype=np.int64)) > 0
+    if not later.all():
+        row = int(np.argmin(later)) + 1
+        raise InputError(f"{path}: timestamps_ns does not increase in row {row}; run 'polhode run' again")
+    for name, size in (("frame", len(later) + 1), ("landmark", len(arrays["landmark"]))):
+        index = np.asarray(arrays[name], dtype=np.int64)
+        if len(index) and (index.min() < 0 or index.max() >= size):
+            raise InputError(f"{path}: {name} points outside the run; run 'polhode run' again")
 
 
 def _wrench(arrays: Arrays) -> Wrench | None:

@@ -176,6 +176,7 @@ def test_a_landmark_seen_once_is_kept_with_a_large_sigma() -> None:
     assert len(sigma) == len(count)
     assert np.all(estimate.landmarks.observations[once] <= 1)
     assert np.median(sigma[once]) > 2.0 * np.median(sigma[count >= 4])
+    assert any("landmarks were seen only once" in text for text in estimate.warnings)
 
 
 def test_the_covariance_holds_G_at_the_first_frame_but_not_the_centre_of_mass() -> None:

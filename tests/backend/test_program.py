@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from backend.estimate import refine
 from backend.gauss_newton import GaussNewton
 from backend.inertia import FORMS
 from backend.iterate import Iterate
@@ -96,3 +97,21 @@ def test_the_bent_jacobian_is_the_second_derivative_of_the_kernel_near_zero() ->
     np.testing.assert_allclose(weight * (1.0 - bend * s) ** 2, exact, atol=1e-9)
     # and far from zero it stays positive
     assert np.all((1.0 - kernel_bend(np.array([50.0, 1e6]), c) * np.array([50.0, 1e6])) ** 2 > 0.3)
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["gauss_newton", "ipopt"])
+@pytest.mark.parametrize(
+    ("limits", "words"), [((1, np.inf), "max_iterations"), ((50, 1e-9), "max_seconds")], ids=["count", "time"]
+)
+def test_a_solver_that_meets_a_limit_says_which_and_hands_back_the_best(
+    which: int, limits: tuple[int, float], words: str
+) -> None:
+    *solvers, iterate = start("second_moments", SCENE)
+    solver = solvers[which]
+    assert isinstance(solver, GaussNewton | MotionProgram)
+    data = solver.data
+    at, solution, iterations = refine(solver, data, iterate, *limits)
+    assert not solution.converged and words in solution.message and iterations <= 1
+    reference, held = GaussNewton(data), hold(data, iterate, TIGHT_GAUGE)
+    # not worse than where it began
+    assert reference.cost(hold(data, at, TIGHT_GAUGE), at.vector()) <= reference.cost(held, iterate.vector())

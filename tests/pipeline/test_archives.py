@@ -123,3 +123,24 @@ def test_an_archive_of_something_else_names_what_it_lacks(tmp_path: Path) -> Non
     np.savez(tmp_path / "covariance.npz", timestamps_ns=np.arange(3))
     with pytest.raises(InputError, match="the array covariance is missing"):
         read_covariance(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "value", "words"),
+    [
+        ("uvd_px", 7, np.nan, "uvd_px holds NaN or infinity in row 7"),
+        ("sigma_px", 3, 0.0, "sigma_px is not positive"),
+        ("X_NR", 2, np.inf, "X_NR holds NaN or infinity in row 2"),
+        ("timestamps_ns", 4, 0, "timestamps_ns does not increase in row 4"),
+        ("frame", 1, 99, "frame points outside"),
+    ],
+)
+def test_measurements_that_cannot_be_are_refused_in_one_line(
+    name: str, row: int, value: float, words: str, example: Any, tmp_path: Path
+) -> None:
+    spoilt = getattr(example.tracks, name).copy()
+    spoilt[row] = value
+    write_measurements(replace(example.tracks, **{name: spoilt}), tmp_path / "measurements.npz")
+    with pytest.raises(InputError, match=words) as caught:
+        read_measurements(tmp_path)
+    assert "\n" not in str(caught.value)
