@@ -1,8 +1,8 @@
 """Settings of the back end."""
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from polhode.config.section import Section
 
@@ -59,3 +59,12 @@ class Backend(Section):
     max_seconds: float = Field(600.0, gt=0)
     """Most time for the solution [s]; the same holds."""
     window: Window = Window()
+
+    @model_validator(mode="after")
+    def _times_in_order(self) -> Self:
+        for start_s, end_s in self.unknown_wrench_s:
+            if not start_s < end_s:
+                raise ValueError(
+                    f"unknown_wrench_s: {start_s:g} is not before {end_s:g}; give start and end [s]"
+                )
+        return self

@@ -100,6 +100,9 @@ def arrange(annotation: Any, words: Sequence[str]) -> Any:
                 values.append(arrange(argument, rest[:count]))
                 rest = rest[count:]
             return values
+        size = count_of(arguments[0]) if get_origin(option) is tuple and arguments[-1:] == (...,) else None
+        if size is not None and size > 1 and len(words) % size == 0:
+            return [arrange(arguments[0], words[k : k + size]) for k in range(0, len(words), size)]
     if len(words) == 1 and count_of(annotation) == 1:
         return _choice(annotation, words[0])
     return list(words)

@@ -52,6 +52,10 @@ def test_words_are_nested_as_the_type_says() -> None:
     assert arrange(nested, ["1", "2", "3", "4"]) == [["1", "2"], ["3", "4"]]
     assert arrange(float, ["1"]) == "1"
     assert arrange(tuple[int, ...], ["1"]) == ["1"]
+    pairs = tuple[tuple[float, float], ...]
+    assert arrange(pairs, ["1", "2", "3", "4"]) == [["1", "2"], ["3", "4"]]
+    # an odd one out is left for pydantic to name
+    assert arrange(pairs, ["1", "2", "3"]) == ["1", "2", "3"]
     assert arrange(Literal[1, 4], ["4"]) == 4
 
 
