@@ -14,8 +14,8 @@ from polhode.records import Bools, Ints
 
 JUMP_RAD = np.deg2rad(60.0)
 """Beyond this from what the turn around it says, a frame has jumped: nutation bends a turn less."""
-JUMP_OF_MEDIAN = 4.0
-"""And beyond so many times what frames usually stray: a fast tumble bends every turn."""
+FAR_RAD = np.deg2rad(75.0)
+"""Where a frame turns farther than this every tumble jumps."""
 NEIGHBOURS = 9
 """Intervals whose median is the local rate."""
 LARGEST_SHARE = 0.25
@@ -29,12 +29,13 @@ def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
     if len(index) < NEIGHBOURS:
         return odd
     local = _local_rates(time_s[index], R_NG[index])
+    if np.median(np.linalg.norm(local[0], axis=1)) * np.median(np.diff(time_s[index])) > FAR_RAD:
+        return odd
     strays = [_stray(time_s, R_NG, a, b, local) for a, b in pairwise(index)]
-    jump = max(JUMP_RAD, JUMP_OF_MEDIAN * float(np.median(strays)))
-    stretches: list[Ints] = list(np.split(index, np.flatnonzero(np.array(strays) > jump) + 1))
+    stretches: list[Ints] = list(np.split(index, np.flatnonzero(np.array(strays) > JUMP_RAD) + 1))
     limit = LARGEST_SHARE * len(index)
     while len(stretches) > 1:
-        n = _odd_one(time_s, R_NG, stretches, local, jump)
+        n = _odd_one(time_s, R_NG, stretches, local)
         if n is None or len(stretches[n]) > limit:
             break
         odd[stretches[n]] = True
@@ -47,14 +48,12 @@ def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
     return odd
 
 
-def _odd_one(
-    time_s: Array, R_NG: Array, stretches: list[Ints], local: tuple[Array, Array], jump: float
-) -> int | None:
+def _odd_one(time_s: Array, R_NG: Array, stretches: list[Ints], local: tuple[Array, Array]) -> int | None:
     """The shortest stretch without which its neighbours join; else the shorter of the two at the ends."""
     joining = [
         n
         for n in range(1, len(stretches) - 1)
-        if _stray(time_s, R_NG, stretches[n - 1][-1], stretches[n + 1][0], local) < jump
+        if _stray(time_s, R_NG, stretches[n - 1][-1], stretches[n + 1][0], local) < JUMP_RAD
     ]
     if joining:
         return min(joining, key=lambda n: len(stretches[n]))

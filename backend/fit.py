@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+from backend.ambiguity import Choice, choose
 from backend.attach import attach_wrench
 from backend.iterate import Iterate
 from backend.noise import NoiseScales
@@ -28,13 +29,10 @@ class Fit:
     scales: NoiseScales
     trials: dict[str, Trial]
     """Of the hypotheses, by name"""
+    choice: Choice
+    """Among them"""
     wrench_runner_up: dict[str, float]
     """Cost of the other directions of a known torque's axes, by name"""
-
-    @property
-    def best(self) -> str:
-        """Name of the hypothesis that was taken."""
-        return min(self.trials, key=lambda name: self.trials[name].cost)
 
 
 def fit(data: MotionData, starts: list[Start], config: Backend, advance: Advance) -> Fit:
@@ -55,7 +53,8 @@ def fit(data: MotionData, starts: list[Start], config: Backend, advance: Advance
 
 def _fit(data: MotionData, starts: list[Start], config: Backend, advance: Advance) -> Fit:
     trials = try_hypotheses(data, starts, advance)
-    data, kept, iterate, scales = settle(data, min(trials.values(), key=lambda trial: trial.cost).iterate)
+    choice = choose(trials, data.dt_s)
+    data, kept, iterate, scales = settle(data, trials[choice.name].iterate)
     advance()
     runner_up: dict[str, float] = {}
     if data.impulses is not None and data.impulses.acting.any():
@@ -66,4 +65,4 @@ def _fit(data: MotionData, starts: list[Start], config: Backend, advance: Advanc
         iterate, kept = kept.expand(level.iterate, iterate), replace(kept, data=level.data)
         data = replace(data, accel_psd=level.data.accel_psd, torque_psd=level.data.torque_psd)
     advance()
-    return Fit(data, kept, iterate, scales, trials, runner_up)
+    return Fit(data, kept, iterate, scales, trials, choice, runner_up)

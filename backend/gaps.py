@@ -22,7 +22,7 @@ LONG_TURN_RAD = 0.5 * np.pi
 """A shorter turn is bridged well enough by a constant rate."""
 AMBIGUOUS_RAD = 0.5 * np.pi
 """Of what carrying leaves to the pose behind the gap: beyond it the other way round is tried too."""
-CARRY_PSD = 1e-4
+CARRY_PSD = 1e-8
 """[(rad/s^2)^2/Hz] sets the integrator's error of a first guess."""
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from backend.absolute import with_absolute_scale
+from backend.ambiguity import with_infinite
 from backend.covariance import (
     AxesDerivative,
     Marginals,
@@ -111,22 +112,14 @@ def _state_covariances(
     joint[6:9, 6:9] = of_free_turn(joint[6:9, 6:9], axes_lost)
     lost = undetermined_states(determined, jacobians, m.response, w_P)
     for k in range(iterate.n_frames):
-        covariance[k] = _with_infinite(covariance[k], lost[k])
+        covariance[k] = with_infinite(covariance[k], lost[k])
     constants_lost = determined.lost_constants
-    joint = _with_infinite(joint, np.concatenate([lost[-1], constants_lost[3:], constants_lost[:3]]))
+    joint = with_infinite(joint, np.concatenate([lost[-1], constants_lost[3:], constants_lost[:3]]))
     return covariance, joint
 
 
 def _numbers(iterate: Iterate) -> Array:
     return iterate.vector()[: iterate.n_states].reshape(-1, iterate.n_state)
-
-
-def _with_infinite(covariance: Array, lost: Bools) -> Array:
-    out = covariance.copy()
-    out[lost, :] = 0.0
-    out[:, lost] = 0.0
-    out[lost, lost] = np.inf
-    return out
 
 
 def _mass(
@@ -142,14 +135,14 @@ def _mass(
         moments=moments,
         k1=float(np.log(moments[0] / moments[1])),
         k2=float(np.log(moments[1] / moments[2])),
-        cov_k=_with_infinite(ratio_covariance(derivative, cov_J), ~np.array([known.k1, known.k2])),
-        cov_J=_with_infinite(cov_J, determined.lost_constants[3:]),
+        cov_k=with_infinite(ratio_covariance(derivative, cov_J), ~np.array([known.k1, known.k2])),
+        cov_J=with_infinite(cov_J, determined.lost_constants[3:]),
         R_GP=R_GP,
-        cov_R_GP=_with_infinite(
+        cov_R_GP=with_infinite(
             of_free_turn(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P), ~known.axes_P
         ),
         com_G=iterate.com_G,
-        cov_com_G=_with_infinite(cov_com, com_lost),
+        cov_com_G=with_infinite(cov_com, com_lost),
         identifiable=known,
     )
 
@@ -212,5 +205,8 @@ def _warnings(
         out.append(f"{once} landmarks were seen only once: each is where that one stereo pair puts it")
     turn = np.rad2deg(np.linalg.norm(at.w_G[:-1], axis=1) * data.dt_s).max()
     if turn > 150.0:
-        out.append(f"up to {turn:.0f} degrees between frames: near half a turn the rate is ambiguous")
+        out.append(
+            f"up to {turn:.0f} degrees between frames: near half a turn and beyond, poses do not tell the "
+            "sense of the rotation, Euler's equation alone does"
+        )
     return out

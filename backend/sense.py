@@ -10,7 +10,7 @@ from backend.initialize import frame_rates
 from polhode.lie import Array, log_so3
 from polhode.records import Bools, Ints
 
-OPEN_RAD = np.deg2rad(100.0)
+OPEN_RAD = np.deg2rad(90.0)
 """Median turn between neighbouring frames from which both senses are tried."""
 THE_OTHER_WAY = ", the other way round"
 """Ends the name of a hypothesis with the longer turns."""

@@ -25,6 +25,7 @@ from backend.iterate import Iterate
 from backend.kernels import N_CAMERA
 from backend.problem import MotionData, hold
 from backend.sense import THE_OTHER_WAY, rate_branches
+from backend.shooting import shoot
 from polhode.errors import RunFailure
 from polhode.lie import Array
 from polhode.progress import Advance
@@ -32,6 +33,7 @@ from polhode.records import InitialMotion, StereoTracks
 
 PASSES = (3, 3, 3, 2)
 """Iterations of the solves of one hypothesis; references and whitening are renewed between them."""
+LONG_PASSES = (10, 10, 10)
 SAME_BASIN = 0.03
 """Two inertias (second moments of determinant 1) closer than this will end in the same minimum."""
 
@@ -54,6 +56,8 @@ class Trial:
 
     iterate: Iterate
     cost: float
+    misfit: float
+    """The cost without that normalisation."""
 
 
 def first_starts(tracks: StereoTracks, initial: InitialMotion, data: MotionData) -> list[Start]:
@@ -73,6 +77,9 @@ def first_starts(tracks: StereoTracks, initial: InitialMotion, data: MotionData)
         iterate = Iterate(p_NG, R_NG, v_N, w_G, com_G, xi, R_inertia, p_G, camera)
         gaps = long_gaps(tracks.time_s, initial.connected, w_G)
         starts.append(Start(iterate, guesses, tracks.time_s, gaps, tracks, initial))
+    for suffix, shot in shoot(tracks.time_s, R_NG, initial.connected).items():
+        iterate = replace(starts[0].iterate, w_G=shot.w_G)
+        starts.append(replace(starts[0], iterate=iterate, guesses={"shooting" + suffix: shot.second}))
     return starts
 
 
@@ -93,17 +100,21 @@ def try_hypotheses(data: MotionData, starts: list[Start], advance: Advance) -> d
         trials |= of_start
     if not trials:
         raise RunFailure("no consistent motion: every hypothesis of the inertia diverged")
-    return trials
+    return _with_senses_settled(data, trials)
 
 
-def ambiguous_sense(trials: dict[str, Trial], limit: float) -> Trial | None:
-    """The best trial that turns the other way than the best of all, when it costs hardly more."""
-    best = min(trials, key=lambda name: trials[name].cost)
-    other = [t for name, t in trials.items() if name.endswith(THE_OTHER_WAY) != best.endswith(THE_OTHER_WAY)]
-    if not other:
-        return None
-    nearest = min(other, key=lambda t: t.cost)
-    return nearest if nearest.cost - trials[best].cost < limit else None
+def _with_senses_settled(data: MotionData, trials: dict[str, Trial]) -> dict[str, Trial]:
+    """The trials, the best of each sense solved further where there are two: what decides is a few units."""
+    senses = [[name for name in trials if name.endswith(THE_OTHER_WAY) == other] for other in (False, True)]
+    if not all(senses):
+        return trials
+    out = dict(trials)
+    for names in senses:
+        best = min(names, key=lambda name: trials[name].cost)
+        settled = solve_briefly(data, trials[best].iterate, [], LONG_PASSES)
+        if settled is not None:
+            out[best] = settled
+    return out
 
 
 def try_hypothesis(
@@ -113,15 +124,15 @@ def try_hypothesis(
     xi, R_inertia = data.form.coordinates(second)
     iterate = replace(at, xi=xi, R_inertia=R_inertia)
     if not start.gaps:
-        return _solve_briefly(data, iterate, found)
+        return solve_briefly(data, iterate, found)
     loose = replace(data, loose=loose_steps(data.n_frames, start.gaps))
-    apart = _solve_briefly(loose, iterate, [])
+    apart = solve_briefly(loose, iterate, [])
     if apart is None:
         return None
-    return _solve_briefly_across(data, start, apart.iterate, found)
+    return _solve_across(data, start, apart.iterate, found)
 
 
-def _solve_briefly_across(data: MotionData, start: Start, apart: Iterate, found: list[Trial]) -> Trial | None:
+def _solve_across(data: MotionData, start: Start, apart: Iterate, found: list[Trial]) -> Trial | None:
     """Carry the states through the gaps, then solve with every step counted."""
     J_G = apart.J_G(data.form)
     ambiguous = arrival_rad(apart, J_G, start.time_s, start.gaps) > AMBIGUOUS_RAD
@@ -129,15 +140,17 @@ def _solve_briefly_across(data: MotionData, start: Start, apart: Iterate, found:
     for other_way in (False, True) if ambiguous else (False,):
         iterate = carried(apart, J_G, start.time_s, start.gaps, other_way)
         iterate = replace(iterate, p_G=landmarks_of_gaps(start.tracks, iterate, start.initial))
-        trial = _solve_briefly(data, iterate, [] if ambiguous else found)
+        trial = solve_briefly(data, iterate, [] if ambiguous else found)
         trials += [trial] if trial is not None else []
     return min(trials, key=lambda trial: trial.cost, default=None)
 
 
-def _solve_briefly(data: MotionData, iterate: Iterate, found: list[Trial]) -> Trial | None:
+def solve_briefly(
+    data: MotionData, iterate: Iterate, found: list[Trial], passes: tuple[int, ...] = PASSES
+) -> Trial | None:
     """A few iterations; the trial found before whose basin they enter, as its cost is known already."""
     solver, cost = GaussNewton(data), np.inf
-    for iterations in PASSES:
+    for iterations in passes:
         try:
             iterate = renew_inertia(data, iterate)
             held = hold(data, iterate)
@@ -148,7 +161,7 @@ def _solve_briefly(data: MotionData, iterate: Iterate, found: list[Trial]) -> Tr
         for other in found:
             if np.abs(iterate.J_G(data.form) - other.iterate.J_G(data.form)).max() < SAME_BASIN:
                 return other
-    return Trial(iterate, float(cost)) if np.isfinite(cost) else None
+    return Trial(iterate, float(cost), float(solution.cost)) if np.isfinite(cost) else None
 
 
 def renew_inertia(data: MotionData, iterate: Iterate) -> Iterate:

@@ -39,3 +39,9 @@ def test_when_most_is_in_doubt_nothing_is_removed() -> None:
     R_NG = _tumble()
     R_NG[37:] = R_NG[37:] @ HALF_TURN
     assert not jumping_frames(TIME_S, R_NG, np.ones(75, bool)).any()
+
+
+@pytest.mark.parametrize("turn_deg", [100.0, 140.0, 190.0])
+def test_a_tumble_that_turns_far_between_frames_has_none(turn_deg: float) -> None:
+    R_NG = _tumble(np.deg2rad(turn_deg) / 0.2)
+    assert not jumping_frames(TIME_S, R_NG, np.ones(75, bool)).any()

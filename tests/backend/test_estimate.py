@@ -111,13 +111,48 @@ def test_pixel_and_disparity_noise_are_recovered() -> None:
     assert estimate.noise.disparity_sigma_px == pytest.approx(0.2, rel=0.08)
 
 
-def test_outliers_get_no_weight_and_do_no_harm() -> None:
-    sequence = generate(replace(TUMBLE, outliers=0.05), 3)
+@pytest.mark.parametrize("share", [0.05, 0.3])
+def test_outliers_get_no_weight_and_do_no_harm(share: float) -> None:
+    sequence = generate(replace(TUMBLE, outliers=share), 3)
     estimate = run(sequence)
     errors = np.linalg.norm(sequence.tracks.uvd_px, axis=1)
     assert len(errors) == len(estimate.inlier_weight)
     assert np.median(estimate.inlier_weight[sequence.outlier]) < 0.1 < np.median(estimate.inlier_weight)
     assert abs(estimate.mass.k2 - sequence.truth.k2) < 4.0 * np.sqrt(estimate.mass.cov_k[1, 1])
+
+
+def test_ten_seconds_without_measurements_are_bridged_and_the_sigma_grows() -> None:
+    gap = range(30, 50)
+    sequence = generate(replace(TUMBLE, frames=80, dropped=tuple(gap), sigma_uv_px=0.4, sigma_d_px=0.4), 4)
+    estimate = run(sequence)
+    sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
+    errors = state_errors(sequence, estimate)
+    assert np.mean(np.abs(errors / sigma) < 3.0) > 0.97
+    assert np.abs(errors[list(gap), 6:9]).max() < np.deg2rad(3.0)
+    # in the middle of the gap, and on either side of it
+    for component, growth in ((slice(0, 3), 4.0), (slice(6, 9), 1.5)):
+        size = np.linalg.norm(sigma[:, component], axis=1)
+        assert size[40] > growth * max(size[20], size[60])
+    assert any("20 frames without measurements" in text for text in estimate.warnings)
+
+
+def test_a_tumble_of_more_than_half_a_turn_a_frame_is_told_or_called_ambiguous() -> None:
+    """Euler's equation tells the first; the second has a twin with another inertia that fits as well."""
+    axis = np.array([0.5, 0.7, 0.5]) / np.linalg.norm([0.5, 0.7, 0.5])
+    scene = replace(TUMBLE, landmarks=500, detection=0.6, sigma_uv_px=0.3, sigma_d_px=0.3)
+    for turn_deg, ambiguous in ((220.0, False), (190.0, True)):
+        w_G = 2.0 * np.deg2rad(turn_deg) * axis
+        sequence = generate(replace(scene, w_G=tuple(w_G.tolist())), int(turn_deg))
+        estimate = run(sequence)
+        said = any("sense of the rotation is ambiguous" in text for text in estimate.warnings)
+        assert said == ambiguous
+        known = estimate.mass.identifiable
+        assert known.k1 == known.k2 == known.axes == (not ambiguous)
+        if ambiguous:
+            assert np.all(np.isinf(np.diagonal(estimate.covariance, axis1=1, axis2=2)[:, 9:]))
+            assert np.all(np.isfinite(np.diagonal(estimate.covariance, axis1=1, axis2=2)[:, :6]))
+        else:
+            assert abs(estimate.mass.k2 - sequence.truth.k2) < 4.0 * np.sqrt(estimate.mass.cov_k[1, 1])
 
 
 def test_a_frame_without_measurements_is_bridged_with_a_larger_sigma() -> None:

@@ -1,0 +1,73 @@
+"""Rates and inertia from attitudes alone, where the target turns far between frames."""
+
+import numpy as np
+import pytest
+
+from backend.ambiguity import choose
+from backend.inertia import inertia_from_second_moments
+from backend.iterate import Iterate
+from backend.sense import THE_OTHER_WAY, rate_branches
+from backend.shooting import shoot
+from backend.trials import Trial
+from polhode.lie import Array, exp_so3, make_pose
+from polhode.rigid_body import propagate
+
+TIME_S: Array = 0.5 * np.arange(30.0)
+J_G = np.diag([1.5, 1.2, 0.9])
+AXIS = np.array([0.5, 0.7, 0.5]) / np.linalg.norm([0.5, 0.7, 0.5])
+EVERY = np.ones(30, bool)
+
+
+def _motion(turn_deg: float, axis: Array = AXIS) -> tuple[Array, Array]:
+    """Attitudes (30, 3, 3), a few mrad off, and rates (30, 3)."""
+    w_G = 2.0 * np.deg2rad(turn_deg) * axis
+    _, _, R_NG, w = propagate(TIME_S, np.zeros(3), np.zeros(3), np.eye(3), w_G, J_G)
+    return R_NG @ exp_so3(np.random.default_rng(3).normal(0.0, 0.002, (30, 3))), w
+
+
+@pytest.mark.parametrize(("turn_deg", "suffix"), [(75.0, ""), (150.0, ""), (220.0, THE_OTHER_WAY)])
+def test_a_shot_finds_the_inertia_and_the_rates(turn_deg: float, suffix: str) -> None:
+    R_NG, w_G = _motion(turn_deg)
+    connected = EVERY.copy()
+    connected[22] = False
+    shot = shoot(TIME_S, R_NG, connected)[suffix]
+    moments = np.linalg.eigvalsh(inertia_from_second_moments(shot.second))
+    np.testing.assert_allclose(moments / moments[1], [0.75, 1.0, 1.25], atol=3e-3)
+    assert np.median(np.linalg.norm(shot.w_G - w_G, axis=1)) < 0.03
+    assert shot.misfit < 1.0
+
+
+def test_short_turns_need_no_shots_and_have_one_sense() -> None:
+    R_NG, w_G = _motion(25.0)
+    assert shoot(TIME_S, R_NG, EVERY) == {}
+    branches = rate_branches(TIME_S, make_pose(R_NG, np.zeros((30, 3))), EVERY)
+    assert list(branches) == [""]
+    assert np.median(np.linalg.norm(branches[""] - w_G, axis=1)) < 0.1
+
+
+@pytest.mark.parametrize("turn_deg", [130.0, 170.0, 230.0])
+def test_of_far_turns_both_senses_are_tried(turn_deg: float) -> None:
+    R_NG, _ = _motion(turn_deg, np.array([0.0, 0.0, 1.0]))
+    branches = rate_branches(TIME_S, make_pose(R_NG, np.zeros((30, 3))), EVERY)
+    short, far = (float(np.median(w @ [0.0, 0.0, 1.0])) for w in (branches[""], branches[THE_OTHER_WAY]))
+    near, away = sorted([turn_deg, turn_deg - 360.0], key=abs)
+    assert np.rad2deg(0.5 * np.array([short, far])) == pytest.approx([near, away], abs=0.5)
+
+
+def _trial(turn_deg: float, misfit: float, cost: float) -> Trial:
+    w_G = np.tile([0.0, 0.0, 2.0 * np.deg2rad(turn_deg)], (30, 1))
+    zero = np.zeros((30, 3))
+    R_NG = np.tile(np.eye(3), (30, 1, 1))
+    return Trial(Iterate(zero, R_NG, zero, w_G, zero[0], np.zeros(5), np.eye(3), zero), cost, misfit)
+
+
+def test_a_sense_is_chosen_by_the_misfit_and_the_shorter_one_when_both_fit() -> None:
+    dt_s = np.diff(TIME_S)
+    alike = {"sphere": _trial(150.0, 1000.0, 50.0), "sphere" + THE_OTHER_WAY: _trial(210.0, 999.0, 10.0)}
+    choice = choose(alike, dt_s)
+    assert choice.name == "sphere"
+    assert choice.turns_deg == pytest.approx((150.0, 210.0))
+    told = {"sphere": _trial(150.0, 3000.0, 1.0), "sphere" + THE_OTHER_WAY: _trial(210.0, 1000.0, 10.0)}
+    assert choose(told, dt_s).name == "sphere" + THE_OTHER_WAY
+    assert choose(told, dt_s).turns_deg is None
+    assert choose({"sphere": _trial(30.0, 5.0, 5.0)}, dt_s).turns_deg is None
