@@ -146,6 +146,13 @@ def _print_scene(sequence: SyntheticSequence, solver: str, seed: int) -> None:
 
 def run(seeds: int, short: bool, png: Path | None) -> None:
     """Everything that is printed."""
+    # compiled loops are loaded, or at the first time compiled
+    small = generate(replace(THESIS, frames=12, landmarks=200), 0)
+    for solver in SOLVERS:
+        config = Backend.model_validate({"solver": solver})
+        estimate_motion(
+            small.tracks, initialize_motion(small.tracks, small.relative, config), config, Clock()
+        )
     print_solvers(measure(THESIS))
     print_scenes(1 if short else seeds, dict([*SCENES.items()][:1]) if short else SCENES)
     sizes = (SHORT_FRAMES, SHORT_LANDMARKS) if short else (FRAMES, LANDMARKS)
