@@ -4,6 +4,7 @@ from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from backend.ambiguity import with_open_sense
 from backend.fit import fit
@@ -14,6 +15,7 @@ from backend.program import MotionProgram
 from backend.result import assemble
 from backend.trials import first_starts, renew_inertia
 from polhode.config.backend import Backend
+from polhode.errors import RunFailure
 from polhode.progress import Progress
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 
@@ -31,6 +33,17 @@ def estimate_motion(
 
     Raises RunFailure when no guess leads to a motion that most observations agree with.
     """
+    try:
+        return _estimate(tracks, initial, config, progress)
+    except LinAlgError as error:
+        raise RunFailure(
+            f"no consistent motion: what fits best is no body that could be ({error})"
+        ) from error
+
+
+def _estimate(
+    tracks: StereoTracks, initial: InitialMotion, config: Backend, progress: Progress
+) -> MotionEstimate:
     data = motion_data(tracks, config)
     starts = first_starts(tracks, initial, data)
     with progress.stage("motion and inertia", sum(len(start.guesses) for start in starts) + 4) as advance:
