@@ -6,6 +6,7 @@ import numpy as np
 
 from backend.covariance import AxesDerivative, Marginals
 from backend.dynamics import dynamics_jacobians
+from backend.flow import flow_derivatives, flows
 from backend.gauss_newton import GaussNewton
 from backend.inertia import inertia_derivative
 from backend.iterate import Iterate
@@ -29,7 +30,8 @@ def recovered_pushes(
     """Changes over the steps that have a node, and over each run of such steps; None when none has.
 
     A change is a step's error without its whitening: the state after it minus what free motion and known
-    pushes lead to. Those of neighbouring steps are strongly correlated, their sum is known better.
+    pushes lead to; that of the rate is carried back to the middle of the step, where a push of unknown course
+    acts on the average. Those of neighbouring steps are strongly correlated, their sum is known better.
     """
     use = np.flatnonzero(data.nodes)
     if len(use) == 0:
@@ -62,12 +64,20 @@ def _changes(
     states, at = GaussNewton(data).states(held, iterate.vector())
     dJ = inertia_derivative(data.form, at.xi, at.R_inertia)
     error, D = dynamics_jacobians(states, steps, at.J_G(data.form), dJ)
-    R_PG, s = derivative.R_GP.T, iterate.n_state
-    change = np.concatenate([error[:, 3:6], error[:, 9:12] @ R_PG.T], axis=1)
-    T = np.concatenate([D[:, 3:6], R_PG @ D[:, 9:12]], axis=1)
+    back, s = derivative.R_GP.T @ _to_the_middle(at, data, held), iterate.n_state
+    change = np.concatenate([error[:, 3:6], np.einsum("kij,kj->ki", back, error[:, 9:12])], axis=1)
+    T = np.concatenate([D[:, 3:6], back @ D[:, 9:12]], axis=1)
     # the axes along which it is told are uncertain too
     T[:, 3:, 2 * s + 3 : 2 * s + 8] += hat(change[:, 3:]) @ derivative.axes
     return change, T
+
+
+def _to_the_middle(at: Iterate, data: MotionData, held: Held) -> Array:
+    """(F - 1, 3, 3) that carry a change of the rate at the end of a step back to its middle."""
+    J_G, half, series = at.J_G(data.form), 0.5 * data.dt_s, held.steps.series
+    middle = flows(at.w_G[:-1], J_G, half, series)[1]
+    rate = flow_derivatives(middle, J_G, np.zeros((0, 3, 3)), half, series)[3]
+    return np.asarray(np.linalg.inv(np.swapaxes(rate, 1, 2)))
 
 
 def _covariance(T: Array, dense: Array, iterate: Iterate, steps: Ints) -> Array:
