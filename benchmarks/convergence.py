@@ -1,6 +1,6 @@
 """Does a cold start end at the truth, and does it know what it cannot know? Random bodies and spins.
 
-    python -m benchmarks.convergence [--scenes 450] [--workers 2] [--short] [--record FILE]
+    python -m benchmarks.convergence [--scenes 480] [--workers 2] [--short] [--record FILE]
 
 Two of three scenes are any body with any spin; the others are hard to tell: nearly a pure spin, nearly equal
 moments, slow, or short. Each has 1 px or 0.3 px of noise, 5 % gross errors, 10 % wrong relative poses; the
@@ -35,7 +35,7 @@ SHORT_SCENES = 12
 def main() -> None:
     """Measure what the record lacks, print the table and the seeds that went wrong."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=450, help="random scenes")
+    parser.add_argument("--scenes", type=int, default=480, help="random scenes")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--short", action="store_true", help="a few scenes")
     parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
