@@ -17,6 +17,10 @@ from polhode.lie import Array
 INNER_ITERATIONS = 10
 MOST_ROUNDS = 8
 """Of linearising vision anew."""
+LONG_HISTORY = 32
+"""Frames of a history beyond which one frame's work on it is limited; the next one goes on."""
+LONG_ITERATIONS = 4
+"""In all, of such a history: in the flat valley of an unknown inertia they would never end."""
 SMALL_TURN_RAD = 2e-3
 """A step of the attitudes after which vision need not be linearised again."""
 
@@ -24,6 +28,7 @@ SMALL_TURN_RAD = 2e-3
 def solve_whole(belief: Belief, history: History) -> None:
     """All states so far, with the vision that is active linearised at the solution."""
     sight, active = belief.sight(), belief.active
+    left = LONG_ITERATIONS if len(history.frames) > LONG_HISTORY else MOST_ROUNDS * INNER_ITERATIONS
     for _ in range(MOST_ROUNDS):
         belief.renew_inertia()
         condensed = belief.condensed(sight)
@@ -31,9 +36,10 @@ def solve_whole(belief: Belief, history: History) -> None:
         links = history.links(x, belief.J_G, belief.J_noise, belief.disturbances)
         vision = history.vision(active, condensed)
         problem = WindowProblem(vision.quadratic, history.R_ref, links, belief.weak_prior, belief.shape)
-        solution = NewtonSolver().solve(problem, x, INNER_ITERATIONS)
+        solution = NewtonSolver().solve(problem, x, min(left, INNER_ITERATIONS))
+        left -= solution.iterations
         step = take_whole(belief, history, vision, condensed, solution.x)
-        if _small(step):
+        if _small(step) or left <= 0:
             break
     history.steps = links
     _remember(belief, problem, solution, condensed)
