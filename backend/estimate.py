@@ -13,6 +13,7 @@ from backend.iterate import Iterate
 from backend.problem import TIGHT_GAUGE, MotionData, hold, motion_data
 from backend.program import MotionProgram
 from backend.result import assemble
+from backend.systematic import with_systematic
 from backend.trials import first_starts, renew_inertia
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
@@ -68,6 +69,7 @@ def _estimate(
         message=f"{solution.message}; best hypothesis: {best}",
         runner_up=runner_up,
     )
+    estimate = with_systematic(estimate, tracks, config.systematic_px)
     if found.choice.turns_deg is not None:
         estimate = with_open_sense(estimate, found.choice.turns_deg)
     warnings = [*estimate.warnings, *_warnings_of_disturbances(data, config)]

@@ -86,7 +86,7 @@ def measure(case: Case) -> Case:
 
     kind, scene = scene_of(case["seed"])
     sequence = generate(scene, case["seed"])
-    config = Backend(solver="gauss_newton")
+    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0))
     given = Backend(accel_psd=scene.accel_psd, torque_psd=scene.torque_psd)
     known = determined_at_truth(sequence, given)
     start = time.perf_counter()

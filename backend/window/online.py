@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from backend.systematic import online_with_systematic
 from backend.window.estimator import SlidingWindow
 from backend.window.frame import camera_noise_of, frames_of
 from backend.window.state import HALF_TURNS, OnlineState
@@ -32,7 +33,7 @@ def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -
             seconds.append(perf_counter() - begin)
             advance()
     _log.info("window: median %.0f ms a frame, %.1f s in all", 1e3 * np.median(seconds), sum(seconds))
-    return stacked(states)
+    return online_with_systematic(stacked(states), tracks, config.systematic_px)
 
 
 def window_warnings(n_frames: int, config: Backend) -> list[str]:

@@ -2,7 +2,7 @@
 
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, NonNegativeFloat, model_validator
 
 from polhode.config.section import Section
 
@@ -38,6 +38,9 @@ class Backend(Section):
     torque_psd: float = Field(1e-6, gt=0)
     """Disturbance torque over the middle moment, power spectral density [(rad/s^2)^2/Hz] (thesis eq. 6.15,
     squared); where the estimate of it starts."""
+    systematic_px: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = (0.03, 0.03, 0.01)
+    """Standard deviations of constant errors of u, v and disparity that every frame shares [px]: calibration and
+    matching. No residual shows them; they widen the sigma of position."""
     wrench_bias: float = Field(0.02, gt=0)
     """Standard deviation of a constant bias of known forces and torques, over the largest of each."""
     unknown_wrench: Literal["none", "found", "everywhere"] = "found"

@@ -1,0 +1,71 @@
+"""Errors that every frame shares: what they do to the position, and to nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from backend import estimate_motion, initialize_motion
+from backend.systematic import position_covariance
+from polhode.config.backend import Backend
+from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
+from polhode.progress import Silent
+from polhode.records import MotionEstimate
+from simulation.measurements import RIG, SyntheticScene, SyntheticSequence, generate
+
+SCENE = SyntheticScene(
+    frames=25, landmarks=300, detection=0.5, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9]),
+    sigma_uv_px=0.1, sigma_d_px=0.1, accel_psd=1e-9, torque_psd=1e-9,
+)  # fmt: skip
+SIGMA_PX = (0.3, 0.2, 0.1)
+
+
+def _run(sequence: SyntheticSequence, sigma_px: tuple[float, float, float]) -> MotionEstimate:
+    noise = {"accel_psd": SCENE.accel_psd, "torque_psd": SCENE.torque_psd}
+    config = Backend(solver="gauss_newton", process_noise="given", systematic_px=sigma_px, **noise)
+    initial = initialize_motion(sequence.tracks, sequence.relative, config)
+    return estimate_motion(sequence.tracks, initial, config, Silent())
+
+
+def test_the_covariance_is_that_of_drawn_offsets() -> None:
+    X_NR = make_pose(exp_so3([[0.3, -0.5, 0.2], [0.0, 0.1, 0.0]]), [[0.1, 0.2, -0.3], [0.0, 0.0, 0.0]])
+    r_N = transform_points(X_NR, np.array([[[0.1, -0.05, 0.7]], [[0.0, 0.1, 1.2]]]))[:, 0]
+    uvd = RIG.project(transform_points(inverse_pose(X_NR), r_N[:, None])[:, 0])
+    # small ones: the covariance is of first order
+    offsets = 0.01 * np.random.default_rng(0).normal(size=(20000, 1, 3)) * SIGMA_PX
+    moved = transform_points(X_NR[None], RIG.triangulate(uvd + offsets)[:, :, None])[:, :, 0]
+    for k in range(2):
+        expected = np.cov(moved[:, k].T) * 1e4
+        covariance = position_covariance(RIG, X_NR, r_N, SIGMA_PX)[k]
+        np.testing.assert_allclose(covariance, expected, atol=0.04 * np.trace(expected))
+
+
+def test_a_shared_offset_moves_the_position_by_what_its_sigma_allows() -> None:
+    sequence = generate(SCENE, 0)
+    shifted = sequence.tracks.uvd_px + np.array([0.3, -0.2, 0.1])
+    estimate = _run(replace(sequence, tracks=replace(sequence.tracks, uvd_px=shifted)), SIGMA_PX)
+    blind = _run(sequence, (0.0, 0.0, 0.0))
+    error = estimate.r_N - sequence.truth.r_N
+    sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2)[:, :3])
+    stated = np.sqrt(np.diagonal(blind.covariance, axis1=1, axis2=2)[:, :3])
+    assert np.abs(error / stated).max() > 4.0
+    assert np.abs(error / sigma).max() < 2.5
+    # the offset is hardly seen by anything else
+    np.testing.assert_allclose(
+        estimate.covariance[:, 3:, 3:], blind.covariance[:, 3:, 3:], rtol=0.1, atol=1e-9
+    )
+    assert abs(estimate.mass.k2 - blind.mass.k2) < np.sqrt(blind.mass.cov_k[1, 1])
+    last = estimate.covariance[-1, :3, :3]
+    np.testing.assert_allclose(estimate.covariance_last_joint[:3, :3], last, rtol=1e-9)
+    assert estimate.covariance_last_body is not None
+    np.testing.assert_allclose(estimate.covariance_last_body[:3, :3], last, rtol=1e-6)
+
+
+def test_what_is_unknown_stays_unknown() -> None:
+    spin = replace(SCENE, w_G=(0.0, 0.0, 0.8))
+    estimate = _run(generate(spin, 1), SIGMA_PX)
+    variances = np.diagonal(estimate.covariance, axis1=1, axis2=2)
+    assert np.isinf(variances[:, 9:]).any()
+    assert not np.isnan(estimate.covariance).any()
+    with pytest.raises(ValueError, match="systematic_px"):
+        Backend(systematic_px=(-1.0, 0.0, 0.0))
