@@ -49,6 +49,7 @@ bench: setup
 	$(BIN)/python -m benchmarks.conditioning -o runs/conditioning.png
 	$(BIN)/python -m benchmarks.backend_size $(SHORT) -o runs/backend_growth.png
 	$(BIN)/python -m benchmarks.window $(SHORT)
+	$(BIN)/python -m benchmarks.pushes $(SHORT)
 	$(BIN)/python -m benchmarks.convergence $(SHORT)
 	$(BIN)/python -m benchmarks.accuracy --motions 6 --seeds 8 --estimated $(SHORT)
 	$(BIN)/python -m benchmarks.accuracy --motions 6 $(SHORT)
