@@ -49,13 +49,15 @@ def eliminate_chain(H: Array, g: Array, n_frames: int, n_state: int, damping: fl
     _gather(H, g, n_frames, n_state, damping, dense, dense_gradient)
     if not _factor(H, g, n_frames, n_state, 1.0 + damping, diagonal, below, X, y):
         raise LinAlgError("the chain is not positive definite")
-    for start in range(0, n_poses, PANEL):
-        end = min(start + PANEL, n_poses)
-        # rows of X above this one are zero in these columns
-        first = max(start // POSE - 1, 0) * d
-        dense[start:end, :end] -= X[first:, start:end].T @ X[first:, :end]
-    dense[n_poses:] -= X[:, n_poses:].T @ X
-    dense_gradient -= X.T @ y
+    # what overflows here has no Cholesky factor later
+    with np.errstate(over="ignore", invalid="ignore"):
+        for start in range(0, n_poses, PANEL):
+            end = min(start + PANEL, n_poses)
+            # rows of X above this one are zero in these columns
+            first = max(start // POSE - 1, 0) * d
+            dense[start:end, :end] -= X[first:, start:end].T @ X[first:, :end]
+        dense[n_poses:] -= X[:, n_poses:].T @ X
+        dense_gradient -= X.T @ y
     return Chain(diagonal, below, X, y, dense, dense_gradient)
 
 
