@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from backend import estimate_motion, initialize_motion
-from backend.systematic import position_covariance
+from backend.systematic import position_spread
 from polhode.config.backend import Backend
 from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
 from polhode.progress import Silent
@@ -36,8 +36,8 @@ def test_the_covariance_is_that_of_drawn_offsets() -> None:
     moved = transform_points(X_NR[None], RIG.triangulate(uvd + offsets)[:, :, None])[:, :, 0]
     for k in range(2):
         expected = np.cov(moved[:, k].T) * 1e4
-        covariance = position_covariance(RIG, X_NR, r_N, SIGMA_PX)[k]
-        np.testing.assert_allclose(covariance, expected, atol=0.04 * np.trace(expected))
+        spread = position_spread(RIG, X_NR, r_N, SIGMA_PX)[k]
+        np.testing.assert_allclose(spread @ spread.T, expected, atol=0.04 * np.trace(expected))
 
 
 def test_a_shared_offset_moves_the_position_by_what_its_sigma_allows() -> None:
@@ -55,6 +55,11 @@ def test_a_shared_offset_moves_the_position_by_what_its_sigma_allows() -> None:
         estimate.covariance[:, 3:, 3:], blind.covariance[:, 3:, 3:], rtol=0.1, atol=1e-9
     )
     assert abs(estimate.mass.k2 - blind.mass.k2) < np.sqrt(blind.mass.cov_k[1, 1])
+    # G is where the first pose was seen: the true centre of mass in it is elsewhere
+    com_true = transform_points(inverse_pose(estimate.X_NG[0]), sequence.truth.r_N[:1])[0]
+    off = estimate.mass.com_G - com_true
+    assert off @ np.linalg.solve(estimate.mass.cov_com_G, off) < 12.0
+    assert off @ np.linalg.solve(blind.mass.cov_com_G, off) > 30.0
     last = estimate.covariance[-1, :3, :3]
     np.testing.assert_allclose(estimate.covariance_last_joint[:3, :3], last, rtol=1e-9)
     assert estimate.covariance_last_body is not None
