@@ -10,7 +10,7 @@ is given. What was measured before is read from the record: an interrupted bench
 "RMSE / bound" divides the root mean squared error over seeds and frames by that of the bound at the true
 state (``benchmarks/bound.py``). "NEES" is the mean normalised squared error over its expectation; its 95 %
 band is that of the chi-square with as many degrees of freedom as the correlated frames are worth. * marks
-what lies outside.
+what lies outside. "all": every sequence with its own bound.
 """
 
 import argparse
@@ -128,18 +128,17 @@ def print_tables(cells: list[tuple[tuple[str, float], list[Case]]]) -> None:
     over = [over_bound(_good(lines)) for _, lines in cells]
     for ((motion, noise), lines), values in zip(cells, over, strict=True):
         print(_row((motion, noise, _count(lines), *(f"{x:.3f}{'*' if x > 1.15 else ''}" for x in values))))
+    runs = [line for _, lines in cells for line in lines]
+    together = np.sqrt(np.mean([np.divide(line["squares"], line["bound"]) for line in _good(runs)], axis=0))
+    print(_row(("all", "", _count(runs), *(f"{x:.3f}" for x in together))))
     print("\nNEES over its expectation (95 % band)\n")
     print(_row(HEAD) + "\n" + _rule(9))
     inside = []
     for (motion, noise), lines in cells:
         nees, low, high = consistency(_good(lines))
         inside += list((nees >= low) & (nees <= high))
-        marks = ["" if a <= x <= b else "*" for x, a, b in zip(nees, low, high, strict=True)]
-        shown = zip(nees, marks, low, high, strict=True)
-        print(
-            _row((motion, noise, _count(lines), *(f"{x:.2f}{m} ({a:.2f}-{b:.2f})" for x, m, a, b in shown)))
-        )
-    runs = [line for _, lines in cells for line in lines]
+        print(_row((motion, noise, _count(lines), *_with_band(nees, low, high))))
+    print(_row(("all", "", _count(runs), *_with_band(*consistency(_good(runs))))))
     seconds = np.median([line["seconds"] for line in _good(runs)])
     print(
         f"\nRMSE at most {np.max(over):.3f} of the bound, "
@@ -165,6 +164,13 @@ def consistency(lines: list[Case]) -> tuple[Array, Array, Array]:
     # each sequence weighs as much as its degrees of freedom
     mean = np.nansum(freedom * nees / COMPONENTS, axis=0) / total
     return np.asarray(mean), chi2.ppf(0.025, total) / total, chi2.ppf(0.975, total) / total
+
+
+def _with_band(values: Array, low: Array, high: Array) -> list[str]:
+    return [
+        f"{x:.2f}{'' if a <= x <= b else '*'} ({a:.2f}-{b:.2f})"
+        for x, a, b in zip(values, low, high, strict=True)
+    ]
 
 
 def _cell(line: Case) -> tuple[str, float]:
