@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from benchmarks.record import Case, complete
+from benchmarks.record import Case, complete, measured
 from polhode.lie import Array
 from simulation.measurements import SyntheticScene
 
@@ -68,6 +68,9 @@ def main() -> None:
     lines = complete(options.record, cases, measure, options.workers)
     cells = [(motion, noise) for motion in motions for noise in NOISES_PX]
     print_tables([(cell, [line for line in lines if _cell(line) == cell]) for cell in cells])
+    if options.estimated:
+        given = measured(options.record, [{**case, "process_noise": "given"} for case in cases])
+        print_cost_of_estimating(lines, given)
 
 
 def measure(case: Case) -> Case:
@@ -146,6 +149,30 @@ def print_tables(cells: list[tuple[tuple[str, float], list[Case]]]) -> None:
         f"of the cells; NEES inside its band in {np.mean(inside):.1%}; "
         f"{len(runs) - len(_good(runs))} of {len(runs)} runs failed; {seconds:.1f} s a run."
     )
+
+
+def print_cost_of_estimating(estimated: list[Case], given: list[Case]) -> None:
+    """The same sequences with the process noise estimated and given, all together."""
+    pairs = same_sequences(_good(estimated), _good(given))
+    if not pairs:
+        return
+    ours, theirs = (list(lines) for lines in zip(*pairs, strict=True))
+    squares = [
+        np.mean([np.divide(line["squares"], line["bound"]) for line in some], axis=0)
+        for some in (ours, theirs)
+    ]
+    print(f"\nThe same {len(pairs)} sequences with the process noise given\n")
+    print(_row(("", *HEAD[3:])) + "\n" + _rule(7))
+    print(_row(("RMSE, estimated over given", *(f"{x:.3f}" for x in np.sqrt(squares[0] / squares[1])))))
+    for name, some in (("NEES, estimated", ours), ("NEES, given", theirs)):
+        print(_row((name, *_with_band(*consistency(some)))))
+
+
+def same_sequences(estimated: list[Case], given: list[Case]) -> list[tuple[Case, Case]]:
+    """Pairs of lines that differ in the process noise only."""
+    by_name = {(*_cell(line), line["case"]["seed"]): line for line in given}
+    names = [(*_cell(line), line["case"]["seed"]) for line in estimated]
+    return [(line, by_name[name]) for line, name in zip(estimated, names, strict=True) if name in by_name]
 
 
 def over_bound(lines: list[Case]) -> Array:

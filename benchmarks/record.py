@@ -37,6 +37,12 @@ def complete(path: Path, cases: Iterable[Case], measure: Callable[[Case], Case],
     return [done[_key(case)] for case in wanted]
 
 
+def measured(path: Path, cases: Iterable[Case]) -> list[Case]:
+    """Lines of those of the cases that the file has."""
+    done = {_key(line["case"]): line for line in _lines(path)}
+    return [done[key] for key in map(_key, cases) if key in done]
+
+
 class _Joined:
     """Runs in the other process."""
 

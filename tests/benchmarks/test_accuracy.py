@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.accuracy import MOTIONS, consistency, over_bound
+from benchmarks.accuracy import MOTIONS, consistency, over_bound, same_sequences
 from benchmarks.bound import COMPONENTS
 from benchmarks.record import Case
 
@@ -48,3 +48,13 @@ def test_an_undetermined_quantity_of_a_sequence_does_not_count() -> None:
 
 def test_there_are_at_least_six_motions() -> None:
     assert len(MOTIONS) >= 6 and all(scene.frames == 115 for scene in MOTIONS.values())
+
+
+def test_only_the_same_sequences_are_set_side_by_side() -> None:
+    def line(seed: int, noise: float) -> Case:
+        return {"case": {"motion": "tumble", "noise_px": noise, "seed": seed}}
+
+    pairs = same_sequences(
+        [line(0, 1.0), line(1, 1.0), line(1, 0.3)], [line(1, 1.0), line(2, 1.0), line(0, 0.3)]
+    )
+    assert pairs == [(line(1, 1.0), line(1, 1.0))]

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from benchmarks.record import Case, complete
+from benchmarks.record import Case, complete, measured
 
 
 def square(case: Case) -> Case:
@@ -19,3 +19,4 @@ def test_only_missing_cases_are_measured_and_a_cut_line_does_no_harm(tmp_path: P
     # what came after the cut line is a line of its own
     record.write_text(record.read_text().replace('"square": 9', '"square": 8'))
     assert complete(record, [{"x": 3}], square, workers=1)[0]["square"] == 8
+    assert [line["square"] for line in measured(record, [{"x": 7}, {"x": 3}, {"x": 1}])] == [8, 1]
