@@ -7,21 +7,20 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from backend.ambiguity import with_open_sense
-from backend.fit import fit
+from backend.fit import SUSPICIOUS, fit
 from backend.gauss_newton import GaussNewton, Solution
+from backend.hypotheses import N_HYPOTHESES
 from backend.iterate import Iterate
 from backend.problem import TIGHT_GAUGE, MotionData, hold, motion_data
 from backend.program import MotionProgram
 from backend.result import assemble
 from backend.systematic import with_systematic
-from backend.trials import first_starts, renew_inertia
+from backend.trials import renew_inertia
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.progress import Progress
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 
-SUSPICIOUS = 30.0
-"""Estimated over stated process noise: a body that drifts freely shows less."""
 MAX_PASSES = 4
 PASS_TOLERANCE = 1e-7
 """Relative change of the cost between passes that ends them."""
@@ -46,9 +45,8 @@ def _estimate(
     tracks: StereoTracks, initial: InitialMotion, config: Backend, progress: Progress
 ) -> MotionEstimate:
     data = motion_data(tracks, config)
-    starts = first_starts(tracks, initial, data)
-    with progress.stage("motion and inertia", sum(len(start.guesses) for start in starts) + 4) as advance:
-        found = fit(data, starts, config, advance)
+    with progress.stage("motion and inertia", N_HYPOTHESES + 4) as advance:
+        found = fit(data, tracks, initial, config, advance)
         data, kept, iterate = found.data, found.kept, found.iterate
         solver: GaussNewton | MotionProgram
         solver = MotionProgram(kept.data) if config.solver == "ipopt" else GaussNewton(kept.data)

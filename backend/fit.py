@@ -2,20 +2,31 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+from scipy.linalg import LinAlgError
+
 from backend.ambiguity import Choice, choose
 from backend.attach import attach_wrench
+from backend.fewer_frames import from_fewer_frames
 from backend.iterate import Iterate
 from backend.noise import NoiseScales
 from backend.problem import MotionData
 from backend.process_level import estimate_process_noise
 from backend.prune import Kept, settle
-from backend.trials import Start, Trial, try_hypotheses
+from backend.trials import Start, Trial, first_starts, try_hypotheses
 from backend.unknown_pushes import find_pushes
 from polhode.config.backend import Backend
+from polhode.errors import RunFailure
 from polhode.progress import Advance
+from polhode.records import InitialMotion, StereoTracks
 
 SEARCHES = 3
 """For unknown pushes: with the strong ones freed the disturbances are weaker, and weak ones show."""
+
+
+MOST_AGREE, SUSPICIOUS = 0.7, 30.0
+"""A smaller share of observations that agree, or estimated disturbances so many times the stated ones (power):
+frames may contradict one another."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +46,56 @@ class Fit:
     """Cost of the other directions of a known torque's axes, by name"""
 
 
-def fit(data: MotionData, starts: list[Start], config: Backend, advance: Advance) -> Fit:
-    """Fit; where free motion is contradicted by pushes, again with nodes for them.
+def fit(
+    data: MotionData, tracks: StereoTracks, initial: InitialMotion, config: Backend, advance: Advance
+) -> Fit:
+    """Fit; where that looks as if frames contradicted one another, from fewer of them too.
 
-    Raises RunFailure when no guess leads to a motion that most observations agree with.
+    Raises RunFailure or LinAlgError when no guess leads to a motion that most observations agree with.
     """
-    found = _fit(data, starts, config, advance)
+    failure: RunFailure | LinAlgError | None = None
+    found: list[tuple[Fit, list[Start]]] = []
+    for first in (initial, *from_fewer_frames(tracks, initial)):
+        starts = first_starts(tracks, first, data)
+        try:
+            found.append((_fit(data, starts, config, advance), starts))
+        except (RunFailure, LinAlgError) as error:
+            failure = failure if failure is not None else error
+            continue
+        if not _doubtful(found[-1][0], data):
+            return _with_pushes(data, *found[-1], config)
+        advance = _silent
+    if not found:
+        assert failure is not None
+        raise failure
+    # what looks like a contradiction may be a push
+    return _with_pushes(data, *max(found, key=lambda one: _agreeing(one[0])), config)
+
+
+def _doubtful(found: Fit, stated: MotionData) -> bool:
+    """Whether many observations disagree, or the motion seems much disturbed."""
+    stronger = max(found.data.accel_psd / stated.accel_psd, found.data.torque_psd / stated.torque_psd)
+    return _agreeing(found) < MOST_AGREE or stronger > SUSPICIOUS
+
+
+def _agreeing(found: Fit) -> float:
+    """Share of the observations that agree with the motion."""
+    return float(np.mean(found.kept.observations))
+
+
+def _silent() -> None:
+    return None
+
+
+def _with_pushes(data: MotionData, found: Fit, starts: list[Start], config: Backend) -> Fit:
+    """The fit; where free motion is contradicted by pushes, made again with nodes for them."""
     for _ in range(SEARCHES if config.unknown_wrench == "found" else 0):
         small = found.kept.restrict(found.iterate)
         pushes = find_pushes(found.kept.data, small, data.node_sigma, config.process_noise == "given")
         if pushes is None:
             break
         with_nodes = replace(data, nodes=pushes.nodes, node_sigma=pushes.sigma)
-        found = _fit(with_nodes, starts, config, lambda: None)
+        found = _fit(with_nodes, starts, config, _silent)
     return found
 
 

@@ -5,6 +5,9 @@ import numpy as np
 from backend.inertia import second_moments_from_inertia
 from polhode.lie import Array, hat
 
+N_HYPOTHESES = 5
+"""Most guesses; more are tried where the sense of the turns is open."""
+
 
 def inertia_hypotheses(R_NG: Array, w_G: Array) -> dict[str, Array]:
     """Second moments (3, 3) in G by name, from attitudes (F, 3, 3) and body rates (F, 3) [rad/s]."""
