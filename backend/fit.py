@@ -25,7 +25,7 @@ SEARCHES = 3
 
 
 MOST_AGREE, SUSPICIOUS = 0.7, 30.0
-"""A smaller share of observations that agree, or estimated disturbances so many times the stated ones (power):
+"""A smaller share of observations that agree, or estimated disturbances so many times those stated (power):
 frames may contradict one another."""
 
 

@@ -39,8 +39,8 @@ class Backend(Section):
     """Disturbance torque over the middle moment, power spectral density [(rad/s^2)^2/Hz] (thesis eq. 6.15,
     squared); where the estimate of it starts."""
     systematic_px: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = (0.03, 0.03, 0.01)
-    """Standard deviations of constant errors of u, v and disparity that every frame shares [px]: calibration and
-    matching. No residual shows them; they widen the sigma of position."""
+    """Standard deviations of constant errors of u, v and disparity that every frame shares [px]: calibration
+    and matching. No residual shows them; they widen the sigma of position."""
     wrench_bias: float = Field(0.02, gt=0)
     """Standard deviation of a constant bias of known forces and torques, over the largest of each."""
     unknown_wrench: Literal["none", "found", "everywhere"] = "found"
