@@ -62,6 +62,8 @@ def measure(config: Path, again: bool) -> tuple[dict[str, Any] | None, dict[str,
         polhode(
             "run", str(ROOT / "configs/default.yaml"), "--data", str(sequence), "-o", str(run), may_fail=True
         )
+    if not (run / "summary.json").is_file():
+        raise SystemExit(f"{config.stem}: the run left no summary.json")
     summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
     if not (run / "trajectory.csv").is_file():
         return None, summary
