@@ -18,9 +18,9 @@ from polhode.lie import Array, right_jacobian_so3
 
 DAMPING_FLOOR = 1e-8
 MOST_DAMPED, MOST_FIRM = 1e8, 1e5
-AT_REST, AT_REST_NATS, REST_ITERATIONS = 1e-6, 1e-3, 8
-"""So many iterations in a row with a smaller decrease, relative or absolute, end them too: what is left is a
-valley along which the data tell nothing."""
+AT_REST, REST_ITERATIONS = 1e-6, 8
+"""So many iterations in a row with a smaller relative decrease end them too: what is left is a valley along
+which the data tell nothing."""
 CONSTANT_SCALE = np.repeat([0.01, 0.1], [3, N_INERTIA])
 """Of com_G [m] and xi."""
 ITERATION_LIMIT = "limit of iterations (backend.max_iterations)"
@@ -108,7 +108,7 @@ class GaussNewton:
                 return Solution(x, system.cost, iteration, True, "no further decrease")
             x, cost, damping = found
             decrease = system.cost - cost
-            resting = resting + 1 if decrease <= max(AT_REST * cost, AT_REST_NATS) else 0
+            resting = resting + 1 if decrease <= AT_REST * cost else 0
             if decrease <= TOLERANCE * max(cost, 1.0) or resting >= REST_ITERATIONS:
                 converged = True
                 break
