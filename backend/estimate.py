@@ -36,9 +36,7 @@ def estimate_motion(
     try:
         return _estimate(tracks, initial, config, progress)
     except LinAlgError as error:
-        raise RunFailure(
-            f"no consistent motion: what fits best is no body that could be ({error})"
-        ) from error
+        raise RunFailure(f"no consistent motion: what fits best is no motion of a body ({error})") from error
 
 
 def _estimate(

@@ -6,6 +6,7 @@ error on the right. The equation is integrated along the motion itself, in scale
 """
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from backend.flow import flow_derivatives, flows
 from polhode.lie import Array
@@ -13,6 +14,8 @@ from polhode.quaternion import matrix_from_wxyz
 
 PART_RAD = 0.7
 """Largest turn of a part of an interval: its variances are right to 1e-4."""
+MOST_TURN_RAD = 1e4
+"""Within one interval: no rate of a body, but one of a solution that has gone astray."""
 _ABSCISSAS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 NODES, WEIGHTS = 0.5 * (_ABSCISSAS + 1.0), 0.5 * _WEIGHTS
 
@@ -45,9 +48,13 @@ def _integrated(w_G: Array, J_G: Array, dt_s: Array) -> Array:
 
     Joined from parts of an interval, ``P <- F P F^T + Q``: F is the transition over a part, Q the integral of
     ``K K^T``, K what an impulse leads to by the end, by Gauss's quadrature. What is joined so stays positive
-    definite, however long the interval.
+    definite, however long the interval. Raises LinAlgError for rates beyond all bounds.
     """
     n = len(dt_s)
+    turn = np.linalg.norm(w_G, axis=1) * dt_s
+    # not a number is refused too
+    if not np.all(turn < MOST_TURN_RAD):
+        raise LinAlgError("a rate beyond all bounds")
     cov, w, done = np.zeros((n, 6, 6)), w_G.copy(), np.zeros(n)
     left = np.arange(n)
     while len(left):
@@ -70,6 +77,8 @@ def _transition(w_G: Array, J_G: Array, t: Array, part: Array) -> tuple[Array, A
     q, w_end, turn, rate = flow_derivatives(
         w_G, J_G, np.zeros((0, 3, 3)), t * part, np.ones(len(t), dtype=np.int64)
     )
+    if not np.all(np.isfinite(q)):
+        raise LinAlgError("a rate beyond all bounds")
     F = np.zeros((len(t), 6, 6))
     F[:, :3, :3] = np.swapaxes(matrix_from_wxyz(q), 1, 2)
     F[:, :3, 3:] = np.swapaxes(turn, 1, 2) / t[:, None, None]

@@ -106,3 +106,9 @@ def test_whitening_is_the_square_root_of_the_information() -> None:
         W_r[0] @ rotation_covariance(w, J, dt, 3e-6)[0] @ W_r[0].T, np.eye(6), atol=1e-9
     )
     np.testing.assert_allclose(W_t[0] @ translation_covariance(dt, 1e-6)[0] @ W_t[0].T, np.eye(2), atol=1e-9)
+
+
+@pytest.mark.parametrize("rate", [np.nan, np.inf, 1e9])
+def test_rates_beyond_all_bounds_are_refused(rate: float) -> None:
+    with pytest.raises(np.linalg.LinAlgError, match="beyond all bounds"):
+        whitening(np.array([[0.1, rate, 0.2]]), np.diag([1.5, 1.2, 0.9]), np.array([0.5]), 1e-6, 1e-6)
