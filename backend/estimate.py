@@ -75,12 +75,19 @@ def _estimate(
 
 
 def _warnings_of_disturbances(data: MotionData, config: Backend) -> list[str]:
+    ends = float(np.sum(data.dt_s))
+    out = [
+        f"backend.unknown_wrench_s: {start:g} to {end:g} s is outside the sequence of {ends:g} s"
+        for start, end in config.unknown_wrench_s
+        if end <= 0.0 or start >= ends
+    ]
     stronger = max(data.accel_psd / config.accel_psd, data.torque_psd / config.torque_psd)
     if stronger < SUSPICIOUS:
-        return []
+        return out
     return [
+        *out,
         f"the motion looks disturbed {stronger:.0f} times more strongly than stated (power): a push may be "
-        "behind it, or wrong associations; sigmas are wide for that"
+        "behind it, or wrong associations; sigmas are wide for that",
     ]
 
 

@@ -91,11 +91,15 @@ def _with_pushes(data: MotionData, found: Fit, starts: list[Start], config: Back
     """The fit; where free motion is contradicted by pushes, made again with nodes for them."""
     for _ in range(SEARCHES if config.unknown_wrench == "found" else 0):
         small = found.kept.restrict(found.iterate)
-        pushes = find_pushes(found.kept.data, small, data.node_sigma, config.process_noise == "given")
-        if pushes is None:
+        try:
+            pushes = find_pushes(found.kept.data, small, data.node_sigma, config.process_noise == "given")
+            if pushes is None:
+                break
+            with_nodes = replace(data, nodes=pushes.nodes, node_sigma=pushes.sigma)
+            found = _fit(with_nodes, starts, config, _silent)
+        except (RunFailure, LinAlgError):
+            # what was found without them stays
             break
-        with_nodes = replace(data, nodes=pushes.nodes, node_sigma=pushes.sigma)
-        found = _fit(with_nodes, starts, config, _silent)
     return found
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks
+from polhode.records import MassProperties, MotionEstimate, OnlineEstimate, StereoTracks
 
 Sigma = tuple[float, float, float]
 """Standard deviations of the offsets of u, v, disparity [px]."""
@@ -31,13 +31,25 @@ def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Si
     joint = np.zeros((20, 3))
     joint[:3], joint[17:] = spread[-1], in_G
     body, mass = estimate.covariance_last_body, estimate.mass
+    cov_com = _grown(mass.cov_com_G, in_G)
+    known = replace(mass.identifiable, detail=_in_words(mass, cov_com))
     return replace(
         estimate,
         covariance=np.stack([_grown(c, s) for c, s in zip(estimate.covariance, spread, strict=True)]),
         covariance_last_joint=_grown(estimate.covariance_last_joint, joint),
         covariance_last_body=None if body is None else _grown(body, joint),
-        mass=replace(mass, cov_com_G=_grown(mass.cov_com_G, in_G)),
+        mass=replace(mass, cov_com_G=cov_com, identifiable=known),
     )
+
+
+def _in_words(mass: MassProperties, cov_com_G: Array) -> dict[str, str]:
+    """What is said of the centre of mass, with the sigmas that hold now."""
+    detail = dict(mass.identifiable.detail)
+    variance = np.diagonal(mass.R_GP.T @ np.where(np.isfinite(cov_com_G), cov_com_G, 0.0) @ mass.R_GP)
+    for name, value in zip(("com_x", "com_y", "com_z"), variance, strict=True):
+        if detail[name].startswith("determined") and value > 0.0:
+            detail[name] = f"determined, standard deviation about {1e3 * np.sqrt(value):.2g} mm"
+    return detail
 
 
 def online_with_systematic(online: OnlineEstimate, tracks: StereoTracks, sigma_px: Sigma) -> OnlineEstimate:

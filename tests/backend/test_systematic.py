@@ -60,6 +60,10 @@ def test_a_shared_offset_moves_the_position_by_what_its_sigma_allows() -> None:
     off = estimate.mass.com_G - com_true
     assert off @ np.linalg.solve(estimate.mass.cov_com_G, off) < 12.0
     assert off @ np.linalg.solve(blind.mass.cov_com_G, off) > 30.0
+    # and the words say the same
+    in_P = np.diagonal(estimate.mass.R_GP.T @ estimate.mass.cov_com_G @ estimate.mass.R_GP)
+    for name, variance in zip(("com_x", "com_y", "com_z"), in_P, strict=True):
+        assert f"about {1e3 * np.sqrt(variance):.2g} mm" in estimate.mass.identifiable.detail[name]
     last = estimate.covariance[-1, :3, :3]
     np.testing.assert_allclose(estimate.covariance_last_joint[:3, :3], last, rtol=1e-9)
     assert estimate.covariance_last_body is not None
@@ -74,3 +78,5 @@ def test_what_is_unknown_stays_unknown() -> None:
     assert not np.isnan(estimate.covariance).any()
     with pytest.raises(ValueError, match="systematic_px"):
         Backend(systematic_px=(-1.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="finite"):
+        Backend(accel_psd=np.inf)
