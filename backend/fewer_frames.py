@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from backend.gaps import long_gaps
-from backend.initialize import bridge, frame_rates
-from polhode.lie import inverse_pose
+from backend.initialize import frame_rates
 from polhode.records import Bools, InitialMotion, Ints, StereoTracks
 
 SHARE, LEAST = 0.3, 12
@@ -30,13 +29,8 @@ def from_fewer_frames(tracks: StereoTracks, initial: InitialMotion) -> list[Init
         told = known.sum() >= ENOUGH_FRAMES and not np.array_equal(known, initial.connected)
         if told and not any(np.array_equal(known, other) for other in out):
             out.append(known)
-    return [_with_known(tracks, initial, known) for known in out]
-
-
-def _with_known(tracks: StereoTracks, initial: InitialMotion, known: Bools) -> InitialMotion:
-    """The other poses are forgotten and bridged anew."""
-    X_NG = bridge(tracks.time_s, tracks.X_NR @ initial.X_RG, known)
-    return replace(initial, X_RG=inverse_pose(tracks.X_NR) @ X_NG, connected=known)
+    # the other poses stay where they were: in a first fit with loose steps their frames then pull at nothing
+    return [replace(initial, connected=known) for known in out]
 
 
 def _strong(seen: Ints, connected: Bools) -> Bools:
