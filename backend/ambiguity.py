@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from backend.covariance import with_infinite
 from backend.sense import THE_OTHER_WAY
 from backend.trials import Trial
 from polhode.lie import Array
-from polhode.records import Bools, MotionEstimate
+from polhode.records import MotionEstimate
 
 AS_GOOD = 0.02
 """Relative difference of the misfit that does not decide: a wrong sense of a tumble costs several times the
@@ -76,12 +77,3 @@ def with_open_sense(estimate: MotionEstimate, turns_deg: tuple[float, float]) ->
         mass=mass,
         warnings=(*estimate.warnings, warning),
     )
-
-
-def with_infinite(covariance: Array, lost: Bools) -> Array:
-    """The covariance (n, n) with the components ``lost`` (n,) unknown."""
-    out = covariance.copy()
-    out[lost, :] = 0.0
-    out[:, lost] = 0.0
-    out[lost, lost] = np.inf
-    return out

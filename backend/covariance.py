@@ -20,6 +20,7 @@ from backend.problem import Held
 from backend.schur import landmark_covariances, mirror
 from backend.wrench import LN_MASS, LN_SCALE, TURN
 from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
+from polhode.records import Bools
 
 N_GAUGE = 6
 SMALLEST_GAP = 1e-6
@@ -245,3 +246,12 @@ def robust_information(s: Array, scale: float) -> Array:
     slope = np.mean(w - (2.0 / 3.0) * s * w**2 / scale**2)
     spread = np.mean(w**2 * s) / 3.0
     return np.asarray(w / np.mean(w) * max(float(slope), 0.1) ** 2 / max(float(spread), 1e-12))
+
+
+def with_infinite(covariance: Array, lost: Bools) -> Array:
+    """The covariance (n, n) with the components ``lost`` (n,) unknown: rows and columns 0, variances inf."""
+    out = covariance.copy()
+    out[lost, :] = 0.0
+    out[:, lost] = 0.0
+    out[lost, lost] = np.inf
+    return out

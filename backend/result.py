@@ -3,7 +3,6 @@
 import numpy as np
 
 from backend.absolute import with_absolute_scale
-from backend.ambiguity import with_infinite
 from backend.covariance import (
     AxesDerivative,
     Marginals,
@@ -13,6 +12,7 @@ from backend.covariance import (
     robust_information,
     state_covariances,
     state_jacobians,
+    with_infinite,
 )
 from backend.dynamics import States
 from backend.equal_moments import of_free_turn, ratio_covariance

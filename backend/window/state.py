@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
 
-from backend.covariance import axes_derivative, state_jacobian
+from backend.covariance import axes_derivative, state_jacobian, with_infinite
 from backend.identifiability import analyse, undetermined_states
 from backend.inertia import InertiaForm
 from backend.iterate import Iterate
@@ -167,12 +167,3 @@ def nearest_half_turn(R_GP: Array, wanted: Array) -> Array:
     """The half-turn (3, 3), or none, after which the axes R_GP lie nearest to the wanted ones."""
     along = np.einsum("ij,ij->j", R_GP, wanted)
     return np.diag(HALF_TURNS[int(np.argmax(HALF_TURNS @ along))])
-
-
-def with_infinite(covariance: Array, lost: Bools) -> Array:
-    """Rows and columns of what is lost are 0, its variance is inf."""
-    out = covariance.copy()
-    out[lost, :] = 0.0
-    out[:, lost] = 0.0
-    out[lost, lost] = np.inf
-    return out

@@ -4,7 +4,8 @@ import itertools
 
 import numpy as np
 
-from backend.window.state import HALF_TURNS, nearest_half_turn, unknown_state, with_infinite
+from backend.covariance import with_infinite
+from backend.window.state import HALF_TURNS, nearest_half_turn, unknown_state
 from polhode.lie import exp_so3, make_pose
 from simulation.measurements import SyntheticSequence
 from tests.backend.window.conftest import Feed
