@@ -1,5 +1,6 @@
 """The search for the level of disturbances, and what it finds in a history."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from simulation.measurements import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
 
-def bowl(centre: Grid, width: float) -> object:
+def bowl(centre: Grid, width: float) -> Callable[[Grid], float]:
     def minus_log_evidence(at: Grid) -> float:
         return ((at[0] - centre[0]) ** 2 + (at[1] - centre[1]) ** 2) / width**2
 
@@ -18,11 +19,11 @@ def bowl(centre: Grid, width: float) -> object:
 
 def test_a_clear_optimum_is_found() -> None:
     for centre in ((0, 0), (-5, -3), (-8, 2)):
-        assert most_likely(bowl(centre, 0.2)) == centre  # type: ignore[arg-type]
+        assert most_likely(bowl(centre, 0.2)) == centre
 
 
 def test_levels_that_the_data_do_not_tell_apart_are_as_large_as_stated() -> None:
-    assert most_likely(bowl((-6, -6), 20.0)) == (0, 0)  # type: ignore[arg-type]
+    assert most_likely(bowl((-6, -6), 20.0)) == (0, 0)
 
 
 def test_disturbances_of_a_simulated_tumble_are_recovered(feed: Feed) -> None:
