@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 from trimesh.triangles import points_to_barycentric
 
-from frontend.extract import rectified_pair
+from frontend.rectified_pair import rectified_pair
 from frontend.rectify import make_rectifier
 from frontend.target import Crop, target_crop
 from pipeline.report.content import Content, Motion, read_content

@@ -7,15 +7,15 @@ the inertia depends on it, and a link that fails between neighbours is bridged b
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import kornia.feature
 import numpy as np
 import torch
 
+from frontend.methods import match_method
 from frontend.parallel import in_order
 from frontend.ransac import ransac_rigid
 from frontend.stereo import StereoFeatures
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import PairMatching
+from polhode.config.frontend import Frontend
 from polhode.lie import Array
 from polhode.records import Ints, RelativePoses
 
@@ -37,7 +37,7 @@ class PairMatch:
 def match_all_pairs(
     frames: Sequence[StereoFeatures],
     rig: RectifiedRig,
-    config: PairMatching,
+    config: Frontend,
     seed: int,
     workers: int,
     tick: Tick,
@@ -60,7 +60,7 @@ class _RowJob:
 
     frames: Sequence[StereoFeatures]
     rig: RectifiedRig
-    config: PairMatching
+    config: Frontend
     seed: int
 
     def __call__(self, i: int) -> list[PairMatch]:
@@ -75,29 +75,27 @@ def _match_pair(
     j: int,
     frames: Sequence[StereoFeatures],
     rig: RectifiedRig,
-    config: PairMatching,
+    config: Frontend,
     seed: int,
 ) -> PairMatch | None:
-    if min(len(frames[i]), len(frames[j])) < config.min_inliers:
+    pairing = config.pairs
+    if min(len(frames[i]), len(frames[j])) < pairing.min_inliers:
         return None
-    with torch.inference_mode():
-        a, b = (torch.from_numpy(frames[k].descriptors) for k in (i, j))
-        _, index = kornia.feature.match_smnn(a, b, config.ratio)
-    pairs = index.numpy()
-    if len(pairs) < config.min_inliers:
+    pairs = match_method(config)(frames[i], frames[j]).features
+    if len(pairs) < pairing.min_inliers:
         return None
     fit = ransac_rigid(
         frames[i].uvd_px[pairs[:, 0]],
         frames[i].p_R[pairs[:, 0]],
         frames[j].p_R[pairs[:, 1]],
         rig,
-        config.hypotheses,
-        config.gate_px,
+        pairing.hypotheses,
+        pairing.gate_px,
         np.random.default_rng([seed, i, j]),
     )
-    if fit.inlier.sum() < config.min_inliers:
+    if fit.inlier.sum() < pairing.min_inliers:
         return None
-    return PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier].astype(np.int64))
+    return PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier])
 
 
 def relative_poses(matches: Sequence[PairMatch]) -> RelativePoses:

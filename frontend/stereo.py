@@ -25,6 +25,16 @@ MIN_SIGMA_DISPARITY_PX = 0.10
 
 
 @dataclass(frozen=True)
+class Picture:
+    """A part of a rectified left image."""
+
+    image: Image
+    """(H, W)"""
+    corner_px: tuple[int, int]
+    """(u, v) in the whole image of the part's first pixel"""
+
+
+@dataclass(frozen=True)
 class StereoFeatures:
     """Stereo measurements of one frame with their descriptors."""
 
@@ -37,7 +47,11 @@ class StereoFeatures:
     scale_px: Array
     """(n,)"""
     descriptors: Descriptors
-    """(n, 128) of the left image"""
+    """(n, d) of the left image, unit length"""
+    angle_rad: Array | None = None
+    """(n,) orientation in the left image, where the method has one"""
+    picture: Picture | None = None
+    """The left image around the target, where the matcher reads images"""
 
     def __len__(self) -> int:
         return len(self.uvd_px)
@@ -66,6 +80,7 @@ def match_stereo(
         rig.triangulate(uvd),
         points_left.scale_px[index_left][good],
         points_left.descriptors[index_left][good],
+        points_left.angle_rad[index_left][good],
     )
 
 

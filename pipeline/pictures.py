@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from frontend.extract import rectified_pair
+from frontend.rectified_pair import rectified_pair
 from frontend.rectify import Rectifier
 from frontend.target import Crop, target_crop
 from polhode.dataset import StereoSequence

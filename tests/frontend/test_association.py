@@ -9,7 +9,7 @@ from frontend.guided import consistent_matches, reconnect
 from frontend.pairs import PairMatch, match_all_pairs, relative_poses
 from frontend.ransac import fit_rigid, ransac_rigid
 from frontend.tracks import Association, join_matches, to_tracks
-from polhode.config.frontend import GuidedMatching, PairMatching, Tracks
+from polhode.config.frontend import Frontend, GuidedMatching, Tracks
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import InitialMotion
 from tests.frontend.feature_world import RIG, World, make_world, purity
@@ -47,9 +47,7 @@ def test_ransac_finds_the_motion_among_half_outliers() -> None:
 
 
 def test_blind_links_are_right_and_do_not_depend_on_the_workers(world: World) -> None:
-    runs = [
-        match_all_pairs(world.frames, RIG, PairMatching(), 0, workers, lambda: None) for workers in (1, 2)
-    ]
+    runs = [match_all_pairs(world.frames, RIG, Frontend(), 0, workers, lambda: None) for workers in (1, 2)]
     for match in runs[0]:
         X_true = world.X_RG[match.i] @ inverse_pose(world.X_RG[match.j])
         assert np.rad2deg(np.linalg.norm(log_so3(match.X_RiRj[:3, :3].T @ X_true[:3, :3]))) < 3.0
@@ -73,7 +71,7 @@ def test_a_landmark_seen_again_a_revolution_later_is_the_same_landmark(
 
 @pytest.fixture(scope="module")
 def matches(world: World) -> list[PairMatch]:
-    return match_all_pairs(world.frames, RIG, PairMatching(), 0, 1, lambda: None)
+    return match_all_pairs(world.frames, RIG, Frontend(), 0, 1, lambda: None)
 
 
 def test_matches_that_the_motion_contradicts_are_dropped(world: World, matches: list[PairMatch]) -> None:
