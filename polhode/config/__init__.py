@@ -7,8 +7,9 @@ from polhode.config.frontend import Frontend
 from polhode.config.mapping import Mapping
 from polhode.config.scene import Scene
 from polhode.config.section import Section
+from polhode.config.train import Train
 
-__all__ = ["Backend", "Config", "Frontend", "Mapping", "Runtime", "Scene"]
+__all__ = ["Backend", "Config", "Frontend", "Mapping", "Runtime", "Scene", "Train"]
 
 
 class Runtime(Section):
@@ -21,7 +22,7 @@ class Runtime(Section):
 
 
 class Config(Section):
-    """One schema for every command: a scene (for simulate) and the stages (for run)."""
+    """One schema for every command: a scene (for simulate), the stages (for run), a training (for train)."""
 
     seed: int = 0
     """Seed of everything random."""
@@ -29,4 +30,5 @@ class Config(Section):
     frontend: Frontend = Frontend()
     backend: Backend = Backend()
     mapping: Mapping = Mapping()
+    train: Train | None = None
     runtime: Runtime = Runtime()
