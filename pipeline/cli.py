@@ -13,7 +13,7 @@ from typing import Annotated, Any, Union, cast
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from pipeline.commands import COMMANDS, Command, Run, Simulate, with_values
+from pipeline.commands import COMMANDS, Command, Configured, with_values
 from pipeline.console import show_warnings
 from pipeline.overrides import option_names, split_overrides
 from pipeline.threads import limit_threads
@@ -63,7 +63,7 @@ def _dispatch(words: list[str]) -> int:
     command = _parse(own)
     if command is None:
         return 0
-    if isinstance(command, Simulate | Run):
+    if isinstance(command, Configured):
         command = with_values(command, load_config(command.config, overrides))
     elif overrides:
         raise InputError(f"'{words[0]}' reads no configuration: remove --{next(iter(overrides))}")

@@ -1,7 +1,6 @@
 """The subcommands of ``polhode``: their options, and what each one calls. Heavy imports wait for the call."""
 
 import dataclasses
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Protocol
@@ -9,7 +8,8 @@ from typing import Annotated, Protocol
 from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, Positional, arg
 
 from pipeline.console import choose_progress
-from pipeline.threads import limit_threads
+from pipeline.threads import limit_threads, processes
+from pipeline.train_command import TrainNetwork
 from polhode.config import Config, Scene
 from polhode.errors import InputError, RunFailure
 
@@ -54,7 +54,9 @@ class Simulate:
         require_free(self.output, self.overwrite)
         plan = plan_sequence(self.values.scene, self.values.seed)
         print(describe(plan.body), flush=True)
-        write_sequence(plan, self.output, choose_progress(), _workers(self.values), self.overwrite)
+        write_sequence(
+            plan, self.output, choose_progress(), processes(self.values.runtime.workers), self.overwrite
+        )
         print(f"{len(plan.frames)} stereo pairs with truth: {self.output}")
         return 0
 
@@ -179,13 +181,16 @@ class Report:
         return 0
 
 
-Configured = Simulate | Run
-COMMANDS: dict[str, type[Simulate] | type[Run] | type[Evaluate] | type[Predict] | type[Report]] = {
+Configured = Simulate | Run | TrainNetwork
+COMMANDS: dict[
+    str, type[Simulate] | type[Run] | type[Evaluate] | type[Predict] | type[Report] | type[TrainNetwork]
+] = {
     "simulate": Simulate,
     "run": Run,
     "evaluate": Evaluate,
     "predict": Predict,
     "report": Report,
+    "train": TrainNetwork,
 }
 
 
@@ -193,8 +198,3 @@ def with_values(command: Configured, values: Config) -> Configured:
     """The command with its configuration loaded; limits the threads before anything heavy is imported."""
     limit_threads(values.runtime.blas_threads)
     return dataclasses.replace(command, values=values)
-
-
-def _workers(values: Config) -> int:
-    """Parallel processes: one per core that this process may use when the configuration says 0."""
-    return values.runtime.workers or len(os.sched_getaffinity(0))

@@ -19,3 +19,8 @@ def limit_threads(count: int) -> None:
     """Let each library of this process, and of processes that it starts, use ``count`` threads."""
     for variable in VARIABLES:
         os.environ[variable] = str(count)
+
+
+def processes(workers: int) -> int:
+    """Parallel processes for ``runtime.workers``: 0 means one per core that this process may use."""
+    return workers or len(os.sched_getaffinity(0))

@@ -1,0 +1,96 @@
+"""Curves of a training, in TensorBoard's format: ``tensorboard --logdir OUTPUT`` shows them.
+
+    python -m train.curves OUTPUT... -o FILE.png
+
+draws them from the event files.
+"""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from polhode.errors import InputError
+from polhode.lie import Array
+
+FOLDER = "curves"
+MISSING = "tensorboard is not installed, which reads and writes the curves: pip install 'polhode[train]'"
+
+
+class Curves:
+    """Writes scalars; points at or after ``first_step`` that an interrupted training left are dropped."""
+
+    def __init__(self, output: Path, first_step: int) -> None:
+        try:
+            from torch.utils.tensorboard.writer import SummaryWriter
+        except ImportError:
+            raise InputError(MISSING) from None
+        self._writer = SummaryWriter(str(output / FOLDER), purge_step=first_step + 1, flush_secs=20)
+
+    def add(self, step: int, groups: Mapping[str, Mapping[str, float]]) -> None:
+        """Points of the curves ``group/name`` at a step."""
+        for group, values in groups.items():
+            for name, value in values.items():
+                self._writer.add_scalar(f"{group}/{name}", value, step)
+
+    def close(self) -> None:
+        """Write what is left."""
+        self._writer.close()
+
+
+def read_curves(output: Path) -> dict[str, Array]:
+    """Curves of a training: name -> (n, 2) step and value. Raises InputError: there are none."""
+    try:
+        from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+    except ImportError:
+        raise InputError(MISSING) from None
+    events = EventAccumulator(str(output / FOLDER), size_guidance={"scalars": 0})
+    events.Reload()
+    names = events.Tags().get("scalars", [])
+    if not names:
+        raise InputError(f"{output} holds no curves: give the folder of a training")
+    return {name: np.array([(point.step, point.value) for point in events.Scalars(name)]) for name in names}
+
+
+def draw_curves(outputs: Sequence[Path], path: Path) -> None:
+    """One row of plots a training: the loss, and the scores on held-out bodies."""
+    figure = Figure(figsize=(10, 3.2 * len(outputs)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(outputs), 2, squeeze=False)
+    for row, output in zip(axes, outputs, strict=True):
+        curves = read_curves(output)
+        _draw(row[0], {"train/loss": curves["train/loss"]}, smooth=15)
+        _draw(row[1], {name: curve for name, curve in curves.items() if name.startswith("validation/")})
+        row[0].set_ylabel(output.name)
+    figure.savefig(path, dpi=110)
+
+
+def _draw(axes: Axes, curves: Mapping[str, Array], smooth: int = 1) -> None:
+    for name, curve in curves.items():
+        width = min(smooth, len(curve))
+        value = np.convolve(curve[:, 1], np.ones(width) / width, mode="valid")
+        axes.plot(curve[width - 1 :, 0], value, label=name.partition("/")[2])
+    axes.set_xlabel("step")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=7)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Draw the curves of trainings."""
+    parser = argparse.ArgumentParser(prog="python -m train.curves", description=main.__doc__)
+    parser.add_argument("outputs", type=Path, nargs="+", metavar="OUTPUT")
+    parser.add_argument("-o", "--picture", type=Path, required=True)
+    options = parser.parse_args(arguments)
+    try:
+        draw_curves(options.outputs, options.picture)
+    except InputError as error:
+        parser.error(str(error))
+    print(options.picture)
+
+
+if __name__ == "__main__":
+    main()

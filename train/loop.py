@@ -1,0 +1,177 @@
+"""The loop: AdamW, a warm-up and a cosine; checkpoints, curves, validation; goes on where it was interrupted.
+
+A step depends on the seed, its number and the state before it alone, so an interrupted training ends with the
+weights of an uninterrupted one. AdamW: Loshchilov and Hutter, "Decoupled weight decay regularization", 2019;
+cosine: the same, "SGDR", 2017.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from polhode.config.train import Schedule
+from polhode.errors import InputError, RunFailure
+from polhode.progress import Progress
+from train.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from train.curves import Curves
+from train.task import Batch, Task
+
+AHEAD = 4
+"""Batches that are made while a GPU is busy."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a training ended."""
+
+    step: int
+    finished: bool
+    """False: the time was up; the same command goes on"""
+    elapsed_s: float
+    """Of all calls [s]"""
+    scores: Mapping[str, float]
+
+
+class Loop:
+    """One training in the folder ``output``."""
+
+    def __init__(self, task: Task, schedule: Schedule, output: Path, seed: int) -> None:
+        self._task, self._schedule, self._output, self._seed = task, schedule, output, seed
+        self._device = _device(schedule)
+        torch.set_num_threads(schedule.threads)
+        task.model.to(self._device)
+        decayed = [p for p in task.model.parameters() if p.ndim > 1]
+        others = [p for p in task.model.parameters() if p.ndim <= 1]
+        groups: list[dict[str, Any]] = [{"params": decayed}, {"params": others, "weight_decay": 0.0}]
+        self._optimizer = torch.optim.AdamW(
+            groups, lr=schedule.learning_rate, weight_decay=schedule.weight_decay
+        )
+        on_gpu = self._device.type == "cuda"
+        self._half = torch.bfloat16 if on_gpu and torch.cuda.is_bf16_supported() else torch.float16
+        self._scaler = torch.amp.GradScaler(self._device.type, enabled=on_gpu and self._half is torch.float16)
+
+    def run(self, setting: Mapping[str, Any], progress: Progress) -> Outcome:
+        """Train to the last step, or until the time is up. ``setting``: what the weights depend on.
+
+        Raises InputError: the output folder holds another training; RunFailure: the loss is no number.
+        """
+        step, before_s = self._resume(setting)
+        start = perf_counter()
+        scores: Mapping[str, float] = {}
+        title = f"training {self._task.name}" + (f" (from step {step})" if step else "")
+        last = self._schedule.steps
+        with closing(Curves(self._output, step)) as curves, progress.stage(title, last - step) as advance:
+            try:
+                for batch in self._batches(step, last):
+                    terms = self._step(step, batch)
+                    step += 1
+                    advance()
+                    if step % self._schedule.log_every == 0 or step == last:
+                        curves.add(step, {"train": _numbers(self._task.name, step, terms)})
+                    elapsed_s = before_s + perf_counter() - start
+                    late = self._is_late(perf_counter() - start)
+                    if step % self._schedule.validate_every == 0 or step == last or late:
+                        scores = self._validate()
+                        curves.add(step, {"validation": scores})
+                    if step % self._schedule.checkpoint_every == 0 or step == last or late:
+                        self._save(step, elapsed_s, setting)
+                    if late:
+                        break
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"interrupted at step {step}; the same command goes on from the last checkpoint"
+                ) from None
+        return Outcome(step, step == last, before_s + perf_counter() - start, scores or self._validate())
+
+    def _is_late(self, seconds: float) -> bool:
+        limit = self._schedule.time_limit_s
+        return limit is not None and seconds >= limit
+
+    def _resume(self, setting: Mapping[str, Any]) -> tuple[int, float]:
+        """Take up the checkpoint, if there is one: steps done, seconds used."""
+        checkpoint = read_checkpoint(self._output, setting)
+        if checkpoint is None:
+            return 0, 0.0
+        self._task.model.load_state_dict(checkpoint.model)
+        self._optimizer.load_state_dict(checkpoint.optimizer)
+        self._scaler.load_state_dict(checkpoint.scaler)
+        return checkpoint.step, checkpoint.elapsed_s
+
+    def _save(self, step: int, elapsed_s: float, setting: Mapping[str, Any]) -> None:
+        model, optimizer = self._task.model.state_dict(), self._optimizer.state_dict()
+        scaler = self._scaler.state_dict()
+        write_checkpoint(self._output, Checkpoint(step, model, optimizer, scaler, elapsed_s, dict(setting)))
+
+    def _batches(self, start: int, stop: int) -> Iterator[Batch]:
+        """The batches of the steps; on a GPU a thread makes them ahead."""
+        if self._device.type != "cuda":
+            yield from (self._task.batch(step) for step in range(start, stop))
+            return
+        with ThreadPoolExecutor(1) as pool:
+            coming = [pool.submit(self._task.batch, s) for s in range(start, min(start + AHEAD, stop))]
+            try:
+                for step in range(start, stop):
+                    batch = coming.pop(0).result()
+                    if step + AHEAD < stop:
+                        coming.append(pool.submit(self._task.batch, step + AHEAD))
+                    yield batch
+            finally:
+                for each in coming:
+                    each.cancel()
+
+    def _step(self, step: int, batch: Batch) -> Mapping[str, Tensor]:
+        torch.manual_seed(self._seed * 1_000_003 + step)
+        self._task.model.train()
+        rate = learning_rate(self._schedule, step)
+        for group in self._optimizer.param_groups:
+            group["lr"] = rate
+        batch = {name: value.to(self._device, non_blocking=True) for name, value in batch.items()}
+        with torch.autocast(self._device.type, self._half, enabled=self._device.type == "cuda"):
+            loss, terms = self._task.loss(batch)
+        if not torch.isfinite(loss):
+            raise RunFailure(
+                f"the loss is no longer a number at step {step}: lower train.schedule.learning_rate"
+            )
+        self._optimizer.zero_grad(set_to_none=True)
+        self._scaler.scale(loss).backward()
+        self._scaler.unscale_(self._optimizer)
+        norm = nn.utils.clip_grad_norm_(self._task.model.parameters(), self._schedule.clip_norm)
+        self._scaler.step(self._optimizer)
+        self._scaler.update()
+        return {"loss": loss, **terms, "gradient": norm, "learning_rate": torch.tensor(rate)}
+
+    def _validate(self) -> Mapping[str, float]:
+        self._task.model.eval()
+        with torch.no_grad():
+            return {name: float(value) for name, value in self._task.validate().items()}
+
+
+def learning_rate(schedule: Schedule, step: int) -> float:
+    """Learning rate of a step, counted from 0."""
+    if step < schedule.warmup_steps:
+        return schedule.learning_rate * (step + 1) / schedule.warmup_steps
+    done = (step - schedule.warmup_steps) / max(1, schedule.steps - schedule.warmup_steps)
+    return schedule.learning_rate * 0.5 * (1.0 + math.cos(math.pi * min(1.0, done)))
+
+
+def _numbers(name: str, step: int, terms: Mapping[str, Tensor]) -> dict[str, float]:
+    numbers = {key: float(value.detach()) for key, value in terms.items()}
+    for key, value in numbers.items():
+        if not math.isfinite(value) and key != "gradient":
+            raise RunFailure(f"{name}: {key} is not a number at step {step}")
+    return numbers
+
+
+def _device(schedule: Schedule) -> torch.device:
+    there = torch.cuda.is_available()
+    if schedule.device == "cuda" and not there:
+        raise InputError("train.schedule.device is cuda, but torch finds no GPU: set cpu or automatic")
+    return torch.device("cuda" if there and schedule.device != "cpu" else "cpu")

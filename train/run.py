@@ -1,0 +1,108 @@
+"""``polhode train``: corpus, task, loop, weights, scores."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from pydantic import BaseModel
+
+from polhode.config import Config
+from polhode.config.loader import dump_config
+from polhode.config.train import Train
+from polhode.errors import InputError
+from polhode.progress import Progress
+from train.checkpoint import replaced, write_weights
+from train.corpus import render_corpus
+from train.loop import Loop, Outcome
+from train.task import Task, make_task
+
+FREE_KEYS = (
+    "output",
+    "corpus.folder",
+    "schedule.time_limit_s",
+    "schedule.checkpoint_every",
+    "schedule.validate_every",
+    "schedule.log_every",
+)
+"""Settings on which the weights do not depend: they may differ when a training goes on."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a training has left."""
+
+    weights: Path
+    outcome: Outcome
+
+
+def train(config: Config, train: Train, progress: Progress, workers: int) -> Trained:
+    """Render what is missing of the corpus, train, write weights and scores. Goes on where it was.
+
+    Raises InputError: a folder holds something else or cannot be written; RunFailure: the training failed.
+    """
+    output = Path(train.output)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"train.output: {output} cannot be made ({error.strerror}): choose another"
+        ) from None
+    render_corpus(train.corpus, progress, workers)
+    _write(output / "config.yaml", dump_config(config, keys=("seed", "train")))
+    torch.manual_seed(config.seed)
+    task = make_task(train, config.seed, progress, workers)
+    outcome = Loop(task, train.schedule, output, config.seed).run(setting_of(train, config.seed), progress)
+    weights = output / f"{task.name}.safetensors"
+    write_weights(weights, task.network, _about(config.seed, train, outcome))
+    _write(output / "scores.json", json.dumps(_scores(task, outcome), indent=2) + "\n")
+    return Trained(weights, outcome)
+
+
+def setting_of(train: Train, seed: int) -> dict[str, Any]:
+    """What the weights depend on: dotted key -> value."""
+    setting = {"seed": seed, **_flat(train, "")}
+    others = {"descriptor", "depth"} - {train.task}
+    return {
+        key: value
+        for key, value in setting.items()
+        if key not in FREE_KEYS and key.partition(".")[0] not in others
+    }
+
+
+def _flat(section: BaseModel, prefix: str) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for name in type(section).model_fields:
+        value = getattr(section, name)
+        if isinstance(value, BaseModel):
+            values |= _flat(value, f"{prefix}{name}.")
+        else:
+            values[prefix + name] = value
+    return values
+
+
+def _about(seed: int, train: Train, outcome: Outcome) -> dict[str, str]:
+    """The header of the weights' file."""
+    return {
+        "task": train.task,
+        "seed": str(seed),
+        "steps": f"{outcome.step} of {train.schedule.steps}",
+        "scores": json.dumps({name: round(value, 4) for name, value in outcome.scores.items()}),
+    }
+
+
+def _scores(task: Task, outcome: Outcome) -> dict[str, Any]:
+    return {
+        "task": task.name,
+        "step": outcome.step,
+        "finished": outcome.finished,
+        "training_s": round(outcome.elapsed_s, 1),
+        "parameters": sum(p.numel() for p in task.network.parameters()),
+        "scores": dict(outcome.scores),
+    }
+
+
+def _write(path: Path, text: str) -> None:
+    with replaced(path) as partial:
+        partial.write_text(text, encoding="utf-8")
