@@ -15,6 +15,7 @@ from backend.dynamics import States, state_derivatives
 from backend.gauss_newton import GaussNewton
 from backend.inertia import InertiaForm, inertia_from_second_moments, principal_axes
 from backend.iterate import Iterate
+from backend.kernel_scale import efficiency
 from backend.kernels import N_CONSTANTS, N_STATE
 from backend.problem import Held
 from backend.schur import landmark_covariances, mirror
@@ -237,15 +238,10 @@ def last_body_covariance(iterate: Iterate, m: Marginals, camera_N: Array | None 
 def robust_information(s: Array, scale: float) -> Array:
     """Information (M,) that each observation contributes under the Cauchy kernel, s its squared norm.
 
-    Huber's sandwich for an M-estimator, per degree of freedom: a^2 / b with a = mean(psi'), b = mean(psi^2),
-    shared out in proportion to the weights. Equals 1 on average for a loose kernel and Gaussian noise.
-    The noise level is known by now, residuals are smaller by what the fit took: they are scaled back to it.
+    The kernel's efficiency, shared out in proportion to the weights.
     """
-    s = s * (3.0 / max(float(np.mean(s)), 1e-12))
-    w = 1.0 / (1.0 + s / scale**2)
-    slope = np.mean(w - (2.0 / 3.0) * s * w**2 / scale**2)
-    spread = np.mean(w**2 * s) / 3.0
-    return np.asarray(w / np.mean(w) * max(float(slope), 0.1) ** 2 / max(float(spread), 1e-12))
+    w = 1.0 / (1.0 + s * (3.0 / max(float(np.mean(s)), 1e-12)) / scale**2)
+    return np.asarray(w / np.mean(w) * efficiency(s, scale))
 
 
 def with_infinite(covariance: Array, lost: Bools) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 
 from backend.gauss_newton import GaussNewton
 from backend.iterate import Iterate
+from backend.kernel_scale import widest_useful
 from backend.noise import NoiseScales, estimate_noise
 from backend.problem import MotionData, hold
 from polhode.errors import RunFailure
@@ -52,7 +53,8 @@ class Kept:
 def settle(data: MotionData, iterate: Iterate) -> tuple[MotionData, Kept, Iterate, NoiseScales]:
     """Tell noise from contradictions: data with its own noise, what is kept of it, motion, noise factors.
 
-    The median absolute deviation sets the first gate; in the end the noise is the scatter of what is kept.
+    The median absolute deviation sets the first gate; in the end the noise is the scatter of what is kept,
+    and the kernel as wide as that scatter allows.
     Raises RunFailure when most observations contradict the motion.
     """
     first = estimate_noise(data, iterate, robust=True)
@@ -64,8 +66,11 @@ def settle(data: MotionData, iterate: Iterate) -> tuple[MotionData, Kept, Iterat
         iterate = kept.expand(small.moved_to(solution.x), iterate)
         kept = prune(data, iterate)
     last = estimate_noise(kept.data, kept.restrict(iterate), robust=False)
-    kept = replace(kept, data=kept.data.rescaled(last.factors))
-    return data.rescaled(last.factors), kept, iterate, first.times(last)
+    data = data.rescaled(last.factors)
+    s = np.sum(whitened_residuals(data, iterate)[kept.observations] ** 2, axis=1)
+    scale = widest_useful(s, data.robust_scale)
+    kept = replace(kept, data=replace(kept.data.rescaled(last.factors), robust_scale=scale))
+    return replace(data, robust_scale=scale), kept, iterate, first.times(last)
 
 
 def prune(data: MotionData, iterate: Iterate) -> Kept:
