@@ -1,7 +1,8 @@
-"""Every frame against every frame, blind: relative poses and matches (thesis algorithm 2, lines 9-13).
+"""Frame against frame, blind: relative poses and matches (thesis algorithm 2, lines 9-13).
 
 All pairs, not neighbours only: a landmark that comes back after a revolution must be recognised, since
-the inertia depends on it, and a link that fails between neighbours is bridged by others.
+the inertia depends on it, and a link that fails between neighbours is bridged by others. Of long sequences
+the pairs that retrieval proposes (``retrieval.py``).
 """
 
 from collections.abc import Callable, Sequence
@@ -34,21 +35,22 @@ class PairMatch:
     """(m, 2) indices into the features of i and of j"""
 
 
-def match_all_pairs(
+def match_pairs(
     frames: Sequence[StereoFeatures],
+    partners: Sequence[Ints],
     rig: RectifiedRig,
     config: Frontend,
     seed: int,
     workers: int,
     tick: Tick,
 ) -> list[PairMatch]:
-    """Matches of all pairs of frames that pass the geometric check, sorted by (i, j).
+    """Matches that pass the geometric check, sorted by (i, j); partners: per frame i the frames j > i to try.
 
     ``tick`` is called once per frame i. The random numbers of a pair depend on (seed, i, j) alone, so the
     result does not depend on the number of workers.
     """
     matches: list[PairMatch] = []
-    for found in in_order(_RowJob(frames, rig, config, seed), len(frames), workers):
+    for found in in_order(_RowJob(frames, partners, rig, config, seed), len(frames), workers):
         matches.extend(found)
         tick()
     return matches
@@ -56,16 +58,17 @@ def match_all_pairs(
 
 @dataclass(frozen=True)
 class _RowJob:
-    """Frame i against all later frames."""
+    """Frame i against its partners."""
 
     frames: Sequence[StereoFeatures]
+    partners: Sequence[Ints]
     rig: RectifiedRig
     config: Frontend
     seed: int
 
     def __call__(self, i: int) -> list[PairMatch]:
         torch.set_num_threads(1)
-        later = range(i + 1, len(self.frames))
+        later = self.partners[i].tolist()
         found = (_match_pair(i, j, self.frames, self.rig, self.config, self.seed) for j in later)
         return [match for match in found if match is not None]
 

@@ -14,8 +14,9 @@ import numpy as np
 from backend import estimate_motion, estimate_online, in_words_of, initialize_motion, window_warnings
 from frontend.extract import extract_depth, extract_features
 from frontend.guided import consistent_matches, reconnect
-from frontend.pairs import PairMatch, match_all_pairs, relative_poses
+from frontend.pairs import PairMatch, match_pairs, relative_poses
 from frontend.rectify import Rectifier, make_rectifier
+from frontend.retrieval import pairs_to_match
 from frontend.stereo import StereoFeatures
 from frontend.tracks import Association, join_matches, to_tracks
 from mapping.fusion import fuse
@@ -62,7 +63,7 @@ def run(
         outputs.write_config(folder, config)
 
         features = _extract_features(images, config, progress, clock)
-        matches = _match_all_pairs(images, features, config, progress, clock)
+        matches = _match_frames(images, features, config, progress, clock)
         links, blind = (
             relative_poses(matches),
             images.tracks(features, join_matches(features, matches), config),
@@ -177,14 +178,15 @@ def _extract_features(
     return features
 
 
-def _match_all_pairs(
+def _match_frames(
     images: _Images, features: Sequence[StereoFeatures], config: Config, progress: Progress, clock: Stopwatch
 ) -> list[PairMatch]:
-    """Every frame against every frame, blind."""
+    """Every frame against every frame, or against those that look like it, blind."""
     rig, workers = images.rectifier.rig, _workers(config)
-    with clock("frontend"), progress.stage("matching all pairs", len(features)) as advance:
-        matches = match_all_pairs(features, rig, config.frontend, config.seed, workers, advance)
-    _log.info("%d links between frames", len(matches))
+    with clock("frontend"), progress.stage("matching frames", len(features)) as advance:
+        partners = pairs_to_match(features, config.frontend.pairs, config.seed)
+        matches = match_pairs(features, partners, rig, config.frontend, config.seed, workers, advance)
+    _log.info("%d links between frames, of %d tried", len(matches), sum(map(len, partners)))
     return matches
 
 

@@ -47,6 +47,12 @@ class PairMatching(Section):
     """Distance ratio of mutual nearest neighbours; for method nearest."""
     min_confidence: float = Field(0.1, ge=0, le=1)
     """Smallest confidence of a match; for lightglue and loftr."""
+    exhaustive_frames: int = Field(130, ge=3)
+    """Sequences of up to so many frames are matched all against all; longer ones as follows."""
+    neighbours: int = Field(20, ge=1)
+    """Frames before and after that a frame of a long sequence is matched with."""
+    retrieved: int = Field(30, ge=0)
+    """Frames elsewhere that look most like it, which it is matched with too: what closes loops."""
     hypotheses: int = Field(300, ge=10)
     """Minimal samples drawn in a pair."""
     gate_px: float = Field(2.0, gt=0)

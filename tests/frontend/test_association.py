@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from frontend.guided import consistent_matches, reconnect
-from frontend.pairs import PairMatch, match_all_pairs, relative_poses
+from frontend.pairs import PairMatch, match_pairs, relative_poses
 from frontend.ransac import fit_rigid, ransac_rigid
+from frontend.retrieval import pairs_to_match
 from frontend.tracks import Association, join_matches, to_tracks
 from polhode.config.frontend import Frontend, GuidedMatching, Tracks
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
@@ -46,8 +47,13 @@ def test_ransac_finds_the_motion_among_half_outliers() -> None:
     assert np.rad2deg(np.linalg.norm(log_so3(fit.X_RiRj[:3, :3].T @ X_ij[:3, :3]))) < 0.5
 
 
+def match_everything(world: World, workers: int) -> list[PairMatch]:
+    partners = pairs_to_match(world.frames, Frontend().pairs, 0)
+    return match_pairs(world.frames, partners, RIG, Frontend(), 0, workers, lambda: None)
+
+
 def test_blind_links_are_right_and_do_not_depend_on_the_workers(world: World) -> None:
-    runs = [match_all_pairs(world.frames, RIG, Frontend(), 0, workers, lambda: None) for workers in (1, 2)]
+    runs = [match_everything(world, workers) for workers in (1, 2)]
     for match in runs[0]:
         X_true = world.X_RG[match.i] @ inverse_pose(world.X_RG[match.j])
         assert np.rad2deg(np.linalg.norm(log_so3(match.X_RiRj[:3, :3].T @ X_true[:3, :3]))) < 3.0
@@ -71,7 +77,7 @@ def test_a_landmark_seen_again_a_revolution_later_is_the_same_landmark(
 
 @pytest.fixture(scope="module")
 def matches(world: World) -> list[PairMatch]:
-    return match_all_pairs(world.frames, RIG, Frontend(), 0, 1, lambda: None)
+    return match_everything(world, 1)
 
 
 def test_matches_that_the_motion_contradicts_are_dropped(world: World, matches: list[PairMatch]) -> None:

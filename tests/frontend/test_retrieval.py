@@ -1,0 +1,62 @@
+"""Frames of a long sequence find the frames that show the same side, and the cost stays linear."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from frontend.pairs import match_pairs, relative_poses
+from frontend.retrieval import frame_vectors, most_alike, pairs_to_match
+from polhode.config.frontend import Frontend, PairMatching
+from tests.frontend.feature_world import RIG, World, make_world
+
+REVOLUTION = 24
+LONG = PairMatching(exhaustive_frames=30, neighbours=2, retrieved=6)
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return make_world(n_frames=120, turn_deg=360.0 / REVOLUTION)
+
+
+def test_a_short_sequence_is_matched_all_against_all(world: World) -> None:
+    partners = pairs_to_match(world.frames[:20], LONG, 0)
+    assert [p.tolist() for p in partners] == [list(range(i + 1, 20)) for i in range(20)]
+
+
+def test_what_looks_alike_is_the_same_side_in_other_revolutions(world: World) -> None:
+    alike = most_alike(frame_vectors(world.frames, 0), 2, 4)
+    turns = np.array([(j - i) % REVOLUTION for i, found in enumerate(alike) for j in found])
+    away = np.minimum(turns, REVOLUTION - turns)
+    # by chance 5 of 24 sides are as near
+    assert np.mean(away <= 2) > 0.9
+
+
+def test_a_long_sequence_tries_few_pairs_and_closes_its_loops(world: World) -> None:
+    partners = pairs_to_match(world.frames, LONG, 0)
+    assert sum(map(len, partners)) < 0.15 * 120 * 119 / 2
+    assert all(np.all(later > i) for i, later in enumerate(partners))
+    links = relative_poses(match_pairs(world.frames, partners, RIG, Frontend(), 0, 1, lambda: None))
+    assert np.sum(links.j - links.i >= REVOLUTION - 2) > 100
+
+
+def test_the_same_seed_gives_the_same_pairs(world: World) -> None:
+    first, second = (pairs_to_match(world.frames, LONG, 5) for _ in range(2))
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_frames_without_features_are_no_obstacle(world: World) -> None:
+    one = world.frames[3]
+    nothing = replace(
+        one,
+        uvd_px=one.uvd_px[:0],
+        sigma_px=one.sigma_px[:0],
+        p_R=one.p_R[:0],
+        scale_px=one.scale_px[:0],
+        descriptors=one.descriptors[:0],
+    )
+    frames = [*world.frames[:3], nothing, *world.frames[4:40]]
+    vectors = frame_vectors(frames, 0)
+    assert not vectors[3].any() and np.isfinite(vectors).all()
+    assert len(pairs_to_match(frames, LONG, 0)) == 40
