@@ -38,6 +38,10 @@ class DepthBatch:
     target: Tensor
     """(B, h, w) bool: the target as the front end takes it"""
 
+    def tensors(self) -> dict[str, Tensor]:
+        """As the training loop carries it; ``DepthBatch(**tensors)`` is the way back."""
+        return dict(vars(self))
+
 
 def random_batch(files: Sequence[Path], size: int, crop_px: int, rng: np.random.Generator) -> DepthBatch:
     """``size`` rectangles of random samples."""

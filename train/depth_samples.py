@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontend.disparity_crop import cut_crop
+from frontend.disparity_network import padded
 from frontend.disparity_start import Start, classical_start
 from frontend.rectify import Rectifier, make_rectifier
 from frontend.target import target_mask
@@ -139,7 +140,7 @@ def _at_least(sample: Sample, size: Sequence[int]) -> Sample:
     more = (max(size[0] - h, 0), max(size[1] - w, 0))
     if more == (0, 0):
         return sample
-    start = pad_start(sample.start, more)
+    start = padded(sample.start, more)
     pads = ((0, more[0]), (0, more[1]))
     return Sample(
         start,
@@ -147,15 +148,3 @@ def _at_least(sample: Sample, size: Sequence[int]) -> Sample:
         np.pad(sample.visible, pads),
         np.pad(sample.sunlit, pads),
     )
-
-
-def pad_start(start: Start, more: tuple[int, int]) -> Start:
-    """Rows and columns added below and on the right, copies of the last ones; none of them is target."""
-    pads = ((0, more[0]), (0, more[1]))
-    grown: dict[str, NDArray[np.generic]] = {}
-    for f in fields(Start):
-        if f.name in ("lit", "target"):
-            grown[f.name] = np.pad(getattr(start, f.name), pads)
-        elif f.name != "margin_px":
-            grown[f.name] = np.pad(getattr(start, f.name), pads, mode="edge")
-    return Start(**grown, margin_px=start.margin_px)  # type: ignore[arg-type]

@@ -1,5 +1,7 @@
 """Settings of dense stereo."""
 
+from typing import Literal
+
 from pydantic import Field
 
 from polhode.config.section import Section
@@ -8,6 +10,13 @@ from polhode.config.section import Section
 class Depth(Section):
     """A rectified pair to a depth map of the target."""
 
+    method: Literal["sgbm", "network"] = "sgbm"
+    """How the first, semi-global disparities are refined: by least squares, planes and facets, or by the
+    network trained here."""
+    weights: str | None = None
+    """Weights of the network, a safetensors file; null: the shipped ones."""
+    min_visible: float = Field(0.5, ge=0, le=1)
+    """For method network: pixels that both cameras see with a smaller probability have no depth."""
     block_px: int = Field(3, ge=1)
     """Side of the window of the first, integer disparities [px], odd."""
     max_disparity_share: float = Field(0.4, gt=0, le=1)

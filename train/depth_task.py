@@ -1,0 +1,136 @@
+"""The disparity network as a task of the training loop."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from frontend.disparity_network import Refined, refine
+from frontend.networks.disparity import DisparityNet, read_mixture
+from polhode.config.depth import Depth
+from polhode.config.train import DepthTraining, Train
+from polhode.errors import InputError
+from polhode.progress import Progress
+from simulation.workers import in_processes
+from train.corpus import scene_folder, split
+from train.depth_batches import DepthBatch, random_batch
+from train.depth_loss import depth_loss
+from train.depth_samples import Sample, build_samples, read_sample
+from train.task import Batch
+
+
+class DepthTask:
+    """Batches, loss and validation of ``DisparityNet``."""
+
+    name = "disparity"
+
+    def __init__(
+        self, settings: DepthTraining, training: Sequence[Path], held_out: Sequence[Path], seed: int
+    ) -> None:
+        if not training or not held_out:
+            raise InputError("train.corpus: no pair shows a target that can be matched: render more scenes")
+        torch.manual_seed(seed)
+        self._settings, self._training, self._seed = settings, list(training), seed
+        # Evenly over the held-out scenes, the same ones every time.
+        step = max(1, len(held_out) // settings.validation_samples)
+        self._held_out = list(held_out)[::step][: settings.validation_samples]
+        self.model = DisparityNet()
+
+    @property
+    def network(self) -> DisparityNet:
+        return self.model
+
+    def batch(self, step: int) -> Batch:
+        rng = np.random.default_rng([self._seed, step])
+        settings = self._settings
+        return random_batch(self._training, settings.batch, settings.crop_px, rng).tensors()
+
+    def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
+        given = DepthBatch(**batch)
+        channels = given.channels.contiguous(memory_format=torch.channels_last)
+        on_cpu = channels.device.type == "cpu"
+        with torch.autocast("cpu", torch.bfloat16, enabled=on_cpu and self._settings.half_on_cpu):
+            raw = self.model(channels)
+        mixture = read_mixture(raw, given.hypotheses)
+        loss = depth_loss(mixture, given)
+        with torch.no_grad():
+            likeliest = mixture.mean.gather(1, mixture.log_weight.argmax(dim=1, keepdim=True))[:, 0]
+            off = (likeliest - given.truth).abs()[given.visible & given.lit]
+        return loss, {"off_by_more_than_1_px": (off > 1.0).float().mean()}
+
+    def validate(self) -> Mapping[str, float]:
+        device = next(self.model.parameters()).device
+        network = self.model.cpu()
+        errors = [held_out_errors(read_sample(path), network) for path in self._held_out]
+        self.model.to(device)
+        return scores(errors)
+
+
+class HeldOut(dict[str, NDArray[np.float64]]):
+    """Of the lit and visible pixels (n,) of one sample: errors and sigmas, of the start and refined [px]."""
+
+
+def held_out_errors(sample: Sample, network: DisparityNet) -> HeldOut:
+    """Compare one held-out sample with the truth."""
+    refined: Refined = refine(network, sample.start)
+    asked = sample.visible & sample.start.lit
+    matched = np.isfinite(sample.start.sigma)[asked]
+    return HeldOut(
+        classical=np.where(matched, np.abs(sample.start.filled - sample.truth)[asked], np.nan),
+        refined=np.abs(refined.disparity - sample.truth)[asked].astype(np.float64),
+        sigma=refined.sigma[asked].astype(np.float64),
+    )
+
+
+def scores(samples: Sequence[HeldOut]) -> dict[str, float]:
+    """Means over the samples: how many are off by more than 1 px at the classical density, and calibration."""
+    rows = []
+    for each in samples:
+        matched = np.isfinite(each["classical"])
+        if not matched.any():
+            continue
+        # As many pixels as classical matching gives, those that the network is surest of.
+        sure = np.argsort(each["sigma"])[: int(matched.sum())]
+        rows.append(
+            {
+                "bad_classical": float(np.mean(each["classical"][matched] > 1.0)),
+                "bad_refined": float(np.mean(each["refined"][sure] > 1.0)),
+                "bad_everywhere": float(np.mean(each["refined"] > 1.0)),
+                "median_classical_px": float(np.median(each["classical"][matched])),
+                "median_refined_px": float(np.median(each["refined"][sure])),
+                "within_sigma": float(np.mean(each["refined"] < each["sigma"])),
+                "within_two_sigma": float(np.mean(each["refined"] < 2.0 * each["sigma"])),
+            }
+        )
+    return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+
+
+class _Builder:
+    """Samples of one scene, in another process."""
+
+    def __init__(self, train: Train, seed: int) -> None:
+        self.train, self.seed = train, seed
+
+    def __call__(self, scene: int) -> tuple[int, list[Path]]:
+        folder, cache = scene_folder(self.train.corpus, scene), Path(self.train.depth.cache)
+        return scene, build_samples(folder, cache, Depth(), self.seed, self.train.depth.every)
+
+
+def make_task(train: Train, seed: int, progress: Progress, workers: int) -> DepthTask:
+    """Match every pair of the corpus once, and start the network."""
+    parts = split(train.corpus)
+    scenes = sorted([*parts.training, *parts.validation])
+    files: dict[int, list[Path]] = {}
+    with progress.stage("matching pairs", len(scenes)) as advance:
+
+        def keep(made: tuple[int, list[Path]]) -> None:
+            files[made[0]] = made[1]
+            advance()
+
+        in_processes(_Builder(train, seed), scenes, workers, keep)
+    training = [path for scene in parts.training for path in files[scene]]
+    held_out = [path for scene in parts.validation for path in files[scene]]
+    return DepthTask(train.depth, training, held_out, seed)
