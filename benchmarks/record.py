@@ -37,6 +37,15 @@ def complete(path: Path, cases: Iterable[Case], measure: Callable[[Case], Case],
     return [done[_key(case)] for case in wanted]
 
 
+def forget(path: Path, unwanted: Callable[[Case], bool]) -> None:
+    """Take the lines of such cases out of the file, so that they are measured anew."""
+    kept = [line for line in _lines(path) if not unwanted(line["case"])]
+    if path.is_file():
+        draft = path.with_suffix(".draft")
+        draft.write_text("".join(json.dumps(line) + "\n" for line in kept))
+        draft.replace(path)
+
+
 def measured(path: Path, cases: Iterable[Case]) -> list[Case]:
     """Lines of those of the cases that the file has."""
     done = {_key(line["case"]): line for line in _lines(path)}
