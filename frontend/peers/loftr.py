@@ -5,10 +5,14 @@ frame, so a match of places counts for the nearest feature at each end, as dense
 tracks elsewhere (Sarlin et al., "From coarse to fine", 2019, the toolbox that followed it).
 """
 
+from copy import deepcopy
+from typing import Any
+
 import cv2
 import numpy as np
 import torch
 from kornia.feature import LoFTR
+from kornia.feature.loftr.loftr import default_cfg
 from scipy.spatial import cKDTree
 
 from frontend.features import stretch
@@ -31,7 +35,9 @@ class LoftrMatcher:
     def __init__(self, config: Frontend) -> None:
         self._min_confidence = config.pairs.min_confidence
         self._zoom, self._longest = config.features.upsample, config.features.max_crop_px
-        self._network = LoFTR(pretrained=None)
+        published: dict[str, Any] = deepcopy(default_cfg)
+        published["match_coarse"]["thr"] = config.pairs.min_confidence
+        self._network = LoFTR(pretrained=None, config=published)
         fill(self._network, load_weights("loftr", config.weights), "loftr", config.weights)
 
     def __call__(self, a: StereoFeatures, b: StereoFeatures) -> Matches:
