@@ -1,0 +1,133 @@
+"""Descriptor of surface patches: 128 numbers, whatever way the patch is turned, and how far to trust them.
+
+The patch is sampled on rings around its middle, where a turn is a shift along the rings (as in Ebel et al.,
+"Beyond Cartesian representations for local descriptors", 2019). Convolutions that close around the rings keep
+it one. What they give is expanded in harmonics of the angle, and one learned direction, which turns with the
+patch, takes the turn out of them: orientation is found by the network and is smooth, so no histogram of
+gradients has to decide (Lowe 2004 keeps one or two peaks).
+"""
+
+import math
+from functools import cache
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+PATCH_PX = 32
+"""Side of the patches [px]."""
+DIMENSIONS = 128
+RINGS, ANGLES = 16, 48
+INNERMOST, OUTERMOST = 0.05, 0.98
+"""Radii of the rings, over half a side."""
+HARMONICS = 6
+"""Harmonics 0 to 5 of the angle are kept."""
+
+
+class DescriptorNet(nn.Module):
+    """Patches (n, 1, 32, 32) of grey values -> unit descriptors (n, 128), logits of reliability (n,)."""
+
+    rings: Tensor
+    cosines: Tensor
+    sines: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("rings", _ring_places(), persistent=False)
+        cosines, sines = _harmonics(ANGLES // 2)
+        self.register_buffer("cosines", cosines, persistent=False)
+        self.register_buffer("sines", sines, persistent=False)
+        self.layers = nn.Sequential(
+            Around(1, 24, (2, 2), reach=2),
+            Around(24, 32),
+            Around(32, 64, (2, 1)),
+            Around(64, 64),
+            Around(64, 64, (2, 1)),
+        )
+        self.whole = nn.Sequential(nn.Conv2d(64, 96, (2, 1), bias=False), nn.BatchNorm2d(96), nn.ReLU())
+        self.direction = nn.Conv1d(96, 1, 1)
+        self.project = nn.Linear(96 * (2 * HARMONICS - 1), DIMENSIONS)
+        self.reliability = nn.Sequential(nn.Linear(2 * 96 + 1, 48), nn.ReLU(), nn.Linear(48, 1))
+
+    def forward(self, patches: Tensor) -> tuple[Tensor, Tensor]:
+        around = self.whole(self.layers(on_rings(normalised(patches), self.rings)))[:, :, 0]
+        turned, strength = self._turned_back(around)
+        descriptor = functional.normalize(self.project(turned.flatten(1)), dim=1)
+        clues = torch.cat([around.mean(dim=2), around.amax(dim=2), strength[:, None]], dim=1)
+        return descriptor, self.reliability(clues)[:, 0]
+
+    def _turned_back(self, around: Tensor) -> tuple[Tensor, Tensor]:
+        """Harmonics (n, c, 2 h - 1) of features around the rings (n, c, a), the patch's turn taken out.
+
+        The second result (n,) tells how clear the direction is.
+        """
+        even, odd = around @ self.cosines, around @ self.sines
+        pull = self.direction(around)
+        x, y = (pull @ self.cosines[:, 1:2])[:, 0, 0], (pull @ self.sines[:, 1:2])[:, 0, 0]
+        strength = torch.sqrt(x * x + y * y + 1e-6)
+        c, s = x / strength, y / strength
+        angle_c, angle_s = [torch.ones_like(c)], [torch.zeros_like(s)]
+        for _ in range(HARMONICS - 1):
+            last_c, last_s = angle_c[-1], angle_s[-1]
+            angle_c.append(last_c * c - last_s * s)
+            angle_s.append(last_s * c + last_c * s)
+        cos_k, sin_k = torch.stack(angle_c, dim=1)[:, None], torch.stack(angle_s, dim=1)[:, None]
+        real = even * cos_k + odd * sin_k
+        imaginary = odd * cos_k - even * sin_k
+        return torch.cat([real, imaginary[:, :, 1:]], dim=2), torch.log(strength)
+
+
+class Around(nn.Module):
+    """Convolution over rings and angles, which closes around the rings; normalised, rectified."""
+
+    def __init__(self, before: int, after: int, stride: tuple[int, int] = (1, 1), reach: int = 1) -> None:
+        super().__init__()
+        self.reach = reach
+        self.convolve = nn.Conv2d(before, after, 2 * reach + 1, stride, bias=False)
+        self.scale = nn.BatchNorm2d(after)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(n, c, rings, angles)"""
+        reach = self.reach
+        closed = torch.cat([x[..., -reach:], x, x[..., :reach]], dim=3)
+        convolved = self.convolve(functional.pad(closed, (0, 0, reach, reach)))
+        return functional.relu(self.scale(convolved))
+
+
+def normalised(patches: Tensor) -> Tensor:
+    """Patches (n, 1, s, s) of mean zero and contrast one; the middle counts more."""
+    weight = _window(patches.shape[-1]).to(patches)
+    mean = (patches * weight).sum(dim=(2, 3), keepdim=True)
+    away = patches - mean
+    contrast = torch.sqrt((away * away * weight).sum(dim=(2, 3), keepdim=True) + 1.0)
+    return torch.clamp(away / contrast, -4.0, 4.0)
+
+
+def on_rings(patches: Tensor, rings: Tensor) -> Tensor:
+    """Patches (n, 1, s, s) at places (rings, angles, 2) -> (n, 1, rings, angles)."""
+    places = rings.to(patches.dtype).expand(len(patches), -1, -1, -1)
+    return functional.grid_sample(
+        patches, places, mode="bilinear", padding_mode="border", align_corners=False
+    )
+
+
+@cache
+def _window(side: int) -> Tensor:
+    place = (2.0 * torch.arange(side) + 1.0) / side - 1.0
+    window = torch.exp(-(place[:, None] ** 2 + place[None, :] ** 2) / (2.0 * 0.5**2))
+    return window / window.sum()
+
+
+def _ring_places() -> Tensor:
+    """(rings, angles, 2): logarithmic radii, so that a wrong scale is a shift too."""
+    spread = torch.arange(RINGS) / (RINGS - 1.0)
+    radius = INNERMOST * (OUTERMOST / INNERMOST) ** spread
+    angle = torch.arange(ANGLES) * (2.0 * math.pi / ANGLES)
+    return radius[:, None, None] * torch.stack([torch.cos(angle), torch.sin(angle)], dim=1)
+
+
+def _harmonics(angles: int) -> tuple[Tensor, Tensor]:
+    """Cosines and sines (angles, harmonics), over the number of angles."""
+    angle = torch.arange(angles) * (2.0 * math.pi / angles)
+    phase = angle[:, None] * torch.arange(HARMONICS)
+    return torch.cos(phase) / angles, torch.sin(phase) / angles

@@ -1,0 +1,190 @@
+"""Batches of patch pairs: one surface point in two frames, cut as a run would cut it, with a run's errors.
+
+Points of the same two frames are each other's hard negatives. Beside the pairs a batch holds strays: key
+points that are no surface feature (edges of cast shadows, silhouettes) or that nobody finds again.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from frontend.patches import Patches, cut_patches, tangent_affines, turned, upright_affines
+from polhode.camera import RectifiedRig
+from polhode.config.train import DescriptorTraining
+from polhode.lie import Array
+from polhode.records import Bools, Ints
+from train.points import ScenePoints, place_in
+from train.task import Batch
+
+FEWEST = 12
+"""Two frames with fewer points in common are not drawn."""
+TRUE_PLACE = 0.15
+"""Share of the pairs whose second patch is cut at the true place where no key point was found."""
+
+
+@dataclass(frozen=True)
+class FramePair:
+    """Two frames of a scene and the sightings of the first's points in the second."""
+
+    scene: int
+    a: int
+    b: int
+    found: Ints
+    """sightings whose point is found again"""
+    lost: Ints
+    """sightings whose point is in view, but was not found"""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where patches are to be cut in one image."""
+
+    uv_px: Array
+    """(n, 2)"""
+    p_K: Array
+    """(n, 3) [m]"""
+    normal_K: Array
+    """(n, 3)"""
+
+
+def frame_pairs(scenes: Mapping[int, ScenePoints], most_turn_rad: float) -> list[FramePair]:
+    """Pairs of frames with enough points in common that are seen from directions within ``most_turn_rad``."""
+    pairs = []
+    for number, points in scenes.items():
+        a = points.frame[points.point]
+        near = (points.angle_rad < most_turn_rad) & np.isfinite(points.p_K[points.point]).all(axis=1)
+        count = int(points.X_KG.shape[0])
+        key = np.where(near, a * count + points.other, -1)
+        for each in np.unique(key[key >= 0]):
+            here = np.flatnonzero(key == each)
+            found = here[points.again[here] >= 0]
+            if len(found) >= FEWEST:
+                lost = here[points.again[here] < 0]
+                pairs.append(FramePair(number, int(each) // count, int(each) % count, found, lost))
+    return pairs
+
+
+class PatchBatches:
+    """Draws the batch of a step."""
+
+    def __init__(self, scenes: Mapping[int, ScenePoints], config: DescriptorTraining, seed: int) -> None:
+        self._scenes, self._config, self._seed = scenes, config, seed
+        pairs = frame_pairs(scenes, np.deg2rad(config.most_turn_deg))
+        self._of_scene = {i: [pair for pair in pairs if pair.scene == i] for i in scenes}
+        self._drawable = [i for i, its in self._of_scene.items() if its]
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no two frames share enough points."""
+        return not self._drawable
+
+    def batch(self, step: int) -> Batch:
+        """patches (n, 1, s, s): the first of m pairs, their second, strays; ``pair`` (m,) the frame pair of
+        each; uv_a and uv_b (m, 2) [px]; ``strays`` (k,) the frame pair of each stray."""
+        rng = np.random.default_rng([self._seed, 0xBA7C, step])
+        count = self._config.frame_pairs
+        each = self._config.batch // count
+        stray = round(each * self._config.strays)
+        first, second, strays, places_a, places_b = [], [], [], [], []
+        for _ in range(count):
+            number = self._drawable[rng.integers(len(self._drawable))]
+            its = self._of_scene[number]
+            pair = its[rng.integers(len(its))]
+            points = self._scenes[number]
+            half_m = self._half_m(points, pair.a, rng)
+            chosen = _chosen(pair, each, rng)
+            a = _own(points, points.point[chosen])
+            b = _again(points, chosen)
+            first.append(self._cut(points, pair.a, a, half_m, rng))
+            second.append(self._cut(points, pair.b, b, half_m, rng))
+            places_a.append(a.uv_px)
+            places_b.append(b.uv_px)
+            own = _strays(points, pair.b, stray, rng)
+            strays.append(self._cut(points, pair.b, _own(points, own), half_m, rng))
+        patches = np.concatenate([*first, *second, *strays])
+        owner = [np.full(len(cut), k) for k, cut in enumerate(first)]
+        owner_stray = [np.full(len(cut), k) for k, cut in enumerate(strays)]
+        return {
+            "patches": torch.from_numpy(patches),
+            "pair": torch.from_numpy(np.concatenate(owner)),
+            "strays": torch.from_numpy(np.concatenate(owner_stray)),
+            "uv_a": torch.from_numpy(np.concatenate(places_a)),
+            "uv_b": torch.from_numpy(np.concatenate(places_b)),
+        }
+
+    def _half_m(self, points: ScenePoints, frame: int, rng: np.random.Generator) -> float:
+        """Half the side of the patches on the surface, the same for both frames [m]."""
+        least, most = self._config.half_px
+        half_px = float(np.exp(rng.uniform(np.log(least), np.log(most))))
+        depth_m = float(np.nanmedian(points.p_K[points.frame == frame, 2]))
+        return half_px * depth_m / float(points.focal_px)
+
+    def _cut(
+        self, points: ScenePoints, frame: int, at: Places, half_m: float, rng: np.random.Generator
+    ) -> Patches:
+        """Patches (n, 1, s, s) at places, off by what a run does not know."""
+        n, config = len(at.uv_px), self._config
+        uv = at.uv_px + rng.normal(0.0, config.place_noise_px, (n, 2))
+        half = half_m * np.exp(rng.normal(0.0, config.scale_noise, n))
+        normal = leaning(at.normal_K, np.deg2rad(config.normal_noise_deg), rng)
+        affine = tangent_affines(at.p_K, normal, rig_of(points), half)
+        flat = rng.random(n) < config.fronto_parallel
+        affine[flat] = upright_affines(half[flat] * float(points.focal_px) / at.p_K[flat, 2])
+        affine = turned(affine, rng.uniform(0.0, 2.0 * np.pi, n))
+        return cut_patches(points.grey[frame], uv, affine)
+
+
+def rig_of(points: ScenePoints) -> RectifiedRig:
+    """The scene's left camera; patches need no baseline."""
+    height, width = points.grey.shape[1:]
+    u, v = points.centre_px
+    return RectifiedRig(float(points.focal_px), float(u), float(v), 1.0, int(width), int(height))
+
+
+def leaning(normal: Array, sigma_rad: float, rng: np.random.Generator) -> Array:
+    """Unit normals (n, 3) with an error of ``sigma_rad`` rms."""
+    off = normal + rng.normal(0.0, sigma_rad / np.sqrt(2.0), normal.shape)
+    return np.asarray(off / np.linalg.norm(off, axis=1, keepdims=True))
+
+
+def _chosen(pair: FramePair, count: int, rng: np.random.Generator) -> Ints:
+    """At most ``count`` sightings of a frame pair."""
+    lost = rng.permutation(pair.lost)[: round(count * TRUE_PLACE)]
+    found = rng.permutation(pair.found)[: count - len(lost)]
+    return np.concatenate([found, lost])
+
+
+def _own(points: ScenePoints, index: Ints) -> Places:
+    return Places(points.uv_px[index], points.p_K[index], points.normal_K[index])
+
+
+def _again(points: ScenePoints, sighting: Ints) -> Places:
+    """Places of sightings in the other frame: of the key point found there, else the true one."""
+    p, normal = place_in(points, sighting)
+    again = points.again[sighting]
+    found = (again >= 0) & np.isfinite(points.p_K[again]).all(axis=1)
+    uv = np.where(found[:, None], points.uv_px[again], points.uv_other_px[sighting])
+    p = np.where(found[:, None], points.p_K[again], p)
+    normal = np.where(found[:, None], points.normal_K[again], normal)
+    return Places(uv, p, normal)
+
+
+def _strays(points: ScenePoints, frame: int, count: int, rng: np.random.Generator) -> Ints:
+    """Key points of a frame on shadow edges and silhouettes, and others that no frame finds again."""
+    here = (points.frame == frame) & np.isfinite(points.p_K).all(axis=1)
+    bad = here & (points.on_shadow | points.on_rim | never_again(points)) & ~_found_often(points)
+    return rng.permutation(np.flatnonzero(bad))[:count]
+
+
+def never_again(points: ScenePoints) -> Bools:
+    """Key points (N,) that no other frame finds again."""
+    return np.asarray(np.bincount(points.point[points.again >= 0], minlength=len(points.uv_px)) == 0)
+
+
+def _found_often(points: ScenePoints) -> Bools:
+    """Key points (N,) that half of the frames that see them find again."""
+    seen = np.bincount(points.point, minlength=len(points.uv_px))
+    again = np.bincount(points.point[points.again >= 0], minlength=len(points.uv_px))
+    return np.asarray(again >= 0.5 * np.maximum(seen, 1))

@@ -1,0 +1,252 @@
+"""Surface points of a scene as its frames show them: where a detector finds them, and where they are again.
+
+Truth comes from the simulator: rays go through the key points of one frame to the body, and from there to the
+other frames. What is found stays beside the corpus.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from frontend.features import KeyPoints, detect
+from frontend.target import target_crop
+from polhode.config.frontend import Features
+from polhode.config.loader import load_config
+from polhode.config.train import Corpus
+from polhode.dataset_writer import image_path
+from polhode.images import Grey
+from polhode.lie import Array, inverse_pose, transform_points
+from polhode.progress import Progress
+from polhode.records import Bools, Ints
+from simulation.correspondence import View, correspond, view_of
+from simulation.plan import Plan, plan_sequence
+from simulation.products import CAST, Products, products_path, read_products
+from simulation.raycast import RayCaster
+from simulation.sequence import SCENE_FILE
+from simulation.workers import in_processes
+from train.corpus import scene_folder
+
+VERSION = 1
+"""Of the files: those of another version are made anew."""
+DETECTOR = Features(contrast_threshold=0.008, max_features=900)
+"""More and weaker key points than a run uses: what the network can tell apart decides, not the detector."""
+REPEAT_PX = 1.5
+"""A key point this close to the true place is the same point, found again [px]."""
+SHADOW_PX = 2.0
+"""Key points this close to the edge of a cast shadow are on it [px]."""
+RIM_PX = 3.0
+"""Key points this close to a silhouette or to a jump of depth have something else in their patch [px]."""
+JUMP = 0.03
+"""Relative difference of depth between neighbours that is a jump."""
+
+
+@dataclass(frozen=True)
+class ScenePoints:
+    """N key points of F frames, and M sightings of them in other frames."""
+
+    grey: Grey
+    """(F, H, W) left images"""
+    focal_px: Array
+    """()"""
+    centre_px: Array
+    """(2,) principal point"""
+    X_KG: Array
+    """(F, 4, 4) body in the left camera"""
+    frame: Ints
+    """(N,)"""
+    uv_px: Array
+    """(N, 2)"""
+    p_K: Array
+    """(N, 3) [m] in the camera of its frame"""
+    normal_K: Array
+    """(N, 3) unit, towards the camera"""
+    on_shadow: Bools
+    """(N,) on the edge of a cast shadow"""
+    on_rim: Bools
+    """(N,) near a silhouette"""
+    sift: NDArray[np.float16]
+    """(N, 128) RootSIFT of the same key points, to compare with"""
+    point: Ints
+    """(M,) key point that is seen again"""
+    other: Ints
+    """(M,) frame where the camera sees it again"""
+    again: Ints
+    """(M,) key point there within ``REPEAT_PX`` of the true place; -1: none was found"""
+    uv_other_px: Array
+    """(M, 2) true place there"""
+    angle_rad: Array
+    """(M,) between the two views, at the point"""
+
+
+def prepare_points(
+    corpus: Corpus, scenes: Sequence[int], progress: Progress, workers: int
+) -> dict[int, ScenePoints]:
+    """The points of the scenes, by their numbers; made and kept where they are missing."""
+    missing = [i for i in scenes if not points_path(corpus, i).is_file()]
+    if missing:
+        with progress.stage("finding surface points", len(missing)) as advance:
+            work = [(corpus, i) for i in missing]
+            if workers == 1 or len(missing) == 1:
+                for each in work:
+                    _make(each)
+                    advance()
+            else:
+                in_processes(_make, work, workers, lambda _: advance())
+    return {i: read_points(points_path(corpus, i)) for i in scenes}
+
+
+def points_path(corpus: Corpus, index: int) -> Path:
+    """File of one scene's points."""
+    return Path(corpus.folder) / "points" / f"{index:04d}-v{VERSION}.npz"
+
+
+def read_points(path: Path) -> ScenePoints:
+    """Read what ``write_points`` wrote."""
+    with np.load(path) as archive:
+        return ScenePoints(**{each.name: archive[each.name] for each in fields(ScenePoints)})
+
+
+def write_points(path: Path, points: ScenePoints) -> None:
+    """The whole file or nothing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.stem}.partial-{os.getpid()}.npz")
+    try:
+        np.savez_compressed(partial, **{each.name: getattr(points, each.name) for each in fields(points)})
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _make(work: tuple[Corpus, int]) -> None:
+    corpus, index = work
+    write_points(points_path(corpus, index), find_points(scene_folder(corpus, index)))
+
+
+def find_points(folder: Path) -> ScenePoints:
+    """The points of a simulated scene with its products, whose rig is rectified."""
+    config = load_config(folder / SCENE_FILE)
+    assert config.scene is not None  # the file that ``simulate`` wrote
+    plan = plan_sequence(config.scene, config.seed)
+    caster = RayCaster(plan.body)
+    views = [view_of(plan, k, 0) for k in range(config.scene.frames)]
+    grey = np.stack([_read_grey(folder, plan, k) for k in range(len(views))])
+    found = [_detected(folder, plan, k, grey[k]) for k in range(len(views))]
+    trees = [cKDTree(each["uv_px"]) if len(each["uv_px"]) else None for each in found]
+    start = np.cumsum([0, *(len(each["uv_px"]) for each in found)])
+    seen = [
+        _seen_again(caster, views, k, b, found[k]["uv_px"], trees[b], int(start[k]), int(start[b]))
+        for k in range(len(views))
+        for b in range(len(views))
+        if b != k and len(found[k]["uv_px"])
+    ]
+    camera = plan.cameras[0]
+    per_point = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
+    per_sighting = {name: np.concatenate([each[name] for each in seen]) for name in seen[0]}
+    return ScenePoints(
+        grey=grey,
+        focal_px=np.array(camera.K[0, 0]),
+        centre_px=camera.K[:2, 2],
+        X_KG=np.stack([inverse_pose(view.X_GK) for view in views]),
+        **per_point,
+        **per_sighting,
+    )
+
+
+def _read_grey(folder: Path, plan: Plan, k: int) -> Grey:
+    path = image_path(folder / "mav0" / "cam0", int(plan.target.timestamps_ns[k]))
+    return np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+
+
+def _detected(folder: Path, plan: Plan, k: int, grey: Grey) -> dict[str, NDArray[Any]]:
+    """Key points of frame k on the target, one at a place, with what the truth tells of their surface."""
+    truth = read_products(products_path(folder / "mav0", 0, int(plan.target.timestamps_ns[k])))
+    assert truth.mask is not None
+    assert truth.depth is not None
+    assert truth.normals is not None
+    crop = target_crop(truth.mask)
+    points = _none() if crop is None else detect(grey, truth.mask, crop, DETECTOR)
+    places, first = np.unique(np.round(points.uv_px * 2.0), axis=0, return_index=True)
+    uv = points.uv_px[first]
+    pixel = np.round(uv).astype(int).reshape(-1, 2)
+    depth_m = truth.depth[pixel[:, 1], pixel[:, 0]]
+    rays = plan.cameras[0].directions(uv) if len(places) else np.zeros((0, 3))
+    return {
+        "frame": np.full(len(uv), k),
+        "uv_px": uv,
+        "p_K": rays / rays[:, 2:] * depth_m[:, None],
+        "normal_K": truth.normals[pixel[:, 1], pixel[:, 0]],
+        "on_shadow": _near_shadow_edge(truth)[pixel[:, 1], pixel[:, 0]],
+        "on_rim": _near_rim(truth)[pixel[:, 1], pixel[:, 0]],
+        "sift": points.descriptors[first].astype(np.float16),
+    }
+
+
+def _none() -> KeyPoints:
+    return KeyPoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), dtype=np.float32))
+
+
+def _near_shadow_edge(truth: Products) -> Bools:
+    """Pixels (H, W) near the edge of a cast shadow."""
+    assert truth.shadow is not None
+    assert truth.mask is not None
+    cast, lit = truth.shadow == CAST, (truth.shadow == 0) & truth.mask
+    touching = np.ones((3, 3), np.uint8)
+    edge = cast & (cv2.dilate(lit.astype(np.uint8), touching) > 0)
+    return _within(edge, SHADOW_PX)
+
+
+def _near_rim(truth: Products) -> Bools:
+    """Pixels (H, W) near the silhouette or a jump of depth."""
+    assert truth.depth is not None
+    far = np.where(np.isfinite(truth.depth), truth.depth, 1e6).astype(np.float32)
+    nearest = cv2.erode(far, np.ones((3, 3), np.uint8))
+    return _within(far > nearest * (1.0 + JUMP), RIM_PX)
+
+
+def _within(marked: Bools, distance_px: float) -> Bools:
+    away = cv2.distanceTransform((~marked).astype(np.uint8), cv2.DIST_L2, 3)
+    return np.asarray(away <= distance_px)
+
+
+def _seen_again(
+    caster: RayCaster,
+    views: Sequence[View],
+    a: int,
+    b: int,
+    uv_px: Array,
+    tree: cKDTree | None,
+    start_a: int,
+    start_b: int,
+) -> dict[str, NDArray[Any]]:
+    """Key points of frame a that frame b sees: where, and which of b's key points they are."""
+    found = correspond(caster, views[a], views[b], uv_px)
+    seen = np.flatnonzero(found.visible)
+    uv_b = found.uv_b_px[seen]
+    again = np.full(len(seen), -1)
+    if tree is not None and len(seen):
+        distance, nearest = tree.query(uv_b)
+        again = np.where(distance < REPEAT_PX, start_b + nearest, -1)
+    return {
+        "point": start_a + seen,
+        "other": np.full(len(seen), b),
+        "again": again,
+        "uv_other_px": uv_b,
+        "angle_rad": found.angle_rad[seen],
+    }
+
+
+def place_in(points: ScenePoints, sighting: Ints) -> tuple[Array, Array]:
+    """Point (n, 3) and normal (n, 3) of sightings in the camera that sees them again, by the true motion."""
+    a, b = points.frame[points.point[sighting]], points.other[sighting]
+    X_ba = points.X_KG[b] @ np.linalg.inv(points.X_KG[a])
+    own = points.point[sighting]
+    p = np.stack([transform_points(X, q[None])[0] for X, q in zip(X_ba, points.p_K[own], strict=True)])
+    normal = np.einsum("nij,nj->ni", X_ba[:, :3, :3], points.normal_K[own])
+    return p, normal
