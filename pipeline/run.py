@@ -12,6 +12,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from backend import estimate_motion, estimate_online, in_words_of, initialize_motion, window_warnings
+from frontend.duplicates import merge_duplicates
 from frontend.extract import extract_depth, extract_features
 from frontend.guided import consistent_matches, reconnect
 from frontend.pairs import PairMatch, match_pairs, relative_poses
@@ -24,6 +25,7 @@ from pipeline import outputs
 from pipeline.assumed import assumed_properties
 from pipeline.pictures import track_pictures
 from pipeline.run_folder import RunFolder
+from pipeline.second_look import contradicts
 from pipeline.summary import Summary, build_summary
 from polhode.config import Config
 from polhode.dataset import StereoSequence, open_sequence
@@ -216,6 +218,34 @@ def _associate_and_solve(
             estimate = estimate_motion(tracks, motion, config.backend, progress)
         yield tracks, estimate
         motion = InitialMotion(_pose_RG(tracks, estimate), motion.connected)
+    if guided.merge:
+        yield from _merge_and_solve(images, features, association, motion, estimate, config, progress, clock)
+
+
+def _merge_and_solve(
+    images: _Images,
+    features: Sequence[StereoFeatures],
+    association: Association,
+    motion: InitialMotion,
+    blind: MotionEstimate,
+    config: Config,
+    progress: Progress,
+    clock: Stopwatch,
+) -> Iterator[tuple[StereoTracks, MotionEstimate]]:
+    """Join the landmarks that the motion shows to be one and solve once more, unless that fits worse."""
+    with clock("frontend"):
+        merged = merge_duplicates(features, association, motion, images.rectifier.rig, config.frontend.guided)
+        tracks = images.tracks(features, merged, config)
+    joined = association.n_landmarks - merged.n_landmarks
+    _log.info("%d of %d landmarks joined to others", joined, association.n_landmarks)
+    if joined == 0:
+        return
+    with clock("backend"):
+        estimate = estimate_motion(tracks, motion, config.backend, progress)
+    if contradicts(estimate, blind):
+        _log.info("with landmarks joined the fit is worse: they stay apart")
+        return
+    yield tracks, estimate
 
 
 def _replay(

@@ -78,6 +78,10 @@ class GuidedMatching(Section):
     """Largest RootSIFT distance of an accepted association."""
     min_inliers: int = Field(7, ge=4)
     """Fewer consistent associations do not connect a frame."""
+    merge: bool = True
+    """Join landmarks that the solved motion shows to be one; undone when the fit gets worse for it."""
+    merge_view_angle_deg: float = Field(30.0, gt=0, le=90)
+    """Largest change of viewing direction between descriptors of landmarks that may be one [deg]."""
 
 
 class Tracks(Section):
