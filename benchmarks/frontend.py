@@ -25,7 +25,7 @@ from time import process_time
 import numpy as np
 import torch
 
-from benchmarks.frontend_scenes import CONFIGS, TestScene, open_scene, render, scene_names
+from benchmarks.frontend_scenes import CONFIGS, UnseenScene, open_scene, render, scene_names
 from benchmarks.frontend_tables import print_by_scene, print_table
 from benchmarks.record import Case, complete, forget
 from benchmarks.scenes import ROOT
@@ -138,7 +138,7 @@ def measure(case: Case) -> Case:
 
 
 def measure_pair(
-    scene: TestScene, frames: list[StereoFeatures], points_G: list[Array], i: int, j: int, config: Frontend
+    scene: UnseenScene, frames: list[StereoFeatures], points_G: list[Array], i: int, j: int, config: Frontend
 ) -> Case:
     """One pair of frames: matches at the method's threshold, the motion, and all matches by confidence."""
     a, b = frames[i], frames[j]
@@ -176,7 +176,7 @@ def correct(matches: Matches, p_Ga: Array, p_Gb: Array) -> Bools:
 
 
 def motion_of(
-    scene: TestScene,
+    scene: UnseenScene,
     matches: Matches,
     a: StereoFeatures,
     b: StereoFeatures,
@@ -205,7 +205,7 @@ def motion_of(
 
 
 def normalised_squares(
-    scene: TestScene, index: Ints, a: StereoFeatures, b: StereoFeatures, i: int, j: int
+    scene: UnseenScene, index: Ints, a: StereoFeatures, b: StereoFeatures, i: int, j: int
 ) -> list[float]:
     """Sums over matches (m, 2) of the squared residuals of u, v, disparity over their variances, and m.
 

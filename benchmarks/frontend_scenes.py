@@ -44,7 +44,7 @@ def render(name: str) -> Path:
 
 
 @dataclass(frozen=True)
-class TestScene:
+class UnseenScene:
     """A rendered scene with the body that was rendered."""
 
     sequence: StereoSequence
@@ -100,7 +100,7 @@ class TestScene:
         return p_G, depth_m
 
 
-def open_scene(name: str) -> TestScene:
+def open_scene(name: str) -> UnseenScene:
     """A scene that is rendered already."""
     config = load_config(CONFIGS / f"{name}.yaml")
     if config.scene is None:
@@ -110,4 +110,4 @@ def open_scene(name: str) -> TestScene:
     plan = plan_sequence(config.scene, config.seed)
     # A view's camera is the left one as calibrated, C; a rectifier turns it.
     X_GC = np.array([view_of(plan, k, 0).X_GK for k in range(len(sequence))])
-    return TestScene(sequence, rectifier, RayCaster(plan.body), X_GC @ rectifier.X_CR)
+    return UnseenScene(sequence, rectifier, RayCaster(plan.body), X_GC @ rectifier.X_CR)
