@@ -14,8 +14,8 @@ from frontend.disparity_start import Start
 
 OFFSETS_PX = (-3.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0)
 """Disparities of the slice, relative to the start."""
-HYPOTHESES = 4
-CHANNELS = len(OFFSETS_PX) + 21
+HYPOTHESES = 6
+CHANNELS = len(OFFSETS_PX) + 2 * (HYPOTHESES - 1) + 16
 _MOST_COST = 3.0
 _GREY = 32.0
 _RIVAL_PX = 8.0
@@ -23,8 +23,9 @@ _PLANE_PX = 16.0
 
 
 def hypotheses(start: Start) -> Tensor:
-    """(4, h, w) [px]: filled, far, near, unchecked."""
-    return torch.from_numpy(np.stack([start.filled, start.far, start.near, start.unchecked]))
+    """(6, h, w) [px]: filled, far, near, unchecked, facet, coarse."""
+    named = [start.filled, start.far, start.near, start.unchecked, start.facet, start.coarse]
+    return torch.from_numpy(np.stack(named))
 
 
 def evidence(start: Start) -> Tensor:
@@ -52,10 +53,13 @@ def evidence(start: Start) -> Tensor:
 
 
 def warp_right(right: Tensor, disparity: Tensor, margin_px: int) -> Tensor:
-    """The right image (h, w + 2 margin) seen from the left one, for k disparities (k, h, w) [px]."""
+    """The right image (h, w + 2 margin) seen from the left one, for k disparities (k, h, w) [px].
+
+    Differentiable in both.
+    """
     k, h, w = disparity.shape
-    u = torch.arange(w, dtype=torch.float32) + margin_px - disparity
-    v = torch.arange(h, dtype=torch.float32)[None, :, None].expand(k, h, w)
+    u = torch.arange(w, dtype=disparity.dtype) + margin_px - disparity
+    v = torch.arange(h, dtype=disparity.dtype)[None, :, None].expand(k, h, w)
     # One tall image: the k maps below each other.
     warped: Tensor = remap(
         right[None, None],
@@ -90,10 +94,18 @@ def _shape(disparity: Tensor, target: Tensor) -> Tensor:
 
 
 def _certainty(start: Start) -> Tensor:
-    """(6, h, w) what is known of the start: matched, by how much it is uncertain, lit, target, and place."""
+    """(7, h, w) what is known of the start: matched, how uncertain, lit, target, rivals, facet."""
     known = np.isfinite(start.sigma)
     spread = np.log(np.clip(np.where(known, start.sigma, 2.0), 0.01, 2.0)) / 2.0
     reach = np.clip((start.near - start.far) / _RIVAL_PX, 0.0, 2.0)
     moved = np.clip(np.abs(start.unchecked - start.filled), 0.0, 2.0)
-    planes: list[NDArray[np.generic]] = [known, spread, start.lit, start.target, reach, moved]
-    return torch.from_numpy(np.stack([plane.astype(np.float32) for plane in planes]))
+    flags: list[NDArray[np.generic]] = [
+        known,
+        spread,
+        start.lit,
+        start.target,
+        reach,
+        moved,
+        start.facet_trust,
+    ]
+    return torch.from_numpy(np.stack([flag.astype(np.float32) for flag in flags]))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import find_objects
 
 from polhode.records import Bools
 
@@ -83,10 +84,11 @@ def fit_facets(
     spread = np.full(disparity.shape, np.nan, dtype=np.float32)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _EDGE_PX + 1, 2 * _EDGE_PX + 1))
     known = np.isfinite(disparity) & np.isfinite(sigma)
-    for label in range(1, count):
-        rows, columns = np.nonzero(labels == label)
-        if len(rows) == 0:
+    for label, place in enumerate(find_objects(labels, max_label=count - 1), start=1):
+        if place is None:
             continue
+        rows, columns = np.nonzero(labels[place] == label)
+        rows, columns = rows + place[0].start, columns + place[1].start
         box = (
             slice(max(rows.min() - _EDGE_PX, 0), rows.max() + _EDGE_PX + 1),
             slice(max(columns.min() - _EDGE_PX, 0), columns.max() + _EDGE_PX + 1),

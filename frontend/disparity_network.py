@@ -10,16 +10,19 @@ from torch import Tensor
 from frontend.disparity_evidence import evidence, hypotheses
 from frontend.disparity_start import Start
 from frontend.networks.disparity import STRIDE, DisparityNet, read_mixture
+from polhode.records import Bools
 
 Floats = NDArray[np.float32]
+_COMPONENTS = 3
+"""Of the mixture, the strongest: the others change next to nothing and cost time."""
 
 
 @dataclass(frozen=True)
 class Refined:
-    """What the network says of every pixel (h, w), also where the start knew nothing."""
+    """What the network says of the target's pixels (h, w), also where the start knew nothing."""
 
     disparity: Floats
-    """[px]"""
+    """[px]; NaN beside the target"""
     sigma: Floats
     """[px] half the width of the interval that holds the true disparity with a probability of 68 %"""
     visible: Floats
@@ -32,11 +35,17 @@ def refine(network: DisparityNet, start: Start) -> Refined:
     grown = padded(start, ((-h) % STRIDE, (-w) % STRIDE))
     with torch.no_grad():
         channels = evidence(grown).contiguous(memory_format=torch.channels_last)
-        mixture = read_mixture(network(channels), hypotheses(grown)[None])
+        target = torch.from_numpy(grown.target)
+        outputs, guess = network(channels)[:, :, target], hypotheses(grown)[None, :, target]
+        mixture = read_mixture(outputs, guess).strongest(_COMPONENTS)
         disparity = mixture.mode()
-        sigma = mixture.sigma(disparity)
-        visible = torch.sigmoid(mixture.visible)
-    return Refined(*(_cut(tensor, h, w) for tensor in (disparity, sigma, visible)))
+        found = disparity, mixture.sigma(disparity), torch.sigmoid(mixture.visible)
+    return Refined(
+        *(
+            _placed(values[0], start.target, fill)
+            for values, fill in zip(found, (np.nan, np.nan, 0.0), strict=True)
+        )
+    )
 
 
 def padded(start: Start, more: tuple[int, int]) -> Start:
@@ -51,5 +60,8 @@ def padded(start: Start, more: tuple[int, int]) -> Start:
     return Start(**grown, margin_px=start.margin_px)  # type: ignore[arg-type]
 
 
-def _cut(tensor: Tensor, h: int, w: int) -> Floats:
-    return np.asarray(tensor[0, :h, :w].numpy(), dtype=np.float32)
+def _placed(values: Tensor, target: Bools, beside: float) -> Floats:
+    """Values (n,) of the target's pixels as an image; padding has no target."""
+    image = np.full(target.shape, beside, dtype=np.float32)
+    image[target] = values.numpy()
+    return image

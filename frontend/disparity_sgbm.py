@@ -49,7 +49,27 @@ def match_both_ways(crop: Crop, config: Depth) -> Matched:
     )
 
 
-def _match(image: Image, other: Image, disparities: int, block: int) -> Floats:
+def match_coarse(crop: Crop, config: Depth) -> Floats:
+    """Disparities (h, w) [px] from images of half the size, unchecked; NaN where none."""
+    n = crop.search_px
+    height, width = crop.left.shape
+    size = ((width + 1) // 2, (height + 1) // 2)
+    left, right = (
+        np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA)) for image in (crop.left, crop.right)
+    )
+    least = 16 * -(-n // 32)
+    # The matcher leaves the first columns out.
+    left, right = (
+        np.asarray(cv2.copyMakeBorder(image, 0, 0, least, 0, cv2.BORDER_REPLICATE)) for image in (left, right)
+    )
+    found = _match(left, right, least, config.block_px + 2, 0)[:, least:]
+    whole = cv2.resize(
+        np.where(found > 0, 2.0 * found, np.nan), (width, height), interpolation=cv2.INTER_LINEAR
+    )
+    return np.asarray(whole[:, n : n + crop.target.shape[1]], dtype=np.float32)
+
+
+def _match(image: Image, other: Image, disparities: int, block: int, uniqueness: int = 4) -> Floats:
     """Disparities of ``image`` (H, W) [px], below zero where none."""
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,
@@ -59,7 +79,7 @@ def _match(image: Image, other: Image, disparities: int, block: int) -> Floats:
         P2=40 * block * block,
         disp12MaxDiff=-1,
         preFilterCap=31,
-        uniquenessRatio=4,
+        uniquenessRatio=uniqueness,
         mode=cv2.STEREO_SGBM_MODE_HH,
     )
     return np.asarray(matcher.compute(image, other), dtype=np.float32) / np.float32(16.0)

@@ -1,8 +1,9 @@
 """The classical disparity that the network starts from, without holes, and its rivals.
 
-Every pixel gets four hypotheses: the checked and refined disparity, its holes filled from their rims; the
-farthest and the nearest disparity around (a rim belongs to one of the two); and what semi-global matching
-says there unchecked.
+Every pixel gets six hypotheses: the checked and refined disparity, its holes filled from their rims; the
+farthest and the nearest disparity around (a rim belongs to one of the two); what semi-global matching says
+there unchecked; the plane of an even facet; and what matching says on images of half the size, where weak
+texture weighs more.
 """
 
 from dataclasses import dataclass, fields
@@ -12,17 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontend.disparity_crop import Crop
+from frontend.disparity_facets import fit_facets
 from frontend.disparity_refinement import refine_dense
-from frontend.disparity_sgbm import match_both_ways
+from frontend.disparity_sgbm import match_both_ways, match_coarse
 from polhode.config.depth import Depth
 from polhode.records import Bools
 
 Floats = NDArray[np.float32]
-REACH_PX = 8
+REACH_PX = 5
 """How far away a disparity is still a rival."""
 FEWEST = 50
 """Fewer matched pixels are no start."""
 _WINDOW_PX = 9
+_TRUST_PX = 0.3
 _LEAST_CONTRAST = 4.0
 """Added to the standard deviation of a window [8-bit levels]: noise does not become texture."""
 
@@ -44,6 +47,10 @@ class Start:
     far: Floats
     near: Floats
     unchecked: Floats
+    facet: Floats
+    coarse: Floats
+    facet_trust: Floats
+    """(h, w) 1 on a facet whose plane is certain, 0 on none"""
     sigma: Floats
     """(h, w) of ``filled`` [px] by the least squares; NaN where it was filled in"""
     lit: Bools
@@ -68,6 +75,15 @@ def classical_start(crop: Crop, config: Depth) -> Start | None:
         return None
     refined, sigma = refine_dense(crop.left, crop.right, matched.checked, crop.search_px, config.window_px)
     filled = fill_holes(refined)
+    facet, sigma_facet = fit_facets(
+        crop.image,
+        crop.lit,
+        refined,
+        sigma,
+        float(config.window_px**2),
+        crop.sky + 2.0 * config.min_intensity,
+    )
+    flat = np.isfinite(facet)
     known = np.isfinite(refined)
     kernel = np.ones((2 * REACH_PX + 1, 2 * REACH_PX + 1), dtype=np.uint8)
     near = np.asarray(cv2.dilate(np.where(known, refined, -1e9).astype(np.float32), kernel))
@@ -84,6 +100,9 @@ def classical_start(crop: Crop, config: Depth) -> Start | None:
         far=np.where(far < 1e8, far, filled),
         near=np.where(near > -1e8, near, filled),
         unchecked=np.where(np.isfinite(matched.unchecked), matched.unchecked, filled),
+        facet=np.where(flat, facet, filled),
+        coarse=fill_holes(match_coarse(crop, config)),
+        facet_trust=np.where(flat, np.exp(-sigma_facet / _TRUST_PX), 0.0).astype(np.float32),
         sigma=sigma,
         lit=crop.lit,
         target=crop.target,

@@ -28,7 +28,7 @@ class DepthBatch:
     channels: Tensor
     """(B, CHANNELS, h, w)"""
     hypotheses: Tensor
-    """(B, 4, h, w) [px]"""
+    """(B, 6, h, w) [px]"""
     truth: Tensor
     """(B, h, w) [px]; NaN beside the target"""
     visible: Tensor
@@ -112,5 +112,5 @@ def moved(start: Start, rng: np.random.Generator) -> Start:
     v, u = np.mgrid[-0.5 : 0.5 : h * 1j, -0.5 : 0.5 : w * 1j]
     value, slope_u, slope_v = rng.normal(0.0, (0.5, 0.7, 0.7))
     plane = (value + slope_u * u + slope_v * v).astype(np.float32)
-    names = ("filled", "far", "near", "unchecked")
+    names = ("filled", "far", "near", "unchecked", "facet", "coarse")
     return replace(start, **{name: getattr(start, name) + plane for name in names})

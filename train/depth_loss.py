@@ -1,10 +1,12 @@
 """What the disparity network is asked for: a high density at the truth, and who is seen by both cameras."""
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from frontend.networks.disparity import Mixture
+from frontend.networks.disparity import Mixture, read_mixture
 from train.depth_batches import DepthBatch
 
 _HIDDEN_WEIGHT = 0.15
@@ -16,18 +18,37 @@ _WILD_WIDTH_PX = 64.0
 _VISIBLE_WEIGHT = 0.3
 
 
-def depth_loss(mixture: Mixture, batch: DepthBatch) -> Tensor:
+@dataclass(frozen=True)
+class Asked:
+    """The pixels (n,) of a batch that the loss is made of: true target, or taken for it."""
+
+    truth: Tensor
+    """[px]; NaN beside the target"""
+    visible: Tensor
+    lit: Tensor
+    target: Tensor
+
+
+def asked_pixels(raw: Tensor, batch: DepthBatch) -> tuple[Mixture, Asked]:
+    """What the network's raw outputs (B, OUTPUTS, h, w) say there, and the truth."""
+    chosen = torch.isfinite(batch.truth) | batch.target
+    outputs, guess = (tensor.permute(0, 2, 3, 1)[chosen] for tensor in (raw, batch.hypotheses))
+    asked = Asked(batch.truth[chosen], batch.visible[chosen], batch.lit[chosen], batch.target[chosen])
+    return read_mixture(outputs, guess), asked
+
+
+def depth_loss(mixture: Mixture, asked: Asked) -> Tensor:
     """Mean negative log density of the true disparity, and cross entropy of the visibility; a scalar."""
-    known = torch.isfinite(batch.truth)
-    truth = torch.where(known, batch.truth, batch.hypotheses[:, 0])
+    known = torch.isfinite(asked.truth)
+    truth = torch.where(known, asked.truth, 0.0)
     density = mixture.log_density(truth).exp()
     cost = -torch.log((1.0 - _WILD_SHARE) * density + _WILD_SHARE / _WILD_WIDTH_PX)
     weight = known.float()
-    weight = weight * torch.where(batch.visible, 1.0, _HIDDEN_WEIGHT)
-    weight = weight * torch.where(batch.lit, 1.0, _DARK_WEIGHT)
+    weight = weight * torch.where(asked.visible, 1.0, _HIDDEN_WEIGHT)
+    weight = weight * torch.where(asked.lit, 1.0, _DARK_WEIGHT)
     place = (weight * cost).sum() / weight.sum().clamp(min=1.0)
     seen = functional.binary_cross_entropy_with_logits(
-        mixture.visible, batch.visible.float(), reduction="none"
+        mixture.visible, asked.visible.float(), reduction="none"
     )
-    asked = batch.target.float()
-    return place + _VISIBLE_WEIGHT * (seen * asked).sum() / asked.sum().clamp(min=1.0)
+    taken = asked.target.float()
+    return place + _VISIBLE_WEIGHT * (seen * taken).sum() / taken.sum().clamp(min=1.0)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from frontend.disparity_network import Refined, refine
-from frontend.networks.disparity import DisparityNet, read_mixture
+from frontend.networks.disparity import DisparityNet
 from polhode.config.depth import Depth
 from polhode.config.train import DepthTraining, Train
 from polhode.errors import InputError
@@ -17,7 +17,7 @@ from polhode.progress import Progress
 from simulation.workers import in_processes
 from train.corpus import scene_folder, split
 from train.depth_batches import DepthBatch, random_batch
-from train.depth_loss import depth_loss
+from train.depth_loss import asked_pixels, depth_loss
 from train.depth_samples import Sample, build_samples, read_sample
 from train.task import Batch
 
@@ -54,11 +54,11 @@ class DepthTask:
         on_cpu = channels.device.type == "cpu"
         with torch.autocast("cpu", torch.bfloat16, enabled=on_cpu and self._settings.half_on_cpu):
             raw = self.model(channels)
-        mixture = read_mixture(raw, given.hypotheses)
-        loss = depth_loss(mixture, given)
+        mixture, asked = asked_pixels(raw, given)
+        loss = depth_loss(mixture, asked)
         with torch.no_grad():
             likeliest = mixture.mean.gather(1, mixture.log_weight.argmax(dim=1, keepdim=True))[:, 0]
-            off = (likeliest - given.truth).abs()[given.visible & given.lit]
+            off = (likeliest - asked.truth).abs()[asked.visible & asked.lit]
         return loss, {"off_by_more_than_1_px": (off > 1.0).float().mean()}
 
     def validate(self) -> Mapping[str, float]:
@@ -86,7 +86,7 @@ def held_out_errors(sample: Sample, network: DisparityNet) -> HeldOut:
 
 
 def scores(samples: Sequence[HeldOut]) -> dict[str, float]:
-    """Means over the samples: how many are off by more than 1 px at the classical density, and calibration."""
+    """Means over the samples: share off by more than 1 px at the classical density, and calibration."""
     rows = []
     for each in samples:
         matched = np.isfinite(each["classical"])

@@ -1,6 +1,6 @@
 """The network that refines a classical disparity: a U-Net on half-size images, and what its output means.
 
-At each pixel it weighs four hypotheses (``disparity_start``), corrects each, and says how uncertain each is:
+At each pixel it weighs six hypotheses (``disparity_start``), corrects each, and says how uncertain each is:
 a mixture of Laplace distributions. Its mode is the disparity, so that edges stay sharp where a mean would
 lie between near and far (Tosi and others, "SMD-Nets", 2021). One more output: whether the right camera sees
 the pixel's surface at all. Full size comes back by pixel shuffle (Shi and others, 2016).
@@ -20,13 +20,15 @@ STRIDE = 16
 """Sides of the input are multiples of this."""
 _LEAST_SCALE_PX = 0.02
 _MOST_SCALE_PX = 12.0
+_LEAST_SIGMA_PX = 0.02
+_MOST_SIGMA_PX = 64.0
 _ONE_SIGMA = 0.6827
 OUTPUTS = 3 * HYPOTHESES + 1
 
 
 @dataclass(frozen=True)
 class Mixture:
-    """Distribution of each pixel's disparity (B, k, h, w), and the logit of being seen by both (B, h, w)."""
+    """Distribution of each pixel's disparity (B, k, ...), and the logit of being seen by both (B, ...)."""
 
     log_weight: Tensor
     mean: Tensor
@@ -36,34 +38,50 @@ class Mixture:
     visible: Tensor
 
     def log_density(self, disparity: Tensor) -> Tensor:
-        """Of disparities (B, h, w)."""
+        """Of disparities (B, ...)."""
         distance = (disparity[:, None] - self.mean).abs()
         return torch.logsumexp(self.log_weight - distance / self.scale - torch.log(2 * self.scale), dim=1)
 
     def mass_within(self, disparity: Tensor, radius: Tensor) -> Tensor:
-        """Probability of [disparity - radius, disparity + radius], all (B, h, w)."""
+        """Probability of [disparity - radius, disparity + radius], all (B, ...)."""
         below = disparity[:, None] - radius[:, None] - self.mean
         above = disparity[:, None] + radius[:, None] - self.mean
         share = _cumulative(above / self.scale) - _cumulative(below / self.scale)
         return (self.log_weight.exp() * share).sum(dim=1)
 
     def mode(self, window_px: float = 0.5) -> Tensor:
-        """(B, h, w) the component's mean that has most probability around it [px]."""
+        """(B, ...) the component's mean that has most probability around it [px]."""
         radius = torch.full_like(self.visible, window_px)
         mass = torch.stack(
             [self.mass_within(self.mean[:, k], radius) for k in range(self.mean.shape[1])], dim=1
         )
         return self.mean.gather(1, mass.argmax(dim=1, keepdim=True))[:, 0]
 
-    def sigma(self, disparity: Tensor, rounds: int = 10) -> Tensor:
-        """Half the width (B, h, w) [px] of the interval around ``disparity`` that holds 68 %: bisection."""
-        low = torch.full_like(disparity, _LEAST_SCALE_PX).log()
-        high = torch.full_like(disparity, 64.0).log()
+    def sigma(self, disparity: Tensor, rounds: int = 6) -> Tensor:
+        """Half the width (B, ...) [px] of the interval around ``disparity`` that holds 68 %.
+
+        By bisection of its logarithm, and linear interpolation in the last interval.
+        """
+        low, high = (torch.full_like(disparity, end).log() for end in (_LEAST_SIGMA_PX, _MOST_SIGMA_PX))
+        mass_low, mass_high = torch.zeros_like(disparity), torch.ones_like(disparity)
         for _ in range(rounds):
             middle = 0.5 * (low + high)
-            inside = self.mass_within(disparity, middle.exp()) > _ONE_SIGMA
-            low, high = torch.where(inside, low, middle), torch.where(inside, middle, high)
-        return (0.5 * (low + high)).exp()
+            mass = self.mass_within(disparity, middle.exp())
+            inside = mass > _ONE_SIGMA
+            low, mass_low = torch.where(inside, low, middle), torch.where(inside, mass_low, mass)
+            high, mass_high = torch.where(inside, middle, high), torch.where(inside, mass, mass_high)
+        share = (_ONE_SIGMA - mass_low) / (mass_high - mass_low).clamp(min=1e-6)
+        return (low + share.clamp(0.0, 1.0) * (high - low)).exp()
+
+    def strongest(self, count: int) -> "Mixture":
+        """The components of largest weight only, which then make up the whole."""
+        log_weight, chosen = self.log_weight.topk(count, dim=1)
+        return Mixture(
+            functional.log_softmax(log_weight, dim=1),
+            self.mean.gather(1, chosen),
+            self.scale.gather(1, chosen),
+            self.visible,
+        )
 
 
 def _cumulative(x: Tensor) -> Tensor:
@@ -118,12 +136,12 @@ class DisparityNet(nn.Module):
 
 
 def read_mixture(raw: Tensor, hypotheses: Tensor) -> Mixture:
-    """Meaning of raw outputs (B, OUTPUTS, h, w) at hypotheses (B, k, h, w) [px]."""
+    """Meaning of raw outputs (B, OUTPUTS, ...) at hypotheses (B, k, ...) [px]."""
     k = HYPOTHESES
     raw = raw.float()
     # At first, with all outputs zero, the filled disparity is believed most.
-    preference = torch.zeros(k, dtype=raw.dtype, device=raw.device)
-    preference[0] = 2.0
-    log_weight = functional.log_softmax(raw[:, :k] + preference[:, None, None], dim=1)
+    preference = torch.zeros_like(raw[:, :k])
+    preference[:, 0] = 2.0
+    log_weight = functional.log_softmax(raw[:, :k] + preference, dim=1)
     scale = _LEAST_SCALE_PX + functional.softplus(raw[:, 2 * k : 3 * k] - 1.5).clamp(max=_MOST_SCALE_PX)
     return Mixture(log_weight, hypotheses + raw[:, k : 2 * k], scale, raw[:, 3 * k])
