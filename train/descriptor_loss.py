@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from frontend.networks.descriptor import Described
+from polhode.config.train import DescriptorTraining
 from train.task import Batch
 
 SAME_PX = 4.0
@@ -28,10 +30,11 @@ class Temperature(nn.Module):
 
 
 def descriptor_loss(
-    descriptors: Tensor, reliability: Tensor, batch: Batch, temperature: Tensor, weight: float
+    described: Described, batch: Batch, temperature: Tensor, config: DescriptorTraining
 ) -> tuple[Tensor, Mapping[str, Tensor]]:
-    """Loss of a batch of ``PatchBatches``: descriptors (n, d), logits (n,) in the order of its patches."""
+    """Loss of a batch of ``PatchBatches``, whose n patches are described in its order."""
     m = len(batch["pair"])
+    descriptors = described.descriptor
     a, b, stray = descriptors[:m].float(), descriptors[m : 2 * m].float(), descriptors[2 * m :].float()
     same = _same_place(batch)
     forward = (a @ b.T).masked_fill(same, -1.0)
@@ -43,14 +46,25 @@ def descriptor_loss(
     contrast = 0.5 * (functional.cross_entropy(logits_ab, truth) + functional.cross_entropy(logits_ba, truth))
     right = (logits_ab.argmax(dim=1) == truth) & (logits_ba.argmax(dim=1) == truth)
     label = torch.cat([right, right, right.new_zeros(len(stray))]).float()
-    trust = functional.binary_cross_entropy_with_logits(reliability.float(), label)
+    trust = functional.binary_cross_entropy_with_logits(described.reliability.float(), label)
     found = (logits_ab.argmax(dim=1) == truth).float().mean()
-    return contrast + weight * trust, {
+    direction = described.direction.float()
+    astray = (1.0 - turned_alike(direction[:m], direction[m : 2 * m], batch["turn"])).mean()
+    loss = contrast + config.reliability_weight * trust + config.direction_weight * astray
+    return loss, {
         "contrast": contrast,
         "reliability": trust,
+        "direction": astray,
         "rank_1": found,
         "temperature": temperature,
     }
+
+
+def turned_alike(first: Tensor, second: Tensor, turn_rad: Tensor) -> Tensor:
+    """Cosine (m,) of the error of the second directions (m, 2), the first ones and the true turn given."""
+    c, s = torch.cos(turn_rad), torch.sin(turn_rad)
+    expected = torch.stack([c * first[:, 0] - s * first[:, 1], s * first[:, 0] + c * first[:, 1]], dim=1)
+    return (expected * second).sum(dim=1)
 
 
 def _same_place(batch: Batch) -> Tensor:

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frontend.patches import Patches, cut_patches, tangent_affines
+from frontend.patches import Patches, cut_patches, tangent_affines, turned
 from polhode.lie import Array
 from polhode.records import Bools, Ints
-from train.patch_batches import FramePair, frame_pairs, leaning, rig_of
+from train.patch_batches import FramePair, frame_pairs, leaning, rig_of, turn_of
 from train.points import ScenePoints
+from train.surface_turn import turn_between
 
 ANGLES_DEG = {"30": (20.0, 40.0), "60": (50.0, 70.0)}
 """Angle between the views of the points of each score."""
@@ -21,12 +22,14 @@ PAIRS_A_SCENE = 4
 """Frame pairs of each scene and angle."""
 RIGHT_PX = 3.0
 """A point this close to the true place is the right one [px]."""
-HALF_PX = 16.0
+HALF_PX = 13.0
 """Half the side of the patches at the scene's middle depth [px]."""
 NORMAL_NOISE_DEG = 5.0
 """Error of the normals that the patches are cut with [deg]."""
-Describe = Callable[[Patches], tuple[Array, Array]]
-"""Patches (n, 1, s, s) -> descriptors (n, d) and reliability (n,)"""
+STRAIGHT_DEG = 20.0
+"""A patch whose direction is off by less is turned rightly [deg]."""
+Describe = Callable[[Patches], tuple[Array, Array, Array]]
+"""Patches (n, 1, s, s) -> descriptors (n, d), reliability (n,), directions (n, 2)"""
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,10 @@ class Trial:
     """(q, 2) where they are in b"""
     uv_b_px: Array
     """(n_b, 2)"""
+    partner: Ints
+    """(q,) the key point of b that each is"""
+    turn_rad: Array
+    """(q,) angle in the partner's patch of what lies along x in the own one"""
 
 
 def make_trials(scenes: Mapping[int, ScenePoints], seed: int) -> list[Trial]:
@@ -68,53 +75,89 @@ def _trial(points: ScenePoints, pair: FramePair, angle: str, rng: np.random.Gene
     a = np.flatnonzero((points.frame == pair.a) & known)
     b = np.flatnonzero((points.frame == pair.b) & known)
     half_m = HALF_PX * float(np.median(points.p_K[a, 2])) / float(points.focal_px)
-    asked = points.point[pair.found]
+    asked, partner = points.point[pair.found], points.again[pair.found]
+    patches_a, affine_a = _cut(points, a, half_m, rng)
+    patches_b, affine_b = _cut(points, b, half_m, rng)
+    row, column = np.searchsorted(a, asked), np.searchsorted(b, partner)
+    R_ba = np.broadcast_to(turn_of(points, pair.a, pair.b), (len(asked), 3, 3))
     return Trial(
         angle,
         points.sift[a].astype(np.float32),
         points.sift[b].astype(np.float32),
-        _cut(points, a, half_m, rng),
-        _cut(points, b, half_m, rng),
-        np.searchsorted(a, asked),
+        patches_a,
+        patches_b,
+        row,
         points.uv_other_px[pair.found],
         points.uv_px[b],
+        column,
+        turn_between(
+            affine_a[row],
+            affine_b[column],
+            points.p_K[asked],
+            points.normal_K[asked],
+            R_ba,
+            points.p_K[partner],
+            rig_of(points),
+        ),
     )
 
 
-def _cut(points: ScenePoints, index: Ints, half_m: float, rng: np.random.Generator) -> Patches:
+def _cut(points: ScenePoints, index: Ints, half_m: float, rng: np.random.Generator) -> tuple[Patches, Array]:
+    """Patches at key points of one frame, and their maps."""
     normal = leaning(points.normal_K[index], np.deg2rad(NORMAL_NOISE_DEG), rng)
     affine = tangent_affines(points.p_K[index], normal, rig_of(points), np.full(len(index), half_m))
-    return cut_patches(points.grey[points.frame[index[0]]], points.uv_px[index], affine)
+    affine = turned(affine, rng.uniform(0.0, 2.0 * np.pi, len(index)))
+    return cut_patches(points.grey[points.frame[index[0]]], points.uv_px[index], affine), affine
 
 
 def score(trials: list[Trial], describe: Describe) -> dict[str, float]:
-    """Rank-1 shares at both angles, RootSIFT's, and how well reliability tells right from wrong (AUC)."""
-    right: dict[str, list[Array]] = {name: [] for name in ANGLES_DEG}
-    right_sift: dict[str, list[Array]] = {name: [] for name in ANGLES_DEG}
+    """Shares at both angles: ``rank_1``: the most similar of all key points is the right one; ``common``: of
+    the key points that both frames have; ``rootsift`` and ``rootsift_common``: the same of RootSIFT;
+    ``straight``: the direction is right. ``reliability_auc``: how well reliability tells right from wrong.
+    """
+    shares: dict[str, list[Array]] = {}
     trust, hit = [], []
     for trial in trials:
-        a, trust_a = describe(trial.patches_a)
-        b, _ = describe(trial.patches_b)
+        a, trust_a, direction_a = describe(trial.patches_a)
+        b, _, direction_b = describe(trial.patches_b)
         own = _hits(a, b, trial)
-        right[trial.angle].append(own)
-        right_sift[trial.angle].append(_hits(trial.sift_a, trial.sift_b, trial))
+        off_rad = _angle(direction_b[trial.partner]) - _angle(direction_a[trial.rows]) - trial.turn_rad
+        straight = np.cos(off_rad) > np.cos(np.deg2rad(STRAIGHT_DEG))
+        for name, values in {
+            "rank_1": own,
+            "rootsift": _hits(trial.sift_a, trial.sift_b, trial),
+            "common": _hits_in_common(a, b, trial),
+            "rootsift_common": _hits_in_common(trial.sift_a, trial.sift_b, trial),
+            "straight": straight.astype(np.float64),
+        }.items():
+            shares.setdefault(f"{name}_at_{trial.angle}", []).append(values)
         label = np.zeros(len(a))
         label[trial.rows] = own
         trust.append(trust_a)
         hit.append(label)
-    scores = {}
-    for name in ANGLES_DEG:
-        if right[name]:
-            scores[f"rank_1_at_{name}"] = float(np.concatenate(right[name]).mean())
-            scores[f"rootsift_at_{name}"] = float(np.concatenate(right_sift[name]).mean())
+    scores = {name: float(np.concatenate(values).mean()) for name, values in sorted(shares.items())}
     if hit:
         scores["reliability_auc"] = area_under_curve(np.concatenate(trust), np.concatenate(hit) > 0)
     return scores
 
 
+def _angle(direction: Array) -> Array:
+    return np.asarray(np.arctan2(direction[:, 1], direction[:, 0]))
+
+
 def _hits(a: Array, b: Array, trial: Trial) -> Array:
-    best = (a[trial.rows] @ b.T).argmax(axis=1)
-    off_px = np.linalg.norm(trial.uv_b_px[best] - trial.true_px, axis=1)
+    """(q,) 1 where the most similar of all of b's key points is at the true place."""
+    return _right(trial.uv_b_px[(a[trial.rows] @ b.T).argmax(axis=1)], trial)
+
+
+def _hits_in_common(a: Array, b: Array, trial: Trial) -> Array:
+    """(q,) the same among the key points of b that are some of a's."""
+    best = (a[trial.rows] @ b[trial.partner].T).argmax(axis=1)
+    return _right(trial.uv_b_px[trial.partner[best]], trial)
+
+
+def _right(found_px: Array, trial: Trial) -> Array:
+    off_px = np.linalg.norm(found_px - trial.true_px, axis=1)
     return np.asarray(off_px < RIGHT_PX, dtype=np.float64)
 
 

@@ -46,22 +46,21 @@ class DescriptorTask:
         return self._batches.batch(step)
 
     def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
-        """InfoNCE and the reliability's cross entropy."""
-        descriptors, reliability = self.network(batch["patches"])
-        weight = self._config.reliability_weight
-        return descriptor_loss(descriptors, reliability, batch, self._model["temperature"](), weight)
+        """InfoNCE, the reliability's cross entropy, the directions' consistency."""
+        described = self.network(batch["patches"])
+        return descriptor_loss(described, batch, self._model["temperature"](), self._config)
 
     def validate(self) -> Mapping[str, float]:
         """Rank-1 shares on the held-out bodies."""
         return score(self._trials, self._describe)
 
-    def _describe(self, patches: Patches) -> tuple[Array, Array]:
+    def _describe(self, patches: Patches) -> tuple[Array, Array, Array]:
         device = next(self._model.parameters()).device
         parts = [self.network(some.to(device)) for some in torch.from_numpy(patches).split(AT_ONCE)]
-        descriptors, reliability = (
+        descriptor, reliability, direction = (
             torch.cat(each).float().cpu().numpy() for each in zip(*parts, strict=True)
         )
-        return descriptors, reliability
+        return descriptor, reliability, direction
 
 
 def make_task(train: Train, seed: int, progress: Progress, workers: int) -> DescriptorTask:

@@ -55,8 +55,12 @@ class Loop:
             groups, lr=schedule.learning_rate, weight_decay=schedule.weight_decay
         )
         on_gpu = self._device.type == "cuda"
-        self._half = torch.bfloat16 if on_gpu and torch.cuda.is_bf16_supported() else torch.float16
-        self._scaler = torch.amp.GradScaler(self._device.type, enabled=on_gpu and self._half is torch.float16)
+        wanted = schedule.precision
+        self._mixed = wanted == "mixed" or (wanted == "automatic" and on_gpu)
+        self._half = torch.float16 if on_gpu and not torch.cuda.is_bf16_supported() else torch.bfloat16
+        # Gradients underflow in float16 alone.
+        scaled = self._mixed and self._half is torch.float16
+        self._scaler = torch.amp.GradScaler(self._device.type, enabled=scaled)
 
     def run(self, setting: Mapping[str, Any], progress: Progress) -> Outcome:
         """Train to the last step, or until the time is up. ``setting``: what the weights depend on.
@@ -134,7 +138,7 @@ class Loop:
         for group in self._optimizer.param_groups:
             group["lr"] = rate
         batch = {name: value.to(self._device, non_blocking=True) for name, value in batch.items()}
-        with torch.autocast(self._device.type, self._half, enabled=self._device.type == "cuda"):
+        with torch.autocast(self._device.type, self._half, enabled=self._mixed):
             loss, terms = self._task.loss(batch)
         if not torch.isfinite(loss):
             raise RunFailure(

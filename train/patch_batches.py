@@ -16,6 +16,7 @@ from polhode.config.train import DescriptorTraining
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 from train.points import ScenePoints, place_in
+from train.surface_turn import turn_between
 from train.task import Batch
 
 FEWEST = 12
@@ -82,12 +83,13 @@ class PatchBatches:
 
     def batch(self, step: int) -> Batch:
         """patches (n, 1, s, s): the first of m pairs, their second, strays; ``pair`` (m,) the frame pair of
-        each; uv_a and uv_b (m, 2) [px]; ``strays`` (k,) the frame pair of each stray."""
+        each; uv_a and uv_b (m, 2) [px]; ``turn`` (m,) angle in the second patch of what lies along x in the
+        first [rad]; ``strays`` (k,) the frame pair of each stray."""
         rng = np.random.default_rng([self._seed, 0xBA7C, step])
         count = self._config.frame_pairs
         each = self._config.batch // count
         stray = round(each * self._config.strays)
-        first, second, strays, places_a, places_b = [], [], [], [], []
+        first, second, strays, places_a, places_b, turns = [], [], [], [], [], []
         for _ in range(count):
             number = self._drawable[rng.integers(len(self._drawable))]
             its = self._of_scene[number]
@@ -97,12 +99,15 @@ class PatchBatches:
             chosen = _chosen(pair, each, rng)
             a = _own(points, points.point[chosen])
             b = _again(points, chosen)
-            first.append(self._cut(points, pair.a, a, half_m, rng))
-            second.append(self._cut(points, pair.b, b, half_m, rng))
+            affine_a, affine_b = (self._affine(points, at, half_m, rng) for at in (a, b))
+            R_ba = np.broadcast_to(turn_of(points, pair.a, pair.b), (len(chosen), 3, 3))
+            turns.append(turn_between(affine_a, affine_b, a.p_K, a.normal_K, R_ba, b.p_K, rig_of(points)))
+            first.append(self._cut(points, pair.a, a, affine_a, rng))
+            second.append(self._cut(points, pair.b, b, affine_b, rng))
             places_a.append(a.uv_px)
             places_b.append(b.uv_px)
-            own = _strays(points, pair.b, stray, rng)
-            strays.append(self._cut(points, pair.b, _own(points, own), half_m, rng))
+            off = _own(points, _strays(points, pair.b, stray, rng))
+            strays.append(self._cut(points, pair.b, off, self._affine(points, off, half_m, rng), rng))
         patches = np.concatenate([*first, *second, *strays])
         owner = [np.full(len(cut), k) for k, cut in enumerate(first)]
         owner_stray = [np.full(len(cut), k) for k, cut in enumerate(strays)]
@@ -112,6 +117,7 @@ class PatchBatches:
             "strays": torch.from_numpy(np.concatenate(owner_stray)),
             "uv_a": torch.from_numpy(np.concatenate(places_a)),
             "uv_b": torch.from_numpy(np.concatenate(places_b)),
+            "turn": torch.from_numpy(np.concatenate(turns).astype(np.float32)),
         }
 
     def _half_m(self, points: ScenePoints, frame: int, rng: np.random.Generator) -> float:
@@ -121,19 +127,27 @@ class PatchBatches:
         depth_m = float(np.nanmedian(points.p_K[points.frame == frame, 2]))
         return half_px * depth_m / float(points.focal_px)
 
-    def _cut(
-        self, points: ScenePoints, frame: int, at: Places, half_m: float, rng: np.random.Generator
-    ) -> Patches:
-        """Patches (n, 1, s, s) at places, off by what a run does not know."""
+    def _affine(self, points: ScenePoints, at: Places, half_m: float, rng: np.random.Generator) -> Array:
+        """Maps (n, 2, 2) of patches at places, off by what a run does not know, turned at random."""
         n, config = len(at.uv_px), self._config
-        uv = at.uv_px + rng.normal(0.0, config.place_noise_px, (n, 2))
         half = half_m * np.exp(rng.normal(0.0, config.scale_noise, n))
         normal = leaning(at.normal_K, np.deg2rad(config.normal_noise_deg), rng)
         affine = tangent_affines(at.p_K, normal, rig_of(points), half)
         flat = rng.random(n) < config.fronto_parallel
         affine[flat] = upright_affines(half[flat] * float(points.focal_px) / at.p_K[flat, 2])
-        affine = turned(affine, rng.uniform(0.0, 2.0 * np.pi, n))
-        return cut_patches(points.grey[frame], uv, affine)
+        return turned(affine, rng.uniform(0.0, 2.0 * np.pi, n))
+
+    def _cut(
+        self, points: ScenePoints, frame: int, at: Places, affine_px: Array, rng: np.random.Generator
+    ) -> Patches:
+        """Patches (n, 1, s, s) near the places."""
+        uv = at.uv_px + rng.normal(0.0, self._config.place_noise_px, at.uv_px.shape)
+        return cut_patches(points.grey[frame], uv, affine_px)
+
+
+def turn_of(points: ScenePoints, a: int, b: int) -> Array:
+    """R_ba (3, 3): axes of camera a at its frame in those of camera b, both as the body sees them."""
+    return np.asarray(points.X_KG[b, :3, :3] @ points.X_KG[a, :3, :3].T)
 
 
 def rig_of(points: ScenePoints) -> RectifiedRig:

@@ -42,7 +42,7 @@ class Task(Protocol):
     def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
         """What is made small (a scalar), and its parts or other scalars for the curves.
 
-        The batch is on the model's device; on a GPU this runs under autocast.
+        The batch is on the model's device; in mixed precision this runs under autocast.
         """
         ...
 

@@ -19,7 +19,7 @@ class DescriptorTraining(Section):
     """Key points that are no surface feature, over the number of pairs."""
     most_turn_deg: Positive = 75.0
     """Largest angle between the two views of a point [deg]."""
-    half_px: tuple[Positive, Positive] = (10.0, 24.0)
+    half_px: tuple[Positive, Positive] = (9.0, 20.0)
     """Half the side of a patch at the scene's middle depth, least and most [px]; both patches of a pair have
     the same on the surface."""
     normal_noise_deg: NonNegative = 10.0
@@ -32,6 +32,8 @@ class DescriptorTraining(Section):
     """Standard deviation of the logarithm of the patch's scale."""
     reliability_weight: NonNegative = 0.3
     """Weight of the reliability's loss beside the descriptor's."""
+    direction_weight: NonNegative = 0.3
+    """Weight of the loss of the patches' directions."""
 
     @model_validator(mode="after")
     def _pairs_fit(self) -> Self:

@@ -30,6 +30,9 @@ class Schedule(Section):
     log_every: int = Field(20, ge=1)
     """Steps between points of the curves."""
     device: Literal["automatic", "cpu", "cuda"] = "automatic"
-    """Where the network runs; automatic: a GPU where there is one. On a GPU in mixed precision."""
+    """Where the network runs; automatic: a GPU where there is one."""
+    precision: Literal["automatic", "full", "mixed"] = "automatic"
+    """Mixed: products in 16 bits, sums in 32. Automatic: mixed on a GPU. On a CPU it is faster where the
+    processor multiplies in bfloat16."""
     threads: int = Field(1, ge=1)
     """Threads of torch on the CPU. The weights' last bits depend on it."""
