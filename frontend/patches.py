@@ -46,16 +46,34 @@ def tangent_affines(p_R: Array, normal_R: Array, rig: RectifiedRig, half_m: Arra
     half_m (n,): half the side of a patch on the surface [m]. Upright: the map is symmetric, so it stretches
     and does not turn. For a turn by an angle see ``turned``.
     """
-    x, y, z = p_R.T
-    zero = np.zeros_like(z)
-    f = rig.focal_px
-    P = np.stack([f / z, zero, -f * x / z**2, zero, f / z, -f * y / z**2], axis=-1).reshape(-1, 2, 3)
+    P = _projection(p_R, rig)
     along = np.eye(3) - normal_R[:, :, None] * normal_R[:, None, :]
     # Any basis of the tangent plane gives this product; its symmetric root is the map that does not turn.
     square, axes = np.linalg.eigh(P @ along @ np.swapaxes(P, 1, 2))
     least = square[:, 1:] * np.cos(np.deg2rad(MAX_TILT_DEG)) ** 2
     stretch = np.sqrt(np.maximum(square, least))
     return np.asarray((axes * stretch[:, None, :]) @ np.swapaxes(axes, 1, 2) * half_m[:, None, None])
+
+
+def surface_frames(p_R: Array, normal_R: Array, affine_px: Array, rig: RectifiedRig) -> Array:
+    """Axes R_RS (n, 3, 3) of the surface at points (n, 3): x along the patch's x, z along the normal.
+
+    The same point in two frames gives the motion between them: R_AB = R_AS R_BS^T.
+    """
+    # The direction in the tangent plane that the image shows along the patch's x.
+    rows = np.concatenate([_projection(p_R, rig), rig.focal_px * normal_R[:, None, :]], axis=1)
+    x_px = np.concatenate([affine_px[:, :, 0], np.zeros((len(p_R), 1))], axis=1)
+    x = np.linalg.solve(rows, x_px[..., None])[..., 0]
+    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
+    return np.stack([x, np.cross(normal_R, x), normal_R], axis=-1)
+
+
+def _projection(p_R: Array, rig: RectifiedRig) -> Array:
+    """d uv / d p_R (n, 2, 3) [px/m] at points (n, 3)."""
+    x, y, z = p_R.T
+    zero = np.zeros_like(z)
+    f = rig.focal_px
+    return np.stack([f / z, zero, -f * x / z**2, zero, f / z, -f * y / z**2], axis=-1).reshape(-1, 2, 3)
 
 
 def upright_affines(half_px: Array) -> Array:

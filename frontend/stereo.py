@@ -52,6 +52,10 @@ class StereoFeatures:
     """(n,) orientation in the left image, where the method has one"""
     picture: Picture | None = None
     """The left image around the target, where the matcher reads images"""
+    R_RS: Array | None = None
+    """(n, 3, 3) axes of the surface at the feature: z its normal, x a direction that its texture gives"""
+    reliability: Array | None = None
+    """(n,) probability that the feature is found again, where the method knows it"""
 
     def __len__(self) -> int:
         return len(self.uvd_px)
@@ -115,9 +119,15 @@ def _candidates(left: KeyPoints, right: KeyPoints, rig: RectifiedRig, config: St
 
 
 def refine_disparity(
-    left: Image, right: Image, uv_px: Array, disparity_px: Array, window_px: int, iterations: int = 8
+    left: Image,
+    right: Image,
+    uv_px: Array,
+    disparity_px: Array,
+    window_px: int,
+    iterations: int = 8,
+    slope: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Least-squares disparity at points uv (n, 2) from start values (n,).
+    """Least-squares disparity at points uv (n, 2) from start values (n,), and slopes (n, 2) where known.
 
     Model: left(u + x, v + y) = gain * right(u + x - d - a x - b y, v + y) + offset over a square window.
     Returns disparity (n,) [px], its sigma from the residuals (n,) [px], normalised correlation (n,).
@@ -134,6 +144,9 @@ def refine_disparity(
     target = left[rows, np.clip(columns, 0, left.shape[1] - 1)].astype(np.float64)
     spline = spline_filter1d(right.astype(np.float64), order=3, axis=1, mode="mirror")
     warp = np.column_stack([disparity_px, np.zeros(n), np.zeros(n)])
+    if slope is not None:
+        warp[:, 0] += np.sum(slope * (centre - uv_px), axis=1)
+        warp[:, 1:] = np.clip(slope, -0.8, 0.8)
     for _ in range(iterations):
         A, _ = _linearise(spline, rows, columns, warp, x, y, target)
         step = np.linalg.solve(*_normal_equations(A, target, weight))[..., 0]

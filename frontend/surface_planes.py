@@ -27,7 +27,7 @@ class SurfacePlanes:
 
 
 def local_planes(
-    disparity: Floats, uv_px: Array, radius_px: int = 8, jump_px: float = 1.5, min_support: float = 0.15
+    disparity: Floats, uv_px: Array, radius_px: int = 12, jump_px: float = 1.5, min_support: float = 0.15
 ) -> SurfacePlanes:
     """Planes at places uv (n, 2) of a disparity map (H, W), NaN where unknown.
 
@@ -36,7 +36,8 @@ def local_planes(
     """
     n = len(uv_px)
     r = radius_px
-    y, x = (a.ravel() for a in np.mgrid[-r : r + 1, -r : r + 1])
+    # Every second pixel tells as much: neighbours' disparities come from windows that overlap.
+    y, x = (a.ravel() for a in np.mgrid[-r : r + 1 : 2, -r : r + 1 : 2])
     centre = np.round(uv_px).astype(np.int64)
     rows, columns = centre[:, 1:] + y, centre[:, :1] + x
     h, w = disparity.shape

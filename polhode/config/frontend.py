@@ -13,6 +13,10 @@ class Features(Section):
 
     method: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] = "rootsift"
     """Detector and descriptor: RootSIFT, the network trained here, or a peer; see frontend.weights."""
+    surface_descriptor: Literal["network", "rootsift"] = "network"
+    """What describes surface patches (method polhode): the network trained here, or RootSIFT on the patch."""
+    patch_half_m: float | None = Field(None, gt=0)
+    """Half the side of a surface patch [m] (method polhode); null: 12 px at the target's median distance."""
     max_features: int = Field(1500, ge=50)
     """Strongest key points kept in one image."""
     contrast_threshold: float = Field(0.012, gt=0)
@@ -46,7 +50,7 @@ class PairMatching(Section):
     ratio: float = Field(0.92, gt=0, le=1)
     """Distance ratio of mutual nearest neighbours; for method nearest."""
     min_confidence: float = Field(0.1, ge=0, le=1)
-    """Smallest confidence of a match; for lightglue and loftr."""
+    """Smallest confidence of a match; for all methods but nearest."""
     exhaustive_frames: int = Field(130, ge=3)
     """Sequences of up to so many frames are matched all against all; longer ones as follows."""
     neighbours: int = Field(20, ge=1)

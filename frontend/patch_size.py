@@ -1,0 +1,54 @@
+"""One size of surface patches for a whole sequence, in metres.
+
+With each frame's own size, that of its median distance, panels that swing to and fro change it by a fifth,
+and a panelled craft loses half its matches; patches tolerate a tenth.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from frontend.parallel import in_order
+from frontend.rectified_pair import rectified_pair
+from frontend.rectify import Rectifier
+from frontend.surface_features import matched_disparity, patch_half_m
+from polhode.config.frontend import Frontend
+from polhode.dataset import StereoSequence
+
+SAMPLES = 6
+"""Pairs of the sequence that are measured."""
+
+
+@dataclass(frozen=True)
+class _DistanceJob:
+    sequence: StereoSequence
+    rectifier: Rectifier
+    config: Frontend
+    frames: tuple[int, ...]
+
+    def __call__(self, number: int) -> float:
+        pair = rectified_pair(self.sequence, self.rectifier, self.frames[number])
+        rig = self.rectifier.rig
+        disparity = matched_disparity(pair, rig, self.config.depth) - rig.disparity_offset_px
+        known = disparity[np.isfinite(disparity) & (disparity > 0.5)]
+        return rig.focal_px * rig.baseline_m / float(np.median(known)) if len(known) else float("nan")
+
+
+def with_patch_size(
+    config: Frontend, sequence: StereoSequence, rectifier: Rectifier, workers: int = 1
+) -> Frontend:
+    """The configuration with ``features.patch_half_m`` set, where its method needs it and it is not.
+
+    The size is that of the median distance over pairs all along the sequence. It stays open when the target
+    is in none of them.
+    """
+    if config.features.method != "polhode" or config.features.patch_half_m is not None:
+        return config
+    frames = np.unique(np.round(np.linspace(0, len(sequence) - 1, SAMPLES)).astype(int))
+    job = _DistanceJob(sequence, rectifier, config, tuple(int(k) for k in frames))
+    distance = np.array(list(in_order(job, len(frames), workers)))
+    if not np.isfinite(distance).any():
+        return config
+    half_m = patch_half_m(float(np.nanmedian(distance)), rectifier.rig)
+    features = config.features.model_copy(update={"patch_half_m": half_m})
+    return config.model_copy(update={"features": features})
