@@ -1,0 +1,47 @@
+"""A corpus of two small scenes, rendered once."""
+
+from pathlib import Path
+
+import pytest
+
+from polhode.config.train import Corpus
+from polhode.progress import Silent
+from train.corpus import render_corpus
+
+
+@pytest.fixture(scope="session")
+def tiny_corpus(tmp_path_factory: pytest.TempPathFactory) -> Corpus:
+    """Two free flyers, four pairs each; the second is held out."""
+    corpus = Corpus(
+        folder=str(tmp_path_factory.mktemp("corpus") / "scenes"),
+        seed=3,
+        scenes=2,
+        frames=4,
+        validation_every=2,
+        families=("free_flyer",),
+        other_material=0.0,
+        turn_deg=(15.0, 20.0),
+        sun_phase_deg=(10.0, 40.0),
+        span_px=(240.0, 260.0),
+        earth_behind=0.0,
+    )
+    render_corpus(corpus, Silent(), 1)
+    return corpus
+
+
+@pytest.fixture
+def training_file(tiny_corpus: Corpus, tmp_path: Path) -> Path:
+    """A configuration that trains the descriptor on it for a few steps."""
+    path = tmp_path / "train.yaml"
+    path.write_text(
+        f"""seed: 2
+runtime: {{workers: 1}}
+train:
+  task: descriptor
+  output: {tmp_path / "out"}
+  corpus: {tiny_corpus.model_dump_json()}
+  schedule: {{steps: 6, warmup_steps: 2, checkpoint_every: 2, validate_every: 100, log_every: 1}}
+  descriptor: {{batch: 48, frame_pairs: 2}}
+"""
+    )
+    return path

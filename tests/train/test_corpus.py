@@ -1,0 +1,95 @@
+"""The corpus: by the seed alone, apart from what the tests of the methods show, never mixed with another."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polhode.config.loader import load_config
+from polhode.config.train import Corpus
+from polhode.dataset import open_sequence
+from polhode.errors import InputError
+from polhode.progress import Silent
+from simulation.products import read_products
+from simulation.sequence import SCENE_FILE
+from train.corpus import main, render_corpus, scene_folder, split
+from train.scene import random_scene
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = ("features.yaml", "depth.yaml")
+
+
+def test_a_scene_depends_on_the_seed_and_its_number_alone() -> None:
+    few, many = Corpus(scenes=4), Corpus(scenes=50, folder="elsewhere")
+    assert random_scene(few, 3) == random_scene(many, 3)
+    assert random_scene(few, 3) != random_scene(few, 2)
+    assert random_scene(few, 3) != random_scene(Corpus(scenes=4, seed=1), 3)
+
+
+def test_scenes_keep_to_the_ranges() -> None:
+    corpus = Corpus(scenes=10)
+    for index in range(10):
+        scene = random_scene(corpus, index)
+        turn_deg = np.linalg.norm(scene.motion.spin_rpm) * 6.0 * scene.interval_s
+        assert corpus.turn_deg[0] <= turn_deg <= corpus.turn_deg[1]
+        disparity_px = scene.rig.baseline_m * scene.rig.focal_px / scene.motion.position_m[2]
+        assert corpus.disparity_px[0] <= disparity_px <= corpus.disparity_px[1]
+        assert scene.body.seed == corpus.first_body_seed + index
+        sun = np.array(scene.light.sun_direction_N)
+        phase_deg = np.rad2deg(np.arccos(-sun[2] / np.linalg.norm(sun)))
+        assert corpus.sun_phase_deg[0] - 1e-6 <= phase_deg <= corpus.sun_phase_deg[1] + 1e-6
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_ships_is_never_trained_on_what_tests_show(name: str) -> None:
+    train = load_config(ROOT / "configs" / "train" / name).train
+    assert train is not None
+    assert train.corpus.texture == "drawn"
+    assert not {"truss", "dish"} & set(train.corpus.families)
+    assert train.corpus.first_body_seed >= 1000
+
+
+def test_no_body_is_on_both_sides_of_the_split() -> None:
+    halves = split(Corpus(scenes=40))
+    assert sorted(halves.training + halves.validation) == list(range(40))
+    assert not set(halves.training) & set(halves.validation)
+    assert len(halves.validation) == 5
+
+
+def test_a_split_without_held_out_bodies_is_refused() -> None:
+    with pytest.raises(InputError, match=r"hold out none: lower validation_every"):
+        split(Corpus(scenes=4, validation_every=8))
+
+
+def test_scenes_are_ordinary_sequences_with_the_truth_of_pixels(tiny_corpus: Corpus) -> None:
+    folder = scene_folder(tiny_corpus, 1)
+    sequence = open_sequence(folder)
+    assert len(sequence) == tiny_corpus.frames
+    products = read_products(folder / "mav0" / "truth0" / f"{sequence.timestamps_ns[0]}.npz")
+    assert products.mask is not None
+    assert 200 * 200 * 0.5 < products.mask.sum() < 300 * 300
+    assert all(each is not None for each in (products.depth, products.normals, products.shadow))
+
+
+def test_only_missing_scenes_are_rendered(tiny_corpus: Corpus) -> None:
+    there = [scene_folder(tiny_corpus, i) / SCENE_FILE for i in range(2)]
+    before = [path.stat().st_mtime_ns for path in there]
+    render_corpus(tiny_corpus, Silent(), 1)
+    assert [path.stat().st_mtime_ns for path in there] == before
+
+
+def test_a_folder_of_other_scenes_is_refused(tiny_corpus: Corpus) -> None:
+    other = tiny_corpus.model_copy(update={"turn_deg": (20.0, 25.0), "seed": 9})
+    with pytest.raises(InputError, match=r"holds a corpus with another seed, turn_deg"):
+        render_corpus(other, Silent(), 1)
+
+
+def test_the_command_refuses_a_configuration_without_training(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text("seed: 1\n")
+    with pytest.raises(SystemExit) as stop:
+        main([str(config)])
+    assert stop.value.code == 2
+    assert "no 'train' section" in capsys.readouterr().err

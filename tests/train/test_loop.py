@@ -1,0 +1,144 @@
+"""The loop, on a line that is fitted: it learns, resumes exactly, stops in time, and says what is wrong."""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from polhode.config.train import Schedule
+from polhode.errors import InputError, RunFailure
+from polhode.progress import Silent
+from train.checkpoint import CHECKPOINT
+from train.curves import draw_curves, read_curves
+from train.loop import Loop, learning_rate
+from train.task import Batch
+
+SETTING = {"seed": 1}
+SCHEDULE = Schedule(
+    steps=60, learning_rate=0.05, warmup_steps=5, log_every=1, checkpoint_every=10, validate_every=20
+)
+
+
+class Line:
+    """y = 2 x - 1, with dropout so that the loop's own random numbers matter."""
+
+    name = "line"
+
+    def __init__(self, stop_at: int | None = None, spoilt_at: int | None = None) -> None:
+        torch.manual_seed(0)
+        self.stop_at, self.spoilt_at = stop_at, spoilt_at
+        self._model = nn.Sequential(nn.Linear(1, 16), nn.ReLU(), nn.Dropout(0.1), nn.Linear(16, 1))
+
+    @property
+    def model(self) -> nn.Module:
+        return self._model
+
+    @property
+    def network(self) -> nn.Module:
+        return self._model
+
+    def batch(self, step: int) -> Batch:
+        if step == self.stop_at:
+            raise KeyboardInterrupt
+        rng = np.random.default_rng([3, step])
+        x = torch.from_numpy(rng.uniform(-1, 1, (32, 1)).astype(np.float32))
+        return {"x": x, "y": 2 * x - 1 if step != self.spoilt_at else x * torch.nan}
+
+    def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
+        error = self._model(batch["x"]) - batch["y"]
+        return (error**2).mean(), {"largest": error.abs().max()}
+
+    def validate(self) -> Mapping[str, float]:
+        assert not self._model.training
+        x = torch.linspace(-1, 1, 11)[:, None]
+        return {"error": float((self._model(x) - (2 * x - 1)).abs().mean())}
+
+
+def weights(task: Line) -> Tensor:
+    return torch.cat([p.detach().flatten() for p in task.model.parameters()])
+
+
+def test_it_learns(tmp_path: Path) -> None:
+    outcome = Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    assert outcome.finished
+    assert outcome.step == 60
+    assert outcome.scores["error"] < 0.3
+    loss = read_curves(tmp_path)["train/loss"]
+    assert loss[-10:, 1].mean() < 0.2 * loss[:5, 1].mean()
+
+
+def test_an_interrupted_training_ends_with_the_same_weights(tmp_path: Path) -> None:
+    whole = Line()
+    Loop(whole, SCHEDULE, tmp_path / "whole", 1).run(SETTING, Silent())
+    (tmp_path / "parts").mkdir()
+    with pytest.raises(KeyboardInterrupt, match="interrupted at step 37"):
+        Loop(Line(stop_at=37), SCHEDULE, tmp_path / "parts", 1).run(SETTING, Silent())
+    taken_up = Line()
+    Loop(taken_up, SCHEDULE, tmp_path / "parts", 1).run(SETTING, Silent())
+    assert torch.equal(weights(whole), weights(taken_up))
+
+
+def test_curves_of_a_resumed_training_have_each_step_once(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        Loop(Line(stop_at=37), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    curves = read_curves(tmp_path)
+    assert curves["train/loss"][:, 0].tolist() == list(range(1, 61))
+    assert curves["validation/error"][:, 0].tolist() == [20, 40, 60]
+    draw_curves([tmp_path], tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").stat().st_size > 5000
+
+
+def test_a_finished_training_is_not_done_again(tmp_path: Path) -> None:
+    first = Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    again = Loop(Line(stop_at=0), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    assert again.finished
+    assert again.scores == first.scores
+
+
+def test_the_time_limit_leaves_a_checkpoint(tmp_path: Path) -> None:
+    hasty = SCHEDULE.model_copy(update={"time_limit_s": 1e-6})
+    outcome = Loop(Line(), hasty, tmp_path, 1).run(SETTING, Silent())
+    assert (outcome.finished, outcome.step) == (False, 1)
+    assert (tmp_path / CHECKPOINT).is_file()
+    assert Loop(Line(), hasty, tmp_path, 1).run(SETTING, Silent()).step == 2
+
+
+def test_mixed_precision_learns_on_a_cpu(tmp_path: Path) -> None:
+    mixed = SCHEDULE.model_copy(update={"precision": "mixed", "device": "cpu"})
+    assert Loop(Line(), mixed, tmp_path, 1).run(SETTING, Silent()).scores["error"] < 0.3
+
+
+def test_a_loss_that_is_no_number_ends_the_training(tmp_path: Path) -> None:
+    with pytest.raises(RunFailure, match="no longer a number at step 7: lower train.schedule.learning_rate"):
+        Loop(Line(spoilt_at=7), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+
+
+def test_another_training_in_the_folder_is_refused(tmp_path: Path) -> None:
+    Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    with pytest.raises(InputError, match="holds a training with another seed: choose another train.output"):
+        Loop(Line(), SCHEDULE, tmp_path, 1).run({"seed": 2}, Silent())
+
+
+def test_a_damaged_checkpoint_is_the_users_mistake(tmp_path: Path) -> None:
+    (tmp_path / CHECKPOINT).write_bytes(b"not a checkpoint")
+    with pytest.raises(InputError, match="cannot be read .*: remove it to begin anew"):
+        Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
+def test_a_gpu_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="torch finds no GPU"):
+        Loop(Line(), SCHEDULE.model_copy(update={"device": "cuda"}), tmp_path, 1)
+
+
+def test_the_learning_rate_grows_then_falls_to_nothing() -> None:
+    rates = [learning_rate(SCHEDULE, step) for step in range(60)]
+    assert rates[0] == pytest.approx(0.01)
+    assert max(rates) == pytest.approx(0.05)
+    assert all(later <= earlier for earlier, later in pairwise(rates[5:]))
+    assert rates[-1] < 1e-3 * 0.05
