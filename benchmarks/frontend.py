@@ -126,13 +126,17 @@ def measure(case: Case) -> Case:
         begin = process_time()
         frames.append(extract_pair(pair, scene.rig, config))
         features_s.append(process_time() - begin)
+    return {"features_s": features_s, **measure_frames(scene, frames, config)}
+
+
+def measure_frames(scene: UnseenScene, frames: list[StereoFeatures], config: Frontend) -> Case:
+    """The features of all frames, and their matches."""
     shown = [scene.body_points(k, frame.uvd_px) for k, frame in enumerate(frames)]
     points_G = [p_G for p_G, _ in shown]
     pairs = [(i, i + gap) for gap in GAPS for i in range(len(scene) - gap)]
     return {
         "features": [len(frame) for frame in frames],
         "wrong_stereo": [int(np.sum(error > WRONG_STEREO_PX)) for _, error in shown],
-        "features_s": features_s,
         "pairs": [measure_pair(scene, frames, points_G, i, j, config) for i, j in pairs],
     }
 
@@ -140,14 +144,15 @@ def measure(case: Case) -> Case:
 def measure_pair(
     scene: UnseenScene, frames: list[StereoFeatures], points_G: list[Array], i: int, j: int, config: Frontend
 ) -> Case:
-    """One pair of frames: matches at the method's threshold, the motion, and all matches by confidence."""
+    """One pair of frames: all matches by confidence; those at the method's threshold, and their motion."""
     a, b = frames[i], frames[j]
     begin = process_time()
-    usual = match_method(config)(a, b)
-    match_s = process_time() - begin
     every = match_method(loosened(config))(a, b)
+    match_s = process_time() - begin
+    every_right = correct(every, points_G[i], points_G[j])
+    sure = every.confidence >= threshold(config)
+    usual, right = Matches(every.features[sure], every.confidence[sure]), every_right[sure]
     error_deg, inlier = motion_of(scene, usual, a, b, i, j, config)
-    right = correct(usual, points_G[i], points_G[j])
     return {
         "gap": j - i,
         "features": min(len(a), len(b)),
@@ -159,8 +164,13 @@ def measure_pair(
         "match_s": match_s,
         "squares": normalised_squares(scene, usual.features[right & inlier], a, b, i, j),
         "confidence": np.round(every.confidence, 4).tolist(),
-        "right": correct(every, points_G[i], points_G[j]).astype(int).tolist(),
+        "right": every_right.astype(int).tolist(),
     }
+
+
+def threshold(config: Frontend) -> float:
+    """The confidence from which on the method, as it is configured, gives a match."""
+    return 1.0 - config.pairs.ratio if config.pairs.method == "nearest" else config.pairs.min_confidence
 
 
 def loosened(config: Frontend) -> Frontend:
