@@ -75,7 +75,7 @@ def test_an_interrupted_training_ends_with_the_same_weights(tmp_path: Path) -> N
     whole = Line()
     Loop(whole, SCHEDULE, tmp_path / "whole", 1).run(SETTING, Silent())
     (tmp_path / "parts").mkdir()
-    with pytest.raises(KeyboardInterrupt, match="interrupted at step 37"):
+    with pytest.raises(KeyboardInterrupt, match=r"interrupted at step 37"):
         Loop(Line(stop_at=37), SCHEDULE, tmp_path / "parts", 1).run(SETTING, Silent())
     taken_up = Line()
     Loop(taken_up, SCHEDULE, tmp_path / "parts", 1).run(SETTING, Silent())
@@ -114,25 +114,25 @@ def test_mixed_precision_learns_on_a_cpu(tmp_path: Path) -> None:
 
 
 def test_a_loss_that_is_no_number_ends_the_training(tmp_path: Path) -> None:
-    with pytest.raises(RunFailure, match="no longer a number at step 7: lower train.schedule.learning_rate"):
+    with pytest.raises(RunFailure, match=r"no longer a number at step 7: lower train.schedule.learning_rate"):
         Loop(Line(spoilt_at=7), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
 
 
 def test_another_training_in_the_folder_is_refused(tmp_path: Path) -> None:
     Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
-    with pytest.raises(InputError, match="holds a training with another seed: choose another train.output"):
+    with pytest.raises(InputError, match=r"holds a training with another seed: choose another train.output"):
         Loop(Line(), SCHEDULE, tmp_path, 1).run({"seed": 2}, Silent())
 
 
 def test_a_damaged_checkpoint_is_the_users_mistake(tmp_path: Path) -> None:
     (tmp_path / CHECKPOINT).write_bytes(b"not a checkpoint")
-    with pytest.raises(InputError, match="cannot be read .*: remove it to begin anew"):
+    with pytest.raises(InputError, match=r"cannot be read .*: remove it to begin anew"):
         Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
 def test_a_gpu_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="torch finds no GPU"):
+    with pytest.raises(InputError, match=r"torch finds no GPU"):
         Loop(Line(), SCHEDULE.model_copy(update={"device": "cuda"}), tmp_path, 1)
 
 
