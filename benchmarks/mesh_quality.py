@@ -1,7 +1,7 @@
 """Quality and cost of the dense surface: depth and fusion alone, on sequences with truth.
 
-    python benchmarks/mesh_quality.py SEQ [SEQ ...]             with the true poses
-    python benchmarks/mesh_quality.py SEQ [SEQ ...] --runs RUN  with the poses of runs, one for each sequence
+    python -m benchmarks.mesh_quality SEQ [SEQ ...]             with the true poses
+    python -m benchmarks.mesh_quality SEQ [SEQ ...] --runs RUN  with the poses of runs, one for each sequence
 
 Prints a line a sequence: distances to the true surface (as ``polhode evaluate``), size of the mesh, and
 seconds of one core a frame for depth and for fusion. ``--save FOLDER`` keeps the meshes, in the true frame G.

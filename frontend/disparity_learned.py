@@ -18,13 +18,13 @@ NAME = "disparity"
 
 
 def learned_disparity(crop: Crop, config: Depth) -> tuple[Floats, Floats]:
-    """Disparities and their standard deviations (h, w) [px]; NaN where dark, or hidden from one camera."""
+    """Disparities and their standard deviations (h, w) [px]; NaN where the right camera sees nothing."""
     start = classical_start(crop, config)
     if start is None:
         nothing = np.full(crop.target.shape, np.nan, dtype=np.float32)
         return nothing, nothing.copy()
     refined = refine(_network(config.weights), start)
-    known = crop.lit & (refined.visible > config.min_visible)
+    known = crop.target & (refined.visible > config.min_visible)
     return (
         np.where(known, refined.disparity, np.float32(np.nan)),
         np.where(known, refined.sigma, np.float32(np.nan)),

@@ -11,7 +11,9 @@ from train.depth_batches import DepthBatch
 
 _HIDDEN_WEIGHT = 0.15
 """Of pixels that the other camera does not see: only their surroundings tell."""
-_DARK_WEIGHT = 0.3
+_DARK_WEIGHT = 0.5
+_NEAR_PX = 1.0
+_NEAR_WEIGHT = 0.5
 _WILD_SHARE = 0.01
 _WILD_WIDTH_PX = 64.0
 """A hundredth of the pixels may lie anywhere: no single one costs without bound."""
@@ -38,11 +40,16 @@ def asked_pixels(raw: Tensor, batch: DepthBatch) -> tuple[Mixture, Asked]:
 
 
 def depth_loss(mixture: Mixture, asked: Asked) -> Tensor:
-    """Mean negative log density of the true disparity, and cross entropy of the visibility; a scalar."""
+    """Mean negative log density of the true disparity and log probability near it, and cross entropy of the
+    visibility; a scalar.
+    """
     known = torch.isfinite(asked.truth)
     truth = torch.where(known, asked.truth, 0.0)
     density = mixture.log_density(truth).exp()
     cost = -torch.log((1.0 - _WILD_SHARE) * density + _WILD_SHARE / _WILD_WIDTH_PX)
+    # Being within a pixel counts by itself: a wrong surface costs more than a coarse fit of the right one.
+    near = mixture.mass_within(truth, torch.full_like(truth, _NEAR_PX))
+    cost = cost - _NEAR_WEIGHT * torch.log((1.0 - _WILD_SHARE) * near + _WILD_SHARE)
     weight = known.float()
     weight = weight * torch.where(asked.visible, 1.0, _HIDDEN_WEIGHT)
     weight = weight * torch.where(asked.lit, 1.0, _DARK_WEIGHT)
