@@ -22,7 +22,7 @@ PAIRS_A_SCENE = 4
 """Frame pairs of each scene and angle."""
 RIGHT_PX = 3.0
 """A point this close to the true place is the right one [px]."""
-HALF_PX = 13.0
+HALF_PX = 12.0
 """Half the side of the patches at the scene's middle depth [px]."""
 NORMAL_NOISE_DEG = 5.0
 """Error of the normals that the patches are cut with [deg]."""

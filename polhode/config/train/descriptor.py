@@ -17,14 +17,14 @@ class DescriptorTraining(Section):
     """Pairs of frames that a batch is drawn from: points of the same pair are the hard negatives."""
     strays: Share = 0.25
     """Key points that are no surface feature, over the number of pairs."""
-    most_turn_deg: Positive = 75.0
+    most_turn_deg: Positive = 70.0
     """Largest angle between the two views of a point [deg]."""
-    half_px: tuple[Positive, Positive] = (9.0, 20.0)
+    half_px: tuple[Positive, Positive] = (10.0, 15.0)
     """Half the side of a patch at the scene's middle depth, least and most [px]; both patches of a pair have
     the same on the surface."""
-    normal_noise_deg: NonNegative = 10.0
+    normal_noise_deg: NonNegative = 8.0
     """Error of the surface's normal, rms [deg]."""
-    fronto_parallel: Share = 0.1
+    fronto_parallel: Share = 0.05
     """Share of the patches cut as if the surface faced the camera."""
     place_noise_px: NonNegative = 0.5
     """Standard deviation of the patch's place in the image [px], each axis."""
