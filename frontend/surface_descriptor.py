@@ -13,8 +13,7 @@ import numpy as np
 import torch
 
 from frontend.features import Descriptors
-from frontend.networks.descriptor import DescriptorNet
-from frontend.networks.weights import load_weights, shipped_path
+from frontend.networks.describe import describe, descriptor_network
 from frontend.patches import Patches, cut_patches, dominant_angles, turned
 from frontend.target import Image
 from polhode.config.frontend import Frontend
@@ -49,30 +48,19 @@ def make_descriptor(config: Frontend) -> SurfaceDescriptor:
     if config.features.surface_descriptor == "rootsift":
         return HistogramDescriptor()
     path = config.weights.descriptor
-    return NetworkDescriptor(shipped_path("descriptor") if path is None else Path(path))
+    return NetworkDescriptor(None if path is None else Path(path))
 
 
 class NetworkDescriptor:
     """``DescriptorNet``, which needs no turned patches: it finds the direction itself."""
 
-    def __init__(self, path: Path) -> None:
-        self._network = DescriptorNet()
-        load_weights(self._network, path)
+    def __init__(self, path: Path | None) -> None:
+        self._network = descriptor_network(path)
 
     def __call__(self, image: Image, uv_px: Array, affine_px: Array) -> Description:
         """See ``SurfaceDescriptor``."""
-        patches = cut_patches(image, uv_px, affine_px)
-        descriptors = np.zeros((len(patches), 128), np.float32)
-        angle, reliability = np.zeros(len(patches)), np.zeros(len(patches))
-        with torch.inference_mode():
-            for first in range(0, len(patches), _AT_ONCE):
-                some = slice(first, first + _AT_ONCE)
-                described = self._network(torch.from_numpy(patches[some]))
-                descriptors[some] = described.descriptor.numpy()
-                direction = described.direction.double().numpy()
-                angle[some] = np.arctan2(direction[:, 1], direction[:, 0])
-                reliability[some] = torch.sigmoid(described.reliability).double().numpy()
-        return Description(descriptors, angle, reliability)
+        found = describe(self._network, cut_patches(image, uv_px, affine_px))
+        return Description(found.descriptors, found.angle_rad, found.reliability)
 
 
 class HistogramDescriptor:
