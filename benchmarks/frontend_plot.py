@@ -8,6 +8,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from benchmarks.frontend_tables import correct_at, lines_of, pairs_of, precision_of, times_ms
 from benchmarks.record import Case
@@ -29,9 +30,13 @@ def draw_pareto(lines: Sequence[Case], methods: Sequence[str], reference: str, p
             panel.plot(time_s, correct, "o", color=colour, markersize=7)
             panel.annotate(method, (time_s, correct), (5, 5), textcoords="offset points", fontsize=8)
         panel.set_xscale("log")
+        # Room for the names to the right of the points.
         panel.set_xlim(panel.get_xlim()[0], 2.2 * panel.get_xlim()[1])
-        panel.set_ylim(bottom=0)
-        panel.grid(alpha=0.3, which="both")
+        panel.set_ylim(0, 1.08 * panel.get_ylim()[1])
+        panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.grid(alpha=0.3)
         panel.set_xlabel("features of a stereo pair and one matching [s of one core]")
         panel.set_ylabel(f"correct matches at precision {precision:.2f}")
         panel.set_title(f"{degrees} degrees of turn between the frames")
