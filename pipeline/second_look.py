@@ -11,8 +11,8 @@ from polhode.records import MotionEstimate
 MORE_OUTLIERS = 0.03
 """Growth of the share of observations without weight that is too much."""
 MORE_NOISE = 1.08
-"""Growth of the scatter of pixels that is too much: joined landmarks of TS38 scatter 4 % more and help, those of
-a shaded asteroid 14 % more and harm."""
+"""Growth of the scatter of pixels that is too much: joined landmarks of TS38 scatter 4 % more and help, those
+of a shaded asteroid 14 % more and harm."""
 
 
 def contradicts(predicted: MotionEstimate, blind: MotionEstimate) -> bool:
