@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from frontend.depth import compute_depth
 from frontend.methods import extract_pair, feature_method, match_method
 from frontend.parallel import in_order
+from frontend.patch_size import with_patch_size
 from frontend.rectified_pair import rectified_pair
 from frontend.rectify import Rectifier
 from frontend.stereo import StereoFeatures
@@ -48,6 +49,7 @@ def extract_features(
     Raises InputError before any work: weights that extraction or matching needs are missing.
     """
     feature_method(config), match_method(config)
+    config = with_patch_size(config, sequence, rectifier)
     features: list[StereoFeatures] = []
     for found in in_order(_FeatureJob(sequence, rectifier, config), len(sequence), workers):
         features.append(found)

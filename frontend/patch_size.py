@@ -4,11 +4,8 @@ With each frame's own size, that of its median distance, panels that swing to an
 and a panelled craft loses half its matches; patches tolerate a tenth.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from frontend.parallel import in_order
 from frontend.rectified_pair import rectified_pair
 from frontend.rectify import Rectifier
 from frontend.surface_features import matched_disparity, patch_half_m
@@ -19,24 +16,7 @@ SAMPLES = 6
 """Pairs of the sequence that are measured."""
 
 
-@dataclass(frozen=True)
-class _DistanceJob:
-    sequence: StereoSequence
-    rectifier: Rectifier
-    config: Frontend
-    frames: tuple[int, ...]
-
-    def __call__(self, number: int) -> float:
-        pair = rectified_pair(self.sequence, self.rectifier, self.frames[number])
-        rig = self.rectifier.rig
-        disparity = matched_disparity(pair, rig, self.config.depth) - rig.disparity_offset_px
-        known = disparity[np.isfinite(disparity) & (disparity > 0.5)]
-        return rig.focal_px * rig.baseline_m / float(np.median(known)) if len(known) else float("nan")
-
-
-def with_patch_size(
-    config: Frontend, sequence: StereoSequence, rectifier: Rectifier, workers: int = 1
-) -> Frontend:
+def with_patch_size(config: Frontend, sequence: StereoSequence, rectifier: Rectifier) -> Frontend:
     """The configuration with ``features.patch_half_m`` set, where its method needs it and it is not.
 
     The size is that of the median distance over pairs all along the sequence. It stays open when the target
@@ -45,10 +25,18 @@ def with_patch_size(
     if config.features.method != "polhode" or config.features.patch_half_m is not None:
         return config
     frames = np.unique(np.round(np.linspace(0, len(sequence) - 1, SAMPLES)).astype(int))
-    job = _DistanceJob(sequence, rectifier, config, tuple(int(k) for k in frames))
-    distance = np.array(list(in_order(job, len(frames), workers)))
+    distance = np.array([_distance_m(config, sequence, rectifier, int(k)) for k in frames])
     if not np.isfinite(distance).any():
         return config
     half_m = patch_half_m(float(np.nanmedian(distance)), rectifier.rig)
     features = config.features.model_copy(update={"patch_half_m": half_m})
     return config.model_copy(update={"features": features})
+
+
+def _distance_m(config: Frontend, sequence: StereoSequence, rectifier: Rectifier, k: int) -> float:
+    """Median distance of the target in pair k [m]; NaN when it is not seen."""
+    rig = rectifier.rig
+    disparity = matched_disparity(rectified_pair(sequence, rectifier, k), rig, config.depth)
+    offset = disparity - np.float32(rig.disparity_offset_px)
+    known = offset[np.isfinite(offset) & (offset > 0.5)]
+    return rig.focal_px * rig.baseline_m / float(np.median(known)) if len(known) else float("nan")

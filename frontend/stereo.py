@@ -54,6 +54,8 @@ class StereoFeatures:
     """The left image around the target, where the matcher reads images"""
     R_RS: Array | None = None
     """(n, 3, 3) axes of the surface at the feature: z its normal, x a direction that its texture gives"""
+    metres_per_px: Array | None = None
+    """(n, 2) how far the point moves for one pixel across the image, and for one of disparity [m/px]"""
     reliability: Array | None = None
     """(n,) probability that the feature is found again, where the method knows it"""
 

@@ -18,7 +18,7 @@ from frontend.feature_noise import feature_sigma
 from frontend.patches import surface_frames, surface_normals, tangent_affines, turned
 from frontend.rectified_pair import RectifiedPair
 from frontend.stereo import StereoFeatures, refine_disparity
-from frontend.surface_descriptor import Description, SurfaceDescriptor, make_descriptor
+from frontend.surface_descriptor import SurfaceDescriptor, make_descriptor
 from frontend.surface_planes import Floats, local_planes
 from polhode.camera import RectifiedRig
 from polhode.config.depth import Depth
@@ -57,7 +57,14 @@ class SurfaceFeatureMethod:
         affine = tangent_affines(measured.p_R, normals, rig, np.full(len(measured), half_m))
         described = self._describe(pair.left, uv, affine)
         frames = surface_frames(measured.p_R, normals, turned(affine, described.angle_rad), rig)
-        return _described(measured, described, frames)
+        z = measured.p_R[:, 2]
+        return replace(
+            measured,
+            descriptors=described.descriptors,
+            reliability=described.reliability,
+            R_RS=frames,
+            metres_per_px=np.column_stack([z / rig.focal_px, z**2 / (rig.focal_px * rig.baseline_m)]),
+        )
 
 
 def patch_half_m(distance_m: float, rig: RectifiedRig) -> float:
@@ -105,13 +112,4 @@ def _measure(
             np.zeros((len(uvd), 128), dtype=np.float32),
         ),
         plane[good],
-    )
-
-
-def _described(measured: StereoFeatures, described: Description, frames: Array) -> StereoFeatures:
-    return replace(
-        measured,
-        descriptors=described.descriptors,
-        reliability=described.reliability,
-        R_RS=frames,
     )
