@@ -24,7 +24,12 @@ from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints
 
-LIMITS = {
+GOOD = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
+"""What IPOPT calls an optimum."""
+IN_WORDS = {
+    "Solve_Succeeded": "converged",
+    "Solved_To_Acceptable_Level": "converged to the acceptable tolerance",
+    "Search_Direction_Becomes_Too_Small": "converged: no further decrease",
     "Maximum_Iterations_Exceeded": ITERATION_LIMIT,
     "Maximum_WallTime_Exceeded": TIME_LIMIT,
 }
@@ -95,12 +100,7 @@ class MotionProgram:
         result = self._solver(x0=x, p=_parameters(self.data, held, self._series))
         stats = self._solver.stats()
         status = str(stats["return_status"])
-        good = status in (
-            "Solve_Succeeded",
-            "Solved_To_Acceptable_Level",
-            "Search_Direction_Becomes_Too_Small",
-        )
-        message = LIMITS.get(status, status)
+        good, message = status in GOOD, IN_WORDS.get(status, status)
         return Solution(
             np.asarray(result["x"]).ravel(), float(result["f"]), int(stats["iter_count"]), good, message
         )

@@ -196,7 +196,12 @@ def _warnings(
         out.append(f"{outliers:.0%} of the observations contradict the motion and were left out")
     empty = np.setdiff1d(np.arange(tracks.n_frames), tracks.frame)
     if len(empty):
-        out.append(f"{len(empty)} frames without measurements were bridged by the dynamics")
+        bridged = (
+            "1 frame without measurements was"
+            if len(empty) == 1
+            else f"{len(empty)} frames without measurements were"
+        )
+        out.append(f"{bridged} bridged by the dynamics")
     loose = int(np.sum(~initial.connected)) - len(empty)
     if loose > 0:
         out.append(f"{loose} frames could not be connected at first and started from interpolated poses")
