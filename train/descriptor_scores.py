@@ -9,10 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from frontend.features import Descriptors
 from frontend.patches import Patches, cut_patches, tangent_affines, turned
+from frontend.surface_descriptor import HistogramDescriptor
 from polhode.lie import Array
 from polhode.records import Bools, Ints
-from train.patch_batches import FramePair, frame_pairs, leaning, rig_of, turn_of
+from train.alikeness import alike, rig_of, turn_of
+from train.patch_batches import FramePair, frame_pairs, leaning
 from train.points import ScenePoints
 from train.surface_turn import turn_between
 
@@ -28,7 +31,7 @@ NORMAL_NOISE_DEG = 5.0
 """Error of the normals that the patches are cut with [deg]."""
 STRAIGHT_DEG = 20.0
 """A patch whose direction is off by less is turned rightly [deg]."""
-Describe = Callable[[Patches], tuple[Array, Array, Array]]
+Describe = Callable[[Patches], tuple[Descriptors, Array, Array]]
 """Patches (n, 1, s, s) -> descriptors (n, d), reliability (n,), directions (n, 2)"""
 
 
@@ -37,8 +40,12 @@ class Trial:
     """One frame pair of the validation, its patches cut."""
 
     angle: str
-    sift_a: Array
-    sift_b: Array
+    sift_a: Descriptors
+    """RootSIFT of the image"""
+    sift_b: Descriptors
+    surface_a: Descriptors
+    """RootSIFT of the patches in the tangent plane, turned to their strongest gradients"""
+    surface_b: Descriptors
     patches_a: Patches
     patches_b: Patches
     rows: Ints
@@ -58,7 +65,7 @@ def make_trials(scenes: Mapping[int, ScenePoints], seed: int) -> list[Trial]:
     rng = np.random.default_rng([seed, 0x7E57])
     trials = []
     for number, points in scenes.items():
-        pairs = frame_pairs({number: points}, np.pi)
+        pairs = frame_pairs(points, alike(points), number, np.pi)
         for name, (least, most) in ANGLES_DEG.items():
             inside = [pair for pair in pairs if least < _angle_deg(points, pair) < most]
             for k in rng.permutation(len(inside))[:PAIRS_A_SCENE]:
@@ -76,6 +83,7 @@ def _trial(points: ScenePoints, pair: FramePair, angle: str, rng: np.random.Gene
     b = np.flatnonzero((points.frame == pair.b) & known)
     half_m = HALF_PX * float(np.median(points.p_K[a, 2])) / float(points.focal_px)
     asked, partner = points.point[pair.found], points.again[pair.found]
+    histogram = HistogramDescriptor()
     patches_a, affine_a = _cut(points, a, half_m, rng)
     patches_b, affine_b = _cut(points, b, half_m, rng)
     row, column = np.searchsorted(a, asked), np.searchsorted(b, partner)
@@ -84,6 +92,8 @@ def _trial(points: ScenePoints, pair: FramePair, angle: str, rng: np.random.Gene
         angle,
         points.sift[a].astype(np.float32),
         points.sift[b].astype(np.float32),
+        histogram(points.grey[pair.a], points.uv_px[a], affine_a).descriptors,
+        histogram(points.grey[pair.b], points.uv_px[b], affine_b).descriptors,
         patches_a,
         patches_b,
         row,
@@ -111,9 +121,10 @@ def _cut(points: ScenePoints, index: Ints, half_m: float, rng: np.random.Generat
 
 
 def score(trials: list[Trial], describe: Describe) -> dict[str, float]:
-    """Shares at both angles: ``rank_1``: the most similar of all key points is the right one; ``common``: of
+    """Shares at both angles. ``rank_1``: the most similar of all key points is the right one; ``common``: of
     the key points that both frames have; ``rootsift`` and ``rootsift_common``: the same of RootSIFT;
-    ``straight``: the direction is right. ``reliability_auc``: how well reliability tells right from wrong.
+    ``surface_rootsift``: of RootSIFT on patches of the tangent plane; ``straight``: the direction is right.
+    ``reliability_auc``: how well reliability tells right from wrong.
     """
     shares: dict[str, list[Array]] = {}
     trust, hit = [], []
@@ -128,6 +139,7 @@ def score(trials: list[Trial], describe: Describe) -> dict[str, float]:
             "rootsift": _hits(trial.sift_a, trial.sift_b, trial),
             "common": _hits_in_common(a, b, trial),
             "rootsift_common": _hits_in_common(trial.sift_a, trial.sift_b, trial),
+            "surface_rootsift": _hits(trial.surface_a, trial.surface_b, trial),
             "straight": straight.astype(np.float64),
         }.items():
             shares.setdefault(f"{name}_at_{trial.angle}", []).append(values)
@@ -145,12 +157,12 @@ def _angle(direction: Array) -> Array:
     return np.asarray(np.arctan2(direction[:, 1], direction[:, 0]))
 
 
-def _hits(a: Array, b: Array, trial: Trial) -> Array:
+def _hits(a: Descriptors, b: Descriptors, trial: Trial) -> Array:
     """(q,) 1 where the most similar of all of b's key points is at the true place."""
     return _right(trial.uv_b_px[(a[trial.rows] @ b.T).argmax(axis=1)], trial)
 
 
-def _hits_in_common(a: Array, b: Array, trial: Trial) -> Array:
+def _hits_in_common(a: Descriptors, b: Descriptors, trial: Trial) -> Array:
     """(q,) the same among the key points of b that are some of a's."""
     best = (a[trial.rows] @ b[trial.partner].T).argmax(axis=1)
     return _right(trial.uv_b_px[trial.partner[best]], trial)

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
+from frontend.features import Descriptors
 from frontend.networks.descriptor import DescriptorNet
 from frontend.patches import Patches
 from polhode.config.train import DescriptorTraining, Train
@@ -54,7 +55,7 @@ class DescriptorTask:
         """Rank-1 shares on the held-out bodies."""
         return score(self._trials, self._describe)
 
-    def _describe(self, patches: Patches) -> tuple[Array, Array, Array]:
+    def _describe(self, patches: Patches) -> tuple[Descriptors, Array, Array]:
         device = next(self._model.parameters()).device
         parts = [self.network(some.to(device)) for some in torch.from_numpy(patches).split(AT_ONCE)]
         descriptor, reliability, direction = (

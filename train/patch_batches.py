@@ -11,31 +11,27 @@ import numpy as np
 import torch
 
 from frontend.patches import Patches, cut_patches, tangent_affines, turned, upright_affines
-from polhode.camera import RectifiedRig
 from polhode.config.train import DescriptorTraining
 from polhode.lie import Array
 from polhode.records import Bools, Ints
-from train.points import ScenePoints, place_in
+from train.alikeness import alike, rig_of, turn_of
+from train.points import ScenePoints
 from train.surface_turn import turn_between
 from train.task import Batch
 
 FEWEST = 12
 """Two frames with fewer points in common are not drawn."""
-TRUE_PLACE = 0.15
-"""Share of the pairs whose second patch is cut at the true place where no key point was found."""
 
 
 @dataclass(frozen=True)
 class FramePair:
-    """Two frames of a scene and the sightings of the first's points in the second."""
+    """Two frames of a scene and the first's points that are found again in the second."""
 
     scene: int
     a: int
     b: int
     found: Ints
-    """sightings whose point is found again"""
-    lost: Ints
-    """sightings whose point is in view, but was not found"""
+    """(n,) sightings"""
 
 
 @dataclass(frozen=True)
@@ -50,20 +46,19 @@ class Places:
     """(n, 3)"""
 
 
-def frame_pairs(scenes: Mapping[int, ScenePoints], most_turn_rad: float) -> list[FramePair]:
-    """Pairs of frames with enough points in common that are seen from directions within ``most_turn_rad``."""
+def frame_pairs(points: ScenePoints, same: Bools, number: int, most_turn_rad: float) -> list[FramePair]:
+    """Pairs of a scene's frames with enough points in common, seen from directions within ``most_turn_rad``.
+
+    ``same`` (M,): sightings that are found again.
+    """
+    count = int(points.X_KG.shape[0])
+    usable = same & (points.angle_rad < most_turn_rad)
+    key = np.where(usable, points.frame[points.point] * count + points.other, -1)
     pairs = []
-    for number, points in scenes.items():
-        a = points.frame[points.point]
-        near = (points.angle_rad < most_turn_rad) & np.isfinite(points.p_K[points.point]).all(axis=1)
-        count = int(points.X_KG.shape[0])
-        key = np.where(near, a * count + points.other, -1)
-        for each in np.unique(key[key >= 0]):
-            here = np.flatnonzero(key == each)
-            found = here[points.again[here] >= 0]
-            if len(found) >= FEWEST:
-                lost = here[points.again[here] < 0]
-                pairs.append(FramePair(number, int(each) // count, int(each) % count, found, lost))
+    for each in np.unique(key[key >= 0]):
+        found = np.flatnonzero(key == each)
+        if len(found) >= FEWEST:
+            pairs.append(FramePair(number, int(each) // count, int(each) % count, found))
     return pairs
 
 
@@ -72,8 +67,10 @@ class PatchBatches:
 
     def __init__(self, scenes: Mapping[int, ScenePoints], config: DescriptorTraining, seed: int) -> None:
         self._scenes, self._config, self._seed = scenes, config, seed
-        pairs = frame_pairs(scenes, np.deg2rad(config.most_turn_deg))
-        self._of_scene = {i: [pair for pair in pairs if pair.scene == i] for i in scenes}
+        same = {i: alike(points) for i, points in scenes.items()}
+        most_rad = np.deg2rad(config.most_turn_deg)
+        self._of_scene = {i: frame_pairs(points, same[i], i, most_rad) for i, points in scenes.items()}
+        self._strays = {i: stray_points(points, same[i]) for i, points in scenes.items()}
         self._drawable = [i for i, its in self._of_scene.items() if its]
 
     @property
@@ -96,9 +93,8 @@ class PatchBatches:
             pair = its[rng.integers(len(its))]
             points = self._scenes[number]
             half_m = self._half_m(points, pair.a, rng)
-            chosen = _chosen(pair, each, rng)
-            a = _own(points, points.point[chosen])
-            b = _again(points, chosen)
+            chosen = rng.permutation(pair.found)[:each]
+            a, b = _at(points, points.point[chosen]), _at(points, points.again[chosen])
             affine_a, affine_b = (self._affine(points, at, half_m, rng) for at in (a, b))
             R_ba = np.broadcast_to(turn_of(points, pair.a, pair.b), (len(chosen), 3, 3))
             turns.append(turn_between(affine_a, affine_b, a.p_K, a.normal_K, R_ba, b.p_K, rig_of(points)))
@@ -106,7 +102,8 @@ class PatchBatches:
             second.append(self._cut(points, pair.b, b, affine_b, rng))
             places_a.append(a.uv_px)
             places_b.append(b.uv_px)
-            off = _own(points, _strays(points, pair.b, stray, rng))
+            here = np.flatnonzero(self._strays[number] & (points.frame == pair.b))
+            off = _at(points, rng.permutation(here)[:stray])
             strays.append(self._cut(points, pair.b, off, self._affine(points, off, half_m, rng), rng))
         patches = np.concatenate([*first, *second, *strays])
         owner = [np.full(len(cut), k) for k, cut in enumerate(first)]
@@ -145,60 +142,23 @@ class PatchBatches:
         return cut_patches(points.grey[frame], uv, affine_px)
 
 
-def turn_of(points: ScenePoints, a: int, b: int) -> Array:
-    """R_ba (3, 3): axes of camera a at its frame in those of camera b, both as the body sees them."""
-    return np.asarray(points.X_KG[b, :3, :3] @ points.X_KG[a, :3, :3].T)
-
-
-def rig_of(points: ScenePoints) -> RectifiedRig:
-    """The scene's left camera; patches need no baseline."""
-    height, width = points.grey.shape[1:]
-    u, v = points.centre_px
-    return RectifiedRig(float(points.focal_px), float(u), float(v), 1.0, int(width), int(height))
-
-
 def leaning(normal: Array, sigma_rad: float, rng: np.random.Generator) -> Array:
     """Unit normals (n, 3) with an error of ``sigma_rad`` rms."""
     off = normal + rng.normal(0.0, sigma_rad / np.sqrt(2.0), normal.shape)
     return np.asarray(off / np.linalg.norm(off, axis=1, keepdims=True))
 
 
-def _chosen(pair: FramePair, count: int, rng: np.random.Generator) -> Ints:
-    """At most ``count`` sightings of a frame pair."""
-    lost = rng.permutation(pair.lost)[: round(count * TRUE_PLACE)]
-    found = rng.permutation(pair.found)[: count - len(lost)]
-    return np.concatenate([found, lost])
-
-
-def _own(points: ScenePoints, index: Ints) -> Places:
+def _at(points: ScenePoints, index: Ints) -> Places:
     return Places(points.uv_px[index], points.p_K[index], points.normal_K[index])
 
 
-def _again(points: ScenePoints, sighting: Ints) -> Places:
-    """Places of sightings in the other frame: of the key point found there, else the true one."""
-    p, normal = place_in(points, sighting)
-    again = points.again[sighting]
-    found = (again >= 0) & np.isfinite(points.p_K[again]).all(axis=1)
-    uv = np.where(found[:, None], points.uv_px[again], points.uv_other_px[sighting])
-    p = np.where(found[:, None], points.p_K[again], p)
-    normal = np.where(found[:, None], points.normal_K[again], normal)
-    return Places(uv, p, normal)
+def stray_points(points: ScenePoints, same: Bools) -> Bools:
+    """Key points (N,) that are no surface feature: on the edges of shadows, near silhouettes, or never found.
 
-
-def _strays(points: ScenePoints, frame: int, count: int, rng: np.random.Generator) -> Ints:
-    """Key points of a frame on shadow edges and silhouettes, and others that no frame finds again."""
-    here = (points.frame == frame) & np.isfinite(points.p_K).all(axis=1)
-    bad = here & (points.on_shadow | points.on_rim | never_again(points)) & ~_found_often(points)
-    return rng.permutation(np.flatnonzero(bad))[:count]
-
-
-def never_again(points: ScenePoints) -> Bools:
-    """Key points (N,) that no other frame finds again."""
-    return np.asarray(np.bincount(points.point[points.again >= 0], minlength=len(points.uv_px)) == 0)
-
-
-def _found_often(points: ScenePoints) -> Bools:
-    """Key points (N,) that half of the frames that see them find again."""
+    ``same`` (M,): sightings that are found again. What half of the frames find again is no stray.
+    """
     seen = np.bincount(points.point, minlength=len(points.uv_px))
-    again = np.bincount(points.point[points.again >= 0], minlength=len(points.uv_px))
-    return np.asarray(again >= 0.5 * np.maximum(seen, 1))
+    again = np.bincount(points.point[same], minlength=len(points.uv_px))
+    often = again >= 0.5 * np.maximum(seen, 1)
+    suspect = points.on_shadow | points.on_rim | (again == 0)
+    return np.asarray(np.isfinite(points.p_K).all(axis=1) & suspect & ~often)
