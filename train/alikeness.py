@@ -23,8 +23,8 @@ ALIKE = 0.3
 def alike(points: ScenePoints) -> Bools:
     """Sightings (M,) that are found again and look like it."""
     found = points.again >= 0
-    known = np.isfinite(points.p_K).all(axis=1)
-    found = np.asarray(found & known[points.point] & known[points.again], dtype=np.bool_)
+    known = np.asarray(np.isfinite(points.p_K).all(axis=1))
+    found &= known[points.point] & known[points.again]
     result = np.zeros(len(points.point), dtype=bool)
     first = points.frame[points.point]
     for a in range(len(points.grey)):

@@ -62,11 +62,15 @@ class DepthTask:
         return loss, {"off_by_more_than_1_px": (off > 1.0).float().mean()}
 
     def validate(self) -> Mapping[str, float]:
+        """Scores, after the network's sigmas were scaled to the errors: what the weights do not learn."""
         device = next(self.model.parameters()).device
         network = self.model.cpu()
         errors = [held_out_errors(read_sample(path), network) for path in self._held_out]
+        factor = calibration(errors)
+        network.sigma_scale *= factor
         self.model.to(device)
-        return scores(errors)
+        calibrated = [HeldOut({**each, "sigma": factor * each["sigma"]}) for each in errors]
+        return {**scores(calibrated), "sigma_scale": float(network.sigma_scale)}
 
 
 class HeldOut(dict[str, NDArray[np.float64]]):
@@ -76,13 +80,19 @@ class HeldOut(dict[str, NDArray[np.float64]]):
 def held_out_errors(sample: Sample, network: DisparityNet) -> HeldOut:
     """Compare one held-out sample with the truth."""
     refined: Refined = refine(network, sample.start)
-    asked = sample.visible & sample.start.lit
+    asked = sample.visible & sample.start.lit & np.isfinite(refined.disparity)
     matched = np.isfinite(sample.start.sigma)[asked]
     return HeldOut(
         classical=np.where(matched, np.abs(sample.start.filled - sample.truth)[asked], np.nan),
         refined=np.abs(refined.disparity - sample.truth)[asked].astype(np.float64),
         sigma=refined.sigma[asked].astype(np.float64),
     )
+
+
+def calibration(samples: Sequence[HeldOut]) -> float:
+    """Factor on sigma by which 68 % of the errors lie within it: the geometric mean over the samples."""
+    factors = [np.quantile(each["refined"] / each["sigma"], 0.6827) for each in samples if len(each["sigma"])]
+    return float(np.exp(np.mean(np.log(factors))))
 
 
 def scores(samples: Sequence[HeldOut]) -> dict[str, float]:

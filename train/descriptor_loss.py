@@ -10,7 +10,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from frontend.networks.descriptor import Described
+from frontend.soft_assignment import DualSoftmax
 from polhode.config.train import DescriptorTraining
+from train.matching_loss import matching_loss
 from train.task import Batch
 
 SAME_PX = 4.0
@@ -18,21 +20,24 @@ SAME_PX = 4.0
 START_TEMPERATURE = 0.07
 
 
-class Temperature(nn.Module):
-    """What similarities are divided by; learnt, and never below 0.02."""
+class Heads(nn.Module):
+    """What learns beside the network: the contrast's temperature, and the matcher's with its dustbin."""
 
     def __init__(self) -> None:
         super().__init__()
         self.logarithm = nn.Parameter(torch.tensor(START_TEMPERATURE).log())
+        self.matcher = DualSoftmax()
 
-    def forward(self) -> Tensor:
+    def temperature(self) -> Tensor:
+        """What similarities are divided by; never below 0.02."""
         return self.logarithm.exp().clamp(min=0.02)
 
 
 def descriptor_loss(
-    described: Described, batch: Batch, temperature: Tensor, config: DescriptorTraining
+    described: Described, batch: Batch, heads: Heads, config: DescriptorTraining
 ) -> tuple[Tensor, Mapping[str, Tensor]]:
     """Loss of a batch of ``PatchBatches``, whose n patches are described in its order."""
+    temperature = heads.temperature()
     m = len(batch["pair"])
     descriptors = described.descriptor
     a, b, stray = descriptors[:m].float(), descriptors[m : 2 * m].float(), descriptors[2 * m :].float()
@@ -50,11 +55,16 @@ def descriptor_loss(
     found = (logits_ab.argmax(dim=1) == truth).float().mean()
     direction = described.direction.float()
     astray = (1.0 - turned_alike(direction[:m], direction[m : 2 * m], batch["turn"])).mean()
+    assignment, motion = matching_loss(described, batch, heads.matcher)
     loss = contrast + config.reliability_weight * trust + config.direction_weight * astray
+    end_to_end = config.matching_weight * assignment + config.motion_weight * motion
+    loss = loss + batch["late"] * end_to_end
     return loss, {
         "contrast": contrast,
         "reliability": trust,
         "direction": astray,
+        "assignment": assignment,
+        "motion": motion,
         "rank_1": found,
         "temperature": temperature,
     }

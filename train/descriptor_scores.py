@@ -15,7 +15,7 @@ from frontend.surface_descriptor import HistogramDescriptor
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 from train.alikeness import alike, rig_of, turn_of
-from train.patch_batches import FramePair, frame_pairs, leaning
+from train.patch_batches import FramePair, frame_pairs, leaning, stray_points
 from train.points import ScenePoints
 from train.surface_turn import turn_between
 
@@ -58,6 +58,8 @@ class Trial:
     """(q,) the key point of b that each is"""
     turn_rad: Array
     """(q,) angle in the partner's patch of what lies along x in the own one"""
+    stray: Ints
+    """(s,) points of a that are no surface feature"""
 
 
 def make_trials(scenes: Mapping[int, ScenePoints], seed: int) -> list[Trial]:
@@ -65,11 +67,12 @@ def make_trials(scenes: Mapping[int, ScenePoints], seed: int) -> list[Trial]:
     rng = np.random.default_rng([seed, 0x7E57])
     trials = []
     for number, points in scenes.items():
-        pairs = frame_pairs(points, alike(points), number, np.pi)
+        same = alike(points)
+        pairs, stray = frame_pairs(points, same, number, np.pi), stray_points(points, same)
         for name, (least, most) in ANGLES_DEG.items():
             inside = [pair for pair in pairs if least < _angle_deg(points, pair) < most]
             for k in rng.permutation(len(inside))[:PAIRS_A_SCENE]:
-                trials.append(_trial(points, inside[k], name, rng))
+                trials.append(_trial(points, inside[k], name, stray, rng))
     return trials
 
 
@@ -77,7 +80,7 @@ def _angle_deg(points: ScenePoints, pair: FramePair) -> float:
     return float(np.rad2deg(np.median(points.angle_rad[pair.found])))
 
 
-def _trial(points: ScenePoints, pair: FramePair, angle: str, rng: np.random.Generator) -> Trial:
+def _trial(points: ScenePoints, pair: FramePair, angle: str, stray: Bools, rng: np.random.Generator) -> Trial:
     known = np.isfinite(points.p_K).all(axis=1)
     a = np.flatnonzero((points.frame == pair.a) & known)
     b = np.flatnonzero((points.frame == pair.b) & known)
@@ -109,6 +112,7 @@ def _trial(points: ScenePoints, pair: FramePair, angle: str, rng: np.random.Gene
             points.p_K[partner],
             rig_of(points),
         ),
+        np.flatnonzero(stray[a]),
     )
 
 
@@ -124,7 +128,7 @@ def score(trials: list[Trial], describe: Describe) -> dict[str, float]:
     """Shares at both angles. ``rank_1``: the most similar of all key points is the right one; ``common``: of
     the key points that both frames have; ``rootsift`` and ``rootsift_common``: the same of RootSIFT;
     ``surface_rootsift``: of RootSIFT on patches of the tangent plane; ``straight``: the direction is right.
-    ``reliability_auc``: how well reliability tells right from wrong.
+    ``reliability_auc``: how well reliability tells what was found from what was not, and from strays.
     """
     shares: dict[str, list[Array]] = {}
     trust, hit = [], []
@@ -143,10 +147,9 @@ def score(trials: list[Trial], describe: Describe) -> dict[str, float]:
             "straight": straight.astype(np.float64),
         }.items():
             shares.setdefault(f"{name}_at_{trial.angle}", []).append(values)
-        label = np.zeros(len(a))
-        label[trial.rows] = own
-        trust.append(trust_a)
-        hit.append(label)
+        judged = np.concatenate([trial.rows, trial.stray])
+        trust.append(trust_a[judged])
+        hit.append(np.concatenate([own, np.zeros(len(trial.stray))]))
     scores = {name: float(np.concatenate(values).mean()) for name, values in sorted(shares.items())}
     if hit:
         scores["reliability_auc"] = area_under_curve(np.concatenate(trust), np.concatenate(hit) > 0)

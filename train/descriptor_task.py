@@ -13,7 +13,7 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.progress import Progress
 from train.corpus import split
-from train.descriptor_loss import Temperature, descriptor_loss
+from train.descriptor_loss import Heads, descriptor_loss
 from train.descriptor_scores import Trial, make_trials, score
 from train.patch_batches import PatchBatches
 from train.points import prepare_points
@@ -28,36 +28,47 @@ class DescriptorTask:
 
     name = "descriptor"
 
-    def __init__(self, batches: PatchBatches, trials: list[Trial], config: DescriptorTraining) -> None:
+    def __init__(
+        self, batches: PatchBatches, trials: list[Trial], config: DescriptorTraining, late_from: int
+    ) -> None:
+        """``late_from``: first step that learns from matches and motion."""
         self._batches, self._trials, self._config = batches, trials, config
-        self._model = nn.ModuleDict({"network": DescriptorNet(), "temperature": Temperature()})
+        self._late_from = late_from
+        self._network, self._heads = DescriptorNet(), Heads()
+        self._model = nn.ModuleDict({"network": self._network, "heads": self._heads})
 
     @property
     def model(self) -> nn.Module:
-        """The network and the temperature."""
+        """The network and the heads."""
         return self._model
 
     @property
     def network(self) -> nn.Module:
         """What is shipped."""
-        return self._model["network"]
+        return self._network
 
     def batch(self, step: int) -> Batch:
         """Patches of step ``step``."""
-        return self._batches.batch(step)
+        return self._batches.batch(step) | {"late": torch.tensor(float(step >= self._late_from))}
 
     def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
-        """InfoNCE, the reliability's cross entropy, the directions' consistency."""
-        described = self.network(batch["patches"])
-        return descriptor_loss(described, batch, self._model["temperature"](), self._config)
+        """InfoNCE; reliability, direction; the matches and the motion that they tell, late."""
+        described = self._network(batch["patches"])
+        with torch.autocast(batch["patches"].device.type, enabled=False):
+            # Similarities over a small temperature, and fits, need all their digits.
+            return descriptor_loss(described, batch, self._heads, self._config)
 
     def validate(self) -> Mapping[str, float]:
-        """Rank-1 shares on the held-out bodies."""
-        return score(self._trials, self._describe)
+        """Rank-1 shares on the held-out bodies, and what the matcher has learned."""
+        matcher = self._heads.matcher
+        return score(self._trials, self._describe) | {
+            "matcher_temperature": float(matcher.log_temperature.exp()),
+            "matcher_dustbin": float(matcher.dustbin),
+        }
 
     def _describe(self, patches: Patches) -> tuple[Descriptors, Array, Array]:
         device = next(self._model.parameters()).device
-        parts = [self.network(some.to(device)) for some in torch.from_numpy(patches).split(AT_ONCE)]
+        parts = [self._network(some.to(device)) for some in torch.from_numpy(patches).split(AT_ONCE)]
         descriptor, reliability, direction = (
             torch.cat(each).float().cpu().numpy() for each in zip(*parts, strict=True)
         )
@@ -74,4 +85,5 @@ def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Desc
             "train.corpus: no two frames show enough common points: more scenes or frames, or smaller turns"
         )
     trials = make_trials({i: scenes[i] for i in halves.validation}, seed)
-    return DescriptorTask(batches, trials, train.descriptor)
+    late_from = round(train.descriptor.late_from * train.schedule.steps)
+    return DescriptorTask(batches, trials, train.descriptor, late_from)

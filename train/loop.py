@@ -148,7 +148,9 @@ class Loop:
         self._scaler.scale(loss).backward()
         self._scaler.unscale_(self._optimizer)
         norm = nn.utils.clip_grad_norm_(self._task.model.parameters(), self._schedule.clip_norm)
-        self._scaler.step(self._optimizer)
+        # The gradient of a fit to points on a line is no number: such a step is left out.
+        if torch.isfinite(norm) or self._scaler.is_enabled():
+            self._scaler.step(self._optimizer)
         self._scaler.update()
         return {"loss": loss, **terms, "gradient": norm, "learning_rate": torch.tensor(rate)}
 

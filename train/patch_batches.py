@@ -4,15 +4,16 @@ Points of the same two frames are each other's hard negatives. Beside the pairs 
 points that are no surface feature (edges of cast shadows, silhouettes) or that nobody finds again.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from frontend.patches import Patches, cut_patches, tangent_affines, turned, upright_affines
 from polhode.config.train import DescriptorTraining
-from polhode.lie import Array
+from polhode.lie import Array, inverse_pose
 from polhode.records import Bools, Ints
 from train.alikeness import alike, rig_of, turn_of
 from train.points import ScenePoints
@@ -79,14 +80,18 @@ class PatchBatches:
         return not self._drawable
 
     def batch(self, step: int) -> Batch:
-        """patches (n, 1, s, s): the first of m pairs, their second, strays; ``pair`` (m,) the frame pair of
-        each; uv_a and uv_b (m, 2) [px]; ``turn`` (m,) angle in the second patch of what lies along x in the
-        first [rad]; ``strays`` (k,) the frame pair of each stray."""
+        """``patches`` (2 m + k, 1, s, s): the first of m pairs, their second, k strays of the second frames.
+
+        ``pair`` (m,) and ``strays`` (k,): which frame pair each is of; ``uv_...`` (., 2) [px] and ``p_...``
+        (., 3) [m] of a, b and stray, each in its camera; ``turn`` (m,): angle in the second patch of what
+        lies along x in the first [rad]; ``X_AB`` (c, 4, 4) the motion of each frame pair.
+        """
         rng = np.random.default_rng([self._seed, 0xBA7C, step])
         count = self._config.frame_pairs
         each = self._config.batch // count
         stray = round(each * self._config.strays)
-        first, second, strays, places_a, places_b, turns = [], [], [], [], [], []
+        first, second, strays, turns, motions = [], [], [], [], []
+        places: dict[str, list[Places]] = {"a": [], "b": [], "stray": []}
         for _ in range(count):
             number = self._drawable[rng.integers(len(self._drawable))]
             its = self._of_scene[number]
@@ -100,11 +105,12 @@ class PatchBatches:
             turns.append(turn_between(affine_a, affine_b, a.p_K, a.normal_K, R_ba, b.p_K, rig_of(points)))
             first.append(self._cut(points, pair.a, a, affine_a, rng))
             second.append(self._cut(points, pair.b, b, affine_b, rng))
-            places_a.append(a.uv_px)
-            places_b.append(b.uv_px)
             here = np.flatnonzero(self._strays[number] & (points.frame == pair.b))
             off = _at(points, rng.permutation(here)[:stray])
             strays.append(self._cut(points, pair.b, off, self._affine(points, off, half_m, rng), rng))
+            motions.append(points.X_KG[pair.a] @ inverse_pose(points.X_KG[pair.b]))
+            for name, at in (("a", a), ("b", b), ("stray", off)):
+                places[name].append(at)
         patches = np.concatenate([*first, *second, *strays])
         owner = [np.full(len(cut), k) for k, cut in enumerate(first)]
         owner_stray = [np.full(len(cut), k) for k, cut in enumerate(strays)]
@@ -112,9 +118,10 @@ class PatchBatches:
             "patches": torch.from_numpy(patches),
             "pair": torch.from_numpy(np.concatenate(owner)),
             "strays": torch.from_numpy(np.concatenate(owner_stray)),
-            "uv_a": torch.from_numpy(np.concatenate(places_a)),
-            "uv_b": torch.from_numpy(np.concatenate(places_b)),
-            "turn": torch.from_numpy(np.concatenate(turns).astype(np.float32)),
+            "turn": _tensor(turns),
+            "X_AB": _tensor([np.stack(motions)]),
+            **{f"uv_{name}": _tensor([at.uv_px for at in those]) for name, those in places.items()},
+            **{f"p_{name}": _tensor([at.p_K for at in those]) for name, those in places.items()},
         }
 
     def _half_m(self, points: ScenePoints, frame: int, rng: np.random.Generator) -> float:
@@ -140,6 +147,11 @@ class PatchBatches:
         """Patches (n, 1, s, s) near the places."""
         uv = at.uv_px + rng.normal(0.0, self._config.place_noise_px, at.uv_px.shape)
         return cut_patches(points.grey[frame], uv, affine_px)
+
+
+def _tensor(parts: Sequence[Array]) -> Tensor:
+    """The parts together, in single precision."""
+    return torch.from_numpy(np.concatenate(parts).astype(np.float32))
 
 
 def leaning(normal: Array, sigma_rad: float, rng: np.random.Generator) -> Array:

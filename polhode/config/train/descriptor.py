@@ -34,6 +34,12 @@ class DescriptorTraining(Section):
     """Weight of the reliability's loss beside the descriptor's."""
     direction_weight: NonNegative = 0.3
     """Weight of the loss of the patches' directions."""
+    matching_weight: NonNegative = 0.1
+    """Weight of the loss of the soft matches."""
+    motion_weight: NonNegative = 0.5
+    """Weight of the loss of the motion that the soft matches tell."""
+    late_from: Share = 0.6
+    """Share of the steps after which matches and motion are learned from: before, too few are right."""
 
     @model_validator(mode="after")
     def _pairs_fit(self) -> Self:
