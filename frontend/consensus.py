@@ -38,7 +38,7 @@ class Mode:
 def motion_modes(
     p_A: Array, p_B: Array, R_AS: Array, R_BS: Array, weight: Array, gate_m: Array
 ) -> list[Mode]:
-    """Motions that m matches support, strongest first, each found once.
+    """Motions that m matches support, strongest first; a match supports one of them.
 
     p_A, p_B (m, 3) [m] the points and R_AS, R_BS (m, 3, 3) the surfaces' axes in both frames; weight (m,);
     gate_m (m,) distance within which a moved point is the other [m].
@@ -47,16 +47,17 @@ def motion_modes(
         return []
     support = proposal_support(p_A, p_B, R_AS, R_BS, weight, gate_m)
     modes: list[Mode] = []
-    waiting = support.total.copy()
+    waiting, free = support.total.copy(), np.ones(len(p_A), dtype=bool)
     for _ in range(min(SEEDS, len(p_A))):
         seed = int(waiting.argmax())
         if waiting[seed] <= 0.0:
             break
         waiting[seed] = 0.0
-        mode = _refined(support.agrees[seed], p_A, p_B, weight, gate_m)
-        if mode is not None and not any(np.mean(mode.inlier[old.inlier]) > 0.5 for old in modes):
+        mode = _refined(support.agrees[seed] & free, free, p_A, p_B, weight, gate_m)
+        if mode is not None:
             modes.append(mode)
-            # Those who agree propose the same once more.
+            # Those who agree would draw every other proposal to the same motion.
+            free &= ~mode.inlier
             waiting[mode.inlier] = 0.0
     return sorted(modes, key=lambda mode: -mode.weight)
 
@@ -102,15 +103,15 @@ def _distances(p: np.ndarray[tuple[int, int], np.dtype[np.float32]]) -> Array:
     return np.asarray(np.sqrt(np.maximum(square[:, None] + square[None, :] - 2.0 * (p @ p.T), 0.0)))
 
 
-def _refined(start: Bools, p_A: Array, p_B: Array, weight: Array, gate_m: Array) -> Mode | None:
-    """Fit to those who agree, then to those whom the fit puts within a gate that shrinks."""
+def _refined(start: Bools, free: Bools, p_A: Array, p_B: Array, weight: Array, gate_m: Array) -> Mode | None:
+    """Fit to those who agree, then to those free ones whom the fit puts within a gate that shrinks."""
     inlier = start
     for shrink in _SHRINK:
         if inlier.sum() < 3:
             return None
         X_AB = fit_rigid(p_A[inlier], p_B[inlier], weight[inlier] / gate_m[inlier] ** 2)
         miss = np.linalg.norm(p_A - transform_points(X_AB, p_B), axis=1)
-        inlier = np.asarray(miss < shrink * gate_m)
+        inlier = np.asarray((miss < shrink * gate_m) & free)
     return Mode(X_AB, inlier, float(weight[inlier].sum())) if inlier.sum() >= 3 else None
 
 

@@ -26,10 +26,11 @@ GATE_DISPARITY_PX = 0.35
 """The same for disparity [px]: at short baselines it is what scatters points."""
 FLATTEN = 0.25
 """Power of the probabilities that makes votes: many fair pairs count more than a few excellent ones."""
-STILL_PX = 3.0
+STILL_PX = 4.0
 """Matches that move less stand still in the image [px]."""
-_FEWEST = 8
-_SHARE = 0.15
+_NEARLY_ALL = 0.6
+_FEWEST = 12
+_SHARE = 0.1
 
 
 class SoftmaxMatcher:
@@ -98,7 +99,7 @@ def _turning(modes: list[Mode], moves_px: Array) -> Mode:
     all its matches at rest, and no second motion of any strength.
     """
     best = modes[0]
-    if np.median(moves_px[best.inlier]) >= STILL_PX:
+    if np.median(moves_px[best.inlier]) >= STILL_PX or np.mean(best.inlier) > _NEARLY_ALL:
         return best
     least = max(_FEWEST, _SHARE * float(best.inlier.sum()))
     for other in modes[1:]:

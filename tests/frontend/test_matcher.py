@@ -155,7 +155,7 @@ def test_features_without_axes_are_matched_by_looks() -> None:
 
 def test_what_stands_still_gives_way_to_what_turns() -> None:
     """More matches at rest than in motion, as highlights and rims make them."""
-    a, b = _frames(25, 40, seed=7)
+    a, b = _frames(25, 70, seed=7)
     rest = np.arange(25, 65)
     p_A, R_AS = a.p_R.copy(), np.asarray(a.R_RS).copy()
     p_A[rest], R_AS[rest] = b.p_R[rest], np.asarray(b.R_RS)[rest]
@@ -163,7 +163,7 @@ def test_what_stands_still_gives_way_to_what_turns() -> None:
     assert np.mean(matches.features[:, 0] < 25) > 0.9
     # A target at rest stays at rest.
     still = SoftmaxMatcher(Frontend())(b, b)
-    assert np.array_equal(still.features, np.column_stack([np.arange(65)] * 2))
+    assert np.array_equal(still.features, np.column_stack([np.arange(95)] * 2))
 
 
 def test_modes_are_found_strongest_first() -> None:
