@@ -1,5 +1,6 @@
 """Where a training stands, on disk: written whole or not at all; that of another training is refused."""
 
+import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -57,11 +58,14 @@ def read_checkpoint(output: Path, setting: Mapping[str, Any]) -> Checkpoint | No
     return checkpoint
 
 
-def write_weights(path: Path, network: nn.Module, about: Mapping[str, str]) -> None:
-    """The network's weights as safetensors, with ``about`` in the header."""
+def write_weights(path: Path, network: nn.Module, about: Mapping[str, Any]) -> None:
+    """The network's weights as safetensors, with ``about`` as JSON in the header, under ``training``.
+
+    One key: safetensors writes several in no fixed order.
+    """
     weights = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
     with replaced(path) as partial:
-        save_file(weights, partial, metadata=dict(about))
+        save_file(weights, partial, metadata={"training": json.dumps(about)})
 
 
 @contextmanager

@@ -128,10 +128,11 @@ def score(trials: list[Trial], describe: Describe) -> dict[str, float]:
     """Shares at both angles. ``rank_1``: the most similar of all key points is the right one; ``common``: of
     the key points that both frames have; ``rootsift`` and ``rootsift_common``: the same of RootSIFT;
     ``surface_rootsift``: of RootSIFT on patches of the tangent plane; ``straight``: the direction is right.
-    ``reliability_auc``: how well reliability tells what was found from what was not, and from strays.
+    ``reliability_auc``: how well reliability tells, in one image, what was found from what was not and from
+    strays: the probability that it is higher.
     """
     shares: dict[str, list[Array]] = {}
-    trust, hit = [], []
+    apart = []
     for trial in trials:
         a, trust_a, direction_a = describe(trial.patches_a)
         b, _, direction_b = describe(trial.patches_b)
@@ -148,11 +149,11 @@ def score(trials: list[Trial], describe: Describe) -> dict[str, float]:
         }.items():
             shares.setdefault(f"{name}_at_{trial.angle}", []).append(values)
         judged = np.concatenate([trial.rows, trial.stray])
-        trust.append(trust_a[judged])
-        hit.append(np.concatenate([own, np.zeros(len(trial.stray))]))
+        hit = np.concatenate([own, np.zeros(len(trial.stray))]) > 0
+        apart.append(area_under_curve(trust_a[judged], hit))
     scores = {name: float(np.concatenate(values).mean()) for name, values in sorted(shares.items())}
-    if hit:
-        scores["reliability_auc"] = area_under_curve(np.concatenate(trust), np.concatenate(hit) > 0)
+    if apart:
+        scores["reliability_auc"] = float(np.mean(apart))
     return scores
 
 

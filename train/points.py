@@ -1,7 +1,7 @@
 """Surface points of a scene as its frames show them: where a detector finds them, and where they are again.
 
 Truth comes from the simulator: rays go through the key points of one frame to the body, and from there to the
-other frames. What is found stays beside the corpus.
+other frames. What is found is kept beside the corpus.
 """
 
 import os
@@ -22,7 +22,7 @@ from polhode.config.loader import load_config
 from polhode.config.train import Corpus
 from polhode.dataset_writer import image_path
 from polhode.images import Grey
-from polhode.lie import Array, inverse_pose, transform_points
+from polhode.lie import Array, inverse_pose
 from polhode.progress import Progress
 from polhode.records import Bools, Ints
 from simulation.correspondence import View, correspond, view_of
@@ -240,13 +240,3 @@ def _seen_again(
         "uv_other_px": uv_b,
         "angle_rad": found.angle_rad[seen],
     }
-
-
-def place_in(points: ScenePoints, sighting: Ints) -> tuple[Array, Array]:
-    """Point (n, 3) and normal (n, 3) of sightings in the camera that sees them again, by the true motion."""
-    a, b = points.frame[points.point[sighting]], points.other[sighting]
-    X_ba = points.X_KG[b] @ np.linalg.inv(points.X_KG[a])
-    own = points.point[sighting]
-    p = np.stack([transform_points(X, q[None])[0] for X, q in zip(X_ba, points.p_K[own], strict=True)])
-    normal = np.einsum("nij,nj->ni", X_ba[:, :3, :3], points.normal_K[own])
-    return p, normal

@@ -82,13 +82,13 @@ def _flat(section: BaseModel, prefix: str) -> dict[str, Any]:
     return values
 
 
-def _about(seed: int, train: Train, outcome: Outcome) -> dict[str, str]:
+def _about(seed: int, train: Train, outcome: Outcome) -> dict[str, Any]:
     """The header of the weights' file."""
     return {
         "task": train.task,
-        "seed": str(seed),
+        "seed": seed,
         "steps": f"{outcome.step} of {train.schedule.steps}",
-        "scores": json.dumps({name: round(value, 4) for name, value in outcome.scores.items()}),
+        "scores": {name: round(value, 4) for name, value in outcome.scores.items()},
     }
 
 

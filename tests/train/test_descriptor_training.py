@@ -9,19 +9,23 @@ import torch
 from safetensors import safe_open
 from torch.nn import functional
 
+from frontend.features import Descriptors
 from frontend.networks.describe import descriptor_network
 from frontend.networks.descriptor import Described
-from frontend.patches import cut_patches, tangent_affines, turned
+from frontend.patches import Patches, tangent_affines
+from frontend.soft_assignment import DualSoftmax
 from pipeline.cli import main
 from polhode.config.train import Corpus, DescriptorTraining
-from polhode.lie import exp_so3
+from polhode.lie import Array, exp_so3
 from polhode.progress import Silent
+from train.alikeness import alike, correlation, rig_of
 from train.checkpoint import CHECKPOINT
 from train.curves import read_curves
-from train.descriptor_loss import descriptor_loss, turned_alike
+from train.descriptor_loss import Heads, descriptor_loss, turned_alike
 from train.descriptor_scores import area_under_curve, make_trials, score
-from train.patch_batches import PatchBatches, rig_of, turn_of
-from train.points import REPEAT_PX, ScenePoints, place_in, prepare_points
+from train.matching_loss import matching_loss
+from train.patch_batches import PatchBatches
+from train.points import REPEAT_PX, ScenePoints, prepare_points
 from train.surface_turn import turn_between
 from train.task import Batch
 
@@ -35,41 +39,35 @@ def points(tiny_corpus: Corpus) -> ScenePoints:
     return prepare_points(tiny_corpus, [0], Silent(), 1)[0]
 
 
-def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Normalised correlation (n,) of patches (n, 1, s, s)."""
-    a, b = (each.reshape(len(each), -1) - each.mean(axis=(1, 2, 3))[:, None] for each in (a, b))
-    norm = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-    return np.asarray((a * b).sum(axis=1) / np.maximum(norm, 1e-6))
-
-
 def test_points_found_again_are_at_the_true_place(points: ScenePoints) -> None:
     found = np.flatnonzero(points.again >= 0)
     assert len(found) > 200
     off_px = np.linalg.norm(points.uv_px[points.again[found]] - points.uv_other_px[found], axis=1)
     assert off_px.max() < REPEAT_PX
-    p, normal = place_in(points, found)
-    projected = p[:, :2] / p[:, 2:] * points.focal_px + points.centre_px
+    own, b = points.point[found], points.other[found]
+    X_BA = points.X_KG[b] @ np.linalg.inv(points.X_KG[points.frame[own]])
+    p_B = np.einsum("nij,nj->ni", X_BA[:, :3, :3], points.p_K[own]) + X_BA[:, :3, 3]
+    projected = p_B[:, :2] / p_B[:, 2:] * points.focal_px + points.centre_px
     assert np.median(np.linalg.norm(projected - points.uv_other_px[found], axis=1)) < 0.2
-    assert (np.einsum("nk,nk->n", p, normal) < 0).mean() > 0.99
+    assert (np.einsum("nk,nk->n", points.p_K[own], points.normal_K[own]) < 0).mean() > 0.99
 
 
-def test_patches_cut_along_the_surface_look_alike_in_both_frames(points: ScenePoints) -> None:
-    calm = ~points.on_rim & ~points.on_shadow
-    found = np.flatnonzero((points.again >= 0) & calm[points.point] & (points.angle_rad < np.deg2rad(30)))
-    a, b = points.frame[points.point[found[0]]], points.other[found[0]]
-    found = found[(points.frame[points.point[found]] == a) & (points.other[found] == b)]
-    own, rig = points.point[found], rig_of(points)
-    half_m = np.full(len(found), 12.0 * np.median(points.p_K[own, 2]) / float(points.focal_px))
-    affine_a = tangent_affines(points.p_K[own], points.normal_K[own], rig, half_m)
-    p_b, normal_b = place_in(points, found)
-    affine_b = tangent_affines(p_b, normal_b, rig, half_m)
-    R_ba = np.broadcast_to(turn_of(points, a, b), (len(found), 3, 3))
-    turn = turn_between(affine_a, affine_b, points.p_K[own], points.normal_K[own], R_ba, p_b, rig)
-    patch_a = cut_patches(points.grey[a], points.uv_px[own], affine_a)
-    straight = cut_patches(points.grey[b], points.uv_other_px[found], turned(affine_b, turn))
-    askew = cut_patches(points.grey[b], points.uv_other_px[found], turned(affine_b, turn + np.pi))
-    assert np.median(correlation(patch_a, straight)) > 0.75
-    assert np.median(correlation(patch_a, askew)) < 0.4
+def test_points_that_look_alike_are_those_whose_patches_agree(points: ScenePoints) -> None:
+    """Turned by the true motion, patches of the tangent plane correlate; coincidences do not."""
+    same = alike(points)
+    found = points.again >= 0
+    assert not (same & ~found).any()
+    assert 0.3 < same[found].mean() < 0.98
+    near, far = points.angle_rad < np.deg2rad(25), points.angle_rad > np.deg2rad(50)
+    assert same[found & near].mean() > same[found & far].mean()
+    calm = ~(points.on_rim | points.on_shadow)[points.point]
+    assert same[found & near & calm].mean() > 0.7
+
+
+def test_correlation_is_blind_to_exposure() -> None:
+    patch = np.random.default_rng(1).uniform(40, 250, (3, 1, 32, 32)).astype(np.float32)
+    assert correlation(patch, 0.5 * patch) == pytest.approx(np.ones(3), abs=0.01)
+    assert np.abs(correlation(patch, patch[::-1].copy())[[0, 2]]).max() < 0.2
 
 
 def test_a_roll_of_the_camera_is_the_turn_of_the_patch(points: ScenePoints) -> None:
@@ -100,12 +98,22 @@ def test_a_batch_has_pairs_and_strays(points: ScenePoints) -> None:
 
 def made_up(m: int, strays: int) -> Batch:
     place = torch.arange(m)[:, None] * torch.tensor([[20.0, 0.0]])
+    generator = torch.Generator().manual_seed(4)
+    X_AB = torch.eye(4)
+    X_AB[:3, :3] = torch.from_numpy(exp_so3(np.array([0.3, -0.2, 0.5])))
+    X_AB[:3, 3] = torch.tensor([0.1, 0.0, 0.6])
+    p_b = torch.rand(m, 3, generator=generator)
     return {
         "pair": torch.zeros(m, dtype=torch.int64),
         "strays": torch.zeros(strays, dtype=torch.int64),
         "uv_a": place,
         "uv_b": place,
         "turn": torch.full((m,), 0.5),
+        "p_a": p_b @ X_AB[:3, :3].T + X_AB[:3, 3],
+        "p_b": p_b,
+        "p_stray": torch.rand(strays, 3, generator=generator),
+        "X_AB": X_AB[None],
+        "late": torch.tensor(1.0),
     }
 
 
@@ -119,26 +127,53 @@ def described(descriptor: torch.Tensor, turn_rad: float) -> Described:
 
 def test_the_loss_prefers_what_is_right() -> None:
     generator = torch.Generator().manual_seed(2)
-    eye, batch, temperature = torch.eye(16)[:8], made_up(8, 1), torch.tensor(0.07)
+    eye, batch, heads = torch.eye(16)[:8], made_up(8, 1), Heads()
     mixed = functional.normalize(torch.randn(8, 16, generator=generator).abs(), dim=1)
-    right, terms = descriptor_loss(described(eye, 0.5), batch, temperature, EXACT)
-    alike, _ = descriptor_loss(described(mixed, 0.5), batch, temperature, EXACT)
-    askew, _ = descriptor_loss(described(eye, 2.0), batch, temperature, EXACT)
+    right, terms = descriptor_loss(described(eye, 0.5), batch, heads, EXACT)
+    alike_, _ = descriptor_loss(described(mixed, 0.5), batch, heads, EXACT)
+    askew, _ = descriptor_loss(described(eye, 2.0), batch, heads, EXACT)
     assert float(terms["rank_1"]) == 1.0
     assert float(terms["direction"]) == pytest.approx(0.0, abs=1e-6)
-    assert float(right) < float(askew) < float(alike) + 1.0
-    assert float(right) < float(alike)
+    assert right.item() < askew.item()
+    assert right.item() < alike_.item()
+
+
+def test_the_motion_of_right_matches_is_the_true_one() -> None:
+    batch, heads = made_up(12, 1), Heads()
+    eye = torch.eye(16)[:12]
+    _, right = matching_loss(described(eye, 0.5), batch, heads.matcher)
+    assert float(right) < 1e-4
+    batch["X_AB"] = torch.eye(4)[None]
+    _, wrong = matching_loss(described(eye, 0.5), batch, heads.matcher)
+    assert float(wrong) > 0.3
+
+
+def test_the_motion_teaches_the_descriptors() -> None:
+    """A step down the motion's gradient lowers the weight of a wrong match, and with it the loss."""
+    batch, matcher = made_up(12, 1), DualSoftmax(temperature=0.2)
+    batch["p_a"][0] += 0.5
+    noise = 0.2 * torch.randn(12, 16, generator=torch.Generator().manual_seed(3))
+    start = (torch.eye(16)[:12] + noise).requires_grad_()
+
+    def motion(raw: torch.Tensor) -> torch.Tensor:
+        return matching_loss(described(functional.normalize(raw, dim=1), 0.5), batch, matcher)[1]
+
+    before = motion(start)
+    before.backward()
+    assert start.grad is not None
+    after = motion(start.detach() - 0.05 * start.grad / start.grad.norm())
+    assert float(after) < float(before)
 
 
 def test_neighbours_are_no_negatives() -> None:
     """Two points at one place may have one descriptor."""
-    batch, temperature = made_up(8, 1), torch.tensor(0.07)
+    batch, heads = made_up(8, 1), Heads()
     batch["uv_a"] = batch["uv_a"].clone()
     twins = torch.eye(16)[:8].clone()
     twins[1] = twins[0]
-    apart, _ = descriptor_loss(described(twins, 0.5), batch, temperature, EXACT)
+    apart, _ = descriptor_loss(described(twins, 0.5), batch, heads, EXACT)
     batch["uv_a"][1] = batch["uv_a"][0] + 1.0
-    near, _ = descriptor_loss(described(twins, 0.5), batch, temperature, EXACT)
+    near, _ = descriptor_loss(described(twins, 0.5), batch, heads, EXACT)
     assert float(near) < float(apart) - 0.1
 
 
@@ -150,12 +185,15 @@ def test_directions_are_compared_with_the_true_turn() -> None:
     )
 
 
-def test_scores_of_a_perfect_and_of_a_blind_descriptor(points: ScenePoints) -> None:
+def see_nothing(patches: Patches) -> tuple[Descriptors, Array, Array]:
+    n = len(patches)
+    return np.ones((n, 1), dtype=np.float32), np.zeros(n), np.tile([1.0, 0.0], (n, 1))
+
+
+def test_a_blind_descriptor_scores_by_chance(points: ScenePoints) -> None:
     trials = make_trials({0: points}, 1)
     assert trials
-    blind = score(
-        trials, lambda p: (np.ones((len(p), 1)), np.zeros(len(p)), np.tile([1.0, 0.0], (len(p), 1)))
-    )
+    blind = score(trials, see_nothing)
     assert blind["rank_1_at_30"] < 0.05 < blind["rootsift_at_30"] <= blind["rootsift_common_at_30"]
     assert blind["straight_at_30"] < 0.3
     assert 0.3 < blind["reliability_auc"] < 0.7
@@ -172,7 +210,7 @@ def test_the_command_trains_and_resumes_to_the_same_weights(training_file: Path,
     whole = tmp_path / "out" / "descriptor.safetensors"
     descriptor_network(whole)
     with safe_open(whole, "pt") as header:
-        assert header.metadata()["steps"] == "6 of 6"
+        assert json.loads(header.metadata()["training"])["steps"] == "6 of 6"
     scores = json.loads((tmp_path / "out" / "scores.json").read_text())
     assert scores["finished"] is True
     assert "rank_1_at_30" in scores["scores"]
