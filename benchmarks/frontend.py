@@ -13,7 +13,8 @@ surface within a pixel. Correct: the two features show the same place of the bod
 equal precision: matches in order of confidence, over all pairs, as many as keep the precision that RootSIFT
 has at its own threshold. Motion: the same RANSAC for all (frontend/ransac.py); a pair without motion counts
 as wrong; shares are over pairs with 30 stereo features in both frames. Times: of one core, in its own
-seconds. Normalised residuals: mean squares of what correct matches are off by, over their variance.
+seconds. Lit pairs: at least 3,000 px of the body are seen and lit in both frames, whatever the method finds.
+Normalised residuals: mean squares of what correct matches are off by, over their variance.
 """
 
 import argparse
@@ -26,7 +27,7 @@ import numpy as np
 import torch
 
 from benchmarks.frontend_scenes import CONFIGS, UnseenScene, open_scene, render, scene_names
-from benchmarks.frontend_tables import print_by_scene, print_table
+from benchmarks.frontend_tables import lit_pairs, print_by_scene, print_table
 from benchmarks.record import Case, complete, forget
 from benchmarks.scenes import ROOT
 from frontend.methods import Matches, extract_pair, feature_method, match_method
@@ -71,11 +72,12 @@ def main() -> None:
     names = scene_names(options.short)
     for name in names:
         render(name)
-    forget(options.record, lambda case: case["method"] in options.again)
+    forget(options.record, lambda case: case.get("method") in options.again)
     cases = [case_of(method, name) for name in names for method in methods]
     lines = complete(options.record, cases, measure, options.workers)
+    light = complete(options.record, [light_case(name) for name in names], measure_light, options.workers)
     for gap in GAPS:
-        print_table(lines, methods, REFERENCE, gap)
+        print_table(lines, methods, REFERENCE, gap, lit_pairs(light))
     if options.by_scene:
         for gap in GAPS:
             print_by_scene(lines, methods, names, gap)
@@ -113,6 +115,18 @@ def case_of(method: str, scene: str) -> Case:
     """Names a measurement, with a digest of the scene; new code or defaults need ``--again``."""
     text = (CONFIGS / f"{scene}.yaml").read_bytes()
     return {"method": method, "scene": scene, "digest": hashlib.sha256(text).hexdigest()[:12]}
+
+
+def light_case(scene: str) -> Case:
+    """Names what holds for all methods: how much of the body both frames of a pair show in the light."""
+    return {"light": scene, "digest": case_of(REFERENCE, scene)["digest"]}
+
+
+def measure_light(case: Case) -> Case:
+    """Area lit in both frames [px], for each pair."""
+    scene = open_scene(case["light"])
+    pairs = [(i, i + gap) for gap in GAPS for i in range(len(scene) - gap)]
+    return {"pairs": [[i, j, scene.lit_in_both(i, j)] for i, j in pairs]}
 
 
 def measure(case: Case) -> Case:

@@ -16,7 +16,7 @@ from frontend.rectify import Rectifier, make_rectifier
 from polhode.camera import RectifiedRig
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
-from polhode.lie import Array, inverse_pose
+from polhode.lie import Array, inverse_pose, transform_points
 from simulation.correspondence import view_of
 from simulation.plan import plan_sequence
 from simulation.raycast import RayCaster
@@ -26,6 +26,13 @@ DATA = ROOT / "data" / "frontend_test"
 SHORT = ("bus", "dish", "truss")
 NEIGHBOURS_PX = np.array([[u, v] for v in (-1.0, 0.0, 1.0) for u in (-1.0, 0.0, 1.0)])
 """A key point on an edge shows any of the surfaces within a pixel of it."""
+
+BRIGHT_DN = 12
+"""Grey value above which a pixel is lit [DN]."""
+EVERY = 7
+"""So many pixels are one sample of the area that is lit in both frames."""
+SAME_SURFACE_M = 2e-3
+"""A ray of the other camera that ends so near the place sees it [m]."""
 
 
 def scene_names(short: bool = False) -> list[str]:
@@ -87,6 +94,20 @@ class UnseenScene:
         rows = np.arange(n)
         return p_G.reshape(n, tries, 3)[rows, best], np.maximum(error[rows, best], 0.0)
 
+    def lit_in_both(self, i: int, j: int) -> int:
+        """Pixels of frame i that are bright there and, where the body shows the same place, in frame j."""
+        bright_i, bright_j = (self.pair(k).left > BRIGHT_DN for k in (i, j))
+        v, u = np.nonzero(bright_i)
+        p_G, _ = self._seen(i, np.column_stack([u, v])[::EVERY].astype(np.float64))
+        p_G = p_G[np.isfinite(p_G[:, 0])]
+        uv = self.rig.project(transform_points(inverse_pose(self.X_GR[j]), p_G))[:, :2]
+        pixel = np.round(uv).astype(int)
+        inside = ((pixel >= 0) & (pixel < [self.rig.width_px, self.rig.height_px])).all(axis=1)
+        again_G, _ = self._seen(j, uv[inside])
+        visible = np.linalg.norm(again_G - p_G[inside], axis=1) < SAME_SURFACE_M
+        lit = bright_j[pixel[inside, 1], pixel[inside, 0]]
+        return EVERY * int(np.sum(visible & lit))
+
     def _seen(self, k: int, uv_px: Array) -> tuple[Array, Array]:
         """First surface behind pixels (n, 2) of the rectified left image: points (n, 3) in G, depth (n,)."""
         rig, X_GR = self.rig, self.X_GR[k]
@@ -102,10 +123,15 @@ class UnseenScene:
 
 def open_scene(name: str) -> UnseenScene:
     """A scene that is rendered already."""
-    config = load_config(CONFIGS / f"{name}.yaml")
+    return scene_of(CONFIGS / f"{name}.yaml", DATA / name)
+
+
+def scene_of(path: Path, folder: Path) -> UnseenScene:
+    """A sequence with the configuration that it was rendered from."""
+    config = load_config(path)
     if config.scene is None:
-        raise SystemExit(f"{name}: the configuration has no scene")
-    sequence = open_sequence(DATA / name)
+        raise SystemExit(f"{path}: the configuration has no scene")
+    sequence = open_sequence(folder)
     rectifier = make_rectifier(sequence.calibration)
     plan = plan_sequence(config.scene, config.seed)
     # A view's camera is the left one as calibrated, C; a rectifier turns it.

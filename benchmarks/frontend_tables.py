@@ -1,6 +1,6 @@
 """What the measurements of benchmarks/frontend.py say, as tables."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 
 import numpy as np
 
@@ -9,6 +9,10 @@ from polhode.lie import Array
 
 ENOUGH_FEATURES = 30
 """Pairs of frames with so many stereo features each are expected to give a motion."""
+ENOUGH_LIGHT_PX = 3000
+"""So much of the body must be lit and seen in both frames [px]: with less, no method found a motion."""
+Lit = Mapping[str, Set[tuple[int, int]]]
+"""Per scene, the pairs of frames with enough light in common."""
 COLUMNS = (
     "method",
     "stereo features",
@@ -20,7 +24,7 @@ COLUMNS = (
     "rotation error [deg]",
     "within 2 deg [%]",
     "within 5 deg [%]",
-    "pairs",
+    "lit pairs within 2 deg [%]",
     "ms / stereo pair",
     "ms / match",
     "normalised residuals u, v, d",
@@ -56,10 +60,28 @@ def correct_at(pairs: Sequence[Case], precision: float) -> float:
     return float(correct[good].max(initial=0.0)) / len(pairs)
 
 
-def success(pairs: Sequence[Case], limit_deg: float) -> tuple[float, int]:
-    """Share of the pairs with enough features whose rotation is right, and how many those are."""
-    errors = [pair["error_deg"] for pair in pairs if pair["features"] >= ENOUGH_FEATURES]
-    return sum(e is not None and e < limit_deg for e in errors) / max(1, len(errors)), len(errors)
+def success(pairs: Sequence[Case], limit_deg: float, least_features: int = ENOUGH_FEATURES) -> float:
+    """Share of the pairs with enough features whose rotation is right."""
+    errors = [pair["error_deg"] for pair in pairs if pair["features"] >= least_features]
+    return sum(e is not None and e < limit_deg for e in errors) / max(1, len(errors))
+
+
+def lit_pairs(light: Iterable[Case]) -> Lit:
+    """Pairs with enough light in common, from what was measured of the scenes."""
+    return {
+        line["case"]["light"]: {(i, j) for i, j, area_px in line["pairs"] if area_px >= ENOUGH_LIGHT_PX}
+        for line in light
+    }
+
+
+def lit_of(lines: Iterable[Case], gap: int, lit: Lit) -> list[Case]:
+    """Those of ``pairs_of`` with enough light in common; a scene's pairs are in the order of their frames."""
+    return [
+        pair
+        for line in lines
+        for i, pair in enumerate(pairs_of([line], gap))
+        if (i, i + gap) in lit[line["case"]["scene"]]
+    ]
 
 
 def times_ms(lines: Sequence[Case], gap: int) -> tuple[float, float]:
@@ -75,21 +97,23 @@ def residual_variances(pairs: Sequence[Case]) -> Array:
     return np.asarray(sums[:3] / max(1.0, sums[3]))
 
 
-def print_table(lines: Sequence[Case], methods: Sequence[str], reference: str, gap: int) -> None:
+def print_table(lines: Sequence[Case], methods: Sequence[str], reference: str, gap: int, lit: Lit) -> None:
     """One row a method."""
     target = precision_of(pairs_of(lines_of(lines, reference), gap))
-    print(f"\n{30 * gap} degrees between frames; equal precision: {target:.3f}\n")
+    first = lines_of(lines, reference)
+    count, lit_count = len(pairs_of(first, gap)), len(lit_of(first, gap, lit))
+    counts = f"{count} pairs, {lit_count} of them lit"
+    print(f"\n{30 * gap} degrees between frames: {counts}; equal precision: {target:.3f}\n")
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     for method in methods:
-        print(_row(method, lines_of(lines, method), target, gap))
+        print(_row(method, lines_of(lines, method), target, gap, lit))
 
 
-def _row(method: str, lines: Sequence[Case], target: float, gap: int) -> str:
+def _row(method: str, lines: Sequence[Case], target: float, gap: int, lit: Lit) -> str:
     pairs = pairs_of(lines, gap)
     features = np.concatenate([line["features"] for line in lines])
     wrong = np.concatenate([line["wrong_stereo"] for line in lines])
     errors = [pair["error_deg"] for pair in pairs if pair["error_deg"] is not None]
-    within = [success(pairs, limit) for limit in (2.0, 5.0)]
     stereo_ms, match_ms = times_ms(lines, gap)
     cells = [
         method,
@@ -100,8 +124,8 @@ def _row(method: str, lines: Sequence[Case], target: float, gap: int) -> str:
         f"{precision_of(pairs):.2f}",
         f"{correct_at(pairs, target):.1f}",
         f"{np.median(errors):.2f}" if errors else "-",
-        *(f"{100 * share:.0f}" for share, _ in within),
-        f"{within[0][1]}",
+        *(f"{100 * success(pairs, limit):.0f}" for limit in (2.0, 5.0)),
+        f"{100 * success(lit_of(lines, gap, lit), 2.0, least_features=0):.0f}",
         f"{stereo_ms:.0f}",
         f"{match_ms:.0f}",
         ", ".join(f"{value:.2f}" for value in residual_variances(pairs)),
@@ -118,5 +142,5 @@ def print_by_scene(lines: Sequence[Case], methods: Sequence[str], scenes: Sequen
         for scene in scenes:
             pairs = pairs_of([ln for ln in lines_of(lines, method) if ln["case"]["scene"] == scene], gap)
             correct = np.mean([pair["correct"] for pair in pairs])
-            cells.append(f"{correct:.0f}, {100 * success(pairs, 2.0)[0]:.0f}")
+            cells.append(f"{correct:.0f}, {100 * success(pairs, 2.0):.0f}")
         print(f"| {method} | {' | '.join(cells)} |")

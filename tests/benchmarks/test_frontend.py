@@ -6,16 +6,24 @@ import numpy as np
 import pytest
 
 from benchmarks.frontend import METHODS, correct, loosened, normalised_squares, settings
-from benchmarks.frontend_scenes import CONFIGS, UnseenScene, scene_names
-from benchmarks.frontend_tables import correct_at, precision_of, residual_variances, success
+from benchmarks.frontend_scenes import BRIGHT_DN, CONFIGS, UnseenScene, scene_names, scene_of
+from benchmarks.frontend_tables import (
+    correct_at,
+    lit_of,
+    lit_pairs,
+    precision_of,
+    residual_variances,
+    success,
+)
 from benchmarks.record import Case, complete, forget, measured
-from frontend.methods import Matches
+from frontend.methods import Matches, extract_pair
 from frontend.rectify import make_rectifier
 from frontend.stereo import StereoFeatures
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.truth import read_truth
 from simulation.correspondence import dense_correspondence, pixel_grid, view_of
 from simulation.plan import plan_sequence
 from simulation.raycast import RayCaster
@@ -81,6 +89,22 @@ def test_features_are_judged_by_the_surface_behind_them(sequence: StereoSequence
     assert np.isnan(sky_G).all() and np.isinf(error_px).all()
 
 
+def test_a_rendered_scene_knows_its_features_its_light_and_its_motion() -> None:
+    scene = scene_of(SAMPLE / "scene.yaml", SAMPLE)
+    frame = extract_pair(scene.pair(0), scene.rig, settings("rootsift-2x"))
+    _, error_px = scene.body_points(0, frame.uvd_px)
+    assert np.median(error_px) < 0.15
+    assert np.mean(error_px > 1.0) < 0.05
+    bright = int(np.sum(scene.pair(0).left > BRIGHT_DN))
+    assert 0.9 * bright < scene.lit_in_both(0, 0) <= bright + 7
+    assert 0 < scene.lit_in_both(0, 1) < 0.95 * bright
+    truth = read_truth(SAMPLE)
+    stamps = [int(np.flatnonzero(truth.timestamps_ns == scene.sequence.timestamps_ns[k])[0]) for k in (0, 1)]
+    R_NP, R_CR = truth.R_NP[stamps], scene.rectifier.X_CR[:3, :3]
+    turn = R_CR.T @ R_NP[0] @ R_NP[1].T @ R_CR
+    np.testing.assert_allclose(scene.motion(0, 1)[:3, :3], turn, atol=1e-6)
+
+
 def test_a_match_is_correct_when_both_features_show_one_place() -> None:
     p_Ga = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [np.nan] * 3])
     p_Gb = np.array([[0.1, 0.004, 0.0], [0.0, 0.006, 0.0], [np.nan] * 3])
@@ -135,8 +159,19 @@ def test_matches_are_counted_down_to_the_confidence_that_keeps_the_precision() -
 
 def test_pairs_with_few_features_are_not_expected_to_move() -> None:
     pairs = [pair([], [], 1.0), pair([], [], 3.0), pair([], [], None), pair([], [], None, features=29)]
-    np.testing.assert_allclose(success(pairs, 2.0), (1 / 3, 3))
-    np.testing.assert_allclose(success(pairs, 5.0), (2 / 3, 3))
+    assert success(pairs, 2.0) == pytest.approx(1 / 3)
+    assert success(pairs, 5.0) == pytest.approx(2 / 3)
+    assert success(pairs, 2.0, least_features=0) == pytest.approx(1 / 4)
+
+
+def test_pairs_with_light_in_common_are_found_by_their_frames() -> None:
+    lit = lit_pairs([{"case": {"light": "bus"}, "pairs": [[0, 1, 9000], [1, 2, 50], [0, 2, 4000]]}])
+    assert lit == {"bus": {(0, 1), (0, 2)}}
+    line: Case = {
+        "case": {"scene": "bus"},
+        "pairs": [{"gap": 1, "n": 0}, {"gap": 1, "n": 1}, {"gap": 2, "n": 2}],
+    }
+    assert [pair["n"] for gap in (1, 2) for pair in lit_of([line], gap, lit)] == [0, 2]
 
 
 def double(case: Case) -> Case:
