@@ -61,18 +61,21 @@ class DescriptorTask:
     def validate(self) -> Mapping[str, float]:
         """Rank-1 shares on the held-out bodies, and what the matcher has learned."""
         matcher = self._heads.matcher
-        return score(self._trials, self._describe) | {
+        return score(self._trials, lambda patches: described_by(self._network, patches)) | {
             "matcher_temperature": float(matcher.log_temperature.exp()),
             "matcher_dustbin": float(matcher.dustbin),
         }
 
-    def _describe(self, patches: Patches) -> tuple[Descriptors, Array, Array]:
-        device = next(self._model.parameters()).device
-        parts = [self._network(some.to(device)) for some in torch.from_numpy(patches).split(AT_ONCE)]
-        descriptor, reliability, direction = (
-            torch.cat(each).float().cpu().numpy() for each in zip(*parts, strict=True)
-        )
-        return descriptor, reliability, direction
+
+def described_by(network: DescriptorNet, patches: Patches) -> tuple[Descriptors, Array, Array]:
+    """Descriptors (n, d), logits of reliability (n,), directions (n, 2) of patches (n, 1, s, s)."""
+    device = next(network.parameters()).device
+    with torch.no_grad():
+        parts = [network(some.to(device)) for some in torch.from_numpy(patches).split(AT_ONCE)]
+    descriptor, reliability, direction = (
+        torch.cat(each).float().cpu().numpy() for each in zip(*parts, strict=True)
+    )
+    return descriptor, reliability, direction
 
 
 def make_task(train: Train, seed: int, progress: Progress, workers: int) -> DescriptorTask:

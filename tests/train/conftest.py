@@ -40,7 +40,7 @@ train:
   task: descriptor
   output: {tmp_path / "out"}
   corpus: {tiny_corpus.model_dump_json()}
-  schedule: {{steps: 6, warmup_steps: 2, checkpoint_every: 2, validate_every: 100, log_every: 1}}
+  schedule: {{steps: 3, warmup_steps: 1, checkpoint_every: 2, validate_every: 100, log_every: 1}}
   descriptor: {{batch: 48, frame_pairs: 2}}
 """
     )

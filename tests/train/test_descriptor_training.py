@@ -210,14 +210,14 @@ def test_the_command_trains_and_resumes_to_the_same_weights(training_file: Path,
     whole = tmp_path / "out" / "descriptor.safetensors"
     descriptor_network(whole)
     with safe_open(whole, "pt") as header:
-        assert json.loads(header.metadata()["training"])["steps"] == "6 of 6"
+        assert json.loads(header.metadata()["training"])["steps"] == "3 of 3"
     scores = json.loads((tmp_path / "out" / "scores.json").read_text())
     assert scores["finished"] is True
     assert "rank_1_at_30" in scores["scores"]
     parts = ["train", str(training_file), f"--train.output={tmp_path / 'parts'}"]
-    for _ in range(6):
-        assert main([*parts, "--train.schedule.time-limit-s=1e-6"]) == 0
+    assert main([*parts, "--train.schedule.time-limit-s=1e-6"]) == 0
     assert (tmp_path / "parts" / CHECKPOINT).is_file()
+    assert main(parts) == 0
     assert (tmp_path / "parts" / "descriptor.safetensors").read_bytes() == whole.read_bytes()
 
 
