@@ -68,6 +68,11 @@ def surface_frames(p_R: Array, normal_R: Array, affine_px: Array, rig: Rectified
     return np.stack([x, np.cross(normal_R, x), normal_R], axis=-1)
 
 
+def axes_affines(p_R: Array, R_RS: Array, rig: RectifiedRig, half_m: float) -> Array:
+    """Maps (n, 2, 2) [px] of patches along the surface's axes (n, 3, 3) at points (n, 3)."""
+    return np.asarray(_projection(p_R, rig) @ R_RS[:, :, :2] * half_m)
+
+
 def _projection(p_R: Array, rig: RectifiedRig) -> Array:
     """d uv / d p_R (n, 2, 3) [px/m] at points (n, 3)."""
     x, y, z = p_R.T

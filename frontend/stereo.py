@@ -56,6 +56,8 @@ class StereoFeatures:
     """(n, 3, 3) axes of the surface at the feature: z its normal, x a direction that its texture gives"""
     metres_per_px: Array | None = None
     """(n, 2) how far the point moves for one pixel across the image, and for one of disparity [m/px]"""
+    sigma_ls_px: Array | None = None
+    """(n,) what the least squares alone say of the disparity's standard deviation"""
     reliability: Array | None = None
     """(n,) probability that the feature is found again, where the method knows it"""
 

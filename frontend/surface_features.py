@@ -106,10 +106,11 @@ def _measure(
     return (
         StereoFeatures(
             uvd,
-            feature_sigma(scale, sigma_d[good], correlation[good]),
+            feature_sigma(sigma_d[good]),
             rig.triangulate(uvd),
             scale,
             np.zeros((len(uvd), 128), dtype=np.float32),
+            sigma_ls_px=sigma_d[good],
         ),
         plane[good],
     )

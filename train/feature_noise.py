@@ -1,0 +1,200 @@
+"""The constants of ``frontend.feature_noise``, from simulated scenes, and whether they hold elsewhere.
+
+    python -m train.feature_noise configs/train/features.yaml [--scenes 24] [--check SEQUENCE ...]
+
+SEQUENCE: folders that ``polhode simulate`` made. Neighbouring frames are matched as a run matches them. What
+passes the geometric check is compared with the true motion.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize
+
+from frontend.feature_noise import confidence_logit, match_sigma
+from frontend.matcher import SoftmaxMatcher
+from frontend.patch_size import with_patch_size
+from frontend.ransac import ransac_rigid
+from frontend.rectified_pair import rectified_pair
+from frontend.rectify import Rectifier, make_rectifier
+from frontend.stereo import StereoFeatures
+from frontend.surface_features import SurfaceFeatureMethod
+from polhode.config.frontend import Features, Frontend
+from polhode.config.loader import load_config
+from polhode.dataset import open_sequence
+from polhode.errors import InputError
+from polhode.lie import Array, inverse_pose, transform_points
+from polhode.records import Ints
+from simulation.plan import plan_sequence
+from simulation.sequence import SCENE_FILE
+from train.corpus import scene_folder, split
+
+CONFIG = Frontend(features=Features(method="polhode"))
+WRONG_DEG = 2.0
+"""Pairs of frames whose motion is further off are left out: their matches are wrong, not inaccurate [deg]."""
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Matches of one scene that passed the geometric check."""
+
+    residual_px: Array
+    """(m, 3) u, v, disparity: b's point, moved by the truth, less a's measurement"""
+    sigma_px: Array
+    """(m, 3) as ``match_sigma`` has it now"""
+    sharp_px: Array
+    """(m, 2) sigma of the least squares of both features"""
+    logit: Array
+    """(m,) of the confidence"""
+
+
+def scene_residuals(folder: Path) -> Residuals | None:
+    """Residuals of a simulated sequence; None when no two frames are matched."""
+    sequence = open_sequence(folder)
+    rectifier = make_rectifier(sequence.calibration)
+    X_RG = true_poses(folder, rectifier)
+    config = with_patch_size(CONFIG, sequence, rectifier)
+    method, match = SurfaceFeatureMethod(config), SoftmaxMatcher(config)
+    pairs = [rectified_pair(sequence, rectifier, k) for k in range(len(sequence))]
+    frames = [method(pair, rectifier.rig) for pair in pairs]
+    parts = []
+    for k in range(len(frames) - 1):
+        a, b = frames[k], frames[k + 1]
+        found = match(a, b)
+        if len(found.features) < config.pairs.min_inliers:
+            continue
+        agreed = _checked(a, b, found.features, rectifier, config, X_RG[k] @ inverse_pose(X_RG[k + 1]), k)
+        if agreed is None:
+            continue
+        part, passed = agreed
+        chosen, confidence = found.features[passed], found.confidence[passed]
+        sharp = np.column_stack([_sharp(a)[chosen[:, 0]], _sharp(b)[chosen[:, 1]]])
+        parts.append((part, match_sigma(a, b, chosen, confidence), sharp, confidence_logit(confidence)))
+    return Residuals(*(np.concatenate(each) for each in zip(*parts, strict=True))) if parts else None
+
+
+def true_poses(folder: Path, rectifier: Rectifier) -> list[Array]:
+    """X_RG (4, 4) of each frame."""
+    path = folder / SCENE_FILE
+    if not path.is_file():
+        raise InputError(f"{path} is missing: give a folder that polhode simulate made")
+    config = load_config(path)
+    assert config.scene is not None  # the file that ``simulate`` wrote
+    plan = plan_sequence(config.scene, config.seed)
+    X_NR = [X_NC @ rectifier.X_CR for X_NC in plan.X_NC]
+    # The truth of the motion goes on after the last image.
+    return [inverse_pose(X) @ plan.target.X_NG[k] for k, X in enumerate(X_NR)]
+
+
+def _checked(
+    a: StereoFeatures,
+    b: StereoFeatures,
+    pairs: Ints,
+    rectifier: Rectifier,
+    config: Frontend,
+    X_AB: Array,
+    seed: int,
+) -> tuple[Array, Ints] | None:
+    """True residuals (m, 3) of the matches that the geometric check passes, and their positions (m,)."""
+    i, j = pairs.T
+    rig, how = rectifier.rig, config.pairs
+    rng = np.random.default_rng(seed)
+    fit = ransac_rigid(a.uvd_px[i], a.p_R[i], b.p_R[j], rig, how.hypotheses, how.gate_px, rng)
+    turn = (np.trace(fit.X_RiRj[:3, :3].T @ X_AB[:3, :3]) - 1.0) / 2.0
+    if fit.inlier.sum() < how.min_inliers or turn < np.cos(np.deg2rad(WRONG_DEG)):
+        return None
+    residual = rig.project(transform_points(X_AB, b.p_R[j])) - a.uvd_px[i]
+    return residual[fit.inlier], np.flatnonzero(fit.inlier)
+
+
+def _sharp(features: StereoFeatures) -> Array:
+    assert features.sigma_ls_px is not None
+    return features.sigma_ls_px
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Constants of one of the components."""
+
+    scale_px: float
+    power: float
+    confidence: tuple[float, float]
+
+
+def fit_noise(scenes: Sequence[Residuals], columns: Sequence[int]) -> Fitted:
+    """Maximum likelihood of zero-mean Gaussian residuals, each scene with the same weight."""
+    square = np.concatenate([np.mean(s.residual_px[:, columns] ** 2, axis=1) for s in scenes])
+    share = np.concatenate([np.full(len(s.logit), 1.0 / len(s.logit)) for s in scenes])
+    sharp = np.log(np.maximum(np.concatenate([s.sharp_px for s in scenes]), 0.01))
+    logit = np.concatenate([s.logit for s in scenes])
+
+    def features_alone(b: Array) -> Array:
+        return np.asarray(b[0] + np.logaddexp(2.0 * b[1] * sharp[:, 0], 2.0 * b[1] * sharp[:, 1]))
+
+    def cost(log_variance: Array) -> float:
+        return float(np.sum(share * (log_variance + square * np.exp(-log_variance))))
+
+    alone = minimize(lambda b: cost(features_alone(b)), np.array([-1.0, 0.3]), method="Nelder-Mead").x
+    base = features_alone(alone)
+    more = minimize(lambda c: cost(base + c[0] + c[1] * logit), np.zeros(2), method="Nelder-Mead").x
+    return Fitted(float(np.exp(0.5 * alone[0])), float(alone[1]), (float(more[0]), float(more[1])))
+
+
+def normalised_variance(scene: Residuals) -> tuple[float, float]:
+    """Mean square of the residuals over the sigmas in use: of u and v, of disparity; 1 when they are true."""
+    square = (scene.residual_px / scene.sigma_px) ** 2
+    return float(np.mean(square[:, :2])), float(np.mean(square[:, 2]))
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Print the constants, and how the present ones fit the scenes that are named."""
+    parser = argparse.ArgumentParser(prog="python -m train.feature_noise", description=__doc__)
+    parser.add_argument("config", type=Path, metavar="CONFIG", help="configuration with the corpus, YAML")
+    parser.add_argument("--scenes", type=int, default=24, help="training scenes that are used")
+    parser.add_argument("--check", type=Path, nargs="*", default=[], metavar="SEQUENCE")
+    options = parser.parse_args(words)
+    try:
+        _execute(options.config, options.scenes, options.check)
+    except InputError as error:
+        parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
+
+
+def _execute(config: Path, count: int, checked: Sequence[Path]) -> None:
+    section = load_config(config).train
+    if section is None:
+        raise InputError(f"{config} has no corpus: give a configuration for polhode train")
+    if count:
+        training = split(section.corpus).training
+        folders = [scene_folder(section.corpus, i) for i in training[:count]]
+        found = [scene_residuals(folder) for folder in folders if folder.is_dir()]
+        scenes = [scene for scene in found if scene is not None]
+        print(f"{len(scenes)} training scenes, {sum(len(s.logit) for s in scenes)} matches")
+        for name, columns in (("u, v", (0, 1)), ("disparity", (2,))):
+            fitted = fit_noise(scenes, columns)
+            scale, power, (first, slope) = fitted.scale_px, fitted.power, fitted.confidence
+            print(f"{name}: scale {scale:.3f} px, power {power:.3f}, confidence {first:.3f} {slope:.3f}")
+        _print_check("training", scenes)
+    named = [(folder.name, scene_residuals(folder)) for folder in checked]
+    tested = [(name, scene) for name, scene in named if scene is not None]
+    for name, scene in tested:
+        _print_check(name, [scene])
+    if tested:
+        _print_check("all of these", [scene for _, scene in tested])
+
+
+def _print_check(name: str, scenes: Sequence[Residuals]) -> None:
+    count = [len(scene.logit) for scene in scenes]
+    variance = np.array([normalised_variance(scene) for scene in scenes])
+    pooled = np.average(variance, axis=0, weights=count)
+    by_scene = variance.mean(axis=0)
+    print(
+        f"{name}: {sum(count)} matches; normalised variance of u, v {pooled[0]:.2f}, of disparity "
+        f"{pooled[1]:.2f}; each scene alike {by_scene[0]:.2f}, {by_scene[1]:.2f}"
+    )
+
+
+if __name__ == "__main__":
+    main()
