@@ -19,6 +19,7 @@ from frontend.features import KeyPoints, detect
 from frontend.target import target_crop
 from polhode.config.frontend import Features
 from polhode.config.loader import load_config
+from polhode.config.scene import Product
 from polhode.config.train import Corpus
 from polhode.dataset_writer import image_path
 from polhode.images import Grey
@@ -27,8 +28,9 @@ from polhode.progress import Progress
 from polhode.records import Bools, Ints
 from simulation.correspondence import View, correspond, view_of
 from simulation.plan import Plan, plan_sequence
-from simulation.products import CAST, Products, products_path, read_products
+from simulation.products import CAST, Products, products_path, read_products, render_products
 from simulation.raycast import RayCaster
+from simulation.render import Renderer
 from simulation.sequence import SCENE_FILE
 from simulation.workers import in_processes
 from train.corpus import scene_folder
@@ -130,14 +132,15 @@ def _make(work: tuple[Corpus, int]) -> None:
 
 
 def find_points(folder: Path) -> ScenePoints:
-    """The points of a simulated scene with its products, whose rig is rectified."""
+    """The points of a simulated sequence whose rig is rectified."""
     config = load_config(folder / SCENE_FILE)
     assert config.scene is not None  # the file that ``simulate`` wrote
     plan = plan_sequence(config.scene, config.seed)
     caster = RayCaster(plan.body)
     views = [view_of(plan, k, 0) for k in range(config.scene.frames)]
     grey = np.stack([_read_grey(folder, plan, k) for k in range(len(views))])
-    found = [_detected(folder, plan, k, grey[k]) for k in range(len(views))]
+    truths = _truths(folder, plan)
+    found = [_detected(plan, grey[k], truths[k], k) for k in range(len(views))]
     trees = [cKDTree(each["uv_px"]) if len(each["uv_px"]) else None for each in found]
     start = np.cumsum([0, *(len(each["uv_px"]) for each in found)])
     seen = [
@@ -164,9 +167,19 @@ def _read_grey(folder: Path, plan: Plan, k: int) -> Grey:
     return np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
 
 
-def _detected(folder: Path, plan: Plan, k: int, grey: Grey) -> dict[str, NDArray[Any]]:
+def _truths(folder: Path, plan: Plan) -> list[Products]:
+    """The truth of the left images' pixels: read where it was written, else made."""
+    paths = [products_path(folder / "mav0", 0, int(ns)) for ns in plan.target.timestamps_ns]
+    if all(path.is_file() for path in paths[: plan.scene.frames]):
+        return [read_products(path) for path in paths[: plan.scene.frames]]
+    renderer, camera = Renderer(plan.body, plan.scene, plan.seed), plan.cameras[0]
+    names: tuple[Product, ...] = ("depth", "normals", "mask", "shadow")
+    poses = zip(plan.X_NC, plan.target.X_NG[: plan.scene.frames], strict=True)
+    return [render_products(renderer, camera, X_NC, X_NG, names) for X_NC, X_NG in poses]
+
+
+def _detected(plan: Plan, grey: Grey, truth: Products, k: int) -> dict[str, NDArray[Any]]:
     """Key points of frame k on the target, one at a place, with what the truth tells of their surface."""
-    truth = read_products(products_path(folder / "mav0", 0, int(plan.target.timestamps_ns[k])))
     assert truth.mask is not None
     assert truth.depth is not None
     assert truth.normals is not None

@@ -2,9 +2,8 @@
 
     python -m train.score_weights SEQ... [--weights FILE]
 
-SEQ: folders of ``polhode simulate`` with ``--scene.render.products depth normals mask shadow`` and a
-rectified rig. A table: for each sequence, the share of the key points found again whose most similar key
-point is right.
+SEQ: folders of ``polhode simulate`` with a rectified rig. A table: for each sequence, the share of the key
+points found again whose most similar key point in the other frame is the right one.
 """
 
 import argparse
@@ -26,7 +25,7 @@ SEED = 1
 
 
 def score_sequence(folder: Path, network: DescriptorNet) -> Mapping[str, float]:
-    """Scores on one sequence. Raises InputError: it was not simulated, or without the truth of its pixels."""
+    """Scores on one sequence. Raises InputError: it was not simulated."""
     if not (folder / SCENE_FILE).is_file():
         raise InputError(f"{folder} holds no {SCENE_FILE}: give a sequence of polhode simulate")
     return score(make_trials({0: find_points(folder)}, SEED), lambda patches: described_by(network, patches))
