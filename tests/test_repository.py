@@ -51,7 +51,10 @@ def imported_names(path: Path) -> set[str]:
 
 
 def test_every_import_is_a_declared_dependency() -> None:
-    declared = {normalised(requirement) for requirement in project()["project"]["dependencies"]}
+    groups = project()["project"]
+    # What the extra `train` brings is imported inside functions, which say so when it is missing.
+    requirements = groups["dependencies"] + groups["optional-dependencies"]["train"]
+    declared = {normalised(requirement) for requirement in requirements}
     distributions = packages_distributions()
     undeclared = {
         f"{path.relative_to(ROOT)}: {name}"
