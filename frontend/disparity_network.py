@@ -1,4 +1,4 @@
-"""Disparity, uncertainty and visibility by the trained network, from a classical start."""
+"""Disparity, uncertainty and visibility by the trained network and a last polish, from a classical start."""
 
 from dataclasses import dataclass, fields
 
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from frontend.disparity_evidence import evidence, hypotheses
+from frontend.disparity_polish import polish
 from frontend.disparity_start import Start
 from frontend.networks.disparity import STRIDE, DisparityNet, read_mixture
 from polhode.records import Bools
@@ -26,11 +27,11 @@ class Refined:
     sigma: Floats
     """[px] half the width of the interval that holds the true disparity with a probability of 68 %"""
     visible: Floats
-    """probability that both cameras see the surface"""
+    """probability that both cameras see the surface; NaN beside the target"""
 
 
 def refine(network: DisparityNet, start: Start) -> Refined:
-    """One pass over the crop."""
+    """One pass over the crop, then least squares and planes."""
     h, w = start.filled.shape
     grown = padded(start, ((-h) % STRIDE, (-w) % STRIDE))
     with torch.no_grad():
@@ -39,13 +40,10 @@ def refine(network: DisparityNet, start: Start) -> Refined:
         outputs, guess = network(channels)[:, :, target], hypotheses(grown)[None, :, target]
         mixture = read_mixture(outputs, guess).strongest(_COMPONENTS)
         disparity = mixture.mode()
-        found = disparity, mixture.sigma(disparity), torch.sigmoid(mixture.visible)
-    return Refined(
-        *(
-            _placed(values[0], start.target, fill)
-            for values, fill in zip(found, (np.nan, np.nan, 0.0), strict=True)
-        )
-    )
+        sigma = mixture.sigma(disparity)
+        visible = torch.sigmoid(mixture.visible)
+    placed = [_placed(values[0], start.target) for values in (disparity, sigma, visible)]
+    return Refined(polish(start, placed[0], placed[1]), float(network.sigma_scale) * placed[1], placed[2])
 
 
 def padded(start: Start, more: tuple[int, int]) -> Start:
@@ -60,8 +58,8 @@ def padded(start: Start, more: tuple[int, int]) -> Start:
     return Start(**grown, margin_px=start.margin_px)  # type: ignore[arg-type]
 
 
-def _placed(values: Tensor, target: Bools, beside: float) -> Floats:
-    """Values (n,) of the target's pixels as an image; padding has no target."""
-    image = np.full(target.shape, beside, dtype=np.float32)
+def _placed(values: Tensor, target: Bools) -> Floats:
+    """Values (n,) of the target's pixels as an image, NaN beside it; padding has no target."""
+    image = np.full(target.shape, np.nan, dtype=np.float32)
     image[target] = values.numpy()
     return image

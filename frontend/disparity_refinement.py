@@ -14,7 +14,7 @@ _LARGEST_STEP_PX = 0.5
 
 
 def refine_dense(
-    left: Image, right: Image, disparity: Floats, margin_px: int, window_px: int
+    left: Image | Floats, right: Image | Floats, disparity: Floats, margin_px: int, window_px: int
 ) -> tuple[Floats, Floats]:
     """One step. left, right (h, w + 2 margin), target in columns margin..margin + w; disparity (h, w) [px].
 

@@ -105,6 +105,8 @@ class _Block(nn.Module):
 class DisparityNet(nn.Module):
     """Evidence (B, CHANNELS, h, w) to raw outputs (B, OUTPUTS, h, w); h and w multiples of ``STRIDE``."""
 
+    sigma_scale: Tensor
+
     def __init__(self, widths: tuple[int, ...] = WIDTHS) -> None:
         super().__init__()
         self.stem = nn.Conv2d(4 * CHANNELS, widths[0], 1)
@@ -114,6 +116,8 @@ class DisparityNet(nn.Module):
         self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairs)
         self.leave = nn.ModuleList(_Block(a) for a, _ in pairs)
         self.head = nn.Conv2d(widths[0], 4 * OUTPUTS, 1)
+        # Not learned: measured on held-out bodies, so that sigma holds for what comes out in the end.
+        self.register_buffer("sigma_scale", torch.ones(()))
         for block in [*self.enter, *self.leave]:
             assert isinstance(block, _Block)
             nn.init.zeros_(block.second.weight)

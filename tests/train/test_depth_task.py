@@ -16,7 +16,7 @@ from polhode.config.train import DepthTraining
 from train.depth_batches import DepthBatch, moved, random_batch, spoil, stack, upside_down, with_holes
 from train.depth_loss import Asked, asked_pixels, depth_loss
 from train.depth_samples import Sample, random_part, read_sample, write_sample
-from train.depth_task import DepthTask, held_out_errors, scores
+from train.depth_task import DepthTask, HeldOut, held_out_errors, scores
 
 SETTINGS = DepthTraining(batch=2, crop_px=64, validation_samples=1)
 
@@ -151,17 +151,24 @@ def test_the_loss_falls_as_the_network_learns(files: list[Path]) -> None:
 
 def test_scores_compare_at_the_density_of_the_classical_start(sample: Sample, files: list[Path]) -> None:
     task = DepthTask(SETTINGS, files, files, seed=0)
+    task.model.eval()
     found = task.validate()
-    again = scores([held_out_errors(sample, task.model)])
-    assert found == again
     errors = held_out_errors(sample, task.model)
-    better = replace_errors(errors, 0.5)
+    again = scores([errors])
+    assert again["bad_refined"] == found["bad_refined"]
+    better = HeldOut({**errors, "refined": 0.5 * errors["refined"]})
     assert scores([better])["median_refined_px"] < again["median_refined_px"]
     assert found["bad_everywhere"] == float(np.mean(errors["refined"] > 1.0))
 
 
-def replace_errors(errors: dict[str, np.ndarray], factor: float) -> dict[str, np.ndarray]:
-    return {**errors, "refined": factor * errors["refined"]}
+def test_validation_makes_sigma_hold_68_percent(files: list[Path]) -> None:
+    task = DepthTask(SETTINGS, files, files, seed=0)
+    task.model.eval()
+    found = task.validate()
+    assert found["within_sigma"] == pytest.approx(0.6827, abs=0.01)
+    assert found["sigma_scale"] == pytest.approx(float(task.model.sigma_scale))
+    # A second look finds nothing left to scale.
+    assert task.validate()["sigma_scale"] == pytest.approx(found["sigma_scale"], rel=1e-4)
 
 
 def test_batches_are_plain_tensors_and_come_back(sample: Sample) -> None:
