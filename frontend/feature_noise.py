@@ -1,8 +1,9 @@
 """How certain surface features and their matches are: standard deviations in u, v and disparity.
 
 A feature's place scatters between views more than its disparity does: the detector answers to light as well.
-Both follow the disparity's own least squares, which know how sharp the texture is: variance = scale^2 *
-sigma^(2 power). A match's confidence tells more than either feature alone. The numbers are those that
+Both follow the disparity's own least squares, which know how sharp the texture is: variance = floor^2 + gain
+sigma_ls. (With the square of sigma_ls, as least squares have it, sharp textures of new bodies are believed
+too much.) A match's confidence tells more than either feature alone. The numbers are those that
 
     python -m train.feature_noise configs/train/features.yaml
 
@@ -16,11 +17,12 @@ from frontend.stereo import StereoFeatures
 from polhode.lie import Array
 from polhode.records import Ints
 
-UV_SCALE_PX, UV_POWER = 1.426, 0.338
-"""In the image: sigma of u and v = scale * sigma_ls^power, sigma_ls that of the least squares [px]."""
-DISPARITY_SCALE_PX, DISPARITY_POWER = 1.012, 0.799
-UV_CONFIDENCE = (-0.474, -0.158)
-DISPARITY_CONFIDENCE = (-0.303, -0.104)
+UV_FLOOR_PX, UV_GAIN_PX = 0.293, 3.287
+"""In the image [px]."""
+DISPARITY_FLOOR_PX, DISPARITY_GAIN_PX = 0.0, 0.189
+"""Of the disparity [px]."""
+UV_CONFIDENCE = (-0.165, -0.126)
+DISPARITY_CONFIDENCE = (-0.051, -0.049)
 """Log of a match's variance over the sum of its features': first + second * logit(confidence)."""
 _LEAST_LS_PX = 0.01
 _SMALLEST, _LARGEST = 1e-4, 1.0 - 1e-4
@@ -32,8 +34,8 @@ def feature_sigma(sigma_ls_px: Array) -> Array:
     sigma_ls_px (n,): what the least squares say of the disparity.
     """
     sharp = np.maximum(sigma_ls_px, _LEAST_LS_PX)
-    uv = UV_SCALE_PX * sharp**UV_POWER
-    return np.column_stack([uv, uv, DISPARITY_SCALE_PX * sharp**DISPARITY_POWER])
+    uv = np.sqrt(UV_FLOOR_PX**2 + UV_GAIN_PX * sharp)
+    return np.column_stack([uv, uv, np.sqrt(DISPARITY_FLOOR_PX**2 + DISPARITY_GAIN_PX * sharp)])
 
 
 def match_sigma(a: StereoFeatures, b: StereoFeatures, pairs: Ints, confidence: Array) -> Array:

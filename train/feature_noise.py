@@ -119,8 +119,8 @@ def _sharp(features: StereoFeatures) -> Array:
 class Fitted:
     """Constants of one of the components."""
 
-    scale_px: float
-    power: float
+    floor_px: float
+    gain_px: float
     confidence: tuple[float, float]
 
 
@@ -128,19 +128,19 @@ def fit_noise(scenes: Sequence[Residuals], columns: Sequence[int]) -> Fitted:
     """Maximum likelihood of zero-mean Gaussian residuals, each scene with the same weight."""
     square = np.concatenate([np.mean(s.residual_px[:, columns] ** 2, axis=1) for s in scenes])
     share = np.concatenate([np.full(len(s.logit), 1.0 / len(s.logit)) for s in scenes])
-    sharp = np.log(np.maximum(np.concatenate([s.sharp_px for s in scenes]), 0.01))
+    sharp = np.sum(np.concatenate([s.sharp_px for s in scenes]), axis=1)
     logit = np.concatenate([s.logit for s in scenes])
 
     def features_alone(b: Array) -> Array:
-        return np.asarray(b[0] + np.logaddexp(2.0 * b[1] * sharp[:, 0], 2.0 * b[1] * sharp[:, 1]))
+        return np.asarray(np.log(2.0 * np.exp(2.0 * b[0]) + np.exp(b[1]) * sharp))
 
     def cost(log_variance: Array) -> float:
         return float(np.sum(share * (log_variance + square * np.exp(-log_variance))))
 
-    alone = minimize(lambda b: cost(features_alone(b)), np.array([-1.0, 0.3]), method="Nelder-Mead").x
+    alone = minimize(lambda b: cost(features_alone(b)), np.array([-2.0, 0.0]), method="Nelder-Mead").x
     base = features_alone(alone)
     more = minimize(lambda c: cost(base + c[0] + c[1] * logit), np.zeros(2), method="Nelder-Mead").x
-    return Fitted(float(np.exp(0.5 * alone[0])), float(alone[1]), (float(more[0]), float(more[1])))
+    return Fitted(float(np.exp(alone[0])), float(np.exp(alone[1])), (float(more[0]), float(more[1])))
 
 
 def normalised_variance(scene: Residuals) -> tuple[float, float]:
@@ -174,8 +174,9 @@ def _execute(config: Path, count: int, checked: Sequence[Path]) -> None:
         print(f"{len(scenes)} training scenes, {sum(len(s.logit) for s in scenes)} matches")
         for name, columns in (("u, v", (0, 1)), ("disparity", (2,))):
             fitted = fit_noise(scenes, columns)
-            scale, power, (first, slope) = fitted.scale_px, fitted.power, fitted.confidence
-            print(f"{name}: scale {scale:.3f} px, power {power:.3f}, confidence {first:.3f} {slope:.3f}")
+            first, slope = fitted.confidence
+            print(f"{name}: floor {fitted.floor_px:.4f} px, gain {fitted.gain_px:.3f} px", end=", ")
+            print(f"confidence {first:.3f} {slope:.3f}")
         _print_check("training", scenes)
     named = [(folder.name, scene_residuals(folder)) for folder in checked]
     tested = [(name, scene) for name, scene in named if scene is not None]

@@ -31,19 +31,19 @@ def test_a_sure_match_is_more_certain_than_a_doubtful_one() -> None:
 
 
 def test_the_fit_finds_the_noise_that_was_put_in() -> None:
-    """Two scenes of different sharpness; scale 0.8, power 0.4, and less noise for sure matches."""
+    """Two scenes of different sharpness; floor 0.2 px, gain 2 px, and less noise for sure matches."""
     rng = np.random.default_rng(0)
     scenes = []
     for middle in (0.04, 0.12):
         sharp = middle * np.exp(rng.normal(0.0, 0.4, (6000, 2)))
         logit = rng.normal(0.0, 2.0, 6000)
-        variance = 0.64 * np.sum(sharp**0.8, axis=1) * np.exp(-0.2 * logit)
+        variance = (0.08 + 2.0 * np.sum(sharp, axis=1)) * np.exp(-0.2 * logit)
         residual = rng.normal(size=(6000, 3)) * np.sqrt(variance)[:, None]
         scenes.append(Residuals(residual, np.sqrt(np.repeat(variance[:, None], 3, axis=1)), sharp, logit))
     found = fit_noise(scenes, (0, 1))
-    assert abs(found.power - 0.4) < 0.03
-    # Without the confidence its mean effect, exp(0.08), is in the scale; with it the rest is taken back.
-    assert abs(found.scale_px * np.exp(0.5 * found.confidence[0]) - 0.8) < 0.06
+    # Without the confidence its mean effect, exp(0.08), is in the gain; the confidence takes it back.
+    assert abs(found.gain_px * np.exp(found.confidence[0]) - 2.0) < 0.1
+    assert abs(found.floor_px * np.exp(0.5 * found.confidence[0]) - 0.2) < 0.03
     assert abs(found.confidence[1] + 0.2) < 0.02
     assert all(abs(value - 1.0) < 0.06 for scene in scenes for value in normalised_variance(scene))
 
