@@ -57,26 +57,33 @@ def read_curves(output: Path) -> dict[str, Array]:
 
 
 def draw_curves(outputs: Sequence[Path], path: Path) -> None:
-    """One row of plots a training: the loss, and the scores on held-out bodies."""
-    figure = Figure(figsize=(10, 3.2 * len(outputs)), layout="constrained")
+    """One row of plots a training: what was made small, and the scores on held-out bodies."""
+    figure = Figure(figsize=(12, 4.0 * len(outputs)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(outputs), 2, squeeze=False)
     for row, output in zip(axes, outputs, strict=True):
         curves = read_curves(output)
-        _draw(row[0], {"train/loss": curves["train/loss"]}, smooth=15)
+        losses = {
+            name: curve
+            for name, curve in curves.items()
+            if name.startswith("train/") and name not in ("train/gradient", "train/learning_rate")
+        }
+        _draw(row[0], losses, smooth=15)
         _draw(row[1], {name: curve for name, curve in curves.items() if name.startswith("validation/")})
-        row[0].set_ylabel(output.name)
+        row[0].set_title(f"{output.name}: training, means over 15 points")
+        row[1].set_title("held-out bodies")
     figure.savefig(path, dpi=110)
 
 
 def _draw(axes: Axes, curves: Mapping[str, Array], smooth: int = 1) -> None:
-    for name, curve in curves.items():
+    for number, (name, curve) in enumerate(sorted(curves.items())):
         width = min(smooth, len(curve))
         value = np.convolve(curve[:, 1], np.ones(width) / width, mode="valid")
-        axes.plot(curve[width - 1 :, 0], value, label=name.partition("/")[2])
+        style = ("-", "--", ":")[number // 10 % 3]
+        axes.plot(curve[width - 1 :, 0], value, style, label=name.partition("/")[2])
     axes.set_xlabel("step")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
