@@ -36,7 +36,7 @@ def compute_depth(
     Depth and sigma are NaN where the target is unlit, hidden from one camera or not certain.
     """
     disparity, sigma = dense_disparity(left, right, mask, rig, config, disparity_range_px)
-    certain = np.isfinite(disparity) & (sigma < config.max_sigma_px)
+    certain = np.isfinite(disparity) & (sigma < config.largest_sigma_px)
     kept = certain & ~_rims(np.where(certain, disparity, np.float32(np.nan)), mask, config)
     with np.errstate(invalid="ignore", divide="ignore"):
         d = disparity - np.float32(rig.disparity_offset_px)
@@ -106,9 +106,9 @@ def find_disparity_range(
 
 def _rims(disparity: Floats, target: Bools, config: Depth) -> Bools:
     """Pixels along the silhouette and along jumps of disparity, where windows mix near and far."""
-    if config.rim_px == 0:
+    if config.rim_width_px == 0:
         return np.zeros(target.shape, dtype=bool)
-    size = 2 * config.rim_px + 1
+    size = 2 * config.rim_width_px + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     framed = cv2.copyMakeBorder(target.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     outside = cv2.erode(framed, kernel)[1:-1, 1:-1] == 0
