@@ -36,8 +36,8 @@ class Depth(Section):
     min_intensity: float = Field(6.0, ge=0)
     """Darker pixels (over the sky's level) are unlit: no depth there."""
     max_sigma_px: float | None = Field(None, gt=0)
-    """Disparities that are less certain are dropped [px]; null: 0.5 for sgbm; 0.7 for network, whose sigmas at
-    edges and in holes are larger and true."""
+    """Disparities that are less certain are dropped [px]; null: 0.5 for sgbm, 0.7 for network, whose sigmas
+    at edges and in holes are larger and true."""
     rim_px: int | None = Field(None, ge=0)
     """Width that is removed along the silhouette and along jumps of depth [px]; null: 2 for sgbm, 1 for
     network."""
