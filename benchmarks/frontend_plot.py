@@ -14,6 +14,8 @@ from benchmarks.frontend_tables import correct_at, lines_of, pairs_of, precision
 from benchmarks.record import Case
 
 ANGLES_DEG = {1: 30, 2: 60}
+NAME_WIDTH = 0.6
+"""Width of a name on the axis of the times, in natural logarithms."""
 OURS, OTHERS = "#b3261e", "#33556e"
 
 
@@ -25,10 +27,15 @@ def draw_pareto(lines: Sequence[Case], methods: Sequence[str], reference: str, p
         places = [_place(lines_of(lines, method), gap, precision) for method in methods]
         front = sorted(place for place in places if not any(_beats(other, place) for other in places))
         panel.plot(*np.array(front).T, color="0.75", zorder=1)
-        for method, (time_s, correct) in zip(methods, places, strict=True):
+        step, names = 0.045 * max(correct for _, correct in places), list[tuple[float, float]]()
+        for correct, time_s, method in sorted((c, t, m) for m, (t, c) in zip(methods, places, strict=True)):
             colour = OURS if method.startswith("polhode") else OTHERS
             panel.plot(time_s, correct, "o", color=colour, markersize=7)
-            panel.annotate(method, (time_s, correct), (5, 5), textcoords="offset points", fontsize=8)
+            # A name rises until it is clear of those beside it.
+            beside = [height for other_s, height in names if abs(np.log(other_s / time_s)) < NAME_WIDTH]
+            height = max([correct, *(taken + step for taken in beside if taken + step > correct)])
+            names.append((time_s, height))
+            panel.annotate(method, (1.05 * time_s, height), color=colour, fontsize=8, va="center")
         panel.set_xscale("log")
         # Room for the names to the right of the points.
         panel.set_xlim(panel.get_xlim()[0], 2.2 * panel.get_xlim()[1])

@@ -10,7 +10,7 @@ from polhode.lie import Array
 ENOUGH_FEATURES = 30
 """Pairs of frames with so many stereo features each are expected to give a motion."""
 ENOUGH_LIGHT_PX = 3000
-"""So much of the body must be lit and seen in both frames [px]: with less, no method found a motion."""
+"""So much of the body must be lit and seen in both frames [px]: with less, motions are luck."""
 Lit = Mapping[str, Set[tuple[int, int]]]
 """Per scene, the pairs of frames with enough light in common."""
 COLUMNS = (
