@@ -13,7 +13,7 @@ from polhode.lie import Array
 from polhode.records import Bools
 
 RIG = RectifiedRig(400.0, 159.5, 119.5, 0.1, 320, 240)
-CONFIG = Depth()
+CONFIG = Depth(method="sgbm")
 
 
 def texture(seed: int, height: int = 240, width: int = 1024) -> Array:
