@@ -1,4 +1,4 @@
-"""The descriptor of patches: blind to turns and exposure, its direction turns; and the file of its weights."""
+"""The descriptor of patches: blind to turns and exposure, its direction turns; the file of its weights."""
 
 from pathlib import Path
 
