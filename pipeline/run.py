@@ -19,6 +19,7 @@ from frontend.pairs import PairMatch, match_pairs, relative_poses
 from frontend.rectify import Rectifier, make_rectifier
 from frontend.retrieval import pairs_to_match
 from frontend.stereo import StereoFeatures
+from frontend.track_refinement import refine_tracks
 from frontend.tracks import Association, join_matches, to_tracks
 from mapping.fusion import fuse
 from pipeline import outputs
@@ -218,34 +219,53 @@ def _associate_and_solve(
             estimate = estimate_motion(tracks, motion, config.backend, progress)
         yield tracks, estimate
         motion = InitialMotion(_pose_RG(tracks, estimate), motion.connected)
-    if guided.merge:
-        yield from _merge_and_solve(images, features, association, motion, estimate, config, progress, clock)
+    for step in (_join_duplicates, _refine_places):
+        with clock("frontend"):
+            changed = step(images, features, association, motion, config)
+            if changed is None:
+                continue
+            tracks = images.tracks(*changed, config)
+        with clock("backend"):
+            again = estimate_motion(tracks, motion, config.backend, progress)
+        if contradicts(again, estimate):
+            _log.info("that fits worse and is not used")
+            continue
+        yield tracks, again
+        (features, association), estimate = changed, again
+        motion = InitialMotion(_pose_RG(tracks, estimate), motion.connected)
 
 
-def _merge_and_solve(
+def _join_duplicates(
     images: _Images,
     features: Sequence[StereoFeatures],
     association: Association,
     motion: InitialMotion,
-    blind: MotionEstimate,
     config: Config,
-    progress: Progress,
-    clock: Stopwatch,
-) -> Iterator[tuple[StereoTracks, MotionEstimate]]:
-    """Join the landmarks that the motion shows to be one and solve once more, unless that fits worse."""
-    with clock("frontend"):
-        merged = merge_duplicates(features, association, motion, images.rectifier.rig, config.frontend.guided)
-        tracks = images.tracks(features, merged, config)
+) -> tuple[Sequence[StereoFeatures], Association] | None:
+    """Landmarks that the motion shows to be one become one; None: there are none."""
+    guided = config.frontend.guided
+    if not guided.merge:
+        return None
+    merged = merge_duplicates(features, association, motion, images.rectifier.rig, guided)
     joined = association.n_landmarks - merged.n_landmarks
     _log.info("%d of %d landmarks joined to others", joined, association.n_landmarks)
-    if joined == 0:
-        return
-    with clock("backend"):
-        estimate = estimate_motion(tracks, motion, config.backend, progress)
-    if contradicts(estimate, blind):
-        _log.info("with landmarks joined the fit is worse: they stay apart")
-        return
-    yield tracks, estimate
+    return (features, merged) if joined else None
+
+
+def _refine_places(
+    images: _Images,
+    features: Sequence[StereoFeatures],
+    association: Association,
+    motion: InitialMotion,
+    config: Config,
+) -> tuple[Sequence[StereoFeatures], Association] | None:
+    """Each landmark is put to the same point of the surface in every view; None: surfaces are not known."""
+    if not config.frontend.tracks.refine or all(found.R_RS is None for found in features):
+        return None
+    return refine_tracks(
+        *(images.sequence, images.rectifier, features, association, motion),
+        *(config.frontend, _workers(config)),
+    )
 
 
 def _replay(

@@ -91,6 +91,10 @@ class GuidedMatching(Section):
 class Tracks(Section):
     """Which landmarks the back end gets: the longest tracks, until every frame has enough."""
 
+    refine: bool = True
+    """Put each landmark to the same point of the surface in every view once the motion is known, where the
+    features know their surface; undone when the fit gets worse for it."""
+
     min_views: int = Field(3, ge=2)
     """Frames in which a landmark must be seen."""
     enough_per_frame: int = Field(200, ge=10)
