@@ -31,6 +31,7 @@ from benchmarks.frontend_tables import lit_pairs, print_by_scene, print_table
 from benchmarks.record import Case, complete, forget
 from benchmarks.scenes import ROOT
 from frontend.methods import Matches, extract_pair, feature_method, match_method
+from frontend.patch_size import with_patch_size
 from frontend.ransac import ransac_rigid
 from frontend.stereo import StereoFeatures
 from polhode.config.frontend import Frontend
@@ -132,7 +133,8 @@ def measure_light(case: Case) -> Case:
 def measure(case: Case) -> Case:
     """All frames and pairs of one scene by one method."""
     torch.set_num_threads(1)
-    config, scene = settings(case["method"]), open_scene(case["scene"])
+    scene = open_scene(case["scene"])
+    config = with_patch_size(settings(case["method"]), scene.sequence, scene.rectifier)
     extract_pair(scene.pair(0), scene.rig, config)  # the first call of a network takes longer
     frames, features_s = [], []
     for k in range(len(scene)):

@@ -60,7 +60,8 @@ def match_coarse(crop: Crop, config: Depth) -> Floats:
     least = 16 * -(-n // 32)
     # The matcher leaves the first columns out.
     left, right = (
-        np.asarray(cv2.copyMakeBorder(image, 0, 0, least, 0, cv2.BORDER_REPLICATE)) for image in (left, right)
+        np.asarray(cv2.copyMakeBorder(image, 0, 0, least, 0, cv2.BORDER_REPLICATE), dtype=np.uint8)
+        for image in (left, right)
     )
     found = _match(left, right, least, config.block_px + 2, 0)[:, least:]
     whole = cv2.resize(

@@ -8,7 +8,8 @@ too much.) A match's confidence tells more than either feature alone. The number
     python -m train.feature_noise configs/train/features.yaml
 
 prints: maximum likelihood over the true residuals of matches that pass the geometric check, on the training
-bodies, each scene counting the same; they are checked on bodies, textures and light of other scenes.
+bodies, each scene counting the same. The form of the law was chosen among four by how each did on bodies,
+textures and light of other scenes, so that check does not stand quite by itself.
 """
 
 import numpy as np

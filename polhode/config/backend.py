@@ -56,7 +56,7 @@ class Backend(Section):
     density_kg_m3: float | None = Field(None, gt=0)
     """Density of the target [kg/m^3], if known and the mass is not: the mesh then tells mass and inertia."""
     robust_scale: float = Field(3.0, gt=0)
-    """Scale of the Cauchy kernel, in standard deviations; in the end it is made as wide as the residuals allow."""
+    """Scale of the Cauchy kernel [standard deviations]; in the end it is as wide as the residuals allow."""
     max_iterations: int = Field(200, ge=1)
     """Most iterations of the solution; a run that needs more fails and keeps the best motion found."""
     max_seconds: float = Field(600.0, gt=0)

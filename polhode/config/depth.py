@@ -10,7 +10,7 @@ from polhode.config.section import Section
 class Depth(Section):
     """A rectified pair to a depth map of the target."""
 
-    method: Literal["sgbm", "network"] = "sgbm"
+    method: Literal["sgbm", "network"] = "network"
     """How the first, semi-global disparities are refined: by least squares, planes and facets, or by the
     network trained here."""
     weights: str | None = None
