@@ -11,7 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atomic import replaced
+from polhode.atomic import replaced
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array

@@ -20,10 +20,10 @@ from rich.table import Table
 from backend.inertia import FORMS, InertiaForm, unit_determinant
 from mapping.mesh_files import read_ply
 from pipeline.archives import Covariance, read_covariance
-from pipeline.atomic import write_text
 from pipeline.seen_surface import seen_and_lit
 from pipeline.summary import Summary, read_summary
 from pipeline.trajectory_file import read_trajectory
+from polhode.atomic import write_text
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError

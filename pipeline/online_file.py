@@ -6,7 +6,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from pipeline.atomic import replaced
+from polhode.atomic import replaced
 from polhode.errors import InputError
 from polhode.records import OnlineEstimate
 

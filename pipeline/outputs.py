@@ -21,7 +21,6 @@ from pipeline.archives import (
     write_covariance,
     write_measurements,
 )
-from pipeline.atomic import write_bytes, write_text
 from pipeline.online_file import read_online, write_online
 from pipeline.point_cloud_file import read_landmarks, write_landmarks
 from pipeline.pushes_file import write_pushes
@@ -35,6 +34,7 @@ from pipeline.trajectory_file import (
     trajectory_of,
     write_trajectory,
 )
+from polhode.atomic import write_bytes, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks, SurfaceModel

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.atomic import write_bytes
+from polhode.atomic import write_bytes
 from polhode.errors import InputError
 from polhode.records import Landmarks
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.atomic import write_text
+from polhode.atomic import write_text
 from polhode.records import UnknownPushes
 
 PUSHES_COLUMNS: tuple[str, ...] = (

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from pipeline.archives import undetermined_as_inf
-from pipeline.atomic import write_text
 from pipeline.summary_parts import (
     Assumed,
     Finite,
@@ -33,6 +32,7 @@ from pipeline.summary_parts import (
     VarianceMatrix,
     Vector,
 )
+from polhode.atomic import write_text
 from polhode.errors import InputError
 from polhode.records import MassProperties, MotionEstimate, StereoTracks, SurfaceModel
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.atomic import write_text
+from polhode.atomic import write_text
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.quaternion import continuous_wxyz, matrix_from_wxyz, wxyz_from_matrix

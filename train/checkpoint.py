@@ -1,9 +1,7 @@
 """Where a training stands, on disk: written whole or not at all; that of another training is refused."""
 
 import json
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
+from polhode.atomic import replaced
 from polhode.errors import InputError
 
 CHECKPOINT = "checkpoint.pt"
@@ -66,14 +65,3 @@ def write_weights(path: Path, network: nn.Module, about: Mapping[str, Any]) -> N
     weights = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
     with replaced(path) as partial:
         save_file(weights, partial, metadata={"training": json.dumps(about)})
-
-
-@contextmanager
-def replaced(path: Path) -> Iterator[Path]:
-    """Yield a path beside ``path``; rename it onto ``path`` when the block ends well."""
-    partial = path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}")
-    try:
-        yield partial
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)

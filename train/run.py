@@ -8,12 +8,13 @@ from typing import Any
 import torch
 from pydantic import BaseModel
 
+from polhode.atomic import replaced
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.config.train import Train
 from polhode.errors import InputError
 from polhode.progress import Progress
-from train.checkpoint import replaced, write_weights
+from train.checkpoint import write_weights
 from train.corpus import render_corpus
 from train.loop import Loop, Outcome
 from train.task import Task, make_task

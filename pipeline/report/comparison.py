@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.atomic import write_text
 from pipeline.report import words
 from pipeline.report.content import Content, read_content
 from pipeline.report.page import fill, run_name
 from pipeline.report.plot import Figure, Trace, axis, layout, line, translucent
 from pipeline.report.rotation import confidence_ellipse, possible_bodies
+from polhode.atomic import write_text
 from polhode.lie import Array
 
 RUN_COLORS: tuple[str, ...] = (

@@ -11,7 +11,6 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from pipeline.atomic import write_text
 from pipeline.report import words
 from pipeline.report.conserved import conserved_figures
 from pipeline.report.content import Content, read_content
@@ -22,6 +21,7 @@ from pipeline.report.residuals import measurement_figures
 from pipeline.report.rotation import rotation_figures
 from pipeline.report.shape import shape_figures
 from pipeline.report.sigmas import sigma_rows
+from polhode.atomic import write_text
 
 
 def write_report(folder: Path, path: Path | None = None, name: str | None = None) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.atomic import replaced, write_bytes, write_text
+from polhode.atomic import replaced, write_bytes, write_text
 
 
 def write_half(path: Path) -> None:
