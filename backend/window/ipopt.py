@@ -14,6 +14,7 @@ from scipy.sparse import csc_matrix
 from backend.gauss_newton import Solution
 from backend.inertia import InertiaForm
 from backend.kernels import N_CONSTANTS, N_STATE, Output, prior_kernel
+from backend.program import GOOD
 from backend.step_kernels import dynamics_kernel
 from backend.window.problem import WindowProblem
 from polhode.lie import Array
@@ -26,7 +27,6 @@ COST_AT_REST = 1e-4
 """Change of the cost that nobody would notice, three times in a row."""
 MAX_ITERATIONS = 40
 N_LINK, N_PRIOR = 71, 13
-SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
 
 
 class IpoptSolver:
@@ -60,7 +60,7 @@ class IpoptSolver:
         cost = problem.cost(found) if np.isfinite(found).all() else np.inf
         if not cost <= before + COST_AT_REST:
             return Solution(x, before, int(stats["iter_count"]), False, f"no decrease: {status}")
-        return Solution(found, cost, int(stats["iter_count"]), status in SOLVED, status)
+        return Solution(found, cost, int(stats["iter_count"]), status in GOOD, status)
 
 
 @dataclass(frozen=True)
