@@ -3,7 +3,7 @@
 # make test    the tests            make check   style, types, import rules
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make bench   accuracy and time, from images on every scene and of the back end alone: hours. What was measured
-#              before is read from runs/, so it can be interrupted. make bench SHORT=--short: a few minutes
+#              before is read from its record, so it can be interrupted. make bench SHORT=--short: a few minutes
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -56,6 +56,7 @@ check: setup
 bench: setup $(MATCHERS)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.scenes)
 	$(BIN)/python -m benchmarks.frontend $(SHORT)
+	$(BIN)/python -m benchmarks.disparity $(SHORT)
 	$(BIN)/python -m benchmarks.lie_rank
 	$(BIN)/python -m benchmarks.conditioning -o runs/conditioning.png
 	$(BIN)/python -m benchmarks.backend_size $(SHORT) -o runs/backend_growth.png
