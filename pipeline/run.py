@@ -225,8 +225,12 @@ def _associate_and_solve(
             if changed is None:
                 continue
             tracks = images.tracks(*changed, config)
-        with clock("backend"):
-            again = estimate_motion(tracks, motion, config.backend, progress)
+        try:
+            with clock("backend"):
+                again = estimate_motion(tracks, motion, config.backend, progress)
+        except RunFailure as failure:
+            _log.info("that leads to no motion and is not used: %s", failure)
+            continue
         if contradicts(again, estimate):
             _log.info("that fits worse and is not used")
             continue

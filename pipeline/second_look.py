@@ -1,7 +1,7 @@
 """Whether what the motion predicted fits the images as well as what was found without it.
 
-A wrong motion would draw matches that confirm it. It betrays itself: more observations contradict it, or all
-of them scatter more.
+A wrong motion would draw matches that confirm it. It betrays itself: the solver comes to no end, more
+observations contradict it, or all of them scatter more.
 """
 
 import numpy as np
@@ -17,6 +17,8 @@ of a shaded asteroid 14 % more and harm."""
 
 def contradicts(predicted: MotionEstimate, blind: MotionEstimate) -> bool:
     """Whether the estimate from associations made with the motion fits worse than the one from blind ones."""
+    if blind.solver.converged and not predicted.solver.converged:
+        return True
     outliers = [float(np.mean(estimate.inlier_weight == 0.0)) for estimate in (predicted, blind)]
     noise = predicted.noise.pixel_sigma_px / max(blind.noise.pixel_sigma_px, 1e-9)
     return outliers[0] > outliers[1] + MORE_OUTLIERS or noise > MORE_NOISE
