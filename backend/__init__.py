@@ -1,7 +1,14 @@
 """Measurements to motion, mass properties and covariance."""
 
 from backend.estimate import estimate_motion
-from backend.initialize import initialize_motion
+from backend.initialize import initialize_motion, undisputed_links
 from backend.window.online import estimate_online, in_words_of, window_warnings
 
-__all__ = ["estimate_motion", "estimate_online", "in_words_of", "initialize_motion", "window_warnings"]
+__all__ = [
+    "estimate_motion",
+    "estimate_online",
+    "in_words_of",
+    "initialize_motion",
+    "undisputed_links",
+    "window_warnings",
+]

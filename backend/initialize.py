@@ -29,7 +29,7 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
 
     Raises RunFailure when fewer than three frames hang together.
     """
-    X_RG, connected, _ = connect(relative, tracks.n_frames)
+    X_RG, connected, _ = connect(relative, tracks.time_s, tracks.X_NR[:, :3, :3])
     if connected.sum() < MIN_CONNECTED:
         raise RunFailure(
             f"no consistent motion: only {connected.sum()} of {tracks.n_frames} frames could be connected"
@@ -50,6 +50,15 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
     X_RG[connected] = X_RG[connected] @ make_pose(np.eye(3), np.median(p_G[known], axis=0))
     X_NG = bridge(tracks.time_s, tracks.X_NR @ X_RG, connected)
     return InitialMotion(inverse_pose(tracks.X_NR) @ X_NG, connected)
+
+
+def undisputed_links(relative: RelativePoses, time_s: Array, R_NR: Array) -> Bools:
+    """Which links (E,) the pose graph does not contradict: a track through a wrong one joins two places.
+
+    time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera. Links of frames that nothing connects stay.
+    """
+    _, connected, accepted = connect(relative, time_s, R_NR)
+    return np.asarray(accepted | ~(connected[relative.i] & connected[relative.j]))
 
 
 def robust_landmarks(tracks: StereoTracks, X_RG: Array, connected: Bools) -> tuple[Array, Bools]:

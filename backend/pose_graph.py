@@ -8,6 +8,7 @@ two links of seven inliers that agree are worth more than one of fifteen. Then a
 import numpy as np
 
 from backend.bonds import closed_triangles, renew_bonds
+from backend.smooth_links import smooth_links
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, RelativePoses
 
@@ -23,14 +24,18 @@ REJECT_SHIFT = 0.1
 """Largest error of a translation, as a share of the distance to the target."""
 
 
-def connect(relative: RelativePoses, n_frames: int) -> tuple[Array, Bools, Bools]:
+def connect(relative: RelativePoses, time_s: Array, R_NR: Array) -> tuple[Array, Bools, Bools]:
     """Poses X_RG (F, 4, 4) of the largest consistent piece, frames in it (F,), edges accepted (E,).
 
-    G is the camera frame of one of the piece's frames until the caller moves it.
+    time_s (F,) [s] and R_NR (F, 3, 3) of the camera: links between near frames that agree on a rate of turn
+    are joined first. G is the camera frame of one of the piece's frames until the caller moves it.
     """
+    n_frames = len(time_s)
     usable = relative.inliers >= MIN_INLIERS
     support = triangle_support(relative, usable, n_frames)
-    X, island = join_islands(relative, usable, support, n_frames)
+    X, island = np.tile(np.eye(4), (n_frames, 1, 1)), np.arange(n_frames)
+    for links in (smooth_links(relative, usable, time_s, R_NR), usable):
+        join_islands(relative, links, support, X, island)
     connected = island == np.argmax(np.bincount(island))
     if connected.sum() < 2:
         return X, np.zeros(n_frames, bool), np.zeros(len(usable), bool)
@@ -72,9 +77,9 @@ def triangle_support(relative: RelativePoses, usable: Bools, n_frames: int) -> A
     return support
 
 
-def join_islands(relative: RelativePoses, usable: Bools, support: Array, n_frames: int) -> tuple[Array, Ints]:
-    """Merge frames to islands, the best bond first. Poses X_RG (F, 4, 4) in the island's G; island (F,)."""
-    X, island = np.tile(np.eye(4), (n_frames, 1, 1)), np.arange(n_frames)
+def join_islands(relative: RelativePoses, usable: Bools, support: Array, X: Array, island: Ints) -> None:
+    """Merge islands, the best bond first, in place: poses X_RG (F, 4, 4) in the island's G; island (F,)."""
+    n_frames = len(island)
     i, j = relative.i[usable], relative.j[usable]
     links = RelativePoses(i, j, np.ascontiguousarray(relative.X_RiRj[usable]), relative.inliers[usable])
     weight = links.inliers * support[usable]
@@ -85,7 +90,7 @@ def join_islands(relative: RelativePoses, usable: Bools, support: Array, n_frame
         facts = (order, i, j, links.X_RiRj, links.inliers, weight)
         renew_bonds(a, *facts, X, island, REJECT_RAD, REJECT_SHIFT, AGREEING, score, T)
 
-    for a in range(n_frames):
+    for a in np.unique(island).tolist():
         renew(a)
     while True:
         # of equal scores the last one
@@ -99,10 +104,9 @@ def join_islands(relative: RelativePoses, usable: Bools, support: Array, n_frame
         if small >= WORTH_AVERAGING:
             member = island == a
             within = member[links.i] & member[links.j] & (edge_errors(X, links) < 1.5)
-            X = average_poses(X, member, links, within)
+            X[:] = average_poses(X, member, links, within)
         score[b], score[:, b] = -np.inf, -np.inf
         renew(a)
-    return X, island
 
 
 def average_poses(

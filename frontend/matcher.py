@@ -9,7 +9,7 @@ import torch
 
 from frontend.consensus import Mode, motion_modes, one_to_one
 from frontend.methods import Matches
-from frontend.soft_assignment import DualSoftmax
+from frontend.soft_assignment import DUSTBIN, TEMPERATURE, root_probabilities
 from frontend.stereo import StereoFeatures
 from polhode.config.frontend import Frontend
 from polhode.lie import Array, transform_points
@@ -37,7 +37,6 @@ class SoftmaxMatcher:
     """``MatchMethod`` for features that know the axes of their surface; others are matched by looks alone."""
 
     def __init__(self, config: Frontend) -> None:
-        self._assign = DualSoftmax().eval()
         self._least_confidence = config.pairs.min_confidence
 
     def __call__(self, a: StereoFeatures, b: StereoFeatures) -> Matches:
@@ -57,13 +56,16 @@ class SoftmaxMatcher:
 
     def _probable(self, a: StereoFeatures, b: StereoFeatures) -> tuple[Ints, Array]:
         """The most probable pairs (m, 2), surest first, and their probability (m,)."""
-        with torch.inference_mode():
-            log_p = self._assign(torch.from_numpy(a.descriptors), torch.from_numpy(b.descriptors))
-            i, j = torch.nonzero(log_p > np.log(LEAST_PROBABILITY), as_tuple=True)
-            likely, order = torch.sort(log_p[i, j], descending=True, stable=True)
-            order, likely = order[:CONSIDERED], likely[:CONSIDERED]
-            pairs = torch.stack([i[order], j[order]], dim=1)
-        return pairs.numpy(), np.exp(likely.numpy().astype(np.float64))
+        looks = torch.from_numpy(a.descriptors), torch.from_numpy(b.descriptors)
+        root = root_probabilities(*looks, TEMPERATURE, DUSTBIN).numpy()
+        place = np.flatnonzero(root > np.sqrt(LEAST_PROBABILITY))
+        likely = root.ravel()[place]
+        if len(place) > CONSIDERED:
+            most = np.sort(np.argpartition(-likely, CONSIDERED)[:CONSIDERED])
+            place, likely = place[most], likely[most]
+        order = np.argsort(-likely, kind="stable")
+        pairs = np.column_stack(np.divmod(place[order], root.shape[1]))
+        return pairs, likely[order].astype(np.float64) ** 2
 
 
 def _agreeing(

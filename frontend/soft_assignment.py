@@ -6,14 +6,21 @@ networks", 2018; LoFTR, Sun et al. 2021). The dustbin takes what has no partner 
 motion (Wang and Solomon, "Deep closest point", 2019).
 """
 
+import math
+
 import torch
 from torch import Tensor, nn
+
+TEMPERATURE = 0.03
+"""What similarities are divided by, unless it is learned."""
+DUSTBIN = 0.6
+"""Similarity of what has no partner, unless it is learned."""
 
 
 class DualSoftmax(nn.Module):
     """Descriptors (n, d) and (m, d) of unit length -> log probability (n, m) that two are a match."""
 
-    def __init__(self, temperature: float = 0.03, dustbin: float = 0.6) -> None:
+    def __init__(self, temperature: float = TEMPERATURE, dustbin: float = DUSTBIN) -> None:
         super().__init__()
         self.log_temperature = nn.Parameter(torch.tensor(temperature).log())
         self.dustbin = nn.Parameter(torch.tensor(dustbin))
@@ -26,6 +33,16 @@ class DualSoftmax(nn.Module):
         along_rows = torch.logaddexp(torch.logsumexp(score, dim=1), none)
         along_columns = torch.logaddexp(torch.logsumexp(score, dim=0), none)
         return 2.0 * score - along_rows[:, None] - along_columns[None, :]
+
+
+def root_probabilities(a: Tensor, b: Tensor, temperature: float, dustbin: float) -> Tensor:
+    """Square root (n, m) of what ``DualSoftmax`` takes the logarithm of, without a gradient, several times
+    as fast: one exponential each. Descriptors (n, d) and (m, d) are of unit length."""
+    with torch.inference_mode():
+        root = torch.addmm(torch.tensor(-1.0), a, b.T).div_(temperature).exp_()
+        none = math.exp((dustbin - 1.0) / temperature)
+        along_rows, along_columns = root.sum(dim=1) + none, root.sum(dim=0) + none
+        return root.mul_(along_rows.rsqrt()[:, None]).mul_(along_columns.rsqrt()[None, :])
 
 
 def rigid_fit(p_A: Tensor, p_B: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:

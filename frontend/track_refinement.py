@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frontend.alignment import align_patches, root_image
+from frontend.alignment import Alignment, align_patches, root_image
 from frontend.feature_noise import feature_sigma
 from frontend.parallel import in_order
 from frontend.patches import PATCH_PX, Patches, axes_affines, cut_patches
@@ -38,6 +38,9 @@ LEAST_SIGMA_PX = 0.2
 """Floor of an aligned place: what light and relief do to a patch [px]."""
 SIGMA_FACTOR = 4.0
 """Scatter of aligned places, over what the least squares say."""
+
+UNLIKE_PX = 10.0
+"""What is added to an aligned place's sigma, times the correlation that lacks [px]."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +165,7 @@ class _AlignJob:
             & (np.abs(refined - start) < LARGEST_CHANGE_PX)
             & (refined - rig.disparity_offset_px > 0.5)
         )
-        place = np.hypot(LEAST_SIGMA_PX, SIGMA_FACTOR * aligned.sigma_px[good])
+        place = place_sigma(aligned)[good]
         uvd[feature[good]] = np.column_stack([aligned.uv_px, refined])[good]
         sigma[feature[good]] = np.column_stack([place, place, feature_sigma(sigma_ls[good])[:, 2]])
         kept[feature[~good]] = -1
@@ -178,6 +181,12 @@ class _AlignJob:
             X = self.motion.X_RG[k] @ inverse_pose(self.motion.X_RG[r])
             turned[mine] = X[:3, :3] @ R_RS[references.feature[landmark[mine]]]
         return turned
+
+
+def place_sigma(aligned: Alignment) -> Array:
+    """Of aligned places (n,) [px]: light that has changed a patch has also moved what was found."""
+    unlike = np.maximum(1.0 - aligned.correlation, 0.0)
+    return np.asarray(np.hypot(LEAST_SIGMA_PX, SIGMA_FACTOR * aligned.sigma_px) + UNLIKE_PX * unlike)
 
 
 def disparity_slopes(p_R: Array, normal_R: Array, rig: RectifiedRig) -> Array:

@@ -11,7 +11,14 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from backend import estimate_motion, estimate_online, in_words_of, initialize_motion, window_warnings
+from backend import (
+    estimate_motion,
+    estimate_online,
+    in_words_of,
+    initialize_motion,
+    undisputed_links,
+    window_warnings,
+)
 from frontend.duplicates import merge_duplicates
 from frontend.extract import extract_depth, extract_features
 from frontend.guided import consistent_matches, reconnect
@@ -67,10 +74,8 @@ def run(
 
         features = _extract_features(images, config, progress, clock)
         matches = _match_frames(images, features, config, progress, clock)
-        links, blind = (
-            relative_poses(matches),
-            images.tracks(features, join_matches(features, matches), config),
-        )
+        links = relative_poses(matches)
+        blind = images.tracks(features, join_matches(features, matches), config)
         outputs.write_measurements(blind, folder / "measurements.npz", links)
 
         with clock("initialization"), progress.stage("first motion", 1) as advance:
@@ -108,6 +113,16 @@ class _Images:
     sequence: StereoSequence
     rectifier: Rectifier
 
+    @property
+    def time_s(self) -> Array:
+        """(F,) since the first pair [s]"""
+        return np.asarray((self.sequence.timestamps_ns - self.sequence.timestamps_ns[0]) * 1e-9)
+
+    @property
+    def X_NR(self) -> Array:
+        """(F, 4, 4) rectified left camera"""
+        return np.asarray(self.sequence.X_NC @ self.rectifier.X_CR)
+
     def tracks(
         self, features: Sequence[StereoFeatures], association: Association, config: Config
     ) -> StereoTracks:
@@ -116,7 +131,7 @@ class _Images:
             association,
             self.rectifier.rig,
             self.sequence.timestamps_ns,
-            self.sequence.X_NC @ self.rectifier.X_CR,
+            self.X_NR,
             config.frontend.tracks,
             (self.sequence.sigma_camera_p_m, self.sequence.sigma_camera_theta_rad),
         )
@@ -189,8 +204,11 @@ def _match_frames(
     with clock("frontend"), progress.stage("matching frames", len(features)) as advance:
         partners = pairs_to_match(features, config.frontend.pairs, config.seed)
         matches = match_pairs(features, partners, rig, config.frontend, config.seed, workers, advance)
-    _log.info("%d links between frames, of %d tried", len(matches), sum(map(len, partners)))
-    return matches
+    with clock("initialization"):
+        good = undisputed_links(relative_poses(matches), images.time_s, images.X_NR[:, :3, :3])
+    tried = sum(map(len, partners))
+    _log.info("%d links between frames, of %d tried; %d contradicted", len(matches), tried, np.sum(~good))
+    return [match for match, kept in zip(matches, good, strict=True) if kept]
 
 
 def _associate_and_solve(

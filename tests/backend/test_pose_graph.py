@@ -1,10 +1,13 @@
 """Links between frames: groups that agree outvote single ones, triangles tell wrong links from right ones."""
 
 import numpy as np
+import pytest
 
+from backend.initialize import undisputed_links
 from backend.pose_graph import connect, join_islands, triangle_support
+from backend.smooth_links import smooth_links
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.records import Bools, RelativePoses
+from polhode.records import Bools, Ints, RelativePoses
 
 
 def poses(n: int, seed: int) -> Array:
@@ -17,6 +20,16 @@ def links(X_RG: Array, pairs: list[tuple[int, int]], inliers: int = 20) -> Relat
     return RelativePoses(i, j, X_RG[i] @ inverse_pose(X_RG[j]), np.full(len(pairs), inliers))
 
 
+def alone(n: int) -> tuple[Array, Ints]:
+    """Every frame an island."""
+    return np.tile(np.eye(4), (n, 1, 1)), np.arange(n)
+
+
+def still(n: int) -> tuple[Array, Array]:
+    """Times and attitudes of a camera at rest."""
+    return 0.5 * np.arange(n), np.tile(np.eye(3), (n, 1, 1))
+
+
 def usable(relative: RelativePoses) -> Bools:
     return np.ones(len(relative.i), bool)
 
@@ -25,7 +38,8 @@ def test_every_frame_of_a_chain_of_perfect_links_is_joined_in_one_frame_G() -> N
     X_RG = poses(8, 0)
     # some of the links point backwards
     relative = links(X_RG, [(k, k + 1) if k % 2 else (k + 1, k) for k in range(7)])
-    X, island = join_islands(relative, usable(relative), np.ones(7), 8)
+    X, island = alone(8)
+    join_islands(relative, usable(relative), np.ones(7), X, island)
     assert np.all(island == island[0])
     G = inverse_pose(X) @ X_RG
     np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-12)
@@ -37,7 +51,8 @@ def test_two_links_that_agree_outvote_a_stronger_one() -> None:
     X_ij, inliers = relative.X_RiRj.copy(), np.array([40, 40, 7, 7, 15])
     X_ij[4] = X_ij[4] @ make_pose(exp_so3([0.0, 0.7, 0.0]), [0.0, 0.0, 0.0])
     relative = RelativePoses(relative.i, relative.j, X_ij, inliers)
-    X, island = join_islands(relative, usable(relative), np.ones(5), 4)
+    X, island = alone(4)
+    join_islands(relative, usable(relative), np.ones(5), X, island)
     assert np.all(island == island[0])
     G = inverse_pose(X) @ X_RG
     np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-12)
@@ -59,5 +74,40 @@ def test_the_triangles_of_a_wrong_link_do_not_close() -> None:
 
 def test_frames_without_a_link_stay_out() -> None:
     X_RG = poses(5, 3)
-    _, connected, accepted = connect(links(X_RG, [(0, 1), (1, 2), (0, 2)]), 5)
+    _, connected, accepted = connect(links(X_RG, [(0, 1), (1, 2), (0, 2)]), *still(5))
     assert list(connected) == [True, True, True, False, False] and accepted.all()
+
+
+def tumbling(n: int, turn_rad: float) -> Array:
+    """Poses of a body that turns steadily about an axis that is none of its own."""
+    return make_pose(exp_so3(np.outer(np.arange(n), turn_rad * np.array([0.3, 0.9, 0.3]))), [0.0, 0.0, 0.6])
+
+
+@pytest.mark.parametrize("turn_deg", [12.0, 40.0])
+def test_sides_that_look_alike_do_not_alias(turn_deg: float) -> None:
+    X_RG = tumbling(24, np.deg2rad(turn_deg))
+    near = links(X_RG, [(a, b) for a in range(24) for b in range(a + 1, min(a + 3, 24))], 30)
+    # later frames see the other side, which looks like the first: as many links, all agreeing, and stronger
+    turned = X_RG.copy()
+    turned[14:] = turned[14:] @ make_pose(exp_so3([np.pi, 0.0, 0.0]), np.zeros(3))
+    alike = links(turned, [(a, b) for a in range(6, 14) for b in range(16, 24)], 50)
+    relative = RelativePoses(
+        *(np.concatenate(each) for each in zip(vars(near).values(), vars(alike).values(), strict=True))
+    )
+    X, connected, accepted = connect(relative, *still(24))
+    assert connected.all()
+    np.testing.assert_array_equal(accepted, np.arange(len(relative.i)) < len(near.i))
+    G = inverse_pose(X) @ X_RG
+    np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-9)
+    undisputed = undisputed_links(relative, *still(24))
+    np.testing.assert_array_equal(undisputed, accepted)
+
+
+def test_what_is_smooth_is_the_turn_in_N() -> None:
+    X_RG = poses(8, 5)
+    relative = links(X_RG, [(a, b) for a in range(8) for b in range(a + 1, min(a + 3, 8))])
+    time_s, R_NR = still(8)
+    assert not smooth_links(relative, usable(relative), time_s, R_NR).any()
+    # a camera that follows those attitudes sees a body that does not turn in N
+    follows = np.swapaxes(X_RG[:, :3, :3], 1, 2)
+    assert smooth_links(relative, usable(relative), time_s, follows).all()

@@ -8,7 +8,7 @@ import torch
 from frontend.consensus import motion_modes, one_to_one
 from frontend.features import Descriptors
 from frontend.matcher import SoftmaxMatcher
-from frontend.soft_assignment import DualSoftmax, motion_loss, rigid_fit
+from frontend.soft_assignment import DualSoftmax, motion_loss, rigid_fit, root_probabilities
 from frontend.stereo import StereoFeatures
 from polhode.config.frontend import Frontend
 from polhode.lie import Array, exp_so3, make_pose, transform_points
@@ -85,6 +85,16 @@ def test_the_dustbin_takes_what_has_no_partner() -> None:
     assert probability[0].sum() < 0.05
     with_dustbin = DualSoftmax(temperature=0.1, dustbin=1.2)(looks[:3], looks[1:]).exp()
     assert with_dustbin[1, 0] < 0.1
+
+
+def test_probabilities_without_a_gradient_are_the_same() -> None:
+    torch.manual_seed(1)
+    a, b = (torch.nn.functional.normalize(torch.randn(k, 16), dim=1) for k in (40, 30))
+    for temperature, dustbin in ((0.03, 0.6), (0.2, 0.1)):
+        expected = DualSoftmax(temperature, dustbin)(a, b).exp()
+        torch.testing.assert_close(
+            root_probabilities(a, b, temperature, dustbin) ** 2, expected, rtol=1e-4, atol=1e-9
+        )
 
 
 def test_the_rigid_fit_is_exact_and_has_the_right_gradient() -> None:
