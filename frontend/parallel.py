@@ -3,12 +3,24 @@
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from multiprocessing import get_context
+from multiprocessing import get_all_start_methods, get_context
+from multiprocessing.context import BaseContext
 from typing import Any, TypeVar
 
 import cv2
 
 Result = TypeVar("Result")
+
+PRELOADED = (
+    "__main__",
+    "frontend.extract",
+    "frontend.pairs",
+    "frontend.track_refinement",
+    "frontend.surface_features",
+    "frontend.matcher",
+    "frontend.disparity_network",
+)
+"""Modules that the frames' jobs need."""
 
 _job: Callable[[int], Any] | None = None
 
@@ -23,14 +35,24 @@ def in_order(job: Callable[[int], Result], count: int, workers: int) -> Iterator
         yield from (job(k) for k in range(count))
         return
     waiting: deque[Future[Result]] = deque()
-    # Spawned, not forked: a fork beside torch's threads can hang.
-    with ProcessPoolExecutor(workers, get_context("spawn"), _install, (job,)) as pool:
+    with ProcessPoolExecutor(workers, _context(), _install, (job,)) as pool:
         for k in range(count):
             waiting.append(pool.submit(_call, k))
             if len(waiting) > 3 * workers:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+
+
+def _context() -> BaseContext:
+    """Forked from a server that has imported the libraries and nothing else, where there is one: a fork beside
+    torch's threads can hang, and a process of its own imports for seconds, at each of a run's stages."""
+    if "forkserver" not in get_all_start_methods():
+        return get_context("spawn")
+    context = get_context("forkserver")
+    # Before the server starts; later calls change nothing.
+    context.set_forkserver_preload([*PRELOADED])
+    return context
 
 
 def _install(job: Callable[[int], object]) -> None:
