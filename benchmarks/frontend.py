@@ -107,9 +107,8 @@ def settings(method: str) -> Frontend:
     parts = re.fullmatch(r"(?P<features>[a-z]+)(-(?P<zoom>[\d.]+)x)?(\+(?P<matcher>[a-z]+))?", method)
     if parts is None:
         raise SystemExit(f"{method}: write features, or features-2x+matcher")
-    own = "polhode" if parts["features"] == "polhode" else "nearest"
     features = {"method": parts["features"]} | ({"upsample": parts["zoom"]} if parts["zoom"] else {})
-    return Frontend.model_validate({"features": features, "pairs": {"method": parts["matcher"] or own}})
+    return Frontend.model_validate({"features": features, "pairs": {"method": parts["matcher"]}})
 
 
 def case_of(method: str, scene: str) -> Case:
@@ -186,7 +185,7 @@ def measure_pair(
 
 def threshold(config: Frontend) -> float:
     """The confidence from which on the method, as it is configured, gives a match."""
-    return 1.0 - config.pairs.ratio if config.pairs.method == "nearest" else config.pairs.min_confidence
+    return 1.0 - config.pairs.ratio if config.matcher == "nearest" else config.pairs.min_confidence
 
 
 def loosened(config: Frontend) -> Frontend:

@@ -14,13 +14,19 @@ from scipy.spatial import cKDTree
 
 from frontend.landmark_map import LandmarkMap, descriptor_distance, enter, mutual_best, viewing_direction
 from frontend.pairs import PairMatch
-from frontend.ransac import fit_rigid, ransac_rigid, reprojection_error_px
+from frontend.ransac import fit_noisy, ransac_rigid, reprojection_error_px
+from frontend.soft_assignment import DUSTBIN, TEMPERATURE
 from frontend.stereo import StereoFeatures
 from frontend.tracks import Association
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import GuidedMatching
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Bools, InitialMotion, Ints
+
+LEAST_PROBABILITY = 0.01
+"""Of an accepted association, of features that know their surface."""
+NARROWER = (1.0, 1.0 / 3.0, 1.0 / 5.0)
+"""Search radii around a pose that gets better, over the first one."""
 
 
 @dataclass(frozen=True)
@@ -98,14 +104,19 @@ def _relocalise(
     rng: np.random.Generator,
 ) -> Array | None:
     """Measured pose of a frame near its predicted one, or None when too few landmarks agree."""
-    feature, landmark = _search(model, features, X_RG, rig, config, config.coarse_gate_px)
-    if len(feature) < config.min_inliers:
-        return None
-    p_R, p_G = features.p_R[feature], model.p_G[landmark]
-    fit = ransac_rigid(features.uvd_px[feature], p_R, p_G, rig, 300, 2.0, rng)
-    if fit.inlier.sum() < config.min_inliers:
-        return None
-    return fit_rigid(p_R[fit.inlier], p_G[fit.inlier])
+    X_found = X_RG
+    for share in NARROWER:
+        # nearer to the pose fewer others look alike, so more is found
+        gate_px = share * config.coarse_gate_px
+        feature, landmark = _search(model, features, X_found, rig, config, gate_px)
+        if len(feature) < config.min_inliers:
+            return None
+        p_R, p_G = features.p_R[feature], model.p_G[landmark]
+        fit = ransac_rigid(features.uvd_px[feature], p_R, p_G, rig, 300, 2.0, rng)
+        if fit.inlier.sum() < config.min_inliers:
+            return None
+        X_found = fit_noisy(fit.X_RiRj, p_R, p_G, rig)
+    return X_found
 
 
 def _search(
@@ -131,9 +142,22 @@ def _search(
     feature, landmark = _flatten(near)
     if len(feature) == 0:
         return nothing, nothing
-    distance = descriptor_distance(model, observed, features, direction_G, feature, landmark, config)
-    good = distance < config.max_distance
+    distance = descriptor_distance(model, observed, features, direction_G, feature, landmark, config, X_RG)
+    largest = config.max_distance
+    if features.R_RS is not None:
+        distance, largest = improbability(distance, feature, landmark), 1.0 - LEAST_PROBABILITY
+    good = distance < largest
     return mutual_best(feature[good], landmark[good], distance[good])
+
+
+def improbability(distance: Array, feature: Ints, landmark: Ints) -> Array:
+    """One less the probability (n,) that two are a match: the dual softmax of our matcher, over those pairs
+    alone that the prediction allows; distance (n,) of descriptors of unit length."""
+    alike = np.exp(-0.5 * distance**2 / TEMPERATURE)
+    none = np.exp((DUSTBIN - 1.0) / TEMPERATURE)
+    along_feature = np.bincount(feature, alike) + none
+    along_landmark = np.bincount(landmark, alike) + none
+    return np.asarray(1.0 - alike**2 / (along_feature[feature] * along_landmark[landmark]))
 
 
 def _flatten(near: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:

@@ -11,6 +11,10 @@ from polhode.config.frontend import GuidedMatching
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Ints
 
+AXES_DEG = 50.0
+"""Surfaces whose axes differ by more are not the same: the axes are off by 5 to 15 degrees, and so may be the
+prediction [deg]."""
+
 
 @dataclass
 class LandmarkMap:
@@ -26,6 +30,8 @@ class LandmarkMap:
     """per frame (n, 3)"""
     descriptors: list[Descriptors] = field(default_factory=list)
     """per frame (n, 128)"""
+    R_GS: list[Array] = field(default_factory=list)
+    """per frame (n, 3, 3) axes of the surface, where the features know them"""
 
     @classmethod
     def empty(cls, n_landmarks: int) -> "LandmarkMap":
@@ -52,6 +58,8 @@ def enter(model: LandmarkMap, features: StereoFeatures, labels: Ints, X_RG: Arra
     p_G = transform_points(X_GR, p_R)
     np.add.at(model.information, landmark, information)
     np.add.at(model.information_p_G, landmark, (information @ p_G[..., None])[..., 0])
+    if features.R_RS is not None:
+        model.R_GS.append(X_GR[:3, :3] @ features.R_RS[used])
     model.landmark.append(landmark)
     model.direction_G.append(viewing_direction(p_R, X_RG))
     model.descriptors.append(features.descriptors[used])
@@ -71,8 +79,10 @@ def descriptor_distance(
     feature: Ints,
     landmark: Ints,
     config: GuidedMatching,
+    X_RG: Array,
 ) -> Array:
-    """Smallest descriptor distance of each pair over the landmark's observations from a like direction."""
+    """Smallest descriptor distance of each pair over the landmark's observations from a like direction, and
+    of surfaces that lie alike at the predicted pose."""
     order = np.argsort(observed, kind="stable")
     start = np.searchsorted(observed[order], landmark, side="left")
     count = np.searchsorted(observed[order], landmark, side="right") - start
@@ -83,6 +93,13 @@ def descriptor_distance(
     cosine = np.sum(directions * direction_G[feature[pair]], axis=1)
     like = cosine > np.cos(np.deg2rad(config.max_view_angle_deg))
     pair, observation = pair[like], observation[like]
+    if features.R_RS is not None and model.R_GS:
+        # the trace of R_a^T R_b tells the angle between the surfaces' axes
+        R_GS = np.concatenate(model.R_GS)[observation]
+        seen = X_RG[:3, :3].T @ features.R_RS[feature[pair]]
+        trace = np.einsum("nij,nij->n", R_GS, seen)
+        same = trace > 1.0 + 2.0 * np.cos(np.deg2rad(AXES_DEG))
+        pair, observation = pair[same], observation[same]
     similarity = np.einsum(
         "nd,nd->n", np.concatenate(model.descriptors)[observation], features.descriptors[feature[pair]]
     )

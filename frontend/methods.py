@@ -78,14 +78,14 @@ def feature_method(config: Frontend) -> FeatureMethod:
 @lru_cache(maxsize=4)
 def match_method(config: Frontend) -> MatchMethod:
     """The method that the configuration names. Raises InputError: its weights are missing, or do not fit."""
-    method: MatchMethod = _made(MATCH_METHODS[config.pairs.method], config)
+    method: MatchMethod = _made(MATCH_METHODS[config.matcher], config)
     return method
 
 
 def extract_pair(pair: RectifiedPair, rig: RectifiedRig, config: Frontend) -> StereoFeatures:
     """Features of one pair, with the left image around the target where the matcher reads images."""
     found, crop = feature_method(config)(pair, rig), target_crop(pair.mask_left)
-    if crop is None or config.pairs.method not in READS_IMAGES:
+    if crop is None or config.matcher not in READS_IMAGES:
         return found
     part = pair.left[crop.v0 : crop.v1, crop.u0 : crop.u1].copy()
     return replace(found, picture=Picture(part, (crop.u0, crop.v0)))

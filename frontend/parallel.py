@@ -45,8 +45,8 @@ def in_order(job: Callable[[int], Result], count: int, workers: int) -> Iterator
 
 
 def _context() -> BaseContext:
-    """Forked from a server that has imported the libraries and nothing else, where there is one: a fork beside
-    torch's threads can hang, and a process of its own imports for seconds, at each of a run's stages."""
+    """Forks of a server that has imported the libraries and does nothing else, where there are any: a fork
+    beside torch's threads can hang, and a spawned process imports for seconds, at each of a run's stages."""
     if "forkserver" not in get_all_start_methods():
         return get_context("spawn")
     context = get_context("forkserver")

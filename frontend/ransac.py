@@ -5,8 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.camera import RectifiedRig
-from polhode.lie import Array, make_pose, transform_points
+from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.records import Bools
+
+NOISE_PX = np.array([0.7, 0.7, 0.25])
+"""Noise of places and disparities of features, whose ratio weighs [px]."""
+ROBUST = 9.0
+"""Squared error over variance at which a point counts a quarter."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,43 @@ def ransac_rigid(
         if np.array_equal(update, inlier):
             break
         inlier = update
+    for _ in range(2):
+        if inlier.sum() < 4:
+            break
+        X = fit_noisy(X, p_Ri[inlier], p_Rj[inlier], rig)
+        inlier = _inliers(transform_points(X, p_Rj), uvd_i, rig, gate_px)
     return RigidFit(X, inlier)
+
+
+def fit_noisy(X_AB: Array, p_A: Array, p_B: Array, rig: RectifiedRig, rounds: int = 4) -> Array:
+    """X_AB (4, 4) by robust least squares from a start, for points p_A, p_B (n, 3), n >= 4.
+
+    Each difference is weighted by what both measurements know of it: stereo is surer across the ray than
+    along it, and the rays have turned.
+    """
+    C_A, C_B = _covariance(p_A, rig), _covariance(p_B, rig)
+    for _ in range(rounds):
+        R, moved = X_AB[:3, :3], transform_points(X_AB, p_B)
+        W = np.linalg.inv(C_A + R @ C_B @ R.T)
+        miss = p_A - moved
+        W_miss = (W @ miss[..., None])[..., 0]
+        # Geman and McClure
+        W *= (1.0 / (1.0 + np.sum(miss * W_miss, axis=1) / ROBUST) ** 2)[:, None, None]
+        J = np.zeros((len(p_A), 3, 6))
+        J[:, :, 3:] = np.eye(3)
+        x, y, z = moved.T
+        J[:, 0, 1], J[:, 0, 2], J[:, 1, 0], J[:, 1, 2], J[:, 2, 0], J[:, 2, 1] = z, -y, -z, x, y, -x
+        J_W = np.swapaxes(J, 1, 2) @ W
+        normal = np.sum(J_W @ J, axis=0)
+        rhs = np.einsum("nij,nj->i", J_W, miss)
+        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(6), rhs)
+        X_AB = make_pose(exp_so3(step[:3]), step[3:]) @ X_AB
+    return X_AB
+
+
+def _covariance(p_R: Array, rig: RectifiedRig) -> Array:
+    J = rig.triangulation_jacobian(p_R)
+    return np.asarray((J * NOISE_PX**2) @ np.swapaxes(J, 1, 2))
 
 
 def reprojection_error_px(p_R: Array, uvd_px: Array, rig: RectifiedRig) -> Array:

@@ -45,8 +45,9 @@ class StereoMatching(Section):
 class PairMatching(Section):
     """Frame to frame, blind: descriptors, then RANSAC on absolute orientation (thesis 2.7, 6.3)."""
 
-    method: Literal["nearest", "polhode", "lightglue", "loftr"] = "nearest"
-    """Mutual nearest neighbours, the matcher trained here, or a peer; see frontend.weights."""
+    method: Literal["polhode", "nearest", "lightglue", "loftr"] | None = None
+    """Our matcher, mutual nearest neighbours, or a peer, see frontend.weights; null: ours for our features,
+    nearest neighbours for others."""
     ratio: float = Field(0.92, gt=0, le=1)
     """Distance ratio of mutual nearest neighbours; for method nearest."""
     min_confidence: float = Field(0.1, ge=0, le=1)
@@ -79,7 +80,7 @@ class GuidedMatching(Section):
     fine_gate_px: float = Field(2.0, gt=0)
     """Search radius around a pose that the frame's own features confirm [px]."""
     max_distance: float = Field(0.65, gt=0)
-    """Largest RootSIFT distance of an accepted association."""
+    """Largest descriptor distance of an accepted association of features that do not know their surface."""
     min_inliers: int = Field(7, ge=4)
     """Fewer consistent associations do not connect a frame."""
     merge: bool = True
@@ -134,3 +135,9 @@ class Frontend(Section):
     tracks: Tracks = Tracks()
     depth: Depth = Depth()
     weights: Weights = Weights()
+
+    @property
+    def matcher(self) -> str:
+        """Name of the method that matches frames."""
+        own = "polhode" if self.features.method == "polhode" else "nearest"
+        return self.pairs.method or own

@@ -27,7 +27,7 @@ def alone(n: int) -> tuple[Array, Ints]:
 
 def still(n: int) -> tuple[Array, Array]:
     """Times and attitudes of a camera at rest."""
-    return 0.5 * np.arange(n), np.tile(np.eye(3), (n, 1, 1))
+    return 0.5 * np.arange(float(n)), np.tile(np.eye(3), (n, 1, 1))
 
 
 def usable(relative: RelativePoses) -> Bools:

@@ -56,9 +56,9 @@ def test_a_methods_name_says_its_settings() -> None:
     config = settings("aliked-1.5x+lightglue")
     assert (config.features.method, config.features.upsample) == ("aliked", 1.5)
     assert config.pairs.method == "lightglue"
-    assert settings("rootsift-2x").pairs.method == "nearest"
-    assert settings("polhode").pairs.method == "polhode"
-    assert settings("polhode+nearest").pairs.method == "nearest"
+    assert settings("rootsift-2x").matcher == "nearest"
+    assert settings("polhode").matcher == "polhode"
+    assert settings("polhode+nearest").matcher == "nearest"
     assert loosened(config).pairs.min_confidence == 0.0
     assert len({settings(method) for method in METHODS}) == len(METHODS)
     with pytest.raises(SystemExit, match="write features"):
