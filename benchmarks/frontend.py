@@ -14,6 +14,7 @@ equal precision: matches in order of confidence, over all pairs, as many as keep
 has at its own threshold. Motion: the same RANSAC for all (frontend/ransac.py); a pair without motion counts
 as wrong; shares are over pairs with 30 stereo features in both frames. Times: of one core, in its own
 seconds. Lit pairs: at least 3,000 px of the body are seen and lit in both frames, whatever the method finds.
+Guided: the same from a prediction that is 5 degrees off (benchmarks/frontend_guided.py).
 Normalised residuals: mean squares of what correct matches are off by, over their variance.
 """
 
@@ -26,6 +27,7 @@ from time import process_time
 import numpy as np
 import torch
 
+from benchmarks.frontend_guided import guided_error_deg
 from benchmarks.frontend_scenes import CONFIGS, UnseenScene, open_scene, render, scene_names
 from benchmarks.frontend_tables import lit_pairs, print_by_scene, print_table
 from benchmarks.record import Case, complete, forget
@@ -176,6 +178,7 @@ def measure_pair(
         "inliers": int(inlier.sum()),
         "correct_inliers": int((right & inlier).sum()),
         "error_deg": error_deg,
+        "guided_deg": guided_error_deg(scene, frames, i, j, config),
         "match_s": match_s,
         "squares": normalised_squares(scene, usual.features[right & inlier], a, b, i, j),
         "confidence": np.round(every.confidence, 4).tolist(),

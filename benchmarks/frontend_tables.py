@@ -25,6 +25,7 @@ COLUMNS = (
     "within 2 deg [%]",
     "within 5 deg [%]",
     "lit pairs within 2 deg [%]",
+    "guided within 2 deg: all, lit [%]",
     "ms / stereo pair",
     "ms / match",
     "normalised residuals u, v, d",
@@ -60,9 +61,14 @@ def correct_at(pairs: Sequence[Case], precision: float) -> float:
     return float(correct[good].max(initial=0.0)) / len(pairs)
 
 
-def success(pairs: Sequence[Case], limit_deg: float, least_features: int = ENOUGH_FEATURES) -> float:
+def success(
+    pairs: Sequence[Case],
+    limit_deg: float,
+    least_features: int = ENOUGH_FEATURES,
+    key: str = "error_deg",
+) -> float:
     """Share of the pairs with enough features whose rotation is right."""
-    errors = [pair["error_deg"] for pair in pairs if pair["features"] >= least_features]
+    errors = [pair.get(key) for pair in pairs if pair["features"] >= least_features]
     return sum(e is not None and e < limit_deg for e in errors) / max(1, len(errors))
 
 
@@ -126,6 +132,10 @@ def _row(method: str, lines: Sequence[Case], target: float, gap: int, lit: Lit) 
         f"{np.median(errors):.2f}" if errors else "-",
         *(f"{100 * success(pairs, limit):.0f}" for limit in (2.0, 5.0)),
         f"{100 * success(lit_of(lines, gap, lit), 2.0, least_features=0):.0f}",
+        ", ".join(
+            f"{100 * success(some, 2.0, least, 'guided_deg'):.0f}"
+            for some, least in ((pairs, ENOUGH_FEATURES), (lit_of(lines, gap, lit), 0))
+        ),
         f"{stereo_ms:.0f}",
         f"{match_ms:.0f}",
         ", ".join(f"{value:.2f}" for value in residual_variances(pairs)),

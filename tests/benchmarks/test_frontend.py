@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.frontend import METHODS, correct, loosened, normalised_squares, settings
+from benchmarks.frontend_guided import guided_error_deg
 from benchmarks.frontend_scenes import BRIGHT_DN, CONFIGS, UnseenScene, scene_names, scene_of
 from benchmarks.frontend_tables import (
     correct_at,
@@ -17,6 +18,7 @@ from benchmarks.frontend_tables import (
 )
 from benchmarks.record import Case, complete, forget, measured
 from frontend.methods import Matches, extract_pair
+from frontend.patch_size import with_patch_size
 from frontend.rectify import make_rectifier
 from frontend.stereo import StereoFeatures
 from polhode.config import Config
@@ -103,6 +105,24 @@ def test_a_rendered_scene_knows_its_features_its_light_and_its_motion() -> None:
     R_NP, R_CR = truth.R_NP[stamps], scene.rectifier.X_CR[:3, :3]
     turn = R_CR.T @ R_NP[0] @ R_NP[1].T @ R_CR
     np.testing.assert_allclose(scene.motion(0, 1)[:3, :3], turn, atol=1e-6)
+
+
+def test_a_frame_is_found_from_a_prediction_that_is_off() -> None:
+    scene = scene_of(SAMPLE / "scene.yaml", SAMPLE)
+    for method in ("rootsift-2x", "polhode"):
+        config = with_patch_size(settings(method), scene.sequence, scene.rectifier)
+        frames = [extract_pair(scene.pair(k), scene.rig, config) for k in (0, 1)]
+        error_deg = guided_error_deg(scene, frames, 0, 1, config)
+        assert error_deg is not None
+        assert error_deg < 1.0
+        # too few to be found
+        few = [frames[0], first_five(frames[1])]
+        assert guided_error_deg(scene, few, 0, 1, config) is None
+
+
+def first_five(all_of: StereoFeatures) -> StereoFeatures:
+    parts = (all_of.uvd_px, all_of.sigma_px, all_of.p_R, all_of.scale_px)
+    return StereoFeatures(*(part[:5] for part in parts), all_of.descriptors[:5])
 
 
 def test_a_match_is_correct_when_both_features_show_one_place() -> None:

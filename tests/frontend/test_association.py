@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-from frontend.guided import consistent_matches, reconnect
+from frontend.guided import consistent_matches, improbability, reconnect
+from frontend.landmark_map import LandmarkMap, descriptor_distance, enter, viewing_direction
 from frontend.pairs import PairMatch, match_pairs, relative_poses
-from frontend.ransac import fit_rigid, ransac_rigid
+from frontend.ransac import fit_noisy, fit_rigid, ransac_rigid
 from frontend.retrieval import pairs_to_match
+from frontend.soft_assignment import DualSoftmax
 from frontend.tracks import Association, join_matches, to_tracks
 from polhode.config.frontend import Frontend, GuidedMatching, Tracks
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
@@ -45,6 +48,58 @@ def test_ransac_finds_the_motion_among_half_outliers() -> None:
     assert fit.inlier[30:].mean() > 0.9
     assert fit.inlier[:30].sum() <= 1
     assert np.rad2deg(np.linalg.norm(log_so3(fit.X_RiRj[:3, :3].T @ X_ij[:3, :3]))) < 0.5
+
+
+def test_a_fit_that_knows_the_noise_of_stereo_is_better_than_one_that_does_not() -> None:
+    rng = np.random.default_rng(4)
+    noise_px = np.array([0.7, 0.7, 0.25])
+    X_ij = make_pose(exp_so3([0.1, 0.9, 0.0]), [0.45, 0.0, 0.2])
+    off: dict[str, list[float]] = {"even": [], "noisy": []}
+    for _ in range(40):
+        p_Rj = rng.uniform([-0.1, -0.1, 0.5], [0.1, 0.1, 0.7], (25, 3))
+        p_Ri = transform_points(X_ij, p_Rj)
+        a, b = (RIG.triangulate(RIG.project(p) + noise_px * rng.normal(size=(25, 3))) for p in (p_Ri, p_Rj))
+        even = fit_rigid(a, b)
+        for name, X in (("even", even), ("noisy", fit_noisy(even, a, b, RIG))):
+            off[name].append(float(np.sum(log_so3(X[:3, :3].T @ X_ij[:3, :3]) ** 2)))
+        exact = fit_noisy(even, p_Ri, p_Rj, RIG)
+    np.testing.assert_allclose(exact, X_ij, atol=1e-6)
+    assert np.mean(off["noisy"]) < 0.7 * np.mean(off["even"])
+
+
+def test_a_wild_point_does_not_bend_the_fit() -> None:
+    rng = np.random.default_rng(5)
+    p = rng.uniform([-0.1, -0.1, 0.5], [0.1, 0.1, 0.7], (30, 3))
+    wild = p.copy()
+    wild[0] += [0.0, 0.1, 0.0]
+    np.testing.assert_allclose(fit_noisy(np.eye(4), wild, p, RIG), np.eye(4), atol=1e-3)
+
+
+def test_probabilities_of_the_allowed_pairs_are_those_of_the_dual_softmax() -> None:
+    torch.manual_seed(3)
+    a, b = (torch.nn.functional.normalize(torch.randn(k, 8), dim=1) for k in (4, 5))
+    feature, landmark = (index.ravel() for index in np.indices((4, 5)))
+    distance = torch.cdist(a, b).numpy().astype(np.float64)[feature, landmark]
+    expected = 1.0 - DualSoftmax()(a, b).detach().exp().numpy()[feature, landmark]
+    np.testing.assert_allclose(improbability(distance, feature, landmark), expected, atol=1e-4)
+    # the rivals that the prediction rules out do not count
+    alone = improbability(distance[:1], feature[:1], landmark[:1])
+    assert alone[0] <= expected[0] + 1e-6
+
+
+def test_a_surface_that_lies_otherwise_is_another_one(world: World) -> None:
+    axes = np.tile(np.eye(3), (len(world.frames[0]), 1, 1))
+    features = replace(world.frames[0], R_RS=axes)
+    model, every = LandmarkMap.empty(len(features)), np.arange(len(features))
+    enter(model, features, every, world.X_RG[0], RIG)
+    direction = viewing_direction(features.p_R, world.X_RG[0])
+    for turn_deg, same in ((0.0, True), (30.0, True), (70.0, False)):
+        turned = replace(features, R_RS=axes @ exp_so3([0.0, 0.0, np.deg2rad(turn_deg)]))
+        distance = descriptor_distance(
+            model, every, turned, direction, every, every, GuidedMatching(), world.X_RG[0]
+        )
+        assert np.isfinite(distance).all() == same
+        assert np.isinf(distance).all() != same
 
 
 def match_everything(world: World, workers: int) -> list[PairMatch]:

@@ -46,8 +46,17 @@ def pair(rectifier: Rectifier) -> RectifiedPair:
 
 
 def test_every_name_of_the_configuration_has_a_method() -> None:
-    for section, methods in ((Features, FEATURE_METHODS), (PairMatching, MATCH_METHODS)):
-        assert set(get_args(section.model_fields["method"].annotation)) == set(methods)
+    features = Features.model_fields["method"].annotation
+    named, or_null = get_args(PairMatching.model_fields["method"].annotation)
+    assert set(get_args(features)) == set(FEATURE_METHODS)
+    assert (set(get_args(named)), or_null) == (set(MATCH_METHODS), type(None))
+
+
+def test_a_matcher_that_is_not_named_goes_with_the_features() -> None:
+    for features, matcher in (("polhode", "polhode"), ("rootsift", "nearest"), ("disk", "nearest")):
+        assert Frontend.model_validate({"features": {"method": features}}).matcher == matcher
+    named = {"features": {"method": "polhode"}, "pairs": {"method": "nearest"}}
+    assert Frontend.model_validate(named).matcher == "nearest"
 
 
 def test_rootsift_is_the_detector_left_and_right_matched_along_the_rows(
