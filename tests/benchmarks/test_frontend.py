@@ -121,8 +121,14 @@ def test_a_frame_is_found_from_a_prediction_that_is_off() -> None:
 
 
 def first_five(all_of: StereoFeatures) -> StereoFeatures:
-    parts = (all_of.uvd_px, all_of.sigma_px, all_of.p_R, all_of.scale_px)
-    return StereoFeatures(*(part[:5] for part in parts), all_of.descriptors[:5])
+    five = slice(0, 5)
+    return StereoFeatures(
+        all_of.uvd_px[five],
+        all_of.sigma_px[five],
+        all_of.p_R[five],
+        all_of.scale_px[five],
+        all_of.descriptors[five],
+    )
 
 
 def test_a_match_is_correct_when_both_features_show_one_place() -> None:
