@@ -36,7 +36,9 @@ def estimate_motion(
     try:
         return _estimate(tracks, initial, config, progress)
     except LinAlgError as error:
-        raise RunFailure(f"no consistent motion: what fits best is no motion of a body ({error})") from error
+        # numpy's own words say nothing of the target
+        reason = error if "bounds" in str(error) else "its equations have no solution"
+        raise RunFailure(f"no consistent motion: what fits best is no motion of a body ({reason})") from error
 
 
 def _estimate(
