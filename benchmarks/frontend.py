@@ -188,6 +188,9 @@ def measure_pair(
 
 def threshold(config: Frontend) -> float:
     """The confidence from which on the method, as it is configured, gives a match."""
+    if config.matcher == config.features.method == "polhode":
+        # a run keeps all that agree on the motion
+        return 0.0
     return 1.0 - config.pairs.ratio if config.matcher == "nearest" else config.pairs.min_confidence
 
 
