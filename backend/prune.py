@@ -86,7 +86,8 @@ def prune(data: MotionData, iterate: Iterate) -> Kept:
     share = float(np.mean(observations))
     if not share >= LEAST_SHARE:
         raise RunFailure(
-            f"no consistent motion: only {share:.0%} of the observations agree with the best one found"
+            f"no consistent motion: only {share:.0%} of the observations agree with the best one found "
+            "(so it looks, too, when the target turns by more than half a revolution between pairs)"
         )
     number = np.cumsum(landmarks) - 1
     landmark = number[data.landmark[observations]]

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.assumed import assumed_properties
 from pipeline.outputs import build_summary, finish_run, write_estimate
+from pipeline.report.words import inertia_rows
 from polhode.config.backend import Backend
 from polhode.records import Push, UnknownPushes
 
@@ -51,3 +52,16 @@ def test_a_run_without_them_speaks_of_none(example: Any, tmp_path: Path) -> None
     finish_run(tmp_path, build_summary(example.tracks, example.estimate, example.surface, {}))
     page = (tmp_path / "report.html").read_text()
     assert "In kilograms" not in page and "Unknown pushes" not in page and "Assumed" not in page
+
+
+def test_the_moments_have_the_sigmas_of_the_ratios(example: Any) -> None:
+    summary = build_summary(example.tracks, example.estimate, example.surface, {})
+    assert summary.inertia is not None
+    cov = [[0.0004, None], [None, 0.0025]]
+    inertia = summary.inertia.model_copy(update={"moments": [1.5, 1.0, 0.8], "cov": cov})
+    (row,) = (r for r in inertia_rows(summary.model_copy(update={"inertia": inertia})) if "moments" in r.name)
+    # 1.5 sigma(k1), 0.8 sigma(k2)
+    assert row.value == "1.500 ± 0.030 : 1 (exact) : 0.800 ± 0.040"
+    unknown = inertia.model_copy(update={"cov": [[None, None], [None, 0.0025]]})
+    (row,) = (r for r in inertia_rows(summary.model_copy(update={"inertia": unknown})) if "moments" in r.name)
+    assert row.value == "1.5 : 1 (exact) : 0.800 ± 0.040"
