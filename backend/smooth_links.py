@@ -24,7 +24,7 @@ FEWEST = 2
 
 def smooth_links(relative: RelativePoses, usable: Bools, time_s: Array, R_NR: Array) -> Bools:
     """Which links (E,) go on in others; time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera."""
-    near = np.flatnonzero(usable & (relative.j - relative.i <= NEAR))
+    near = np.flatnonzero(usable & (np.abs(relative.j - relative.i) <= NEAR))
     smooth = np.zeros(len(usable), dtype=np.bool_)
     if len(near) <= FEWEST:
         return smooth
