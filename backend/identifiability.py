@@ -76,15 +76,21 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Deter
         detail=detail,
         com_P=good[:3],
         axes_P=good[5:],
+        sigma=np.where(good, total, np.inf),
     )
     return Determined(record, to_solver @ vectors[:, lost], to_solver[:, 5:][:, ~good[5:]])
 
 
-def _words(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
+def determined_words(n: int, sigma: float) -> str:
+    """What is said of quantity n of NAMES when its standard deviation is sigma [m, 1, rad]."""
     unit = "mm" if n < 3 else "" if n < 5 else "deg"
-    number = sigma[n] * (1e3 if n < 3 else 1.0 if n < 5 else np.rad2deg(1.0))
+    number = sigma * (1e3 if n < 3 else 1.0 if n < 5 else np.rad2deg(1.0))
+    return f"determined, standard deviation about {number:.2g} {unit}".strip()
+
+
+def _words(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
     if good[n]:
-        return f"determined, standard deviation about {number:.2g} {unit}".strip()
+        return determined_words(n, sigma[n])
     mean_square = np.mean(w_P**2, axis=0)
     rate = np.sqrt(mean_square.sum())
     if rate < 0.01:

@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from backend.identifiability import NAMES, determined_words
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.records import MassProperties, MotionEstimate, OnlineEstimate, StereoTracks
+from polhode.records import Identifiability, MassProperties, MotionEstimate, OnlineEstimate, StereoTracks
 
 Sigma = tuple[float, float, float]
 """Standard deviations of the offsets of u, v, disparity [px]."""
@@ -31,25 +32,22 @@ def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Si
     joint = np.zeros((20, 3))
     joint[:3], joint[17:] = spread[-1], in_G
     body, mass = estimate.covariance_last_body, estimate.mass
-    cov_com = _grown(mass.cov_com_G, in_G)
-    known = replace(mass.identifiable, detail=_in_words(mass, cov_com))
     return replace(
         estimate,
         covariance=np.stack([_grown(c, s) for c, s in zip(estimate.covariance, spread, strict=True)]),
         covariance_last_joint=_grown(estimate.covariance_last_joint, joint),
         covariance_last_body=None if body is None else _grown(body, joint),
-        mass=replace(mass, cov_com_G=cov_com, identifiable=known),
+        mass=replace(mass, cov_com_G=_grown(mass.cov_com_G, in_G), identifiable=_grown_verdict(mass, in_G)),
     )
 
 
-def _in_words(mass: MassProperties, cov_com_G: Array) -> dict[str, str]:
-    """What is said of the centre of mass, with the sigmas that hold now."""
-    detail = dict(mass.identifiable.detail)
-    variance = np.diagonal(mass.R_GP.T @ np.where(np.isfinite(cov_com_G), cov_com_G, 0.0) @ mass.R_GP)
-    for name, value in zip(("com_x", "com_y", "com_z"), variance, strict=True):
-        if detail[name].startswith("determined") and value > 0.0:
-            detail[name] = f"determined, standard deviation about {1e3 * np.sqrt(value):.2g} mm"
-    return detail
+def _grown_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
+    """The verdict with the sigmas, and the words, of a centre of mass that is spread by in_G (3, 3) too."""
+    known = mass.identifiable
+    sigma, detail = known.sigma.copy(), dict(known.detail)
+    sigma[:3] = np.hypot(sigma[:3], np.linalg.norm(mass.R_GP.T @ in_G, axis=1))
+    detail |= {NAMES[n]: determined_words(n, sigma[n]) for n in range(3) if np.isfinite(sigma[n])}
+    return replace(known, sigma=sigma, detail=detail)
 
 
 def online_with_systematic(online: OnlineEstimate, tracks: StereoTracks, sigma_px: Sigma) -> OnlineEstimate:

@@ -95,11 +95,11 @@ def measure(case: Case) -> Case:
         estimate = estimate_motion(sequence.tracks, initial, config, Silent())
     except RunFailure as failure:
         return {"kind": kind, "failure": str(failure), "determined_at_truth": known}
-    detail = estimate.mass.identifiable.detail
+    known_sigma = estimate.mass.identifiable.sigma
     return {
         "kind": kind,
         "errors": constants_errors(estimate, sequence).tolist(),
-        "sigma": [_stated_sigma(detail[name]) for name in NAMES],
+        "sigma": [float(s) if np.isfinite(s) else None for s in known_sigma],
         "determined_at_truth": known,
         "connected": int(initial.connected.sum()),
         "converged": estimate.solver.converged,

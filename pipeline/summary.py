@@ -244,6 +244,7 @@ def _inertia(mass: MassProperties) -> dict[str, Any]:
         "J_G": mass.J_G.tolist(),
         "cov_J": _nullable(mass.cov_J),
         "moments": mass.moments.tolist(),
+        "sigma_moments": [_number(sigma) for sigma in mass.sigma_moments],
         "mass_kg": mass.mass_kg,
         "sigma_mass_kg": _sigma(mass.sigma_mass_kg),
         "scale_kg_m2": mass.inertia_scale_kg_m2,

@@ -51,6 +51,8 @@ class Inertia(Part):
     )
     """In the solver's five parameters."""
     moments: Vector
+    sigma_moments: VarianceRow = (None, 0.0, None)
+    """null: undetermined; the middle one is the unit."""
     mass_kg: Finite | None = None
     """From known forces; null: none are known."""
     sigma_mass_kg: Variance = None

@@ -141,6 +141,8 @@ class Identifiability:
     """(3,) each component of the centre of mass, along the principal axes."""
     axes_P: Bools
     """(3,) each rotation of the principal axes, about them."""
+    sigma: Array
+    """(8,) of com along P [m], k1, k2, the axes [rad]; inf where undetermined."""
 
 
 @dataclass(frozen=True)
@@ -169,13 +171,16 @@ class MassProperties:
     """(3, 3) [m^2]; inf on the diagonal where undetermined."""
     identifiable: Identifiability
     mass_kg: float | None = None
-    """From known forces; None: none are known. So too the others."""
+    """From known forces; None: none are known. So too the others; a sigma of inf: undetermined."""
     sigma_mass_kg: float | None = None
-    """inf: undetermined"""
     inertia_scale_kg_m2: float | None = None
     """Middle moment, from known torques: times J_G it gives the inertia in kg m^2"""
     sigma_inertia_scale_kg_m2: float | None = None
-    """inf: undetermined"""
+
+    @property
+    def sigma_moments(self) -> Array:
+        """(3,) of exp(k1), 1, exp(-k2), by the delta method."""
+        return self.moments * np.sqrt([self.cov_k[0, 0], 0.0, self.cov_k[1, 1]])
 
 
 @dataclass(frozen=True)
@@ -295,6 +300,8 @@ class OnlineEstimate:
     """(F, 3, 3) [m^2]"""
     R_GP: Array
     """(F, 3, 3)"""
+    cov_R_GP: Array
+    """(F, 3, 3) [rad^2], about the axes of P"""
     determined: Bools
     """(F, 4) whether k1, k2, com and axes are"""
 

@@ -62,6 +62,7 @@ def stacked(states: list[OnlineState]) -> OnlineEstimate:
         com_G=np.stack([s.com_G for s in states]),
         cov_com_G=np.stack([s.cov_com_G for s in states]),
         R_GP=np.stack([s.R_GP for s in states]),
+        cov_R_GP=np.stack([s.cov_R_GP for s in states]),
         determined=np.stack([s.determined for s in states]),
     )
 
@@ -89,6 +90,7 @@ def in_words_of(online: OnlineEstimate, final: MotionEstimate) -> OnlineEstimate
         com_G=transform_points(X_FG, online.com_G),
         cov_com_G=_turned(online.cov_com_G, R),
         R_GP=R @ online.R_GP * turn[:, None, :],
+        cov_R_GP=online.cov_R_GP * turn[:, :, None] * turn[:, None, :],
     )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
 
 from backend.covariance import axes_derivative, state_jacobian, with_infinite
+from backend.equal_moments import of_free_turn
 from backend.identifiability import analyse, undetermined_states
 from backend.inertia import InertiaForm
 from backend.iterate import Iterate
@@ -41,6 +42,8 @@ class OnlineState:
     cov_com_G: Array
     """(3, 3)"""
     R_GP: Array
+    cov_R_GP: Array
+    """(3, 3) of the axes, along P [rad^2]"""
     xi: Array
     """(5,) inertia in the solver's parameters"""
     cov_J: Array
@@ -116,6 +119,7 @@ def online_state(
     ratios = known.k1 and known.k2
     cov_com, cov_J = dense[12:15, 12:15], dense[15:, 15:]
     com_lost: Bools = np.abs(derivative.R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
+    cov_axes = of_free_turn(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P)
     moments = derivative.moments
     return OnlineState(
         timestamp_ns,
@@ -131,6 +135,7 @@ def online_state(
         constants[:3].copy(),
         with_infinite(cov_com, com_lost),
         R_GP,
+        with_infinite(cov_axes, ~known.axes_P) * np.outer(np.diag(turn), np.diag(turn)),
         constants[3:].copy(),
         with_infinite(cov_J, determined.lost_constants[3:]),
         np.array([ratios, ratios, known.com, known.axes]),
@@ -157,6 +162,7 @@ def unknown_state(
         com,
         np.diag(np.full(3, np.inf)),
         np.eye(3),
+        np.diag(np.full(3, np.inf)),
         np.zeros(5),
         np.diag(np.full(5, np.inf)),
         np.zeros(4, bool),

@@ -3,16 +3,17 @@
 import numpy as np
 
 from pipeline.report.content import Content, Motion
-from pipeline.report.plot import AXIS_COLORS, FAINT, INK, Figure, Trace, band, line, panels
+from pipeline.report.plot import AXIS_COLORS, FAINT, INK, Figure, Layout, Trace, band, line, panels
 from pipeline.trajectory_file import standard_deviations
-from polhode.lie import Array, transform_points
+from polhode.lie import Array, log_so3, transform_points
 from polhode.records import Bools, OnlineEstimate
 
+DEG = float(np.rad2deg(1.0))
 STATES = (
     ("position", 1e3, "mm"),
     ("velocity", 1e3, "mm/s"),
-    ("attitude", 57.29578, "deg"),
-    ("rate", 57.29578, "deg/s"),
+    ("attitude", DEG, "deg"),
+    ("rate", DEG, "deg/s"),
 )
 RATIO_COLORS = ("#5b3f8c", "#b8860b")
 WIDEST = 8.0
@@ -20,21 +21,22 @@ WIDEST = 8.0
 
 
 def convergence_figures(content: Content) -> list[Figure]:
-    """Mass properties and standard deviations against the number of frames; nothing without online.npz."""
+    """Mass properties and states against the number of frames; nothing without online.npz."""
     if content.online is None or content.motion is None or len(content.online.timestamps_ns) < 2:
         return []
-    return [_mass(content, content.online), _states(content.motion, content.online)]
+    motion, online = content.motion, content.online
+    return [_mass(content, online), _states(motion, online), _differences(motion, online)]
 
 
 def _mass(content: Content, online: OnlineEstimate) -> Figure:
-    """Ratios and centre of mass with their bands, above; their standard deviations, below."""
+    """Ratios, centre of mass and axes with their bands, above; their standard deviations, below."""
     inertia = content.summary.inertia
     assert inertia is not None and content.motion is not None
     frames = np.arange(1.0, len(online.k) + 1.0)
     figure = panels(
         [
-            ("k<sub>1</sub>", "k<sub>2</sub>", "com − final [mm]"),
-            ("σ of k<sub>1</sub>", "σ of k<sub>2</sub>", "σ of com [mm]"),
+            ("k<sub>1</sub>", "k<sub>2</sub>", "com − final [mm]", "axes − final [deg]"),
+            ("σ of k<sub>1</sub>", "σ of k<sub>2</sub>", "σ of com [mm]", "σ of axes [deg]"),
         ],
         "frames",
         showlegend=False,
@@ -44,28 +46,40 @@ def _mass(content: Content, online: OnlineEstimate) -> Figure:
     for k in (0, 1):
         sigma = _sigma(online.cov_k[:, k, k], online.determined[:, k])
         data += _history(frames, online.k[:, k], sigma, final[k], RATIO_COLORS[k], f"k{k + 1}", k + 1)
-        data.append(line(frames, sigma, f"k{k + 1}", RATIO_COLORS[k], k + 4))
+        data.append(line(frames, sigma, f"k{k + 1}", RATIO_COLORS[k], k + 5))
         figure[_y(k + 1)]["range"] = _range(online.k[:, k], sigma, final[k])
-    offset_mm, sigmas_mm = 1e3 * _offset_in_final_G(content.motion, online), []
-    for axis, name in enumerate("xyz"):
-        sigma = 1e3 * _sigma(online.cov_com_G[:, axis, axis], online.determined[:, 2])
-        sigmas_mm.append(sigma)
-        data += _history(frames, offset_mm[:, axis], sigma, 0.0, AXIS_COLORS[axis], name, 3)
-        data.append(line(frames, sigma, name, AXIS_COLORS[axis], 6))
-    ranges = [_range(offset_mm[:, axis], sigmas_mm[axis], 0.0) for axis in range(3)]
-    figure[_y(3)]["range"] = [min(low for low, _ in ranges), max(high for _, high in ranges)]
-    for panel in (4, 5, 6):
+    com_sigma = np.stack([_sigma(v, online.determined[:, 2]) for v in _variances(online.cov_com_G).T], axis=1)
+    offset = _offset_in_final_G(content.motion, online)
+    data += _vector_history(frames, 1e3 * offset, 1e3 * com_sigma, (3, 7), figure)
+    turn = log_so3(content.motion.R_GP.T @ online.R_GP)
+    axes_sigma = np.stack([_sigma(v, np.isfinite(v)) for v in _variances(online.cov_R_GP).T], axis=1)
+    data += _vector_history(frames, DEG * turn, DEG * axes_sigma, (4, 8), figure)
+    for panel in (5, 6, 7, 8):
         figure[_y(panel)]["type"] = "log"
     return Figure(
         "convergence-mass",
-        "Inertia and centre of mass as the frames came",
+        "Inertia, centre of mass and principal axes as the frames came",
         "The causal estimate after each frame, with bands of three standard deviations; dashed: the final "
-        "smoothed value. Below, the standard deviations. Nothing is drawn while the motion seen so far does "
+        "smoothed value. Centre of mass along G, axes as small turns about x, y, z of P. Below, the standard "
+        "deviations. Nothing is drawn while the motion seen so far does "
         f"not determine a quantity. {_first_words(online)}",
         data,
         figure,
         height_px=520,
     )
+
+
+def _vector_history(
+    frames: Array, difference: Array, sigma: Array, panel: tuple[int, int], figure: Layout
+) -> list[Trace]:
+    """Differences (F, 3) from the final value with their bands, and their sigmas (F, 3), in two panels."""
+    data: list[Trace] = []
+    for axis, name in enumerate("xyz"):
+        data += _history(frames, difference[:, axis], sigma[:, axis], 0.0, AXIS_COLORS[axis], name, panel[0])
+        data.append(line(frames, sigma[:, axis], name, AXIS_COLORS[axis], panel[1]))
+    ranges = [_range(difference[:, axis], sigma[:, axis], 0.0) for axis in range(3)]
+    figure[_y(panel[0])]["range"] = [min(low for low, _ in ranges), max(high for _, high in ranges)]
+    return data
 
 
 def _states(motion: Motion, online: OnlineEstimate) -> Figure:
@@ -94,6 +108,38 @@ def _states(motion: Motion, online: OnlineEstimate) -> Figure:
     )
 
 
+def _differences(motion: Motion, online: OnlineEstimate) -> Figure:
+    """The causal state minus the smoothed one of the same frame, with the bands of the causal one."""
+    causal, path = standard_deviations(online.covariance), motion.trajectory
+    frames = np.arange(1.0, len(causal) + 1.0)
+    titles = [f"{name} [{unit}]" for name, _, unit in STATES]
+    figure = panels([titles[:2], titles[2:]], "frames", showlegend=False)
+    differences = (
+        online.r_N - path.r_N,
+        online.v_N - path.v_N,
+        log_so3(np.swapaxes(path.R_NP, 1, 2) @ online.R_NP),
+        online.w_P - path.w_P,
+    )
+    data: list[Trace] = []
+    for n, (difference, (_, scale, _)) in enumerate(zip(differences, STATES, strict=True)):
+        sigma, ranges = scale * causal[:, 3 * n : 3 * n + 3], []
+        for axis, name in enumerate("xyz"):
+            values = scale * difference[:, axis]
+            data += _history(frames, values, sigma[:, axis], 0.0, AXIS_COLORS[axis], name, n + 1)
+            ranges.append(_range(values, sigma[:, axis], 0.0))
+        figure[_y(n + 1)]["range"] = [min(low for low, _ in ranges), max(high for _, high in ranges)]
+    figure["xaxis"]["range"] = [1, int(frames[-1])]
+    return Figure(
+        "convergence-differences",
+        "The state when its frame came, minus the smoothed one",
+        "Components x, y, z, with three standard deviations of the causal estimate: position and velocity "
+        "along N, attitude and angular velocity along P.",
+        data,
+        figure,
+        height_px=480,
+    )
+
+
 def _history(
     frames: Array, value: Array, sigma: Array, final: float, color: str, name: str, panel: int
 ) -> list[Trace]:
@@ -104,6 +150,11 @@ def _history(
         line(frames[[0, -1]], [final, final], "final", FAINT, panel, **dashes),
         line(frames, known, name, color, panel),
     ]
+
+
+def _variances(covariance: Array) -> Array:
+    """(F, 3) from (F, 3, 3)."""
+    return np.asarray(np.diagonal(covariance, axis1=1, axis2=2))
 
 
 def _sigma(variance: Array, determined: Bools) -> Array:

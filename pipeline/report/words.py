@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.report.content import Content, Motion
 from pipeline.summary import Summary
-from pipeline.summary_parts import Assumed, Inertia
+from pipeline.summary_parts import Assumed
 from pipeline.trajectory_file import Trajectory
 from polhode.lie import Array
 
@@ -73,7 +73,7 @@ def inertia_rows(summary: Summary) -> list[Row]:
         _row("k2 = ln(Jyy / Jzz)", inertia.k2, _root(inertia.cov[1][1]), "", known.k2, detail.get("k2", "")),
         Row(
             "moments Jxx : Jyy : Jzz",
-            " : ".join(map(with_sigma, inertia.moments, _moment_sigmas(inertia))),
+            " : ".join(map(with_sigma, inertia.moments, inertia.sigma_moments)),
             "middle one 1",
             _verdict(known.k1 and known.k2, ""),
             known.k1 and known.k2,
@@ -239,17 +239,6 @@ def _about(w_P: Array) -> str:
     if share[k] > 0.9:
         return f"about its principal axis {AXIS_WORDS[k]}"
     return "about an axis that wanders through the body"
-
-
-def _moment_sigmas(inertia: Inertia) -> list[float | None]:
-    """Delta method: Jxx and Jzz are exp(k1) and exp(-k2), with the middle moment 1."""
-    largest, _, least = inertia.moments
-    sigma = [_root(inertia.cov[k][k]) for k in (0, 1)]
-    return [
-        None if sigma[0] is None else largest * sigma[0],
-        0.0,
-        None if sigma[1] is None else least * sigma[1],
-    ]
 
 
 def _row(name: str, value: float, sigma: float | None, unit: str, sure: bool, reason: str) -> Row:

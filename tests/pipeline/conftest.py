@@ -84,7 +84,14 @@ def undetermined(example: Example) -> Example:
     inf2, inf3 = np.diag([np.inf] * 2), np.diag([1e-8, np.inf, 1e-8])
     flags = np.array([True, False, True])
     known = Identifiability(
-        False, False, False, False, {"k1": "pure spin: no torque-free wobble to see"}, flags, flags
+        False,
+        False,
+        False,
+        False,
+        {"k1": "pure spin: no torque-free wobble to see"},
+        flags,
+        flags,
+        np.full(8, np.inf),
     )
     mass = replace(
         example.estimate.mass,
@@ -105,7 +112,14 @@ def _mass_properties() -> MassProperties:
     moments = np.array([y * y + z * z, x * x + z * z, x * x + y * y])
     moments = moments / moments[1]
     known = Identifiability(
-        True, True, True, True, {"k1": "well determined"}, np.ones(3, dtype=bool), np.ones(3, dtype=bool)
+        True,
+        True,
+        True,
+        True,
+        {"k1": "well determined"},
+        np.ones(3, dtype=bool),
+        np.ones(3, dtype=bool),
+        np.ones(8),
     )
     return MassProperties(
         J_G=np.diag(moments),

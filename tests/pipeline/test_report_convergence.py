@@ -27,6 +27,7 @@ def online_of(motion: MotionEstimate) -> OnlineEstimate:
     determined = np.arange(F)[:, None] >= np.array([UNKNOWN_UNTIL, UNKNOWN_UNTIL, 0, F])
     variance = np.where(determined, 1e-6, np.inf)
     cov_k, cov_com = np.zeros((F, 2, 2)), np.zeros((F, 3, 3))
+    cov_axes = np.tile(np.diag([1e-6, np.inf, 1e-6]), (F, 1, 1))
     cov_k[:, [0, 1], [0, 1]] = variance[:, :2]
     cov_com[:, [0, 1, 2], [0, 1, 2]] = variance[:, 2:3]
     return OnlineEstimate(
@@ -42,6 +43,7 @@ def online_of(motion: MotionEstimate) -> OnlineEstimate:
         com_G=np.tile(mass.com_G - shift[:3, 3], (F, 1)),
         cov_com_G=cov_com,
         R_GP=np.tile(mass.R_GP, (F, 1, 1)),
+        cov_R_GP=cov_axes,
         determined=determined,
     )
 
@@ -59,8 +61,9 @@ def _content(example: Any, estimate: MotionEstimate, folder: Path) -> Content:
 
 
 def test_what_was_not_determined_yet_is_a_gap(content: Content) -> None:
-    mass, states = convergence_figures(content)
-    assert (mass.key, states.key) == ("convergence-mass", "convergence-states")
+    mass, states, differences = convergence_figures(content)
+    keys = [figure.key for figure in (mass, states, differences)]
+    assert keys == ["convergence-mass", "convergence-states", "convergence-differences"]
     curve = next(trace for trace in mass.data if trace.get("name") == "k1")
     known = np.isfinite(_unpacked(curve["y"]))
     np.testing.assert_array_equal(np.flatnonzero(known), np.arange(UNKNOWN_UNTIL, len(known)))
@@ -69,7 +72,7 @@ def test_what_was_not_determined_yet_is_a_gap(content: Content) -> None:
 
 
 def test_the_centre_of_mass_is_compared_in_the_final_frame_G(content: Content) -> None:
-    mass, _ = convergence_figures(content)
+    mass, *_ = convergence_figures(content)
     curves = [
         trace for trace in mass.data if trace.get("yaxis") == "y3" and trace.get("name") in ("x", "y", "z")
     ]
@@ -78,8 +81,28 @@ def test_the_centre_of_mass_is_compared_in_the_final_frame_G(content: Content) -
         np.testing.assert_allclose(_unpacked(curve["y"]), 0.0, atol=1e-5)
 
 
+def test_the_axes_are_small_turns_from_the_final_ones(content: Content) -> None:
+    mass, *_ = convergence_figures(content)
+    curves = {t["name"]: _unpacked(t["y"]) for t in mass.data if t.get("yaxis") == "y4" and "name" in t}
+    np.testing.assert_allclose(curves["x"], 0.0, atol=1e-5)
+    assert np.isnan(curves["y"]).all()
+    sigma = next(t for t in mass.data if t.get("yaxis") == "y8" and t.get("name") == "x")
+    np.testing.assert_allclose(_unpacked(sigma["y"]), np.rad2deg(1e-3), rtol=1e-5)
+
+
+def test_the_causal_state_is_drawn_against_the_smoothed_one(content: Content) -> None:
+    *_, differences = convergence_figures(content)
+    for panel in ("y", "y2", "y3", "y4"):
+        curves = [
+            t for t in differences.data if t.get("yaxis", "y") == panel and t.get("name") in tuple("xyz")
+        ]
+        assert len(curves) == 3
+        for curve in curves:
+            np.testing.assert_allclose(_unpacked(curve["y"]), 0.0, atol=1e-5)
+
+
 def test_smoothing_is_drawn_beside_the_causal_state(content: Content) -> None:
-    _, states = convergence_figures(content)
+    _, states, _ = convergence_figures(content)
     causal, smooth = (
         _unpacked(next(t for t in states.data if t.get("name") == name)["y"])
         for name in ("causal", "smoothed")
