@@ -55,13 +55,18 @@ check: setup
 
 bench: setup $(MATCHERS)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.scenes)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.prediction_error runs/ts38 data/ts38 -o runs/prediction.png)
 	$(BIN)/python -m benchmarks.frontend $(SHORT)
 	$(BIN)/python -m benchmarks.disparity $(SHORT)
 	$(BIN)/python -m benchmarks.lie_rank
 	$(BIN)/python -m benchmarks.conditioning -o runs/conditioning.png
+	$(BIN)/python -m benchmarks.bound
 	$(BIN)/python -m benchmarks.backend_size $(SHORT) -o runs/backend_growth.png
+	$(BIN)/python -m benchmarks.same_answer $(SHORT)
 	$(BIN)/python -m benchmarks.window $(SHORT)
+	$(BIN)/python -m benchmarks.window --seeds 3 --estimated $(SHORT)
 	$(BIN)/python -m benchmarks.pushes $(SHORT)
+	$(BIN)/python -m benchmarks.robustness $(SHORT)
 	$(BIN)/python -m benchmarks.convergence $(SHORT)
-	$(BIN)/python -m benchmarks.accuracy --motions 6 --seeds 8 --estimated $(SHORT)
+	$(BIN)/python -m benchmarks.accuracy --motions 6 --seeds 20 --estimated $(SHORT)
 	$(BIN)/python -m benchmarks.accuracy --motions 6 $(SHORT)

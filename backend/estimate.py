@@ -14,6 +14,7 @@ from backend.iterate import Iterate
 from backend.problem import TIGHT_GAUGE, MotionData, hold, motion_data
 from backend.program import MotionProgram
 from backend.result import assemble
+from backend.sense import OR_FAST
 from backend.systematic import with_systematic
 from backend.trials import renew_inertia
 from polhode.config.backend import Backend
@@ -34,11 +35,15 @@ def estimate_motion(
     Raises RunFailure when no guess leads to a motion that most observations agree with.
     """
     try:
-        return _estimate(tracks, initial, config, progress)
+        # guesses that diverge overflow; their cost sorts them out
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            return _estimate(tracks, initial, config, progress)
     except LinAlgError as error:
         # numpy's own words say nothing of the target
         reason = error if "bounds" in str(error) else "its equations have no solution"
-        raise RunFailure(f"no consistent motion: what fits best is no motion of a body ({reason})") from error
+        raise RunFailure(
+            f"no consistent motion: what fits best is no motion of a body ({reason}; {OR_FAST})"
+        ) from error
 
 
 def _estimate(

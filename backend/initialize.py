@@ -76,7 +76,8 @@ def robust_landmarks(tracks: StereoTracks, X_RG: Array, connected: Bools) -> tup
         ordered = p[np.lexsort((p[:, axis], mark)), axis]
         low, high = start + (count - 1) // 2, start + count // 2
         p_G[known, axis] = 0.5 * (ordered[low[known]] + ordered[high[known]])
-    p_G[~known] = np.median(p_G[known], axis=0)
+    if known.any():
+        p_G[~known] = np.median(p_G[known], axis=0)
     return p_G, known
 
 

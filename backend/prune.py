@@ -13,6 +13,7 @@ from backend.iterate import Iterate
 from backend.kernel_scale import widest_useful
 from backend.noise import NoiseScales, estimate_noise
 from backend.problem import MotionData, hold
+from backend.sense import OR_FAST
 from polhode.errors import RunFailure
 from polhode.lie import Array
 from polhode.records import Bools
@@ -87,7 +88,7 @@ def prune(data: MotionData, iterate: Iterate) -> Kept:
     if not share >= LEAST_SHARE:
         raise RunFailure(
             f"no consistent motion: only {share:.0%} of the observations agree with the best one found "
-            "(so it looks, too, when the target turns by more than half a revolution between pairs)"
+            f"({OR_FAST})"
         )
     number = np.cumsum(landmarks) - 1
     landmark = number[data.landmark[observations]]

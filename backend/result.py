@@ -23,6 +23,7 @@ from backend.noise import NoiseScales
 from backend.problem import MotionData, hold
 from backend.prune import Kept, whitened_residuals
 from backend.recovered import in_words, recovered_pushes
+from backend.sense import OR_FAST
 from polhode.lie import Array, make_pose
 from polhode.records import (
     Bools,
@@ -193,7 +194,7 @@ def _warnings(
         out.append(f"the motion does not determine: {', '.join(lost)}")
     outliers = float(np.mean(weight == 0.0))
     if outliers > MANY_OUTLIERS:
-        out.append(f"{outliers:.0%} of the observations contradict the motion and were left out")
+        out.append(f"{outliers:.0%} of the observations contradict the motion and were left out ({OR_FAST})")
     empty = np.setdiff1d(np.arange(tracks.n_frames), tracks.frame)
     if len(empty):
         bridged = (

@@ -15,6 +15,8 @@ OPEN_RAD = np.deg2rad(90.0)
 THE_OTHER_WAY = ", the other way round"
 """Ends the name of a hypothesis with the longer turns."""
 LEAST_INTERVALS = 3
+OR_FAST = "so it looks, too, when the target turns by more than half a revolution between pairs"
+"""Beyond the turns that are tried both ways, poses show the short way round, and no body moves like that."""
 
 
 def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Array]:

@@ -24,7 +24,7 @@ from backend.initialize import robust_landmarks
 from backend.iterate import Iterate
 from backend.kernels import N_CAMERA
 from backend.problem import MotionData, hold
-from backend.sense import THE_OTHER_WAY, rate_branches
+from backend.sense import OR_FAST, THE_OTHER_WAY, rate_branches
 from backend.shooting import shoot
 from polhode.errors import RunFailure
 from polhode.lie import Array
@@ -64,7 +64,11 @@ def first_starts(tracks: StereoTracks, initial: InitialMotion, data: MotionData)
     """Unknowns from the first guess of the poses, one start for each sense in which the target may turn."""
     X_NG = tracks.X_NR @ initial.X_RG
     R_NG, p_NG = X_NG[:, :3, :3], X_NG[:, :3, 3]
-    p_G, _ = robust_landmarks(tracks, initial.X_RG, initial.connected)
+    p_G, known = robust_landmarks(tracks, initial.X_RG, initial.connected)
+    if not known.any():
+        raise RunFailure(
+            f"no consistent motion: no landmark is seen in a frame that could be placed ({OR_FAST})"
+        )
     com_G = np.median(p_G, axis=0)
     use = np.flatnonzero(initial.connected)
     velocity = np.polyfit(tracks.time_s[use], (p_NG + R_NG @ com_G)[use], 1)[0]
@@ -99,7 +103,7 @@ def try_hypotheses(data: MotionData, starts: list[Start], advance: Advance) -> d
             at = min(of_start.values(), key=lambda t: t.cost).iterate
         trials |= of_start
     if not trials:
-        raise RunFailure("no consistent motion: every hypothesis of the inertia diverged")
+        raise RunFailure(f"no consistent motion: every hypothesis of the inertia diverged ({OR_FAST})")
     return _with_senses_settled(data, trials)
 
 

@@ -24,7 +24,7 @@ from benchmarks.record import Case, complete
 from polhode.lie import Array
 from simulation.measurements import RPM, SyntheticScene, random_scene
 
-RECORD = Path(__file__).resolve().parents[1] / "runs" / "convergence.jsonl"
+RECORD = Path(__file__).resolve().parent / "records" / "convergence.jsonl"
 KINDS = (*["any"] * 8, "spin", "equal moments", "slow", "short")
 NAMES = ("com_x", "com_y", "com_z", "k1", "k2", "axes_x", "axes_y", "axes_z")
 TOLERANCE = np.array([1e-3, 1e-3, 1e-3, 0.02, 0.02, *[np.deg2rad(2.0)] * 3])

@@ -22,7 +22,7 @@ from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from simulation.measurements import SyntheticScene, SyntheticSequence, Vector, generate
 
-RECORD = Path(__file__).resolve().parents[1] / "runs" / "pushes.jsonl"
+RECORD = Path(__file__).resolve().parent / "records" / "pushes.jsonl"
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 FREE = SyntheticScene(
     frames=60, landmarks=300, detection=0.4, w_G=(0.3, 0.5, 0.35), J_G=np.diag(MOMENTS),

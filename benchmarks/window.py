@@ -1,6 +1,7 @@
 """The sliding window against full smoothing of the same frames; its time and memory as frames go by.
 
-    python -m benchmarks.window [--seeds 5] [--workers 1] [--short] [--estimated] [--record FILE]
+    python -m benchmarks.window [--seeds 5] [--workers 1] [--short] [--estimated]
+                                [--record FILE] [--times FILE]
 
 Accuracy: sequences at the thesis's size. At some frames the window's causal state is compared with the last
 state of full smoothing of all frames up to then, started at the truth: the best that could be known. Pixel
@@ -25,7 +26,9 @@ from polhode.config.backend import Backend
 from polhode.lie import Array
 from simulation.measurements import SyntheticScene, SyntheticSequence, generate
 
-RECORD = Path(__file__).resolve().parents[1] / "runs" / "window.jsonl"
+RECORD = Path(__file__).resolve().parent / "records" / "window.jsonl"
+TIMES = Path(__file__).resolve().parents[1] / "runs" / "window_times.jsonl"
+"""Not kept in the repository: times are those of a machine."""
 SCENES = (
     "spin of 10 RPM near the middle axis (TS38)",
     "flip of a box, 8 RPM",
@@ -47,7 +50,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--short", action="store_true", help="one motion, one seed, 200 frames")
     parser.add_argument("--estimated", action="store_true", help="noise estimated by the window, not given")
-    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
+    parser.add_argument("--record", type=Path, default=RECORD, help="file of the errors that were measured")
+    parser.add_argument("--times", type=Path, default=TIMES, help="file of the times that were measured")
     options = parser.parse_args()
     mode = "estimated" if options.estimated else "given"
     scenes = SCENES[: 1 if options.short else None]
@@ -61,7 +65,7 @@ def main() -> None:
     n_frames = 200 if options.short else GROWTH.frames
     growth: list[Case] = [{"solver": solver, "frames": n_frames} for solver in SOLVERS]
     # one after the other: they are timed
-    print_growth(complete(options.record, growth, measure_growth, 1))
+    print_growth(complete(options.times, growth, measure_growth, 1))
 
 
 def measure_accuracy(case: Case) -> Case:

@@ -62,6 +62,8 @@ def read_ply(path: Path) -> SurfaceModel:
     raw = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
     if raw is None or not {"sigma_m", "views"} <= set(raw.dtype.names or ()):
         raise InputError(f"{path}: vertices without sigma_m and views: not a mesh of a run")
+    if not np.isfinite(mesh.vertices).all():
+        raise InputError(f"{path}: a vertex holds NaN or infinity; run 'polhode run' again")
     return SurfaceModel(
         mesh=mesh,
         sigma_m=np.asarray(raw["sigma_m"], dtype=np.float64).reshape(-1),

@@ -6,14 +6,13 @@ NumPy stamps every member of an archive with 1980-01-01, so no clock enters the 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.archive_file import Archive, Arrays, load_archive
 from polhode.atomic import replaced
 from polhode.camera import RectifiedRig
-from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.records import Ints, MotionEstimate, RelativePoses, StereoTracks, Wrench
 
@@ -30,7 +29,6 @@ JOINT_ORDER: tuple[str, ...] = (
 BODY_ORDER: tuple[str, ...] = tuple(name.replace("_P_", "_G_") for name in JOINT_ORDER)
 """The same with attitude and rate of the body itself, along G."""
 
-Arrays = dict[str, NDArray[np.generic]]
 _TRACKS = tuple(f.name for f in fields(StereoTracks) if f.name not in ("rig", "wrench"))
 
 
@@ -84,12 +82,14 @@ def write_covariance(estimate: MotionEstimate, path: Path) -> None:
 
 def read_covariance(path: Path) -> Covariance:
     """Read covariance.npz (the file, or the run folder that holds it). Raises InputError, one line."""
-    arrays = _load(path, "covariance.npz", ("timestamps_ns", "covariance", "last_joint"))
+    archive = load_archive(path, "covariance.npz")
+    timestamps_ns = archive.times("timestamps_ns")
+    n, m = len(STATE_ORDER), len(JOINT_ORDER)
     return Covariance(
-        np.asarray(arrays["timestamps_ns"], dtype=np.int64),
-        np.asarray(arrays["covariance"], dtype=np.float64),
-        np.asarray(arrays["last_joint"], dtype=np.float64),
-        np.asarray(arrays["last_body"], dtype=np.float64) if "last_body" in arrays else None,
+        timestamps_ns,
+        archive.numbers("covariance", len(timestamps_ns), n, n, infinite=True),
+        archive.numbers("last_joint", m, m, infinite=True),
+        archive.numbers("last_body", m, m) if "last_body" in archive else None,
     )
 
 
@@ -117,101 +117,80 @@ def write_measurements(
 
 def read_measurements(path: Path) -> StereoTracks:
     """Read the tracks of measurements.npz (the file, or the run folder). Raises InputError, one line."""
-    arrays = _load(path, "measurements.npz", (*_TRACKS, *(f"rig_{f.name}" for f in fields(RectifiedRig))))
-    rig = RectifiedRig(
-        focal_px=float(arrays["rig_focal_px"]),
-        cx_px=float(arrays["rig_cx_px"]),
-        cy_px=float(arrays["rig_cy_px"]),
-        baseline_m=float(arrays["rig_baseline_m"]),
-        width_px=int(arrays["rig_width_px"]),
-        height_px=int(arrays["rig_height_px"]),
-        disparity_offset_px=float(arrays["rig_disparity_offset_px"]),
-    )
-    _require_sound(path, arrays)
+    archive = load_archive(path, "measurements.npz")
+    timestamps_ns = archive.times("timestamps_ns")
+    frame = archive.whole("frame", None, below=len(timestamps_ns))
+    count = len(frame)
+    sigma_px = archive.numbers("sigma_px", count, 3)
+    if np.any(sigma_px <= 0.0):
+        raise archive.wrong("sigma_px is not positive everywhere")
     return StereoTracks(
-        rig=rig,
-        timestamps_ns=np.asarray(arrays["timestamps_ns"], dtype=np.int64),
-        X_NR=np.asarray(arrays["X_NR"], dtype=np.float64),
-        frame=np.asarray(arrays["frame"], dtype=np.int64),
-        landmark=np.asarray(arrays["landmark"], dtype=np.int64),
-        uvd_px=np.asarray(arrays["uvd_px"], dtype=np.float64),
-        sigma_px=np.asarray(arrays["sigma_px"], dtype=np.float64),
-        sigma_camera_p_m=float(arrays["sigma_camera_p_m"]),
-        sigma_camera_theta_rad=float(arrays["sigma_camera_theta_rad"]),
-        X_BR=np.asarray(arrays["X_BR"], dtype=np.float64),
-        wrench=_wrench(arrays),
+        rig=_rig(archive),
+        timestamps_ns=timestamps_ns,
+        X_NR=archive.numbers("X_NR", len(timestamps_ns), 4, 4),
+        frame=frame,
+        landmark=archive.whole("landmark", count, below=count),
+        uvd_px=archive.numbers("uvd_px", count, 3),
+        sigma_px=sigma_px,
+        sigma_camera_p_m=archive.number("sigma_camera_p_m"),
+        sigma_camera_theta_rad=archive.number("sigma_camera_theta_rad"),
+        X_BR=archive.numbers("X_BR", 4, 4),
+        wrench=_wrench(archive),
     )
 
 
-def _require_sound(path: Path, arrays: Arrays) -> None:
-    """Raise InputError when measurements are NaN, or times do not increase."""
-    for name in ("X_NR", "uvd_px", "sigma_px"):
-        bad = ~np.isfinite(np.asarray(arrays[name], dtype=np.float64))
-        if bad.any():
-            row = int(np.argwhere(bad)[0][0])
-            raise InputError(f"{path}: {name} holds NaN or infinity in row {row}; run 'polhode run' again")
-    if np.any(np.asarray(arrays["sigma_px"], dtype=np.float64) <= 0.0):
-        raise InputError(f"{path}: sigma_px is not positive everywhere; run 'polhode run' again")
-    later = np.diff(np.asarray(arrays["timestamps_ns"], dtype=np.int64)) > 0
-    if not later.all():
-        row = int(np.argmin(later)) + 1
-        raise InputError(f"{path}: timestamps_ns does not increase in row {row}; run 'polhode run' again")
-    for name, size in (("frame", len(later) + 1), ("landmark", len(arrays["landmark"]))):
-        index = np.asarray(arrays[name], dtype=np.int64)
-        if len(index) and (index.min() < 0 or index.max() >= size):
-            raise InputError(f"{path}: {name} points outside the run; run 'polhode run' again")
+def _rig(archive: Archive) -> RectifiedRig:
+    rig = RectifiedRig(
+        focal_px=archive.number("rig_focal_px"),
+        cx_px=archive.number("rig_cx_px"),
+        cy_px=archive.number("rig_cy_px"),
+        baseline_m=archive.number("rig_baseline_m"),
+        width_px=int(archive.whole("rig_width_px")),
+        height_px=int(archive.whole("rig_height_px")),
+        disparity_offset_px=archive.number("rig_disparity_offset_px"),
+    )
+    for name in ("focal_px", "baseline_m", "width_px", "height_px"):
+        if not getattr(rig, name) > 0:
+            raise archive.wrong(f"rig_{name} is not positive")
+    return rig
 
 
-def _wrench(arrays: Arrays) -> Wrench | None:
-    if "wrench_time_ns" not in arrays:
+def _wrench(archive: Archive) -> Wrench | None:
+    if "wrench_time_ns" not in archive:
         return None
+    time_ns = archive.times("wrench_time_ns")
     return Wrench(
-        time_ns=np.asarray(arrays["wrench_time_ns"], dtype=np.int64),
-        force_N=np.asarray(arrays["wrench_force_N"], dtype=np.float64),
-        torque_P=np.asarray(arrays["wrench_torque_P"], dtype=np.float64),
+        time_ns=time_ns,
+        force_N=archive.numbers("wrench_force_N", len(time_ns), 3),
+        torque_P=archive.numbers("wrench_torque_P", len(time_ns), 3),
     )
 
 
 def read_relative_poses(path: Path) -> RelativePoses | None:
     """The relative poses of measurements.npz; None when the run stopped before them."""
-    arrays = _load(path, "measurements.npz", ())
-    if "relative_i" not in arrays:
+    archive = load_archive(path, "measurements.npz")
+    if "relative_i" not in archive:
         return None
+    n_frames = len(archive.times("timestamps_ns"))
+    i = archive.whole("relative_i", None, below=n_frames)
     return RelativePoses(
-        i=np.asarray(arrays["relative_i"], dtype=np.int64),
-        j=np.asarray(arrays["relative_j"], dtype=np.int64),
-        X_RiRj=np.asarray(arrays["relative_X_RiRj"], dtype=np.float64),
-        inliers=np.asarray(arrays["relative_inliers"], dtype=np.int64),
+        i=i,
+        j=archive.whole("relative_j", len(i), below=n_frames),
+        X_RiRj=archive.numbers("relative_X_RiRj", len(i), 4, 4),
+        inliers=archive.whole("relative_inliers", len(i)),
     )
 
 
 def read_residuals(path: Path) -> Residuals | None:
     """The back end's residuals in measurements.npz; None when the run stopped before them."""
-    arrays = _load(path, "measurements.npz", ())
-    if "residuals_px" not in arrays:
+    archive = load_archive(path, "measurements.npz")
+    if "residuals_px" not in archive:
         return None
-    return Residuals(
-        np.asarray(arrays["residuals_px"], dtype=np.float64),
-        np.asarray(arrays["inlier_weight"], dtype=np.float64),
-    )
+    count = len(archive.whole("frame", None))
+    return Residuals(archive.numbers("residuals_px", count, 3), archive.numbers("inlier_weight", count))
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
     """An .npz archive: the same bytes for the same content."""
     with replaced(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
-
-
-def _load(path: Path, name: str, required: tuple[str, ...]) -> Arrays:
-    file = path / name if path.is_dir() else path
-    if not file.is_file():
-        raise InputError(f"{file}: no such file; give the folder of a run")
-    try:
-        with np.load(file, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-    except (BadZipFile, ValueError, OSError, EOFError) as error:
-        raise InputError(f"{file}: not a readable archive of arrays ({error})") from error
-    missing = [key for key in required if key not in arrays]
-    if missing:
-        raise InputError(f"{file}: the array {missing[0]} is missing; run 'polhode run' again")
-    return arrays

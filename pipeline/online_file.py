@@ -2,12 +2,12 @@
 
 from dataclasses import fields
 from pathlib import Path
-from zipfile import BadZipFile
+from typing import Any
 
 import numpy as np
 
+from pipeline.archive_file import load_archive
 from polhode.atomic import replaced
-from polhode.errors import InputError
 from polhode.records import OnlineEstimate
 
 
@@ -26,8 +26,14 @@ def read_online(path: Path) -> OnlineEstimate | None:
     file = path / "online.npz" if path.is_dir() else path
     if not file.is_file():
         return None
-    try:
-        with np.load(file, allow_pickle=False) as archive:
-            return OnlineEstimate(**{f.name: archive[f.name] for f in fields(OnlineEstimate)})
-    except (BadZipFile, KeyError, ValueError, OSError, EOFError) as error:
-        raise InputError(f"{file}: not a causal estimate ({error}); run 'polhode run' again") from error
+    archive = load_archive(file, "online.npz")
+    count = len(archive.times("timestamps_ns"))
+    found: dict[str, Any] = {}
+    for name in (field.name for field in fields(OnlineEstimate)):
+        values = archive.arrays.get(name)
+        if values is None or values.shape[:1] != (count,):
+            raise archive.wrong(f"{name} has not one row for each of {count} frames")
+        found[name] = (
+            archive.numbers(name, *values.shape, infinite=True) if values.dtype.kind == "f" else values
+        )
+    return OnlineEstimate(**found)

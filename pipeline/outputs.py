@@ -6,6 +6,7 @@ the content alone.
 """
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
@@ -37,6 +38,7 @@ from pipeline.trajectory_file import (
 from polhode.atomic import write_bytes, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
+from polhode.errors import InputError
 from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks, SurfaceModel
 
 __all__ = [
@@ -68,6 +70,8 @@ __all__ = [
     "write_run",
     "write_surface",
 ]
+
+_log = logging.getLogger(__name__)
 
 
 def write_config(folder: Path, config: Config) -> None:
@@ -124,7 +128,12 @@ def finish_run(folder: Path, summary: Summary) -> Summary:
     """Write summary.json and report.html; the timings then hold the report too. Returns the summary."""
     write_summary(summary, folder / "summary.json")
     start = perf_counter()
-    write_report(folder)
+    try:
+        write_report(folder)
+    except InputError as error:
+        # the results stand without their page
+        _log.warning("no report: %s", error)
+        summary = summary.model_copy(update={"warnings": [*summary.warnings, f"no report: {error}"]})
     seconds = perf_counter() - start
     times = summary.timing_s
     timing = times.model_copy(update={"report": times.report + seconds, "total": times.total + seconds})

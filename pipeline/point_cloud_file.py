@@ -49,8 +49,12 @@ def read_landmarks(path: Path) -> Landmarks:
     ):
         raise InputError(f"{file}: not a point cloud that polhode wrote; run 'polhode run' again")
     vertices = np.frombuffer(body, dtype=_VERTEX)
+    p_G = np.stack([vertices["x"], vertices["y"], vertices["z"]], axis=1)
+    bad = ~np.isfinite(p_G).all(axis=1) | np.isnan(vertices["sigma_m"])
+    if bad.any():
+        raise InputError(f"{file}: NaN or infinity in point {int(np.argmax(bad))}; run 'polhode run' again")
     return Landmarks(
-        p_G=np.stack([vertices["x"], vertices["y"], vertices["z"]], axis=1),
+        p_G=p_G,
         sigma_m=vertices["sigma_m"].astype(np.float64),
         observations=vertices["observations"].astype(np.int64),
     )

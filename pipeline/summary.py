@@ -37,6 +37,8 @@ from polhode.errors import InputError
 from polhode.records import MassProperties, MotionEstimate, StereoTracks, SurfaceModel
 
 STAGES: tuple[str, ...] = ("frontend", "initialization", "backend", "depth", "fusion", "report", "total")
+MANY_CONTRADICTED = 0.4
+"""Share of the observations without weight that makes an answer doubtful."""
 SCHEMA_FILE = Path(__file__).with_name("summary.schema.json")
 
 
@@ -138,6 +140,9 @@ def degradations(
         reasons.append(
             "fewer than half of the frames have measurements; the others are bridged by the dynamics"
         )
+    contradicted = float(np.mean(estimate.inlier_weight == 0.0)) if estimate is not None else 0.0
+    if contradicted > MANY_CONTRADICTED:
+        reasons.append(f"{contradicted:.0%} of the observations contradict the motion")
     if surface is None or len(surface.mesh.faces) == 0:
         reasons.append("there is no surface: the depth maps gave none, or the run ended before them")
     return tuple(reasons)

@@ -111,9 +111,27 @@ def read_trajectory(path: Path) -> Trajectory:
         timestamps_ns = np.array([int(row[0]) for row in cells], dtype=np.int64)
         values = np.array([[float(cell) for cell in row[1:]] for row in cells], dtype=np.float64)
         columns = values.reshape(len(cells), len(TRAJECTORY_COLUMNS) - 1)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise InputError(
             f"{file}: not a table of {len(TRAJECTORY_COLUMNS)} numbers a row ({error})"
         ) from error
+    _require_sound(file, timestamps_ns, columns)
     parts = np.split(columns, [3, 6, 10, 13, 16, 19, 22], axis=1)
     return Trajectory(timestamps_ns, *parts)
+
+
+def _require_sound(file: Path, timestamps_ns: Ints, columns: Array) -> None:
+    """Raise InputError unless times increase, states are finite and standard deviations are numbers."""
+    if len(timestamps_ns) == 0:
+        raise InputError(f"{file}: no row below the header; run 'polhode run' again")
+    states, sigmas, q_wxyz = columns[:, :13], columns[:, 13:], columns[:, 6:10]
+    with np.errstate(invalid="ignore", over="ignore"):
+        checks = {
+            "a timestamp that does not increase": np.r_[False, np.diff(timestamps_ns) <= 0],
+            "a state that is NaN or infinite": ~np.isfinite(states).all(axis=1),
+            "a standard deviation that is NaN or negative": ~(sigmas >= 0.0).all(axis=1),
+            "a quaternion that is not of unit length": abs(np.linalg.norm(q_wxyz, axis=1) - 1.0) > 1e-2,
+        }
+    for what, bad in checks.items():
+        if bad.any():
+            raise InputError(f"{file} line {int(np.argmax(bad)) + 2}: {what}; run 'polhode run' again")

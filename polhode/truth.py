@@ -14,6 +14,8 @@ from polhode.quaternion import matrix_from_wxyz
 from polhode.records import Truth
 from polhode.tables import numbers_at, numbers_of, read_mapping, read_rows, timestamps_of
 
+UNIT_TOLERANCE = 1e-2
+
 
 def read_truth(folder: Path) -> Truth:
     """Read ``mav0/target0`` of the sequence ``folder``: states in time, mass properties, surface in G.
@@ -26,6 +28,11 @@ def read_truth(folder: Path) -> Truth:
     path = target / "data.csv"
     rows = read_rows(path)
     values = numbers_of(path, rows, columns=13)
+    off = abs(np.linalg.norm(values[:, 3:7], axis=1) - 1.0)
+    if off.max() > UNIT_TOLERANCE:
+        raise InputError(
+            f"{path} line {rows[int(off.argmax())][0]}: q_NP (w, x, y, z) is not a unit quaternion"
+        )
     properties_path = target / "target.yaml"
     properties = read_mapping(properties_path, "the truth needs moments, com_G and R_GP")
     moments = numbers_at(properties_path, properties, "moments", (3,))
@@ -62,4 +69,6 @@ def _read_mesh(path: Path) -> trimesh.Trimesh | None:
         raise InputError(f"{path} is not a readable mesh: {' '.join(str(error).split())}") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError(f"{path} holds no triangles")
+    if not np.isfinite(mesh.vertices).all():
+        raise InputError(f"{path} holds NaN or infinity")
     return mesh

@@ -144,3 +144,51 @@ def test_measurements_that_cannot_be_are_refused_in_one_line(
     with pytest.raises(InputError, match=words) as caught:
         read_measurements(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("read", "name", "value", "words"),
+    [
+        (read_measurements, "uvd_px", np.zeros((3, 3)), "uvd_px is 3 x 3, expected"),
+        (read_measurements, "uvd_px", np.array(["a"]), "uvd_px holds <U1, expected numbers"),
+        (read_measurements, "landmark", np.zeros(2, dtype=int), "landmark is 2, expected"),
+        (read_measurements, "frame", np.zeros(5), "frame holds float64, expected whole numbers"),
+        (read_measurements, "X_NR", np.zeros((1, 4, 4)), "X_NR is 1 x 4 x 4, expected 24 x 4 x 4"),
+        (read_measurements, "X_BR", np.full((4, 4), np.inf), "X_BR holds NaN or infinity in row 0"),
+        (read_measurements, "sigma_camera_p_m", np.array(np.nan), "sigma_camera_p_m holds NaN or infinity"),
+        (read_measurements, "rig_baseline_m", np.array(0.0), "rig_baseline_m is not positive"),
+        (read_measurements, "rig_focal_px", np.array(np.nan), "rig_focal_px holds NaN or infinity"),
+        (read_measurements, "wrench_force_N", np.full((2, 3), np.nan), "wrench_force_N holds NaN"),
+        (read_measurements, "wrench_torque_P", np.zeros((1, 3)), "wrench_torque_P is 1 x 3, expected 2 x 3"),
+        (read_measurements, "wrench_time_ns", np.array([5, 5]), "wrench_time_ns does not increase in row 1"),
+        (read_relative_poses, "relative_X_RiRj", np.full((23, 4, 4), np.nan), "relative_X_RiRj holds NaN"),
+        (read_relative_poses, "relative_j", np.full(23, 24), "relative_j points outside the run"),
+        (
+            read_relative_poses,
+            "relative_inliers",
+            np.zeros(2, dtype=int),
+            "relative_inliers is 2, expected 23",
+        ),
+        (read_residuals, "residuals_px", np.zeros((2, 3)), "residuals_px is 2 x 3, expected"),
+        (read_residuals, "inlier_weight", np.array([[1.0]]), "inlier_weight is 1 x 1, expected"),
+    ],
+)
+def test_arrays_that_do_not_belong_together_are_refused_in_one_line(
+    read: Any, name: str, value: Any, words: str, example: Any, tmp_path: Path
+) -> None:
+    file = tmp_path / "measurements.npz"
+    wrench = Wrench(np.array([5, 9], dtype=np.int64), np.eye(2, 3), -np.eye(2, 3))
+    write_measurements(replace(example.tracks, wrench=wrench), file, example.relative, example.estimate)
+    with np.load(file) as archive:
+        arrays = {key: archive[key] for key in archive.files}
+    assert name in arrays
+    np.savez(file, **{**arrays, name: value})
+    with pytest.raises(InputError) as caught:
+        read(tmp_path)
+    assert str(caught.value).startswith(f"{file}: {words}") and "\n" not in str(caught.value)
+
+
+def test_tracks_without_any_observation_can_be_written_and_read(example: Any, tmp_path: Path) -> None:
+    none = {name: getattr(example.tracks, name)[:0] for name in ("frame", "landmark", "uvd_px", "sigma_px")}
+    write_measurements(replace(example.tracks, **none), tmp_path / "measurements.npz")
+    assert read_measurements(tmp_path).n_landmarks == 0

@@ -14,6 +14,7 @@ from frontend.guided import reconnect
 from pipeline.cli import main
 from pipeline.trajectory_file import read_trajectory
 from polhode.config import Config
+from polhode.dataset_writer import write_png
 from polhode.errors import RunFailure
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
@@ -108,27 +109,13 @@ def test_what_an_earlier_round_found_stays_when_a_later_one_fails(
     assert summary["status"] == "failed" and summary["inertia"] is not None
 
 
-@pytest.mark.parametrize(
-    ("name", "rows", "words"),
-    [
-        ("cam0", None, "repeats"),
-        ("inspector0", ["{0},0,0,0,1,0,0,0", "{1},nan,0,0,1,0,0,0"], "NaN"),
-        ("wrench0", ["{0},0,0,0,0,0,0", "{1},0,nan,0,0,0,0"], "NaN"),
-        ("wrench0", ["{0},0,0,0,0,0,0", "{0},0,0,0,0,0,0"], "repeats"),
-    ],
-    ids=["two frames at one time", "NaN in a pose", "NaN in a force", "two forces at one time"],
-)
-def test_bad_rows_are_refused_in_one_line_and_nothing_is_written(
-    at_rest: Path, tmp_path: Path, capsys: Capture, name: str, rows: list[str] | None, words: str
-) -> None:
-    shutil.copytree(at_rest, tmp_path / "sequence")
-    path = tmp_path / "sequence" / "mav0" / name / "data.csv"
-    path.parent.mkdir(exist_ok=True)
-    listed = (at_rest / "mav0" / "cam0" / "data.csv").read_text().splitlines()
-    stamps = [line.split(",")[0] for line in listed if line[0].isdigit()]
-    lines = [row.format(*stamps) for row in rows] if rows else [*listed[:3], listed[2], *listed[3:]]
-    path.write_text("\n".join(lines) + "\n")
-    assert run(tmp_path / "sequence", tmp_path / "run") == 2
-    told = capsys.readouterr().err.strip().splitlines()
-    assert len(told) == 1 and words in told[0] and name in told[0]
-    assert not (tmp_path / "run").exists()
+def test_a_frame_that_shows_nothing_is_bridged_with_a_warning(at_rest: Path, tmp_path: Path) -> None:
+    dark = Path(shutil.copytree(at_rest, tmp_path / "sequence"))
+    for camera in ("cam0", "cam1"):
+        image = sorted((dark / "mav0" / camera / "data").iterdir())[3]
+        write_png(image, np.zeros((180, 240), dtype=np.uint8))
+    assert run(dark, tmp_path / "run") == 0
+    summary = summary_of(tmp_path / "run")
+    assert any("1 frame without measurements was bridged" in text for text in summary["warnings"])
+    assert (summary["frames"], summary["frames_used"]) == (FRAMES, FRAMES - 1)
+    assert len(read_trajectory(tmp_path / "run").timestamps_ns) == FRAMES

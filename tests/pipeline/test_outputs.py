@@ -9,8 +9,9 @@ import pytest
 import trimesh
 import yaml
 
-from pipeline.outputs import write_run
+from pipeline.outputs import read_summary, write_run
 from polhode.config import Config
+from polhode.errors import InputError
 from polhode.records import SurfaceModel
 
 STATED = {
@@ -73,3 +74,18 @@ def test_an_estimate_that_is_not_finite_stops_the_run(example: Any, tmp_path: Pa
     w_P = np.full_like(example.estimate.w_P, np.nan)
     with pytest.raises(ValueError, match="not finite"):
         _write(tmp_path / "run", replace(example, estimate=replace(example.estimate, w_P=w_P)), None)
+
+
+def test_a_report_that_cannot_be_made_costs_only_itself(
+    example: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(folder: Path) -> None:
+        raise InputError(f"{folder}/online.npz: covariance holds NaN")
+
+    monkeypatch.setattr("pipeline.outputs.write_report", refuse)
+    summary = write_run(
+        tmp_path, config=Config(), tracks=example.tracks, estimate=example.estimate, surface=None, timing_s={}
+    )
+    assert any("no report" in text and "holds NaN" in text for text in summary.warnings)
+    assert read_summary(tmp_path).warnings == summary.warnings
+    assert (tmp_path / "trajectory.csv").is_file() and not (tmp_path / "report.html").exists()

@@ -113,6 +113,12 @@ def test_the_status_follows_from_what_was_found(example: Any, undetermined: Any)
     assert _summary(example, degraded=["the masks are empty"]).status == "degraded"
     assert _summary(example, failure="out of memory").status == "failed"
     assert build_summary(example.tracks, example.estimate, None, {}).status == "degraded"
+    weight = np.where(np.arange(len(example.tracks.frame)) % 2 == 0, 0.0, 1.0)
+    doubtful = replace(example, estimate=replace(example.estimate, inlier_weight=weight))
+    assert _summary(doubtful).status == "degraded"
+    assert any(
+        "50% of the observations contradict the motion" in text for text in _summary(doubtful).warnings
+    )
     stopped = replace(example.estimate, solver=replace(example.estimate.solver, converged=False))
     assert _summary(replace(example, estimate=stopped)).status == "failed"
 

@@ -1,0 +1,82 @@
+"""Measurements without images for the whole command: a sequence on disk, its features from a simulation.
+
+The pictures on disk show nothing of the motion; features, matches and surface take the place of what front
+end and mapping make. All else, from the command line to the report, is the program's own.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from frontend.pairs import PairMatch
+from frontend.stereo import StereoFeatures
+from polhode.dataset_writer import write_png, write_sensor
+from polhode.lie import make_pose
+from polhode.records import SurfaceModel
+from simulation.measurements import RIG, SyntheticSequence
+
+PICTURE = "patch.png"
+
+
+def put_in_place(sequence: SyntheticSequence, folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """Write the sequence to the folder; from now on a run sees these measurements."""
+    _write(sequence, folder)
+    features, matches = _features(sequence), _matches(sequence)
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    surface = SurfaceModel(box, np.full(8, 1e-3), np.full(8, 3, dtype=np.int64))
+
+    def found(*_: Any) -> list[StereoFeatures]:
+        return features
+
+    def matched(*_: Any) -> list[PairMatch]:
+        return matches
+
+    def built(*_: Any) -> SurfaceModel:
+        return surface
+
+    patch.setattr("pipeline.run.extract_features", found)
+    patch.setattr("pipeline.run.match_pairs", matched)
+    patch.setattr("pipeline.run._build_surface", built)
+
+
+def _write(sequence: SyntheticSequence, folder: Path) -> None:
+    """All frames of a camera name one picture: a bright patch before a dark sky."""
+    picture = np.zeros((RIG.height_px, RIG.width_px), dtype=np.uint8)
+    picture[200:280, 280:360] = np.random.default_rng(1).integers(60, 250, (80, 80))
+    for index in (0, 1):
+        camera = folder / "mav0" / f"cam{index}"
+        X_BC = make_pose(np.eye(3), np.array([index * RIG.baseline_m, 0.0, 0.0]))
+        write_sensor(camera, RIG.K, np.zeros(4), X_BC, RIG.width_px, RIG.height_px, rate_hz=2.0)
+        write_png(camera / "data" / PICTURE, picture)
+        rows = [f"{stamp},{PICTURE}\n" for stamp in sequence.tracks.timestamps_ns]
+        (camera / "data.csv").write_text("".join(rows))
+
+
+def _features(sequence: SyntheticSequence) -> list[StereoFeatures]:
+    """One a measurement; a landmark has the same descriptor wherever it is seen."""
+    tracks = sequence.tracks
+    name = np.random.default_rng(2).normal(size=(tracks.n_landmarks, 32))
+    name /= np.linalg.norm(name, axis=1, keepdims=True)
+    features = []
+    for k in range(tracks.n_frames):
+        rows = np.flatnonzero(tracks.frame == k)
+        uvd_px, descriptors = tracks.uvd_px[rows], name[tracks.landmark[rows]].astype(np.float32)
+        scale_px = np.ones(len(rows))
+        features.append(
+            StereoFeatures(uvd_px, tracks.sigma_px[rows], RIG.triangulate(uvd_px), scale_px, descriptors)
+        )
+    return features
+
+
+def _matches(sequence: SyntheticSequence) -> list[PairMatch]:
+    """Every landmark that two frames of a link share."""
+    tracks, links = sequence.tracks, sequence.relative
+    marks = [tracks.landmark[tracks.frame == k] for k in range(tracks.n_frames)]
+    matches = []
+    for i, j, X_RiRj in zip(links.i.tolist(), links.j.tolist(), links.X_RiRj, strict=True):
+        _, in_i, in_j = np.intersect1d(marks[i], marks[j], return_indices=True)
+        matches.append(PairMatch(i, j, X_RiRj, np.stack([in_i, in_j], axis=1)))
+    return matches

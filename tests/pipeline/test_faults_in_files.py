@@ -1,0 +1,257 @@
+"""NaN and repeated times in the files that commands read: exit code 2, one line that names the file."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.cli import main
+from pipeline.outputs import write_online_estimate, write_run
+from polhode.config import Config
+from polhode.dataset_writer import write_inspector, write_truth, write_wrench
+from polhode.records import OnlineEstimate, Truth
+from tests.pipeline.conftest import Example
+
+Capture = pytest.CaptureFixture[str]
+Damage = Callable[[Path], None]
+
+
+def refused(arguments: list[str], file: Path, words: str, capsys: Capture) -> None:
+    """Exit code 2 and exactly one line on standard error, with the file and the words."""
+    code = main(arguments)
+    stderr = capsys.readouterr().err
+    assert code == 2, stderr
+    assert stderr.startswith("polhode: error: ") and stderr.count("\n") == 1
+    assert str(file) in stderr and words in stderr, stderr
+
+
+def text(old: str, new: str) -> Damage:
+    """Replace the first occurrence."""
+
+    def damage(file: Path) -> None:
+        content = file.read_text()
+        assert old in content
+        file.write_text(content.replace(old, new, 1))
+
+    return damage
+
+
+def cell(row: int, column: int, value: str) -> Damage:
+    """Put a value into a row of numbers below the header."""
+
+    def damage(file: Path) -> None:
+        lines = file.read_text().splitlines()
+        cells = lines[1 + row].split(",")
+        cells[column] = value
+        lines[1 + row] = ",".join(cells)
+        file.write_text("\n".join(lines) + "\n")
+
+    return damage
+
+
+def repeated(file: Path) -> None:
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:3], lines[2], *lines[3:]]) + "\n")
+
+
+IN_SEQUENCE: dict[str, tuple[str, Damage, str]] = {
+    "left times repeat": ("cam0/data.csv", repeated, "line 4: timestamp 1600000000500000000 repeats"),
+    "right times repeat": ("cam1/data.csv", repeated, "repeats"),
+    "poses' times repeat": ("inspector0/data.csv", repeated, "repeats"),
+    "forces' times repeat": ("wrench0/data.csv", repeated, "repeats"),
+    "NaN as a time": ("cam1/data.csv", cell(1, 0, "nan"), "line 3: timestamp 'nan'"),
+    "NaN in a pose": ("inspector0/data.csv", cell(1, 2, "nan"), "line 3: NaN or infinity"),
+    "NaN in a quaternion": ("inspector0/data.csv", cell(1, 4, "NaN"), "line 3: NaN or infinity"),
+    "NaN in a force": ("wrench0/data.csv", cell(1, 1, "nan"), "line 3: NaN or infinity"),
+    "infinite torque": ("wrench0/data.csv", cell(0, 6, "-inf"), "line 2: NaN or infinity"),
+    "NaN in the intrinsics": ("cam0/sensor.yaml", text("[50.0", "[.nan"), "'intrinsics': holds NaN"),
+    "NaN in T_BS": ("cam1/sensor.yaml", text("0.09", ".nan"), "'T_BS': holds NaN"),
+    "NaN in the distortion": (
+        "cam1/sensor.yaml",
+        text("-0.1", ".nan"),
+        "'distortion_coefficients': holds NaN",
+    ),
+    "NaN in the resolution": ("cam0/sensor.yaml", text("[64,", "[.nan,"), "'resolution': holds NaN"),
+    "NaN as bits": ("cam0/sensor.yaml", text("rate_hz", "bits: .nan\nrate_hz"), "'bits'"),
+    "NaN as the poses' sigma": ("inspector0/sensor.yaml", text("0.001", ".nan"), "'sigma_p_m': holds NaN"),
+}
+
+
+@pytest.fixture
+def whole_sequence(small_sequence: Path) -> Path:
+    """With all optional tables."""
+    mav0 = small_sequence / "mav0"
+    stamps = np.array([int(path.stem) for path in sorted((mav0 / "cam0" / "data").iterdir())])
+    write_inspector(mav0, stamps, np.tile(np.eye(4), (len(stamps), 1, 1)), sigma_p_m=0.001)
+    write_wrench(mav0, stamps, np.zeros((len(stamps), 3)), np.zeros((len(stamps), 3)))
+    return small_sequence
+
+
+@pytest.mark.parametrize("name", IN_SEQUENCE)
+def test_a_table_or_calibration_is_refused_and_nothing_is_written(
+    whole_sequence: Path, tmp_path: Path, capsys: Capture, name: str
+) -> None:
+    where, damage, words = IN_SEQUENCE[name]
+    file = whole_sequence / "mav0" / where
+    damage(file)
+    arguments = ["run", "configs/default.yaml", "--data", str(whole_sequence), "-o", str(tmp_path / "run")]
+    refused(arguments, file, words, capsys)
+    assert [path.name for path in tmp_path.iterdir()] == ["sequence"]
+
+
+@pytest.mark.parametrize(
+    ("content", "key"),
+    [
+        ("backend: {accel_psd: .nan}", "backend.accel_psd"),
+        ("backend: {unknown_wrench_s: [[.nan, 1.0]]}", "backend.unknown_wrench_s"),
+        ("backend: {max_seconds: .inf}", "backend.max_seconds"),
+    ],
+)
+def test_a_configuration_is_refused(
+    small_sequence: Path, tmp_path: Path, capsys: Capture, content: str, key: str
+) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text(content + "\n")
+    arguments = ["run", str(config), "--data", str(small_sequence), "-o", str(tmp_path / "run")]
+    refused(arguments, config, key, capsys)
+    assert not (tmp_path / "run").exists()
+
+
+def array(name: str, value: float) -> Damage:
+    """Put a value into an array of an archive."""
+
+    def damage(file: Path) -> None:
+        with np.load(file) as archive:
+            arrays = {key: archive[key] for key in archive.files}
+        spoilt = arrays[name].astype(float)
+        spoilt.flat[0] = value
+        np.savez(file, **{**arrays, name: spoilt})
+
+    return damage
+
+
+def point(file: Path) -> None:
+    """NaN as the first coordinate of a cloud or a mesh."""
+    head, mark, body = file.read_bytes().partition(b"end_header\n")
+    kind = "<f8" if b"property double x" in head else "<f4"
+    nan = np.array([np.nan], dtype=kind).tobytes()
+    file.write_bytes(head + mark + nan + body[len(nan) :])
+
+
+REPORT, PREDICT, EVALUATE = "report", "predict", "evaluate"
+NAN = "NaN or infin"
+IN_RUN: dict[str, tuple[str, Damage, str, tuple[str, ...]]] = {
+    "measurement": ("measurements.npz", array("uvd_px", np.nan), f"uvd_px holds {NAN}", (REPORT,)),
+    "measurement's sigma": (
+        "measurements.npz",
+        array("sigma_px", np.inf),
+        f"sigma_px holds {NAN}",
+        (REPORT,),
+    ),
+    "camera pose": ("measurements.npz", array("X_NR", np.nan), f"X_NR holds {NAN}", (REPORT,)),
+    "body's camera": ("measurements.npz", array("X_BR", np.nan), f"X_BR holds {NAN}", (REPORT,)),
+    "focal length": (
+        "measurements.npz",
+        array("rig_focal_px", np.nan),
+        f"rig_focal_px holds {NAN}",
+        (REPORT,),
+    ),
+    "frame's number": ("measurements.npz", array("frame", np.nan), "frame holds float64", (REPORT,)),
+    "residual": ("measurements.npz", array("residuals_px", np.nan), f"residuals_px holds {NAN}", (REPORT,)),
+    "state": (
+        "trajectory.csv",
+        cell(3, 1, "nan"),
+        "line 5: a state that is NaN",
+        (REPORT, PREDICT, EVALUATE),
+    ),
+    "sigma": (
+        "trajectory.csv",
+        cell(3, -1, "nan"),
+        "line 5: a standard deviation",
+        (REPORT, PREDICT, EVALUATE),
+    ),
+    "time": ("trajectory.csv", cell(3, 0, "nan"), "not a table", (REPORT, PREDICT, EVALUATE)),
+    "covariance": ("covariance.npz", array("covariance", np.nan), "holds NaN", (REPORT, PREDICT, EVALUATE)),
+    "last state": ("covariance.npz", array("last_body", np.inf), "last_body holds NaN", (REPORT, PREDICT)),
+    "ratio": ("summary.json", text('"k1": ', '"k1": NaN, "_": '), "inertia.k1", (REPORT, PREDICT, EVALUATE)),
+    "causal state": ("online.npz", array("r_N", np.nan), "r_N holds NaN in row 0", (REPORT,)),
+    "landmark": ("landmarks.ply", point, "NaN or infinity in point 0", (REPORT,)),
+    "surface": ("mesh.ply", point, "NaN or infinity", (REPORT, EVALUATE)),
+    "configuration": (
+        "config.yaml",
+        text("accel_psd: ", "accel_psd: .nan #"),
+        "accel_psd",
+        (PREDICT, EVALUATE),
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def finished(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """RUN and SEQ with the truth alone, which is the estimate."""
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "run").mkdir()
+    motion, mass = example.estimate, example.estimate.mass
+    write_run(
+        folder / "run", config=Config(), tracks=example.tracks, estimate=motion, surface=example.surface,
+        timing_s={}, relative=example.relative,
+    )  # fmt: skip
+    n = len(motion.timestamps_ns)
+    eye, two = np.tile(np.eye(3), (n, 1, 1)), np.tile(np.eye(2), (n, 1, 1))
+    online = OnlineEstimate(
+        motion.timestamps_ns, motion.r_N, motion.v_N, motion.R_NP, motion.w_P, motion.covariance, motion.X_NG,
+        k=np.zeros((n, 2)), cov_k=two, com_G=np.zeros((n, 3)), cov_com_G=eye, R_GP=eye, cov_R_GP=eye,
+        determined=np.ones((n, 4), dtype=np.bool_),
+    )  # fmt: skip
+    write_online_estimate(folder / "run", online)
+    truth = Truth(
+        motion.timestamps_ns, motion.r_N, motion.R_NP, motion.v_N, motion.w_P,
+        mass.moments, mass.k1, mass.k2, mass.com_G, mass.R_GP, example.surface.mesh,
+    )  # fmt: skip
+    write_truth(folder / "sequence" / "mav0", truth)
+    return folder
+
+
+@pytest.fixture
+def run_and_truth(finished: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(finished, tmp_path / "copy"))
+
+
+def command(name: str, folder: Path) -> list[str]:
+    run = str(folder / "run")
+    return {
+        REPORT: ["report", run, "-o", str(folder / "page.html")],
+        PREDICT: ["predict", run, "--horizon", "5", "-o", str(folder / "ahead.csv")],
+        EVALUATE: ["evaluate", run, str(folder / "sequence")],
+    }[name]
+
+
+@pytest.mark.parametrize("name", IN_RUN)
+def test_a_file_of_a_run_is_refused_by_every_command_that_reads_it(
+    run_and_truth: Path, capsys: Capture, name: str
+) -> None:
+    where, damage, words, commands = IN_RUN[name]
+    damage(run_and_truth / "run" / where)
+    for each in commands:
+        refused(command(each, run_and_truth), run_and_truth / "run" / where, words, capsys)
+    made = ("page.html", "ahead.csv", "run/metrics.json")
+    assert not any((run_and_truth / file).exists() for file in made)
+
+
+@pytest.mark.parametrize(
+    ("where", "damage", "words"),
+    [
+        ("data.csv", cell(2, 1, "nan"), "line 4: NaN or infinity"),
+        ("data.csv", repeated, "repeats"),
+        ("target.yaml", text("k1: ", "k1: .nan #"), "'k1': holds NaN"),
+        ("mesh.ply", point, "holds NaN or infinity"),
+    ],
+)
+def test_the_truth_is_refused(
+    run_and_truth: Path, capsys: Capture, where: str, damage: Damage, words: str
+) -> None:
+    file = run_and_truth / "sequence" / "mav0" / "target0" / where
+    damage(file)
+    refused(command(EVALUATE, run_and_truth), file, words, capsys)
