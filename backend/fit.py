@@ -8,6 +8,7 @@ from scipy.linalg import LinAlgError
 from backend.ambiguity import Choice, choose
 from backend.attach import attach_wrench
 from backend.fewer_frames import from_fewer_frames
+from backend.initialize import robust_landmarks
 from backend.iterate import Iterate
 from backend.noise import NoiseScales
 from backend.problem import MotionData
@@ -17,6 +18,7 @@ from backend.trials import Start, Trial, first_starts, try_hypotheses
 from backend.unknown_pushes import find_pushes
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
+from polhode.lie import inverse_pose, make_pose
 from polhode.progress import Advance
 from polhode.records import InitialMotion, StereoTracks
 
@@ -24,9 +26,13 @@ SEARCHES = 3
 """For unknown pushes: with the strong ones freed the disturbances are weaker, and weak ones show."""
 
 
-MOST_AGREE, SUSPICIOUS = 0.7, 30.0
+MOST_AGREE, SUSPICIOUS = 0.65, 30.0
 """A smaller share of observations that agree, or estimated disturbances so many times those stated (power):
 frames may contradict one another."""
+
+
+MOST_PLACED, PLACINGS = 0.9, 2
+"""When fewer landmarks are kept, wrong first poses may have put them astray: they are placed anew."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +89,13 @@ def _agreeing(found: Fit) -> float:
     return float(np.mean(found.kept.observations))
 
 
+def _placed_anew(tracks: StereoTracks, kept: Kept, iterate: Iterate) -> Iterate:
+    """Landmarks that left, where the poses found since then see them."""
+    X_RG = inverse_pose(tracks.X_NR) @ make_pose(iterate.R_NG, iterate.p_NG)
+    p_G, known = robust_landmarks(tracks, X_RG, np.ones(tracks.n_frames, dtype=np.bool_))
+    return replace(iterate, p_G=np.where((known & ~kept.landmarks)[:, None], p_G, iterate.p_G))
+
+
 def _silent() -> None:
     return None
 
@@ -106,7 +119,12 @@ def _with_pushes(data: MotionData, found: Fit, starts: list[Start], config: Back
 def _fit(data: MotionData, starts: list[Start], config: Backend, advance: Advance) -> Fit:
     trials = try_hypotheses(data, starts, advance)
     choice = choose(trials, data.dt_s)
-    data, kept, iterate, scales = settle(data, trials[choice.name].iterate)
+    stated = data
+    data, kept, iterate, scales = settle(stated, trials[choice.name].iterate)
+    for _ in range(PLACINGS):
+        if np.mean(kept.landmarks) >= MOST_PLACED:
+            break
+        data, kept, iterate, scales = settle(stated, _placed_anew(starts[0].tracks, kept, iterate))
     advance()
     runner_up: dict[str, float] = {}
     if data.impulses is not None and data.impulses.acting.any():

@@ -46,7 +46,7 @@ def estimate_noise(data: MotionData, iterate: Iterate, robust: bool) -> NoiseSca
     weight = robust_weight(np.sum(residuals**2, axis=1), data.robust_scale)
     taken = landmark_leverage(data, A, p_NG, p_G, weight)
     # the poses are fitted to u and v too: six numbers for the two of each observation
-    taken[:, :2] += min(3.0 * data.n_frames / len(data.frame), 0.3)
+    taken[:, :2] += min(3.0 * len(np.unique(data.frame)) / len(data.frame), 0.3)
     free = np.maximum(1.0 - taken[repeated], 0.05)
     if robust:
         whitened = np.abs(residuals[repeated]) / np.sqrt(free)

@@ -14,14 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backend.covariance import axes_derivative, marginals, state_jacobians
+from backend.dynamics import States
 from backend.gauss_newton import GaussNewton
 from backend.identifiability import analyse
 from backend.inertia import FORMS, InertiaForm, second_moments_from_inertia
 from backend.iterate import Iterate
-from backend.kernels import N_CONSTANTS, N_STATE
+from backend.kernels import N_CONSTANTS
 from backend.problem import TIGHT_GAUGE, hold, motion_data
 from polhode.config.backend import Backend
-from polhode.lie import Array, hat, log_so3
+from polhode.lie import Array, hat, inverse_pose, log_so3
 from polhode.metrics import HALF_TURNS, best_half_turn
 from polhode.records import MotionEstimate
 from simulation.measurements import SyntheticSequence, generate
@@ -50,52 +51,70 @@ class Bound:
         return np.array([*_traces(self.states), np.trace(self.com_G), np.trace(self.xi)])
 
 
-def cramer_rao_bound(sequence: SyntheticSequence, config: Backend) -> Bound:
+ALL_FRAMES = slice(None)
+
+
+def cramer_rao_bound(sequence: SyntheticSequence, config: Backend, frames: slice = ALL_FRAMES) -> Bound:
     """The bound for a sequence; ``config`` holds the true process noise, the tracks the true pixel noise.
 
-    Outliers carry no information.
+    Outliers carry no information. ``frames``: those whose states are wanted, from the measurements of all.
     """
     data, truth = motion_data(sequence.tracks, config), true_iterate(sequence, config)
     # next to nothing, so that a landmark of outliers alone can still be eliminated
     weight = np.where(sequence.outlier[data.order], 1e-6, 1.0)
     m = marginals(GaussNewton(data), hold(data, truth, TIGHT_GAUGE), truth.vector(), weight)
-    joint = joint_of_states(truth, data.form, m.dense)
-    F, n = truth.n_frames, N_STATE * truth.n_frames
-    states = joint.reshape(F, 12, F, 12)[np.arange(F), :, np.arange(F)]
+    joint = joint_of_states(truth, data.form, m.dense, data.camera_N)
+    F, n = truth.n_frames, truth.n_states
+    joint = joint.reshape(F, 12, F, 12)[frames, :, frames]
+    F = len(joint)
+    states, joint = joint[np.arange(F), :, np.arange(F)], joint.reshape(12 * F, 12 * F)
     freedom = np.array([*(_freedom(joint, quantity) for quantity in range(4)), 3.0, 5.0])
     return Bound(states, m.dense[n : n + 3, n : n + 3], m.dense[n + 3 :, n + 3 :], freedom)
 
 
 def true_iterate(sequence: SyntheticSequence, config: Backend) -> Iterate:
-    """The unknowns at the truth."""
-    truth, form = sequence.truth, FORMS[config.inertia]
+    """The unknowns at the truth; where the camera's poses are noisy, with their true errors."""
+    truth, form, tracks = sequence.truth, FORMS[config.inertia], sequence.tracks
     xi, R_inertia = form.coordinates(second_moments_from_inertia(truth.R_GP * truth.moments @ truth.R_GP.T))
+    X_NG, camera = sequence.X_NG, None
+    if max(tracks.sigma_camera_p_m, tracks.sigma_camera_theta_rad) > 0.0:
+        # the unknown poses are those that the stated camera sees
+        to_true = sequence.X_NR @ inverse_pose(tracks.X_NR)
+        X_NG = inverse_pose(to_true) @ X_NG
+        shift = sequence.X_NR[:, :3, 3] - tracks.X_NR[:, :3, 3]
+        camera = np.concatenate([shift, log_so3(to_true[:, :3, :3])], axis=1)
     return Iterate(
-        sequence.X_NG[:, :3, 3],
-        sequence.X_NG[:, :3, :3],
+        X_NG[:, :3, 3],
+        X_NG[:, :3, :3],
         truth.v_N,
         truth.w_P @ truth.R_GP.T,
         truth.com_G,
         xi,
         R_inertia,
         sequence.p_G,
+        camera,
     )
 
 
-def joint_of_states(iterate: Iterate, form: InertiaForm, dense: Array) -> Array:
+def joint_of_states(
+    iterate: Iterate, form: InertiaForm, dense: Array, camera_N: Array | None = None
+) -> Array:
     """Covariance (12 F, 12 F) of (r_N, v_N, theta_P, w_N) of all frames from that of the unknowns."""
-    derivative, n = axes_derivative(form, iterate), N_STATE * iterate.n_frames
-    R_NP, w_P = iterate.R_NG @ derivative.R_GP, iterate.w_G @ derivative.R_GP
-    jacobians, parts = state_jacobians(iterate, derivative), []
+    derivative, n, s = axes_derivative(form, iterate), iterate.n_states, iterate.n_state
+    numbers = iterate.vector()[:n].reshape(-1, s)
+    R_NG = States(numbers, iterate.R_NG, np.zeros((len(numbers), 3)), iterate.com_G).true_attitudes()
+    R_NP, w_P = R_NG @ derivative.R_GP, iterate.w_G @ derivative.R_GP
+    jacobians, parts = state_jacobians(iterate, derivative, camera_N), []
     for k in range(iterate.n_frames):
         T = rate_along_N(R_NP[k], w_P[k])
-        own, constants = jacobians[k, :, :N_STATE], jacobians[k, :, N_STATE:]
-        parts.append((slice(12 * k, 12 * k + 12), T @ own, T @ constants))
-    half, joint = np.empty((n, n + N_CONSTANTS)), np.empty((n, n))
-    for at, own, constants in parts:
-        half[at] = own @ dense[at] + constants @ dense[n:]
-    for at, own, constants in parts:
-        joint[:, at] = half[:, at] @ own.T + half[:, n:] @ constants.T
+        own, constants = jacobians[k, :, :s], jacobians[k, :, s:]
+        parts.append((slice(12 * k, 12 * k + 12), slice(s * k, s * k + s), T @ own, T @ constants))
+    half = np.empty((12 * iterate.n_frames, n + N_CONSTANTS))
+    joint = np.empty((len(half), len(half)))
+    for at, unknowns, own, constants in parts:
+        half[at] = own @ dense[unknowns] + constants @ dense[n:]
+    for at, unknowns, own, constants in parts:
+        joint[:, at] = half[:, unknowns] @ own.T + half[:, n:] @ constants.T
     return joint
 
 
@@ -150,14 +169,13 @@ def errors_of(estimate: MotionEstimate, sequence: SyntheticSequence, config: Bac
     theta = -log_so3(np.swapaxes(estimate.R_NP, 1, 2) @ (truth.R_NP * turn))
     w = _along_N(estimate.R_NP, estimate.w_P) - _along_N(truth.R_NP, truth.w_P)
     states = np.concatenate([estimate.r_N - truth.r_N, estimate.v_N - truth.v_N, theta, w], axis=1)
-    # both covariances hold G at the first frame: there the two frames G are compared
-    R_NG = estimate.X_NG[0, :3, :3]
-    com_true = R_NG.T @ (truth.r_N[0] - estimate.X_NG[0, :3, 3])
+    # both covariances hold G at its true pose of the first frame: there the two frames G are compared
+    R_NG = estimate.R_NP[0] @ mass.R_GP.T
     between = sequence.X_NG[0, :3, :3].T @ R_NG
     J_true, form = truth.R_GP * truth.moments @ truth.R_GP.T, FORMS[config.inertia]
     return Errors(
         states,
-        mass.com_G - com_true,
+        R_NG.T @ (estimate.r_N[0] - truth.r_N[0]),
         _difference(form, mass.J_G, between.T @ J_true @ between),
         _difference(form, between @ mass.J_G @ between.T, J_true),
         np.array([mass.k1 - truth.k1, mass.k2 - truth.k2]),
@@ -225,13 +243,11 @@ def determined_at_truth(sequence: SyntheticSequence, config: Backend) -> list[bo
 def constants_errors(estimate: MotionEstimate, sequence: SyntheticSequence) -> Array:
     """Estimate minus truth (8,): com along the estimate's principal axes [m], k1, k2, axes [rad]."""
     truth, mass = sequence.truth, estimate.mass
-    R_NG = estimate.X_NG[0, :3, :3]
-    com_true = R_NG.T @ (truth.r_N[0] - estimate.X_NG[0, :3, 3])
-    between = mass.R_GP.T @ R_NG.T @ truth.R_NP[0]
+    between = estimate.R_NP[0].T @ truth.R_NP[0]
     turn = HALF_TURNS[int(np.argmax(HALF_TURNS @ np.diag(between)))]
     axes = -log_so3(between * turn)
     ratios = mass.k1 - truth.k1, mass.k2 - truth.k2
-    return np.array([*(mass.R_GP.T @ (mass.com_G - com_true)), *ratios, *axes])
+    return np.array([*(estimate.R_NP[0].T @ (estimate.r_N[0] - truth.r_N[0])), *ratios, *axes])
 
 
 SHOWN = ("spin of 10 RPM near the middle axis (TS38)", "triaxial tumble, 7 RPM")

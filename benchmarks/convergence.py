@@ -12,7 +12,6 @@ every quantity, those in which none is wrong. "falsely": quantities called deter
 """
 
 import argparse
-import re
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.record import Case, complete
 from polhode.lie import Array
+from polhode.records import MotionEstimate
 from simulation.measurements import RPM, SyntheticScene, random_scene
 
 RECORD = Path(__file__).resolve().parent / "records" / "convergence.jsonl"
@@ -95,11 +95,10 @@ def measure(case: Case) -> Case:
         estimate = estimate_motion(sequence.tracks, initial, config, Silent())
     except RunFailure as failure:
         return {"kind": kind, "failure": str(failure), "determined_at_truth": known}
-    known_sigma = estimate.mass.identifiable.sigma
     return {
         "kind": kind,
         "errors": constants_errors(estimate, sequence).tolist(),
-        "sigma": [float(s) if np.isfinite(s) else None for s in known_sigma],
+        "sigma": stated_sigma(estimate),
         "determined_at_truth": known,
         "connected": int(initial.connected.sum()),
         "converged": estimate.solver.converged,
@@ -110,13 +109,9 @@ def measure(case: Case) -> Case:
     }
 
 
-def _stated_sigma(words: str) -> float | None:
-    """The standard deviation in SI units out of a verdict in words; None: not determined."""
-    found = re.match(r"determined, standard deviation about ([-+.e\d]+) ?(mm|deg)?", words)
-    if found is None:
-        return None
-    unit = {"mm": 1e-3, "deg": float(np.deg2rad(1.0))}.get(found[2], 1.0)
-    return float(found[1]) * unit
+def stated_sigma(estimate: MotionEstimate) -> list[float | None]:
+    """(8,) standard deviations of NAMES [m, 1, rad]; None: not determined."""
+    return [float(s) if np.isfinite(s) else None for s in estimate.mass.identifiable.sigma]
 
 
 def wrong(line: Case) -> Array:

@@ -1,12 +1,13 @@
 """Do both solvers and both forms of the inertia end in the same answer? Cold starts at the thesis's size.
 
-    python -m benchmarks.same_answer [--seeds 2] [--workers 2] [--short] [--record FILE]
+    python -m benchmarks.same_answer [--seeds 1] [--workers 2] [--short] [--record FILE]
 
 The sequences of ``benchmarks/accuracy.py`` (six motions, 1 px and 0.3 px), process noise given, each four
-times: by Gauss-Newton and by IPOPT, with ``backend.inertia`` ``second_moments`` and ``ratios_axes``.
-Against Gauss-Newton with ``second_moments``: how many observations were left out otherwise, the relative
-difference of the final cost where none was (else the problems differ), and the largest difference of a
-state, k1 or k2 over its standard deviation. What was measured before is read from the record.
+times: by Gauss-Newton and by IPOPT, with ``backend.inertia`` ``second_moments`` and ``ratios_axes``. "one
+problem": the whole data with the stated noise, from the truth; relative difference of the final cost from
+that of Gauss-Newton with ``second_moments``. "cold start": all that a run does, with its own noise of the
+pixels and observations left out; observations left out otherwise, and the largest difference of a state, k1
+or k2 over its standard deviation. What was measured before is read from the record.
 """
 
 import argparse
@@ -31,7 +32,7 @@ WANTED = 1e-6
 def main() -> None:
     """Measure what the record lacks, print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=2, help="sequences per motion and noise")
+    parser.add_argument("--seeds", type=int, default=1, help="sequences per motion and noise")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--short", action="store_true", help="one motion, one sequence")
     parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
@@ -48,6 +49,11 @@ def main() -> None:
 def measure(case: Case) -> Case:
     """One sequence four times: costs, and differences from the first."""
     from backend import estimate_motion, initialize_motion
+    from backend.estimate import refine
+    from backend.gauss_newton import GaussNewton
+    from backend.problem import motion_data
+    from backend.program import MotionProgram
+    from benchmarks.bound import true_iterate
     from polhode.progress import Silent
     from simulation.measurements import generate
 
@@ -55,18 +61,23 @@ def measure(case: Case) -> Case:
     scene = replace(MOTIONS[case["motion"]], sigma_uv_px=noise, sigma_d_px=noise)
     sequence = generate(scene, 7000 + case["seed"])
     found: dict[str, MotionEstimate] = {}
+    costs: dict[str, float] = {}
     for solver in SOLVERS:
         for form in FORMS:
             given = {"accel_psd": scene.accel_psd, "torque_psd": scene.torque_psd}
             config = Backend.model_validate(
                 {"solver": solver, "inertia": form, "process_noise": "given", **given}
             )
+            name = f"{solver}, {form}"
+            data = motion_data(sequence.tracks, config)
+            program = MotionProgram(data) if solver == "ipopt" else GaussNewton(data)
+            costs[name] = refine(program, data, true_iterate(sequence, config), 50)[1].cost
             initial = initialize_motion(sequence.tracks, sequence.relative, config)
-            found[f"{solver}, {form}"] = estimate_motion(sequence.tracks, initial, config, Silent())
+            found[name] = estimate_motion(sequence.tracks, initial, config, Silent())
     first = next(iter(found.values()))
     return {
         name: {
-            "cost": estimate.solver.cost,
+            "cost": costs[name],
             "iterations": estimate.solver.iterations,
             "converged": estimate.solver.converged,
             "left_out_otherwise": int(np.sum((estimate.inlier_weight > 0.0) != (first.inlier_weight > 0.0))),
@@ -102,28 +113,24 @@ def largest_difference(first: MotionEstimate, other: MotionEstimate) -> float:
 def print_table(lines: list[Case]) -> None:
     """One row a solver and form: the worst over all sequences."""
     names = [f"{solver}, {form}" for solver in SOLVERS for form in FORMS]
-    head = (
-        "solver, inertia | sequences | converged | iterations | left out otherwise | cost apart | "
-        "sigmas apart"
+    print(
+        "| solver, inertia | sequences | one problem: cost apart | cold start: converged | iterations ",
+        end="",
     )
-    print(f"| {head} |\n|" + "---|" * 7)
+    print("| left out otherwise | sigmas apart |\n|" + "---|" * 7)
     worst = 0.0
     for name in names:
         some = [line[name] for line in lines]
-        apart = [
-            abs(line[name]["cost"] / line[names[0]]["cost"] - 1.0)
-            for line in lines
-            if line[name]["left_out_otherwise"] == 0
-        ]
-        worst = max(worst, *apart)
+        apart = max(abs(line[name]["cost"] / line[names[0]]["cost"] - 1.0) for line in lines)
+        worst = max(worst, apart)
         otherwise = [one["left_out_otherwise"] for one in some if one["left_out_otherwise"]]
         print(
-            f"| {name} | {len(some)} | {sum(one['converged'] for one in some)} "
+            f"| {name} | {len(some)} | {apart:.1e} | {sum(one['converged'] for one in some)} "
             f"| {np.mean([one['iterations'] for one in some]):.1f} "
-            f"| {sum(otherwise)} in {len(otherwise)} sequences | {max(apart):.1e} "
+            f"| {sum(otherwise)} in {len(otherwise)} sequences "
             f"| {max(one['sigmas_apart'] for one in some):.1e} |"
         )
-    print(f"\nOn the same observations the costs differ by at most {worst:.1e}, wanted at most {WANTED:.0e}.")
+    print(f"\nOn one problem the costs differ by at most {worst:.1e}, wanted at most {WANTED:.0e}.")
 
 
 if __name__ == "__main__":

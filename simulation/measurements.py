@@ -13,6 +13,7 @@ from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.records import Bools, Ints, RelativePoses, StereoTracks, Truth, Wrench
 from simulation.disturbed_motion import disturbed_motion
+from simulation.motion.deadband import limit_cycle
 from simulation.pair_poses import pair_poses
 
 Vector = tuple[float, float, float]
@@ -54,6 +55,10 @@ class SyntheticScene:
     camera_moves: bool = False
     station_keeping: bool = False
     """The camera follows the target's drift, so that as much is seen at the end as at the start."""
+    deadband_m: tuple[float, float] = (0.0, 0.0)
+    """The camera jitters within a dead band along each axis of N: half width [m], drift [m/s]; zeros: not."""
+    deadband_rad: tuple[float, float] = (0.0, 0.0)
+    """The same of its attitude about its own axes: half width [rad], drift [rad/s]."""
     sigma_camera_p_m: float = 0.0
     """Noise of the stated camera position, independent from frame to frame [m]."""
     sigma_camera_theta_rad: float = 0.0
@@ -81,6 +86,8 @@ class SyntheticSequence:
     """(L, 3) landmarks as numbered in the tracks [m]"""
     outlier: Bools
     """(M,)"""
+    X_NR: Array
+    """(F, 4, 4) true poses of the camera; those of the tracks are what the inspector states"""
 
 
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
@@ -107,7 +114,7 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
     time_s: Array = scene.dt_s * np.arange(scene.frames, dtype=np.float64)
     r, v, R_NG, w_G = _motion(scene, J, rng)
     X_NG = make_pose(R_NG, r - R_NG @ com)
-    X_NR = _camera_path(scene, time_s, r)
+    X_NR = _jittered(scene, _camera_path(scene, time_s, r), time_s, seed)
     points, normals = _surface(scene, rng)
     frame, point, uvd = _observe(scene, X_NR, X_NG, points, normals, rng)
     noise = np.array([scene.sigma_uv_px, scene.sigma_uv_px, scene.sigma_d_px])
@@ -133,7 +140,7 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
         wrench=_wrench(scene),
     )
     truth = _truth(tracks, J, com, (r, v, R_NG, w_G))
-    return SyntheticSequence(tracks, relative, truth, X_NG, points[used % len(points)], outlier)
+    return SyntheticSequence(tracks, relative, truth, X_NG, points[used % len(points)], outlier, X_NR)
 
 
 def _motion(scene: SyntheticScene, J: Array, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
@@ -172,6 +179,17 @@ def _camera_path(scene: SyntheticScene, time_s: Array, r_N: Array) -> Array:
     turn = exp_so3(angle[:, None] * np.array([0.0, 1.0, 0.0]))
     position = centre - turn @ centre
     return make_pose(turn @ exp_so3(sway), position)
+
+
+def _jittered(scene: SyntheticScene, X_NR: Array, time_s: Array, seed: int) -> Array:
+    """The path with the limit cycles of the inspector's control; draws of its own, whatever else is drawn."""
+    bands = [scene.deadband_m] * 3 + [scene.deadband_rad] * 3
+    if not np.any(bands):
+        return X_NR
+    cycles = [limit_cycle(*band, time_s[-1], np.random.default_rng([seed, 79, axis]))
+              for axis, band in enumerate(bands)]  # fmt: skip
+    off = np.stack([cycle.value(time_s) for cycle in cycles], axis=1)
+    return make_pose(X_NR[:, :3, :3] @ exp_so3(off[:, 3:]), X_NR[:, :3, 3] + off[:, :3])
 
 
 def _surface(scene: SyntheticScene, rng: np.random.Generator) -> tuple[Array, Array]:

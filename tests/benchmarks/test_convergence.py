@@ -1,11 +1,8 @@
-"""What counts as wrong, as missed, and that the verdicts in words are read rightly."""
+"""What counts as wrong, and as missed."""
 
 import numpy as np
-import pytest
 
-from backend.covariance import AxesDerivative
-from backend.identifiability import analyse
-from benchmarks.convergence import KINDS, NAMES, _stated_sigma, missed, scene_of, wrong
+from benchmarks.convergence import KINDS, missed, scene_of, wrong
 from benchmarks.record import Case
 
 FINE = [1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.02, 0.02, 0.02]
@@ -32,18 +29,6 @@ def test_a_scene_is_missed_when_it_fails_errs_or_hides_what_it_could_know() -> N
     assert missed(line([0.3] * 8, [None] * 8))
     # too careful, but right
     assert not missed(line([1e-3] * 8, [None] * 8))
-
-
-def test_stated_sigmas_are_read_from_the_words_of_the_verdict() -> None:
-    sigma = np.array([3.1e-4, 6e-3, 2e-3, 0.012, 0.031, 0.02, 0.02, 0.03])
-    derivative = AxesDerivative(np.array([1.4, 1.0, 0.7]), np.eye(3), np.eye(5)[:2], np.eye(5)[2:])
-    detail = analyse(np.diag(sigma**-2.0), derivative, np.ones((3, 3))).record.detail
-    for name, value in zip(NAMES, sigma, strict=True):
-        stated = _stated_sigma(detail[name])
-        if name == "com_y":
-            assert stated is None
-        else:
-            assert stated == pytest.approx(value, rel=0.05)
 
 
 def test_the_scenes_are_the_same_every_time_and_of_all_kinds() -> None:
