@@ -24,11 +24,19 @@ class RectifiedPair:
 def rectified_pair(sequence: StereoSequence, rectifier: Rectifier, k: int) -> RectifiedPair:
     """Read, rectify and mask pair k."""
     raw = sequence.read_pair(k)
-    images = [rectifier(image, side) for side, image in enumerate((raw.left, raw.right))]
-    masks = []
-    for side, given in enumerate((raw.mask_left, raw.mask_right)):
-        moved = None
-        if given is not None:
-            moved = rectifier((given * np.uint8(255)).astype(np.uint8), side, cv2.INTER_NEAREST) > 127
-        masks.append(target_mask(images[side], moved))
-    return RectifiedPair(images[0], images[1], masks[0], masks[1])
+    left, mask_left = _rectified(rectifier, 0, raw.left, raw.mask_left)
+    right, mask_right = _rectified(rectifier, 1, raw.right, raw.mask_right)
+    return RectifiedPair(left, right, mask_left, mask_right)
+
+
+def rectified_left(sequence: StereoSequence, rectifier: Rectifier, k: int) -> tuple[Image, Bools]:
+    """The left image of pair k and its mask alone."""
+    raw = sequence.read_pair(k)
+    return _rectified(rectifier, 0, raw.left, raw.mask_left)
+
+
+def _rectified(rectifier: Rectifier, side: int, raw: Image, given: Bools | None) -> tuple[Image, Bools]:
+    image, moved = rectifier(raw, side), None
+    if given is not None:
+        moved = rectifier((given * np.uint8(255)).astype(np.uint8), side, cv2.INTER_NEAREST) > 127
+    return image, target_mask(image, moved)

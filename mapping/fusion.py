@@ -9,6 +9,7 @@ import torch
 from mapping.blocks import BYTES_PER_BLOCK, EDGE, BlockGrid
 from mapping.integrate import Truncation, frame_tensors, integrate
 from mapping.surface import extract_surface
+from mapping.vertex_sigma import Shares
 from polhode.camera import RectifiedRig
 from polhode.config.mapping import Mapping
 from polhode.lie import Array
@@ -49,7 +50,8 @@ def fuse(
             if tensors is not None:
                 integrate(grid, tensors, X_RG, rig, cut)
                 used += 1
-    return extract_surface(grid, min(config.min_views, max(used, 1)), config.min_component_area)
+    shares = Shares(config.shared_sigma, config.relief_sigma)
+    return extract_surface(grid, min(config.min_views, max(used, 1)), config.min_component_area, shares)
 
 
 def _stepping(frames: Iterable[Frame], advance: object) -> Iterator[Frame]:

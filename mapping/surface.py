@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
 from mapping.blocks import EDGE, BlockGrid, unpack_keys
+from mapping.vertex_sigma import Shares, vertex_sigma
 from polhode.lie import Array
 from polhode.records import Ints, SurfaceModel
 
@@ -28,7 +29,9 @@ def empty_surface() -> SurfaceModel:
     return SurfaceModel(mesh=mesh, sigma_m=np.zeros(0), views=np.zeros(0, dtype=np.int64))
 
 
-def extract_surface(grid: BlockGrid, min_views: int, min_component_area: float) -> SurfaceModel:
+def extract_surface(
+    grid: BlockGrid, min_views: int, min_component_area: float, shares: Shares
+) -> SurfaceModel:
     """Mesh in G [m] of all voxels seen in at least ``min_views`` frames; empty when there are none."""
     if len(grid) == 0:
         return empty_surface()
@@ -46,28 +49,31 @@ def extract_surface(grid: BlockGrid, min_views: int, min_component_area: float) 
         return empty_surface()
     renumber = np.full(len(vertices), -1, dtype=np.int64)
     renumber[used] = np.arange(len(used))
-    return _surface_model(vertices[used] * grid.voxel_m, renumber[faces], values[used])
+    return _surface_model(vertices[used] * grid.voxel_m, renumber[faces], values[used], grid.voxel_m, shares)
 
 
 def _vertex_layers(grid: BlockGrid, min_views: int) -> Floats:
-    """(n, 512, 5): distance in voxels (NaN unknown), sigma [m], views, colour, known."""
+    """(n, 512, 6): distance in voxels (NaN unknown), sigmas of mean and view [m], views, colour, known."""
     c = grid.channels
     weight = c["weight"].clamp_min(1e-30)
     mean = c["weighted_distance"] / weight
     variance = (c["weighted_square"] / weight - mean.square()).clamp_min(0.0)
+    views = c["views"].clamp_min(1.0)
     # The larger of what the weights promise and what the frames' scatter shows.
-    sigma = torch.sqrt(torch.maximum(1.0 / weight, variance / c["views"].clamp_min(1.0)))
+    sigma = torch.sqrt(torch.maximum(1.0 / weight, variance / views))
     colour = c["colour"] / c["colour_weight"].clamp_min(1e-30)
     known = (c["weight"] > 0) & (c["views"] + (c["free"] > 0) >= min_views)
     distance = torch.where(known, mean / grid.voxel_m, torch.full_like(mean, torch.nan))
-    stacked = torch.stack([distance, sigma, c["views"], colour, known.to(mean.dtype)], dim=-1)
+    stacked = torch.stack(
+        [distance, sigma, sigma * views.sqrt(), c["views"], colour, known.to(mean.dtype)], dim=-1
+    )
     return np.asarray(stacked.cpu().numpy(), dtype=np.float32)
 
 
 def _mesh_chunk(
     chunk: tuple[int, ...], lookup: dict[tuple[int, ...], int], layers: Floats
 ) -> tuple[Floats, Ints, Floats] | None:
-    """Vertices [voxels in G], faces and values (n, 3: sigma, views, colour) of one chunk, or None."""
+    """Vertices [voxels in G], faces and values (n, 4: sigmas, views, colour) of one chunk, or None."""
     n = _CHUNK + 1
     dense = np.zeros((n, EDGE, n, EDGE, n, EDGE, layers.shape[2]), dtype=np.float32)
     dense[..., 0] = np.nan
@@ -90,7 +96,7 @@ def _mesh_chunk(
     if len(faces) == 0:
         return None
     share = (vertices - low).max(axis=1)[:, None]
-    values = field[tuple(low.T)][:, 1:4] * (1.0 - share) + field[tuple(high.T)][:, 1:4] * share
+    values = field[tuple(low.T)][:, 1:5] * (1.0 - share) + field[tuple(high.T)][:, 1:5] * share
     return (vertices + (first * EDGE)).astype(np.float64), faces, values.astype(np.float32)
 
 
@@ -122,14 +128,17 @@ def _large_components(vertices: Array, faces: Ints, min_share: float) -> Ints:
     return kept
 
 
-def _surface_model(vertices: Array, faces: Ints, values: Floats) -> SurfaceModel:
-    """Assemble the record; values (V, 3) are sigma [m], views, grey."""
-    grey = np.clip(np.round(values[:, 2]), 0, 255).astype(np.uint8)
+def _surface_model(
+    vertices: Array, faces: Ints, values: Floats, voxel_m: float, shares: Shares
+) -> SurfaceModel:
+    """Assemble the record; values (V, 4) are sigma of the mean, of one view [m], views, grey."""
+    grey = np.clip(np.round(values[:, 3]), 0, 255).astype(np.uint8)
     rgba = np.column_stack([grey, grey, grey, np.full_like(grey, 255)])
     # Faces point outwards: the field is positive outside, scikit-image winds them by descending values.
     mesh = trimesh.Trimesh(vertices=vertices, faces=faces, vertex_colors=rgba, process=False)
+    noise_m, single_view_m = values[:, :2].T.astype(np.float64)
     return SurfaceModel(
         mesh=mesh,
-        sigma_m=values[:, 0].astype(np.float64),
-        views=np.maximum(np.round(values[:, 1]), 1).astype(np.int64),
+        sigma_m=vertex_sigma(mesh, noise_m, single_view_m, voxel_m, shares),
+        views=np.maximum(np.round(values[:, 2]), 1).astype(np.int64),
     )

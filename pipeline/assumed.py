@@ -85,13 +85,15 @@ def solid_of(mesh: trimesh.Trimesh) -> tuple[Solid | None, str]:
     if len(mesh.faces) < 4:
         return None, "there is no surface"
     if mesh.is_volume:
-        return _solid(mesh, "volume of the mesh, which is closed"), ""
+        return solid_body(mesh, "volume of the mesh, which is closed"), ""
     hull = mesh.convex_hull
     share = coverage(mesh, np.asarray(hull.center_mass))
     if share < LEAST_COVERAGE:
         return None, f"the surface is open and covers only {share:.0%} of the directions from its middle"
     filled = "" if share > NEARLY_CLOSED else f" (it covers {share:.0%} of the directions from its middle)"
-    return _solid(hull, f"volume of the mesh's convex hull, as the mesh is open{filled}: an upper bound"), ""
+    return solid_body(
+        hull, f"volume of the mesh's convex hull, as the mesh is open{filled}: an upper bound"
+    ), ""
 
 
 def coverage(mesh: trimesh.Trimesh, middle_G: Array) -> float:
@@ -111,7 +113,8 @@ def principal_axes(inertia: Array) -> tuple[Array, Array]:
     return values[::-1], R_GP
 
 
-def _solid(mesh: trimesh.Trimesh, words: str) -> Solid:
+def solid_body(mesh: trimesh.Trimesh, words: str) -> Solid:
+    """What a mesh encloses."""
     body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     body.density = 1.0
     if body.volume < 0.0:

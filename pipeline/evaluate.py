@@ -202,12 +202,14 @@ def between_target_frames(X_NG: Array, X_NG_true: Array, centre_G: Array) -> Arr
     return make_pose(R, moved - R @ centre_G)
 
 
-def seen_truth(mesh: trimesh.Trimesh, X_NG_true: Array, sequence: StereoSequence) -> Array:
-    """Points (n, 3) of the true surface, in the true G, that were seen and lit."""
+def seen_truth(
+    mesh: trimesh.Trimesh, X_NG_true: Array, sequence: StereoSequence, least_frames: int = 1
+) -> Array:
+    """Points (n, 3) of the true surface, in the true G, that were seen and lit in so many frames."""
     points, normals = sample_surface(mesh, SAMPLES)
     if len(sequence) != len(X_NG_true):
         raise InputError(f"{sequence.folder}: not the sequence of this run (other number of pairs)")
-    return points[seen_and_lit(mesh, points, normals, X_NG_true, sequence)]
+    return points[seen_and_lit(mesh, points, normals, X_NG_true, sequence, least_frames)]
 
 
 def format_table(metrics: Metrics) -> str:

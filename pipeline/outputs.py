@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
 
+from mapping.levels import Level
 from mapping.mesh_files import write_glb, write_ply
 from pipeline.archives import (
     Covariance,
@@ -65,6 +66,7 @@ __all__ = [
     "write_estimate",
     "write_measurements",
     "write_online_estimate",
+    "write_picture",
     "write_pictures",
     "write_report",
     "write_run",
@@ -103,25 +105,31 @@ def write_online_estimate(folder: Path, online: OnlineEstimate) -> None:
     write_online(online, folder / "online.npz")
 
 
-def write_surface(folder: Path, surface: SurfaceModel) -> None:
-    """mesh.ply and mesh.glb; nothing when the surface is empty (a mesh without faces helps no viewer)."""
+def write_surface(folder: Path, surface: SurfaceModel, levels: Sequence[Level] = ()) -> None:
+    """mesh.ply, mesh.glb and the lighter meshes; nothing when the surface is empty: that helps no viewer."""
     if len(surface.mesh.faces) == 0:
         return
     write_ply(path=folder / "mesh.ply", surface=surface)
     write_glb(path=folder / "mesh.glb", surface=surface)
+    for number, level in enumerate(levels, start=1):
+        write_glb(path=folder / f"mesh_lod{number}.glb", surface=level.surface)
 
 
 def write_pictures(folder: Path, pictures: Mapping[str, bytes]) -> None:
     """Sample images for the report: caption -> PNG or JPEG file content. Kept in RUN/pictures/."""
-    target = folder / "pictures"
-    target.mkdir(exist_ok=True)
-    captions = {}
     for number, (caption, content) in enumerate(pictures.items()):
         suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
-        name = f"{number:02d}{suffix}"
-        write_bytes(target / name, content)
-        captions[name] = caption
-    write_text(target / "captions.json", json.dumps(captions, indent=2) + "\n")
+        write_picture(folder, f"{number:02d}{suffix}", content, caption)
+
+
+def write_picture(folder: Path, name: str, content: bytes, caption: str) -> None:
+    """One image of the report, with its caption in RUN/pictures/captions.json."""
+    target = folder / "pictures"
+    target.mkdir(exist_ok=True)
+    write_bytes(target / name, content)
+    file = target / "captions.json"
+    captions = json.loads(file.read_text()) if file.is_file() else {}
+    write_text(file, json.dumps(captions | {name: caption}, indent=2) + "\n")
 
 
 def finish_run(folder: Path, summary: Summary) -> Summary:

@@ -30,8 +30,8 @@ from frontend.track_refinement import refine_tracks
 from frontend.tracks import Association, join_matches, to_tracks
 from mapping.fusion import fuse
 from pipeline import outputs
-from pipeline.assumed import assumed_properties
-from pipeline.pictures import track_pictures
+from pipeline.finish_surface import finish_surface
+from pipeline.pictures import make_pictures
 from pipeline.run_folder import RunFolder
 from pipeline.second_look import contradicts
 from pipeline.summary import Summary, build_summary
@@ -89,15 +89,18 @@ def run(
         if config.backend.window.enabled:
             outputs.write_online_estimate(folder, _replay(tracks, estimate, config, progress, clock))
 
-        surface = _build_surface(images, tracks, estimate, config, progress, clock)
-        outputs.write_surface(folder, surface)
+        fused = _build_surface(images, tracks, estimate, config, progress, clock)
+        seen = images.sequence, images.rectifier
+        with clock("fusion"):
+            X_RG = _pose_RG(tracks, estimate)
+            surface, levels, shape = finish_surface(fused, *seen, X_RG, estimate.mass, config)
+        outputs.write_surface(folder, surface, levels)
 
-        outputs.write_pictures(folder, _pictures(images, tracks, estimate))
+        with clock("report"):
+            make_pictures(folder, *seen, tracks, estimate, surface, config.pictures, progress)
         clock.add_total()
-        assumed, doubts = assumed_properties(estimate.mass, surface, config.backend)
-        doubts = [*doubts, *window_warnings(tracks.n_frames, config.backend)]
-        warnings = [*images.sequence.warnings, *doubts]
-        summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, assumed=assumed)
+        warnings = [*images.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
+        summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, shape=shape)
         with progress.stage("report", 1) as advance:
             summary = outputs.finish_run(folder, summary)
             advance()
@@ -326,10 +329,6 @@ def _build_surface(
         )
     clock.seconds["fusion"] -= clock.seconds.get("depth", 0.0)
     return surface
-
-
-def _pictures(images: _Images, tracks: StereoTracks, estimate: MotionEstimate) -> dict[str, bytes]:
-    return track_pictures(images.sequence, images.rectifier, tracks, estimate)
 
 
 def _sentence(summary: Summary, estimate: MotionEstimate) -> str:

@@ -25,25 +25,30 @@ _CLEARANCE = 2e-3
 
 
 def seen_and_lit(
-    mesh: trimesh.Trimesh, p_G: Array, normal_G: Array, X_NG: Array, sequence: StereoSequence
+    mesh: trimesh.Trimesh,
+    p_G: Array,
+    normal_G: Array,
+    X_NG: Array,
+    sequence: StereoSequence,
+    least_frames: int = 1,
 ) -> Bools:
-    """(n,) true where a point of the true surface was seen and lit.
+    """(n,) true where a point of the true surface was seen and lit, in so many frames at least.
 
     mesh, p_G (n, 3), normal_G (n, 3) in the true G [m]; X_NG (F, 4, 4) true poses at the sequence's pairs.
     At most 60 frames, evenly spread, are looked at.
     """
     caster = RayMeshIntersector(mesh, scale_to_box=False)
-    found = np.zeros(len(p_G), dtype=bool)
+    found = np.zeros(len(p_G), dtype=np.int64)
     count = len(X_NG)
     for k in np.unique(np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int)):
         X_CG = inverse_pose(sequence.X_NC[k]) @ X_NG[k]
         left = sequence.read_pair(int(k)).left
         # What has been found already need not be found again.
-        candidate = np.flatnonzero(~found)
+        candidate = np.flatnonzero(found < least_frames)
         lit = candidate[_bright(left, transform_points(X_CG, p_G[candidate]), sequence)]
         eye_G = inverse_pose(X_CG)[:3, 3]
-        found[lit[_unobstructed(caster, eye_G, p_G[lit], normal_G[lit], mesh.scale)]] = True
-    return found
+        found[lit[_unobstructed(caster, eye_G, p_G[lit], normal_G[lit], mesh.scale)]] += 1
+    return np.asarray(found >= least_frames)
 
 
 def _bright(left: NDArray[np.uint8], p_C: Array, sequence: StereoSequence) -> Bools:

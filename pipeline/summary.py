@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from pipeline.archives import undetermined_as_inf
+from pipeline.shape_parts import Coverage, Mesh, Physics, ShapeFindings
 from pipeline.summary_parts import (
     Assumed,
     Finite,
@@ -75,6 +76,12 @@ class Summary(Part):
     """Of unknown forces and torques, in time."""
     assumed: Assumed | None = None
     """From uniform density of the mesh, where the user gave a mass or a density; null: neither."""
+    mesh: Mesh | None = None
+    """null: there is none."""
+    coverage: Coverage | None = None
+    """null: there is no mesh."""
+    physics: Physics | None = None
+    """null: the mesh tells no volume."""
 
 
 def build_summary(
@@ -85,7 +92,7 @@ def build_summary(
     warnings: Sequence[str] = (),
     degraded: Sequence[str] = (),
     failure: str | None = None,
-    assumed: Assumed | None = None,
+    shape: ShapeFindings | None = None,
 ) -> Summary:
     """Gather the summary of a run.
 
@@ -105,7 +112,8 @@ def build_summary(
     told = [*([failure] if failure else []), *reasons, *_undetermined(estimate)]
     # Where the back end begins with the same words, it says more.
     told = [text for text in told if not any(more.startswith(text) for more in own)]
-    texts = [*told, *own, *warnings]
+    shape = shape or ShapeFindings()
+    texts = [*told, *own, *warnings, *shape.warnings]
     if failure is not None:
         texts.sort(key=lambda text: not text.startswith(failure))
     times = {stage: float(timing_s.get(stage, 0.0)) for stage in STAGES}
@@ -121,7 +129,10 @@ def build_summary(
             "observations": len(tracks.frame) if tracks else 0,
             "duration_s": float(tracks.time_s[-1]) if tracks and tracks.n_frames else 0.0,
             "timing_s": times,
-            "assumed": assumed,
+            "assumed": shape.assumed,
+            "mesh": shape.mesh,
+            "coverage": shape.coverage,
+            "physics": shape.physics,
             "identifiable_detail": dict(estimate.mass.identifiable.detail) if estimate else {},
             **(found if estimate is None else _found(estimate)),
         }

@@ -8,13 +8,31 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
+from polhode.surface_records import Bools, DepthMap, Ints, SurfaceModel
 
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+__all__ = [
+    "Bools",
+    "DepthMap",
+    "Identifiability",
+    "InitialMotion",
+    "Ints",
+    "Landmarks",
+    "MassProperties",
+    "MotionEstimate",
+    "NoiseLevels",
+    "OnlineEstimate",
+    "Push",
+    "RelativePoses",
+    "SolverOutcome",
+    "StereoTracks",
+    "SurfaceModel",
+    "Truth",
+    "UnknownPushes",
+    "Wrench",
+]
 
 
 @dataclass(frozen=True)
@@ -304,32 +322,6 @@ class OnlineEstimate:
     """(F, 3, 3) [rad^2], about the axes of P"""
     determined: Bools
     """(F, 4) whether k1, k2, com and axes are"""
-
-
-@dataclass(frozen=True)
-class DepthMap:
-    """Dense depth of one frame in the rectified left camera R; often only the target's crop is filled."""
-
-    depth_m: NDArray[np.float32]
-    """(H, W), NaN where unknown"""
-    sigma_m: NDArray[np.float32]
-    """(H, W), NaN where unknown"""
-    intensity: NDArray[np.uint8]
-    """(H, W) rectified left image"""
-    target: Bools
-    """(H, W) mask: the target's silhouette (what is outside is free space)"""
-
-
-@dataclass(frozen=True)
-class SurfaceModel:
-    """The dense model in G."""
-
-    mesh: trimesh.Trimesh
-    """vertex colours set"""
-    sigma_m: Array
-    """(V,)"""
-    views: Ints
-    """(V,) frames that saw the vertex"""
 
 
 @dataclass(frozen=True)

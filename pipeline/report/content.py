@@ -38,6 +38,15 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """An image file of RUN/pictures."""
+
+    name: str
+    caption: str
+    content: bytes
+
+
+@dataclass(frozen=True)
 class Content:
     """A run as stored; None or empty where the run holds no such file."""
 
@@ -50,8 +59,7 @@ class Content:
     landmarks: Landmarks | None
     surface: SurfaceModel | None
     metrics: dict[str, Any]
-    pictures: dict[str, bytes]
-    """caption -> image file"""
+    pictures: tuple[Picture, ...]
     config_text: str
 
 
@@ -89,9 +97,9 @@ def _motion(folder: Path, summary: Summary) -> Motion | None:
     )
 
 
-def _pictures(folder: Path) -> dict[str, bytes]:
+def _pictures(folder: Path) -> tuple[Picture, ...]:
     captions: dict[str, str] = _json(folder / "captions.json")
-    return {caption: (folder / name).read_bytes() for name, caption in captions.items()}
+    return tuple(Picture(name, words, (folder / name).read_bytes()) for name, words in captions.items())
 
 
 def _json(file: Path) -> dict[str, Any]:

@@ -1,6 +1,8 @@
 """Puts words and figures into one HTML file that needs nothing else: no network, no other file."""
 
 import base64
+import contextlib
+import io
 import json
 import re
 from functools import cache
@@ -9,12 +11,14 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
+from PIL import Image
 from plotly.offline import get_plotlyjs
 
 from pipeline.report import words
 from pipeline.report.conserved import conserved_figures
-from pipeline.report.content import Content, read_content
+from pipeline.report.content import Content, Picture, read_content
 from pipeline.report.convergence import convergence_figures
+from pipeline.report.mesh_words import mesh_rows, mesh_sentences
 from pipeline.report.motion import motion_figures
 from pipeline.report.plot import Figure
 from pipeline.report.residuals import measurement_figures
@@ -22,6 +26,9 @@ from pipeline.report.rotation import rotation_figures
 from pipeline.report.shape import shape_figures
 from pipeline.report.sigmas import sigma_rows
 from polhode.atomic import write_text
+
+SHEETS = ("landmarks.png", "mesh.png")
+"""Pictures of the whole width; the file in RUN/pictures is sharper."""
 
 
 def write_report(folder: Path, path: Path | None = None, name: str | None = None) -> None:
@@ -63,6 +70,8 @@ def render(content: Content) -> str:
         absolute_rows=words.absolute_rows(summary),
         push_rows=words.push_rows(summary),
         assumed_rows=words.assumed_rows(summary.assumed),
+        mesh_rows=mesh_rows(summary),
+        mesh_sentences=mesh_sentences(summary),
         motion_rows=words.motion_rows(motion),
         sigma_rows=sigma_rows(content),
         run_rows=words.run_rows(content),
@@ -70,7 +79,9 @@ def render(content: Content) -> str:
         metric_rows=words.metric_rows(content.metrics),
         sections=sections,
         has_surface=content.surface is not None,
-        pictures=[(caption, _data_uri(image)) for caption, image in content.pictures.items()],
+        sheets=[_shown(each) for each in content.pictures if each.name in SHEETS],
+        stills=[_shown(each) for each in content.pictures if each.name.startswith("model")],
+        pictures=[_shown(each) for each in content.pictures if each.name[0].isdigit()],
         config_text=content.config_text,
     )
 
@@ -113,6 +124,18 @@ def _plotly_js() -> Markup:
     for something that this page loads. To JavaScript the strings are the same.
     """
     return Markup(re.sub(r"((?:src|href)\s*=\s*.?)h(ttps?:)", r"\1\\u0068\2", get_plotlyjs()))
+
+
+def _shown(picture: Picture) -> tuple[str, str]:
+    """Caption and content; sheets as JPEG, which is a quarter of the size."""
+    content = picture.content
+    if picture.name in SHEETS:
+        stream = io.BytesIO()
+        # A file that is no picture is shown as the browser shows such a thing.
+        with contextlib.suppress(OSError):
+            Image.open(io.BytesIO(content)).convert("RGB").save(stream, "JPEG", quality=86)
+            content = stream.getvalue()
+    return picture.caption, _data_uri(content)
 
 
 def _data_uri(image: bytes) -> str:

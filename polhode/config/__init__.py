@@ -5,11 +5,12 @@ from pydantic import Field
 from polhode.config.backend import Backend
 from polhode.config.frontend import Frontend
 from polhode.config.mapping import Mapping
+from polhode.config.pictures import Pictures
 from polhode.config.scene import Scene
 from polhode.config.section import Section
 from polhode.config.train import Train
 
-__all__ = ["Backend", "Config", "Frontend", "Mapping", "Runtime", "Scene", "Train"]
+__all__ = ["Backend", "Config", "Frontend", "Mapping", "Pictures", "Runtime", "Scene", "Train"]
 
 
 class Runtime(Section):
@@ -30,5 +31,6 @@ class Config(Section):
     frontend: Frontend = Frontend()
     backend: Backend = Backend()
     mapping: Mapping = Mapping()
+    pictures: Pictures = Pictures()
     train: Train | None = None
     runtime: Runtime = Runtime()

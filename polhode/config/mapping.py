@@ -1,6 +1,6 @@
 """Settings of the dense model."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -24,6 +24,17 @@ class Mapping(Section):
     """A surface seen in fewer frames is left out (fewer where the sequence is shorter)."""
     min_component_area: float = Field(0.004, ge=0, lt=1)
     """Pieces of a smaller share of the whole area are removed."""
+    hole_share: float = Field(0.04, ge=0, le=0.3)
+    """Holes up to this share of the body's size (the diagonal of its box) across are closed, their faces
+    flagged as invented; larger ones stay open. 0: none is closed."""
+    divide_shading: bool = True
+    """Divide the Sun's shading out of the colours, where the images tell where the Sun is."""
+    levels: tuple[Annotated[float, Field(gt=0, lt=1)], ...] = (0.25, 0.0625)
+    """Shares of the faces that the lighter meshes keep: mesh_lod1.glb, mesh_lod2.glb, ...; (): none."""
+    shared_sigma: float = Field(0.25, ge=0)
+    """Part of a single view's sigma that all views of a place share, and that does not average out."""
+    relief_sigma: float = Field(1.5, ge=0)
+    """Sigma of the relief that matching in windows smooths away, over the roughness of what is left."""
     memory_mib: float = Field(1024.0, gt=0)
     """Most memory of the field [MiB]; a larger field gets larger voxels."""
     device: Literal["auto", "cpu", "cuda"] = "auto"

@@ -15,7 +15,8 @@ from polhode.records import SurfaceModel
 from tests.mapping.analytic_depth import RIG, views_of
 
 VOXEL_M = 3e-3
-CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu")
+# depth made here has independent noise, and no window has smoothed it
+CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu", shared_sigma=0.0, relief_sigma=0.0)
 
 
 @pytest.fixture(scope="module")

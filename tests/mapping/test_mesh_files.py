@@ -1,5 +1,6 @@
 """Meshes on disk are read back by trimesh, with what each vertex knows."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,13 @@ def surface() -> SurfaceModel:
     return SurfaceModel(coloured, sigma_m=np.linspace(1e-4, 2e-3, n), views=np.arange(n) + 1)
 
 
+def partly_invented(surface: SurfaceModel) -> SurfaceModel:
+    sigma_m, views, classes = surface.sigma_m.copy(), surface.views.copy(), surface.coverage_classes
+    sigma_m[:5], views[:5], classes[:5] = np.inf, 0, [0, 1, 2, 0, 1]
+    invented = np.asarray((np.asarray(surface.mesh.faces) < 5).any(axis=1))
+    return replace(surface, sigma_m=sigma_m, views=views, invented=invented, coverage=classes)
+
+
 def colours_of(mesh: trimesh.Trimesh) -> NDArray[np.uint8]:
     assert isinstance(mesh.visual, ColorVisuals)
     return np.asarray(mesh.visual.vertex_colors, dtype=np.uint8)
@@ -37,6 +45,47 @@ def test_ply_keeps_shape_colour_sigma_and_views(surface: SurfaceModel, tmp_path:
     np.testing.assert_array_equal(colours_of(again.mesh), colours_of(surface.mesh))
     np.testing.assert_allclose(again.sigma_m, surface.sigma_m, rtol=1e-6)
     np.testing.assert_array_equal(again.views, surface.views)
+
+
+def test_ply_keeps_normals_coverage_and_what_was_invented(surface: SurfaceModel, tmp_path: Path) -> None:
+    known = partly_invented(surface)
+    write_ply(known, tmp_path / "mesh.ply")
+    again = read_ply(tmp_path / "mesh.ply")
+    np.testing.assert_array_equal(again.is_invented, known.is_invented)
+    np.testing.assert_array_equal(again.coverage_classes, known.coverage_classes)
+    assert np.all(np.isinf(again.sigma_m[:5])) and np.all(again.views[:5] == 0)
+    raw = again.mesh.metadata["_ply_raw"]["vertex"]["data"]
+    normals = np.column_stack([raw["nx"], raw["ny"], raw["nz"]])
+    np.testing.assert_allclose(normals, surface.mesh.vertices / 0.1, atol=0.02)
+
+
+def test_glb_holds_what_was_invented_apart(surface: SurfaceModel, tmp_path: Path) -> None:
+    known = partly_invented(surface)
+    write_glb(known, tmp_path / "mesh.glb")
+    scene = trimesh.load_scene(tmp_path / "mesh.glb", process=False)
+    assert {name: len(part.faces) for name, part in scene.geometry.items()} == {
+        "surface": int(np.sum(~known.is_invented)),
+        "invented": int(np.sum(known.is_invented)),
+    }
+
+
+def test_a_mesh_of_an_earlier_version_is_read(surface: SurfaceModel, tmp_path: Path) -> None:
+    mesh = surface.mesh.copy()
+    mesh.vertex_attributes["sigma_m"] = surface.sigma_m.astype(np.float32)
+    mesh.vertex_attributes["views"] = surface.views.astype(np.int32)
+    mesh.export(tmp_path / "mesh.ply")
+    again = read_ply(tmp_path / "mesh.ply")
+    assert again.invented is None and not again.is_invented.any()
+    np.testing.assert_array_equal(again.views, surface.views)
+
+
+def test_open3d_opens_both(surface: SurfaceModel, tmp_path: Path) -> None:
+    open3d = pytest.importorskip("open3d")
+    for write, name in ((write_ply, "mesh.ply"), (write_glb, "mesh.glb")):
+        write(surface, tmp_path / name)
+        mesh = open3d.io.read_triangle_mesh(str(tmp_path / name))
+        assert len(mesh.triangles) == len(surface.mesh.faces)
+        assert mesh.has_vertex_normals() and mesh.has_vertex_colors()
 
 
 def test_glb_opens_with_colours_and_metres(surface: SurfaceModel, tmp_path: Path) -> None:

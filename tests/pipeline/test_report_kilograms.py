@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.assumed import assumed_properties
 from pipeline.outputs import build_summary, finish_run, write_estimate
 from pipeline.report.words import inertia_rows
+from pipeline.shape_parts import ShapeFindings
 from polhode.config.backend import Backend
 from polhode.records import Push, UnknownPushes
 
@@ -30,7 +31,9 @@ def test_what_is_known_in_kilograms_and_what_is_assumed_stand_apart(example: Any
     estimate = replace(example.estimate, mass=mass, pushes=pushes)
     assumed, _ = assumed_properties(mass, example.surface, Backend(mass_kg=4.5))
     write_estimate(tmp_path, example.tracks, estimate)
-    summary = build_summary(example.tracks, estimate, example.surface, {}, assumed=assumed)
+    summary = build_summary(
+        example.tracks, estimate, example.surface, {}, shape=ShapeFindings(assumed=assumed)
+    )
     finish_run(tmp_path, summary)
 
     content = json.loads((tmp_path / "summary.json").read_text())
@@ -57,11 +60,10 @@ def test_a_run_without_them_speaks_of_none(example: Any, tmp_path: Path) -> None
 def test_the_moments_have_the_sigmas_of_the_ratios(example: Any) -> None:
     summary = build_summary(example.tracks, example.estimate, example.surface, {})
     assert summary.inertia is not None
-    cov = [[0.0004, None], [None, 0.0025]]
-    inertia = summary.inertia.model_copy(update={"moments": [1.5, 1.0, 0.8], "cov": cov})
+    given = {"moments": [1.5, 1.0, 0.8], "sigma_moments": [0.03, 0.0, 0.04]}
+    inertia = summary.inertia.model_copy(update=given)
     (row,) = (r for r in inertia_rows(summary.model_copy(update={"inertia": inertia})) if "moments" in r.name)
-    # 1.5 sigma(k1), 0.8 sigma(k2)
     assert row.value == "1.500 ± 0.030 : 1 (exact) : 0.800 ± 0.040"
-    unknown = inertia.model_copy(update={"cov": [[None, None], [None, 0.0025]]})
+    unknown = inertia.model_copy(update={"sigma_moments": [None, 0.0, 0.04]})
     (row,) = (r for r in inertia_rows(summary.model_copy(update={"inertia": unknown})) if "moments" in r.name)
     assert row.value == "1.5 : 1 (exact) : 0.800 ± 0.040"

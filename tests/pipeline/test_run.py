@@ -71,6 +71,8 @@ def test_every_pair_has_a_row_and_the_folder_is_complete(finished: tuple[RunResu
         "report.html",
         "log.txt",
     }
+    pictures = {path.name for path in (folder / "pictures").iterdir()}
+    assert pictures >= {"model.mp4", "model.gif", "model.csv", "landmarks.png", "mesh.png"}
     assert result.report_path == folder / "report.html"
 
 

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from frontend.rectified_pair import rectified_pair
+from frontend.rectified_pair import rectified_left
 from frontend.rectify import Rectifier
 from frontend.target import Crop, target_crop
 from polhode.dataset import StereoSequence
@@ -25,11 +25,11 @@ def track_pictures(
     """Caption -> JPEG of the left image's crop with its measurements: inliers green, outliers red."""
     pictures = {}
     for k in np.unique(np.linspace(0, tracks.n_frames - 1, count).round().astype(int)).tolist():
-        pair = rectified_pair(sequence, rectifier, k)
-        crop = target_crop(pair.mask_left, margin_px=16) or Crop(0, 0, pair.left.shape[1], pair.left.shape[0])
+        left, mask = rectified_left(sequence, rectifier, k)
+        crop = target_crop(mask, margin_px=16) or Crop(0, 0, left.shape[1], left.shape[0])
         here = tracks.frame == k
         inlier = estimate.inlier_weight[here] > 0.5
-        picture = _draw(pair.left, crop, tracks.uvd_px[here, :2], inlier)
+        picture = _draw(left, crop, tracks.uvd_px[here, :2], inlier)
         seconds = float(tracks.time_s[k])
         caption = f"frame {k}, {seconds:.1f} s: {int(inlier.sum())} inliers, {int((~inlier).sum())} outliers"
         pictures[caption] = picture

@@ -1,0 +1,92 @@
+"""Lighter meshes for planners and viewers: faces joined by quadric decimation, and how far that moved them.
+
+Garland and Heckbert, "Surface simplification using quadric error metrics", 1997, as in fast-simplification.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+from trimesh.visual import ColorVisuals
+
+from polhode.lie import Array
+from polhode.mesh_metrics import distance_to_surface
+from polhode.records import SurfaceModel
+
+FEWEST_FACES = 200
+"""A mesh is not thinned below this."""
+SAMPLES = 10_000
+"""Points on each of two meshes whose distance from the other is measured."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A lighter mesh; each vertex has colour, sigma and views of the nearest one of the full mesh."""
+
+    surface: SurfaceModel
+    largest_m: float
+    """Largest distance between points of either mesh and the other, of those looked at"""
+    mean_m: float
+
+
+def levels_of(surface: SurfaceModel, shares: Sequence[float], seed: int = 0) -> list[Level]:
+    """One level for each share of the faces, in the order given; those of too few faces are left out."""
+    counts = [round(share * len(surface.mesh.faces)) for share in shares]
+    counts = [count for count in counts if count >= FEWEST_FACES]
+    if not counts:
+        return []
+    full = trimesh.Trimesh(surface.mesh.vertices, surface.mesh.faces, process=False)
+    middles = cKDTree(np.asarray(full.triangles_center))
+    points, _ = trimesh.sample.sample_surface(full, SAMPLES, seed=seed)
+    levels, thinned = [], {len(full.faces): full}
+    for count in counts:
+        # from the lightest one that has more: the same to the eye, and faster
+        start = thinned[min(faces for faces in thinned if faces > count)]
+        light = _used(start.simplify_quadric_decimation(face_count=count))
+        thinned[len(light.faces)] = light
+        levels.append(_level(surface, full, middles, np.asarray(points), light))
+    return levels
+
+
+def _used(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Without vertices of no face."""
+    used, faces = np.unique(np.asarray(mesh.faces), return_inverse=True)
+    return trimesh.Trimesh(np.asarray(mesh.vertices)[used], faces.reshape(-1, 3), process=False)
+
+
+def _level(
+    surface: SurfaceModel, full: trimesh.Trimesh, middles: cKDTree, points: Array, light: trimesh.Trimesh
+) -> Level:
+    away = np.append(distance_to_surface(light, points), _to_full(full, middles, light))
+    # A vertex stands for the nearest one of the full mesh, a face for the face at its middle.
+    _, around = middles.query(np.asarray(light.vertices))
+    corner = np.asarray(full.faces)[around]
+    apart = np.linalg.norm(np.asarray(full.vertices)[corner] - np.asarray(light.vertices)[:, None], axis=2)
+    nearest = np.take_along_axis(corner, apart.argmin(axis=1)[:, None], axis=1)[:, 0]
+    _, face = middles.query(np.asarray(light.triangles_center))
+    visual = surface.mesh.visual
+    rgba = np.asarray(visual.vertex_colors)[nearest] if isinstance(visual, ColorVisuals) else None
+    return Level(
+        SurfaceModel(
+            trimesh.Trimesh(light.vertices, light.faces, vertex_colors=rgba, process=False),
+            sigma_m=surface.sigma_m[nearest],
+            views=surface.views[nearest],
+            invented=surface.is_invented[face],
+            coverage=surface.coverage_classes[nearest],
+        ),
+        largest_m=float(away.max()),
+        mean_m=float(away.mean()),
+    )
+
+
+def _to_full(full: trimesh.Trimesh, middles: cKDTree, light: trimesh.Trimesh) -> Array:
+    """Of points on the light mesh, from the full one [m]: its faces are many, so the nearest middles tell."""
+    points, _ = trimesh.sample.sample_surface(light, SAMPLES, seed=0)
+    _, face = middles.query(np.asarray(points), k=4)
+    best = np.full(len(points), np.inf)
+    for column in face.T:
+        closest = trimesh.triangles.closest_point(np.asarray(full.triangles)[column], points)
+        best = np.minimum(best, np.linalg.norm(closest - points, axis=1))
+    return best

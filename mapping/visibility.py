@@ -1,0 +1,199 @@
+"""What a camera sees of a mesh: rays to points, and depth maps for many points at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
+
+from polhode.camera import RectifiedRig
+from polhode.lie import Array, inverse_pose
+from polhode.records import Bools, Ints
+
+Floats = NDArray[np.float32]
+
+LEAST_COSINE = 0.15
+"""Seen at more than 81 degrees from the normal does not count as seen."""
+CLEARANCE = 2e-3
+"""A ray may end this far before its point, as a share of the body's size."""
+_MAP_CLEARANCE = 8e-3
+"""The same where a depth map of few pixels stands for the rays."""
+_MAP_PIXELS = 160
+"""Pixels along the longer side of such a map."""
+
+
+@dataclass(frozen=True)
+class FrameView:
+    """One frame: the rectified left image and where the target was."""
+
+    image: NDArray[np.uint8]
+    """(h, w) rectified left image, or a part of it"""
+    silhouette: Bools
+    """(h, w) true on the target"""
+    X_RG: Array
+    """(4, 4) pose of the target in the rectified left camera"""
+    R_NR: Array
+    """(3, 3) axes of that camera in N"""
+    u0: int = 0
+    """column of the whole image at which the part begins"""
+    v0: int = 0
+    lit_above: float = 12.0
+    """intensity above which a pixel shows light"""
+
+    @property
+    def eye_G(self) -> Array:
+        """(3,) the camera in G [m]."""
+        return np.asarray(inverse_pose(self.X_RG)[:3, 3])
+
+
+class Caster:
+    """Rays against a mesh in G, in single precision around the mesh's middle."""
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        vertices = np.asarray(mesh.vertices, dtype=np.float64)
+        self.middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        self.radius_m = float(np.linalg.norm(vertices - self.middle, axis=1).max())
+        self._scene = EmbreeScene()
+        indices = np.ascontiguousarray(mesh.faces, dtype=np.int32)
+        TriangleMesh(scene=self._scene, vertices=(vertices - self.middle).astype(np.float32), indices=indices)
+
+    def first(self, origin: Array, direction: Array) -> tuple[Array, Ints]:
+        """Distance to the first hit (n,) [m], inf where there is none, and its face (n,), -1 where none.
+
+        origin (n, 3) or (3,) [m]; direction (n, 3) of unit length.
+        """
+        if len(direction) == 0:
+            return np.zeros(0), np.zeros(0, dtype=np.int64)
+        start = np.broadcast_to(origin, direction.shape) - self.middle
+        # Start near the body: single precision is then enough at any range.
+        skipped = np.maximum(np.linalg.norm(start, axis=1) - 1.5 * self.radius_m, 0.0)
+        start = start + direction * skipped[:, None]
+        hit = self._scene.run(start.astype(np.float32), direction.astype(np.float32), output=1)
+        face = np.asarray(hit["primID"], dtype=np.int64)
+        distance = np.where(face >= 0, np.asarray(hit["tfar"], dtype=np.float64) + skipped, np.inf)
+        return distance, face
+
+    def sees(self, eye_G: Array, p_G: Array, normal_G: Array) -> Bools:
+        """(n,) true where nothing stands between the eye and a point, and it is not seen edge-on.
+
+        The cosine is not signed: sheets of a mesh are seen from both sides.
+        """
+        ray = p_G - eye_G
+        distance = np.linalg.norm(ray, axis=1)
+        direction = ray / np.maximum(distance, 1e-12)[:, None]
+        cosine = np.abs(np.einsum("nk,nk->n", direction, normal_G))
+        first, _ = self.first(eye_G, direction)
+        return np.asarray((cosine > LEAST_COSINE) & (first > distance - 2.0 * CLEARANCE * self.radius_m))
+
+    def lit_by(self, sun_G: Array, p_G: Array) -> Bools:
+        """(n,) true where nothing stands between points (n, 3) and a light far away, towards ``sun_G``."""
+        step = 4.0 * CLEARANCE * self.radius_m
+        direction = np.broadcast_to(sun_G, p_G.shape)
+        first, _ = self.first(p_G + step * direction, direction)
+        return ~np.isfinite(first)
+
+
+class DepthPicture:
+    """The mesh's depth along a camera's rays, or a light's, in few pixels: to ask for many points at once."""
+
+    def __init__(self, caster: Caster, towards: Array, eye_G: Array | None = None) -> None:
+        """Looks along ``towards`` (3,), from ``eye_G`` or, without, along parallel rays."""
+        self._axes = _frame_along(towards)
+        self._eye = caster.middle if eye_G is None else np.asarray(eye_G, dtype=np.float64)
+        self._parallel = eye_G is None
+        self._tolerance_m = 2.0 * _MAP_CLEARANCE * caster.radius_m
+        distance = float(np.linalg.norm(caster.middle - self._eye))
+        reach = caster.radius_m
+        if not self._parallel:
+            reach = caster.radius_m / float(
+                np.sqrt(max(distance**2 - caster.radius_m**2, 1e-4 * distance**2))
+            )
+        self._scale = 0.5 * (_MAP_PIXELS - 1) / reach
+        centre = (np.arange(_MAP_PIXELS) - 0.5 * (_MAP_PIXELS - 1)) / self._scale
+        x, y = (axis.reshape(-1) for axis in np.meshgrid(centre, centre))
+        if self._parallel:
+            far = 2.0 * caster.radius_m
+            start = self._eye + np.stack([x, y, np.full_like(x, -far)], axis=1) @ self._axes.T
+            found, _ = caster.first(start, np.broadcast_to(self._axes[:, 2], start.shape))
+            depth = found - far
+        else:
+            ray = np.stack([x, y, np.ones_like(x)], axis=1)
+            length = np.linalg.norm(ray, axis=1)
+            found, _ = caster.first(self._eye, (ray / length[:, None]) @ self._axes.T)
+            depth = found / length
+        picture = depth.reshape(_MAP_PIXELS, _MAP_PIXELS).astype(np.float32)
+        # A point hides only behind all the pixels around it: edges hide nothing that is in sight.
+        framed = np.pad(picture, 1, mode="edge")
+        self._depth = np.maximum.reduce(
+            [framed[1 + dv : 1 + dv + _MAP_PIXELS, 1 + du : 1 + du + _MAP_PIXELS] for dv, du in _AROUND]
+        ).reshape(-1)
+
+    def shows(self, p_G: Array | Floats) -> Bools:
+        """(n,) true where points (n, 3) in G [m] are not hidden behind the mesh."""
+        p = (p_G - self._eye.astype(p_G.dtype)) @ self._axes.astype(p_G.dtype)
+        z = p[:, 2]
+        flat = p[:, :2] if self._parallel else p[:, :2] / np.maximum(z, 1e-9)[:, None]
+        cell = np.rint(flat * p.dtype.type(self._scale) + p.dtype.type(0.5 * (_MAP_PIXELS - 1)))
+        column, row = cell.clip(0, _MAP_PIXELS - 1).astype(np.int32).T
+        return np.asarray(z < self._depth[row * _MAP_PIXELS + column] + self._tolerance_m)
+
+
+_AROUND = ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0))
+
+
+def _frame_along(z: Array) -> Array:
+    """A rotation (3, 3) whose third column is along ``z``."""
+    z = np.asarray(z, dtype=np.float64) / np.linalg.norm(z)
+    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def pixels_of(view: FrameView, p_G: Array | Floats, rig: RectifiedRig) -> tuple[Ints, Ints, Bools]:
+    """Row and column (n,) of the nearest pixels of the view, and whether they lie inside it (else 0)."""
+    v, u = _projected(view, p_G, rig)
+    row, column = np.rint(v), np.rint(u)
+    height, width = view.image.shape
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    return (
+        np.where(inside, row, 0.0).astype(np.int64),
+        np.where(inside, column, 0.0).astype(np.int64),
+        np.asarray(inside),
+    )
+
+
+def values_at(view: FrameView, image: Floats, p_G: Array | Floats, rig: RectifiedRig) -> tuple[Floats, Bools]:
+    """What an image (h, w) of the view shows at points, between pixels (n,); whether inside (else 0)."""
+    v, u = _projected(view, p_G, rig)
+    height, width = image.shape
+    inside = (v >= 0) & (v < height - 1) & (u >= 0) & (u < width - 1)
+    v, u = np.where(inside, v, 0.0), np.where(inside, u, 0.0)
+    row, column = v.astype(np.int64), u.astype(np.int64)
+    down, right = (v - row).astype(np.float32), (u - column).astype(np.float32)
+    flat, at = image.reshape(-1), row * width + column
+    upper = flat[at] * (1.0 - right) + flat[at + 1] * right
+    lower = flat[at + width] * (1.0 - right) + flat[at + width + 1] * right
+    return np.where(inside, upper * (1.0 - down) + lower * down, np.float32(0.0)), np.asarray(inside)
+
+
+def _projected(view: FrameView, p_G: Array | Floats, rig: RectifiedRig) -> tuple[Array, Array]:
+    """Rows and columns (n,), not rounded; NaN behind the camera."""
+    p = np.asarray(p_G @ view.X_RG[:3, :3].T.astype(p_G.dtype) + view.X_RG[:3, 3].astype(p_G.dtype))
+    z = np.where(p[:, 2] > 1e-6, p[:, 2], np.nan)
+    return (
+        np.asarray(rig.focal_px * p[:, 1] / z + (rig.cy_px - view.v0)),
+        np.asarray(rig.focal_px * p[:, 0] / z + (rig.cx_px - view.u0)),
+    )
+
+
+def sun_in_G(view: FrameView, sun_N: Array) -> Array:
+    """A direction (3,) of N in G at this frame."""
+    return np.asarray(view.X_RG[:3, :3].T @ (view.R_NR.T @ sun_N))
+
+
+def towards_G(view: FrameView, p_G: Array) -> Array:
+    """Unit vectors (n, 3) in G from points to the camera."""
+    ray = view.eye_G - p_G
+    return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True))

@@ -1,0 +1,185 @@
+"""The fused surface made ready for use: holes, colours, coverage, lighter meshes, mass against volume.
+
+Each step is optional: one that fails costs only itself, and is told of.
+"""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import TypeVar
+
+import numpy as np
+
+from frontend.rectified_pair import rectified_pair
+from frontend.rectify import Rectifier
+from mapping.albedo import Colouring, divide_shading
+from mapping.holes import ClosedHoles, close_small_holes
+from mapping.levels import Level, levels_of
+from mapping.visibility import Caster, FrameView
+from pipeline.assumed import assumed_properties
+from pipeline.coverage import coverage_of, warnings_of, with_classes
+from pipeline.physics_check import check_physics
+from pipeline.shape_parts import Mesh, MeshLevel, ShapeFindings, Sun
+from polhode.camera import RectifiedRig
+from polhode.config import Config
+from polhode.dataset import StereoSequence
+from polhode.lie import Array, transform_points
+from polhode.records import MassProperties, SurfaceModel
+
+_log = logging.getLogger(__name__)
+Result = TypeVar("Result")
+
+MOST_FRAMES = 60
+MOST_PIXELS = 40e6
+"""Of the frames looked at, together."""
+LIT_OVER_SKY = 12.0
+"""Intensity above the sky's that counts as lit [8-bit levels]."""
+_MARGIN_PX = 6
+
+
+def finish_surface(
+    surface: SurfaceModel,
+    sequence: StereoSequence,
+    rectifier: Rectifier,
+    X_RG: Array,
+    mass: MassProperties,
+    config: Config,
+) -> tuple[SurfaceModel, list[Level], ShapeFindings]:
+    """X_RG (F, 4, 4): the target in the rectified left camera at the sequence's pairs."""
+    if len(surface.mesh.faces) == 0:
+        assumed, doubts = assumed_properties(mass, surface, config.backend)
+        return surface, [], ShapeFindings(assumed=assumed, warnings=tuple(doubts))
+    steps, rig, mapping = _Steps(), rectifier.rig, config.mapping
+    R_NR = (sequence.X_NC @ rectifier.X_CR)[:, :3, :3]
+    views: list[FrameView] = []
+    views = steps.attempt(
+        "looking at the images again", lambda: _views(surface, sequence, rectifier, X_RG, R_NR), views
+    )
+    # What is across is measured on the surface alone: the same in every unit.
+    largest_m = mapping.hole_share * float(np.linalg.norm(surface.mesh.extents))
+    holes = steps.attempt(
+        "closing small holes",
+        lambda: close_small_holes(surface, largest_m, views, rig),
+        ClosedHoles(surface, 0, 0),
+    )
+    caster = cache(lambda: Caster(holes.surface.mesh))
+    colours = Colouring(holes.surface, False, None, 1.0)
+    if mapping.divide_shading:
+        colours = steps.attempt(
+            "dividing the shading out",
+            lambda: divide_shading(holes.surface, views, rig, caster(), config.seed),
+            colours,
+        )
+    finished = colours.surface
+    classes = steps.attempt(
+        "coverage of the vertices", lambda: with_classes(finished, views, rig, caster()), None
+    )
+    finished = replace(finished, coverage=classes)
+    coverage = None
+    if views:
+        coverage = steps.attempt("coverage", lambda: coverage_of(finished.mesh, views, rig), None)
+    levels: list[Level] = []
+    levels = steps.attempt("lighter meshes", lambda: levels_of(finished, mapping.levels, config.seed), levels)
+    physics = steps.attempt("mass against volume", lambda: check_physics(mass, finished), None)
+    assumed, doubts = assumed_properties(mass, finished, config.backend)
+    told = [*doubts, *steps.warnings, *(warnings_of(coverage) if coverage is not None else ())]
+    described = _described(finished, holes, colours, levels)
+    for sentence in physics.words if physics is not None else ():
+        _log.info(sentence)
+    return finished, levels, ShapeFindings(described, coverage, physics, assumed, tuple(told))
+
+
+class _Steps:
+    def __init__(self) -> None:
+        self.warnings: list[str] = []
+
+    def attempt(self, what: str, step: Callable[[], Result], otherwise: Result) -> Result:
+        """The step's result; ``otherwise``, and a warning, when it fails."""
+        try:
+            return step()
+        except (ValueError, ArithmeticError, LookupError, RuntimeError, TypeError, MemoryError) as error:
+            _log.warning("%s failed: %s", what, error, exc_info=_log.isEnabledFor(logging.DEBUG))
+            self.warnings.append(f"{what} failed and was left out: {error}")
+            return otherwise
+
+
+def _views(
+    surface: SurfaceModel, sequence: StereoSequence, rectifier: Rectifier, X_RG: Array, R_NR: Array
+) -> list[FrameView]:
+    """Frames evenly spread over the run, each cut to the target."""
+    rig = rectifier.rig
+    most = int(np.clip(MOST_PIXELS // (rig.width_px * rig.height_px), 8, MOST_FRAMES))
+    usable = np.flatnonzero(np.isfinite(X_RG).all(axis=(1, 2)))
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), most)).round().astype(int))]
+    low, high = surface.mesh.bounds
+    corners = np.array(
+        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+    views = []
+    for k in chosen.tolist():
+        box = _box(transform_points(X_RG[k], corners), rig)
+        if box is None:
+            continue
+        pair = rectified_pair(sequence, rectifier, k)
+        u0, u1, v0, v1 = box
+        views.append(
+            FrameView(
+                image=pair.left[v0:v1, u0:u1].copy(),
+                silhouette=pair.mask_left[v0:v1, u0:u1].copy(),
+                X_RG=X_RG[k],
+                R_NR=R_NR[k],
+                u0=u0,
+                v0=v0,
+                lit_above=float(np.percentile(pair.left, 5)) + LIT_OVER_SKY,
+            )
+        )
+    return views
+
+
+def _box(corners_R: Array, rig: RectifiedRig) -> tuple[int, int, int, int] | None:
+    """Columns u0..u1 and rows v0..v1 that the body's box covers; None: out of view, or not all in front."""
+    if corners_R[:, 2].min() <= 1e-3:
+        return None
+    uv = rig.project(corners_R)[:, :2]
+    u0, v0 = np.maximum(np.floor(uv.min(axis=0)).astype(int) - _MARGIN_PX, 0)
+    u1, v1 = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + _MARGIN_PX, (rig.width_px, rig.height_px))
+    return (int(u0), int(u1), int(v0), int(v1)) if u1 - u0 > 2 and v1 - v0 > 2 else None
+
+
+def _described(
+    surface: SurfaceModel, holes: ClosedHoles, colours: Colouring, levels: Sequence[Level]
+) -> Mesh:
+    mesh, invented, light = surface.mesh, surface.is_invented, colours.sun
+    sun = None
+    if light is not None:
+        x, y, z = (float(part) for part in light.direction_N)
+        # a law that does not hold has no sigma that does
+        sigma = float(np.rad2deg(light.sigma_rad)) if colours.divided else None
+        sun = Sun(
+            direction_N=(x, y, z),
+            sigma_deg=sigma,
+            explained=light.explained,
+            frames_in_light=int(light.sunny.sum()),
+        )
+    return Mesh(
+        vertices=len(mesh.vertices),
+        faces=len(mesh.faces),
+        closed=bool(mesh.is_volume),
+        holes_closed=holes.closed,
+        holes_left_open=holes.left_open,
+        invented_faces=int(invented.sum()),
+        invented_share=float(mesh.area_faces[invented].sum() / mesh.area),
+        colour="albedo" if colours.divided else "intensity",
+        grey_per_albedo=colours.grey_per_albedo,
+        sun=sun,
+        levels=tuple(
+            MeshLevel(
+                file=f"mesh_lod{n}.glb",
+                faces=len(level.surface.mesh.faces),
+                largest_distance_m=level.largest_m,
+                mean_distance_m=level.mean_m,
+            )
+            for n, level in enumerate(levels, start=1)
+        ),
+    )

@@ -1,0 +1,202 @@
+"""The mesh at uniform density against the mass properties that the motion tells (thesis 3.3), in words.
+
+Where they differ the mass is not spread evenly through the volume, or the volume is not known well. Neither
+is corrected by the other. Nothing is said about what the motion does not determine.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from mapping.holes import boundary_loops
+from pipeline.assumed import Solid, principal_axes, solid_body, solid_of
+from pipeline.direction_words import axis_words
+from pipeline.shape_parts import Physics
+from polhode.lie import Array, log_so3
+from polhode.metrics import HALF_TURNS
+from polhode.records import Bools, MassProperties, SurfaceModel
+
+CLEAR = 3.0
+"""Standard deviations from which on a difference is one."""
+ALIKE = 0.03
+"""Ratio (its logarithm) below which two moments of the mesh are too near to tell their axes."""
+_LEAST_SHARE, _LEAST_DEG, _LEAST_K = 0.005, 2.0, 0.02
+"""How well a closed mesh tells its volume's centre (share of its size), axes and inertia ratios."""
+_LEAST_LIDDED = 0.3
+"""An open mesh whose volume under flat lids is a smaller share of its hull's tells no volume."""
+_MOST_DEG = 20.0
+_CAUSE = "mass is not spread evenly"
+_CAUSE_OPEN = "mass is not spread evenly, or the hull is not the body"
+
+
+@dataclass(frozen=True)
+class _Axes:
+    """What of the principal axes can be compared, and how far it is turned."""
+
+    words: str
+    angle_rad: float
+    about_P: Array
+    """(3,) unit vector"""
+
+
+def check_physics(mass: MassProperties, surface: SurfaceModel) -> Physics | None:
+    """Compare; None where the surface has no volume."""
+    mesh = surface.mesh
+    solid, _ = solid_of(mesh)
+    if solid is None:
+        return None
+    _, R_GP = principal_axes(solid.inertia)
+    k, known = _ratios(solid), mass.identifiable
+    other = solid if mesh.is_volume else _lidded(mesh)
+    words = [f"compared with uniform density in the {solid.words}"]
+    clear = other.volume_m3 > _LEAST_LIDDED * solid.volume_m3
+    offset_G = _com_offset(mass, solid.com_G) if clear and known.com_P.any() else None
+    turns = known.axes_P & np.array([k[1] > ALIKE, k[0] + k[1] > ALIKE, k[0] > ALIKE])
+    axes = _between(mass.R_GP, R_GP, turns) if clear else None
+    differences = [
+        value - uniform if flag and clear else None
+        for value, uniform, flag in zip((mass.k1, mass.k2), k, (known.k1, known.k2), strict=True)
+    ]
+    if not clear:
+        words.append("the hull is too far from the open mesh to compare the motion's mass properties with it")
+    com_sigma_m = axes_sigma_rad = None
+    if offset_G is not None:
+        com_sigma_m = _com_sigma_m(mass, offset_G)
+        least_m = max(
+            _LEAST_SHARE * float(np.linalg.norm(mesh.extents)),
+            float(np.linalg.norm(solid.com_G - other.com_G)),
+        )
+        words.append(_com_words(mass, offset_G, com_sigma_m, least_m, bool(mesh.is_volume)))
+    if axes is not None:
+        axes_sigma_rad = _sigma_along(mass.cov_R_GP, axes.about_P)
+        closing = _between(R_GP, principal_axes(other.inertia)[1], turns)
+        least_deg = max(_LEAST_DEG, float(np.rad2deg(closing.angle_rad)) if closing is not None else np.inf)
+        words += _axes_words(axes, axes_sigma_rad, least_deg)
+    words += _ratio_words(
+        mass, differences, k, max(_LEAST_K, float(np.abs(np.subtract(k, _ratios(other))).max()))
+    )
+    return Physics(
+        words=words,
+        volume_m3=solid.volume_m3,
+        com_uniform_G=_vector(solid.com_G),
+        com_offset_G=None if offset_G is None else _vector(offset_G),
+        com_offset_sigma_m=com_sigma_m,
+        R_GP_uniform=(_vector(R_GP[0]), _vector(R_GP[1]), _vector(R_GP[2])),
+        axes_angle_deg=None if axes is None else float(np.rad2deg(axes.angle_rad)),
+        axes_angle_sigma_deg=None if axes_sigma_rad is None else float(np.rad2deg(axes_sigma_rad)),
+        k1_uniform=k[0],
+        k2_uniform=k[1],
+        k1_difference=differences[0],
+        k2_difference=differences[1],
+    )
+
+
+def _lidded(mesh: trimesh.Trimesh) -> Solid:
+    """The mesh with every opening closed by a fan from its middle: another guess of the volume."""
+    vertices, faces = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)]
+    count = len(mesh.vertices)
+    for loop in boundary_loops(faces[0]):
+        vertices.append(vertices[0][loop].mean(axis=0, keepdims=True))
+        faces.append(np.column_stack([loop, np.roll(loop, -1), np.full(len(loop), count)]))
+        count += 1
+    return solid_body(trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False), "")
+
+
+def _ratios(solid: Solid) -> tuple[float, float]:
+    moments, _ = principal_axes(solid.inertia)
+    moments = np.maximum(moments, 1e-12 * max(float(moments[0]), 1e-300))
+    return float(np.log(moments[0] / moments[1])), float(np.log(moments[1] / moments[2]))
+
+
+def _com_offset(mass: MassProperties, com_G: Array) -> Array:
+    """Estimate minus uniform (3,), what the motion does not determine left out."""
+    axes = mass.R_GP[:, mass.identifiable.com_P]
+    return np.asarray(axes @ (axes.T @ (mass.com_G - com_G)))
+
+
+def _com_sigma_m(mass: MassProperties, offset_G: Array) -> float:
+    """Of the estimate along the offset. With one component undetermined no axis of G may have a finite
+    variance, so it is put together from those of P."""
+    if np.isfinite(mass.cov_com_G).all():
+        return _sigma_along(mass.cov_com_G, offset_G)
+    known = mass.identifiable.com_P
+    return _sigma_along(np.diag(mass.identifiable.sigma[:3][known] ** 2), mass.R_GP.T[known] @ offset_G)
+
+
+def _sigma_along(covariance: Array, direction: Array) -> float:
+    """Along a direction (n,); what is undetermined has no part in it."""
+    unit = direction / max(float(np.linalg.norm(direction)), 1e-300)
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    return float(np.sqrt(max(float(unit @ finite @ unit), 0.0)))
+
+
+def _com_words(mass: MassProperties, offset_G: Array, sigma_m: float, volume_m: float, closed: bool) -> str:
+    length, least = float(np.linalg.norm(offset_G)), max(CLEAR * sigma_m, volume_m)
+    lost = [axis for axis, flag in zip("xyz", mass.identifiable.com_P, strict=True) if not flag]
+    untold = f"; along {' and '.join(lost)} of P the motion does not tell it" if lost else ""
+    if length <= least:
+        return f"the centre of mass agrees with the volume's centre within {_mm(least)}{untold}"
+    return (
+        f"the centre of mass is {_mm(length)} off the volume's centre along {axis_words(offset_G)} of G "
+        f"(sigma {_mm(sigma_m)}; the volume's centre is known to about {_mm(volume_m)}): "
+        f"{_CAUSE if closed else _CAUSE_OPEN}{untold}"
+    )
+
+
+def _between(R_GP: Array, R_GP_other: Array, turns: Bools) -> _Axes | None:
+    """The smallest rotation between axes; ``turns`` (3,): those about which both tell it. None: too few."""
+    if turns.all():
+        found = np.array([log_so3(R_GP.T @ (R_GP_other * half_turn)) for half_turn in HALF_TURNS])
+        angles = np.linalg.norm(found, axis=1)
+        best = int(np.argmin(angles))
+        return _Axes("axes", float(angles[best]), found[best] / max(float(angles[best]), 1e-300))
+    for axis in range(3):
+        if np.delete(turns, axis).all():
+            mine, its = R_GP[:, axis], R_GP_other[:, axis]
+            across = R_GP.T @ np.cross(mine, its)
+            angle = float(np.arcsin(min(float(np.linalg.norm(across)), 1.0)))
+            return _Axes(f"axis {'xyz'[axis]}", angle, across / max(float(np.linalg.norm(across)), 1e-300))
+    return None
+
+
+def _axes_words(axes: _Axes, sigma_rad: float, volume_deg: float) -> list[str]:
+    angle_deg, sigma_deg = np.rad2deg(axes.angle_rad), np.rad2deg(sigma_rad)
+    least, many = max(CLEAR * sigma_deg, volume_deg), axes.words == "axes"
+    if least > _MOST_DEG:
+        return []
+    if angle_deg <= least:
+        verb = "agree" if many else "agrees"
+        return [f"the principal {axes.words} {verb} with the volume's within {least:.2g} deg"]
+    return [
+        f"the principal {axes.words} {'are' if many else 'is'} turned by {angle_deg:.3g} deg from the "
+        f"volume's (sigma {sigma_deg:.2g} deg; the volume's known to about {volume_deg:.2g} deg)"
+    ]
+
+
+def _ratio_words(
+    mass: MassProperties, differences: list[float | None], k: tuple[float, float], volume_k: float
+) -> list[str]:
+    words = []
+    for n, (name, difference) in enumerate(zip(("k1", "k2"), differences, strict=True)):
+        if difference is None:
+            continue
+        sigma = float(np.sqrt(mass.cov_k[n, n]))
+        least = max(CLEAR * sigma, volume_k)
+        if abs(difference) <= least:
+            words.append(f"{name} agrees with the volume's {k[n]:.3f} within {least:.2g}")
+        else:
+            side = "larger" if difference > 0.0 else "smaller"
+            words.append(
+                f"{name} is {abs(difference):.3f} {side} than the volume's {k[n]:.3f} "
+                f"(sigma {sigma:.2g}; the volume's known to about {volume_k:.2g})"
+            )
+    return words
+
+
+def _mm(metres: float) -> str:
+    return f"{1e3 * metres:.2g} mm" if metres < 0.1 else f"{1e3 * metres:.0f} mm"
+
+
+def _vector(values: Array) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -1,0 +1,128 @@
+"""A surface is finished step by step; a step that fails costs only itself."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from trimesh.visual import ColorVisuals
+
+from mapping.levels import Level
+from mapping.mesh_files import write_ply
+from pipeline import finish_surface as module
+from pipeline.finish_surface import finish_surface
+from pipeline.outputs import build_summary, finish_run, write_config, write_estimate, write_surface
+from pipeline.shape_parts import ShapeFindings
+from polhode.config import Config
+from polhode.config.mapping import Mapping
+from polhode.records import SurfaceModel
+from tests.mapping.rendered_views import RIG, rendered, tumbling
+
+CONFIG = Config(mapping=Mapping(hole_share=0.08))
+
+
+def finished(
+    surface: SurfaceModel, seen: Any, example: Any, config: Config = CONFIG
+) -> tuple[SurfaceModel, list[Level], ShapeFindings]:
+    sequence, rectifier, X_RG = seen
+    return finish_surface(surface, sequence, rectifier, X_RG, example.estimate.mass, config)
+
+
+@pytest.fixture
+def opened() -> SurfaceModel:
+    ball = trimesh.creation.icosphere(4, 0.08)
+    near = np.linalg.norm(ball.triangles_center - np.array([0.08, 0.0, 0.0]), axis=1) < 0.006
+    mesh = trimesh.Trimesh(ball.vertices, ball.faces[~near], process=False)
+    mesh.remove_unreferenced_vertices()
+    mesh.visual = ColorVisuals(mesh, vertex_colors=np.full((len(mesh.vertices), 4), 80, dtype=np.uint8))
+    n = len(mesh.vertices)
+    return SurfaceModel(mesh, np.full(n, 1e-3), np.full(n, 5, dtype=np.int64))
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A sequence and a rectifier of nothing but their frames, and the poses."""
+    poses = np.stack(tumbling(12))
+    views = [
+        rendered(
+            trimesh.creation.icosphere(4, 0.08), X, np.array([0.4, -0.3, -0.86]), lambda p: 150 + 0 * p[:, 0]
+        )
+        for X in poses
+    ]
+    monkeypatch.setattr(module, "_views", lambda *_: views)
+    eye = np.tile(np.eye(4), (12, 1, 1))
+    return SimpleNamespace(X_NC=eye), SimpleNamespace(X_CR=np.eye(4), rig=RIG), poses
+
+
+def test_all_is_found_and_written(opened: SurfaceModel, seen: Any, example: Any, tmp_path: Path) -> None:
+    surface, levels, found = finished(opened, seen, example)
+    assert found.mesh is not None and found.mesh.closed and found.mesh.holes_closed == 1
+    assert found.mesh.colour == "albedo" and found.mesh.sun is not None
+    assert found.coverage is not None and found.physics is not None
+    assert surface.is_invented.sum() == found.mesh.invented_faces > 0
+    assert [level.file for level in found.mesh.levels] == ["mesh_lod1.glb", "mesh_lod2.glb"]
+
+    write_config(tmp_path, Config())
+    write_estimate(tmp_path, example.tracks, example.estimate)
+    write_surface(tmp_path, surface, levels)
+    assert {"mesh.ply", "mesh.glb", "mesh_lod1.glb", "mesh_lod2.glb"} <= {f.name for f in tmp_path.iterdir()}
+    finish_run(tmp_path, build_summary(example.tracks, example.estimate, surface, {}, shape=found))
+    page = (tmp_path / "report.html").read_text()
+    assert "direction of the Sun in N" in page and "mesh_lod1.glb" in page
+    assert found.physics.words[1].split("'")[0] in page
+
+
+def test_the_same_input_gives_the_same_answer(
+    opened: SurfaceModel, seen: Any, example: Any, tmp_path: Path
+) -> None:
+    first, second = (finished(opened, seen, example) for _ in range(2))
+    for name, (surface, _, _) in (("a", first), ("b", second)):
+        write_ply(surface, tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    assert first[2] == second[2]
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        ("close_small_holes", "closing small holes"),
+        ("divide_shading", "dividing the shading out"),
+        ("coverage_of", "coverage"),
+        ("levels_of", "lighter meshes"),
+        ("check_physics", "mass against volume"),
+        ("_views", "looking at the images again"),
+    ],
+)
+def test_a_step_that_fails_costs_only_itself(
+    step: str, words: str, opened: SurfaceModel, seen: Any, example: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: Any) -> None:
+        raise ValueError("of no use")
+
+    monkeypatch.setattr(module, step, broken)
+    surface, _, found = finished(opened, seen, example)
+    assert f"{words} failed and was left out: of no use" in found.warnings
+    assert found.mesh is not None and len(surface.mesh.faces) >= len(opened.mesh.faces)
+
+
+def test_each_step_can_be_switched_off(opened: SurfaceModel, seen: Any, example: Any) -> None:
+    off = Config(mapping=Mapping(hole_share=0.0, divide_shading=False, levels=()))
+    surface, levels, found = finished(opened, seen, example, off)
+    assert found.mesh is not None and not found.mesh.closed and levels == []
+    assert found.mesh.colour == "intensity" and found.mesh.sun is None
+    np.testing.assert_array_equal(surface.mesh.faces, opened.mesh.faces)
+
+
+def test_an_empty_surface_stays_empty(seen: Any, example: Any) -> None:
+    empty = SurfaceModel(trimesh.Trimesh(), np.zeros(0), np.zeros(0, dtype=np.int64))
+    surface, levels, found = finished(empty, seen, example)
+    assert surface is empty and levels == [] and found.mesh is None and found.warnings == ()
+
+
+def test_frames_are_cut_to_the_body() -> None:
+    # 6 px around columns 79.5 - 45.7 to 79.5 + 33.1 and rows 59.5 - 45.7 to 59.5 + 33.1
+    corners = np.array([[-0.08, -0.08, 0.42], [0.08, 0.08, 0.58]])
+    assert module._box(corners, RIG) == (27, 119, 7, 99)
+    assert module._box(corners - np.array([0.0, 0.0, 0.6]), RIG) is None
