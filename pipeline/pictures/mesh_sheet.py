@@ -117,7 +117,7 @@ def _rows(surface: SurfaceModel) -> tuple[_Row, ...]:
     most = max(float(np.quantile(surface.views, 0.99)), 2.0)
     brightness = stretched(vertex_rgb(surface.mesh)) / 255.0
     return (
-        _Row("brightness in the images, shaded; pink: the inner side, seen through holes", brightness, 0.45),
+        _Row("colours of the vertices, shaded; pink: the inner side, seen through holes", brightness, 0.45),
         _Row(
             "standard deviation [mm]; the scale ends at the 95th percentile",
             np.where(known, sigma_mm, top_mm),

@@ -138,9 +138,10 @@ def _mesh(content: Content, mesh: trimesh.Trimesh) -> Figure:
     return Figure(
         "mesh",
         "Surface",
-        "Fused from the depth maps, with the brightness that the left camera saw, stretched to the full "
-        "range; lines: principal axes at the centre of mass. The legend switches on from where the left "
-        f"camera looked at each frame: its direction, close to the body, and its position.{thin}",
+        "Fused from the depth maps, with the brightness of the images (without the Sun's shading where its "
+        "direction was found), stretched to the full range; lines: principal axes at the centre of mass. The "
+        "legend switches on from where the left camera looked at each frame: its direction, close to the "
+        f"body, and its position.{thin}",
         data,
         _body_layout(content),
         height_px=520,

@@ -79,15 +79,6 @@ def test_a_mesh_of_an_earlier_version_is_read(surface: SurfaceModel, tmp_path: P
     np.testing.assert_array_equal(again.views, surface.views)
 
 
-def test_open3d_opens_both(surface: SurfaceModel, tmp_path: Path) -> None:
-    open3d = pytest.importorskip("open3d")
-    for write, name in ((write_ply, "mesh.ply"), (write_glb, "mesh.glb")):
-        write(surface, tmp_path / name)
-        mesh = open3d.io.read_triangle_mesh(str(tmp_path / name))
-        assert len(mesh.triangles) == len(surface.mesh.faces)
-        assert mesh.has_vertex_normals() and mesh.has_vertex_colors()
-
-
 def test_glb_opens_with_colours_and_metres(surface: SurfaceModel, tmp_path: Path) -> None:
     write_glb(surface, tmp_path / "mesh.glb")
     mesh = trimesh.load_mesh(tmp_path / "mesh.glb", process=False)
