@@ -17,6 +17,9 @@ from polhode.records import MotionEstimate
 AS_GOOD = 0.02
 """Relative difference of the misfit that does not decide: a wrong sense of a tumble costs several times the
 misfit, and what is small beside it may come from the noise model."""
+TOO_FAR_DEG, FAR_DEG = 225.0, 150.0
+"""Turns beyond the first may be a revolution off as well: no sense that fits is believed. From the second on a
+sense is believed only if it leaves the disturbances about as small as stated."""
 OPEN = "not determined: another motion, which turns the other way round between frames, fits as well"
 OF_STATE = np.r_[np.zeros(6, dtype=np.bool_), np.ones(6, dtype=np.bool_)]
 """Attitude and rate."""
@@ -49,6 +52,16 @@ def choose(trials: dict[str, Trial], dt_s: Array) -> Choice:
 
 def _turn_deg(trial: Trial, dt_s: Array) -> float:
     return float(np.rad2deg(np.median(np.linalg.norm(trial.iterate.w_G[:-1], axis=1) * dt_s)))
+
+
+def open_turns_deg(
+    choice: Choice, trial: Trial, dt_s: Array, much_disturbed: bool
+) -> tuple[float, float] | None:
+    """Median turns [deg] of the motion and of the one that it is not told from; None: it is told."""
+    turn = _turn_deg(trial, dt_s)
+    if choice.turns_deg is None and (turn > TOO_FAR_DEG or (much_disturbed and turn > FAR_DEG)):
+        return turn, abs(360.0 - turn)
+    return choice.turns_deg
 
 
 def with_open_sense(estimate: MotionEstimate, turns_deg: tuple[float, float]) -> MotionEstimate:

@@ -6,7 +6,7 @@ from time import perf_counter
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from backend.ambiguity import with_open_sense
+from backend.ambiguity import open_turns_deg, with_open_sense
 from backend.fit import SUSPICIOUS, fit
 from backend.gauss_newton import GaussNewton, Solution
 from backend.hypotheses import N_HYPOTHESES
@@ -73,11 +73,13 @@ def _estimate(
         runner_up=runner_up,
     )
     estimate = with_systematic(estimate, tracks, config.systematic_px)
-    if found.choice.turns_deg is not None:
-        estimate = with_open_sense(estimate, found.choice.turns_deg)
+    stated = max(data.accel_psd / config.accel_psd, data.torque_psd / config.torque_psd)
+    turns_deg = open_turns_deg(found.choice, trials[best], data.dt_s, stated >= SUSPICIOUS)
+    if turns_deg is not None:
+        estimate = with_open_sense(estimate, turns_deg)
     warnings = [*estimate.warnings, *_warnings_of_disturbances(data, config)]
     if not solution.converged:
-        warnings.append(f"the solver stopped before convergence: {solution.message}")
+        warnings.append(f"the solver stopped before convergence: {solution.message} ({OR_FAST})")
     return replace(estimate, solver=outcome, warnings=tuple(warnings))
 
 

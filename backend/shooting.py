@@ -111,6 +111,9 @@ def _carry(w_G: Array, J_G: Array, t: Array) -> tuple[Array, Array]:
     turns = np.linalg.norm(w_G) * np.abs(t) / SERIES_RAD
     steps = np.clip(np.ceil(2.0 * turns), 1, 512).astype(np.int64)
     q, w, _, _ = flows(np.tile(w_G, (len(t), 1)), J_G, np.asarray(t), steps)
+    # a search may ask for rates at which the series overflows: such a shot leads nowhere
+    lost = ~(np.linalg.norm(q, axis=1) > 1e-6) | ~np.isfinite(q).all(axis=1) | ~np.isfinite(w).all(axis=1)
+    q[lost], w[lost] = (1.0, 0.0, 0.0, 0.0), 0.0
     return matrix_from_wxyz(q), w
 
 

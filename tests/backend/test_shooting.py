@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from backend.ambiguity import choose
+from backend.ambiguity import Choice, choose, open_turns_deg
 from backend.inertia import inertia_from_second_moments
 from backend.iterate import Iterate
 from backend.sense import THE_OTHER_WAY, rate_branches
-from backend.shooting import shoot
+from backend.shooting import _carry, shoot
 from backend.trials import Trial
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.rigid_body import propagate
@@ -71,3 +71,19 @@ def test_a_sense_is_chosen_by_the_misfit_and_the_shorter_one_when_both_fit() -> 
     assert choose(told, dt_s).name == "sphere" + THE_OTHER_WAY
     assert choose(told, dt_s).turns_deg is None
     assert choose({"sphere": _trial(30.0, 5.0, 5.0)}, dt_s).turns_deg is None
+
+
+def test_a_shot_at_a_rate_beyond_the_series_leads_nowhere() -> None:
+    R, w = _carry(np.array([1e9, -2e9, 3e8]), np.diag([1.5, 1.2, 0.9]), np.array([0.5, 1.0]))
+    assert np.isfinite(R).all() and np.isfinite(w).all()
+
+
+def test_turns_beyond_what_two_senses_tell_are_open() -> None:
+    dt_s = np.diff(TIME_S)
+    far, near, small = (_trial(turn, 100.0, 1.0) for turn in (466.0, 180.0, 60.0))
+    chosen = Choice("sphere", None)
+    assert open_turns_deg(chosen, far, dt_s, False) == pytest.approx((466.0, 106.0))
+    assert open_turns_deg(chosen, near, dt_s, False) is None
+    assert open_turns_deg(chosen, near, dt_s, True) == pytest.approx((180.0, 180.0))
+    assert open_turns_deg(chosen, small, dt_s, True) is None
+    assert open_turns_deg(Choice("sphere", (150.0, 210.0)), small, dt_s, False) == (150.0, 210.0)
