@@ -18,8 +18,8 @@ AS_GOOD = 0.02
 """Relative difference of the misfit that does not decide: a wrong sense of a tumble costs several times the
 misfit, and what is small beside it may come from the noise model."""
 TOO_FAR_DEG, FAR_DEG = 225.0, 150.0
-"""Turns beyond the first may be a revolution off as well: no sense that fits is believed. From the second on a
-sense is believed only if it leaves the disturbances about as small as stated."""
+"""Turns beyond the first may be a revolution off as well: no sense that fits is believed. From the second on
+a sense is believed only if it leaves the disturbances about as small as stated."""
 OPEN = "not determined: another motion, which turns the other way round between frames, fits as well"
 OF_STATE = np.r_[np.zeros(6, dtype=np.bool_), np.ones(6, dtype=np.bool_)]
 """Attitude and rate."""
@@ -71,7 +71,15 @@ def with_open_sense(estimate: MotionEstimate, turns_deg: tuple[float, float]) ->
         name: OPEN if name.startswith(("k", "axes")) and not text.startswith("not") else text
         for name, text in known.detail.items()
     }
-    known = replace(known, k1=False, k2=False, axes=False, axes_P=np.zeros(3, dtype=np.bool_), detail=detail)
+    known = replace(
+        known,
+        k1=False,
+        k2=False,
+        axes=False,
+        axes_P=np.zeros(3, dtype=np.bool_),
+        detail=detail,
+        sigma=np.where(np.arange(8) < 3, known.sigma, np.inf),
+    )
     mass = replace(
         mass,
         cov_k=with_infinite(mass.cov_k, np.ones(2, dtype=np.bool_)),
