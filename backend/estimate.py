@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from backend.ambiguity import open_turns_deg, with_open_sense
-from backend.fit import SUSPICIOUS, fit
+from backend.fit import SUSPICIOUS, fit, times_stated
 from backend.gauss_newton import GaussNewton, Solution
 from backend.hypotheses import N_HYPOTHESES
 from backend.iterate import Iterate
@@ -73,24 +73,23 @@ def _estimate(
         runner_up=runner_up,
     )
     estimate = with_systematic(estimate, tracks, config.systematic_px)
-    stated = max(data.accel_psd / config.accel_psd, data.torque_psd / config.torque_psd)
-    turns_deg = open_turns_deg(found.choice, trials[best], data.dt_s, stated >= SUSPICIOUS)
+    stronger = times_stated(data, config.accel_psd, config.torque_psd)
+    turns_deg = open_turns_deg(found.choice, trials[best], data.dt_s, stronger >= SUSPICIOUS)
     if turns_deg is not None:
         estimate = with_open_sense(estimate, turns_deg)
-    warnings = [*estimate.warnings, *_warnings_of_disturbances(data, config)]
+    warnings = [*estimate.warnings, *_warnings_of_disturbances(data, config, stronger)]
     if not solution.converged:
         warnings.append(f"the solver stopped before convergence: {solution.message} ({OR_FAST})")
     return replace(estimate, solver=outcome, warnings=tuple(warnings))
 
 
-def _warnings_of_disturbances(data: MotionData, config: Backend) -> list[str]:
+def _warnings_of_disturbances(data: MotionData, config: Backend, stronger: float) -> list[str]:
     ends = float(np.sum(data.dt_s))
     out = [
         f"backend.unknown_wrench_s: {start:g} to {end:g} s is outside the sequence of {ends:g} s"
         for start, end in config.unknown_wrench_s
         if end <= 0.0 or start >= ends
     ]
-    stronger = max(data.accel_psd / config.accel_psd, data.torque_psd / config.torque_psd)
     if stronger < SUSPICIOUS:
         return out
     return [

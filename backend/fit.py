@@ -80,8 +80,13 @@ def fit(
 
 def _doubtful(found: Fit, stated: MotionData) -> bool:
     """Whether many observations disagree, or the motion seems much disturbed."""
-    stronger = max(found.data.accel_psd / stated.accel_psd, found.data.torque_psd / stated.torque_psd)
+    stronger = times_stated(found.data, stated.accel_psd, stated.torque_psd)
     return _agreeing(found) < MOST_AGREE or stronger > SUSPICIOUS
+
+
+def times_stated(found: MotionData, accel_psd: float, torque_psd: float) -> float:
+    """How many times the stated disturbances the found ones are (power), of force or torque the larger."""
+    return max(found.accel_psd / accel_psd, found.torque_psd / torque_psd)
 
 
 def _agreeing(found: Fit) -> float:
