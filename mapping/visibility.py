@@ -75,17 +75,19 @@ class Caster:
         distance = np.where(face >= 0, np.asarray(hit["tfar"], dtype=np.float64) + skipped, np.inf)
         return distance, face
 
-    def sees(self, eye_G: Array, p_G: Array, normal_G: Array) -> Bools:
+    def sees(self, eye_G: Array, p_G: Array, normal_G: Array, clearance_m: float | None = None) -> Bools:
         """(n,) true where nothing stands between the eye and a point, and it is not seen edge-on.
 
-        The cosine is not signed: sheets of a mesh are seen from both sides.
+        A ray may end ``clearance_m`` before its point. The cosine is not signed: sheets of a mesh are seen
+        from both sides.
         """
         ray = p_G - eye_G
         distance = np.linalg.norm(ray, axis=1)
         direction = ray / np.maximum(distance, 1e-12)[:, None]
         cosine = np.abs(np.einsum("nk,nk->n", direction, normal_G))
         first, _ = self.first(eye_G, direction)
-        return np.asarray((cosine > LEAST_COSINE) & (first > distance - 2.0 * CLEARANCE * self.radius_m))
+        clearance_m = 2.0 * CLEARANCE * self.radius_m if clearance_m is None else clearance_m
+        return np.asarray((cosine > LEAST_COSINE) & (first > distance - clearance_m))
 
     def lit_by(self, sun_G: Array, p_G: Array) -> Bools:
         """(n,) true where nothing stands between points (n, 3) and a light far away, towards ``sun_G``."""

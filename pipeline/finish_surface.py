@@ -20,6 +20,7 @@ from mapping.visibility import Caster, FrameView
 from pipeline.assumed import assumed_properties
 from pipeline.coverage import coverage_of, warnings_of, with_classes
 from pipeline.physics_check import check_physics
+from pipeline.seen_surface import light_level
 from pipeline.shape_parts import Mesh, MeshLevel, ShapeFindings, Sun
 from polhode.camera import RectifiedRig
 from polhode.config import Config
@@ -33,8 +34,6 @@ Result = TypeVar("Result")
 MOST_FRAMES = 60
 MOST_PIXELS = 40e6
 """Of the frames looked at, together."""
-LIT_OVER_SKY = 12.0
-"""Intensity above the sky's that counts as lit [8-bit levels]."""
 _MARGIN_PX = 6
 
 
@@ -131,7 +130,7 @@ def _views(
                 R_NR=R_NR[k],
                 u0=u0,
                 v0=v0,
-                lit_above=float(np.percentile(pair.left, 5)) + LIT_OVER_SKY,
+                lit_above=light_level(pair.left),
             )
         )
     return views

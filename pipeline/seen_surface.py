@@ -9,19 +9,15 @@ import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from trimesh.ray.ray_pyembree import RayMeshIntersector
 
+from mapping.visibility import CLEARANCE, Caster
 from polhode.dataset import StereoSequence
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Bools
 
 MOST_FRAMES = 60
-LEAST_COSINE = 0.15
-"""Seen at more than 81 degrees from the normal does not count."""
 LIT_OVER_SKY = 12.0
 """Intensity above the sky's that counts as lit [8-bit levels]."""
-_CLEARANCE = 2e-3
-"""A ray may end this far before the point, as a share of the body's size."""
 
 
 def seen_and_lit(
@@ -37,7 +33,7 @@ def seen_and_lit(
     mesh, p_G (n, 3), normal_G (n, 3) in the true G [m]; X_NG (F, 4, 4) true poses at the sequence's pairs.
     At most 60 frames, evenly spread, are looked at.
     """
-    caster = RayMeshIntersector(mesh, scale_to_box=False)
+    caster = Caster(mesh)
     found = np.zeros(len(p_G), dtype=np.int64)
     count = len(X_NG)
     for k in np.unique(np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int)):
@@ -47,8 +43,13 @@ def seen_and_lit(
         candidate = np.flatnonzero(found < least_frames)
         lit = candidate[_bright(left, transform_points(X_CG, p_G[candidate]), sequence)]
         eye_G = inverse_pose(X_CG)[:3, 3]
-        found[lit[_unobstructed(caster, eye_G, p_G[lit], normal_G[lit], mesh.scale)]] += 1
+        found[lit[caster.sees(eye_G, p_G[lit], normal_G[lit], CLEARANCE * mesh.scale)]] += 1
     return np.asarray(found >= least_frames)
+
+
+def light_level(left: NDArray[np.uint8]) -> float:
+    """Intensity above which a pixel of a left image shows light: well above the sky's."""
+    return float(np.percentile(left, 5)) + LIT_OVER_SKY
 
 
 def _bright(left: NDArray[np.uint8], p_C: Array, sequence: StereoSequence) -> Bools:
@@ -60,28 +61,9 @@ def _bright(left: NDArray[np.uint8], p_C: Array, sequence: StereoSequence) -> Bo
         projected, _ = cv2.projectPoints(p_C[front], np.zeros(3), np.zeros(3), rig.K0, rig.dist0)
         uv[front] = projected.reshape(-1, 2)
     smooth = cv2.blur(left.astype(np.float32), (3, 3))
-    level = float(np.percentile(left, 5)) + LIT_OVER_SKY
+    level = light_level(left)
     column, row = np.round(np.nan_to_num(uv, nan=-1.0)).clip(-1, 1e6).astype(np.int64).T
     inside = front & (column >= 0) & (column < rig.width_px) & (row >= 0) & (row < rig.height_px)
     bright = np.zeros(len(p_C), dtype=bool)
     bright[inside] = smooth[row[inside], column[inside]] > level
     return bright
-
-
-def _unobstructed(
-    caster: RayMeshIntersector, eye_G: Array, p_G: Array, normal_G: Array, size_m: float
-) -> Bools:
-    """(n,) true where the first hit of the ray from the eye is the point itself, not seen edge-on."""
-    if len(p_G) == 0:
-        return np.zeros(0, dtype=bool)
-    ray = p_G - eye_G
-    distance = np.linalg.norm(ray, axis=1)
-    direction = ray / distance[:, None]
-    cosine = np.abs(np.einsum("nk,nk->n", direction, normal_G))
-    # Start near the body: single precision is then enough at any range.
-    start_m = np.maximum(distance - 2.0 * size_m, 0.0)
-    origin = eye_G + direction * start_m[:, None]
-    hit, ray_index, _ = caster.intersects_location(origin, direction, multiple_hits=False)
-    first = np.full(len(p_G), np.inf)
-    first[ray_index] = np.linalg.norm(hit.reshape(-1, 3) - eye_G, axis=1)
-    return np.asarray((cosine > LEAST_COSINE) & (first > distance - _CLEARANCE * size_m))

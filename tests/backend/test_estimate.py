@@ -151,6 +151,7 @@ def test_a_tumble_of_more_than_half_a_turn_a_frame_is_told_or_called_ambiguous()
         if ambiguous:
             assert np.all(np.isinf(np.diagonal(estimate.covariance, axis1=1, axis2=2)[:, 9:]))
             assert np.all(np.isfinite(np.diagonal(estimate.covariance, axis1=1, axis2=2)[:, :6]))
+            assert np.all(np.isinf(known.sigma[3:])) and np.all(np.isfinite(known.sigma[:3]))
         else:
             assert abs(estimate.mass.k2 - sequence.truth.k2) < 4.0 * np.sqrt(estimate.mass.cov_k[1, 1])
 
