@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike, NDArray
-from trimesh.ray.ray_pyembree import RayMeshIntersector
+from numpy.typing import ArrayLike
 
+from mapping.visibility import Caster
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
 from polhode.records import Bools, Ints
@@ -44,7 +44,7 @@ class MeshViewer:
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         self._vertices = np.asarray(mesh.vertices, dtype=np.float64)
         self._faces = np.asarray(mesh.faces, dtype=np.int64)
-        self._caster = RayMeshIntersector(mesh, scale_to_box=False) if len(self._faces) else None
+        self._caster = Caster(mesh) if len(self._faces) else None
         used = self._vertices[self._faces].reshape(-1, 3) if len(self._faces) else np.zeros((1, 3))
         low, high = used.min(axis=0), used.max(axis=0)
         self._centre, self._radius_m = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
@@ -56,12 +56,7 @@ class MeshViewer:
         ray_R = np.stack([x, y, np.ones_like(x)], axis=-1)
         X_GR = inverse_pose(X_RG)
         ray_G = ray_R.reshape(-1, 3) @ X_GR[:3, :3].T
-        # Start near the body: single precision is then enough at any range.
-        length = np.linalg.norm(ray_G, axis=1)
-        distance = float(np.linalg.norm(X_GR[:3, 3] - self._centre))
-        start = max(distance - 1.1 * self._radius_m, 0.0) / length
-        origin = X_GR[:3, 3] + start[:, None] * ray_G
-        return self._cast(origin, ray_G, start, u.shape)
+        return self._cast(np.broadcast_to(X_GR[:3, 3], ray_G.shape), ray_G, 0.0, u.shape)
 
     def orthographic(
         self, centre_G: ArrayLike, right_G: ArrayLike, up_G: ArrayLike, half_m: float, side_px: int
@@ -77,19 +72,19 @@ class MeshViewer:
         away = self._radius_m + float(np.linalg.norm(np.asarray(centre_G) - self._centre))
         plane = np.asarray(centre_G) + x.reshape(-1, 1) * right + y.reshape(-1, 1) * up
         ray = np.broadcast_to(inwards, plane.shape)
-        return self._cast(plane - away * inwards, ray, np.full(len(plane), -away), x.shape)
+        return self._cast(plane - away * inwards, ray, -away, x.shape)
 
-    def _cast(self, origin: Array, ray: Array, start: Array, shape: tuple[int, ...]) -> View:
-        """Rays (n, 3) [m]; ``start`` (n,) is the depth of their origins in lengths of the ray."""
+    def _cast(self, origin: Array, ray: Array, start: float, shape: tuple[int, ...]) -> View:
+        """Rays (n, 3) [m]; ``start`` is the depth of their origins in lengths of the ray."""
         depth = np.full(len(origin), np.nan)
         if self._caster is None:
             none = np.zeros((0, 3))
             return View(depth.reshape(shape), none.astype(np.int64), none, np.zeros(0, dtype=bool))
-        first: NDArray[np.integer] = np.asarray(self._caster.intersects_first(origin, ray))
+        _, first = self._caster.first(origin, ray / np.linalg.norm(ray, axis=1, keepdims=True))
         at = np.flatnonzero(first >= 0)
         corner = self._faces[first[at]]
         travelled, share, front = _meet(origin[at], ray[at], self._vertices[corner])
-        depth[at] = start[at] + travelled
+        depth[at] = start + travelled
         return View(depth.reshape(shape), corner, share, front)
 
 
