@@ -143,9 +143,11 @@ def _search(
     if len(feature) == 0:
         return nothing, nothing
     distance = descriptor_distance(model, observed, features, direction_G, feature, landmark, config, X_RG)
-    largest = config.max_distance
-    if features.R_RS is not None:
-        distance, largest = improbability(distance, feature, landmark), 1.0 - LEAST_PROBABILITY
+    largest = np.full(len(feature), config.max_distance)
+    surface = features.on_surface[feature]
+    if surface.any():
+        distance[surface] = improbability(distance[surface], feature[surface], landmark[surface])
+        largest[surface] = 1.0 - LEAST_PROBABILITY
     good = distance < largest
     return mutual_best(feature[good], landmark[good], distance[good])
 

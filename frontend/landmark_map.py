@@ -98,7 +98,8 @@ def descriptor_distance(
         R_GS = np.concatenate(model.R_GS)[observation]
         seen = X_RG[:3, :3].T @ features.R_RS[feature[pair]]
         trace = np.einsum("nij,nij->n", R_GS, seen)
-        same = trace > 1.0 + 2.0 * np.cos(np.deg2rad(AXES_DEG))
+        # of features that know no surface the trace is NaN
+        same = ~(trace <= 1.0 + 2.0 * np.cos(np.deg2rad(AXES_DEG)))
         pair, observation = pair[same], observation[same]
     similarity = np.einsum(
         "nd,nd->n", np.concatenate(model.descriptors)[observation], features.descriptors[feature[pair]]

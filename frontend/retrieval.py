@@ -15,12 +15,17 @@ from scipy.cluster.vq import kmeans2, vq
 
 from frontend.stereo import StereoFeatures
 from polhode.config.frontend import PairMatching
+from polhode.lie import Array, inverse_pose
 from polhode.records import Ints
 
 Floats = NDArray[np.float32]
 LEARNED_FROM = 20_000
 """Descriptors of the whole sequence that the words are learned from."""
 WORDS = 48
+SAME_SIDE_DEG = 70.0
+"""Frames whose directions of view in the body differ by more have little in common."""
+CLOSE = 4
+"""Frames so many apart are tried whatever the motion says."""
 BLOCK = 512
 """Frames compared at a time."""
 
@@ -40,6 +45,28 @@ def pairs_to_match(frames: Sequence[StereoFeatures], config: PairMatching, seed:
     for i, alike in enumerate(most_alike(frame_vectors(frames, seed), config.neighbours, config.retrieved)):
         wanted[np.minimum(i, alike), np.maximum(i, alike)] = True
     return [np.flatnonzero(wanted[i]).astype(np.int64) for i in range(n)]
+
+
+def pairs_in_view(X_RG: Array, config: PairMatching) -> list[Ints]:
+    """Per frame i the later frames j > i that see much the same side by the motion X_RG (F, 4, 4), ascending.
+
+    All of them up to ``config.exhaustive_frames`` frames; of longer sequences the neighbours, and of the
+    others those that see most of the same. Neighbours in time are tried even if the motion says otherwise.
+    """
+    n = len(X_RG)
+    towards_G = inverse_pose(X_RG)[:, :3, 3]
+    towards_G /= np.maximum(np.linalg.norm(towards_G, axis=1, keepdims=True), 1e-12)
+    cosine = towards_G @ towards_G.T
+    apart = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :])
+    near = apart <= (CLOSE if n <= config.exhaustive_frames else config.neighbours)
+    wanted = cosine > np.cos(np.deg2rad(SAME_SIDE_DEG))
+    if n > config.exhaustive_frames:
+        order = np.argsort(np.where(wanted & ~near, -cosine, np.inf), axis=1, kind="stable")
+        best = np.zeros((n, n), dtype=bool)
+        np.put_along_axis(best, order[:, : config.retrieved], True, axis=1)
+        wanted &= best | best.T
+    wanted |= near
+    return [i + 1 + np.flatnonzero(wanted[i, i + 1 :]).astype(np.int64) for i in range(n)]
 
 
 def frame_vectors(frames: Sequence[StereoFeatures], seed: int) -> Floats:

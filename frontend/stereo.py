@@ -64,6 +64,13 @@ class StereoFeatures:
     def __len__(self) -> int:
         return len(self.uvd_px)
 
+    @property
+    def on_surface(self) -> Bools:
+        """(n,) which features know their surface's axes"""
+        if self.R_RS is None:
+            return np.zeros(len(self), dtype=np.bool_)
+        return np.asarray(np.isfinite(self.R_RS[:, 0, 0]), dtype=np.bool_)
+
 
 def match_stereo(
     left: Image,

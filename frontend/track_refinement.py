@@ -63,7 +63,7 @@ def choose_references(
     for k, (found, label) in enumerate(zip(frames, association.landmark, strict=True)):
         if found.R_RS is None or not motion.connected[k]:
             continue
-        shown = np.flatnonzero(label >= 0)
+        shown = np.flatnonzero((label >= 0) & found.on_surface)
         p = found.p_R[shown]
         facing = -np.sum(found.R_RS[shown, :, 2] * p, axis=1) / np.linalg.norm(p, axis=1)
         better = facing > best[label[shown]]

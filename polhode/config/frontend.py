@@ -13,6 +13,9 @@ class Features(Section):
 
     method: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] = "rootsift"
     """Detector and descriptor: RootSIFT, the network trained here, or a peer; see frontend.weights."""
+    second: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] | None = "polhode"
+    """A method that looks again once the first one has led to a motion, or to none: what both see is solved,
+    and taken unless it fits worse. null, or the same as the first: none."""
     surface_descriptor: Literal["network", "rootsift"] = "network"
     """What describes surface patches (method polhode): the network trained here, or RootSIFT on the patch."""
     patch_half_m: float | None = Field(None, gt=0)
@@ -141,3 +144,13 @@ class Frontend(Section):
         """Name of the method that matches frames."""
         own = "polhode" if self.features.method == "polhode" else "nearest"
         return self.pairs.method or own
+
+    @property
+    def second_method(self) -> "Frontend | None":
+        """The settings by which the second method looks, with the matcher that goes with it."""
+        second = self.features.second
+        if second is None or second == self.features.method:
+            return None
+        features = self.features.model_copy(update={"method": second, "second": None})
+        pairs = self.pairs.model_copy(update={"method": None})
+        return self.model_copy(update={"features": features, "pairs": pairs})

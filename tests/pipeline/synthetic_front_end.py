@@ -37,8 +37,8 @@ def put_in_place(sequence: SyntheticSequence, folder: Path, patch: pytest.Monkey
     def built(*_: Any) -> SurfaceModel:
         return surface
 
-    patch.setattr("pipeline.run.extract_features", found)
-    patch.setattr("pipeline.run.match_pairs", matched)
+    patch.setattr("pipeline.sight.extract_features", found)
+    patch.setattr("pipeline.sight.match_pairs", matched)
     patch.setattr("pipeline.run._build_surface", built)
 
 

@@ -84,7 +84,7 @@ def test_measurements_without_a_consistent_motion_fail_the_run_and_stay(
         uvd_px = rng.uniform(20.0, 200.0, tracks.uvd_px.shape)
         return estimate_motion(replace(tracks, uvd_px=uvd_px), motion, *more)
 
-    monkeypatch.setattr("pipeline.run.estimate_motion", of_outliers)
+    monkeypatch.setattr("pipeline.find_motion.estimate_motion", of_outliers)
     assert run(at_rest, tmp_path / "run") == 1
     assert "no consistent motion" in capsys.readouterr().err
     assert summary_of(tmp_path / "run")["status"] == "failed"
@@ -102,7 +102,7 @@ def test_what_an_earlier_round_found_stays_when_a_later_one_fails(
             raise RunFailure("no consistent motion")
         return reconnect(*arguments)
 
-    monkeypatch.setattr("pipeline.run.reconnect", failing)
+    monkeypatch.setattr("pipeline.find_motion.reconnect", failing)
     assert run(at_rest, tmp_path / "run") == 1
     assert len(read_trajectory(tmp_path / "run").timestamps_ns) == FRAMES
     summary = summary_of(tmp_path / "run")
