@@ -64,7 +64,9 @@ def find_motion(
     if second is not None:
         X_RG = None if plain is None else plain.connected.X_RG
         both = look_again(images, sight, second, X_RG, config, progress, clock)
-        better = _better(plain, images, both, config, progress, clock)
+        better = None
+        if len(both.matches) > len(sight.matches):
+            better = _better(plain, images, both, config, progress, clock)
         if better is not None:
             yield better
             return

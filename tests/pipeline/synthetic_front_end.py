@@ -13,26 +13,42 @@ import trimesh
 
 from frontend.pairs import PairMatch
 from frontend.stereo import StereoFeatures
+from polhode.config.frontend import Frontend
 from polhode.dataset_writer import write_png, write_sensor
 from polhode.lie import make_pose
 from polhode.records import SurfaceModel
 from simulation.measurements import RIG, SyntheticSequence
 
 PICTURE = "patch.png"
+NOTHING = StereoFeatures(
+    np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 4), dtype=np.float32)
+)
+"""What the second method of the front end finds."""
 
 
-def put_in_place(sequence: SyntheticSequence, folder: Path, patch: pytest.MonkeyPatch) -> None:
-    """Write the sequence to the folder; from now on a run sees these measurements."""
+def put_in_place(
+    sequence: SyntheticSequence,
+    folder: Path,
+    patch: pytest.MonkeyPatch,
+    second: SyntheticSequence | None = None,
+) -> None:
+    """Write the sequence to the folder; from now on a run sees these measurements.
+
+    ``second``: what the second method of the front end measures, of the same motion.
+    """
     _write(sequence, folder)
     features, matches = _features(sequence), _matches(sequence)
+    others, joined = [NOTHING] * len(features), list[PairMatch]()
+    if second is not None:
+        others, joined = _features(second), _matches(second)
     box = trimesh.creation.box((0.1, 0.1, 0.1))
     surface = SurfaceModel(box, np.full(8, 1e-3), np.full(8, 3, dtype=np.int64))
 
-    def found(*_: Any) -> list[StereoFeatures]:
-        return features
+    def found(images: Any, rectifier: Any, config: Frontend, *_: Any) -> list[StereoFeatures]:
+        return features if config.features.method == "rootsift" else others
 
-    def matched(*_: Any) -> list[PairMatch]:
-        return matches
+    def matched(frames: Any, partners: Any, rig: Any, config: Frontend, *_: Any) -> list[PairMatch]:
+        return matches if config.features.method == "rootsift" else joined
 
     def built(*_: Any) -> SurfaceModel:
         return surface

@@ -1,0 +1,128 @@
+"""Two methods side by side: nothing of one is ever taken for the other, and both keep what they know."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from frontend.combined import shifted, side_by_side
+from frontend.guided import reconnect
+from frontend.nearest import MutualNearest
+from frontend.pairs import match_pairs
+from frontend.retrieval import CLOSE, SAME_SIDE_DEG, pairs_in_view
+from frontend.tracks import join_matches
+from polhode.config.frontend import Features, Frontend, GuidedMatching, PairMatching
+from polhode.lie import exp_so3, inverse_pose, make_pose
+from polhode.records import InitialMotion, Ints
+from tests.frontend.feature_world import RIG, World, make_world
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return make_world(n_frames=12, turn_deg=15.0)
+
+
+def test_what_each_method_knows_stays_with_its_features(world: World) -> None:
+    first, second = world.frames[0], world.frames[1]
+    second = replace(second, R_RS=np.tile(np.eye(3), (len(second), 1, 1)))
+    both = side_by_side(first, second)
+    n = len(first)
+    np.testing.assert_array_equal(both.uvd_px, np.concatenate([first.uvd_px, second.uvd_px]))
+    np.testing.assert_array_equal(both.sigma_px, np.concatenate([first.sigma_px, second.sigma_px]))
+    np.testing.assert_array_equal(both.p_R, np.concatenate([first.p_R, second.p_R]))
+    assert not both.on_surface[:n].any() and both.on_surface[n:].all()
+    np.testing.assert_allclose(np.linalg.norm(both.descriptors, axis=1), 1.0, atol=1e-5)
+    assert np.all(both.descriptors[:n] @ both.descriptors[n:].T == 0.0)
+    assert side_by_side(first, world.frames[1]).R_RS is None
+
+
+def test_methods_are_never_matched_with_each_other(world: World) -> None:
+    """The same features twice: without blocks of their own the nearest neighbour were the twin."""
+    a, b = (side_by_side(frame, frame) for frame in world.frames[:2])
+    pairs = MutualNearest(Frontend())(a, b).features
+    of_first = pairs < np.array([len(world.frames[0]), len(world.frames[1])])
+    assert len(pairs) > 20 and np.array_equal(of_first[:, 0], of_first[:, 1])
+
+
+def test_matches_of_both_make_tracks_of_their_own(world: World) -> None:
+    config = Frontend()
+    partners: list[Ints] = [np.arange(i + 1, 12, dtype=np.int64) for i in range(12)]
+    matches = match_pairs(world.frames, partners, RIG, config, 0, 1, lambda: None)
+    both = [side_by_side(frame, frame) for frame in world.frames]
+    joined = join_matches(both, [*matches, *shifted(matches, world.frames)])
+    alone = join_matches(world.frames, matches)
+    for label, single, frame in zip(joined.landmark, alone.landmark, world.frames, strict=True):
+        n = len(frame)
+        np.testing.assert_array_equal(label[:n] >= 0, single >= 0)
+        np.testing.assert_array_equal(label[n:] >= 0, single >= 0)
+        assert not np.intersect1d(label[:n][single >= 0], label[n:][single >= 0]).size
+    assert joined.n_landmarks == 2 * alone.n_landmarks
+
+
+def test_a_lost_frame_is_found_by_the_landmarks_of_both(world: World) -> None:
+    """Half of each frame's features know no surface, half do, with axes that turn with the body."""
+    X_RG = world.X_RG
+    frames = []
+    for frame, X in zip(world.frames, X_RG, strict=True):
+        upright = np.tile(X[:3, :3], (len(frame), 1, 1))
+        frames.append(side_by_side(frame, replace(frame, R_RS=upright)))
+    partners: list[Ints] = [np.arange(i + 1, 12, dtype=np.int64) for i in range(12)]
+    matches = match_pairs(world.frames, partners, RIG, Frontend(), 0, 1, lambda: None)
+    matches = [m for m in [*matches, *shifted(matches, world.frames)] if 5 not in (m.i, m.j)]
+    connected = np.arange(12) != 5
+    found = reconnect(
+        frames, join_matches(frames, matches), InitialMotion(X_RG, connected), RIG, GuidedMatching(), 0
+    )
+    assert found.motion.connected.all()
+    n = len(world.frames[5])
+    shown = found.association.landmark[5] >= 0
+    assert shown[:n].sum() >= 10 and shown[n:].sum() >= 10
+
+
+def _turning(n: int, step_deg: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    angles = np.deg2rad(step_deg) * np.arange(n)
+    R = exp_so3(angles[:, None] * np.array([0.0, 1.0, 0.0]))
+    return make_pose(R, np.tile([0.0, 0.0, 1.0], (n, 1)))
+
+
+def test_frames_of_the_same_side_are_tried_and_neighbours_always() -> None:
+    n, step_deg = 36, 20.0
+    partners = pairs_in_view(_turning(n, step_deg), PairMatching())
+    for i, later in enumerate(partners):
+        angle = np.abs((np.arange(i + 1, n) - i) * step_deg + 180.0) % 360.0 - 180.0
+        expected = (np.abs(angle) < SAME_SIDE_DEG) | (np.arange(i + 1, n) - i <= CLOSE)
+        assert later.tolist() == (i + 1 + np.flatnonzero(expected)).tolist()
+
+
+def test_of_a_long_sequence_few_pairs_are_tried_and_loops_are_closed() -> None:
+    config = PairMatching(exhaustive_frames=30, neighbours=2, retrieved=6)
+    partners = pairs_in_view(_turning(180, 15.0), config)
+    assert sum(map(len, partners)) < 180 * 10
+    towards = np.concatenate([later - i for i, later in enumerate(partners)])
+    far = towards[towards > 2]
+    assert len(far) > 180 and np.all(np.minimum(far % 24, 24 - far % 24) <= 4)
+
+
+def test_the_second_method_comes_with_its_own_matcher() -> None:
+    second = Frontend().second_method
+    assert second is not None and second.features.method == second.matcher == "polhode"
+    assert second.second_method is None
+    assert Frontend(features=Features(method="polhode")).second_method is None
+    assert Frontend(features=Features(second=None)).second_method is None
+    other = Frontend(features=Features(method="polhode", second="rootsift")).second_method
+    assert other is not None and other.matcher == "nearest"
+
+
+def test_poses_are_those_of_the_camera_in_the_body() -> None:
+    """Two frames that look at the same side from twice the distance see the same."""
+    near, far = (
+        make_pose(np.eye(3), np.array([0.0, 0.0, 1.0])),
+        make_pose(np.eye(3), np.array([0.0, 0.0, 2.0])),
+    )
+    behind = make_pose(exp_so3(np.array([0.0, np.pi, 0.0])), np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(inverse_pose(behind)[:3, 3], [0.0, 0.0, 1.0], atol=1e-12)
+    between = [behind] * CLOSE
+    partners = pairs_in_view(np.stack([near, *between, far]), PairMatching())
+    assert partners[0].tolist() == [*range(1, CLOSE + 1), CLOSE + 1]
+    partners = pairs_in_view(np.stack([near, *between, behind]), PairMatching())
+    assert partners[0].tolist() == list(range(1, CLOSE + 1))
