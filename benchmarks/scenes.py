@@ -1,9 +1,11 @@
 """Images to report on simulated scenes: simulate, run with configs/default.yaml, evaluate, print a row.
 
-    python -m benchmarks.scenes [CONFIG ...] [--again]
+    python -m benchmarks.scenes [CONFIG ...] [--again] [--features both|rootsift|polhode]
 
 Scenes: configs/ts38.yaml and configs/scenes/ unless named. Sequences go to data/, runs to runs/; what is
 there already is not made again, so an interrupted benchmark resumes. ``--again`` repeats the runs.
+``--features`` leaves out one of the two methods of the front end; those runs go to runs/rootsift_* and
+runs/polhode_*.
 
 First table: errors. Second: whether the sigmas are honest (normalised squared errors over their expectation;
 share of the states' components within three sigma), the prediction 30 s ahead, and what limits the answer.
@@ -27,6 +29,11 @@ HONESTY = (
     "scene | NEES r | v | attitude | w | inertia | com | within 3 sigma: r [%] | v | attitude | w | "
     "30 s ahead | limited by"
 )
+FEATURES = {
+    "both": (),
+    "rootsift": ("--frontend.features.second", "None"),
+    "polhode": ("--frontend.features.method", "polhode"),
+}
 NEES = {"position": 3, "velocity": 3, "attitude": 3, "angular_velocity": 3, "inertia": 5, "com": 3}
 
 
@@ -35,12 +42,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("configs", nargs="*", type=Path, help="scene configurations")
     parser.add_argument("--again", action="store_true", help="repeat runs that exist")
+    parser.add_argument("--features", choices=list(FEATURES), default="both", help="methods that look")
     options = parser.parse_args()
     configs = options.configs or [
         ROOT / "configs/ts38.yaml",
         *sorted((ROOT / "configs/scenes").glob("*.yaml")),
     ]
-    results = [(config.stem, *measure(config, options.again)) for config in configs]
+    results = [(config.stem, *measure(config, options.again, options.features)) for config in configs]
     for head, row in ((HEAD, row_of), (HONESTY, honesty_row)):
         print(f"\n| {head} |")
         print("|" + "---|" * (head.count("|") + 1))
@@ -51,17 +59,19 @@ def main() -> None:
     print(f"\nWithin three sigma over {len(measured)} scenes: {sum(shares) / len(shares):.2%}")
 
 
-def measure(config: Path, again: bool) -> tuple[dict[str, Any] | None, dict[str, Any]]:
+def measure(
+    config: Path, again: bool, features: str = "both"
+) -> tuple[dict[str, Any] | None, dict[str, Any]]:
     """Simulate, run and evaluate one scene; metrics.json, None after a failure, and summary.json."""
-    sequence, run = ROOT / "data" / config.stem, ROOT / "runs" / config.stem
+    name = config.stem if features == "both" else f"{features}_{config.stem}"
+    sequence, run = ROOT / "data" / config.stem, ROOT / "runs" / name
     if not (sequence / "mav0").is_dir():
         polhode("simulate", str(config), "-o", str(sequence))
     if again or not (run / "summary.json").is_file():
         shutil.rmtree(run, ignore_errors=True)
         # a run that fails says so in summary.json
-        polhode(
-            "run", str(ROOT / "configs/default.yaml"), "--data", str(sequence), "-o", str(run), may_fail=True
-        )
+        words = ["run", str(ROOT / "configs/default.yaml"), "--data", str(sequence), "-o", str(run)]
+        polhode(*words, *FEATURES[features], may_fail=True)
     if not (run / "summary.json").is_file():
         raise SystemExit(f"{config.stem}: the run left no summary.json")
     summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))

@@ -13,7 +13,7 @@ from frontend.stereo import StereoFeatures
 from frontend.track_refinement import refine_tracks
 from frontend.tracks import Association, join_matches
 from pipeline.images import Images
-from pipeline.second_look import contradicts
+from pipeline.second_look import contradicts, revises
 from pipeline.sight import Sight, look_again, workers
 from pipeline.stopwatch import Stopwatch
 from polhode.config import Config
@@ -89,8 +89,10 @@ def _better(
         return None
     if plain is None:
         return found
-    fewer = np.sum(found.connected.connected) < np.sum(plain.connected.connected)
-    return None if fewer or contradicts(found.estimate, plain.estimate) else found
+    measured = plain.connected.connected
+    fewer = np.sum(found.connected.connected) < np.sum(measured)
+    revised = revises((found.tracks, found.estimate), (plain.tracks, plain.estimate), measured)
+    return None if fewer or revised else found
 
 
 def solved(

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from backend import estimate_motion, initialize_motion
-from pipeline.second_look import contradicts
+from pipeline.second_look import attitudes_apart_deg, contradicts, revises
 from polhode.config.backend import Backend
+from polhode.lie import exp_so3, make_pose
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from simulation.measurements import SyntheticScene, generate
@@ -42,3 +43,37 @@ def test_what_does_not_converge_is_refused_unless_nothing_did() -> None:
     assert solved().solver.converged
     assert contradicts(unfinished(), solved())
     assert not contradicts(unfinished(), unfinished())
+
+
+def _turned(
+    estimate: MotionEstimate, frames: np.ndarray[tuple[int], np.dtype[np.int64]], angle_deg: float
+) -> MotionEstimate:
+    """Some frames turned about the camera's axis, and all of them told in another body frame."""
+    X_NG = estimate.X_NG @ make_pose(exp_so3(np.array([0.3, -0.8, 1.1])), np.array([0.1, 0.0, 0.0]))
+    about_z = exp_so3(np.array([0.0, 0.0, np.deg2rad(angle_deg)]))
+    X_NG[frames, :3, :3] = about_z @ X_NG[frames, :3, :3]
+    return replace(estimate, X_NG=X_NG)
+
+
+def test_another_motion_is_a_revision_and_another_body_frame_is_none() -> None:
+    tracks = generate(replace(SCENE, outliers=0.0, sigma_uv_px=1.0), 2).tracks
+    every = np.ones(SCENE.frames, dtype=np.bool_)
+    same = _turned(solved(), np.arange(0), 0.0)
+    assert attitudes_apart_deg(same, solved(), every) < 1e-6
+    assert not revises((tracks, same), (tracks, solved()), every)
+    # half of the frames turned by 8 degrees against the others: by 4 against the turn that fits best
+    other = _turned(solved(), np.arange(SCENE.frames // 2), 8.0)
+    np.testing.assert_allclose(attitudes_apart_deg(other, solved(), every), 4.0, atol=1e-2)
+    assert revises((tracks, other), (tracks, solved()), every)
+    # frames that the first method did not see are the second one's own affair
+    assert not revises((tracks, other), (tracks, solved()), np.arange(SCENE.frames) >= SCENE.frames // 2)
+
+
+def test_places_of_the_first_method_must_fit_as_well() -> None:
+    tracks = generate(replace(SCENE, outliers=0.0, sigma_uv_px=1.0), 2).tracks
+    every = np.ones(SCENE.frames, dtype=np.bool_)
+    worse = replace(solved(), residuals_px=1.2 * solved().residuals_px)
+    assert revises((tracks, worse), (tracks, solved()), every)
+    # what only the second method sees has no place with the first one
+    elsewhere = replace(tracks, uvd_px=tracks.uvd_px + 3.0)
+    assert not revises((elsewhere, worse), (tracks, solved()), every)
