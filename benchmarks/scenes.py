@@ -1,11 +1,11 @@
 """Images to report on simulated scenes: simulate, run with configs/default.yaml, evaluate, print a row.
 
-    python -m benchmarks.scenes [CONFIG ...] [--again] [--features both|rootsift|polhode]
+    python -m benchmarks.scenes [CONFIG ...] [--again] [--features both|rootsift|polhode|always]
 
 Scenes: configs/ts38.yaml and configs/scenes/ unless named. Sequences go to data/, runs to runs/; what is
 there already is not made again, so an interrupted benchmark resumes. ``--again`` repeats the runs.
-``--features`` leaves out one of the two methods of the front end; those runs go to runs/rootsift_* and
-runs/polhode_*.
+``--features`` leaves out one of the two methods of the front end, or lets the second look always; those runs
+go to runs/rootsift_*, runs/polhode_* and runs/always_*.
 
 First table: errors. Second: whether the sigmas are honest (normalised squared errors over their expectation;
 share of the states' components within three sigma), the prediction 30 s ahead, and what limits the answer.
@@ -33,6 +33,7 @@ FEATURES = {
     "both": (),
     "rootsift": ("--frontend.features.second", "None"),
     "polhode": ("--frontend.features.method", "polhode"),
+    "always": ("--frontend.features.second-below", "1000000"),
 }
 NEES = {"position": 3, "velocity": 3, "attitude": 3, "angular_velocity": 3, "inertia": 5, "com": 3}
 

@@ -23,6 +23,8 @@ from polhode.progress import Progress
 from polhode.records import InitialMotion, MotionEstimate, RelativePoses, StereoTracks
 
 _log = logging.getLogger(__name__)
+MANY_LOST = 0.05
+"""Share of the frames that show the target and are not connected, above which another look is worth its time."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,8 @@ def find_motion(
 ) -> Iterator[Found]:
     """Ever better motions; the last one counts, the others stand should a later step fail.
 
-    With a second method of the front end configured, what both see is solved too, and taken unless it fits
-    worse. Raises RunFailure: no consistent motion.
+    Where the first method of the front end leaves frames short, the second one looks too; what both see is
+    solved, and taken unless it fits worse. Raises RunFailure: no consistent motion.
     """
     plain, failure = None, None
     second = config.frontend.second_method
@@ -61,7 +63,7 @@ def find_motion(
             raise
         _log.info("%s; the second method of the front end looks for one", error)
         failure = error
-    if second is not None:
+    if second is not None and (plain is None or _leaves_short(plain, sight, config)):
         X_RG = None if plain is None else plain.connected.X_RG
         both = look_again(images, sight, second, X_RG, config, progress, clock)
         better = None
@@ -75,6 +77,17 @@ def find_motion(
         assert failure is not None  # else there is a motion
         raise failure
     yield polished(plain, images, config, progress, clock)
+
+
+def _leaves_short(found: Found, sight: Sight, config: Config) -> bool:
+    """Whether the frames that show the target have few observations, or many of them are lost."""
+    fewest = config.frontend.pairs.min_inliers
+    shows = np.array([len(features) >= fewest for features in sight.features])
+    observations = np.bincount(found.tracks.frame, minlength=len(shows))[shows]
+    lost = np.sum(shows & ~found.connected.connected)
+    return bool(
+        np.median(observations) < config.frontend.features.second_below or lost > MANY_LOST * np.sum(shows)
+    )
 
 
 def _better(

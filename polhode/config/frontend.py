@@ -14,8 +14,11 @@ class Features(Section):
     method: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] = "rootsift"
     """Detector and descriptor: RootSIFT, the network trained here, or a peer; see frontend.weights."""
     second: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] | None = "polhode"
-    """A method that looks again once the first one has led to a motion, or to none: what both see is solved,
-    and taken unless it fits worse. null, or the same as the first: none."""
+    """A method that looks again where the first one leaves frames short, or finds no motion: what both see is
+    solved, and taken unless it fits worse. null, or the same as the first: none."""
+    second_below: int = Field(100, ge=0)
+    """The second method looks when the median frame has fewer observations, or one in twenty is lost; a large
+    number: always."""
     surface_descriptor: Literal["network", "rootsift"] = "network"
     """What describes surface patches (method polhode): the network trained here, or RootSIFT on the patch."""
     patch_half_m: float | None = Field(None, gt=0)
