@@ -24,7 +24,7 @@ from polhode.records import InitialMotion, MotionEstimate, RelativePoses, Stereo
 
 _log = logging.getLogger(__name__)
 MANY_LOST = 0.05
-"""Share of the frames that show the target and are not connected, above which another look is worth its time."""
+"""Share of the frames that show the target but are lost, above which another look is worth its time."""
 
 
 @dataclass(frozen=True)
