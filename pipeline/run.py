@@ -100,6 +100,7 @@ def run(
             make_pictures(folder, *seen, tracks, estimate, surface, config.pictures, progress)
         clock.add_total()
         warnings = [*images.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
+        warnings += fused.warnings
         summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, shape=shape)
         with progress.stage("report", 1) as advance:
             summary = outputs.finish_run(folder, summary)
