@@ -110,7 +110,7 @@ class BlockGrid:
         self._n += len(new)
         self._sorted, self._order = torch.sort(self.keys)
 
-    def centres_m(self) -> Float32[Tensor, "n 3"]:
+    def centres_m(self, which: slice = slice(None)) -> Float32[Tensor, "n 3"]:
         """(n, 3) float32: the blocks' centres in G [m]."""
-        corner = unpack_keys(self.keys) * EDGE
+        corner = unpack_keys(self.keys[which]) * EDGE
         return (corner.to(torch.float32) + (EDGE - 1) / 2) * self.voxel_m

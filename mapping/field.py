@@ -12,7 +12,7 @@ import torch
 
 from mapping.blocks import BlockGrid, Truncation
 from mapping.frame import FrameTensors, frame_tensors
-from mapping.integrate import integrate
+from mapping.integrate import allocate, integrate
 from mapping.surface import empty_surface, extract_surface
 from mapping.vertex_sigma import Shares
 from polhode.camera import RectifiedRig
@@ -31,12 +31,15 @@ class _Kept:
     tensors: FrameTensors
     X_RF: Array
     """Pose of the field's frame with which it was added"""
+    blocks: int
+    """It has been added to so many of the field's blocks, the first ones"""
 
 
 class Field:
     """Depth maps fused in the field's frame F, which is G but for what all poses had in common since.
 
-    With ``keep`` the depth maps are held, some 0.2 to 1 MB each, so that frames can be moved.
+    With ``keep`` the depth maps are held, some 0.2 to 1 MB each: then frames can be moved, and in the surface
+    each frame counts in all blocks, also those that only later frames needed.
     """
 
     def __init__(self, rig: RectifiedRig, config: Mapping, voxel_m: float, keep: bool = True) -> None:
@@ -79,11 +82,22 @@ class Field:
             self.without_depth += 1
             return False
         X_RF = X_RG @ inverse_pose(self._X_FG)
-        integrate(self._grid, tensors, X_RF, self.rig)
+        kept = _Kept(tensors, X_RF, 0)
+        self._put(kept)
         self.used += 1
         if self.keep:
-            self._kept[number] = _Kept(tensors, X_RF)
+            self._kept[number] = kept
         return True
+
+    def _put(self, kept: _Kept) -> None:
+        allocate(self._grid, kept.tensors, kept.X_RF, self.rig)
+        self._complete(kept)
+
+    def _complete(self, kept: _Kept) -> None:
+        """Add a frame to the blocks that it does not know: those that later frames needed."""
+        most = len(self._grid)
+        integrate(self._grid, kept.tensors, kept.X_RF, self.rig, (kept.blocks, most))
+        kept.blocks = most
 
     def move(self, X_RG: Array) -> int:
         """Put the frames where better poses (F, 4, 4) see them; how many had to be fused again.
@@ -96,7 +110,8 @@ class Field:
             raise ValueError(f"{len(X_RG)} poses for {self._frames} frames")
         lost = [k for k in self._kept if not np.isfinite(X_RG[k]).all()]
         for k in lost:
-            self._take_away(k)
+            self._take_away(self._kept.pop(k))
+            self.used, self.without_pose = self.used - 1, self.without_pose + 1
         if not self._kept:
             return len(lost)
         numbers = np.array(list(self._kept))
@@ -106,17 +121,14 @@ class Field:
             self._grid, self._X_FG, moved = self._empty(), np.eye(4), numbers
         else:
             for k in moved.tolist():
-                integrate(self._grid, self._kept[k].tensors, self._kept[k].X_RF, self.rig, remove=True)
+                self._take_away(self._kept[k])
         for k in moved.tolist():
-            self._kept[k].X_RF = X_RG[k] @ inverse_pose(self._X_FG)
-            integrate(self._grid, self._kept[k].tensors, self._kept[k].X_RF, self.rig)
+            self._kept[k] = _Kept(self._kept[k].tensors, X_RG[k] @ inverse_pose(self._X_FG), 0)
+            self._put(self._kept[k])
         return len(moved) + len(lost)
 
-    def _take_away(self, number: int) -> None:
-        kept = self._kept.pop(number)
-        integrate(self._grid, kept.tensors, kept.X_RF, self.rig, remove=True)
-        self.used -= 1
-        self.without_pose += 1
+    def _take_away(self, kept: _Kept) -> None:
+        integrate(self._grid, kept.tensors, kept.X_RF, self.rig, (0, kept.blocks), remove=True)
 
     def _apart(self, numbers: Array, X_RG: Array) -> tuple[Array, Array]:
         """G in F (4, 4) such that few frames are elsewhere than they were fused, and which ones those are."""
@@ -146,6 +158,8 @@ class Field:
     def surface(self) -> SurfaceModel:
         """The mesh in G of what was seen in ``min_views`` frames, with what is to be said about it."""
         config = self.config
+        for kept in self._kept.values():
+            self._complete(kept)
         shares = Shares(config.shared_sigma, config.relief_sigma)
         told = self._warnings()
         least = min(config.min_views, max(self.used, 1))

@@ -37,22 +37,34 @@ from polhode.lie import Array, inverse_pose
 _CHUNK_BLOCKS = 2048
 
 
-def integrate(
-    grid: BlockGrid, frame: FrameTensors, X_RG: Array, rig: RectifiedRig, remove: bool = False
+def allocate(
+    grid: BlockGrid, frame: FrameTensors, X_RG: Array, rig: RectifiedRig, in_tensors: bool = False
 ) -> None:
-    """Add one frame to the field in place, or take it away; X_RG (4, 4) the target in the rectified camera.
+    """Make the blocks that the frame's truncation band touches; X_RG (4, 4) target in rectified camera.
 
-    On a processor the loops are compiled; elsewhere the same is said in tensors.
+    On a processor the loops are compiled, unless ``in_tensors``; elsewhere the same is said in tensors.
     """
-    if not remove:
-        near = _blocks_near_surface if grid.device.type != "cpu" else _blocks_touched
-        grid.allocate(near(grid, frame, X_RG, rig))
-    if len(grid) == 0:
+    near = _blocks_near_surface if in_tensors or grid.device.type != "cpu" else _blocks_touched
+    grid.allocate(near(grid, frame, X_RG, rig))
+
+
+def integrate(
+    grid: BlockGrid,
+    frame: FrameTensors,
+    X_RG: Array,
+    rig: RectifiedRig,
+    blocks: tuple[int, int] | None = None,
+    remove: bool = False,
+    in_tensors: bool = False,
+) -> None:
+    """Add one frame to the blocks from, to (None: all), in place, or take it away."""
+    start, stop = blocks if blocks is not None else (0, len(grid))
+    if start >= stop:
         return
     pose = torch.as_tensor(X_RG, dtype=torch.float32, device=grid.device)
-    index = _blocks_in_sight(grid, frame, pose, rig)
-    if grid.device.type != "cpu":
-        add_in_tensors(grid, index, frame, pose, rig, remove)
+    index = start + _blocks_in_sight(grid, frame, pose, rig, slice(start, stop))
+    if in_tensors or grid.device.type != "cpu":
+        _add_in_tensors(grid, index, frame, pose, rig, remove)
         return
     update_blocks(
         grid.values.numpy(),
@@ -133,10 +145,10 @@ def _blocks_near_surface(
 
 
 def _blocks_in_sight(
-    grid: BlockGrid, frame: FrameTensors, pose: Float32[Tensor, "4 4"], rig: RectifiedRig
+    grid: BlockGrid, frame: FrameTensors, pose: Float32[Tensor, "4 4"], rig: RectifiedRig, which: slice
 ) -> Int64[Tensor, " n"]:
-    """Indices of blocks that project onto depth and do not lie wholly behind the surface."""
-    p = grid.centres_m() @ pose[:3, :3].T + pose[:3, 3]
+    """Which of the blocks ``which`` project onto depth and do not lie wholly behind the surface."""
+    p = grid.centres_m(which) @ pose[:3, :3].T + pose[:3, 3]
     z = p[:, 2].clamp_min(1e-6)
     radius_m = 0.5 * EDGE * grid.voxel_m * 3**0.5
     u = rig.focal_px * p[:, 0] / z + rig.cx_px - frame.u0
@@ -155,13 +167,13 @@ def _blocks_in_sight(
     return torch.nonzero(inside & before, as_tuple=True)[0]
 
 
-def add_in_tensors(
+def _add_in_tensors(
     grid: BlockGrid,
     index: Int64[Tensor, " n"],
     frame: FrameTensors,
     pose: Float32[Tensor, "4 4"],
     rig: RectifiedRig,
-    remove: bool = False,
+    remove: bool,
 ) -> None:
     """Project every voxel of the blocks ``index`` (n,) into the frame; add what it sees, or take it away."""
     offsets = voxel_offsets(grid.device).to(torch.float32) * grid.voxel_m

@@ -326,7 +326,8 @@ def _build_surface(
     maps = extract_depth(images.sequence, images.rectifier, config.frontend, spans, _workers(config))
     with clock("fusion"):
         surface = fuse(
-            zip(clock.waiting("depth", maps), X_RG, strict=True), rig, config.mapping, progress, len(X_RG)
+            *(zip(clock.waiting("depth", maps), X_RG, strict=True), rig, config.mapping, progress, len(X_RG)),
+            covariance_G=estimate.covariance_X_NG,
         )
     clock.seconds["fusion"] -= clock.seconds.get("depth", 0.0)
     return surface
