@@ -66,20 +66,27 @@ def run_poses(run: Path) -> Array:
     return target_poses(states, np.array(summary.R_GP), np.array(summary.com_G))
 
 
+def depth_maps(
+    sequence: StereoSequence, rectifier: Rectifier, X_RG: Array, points_G: Array, config: Config
+) -> Iterator[DepthMap]:
+    """Depth of every pair, by one process; points_G (n, 3) at poses X_RG (F, 4, 4) bound the disparity."""
+    spans: list[tuple[float, float] | None] = []
+    for X in X_RG:
+        disparity = rectifier.rig.project(transform_points(X, points_G))[:, 2]
+        spans.append((float(disparity.min()), float(disparity.max())))
+    return extract_depth(sequence, rectifier, config.frontend, spans, 1)
+
+
 def rebuild(
     sequence: StereoSequence, rectifier: Rectifier, X_NG: Array, points_G: Array, config: Config
 ) -> tuple[SurfaceModel, float, float]:
     """The surface from given poses, seconds for depth, seconds for fusion. points_G bound the disparity."""
     X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ X_NG
-    spans: list[tuple[float, float] | None] = []
-    for X in X_RG:
-        disparity = rectifier.rig.project(transform_points(X, points_G))[:, 2]
-        spans.append((float(disparity.min()), float(disparity.max())))
     depth_s = 0.0
 
     def timed() -> Iterator[tuple[DepthMap, Array]]:
         nonlocal depth_s
-        maps = extract_depth(sequence, rectifier, config.frontend, spans, 1)
+        maps = depth_maps(sequence, rectifier, X_RG, points_G, config)
         for X in X_RG:
             begin = process_time()
             frame = next(maps)

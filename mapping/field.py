@@ -38,18 +38,22 @@ class _Kept:
 class Field:
     """Depth maps fused in the field's frame F, which is G but for what all poses had in common since.
 
-    With ``keep`` the depth maps are held, some 0.2 to 1 MB each: then frames can be moved, and in the surface
-    each frame counts in all blocks, also those that only later frames needed.
+    The depth maps are held, some 0.2 to 1 MB each: so frames can be moved, and in the surface each frame
+    counts in all blocks, also those that only later frames needed. ``kept_mib`` bounds this: the oldest are
+    let go, and stay as they are.
     """
 
-    def __init__(self, rig: RectifiedRig, config: Mapping, voxel_m: float, keep: bool = True) -> None:
-        self.rig, self.config, self.keep = rig, config, keep
+    def __init__(
+        self, rig: RectifiedRig, config: Mapping, voxel_m: float, kept_mib: float | None = None
+    ) -> None:
+        self.rig, self.config = rig, config
+        self._most_kept = np.inf if kept_mib is None else kept_mib * 2**20
         self.used = self.without_pose = self.without_depth = 0
         self._voxel_m = voxel_m
         self._grid = self._empty()
         self._kept: dict[int, _Kept] = {}
         self._X_FG = np.eye(4)
-        self._frames = 0
+        self._frames = self._let_go = 0
 
     def _empty(self) -> BlockGrid:
         config, voxel_m = self.config, self._voxel_m
@@ -85,8 +89,11 @@ class Field:
         kept = _Kept(tensors, X_RF, 0)
         self._put(kept)
         self.used += 1
-        if self.keep:
-            self._kept[number] = kept
+        self._kept[number] = kept
+        while sum(each.tensors.bytes for each in self._kept.values()) > self._most_kept:
+            oldest = self._kept.pop(next(iter(self._kept)))
+            self._complete(oldest)
+            self._let_go += 1
         return True
 
     def _put(self, kept: _Kept) -> None:
@@ -104,8 +111,8 @@ class Field:
 
         F: as many as were added, with those that were left out. A frame whose new pose is not finite leaves.
         """
-        if not self.keep:
-            raise ValueError("frames can be moved only in a field that keeps them")
+        if self._let_go:
+            raise ValueError(f"{self._let_go} frames were let go and cannot be moved")
         if len(X_RG) != self._frames:
             raise ValueError(f"{len(X_RG)} poses for {self._frames} frames")
         lost = [k for k in self._kept if not np.isfinite(X_RG[k]).all()]

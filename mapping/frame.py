@@ -1,7 +1,7 @@
 """A depth map made ready for the field: cropped to the target, with the weight of every pixel.
 
-A pixel's weight is the inverse variance of its distance along the surface's normal: of the depth itself,
-foreshortened by the viewing angle, and of the frame's pose.
+A pixel's weight is the squared cosine of the viewing angle over the variance of its distance along the
+normal: of the depth itself, foreshortened, and of the frame's pose.
 """
 
 from dataclasses import dataclass
@@ -34,6 +34,11 @@ class FrameTensors:
     u0: int
     v0: int
 
+    @property
+    def bytes(self) -> int:
+        """Memory of the four images."""
+        return 16 * self.depth_m.numel()
+
 
 def frame_tensors(
     frame: DepthMap,
@@ -62,6 +67,8 @@ def frame_tensors(
     if covariance_R is not None:
         origin = np.zeros(3) if arm_R is None else arm_R
         variance = variance + _pose_variance(depth, normal, ray, covariance_R, origin)
+    # no view knows a slant as well as its sigma along the normal says: windows see it compressed
+    variance = variance / cosine.square()
     return FrameTensors(
         depth_m=depth,
         weight=seen / variance,

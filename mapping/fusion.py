@@ -16,6 +16,8 @@ from polhode.records import DepthMap, SurfaceModel
 Frame = tuple[DepthMap, Array]
 _PEEK = 5
 """Frames looked at to choose the voxel size."""
+_KEPT = 0.25
+"""Of the field's memory, for frames that wait for the blocks of later ones."""
 
 
 def fuse(
@@ -35,7 +37,9 @@ def fuse(
     """
     stream = iter(frames)
     head = list(islice(stream, _PEEK))
-    field = Field(rig, config, choose_voxel_m([frame for frame, _ in head], rig, config), keep=False)
+    field = Field(
+        rig, config, choose_voxel_m([frame for frame, _ in head], rig, config), _KEPT * config.memory_mib
+    )
     with (progress or Silent()).stage("fusing depth", n_frames) as advance:
         for k, (frame, X_RG) in enumerate(_stepping(chain(head, stream), advance)):
             field.add(frame, X_RG, None if covariance_G is None else covariance_G[k])

@@ -9,8 +9,6 @@ import numpy as np
 import torch
 import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
 from mapping.blocks import (
@@ -27,6 +25,7 @@ from mapping.blocks import (
     pack_keys,
     unpack_keys,
 )
+from mapping.mesh_loops import piece_areas
 from mapping.vertex_sigma import Shares, vertex_sigma
 from polhode.lie import Array
 from polhode.records import Ints, SurfaceModel
@@ -58,7 +57,9 @@ def extract_surface(
         return empty_surface()
     vertices, faces, edges, shares_of = _merge(parts)
     faces = _large_components(vertices, faces, min_component_area)
-    used = np.unique(faces)
+    is_used = np.zeros(len(vertices), dtype=bool)
+    is_used[faces] = True
+    used = np.flatnonzero(is_used)
     if len(used) == 0:
         return empty_surface()
     renumber = np.full(len(vertices), -1, dtype=np.int64)
@@ -157,16 +158,8 @@ def _merge(parts: list[tuple[Array, Ints, Ints, Floats]]) -> tuple[Array, Ints, 
 
 def _large_components(vertices: Array, faces: Ints, min_share: float) -> Ints:
     """Faces of the connected pieces that hold at least ``min_share`` of the area."""
-    if len(faces) == 0:
-        return faces
-    n = len(vertices)
-    i, j = faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1)
-    graph = coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    corner = vertices[faces]
-    area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    per_label = np.bincount(label[faces[:, 0]], weights=area)
-    kept: Ints = faces[per_label[label[faces[:, 0]]] >= min_share * area.sum()]
+    piece, area = piece_areas(vertices, faces)
+    kept: Ints = faces[area[piece[faces[:, 0]]] >= min_share * area.sum()]
     return kept
 
 

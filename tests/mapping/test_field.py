@@ -124,6 +124,16 @@ def test_when_most_poses_change_the_field_is_made_anew(frames: Frames) -> None:
     np.testing.assert_array_equal(field.surface().mesh.vertices, scratch.mesh.vertices)
 
 
+def test_frames_that_memory_does_not_hold_stay_as_they_are(frames: Frames) -> None:
+    field = Field(RIG, CONFIG, VOXEL_M, kept_mib=0.2)
+    for depth, X_RG in frames:
+        field.add(depth, X_RG)
+    # what they miss are a few blocks at rims
+    assert between(field.surface(), filled(frames).surface()) < 1.0
+    with pytest.raises(ValueError, match="frames were let go"):
+        field.move(np.stack([X for _, X in frames]))
+
+
 def test_poses_for_other_frames_are_refused(frames: Frames) -> None:
     with pytest.raises(ValueError, match="2 poses for 3 frames"):
         filled(frames[:3]).move(np.zeros((2, 4, 4)))
@@ -140,7 +150,7 @@ def test_frames_whose_poses_are_doubtful_weigh_less(box: trimesh.Trimesh, frames
     told = fuse(wrong, RIG, CONFIG, covariance_G=covariance)
     untold = fuse(wrong, RIG, CONFIG)
     error = [distance_to_surface(box, np.asarray(s.mesh.vertices)).mean() for s in (told, untold)]
-    assert error[0] < 0.6 * error[1]
+    assert error[0] < 0.7 * error[1]
 
 
 def test_a_turn_matters_far_from_its_axis_and_along_the_normal_alone() -> None:
