@@ -4,8 +4,8 @@
     python -m benchmarks.fusion_peers --short        one sequence, every third frame
 
 Depth is ours (the default configuration), poses are true. Every method runs in a process of its own, on one
-core, with the same edge of a voxel; seconds are the faster of two runs after a warm-up of a few frames, depth
-in memory, mesh in memory; MiB: by how much the process's peak exceeds what it held before. Distances as in
+core, with the same edge of a voxel; seconds (of the processor, so that others on the machine do not count) are
+the faster of two runs after a warm-up of a few frames, from depth in memory to the mesh in memory; MiB: by how much the process's peak exceeds what it held before. Distances as in
 ``benchmarks.mesh_quality``, on what was seen and lit in three frames.
 
     ours         mapping/fusion.py, as a run uses it (with colours, sigmas and counts of views)
@@ -25,7 +25,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -59,9 +59,9 @@ class NotHereError(Exception):
 
 
 def _ours(frames: Frames, rig: RectifiedRig, config: Config, voxel_m: float) -> tuple[trimesh.Trimesh, float]:
-    begin = perf_counter()
+    begin = process_time()
     mesh = fuse(frames, rig, _with_voxel(config, voxel_m).mapping).mesh
-    return mesh, perf_counter() - begin
+    return mesh, process_time() - begin
 
 
 def _ours_again(
@@ -73,9 +73,9 @@ def _ours_again(
         off = rng.normal(0.0, 2.0 * voxel_m, 3) if k % 10 == 0 else np.zeros(3)
         field.add(depth, X_RG @ make_pose(exp_so3(np.zeros(3)), off))
     field.surface()
-    begin = perf_counter()
+    begin = process_time()
     field.move(np.stack([X for _, X in frames]))
-    return field.surface().mesh, perf_counter() - begin
+    return field.surface().mesh, process_time() - begin
 
 
 def _with_voxel(config: Config, voxel_m: float) -> Config:
@@ -95,7 +95,7 @@ def _open3d(
     K = core.Tensor(rig.K, dtype=core.float64)
     images = [np.nan_to_num(frame.depth_m, nan=0.0, posinf=0.0).astype(np.float32) for frame, _ in frames]
     far = 1.5 * max(float(image.max()) for image in images)
-    begin = perf_counter()
+    begin = process_time()
     grid = geometry.VoxelBlockGrid(
         ("tsdf", "weight"), (core.float32, core.float32), ((1), (1)),
         voxel_size=voxel_m, block_resolution=16, block_count=2_000,
@@ -110,7 +110,7 @@ def _open3d(
         blocks = grid.compute_unique_block_coordinates(depth, K, pose, **given)
         grid.integrate(blocks, depth, K, pose, **given)
     found = grid.extract_triangle_mesh(weight_threshold=MIN_WEIGHT)
-    seconds = perf_counter() - begin
+    seconds = process_time() - begin
     vertices, faces = found.vertex.positions.numpy(), found.triangle.indices.numpy()
     return trimesh.Trimesh(vertices.astype(np.float64), faces, process=False), seconds
 

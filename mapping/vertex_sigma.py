@@ -59,4 +59,4 @@ def roughness(mesh: trimesh.Trimesh, radius_m: float) -> Array:
     moments = np.concatenate([moved, moved[:, a] * moved[:, b]], axis=1)
     for _ in range(rounds):
         moments = averaged(moments, start, other)
-    return np.sqrt(least_spread(moments))
+    return np.asarray(np.sqrt(least_spread(moments)))
