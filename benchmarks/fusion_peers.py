@@ -3,9 +3,10 @@
     python -m benchmarks.fusion_peers [SEQ ...]      sequences with truth, by default four of them
     python -m benchmarks.fusion_peers --short        one sequence, every third frame
 
-Depth is ours (the default configuration), poses are true. Every method runs in a process of its own, on one
-core, with the same edge of a voxel; seconds (of the processor, so that others on the machine do not count) are
-the faster of two runs after a warm-up of a few frames, from depth in memory to the mesh in memory; MiB: by how much the process's peak exceeds what it held before. Distances as in
+Depth is ours (the default configuration), poses are true. Every method runs in a process of its own, on
+one core, with the same edge of a voxel. Seconds are of the processor, so that others on the machine do not
+count: the faster of two runs after a warm-up of a few frames, from depth in memory to the mesh in memory.
+MiB: by how much the process's peak exceeds what it held before. Distances are those of
 ``benchmarks.mesh_quality``, on what was seen and lit in three frames.
 
     ours         mapping/fusion.py, as a run uses it (with colours, sigmas and counts of views)
