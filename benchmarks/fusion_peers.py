@@ -147,9 +147,9 @@ def worker(method: str, inputs: Path, output: Path) -> None:
         gc.collect()
         # writing 5 forgets the peak (man 5 proc)
         Path("/proc/self/clear_refs").write_text("5")
-        before = _memory_mib("VmRSS")
+        before = memory_mib("VmRSS")
         mesh, seconds = run(frames, rig, config, voxel_m)
-        peak = _memory_mib("VmHWM") - before
+        peak = memory_mib("VmHWM") - before
         seconds = min(seconds, run(frames, rig, config, voxel_m)[1])
     except NotHereError as error:
         output.write_bytes(pickle.dumps({"missing": str(error)}))
@@ -166,7 +166,7 @@ def worker(method: str, inputs: Path, output: Path) -> None:
     )
 
 
-def _memory_mib(name: str) -> float:
+def memory_mib(name: str) -> float:
     """Of this process, as Linux counts it."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(float(line.split()[1]) for line in lines if line.startswith(f"{name}:")) / 1024.0
