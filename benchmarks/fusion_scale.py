@@ -5,8 +5,8 @@
 
 Depth maps of 640x480 are cast from the solids, with independent noise of half a voxel; the camera looks from
 close by at places spread over the surface, so no frame holds the whole of the large one. Each runs in a
-process of its own. Field: the blocks of voxels; peak: by how much the process's peak, with the frames that wait, the
-mesh and what makes it, exceeds what it held before.
+process of its own. Field: the blocks of voxels; peak: by how much the process's peak, with the frames that
+wait, the mesh and what makes it, exceeds what it held before.
 """
 
 import argparse
@@ -55,8 +55,9 @@ def solid(name: str) -> trimesh.Trimesh:
         panel = trimesh.creation.box((3.5, 1.6, 0.04))
         panel.apply_translation([side * 3.25, 0.0, 0.0])
         parts.append(panel)
-    craft: trimesh.Trimesh = trimesh.util.concatenate(parts)
-    return craft
+    vertices = np.concatenate([part.vertices for part in parts])
+    faces = np.concatenate([part.faces + 8 * k for k, part in enumerate(parts)])
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def view(
