@@ -227,6 +227,28 @@ def state_covariances(iterate: Iterate, m: Marginals, jacobians: Array) -> tuple
     return out, np.asarray(T @ m.dense[np.ix_(at, at)] @ T.T)
 
 
+def pose_covariances(iterate: Iterate, m: Marginals) -> Array:
+    """Covariances (F, 6, 6) of X_NG, shift [m] and turn [rad] along G's axes: X_NG (Exp(turn) p_G + shift).
+
+    What all poses share moves the frame G and is no error of theirs: it is taken out, each frame counting
+    alike.
+    """
+    n, s = iterate.n_frames, iterate.n_state
+    turned = np.zeros((n, 6, 6))
+    turned[:, :3, :3], turned[:, 3:, 3:] = np.swapaxes(iterate.R_NG, 1, 2), np.eye(3)
+    to_mean = np.zeros((len(m.dense), 6))
+    for k, T in enumerate(turned):
+        to_mean[s * k : s * k + 6] = T.T / n
+    against_mean = m.dense @ to_mean
+    mean = to_mean.T @ against_mean
+    out = np.empty((n, 6, 6))
+    for k, T in enumerate(turned):
+        at = slice(s * k, s * k + 6)
+        shared = T @ against_mean[at]
+        out[k] = T @ m.dense[at, at] @ T.T - shared - shared.T + mean
+    return out
+
+
 def last_body_covariance(iterate: Iterate, m: Marginals, camera_N: Array | None = None) -> Array:
     """Covariance (20, 20) of the last r_N, v_N, theta in R_NG Exp(theta), w_G, then xi, com_G.
 

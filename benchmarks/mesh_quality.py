@@ -2,6 +2,8 @@
 
     python -m benchmarks.mesh_quality SEQ [SEQ ...]             with the true poses
     python -m benchmarks.mesh_quality SEQ [SEQ ...] --runs RUN  with the poses of runs, one for each sequence
+    python -m benchmarks.mesh_quality SEQ --doubtful 3 1        every third pose off by 3 mm and 1 degree (sigma):
+                        with the covariance of the poses told to the fusion, and not
 
 Prints a line a sequence: distances to the true surface (as ``polhode evaluate``; "seen thrice":
 completion, its larger 95th percentile, what is within 3 mm, and chamfer over the part that was seen and
@@ -30,7 +32,7 @@ from pipeline.trajectory_file import read_trajectory
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
-from polhode.lie import Array, inverse_pose, transform_points
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.mesh_metrics import MeshMetrics, compare_surfaces, distance_to_surface
 from polhode.metrics import States, truth_at
 from polhode.records import DepthMap, SurfaceModel, Truth
@@ -54,6 +56,29 @@ class Outcome:
     fusion_s: float
 
 
+@dataclass(frozen=True)
+class Doubts:
+    """Errors of every third pose, and whether the fusion is told of them."""
+
+    shift_m: float
+    turn_rad: float
+    told: bool
+
+    def errors(self, count: int) -> Array:
+        """(F, 4, 4) to be applied in G before the pose."""
+        rng, out = np.random.default_rng(0), np.tile(np.eye(4), (count, 1, 1))
+        for k in range(0, count, 3):
+            turn, shift = rng.normal(0.0, self.turn_rad, 3), rng.normal(0.0, self.shift_m, 3)
+            out[k] = make_pose(exp_so3(turn), shift)
+        return out
+
+    def covariance(self, count: int) -> Array:
+        """(F, 6, 6) of these."""
+        out = np.zeros((count, 6, 6))
+        out[::3] = np.diag([self.shift_m**2] * 3 + [self.turn_rad**2] * 3)
+        return out
+
+
 def true_poses(sequence: StereoSequence, truth: Truth) -> Array:
     """X_NG (F, 4, 4) at the pairs of the sequence."""
     return target_poses(truth_at(truth, sequence.timestamps_ns), truth.R_GP, truth.com_G)
@@ -66,32 +91,48 @@ def run_poses(run: Path) -> Array:
     return target_poses(states, np.array(summary.R_GP), np.array(summary.com_G))
 
 
-def rebuild(
-    sequence: StereoSequence, rectifier: Rectifier, X_NG: Array, points_G: Array, config: Config
-) -> tuple[SurfaceModel, float, float]:
-    """The surface from given poses, seconds for depth, seconds for fusion. points_G bound the disparity."""
-    X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ X_NG
+def depth_maps(
+    sequence: StereoSequence, rectifier: Rectifier, X_RG: Array, points_G: Array, config: Config
+) -> Iterator[DepthMap]:
+    """Depth of every pair, by one process; points_G (n, 3) at poses X_RG (F, 4, 4) bound the disparity."""
     spans: list[tuple[float, float] | None] = []
     for X in X_RG:
         disparity = rectifier.rig.project(transform_points(X, points_G))[:, 2]
         spans.append((float(disparity.min()), float(disparity.max())))
+    return extract_depth(sequence, rectifier, config.frontend, spans, 1)
+
+
+def rebuild(
+    sequence: StereoSequence,
+    rectifier: Rectifier,
+    X_NG: Array,
+    points_G: Array,
+    config: Config,
+    doubts: Doubts | None = None,
+) -> tuple[SurfaceModel, float, float]:
+    """The surface from given poses, seconds for depth, seconds for fusion. points_G bound the disparity."""
+    X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ X_NG
+    fused_at = X_RG if doubts is None else X_RG @ doubts.errors(len(X_RG))
+    covariance = None if doubts is None or not doubts.told else doubts.covariance(len(X_RG))
     depth_s = 0.0
 
     def timed() -> Iterator[tuple[DepthMap, Array]]:
         nonlocal depth_s
-        maps = extract_depth(sequence, rectifier, config.frontend, spans, 1)
-        for X in X_RG:
+        maps = depth_maps(sequence, rectifier, X_RG, points_G, config)
+        for X in fused_at:
             begin = process_time()
             frame = next(maps)
             depth_s += process_time() - begin
             yield frame, X
 
     begin = process_time()
-    surface = fuse(timed(), rectifier.rig, config.mapping)
+    surface = fuse(timed(), rectifier.rig, config.mapping, covariance_G=covariance)
     return surface, depth_s, process_time() - begin - depth_s
 
 
-def measure(folder: Path, run: Path | None, config: Config, save: Path | None) -> Outcome:
+def measure(
+    folder: Path, run: Path | None, config: Config, save: Path | None, doubts: Doubts | None = None
+) -> Outcome:
     """Rebuild one sequence's surface and compare it with the truth."""
     sequence, truth = open_sequence(folder), read_truth(folder)
     if truth.mesh is None:
@@ -101,7 +142,7 @@ def measure(folder: Path, run: Path | None, config: Config, save: Path | None) -
     to_true_G = between_target_frames(X_NG, X_true, np.zeros(3))
     corners = transform_points(inverse_pose(to_true_G), np.asarray(truth.mesh.vertices))
     surface, depth_s, fusion_s = rebuild(
-        sequence, make_rectifier(sequence.calibration), X_NG, corners, config
+        sequence, make_rectifier(sequence.calibration), X_NG, corners, config, doubts
     )
     mesh = surface.mesh.copy()
     mesh.apply_transform(between_target_frames(X_NG, X_true, mesh.centroid))
@@ -113,8 +154,9 @@ def measure(folder: Path, run: Path | None, config: Config, save: Path | None) -
         for least in (1, 3)
     )
     within, frames = within_sigma(mesh, surface.sigma_m, truth.mesh), len(sequence)
+    name = folder.name if doubts is None else f"{folder.name}, {'told' if doubts.told else 'not told'}"
     return Outcome(
-        folder.name, frames, metrics, thrice, within, len(mesh.vertices), depth_s / frames, fusion_s / frames
+        name, frames, metrics, thrice, within, len(mesh.vertices), depth_s / frames, fusion_s / frames
     )
 
 
@@ -129,14 +171,14 @@ def within_sigma(mesh: trimesh.Trimesh, sigma_m: Array, truth: trimesh.Trimesh) 
 def print_table(outcomes: Iterable[Outcome]) -> None:
     """One line a sequence, as soon as it is known."""
     print(
-        f"{'sequence':<18}{'frames':>7}{'accuracy':>10}{'completion':>11}{'chamfer':>9}{'hausdorff95':>12}"
+        f"{'sequence':<22}{'frames':>7}{'accuracy':>10}{'completion':>11}{'chamfer':>9}{'hausdorff95':>12}"
         f"{'within 3 mm':>12}{'seen thrice:':>13}{'95 %':>7}{'3 mm':>7}{'chamfer':>9}{'1 sigma':>9}{'2':>7}"
         f"{'vertices':>10}{'depth s':>9}{'fusion s':>9}"
     )
     for o in outcomes:
         m, t = o.metrics, o.seen_thrice
         print(
-            f"{o.name:<18}{o.frames:>7}{m.accuracy_mm:>10.3f}{m.completion_mm:>11.3f}{m.chamfer_mm:>9.3f}"
+            f"{o.name:<22}{o.frames:>7}{m.accuracy_mm:>10.3f}{m.completion_mm:>11.3f}{m.chamfer_mm:>9.3f}"
             f"{m.hausdorff95_mm:>12.2f}{m.completeness_3mm:>12.3f}"
             f"{t.completion_mm:>13.3f}{t.hausdorff95_mm:>7.2f}{t.completeness_3mm:>7.3f}{t.chamfer_mm:>9.3f}"
             f"{o.within_sigma[0]:>9.2f}{o.within_sigma[1]:>7.2f}"
@@ -152,6 +194,7 @@ def main() -> None:
     )
     parser.add_argument("sequences", nargs="+", type=Path)
     parser.add_argument("--runs", nargs="*", type=Path, default=[], help="runs whose poses are used")
+    parser.add_argument("--doubtful", nargs=2, type=float, metavar=("MM", "DEG"), help="errors of poses")
     parser.add_argument("--config", type=Path, default=Path("configs/default.yaml"))
     parser.add_argument("--save", type=Path, help="folder for the meshes")
     options = parser.parse_args()
@@ -160,8 +203,14 @@ def main() -> None:
     torch.set_num_threads(1)
     config = load_config(options.config)
     runs = options.runs or [None] * len(options.sequences)
-    jobs = zip(options.sequences, runs, strict=True)
-    print_table(measure(sequence, run, config, options.save) for sequence, run in jobs)
+    jobs = list(zip(options.sequences, runs, strict=True))
+    doubts: list[Doubts | None] = [None]
+    if options.doubtful:
+        mm, deg = options.doubtful
+        doubts = [Doubts(mm * 1e-3, np.deg2rad(deg), told) for told in (False, True)]
+    print_table(
+        measure(sequence, run, config, options.save, each) for sequence, run in jobs for each in doubts
+    )
 
 
 if __name__ == "__main__":

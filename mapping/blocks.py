@@ -1,10 +1,11 @@
 """A sparse voxel field: cubes of 8 x 8 x 8 voxels, allocated around the surface only.
 
 Voxel (i, j, k) of block (a, b, c) has its centre at ``voxel_m * (8 * [a, b, c] + [i, j, k])`` in G.
-Blocks are kept sorted by key, so a block is found by bisection and the result does not depend on the
-order in which blocks were asked for.
 """
 
+from dataclasses import dataclass
+
+import numpy as np
 import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
@@ -12,22 +13,33 @@ from torch import Tensor
 EDGE = 8
 VOXELS = EDGE**3
 _BITS = 20
-_HALF = 1 << (_BITS - 1)
+HALF = 1 << (_BITS - 1)
+"""Block coordinates lie within +-HALF."""
 
-CHANNELS = ("weight", "weighted_distance", "weighted_square", "free", "views", "colour", "colour_weight")
-BYTES_PER_BLOCK = VOXELS * 4 * len(CHANNELS)
+WEIGHT, DISTANCE, SQUARE, FREE, VIEWS, COLOUR, COLOUR_WEIGHT = range(7)
+CHANNELS = 7
+BYTES_PER_BLOCK = VOXELS * 4 * CHANNELS
+
+
+@dataclass(frozen=True)
+class Truncation:
+    """Where the field is cut off [m], and how much an empty voxel counts."""
+
+    front_m: float
+    behind_m: float
+    free_space_weight: float
 
 
 def pack_keys(block: Int64[Tensor, "n 3"]) -> Int64[Tensor, " n"]:
     """Block coordinates (n, 3) int64, each within +-2^19 -> keys (n,) int64 in lexicographic order."""
-    shifted = block + _HALF
+    shifted = block + HALF
     return (shifted[:, 0] << (2 * _BITS)) | (shifted[:, 1] << _BITS) | shifted[:, 2]
 
 
 def unpack_keys(keys: Int64[Tensor, " n"]) -> Int64[Tensor, "n 3"]:
     """Keys (n,) -> block coordinates (n, 3)."""
     mask = (1 << _BITS) - 1
-    return torch.stack([keys >> (2 * _BITS), (keys >> _BITS) & mask, keys & mask], dim=1) - _HALF
+    return torch.stack([keys >> (2 * _BITS), (keys >> _BITS) & mask, keys & mask], dim=1) - HALF
 
 
 def voxel_offsets(device: torch.device) -> Int64[Tensor, "512 3"]:
@@ -37,40 +49,68 @@ def voxel_offsets(device: torch.device) -> Int64[Tensor, "512 3"]:
 
 
 class BlockGrid:
-    """The blocks' keys (n,), ascending, and one (n, 512) float32 array per channel.
+    """Blocks in the order of their allocation: keys (n,), and float32 values (n, 512, 7).
 
-    weight, weighted_distance, weighted_square: sums of w, w d, w d^2 over frames, d the signed distance [m];
-    free: sum of the weights of frames that saw through the voxel; views: frames that saw the surface here;
-    colour, colour_weight: weighted sum of intensities and of its weights.
+    Of frames that saw the surface near a voxel: WEIGHT, DISTANCE, SQUARE, sums of w, w d, w d^2, d the signed
+    distance [m]; VIEWS, their number; COLOUR, COLOUR_WEIGHT, weighted sum of intensities and of its weights.
+    FREE: sum of the weights of frames that saw through it; their distance is that of the cut in front.
     """
 
-    def __init__(self, voxel_m: float, device: torch.device) -> None:
+    def __init__(self, voxel_m: float, cut: Truncation, device: torch.device, memory_mib: float) -> None:
         self.voxel_m = voxel_m
+        self.cut = cut
         self.device = device
-        self.keys = torch.empty(0, dtype=torch.int64, device=device)
-        self.channels = {name: torch.empty(0, VOXELS, device=device) for name in CHANNELS}
+        self.most = max(1, int(memory_mib * 2**20 / BYTES_PER_BLOCK))
+        self.refused = 0
+        """Blocks that did not fit in the memory"""
+        self._n = 0
+        shape = (self.most, VOXELS, CHANNELS)
+        if device.type == "cpu":
+            # NumPy's zeros take no memory until they are touched
+            self._values = torch.from_numpy(np.zeros(shape, dtype=np.float32))
+        else:
+            self._values = torch.zeros(shape, device=device)
+        self._keys = torch.zeros(self.most, dtype=torch.int64, device=device)
+        self._sorted = self._keys[:0]
+        self._order = self._keys[:0]
 
     def __len__(self) -> int:
-        return len(self.keys)
+        return self._n
+
+    @property
+    def keys(self) -> Int64[Tensor, " n"]:
+        """(n,)"""
+        return self._keys[: self._n]
+
+    @property
+    def values(self) -> Float32[Tensor, "n 512 7"]:
+        """(n, 512, 7), a view: written to in place."""
+        return self._values[: self._n]
 
     @property
     def bytes(self) -> int:
-        """Memory of the channels."""
+        """Memory of the values."""
         return len(self) * BYTES_PER_BLOCK
 
+    def find(self, keys: Int64[Tensor, " m"]) -> Int64[Tensor, " m"]:
+        """Indices (m,) of the blocks of these keys, -1 where there is none."""
+        if self._n == 0:
+            return torch.full_like(keys, -1)
+        at = torch.searchsorted(self._sorted, keys).clamp_max(self._n - 1)
+        return torch.where(self._sorted[at] == keys, self._order[at], -1)
+
     def allocate(self, keys: Int64[Tensor, " m"]) -> None:
-        """Add empty blocks where ``keys`` (m,) names new ones."""
-        new = keys[~torch.isin(keys, self.keys)].unique()
+        """Add empty blocks where ``keys`` (m,), each once, names new ones, as far as the memory goes."""
+        new = keys[self.find(keys) < 0]
+        self.refused += max(0, len(new) - (self.most - self._n))
+        new = new[: self.most - self._n]
         if len(new) == 0:
             return
-        merged = torch.cat([self.keys, new])
-        order = torch.argsort(merged)
-        self.keys = merged[order]
-        for name, values in self.channels.items():
-            padded = torch.cat([values, values.new_zeros(len(new), VOXELS)])
-            self.channels[name] = padded[order]
+        self._keys[self._n : self._n + len(new)] = new
+        self._n += len(new)
+        self._sorted, self._order = torch.sort(self.keys)
 
-    def centres_m(self) -> Float32[Tensor, "n 3"]:
+    def centres_m(self, which: slice = slice(None)) -> Float32[Tensor, "n 3"]:
         """(n, 3) float32: the blocks' centres in G [m]."""
-        corner = unpack_keys(self.keys) * EDGE
+        corner = unpack_keys(self.keys[which]) * EDGE
         return (corner.to(torch.float32) + (EDGE - 1) / 2) * self.voxel_m

@@ -4,12 +4,9 @@ from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 
 import numpy as np
-import torch
 
-from mapping.blocks import BYTES_PER_BLOCK, EDGE, BlockGrid
-from mapping.integrate import Truncation, frame_tensors, integrate
-from mapping.surface import extract_surface
-from mapping.vertex_sigma import Shares
+from mapping.blocks import BYTES_PER_BLOCK, EDGE
+from mapping.field import Field
 from polhode.camera import RectifiedRig
 from polhode.config.mapping import Mapping
 from polhode.lie import Array
@@ -19,6 +16,8 @@ from polhode.records import DepthMap, SurfaceModel
 Frame = tuple[DepthMap, Array]
 _PEEK = 5
 """Frames looked at to choose the voxel size."""
+_KEPT = 0.25
+"""Of the field's memory, for frames that wait for the blocks of later ones."""
 
 
 def fuse(
@@ -27,31 +26,24 @@ def fuse(
     config: Mapping,
     progress: Progress | None = None,
     n_frames: int = 0,
+    covariance_G: Array | None = None,
 ) -> SurfaceModel:
     """Fuse depth maps into a mesh in G.
 
     frames: pairs of a DepthMap and X_RG (4, 4), the target's pose in the rectified left camera; read once,
     one at a time. Depth or poses with NaN are left out. n_frames: how many are coming, for the progress bar.
-    Returns an empty mesh when nothing was seen often enough.
+    covariance_G (F, 6, 6): of the poses, as ``Field.add`` takes them; None: exact.
+    Returns an empty mesh when nothing was seen; ``warnings`` of the result tells what is missing and why.
     """
     stream = iter(frames)
     head = list(islice(stream, _PEEK))
-    voxel_m = choose_voxel_m([frame for frame, _ in head], rig, config)
-    grid = BlockGrid(voxel_m, choose_device(config))
-    cut = Truncation(
-        config.truncation_voxels * voxel_m,
-        config.truncation_behind_voxels * voxel_m,
-        config.free_space_weight,
+    field = Field(
+        rig, config, choose_voxel_m([frame for frame, _ in head], rig, config), _KEPT * config.memory_mib
     )
-    used = 0
     with (progress or Silent()).stage("fusing depth", n_frames) as advance:
-        for frame, X_RG in _stepping(chain(head, stream), advance):
-            tensors = frame_tensors(frame, rig, grid.device) if np.isfinite(X_RG).all() else None
-            if tensors is not None:
-                integrate(grid, tensors, X_RG, rig, cut)
-                used += 1
-    shares = Shares(config.shared_sigma, config.relief_sigma)
-    return extract_surface(grid, min(config.min_views, max(used, 1)), config.min_component_area, shares)
+        for k, (frame, X_RG) in enumerate(_stepping(chain(head, stream), advance)):
+            field.add(frame, X_RG, None if covariance_G is None else covariance_G[k])
+    return field.surface()
 
 
 def _stepping(frames: Iterable[Frame], advance: object) -> Iterator[Frame]:
@@ -66,7 +58,7 @@ def choose_voxel_m(frames: list[DepthMap], rig: RectifiedRig, config: Mapping) -
     """Edge of a voxel [m]: the median footprint of a pixel; larger where the field would fill the memory."""
     if config.voxel_mm is not None:
         return config.voxel_mm * 1e-3
-    depths = [frame.depth_m[np.isfinite(frame.depth_m)] for frame in frames]
+    depths = [frame.depth_m[np.isfinite(frame.depth_m) & (frame.depth_m > 0)] for frame in frames]
     depths = [d for d in depths if len(d)]
     if not depths:
         return 1e-3
@@ -78,10 +70,3 @@ def choose_voxel_m(frames: list[DepthMap], rig: RectifiedRig, config: Mapping) -
     blocks = 3.0 * area_m2 / (EDGE * voxel_m) ** 2
     most = config.memory_mib * 2**20 / BYTES_PER_BLOCK
     return float(voxel_m * max(1.0, blocks / most) ** 0.5)
-
-
-def choose_device(config: Mapping) -> torch.device:
-    """The configured device; auto takes a GPU when there is one."""
-    if config.device != "auto":
-        return torch.device(config.device)
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")

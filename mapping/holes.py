@@ -7,9 +7,9 @@ no frame looked through it: a window between struts is no hole in the knowledge 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import trimesh
-from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from trimesh.visual import ColorVisuals
@@ -179,13 +179,17 @@ def _not_looked_through(
         distance = np.linalg.norm(ray, axis=1)
         direction = ray / distance[:, None]
         row, column, inside = pixels_of(view, p_G, rig)
-        towards = inside & (np.einsum("nk,nk->n", direction, normal_G) < -LEAST_COSINE)
+        towards = np.flatnonzero(inside & (np.einsum("nk,nk->n", direction, normal_G) < -LEAST_COSINE))
+        direction, distance = direction[towards], distance[towards]
         first, face = caster.first(view.eye_G, direction)
-        clear = towards & (first > distance)
-        sky = distance_transform_edt(~view.silhouette)[row, column] > _OUTSIDE_PX
+        clear = first > distance
+        outside = cv2.distanceTransform(
+            (~view.silhouette).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
+        )
+        sky = outside[row[towards], column[towards]] > _OUTSIDE_PX
         behind = np.isfinite(first) & (np.einsum("nk,nk->n", direction, facing[face]) < 0.0)
-        sights += np.bincount(of[clear], minlength=len(patches))
-        through += np.bincount(of[clear & (sky | behind)], minlength=len(patches))
+        sights += np.bincount(of[towards[clear]], minlength=len(patches))
+        through += np.bincount(of[towards[clear & (sky | behind)]], minlength=len(patches))
     kept = through <= _LOOKED_THROUGH * sights
     return [patch for patch, keep in zip(patches, kept, strict=True) if keep]
 

@@ -9,24 +9,38 @@ import numpy as np
 import torch
 import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
-from mapping.blocks import EDGE, BlockGrid, unpack_keys
+from mapping.blocks import (
+    COLOUR,
+    COLOUR_WEIGHT,
+    DISTANCE,
+    EDGE,
+    FREE,
+    SQUARE,
+    VIEWS,
+    VOXELS,
+    WEIGHT,
+    BlockGrid,
+    pack_keys,
+    unpack_keys,
+)
+from mapping.mesh_loops import piece_areas
 from mapping.vertex_sigma import Shares, vertex_sigma
 from polhode.lie import Array
 from polhode.records import Ints, SurfaceModel
 
 _CHUNK = 8
 """Blocks along the edge of a chunk."""
+_EDGE = _CHUNK * EDGE + 1
+"""Voxels along it: one layer is shared with the next chunk."""
 Floats = NDArray[np.float32]
 
 
-def empty_surface() -> SurfaceModel:
+def empty_surface(warnings: tuple[str, ...] = ()) -> SurfaceModel:
     """What is returned when there is nothing to mesh."""
     mesh = trimesh.Trimesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64), process=False)
-    return SurfaceModel(mesh=mesh, sigma_m=np.zeros(0), views=np.zeros(0, dtype=np.int64))
+    return SurfaceModel(mesh=mesh, sigma_m=np.zeros(0), views=np.zeros(0, dtype=np.int64), warnings=warnings)
 
 
 def extract_surface(
@@ -35,58 +49,67 @@ def extract_surface(
     """Mesh in G [m] of all voxels seen in at least ``min_views`` frames; empty when there are none."""
     if len(grid) == 0:
         return empty_surface()
-    block = unpack_keys(grid.keys).cpu().numpy()
-    layers = _vertex_layers(grid, min_views)
-    lookup = {tuple(b): i for i, b in enumerate(block.tolist())}
-    chunks = sorted({tuple(c) for c in np.floor_divide(block, _CHUNK).tolist()})
-    parts = [part for chunk in chunks if (part := _mesh_chunk(chunk, lookup, layers)) is not None]
+    values = grid.values.cpu().numpy()
+    distance = _distances(values, min_views, grid.cut.front_m, grid.voxel_m)
+    first = np.unique(np.floor_divide(unpack_keys(grid.keys).cpu().numpy(), _CHUNK), axis=0) * _CHUNK
+    parts = [part for corner in first if (part := _mesh_chunk(grid, corner, distance)) is not None]
     if not parts:
         return empty_surface()
-    vertices, faces, values = _merge(parts)
+    vertices, faces, edges, shares_of = _merge(parts)
     faces = _large_components(vertices, faces, min_component_area)
-    used = np.unique(faces)
+    is_used = np.zeros(len(vertices), dtype=bool)
+    is_used[faces] = True
+    used = np.flatnonzero(is_used)
     if len(used) == 0:
         return empty_surface()
     renumber = np.full(len(vertices), -1, dtype=np.int64)
     renumber[used] = np.arange(len(used))
-    return _surface_model(vertices[used] * grid.voxel_m, renumber[faces], values[used], grid.voxel_m, shares)
+    of_vertices = _values_at(values, edges[used], shares_of[used], grid.cut.front_m)
+    return _surface_model(vertices[used] * grid.voxel_m, renumber[faces], of_vertices, grid.voxel_m, shares)
 
 
-def _vertex_layers(grid: BlockGrid, min_views: int) -> Floats:
-    """(n, 512, 6): distance in voxels (NaN unknown), sigmas of mean and view [m], views, colour, known."""
-    c = grid.channels
-    weight = c["weight"].clamp_min(1e-30)
-    mean = c["weighted_distance"] / weight
-    variance = (c["weighted_square"] / weight - mean.square()).clamp_min(0.0)
-    views = c["views"].clamp_min(1.0)
-    # The larger of what the weights promise and what the frames' scatter shows.
-    sigma = torch.sqrt(torch.maximum(1.0 / weight, variance / views))
-    colour = c["colour"] / c["colour_weight"].clamp_min(1e-30)
-    known = (c["weight"] > 0) & (c["views"] + (c["free"] > 0) >= min_views)
-    distance = torch.where(known, mean / grid.voxel_m, torch.full_like(mean, torch.nan))
-    stacked = torch.stack(
-        [distance, sigma, sigma * views.sqrt(), c["views"], colour, known.to(mean.dtype)], dim=-1
-    )
-    return np.asarray(stacked.cpu().numpy(), dtype=np.float32)
+def _distances(values: Floats, min_views: int, front_m: float, voxel_m: float) -> Floats:
+    """(n, 512): signed distance in voxels, NaN where too few frames tell."""
+    weight = values[..., WEIGHT] + values[..., FREE]
+    known = (weight > 0) & (values[..., VIEWS] + (values[..., FREE] > 0) >= min_views)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = (values[..., DISTANCE] + front_m * values[..., FREE]) / (weight * np.float32(voxel_m))
+    return np.where(known, mean, np.float32(np.nan)).astype(np.float32, copy=False)
 
 
-def _mesh_chunk(
-    chunk: tuple[int, ...], lookup: dict[tuple[int, ...], int], layers: Floats
-) -> tuple[Floats, Ints, Floats] | None:
-    """Vertices [voxels in G], faces and values (n, 4: sigmas, views, colour) of one chunk, or None."""
-    n = _CHUNK + 1
-    dense = np.zeros((n, EDGE, n, EDGE, n, EDGE, layers.shape[2]), dtype=np.float32)
-    dense[..., 0] = np.nan
-    first = np.array(chunk) * _CHUNK
-    for a, b, c in np.ndindex(n, n, n):
-        at = lookup.get((int(first[0]) + a, int(first[1]) + b, int(first[2]) + c))
-        if at is not None:
-            dense[a, :, b, :, c, :] = layers[at].reshape(EDGE, EDGE, EDGE, -1)
-    edge = _CHUNK * EDGE + 1
-    field = dense.reshape(n * EDGE, n * EDGE, n * EDGE, -1)[:edge, :edge, :edge]
-    distance = field[..., 0]
-    known = np.isfinite(distance)
-    filled = np.where(known, distance, np.float32(1.0))
+def _values_at(values: Floats, edges: Ints, share: Floats, front_m: float) -> Floats:
+    """(V, 4): sigmas of the mean and of one view [m], views, grey, on edges between voxels (V, 2)."""
+    ends = []
+    for column in (0, 1):
+        c = values.reshape(-1, values.shape[-1])[edges[:, column]]
+        weight = np.maximum(c[:, WEIGHT] + c[:, FREE], 1e-30)
+        mean = (c[:, DISTANCE] + front_m * c[:, FREE]) / weight
+        variance = np.maximum((c[:, SQUARE] + front_m**2 * c[:, FREE]) / weight - mean**2, 0.0)
+        views = np.maximum(c[:, VIEWS], 1.0)
+        # The larger of what the weights promise and what the frames' scatter shows.
+        sigma = np.sqrt(np.maximum(1.0 / weight, variance / views))
+        colour = c[:, COLOUR] / np.maximum(c[:, COLOUR_WEIGHT], 1e-30)
+        ends.append(np.column_stack([sigma, sigma * np.sqrt(views), c[:, VIEWS], colour]))
+    blended: Floats = ends[0] * (1.0 - share[:, None]) + ends[1] * share[:, None]
+    return blended
+
+
+def _mesh_chunk(grid: BlockGrid, first: Ints, distance: Floats) -> tuple[Array, Ints, Ints, Floats] | None:
+    """Vertices [voxels in G], faces, voxels at both ends of each vertex's edge, share of the second; or None.
+
+    first (3,): the chunk's first block.
+    """
+    axis = np.arange(_CHUNK + 1)
+    block = first + np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    at = grid.find(pack_keys(torch.from_numpy(block)).to(grid.device)).cpu().numpy()
+    present = np.flatnonzero(at >= 0)
+    shape = (_CHUNK + 1,) * 3
+    dense = np.full((*shape, EDGE, EDGE, EDGE), np.nan, dtype=np.float32)
+    dense.reshape(-1, VOXELS)[present] = distance[at[present]]
+    edge = (_CHUNK + 1) * EDGE
+    field = dense.transpose(0, 3, 1, 4, 2, 5).reshape(edge, edge, edge)[:_EDGE, :_EDGE, :_EDGE]
+    known = np.isfinite(field)
+    filled = np.where(known, field, np.float32(1.0))
     if not known.any() or filled.min() >= 0.0 or filled.max() <= 0.0:
         return None
     vertices, faces, _, _ = marching_cubes(filled, level=0.0)
@@ -95,36 +118,48 @@ def _mesh_chunk(
     faces = faces[inside[faces].all(axis=1)].astype(np.int64)
     if len(faces) == 0:
         return None
-    share = (vertices - low).max(axis=1)[:, None]
-    values = field[tuple(low.T)][:, 1:5] * (1.0 - share) + field[tuple(high.T)][:, 1:5] * share
-    return (vertices + (first * EDGE)).astype(np.float64), faces, values.astype(np.float32)
+    share = (vertices - low).max(axis=1)
+    ends = np.stack([_voxel_index(p, at) for p in (low, high)], axis=1)
+    return vertices.astype(np.float64) + first * EDGE, faces, ends, share.astype(np.float32)
 
 
-def _merge(parts: list[tuple[Floats, Ints, Floats]]) -> tuple[Array, Ints, Floats]:
-    """Join chunks: vertices with the same coordinates (to 1e-4 voxel) become one."""
-    vertices = np.concatenate([p[0] for p in parts])
-    starts = np.cumsum([0] + [len(p[0]) for p in parts[:-1]])
-    faces = np.concatenate([p[1] + s for p, s in zip(parts, starts, strict=True)])
-    values = np.concatenate([p[2] for p in parts])
-    key = np.round(vertices * 1e4).astype(np.int64)
+def _voxel_index(voxel: Ints, at: Ints) -> Ints:
+    """Flat indices (n,) into the field's voxels, of voxels (n, 3) of a chunk whose blocks are ``at``."""
+    block, inner = voxel // EDGE, voxel % EDGE
+    n = _CHUNK + 1
+    index: Ints = at[(block[:, 0] * n + block[:, 1]) * n + block[:, 2]] * VOXELS + (
+        (inner[:, 0] * EDGE + inner[:, 1]) * EDGE + inner[:, 2]
+    )
+    return index
+
+
+def _merge(parts: list[tuple[Array, Ints, Ints, Floats]]) -> tuple[Array, Ints, Ints, Floats]:
+    """Join chunks: vertices on the layers they share that have the same coordinates become one."""
+    vertices, faces, edges, share = (
+        np.concatenate([p[0] for p in parts]),
+        np.concatenate([p[1] for p in parts]),
+        np.concatenate([p[2] for p in parts]),
+        np.concatenate([p[3] for p in parts]),
+    )
+    counts = [len(p[0]) for p in parts]
+    faces += np.repeat(np.cumsum([0, *counts[:-1]]), [len(p[1]) for p in parts])[:, None]
+    on_layer = np.flatnonzero((vertices % (_CHUNK * EDGE) == 0.0).any(axis=1))
+    # within a chunk too: marching cubes makes several vertices where a voxel is exactly zero
+    exact = np.flatnonzero((vertices % 1.0 == 0.0).all(axis=1))
+    shared = np.union1d(on_layer, exact)
+    key = np.round(vertices[shared] * 1e4).astype(np.int64)
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    faces = inverse.reshape(-1)[faces]
+    renumber = np.arange(len(vertices))
+    renumber[shared] = shared[first[inverse.reshape(-1)]]
+    faces = renumber[faces]
     whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return vertices[first], faces[whole], values[first]
+    return vertices, faces[whole], edges, share
 
 
 def _large_components(vertices: Array, faces: Ints, min_share: float) -> Ints:
     """Faces of the connected pieces that hold at least ``min_share`` of the area."""
-    if len(faces) == 0:
-        return faces
-    n = len(vertices)
-    i, j = faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1)
-    graph = coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    corner = vertices[faces]
-    area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    per_label = np.bincount(label[faces[:, 0]], weights=area)
-    kept: Ints = faces[per_label[label[faces[:, 0]]] >= min_share * area.sum()]
+    piece, area = piece_areas(vertices, faces)
+    kept: Ints = faces[area[piece[faces[:, 0]]] >= min_share * area.sum()]
     return kept
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_matrix, diags, eye
 
+from mapping.mesh_loops import averaged, least_spread, neighbours
 from polhode.lie import Array
 
 WINDOW_VOXELS = 6.0
@@ -45,25 +45,18 @@ def roughness(mesh: trimesh.Trimesh, radius_m: float) -> Array:
     Second moments of the places around, by averaging over neighbours as often as the spread of a disc of this
     radius takes.
     """
-    V, n = np.asarray(mesh.vertices, dtype=np.float64), len(mesh.vertices)
-    edges = np.asarray(mesh.edges_unique)
-    if n == 0 or len(edges) == 0:
-        return np.zeros(n)
-    i, j = np.concatenate([edges, edges[:, ::-1]]).T
-    graph = coo_matrix((np.ones(len(i)), (i, j)), shape=(n, n)).tocsr() + eye(n, format="csr")
-    degree = np.asarray(graph.sum(axis=1)).ravel()
-    average = diags(1.0 / degree) @ graph
+    V, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    if len(faces) == 0:
+        return np.zeros(len(V))
+    start, other = neighbours(faces, len(V))
+    degree = np.diff(start) + 1
     # one averaging spreads by the mean square of the steps; a disc by half its radius squared
-    step = np.mean(np.sum((V[i] - V[j]) ** 2, axis=1)) * np.mean(1.0 - 1.0 / degree)
+    along = np.sum((V[np.repeat(np.arange(len(V)), degree - 1)] - V[other]) ** 2, axis=1)
+    step = np.mean(along) * np.mean(1.0 - 1.0 / degree)
     rounds = int(np.clip(np.ceil(0.5 * radius_m**2 / step), 1, 60))
-    middle = V.mean(axis=0)
-    moved = V - middle
+    moved = V - V.mean(axis=0)
     a, b = np.triu_indices(3)
     moments = np.concatenate([moved, moved[:, a] * moved[:, b]], axis=1)
     for _ in range(rounds):
-        moments = average @ moments
-    mean = moments[:, :3]
-    second = moments[:, 3:] - mean[:, a] * mean[:, b]
-    scatter = np.empty((n, 3, 3))
-    scatter[:, a, b] = scatter[:, b, a] = second
-    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 0], 0.0)))
+        moments = averaged(moments, start, other)
+    return np.asarray(np.sqrt(least_spread(moments)))

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from frontend.rectified_pair import rectified_pair
+from frontend.rectified_pair import rectified_left
 from frontend.rectify import Rectifier
 from mapping.albedo import Colouring, divide_shading
 from mapping.holes import ClosedHoles, close_small_holes
@@ -120,17 +120,17 @@ def _views(
         box = _box(transform_points(X_RG[k], corners), rig)
         if box is None:
             continue
-        pair = rectified_pair(sequence, rectifier, k)
+        left, mask = rectified_left(sequence, rectifier, k)
         u0, u1, v0, v1 = box
         views.append(
             FrameView(
-                image=pair.left[v0:v1, u0:u1].copy(),
-                silhouette=pair.mask_left[v0:v1, u0:u1].copy(),
+                image=left[v0:v1, u0:u1].copy(),
+                silhouette=mask[v0:v1, u0:u1].copy(),
                 X_RG=X_RG[k],
                 R_NR=R_NR[k],
                 u0=u0,
                 v0=v0,
-                lit_above=light_level(pair.left),
+                lit_above=light_level(left),
             )
         )
     return views

@@ -69,6 +69,7 @@ def run(
             make_pictures(folder, *seen, tracks, estimate, surface, config.pictures, progress)
         clock.add_total()
         warnings = [*images.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
+        warnings += fused.warnings
         summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, shape=shape)
         with progress.stage("report", 1) as advance:
             summary = outputs.finish_run(folder, summary)
@@ -105,7 +106,8 @@ def _build_surface(
     maps = extract_depth(images.sequence, images.rectifier, config.frontend, spans, workers(config))
     with clock("fusion"):
         surface = fuse(
-            zip(clock.waiting("depth", maps), X_RG, strict=True), rig, config.mapping, progress, len(X_RG)
+            *(zip(clock.waiting("depth", maps), X_RG, strict=True), rig, config.mapping, progress, len(X_RG)),
+            covariance_G=estimate.covariance_X_NG,
         )
     clock.seconds["fusion"] -= clock.seconds.get("depth", 0.0)
     return surface

@@ -282,6 +282,9 @@ class MotionEstimate:
     covariance_last_body: Array | None = None
     """(20, 20): the last r_N, v_N, theta in R_NG Exp(theta), w_G, then the 5 inertia parameters, com_G (3).
     Always finite: nothing in it is expressed in the principal axes; a weak prior bounds the undetermined."""
+    covariance_X_NG: Array | None = None
+    """(F, 6, 6) of X_NG, shift [m] and turn [rad] along the axes of G: p_N = X_NG (Exp(turn) p_G + shift).
+    Without what all poses have in common, so always finite. None: not known"""
     pushes: UnknownPushes | None = None
     """Of unknown forces and torques; None: none was looked for, or none found"""
 

@@ -43,6 +43,8 @@ class SurfaceModel:
     """(T,) faces that close a small hole, where nothing was measured; None: there are none"""
     coverage: NDArray[np.uint8] | None = None
     """(V,) UNSEEN, SEEN_UNLIT or SEEN_LIT; None: all was measured, so seen in light"""
+    warnings: tuple[str, ...] = ()
+    """What is missing of the surface, and why"""
 
     @property
     def is_invented(self) -> Bools:

@@ -24,6 +24,8 @@ class Mapping(Section):
     """A surface seen in fewer frames is left out (fewer where the sequence is shorter)."""
     min_component_area: float = Field(0.004, ge=0, lt=1)
     """Pieces of a smaller share of the whole area are removed."""
+    moved_voxels: float = Field(0.1, gt=0)
+    """When poses improve, a frame is fused again once it moves the body by more than this [voxels]."""
     hole_share: float = Field(0.04, ge=0, le=0.3)
     """Holes up to this share of the body's size (the diagonal of its box) across are closed, their faces
     flagged as invented; larger ones stay open. 0: none is closed."""
@@ -31,11 +33,12 @@ class Mapping(Section):
     """Divide the Sun's shading out of the colours, where the images tell where the Sun is."""
     levels: tuple[Annotated[float, Field(gt=0, lt=1)], ...] = (0.25, 0.0625)
     """Shares of the faces that the lighter meshes keep: mesh_lod1.glb, mesh_lod2.glb, ...; (): none."""
-    shared_sigma: float = Field(0.25, ge=0)
+    shared_sigma: float = Field(0.05, ge=0)
     """Part of a single view's sigma that all views of a place share, and that does not average out."""
-    relief_sigma: float = Field(1.5, ge=0)
+    relief_sigma: float = Field(1.0, ge=0)
     """Sigma of the relief that matching in windows smooths away, over the roughness of what is left."""
     memory_mib: float = Field(1024.0, gt=0)
-    """Most memory of the field [MiB]; a larger field gets larger voxels."""
+    """Most memory of the field [MiB]; a larger field gets larger voxels. What still does not fit is left out
+    with a warning."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where the field lives; auto: a GPU when there is one."""

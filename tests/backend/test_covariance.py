@@ -4,7 +4,8 @@ import numpy as np
 
 from backend import estimate_motion, initialize_motion
 from polhode.config.backend import Backend
-from polhode.lie import Array, hat
+from polhode.lie import Array, hat, inverse_pose, log_so3
+from polhode.metrics import mean_rotation
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from simulation.measurements import SyntheticScene, generate
@@ -52,3 +53,27 @@ def test_the_body_s_own_covariance_is_finite_where_the_axes_are_undetermined() -
     # attitude and rate of what the camera sees are well known, whatever the axes
     assert np.all(sigma[6:9] < np.deg2rad(1.0)) and np.all(sigma[9:12] < np.deg2rad(1.0))
     assert np.all(np.linalg.eigvalsh(motion.covariance_last_body) > -1e-12)
+
+
+def test_the_covariance_of_each_pose_without_what_all_share_holds_its_errors() -> None:
+    squares = []
+    for seed in range(3):
+        scene = SyntheticScene(
+            frames=20, landmarks=250, detection=0.4, sigma_uv_px=0.3, sigma_d_px=0.2, J_G=BOX,
+            w_G=(0.4, 0.5, 0.45), accel_psd=1e-8, torque_psd=1e-8,
+        )  # fmt: skip
+        sequence = generate(scene, seed)
+        config = Backend(solver="gauss_newton", process_noise="given", accel_psd=1e-8, torque_psd=1e-8)
+        first = initialize_motion(sequence.tracks, sequence.relative, config)
+        motion = estimate_motion(sequence.tracks, first, config, Silent())
+        assert motion.covariance_X_NG is not None
+        # G of the estimate in the true one, and what each pose is off beside that
+        between = inverse_pose(sequence.X_NG) @ motion.X_NG
+        R = mean_rotation(between[:, :3, :3])
+        turn = np.stack([log_so3(R.T @ each) for each in between[:, :3, :3]])
+        shift = (between[:, :3, 3] - between[:, :3, 3].mean(axis=0)) @ R
+        error = np.concatenate([shift, turn - turn.mean(axis=0)], axis=1)
+        squares.append(np.einsum("fi,fij,fj->f", error, np.linalg.inv(motion.covariance_X_NG), error) / 6.0)
+        assert np.all(np.linalg.eigvalsh(motion.covariance_X_NG) > 0.0)
+    # neighbouring frames err alike, so the mean of 60 of these scatters as that of some ten
+    assert 0.6 < np.mean(squares) < 1.6

@@ -1,0 +1,107 @@
+"""Loops over a mesh's faces: pieces, areas, neighbours, averages over neighbours."""
+
+import numpy as np
+
+from mapping.compiled import compiled
+from polhode.lie import Array
+from polhode.records import Ints
+
+MOMENTS = 9
+"""Means of x, y, z and of xx, xy, xz, yy, yz, zz"""
+
+
+@compiled
+def piece_areas(vertices: Array, faces: Ints) -> tuple[Ints, Array]:
+    """The piece of each vertex (V,), told by one of its vertices, and the areas (V,) of the pieces."""
+    parent = np.arange(len(vertices))
+    for f in range(len(faces)):
+        a, b, c = _root(parent, faces[f, 0]), _root(parent, faces[f, 1]), _root(parent, faces[f, 2])
+        least = min(a, b, c)
+        parent[a] = parent[b] = parent[c] = least
+    area = np.zeros(len(vertices))
+    for v in range(len(vertices)):
+        parent[v] = _root(parent, v)
+    for f in range(len(faces)):
+        a, b, c = faces[f]
+        ux, uy, uz = (
+            vertices[b, 0] - vertices[a, 0],
+            vertices[b, 1] - vertices[a, 1],
+            vertices[b, 2] - vertices[a, 2],
+        )
+        wx, wy, wz = (
+            vertices[c, 0] - vertices[a, 0],
+            vertices[c, 1] - vertices[a, 1],
+            vertices[c, 2] - vertices[a, 2],
+        )
+        x, y, z = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        area[parent[a]] += 0.5 * np.sqrt(x * x + y * y + z * z)
+    return parent, area
+
+
+@compiled
+def _root(parent: Ints, v: int) -> int:
+    while parent[v] != v:
+        parent[v] = parent[parent[v]]
+        v = parent[v]
+    return v
+
+
+@compiled
+def neighbours(faces: Ints, count: int) -> tuple[Ints, Ints]:
+    """Starts (V + 1,) and the neighbours of each of ``count`` vertices, along the faces' winding.
+
+    Each edge between two faces is walked both ways, one at a rim once: a rim's vertex lacks one neighbour.
+    """
+    start = np.zeros(count + 1, np.int64)
+    for f in range(len(faces)):
+        for k in range(3):
+            start[faces[f, k] + 1] += 1
+    for v in range(count):
+        start[v + 1] += start[v]
+    at, other = start[:-1].copy(), np.empty(3 * len(faces), np.int64)
+    for f in range(len(faces)):
+        for k in range(3):
+            v = faces[f, k]
+            other[at[v]] = faces[f, (k + 1) % 3]
+            at[v] += 1
+    return start, other
+
+
+@compiled
+def averaged(values: Array, start: Ints, other: Ints) -> Array:
+    """Values (V, 9) averaged over each vertex and its neighbours."""
+    out = np.empty_like(values)
+    for v in range(len(values)):
+        # nine sums at once: their number must be known when this is compiled
+        for k in range(MOMENTS):
+            out[v, k] = values[v, k]
+        for n in range(start[v], start[v + 1]):
+            w = np.uint64(other[n])
+            for k in range(MOMENTS):
+                out[v, k] += values[w, k]
+        share = 1.0 / (1 + start[v + 1] - start[v])
+        for k in range(MOMENTS):
+            out[v, k] *= share
+    return out
+
+
+@compiled
+def least_spread(moments: Array) -> Array:
+    """Smallest eigenvalue (V,) of second moments about the mean, not negative.
+
+    The roots of a symmetric matrix's characteristic polynomial are cosines (Smith 1961).
+    """
+    out = np.empty(len(moments))
+    for v in range(len(moments)):
+        x, y, z, xx, xy, xz, yy, yz, zz = moments[v]
+        a, b, c, d, e, f = xx - x * x, yy - y * y, zz - z * z, xy - x * y, xz - x * z, yz - y * z
+        mean = (a + b + c) / 3.0
+        a, b, c = a - mean, b - mean, c - mean
+        p = np.sqrt((a * a + b * b + c * c + 2.0 * (d * d + e * e + f * f)) / 6.0)
+        if p <= 0.0:
+            out[v] = max(mean, 0.0)
+            continue
+        half = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / (2.0 * p * p * p)
+        angle = np.arccos(min(max(half, -1.0), 1.0)) / 3.0
+        out[v] = max(mean + 2.0 * p * np.cos(angle + 2.0 * np.pi / 3.0), 0.0)
+    return out

@@ -1,0 +1,46 @@
+"""Ours beside Open3D: rows of what is there, and a line for what is not."""
+
+import pickle
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from benchmarks.fusion_peers import METHODS, print_rows, worker
+from polhode.config import Config
+from tests.mapping.analytic_depth import RIG, views_of
+
+
+@pytest.fixture
+def inputs(tmp_path: Path) -> Path:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.08)
+    path = tmp_path / "inputs"
+    path.write_bytes(pickle.dumps((views_of(ball, 10, sigma_m=1e-3), RIG, Config(), 3e-3)))
+    return path
+
+
+@pytest.mark.parametrize("method", ["ours", "ours again"])
+def test_ours_makes_the_surface(method: str, inputs: Path, tmp_path: Path) -> None:
+    worker(method, inputs, tmp_path / "output")
+    found = pickle.loads((tmp_path / "output").read_bytes())
+    assert np.linalg.norm(found["vertices"], axis=1) == pytest.approx(0.08, abs=6e-3)
+    assert found["seconds"] > 0.0
+
+
+@pytest.mark.parametrize("method", ["open3d", "colmap"])
+def test_a_peer_that_is_not_installed_is_a_row(
+    method: str,
+    inputs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for package in ("open3d", "pycolmap"):
+        monkeypatch.setitem(sys.modules, package, None)
+    worker(method, inputs, tmp_path / "output")
+    found = pickle.loads((tmp_path / "output").read_bytes())
+    print_rows([{"sequence": "ball", "frames": 10, "voxel_mm": 3.0, "method": method, **found}])
+    assert "pip install polhode[mapping-peers]" in capsys.readouterr().out
+    assert set(METHODS) == {"ours", "ours again", "open3d", "colmap"}
