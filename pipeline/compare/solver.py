@@ -58,6 +58,17 @@ class Watch:
         finally:
             self.seconds[name] += perf_counter() - begin
 
+    @contextmanager
+    def callback(self) -> Iterator[None]:
+        """Seconds of an evaluation that a foreign library asked Python for."""
+        begin = perf_counter()
+        try:
+            yield
+        finally:
+            spent = perf_counter() - begin
+            self.seconds["evaluation"] += spent
+            self.callback_s += spent
+
     def elapsed(self) -> float:
         """Seconds since the start."""
         return perf_counter() - self.start
