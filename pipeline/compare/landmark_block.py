@@ -68,8 +68,6 @@ def _turn(theta: Array) -> tuple[Array, Array]:
         s, c, j = 1.0 - a * a / 6.0, 0.5 - a * a / 24.0, 1.0 / 6.0 - a * a / 120.0
     else:
         s, c, j = np.sin(a) / a, (1.0 - np.cos(a)) / a**2, (a - np.sin(a)) / a**3
-    K = np.array(
-        [[0.0, -theta[2], theta[1]], [theta[2], 0.0, -theta[0]], [-theta[1], theta[0], 0.0]]
-    )
+    K = np.array([[0.0, -theta[2], theta[1]], [theta[2], 0.0, -theta[0]], [-theta[1], theta[0], 0.0]])
     square = K @ K
     return np.eye(3) + s * K + c * square, np.eye(3) - c * K + j * square

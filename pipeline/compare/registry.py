@@ -64,7 +64,9 @@ ENTRIES: tuple[Entry, ...] = (
         "least_squares, trust region, sparse Jacobian, LSMR",
         "scipy_least_squares:TrustRegion",
     ),
-    _entry("ceres", "ceres", "ok", "Levenberg-Marquardt, sparse Schur complement", "ceres:Ceres", ("pyceres",)),
+    _entry(
+        "ceres", "ceres", "ok", "Levenberg-Marquardt, sparse Schur complement", "ceres:Ceres", ("pyceres",)
+    ),
 )
 DEFAULT = "gauss_newton"
 

@@ -36,9 +36,7 @@ class SingleSteps:
         numbers, constants = x[: 2 * s].reshape(2, s), x[2 * s :]
         R_NG = at.R_NG[k : k + 2] @ exp_so3(numbers[:, 3:6])
         wrench = None if at.wrench is None else constants[N_CONSTANTS:]
-        states = States(
-            numbers, R_NG, self.data.camera_N[k : k + 2], constants[:3], wrench, at.R_torque
-        )
+        states = States(numbers, R_NG, self.data.camera_N[k : k + 2], constants[:3], wrench, at.R_torque)
         second = self.data.form.second_moments(constants[3:N_CONSTANTS], at.R_inertia)
         return states, np.trace(second) * np.eye(3) - second, constants
 

@@ -44,6 +44,8 @@ class Watch:
     """(seconds since the start, cost) at each iteration"""
     best: tuple[float, Array] | None = None
     """Least cost that was noted, and where"""
+    end: float | None = None
+    """When the solution was reached"""
     callback_s: float = 0.0
     """Part of the evaluation that went through callbacks written in Python"""
     stream: Path | None = None
@@ -70,8 +72,13 @@ class Watch:
             self.callback_s += spent
 
     def elapsed(self) -> float:
-        """Seconds since the start."""
-        return perf_counter() - self.start
+        """Seconds since the start; until it was stopped."""
+        return (self.end or perf_counter()) - self.start
+
+    def stop(self) -> bool:
+        """The solution is reached: what follows, covariances, does not count. Whether there is time for it."""
+        self.end = perf_counter()
+        return self.left() > 0.25 * self.elapsed()
 
     def left(self) -> float:
         """Seconds until the limit."""

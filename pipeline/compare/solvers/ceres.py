@@ -55,7 +55,8 @@ class Ceres:
         iterations = len(watch.trace) - 1
         if not converged and watch.left() <= 0.0:
             watch.check()
-        cov = graph.covariance() if converged else None
+        spare = watch.stop()
+        cov = graph.covariance() if converged and spare else None
         return Outcome(end, converged, iterations, str(summary.message), cov)
 
 

