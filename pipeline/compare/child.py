@@ -10,6 +10,7 @@ import sys
 import traceback
 from dataclasses import asdict
 from pathlib import Path
+from time import time
 from typing import Any
 
 from pipeline.compare.registry import Entry
@@ -42,11 +43,12 @@ def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> 
     from pipeline.compare.solver import OutOfTime, Watch
 
     problem = load(problem_file)
-    x = problem.cold if case["start"] == "cold" else problem.perturbed(problem.cold, case["seed"])
+    x = problem.start(case["start"], case["seed"])
     gain_left(problem, x)  # compiled loops are loaded before the clock starts
     before = peak_mb()
     solver = entry.load()
-    watch = Watch(max(case["limit_s"] - ENDING_S, 1.0), stream=out.with_suffix(".trace"))
+    left = case["limit_s"] - (time() - case["started"]) - ENDING_S
+    watch = Watch(max(left, 1.0), stream=out.with_suffix(".trace"))
     outcome, failure = None, ""
     try:
         outcome = solver.solve(problem, x, watch)

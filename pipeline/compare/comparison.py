@@ -51,7 +51,7 @@ def compare(
                 own.append(_row(file, fingerprint(problem), folder, entry, case, config, deadline))
                 advance()
         rows += own
-        problems.append(_words(source, problem, own))
+        problems.append(_words(source, problem))
         comparison = Comparison(
             limit_s=config.compare.limit_s,
             machine=f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}",
@@ -73,6 +73,8 @@ def _cases(problem: str, config: Config, chosen: tuple[Entry, ...]) -> Iterator[
             yield entry, Case(problem=problem, solver=entry.name, start="cold", seed=0)
         for seed in range(config.compare.perturbed):
             yield entry, Case(problem=problem, solver=entry.name, start="perturbed", seed=seed)
+        for seed in range(config.compare.near):
+            yield entry, Case(problem=problem, solver=entry.name, start="near", seed=seed)
 
 
 def _claim(folder: Path, config: Config, wanted: list[Source]) -> None:
@@ -123,7 +125,8 @@ def _row(
     return row
 
 
-def _words(source: Source, problem: MeasuredProblem, rows: list[Row]) -> ProblemWords:
+def _words(source: Source, problem: MeasuredProblem) -> ProblemWords:
+    reference = sigmas(problem, problem.solution, reference_covariance(problem, problem.solution))
     return ProblemWords(
         name=source.name,
         source=source.words,
@@ -132,9 +135,9 @@ def _words(source: Source, problem: MeasuredProblem, rows: list[Row]) -> Problem
         accel_psd=problem.data.accel_psd,
         torque_psd=problem.data.torque_psd,
         prepared_s=problem.prepared_s,
-        sigma_k1=None,
-        sigma_k2=None,
-        sigma_com_mm=None,
+        sigma_k1=reference[0],
+        sigma_k2=reference[1],
+        sigma_com_mm=reference[2],
     )
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import time
 from typing import Any
 
 from pipeline.compare.child import entry_text, finite
@@ -28,7 +29,7 @@ def row_of(problem_file: Path, entry: Entry, case: Case, limit_s: float) -> Row:
         )
     with TemporaryDirectory(prefix="polhode-compare-") as folder:
         out = Path(folder) / "row.json"
-        told = {**case.model_dump(), "limit_s": limit_s}
+        told = {**case.model_dump(), "limit_s": limit_s, "started": time()}
         command = [sys.executable, "-m", "pipeline.compare.child",
                    str(problem_file), entry_text(entry), json.dumps(told), str(out)]  # fmt: skip
         code, words = _run(command, limit_s)

@@ -15,7 +15,7 @@ import numpy as np
 
 from backend import initialize_motion
 from backend.covariance import axes_derivative
-from backend.estimate import refine
+from backend.estimate import MAX_PASSES, refine
 from backend.fit import fit
 from backend.gauss_newton import GaussNewton
 from backend.inertia import unit_determinant
@@ -42,6 +42,8 @@ PERTURBATION = {
     "p_G": 2e-3,
 }
 """Standard deviations of a perturbed start: m, rad, m/s, rad/s, m, -, m."""
+NEAR = 0.1
+"""So much of them off the solution is near it."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ class MeasuredProblem:
     held: Held
     cold: Array
     """(n,) the cold start, around ``held.reference``"""
+    solution: Array
+    """(n,) of polhode's Gauss-Newton from its own last estimate: for starts near it, never shown to a solver"""
     relative: RelativePoses | None
     """Of the target between frames, for methods that use nothing else"""
     truth: Truth | None
@@ -79,17 +83,25 @@ class MeasuredProblem:
         """The common unknowns (n,) of an iterate: its G is carried to the held first pose."""
         return coordinates(aligned(at, self.iterate(self.cold), self.data), self.held, self.data)
 
-    def perturbed(self, x: Array, seed: int) -> Array:
-        """A start off ``x`` (n,) by random errors (``PERTURBATION``)."""
+    def start(self, kind: str, seed: int) -> Array:
+        """Cold; off it; or near the solution (n,)."""
+        if kind == "cold":
+            return self.cold
+        if kind == "perturbed":
+            return self.perturbed(self.cold, seed)
+        return self.perturbed(self.solution, seed, NEAR)
+
+    def perturbed(self, x: Array, seed: int, size: float = 1.0) -> Array:
+        """A start off ``x`` (n,) by random errors, ``PERTURBATION`` times size."""
         at, rng = self.iterate(x), np.random.default_rng([seed, 91])
         out, n = x.copy(), at.n_states
         states = out[:n].reshape(-1, at.n_state)
         for columns, key in ((slice(0, 3), "p_NG"), (slice(3, 6), "theta"), (slice(6, 9), "v_N"),
                              (slice(9, 12), "w_G")):  # fmt: skip
-            states[:, columns] += PERTURBATION[key] * rng.normal(size=(len(states), 3))
-        out[n : n + 3] += PERTURBATION["com_G"] * rng.normal(size=3)
-        out[n + 3 : n + 8] += PERTURBATION["xi"] * rng.normal(size=5)
-        out[at.n_dense :] += PERTURBATION["p_G"] * rng.normal(size=len(out) - at.n_dense)
+            states[:, columns] += size * PERTURBATION[key] * rng.normal(size=(len(states), 3))
+        out[n : n + 3] += size * PERTURBATION["com_G"] * rng.normal(size=3)
+        out[n + 3 : n + 8] += size * PERTURBATION["xi"] * rng.normal(size=5)
+        out[at.n_dense :] += size * PERTURBATION["p_G"] * rng.normal(size=len(out) - at.n_dense)
         return out
 
 
@@ -169,9 +181,12 @@ def freeze(
     if not np.isfinite(start.vector()).all():
         raise RunFailure(f"{name}: the first poses give no finite start")
     held = _hold_around(kept, start, end)
-    if relative is not None and truth is not None and len(truth.timestamps_ns) != tracks.n_frames:
+    if truth is not None and len(truth.timestamps_ns) != tracks.n_frames:
         raise InputError(f"{name}: truth and measurements have different frames")
-    return MeasuredProblem(name, kept.data, held, start.vector(), relative, truth, perf_counter() - begin)
+    x = coordinates(aligned(end, start, kept.data), held, kept.data)
+    for _ in range(MAX_PASSES):
+        x = GaussNewton(kept.data).solve(held, x, 200).x
+    return MeasuredProblem(name, kept.data, held, start.vector(), x, relative, truth, perf_counter() - begin)
 
 
 def _hold_around(kept: Kept, start: Iterate, end: Iterate) -> Held:

@@ -16,7 +16,7 @@ from polhode.atomic import write_text
 from polhode.errors import InputError
 
 Status = Literal["ok", "baseline", "failed", "timeout", "missing"]
-StartKind = Literal["cold", "perturbed"]
+StartKind = Literal["cold", "perturbed", "near"]
 SCHEMA_FILE = Path(__file__).with_name("compare.schema.json")
 
 

@@ -41,8 +41,16 @@ class SingleSteps:
         return states, np.trace(second) * np.eye(3) - second, constants
 
 
+def first_steps(steps: Steps, count: int) -> Steps:
+    """So many of the first."""
+    return _part(steps, slice(0, count))
+
+
 def _one(steps: Steps, k: int) -> Steps:
-    only = slice(k, k + 1)
+    return _part(steps, slice(k, k + 1))
+
+
+def _part(steps: Steps, only: slice) -> Steps:
     return replace(
         steps,
         dt_s=steps.dt_s[only],

@@ -45,6 +45,8 @@ class Compare(Section):
     """Solve from the cold start."""
     perturbed: int = Field(0, ge=0)
     """So many starts off the cold one by random errors, seeds 0, 1, ..."""
+    near: int = Field(0, ge=0)
+    """So many starts near the solution."""
     monte_carlo: MonteCarlo = MonteCarlo()
     """Measurements when neither --data nor --run is given."""
     ablations: tuple[str, ...] = ()

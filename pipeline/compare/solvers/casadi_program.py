@@ -62,10 +62,8 @@ class VariantProgram(MotionProgram):
         self.p = program_parameters(data, held, self._series)
 
     def start(self, x: Array) -> Array:
-        """Unknowns with slack: the constraints hold."""
-        if not self.n_slack:
-            return x
-        return np.concatenate([x, self.blocks.dynamics(x).residual.ravel()])
+        """Unknowns with slack, which is zero: IPOPT came further from there than from constraints that hold."""
+        return np.concatenate([x, np.zeros(self.n_slack)])
 
     def terms(self, x: Any, p: Any, at: Layout, output: Output) -> list[Term]:
         """Those of the back end's program, exact second derivatives where asked for; slack for dynamics."""

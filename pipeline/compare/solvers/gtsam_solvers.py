@@ -14,8 +14,8 @@ from polhode.lie import Array
 
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 300
-RELINEARIZE = 1e-4
-"""Smallest change of an unknown that iSAM2 linearises again for."""
+RELINEARIZE, WILDFIRE = 1e-5, 1e-8
+"""Smallest change of an unknown that iSAM2 linearises again for, and that it passes on."""
 LAST_UPDATES = 40
 
 
@@ -68,7 +68,9 @@ class Incremental:
         """The cost is noted when all frames are in."""
         with watch.part("build"):
             own = Graph(problem, watch)
+            # small steps must reach every unknown, or the cost rests too early
             parameters = gtsam.ISAM2Params()
+            parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(WILDFIRE))
             parameters.setRelinearizeThreshold(RELINEARIZE)
             parameters.relinearizeSkip = 1
             isam = gtsam.ISAM2(parameters)

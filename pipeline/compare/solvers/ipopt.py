@@ -127,6 +127,13 @@ class Variant:
                 sizes = (program.n_x + program.n_slack, program.n_slack, len(program.p))
                 listener = Iterations(*sizes, watch, program.n_x)
                 options["iteration_callback"] = listener
+                # wild steps of a cold start leave the domain: they are refused, and need not be told
+                options["show_eval_warnings"] = False
+                options["ipopt"] = {
+                    **options["ipopt"],
+                    "theta_max_fact": 1e12,
+                    "acceptable_constr_viol_tol": 1e-6,
+                }
                 solver: Any = ca.nlpsol("variant", "ipopt", functions, options)
             result = solver(x0=program.start(x), p=program.p, lbg=0.0, ubg=0.0)
             stats = solver.stats()
