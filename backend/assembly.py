@@ -1,4 +1,4 @@
-"""Gathering unknowns for kernels and scattering their blocks: the constant sparse parts of a CasADi program."""
+"""Gathering unknowns for kernels, scattering their blocks: the constant parts of a CasADi program."""
 
 from typing import Any
 

@@ -137,13 +137,12 @@ class MotionProgram:
             ["x", "p", "lam_f", "lam_g"],
             ["triu_hess_gamma_x_x"],
         )
-        options = {**self.options(layout, max_iterations, max_seconds), "grad_f": grad_f, "hess_lag": hess}
+        options = {**self.options(max_iterations, max_seconds), "grad_f": grad_f, "hess_lag": hess}
         problem: Any = {"x": x, "p": p, "f": cost}
         return ca.nlpsol("motion", "ipopt", problem, options)
 
-    def options(self, layout: "Layout", max_iterations: int, max_seconds: float) -> dict[str, Any]:
+    def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
         """Of CasADi and IPOPT, without the derivatives."""
-        del layout
         return {
             "no_nlp_grad": True,
             "calc_lam_p": False,

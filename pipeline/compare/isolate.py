@@ -1,10 +1,11 @@
-"""Each solver in a process of its own: one that crashes, hangs or is missing costs its row and nothing else."""
+"""Each solver in a process of its own: one that crashes, hangs or is missing costs its row only."""
 
 import json
 import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import time
@@ -82,10 +83,8 @@ def _run(command: list[str], limit_s: float) -> tuple[int | None, str]:
 
 def _end(process: "subprocess.Popen[str]") -> None:
     """End the process and what it started: it has a session of its own."""
-    try:
+    with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
     process.communicate()
 
 

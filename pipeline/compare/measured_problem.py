@@ -30,8 +30,8 @@ from polhode.lie import Array, log_so3
 from polhode.records import RelativePoses, StereoTracks, Truth
 
 GAUGE = 0.01
-"""How firmly G is held at the first frame [rad, body radii]: it costs nothing at the solution. Ten times looser,
-the solvers creep along the curved valley in which G may move; ten times firmer, cold starts get stuck."""
+"""How firmly G is held at the first frame [rad, body radii]: it costs nothing at the solution. Ten times
+looser, the solvers creep along the curved valley in which G may move; ten times firmer, starts get stuck."""
 PERTURBATION = {
     "p_NG": 2e-3,
     "theta": 0.02,
@@ -57,7 +57,7 @@ class MeasuredProblem:
     cold: Array
     """(n,) the cold start, around ``held.reference``"""
     solution: Array
-    """(n,) of polhode's Gauss-Newton from its own last estimate: for starts near it, never shown to a solver"""
+    """(n,) by Gauss-Newton from the back end's own estimate: for starts near it, never shown to a solver"""
     relative: RelativePoses | None
     """Of the target between frames, for methods that use nothing else"""
     truth: Truth | None
@@ -204,7 +204,7 @@ def _hold_around(kept: Kept, start: Iterate, end: Iterate) -> Held:
 
 
 def with_form(problem: MeasuredProblem, form_name: str, at: Iterate) -> MeasuredProblem:
-    """The same problem in the coordinates of another form of the inertia, its reference rotation near ``at``."""
+    """The same problem in another form of the inertia, its reference rotation that of ``at``."""
     from backend.inertia import FORMS
 
     form = FORMS[form_name]

@@ -48,36 +48,76 @@ def _entry(
 ENTRIES: tuple[Entry, ...] = (
     _entry("gauss_newton", "ours", "ok", "Gauss-Newton/Levenberg, landmarks eliminated", "ours:Ours"),
     _entry(
-        "gauss_newton_ratios", "ours", "ok", "the same, inertia as ratios and axes", "ours:Ours", form="ratios_axes"
+        "gauss_newton_ratios",
+        "ours",
+        "ok",
+        "the same, inertia as ratios and axes",
+        "ours:Ours",
+        form="ratios_axes",
     ),
     _entry("ipopt", "ipopt", "ok", "IPOPT as polhode runs it: stereo in compiled loops", "ipopt:Shipped"),
     _entry("ipopt_condensed", "ipopt", "ok", "IPOPT, landmarks condensed", "condensed:Condensed"),
     _entry("ipopt_vm", "ipopt", "ok", "Gauss-Newton Hessian, virtual machine", "ipopt:Variant"),
     _entry("ipopt_c", "ipopt", "ok", "Gauss-Newton Hessian, generated C", "ipopt:Variant", code="c"),
-    _entry("ipopt_exact_vm", "ipopt", "ok", "exact Hessian, virtual machine", "ipopt:Variant", hessian="exact"),
-    _entry("ipopt_exact_c", "ipopt", "ok", "exact Hessian, generated C", "ipopt:Variant", hessian="exact", code="c"),
     _entry(
-        "ipopt_slack", "ipopt", "ok", "dynamics as equalities with slack, Gauss-Newton Hessian", "ipopt:Variant",
-        dynamics="slack", code="c",
+        "ipopt_exact_vm", "ipopt", "ok", "exact Hessian, virtual machine", "ipopt:Variant", hessian="exact"
     ),
     _entry(
-        "ipopt_slack_exact", "ipopt", "ok", "dynamics as equalities with slack, exact Hessian", "ipopt:Variant",
-        hessian="exact", dynamics="slack", code="c",
+        "ipopt_exact_c",
+        "ipopt",
+        "ok",
+        "exact Hessian, generated C",
+        "ipopt:Variant",
+        hessian="exact",
+        code="c",
+    ),
+    _entry(
+        "ipopt_slack",
+        "ipopt",
+        "ok",
+        "dynamics as equalities with slack, Gauss-Newton Hessian",
+        "ipopt:Variant",
+        dynamics="slack",
+        code="c",
+    ),
+    _entry(
+        "ipopt_slack_exact",
+        "ipopt",
+        "ok",
+        "dynamics as equalities with slack, exact Hessian",
+        "ipopt:Variant",
+        hessian="exact",
+        dynamics="slack",
+        code="c",
     ),
     _entry("sqp_osqp", "sqp", "ok", "CasADi sqpmethod, OSQP", "sqp:Sqp", qp="osqp"),
     _entry("sqp_ipqp", "sqp", "ok", "CasADi sqpmethod, its interior-point QP", "sqp:Sqp", qp="ipqp"),
-    _entry("scipy_trf", "scipy", "ok", "least_squares, sparse Jacobian, LSMR", "scipy_least_squares:TrustRegion"),
-    _entry("ceres", "ceres", "ok", "Levenberg-Marquardt, sparse Schur complement", "ceres:Ceres", ("pyceres",)),
-    _entry("gtsam_lm", "gtsam", "ok", "Levenberg-Marquardt, own stereo factors", "gtsam_solvers:Batch", ("gtsam",)),
+    _entry(
+        "scipy_trf", "scipy", "ok", "least_squares, sparse Jacobian, LSMR", "scipy_least_squares:TrustRegion"
+    ),
+    _entry(
+        "ceres", "ceres", "ok", "Levenberg-Marquardt, sparse Schur complement", "ceres:Ceres", ("pyceres",)
+    ),
+    _entry(
+        "gtsam_lm",
+        "gtsam",
+        "ok",
+        "Levenberg-Marquardt, own stereo factors",
+        "gtsam_solvers:Batch",
+        ("gtsam",),
+    ),
     _entry("gtsam_isam2", "gtsam", "ok", "iSAM2 frame by frame", "gtsam_solvers:Incremental", ("gtsam",)),
     _entry("odometry", "baselines", "baseline", "no dynamics in the map (thesis 7.2)", "odometry:Odometry"),
     _entry("dynamic_isam", "baselines", "baseline", "the thesis's own way", "dynamic_isam:DynamicIsam"),
     _entry(
-        "belief_propagation", "baselines", "ok", "Gaussian belief propagation (thesis 7.2)",
+        "belief_propagation",
+        "baselines",
+        "ok",
+        "Gaussian belief propagation (thesis 7.2)",
         "belief_propagation:BeliefPropagation",
     ),
     _entry("sqp_qrqp", "sqp", "ok", "CasADi sqpmethod, its sparse QR active set", "sqp:Sqp", qp="qrqp"),
-)  # fmt: skip
+)
 """Those that may need all of their time stand last."""
 DEFAULT = "gauss_newton"
 

@@ -76,7 +76,7 @@ class Watch:
         return (self.end or perf_counter()) - self.start
 
     def stop(self) -> bool:
-        """The solution is reached: what follows, covariances, does not count. Whether there is time for it."""
+        """The solution is reached: covariances do not count. Whether there is time for them."""
         self.end = perf_counter()
         return self.left() > 0.25 * self.elapsed()
 

@@ -88,7 +88,7 @@ def sources(config: Config, data: Path | None, run: Path | None) -> Iterator[Sou
 
 
 def synthetic_problem(name: str, scene: SyntheticScene, seed: int, backend: Backend) -> MeasuredProblem:
-    """A Monte Carlo sequence as a problem, with its truth; the process noise is the scene's when it is given."""
+    """A Monte Carlo sequence as a problem, with its truth and the scene's process noise."""
     sequence = generate(scene, seed)
     config = backend.model_copy(
         update={"accel_psd": scene.accel_psd, "torque_psd": scene.torque_psd, "unknown_wrench": "none"}

@@ -1,8 +1,8 @@
 """Gaussian belief propagation: the message passing that thesis 7.2 proposes, to show where it stands.
 
-Variables: states, constants, landmarks; factors: the blocks of the common cost. Messages are information and its
-vector over steps from the current point; every round all factors speak at once, damped, then the point moves to
-the beliefs' means and everything is linearised again.
+Variables: states, constants, landmarks; factors: the blocks of the common cost. Messages are information and
+its vector over steps from the current point; every round all factors speak at once, damped, then the point
+moves to the beliefs' means and everything is linearised again.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from polhode.lie import Array
 KEPT = 0.5
 """Share of the old message in the new one."""
 ANCHOR = 1e-3
-"""Information that keeps every variable at its place, over that of its own factors; it keeps beliefs proper."""
+"""Information that keeps every variable at its place, over that of its own factors: beliefs stay proper."""
 ROUNDS = 20000
 TOLERANCE, RESTING = 1e-8, 20
 """Relative decrease of the cost over so many rounds that ends them."""
@@ -86,9 +86,9 @@ class _Messages:
         self._speak_stereo(stereo, L, e, Lm, em)
         self._speak_steps(steps, L, e, Lc, ec)
         moves = (
-            np.linalg.solve(L, e[..., None])[..., 0],
-            np.linalg.solve(Lc, ec),
-            np.linalg.solve(Lm, em[..., None])[..., 0],
+            np.asarray(np.linalg.solve(L, e[..., None])[..., 0]),
+            np.asarray(np.linalg.solve(Lc, ec)),
+            np.asarray(np.linalg.solve(Lm, em[..., None])[..., 0]),
         )
         self._shift(moves)
         return np.concatenate([moves[0].ravel(), moves[1], moves[2].ravel()])

@@ -1,8 +1,8 @@
 """The common cost as a CasADi nonlinear program in several formulations, for IPOPT and CasADi's SQP method.
 
-Hessian: Gauss-Newton or exact. Dynamics: weighted residuals, or equality constraints with slack, whose squares
-are the cost. Stereo kernels: on CasADi's virtual machine, or from generated C. Blocks of small kernels are
-scattered by constant sparse matrices, as in ``backend.program``; CasADi never differentiates the whole.
+Hessian: Gauss-Newton or exact. Dynamics: weighted residuals, or equality constraints with slack, whose
+squares are the cost. Stereo kernels: on CasADi's virtual machine, or from generated C. Blocks of small
+kernels are scattered by constant sparse matrices, as in ``backend.program``.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ class VariantProgram(MotionProgram):
         self.p = program_parameters(data, held, self._series)
 
     def start(self, x: Array) -> Array:
-        """Unknowns with slack, which is zero: IPOPT came further from there than from constraints that hold."""
+        """Unknowns with slack, zero: IPOPT came further from there than from constraints that hold."""
         return np.concatenate([x, np.zeros(self.n_slack)])
 
     def terms(self, x: Any, p: Any, at: Layout, output: Output) -> list[Term]:

@@ -68,7 +68,7 @@ class Ceres:
 
 
 class _Graph:
-    """The problem as Ceres knows it: a parameter block for each pose, rest of a state, constants, landmark."""
+    """As Ceres knows it: a parameter block for each pose, rest of a state, constants, landmark."""
 
     def __init__(self, problem: MeasuredProblem, x: Array, watch: Watch) -> None:
         import pyceres
@@ -140,11 +140,13 @@ class _Graph:
         return np.asarray(found.get_covariance_block(constants, constants))[:8, :8]
 
 
+Fixed = tuple[Array, Array, Array, Array, Array, Array]
+"""Of a landmark's measurements: A_ref, R_RN, t_R, uvd, 1 / sigma, rig."""
 Evaluate = Callable[[list[Array], list[Array | None] | None], Array]
 """Parameters, where to write the Jacobians: residuals."""
 
 
-def _of_landmark(fixed: tuple[Array, ...], scale: float) -> Evaluate:
+def _of_landmark(fixed: Fixed, scale: float) -> Evaluate:
     n = len(fixed[0])
     of_poses, of_mark = np.empty((n, 3, 6)), np.empty((n, 3, 3))
 
@@ -187,7 +189,7 @@ def _of_other(blocks: Blocks, kind: int, row: int, x: Array, parts: list[slice])
             wide[:, block.slots[row]] = block.jacobian[row]
             jacobian = np.hstack([wide[:, part] for part in parts])
             _write(out, jacobian, [part.stop - part.start for part in parts])
-        return block.residual[row]
+        return np.asarray(block.residual[row])
 
     return evaluate
 

@@ -94,9 +94,8 @@ class ReducedCost:
         d = self.problem.data
         residuals, _ = self._newton.residuals(self.problem.held, np.concatenate([y, marks]))
         c = d.robust_scale
-        return np.bincount(
-            d.landmark, 0.5 * c**2 * np.log1p(np.sum(residuals**2, axis=1) / c**2), d.n_landmarks
-        )
+        each = 0.5 * c**2 * np.log1p(np.sum(residuals**2, axis=1) / c**2)
+        return np.asarray(np.bincount(d.landmark, each, d.n_landmarks), dtype=np.float64)
 
 
 @dataclass
@@ -120,7 +119,7 @@ class Condensed:
             cost, gradient, second = (function(y) for function in outside)
             p, lam_f, lam_g = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
             base = MotionProgram(problem.data)
-            options = base.options(None, MAX_ITERATIONS, max(watch.left(), 0.1))
+            options = base.options(MAX_ITERATIONS, max(watch.left(), 0.1))
             options["grad_f"] = ca.Function(
                 "nlp_grad_f", [y, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"]
             )

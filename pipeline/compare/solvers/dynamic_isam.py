@@ -1,9 +1,9 @@
 """*Dynamic iSAM*, the thesis's own way (chapters 4 and 6), as a baseline whose shortcomings are measured.
 
 Frames come one by one; after each, seven Gauss-Newton steps of everything so far with full relinearisation
-(section 6.4). k1, k2 are free Gaussian numbers of standard deviation 3, the axes and the centre of mass have wide
-priors, the first landmark is locked to a micrometre, the first pose hardly held. Measurements, kernel and process
-noise are those of the common cost.
+(section 6.4). k1, k2 are free Gaussian numbers of standard deviation 3, the axes and the centre of mass have
+wide priors, the first landmark is locked to a micrometre, the first pose hardly held. A new frame begins
+where the estimated motion leads. Measurements, kernel and process noise are those of the common cost.
 """
 
 from dataclasses import dataclass, replace
@@ -22,6 +22,7 @@ from pipeline.compare.single_step import first_steps
 from pipeline.compare.solver import Claim, Outcome, Watch
 from pipeline.compare.solvers.thesis_inertia import LogRatios, possible
 from polhode.lie import Array, log_so3
+from polhode.records import Ints
 
 STEPS_A_FRAME = 7
 PRIOR_SIGMA = np.array([0.5] * 3 + [3.0] * 2 + [40.0] * 3)
@@ -150,7 +151,7 @@ def _carried(first: Iterate, at: Iterate, k: int, p_G: Array) -> Array:
     return np.asarray((p_N - at.p_NG[k]) @ at.R_NG[k])
 
 
-def _first_frames(data: MotionData, n: int) -> tuple[MotionData, Array]:
+def _first_frames(data: MotionData, n: int) -> tuple[MotionData, Ints]:
     """Measurements of the first n frames, and which landmarks they show."""
     kept = data.frame < n
     marks, landmark = np.unique(data.landmark[kept], return_inverse=True)

@@ -1,8 +1,8 @@
 """The common cost as a GTSAM factor graph.
 
-A pose is that of the camera in G, as GTSAM's own stereo factor wants it: u, v, disparity with their noise become
-(uL, uR, v) with a full covariance, under the same Cauchy kernel. Dynamics, prior and hold are Python factors
-over the common residuals.
+A pose is that of the camera in G, as GTSAM's own stereo factor wants it: u, v, disparity with their noise
+become (uL, uR, v) with a full covariance, under the same Cauchy kernel. Dynamics, prior and hold are Python
+factors over the common residuals.
 """
 
 from collections.abc import Callable
@@ -115,7 +115,7 @@ class Graph:
         def call(this: Any, values: Any, jacobians: Any) -> Array:
             with self.watch.callback(), np.errstate(all="ignore"):
                 own, tangents = [], []
-                for key in this.keys():
+                for key in list(this.keys()):
                     numbers, tangent = self._numbers(values, key)
                     own.append(numbers)
                     tangents.append(tangent)
@@ -132,7 +132,7 @@ class Graph:
         graph.add(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), keys, call))
 
     def _numbers(self, values: Any, key: int) -> tuple[Array, Array | None]:
-        """Common unknowns of a key; of a pose also their derivative (6, 6) in GTSAM's tangent (turn, shift)."""
+        """Common unknowns of a key; of a pose also their derivative (6, 6) in its tangent (turn, shift)."""
         symbol = gtsam.Symbol(key)
         if chr(symbol.chr()) != "x":
             return np.asarray(values.atVector(key)), None

@@ -1,8 +1,8 @@
 """IPOPT with MUMPS: polhode's own program, and the same cost in other formulations."""
 
 from dataclasses import dataclass
-from tempfile import TemporaryDirectory
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import casadi as ca
@@ -40,7 +40,7 @@ class Iterations(ca.Callback):
     def get_sparsity_in(self, index: int) -> Any:
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(index)], 1)
 
-    def eval(self, arguments: list[Any]) -> list[int]:
+    def eval(self, arguments: Any) -> list[int]:
         """Zero: go on."""
         x = np.asarray(arguments[0]).ravel()[: self._n_common]
         # with constraints the objective is not the cost until they hold
@@ -50,7 +50,7 @@ class Iterations(ca.Callback):
 
 @dataclass
 class Shipped:
-    """``backend.program.MotionProgram``: weighted residuals, Gauss-Newton Hessian, stereo in compiled loops."""
+    """``backend.program.MotionProgram``: weighted, Gauss-Newton Hessian, stereo in compiled loops."""
 
     name: str = "ipopt"
     words: str = "IPOPT as polhode runs it"
@@ -73,16 +73,17 @@ class _WatchedProgram(MotionProgram):
         self.watch, self.n_x = watch, len(problem.cold)
         self.stats: dict[str, Any] = {}
 
-    def options(self, layout: Layout, max_iterations: int, max_seconds: float) -> dict[str, Any]:
+    def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
         """Those of the back end, with a listener."""
-        self._listener = Iterations(self.n_x, 0, layout.n_p, self.watch, self.n_x)
+        self._listener = Iterations(self.n_x, 0, self.n_p, self.watch, self.n_x)
         return {
-            **super().options(layout, max_iterations, max_seconds),
+            **super().options(max_iterations, max_seconds),
             "iteration_callback": self._listener,
         }
 
     def build(self, layout: Layout, max_iterations: int, max_seconds: float) -> Any:
         """Timed."""
+        self.n_p = layout.n_p
         with self.watch.part("build"):
             solver = super().build(layout, max_iterations, max_seconds)
 
@@ -123,7 +124,7 @@ class Variant:
                 formulation = Formulation(self.hessian, self.dynamics, self.code)
                 program = VariantProgram(problem, formulation, Path(folder))
                 functions, given = program.functions()
-                options = {**program.options(program.layout, MAX_ITERATIONS, max(watch.left(), 0.1)), **given}
+                options = {**program.options(MAX_ITERATIONS, max(watch.left(), 0.1)), **given}
                 sizes = (program.n_x + program.n_slack, program.n_slack, len(program.p))
                 listener = Iterations(*sizes, watch, program.n_x)
                 options["iteration_callback"] = listener

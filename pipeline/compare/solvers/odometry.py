@@ -1,7 +1,7 @@
 """Odometry, then inertia: the "more straightforward method" of thesis section 7.2.
 
-Bundle adjustment knows nothing of dynamics; angular velocity by differences of its attitudes, centre of mass by
-the straight line that it draws, inertia by least squares on a constant angular momentum.
+Bundle adjustment knows nothing of dynamics; angular velocity by differences of its attitudes, centre of mass
+by the straight line that it draws, inertia by least squares on a constant angular momentum.
 """
 
 from dataclasses import dataclass, replace
@@ -65,4 +65,4 @@ def straight_line(at: Iterate, time_s: Array) -> tuple[Array, Array]:
     rows[:, 3:6] = np.tile(eye, (F, 1))
     rows[:, 6:9] = (time_s[:, None, None] * eye).reshape(-1, 3)
     found = np.linalg.lstsq(rows, at.p_NG.ravel(), rcond=None)[0]
-    return found[:3], found[6:9]
+    return np.asarray(found[:3]), np.asarray(found[6:9])

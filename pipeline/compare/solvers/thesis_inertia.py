@@ -1,4 +1,4 @@
-"""The thesis's inertia (eqs. 4.97-4.99): k1, k2 as free numbers, and the axes. Impossible bodies are allowed."""
+"""The thesis's inertia (eqs. 4.97-4.99): k1, k2 as free numbers, and the axes; also impossible bodies."""
 
 from typing import Any
 
