@@ -28,7 +28,9 @@ def main() -> None:
     """Compare, print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--short", action="store_true", help="one small problem")
-    parser.add_argument("-o", "--output", type=Path, default=Path("runs/compare"), help="folder of the results")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("runs/compare"), help="folder of the results"
+    )
     parser.add_argument("--run", type=Path, default=Path("runs/ts38"), help="stored run to compare on")
     options = parser.parse_args()
     limit_threads(1)

@@ -119,14 +119,63 @@ ENTRIES: tuple[Entry, ...] = (
     _entry("sqp_qrqp", "sqp", "ok", "CasADi sqpmethod, its sparse QR active set", "sqp:Sqp", qp="qrqp"),
 )
 """Those that may need all of their time stand last."""
-DEFAULT = "gauss_newton"
+ABLATIONS: tuple[Entry, ...] = (
+    _entry(
+        "ablation_log_ratios",
+        "ablations",
+        "baseline",
+        "inertia as k1, k2 and axes",
+        "ablations:Ablation",
+        variant="log_ratios",
+    ),
+    _entry(
+        "ablation_constant_noise",
+        "ablations",
+        "baseline",
+        "process noise of a body at rest",
+        "ablations:Ablation",
+        variant="constant_noise",
+    ),
+    _entry(
+        "ablation_open_loop",
+        "ablations",
+        "baseline",
+        "no loop closure",
+        "ablations:Ablation",
+        variant="open_loop",
+    ),
+    _entry(
+        "unknowns_rotation_vector",
+        "ablations",
+        "ok",
+        "sparse LM, attitude as rotation vector",
+        "changed_unknowns:ChangedUnknowns",
+    ),
+    _entry(
+        "unknowns_mrp",
+        "ablations",
+        "ok",
+        "sparse LM, attitude as MRP",
+        "changed_unknowns:ChangedUnknowns",
+        unknowns="mrp",
+    ),
+    _entry(
+        "unknowns_body",
+        "ablations",
+        "ok",
+        "sparse LM, features from the centre of mass",
+        "changed_unknowns:ChangedUnknowns",
+        unknowns="body",
+    ),
+)
+"""Variants of the formulation: only those that are named are run."""
 
 
 def entries(names: tuple[str, ...] = ()) -> tuple[Entry, ...]:
     """Those named, in that order; all of them without a name. Raises InputError for an unknown one."""
     if not names:
         return ENTRIES
-    known = {entry.name: entry for entry in ENTRIES}
+    known = {entry.name: entry for entry in (*ENTRIES, *ABLATIONS)}
     for name in names:
         if name not in known:
             hint = suggestion(name, list(known))

@@ -32,7 +32,8 @@ class Compare(Section):
     """The same measurements and the same cost through many optimizers."""
 
     solvers: tuple[str, ...] = ()
-    """Names of the solvers, in order; none: all of them (docs/compare.md lists them)."""
+    """Names of the solvers and of variants of the formulation, in order; none: all solvers
+    (docs/compare.md lists them)."""
     limit_s: float = Field(60.0, gt=0)
     """Most time for one solver and start, its process from start to end [s]."""
     total_s: float = Field(900.0, gt=0)
@@ -49,5 +50,3 @@ class Compare(Section):
     """So many starts near the solution."""
     monte_carlo: MonteCarlo = MonteCarlo()
     """Measurements when neither --data nor --run is given."""
-    ablations: tuple[str, ...] = ()
-    """Names of variants of the formulation to solve as well (docs/compare.md lists them)."""

@@ -87,7 +87,7 @@ class _Locked(GaussNewton):
     def __init__(self, data: MotionData, mark: int, lock: Array) -> None:
         super().__init__(data)
         self._mark, self._lock = mark, lock
-        self._prior = _wide_prior
+        self._prior = wide_prior
 
     def cost(self, held: Held, x: Array) -> float:
         """With the lock's."""
@@ -109,7 +109,7 @@ class _Locked(GaussNewton):
         return x[at : at + 3] - self._lock
 
 
-def _wide_prior(x: Array, _: Array) -> tuple[float, Array, Array]:
+def wide_prior(x: Array, _: Array) -> tuple[float, Array, Array]:
     """Cost, gradient, upper Hessian by columns, as the kernel that it stands for."""
     gradient = x / PRIOR_SIGMA**2
     cols, rows = np.tril_indices(N_CONSTANTS)

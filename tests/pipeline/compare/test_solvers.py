@@ -9,7 +9,8 @@ from pipeline.compare.registry import entries
 from pipeline.compare.solver import Outcome, OutOfTime, Watch
 
 AGREEING = (
-    "gauss_newton", "gauss_newton_ratios", "ipopt", "ipopt_condensed", "ipopt_vm", "ipopt_c", "ipopt_exact_vm",
+    "gauss_newton", "gauss_newton_ratios", "ipopt", "ipopt_condensed", "ipopt_vm", "ipopt_c",
+    "ipopt_exact_vm",
     "sqp_osqp", "sqp_ipqp", "ceres", "gtsam_lm", "gtsam_isam2",
 )  # fmt: skip
 BASELINES = ("odometry", "dynamic_isam")
