@@ -38,7 +38,7 @@ def main(words: list[str]) -> None:
 
 def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> dict[str, Any]:
     """The parts of a row that this process knows."""
-    from pipeline.compare.judge import AGREED, gain_left, judge, sigmas
+    from pipeline.compare.judge import AGREED, Verdict, gain_left, judge, sigmas
     from pipeline.compare.measured_problem import load
     from pipeline.compare.solver import OutOfTime, Watch
 
@@ -61,6 +61,9 @@ def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> 
     memory = peak_mb()
     best = outcome.x if outcome is not None else watch.best[1] if watch.best is not None else x
     verdict = judge(problem, best)
+    if outcome is None and watch.best is None:
+        # it noted no point: where it began says nothing of it
+        verdict = Verdict(None, None, None, None, None)
     of_sigma = sigmas(problem, best, outcome.cov_constants if outcome is not None else None)
     status, message = "failed", failure
     if failure == "timeout":

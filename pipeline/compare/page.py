@@ -83,7 +83,8 @@ def _line(x: object, y: object, name: str, names: list[str], **more: Any) -> Tra
 
 def _cost_against_time(comparison: Comparison, problem: str, names: list[str], number: int) -> list[Figure]:
     least = least_cost(comparison.rows, problem)
-    rows = [row for row in comparison.rows if row.problem == problem and row.trace]
+    # what a baseline notes on its way is its own cost, of the frames so far
+    rows = [row for row in comparison.rows if row.problem == problem and row.trace and row.claim == "ok"]
     if least is None or not rows:
         return []
     kind = rows[0].start

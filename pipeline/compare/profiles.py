@@ -12,7 +12,8 @@ from polhode.lie import Array
 
 LONGEST = 100.0
 """Largest factor of time in a profile."""
-FEWEST_SIZES = 3
+FEWEST_SIZES, LEAST_RANGE = 3, 2.0
+"""Sizes that an exponent is fitted to, and the largest over the smallest of them."""
 
 
 def solved(row: Row, least: float | None) -> bool:
@@ -79,7 +80,7 @@ def growths(comparison: Comparison) -> list[Growth]:
             good = row.solver == solver and row.start == "cold" and row.wall_s is not None
             if good and solved(row, least[row.problem]):
                 of_size.setdefault(sizes[row.problem], []).append(float(row.wall_s or 0.0))
-        if len(of_size) < FEWEST_SIZES:
+        if len(of_size) < FEWEST_SIZES or max(of_size) < LEAST_RANGE * min(of_size):
             continue
         size = np.array(sorted(of_size), dtype=np.float64)
         seconds = np.array([np.median(of_size[int(n)]) for n in size])

@@ -62,7 +62,7 @@ class VariantProgram(MotionProgram):
         self.p = program_parameters(data, held, self._series)
 
     def start(self, x: Array) -> Array:
-        """Unknowns with slack, zero: IPOPT came further from there than from constraints that hold."""
+        """Unknowns with slack, zero: the constraints do not hold yet."""
         return np.concatenate([x, np.zeros(self.n_slack)])
 
     def terms(self, x: Any, p: Any, at: Layout, output: Output) -> list[Term]:
@@ -112,7 +112,8 @@ class VariantProgram(MotionProgram):
         terms = self.terms(x, p, at, "gradient")
         slots = np.concatenate([term.slots.ravel() for term in terms])
         gradient = scatter(slots, self.n_x) @ ca.vertcat(*[ca.vec(term.gradient) for term in terms])
-        gradient = ca.vertcat(gradient, slack)
+        # with slack the states' own entries are empty; IPOPT reads a gradient as if it had none
+        gradient = ca.densify(ca.vertcat(gradient, slack))
         with_cost = sum(ca.sum2(term.cost) for term in terms) + 0.5 * ca.sumsqr(slack)
         program: dict[str, Any] = {"x": z, "p": p, "f": cost}
         given: dict[str, Any] = {
