@@ -24,7 +24,8 @@ def row(solver: str, cost: float | None, wall_s: float, **more: object) -> Row:
     content = {
         "problem": "a", "solver": solver, "start": "cold", "seed": 0, "family": "tests", "claim": "ok",
         "status": "ok", "message": "converged", "cost": cost, "gain_left": 0.0, "iterations": 3,
-        "wall_s": wall_s, "build_s": 0.0, "evaluation_s": 0.0, "linear_s": wall_s, "callback_s": 0.0, "memory_mb": 1.0,
+        "wall_s": wall_s, "build_s": 0.0, "evaluation_s": 0.0, "linear_s": wall_s, "callback_s": 0.0,
+        "memory_mb": 1.0,
         "memory_before_mb": 1.0, "k1": 0.1, "k2": 0.1, "sigma_k1": None, "sigma_k2": None,
         "sigma_com_mm": None, "errors": None, "trace": [(0.0, 5.0), (wall_s, cost or 1.0)],
     }  # fmt: skip
