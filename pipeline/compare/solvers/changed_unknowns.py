@@ -44,7 +44,7 @@ class ChangedUnknowns:
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Until the relative decrease of an accepted step is below TOLERANCE."""
         blocks = Blocks(problem.data, problem.held)
-        to_x, to_z = _changes(self.unknowns, problem)
+        to_x, to_z = changes(self.unknowns, problem)
         z, damping, cost, iterations = to_z(x), FIRST, blocks.cost(x), 0
         for iterations in range(1, MAX_ITERATIONS + 1):
             with watch.part("evaluation"):
@@ -70,7 +70,7 @@ class ChangedUnknowns:
         return Outcome(to_x(z)[0], False, iterations, "limit of iterations")
 
 
-def _changes(unknowns: str, problem: MeasuredProblem) -> tuple[Any, Any]:
+def changes(unknowns: str, problem: MeasuredProblem) -> tuple[Any, Any]:
     """x and dx/dz (sparse) of z; z of x."""
     if unknowns == "mrp":
         return _of_mrp(problem)

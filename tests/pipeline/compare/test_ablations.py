@@ -8,12 +8,12 @@ from pipeline.compare.measured_problem import MeasuredProblem
 from pipeline.compare.registry import ABLATIONS, entries
 from pipeline.compare.solver import Watch
 from pipeline.compare.solvers.ablations import ABSENT, passages
-from pipeline.compare.solvers.changed_unknowns import _changes
+from pipeline.compare.solvers.changed_unknowns import changes
 
 
 @pytest.mark.parametrize("unknowns", ["rotation_vector", "mrp", "body"])
 def test_other_unknowns_come_back_and_have_their_derivatives(unknowns: str, small: MeasuredProblem) -> None:
-    to_x, to_z = _changes(unknowns, small)
+    to_x, to_z = changes(unknowns, small)
     x = small.start("perturbed", 0)
     z = to_z(x)
     again, change = to_x(z)
