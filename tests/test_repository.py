@@ -53,7 +53,9 @@ def imported_names(path: Path) -> set[str]:
 def test_every_import_is_a_declared_dependency() -> None:
     groups = project()["project"]
     # What the extra `train` brings is imported inside functions, which say so when it is missing.
-    requirements = groups["dependencies"] + groups["optional-dependencies"]["train"]
+    extras = groups["optional-dependencies"]
+    # So is what `solvers` brings, by adapters that run only where it is there.
+    requirements = groups["dependencies"] + extras["train"] + extras["solvers"]
     declared = {normalised(requirement) for requirement in requirements}
     distributions = packages_distributions()
     undeclared = {
@@ -68,7 +70,8 @@ def test_every_import_is_a_declared_dependency() -> None:
 def test_every_declared_dependency_has_a_tested_version() -> None:
     groups = project()["project"]
     extras = groups["optional-dependencies"]
-    declared = {normalised(each) for each in groups["dependencies"] + extras["dev"] + extras["peers"]}
+    wanted = groups["dependencies"] + extras["dev"] + extras["peers"] + extras["solvers"]
+    declared = {normalised(each) for each in wanted}
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     tested = {normalised(line) for line in lines if line and not line.startswith("#")}
     assert declared - tested == set()

@@ -3,6 +3,7 @@
 from pydantic import Field
 
 from polhode.config.backend import Backend
+from polhode.config.compare import Compare
 from polhode.config.frontend import Frontend
 from polhode.config.mapping import Mapping
 from polhode.config.pictures import Pictures
@@ -10,7 +11,7 @@ from polhode.config.scene import Scene
 from polhode.config.section import Section
 from polhode.config.train import Train
 
-__all__ = ["Backend", "Config", "Frontend", "Mapping", "Pictures", "Runtime", "Scene", "Train"]
+__all__ = ["Backend", "Compare", "Config", "Frontend", "Mapping", "Pictures", "Runtime", "Scene", "Train"]
 
 
 class Runtime(Section):
@@ -32,5 +33,6 @@ class Config(Section):
     backend: Backend = Backend()
     mapping: Mapping = Mapping()
     pictures: Pictures = Pictures()
+    compare: Compare = Compare()
     train: Train | None = None
     runtime: Runtime = Runtime()

@@ -1,0 +1,147 @@
+"""The same cost over other unknowns: a sparse Levenberg-Marquardt that solves in z, where x = x(z).
+
+``rotation_vector``: x itself, to compare with. ``mrp``: attitudes as modified Rodrigues parameters (thesis
+4.5). ``body``: features from the centre of mass and the path of the centre of mass, instead of a geometric
+frame: what the thesis's section 4.6 avoids, as every change of com_G then moves all features.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csc_matrix, diags, identity
+from scipy.sparse.linalg import splu
+
+from pipeline.compare.blocks import Blocks, root_of_kernel, stacked
+from pipeline.compare.measured_problem import MeasuredProblem
+from pipeline.compare.solver import Claim, Outcome, Watch
+from polhode.lie import Array, hat, right_jacobian_so3
+
+TOLERANCE, MAX_ITERATIONS = 1e-9, 300
+FIRST, LEAST, MOST = 1e-4, 1e-10, 1e10
+"""Damping, in units of the Hessian's diagonal."""
+
+
+@dataclass
+class ChangedUnknowns:
+    """One choice of z."""
+
+    unknowns: str = "rotation_vector"
+    family: str = "ablations"
+    claim: Claim = "ok"
+    needs: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """As in the registry."""
+        return f"unknowns_{self.unknowns}"
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        return f"sparse Levenberg-Marquardt over {self.unknowns}"
+
+    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+        """Until the relative decrease of an accepted step is below TOLERANCE."""
+        blocks = Blocks(problem.data, problem.held)
+        to_x, to_z = changes(self.unknowns, problem)
+        z, damping, cost, iterations = to_z(x), FIRST, blocks.cost(x), 0
+        for iterations in range(1, MAX_ITERATIONS + 1):
+            with watch.part("evaluation"):
+                x, change = to_x(z)
+                kept = [root_of_kernel(each, problem.data.robust_scale) for each in blocks.all(x)]
+                residual, jacobian = stacked(kept, blocks.n_x)
+                jacobian = jacobian @ change
+            watch.note(cost, x)
+            H, g = (jacobian.T @ jacobian).tocsc(), jacobian.T @ residual
+            while True:
+                watch.check()
+                step = splu(H + damping * diags(H.diagonal() + 1e-12, format="csc")).solve(-g)
+                after = blocks.cost(to_x(z + step)[0])
+                if np.isfinite(after) and after <= cost:
+                    break
+                damping *= 10.0
+                if damping > MOST:
+                    return Outcome(x, True, iterations, "no further decrease")
+            decrease, cost, z = cost - after, after, z + step
+            damping = max(damping / 10.0, LEAST)
+            if decrease <= TOLERANCE * cost:
+                return Outcome(to_x(z)[0], True, iterations, "converged")
+        return Outcome(to_x(z)[0], False, iterations, "limit of iterations")
+
+
+def changes(unknowns: str, problem: MeasuredProblem) -> tuple[Any, Any]:
+    """x and dx/dz (sparse) of z; z of x."""
+    if unknowns == "mrp":
+        return _of_mrp(problem)
+    if unknowns == "body":
+        return _of_body(problem)
+    same = identity(len(problem.cold), format="csr")
+    return (lambda z: (z, same)), (lambda x: x)
+
+
+def _of_mrp(problem: MeasuredProblem) -> tuple[Any, Any]:
+    at = problem.held.reference
+    slots = (at.n_state * np.arange(at.n_frames)[:, None] + np.arange(3, 6)).ravel()
+
+    def to_x(z: Array) -> tuple[Array, Any]:
+        a = z[slots].reshape(-1, 3)
+        size = np.linalg.norm(a, axis=1)
+        safe = np.maximum(size, 1e-12)
+        # theta = 4 atan(|a|) a / |a|
+        along = np.where(size < 1e-6, 4.0, 4.0 * np.arctan(safe) / safe)
+        slope = np.where(size < 1e-6, 0.0, (4.0 / (1.0 + safe**2) - along) / safe**2)
+        own = along[:, None, None] * np.eye(3) + slope[:, None, None] * a[:, :, None] * a[:, None, :]
+        x = z.copy()
+        x[slots] = (along[:, None] * a).ravel()
+        change = identity(len(z), format="lil")
+        rows = np.repeat(slots.reshape(-1, 3), 3, axis=1)
+        columns = np.tile(slots.reshape(-1, 3), (1, 3))
+        change = change.tocsr() + _block(rows, columns, own - np.eye(3), len(z))
+        return x, change
+
+    def to_z(x: Array) -> Array:
+        theta = x[slots].reshape(-1, 3)
+        size = np.linalg.norm(theta, axis=1, keepdims=True)
+        ratio = np.where(size < 1e-6, 0.25, np.tan(size / 4.0) / np.maximum(size, 1e-12))
+        z = x.copy()
+        z[slots] = (ratio * theta).ravel()
+        return z
+
+    return to_x, to_z
+
+
+def _of_body(problem: MeasuredProblem) -> tuple[Any, Any]:
+    """z holds r_N = p_NG + R_NG com_G for p_NG, and p_G - com_G for p_G."""
+    at = problem.held.reference
+    s, F, com = at.n_state, at.n_frames, slice(at.n_states, at.n_states + 3)
+    places = s * np.arange(F)[:, None] + np.arange(3)
+
+    def moved(vector: Array, sign: float) -> Array:
+        R = problem.iterate(vector).R_NG
+        out = vector.copy()
+        out[places] += sign * (R @ vector[com])
+        marks = out[at.n_dense :].reshape(-1, 3)
+        marks -= sign * vector[com]
+        return out
+
+    def to_x(z: Array) -> tuple[Array, Any]:
+        x, n = moved(z, -1.0), len(z)
+        R = problem.iterate(z).R_NG
+        theta = z[: at.n_states].reshape(-1, s)[:, 3:6]
+        of_turn = R @ hat(z[com]) @ right_jacobian_so3(theta)
+        constants = np.broadcast_to(np.arange(com.start, com.stop), (F, 3))
+        change = identity(n, format="csr")
+        for columns, block in ((places + 3, of_turn), (constants, -R)):
+            rows = np.repeat(places, 3, axis=1)
+            change = change + _block(rows, np.tile(columns, (1, 3)), block, n)
+        marks = np.arange(at.n_dense, n)
+        which = com.start + (marks - at.n_dense) % 3
+        return x, change + csc_matrix((np.ones(len(marks)), (marks, which)), shape=(n, n)).tocsr()
+
+    return to_x, (lambda x: moved(x, 1.0))
+
+
+def _block(rows: Array, columns: Array, values: Array, n: int) -> Any:
+    """Sparse (n, n) with blocks (m, 3, 3), row by row, at rows and columns (m, 9)."""
+    return csc_matrix((values.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n)).tocsr()

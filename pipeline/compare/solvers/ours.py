@@ -1,0 +1,95 @@
+"""polhode's own Gauss-Newton (``backend.gauss_newton``) in either form of the inertia."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from backend.estimate import PASS_TOLERANCE
+from backend.gauss_newton import (
+    TIME_LIMIT,
+    GaussNewton,
+    NormalEquations,
+    Solution,
+)
+from backend.problem import Held, MotionData
+from pipeline.compare.judge import reference_covariance
+from pipeline.compare.measured_problem import MeasuredProblem, inertia_around, with_form
+from pipeline.compare.solver import Claim, Outcome, OutOfTime, Watch
+from polhode.lie import Array
+
+MAX_ITERATIONS, PASS = 500, 12
+
+
+class Watched(GaussNewton):
+    """The same solver; its clock is read at each linearisation."""
+
+    def __init__(self, data: MotionData, watch: Watch) -> None:
+        super().__init__(data)
+        self.watch = watch
+
+    def normal_equations(
+        self, held: Held, x: Array, weight: Array | None = None, prior: bool = True
+    ) -> NormalEquations:
+        """Noted as an iteration."""
+        with self.watch.part("evaluation"):
+            system = super().normal_equations(held, x, weight, prior)
+        self.watch.note(system.cost, x)
+        self.watch.check()
+        return system
+
+    def cost(self, held: Held, x: Array) -> float:
+        """Timed."""
+        with self.watch.part("evaluation"):
+            return super().cost(held, x)
+
+
+@dataclass
+class Ours:
+    """Gauss-Newton in one form of the inertia."""
+
+    name: str = "gauss_newton"
+    form: str = "second_moments"
+    words: str = "ours: Gauss-Newton/Levenberg, landmarks and chain eliminated"
+    family: str = "ours"
+    claim: Claim = "ok"
+    needs: tuple[str, ...] = ()
+
+    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+        """Solve in the form's own coordinates, again until the cost rests (``backend.estimate.refine``).
+
+        A form with a reference rotation has it renewed every few iterations, the common form has
+        none.
+        """
+        own, common = problem, self.form == problem.data.form.name
+        before, total, iterations = np.inf, 0, MAX_ITERATIONS if common else PASS
+        while True:
+            with watch.part("build"):
+                if not common:
+                    own = with_form(problem, self.form, problem.iterate(x))
+                solver = Watched(own.data, watch)
+            start = x if common else in_form(problem, own, x)
+            found = _solved(solver, own.held, start, iterations)
+            x, total = found.x if common else in_form(own, problem, found.x), total + found.iterations
+            resting = before - found.cost <= PASS_TOLERANCE * found.cost
+            if (found.converged and resting) or total >= MAX_ITERATIONS:
+                break
+            before = found.cost
+        watch.stop()
+        cov = reference_covariance(problem, x) if common else None
+        return Outcome(x, found.converged, total, found.message, cov)
+
+
+def _solved(solver: Watched, held: Held, x: Array, iterations: int) -> Solution:
+    found = solver.solve(held, x, iterations, max(solver.watch.left(), 0.0))
+    solver.watch.note(found.cost, found.x)
+    if found.message == TIME_LIMIT:
+        raise OutOfTime
+    return found
+
+
+def in_form(before: MeasuredProblem, after: MeasuredProblem, x: Array) -> Array:
+    """The same unknowns with the inertia in the other problem's coordinates."""
+    out, at = x.copy(), before.iterate(x)
+    second = at.second_moments(before.data.form)
+    out[at.n_states + 3 : at.n_states + 8] = inertia_around(second, after.data, after.held.reference)
+    return out

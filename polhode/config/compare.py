@@ -1,0 +1,52 @@
+"""Settings of the comparison of optimizers (``polhode compare``)."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from polhode.config.section import Section
+
+Motion = Literal["ts38", "flip", "minor_wobble", "major_wobble", "tumble", "slow_tumble", "fast_tumble"]
+
+
+class MonteCarlo(Section):
+    """Synthetic measurements with truth: one problem for each motion, number of frames and of landmarks."""
+
+    motions: tuple[Motion, ...] = ("ts38",)
+    """Bodies and motions, as in the benchmark of accuracy."""
+    frames: tuple[int, ...] = (115,)
+    """Stereo pairs."""
+    landmarks: tuple[int, ...] = (2430,)
+    """Points on the body; about all of them are seen at some time."""
+    noise_px: float = Field(1.0, gt=0)
+    """Standard deviation of u, v and disparity [px]."""
+    outliers: float = Field(0.0, ge=0, lt=0.5)
+    """Share of gross errors."""
+    loop_closure: bool = True
+    """False: a landmark that comes back into view is a new one."""
+    seed: int = Field(0, ge=0)
+    """Of the measurements."""
+
+
+class Compare(Section):
+    """The same measurements and the same cost through many optimizers."""
+
+    solvers: tuple[str, ...] = ()
+    """Names of the solvers and of variants of the formulation, in order; none: all solvers
+    (docs/compare.md lists them)."""
+    limit_s: float = Field(60.0, gt=0)
+    """Most time for one solver and start, its process from start to end [s]."""
+    total_s: float = Field(900.0, gt=0)
+    """Most time for all [s]; solvers whose turn has not come by then get a row that says so."""
+    process_noise: Literal["given", "estimated"] = "given"
+    """Disturbances of the compared cost: those stated in backend.accel_psd and torque_psd, or the most likely
+    ones. Where the motion was hardly disturbed those make the cost so stiff that few solvers come in from a
+    cold start."""
+    cold: bool = True
+    """Solve from the cold start."""
+    perturbed: int = Field(0, ge=0)
+    """So many starts off the cold one by random errors, seeds 0, 1, ..."""
+    near: int = Field(0, ge=0)
+    """So many starts near the solution."""
+    monte_carlo: MonteCarlo = MonteCarlo()
+    """Measurements when neither --data nor --run is given."""

@@ -1,0 +1,25 @@
+"""A small Monte Carlo problem, frozen."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pipeline.compare.measured_problem import MeasuredProblem, save
+from pipeline.compare.sources import SCENES, synthetic_problem
+from polhode.config.backend import Backend
+
+
+@pytest.fixture(scope="session")
+def small() -> MeasuredProblem:
+    """A flip, 20 frames, 1 px."""
+    scene = replace(SCENES["flip"], frames=20, landmarks=300, min_inliers=6)
+    return synthetic_problem("small", scene, 0, Backend(process_noise="given"))
+
+
+@pytest.fixture(scope="session")
+def small_file(small: MeasuredProblem, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same, as a solver's process reads it."""
+    path = tmp_path_factory.mktemp("problem") / "small.pickle"
+    save(small, path)
+    return path

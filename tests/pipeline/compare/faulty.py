@@ -1,0 +1,34 @@
+"""Solvers that misbehave, for the process that must survive them."""
+
+import os
+import time
+
+from pipeline.compare.measured_problem import MeasuredProblem
+from pipeline.compare.solver import Claim, Outcome, Watch
+from polhode.lie import Array
+
+
+class Faulty:
+    """Crashes, hangs, raises, lies or gives nonsense."""
+
+    name, family, words = "faulty", "tests", "misbehaves"
+    claim: Claim = "ok"
+    needs: tuple[str, ...] = ()
+
+    def __init__(self, how: str) -> None:
+        self.how = how
+
+    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+        """Never well."""
+        watch.note(problem.held.half_log_det, x)
+        if self.how == "crashes":
+            os.abort()
+        if self.how == "exits":
+            os._exit(3)
+        if self.how == "hangs":
+            time.sleep(3600.0)
+        if self.how == "raises":
+            raise ValueError("no such\nluck")
+        if self.how == "nonsense":
+            return Outcome(x * float("nan"), True, 1, "converged")
+        return Outcome(x, True, 1, "converged")

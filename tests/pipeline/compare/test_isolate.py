@@ -1,0 +1,70 @@
+"""A solver that crashes, hangs, lies or is missing costs its own row."""
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.compare.isolate import row_of
+from pipeline.compare.registry import ENTRIES, Entry, entries
+from pipeline.compare.rows import Case, Row
+from polhode.errors import InputError
+
+CASE = Case(problem="small", solver="faulty", start="cold", seed=0)
+
+
+def row(small_file: Path, how: str, limit_s: float = 60.0) -> Row:
+    entry = Entry(
+        "faulty", "tests", "ok", "misbehaves", "tests.pipeline.compare.faulty", "Faulty", (("how", how),)
+    )
+    return row_of(small_file, entry, CASE, limit_s)
+
+
+def test_a_crash_is_a_failed_row_with_what_was_reached(small_file: Path) -> None:
+    found = row(small_file, "crashes")
+    assert found.status == "failed"
+    assert "SIGABRT" in found.message
+    assert len(found.trace) == 1 and found.cost is None
+
+
+def test_a_process_that_ends_without_an_answer_is_a_failed_row(small_file: Path) -> None:
+    found = row(small_file, "exits")
+    assert found.status == "failed"
+    assert "ended with 3" in found.message
+
+
+def test_one_that_hangs_is_ended_at_its_limit(small_file: Path) -> None:
+    found = row(small_file, "hangs", limit_s=12.0)
+    assert found.status == "timeout"
+    assert "12 s" in found.message
+
+
+def test_an_exception_is_told_in_a_line(small_file: Path) -> None:
+    found = row(small_file, "raises")
+    assert found.status == "failed"
+    assert found.message == "ValueError: no such luck"
+
+
+def test_convergence_that_the_common_cost_does_not_confirm_is_a_failure(small_file: Path) -> None:
+    found = row(small_file, "lies")
+    assert found.status == "failed"
+    assert "left to gain" in found.message
+    assert found.cost is not None and found.gain_left is not None and found.gain_left > 1e-6
+
+
+def test_a_point_without_a_cost_is_a_failure(small_file: Path) -> None:
+    found = row(small_file, "nonsense")
+    assert found.status == "failed"
+    assert found.cost is None
+
+
+def test_a_missing_package_is_a_row_that_names_it(small_file: Path) -> None:
+    entry = Entry("x", "tests", "ok", "", "ours", "Ours", needs=("no_such_package_anywhere",))
+    found = row_of(small_file, entry, CASE, 10.0)
+    assert found.status == "missing"
+    assert "no_such_package_anywhere" in found.message
+
+
+def test_names_of_solvers_are_unique_and_a_wrong_one_is_told() -> None:
+    assert len({entry.name for entry in ENTRIES}) == len(ENTRIES)
+    with pytest.raises(InputError, match="did you mean ceres"):
+        entries(("ceress",))

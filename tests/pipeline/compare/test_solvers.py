@@ -1,0 +1,88 @@
+"""From the same cold start the solvers end at the same cost; the baselines answer."""
+
+from contextlib import suppress
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+from pipeline.compare.judge import AGREED, judge, reference_covariance, sigmas
+from pipeline.compare.measured_problem import MeasuredProblem
+from pipeline.compare.registry import entries
+from pipeline.compare.solver import Outcome, OutOfTime, Watch
+
+AGREEING = (
+    "gauss_newton", "gauss_newton_ratios", "ipopt", "ipopt_condensed", "ipopt_vm", "ipopt_c",
+    "ipopt_exact_vm",
+    "sqp_osqp", "sqp_ipqp", "ceres", "gtsam_lm", "gtsam_isam2",
+)  # fmt: skip
+BASELINES = ("odometry", "dynamic_isam")
+
+
+def solve(name: str, problem: MeasuredProblem, start: str = "cold", limit_s: float = 120.0) -> Outcome:
+    return entries((name,))[0].load().solve(problem, problem.start(start, 0), Watch(limit_s))
+
+
+@pytest.mark.parametrize("name", AGREEING)
+def test_from_a_cold_start_they_agree(name: str, small: MeasuredProblem) -> None:
+    found = solve(name, small)
+    least = judge(small, small.solution)
+    verdict = judge(small, found.x)
+    assert found.converged
+    assert verdict.cost is not None and least.cost is not None
+    assert abs(verdict.cost / least.cost - 1.0) < AGREED
+    assert verdict.gain_left is not None and verdict.gain_left < AGREED
+
+
+@pytest.mark.parametrize("name", ["ceres", "gtsam_lm", "gtsam_isam2"])
+def test_their_covariances_agree_with_the_reference(name: str, small: MeasuredProblem) -> None:
+    found = solve(name, small, start="near")
+    own = sigmas(small, found.x, found.cov_constants)
+    reference = sigmas(small, small.solution, reference_covariance(small, small.solution))
+    # they weigh the kernel's curvature in different ways
+    assert np.allclose(np.array(own, float), np.array(reference, float), rtol=0.05)
+
+
+@pytest.mark.parametrize("name", ["ipopt_slack", "ipopt_slack_exact"])
+def test_with_slack_they_come_in_from_very_near(name: str, small: MeasuredProblem) -> None:
+    x = small.perturbed(small.solution, 0, size=0.001)
+    found = entries((name,))[0].load().solve(small, x, Watch(120.0))
+    verdict, least = judge(small, found.x), judge(small, small.solution).cost
+    assert verdict.cost is not None and least is not None
+    assert abs(verdict.cost / least - 1.0) < AGREED
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_baselines_answer_in_the_common_unknowns(name: str, small: MeasuredProblem) -> None:
+    found = solve(name, small)
+    verdict = judge(small, found.x)
+    assert found.converged
+    assert verdict.cost is not None and verdict.errors is not None
+    # another formulation is no better on the common cost
+    assert verdict.cost > (judge(small, small.solution).cost or np.inf)
+
+
+@pytest.mark.parametrize(
+    "name", ["gauss_newton", "ipopt", "scipy_trf", "belief_propagation", "sqp_qrqp", "ceres"]
+)
+def test_they_descend_and_stop_at_the_limit(name: str, small: MeasuredProblem) -> None:
+    watch, before = Watch(0.25), judge(small, small.cold).cost
+    solver = entries((name,))[0].load()
+    begin = perf_counter()
+    # a fast machine may come to the end
+    with suppress(OutOfTime):
+        solver.solve(small, small.cold, watch)
+    assert perf_counter() - begin < 20.0
+    assert watch.best is not None and before is not None
+    reached = judge(small, watch.best[1]).cost
+    assert reached is not None and np.isclose(reached, watch.best[0], rtol=1e-9)
+    assert reached <= before * (1.0 + 1e-12)
+
+
+def test_belief_propagation_comes_close(small: MeasuredProblem) -> None:
+    watch = Watch(20.0)
+    with suppress(OutOfTime):
+        entries(("belief_propagation",))[0].load().solve(small, small.cold, watch)
+    least = judge(small, small.solution).cost
+    assert watch.best is not None and least is not None
+    assert watch.best[0] < 1.1 * least
