@@ -2,6 +2,7 @@
 # make demo    the shipped sample, end to end; the last line names the report
 # make test    the tests            make check   style, types, import rules
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
+# make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/fusion_peers.py; without them its rows say so
 # make bench   accuracy and time, from images on every scene and of the back end alone: hours. What was measured
 #              before is read from its record, so it can be interrupted. make bench SHORT=--short: a few minutes
 
@@ -14,7 +15,7 @@ MATCHERS := .venv/.matchers
 DEMO_RUN := runs/demo
 SHORT ?=
 
-.PHONY: setup matchers demo test check bench
+.PHONY: setup matchers fusion-peers demo test check bench
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -44,6 +45,9 @@ $(MATCHERS): $(STAMP)
 
 matchers: $(MATCHERS)
 
+fusion-peers: $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mapping-peers]'
+
 demo: setup
 	$(BIN)/polhode run configs/default.yaml --data sample -o $(DEMO_RUN) --overwrite
 	$(BIN)/polhode evaluate $(DEMO_RUN) sample
@@ -63,6 +67,10 @@ bench: setup $(MATCHERS) $(SOLVERS)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.prediction_error runs/ts38 data/ts38 -o runs/prediction.png)
 	$(BIN)/python -m benchmarks.frontend $(SHORT)
 	$(BIN)/python -m benchmarks.disparity $(SHORT)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.mesh_quality data/ts38 data/asteroid data/major_axis data/specular_mli)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.lengths)
+	$(BIN)/python -m benchmarks.fusion_peers $(SHORT)
+	$(BIN)/python -m benchmarks.fusion_scale $(SHORT)
 	$(BIN)/python -m benchmarks.lie_rank
 	$(BIN)/python -m benchmarks.conditioning -o runs/conditioning.png
 	$(BIN)/python -m benchmarks.bound

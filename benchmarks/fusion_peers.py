@@ -1,7 +1,7 @@
 """Our fusion against others' with the same depth maps and the same poses: chamfer, time, memory.
 
     python -m benchmarks.fusion_peers [SEQ ...]      sequences with truth, by default four of them
-    python -m benchmarks.fusion_peers --short        one sequence, every third frame
+    python -m benchmarks.fusion_peers --short        the shipped sample
 
 Depth is ours (the default configuration), poses are true. Every method runs in a process of its own, on
 one core, with the same edge of a voxel. Seconds are of the processor, so that others on the machine do not
@@ -172,7 +172,7 @@ def memory_mib(name: str) -> float:
     return next(float(line.split()[1]) for line in lines if line.startswith(f"{name}:")) / 1024.0
 
 
-def measure(folder: Path, config: Config, step: int) -> list[dict[str, Any]]:
+def measure(folder: Path, config: Config) -> list[dict[str, Any]]:
     """One row a method, of one sequence."""
     sequence, truth = open_sequence(folder), read_truth(folder)
     if truth.mesh is None:
@@ -180,7 +180,7 @@ def measure(folder: Path, config: Config, step: int) -> list[dict[str, Any]]:
     rectifier, X_NG = make_rectifier(sequence.calibration), true_poses(sequence, truth)
     X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ X_NG
     maps = depth_maps(sequence, rectifier, X_RG, np.asarray(truth.mesh.vertices), config)
-    frames = list(zip(maps, X_RG, strict=True))[::step]
+    frames = list(zip(maps, X_RG, strict=True))
     voxel_m = choose_voxel_m([frame for frame, _ in frames[:5]], rectifier.rig, config.mapping)
     points = seen_truth(truth.mesh, X_NG, sequence, 3)
     rows = []
@@ -249,7 +249,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("sequences", nargs="*", type=Path)
-    parser.add_argument("--short", action="store_true", help="one sequence, every third frame")
+    parser.add_argument("--short", action="store_true", help="the shipped sample")
     parser.add_argument("--config", type=Path, default=Path("configs/default.yaml"))
     parser.add_argument("--worker", nargs=3, metavar=("METHOD", "IN", "OUT"), help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -258,13 +258,13 @@ def main() -> None:
         return
     torch.set_num_threads(1)
     config = load_config(options.config)
-    sequences = options.sequences or SEQUENCES[: 1 if options.short else None]
+    sequences = options.sequences or ([Path("sample")] if options.short else SEQUENCES)
     print(
         f"{'sequence':<16}{'frames':>7}{'voxel mm':>10}  {'method':<12}{'chamfer':>9}{'accuracy':>10}"
         f"{'completion':>12}{'3 mm':>9}{'faces':>10}{'s a frame':>12}{'MiB':>8}"
     )
     for folder in sequences:
-        print_rows(measure(folder, config, 3 if options.short else 1))
+        print_rows(measure(folder, config))
 
 
 if __name__ == "__main__":

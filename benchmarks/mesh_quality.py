@@ -2,8 +2,8 @@
 
     python -m benchmarks.mesh_quality SEQ [SEQ ...]             with the true poses
     python -m benchmarks.mesh_quality SEQ [SEQ ...] --runs RUN  with the poses of runs, one for each sequence
-    python -m benchmarks.mesh_quality SEQ --doubtful 3 1        every third pose off by 3 mm and 1 degree (sigma):
-                        with the covariance of the poses told to the fusion, and not
+    python -m benchmarks.mesh_quality SEQ --doubtful 3 1        every third pose off by 3 mm and 1 degree
+                        (sigma): with the covariance of the poses told to the fusion, and not
 
 Prints a line a sequence: distances to the true surface (as ``polhode evaluate``; "seen thrice":
 completion, its larger 95th percentile, what is within 3 mm, and chamfer over the part that was seen and

@@ -18,7 +18,7 @@ class Mapping(Section):
     """Distance at which the field is cut off in front of the surface [voxels]."""
     truncation_behind_voxels: float = Field(3.0, ge=1)
     """The same behind the surface [voxels]; short, so that the two sides of a thin panel do not mix."""
-    free_space_weight: float = Field(0.15, ge=0, le=1)
+    free_space_weight: float = Field(0.4, ge=0, le=1)
     """Weight of "this is empty" far in front of a surface, over that of the surface itself."""
     min_views: int = Field(3, ge=1)
     """A surface seen in fewer frames is left out (fewer where the sequence is shorter)."""
