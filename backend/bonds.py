@@ -106,16 +106,17 @@ def _agree(
 
 @compiled
 def closed_triangles(
-    i: Ints, j: Ints, linked: Array, X: Array, bound_rad: float, bound_shift: float
+    i: Ints, j: Ints, X_ij: Array, linked: Array, X: Array, bound_rad: float, bound_shift: float
 ) -> tuple[Array, Array]:
-    """Triangles on each link i, j (E,), the first ``MOST_THIRDS``, and how many of them agree with it.
+    """Triangles on each link i, j (E,), X_ij (E, 4, 4), the first ``MOST_THIRDS``; how many agree with it.
 
-    linked (F, F) of frames, X (F, F, 4, 4) their relative poses; bound_shift as a share of the distance.
+    linked (F, F) of frames, X (F, F, 4, 4) their relative poses, of two links one; bound_shift as a share of
+    the distance.
     """
     agree, seen = np.zeros(len(i)), np.zeros(len(i))
     R, t, zero = np.empty((3, 3)), np.empty(3), np.zeros(3)
     for e in range(len(i)):
-        direct = X[i[e], j[e]]
+        direct = X_ij[e]
         p = direct[:3, 3]
         allowed = bound_shift * max(np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2), 1e-9)
         for third in range(len(linked)):

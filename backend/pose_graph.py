@@ -70,8 +70,13 @@ def triangle_support(relative: RelativePoses, usable: Bools, n_frames: int) -> A
     linked = np.zeros((n_frames, n_frames), bool)
     linked[i, j] = linked[j, i] = True
     X = np.tile(np.eye(4), (n_frames, n_frames, 1, 1))
-    X[i, j], X[j, i] = X_ij, inverse_pose(X_ij)
-    agree, seen = closed_triangles(i, j, linked, X, 1.5 * REJECT_RAD, 1.5 * 2.0 * REJECT_SHIFT)
+    # of two links between the same frames the one with more inliers stands for the third side of others
+    weakest_first = np.argsort(relative.inliers[usable], kind="stable")
+    a, b, X_ab = i[weakest_first], j[weakest_first], X_ij[weakest_first]
+    X[a, b], X[b, a] = X_ab, inverse_pose(X_ab)
+    agree, seen = closed_triangles(
+        i, j, np.ascontiguousarray(X_ij), linked, X, 1.5 * REJECT_RAD, 1.5 * 2.0 * REJECT_SHIFT
+    )
     support = np.zeros(len(relative.i))
     support[usable] = (agree + 1.0) / (seen + 2.0)
     return support

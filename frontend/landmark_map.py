@@ -31,7 +31,7 @@ class LandmarkMap:
     descriptors: list[Descriptors] = field(default_factory=list)
     """per frame (n, 128)"""
     R_GS: list[Array] = field(default_factory=list)
-    """per frame (n, 3, 3) axes of the surface, where the features know them"""
+    """per frame (n, 3, 3) axes of the surface; NaN where the features do not know them"""
 
     @classmethod
     def empty(cls, n_landmarks: int) -> "LandmarkMap":
@@ -58,8 +58,8 @@ def enter(model: LandmarkMap, features: StereoFeatures, labels: Ints, X_RG: Arra
     p_G = transform_points(X_GR, p_R)
     np.add.at(model.information, landmark, information)
     np.add.at(model.information_p_G, landmark, (information @ p_G[..., None])[..., 0])
-    if features.R_RS is not None:
-        model.R_GS.append(X_GR[:3, :3] @ features.R_RS[used])
+    unknown = np.full((len(features), 3, 3), np.nan)
+    model.R_GS.append(X_GR[:3, :3] @ (unknown if features.R_RS is None else features.R_RS)[used])
     model.landmark.append(landmark)
     model.direction_G.append(viewing_direction(p_R, X_RG))
     model.descriptors.append(features.descriptors[used])
@@ -93,7 +93,7 @@ def descriptor_distance(
     cosine = np.sum(directions * direction_G[feature[pair]], axis=1)
     like = cosine > np.cos(np.deg2rad(config.max_view_angle_deg))
     pair, observation = pair[like], observation[like]
-    if features.R_RS is not None and model.R_GS:
+    if features.R_RS is not None:
         # the trace of R_a^T R_b tells the angle between the surfaces' axes
         R_GS = np.concatenate(model.R_GS)[observation]
         seen = X_RG[:3, :3].T @ features.R_RS[feature[pair]]

@@ -72,7 +72,9 @@ def pairs_in_view(X_RG: Array, config: PairMatching) -> list[Ints]:
 def frame_vectors(frames: Sequence[StereoFeatures], seed: int) -> Floats:
     """(F, WORDS d) one vector of unit length per frame; zeros where a frame has no features."""
     rng = np.random.default_rng(seed)
-    everything = np.concatenate([frame.descriptors for frame in frames]).astype(np.float32)
+    described = [frame.descriptors for frame in frames if len(frame)]
+    # a frame without features has descriptors of any width
+    everything = np.concatenate(described or [frame.descriptors for frame in frames]).astype(np.float32)
     width = everything.shape[1]
     vectors = np.zeros((len(frames), WORDS * width), dtype=np.float32)
     if len(everything) < WORDS:

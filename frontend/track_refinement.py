@@ -91,12 +91,18 @@ def refine_tracks(
     depth = np.median(np.concatenate([f.p_R[:, 2] for f in frames if len(f)]))
     half_m = SIZE * (config.features.patch_half_m or patch_half_m(float(depth), rectifier.rig))
     templates = np.zeros((association.n_landmarks, 1, PATCH_PX, PATCH_PX), np.uint8)
-    cut = _TemplateJob(sequence, rectifier, tuple(frames), references, half_m)
+    # descriptors stay here: the workers need none, and of a long sequence they are gigabytes
+    bare = tuple(replace(found, descriptors=found.descriptors[:, :0]) for found in frames)
+    cut = _TemplateJob(sequence, rectifier, bare, references, half_m)
     for k, patches in enumerate(in_order(cut, len(frames), workers)):
         templates[references.frame == k] = np.round(patches)
     job = _AlignJob(cut, association, motion, templates, config)
     refined = list(in_order(job, len(frames), workers))
-    return [found for found, _ in refined], Association(tuple(label for _, label in refined))
+    described = [
+        replace(found, descriptors=known.descriptors)
+        for (found, _), known in zip(refined, frames, strict=True)
+    ]
+    return described, Association(tuple(label for _, label in refined))
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backend import estimate_motion, initialize_motion
+from frontend.combined import of_second
 from frontend.duplicates import merge_duplicates
 from frontend.guided import consistent_matches, reconnect
 from frontend.stereo import StereoFeatures
@@ -17,6 +18,7 @@ from pipeline.second_look import contradicts, revises
 from pipeline.sight import Sight, look_again, workers
 from pipeline.stopwatch import Stopwatch
 from polhode.config import Config
+from polhode.config.frontend import Frontend
 from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose
 from polhode.progress import Progress
@@ -64,11 +66,14 @@ def find_motion(
         _log.info("%s; the second method of the front end looks for one", error)
         failure = error
     if second is not None and (plain is None or _leaves_short(plain, sight, config)):
-        X_RG = None if plain is None else plain.connected.X_RG
-        both = look_again(images, sight, second, X_RG, config, progress, clock)
-        better = None
-        if len(both.matches) > len(sight.matches):
-            better = _better(plain, images, both, config, progress, clock)
+        try:
+            better = _better(plain, images, sight, second, config, progress, clock)
+        except Exception:
+            # another look is worth its while, but not the motion that is found already
+            if plain is None:
+                raise
+            _log.warning("the second method of the front end failed", exc_info=True)
+            better = None
         if better is not None:
             yield better
             return
@@ -80,9 +85,11 @@ def find_motion(
 
 
 def _leaves_short(found: Found, sight: Sight, config: Config) -> bool:
-    """Whether the frames that show the target have few observations, or many of them are lost."""
-    fewest = config.frontend.pairs.min_inliers
-    shows = np.array([len(features) >= fewest for features in sight.features])
+    """Whether the frames that show something have few observations, or many of them are lost, or the solver
+    came to no end."""
+    if not found.estimate.solver.converged:
+        return True
+    shows = np.array([len(features) > 0 for features in sight.features])
     observations = np.bincount(found.tracks.frame, minlength=len(shows))[shows]
     lost = np.sum(shows & ~found.connected.connected)
     return bool(
@@ -91,11 +98,21 @@ def _leaves_short(found: Found, sight: Sight, config: Config) -> bool:
 
 
 def _better(
-    plain: Found | None, images: Images, both: Sight, config: Config, progress: Progress, clock: Stopwatch
+    plain: Found | None,
+    images: Images,
+    sight: Sight,
+    second: Frontend,
+    config: Config,
+    progress: Progress,
+    clock: Stopwatch,
 ) -> Found | None:
     """The motion from what both methods see, unless it fits worse or finds fewer frames."""
+    X_RG = None if plain is None else plain.connected.X_RG
+    both = look_again(images, sight, second, X_RG, config, progress, clock)
+    if not any(of_second(match, sight.features) for match in both.matches):
+        return None
     try:
-        *_, found = solved(images, both, config, progress, clock)
+        found = _last(solved(images, both, config, progress, clock))
         found = polished(found, images, config, progress, clock)
     except RunFailure as failure:
         _log.info("with the second method of the front end: %s", failure)
@@ -108,12 +125,24 @@ def _better(
     return None if fewer or revised else found
 
 
+def _last(motions: Iterator[Found]) -> Found:
+    """The last of them; a failure after the first one ends them."""
+    found = next(motions)
+    try:
+        for better in motions:
+            found = better
+    except RunFailure as failure:
+        _log.info("what was found before stands: %s", failure)
+    return found
+
+
 def solved(
     images: Images, sight: Sight, config: Config, progress: Progress, clock: Stopwatch
 ) -> Iterator[Found]:
     """Solve, and again as long as the solved motion finds frames that were lost before; the last counts."""
     rig, guided = images.rectifier.rig, config.frontend.guided
     features, links = sight.features, sight.links
+    sight.require_features(config.frontend.pairs.min_inliers)
     with clock("initialization"), progress.stage("first motion", 1) as advance:
         motion = initialize_motion(sight.tracks(images, config), links, config.backend)
         advance()

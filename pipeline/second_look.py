@@ -5,6 +5,8 @@ observations lie far off, or all of them scatter more. A method whose features f
 by another motion than the first method's.
 """
 
+import logging
+
 import numpy as np
 
 from polhode.lie import log_so3
@@ -18,6 +20,7 @@ MORE_NOISE = 1.08
 """Growth of the scatter of pixels that is too much: joined landmarks of TS38 scatter 4 % more and help, those
 of a shaded asteroid 14 % more and harm."""
 
+_log = logging.getLogger(__name__)
 SAME_MOTION_DEG = 1.0
 """Attitudes of two methods that see one motion differ by less, in the median: by 0.2 degrees at most on the
 scenes of the benchmark, by 7 and 12 where the second method's features followed the light."""
@@ -50,17 +53,16 @@ def revises(
     observations; those that they share are held to both motions.
     """
     (tracks, estimate), (known, plain) = second, first
-    if plain.solver.converged and not estimate.solver.converged:
-        return True
-    if estimate.noise.pixel_sigma_px > MORE_NOISE * plain.noise.pixel_sigma_px:
-        return True
-    if attitudes_apart_deg(estimate, plain, measured) > SAME_MOTION_DEG:
-        return True
-    mine, theirs = _shared(tracks, known)
-    if len(mine) == 0:
-        return False
-    scatter = [np.median(np.abs(r[:, :2])) for r in (estimate.residuals_px[mine], plain.residuals_px[theirs])]
-    return bool(scatter[0] > MORE_NOISE * scatter[1])
+    if plain.solver.converged != estimate.solver.converged:
+        return plain.solver.converged
+    apart_deg = attitudes_apart_deg(estimate, plain, measured)
+    noise = estimate.noise.pixel_sigma_px / max(plain.noise.pixel_sigma_px, 1e-9)
+    scatter = _scatter_of_shared(tracks, estimate, known, plain)
+    _log.info(
+        "two methods: attitudes %.3f deg apart; scatter %.2f times the first one's, of its own places %.2f",
+        *(apart_deg, noise, scatter),
+    )
+    return apart_deg > SAME_MOTION_DEG or max(noise, scatter) > MORE_NOISE
 
 
 def attitudes_apart_deg(a: MotionEstimate, b: MotionEstimate, frames: Bools) -> float:
@@ -71,6 +73,20 @@ def attitudes_apart_deg(a: MotionEstimate, b: MotionEstimate, frames: Bools) -> 
     R_ba = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V_T)]) @ V_T
     apart = log_so3(np.swapaxes(R_b @ R_ba, 1, 2) @ R_a)
     return float(np.rad2deg(np.median(np.linalg.norm(apart, axis=1))))
+
+
+def _scatter_of_shared(
+    tracks: StereoTracks, estimate: MotionEstimate, known: StereoTracks, plain: MotionEstimate
+) -> float:
+    """Of the observations that both motions have, the median residual in the image, over that of the first; 1
+    where they share none."""
+    mine, theirs = _shared(tracks, known)
+    if len(mine) == 0:
+        return 1.0
+    after, before = (
+        float(np.median(np.abs(r[:, :2]))) for r in (estimate.residuals_px[mine], plain.residuals_px[theirs])
+    )
+    return after / max(before, 1e-9)
 
 
 def _shared(a: StereoTracks, b: StereoTracks) -> tuple[list[int], list[int]]:

@@ -40,6 +40,15 @@ class Sight:
         """The geometry of the matches."""
         return relative_poses(self.matches)
 
+    def require_features(self, fewest: int) -> None:
+        """Raises RunFailure: hardly any frame has as many features."""
+        measured = sum(len(features) >= fewest for features in self.features)
+        if measured < FEWEST_MEASURED_FRAMES:
+            raise RunFailure(
+                f"only {measured} of {len(self.features)} frames show enough stereo features on the target; "
+                "check exposure, focus and the calibration"
+            )
+
     def tracks(self, images: Images, config: Config) -> StereoTracks:
         """Whatever the matches join, without any knowledge of the motion."""
         return images.tracks(self.features, join_matches(self.features, self.matches), config)
@@ -48,19 +57,13 @@ class Sight:
 def look(images: Images, config: Config, progress: Progress, clock: Stopwatch) -> Sight:
     """Every frame against every frame, or against those that look like it, blind.
 
-    Raises RunFailure: hardly any frame shows the target; InputError: weights of a method are missing.
+    Raises InputError: weights of a method are missing.
     """
     second = config.frontend.second_method
     if second is not None:
         # a file that is missing ends the command now, not after the first method's work
         feature_method(second), match_method(second)
     features = _extract(images, config.frontend, config, progress, clock)
-    measured = sum(len(f) >= config.frontend.pairs.min_inliers for f in features)
-    if measured < FEWEST_MEASURED_FRAMES:
-        raise RunFailure(
-            f"only {measured} of {len(features)} frames show enough stereo features on the target; "
-            "check exposure, focus and the calibration"
-        )
     partners = pairs_to_match(features, config.frontend.pairs, config.seed)
     matches = _match(images, features, partners, config.frontend, config, progress, clock)
     return Sight(features, _undisputed(images, matches, clock))
@@ -86,7 +89,7 @@ def look_again(
         else pairs_in_view(X_RG, second.pairs)
     )
     matches = _match(images, features, partners, second, config, progress, clock)
-    both = [side_by_side(a, b) for a, b in zip(first.features, features, strict=True)]
+    both = side_by_side(first.features, features)
     together = [*first.matches, *shifted(matches, first.features)]
     return Sight(both, _undisputed(images, sorted(together, key=lambda m: (m.i, m.j)), clock))
 

@@ -111,3 +111,25 @@ def test_what_is_smooth_is_the_turn_in_N() -> None:
     # a camera that follows those attitudes sees a body that does not turn in N
     follows = np.swapaxes(X_RG[:, :3, :3], 1, 2)
     assert smooth_links(relative, usable(relative), time_s, follows).all()
+
+
+def test_two_links_between_the_same_frames_are_judged_each_by_itself() -> None:
+    """A wrong link beside a right one takes nothing from it, nor from its neighbours."""
+    n = 5
+    X = make_pose(
+        exp_so3(np.deg2rad(20.0) * np.arange(n)[:, None] * np.array([0.0, 1.0, 0.0])), [0.0, 0.0, 0.6]
+    )
+    i, j = np.triu_indices(n, 1)
+    right = X[i] @ inverse_pose(X[j])
+    wrong = right[0] @ make_pose(exp_so3(np.array([0.0, 0.0, 2.0])), np.zeros(3))
+    links = RelativePoses(i, j, right, np.full(len(i), 40))
+    both = RelativePoses(
+        np.append(i, i[0]),
+        np.append(j, j[0]),
+        np.concatenate([right, wrong[None]]),
+        np.append(links.inliers, 12),
+    )
+    alone = triangle_support(links, np.ones(len(i), dtype=np.bool_), n)
+    beside = triangle_support(both, np.ones(len(i) + 1, dtype=np.bool_), n)
+    np.testing.assert_array_equal(beside[:-1], alone)
+    assert alone.min() >= 0.8 and beside[-1] == pytest.approx(0.2)

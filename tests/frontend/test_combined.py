@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frontend.combined import shifted, side_by_side
+from frontend.combined import of_second, shifted, side_by_side
 from frontend.guided import reconnect
 from frontend.nearest import MutualNearest
 from frontend.pairs import match_pairs
-from frontend.retrieval import CLOSE, SAME_SIDE_DEG, pairs_in_view
+from frontend.retrieval import CLOSE, SAME_SIDE_DEG, frame_vectors, pairs_in_view
+from frontend.stereo import StereoFeatures
 from frontend.tracks import join_matches
 from polhode.config.frontend import Features, Frontend, GuidedMatching, PairMatching
 from polhode.lie import exp_so3, inverse_pose, make_pose
@@ -25,7 +26,7 @@ def world() -> World:
 def test_what_each_method_knows_stays_with_its_features(world: World) -> None:
     first, second = world.frames[0], world.frames[1]
     second = replace(second, R_RS=np.tile(np.eye(3), (len(second), 1, 1)))
-    both = side_by_side(first, second)
+    (both,) = side_by_side([first], [second])
     n = len(first)
     np.testing.assert_array_equal(both.uvd_px, np.concatenate([first.uvd_px, second.uvd_px]))
     np.testing.assert_array_equal(both.sigma_px, np.concatenate([first.sigma_px, second.sigma_px]))
@@ -33,12 +34,13 @@ def test_what_each_method_knows_stays_with_its_features(world: World) -> None:
     assert not both.on_surface[:n].any() and both.on_surface[n:].all()
     np.testing.assert_allclose(np.linalg.norm(both.descriptors, axis=1), 1.0, atol=1e-5)
     assert np.all(both.descriptors[:n] @ both.descriptors[n:].T == 0.0)
-    assert side_by_side(first, world.frames[1]).R_RS is None
+    (unknown,) = side_by_side([first], world.frames[1:2])
+    assert not unknown.on_surface.any()
 
 
 def test_methods_are_never_matched_with_each_other(world: World) -> None:
     """The same features twice: without blocks of their own the nearest neighbour were the twin."""
-    a, b = (side_by_side(frame, frame) for frame in world.frames[:2])
+    a, b = side_by_side(world.frames[:2], world.frames[:2])
     pairs = MutualNearest(Frontend())(a, b).features
     of_first = pairs < np.array([len(world.frames[0]), len(world.frames[1])])
     assert len(pairs) > 20 and np.array_equal(of_first[:, 0], of_first[:, 1])
@@ -48,7 +50,7 @@ def test_matches_of_both_make_tracks_of_their_own(world: World) -> None:
     config = Frontend()
     partners: list[Ints] = [np.arange(i + 1, 12, dtype=np.int64) for i in range(12)]
     matches = match_pairs(world.frames, partners, RIG, config, 0, 1, lambda: None)
-    both = [side_by_side(frame, frame) for frame in world.frames]
+    both = side_by_side(world.frames, world.frames)
     joined = join_matches(both, [*matches, *shifted(matches, world.frames)])
     alone = join_matches(world.frames, matches)
     for label, single, frame in zip(joined.landmark, alone.landmark, world.frames, strict=True):
@@ -60,15 +62,21 @@ def test_matches_of_both_make_tracks_of_their_own(world: World) -> None:
 
 
 def test_a_lost_frame_is_found_by_the_landmarks_of_both(world: World) -> None:
-    """Half of each frame's features know no surface, half do, with axes that turn with the body."""
+    """Half of each frame's features know no surface, half do, with axes that turn with the body; of one frame
+    the second method sees nothing."""
     X_RG = world.X_RG
-    frames = []
-    for frame, X in zip(world.frames, X_RG, strict=True):
-        upright = np.tile(X[:3, :3], (len(frame), 1, 1))
-        frames.append(side_by_side(frame, replace(frame, R_RS=upright)))
+    second = [
+        replace(frame, R_RS=np.tile(X[:3, :3], (len(frame), 1, 1)))
+        for frame, X in zip(world.frames, X_RG, strict=True)
+    ]
+    second[3] = _nothing(width=64)
+    frames = side_by_side(world.frames, second)
     partners: list[Ints] = [np.arange(i + 1, 12, dtype=np.int64) for i in range(12)]
     matches = match_pairs(world.frames, partners, RIG, Frontend(), 0, 1, lambda: None)
-    matches = [m for m in [*matches, *shifted(matches, world.frames)] if 5 not in (m.i, m.j)]
+    others = [m for m in shifted(matches, world.frames) if 3 not in (m.i, m.j)]
+    assert all(of_second(m, world.frames) for m in others)
+    assert not any(of_second(m, world.frames) for m in matches)
+    matches = [m for m in [*matches, *others] if 5 not in (m.i, m.j)]
     connected = np.arange(12) != 5
     found = reconnect(
         frames, join_matches(frames, matches), InitialMotion(X_RG, connected), RIG, GuidedMatching(), 0
@@ -77,6 +85,24 @@ def test_a_lost_frame_is_found_by_the_landmarks_of_both(world: World) -> None:
     n = len(world.frames[5])
     shown = found.association.landmark[5] >= 0
     assert shown[:n].sum() >= 10 and shown[n:].sum() >= 10
+
+
+def _nothing(width: int) -> StereoFeatures:
+    none = np.zeros((0, 3))
+    return StereoFeatures(none, none, none, np.zeros(0), np.zeros((0, width), dtype=np.float32))
+
+
+def test_frames_that_a_method_sees_nothing_of_are_as_wide_as_the_others(world: World) -> None:
+    first, second = (
+        [world.frames[0], _nothing(64), world.frames[2]],
+        [_nothing(7), world.frames[1], _nothing(7)],
+    )
+    both = side_by_side(first, second)
+    assert {frame.descriptors.shape[1] for frame in both} == {2 * world.frames[0].descriptors.shape[1]}
+    assert [len(frame) for frame in both] == [len(world.frames[k]) for k in range(3)]
+    assert frame_vectors(both, 0).shape[0] == 3
+    nothing = side_by_side([_nothing(64)], [_nothing(7)])
+    assert len(nothing[0]) == 0 and nothing[0].on_surface.shape == (0,)
 
 
 def _turning(n: int, step_deg: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

@@ -91,6 +91,23 @@ def test_the_second_method_stands_in_where_the_first_finds_no_motion(run: Run) -
     assert outcome.summary["frames_used"] == FRAMES
 
 
+def test_a_second_method_that_breaks_costs_nothing_that_was_found(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: Any, **__: Any) -> None:
+        raise ValueError("no such thing")
+
+    monkeypatch.setattr("pipeline.sight.side_by_side", broken)
+    outcome = run(SCENE, OTHER)
+    assert outcome.code == 0 and outcome.summary["frames_used"] == FRAMES
+    assert "the second method of the front end failed" in outcome.log and "no such thing" in outcome.log
+
+
+def test_the_second_method_stands_in_where_the_first_sees_nothing(run: Run) -> None:
+    outcome = run(replace(SCENE, dropped=tuple(range(1, FRAMES))), OTHER)
+    assert outcome.code == 0 and outcome.summary["frames_used"] == FRAMES
+
+
 def test_a_second_method_that_sees_nothing_changes_nothing(run: Run) -> None:
     outcome = run(SCENE, None)
     assert outcome.code == 0 and outcome.log.count("motion and inertia") <= 3
