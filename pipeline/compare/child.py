@@ -4,8 +4,10 @@ Reads the problem, solves, writes what came of it as JSON. Whatever it does wron
 """
 
 import json
+import math
 import os
 import resource
+import signal
 import sys
 import traceback
 from dataclasses import asdict
@@ -27,7 +29,10 @@ def main(words: list[str]) -> None:
     given: dict[str, Any] = json.loads(entry_text)
     given["options"] = tuple(tuple(pair) for pair in given["options"])
     given["needs"] = tuple(given["needs"])
-    answer = solve(Path(problem_file), Entry(**given), json.loads(case_text), Path(out))
+    case = json.loads(case_text)
+    # should the parent die first, nobody else ends a solver that hangs
+    signal.alarm(math.ceil(case["limit_s"]) + 5)
+    answer = solve(Path(problem_file), Entry(**given), case, Path(out))
     from polhode.atomic import write_text
 
     write_text(Path(out), json.dumps(answer))
@@ -96,6 +101,16 @@ def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> 
         "sigma_com_mm": of_sigma[2],
         "errors": verdict.errors.model_dump() if verdict.errors is not None else None,
         "trace": finite(watch.trace),
+    }
+
+
+def storable(known: dict[str, Any]) -> dict[str, Any]:
+    """A row's content with null for every number that is not finite: JSON has no word for it."""
+    return {
+        key: storable(value)
+        if isinstance(value, dict)
+        else (None if isinstance(value, float) and not math.isfinite(value) else value)
+        for key, value in known.items()
     }
 
 

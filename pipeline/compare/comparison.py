@@ -7,6 +7,7 @@ import json
 import logging
 import platform
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter
@@ -20,7 +21,7 @@ from pipeline.compare.sources import Source, sources
 from pipeline.compare.table import csv_text
 from polhode.atomic import write_text
 from polhode.config import Config
-from polhode.errors import InputError
+from polhode.errors import InputError, RunFailure
 from polhode.progress import Progress
 
 FILE = "compare.json"
@@ -40,9 +41,16 @@ def compare(
     wanted = list(sources(config, data, run))
     _claim(folder, config, wanted)
     deadline = perf_counter() + config.compare.total_s
-    problems, rows = [], []
+    problems: list[ProblemWords] = []
+    rows: list[Row] = []
     for source in wanted:
-        file = _prepared(source, folder, config, progress)
+        try:
+            file = _prepared(source, folder, config, progress)
+        except RunFailure as failure:
+            if source is wanted[-1] and not problems:
+                raise
+            _log.warning("%s is left out: %s", source.name, failure)
+            continue
         problem = load(file)
         cases = list(_cases(source.name, config, chosen))
         own = []
@@ -114,12 +122,19 @@ def _row(
     name = f"{case.problem}.{case.solver}.{case.start}{case.seed}.json"
     path, stamp = folder / "rows" / name, {"fingerprint": key, "limit_s": config.compare.limit_s}
     if path.is_file():
-        known = json.loads(path.read_text())
-        if known["stamp"] == stamp and known["row"]["status"] != "missing":
-            return Row.model_validate(known["row"])
-    if perf_counter() > deadline:
+        # a row that another version wrote counts as none
+        with suppress(ValueError, KeyError):
+            known = json.loads(path.read_text())
+            if known["stamp"] == stamp and known["row"]["status"] != "missing":
+                return Row.model_validate(known["row"])
+    left_s = deadline - perf_counter()
+    if left_s <= 0.0:
         return empty_row(entry, case, "timeout", "its turn did not come: the comparison's time was up")
-    row = row_of(file, entry, case, config.compare.limit_s)
+    limit_s = min(config.compare.limit_s, left_s)
+    row = row_of(file, entry, case, limit_s)
+    if row.status == "timeout" and limit_s < config.compare.limit_s:
+        # with its whole time it might have come to an end: measured again when the comparison goes on
+        return row
     write_text(path, json.dumps({"stamp": stamp, "row": row.model_dump(mode="json")}) + "\n")
     _log.info("%s: %s, %s", name, row.status, row.message)
     return row

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from time import time
 from typing import Any
 
-from pipeline.compare.child import entry_text, finite
+from pipeline.compare.child import entry_text, finite, storable
 from pipeline.compare.registry import Entry
 from pipeline.compare.rows import Case, Row
 
@@ -31,12 +31,14 @@ def row_of(problem_file: Path, entry: Entry, case: Case, limit_s: float) -> Row:
     with TemporaryDirectory(prefix="polhode-compare-") as folder:
         out = Path(folder) / "row.json"
         told = {**case.model_dump(), "limit_s": limit_s, "started": time()}
-        command = [sys.executable, "-m", "pipeline.compare.child",
+        command = [sys.executable, "-P", "-m", "pipeline.compare.child",
                    str(problem_file), entry_text(entry), json.dumps(told), str(out)]  # fmt: skip
         code, words = _run(command, limit_s)
         if out.is_file():
-            known = json.loads(out.read_text())
-            return _row(entry, case, known)
+            try:
+                return _row(entry, case, storable(json.loads(out.read_text())))
+            except ValueError as error:
+                return empty_row(entry, case, "failed", f"its answer cannot be read: {str(error)[:150]}")
         trace = _trace(out.with_suffix(".trace"))
         if code is None:
             return empty_row(entry, case, "timeout", f"it did not come back within {limit_s:g} s", trace)
@@ -59,7 +61,9 @@ def _row(entry: Entry, case: Case, known: dict[str, Any]) -> Row:
 
 def _run(command: list[str], limit_s: float) -> tuple[int | None, str]:
     """Exit code, None when its time was up; and what it said on standard error."""
-    environment = {**os.environ, "PYTHONFAULTHANDLER": "0"}
+    # the child takes our packages from where this process has them, wherever it was started
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    environment.pop("PYTHONFAULTHANDLER", None)
     process = subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,

@@ -7,6 +7,8 @@ unknowns are counted from the cold start: its attitudes are the reference, its f
 
 import hashlib
 import pickle
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -155,6 +157,15 @@ def inertia_around(second: Array, data: MotionData, reference: Iterate) -> Array
     return out
 
 
+@contextmanager
+def _solvable(name: str) -> Iterator[None]:
+    """Raises RunFailure where the measurements' equations have no solution."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise RunFailure(f"{name}: no consistent motion: its equations have no solution") from error
+
+
 def freeze(
     name: str,
     tracks: StereoTracks,
@@ -169,7 +180,7 @@ def freeze(
     if relative is None or not len(relative.i):
         raise InputError(f"{name}: the measurements hold no relative poses to start from; run it again")
     begin = perf_counter()
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"), _solvable(name):
         initial = initialize_motion(tracks, relative, config)
         data = motion_data(tracks, config)
         found = fit(data, tracks, initial, config, lambda: None)

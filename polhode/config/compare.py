@@ -1,6 +1,6 @@
 """Settings of the comparison of optimizers (``polhode compare``)."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -12,11 +12,11 @@ Motion = Literal["ts38", "flip", "minor_wobble", "major_wobble", "tumble", "slow
 class MonteCarlo(Section):
     """Synthetic measurements with truth: one problem for each motion, number of frames and of landmarks."""
 
-    motions: tuple[Motion, ...] = ("ts38",)
+    motions: tuple[Motion, ...] = Field(("ts38",), min_length=1)
     """Bodies and motions, as in the benchmark of accuracy."""
-    frames: tuple[int, ...] = (115,)
+    frames: tuple[Annotated[int, Field(ge=3)], ...] = Field((115,), min_length=1)
     """Stereo pairs."""
-    landmarks: tuple[int, ...] = (2430,)
+    landmarks: tuple[Annotated[int, Field(ge=10)], ...] = Field((2430,), min_length=1)
     """Points on the body; about all of them are seen at some time."""
     noise_px: float = Field(1.0, gt=0)
     """Standard deviation of u, v and disparity [px]."""

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.compare.child import storable
 from pipeline.compare.isolate import row_of
 from pipeline.compare.registry import ENTRIES, Entry, entries
 from pipeline.compare.rows import Case, Row
@@ -55,6 +56,26 @@ def test_a_point_without_a_cost_is_a_failure(small_file: Path) -> None:
     found = row(small_file, "nonsense")
     assert found.status == "failed"
     assert found.cost is None
+
+
+def test_numbers_that_are_not_finite_are_none_in_a_row(small_file: Path) -> None:
+    nested = {
+        "cost": float("inf"),
+        "errors": {"k1": float("nan"), "k2": 1.0},
+        "trace": [(0.0, 1.0)],
+        "status": "ok",
+    }
+    assert storable(nested) == {**nested, "cost": None, "errors": {"k1": None, "k2": 1.0}}
+
+
+def test_the_child_takes_our_packages_wherever_it_is_started(
+    small_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A foreign package of our name in the working directory is not taken for ours."""
+    (tmp_path / "backend").mkdir()
+    (tmp_path / "backend" / "__init__.py").write_text("raise RuntimeError('foreign')")
+    monkeypatch.chdir(tmp_path)
+    assert row(small_file, "raises").message == "ValueError: no such luck"
 
 
 def test_a_missing_package_is_a_row_that_names_it(small_file: Path) -> None:
