@@ -121,6 +121,12 @@ def finite(trace: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 def peak_mb() -> float:
     """Largest resident size of this process so far [MB]."""
+    status = Path("/proc/self/status")
+    if status.is_file():
+        # getrusage's peak survives exec: a child would start from its parent's
+        for line in status.read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return float(line.split()[1]) / 1024.0
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 

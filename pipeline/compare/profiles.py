@@ -52,7 +52,7 @@ def performance_profiles(comparison: Comparison) -> list[Profile]:
         out.append(
             Profile(
                 solver,
-                np.concatenate([[1.0], factors, [LONGEST]]),
+                np.concatenate([[1.0], factors, [max([LONGEST, *factors])]]),
                 np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]]),
             )
         )

@@ -4,7 +4,9 @@
 body at rest, not along its motion. ``open_loop``: a landmark that comes back into view is a new one.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -61,8 +63,8 @@ class Ablation:
 class _WidePrior(Watched):
     """The thesis's, on its own numbers."""
 
-    def __init__(self, data: MotionData, watch: Watch) -> None:
-        super().__init__(data, watch)
+    def __init__(self, data: MotionData, watch: Watch, common: Callable[[Array], Array]) -> None:
+        super().__init__(data, watch, common)
         self._prior = wide_prior
 
 
@@ -74,6 +76,14 @@ def _at_rest(problem: MeasuredProblem) -> Steps:
     return replace(problem.held.steps, W_t=W_t, W_r=W_r)
 
 
+def _in_common(problem: MeasuredProblem, data: MotionData, around: Iterate, x: Array) -> Array:
+    """Unknowns x counted from an iterate, in the data's form of the inertia -> the common unknowns."""
+    at = around.moved_to(x)
+    J = inertia_from_second_moments(at.second_moments(data.form))
+    xi, R_inertia = problem.data.form.coordinates(second_moments_from_inertia(J))
+    return problem.vector(replace(at, xi=xi, R_inertia=R_inertia))
+
+
 def _log_ratios(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
     data = replace(problem.data, form=LogRatios())
     start = problem.iterate(x)
@@ -82,7 +92,7 @@ def _log_ratios(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
     total, before = 0, np.inf
     while True:
         # references are renewed, as the axes of nearly equal moments turn far
-        solver = _WidePrior(data, watch)
+        solver = _WidePrior(data, watch, partial(_in_common, problem, data, begin))
         held = _around(problem.held, data, begin)
         found = solver.solve(held, begin.vector(), 15, watch.left())
         watch.check()
@@ -91,11 +101,9 @@ def _log_ratios(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         if (found.converged and resting) or total >= MAX_ITERATIONS:
             break
         before = found.cost
-    J = inertia_from_second_moments(begin.second_moments(data.form))
-    xi, R_inertia = problem.data.form.coordinates(second_moments_from_inertia(J))
     words = "a possible body" if possible(begin.xi) else "an impossible body"
-    end = replace(begin, xi=xi, R_inertia=R_inertia)
-    return Outcome(problem.vector(end), found.converged, total, f"{found.message}; {words}")
+    end = _in_common(problem, data, begin, begin.vector())
+    return Outcome(end, found.converged, total, f"{found.message}; {words}")
 
 
 def _around(held: Held, data: MotionData, at: Iterate) -> Held:

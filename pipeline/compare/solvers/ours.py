@@ -1,6 +1,8 @@
 """polhode's own Gauss-Newton (``backend.gauss_newton``) in either form of the inertia."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -21,11 +23,17 @@ MAX_ITERATIONS, PASS = 500, 12
 
 
 class Watched(GaussNewton):
-    """The same solver; its clock is read at each linearisation."""
+    """The same solver; its clock is read at each linearisation.
 
-    def __init__(self, data: MotionData, watch: Watch) -> None:
+    ``common`` takes its unknowns to the common ones, in which what was reached is noted.
+    """
+
+    def __init__(
+        self, data: MotionData, watch: Watch, common: Callable[[Array], Array] = lambda x: x
+    ) -> None:
         super().__init__(data)
         self.watch = watch
+        self.common = common
 
     def normal_equations(
         self, held: Held, x: Array, weight: Array | None = None, prior: bool = True
@@ -33,9 +41,13 @@ class Watched(GaussNewton):
         """Noted as an iteration."""
         with self.watch.part("evaluation"):
             system = super().normal_equations(held, x, weight, prior)
-        self.watch.note(system.cost, x)
+        self.note(system.cost, x)
         self.watch.check()
         return system
+
+    def note(self, cost: float, x: Array) -> None:
+        """What was reached, in the common unknowns."""
+        self.watch.note(cost, self.common(x))
 
     def cost(self, held: Held, x: Array) -> float:
         """Timed."""
@@ -66,7 +78,7 @@ class Ours:
             with watch.part("build"):
                 if not common:
                     own = with_form(problem, self.form, problem.iterate(x))
-                solver = Watched(own.data, watch)
+                solver = Watched(own.data, watch, *([] if common else [partial(in_form, own, problem)]))
             start = x if common else in_form(problem, own, x)
             found = _solved(solver, own.held, start, iterations)
             x, total = found.x if common else in_form(own, problem, found.x), total + found.iterations
@@ -81,7 +93,7 @@ class Ours:
 
 def _solved(solver: Watched, held: Held, x: Array, iterations: int) -> Solution:
     found = solver.solve(held, x, iterations, max(solver.watch.left(), 0.0))
-    solver.watch.note(found.cost, found.x)
+    solver.note(found.cost, found.x)
     if found.message == TIME_LIMIT:
         raise OutOfTime
     return found

@@ -63,7 +63,8 @@ def test_baselines_answer_in_the_common_unknowns(name: str, small: MeasuredProbl
 
 
 @pytest.mark.parametrize(
-    "name", ["gauss_newton", "ipopt", "scipy_trf", "belief_propagation", "sqp_qrqp", "ceres"]
+    "name",
+    ["gauss_newton", "gauss_newton_ratios", "ipopt", "scipy_trf", "belief_propagation", "sqp_qrqp", "ceres"],
 )
 def test_they_descend_and_stop_at_the_limit(name: str, small: MeasuredProblem) -> None:
     watch, before = Watch(0.25), judge(small, small.cold).cost
