@@ -35,7 +35,7 @@ class Found:
 
     features: Sequence[StereoFeatures]
     association: Association
-    connected: InitialMotion
+    motion: InitialMotion
     """Solved poses, and which frames are measured"""
     tracks: StereoTracks
     estimate: MotionEstimate
@@ -91,7 +91,7 @@ def _leaves_short(found: Found, sight: Sight, config: Config) -> bool:
         return True
     shows = np.array([len(features) > 0 for features in sight.features])
     observations = np.bincount(found.tracks.frame, minlength=len(shows))[shows]
-    lost = np.sum(shows & ~found.connected.connected)
+    lost = np.sum(shows & ~found.motion.connected)
     return bool(
         np.median(observations) < config.frontend.features.second_below or lost > MANY_LOST * np.sum(shows)
     )
@@ -107,7 +107,7 @@ def _better(
     clock: Stopwatch,
 ) -> Found | None:
     """The motion from what both methods see, unless it fits worse or finds fewer frames."""
-    X_RG = None if plain is None else plain.connected.X_RG
+    X_RG = None if plain is None else plain.motion.X_RG
     both = look_again(images, sight, second, X_RG, config, progress, clock)
     if not any(of_second(match, sight.features) for match in both.matches):
         return None
@@ -119,8 +119,8 @@ def _better(
         return None
     if plain is None:
         return found
-    measured = plain.connected.connected
-    fewer = np.sum(found.connected.connected) < np.sum(measured)
+    measured = plain.motion.connected
+    fewer = np.sum(found.motion.connected) < np.sum(measured)
     revised = revises((found.tracks, found.estimate), (plain.tracks, plain.estimate), measured)
     return None if fewer or revised else found
 
@@ -173,19 +173,19 @@ def polished(found: Found, images: Images, config: Config, progress: Progress, c
             tracks = images.tracks(*changed, config)
         try:
             with clock("backend"):
-                again = estimate_motion(tracks, found.connected, config.backend, progress)
+                again = estimate_motion(tracks, found.motion, config.backend, progress)
         except RunFailure as failure:
             _log.info("that leads to no motion and is not used: %s", failure)
             continue
         if contradicts(again, found.estimate):
             _log.info("that fits worse and is not used")
             continue
-        motion = InitialMotion(pose_RG(tracks, again), found.connected.connected)
+        motion = InitialMotion(pose_RG(tracks, again), found.motion.connected)
         found = replace(
             found,
             features=changed[0],
             association=changed[1],
-            connected=motion,
+            motion=motion,
             tracks=tracks,
             estimate=again,
         )
@@ -202,7 +202,7 @@ def _join_duplicates(found: Found, images: Images, config: Config) -> Changed | 
     if not guided.merge:
         return None
     known = found.association
-    merged = merge_duplicates(found.features, known, found.connected, images.rectifier.rig, guided)
+    merged = merge_duplicates(found.features, known, found.motion, images.rectifier.rig, guided)
     joined = known.n_landmarks - merged.n_landmarks
     _log.info("%d of %d landmarks joined to others", joined, known.n_landmarks)
     return (found.features, merged) if joined else None
@@ -213,6 +213,6 @@ def _refine_places(found: Found, images: Images, config: Config) -> Changed | No
     if not config.frontend.tracks.refine or not any(seen.on_surface.any() for seen in found.features):
         return None
     return refine_tracks(
-        *(images.sequence, images.rectifier, found.features, found.association, found.connected),
+        *(images.sequence, images.rectifier, found.features, found.association, found.motion),
         *(config.frontend, workers(config)),
     )

@@ -1,5 +1,6 @@
 """GTSAM: Levenberg-Marquardt on the whole graph, and iSAM2 frame by frame."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,7 +50,7 @@ class Batch:
             converged = before - after <= TOLERANCE * after
             before = after
         values = optimizer.values()
-        cov = _covariance(graph, values) if watch.stop() else None
+        cov = _covariance(lambda: gtsam.Marginals(graph, values)) if watch.stop() else None
         message = "converged" if converged else "limit of iterations"
         return Outcome(own.vector(values), converged, iterations, message, cov)
 
@@ -100,15 +101,13 @@ class Incremental:
             isam.update()
             iterations += 1
             watch.check()
-        watch.stop()
-        cov = np.asarray(isam.marginalCovariance(C(0)))[:8, :8]
+        cov = _covariance(lambda: isam) if watch.stop() else None
         return Outcome(found, converged, iterations, "converged" if converged else "limit of updates", cov)
 
 
-def _covariance(graph: Any, values: Any) -> Array | None:
+def _covariance(solved: Callable[[], Any]) -> Array | None:
     """(8, 8) of com_G, xi by GTSAM; None where its Hessian has no inverse."""
     try:
-        marginals = gtsam.Marginals(graph, values)
-        return np.asarray(marginals.marginalCovariance(C(0)))[:8, :8]
+        return np.asarray(solved().marginalCovariance(C(0)))[:8, :8]
     except RuntimeError:
         return None
