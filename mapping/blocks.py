@@ -19,6 +19,8 @@ HALF = 1 << (_BITS - 1)
 WEIGHT, DISTANCE, SQUARE, FREE, VIEWS, COLOUR, COLOUR_WEIGHT = range(7)
 CHANNELS = 7
 BYTES_PER_BLOCK = VOXELS * 4 * CHANNELS
+_LEAST_ROOM = 1024
+"""Blocks, 14 MiB."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,8 @@ def voxel_offsets(device: torch.device) -> Int64[Tensor, "512 3"]:
 class BlockGrid:
     """Blocks in the order of their allocation: keys (n,), and float32 values (n, 512, 7).
 
+    Memory grows with the blocks, up to ``memory_mib``; while it grows, old and new are held together.
+
     Of frames that saw the surface near a voxel: WEIGHT, DISTANCE, SQUARE, sums of w, w d, w d^2, d the signed
     distance [m]; VIEWS, their number; COLOUR, COLOUR_WEIGHT, weighted sum of intensities and of its weights.
     FREE: sum of the weights of frames that saw through it; their distance is that of the cut in front.
@@ -64,15 +68,26 @@ class BlockGrid:
         self.refused = 0
         """Blocks that did not fit in the memory"""
         self._n = 0
-        shape = (self.most, VOXELS, CHANNELS)
-        if device.type == "cpu":
-            # NumPy's zeros take no memory until they are touched
-            self._values = torch.from_numpy(np.zeros(shape, dtype=np.float32))
-        else:
-            self._values = torch.zeros(shape, device=device)
-        self._keys = torch.zeros(self.most, dtype=torch.int64, device=device)
+        self._values = self._empty(0)
+        self._keys = torch.zeros(0, dtype=torch.int64, device=device)
         self._sorted = self._keys[:0]
         self._order = self._keys[:0]
+
+    def _empty(self, blocks: int) -> Float32[Tensor, "n 512 7"]:
+        if self.device.type == "cpu":
+            # NumPy's zeros take no memory until they are touched
+            return torch.from_numpy(np.zeros((blocks, VOXELS, CHANNELS), dtype=np.float32))
+        return torch.zeros((blocks, VOXELS, CHANNELS), device=self.device)
+
+    def _hold(self, blocks: int) -> None:
+        """Room for so many blocks, half more than before at least: copies cost little in the sum."""
+        room = len(self._values)
+        if blocks <= room:
+            return
+        room = min(self.most, max(blocks, room + room // 2, _LEAST_ROOM))
+        values, keys = self._empty(room), torch.zeros(room, dtype=torch.int64, device=self.device)
+        values[: self._n], keys[: self._n] = self.values, self.keys
+        self._values, self._keys = values, keys
 
     def __len__(self) -> int:
         return self._n
@@ -84,13 +99,18 @@ class BlockGrid:
 
     @property
     def values(self) -> Float32[Tensor, "n 512 7"]:
-        """(n, 512, 7), a view: written to in place."""
+        """(n, 512, 7), a view: written to in place, until the next ``allocate``."""
         return self._values[: self._n]
 
     @property
     def bytes(self) -> int:
         """Memory of the values."""
         return len(self) * BYTES_PER_BLOCK
+
+    @property
+    def held_bytes(self) -> int:
+        """The same with the room for blocks to come."""
+        return len(self._values) * BYTES_PER_BLOCK
 
     def find(self, keys: Int64[Tensor, " m"]) -> Int64[Tensor, " m"]:
         """Indices (m,) of the blocks of these keys, -1 where there is none."""
@@ -106,6 +126,7 @@ class BlockGrid:
         new = new[: self.most - self._n]
         if len(new) == 0:
             return
+        self._hold(self._n + len(new))
         self._keys[self._n : self._n + len(new)] = new
         self._n += len(new)
         self._sorted, self._order = torch.sort(self.keys)

@@ -5,10 +5,13 @@ from typing import ParamSpec, TypeVar, cast
 
 import numba
 
+from polhode.cache_name import named_by_constants
+
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
 def compiled(function: Callable[P, T]) -> Callable[P, T]:
     """Compile to machine code at the first call; later processes load it from numba's cache."""
-    return cast(Callable[P, T], numba.njit(cache=True, fastmath={"contract"}, error_model="numpy")(function))
+    named = named_by_constants(function)
+    return cast(Callable[P, T], numba.njit(cache=True, fastmath={"contract"}, error_model="numpy")(named))

@@ -49,6 +49,7 @@ class Field:
         self.rig, self.config = rig, config
         self._most_kept = np.inf if kept_mib is None else kept_mib * 2**20
         self.used = self.without_pose = self.without_depth = 0
+        self._doubtful: set[int] = set()
         self._voxel_m = voxel_m
         self._grid = self._empty()
         self._kept: dict[int, _Kept] = {}
@@ -73,14 +74,17 @@ class Field:
         """Add a frame; false when it has no depth, or no finite pose, and is left out.
 
         X_RG (4, 4) the target in the rectified left camera; covariance_G (6, 6) of that pose, shift [m] and
-        turn [rad] along the axes of G, the turn about its origin: p_R = X_RG (Exp(turn) p_G + shift).
+        turn [rad] along the axes of G, the turn about its origin: p_R = X_RG (Exp(turn) p_G + shift). None:
+        exact. One that is not finite tells nothing of the pose: the frame counts little, as if it were off by
+        the width of the band in front of the surface, and a warning says so.
         """
         number = self._frames
         self._frames += 1
         if not np.isfinite(X_RG).all():
             self.without_pose += 1
             return False
-        covariance_R = _turned(covariance_G, X_RG[:3, :3])
+        known = covariance_G is None or bool(np.isfinite(covariance_G).all())
+        covariance_R = _turned(covariance_G, X_RG[:3, :3]) if known else self._unknown()
         tensors = frame_tensors(frame, self.rig, self._grid.device, covariance_R, X_RG[:3, 3])
         if tensors is None:
             self.without_depth += 1
@@ -89,12 +93,18 @@ class Field:
         kept = _Kept(tensors, X_RF, 0)
         self._put(kept)
         self.used += 1
+        if not known:
+            self._doubtful.add(number)
         self._kept[number] = kept
         while sum(each.tensors.bytes for each in self._kept.values()) > self._most_kept:
             oldest = self._kept.pop(next(iter(self._kept)))
             self._complete(oldest)
             self._let_go += 1
         return True
+
+    def _unknown(self) -> Array:
+        """The covariance (6, 6) of a pose of which nothing is known: farther off it would miss the band."""
+        return np.diag([self._grid.cut.front_m**2] * 3 + [0.0] * 3)
 
     def _put(self, kept: _Kept) -> None:
         allocate(self._grid, kept.tensors, kept.X_RF, self.rig)
@@ -118,11 +128,14 @@ class Field:
         lost = [k for k in self._kept if not np.isfinite(X_RG[k]).all()]
         for k in lost:
             self._take_away(self._kept.pop(k))
+            self._doubtful.discard(k)
             self.used, self.without_pose = self.used - 1, self.without_pose + 1
         if not self._kept:
             return len(lost)
         numbers = np.array(list(self._kept))
-        self._X_FG, moved = self._apart(numbers, X_RG[numbers])
+        moved = numbers
+        if len(self._grid):
+            self._X_FG, moved = self._apart(numbers, X_RG[numbers])
         if 2 * len(moved) > len(numbers):
             # cheaper than taking away and adding
             self._grid, self._X_FG, moved = self._empty(), np.eye(4), numbers
@@ -196,6 +209,12 @@ class Field:
             out.append(
                 f"{self.without_pose} of {self._frames} frames have no finite pose: not in the surface"
             )
+        if self._doubtful:
+            n, width_mm = len(self._doubtful), self._grid.cut.front_m * 1e3
+            out.append(
+                f"{n} of {self._frames} frames have a pose of unknown precision: they count as if "
+                f"{width_mm:.3g} mm off"
+            )
         if self._frames and self.used == 0:
             out.append("no frame has valid depth: there is no surface")
         elif 2 * self.without_depth > self._frames:
@@ -209,8 +228,8 @@ class Field:
 
 
 def _turned(covariance: Array | None, R: Array) -> Array | None:
-    """Covariance (6, 6) along other axes; None, where it is not finite."""
-    if covariance is None or not np.isfinite(covariance).all():
+    """Covariance (6, 6) along other axes."""
+    if covariance is None:
         return None
     both = np.zeros((6, 6))
     both[:3, :3] = both[3:, 3:] = R

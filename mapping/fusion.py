@@ -32,7 +32,7 @@ def fuse(
 
     frames: pairs of a DepthMap and X_RG (4, 4), the target's pose in the rectified left camera; read once,
     one at a time. Depth or poses with NaN are left out. n_frames: how many are coming, for the progress bar.
-    covariance_G (F, 6, 6): of the poses, as ``Field.add`` takes them; None: exact.
+    covariance_G (F, 6, 6): of the poses, as ``Field.add`` takes them; None: exact; not finite: unknown.
     Returns an empty mesh when nothing was seen; ``warnings`` of the result tells what is missing and why.
     """
     stream = iter(frames)

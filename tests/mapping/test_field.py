@@ -153,6 +153,26 @@ def test_frames_whose_poses_are_doubtful_weigh_less(box: trimesh.Trimesh, frames
     assert error[0] < 0.7 * error[1]
 
 
+def test_a_pose_of_unknown_precision_counts_little_and_is_told_of(
+    box: trimesh.Trimesh, frames: Frames
+) -> None:
+    covariance, wrong = np.zeros((len(frames), 6, 6)), []
+    for k, (depth, X_RG) in enumerate(frames):
+        unknown = k % 3 == 0
+        wrong.append((depth, moved(X_RG, 4e-3, 0.04, seed=k) if unknown else X_RG))
+        if unknown:
+            covariance[k, 0, 0] = (np.nan, np.inf)[k % 2]
+    told = fuse(wrong, RIG, CONFIG, covariance_G=covariance)
+    untold = fuse(wrong, RIG, CONFIG)
+    error = [distance_to_surface(box, np.asarray(s.mesh.vertices)).mean() for s in (told, untold)]
+    assert error[0] < 0.7 * error[1]
+    assert told.warnings == ("8 of 24 frames have a pose of unknown precision: they count as if 12 mm off",)
+    # where nothing else saw the body they make the surface, with sigmas that say how little is known
+    alone = fuse(frames, RIG, CONFIG, covariance_G=np.full((len(frames), 6, 6), np.nan))
+    assert len(alone.mesh.faces) > 1000 and "24 of 24" in alone.warnings[0]
+    assert np.median(alone.sigma_m) > 3.0 * np.median(fuse(frames, RIG, CONFIG).sigma_m)
+
+
 def test_a_turn_matters_far_from_its_axis_and_along_the_normal_alone() -> None:
     plate = trimesh.creation.box((0.16, 0.12, 0.01))
     X_RG = make_pose(np.eye(3), [0.0, 0.0, DISTANCE_M])
@@ -221,6 +241,30 @@ def test_depth_beyond_all_reason_takes_no_memory(frames: Frames) -> None:
     field = filled(far)
     assert field.bytes == 0
     assert len(field.surface().mesh.faces) == 0
+    assert field.move(np.stack([X for _, X in far])) == 3
+    assert len(field.surface().mesh.faces) == 0
+
+
+def test_poses_that_put_all_beyond_the_field_can_be_mended(frames: Frames) -> None:
+    beyond = make_pose(np.eye(3), [1e6, 0.0, 0.0])
+    field = filled([(d, X @ beyond) for d, X in frames[:6]])
+    assert field.bytes == 0
+    assert field.move(np.stack([X for _, X in frames[:6]])) == 6
+    scratch = filled(frames[:6]).surface()
+    np.testing.assert_array_equal(field.surface().mesh.vertices, scratch.mesh.vertices)
+
+
+def test_memory_grows_with_the_surface(frames: Frames) -> None:
+    grid = BlockGrid(VOXEL_M, Truncation(4 * VOXEL_M, 3 * VOXEL_M, 0.15), CPU, memory_mib=2.0**30)
+    ends, keys = [], torch.arange(5000, dtype=torch.int64)
+    for k, part in enumerate(keys.split(900)):
+        grid.allocate(part)
+        grid.values[-1] = float(k + 1)
+        ends.append(len(grid) - 1)
+    assert grid.held_bytes <= 1.5 * grid.bytes + 2**24
+    torch.testing.assert_close(grid.keys, keys)
+    assert grid.values[ends, 0, 0].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert float(grid.values.sum()) == 21.0 * grid.values[0].numel()
 
 
 def test_no_pose_at_all(frames: Frames) -> None:
