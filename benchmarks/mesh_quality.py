@@ -1,7 +1,8 @@
 """Quality and cost of the dense surface: depth and fusion alone, on sequences with truth.
 
     python -m benchmarks.mesh_quality SEQ [SEQ ...]             with the true poses
-    python -m benchmarks.mesh_quality SEQ [SEQ ...] --runs RUN  with the poses of runs, one for each sequence
+    python -m benchmarks.mesh_quality SEQ [SEQ ...] --runs RUN  with the poses of runs and their covariances,
+                                                                one for each sequence
     python -m benchmarks.mesh_quality SEQ --doubtful 3 1        every third pose off by 3 mm and 1 degree
                         (sigma): with the covariance of the poses told to the fusion, and not
 
@@ -26,6 +27,7 @@ from frontend.extract import extract_depth
 from frontend.rectify import Rectifier, make_rectifier
 from mapping.fusion import fuse
 from mapping.mesh_files import write_ply
+from pipeline.archives import read_covariance
 from pipeline.evaluate import between_target_frames, seen_truth, target_poses
 from pipeline.summary import read_summary
 from pipeline.trajectory_file import read_trajectory
@@ -109,11 +111,15 @@ def rebuild(
     points_G: Array,
     config: Config,
     doubts: Doubts | None = None,
+    covariance_G: Array | None = None,
 ) -> tuple[SurfaceModel, float, float]:
-    """The surface from given poses, seconds for depth, seconds for fusion. points_G bound the disparity."""
+    """The surface from given poses, seconds for depth, seconds for fusion.
+
+    points_G bound the disparity; covariance_G (F, 6, 6) of the poses, as ``mapping.fusion.fuse`` takes it.
+    """
     X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ X_NG
     fused_at = X_RG if doubts is None else X_RG @ doubts.errors(len(X_RG))
-    covariance = None if doubts is None or not doubts.told else doubts.covariance(len(X_RG))
+    covariance = doubts.covariance(len(X_RG)) if doubts is not None and doubts.told else covariance_G
     depth_s = 0.0
 
     def timed() -> Iterator[tuple[DepthMap, Array]]:
@@ -141,8 +147,9 @@ def measure(
     X_NG = X_true if run is None else run_poses(run)
     to_true_G = between_target_frames(X_NG, X_true, np.zeros(3))
     corners = transform_points(inverse_pose(to_true_G), np.asarray(truth.mesh.vertices))
+    of_poses = None if run is None else read_covariance(run).covariance_X_NG
     surface, depth_s, fusion_s = rebuild(
-        sequence, make_rectifier(sequence.calibration), X_NG, corners, config, doubts
+        sequence, make_rectifier(sequence.calibration), X_NG, corners, config, doubts, of_poses
     )
     mesh = surface.mesh.copy()
     mesh.apply_transform(between_target_frames(X_NG, X_true, mesh.centroid))

@@ -28,6 +28,8 @@ JOINT_ORDER: tuple[str, ...] = (
 """Rows and columns of the 20x20 joint covariance: last state, the solver's inertia parameters, com_G."""
 BODY_ORDER: tuple[str, ...] = tuple(name.replace("_P_", "_G_") for name in JOINT_ORDER)
 """The same with attitude and rate of the body itself, along G."""
+POSE_ORDER: tuple[str, ...] = tuple(f"{name}_G_{axis}" for name in ("shift", "turn") for axis in "xyz")
+"""Rows and columns of the 6x6 covariance of X_NG."""
 
 _TRACKS = tuple(f.name for f in fields(StereoTracks) if f.name not in ("rig", "wrench"))
 
@@ -44,6 +46,9 @@ class Covariance:
     """(20, 20)"""
     last_body: Array | None = None
     """(20, 20) always finite; None in a run of an earlier version"""
+    covariance_X_NG: Array | None = None
+    """(F, 6, 6) as in ``MotionEstimate``: the weight of each frame's depth; None: not known, or an earlier
+    version"""
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,8 @@ def undetermined_as_inf(covariance: Array) -> Array:
 
 
 def write_covariance(estimate: MotionEstimate, path: Path) -> None:
-    """Keys: timestamps_ns, covariance (F, 12, 12), last_joint and last_body (20, 20), and their orders."""
+    """Keys: timestamps_ns, covariance (F, 12, 12), last_joint and last_body (20, 20), covariance_X_NG
+    (F, 6, 6), and their orders."""
     arrays: Arrays = {
         "timestamps_ns": estimate.timestamps_ns,
         "covariance": undetermined_as_inf(estimate.covariance),
@@ -77,6 +83,9 @@ def write_covariance(estimate: MotionEstimate, path: Path) -> None:
     }
     if estimate.covariance_last_body is not None:
         arrays |= {"last_body": estimate.covariance_last_body, "last_body_order": np.array(BODY_ORDER)}
+    if estimate.covariance_X_NG is not None:
+        arrays["covariance_X_NG"] = undetermined_as_inf(estimate.covariance_X_NG)
+        arrays["covariance_X_NG_order"] = np.array(POSE_ORDER)
     write_arrays(path, arrays)
 
 
@@ -84,12 +93,16 @@ def read_covariance(path: Path) -> Covariance:
     """Read covariance.npz (the file, or the run folder that holds it). Raises InputError, one line."""
     archive = load_archive(path, "covariance.npz")
     timestamps_ns = archive.times("timestamps_ns")
-    n, m = len(STATE_ORDER), len(JOINT_ORDER)
+    count, n, m, k = len(timestamps_ns), len(STATE_ORDER), len(JOINT_ORDER), len(POSE_ORDER)
+    of_poses = None
+    if "covariance_X_NG" in archive:
+        of_poses = archive.numbers("covariance_X_NG", count, k, k, infinite=True)
     return Covariance(
         timestamps_ns,
-        archive.numbers("covariance", len(timestamps_ns), n, n, infinite=True),
+        archive.numbers("covariance", count, n, n, infinite=True),
         archive.numbers("last_joint", m, m, infinite=True),
         archive.numbers("last_body", m, m) if "last_body" in archive else None,
+        of_poses,
     )
 
 

@@ -66,6 +66,27 @@ def test_covariances_come_back_with_the_order_of_their_rows(example: Any, tmp_pa
         assert len(archive["order"]) == 12 and len(archive["last_joint_order"]) == 20
 
 
+def test_covariances_of_the_poses_come_back(example: Any, tmp_path: Path) -> None:
+    write_covariance(example.estimate, tmp_path / "covariance.npz")
+    assert read_covariance(tmp_path).covariance_X_NG is None
+    root = np.random.default_rng(0).normal(size=(len(example.estimate.timestamps_ns), 6, 6))
+    given = root @ root.transpose(0, 2, 1)
+    write_covariance(replace(example.estimate, covariance_X_NG=given), tmp_path / "covariance.npz")
+    np.testing.assert_array_equal(read_covariance(tmp_path).covariance_X_NG, given)
+    with np.load(tmp_path / "covariance.npz") as archive:
+        assert archive["covariance_X_NG_order"].tolist()[2:4] == ["shift_G_z", "turn_G_x"]
+
+
+def test_a_pose_without_a_covariance_stays_unknown_in_the_archive(example: Any, tmp_path: Path) -> None:
+    given = np.tile(np.eye(6), (len(example.estimate.timestamps_ns), 1, 1))
+    given[3] = np.nan
+    write_covariance(replace(example.estimate, covariance_X_NG=given), tmp_path / "covariance.npz")
+    again = read_covariance(tmp_path).covariance_X_NG
+    assert again is not None
+    np.testing.assert_array_equal(again[3], np.diag([np.inf] * 6))
+    np.testing.assert_array_equal(np.delete(again, 3, axis=0), np.delete(given, 3, axis=0))
+
+
 def test_no_nan_enters_the_archive(undetermined: Any, tmp_path: Path) -> None:
     write_covariance(undetermined.estimate, tmp_path / "covariance.npz")
     covariance = read_covariance(tmp_path).covariance
