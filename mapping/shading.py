@@ -188,7 +188,8 @@ class _Problem:
                 for k in range(self.seen.n_frames)
             ]
         )
-        return np.asarray(~(gain < _DARK_GAIN * np.nanmedian(gain)))
+        typical = np.nanmedian(gain) if np.isfinite(gain).any() else 0.0
+        return np.asarray(~(gain < _DARK_GAIN * typical))
 
     def sigma_rad(self, s: Array, e: Array, shone: Bools) -> float:
         """By the jackknife: how far the direction turns as one group of the data after another is left out.

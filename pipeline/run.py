@@ -1,5 +1,6 @@
 """The main job, as the data flows: images, tracks, first motion, motion, window, depth, fusion, report."""
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,6 +23,8 @@ from polhode.config import Config
 from polhode.lie import transform_points
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,8 @@ def _build_surface(
             *(zip(clock.waiting("depth", maps), X_RG, strict=True), rig, config.mapping, progress, len(X_RG)),
             covariance_G=estimate.covariance_X_NG,
         )
+    for warning in surface.warnings:
+        _log.warning(warning)
     clock.seconds["fusion"] -= clock.seconds.get("depth", 0.0)
     return surface
 

@@ -1,0 +1,124 @@
+"""What the fusion has to tell of depth and poses, by what a run says: terminal, summary, report, log."""
+
+import html
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from frontend.extract import extract_depth
+from mapping.fusion import Frame, fuse
+from pipeline.cli import main
+from polhode.camera import RectifiedRig
+from polhode.config import Config
+from polhode.config.mapping import Mapping
+from polhode.lie import Array, make_pose
+from polhode.progress import Progress, Silent
+from polhode.records import DepthMap, SurfaceModel
+from simulation import simulate
+
+FRAMES = 6
+SCENE = {
+    "frames": FRAMES,
+    "interval_s": 0.5,
+    "body": {"family": "free_flyer", "size_m": 0.22},
+    "motion": {"position_m": [0.02, 0.0, 0.5], "spin_rpm": [0.0, 0.0, 0.0]},
+    "rig": {"width_px": 240, "height_px": 180, "focal_px": 230.0, "baseline_m": 0.09},
+    "render": {"products": []},
+}
+QUICK = {"frontend.depth.method": "sgbm", "pictures.animation": "false", "pictures.views": "false"}
+
+
+@dataclass(frozen=True)
+class Defect:
+    """What is wrong, and the words for it."""
+
+    told: str
+    without_depth: tuple[int, ...] = ()
+    """Frames whose depth is NaN all over"""
+    poses: Callable[[int, Any], Any] = lambda k, X_RG: X_RG
+    """What becomes of the pose of frame k on the way to the fusion"""
+    covariance_of: int | None = None
+    """The frame whose pose has a covariance with NaN"""
+    options: tuple[str, ...] = ()
+    has_mesh: bool = True
+
+
+DEFECTS = {
+    "no depth": Defect("no frame has valid depth: there is no surface", tuple(range(FRAMES)), has_mesh=False),
+    "little depth": Defect("4 of 6 frames have no valid depth", (0, 1, 3, 4)),
+    "one frame": Defect("the surface is made of 1 frame: nothing confirms its parts", (0, 1, 2, 3, 5)),
+    "no overlap": Defect(
+        "no part of the surface was seen in 3 frames",
+        poses=lambda k, X_RG: X_RG @ make_pose(np.eye(3), [2.0 * k, 0.0, 0.0]),
+    ),
+    "no pose": Defect(
+        "1 of 6 frames have no finite pose", poses=lambda k, X_RG: X_RG * np.nan if k == 2 else X_RG
+    ),
+    "doubtful pose": Defect("1 of 6 frames have a pose of unknown precision", covariance_of=4),
+    "full": Defect(
+        "the field of 3 MiB is full and parts of the surface are missing",
+        options=("--mapping.memory-mib", "3", "--mapping.voxel-mm", "1.5"),
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def at_rest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "sequence"
+    config = Config.model_validate({"scene": SCENE})
+    assert config.scene is not None
+    simulate(config.scene, 3, folder, Silent(), 1, False)
+    return folder
+
+
+@pytest.mark.parametrize("defect", DEFECTS.values(), ids=DEFECTS.keys())
+def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
+    defect: Defect,
+    at_rest: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def maps(*arguments: Any) -> Iterator[DepthMap]:
+        for k, depth in enumerate(extract_depth(*arguments)):
+            nan = np.full_like(depth.depth_m, np.nan)
+            yield replace(depth, depth_m=nan) if k in defect.without_depth else depth
+
+    def fused(
+        frames: Iterable[Frame],
+        rig: RectifiedRig,
+        config: Mapping,
+        progress: Progress,
+        n_frames: int,
+        covariance_G: Array,
+    ) -> SurfaceModel:
+        if defect.covariance_of is not None:
+            covariance_G = covariance_G.copy()
+            covariance_G[defect.covariance_of, 1, 1] = np.nan
+        given = ((depth, defect.poses(k, X_RG)) for k, (depth, X_RG) in enumerate(frames))
+        return fuse(given, rig, config, progress, n_frames, covariance_G)
+
+    monkeypatch.setattr("pipeline.run.extract_depth", maps)
+    monkeypatch.setattr("pipeline.run.fuse", fused)
+    options = [word for name, value in QUICK.items() for word in (f"--{name}", value)]
+    folder = tmp_path / "run"
+    command = ["run", "configs/default.yaml", "--data", str(at_rest), "-o", str(folder)]
+    assert main([*command, "--runtime.workers", "1", *options, *defect.options]) == 0
+
+    summary = json.loads((folder / "summary.json").read_text())
+    line = [text for text in summary["warnings"] if text.startswith(defect.told)]
+    assert len(line) == 1, summary["warnings"]
+    assert f"warning: {line[0]}" in capsys.readouterr().out.splitlines()
+    assert line[0] in (folder / "log.txt").read_text()
+    assert line[0] in html.unescape((folder / "report.html").read_text())
+    # never a wrong closed surface
+    assert (folder / "mesh.ply").is_file() == defect.has_mesh
+    if defect.has_mesh:
+        assert summary["mesh"]["closed"] is False
+    else:
+        assert summary["status"] == "degraded"
