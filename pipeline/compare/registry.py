@@ -167,6 +167,17 @@ ABLATIONS: tuple[Entry, ...] = (
         "changed_unknowns:ChangedUnknowns",
         unknowns="body",
     ),
+    *(
+        _entry(
+            f"unknowns_{kind}", "ablations", "ok", words, "changed_unknowns:ChangedUnknowns", unknowns=kind
+        )
+        for kind, words in (
+            ("log_ratios", "sparse LM, inertia as k1, k2 and axes"),
+            ("aghili", "sparse LM, inertia as Aghili's three and axes"),
+            ("aghili_held", "the same, their dependence held"),
+            ("lichter", "sparse LM, inertia as Lichter's quaternion and axes"),
+        )
+    ),
 )
 """Variants of the formulation: only those that are named are run."""
 

@@ -8,19 +8,33 @@ from pipeline.compare.measured_problem import MeasuredProblem
 from pipeline.compare.registry import ABLATIONS, entries
 from pipeline.compare.solver import Watch
 from pipeline.compare.solvers.ablations import ABSENT, passages
+from pipeline.compare.solvers.changed_inertia import (
+    KINDS,
+    aghili_of,
+    dependence,
+    lichter_of,
+    of_aghili,
+    of_lichter,
+)
 from pipeline.compare.solvers.changed_unknowns import changes
 
 
-@pytest.mark.parametrize("unknowns", ["rotation_vector", "mrp", "body"])
+@pytest.mark.parametrize("unknowns", ["rotation_vector", "mrp", "body", *KINDS])
 def test_other_unknowns_come_back_and_have_their_derivatives(unknowns: str, small: MeasuredProblem) -> None:
-    to_x, to_z = changes(unknowns, small)
+    change = changes(unknowns, small)
+    to_x, to_z, rows = change.to_x, change.to_z, change.rows
     x = small.start("perturbed", 0)
     z = to_z(x)
-    again, change = to_x(z)
+    again, _ = to_x(z)
     assert np.allclose(again, x, atol=1e-12)
+    z = z + 0.01 * np.random.default_rng(1).normal(size=len(z))
+    of_z = to_x(z)[1]
     along, step = np.random.default_rng(0).normal(size=len(z)), 1e-6
     difference = (to_x(z + step * along)[0] - to_x(z - step * along)[0]) / (2.0 * step)
-    assert np.allclose(change @ along, difference, atol=1e-7)
+    assert np.allclose(of_z @ along, difference, atol=1e-7)
+    slope = (rows(z + step * along)[0] - rows(z - step * along)[0]) / (2.0 * step)
+    assert np.allclose(rows(z)[1] @ along, slope, rtol=1e-6)
+    assert len(slope) == (unknowns == "aghili_held")
 
 
 @pytest.mark.parametrize("name", [entry.name for entry in ABLATIONS])
@@ -44,3 +58,39 @@ def test_a_landmark_that_comes_back_is_a_new_one(small: MeasuredProblem) -> None
     for number in range(len(old)):
         frames = d.frame[new == number]
         assert np.diff(frames).max(initial=0) <= ABSENT
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_numbers_of_the_inertia_come_back_and_have_their_derivatives(kind: str) -> None:
+    of_numbers, numbers_of = KINDS[kind]
+    second = np.array([0.3, 0.5, 1.1])
+    u = numbers_of(second)
+    back, _ = of_numbers(u)
+    assert np.allclose(back / back.sum(), second / second.sum(), atol=1e-12)
+    # Aghili's also off the surface of the numbers that a body can have
+    u = u + np.array([0.02, -0.05, 0.04, 0.03])[: len(u)]
+    along, step = np.random.default_rng(2).normal(size=len(u)), 1e-6
+    slope = (of_numbers(u + step * along)[0] - of_numbers(u - step * along)[0]) / (2.0 * step)
+    assert np.allclose(along @ of_numbers(u)[1], slope, atol=1e-8)
+
+
+def test_aghilis_numbers_depend_on_one_another() -> None:
+    rng = np.random.default_rng(3)
+    for second in rng.uniform(0.1, 2.0, (20, 3)):
+        u = aghili_of(second)
+        J = second.sum() - second
+        assert np.allclose(u, [(J[1] - J[2]) / J[0], (J[2] - J[0]) / J[1], (J[0] - J[1]) / J[2]])
+        assert abs(dependence(u)[0]) < 1e-12 and np.all(np.abs(u) < 1.0)
+        # eq. 4.92 of the thesis
+        assert np.isclose(u[0], -(u[1] + u[2]) / (1.0 + u[1] * u[2]))
+    assert not np.all(of_aghili(np.array([1.3, -0.2, 0.1]))[0] > 0.0)
+
+
+def test_lichters_quaternion_may_have_any_length_and_any_turn_about_z() -> None:
+    second = np.array([0.3, 0.5, 1.1])
+    a, b, c, d = lichter_of(second)
+    # turned about its own z by 0.7 rad, and three times as long
+    cos, sin = np.cos(0.35), np.sin(0.35)
+    turned = 3.0 * np.array([a * cos - d * sin, b * cos + c * sin, c * cos - b * sin, d * cos + a * sin])
+    found, _ = of_lichter(turned)
+    assert np.allclose(found / found.sum(), second / second.sum(), atol=1e-12)
