@@ -178,6 +178,17 @@ ABLATIONS: tuple[Entry, ...] = (
             ("lichter", "sparse LM, inertia as Lichter's quaternion and axes"),
         )
     ),
+    *(
+        _entry(
+            f"window_{frames}",
+            "ablations",
+            "baseline",
+            f"sliding window of {frames} frames",
+            "sliding_window:WindowLength",
+            frames=frames,
+        )
+        for frames in ("6", "12", "24", "48")
+    ),
 )
 """Variants of the formulation: only those that are named are run."""
 

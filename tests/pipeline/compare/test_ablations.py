@@ -17,6 +17,8 @@ from pipeline.compare.solvers.changed_inertia import (
     of_lichter,
 )
 from pipeline.compare.solvers.changed_unknowns import changes
+from pipeline.compare.solvers.sliding_window import frames_of_data, rig_of
+from polhode.lie import inverse_pose
 
 
 @pytest.mark.parametrize("unknowns", ["rotation_vector", "mrp", "body", *KINDS])
@@ -94,3 +96,34 @@ def test_lichters_quaternion_may_have_any_length_and_any_turn_about_z() -> None:
     turned = 3.0 * np.array([a * cos - d * sin, b * cos + c * sin, c * cos - b * sin, d * cos + a * sin])
     found, _ = of_lichter(turned)
     assert np.allclose(found / found.sum(), second / second.sum(), atol=1e-12)
+
+
+def test_the_window_is_fed_with_the_measurements_of_the_problem(small: MeasuredProblem) -> None:
+    frames = list(frames_of_data(small.data))
+    d = small.data
+    assert len(frames) == d.n_frames and sum(len(each.landmark) for each in frames) == len(d.frame)
+    assert np.allclose(np.diff([each.timestamp_ns for each in frames]) * 1e-9, d.dt_s, atol=1e-9)
+    for k, each in enumerate(frames):
+        X_RN = inverse_pose(each.X_NR)
+        assert np.allclose(X_RN[:3, :3], d.R_RN[k]) and np.allclose(X_RN[:3, 3], d.t_R[k])
+    rig, mark = rig_of(d), small.iterate(small.solution)
+    of_first = np.flatnonzero(d.frame == 0)
+    p_R = (mark.p_G[d.landmark[of_first]] @ mark.R_NG[0].T + mark.p_NG[0]) @ d.R_RN[0].T + d.t_R[0]
+    off = (rig.project(p_R) - d.uvd_px[of_first]) * d.inv_sigma[of_first]
+    assert np.sqrt(np.mean(off**2)) < 1.3
+
+
+def test_a_longer_window_comes_nearer_to_full_smoothing(small: MeasuredProblem) -> None:
+    position = {}
+    for frames in ("6", "48"):
+        found = entries((f"window_{frames}",))[0].load().solve(small, small.cold, Watch(120.0))
+        assert found.iterations == small.data.n_frames
+        assert found.message == "0 frames were not placed, begun anew 0 times"
+        errors = judge(small, found.x).errors
+        assert errors is not None
+        position[frames] = errors.position_mm
+    smoothed = judge(small, small.solution).errors
+    assert smoothed is not None
+    # longer than the sequence: nothing ever leaves
+    assert position["48"] < position["6"]
+    assert position["48"] == pytest.approx(smoothed.position_mm, rel=0.1)
