@@ -1,8 +1,9 @@
 """The inertia as other numbers: x = x(z), where z has others in the place of xi.
 
 ``log_ratios``: the thesis's k1, k2 (eqs. 4.97-4.99). ``aghili``, ``aghili_held``: Aghili's three (eqs.
-4.89-4.91), one more than there is freedom; free, or with their dependence held. ``lichter``: Lichter's
-quaternion (eqs. 4.93-4.96), four numbers for two. Each has three more for the principal axes: R_ref Exp(eta).
+4.89-4.91), one more than there is freedom: the body is the one nearest to them, or their dependence is held
+too, or they are free in the dynamics (``aghili_dynamics.py``). ``lichter``: Lichter's quaternion (eqs.
+4.93-4.96), four numbers for two. Each has three more for the principal axes: R_ref Exp(eta).
 """
 
 from collections.abc import Callable
@@ -94,6 +95,7 @@ KINDS: dict[str, tuple[Moments, Callable[[Array], Array]]] = {
     "log_ratios": (of_log_ratios, log_ratios_of),
     "aghili": (of_aghili, aghili_of),
     "aghili_held": (of_aghili, aghili_of),
+    "aghili_free": (of_aghili, aghili_of),
     "lichter": (of_lichter, lichter_of),
 }
 
@@ -108,7 +110,7 @@ class ChangedInertia:
     def __post_init__(self) -> None:
         self._moments, self._numbers = KINDS[self.kind]
         self._at = self.problem.held.reference.n_states + 3
-        self._R_ref = np.eye(3)
+        self.R_ref = np.eye(3)
         self._n_u = 0
         self._impossible = 0
 
@@ -117,13 +119,18 @@ class ChangedInertia:
         """Where z holds u."""
         return slice(self._at, self._at + self._n_u)
 
+    @property
+    def of_eta(self) -> slice:
+        """Where z holds eta."""
+        return slice(self.of_u.stop, self.of_u.stop + 3)
+
     def to_z(self, x: Array) -> Array:
         """Axes and moments anew from x: eta is zero then."""
         second = self.problem.iterate(x).second_moments(self.problem.data.form)
         values, axes = np.linalg.eigh(second)
         for i in (1, 2):
             values[i] = max(values[i], values[i - 1] * (1.0 + APART))
-        self._R_ref = axes * np.array([1.0, 1.0, np.linalg.det(axes)])
+        self.R_ref = axes * np.array([1.0, 1.0, np.linalg.det(axes)])
         u = self._numbers(values)
         self._n_u = len(u)
         return np.concatenate([x[: self._at], u, np.zeros(3), x[self._at + N_INERTIA :]])
@@ -131,7 +138,7 @@ class ChangedInertia:
     def to_x(self, z: Array) -> tuple[Array, Any]:
         """x and dx/dz (sparse); not numbers where z is no possible body's."""
         n = self._n_u + 3
-        xi, change = self._inertia(z[self.of_u], z[self._at + self._n_u : self._at + n])
+        xi, change = self._inertia(z[self.of_u], z[self.of_eta])
         rest = len(z) - self._at - n
         x = np.concatenate([z[: self._at], xi, z[self._at + n :]])
         before, after = identity(self._at, format="csr"), identity(rest, format="csr")
@@ -162,7 +169,7 @@ class ChangedInertia:
         if not np.all(d > 0.0):
             self._impossible += 1
             return np.full(N_INERTIA, np.nan), np.full((N_INERTIA, len(u) + 3), np.nan)
-        R = self._R_ref @ exp_so3(eta)
+        R = self.R_ref @ exp_so3(eta)
         second = R @ np.diag(d) @ R.T
         turned = hat(right_jacobian_so3(eta).T) @ np.diag(d)
         of_eta = turned + np.swapaxes(turned, 1, 2)

@@ -17,6 +17,7 @@ from scipy.sparse.linalg import splu
 from pipeline.compare.blocks import Blocks, root_of_kernel, stacked
 from pipeline.compare.measured_problem import MeasuredProblem
 from pipeline.compare.solver import Claim, Outcome, Watch
+from pipeline.compare.solvers.aghili_dynamics import AghiliDynamics
 from pipeline.compare.solvers.changed_inertia import KINDS, ChangedInertia
 from polhode.lie import Array, hat, right_jacobian_so3
 
@@ -55,9 +56,15 @@ class ChangedUnknowns:
         for iterations in range(1, MAX_ITERATIONS + 1):
             with watch.part("evaluation"):
                 x, of_z = to_x(z)
-                kept = [root_of_kernel(each, problem.data.robust_scale) for each in blocks.all(x)]
-                residual, jacobian = stacked(kept, blocks.n_x)
+                stereo, dynamics, *others = blocks.all(x)
                 own, of_own = rows(z)
+                if change.dynamics is None:
+                    others.append(dynamics)
+                else:
+                    more, of_more = stacked([change.dynamics.block(z)], len(z))
+                    own, of_own = np.concatenate([own, more]), vstack([of_own, of_more])
+                kept = [root_of_kernel(stereo, problem.data.robust_scale), *others]
+                residual, jacobian = stacked(kept, blocks.n_x)
                 residual = np.concatenate([residual, own])
                 jacobian = vstack([jacobian @ of_z, of_own], format="csr")
                 cost = 0.5 * float(residual @ residual)
@@ -87,7 +94,8 @@ class ChangedUnknowns:
         x, _ = change.to_x(z)
         if not np.isfinite(x).all():
             return np.inf
-        return blocks.cost(x) + 0.5 * float(np.sum(change.rows(z)[0] ** 2))
+        instead = 0.0 if change.dynamics is None else change.dynamics.instead(x, z)
+        return blocks.cost(x) + instead + 0.5 * float(np.sum(change.rows(z)[0] ** 2))
 
 
 @dataclass(frozen=True)
@@ -101,13 +109,16 @@ class Change:
     """Residuals of z beside the common cost, and their Jacobian (sparse)"""
     words: Callable[[Array], str] = lambda z: ""
     """What there is to say at the end"""
+    dynamics: AghiliDynamics | None = None
+    """In the place of the common ones; None: those"""
 
 
 def changes(unknowns: str, problem: MeasuredProblem) -> Change:
     """By name."""
     if unknowns in KINDS:
         inertia = ChangedInertia(unknowns, problem)
-        return Change(inertia.to_x, inertia.to_z, inertia.rows, lambda z: f"; {inertia.words(z)}")
+        own = AghiliDynamics(problem, inertia) if unknowns == "aghili_free" else None
+        return Change(inertia.to_x, inertia.to_z, inertia.rows, lambda z: f"; {inertia.words(z)}", own)
     none = np.zeros(0), csc_matrix((0, len(problem.cold)))
     if unknowns == "mrp":
         return Change(*_of_mrp(problem), lambda z: none)

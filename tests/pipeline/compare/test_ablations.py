@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from backend.flow import flow_derivatives
+from pipeline.compare.blocks import stacked
 from pipeline.compare.judge import AGREED, judge
 from pipeline.compare.measured_problem import MeasuredProblem
 from pipeline.compare.registry import ABLATIONS, entries
 from pipeline.compare.solver import Watch
 from pipeline.compare.solvers.ablations import ABSENT, passages
+from pipeline.compare.solvers.aghili_dynamics import flow_in_G
 from pipeline.compare.solvers.changed_inertia import (
     KINDS,
     aghili_of,
@@ -18,7 +21,7 @@ from pipeline.compare.solvers.changed_inertia import (
 )
 from pipeline.compare.solvers.changed_unknowns import changes
 from pipeline.compare.solvers.sliding_window import frames_of_data, rig_of
-from polhode.lie import inverse_pose
+from polhode.lie import exp_so3, inverse_pose
 
 
 @pytest.mark.parametrize("unknowns", ["rotation_vector", "mrp", "body", *KINDS])
@@ -74,6 +77,41 @@ def test_numbers_of_the_inertia_come_back_and_have_their_derivatives(kind: str) 
     along, step = np.random.default_rng(2).normal(size=len(u)), 1e-6
     slope = (of_numbers(u + step * along)[0] - of_numbers(u - step * along)[0]) / (2.0 * step)
     assert np.allclose(along @ of_numbers(u)[1], slope, atol=1e-8)
+
+
+def test_aghilis_numbers_of_a_body_turn_it_as_eulers_equation_does() -> None:
+    rng = np.random.default_rng(4)
+    second, w_G = np.array([0.3, 0.5, 1.1]), rng.normal(size=(5, 3))
+    R_ref, eta = exp_so3(rng.normal(size=3)), 0.3 * rng.normal(size=3)
+    axes = R_ref @ exp_so3(eta)
+    J_G = axes @ np.diag(second.sum() - second) @ axes.T
+    dt_s, series = np.array([0.1, 0.2, 0.3, 0.4, 0.5]), np.array([1, 1, 2, 2, 4])
+    q, w_end, turn, rate = flow_derivatives(w_G, J_G, np.zeros((0, 3, 3)), dt_s, series)
+    found = flow_in_G(w_G, aghili_of(second), R_ref, eta, dt_s, series)
+    assert np.allclose(found[0], q, atol=1e-12) and np.allclose(found[1], w_end, atol=1e-12)
+    assert np.allclose(found[2][:, :3], turn, atol=1e-10) and np.allclose(found[3][:, :3], rate, atol=1e-10)
+
+
+def test_the_dynamics_of_aghilis_free_numbers_have_their_derivatives(small: MeasuredProblem) -> None:
+    change = changes("aghili_free", small)
+    z = change.to_z(small.solution)
+    assert change.dynamics is not None
+    # on the surface they are the common ones
+    assert abs(change.dynamics.instead(small.solution, z)) < 1e-6
+    rng, n = np.random.default_rng(5), small.held.reference.n_dense + 1
+    z[:n] += 1e-3 * rng.normal(size=n)
+    along, step = np.where(np.arange(len(z)) < n, rng.normal(size=len(z)), 0.0), 1e-7
+    _, jacobian = stacked([change.dynamics.block(z)], len(z))
+    ahead, behind = (stacked([change.dynamics.block(z + d * along)], len(z))[0] for d in (step, -step))
+    slope = (ahead - behind) / (2.0 * step)
+    assert np.allclose(jacobian @ along, slope, rtol=1e-5, atol=1e-5 * np.abs(slope).max())
+    for column in (change.dynamics.inertia.of_u, change.dynamics.inertia.of_eta):
+        for k in range(column.start, column.stop):
+            one = np.eye(len(z))[k] * 1e-6
+            ahead, behind = (stacked([change.dynamics.block(z + d)], len(z))[0] for d in (one, -one))
+            slope = (ahead - behind) / 2e-6
+            own = jacobian[:, [k]].toarray()[:, 0]
+            assert np.allclose(own, slope, atol=1e-5 * max(np.abs(slope).max(), 1.0))
 
 
 def test_aghilis_numbers_depend_on_one_another() -> None:
