@@ -122,7 +122,7 @@ def solve(data: MotionData, iterate: Iterate, config: Backend) -> Solved:
     begin, newton = perf_counter(), None
     half = (max(config.max_iterations // 2, 1), 0.5 * config.max_seconds)
     with suppress(LinAlgError):
-        newton = Solved(GaussNewton.name, *refine(GaussNewton(data), data, iterate, *half))
+        newton = Solved(GaussNewton.name, *refine(GaussNewton(data, line_search=True), data, iterate, *half))
     if newton is not None and newton.solution.converged:
         return newton
     done, start = (0, iterate) if newton is None else (newton.iterations, newton.iterate)

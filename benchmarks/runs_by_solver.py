@@ -12,6 +12,7 @@ promises where a solver stopped, over the cost. Seconds are those of the process
 import argparse
 import time
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -32,7 +33,8 @@ from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array
 
-SOLVERS = (GaussNewton, MotionProgram)
+SOLVERS = (partial(GaussNewton, line_search=True), MotionProgram)
+"""As ``backend.estimate.solve`` makes them."""
 COLUMNS = (
     "run", "frames", "observations", "Gauss-Newton: iterations", "s", "IPOPT: iterations", "s",
     "IPOPT takes times", "Gauss-Newton's cost over IPOPT's, - 1", "path apart [mm]",
@@ -114,12 +116,11 @@ def solve_run(run: Path) -> tuple[MotionData, list[Stopped]]:
         found = fit(motion_data(tracks, config), tracks, initial, config, lambda: None)
         data, start = found.kept.data, found.kept.restrict(found.iterate)
         out = []
-        for kind in SOLVERS:
+        for make in SOLVERS:
             begin = time.process_time()
-            at, solution, iterations = refine(
-                kind(data), data, start, config.max_iterations, config.max_seconds
-            )
-            ended = Solved(kind.name, at, solution, iterations)
+            solver = make(data)
+            at, solution, iterations = refine(solver, data, start, config.max_iterations, config.max_seconds)
+            ended = Solved(solver.name, at, solution, iterations)
             out.append(_stopped(data, ended, time.process_time() - begin))
         begin = time.process_time()
         ended = solve(data, start, config.model_copy(update={"solver": Backend().solver}))
