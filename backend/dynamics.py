@@ -26,6 +26,8 @@ from polhode.lie import Array, hat
 from polhode.records import Ints
 
 RESIDUALS = 12
+N_OF_FORCE = N_WRENCH - N_OF_ROTATION
+"""Unknowns of a known wrench that the rotation does not depend on; they stand last."""
 
 
 @dataclass(frozen=True)
@@ -132,16 +134,28 @@ def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> t
 
     c = 8 constants com_G, xi, or 19 with the unknowns of a known wrench.
     """
-    x, n, s = states.x, len(steps.dt_s), states.x.shape[1]
+    x = states.x
     torque, dtorque = _torque(states, steps)
     if dtorque is not None:
         dJ = np.concatenate([dJ, np.zeros((N_OF_ROTATION, 3, 3))])
-    q, w_end, turn, rate = flow_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series, torque, dtorque)
+    flow = flow_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series, torque, dtorque)
+    return jacobians_of_flow(states, steps, *flow)
+
+
+def jacobians_of_flow(
+    states: States, steps: Steps, q: Array, w_end: Array, turn: Array, rate: Array
+) -> tuple[Array, Array]:
+    """The same of a rotation over the steps that is known with its derivatives, as ``flow_derivatives`` says.
+
+    Its parameters stand after com_G.
+    """
+    n, s = len(steps.dt_s), states.x.shape[1]
     turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), turns_of_quaternions(q)
     errors, R = _errors(states, steps, R_step, w_end)
     of_centre, of_turn = state_derivatives(states)
-    D = np.zeros((n, RESIDUALS, 2 * s + states.n_constants))
-    at = slice(2 * s + 3, 2 * s + 3 + len(dJ))
+    n_parameters = turn.shape[2] - 3
+    at = slice(2 * s + 3, 2 * s + 3 + n_parameters)
+    D = np.zeros((n, RESIDUALS, at.stop + (N_OF_FORCE if states.wrench is not None else 0)))
     D[:, 0:3, :s], D[:, 0:3, s : 2 * s] = -of_centre[:-1], of_centre[1:]
     D[:, 0:3, 6:9] -= steps.dt_s[:, None, None] * np.eye(3)
     D[:, 0:3, 2 * s : 2 * s + 3] = R[1:] - R[:-1]

@@ -1,6 +1,7 @@
 """Measurements and a first guess to motion, mass properties and covariance: full smoothing."""
 
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -53,20 +54,18 @@ def _estimate(
     with progress.stage("motion and inertia", N_HYPOTHESES + 4) as advance:
         found = fit(data, tracks, initial, config, advance)
         data, kept, iterate = found.data, found.kept, found.iterate
-        solver: GaussNewton | MotionProgram
-        solver = MotionProgram(kept.data) if config.solver == "ipopt" else GaussNewton(kept.data)
-        limits = (config.max_iterations, config.max_seconds)
-        small, solution, iterations = refine(solver, kept.data, kept.restrict(iterate), *limits)
+        ended = solve(kept.data, kept.restrict(iterate), config)
+        solution = ended.solution
         advance()
-        estimate = assemble(tracks, data, kept, kept.expand(small, iterate), found.scales, initial)
+        estimate = assemble(tracks, data, kept, kept.expand(ended.iterate, iterate), found.scales, initial)
         advance()
     trials, best = found.trials, found.choice.name
     runner_up = {name: trial.cost - trials[best].cost for name, trial in trials.items() if name != best}
     runner_up |= found.wrench_runner_up
     outcome = replace(
         estimate.solver,
-        name=solver.name,
-        iterations=iterations,
+        name=ended.solver,
+        iterations=ended.iterations,
         cost=solution.cost,
         converged=solution.converged,
         message=f"{solution.message}; best hypothesis: {best}",
@@ -97,6 +96,49 @@ def _warnings_of_disturbances(data: MotionData, config: Backend, stronger: float
         f"the motion looks disturbed {stronger:.0f} times more strongly than stated (power): a push may be "
         "behind it, or wrong associations; sigmas are wide for that",
     ]
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Where the last step of the back end ended."""
+
+    solver: str
+    """Name of the one that found it"""
+    iterate: Iterate
+    solution: Solution
+    iterations: int
+
+
+def solve(data: MotionData, iterate: Iterate, config: Backend) -> Solved:
+    """The optimum. Where Gauss-Newton comes to no end IPOPT goes on from its best.
+
+    IPOPT gets along valleys in which Gauss-Newton creeps, but takes several times as long. Gauss-Newton has
+    half of the iterations and of the time; IPOPT, should it be needed, all iterations and the time that is
+    left. Raises LinAlgError where neither has a solution.
+    """
+    limits = (config.max_iterations, config.max_seconds)
+    if config.solver == "ipopt":
+        return Solved(MotionProgram.name, *refine(MotionProgram(data), data, iterate, *limits))
+    begin, newton = perf_counter(), None
+    half = (max(config.max_iterations // 2, 1), 0.5 * config.max_seconds)
+    with suppress(LinAlgError):
+        newton = Solved(GaussNewton.name, *refine(GaussNewton(data, line_search=True), data, iterate, *half))
+    if newton is not None and newton.solution.converged:
+        return newton
+    done, start = (0, iterate) if newton is None else (newton.iterations, newton.iterate)
+    left_s = config.max_seconds - (perf_counter() - begin)
+    if newton is not None and left_s <= 0.0:
+        return newton
+    try:
+        at, solution, more = refine(MotionProgram(data), data, start, config.max_iterations, left_s)
+    except LinAlgError:
+        if newton is None:
+            raise
+        return newton
+    if newton is not None and not solution.converged and newton.solution.cost <= solution.cost:
+        return newton
+    words = f"{solution.message}, after {done} iterations of {GaussNewton.name} without an end"
+    return Solved(MotionProgram.name, at, replace(solution, message=words), done + more)
 
 
 def refine(

@@ -4,14 +4,15 @@
 
 One comparison for each file of configs/compare, and one of a stored run when it is there (``--run``, made by
 ``python -m benchmarks.scenes``). What was measured before is read from FOLDER: an interrupted benchmark goes
-on where it stopped. ``--short``: every solver once on a small problem. At the end, whether the default of the
-back end is on the Pareto front of time against accuracy.
+on where it stopped. ``--short``: every solver once on a small problem. At the end of each, on which problems
+the default of the back end is on the Pareto front of time against accuracy, and who beats it on the others.
 """
 
 import argparse
 from pathlib import Path
 
 from pipeline.compare.comparison import compare
+from pipeline.compare.dominance import standing_lines, standings
 from pipeline.compare.profiles import front, growths, successes
 from pipeline.compare.rows import Comparison
 from pipeline.compare.table import print_tables
@@ -58,9 +59,8 @@ def print_together(found: Comparison, default: str) -> None:
         print(f"  {growth.solver}: time ~ unknowns^{growth.exponent:.2f}")
     for problem in found.problems:
         rows = [row for row in found.rows if row.problem == problem.name and row.start == "cold"]
-        names = [row.solver for row in front(rows)]
-        told = "is" if default in names else "is not"
-        print(f"  {problem.name}: on the front: {', '.join(names)}; backend.solver ({default}) {told}")
+        print(f"  {problem.name}: on the front: {', '.join(row.solver for row in front(rows))}")
+    print("\n".join(standing_lines(standings(found, default), default)))
 
 
 if __name__ == "__main__":

@@ -167,6 +167,34 @@ ABLATIONS: tuple[Entry, ...] = (
         "changed_unknowns:ChangedUnknowns",
         unknowns="body",
     ),
+    *(
+        _entry(
+            f"unknowns_{kind}",
+            "ablations",
+            "baseline" if kind == "aghili_free" else "ok",
+            words,
+            "changed_unknowns:ChangedUnknowns",
+            unknowns=kind,
+        )
+        for kind, words in (
+            ("log_ratios", "sparse LM, inertia as k1, k2 and axes"),
+            ("aghili", "sparse LM, inertia as Aghili's three and axes"),
+            ("aghili_held", "the same, their dependence held"),
+            ("aghili_free", "the same, free in the dynamics"),
+            ("lichter", "sparse LM, inertia as Lichter's quaternion and axes"),
+        )
+    ),
+    *(
+        _entry(
+            f"window_{frames}",
+            "ablations",
+            "baseline",
+            f"sliding window of {frames} frames",
+            "sliding_window:WindowLength",
+            frames=frames,
+        )
+        for frames in ("6", "12", "24", "48")
+    ),
 )
 """Variants of the formulation: only those that are named are run."""
 

@@ -28,8 +28,9 @@ class Backend(Section):
 
     inertia: Literal["second_moments", "ratios_axes"] = "second_moments"
     """Variables of the inertia: log-Cholesky second moments, or log-ratios and principal axes."""
-    solver: Literal["ipopt", "gauss_newton"] = "ipopt"
-    """Solver of the whole problem; both reach the same optimum."""
+    solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
+    """Solver of the whole problem; both reach the same optimum. Where gauss_newton comes to no end, ipopt
+    goes on."""
     process_noise: Literal["estimated", "given"] = "estimated"
     """Strength of the disturbances: the most likely one given the data, or accel_psd and torque_psd."""
     accel_psd: float = Field(1e-6, gt=0)
@@ -58,7 +59,8 @@ class Backend(Section):
     robust_scale: float = Field(3.0, gt=0)
     """Scale of the Cauchy kernel [standard deviations]; in the end it is as wide as the residuals allow."""
     max_iterations: int = Field(200, ge=1)
-    """Most iterations of the solution; a run that needs more fails and keeps the best motion found."""
+    """Most iterations of a solver (half as many for gauss_newton before ipopt goes on); a run that needs more
+    fails and keeps the best motion found."""
     max_seconds: float = Field(600.0, gt=0)
     """Most time for the solution [s]; the same holds."""
     window: Window = Window()

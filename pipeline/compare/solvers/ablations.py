@@ -130,7 +130,7 @@ def _open_loop(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
     marks = x[at.n_dense :].reshape(-1, 3)
     start = np.concatenate([x[: at.n_dense], marks[old].ravel()])
     held = replace(problem.held, reference=replace(at, p_G=at.p_G[old]))
-    found = GaussNewton(split).solve(held, start, MAX_ITERATIONS, watch.left())
+    found = GaussNewton(split, line_search=True).solve(held, start, MAX_ITERATIONS, watch.left())
     watch.check()
     # the first passage of a landmark stands for it
     first = np.searchsorted(old, np.arange(data.n_landmarks))

@@ -2,22 +2,28 @@
 
 ``rotation_vector``: x itself, to compare with. ``mrp``: attitudes as modified Rodrigues parameters (thesis
 4.5). ``body``: features from the centre of mass and the path of the centre of mass, instead of a geometric
-frame: what the thesis's section 4.6 avoids, as every change of com_G then moves all features.
+frame: what the thesis's section 4.6 avoids, as every change of com_G then moves all features. Others change
+the inertia: ``changed_inertia.py``.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csc_matrix, diags, identity
+from scipy.sparse import csc_matrix, diags, identity, vstack
 from scipy.sparse.linalg import splu
 
 from pipeline.compare.blocks import Blocks, root_of_kernel, stacked
 from pipeline.compare.measured_problem import MeasuredProblem
 from pipeline.compare.solver import Claim, Outcome, Watch
+from pipeline.compare.solvers.aghili_dynamics import AghiliDynamics
+from pipeline.compare.solvers.changed_inertia import KINDS, ChangedInertia
 from polhode.lie import Array, hat, right_jacobian_so3
 
 TOLERANCE, MAX_ITERATIONS = 1e-9, 300
+RENEWED = 15
+"""Iterations after which z counts from new references."""
 FIRST, LEAST, MOST = 1e-4, 1e-10, 1e10
 """Damping, in units of the Hessian's diagonal."""
 
@@ -44,40 +50,82 @@ class ChangedUnknowns:
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Until the relative decrease of an accepted step is below TOLERANCE."""
         blocks = Blocks(problem.data, problem.held)
-        to_x, to_z = changes(self.unknowns, problem)
-        z, damping, cost, iterations = to_z(x), FIRST, blocks.cost(x), 0
+        change = changes(self.unknowns, problem)
+        to_x, to_z, rows = change.to_x, change.to_z, change.rows
+        z, damping, cost, iterations = to_z(x), FIRST, np.inf, 0
         for iterations in range(1, MAX_ITERATIONS + 1):
             with watch.part("evaluation"):
-                x, change = to_x(z)
-                kept = [root_of_kernel(each, problem.data.robust_scale) for each in blocks.all(x)]
+                x, of_z = to_x(z)
+                stereo, dynamics, *others = blocks.all(x)
+                own, of_own = rows(z)
+                if change.dynamics is None:
+                    others.append(dynamics)
+                else:
+                    more, of_more = stacked([change.dynamics.block(z)], len(z))
+                    own, of_own = np.concatenate([own, more]), vstack([of_own, of_more])
+                kept = [root_of_kernel(stereo, problem.data.robust_scale), *others]
                 residual, jacobian = stacked(kept, blocks.n_x)
-                jacobian = jacobian @ change
+                residual = np.concatenate([residual, own])
+                jacobian = vstack([jacobian @ of_z, of_own], format="csr")
+                cost = 0.5 * float(residual @ residual)
             watch.note(cost, x)
             H, g = (jacobian.T @ jacobian).tocsc(), jacobian.T @ residual
             while True:
                 watch.check()
                 step = splu(H + damping * diags(H.diagonal() + 1e-12, format="csc")).solve(-g)
-                after = blocks.cost(to_x(z + step)[0])
+                after = self._cost(blocks, change, z + step)
                 if np.isfinite(after) and after <= cost:
                     break
                 damping *= 10.0
                 if damping > MOST:
-                    return Outcome(x, True, iterations, "no further decrease")
+                    return Outcome(x, True, iterations, "no further decrease" + change.words(z))
             decrease, cost, z = cost - after, after, z + step
             damping = max(damping / 10.0, LEAST)
+            if iterations % RENEWED == 0:
+                # the references of the axes; others come back as they were
+                z = to_z(to_x(z)[0])
             if decrease <= TOLERANCE * cost:
-                return Outcome(to_x(z)[0], True, iterations, "converged")
-        return Outcome(to_x(z)[0], False, iterations, "limit of iterations")
+                return Outcome(to_x(z)[0], True, iterations, "converged" + change.words(z))
+        return Outcome(to_x(z)[0], False, iterations, "limit of iterations" + change.words(z))
+
+    @staticmethod
+    def _cost(blocks: Blocks, change: "Change", z: Array) -> float:
+        """The common cost, and what is held beside it; infinite where z is no possible body's."""
+        x, _ = change.to_x(z)
+        if not np.isfinite(x).all():
+            return np.inf
+        instead = 0.0 if change.dynamics is None else change.dynamics.instead(x, z)
+        return blocks.cost(x) + instead + 0.5 * float(np.sum(change.rows(z)[0] ** 2))
 
 
-def changes(unknowns: str, problem: MeasuredProblem) -> tuple[Any, Any]:
-    """x and dx/dz (sparse) of z; z of x."""
+@dataclass(frozen=True)
+class Change:
+    """One choice of z."""
+
+    to_x: Callable[[Array], tuple[Array, Any]]
+    """x, and dx/dz (sparse)"""
+    to_z: Callable[[Array], Array]
+    rows: Callable[[Array], tuple[Array, Any]]
+    """Residuals of z beside the common cost, and their Jacobian (sparse)"""
+    words: Callable[[Array], str] = lambda z: ""
+    """What there is to say at the end"""
+    dynamics: AghiliDynamics | None = None
+    """In the place of the common ones; None: those"""
+
+
+def changes(unknowns: str, problem: MeasuredProblem) -> Change:
+    """By name."""
+    if unknowns in KINDS:
+        inertia = ChangedInertia(unknowns, problem)
+        own = AghiliDynamics(problem, inertia) if unknowns == "aghili_free" else None
+        return Change(inertia.to_x, inertia.to_z, inertia.rows, lambda z: f"; {inertia.words(z)}", own)
+    none = np.zeros(0), csc_matrix((0, len(problem.cold)))
     if unknowns == "mrp":
-        return _of_mrp(problem)
+        return Change(*_of_mrp(problem), lambda z: none)
     if unknowns == "body":
-        return _of_body(problem)
+        return Change(*_of_body(problem), lambda z: none)
     same = identity(len(problem.cold), format="csr")
-    return (lambda z: (z, same)), (lambda x: x)
+    return Change(lambda z: (z, same), lambda x: x, lambda z: none)
 
 
 def _of_mrp(problem: MeasuredProblem) -> tuple[Any, Any]:

@@ -23,7 +23,7 @@ MAX_ITERATIONS, PASS = 500, 12
 
 
 class Watched(GaussNewton):
-    """The same solver; its clock is read at each linearisation.
+    """The same solver, as the last step of the back end has it; its clock is read at each linearisation.
 
     ``common`` takes its unknowns to the common ones, in which what was reached is noted.
     """
@@ -31,7 +31,7 @@ class Watched(GaussNewton):
     def __init__(
         self, data: MotionData, watch: Watch, common: Callable[[Array], Array] = lambda x: x
     ) -> None:
-        super().__init__(data)
+        super().__init__(data, line_search=True)
         self.watch = watch
         self.common = common
 

@@ -1,0 +1,119 @@
+"""The last step of the back end: Gauss-Newton, or IPOPT where that comes to no end; the result says which."""
+
+import numpy as np
+import pytest
+from scipy.linalg import LinAlgError
+
+from backend import initialize_motion
+from backend.damping import Damping
+from backend.estimate import estimate_motion, refine, solve
+from backend.gauss_newton import ENOUGH, ITERATION_LIMIT, SHORTER, TIME_LIMIT, GaussNewton, Solution
+from backend.iterate import Iterate
+from backend.problem import TIGHT_GAUGE, MotionData, hold, motion_data
+from backend.program import MotionProgram
+from backend.trials import first_starts
+from polhode.config.backend import Backend
+from polhode.progress import Silent
+from simulation.measurements import SyntheticScene, generate
+
+SCENE = SyntheticScene(
+    frames=24, landmarks=200, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9])
+)
+
+
+@pytest.fixture(scope="module")
+def cold() -> tuple[MotionData, Iterate]:
+    """A problem and its cold start, from relative poses and with a sphere's inertia."""
+    sequence, config = generate(SCENE, 3), Backend()
+    initial = initialize_motion(sequence.tracks, sequence.relative, config)
+    data = motion_data(sequence.tracks, config)
+    return data, first_starts(sequence.tracks, initial, data)[0].iterate
+
+
+def test_the_default_is_gauss_newton_and_ends_where_ipopt_ends(cold: tuple[MotionData, Iterate]) -> None:
+    found, by_ipopt = solve(*cold, Backend()), solve(*cold, Backend(solver="ipopt"))
+    assert (found.solver, by_ipopt.solver) == ("gauss_newton", "ipopt")
+    assert found.solution.converged and by_ipopt.solution.converged
+    assert "gauss_newton" not in by_ipopt.solution.message
+    assert found.solution.cost == pytest.approx(by_ipopt.solution.cost, rel=1e-6)
+
+
+def test_where_gauss_newton_comes_to_no_end_ipopt_goes_on_and_the_result_says_so(
+    cold: tuple[MotionData, Iterate],
+) -> None:
+    best, found = solve(*cold, Backend()), solve(*cold, Backend(max_iterations=12))
+    assert best.iterations > 6
+    assert found.solver == "ipopt" and found.solution.converged and found.iterations > 6
+    assert found.solution.message == "converged, after 6 iterations of gauss_newton without an end"
+    assert found.solution.cost == pytest.approx(best.solution.cost, rel=1e-6)
+
+
+def test_when_neither_comes_to_an_end_the_better_one_is_kept_and_the_limit_named(
+    cold: tuple[MotionData, Iterate],
+) -> None:
+    data, start = cold
+    found = solve(data, start, Backend(max_iterations=2))
+    assert not found.solution.converged and ITERATION_LIMIT in found.solution.message
+    alone, _, _ = refine(GaussNewton(data, line_search=True), data, start, 1)
+    reference, held = GaussNewton(data), hold(data, alone, TIGHT_GAUGE)
+    assert found.solution.cost <= reference.cost(held, alone.vector())
+
+
+def test_without_time_nothing_more_is_tried(cold: tuple[MotionData, Iterate]) -> None:
+    found = solve(*cold, Backend(max_seconds=1e-6))
+    assert found.solver == "gauss_newton" and found.solution.message == TIME_LIMIT
+
+
+def test_equations_without_a_solution_are_left_to_ipopt(
+    cold: tuple[MotionData, Iterate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*given: object) -> Solution:
+        raise LinAlgError
+
+    monkeypatch.setattr(GaussNewton, "solve", fails)
+    found = solve(*cold, Backend())
+    assert found.solver == "ipopt" and found.solution.converged
+    # where IPOPT fails too the caller is told
+    monkeypatch.setattr(MotionProgram, "solve", fails)
+    with pytest.raises(LinAlgError):
+        solve(*cold, Backend())
+
+
+def test_the_estimate_names_the_solver_that_found_it() -> None:
+    sequence = generate(SCENE, 3)
+    for config, name in ((Backend(), "gauss_newton"), (Backend(solver="ipopt"), "ipopt")):
+        initial = initialize_motion(sequence.tracks, sequence.relative, config)
+        told = estimate_motion(sequence.tracks, initial, config, Silent()).solver
+        assert (told.name, told.converged) == (name, True)
+
+
+def test_a_line_search_ends_no_higher_in_fewer_iterations(cold: tuple[MotionData, Iterate]) -> None:
+    data, start = cold
+    held = hold(data, start)
+    plain, found = (
+        GaussNewton(data, line_search=on).solve(held, start.vector(), 200) for on in (False, True)
+    )
+    assert plain.converged and found.converged
+    assert found.cost <= plain.cost * (1.0 + 1e-8)
+    assert found.iterations < plain.iterations
+
+
+def test_a_step_that_goes_too_far_is_made_shorter_until_it_brings_enough(
+    cold: tuple[MotionData, Iterate],
+) -> None:
+    data, start = cold
+    held, x = hold(data, start), start.vector()
+    solver = GaussNewton(data, line_search=True)
+    system = solver.normal_equations(held, x)
+    step = solver._step(system, Damping())
+    slope = float(np.concatenate([system.g, system.h.ravel()]) @ step)
+    ahead, behind = (solver.cost(held, x + d * step) for d in (1e-6, -1e-6))
+    assert slope == pytest.approx((ahead - behind) / 2e-6, rel=1e-4) and slope < 0.0
+    # five times too far: an eighth of it is the first that brings enough, or a shorter one
+    candidate, cost = solver._shorter(held, x, system, 5.0 * step)
+    length = float(np.linalg.norm(candidate - x) / np.linalg.norm(5.0 * step))
+    assert min(abs(length - part) for part in SHORTER) < 1e-9
+    assert cost <= system.cost + ENOUGH * length * 5.0 * slope
+    assert cost == solver.cost(held, candidate)
+    # up the hill nothing is enough
+    assert solver._shorter(held, x, system, -step)[1] == np.inf
