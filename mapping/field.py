@@ -13,6 +13,7 @@ import torch
 from mapping.blocks import BlockGrid, Truncation
 from mapping.frame import FrameTensors, frame_tensors
 from mapping.integrate import allocate, integrate
+from mapping.support import Support
 from mapping.surface import empty_surface, extract_surface
 from mapping.vertex_sigma import Shares
 from polhode.camera import RectifiedRig
@@ -176,18 +177,16 @@ class Field:
         )
 
     def surface(self) -> SurfaceModel:
-        """The mesh in G of what was seen in ``min_views`` frames, with what is to be said about it."""
+        """The mesh in G of what frames agree on, with what is to be said about it."""
         config = self.config
         for kept in self._kept.values():
             self._complete(kept)
-        shares = Shares(config.shared_sigma, config.relief_sigma)
         told = self._warnings()
         least = min(config.min_views, max(self.used, 1))
-        found = extract_surface(self._grid, least, config.min_component_area, shares)
+        found = self._extract(least)
         if self.used > least and len(found.mesh.faces) == 0:
             # frames that do not overlap
-            least = 1
-            found = extract_surface(self._grid, least, config.min_component_area, shares)
+            found = self._extract(1)
             if len(found.mesh.faces):
                 told.append(
                     f"no part of the surface was seen in {config.min_views} frames: the mesh is what single "
@@ -199,9 +198,17 @@ class Field:
                 "confirms its parts, and what they did not see is open"
             )
         if len(found.mesh.faces) == 0:
+            if self.used:
+                told.append("what the frames agree on is too small for a surface: there is none")
             return empty_surface(tuple(told))
         found.mesh.apply_transform(inverse_pose(self._X_FG))
         return replace(found, warnings=tuple(told))
+
+    def _extract(self, least_views: int) -> SurfaceModel:
+        config = self.config
+        shares = Shares(config.shared_sigma, config.relief_sigma)
+        support = Support.of(config, least_views)
+        return extract_surface(self._grid, support, config.least_piece_voxels, shares)
 
     def _warnings(self) -> list[str]:
         out = []

@@ -26,9 +26,10 @@ from mapping.blocks import (
     unpack_keys,
 )
 from mapping.mesh_loops import piece_areas
+from mapping.support import Support, known_voxels
 from mapping.vertex_sigma import Shares, vertex_sigma
 from polhode.lie import Array
-from polhode.records import Ints, SurfaceModel
+from polhode.records import Bools, Ints, SurfaceModel
 
 _CHUNK = 8
 """Blocks along the edge of a chunk."""
@@ -44,19 +45,22 @@ def empty_surface(warnings: tuple[str, ...] = ()) -> SurfaceModel:
 
 
 def extract_surface(
-    grid: BlockGrid, min_views: int, min_component_area: float, shares: Shares
+    grid: BlockGrid, support: Support, least_piece_voxels: float, shares: Shares
 ) -> SurfaceModel:
-    """Mesh in G [m] of all voxels seen in at least ``min_views`` frames; empty when there are none."""
+    """Mesh in G [m] of all voxels that count; empty when there are none.
+
+    Pieces of less area than ``least_piece_voxels`` [faces of a voxel] are left out.
+    """
     if len(grid) == 0:
         return empty_surface()
     values = grid.values.cpu().numpy()
-    distance = _distances(values, min_views, grid.cut.front_m, grid.voxel_m)
+    distance = _distances(values, known_voxels(values, grid.voxel_m, support), grid.cut.front_m, grid.voxel_m)
     first = np.unique(np.floor_divide(unpack_keys(grid.keys).cpu().numpy(), _CHUNK), axis=0) * _CHUNK
     parts = [part for corner in first if (part := _mesh_chunk(grid, corner, distance)) is not None]
     if not parts:
         return empty_surface()
     vertices, faces, edges, shares_of = _merge(parts)
-    faces = _large_components(vertices, faces, min_component_area)
+    faces = _large_pieces(vertices, faces, least_piece_voxels)
     is_used = np.zeros(len(vertices), dtype=bool)
     is_used[faces] = True
     used = np.flatnonzero(is_used)
@@ -68,10 +72,9 @@ def extract_surface(
     return _surface_model(vertices[used] * grid.voxel_m, renumber[faces], of_vertices, grid.voxel_m, shares)
 
 
-def _distances(values: Floats, min_views: int, front_m: float, voxel_m: float) -> Floats:
-    """(n, 512): signed distance in voxels, NaN where too few frames tell."""
+def _distances(values: Floats, known: Bools, front_m: float, voxel_m: float) -> Floats:
+    """(n, 512): signed distance in voxels, NaN where it is not known."""
     weight = values[..., WEIGHT] + values[..., FREE]
-    known = (weight > 0) & (values[..., VIEWS] + (values[..., FREE] > 0) >= min_views)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = (values[..., DISTANCE] + front_m * values[..., FREE]) / (weight * np.float32(voxel_m))
     return np.where(known, mean, np.float32(np.nan)).astype(np.float32, copy=False)
@@ -156,10 +159,10 @@ def _merge(parts: list[tuple[Array, Ints, Ints, Floats]]) -> tuple[Array, Ints, 
     return vertices, faces[whole], edges, share
 
 
-def _large_components(vertices: Array, faces: Ints, min_share: float) -> Ints:
-    """Faces of the connected pieces that hold at least ``min_share`` of the area."""
+def _large_pieces(vertices: Array, faces: Ints, least: float) -> Ints:
+    """Faces of the connected pieces of at least this area; vertices in voxels."""
     piece, area = piece_areas(vertices, faces)
-    kept: Ints = faces[area[piece[faces[:, 0]]] >= min_share * area.sum()]
+    kept: Ints = faces[area[piece[faces[:, 0]]] >= least]
     return kept
 
 

@@ -21,9 +21,15 @@ class Mapping(Section):
     free_space_weight: float = Field(0.4, ge=0, le=1)
     """Weight of "this is empty" far in front of a surface, over that of the surface itself."""
     min_views: int = Field(3, ge=1)
-    """A surface seen in fewer frames is left out (fewer where the sequence is shorter)."""
-    min_component_area: float = Field(0.004, ge=0, lt=1)
-    """Pieces of a smaller share of the whole area are removed."""
+    """A surface seen in fewer frames is left out (fewer where the sequence is shorter), unless two agree."""
+    agreeing_voxels: float = Field(0.7, ge=0)
+    """Two frames are enough where what they say of a place scatters by less [voxels]."""
+    scatter_voxels: float = Field(1.6, gt=0)
+    """Where frames scatter by more [voxels], and twice more than is usual in this run, nothing is known."""
+    carved_share: float = Field(0.3, ge=0, le=1)
+    """A surface is left out where frames that look through it have more of the weight."""
+    least_piece_voxels: float = Field(25.0, ge=0)
+    """Pieces of less area are removed [faces of a voxel]."""
     moved_voxels: float = Field(0.1, gt=0)
     """When poses improve, a frame is fused again once it moves the body by more than this [voxels]."""
     hole_share: float = Field(0.04, ge=0, le=0.3)
