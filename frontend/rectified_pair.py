@@ -31,8 +31,7 @@ def rectified_pair(sequence: StereoSequence, rectifier: Rectifier, k: int) -> Re
 
 def rectified_left(sequence: StereoSequence, rectifier: Rectifier, k: int) -> tuple[Image, Bools]:
     """The left image of pair k and its mask alone."""
-    raw = sequence.read_pair(k)
-    return _rectified(rectifier, 0, raw.left, raw.mask_left)
+    return _rectified(rectifier, 0, *sequence.read_left(k))
 
 
 def _rectified(rectifier: Rectifier, side: int, raw: Image, given: Bools | None) -> tuple[Image, Bools]:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 from scipy.sparse import coo_matrix, csr_array
+from trimesh.visual import ColorVisuals
 
 from mapping.shading import CLEARLY_BETTER, Observations, Sunlight, find_sun
 from mapping.visibility import Caster, DepthPicture, FrameView, pixels_of, sun_in_G, towards_G, values_at
@@ -60,9 +60,9 @@ def divide_shading(
     mesh = surface.mesh
     if len(mesh.faces) == 0 or len(views) < 2:
         return Colouring(surface, False, None, 1.0)
-    caster, normals = caster or Caster(mesh), smooth_normals(mesh)
-    images = [uniform_filter(view.image.astype(np.float32), 3) for view in views]
-    sun = _find_sun(surface, normals, views, images, rig, caster, seed)
+    caster, mean = caster or Caster(mesh), _mean_of_neighbours(mesh)
+    normals = smooth_normals(mesh, mean)
+    sun = _find_sun(surface, normals, views, rig, caster, seed)
     if sun is None or sun.explained < CLEARLY_BETTER or not np.isfinite(sun.sigma_rad):
         return Colouring(surface, False, sun, 1.0)
     albedo, known = _albedos(mesh, normals, views, rig, caster, sun)
@@ -70,16 +70,18 @@ def divide_shading(
     if not measured.any():
         return Colouring(surface, False, sun, 1.0)
     scale = _BRIGHT / max(float(np.percentile(albedo[measured], 99.0)), 1.0)
-    grey = np.clip(np.round(_spread(mesh, albedo, known) * scale), 0, 255).astype(np.uint8)
+    grey = np.clip(np.round(_spread(mean, albedo, known) * scale), 0, 255).astype(np.uint8)
     rgba = np.column_stack([grey, grey, grey, np.full_like(grey, 255)])
-    coloured = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=rgba, process=False)
+    # the same surface in other colours: what is known of its shape stays known
+    coloured = mesh.copy(include_cache=True)
+    coloured.visual = ColorVisuals(coloured, vertex_colors=rgba)
     return Colouring(replace(surface, mesh=coloured), True, sun, scale)
 
 
-def smooth_normals(mesh: trimesh.Trimesh) -> Array:
+def smooth_normals(mesh: trimesh.Trimesh, mean: csr_array | None = None) -> Array:
     """(V, 3) unit normals, averaged over a few rings of neighbours: a field's noise is in the first."""
     normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
-    mean = _mean_of_neighbours(mesh)
+    mean = _mean_of_neighbours(mesh) if mean is None else mean
     for _ in range(_SMOOTHINGS):
         normals = normals + mean @ normals
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -87,7 +89,7 @@ def smooth_normals(mesh: trimesh.Trimesh) -> Array:
 
 
 def _mean_of_neighbours(mesh: trimesh.Trimesh) -> csr_array:
-    n, faces = len(mesh.vertices), np.asarray(mesh.faces)
+    n, faces = len(mesh.vertices), np.asarray(mesh.faces, dtype=np.int32)
     i, j = faces[:, [0, 1, 2, 1, 2, 0]].reshape(-1), faces[:, [1, 2, 0, 0, 1, 2]].reshape(-1)
     graph = csr_array(coo_matrix((np.ones(len(i)), (i, j)), shape=(n, n)))
     count = np.asarray(graph.sum(axis=1)).reshape(-1)
@@ -99,7 +101,6 @@ def _find_sun(
     surface: SurfaceModel,
     normals: Array,
     views: Sequence[FrameView],
-    images: Sequence[Floats],
     rig: RectifiedRig,
     caster: Caster,
     seed: int,
@@ -108,12 +109,12 @@ def _find_sun(
     chosen = np.sort(np.random.default_rng(seed).permutation(measured)[:SAMPLES])
     p_G, n_G = np.asarray(surface.mesh.vertices)[chosen], normals[chosen]
     vertex, frame, turned, intensity = [], [], [], []
-    for k, (view, image) in enumerate(zip(views, images, strict=True)):
+    for k, view in enumerate(views):
         row, column, inside = pixels_of(view, p_G, rig)
         inside &= np.einsum("nk,nk->n", towards_G(view, p_G), n_G) > _GRAZING
         at = np.flatnonzero(inside)
         at = at[caster.sees(view.eye_G, p_G[at], n_G[at])]
-        value = image[row[at], column[at]]
+        value = view.smooth[row[at], column[at]]
         at, value = at[value < _SATURATED], value[value < _SATURATED]
         vertex.append(at)
         frame.append(np.full(len(at), k))
@@ -157,15 +158,20 @@ def _albedos(
         view = views[k]
         eye, to_sun = view.eye_G.astype(np.float32), sun_in_G(view, sun.direction_N)
         facing = n_G @ to_sun.astype(np.float32)
-        ray = eye - p_G
-        cosine = np.einsum("nk,nk->n", ray, n_G) / np.sqrt(np.einsum("nk,nk->n", ray, ray))
-        at = np.flatnonzero((cosine > _GRAZING) & (facing > _LEAST_LIGHT))
-        at = at[DepthPicture(caster, caster.middle - view.eye_G, view.eye_G).shows(p_G[at])]
-        at = at[DepthPicture(caster, -to_sun).shows(p_G[at])]
+        at = np.flatnonzero(facing > _LEAST_LIGHT)
+        ray = eye - p_G[at]
+        cosine = np.einsum("nk,nk->n", ray, n_G[at]) / np.sqrt(np.einsum("nk,nk->n", ray, ray))
+        at, cosine = at[cosine > _GRAZING], cosine[cosine > _GRAZING]
+        for picture in (
+            DepthPicture(caster, caster.middle - view.eye_G, view.eye_G),
+            DepthPicture(caster, -to_sun),
+        ):
+            shown = picture.shows(p_G[at])
+            at, cosine = at[shown], cosine[shown]
         value, inside = values_at(view, view.image.astype(np.float32), p_G[at], rig)
-        at, value = at[inside], value[inside]
+        at, cosine, value = at[inside], cosine[inside], value[inside]
         light = facing[at] + sun.ambient_on(n_G[at] @ (view.R_NR @ view.X_RG[:3, :3]).T)
-        weight = cosine[at] ** 2 * np.where(value < _SATURATED, 1.0, 1e-3)
+        weight = cosine**2 * np.where(value < _SATURATED, 1.0, 1e-3)
         up[at] += weight * light * value
         down[at] += weight * light * light
     known = down > 0.0
@@ -173,11 +179,10 @@ def _albedos(
     return np.where(known, full * up / np.maximum(down, 1e-12), 0.0), known
 
 
-def _spread(mesh: trimesh.Trimesh, albedo: Array, known: Bools) -> Array:
+def _spread(mean: csr_array, albedo: Array, known: Bools) -> Array:
     """Albedos where light told none: from the neighbours, and the middle one of all where there are none."""
     if known.all():
         return albedo
-    mean = _mean_of_neighbours(mesh)
     value, weight = np.where(known, albedo, 0.0), known.astype(np.float64)
     for _ in range(60):
         if weight.all():

@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import trimesh
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from trimesh.visual import ColorVisuals
 
 from mapping.hole_filling import fill_loop
+from mapping.mesh_loops import neighbours, piece_areas, rim_edges
 from mapping.visibility import LEAST_COSINE, Caster, FrameView, pixels_of
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
@@ -25,6 +24,9 @@ _LEAST_BODY = 2.0
 """A hole must have this many times its own area of surface around it: a scrap's outline is no hole."""
 _OUTSIDE_PX = 2.5
 """A frame looks past the body where the nearest pixel of its silhouette is further."""
+_STEP_PX = np.arange(-int(_OUTSIDE_PX), int(_OUTSIDE_PX) + 1)
+_OUTSIDE = (np.hypot(_STEP_PX, _STEP_PX[:, None]) <= _OUTSIDE_PX).astype(np.uint8)
+"""The pixels so near"""
 _LOOKED_THROUGH = 0.25
 """Share of a hole's sights that may look through it."""
 
@@ -48,12 +50,17 @@ class _Patch:
 
 
 def close_small_holes(
-    surface: SurfaceModel, largest_m: float, views: Sequence[FrameView] = (), rig: RectifiedRig | None = None
+    surface: SurfaceModel,
+    largest_m: float,
+    views: Sequence[FrameView] = (),
+    rig: RectifiedRig | None = None,
+    caster: Caster | None = None,
 ) -> ClosedHoles:
     """Close the holes that are at most ``largest_m`` across.
 
     New vertices have no views and an infinite sigma, and the grey of the rim; new faces are ``invented``.
-    With views and rig, holes through which they looked stay open.
+    With views and rig, holes through which they looked stay open. ``caster``: of the surface's mesh, if there
+    is one already.
     """
     mesh = surface.mesh
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
@@ -62,22 +69,18 @@ def close_small_holes(
     small = [loop for loop in boundary_loops(faces) if _across(vertices[loop]) <= largest_m]
     patches = list(_patches(vertices, faces, small))
     if patches and views and rig is not None:
-        patches = _not_looked_through(mesh, patches, views, rig)
+        patches = _not_looked_through(mesh, patches, views, rig, caster or Caster(mesh))
     return ClosedHoles(_with(surface, patches), len(patches), len(small) - len(patches))
 
 
 def boundary_loops(faces: Ints) -> list[Ints]:
     """Loops of vertices along the edges with one face, against the faces' winding, so that a face wound as
     the loop runs continues the surface. Where a loop touches itself it falls into several."""
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    count = int(faces.max()) + 1 if len(faces) else 0
-    low, high = edges.min(axis=1).astype(np.int64), edges.max(axis=1).astype(np.int64)
-    order = np.argsort(low * count + high, kind="stable")
-    key = (low * count + high)[order]
-    first = np.append(True, key[1:] != key[:-1])
-    lonely = first & np.append(first[1:], True)
+    whole = np.asarray(faces, dtype=np.int64)
+    near = neighbours(whole, int(whole.max()) + 1 if len(whole) else 0)
+    rim: list[list[int]] = rim_edges(whole, *near).tolist()
     after: dict[int, list[int]] = {}
-    for a, b in edges[np.sort(order[lonely])].tolist():
+    for a, b in rim:
         after.setdefault(b, []).append(a)
     loops: list[Ints] = []
     for start in sorted(after):
@@ -105,7 +108,7 @@ def _across(points: Array) -> float:
 
 
 def _patches(vertices: Array, faces: Ints, loops: list[Ints]) -> Iterator[_Patch]:
-    piece, piece_area = _pieces(vertices, faces)
+    piece, piece_area = piece_areas(vertices, faces)
     around = _neighbours(faces, np.unique(np.concatenate(loops)) if loops else np.zeros(0, dtype=np.int64))
     for loop in loops:
         place = {int(vertex): k for k, vertex in enumerate(loop)}
@@ -128,16 +131,6 @@ def _patches(vertices: Array, faces: Ints, loops: list[Ints]) -> Iterator[_Patch
             yield _Patch(loop, points, triangles)
 
 
-def _pieces(vertices: Array, faces: Ints) -> tuple[Ints, Array]:
-    """Label of the connected piece of each vertex (V,), and each piece's area [m^2]."""
-    n = len(vertices)
-    i, j = faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1)
-    graph = coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    area = np.bincount(label[faces[:, 0]], weights=_areas(vertices[faces]), minlength=label.max() + 1)
-    return label, np.asarray(area, dtype=np.float64)
-
-
 def _areas(corner: Array) -> Array:
     cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
@@ -156,7 +149,11 @@ def _neighbours(faces: Ints, of: Ints) -> dict[int, set[int]]:
 
 
 def _not_looked_through(
-    mesh: trimesh.Trimesh, patches: list[_Patch], views: Sequence[FrameView], rig: RectifiedRig
+    mesh: trimesh.Trimesh,
+    patches: list[_Patch],
+    views: Sequence[FrameView],
+    rig: RectifiedRig,
+    caster: Caster,
 ) -> list[_Patch]:
     """The patches that stay when the frames are asked.
 
@@ -172,7 +169,7 @@ def _not_looked_through(
         normals.append(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30))
         owner.append(np.full(len(corner), k))
     p_G, normal_G, of = np.concatenate(middles), np.concatenate(normals), np.concatenate(owner)
-    caster, facing = Caster(mesh), np.asarray(mesh.face_normals)
+    faces = np.asarray(mesh.faces)
     sights, through = np.zeros(len(patches)), np.zeros(len(patches))
     for view in views:
         ray = p_G - view.eye_G
@@ -183,11 +180,10 @@ def _not_looked_through(
         direction, distance = direction[towards], distance[towards]
         first, face = caster.first(view.eye_G, direction)
         clear = first > distance
-        outside = cv2.distanceTransform(
-            (~view.silhouette).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
-        )
-        sky = outside[row[towards], column[towards]] > _OUTSIDE_PX
-        behind = np.isfinite(first) & (np.einsum("nk,nk->n", direction, facing[face]) < 0.0)
+        near = cv2.dilate(view.silhouette.astype(np.uint8), _OUTSIDE, borderValue=0)
+        sky = near[row[towards], column[towards]] == 0
+        a, b, c = vertices[faces[face]].transpose(1, 0, 2)
+        behind = np.isfinite(first) & (np.einsum("nk,nk->n", direction, np.cross(b - a, c - a)) < 0.0)
         sights += np.bincount(of[towards[clear]], minlength=len(patches))
         through += np.bincount(of[towards[clear & (sky | behind)]], minlength=len(patches))
     kept = through <= _LOOKED_THROUGH * sights

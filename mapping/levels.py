@@ -37,7 +37,7 @@ def levels_of(surface: SurfaceModel, shares: Sequence[float], seed: int = 0) -> 
     counts = [count for count in counts if count >= FEWEST_FACES]
     if not counts:
         return []
-    full = trimesh.Trimesh(surface.mesh.vertices, surface.mesh.faces, process=False)
+    full = surface.mesh
     middles = cKDTree(np.asarray(full.triangles_center))
     points, _ = trimesh.sample.sample_surface(full, SAMPLES, seed=seed)
     levels, thinned = [], {len(full.faces): full}

@@ -47,6 +47,31 @@ def _root(parent: Ints, v: int) -> int:
 
 
 @compiled
+def volume_moments(vertices: Array, faces: Ints) -> Array:
+    """(10,): volume, its first moments x, y, z and second moments xx, xy, xz, yy, yz, zz about the origin.
+
+    Sums over tetrahedra from the origin to each face (Tonon 2004).
+    """
+    out = np.zeros(10)
+    for f in range(len(faces)):
+        p, q, r = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
+        six = (
+            p[0] * (q[1] * r[2] - q[2] * r[1])
+            + p[1] * (q[2] * r[0] - q[0] * r[2])
+            + p[2] * (q[0] * r[1] - q[1] * r[0])
+        )
+        out[0] += six / 6.0
+        place = 4
+        for i in range(3):
+            out[1 + i] += six * (p[i] + q[i] + r[i]) / 24.0
+            for j in range(i, 3):
+                both = (p[i] + q[i] + r[i]) * (p[j] + q[j] + r[j])
+                out[place] += six * (both + p[i] * p[j] + q[i] * q[j] + r[i] * r[j]) / 120.0
+                place += 1
+    return out
+
+
+@compiled
 def neighbours(faces: Ints, count: int) -> tuple[Ints, Ints]:
     """Starts (V + 1,) and the neighbours of each of ``count`` vertices, along the faces' winding.
 
@@ -65,6 +90,24 @@ def neighbours(faces: Ints, count: int) -> tuple[Ints, Ints]:
             other[at[v]] = faces[f, (k + 1) % 3]
             at[v] += 1
     return start, other
+
+
+@compiled
+def rim_edges(faces: Ints, start: Ints, other: Ints) -> Ints:
+    """Edges (n, 2) with one face, as that face winds them, in the order of the faces; see ``neighbours``."""
+    out, count = np.empty((3 * len(faces), 2), np.int64), 0
+    for f in range(len(faces)):
+        for k in range(3):
+            a, b = faces[f, k], faces[f, (k + 1) % 3]
+            walked = 0
+            for n in range(start[a], start[a + 1]):
+                walked += other[n] == b
+            for n in range(start[b], start[b + 1]):
+                walked += other[n] == a
+            if walked == 1:
+                out[count, 0], out[count, 1] = a, b
+                count += 1
+    return out[:count].copy()
 
 
 @compiled

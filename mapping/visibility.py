@@ -1,12 +1,14 @@
 """What a camera sees of a mesh: rays to points, and depth maps for many points at once."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import trimesh
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
@@ -42,6 +44,11 @@ class FrameView:
     lit_above: float = 12.0
     """intensity above which a pixel shows light"""
 
+    @cached_property
+    def smooth(self) -> Floats:
+        """(h, w) means over 3 x 3 pixels."""
+        return np.asarray(uniform_filter(self.image.astype(np.float32), 3))
+
     @property
     def eye_G(self) -> Array:
         """(3,) the camera in G [m]."""
@@ -66,7 +73,7 @@ class Caster:
         """
         if len(direction) == 0:
             return np.zeros(0), np.zeros(0, dtype=np.int64)
-        start = np.broadcast_to(origin, direction.shape) - self.middle
+        start = np.atleast_2d(origin) - self.middle
         # Start near the body: single precision is then enough at any range.
         skipped = np.maximum(np.linalg.norm(start, axis=1) - 1.5 * self.radius_m, 0.0)
         start = start + direction * skipped[:, None]

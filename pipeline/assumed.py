@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+from mapping.mesh_loops import volume_moments
+from mapping.visibility import Caster
 from pipeline.summary_parts import Assumed
 from polhode.config.backend import Backend
 from polhode.lie import Array
@@ -77,17 +79,18 @@ def assumed_properties(
     ), []
 
 
-def solid_of(mesh: trimesh.Trimesh) -> tuple[Solid | None, str]:
+def solid_of(mesh: trimesh.Trimesh, caster: Caster | None = None) -> tuple[Solid | None, str]:
     """The mesh as a solid body, or why it is none.
 
-    A closed mesh as it is; an open one by its convex hull, if it surrounds its middle.
+    A closed mesh as it is; an open one by its convex hull, if it surrounds its middle. ``caster``: of the
+    mesh, if there is one already.
     """
     if len(mesh.faces) < 4:
         return None, "there is no surface"
     if mesh.is_volume:
         return solid_body(mesh, "volume of the mesh, which is closed"), ""
     hull = mesh.convex_hull
-    share = coverage(mesh, np.asarray(hull.center_mass))
+    share = coverage(caster or Caster(mesh), np.asarray(hull.center_mass))
     if share < LEAST_COVERAGE:
         return None, f"the surface is open and covers only {share:.0%} of the directions from its middle"
     filled = "" if share > NEARLY_CLOSED else f" (it covers {share:.0%} of the directions from its middle)"
@@ -96,13 +99,13 @@ def solid_of(mesh: trimesh.Trimesh) -> tuple[Solid | None, str]:
     ), ""
 
 
-def coverage(mesh: trimesh.Trimesh, middle_G: Array) -> float:
+def coverage(caster: Caster, middle_G: Array) -> float:
     """Share of the directions from a point in which the mesh stands."""
     n = np.arange(DIRECTIONS) + 0.5
     polar, turn = np.arccos(1.0 - 2.0 * n / DIRECTIONS), np.pi * (1.0 + 5.0**0.5) * n
     direction = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
-    hit = mesh.ray.intersects_any(np.tile(middle_G, (DIRECTIONS, 1)), direction)
-    return float(np.mean(hit))
+    _, face = caster.first(middle_G, direction)
+    return float(np.mean(face >= 0))
 
 
 def principal_axes(inertia: Array) -> tuple[Array, Array]:
@@ -115,11 +118,17 @@ def principal_axes(inertia: Array) -> tuple[Array, Array]:
 
 def solid_body(mesh: trimesh.Trimesh, words: str) -> Solid:
     """What a mesh encloses."""
-    body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    body.density = 1.0
-    if body.volume < 0.0:
-        body.invert()
-    return Solid(float(body.volume), np.asarray(body.center_mass), np.asarray(body.moment_inertia), words)
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    # about a point within: far from the origin the products would cancel
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    sums = volume_moments(vertices - middle, np.asarray(mesh.faces, dtype=np.int64))
+    # faces that are wound inwards give a negative volume
+    volume, first, second = np.sign(sums[0]) * sums[0], np.sign(sums[0]) * sums[1:4], np.zeros((3, 3))
+    second[np.triu_indices(3)] = np.sign(sums[0]) * sums[4:]
+    second += np.triu(second, 1).T
+    centre = first / volume
+    about = second - volume * np.outer(centre, centre)
+    return Solid(float(volume), middle + centre, np.trace(about) * np.eye(3) - about, words)
 
 
 def _completed_com(mass: MassProperties, solid: Solid) -> Array:

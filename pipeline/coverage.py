@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from mapping.visibility import LEAST_COSINE, Caster, FrameView, pixels_of, towards_G
 from pipeline.direction_words import axis_words
@@ -36,14 +35,13 @@ def classes_of(
     """(n,) UNSEEN, SEEN_UNLIT or SEEN_LIT of points (n, 3) of the caster's mesh, normals outwards."""
     found = np.full(len(p_G), UNSEEN, dtype=np.uint8)
     for view in views:
-        smooth = uniform_filter(view.image.astype(np.float32), 3)
         open_ = np.flatnonzero(found != SEEN_LIT)
         row, column, inside = pixels_of(view, p_G[open_], rig)
         cosine = np.einsum("nk,nk->n", towards_G(view, p_G[open_]), normal_G[open_])
         inside &= cosine > LEAST_COSINE
         at, row, column = open_[inside], row[inside], column[inside]
         seen = caster.sees(view.eye_G, p_G[at], normal_G[at])
-        lit = smooth[row, column] > view.lit_above
+        lit = view.smooth[row, column] > view.lit_above
         found[at[seen & lit]] = SEEN_LIT
         found[at[seen & ~lit]] = SEEN_UNLIT
     return found

@@ -55,14 +55,15 @@ def finish_surface(
     views = steps.attempt(
         "looking at the images again", lambda: _views(surface, sequence, rectifier, X_RG, R_NR), views
     )
+    seen_by = cache(lambda: Caster(surface.mesh))
     # What is across is measured on the surface alone: the same in every unit.
     largest_m = mapping.hole_share * float(np.linalg.norm(surface.mesh.extents))
     holes = steps.attempt(
         "closing small holes",
-        lambda: close_small_holes(surface, largest_m, views, rig),
+        lambda: close_small_holes(surface, largest_m, views, rig, seen_by()),
         ClosedHoles(surface, 0, 0),
     )
-    caster = cache(lambda: Caster(holes.surface.mesh))
+    caster = cache(lambda: Caster(holes.surface.mesh) if holes.closed else seen_by())
     colours = Colouring(holes.surface, False, None, 1.0)
     if mapping.divide_shading:
         colours = steps.attempt(
@@ -80,7 +81,7 @@ def finish_surface(
         coverage = steps.attempt("coverage", lambda: coverage_of(finished.mesh, views, rig), None)
     levels: list[Level] = []
     levels = steps.attempt("lighter meshes", lambda: levels_of(finished, mapping.levels, config.seed), levels)
-    physics = steps.attempt("mass against volume", lambda: check_physics(mass, finished), None)
+    physics = steps.attempt("mass against volume", lambda: check_physics(mass, finished, caster()), None)
     assumed, doubts = assumed_properties(mass, finished, config.backend)
     told = [*doubts, *steps.warnings, *(warnings_of(coverage) if coverage is not None else ())]
     described = _described(finished, holes, colours, levels)

@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from mapping.holes import boundary_loops
+from mapping.visibility import Caster
 from pipeline.assumed import Solid, principal_axes, solid_body, solid_of
 from pipeline.direction_words import axis_words
 from pipeline.shape_parts import Physics
@@ -40,10 +41,12 @@ class _Axes:
     """(3,) unit vector"""
 
 
-def check_physics(mass: MassProperties, surface: SurfaceModel) -> Physics | None:
-    """Compare; None where the surface has no volume."""
+def check_physics(
+    mass: MassProperties, surface: SurfaceModel, caster: Caster | None = None
+) -> Physics | None:
+    """Compare; None where the surface has no volume. ``caster``: of its mesh, if there is one already."""
     mesh = surface.mesh
-    solid, _ = solid_of(mesh)
+    solid, _ = solid_of(mesh, caster)
     if solid is None:
         return None
     _, R_GP = principal_axes(solid.inertia)

@@ -38,7 +38,7 @@ def seen_and_lit(
     count = len(X_NG)
     for k in np.unique(np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int)):
         X_CG = inverse_pose(sequence.X_NC[k]) @ X_NG[k]
-        left = sequence.read_pair(int(k)).left
+        left = sequence.read_left(int(k))[0]
         # What has been found already need not be found again.
         candidate = np.flatnonzero(found < least_frames)
         lit = candidate[_bright(left, transform_points(X_CG, p_G[candidate]), sequence)]

@@ -68,15 +68,21 @@ class StereoSequence:
 
     def read_pair(self, k: int) -> StereoImages:
         """Images and masks of pair k, 0 <= k < F, 8-bit grey. Raises InputError if the files have changed."""
+        left, mask_left = self.read_left(k)
+        return StereoImages(left, self._read_image(1, k), mask_left, self._read_mask("masks1", k))
+
+    def read_left(self, k: int) -> tuple[Grey, Bools | None]:
+        """The left image and mask of pair k alone."""
+        return self._read_image(0, k), self._read_mask("masks0", k)
+
+    def _read_image(self, camera: int, k: int) -> Grey:
         width, height = self.calibration.width_px, self.calibration.height_px
         try:
-            left, right = (to_grey(read_raw(path, width, height), self._bits) for path in self._files[k])
+            return to_grey(read_raw(self._files[k][camera], width, height), self._bits)
         except UnreadableImage as error:
             raise InputError(
                 f"{self.folder}: pair {self.timestamps_ns[k]} ns changed while in use: {error}"
             ) from None
-        masks = [self._read_mask(name, k) for name in ("masks0", "masks1")]
-        return StereoImages(left, right, masks[0], masks[1])
 
     def _read_mask(self, name: str, k: int) -> Bools | None:
         path = self.folder / "mav0" / name / f"{self.timestamps_ns[k]}.png"

@@ -38,7 +38,7 @@ def distance_to_surface(mesh: trimesh.Trimesh, points: Array, seed: int = 0) -> 
     count = int(np.clip(2 * len(mesh.faces), SAMPLES, 400_000))
     samples, face = trimesh.sample.sample_surface(mesh, count, seed=seed)
     centres = np.asarray(mesh.triangles_center)
-    tree = cKDTree(np.concatenate([np.asarray(samples), centres]))
+    tree = quick_tree(np.concatenate([np.asarray(samples), centres]))
     owner = np.concatenate([np.asarray(face), np.arange(len(centres))])
     _, nearest = tree.query(points, k=_CANDIDATES)
     best = np.full(len(points), np.inf)
@@ -47,6 +47,11 @@ def distance_to_surface(mesh: trimesh.Trimesh, points: Array, seed: int = 0) -> 
         closest = trimesh.triangles.closest_point(triangles[owner[nearest[:, column]]], points)
         best = np.minimum(best, np.linalg.norm(closest - points, axis=1))
     return best
+
+
+def quick_tree(points: Array) -> cKDTree:
+    """For far fewer questions than points (n, 3): made in half the time, asked a little slower."""
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
 def compare_surfaces(estimate: trimesh.Trimesh, truth: trimesh.Trimesh, truth_points: Array) -> MeshMetrics:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from mapping.visibility import Caster
 from pipeline.assumed import assumed_properties, coverage, solid_of
 from polhode.config.backend import Backend
 from polhode.records import MassProperties, SurfaceModel
@@ -83,9 +84,9 @@ def test_a_surface_seen_from_one_side_has_no_volume(example: Any) -> None:
 
 def test_coverage_is_the_share_of_directions() -> None:
     ball = trimesh.creation.icosphere(3)
-    assert coverage(ball, np.zeros(3)) == 1.0
+    assert coverage(Caster(ball), np.zeros(3)) == 1.0
     half = trimesh.Trimesh(ball.vertices, ball.faces[ball.triangles_center[:, 2] > 0.0], process=False)
-    assert coverage(half, np.zeros(3)) == pytest.approx(0.5, abs=0.03)
+    assert coverage(Caster(half), np.zeros(3)) == pytest.approx(0.5, abs=0.03)
 
 
 def test_nothing_is_assumed_unless_the_user_gives_a_mass_or_a_density(example: Any) -> None:

@@ -52,6 +52,9 @@ class Rendered:
         image, mask = self.images[k]
         return StereoImages(image, image, mask, mask)
 
+    def read_left(self, k: int) -> tuple[Any, Any]:
+        return self.images[k]
+
 
 @pytest.fixture(scope="module")
 def run(example: Any) -> Any:
