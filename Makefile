@@ -76,6 +76,7 @@ bench: setup $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m benchmarks.bound
 	$(BIN)/python -m benchmarks.backend_size $(SHORT) -o runs/backend_growth.png
 	$(BIN)/python -m benchmarks.same_answer $(SHORT)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.runs_by_solver runs/ts38 runs/asteroid runs/hard_light runs/specular_mli runs/pure_spin)
 	$(BIN)/python -m benchmarks.compare $(SHORT)
 	$(BIN)/python -m benchmarks.window $(SHORT)
 	$(BIN)/python -m benchmarks.window --seeds 3 --estimated $(SHORT)
