@@ -7,20 +7,21 @@ from collections.abc import Sequence
 from rich.console import Console, JustifyMethod
 from rich.table import Table
 
-from pipeline.compare.rows import Comparison, Row
+from pipeline.compare.rows import Comparison, Row, Tally
 
 COLUMNS = (
     "solver", "start", "status", "over least", "iter", "time s", "build", "eval", "linear", "MB",
     "sigma k1", "sigma k2",
 )  # fmt: skip
+NOT_SEPARABLE = "n/s"
+"""In the place of a time that is not told apart; why stands below the table."""
 WIDTH = 132
 """Characters of the table where no terminal says how many there are."""
 
 
-def least_cost(rows: Sequence[Row], problem: str) -> float | None:
-    """Of all rows of a problem."""
-    costs = [row.cost for row in rows if row.problem == problem and row.cost is not None]
-    return min(costs, default=None)
+def least_costs(comparison: Comparison) -> dict[str, float | None]:
+    """By problem: the least of its rows and its reference solution."""
+    return {problem.name: problem.least_cost for problem in comparison.problems}
 
 
 def gap(row: Row, least: float | None) -> float | None:
@@ -37,7 +38,7 @@ def print_tables(comparison: Comparison) -> None:
         console = Console(width=WIDTH)
     for problem in comparison.problems:
         rows = [row for row in comparison.rows if row.problem == problem.name]
-        least = least_cost(comparison.rows, problem.name)
+        least = problem.least_cost
         title = (
             f"{problem.name}: {problem.frames} frames, {problem.landmarks} landmarks, "
             f"{problem.observations} observations"
@@ -49,10 +50,14 @@ def print_tables(comparison: Comparison) -> None:
         for row in rows:
             table.add_row(*cells(row, least))
         console.print(table)
-        notes = [row for row in rows if row.status in ("failed", "timeout", "missing")]
-        for row in notes:
-            console.print(f"  {row.solver} ({row.start} {row.seed}): {row.message}", markup=False)
+        for row in rows:
+            if row.status in ("failed", "timeout", "missing"):
+                console.print(f"  {row.solver} ({row.start} {row.seed}): {row.message}", markup=False)
+        for told in not_separable(rows):
+            console.print(f"  {told}", markup=False)
         console.print(verdict(rows, least), markup=False)
+    for line in tallies(comparison):
+        console.print(line, markup=False)
 
 
 def cells(row: Row, least: float | None) -> list[str]:
@@ -64,11 +69,40 @@ def cells(row: Row, least: float | None) -> list[str]:
         row.status,
         "" if over is None else f"{over:.1e}",
         "" if row.iterations is None else str(row.iterations),
-        *(_number(value, ".2f") for value in (row.wall_s, row.build_s, row.evaluation_s, row.linear_s)),
+        *(_number(value, ".2f") for value in (row.wall_s, row.build_s)),
+        *(
+            NOT_SEPARABLE if row.not_separable else _number(value, ".2f")
+            for value in (row.evaluation_s, row.linear_s)
+        ),
         _number(row.memory_mb, ".0f"),
         _number(row.sigma_k1, ".2e"),
         _number(row.sigma_k2, ".2e"),
     ]
+
+
+def not_separable(rows: Sequence[Row]) -> list[str]:
+    """Why times are not told apart, and whose."""
+    reasons: dict[str, list[str]] = {}
+    for row in rows:
+        if row.not_separable and row.solver not in reasons.setdefault(row.not_separable, []):
+            reasons[row.not_separable].append(row.solver)
+    return [f"{NOT_SEPARABLE}, not separable ({', '.join(who)}): {why}" for why, who in reasons.items()]
+
+
+def tallies(comparison: Comparison) -> list[str]:
+    """Cases solved, of how many that were run, by kind of start; nothing for a single case."""
+    if len({(row.problem, row.start, row.seed) for row in comparison.rows}) < 2:
+        return []
+    return [
+        f"  {each.solver}: solved "
+        + ", ".join(f"{kind} {told(tally)}" for kind, tally in each.starts.items())
+        for each in comparison.profiles
+    ]
+
+
+def told(tally: Tally) -> str:
+    """As in "3 of 5 (2 not run)"."""
+    return f"{tally.solved} of {tally.ran}" + (f" ({tally.not_run} not run)" if tally.not_run else "")
 
 
 def verdict(rows: Sequence[Row], least: float | None) -> str:

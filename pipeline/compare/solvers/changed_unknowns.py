@@ -57,7 +57,8 @@ class ChangedUnknowns:
             while True:
                 watch.check()
                 step = splu(H + damping * diags(H.diagonal() + 1e-12, format="csc")).solve(-g)
-                after = blocks.cost(to_x(z + step)[0])
+                with watch.part("evaluation"):
+                    after = blocks.cost(to_x(z + step)[0])
                 if np.isfinite(after) and after <= cost:
                     break
                 damping *= 10.0
