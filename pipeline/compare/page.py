@@ -124,7 +124,8 @@ def _profiles(comparison: Comparison, names: list[str]) -> list[Figure]:
         f"{len(cases)} cases (problems and starts). For each solver the share of the cases it ran (the "
         "legend has their number) that it solved within a factor of the fastest solver's time (Dolan and "
         "Moré 2002). Solved: it claims convergence at the least cost known. A case that did not run (package "
-        "missing, or no time left) counts neither for nor against it; baselines claim no convergence and have no profile."
+        "missing, or no time left) counts neither for nor against it; baselines claim no convergence "
+        "and have no profile."
     )
     drawing = layout(
         xaxis=axis("time over the fastest", type="log"),
