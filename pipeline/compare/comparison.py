@@ -13,6 +13,7 @@ from time import perf_counter
 from pipeline.compare.fingerprint import machine, of_problem, stamp, versions
 from pipeline.compare.isolate import empty_row, row_of
 from pipeline.compare.judge import judge, reference_covariance, sigmas
+from pipeline.compare.landmark_block import compile_block
 from pipeline.compare.measured_problem import MeasuredProblem, load, save
 from pipeline.compare.profiles import performance_profiles
 from pipeline.compare.registry import Entry, entries
@@ -45,6 +46,8 @@ def compare(
     wanted = list(sources(config, data, run, truth))
     claim(folder)
     write_config(folder, config)
+    # the first use on a machine compiles; that is no solver's time
+    compile_block()
     deadline = perf_counter() + config.compare.total_s
     problems: list[ProblemWords] = []
     rows: list[Row] = []
