@@ -75,7 +75,7 @@ def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> 
     cov = outcome.cov_constants if outcome is not None else None
     of_sigma = sigmas(problem, outcome.x, cov) if outcome is not None else [None] * 3
     if failure == "timeout":
-        status, message = "timeout", out_of_time(case["limit_s"], watch.words, kept)
+        status, message = "timeout", out_of_time(case["limit_s"], wall, watch.words, kept)
     elif outcome is None:
         status, message = "failed", failure
     else:
@@ -132,9 +132,10 @@ def of_point(problem: "MeasuredProblem", kept: str, x: "Array | None") -> dict[s
     }
 
 
-def out_of_time(limit_s: float, words: str, kept: str) -> str:
-    """Why there is no answer, how far it was, and what is kept."""
-    told = [f"{limit_s:g} s were not enough", *([words] if words else [])]
+def out_of_time(limit_s: float, own_s: float | None, words: str, kept: str) -> str:
+    """Why there is no answer, what time the process's start left to it, how far it was, what is kept."""
+    own = "" if own_s is None else f", {own_s:.1f} s of them the solver's own"
+    told = [f"{limit_s:g} s were not enough{own}", *([words] if words else [])]
     told.append("nothing is kept: it has no whole point on its way" if kept == "nothing"
                 else f"the {kept} point is kept")  # fmt: skip
     return "; ".join(told)

@@ -68,7 +68,10 @@ def _left_behind(problem_file: Path, stem: Path, ending: Ending, limit_s: float)
     kept, x = ("nothing", None) if point is None else point
     judged = of_point(load(problem_file), kept, x)
     if ending.code is None:
-        status, message = "timeout", f"ended at its limit: {out_of_time(limit_s, read_words(stem), kept)}"
+        status, message = (
+            "timeout",
+            f"ended at its limit: {out_of_time(limit_s, wall_s, read_words(stem), kept)}",
+        )
     else:
         status, message = "failed", _last_words(ending.code, ending.words)
     told = {"wall_s": wall_s, "iterations": len(trace), "memory_mb": ending.memory_mb, "trace": trace}
