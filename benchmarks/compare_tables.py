@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 
 from pipeline.compare.profiles import curve, front, growths
-from pipeline.compare.rows import Comparison, Errors, ProblemWords, Row
-from pipeline.compare.table import cells, not_separable, told, verdict
+from pipeline.compare.rows import Comparison, ProblemWords, Row
+from pipeline.compare.table import ERROR_COLUMNS, cells, error_cells, not_separable, told, verdict
 
 WITHIN = (1.0, 2.0, 5.0, 10.0)
 """Factors of the fastest solver's time whose shares are printed."""
@@ -97,21 +97,12 @@ def errors_table(found: Comparison) -> str:
         same: dict[tuple[str, ...], list[str]] = {}
         for row in _cold(found, problem.name):
             if row.errors is not None and row.status in ("ok", "baseline"):
-                same.setdefault(_errors(row.errors), []).append(row.solver)
+                same.setdefault(tuple(error_cells(row.errors)), []).append(row.solver)
         lines += [[problem.name, ", ".join(who), *numbers] for numbers, who in same.items()]
     if not lines:
         return ""
-    head = ["problem", "solvers", "position mm", "velocity mm/s", "attitude deg", "rate deg/s",
-            "centre of mass mm", "k1", "k2"]  # fmt: skip
+    head = ["problem", "solvers", *ERROR_COLUMNS]
     return _table(head, lines)
-
-
-def _errors(errors: Errors) -> tuple[str, ...]:
-    return (
-        f"{errors.position_mm:.2f}", f"{errors.velocity_mm_s:.2f}", f"{errors.attitude_deg:.3f}",
-        f"{errors.angular_velocity_deg_s:.3f}", f"{errors.com_mm:.2f}", f"{errors.k1:+.4f}",
-        f"{errors.k2:+.4f}",
-    )  # fmt: skip
 
 
 def front_words(found: Comparison, problem: ProblemWords, default: str) -> str:

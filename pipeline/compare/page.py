@@ -8,7 +8,18 @@ import numpy as np
 from pipeline.compare.judge import AGREED
 from pipeline.compare.profiles import curve, front, growths
 from pipeline.compare.rows import Comparison, Row
-from pipeline.compare.table import COLUMNS, cells, gap, least_costs, not_separable, told, verdict
+from pipeline.compare.table import (
+    COLUMNS,
+    ERROR_COLUMNS,
+    cells,
+    error_cells,
+    gap,
+    least_costs,
+    not_separable,
+    start_words,
+    told,
+    verdict,
+)
 from pipeline.report.page import fill
 from pipeline.report.plot import Figure, Trace, axis, layout, line
 from polhode.atomic import write_text
@@ -42,6 +53,7 @@ def write_page(comparison: Comparison, path: Path) -> None:
             comparison=comparison,
             figures=figures,
             columns=COLUMNS,
+            error_columns=ERROR_COLUMNS,
             tables=[_table(comparison, problem.name) for problem in comparison.problems],
             successes=_success_rows(comparison),
         ),
@@ -56,6 +68,9 @@ def _table(comparison: Comparison, problem: str) -> dict[str, object]:
         "rows": [(cells(row, least), row) for row in rows],
         "verdict": verdict(rows, least),
         "not_separable": not_separable(rows),
+        "errors": [
+            (row, start_words(row), error_cells(row.errors)) for row in rows if row.errors is not None
+        ],
     }
 
 

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from rich.console import Console, JustifyMethod
 from rich.table import Table
 
-from pipeline.compare.rows import Comparison, Row, Tally
+from pipeline.compare.rows import Comparison, Errors, Row, Tally
 
 COLUMNS = (
     "solver", "start", "status", "over least", "iter", "time s", "build", "eval", "linear", "MB",
     "sigma k1", "sigma k2",
 )  # fmt: skip
+ERROR_COLUMNS = ("r mm", "v mm/s", "attitude deg", "w deg/s", "com mm", "k1", "k2")
 NOT_SEPARABLE = "n/s"
 """In the place of a time that is not told apart; why stands below the table."""
 WIDTH = 132
@@ -50,6 +51,9 @@ def print_tables(comparison: Comparison) -> None:
         for row in rows:
             table.add_row(*cells(row, least))
         console.print(table)
+        judged = [(row, error_cells(row.errors)) for row in rows if row.errors is not None]
+        if judged:
+            console.print(_errors_table(judged))
         for row in rows:
             if row.status in ("failed", "timeout", "missing"):
                 console.print(f"  {row.solver} ({row.start} {row.seed}): {row.message}", markup=False)
@@ -65,7 +69,7 @@ def cells(row: Row, least: float | None) -> list[str]:
     over = gap(row, least)
     return [
         row.solver,
-        row.start if row.start == "cold" else f"{row.start} {row.seed}",
+        start_words(row),
         row.status,
         "" if over is None else f"{over:.1e}",
         "" if row.iterations is None else str(row.iterations),
@@ -103,6 +107,29 @@ def tallies(comparison: Comparison) -> list[str]:
 def told(tally: Tally) -> str:
     """As in "3 of 5 (2 not run)"."""
     return f"{tally.solved} of {tally.ran}" + (f" ({tally.not_run} not run)" if tally.not_run else "")
+
+
+def error_cells(errors: Errors) -> list[str]:
+    """Estimate minus truth, in the order of ``ERROR_COLUMNS``."""
+    return [
+        f"{errors.position_mm:.2f}", f"{errors.velocity_mm_s:.2f}", f"{errors.attitude_deg:.3f}",
+        f"{errors.angular_velocity_deg_s:.3f}", f"{errors.com_mm:.2f}", f"{errors.k1:+.4f}",
+        f"{errors.k2:+.4f}",
+    ]  # fmt: skip
+
+
+def _errors_table(judged: Sequence[tuple[Row, list[str]]]) -> Table:
+    table = Table(title="Estimate minus truth, of what is kept", title_justify="left")
+    for column in (*COLUMNS[:3], *ERROR_COLUMNS):
+        table.add_column(column, justify="left" if column in COLUMNS[:3] else "right", no_wrap=True)
+    for row, numbers in judged:
+        table.add_row(row.solver, start_words(row), row.status, *numbers)
+    return table
+
+
+def start_words(row: Row) -> str:
+    """Kind of start, with its seed."""
+    return row.start if row.start == "cold" else f"{row.start} {row.seed}"
 
 
 def verdict(rows: Sequence[Row], least: float | None) -> str:

@@ -66,6 +66,8 @@ def test_a_dataset_is_measured_solved_and_judged_by_its_truth(of_data: Path, seq
     truth = truth_of_frames(sequence, read_measurements(of_data / "problems" / "sequence.npz").timestamps_ns)
     assert truth is not None and ours.k1 is not None
     assert ours.errors.k1 == pytest.approx(ours.k1 - truth.k1, abs=1e-12)
+    page = (of_data / "compare.html").read_text()
+    assert "Estimate minus truth" in page and f">{ours.errors.k1:+.4f}<" in page
     header, first = (line.split(",") for line in (of_data / "compare.csv").read_text().splitlines()[:2])
     assert float(first[header.index("error_position_mm")]) == ours.errors.position_mm
 
@@ -78,6 +80,7 @@ def test_the_truth_reaches_no_solver(of_data: Path, sequence: Path, config: Path
     assert main(["compare", str(config), "--data", str(blind), "-o", str(out), *OPTIONS]) == 0
     found, with_truth = read_comparison(out / "compare.json"), read_comparison(of_data / "compare.json")
     assert told(found) == told(with_truth)
+    assert "Estimate minus truth" not in (out / "compare.html").read_text()
     assert not found.problems[0].truth and all(row.errors is None for row in found.rows)
 
 
