@@ -75,6 +75,8 @@ def _table(comparison: Comparison, problem: str) -> dict[str, object]:
 
 
 def _success_rows(comparison: Comparison) -> list[tuple[str, list[str]]]:
+    if len({(row.problem, row.start, row.seed) for row in comparison.rows}) < 2:
+        return []
     kinds = list(dict.fromkeys(row.start for row in comparison.rows))
     out = [("", [*(f"{kind} starts" for kind in kinds), "all"])]
     for each in comparison.profiles:

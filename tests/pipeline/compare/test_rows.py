@@ -6,6 +6,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from pipeline.compare.page import write_page
 from pipeline.compare.profiles import curve, front, growths, performance_profiles
 from pipeline.compare.rows import (
     SCHEMA_FILE,
@@ -115,6 +116,21 @@ def test_what_did_not_run_counts_neither_for_nor_against_a_solver() -> None:
     assert "  partly: solved cold 1 of 1 (1 not run)" in tallies(made)
     content = json.loads(made.model_dump_json(by_alias=True))["profiles"]
     assert content[1]["ran"] == 1 and content[1]["not_run"] == 1
+
+
+def test_the_page_tells_how_many_cases_were_run(tmp_path: Path) -> None:
+    absent = {"status": "missing", "ran": False, "kept": "nothing", "problem": "b"}
+    rows = [
+        row("x", 10.0, 1.0),
+        row("x", 20.0, 1.0, problem="b"),
+        row("y", 10.0, 2.0),
+        row("y", None, 0.0, **absent),
+    ]
+    write_page(comparison(rows), tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "2 of 2" in page and "1 of 1 (1 not run)" in page and "x: 2 of 2" in page
+    write_page(comparison(rows[:1]), tmp_path / "one.html")
+    assert "1 of 1" not in (tmp_path / "one.html").read_text()
 
 
 def test_what_is_solved_is_judged_by_the_reference_solution_too() -> None:
