@@ -61,7 +61,7 @@ def growth_table(found: Comparison) -> str:
         seconds = dict(zip(each.size.astype(int).tolist(), each.seconds.tolist(), strict=True))
         told = [f"{seconds[n]:.2f}" if n in seconds else "" for n in sizes]
         lines.append([each.solver, *told, f"{each.exponent:.2f}"])
-    return _table(["seconds at unknowns", *map(str, sizes), "exponent"], lines)
+    return _table(["seconds at observations", *map(str, sizes), "exponent"], lines)
 
 
 def starts_table(found: Comparison) -> str:

@@ -162,7 +162,7 @@ def _growth(comparison: Comparison, names: list[str]) -> list[Figure]:
         trace["name"] = f"{each.solver}: n^{each.exponent:.2f}"
         data.append(trace)
     drawing = layout(
-        xaxis=axis("unknowns", type="log"),
+        xaxis=axis("observations", type="log"),
         yaxis=axis("seconds", type="log"),
         legend={"orientation": "v", "x": 1.01, "y": 1.0},
     )

@@ -65,28 +65,32 @@ def _tally(rows: Sequence[Row], least: dict[str, float | None]) -> Tally:
 
 @dataclass(frozen=True)
 class Growth:
-    """Time of a solver over the number of unknowns; time ~ size^exponent."""
+    """Time of a solver over the number of observations; time ~ size^exponent."""
 
     solver: str
     size: Array
+    """(n,) observations, by number of frames"""
     seconds: Array
     exponent: float
 
 
 def growths(comparison: Comparison) -> list[Growth]:
-    """Of the solvers that solved problems of three sizes or more, cold; medians where sizes are equal."""
-    sizes = {problem.name: problem.unknowns for problem in comparison.problems}
+    """Of the solvers that solved problems of three numbers of frames or more, cold; medians where these are
+    equal. The size is the number of observations: landmarks seen again and again add no unknowns."""
+    problems = {problem.name: problem for problem in comparison.problems}
     least, out = least_costs(comparison), []
     for solver in dict.fromkeys(row.solver for row in comparison.rows):
-        of_size: dict[int, list[float]] = {}
+        of_size: dict[int, list[tuple[int, float]]] = {}
         for row in comparison.rows:
             good = row.solver == solver and row.start == "cold" and row.wall_s is not None
             if good and solved(row, least[row.problem]):
-                of_size.setdefault(sizes[row.problem], []).append(float(row.wall_s or 0.0))
-        if len(of_size) < FEWEST_SIZES or max(of_size) < LEAST_RANGE * min(of_size):
+                problem = problems[row.problem]
+                of_size.setdefault(problem.frames, []).append((problem.observations, row.wall_s or 0.0))
+        if len(of_size) < FEWEST_SIZES:
             continue
-        size = np.array(sorted(of_size), dtype=np.float64)
-        seconds = np.array([np.median(of_size[int(n)]) for n in size])
+        size, seconds = np.array([np.median(of_size[n], axis=0) for n in sorted(of_size)]).T
+        if size[-1] < LEAST_RANGE * size[0]:
+            continue
         out.append(Growth(solver, size, seconds, float(np.polyfit(np.log(size), np.log(seconds), 1)[0])))
     return out
 

@@ -42,7 +42,7 @@ def comparison(rows: list[Row], reference: float | None = None) -> Comparison:
     sizes = {name: 100 * 2**n for n, name in enumerate(dict.fromkeys(each.problem for each in rows))}
     problems = [
         ProblemWords(
-            name=name, source="tests", fingerprint="0", frames=2, landmarks=3, observations=4, unknowns=size,
+            name=name, source="tests", fingerprint="0", frames=size // 10, landmarks=3, observations=size, unknowns=9,
             accel_psd=1e-6, torque_psd=1e-6, prepared_s=0.1, truth=False, reference_cost=reference,
             least_cost=least(name), sigma_k1=None, sigma_k2=None, sigma_com_mm=None,
         )
@@ -157,7 +157,12 @@ def test_growth_is_fitted_to_three_sizes() -> None:
     rows = [row("x", 10.0, 1.0 * 4.0**n, problem=name) for n, name in enumerate("abc")]
     (found,) = growths(comparison(rows))
     assert found.exponent == pytest.approx(2.0)
+    assert found.size.tolist() == [100.0, 200.0, 400.0]
     assert growths(comparison(rows[:2])) == []
+    # motions of as many frames are no sizes, however much each shows
+    alike = comparison(rows)
+    problems = [each.model_copy(update={"frames": 10}) for each in alike.problems]
+    assert growths(alike.model_copy(update={"problems": problems})) == []
 
 
 def test_the_front_holds_the_fastest_of_the_accurate() -> None:
