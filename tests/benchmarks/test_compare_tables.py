@@ -29,8 +29,8 @@ def comparison(rows: list[Row]) -> Comparison:
     names = list(dict.fromkeys(each.problem for each in rows))
     problems = [
         ProblemWords(
-            name=name, source="tests", fingerprint="0", frames=10 * 2**n, landmarks=3, observations=100 * 2**n,
-            unknowns=9, accel_psd=1e-6, torque_psd=1e-6, prepared_s=0.1, truth=True,
+            name=name, source="tests", fingerprint="0", frames=10 * 2**n, landmarks=3,
+            observations=100 * 2**n, unknowns=9, accel_psd=1e-6, torque_psd=1e-6, prepared_s=0.1, truth=True,
             reference_cost=10.0, least_cost=10.0, sigma_k1=None, sigma_k2=None, sigma_com_mm=None,
         )
         for n, name in enumerate(names)
