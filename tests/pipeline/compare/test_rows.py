@@ -43,8 +43,8 @@ def comparison(rows: list[Row], reference: float | None = None) -> Comparison:
     problems = [
         ProblemWords(
             name=name, source="tests", fingerprint="0", frames=size // 10, landmarks=3, observations=size,
-            unknowns=9, accel_psd=1e-6, torque_psd=1e-6, prepared_s=0.1, truth=False, reference_cost=reference,
-            least_cost=least(name), sigma_k1=None, sigma_k2=None, sigma_com_mm=None,
+            unknowns=9, accel_psd=1e-6, torque_psd=1e-6, prepared_s=0.1, truth=False,
+            reference_cost=reference, least_cost=least(name), sigma_k1=None, sigma_k2=None, sigma_com_mm=None,
         )
         for name, size in sizes.items()
     ]  # fmt: skip
