@@ -69,7 +69,7 @@ class Row(Case):
     not_separable: str
     """Why evaluation and linear algebra are not told apart; empty: they are"""
     callback_s: Finite | None
-    """Spent in functions written in Python that a foreign library calls"""
+    """Spent in Python functions that a foreign library calls for blocks, factors or the reduced cost"""
     memory_mb: Finite | None
     """Largest resident size of the process"""
     memory_before_mb: Finite | None
