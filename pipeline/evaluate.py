@@ -7,7 +7,7 @@ common to all frames shows in the mesh.
 """
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,7 @@ from polhode.metrics import (
     truth_at,
     turned,
 )
-from polhode.records import Truth
+from polhode.records import Ints, Truth
 from polhode.rigid_body import propagate
 from polhode.truth import read_truth
 
@@ -76,6 +76,26 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true)
     write_text(run_folder / "metrics.json", json.dumps(metrics, indent=2, allow_nan=False) + "\n")
     return metrics
+
+
+def truth_of_frames(sequence_folder: Path, timestamps_ns: Ints) -> Truth | None:
+    """The truth of a sequence at its frames' instants (F,), without the surface; None: it has none.
+
+    Raises InputError when the truth does not cover the frames.
+    """
+    if not (sequence_folder / "mav0" / "target0").is_dir():
+        return None
+    truth = read_truth(sequence_folder)
+    states = truth_at(truth, timestamps_ns)
+    return replace(
+        truth,
+        timestamps_ns=timestamps_ns,
+        r_N=states.r_N,
+        R_NP=states.R_NP,
+        v_N=states.v_N,
+        w_P=states.w_P,
+        mesh=None,
+    )
 
 
 def target_poses(states: States, R_GP: Array, com_G: Array) -> Array:

@@ -27,9 +27,12 @@ class Compare:
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
     """Folder of the results, to be made, or of the same comparison, to be gone on with."""
     data: Annotated[Path | None, arg(metavar="SEQ")] = None
-    """Folder of a stereo sequence (it holds mav0/): its measurements are made first."""
+    """Folder of a stereo sequence (it holds mav0/): its measurements are made first, by the front end and the
+    rounds of the back end that `polhode run` makes. Its truth (mav0/target0), if any, gives errors."""
     run: Annotated[Path | None, arg(metavar="RUN")] = None
     """Folder of a finished run: its measurements.npz is used."""
+    truth: Annotated[Path | None, arg(metavar="SEQ")] = None
+    """With --run: folder of the sequence that it was made from; its truth (mav0/target0) gives errors."""
     debug: FlagCreatePairsOff[bool] = False
     """Show the traceback of an error."""
     values: _Values = field(default_factory=Config)
@@ -39,7 +42,7 @@ class Compare:
         from pipeline.compare.comparison import compare
         from pipeline.compare.table import print_tables
 
-        found = compare(self.values, self.output, choose_progress(), self.data, self.run)
+        found = compare(self.values, self.output, choose_progress(), self.data, self.run, self.truth)
         print_tables(found)
         page = self.output / "compare.html"
         if not any(row.status in ("ok", "baseline") for row in found.rows):

@@ -5,41 +5,49 @@ Every row is a file of DIR/rows as soon as it is known: an interrupted compariso
 
 import json
 import logging
-import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter
 
+from pipeline.compare.fingerprint import machine, of_problem, stamp, versions
 from pipeline.compare.isolate import empty_row, row_of
-from pipeline.compare.judge import reference_covariance, sigmas
-from pipeline.compare.measured_problem import MeasuredProblem, fingerprint, load, save
+from pipeline.compare.judge import judge, reference_covariance, sigmas
+from pipeline.compare.landmark_block import compile_block
+from pipeline.compare.measured_problem import MeasuredProblem, load, save
+from pipeline.compare.profiles import performance_profiles
 from pipeline.compare.registry import Entry, entries
 from pipeline.compare.rows import Case, Comparison, ProblemWords, Row, write_comparison
 from pipeline.compare.sources import Source, sources
 from pipeline.compare.table import csv_text
+from pipeline.outputs import write_config
 from polhode.atomic import write_text
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
 from polhode.progress import Progress
 
 FILE = "compare.json"
-PACKAGES = {"casadi": "casadi", "scipy": "scipy", "gtsam": "gtsam", "pyceres": "pyceres"}
-"""Module: distribution."""
+MARK, MARK_TEXT = ".polhode-compare", "An output folder of polhode compare, which may write here again.\n"
+"""A folder with this file is ours, whatever else it holds."""
 
 _log = logging.getLogger(__name__)
 
 
 def compare(
-    config: Config, folder: Path, progress: Progress, data: Path | None = None, run: Path | None = None
+    config: Config,
+    folder: Path,
+    progress: Progress,
+    data: Path | None = None,
+    run: Path | None = None,
+    truth: Path | None = None,
 ) -> Comparison:
     """Fill ``folder`` with compare.json, compare.csv and compare.html. Raises InputError, RunFailure."""
-    if data is not None and run is not None:
-        raise InputError("give --data or --run, not both")
     chosen = entries(config.compare.solvers)
-    wanted = list(sources(config, data, run))
-    _claim(folder, config, wanted)
+    wanted = list(sources(config, data, run, truth))
+    claim(folder)
+    write_config(folder, config)
+    # the first use on a machine compiles; that is no solver's time
+    compile_block()
     deadline = perf_counter() + config.compare.total_s
     problems: list[ProblemWords] = []
     rows: list[Row] = []
@@ -52,21 +60,21 @@ def compare(
             _log.warning("%s is left out: %s", source.name, failure)
             continue
         problem = load(file)
-        cases = list(_cases(source.name, config, chosen))
-        own = []
+        key, cases, own = of_problem(problem), list(_cases(source.name, config, chosen)), []
         with progress.stage(f"solvers, {source.name}", len(cases)) as advance:
             for entry, case in cases:
-                own.append(_row(file, fingerprint(problem), folder, entry, case, config, deadline))
+                own.append(_row(file, key, folder, entry, case, config, deadline))
                 advance()
         rows += own
-        problems.append(_words(source, problem))
+        problems.append(_words(source, problem, key, own))
         comparison = Comparison(
             limit_s=config.compare.limit_s,
-            machine=f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}",
-            versions=_versions(),
+            machine=machine(),
+            versions=versions(),
             problems=problems,
             rows=rows,
         )
+        comparison = comparison.model_copy(update={"profiles": performance_profiles(comparison)})
         write_comparison(comparison, folder / FILE)
         write_text(folder / "compare.csv", csv_text(rows))
     from pipeline.compare.page import write_page
@@ -85,32 +93,28 @@ def _cases(problem: str, config: Config, chosen: tuple[Entry, ...]) -> Iterator[
             yield entry, Case(problem=problem, solver=entry.name, start="near", seed=seed)
 
 
-def _claim(folder: Path, config: Config, wanted: list[Source]) -> None:
-    """Make the folder; refuse one that holds anything else."""
+def claim(folder: Path) -> None:
+    """Make the folder and mark it as ours; refuse one that holds anything else. Raises InputError."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: a file stands here; choose another folder for -o")
-    ours = folder / "config.yaml"
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / "rows").is_dir():
+    mark = folder / MARK
+    ours = mark.is_file() and mark.read_text() == MARK_TEXT
+    if folder.is_dir() and any(folder.iterdir()) and not ours:
         raise InputError(f"{folder}: holds files that are not a comparison; choose another folder")
-    for source in wanted:
-        if source.folder is not None and not source.folder.is_dir():
-            raise InputError(f"{source.folder}: no such folder")
     try:
-        (folder / "rows").mkdir(parents=True, exist_ok=True)
-        (folder / "problems").mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(mark, MARK_TEXT)
+        for part in ("rows", "problems"):
+            (folder / part).mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot write here ({error.strerror}); choose another -o") from error
-    from pipeline.outputs import write_config
-
-    del ours
-    write_config(folder, config)
 
 
 def _prepared(source: Source, folder: Path, config: Config, progress: Progress) -> Path:
-    """The file of a frozen problem. Made once: what is measured next to it belongs to it."""
+    """The file of a frozen problem, made anew each time: the same measurements give the same bytes."""
     file = folder / "problems" / f"{source.name}.pickle"
     with progress.stage(f"freezing {source.name}", 1) as advance:
-        save(source.problem(config, progress), file)
+        save(source.problem(config, progress, file.with_suffix("")), file)
         advance()
     return file
 
@@ -118,14 +122,14 @@ def _prepared(source: Source, folder: Path, config: Config, progress: Progress) 
 def _row(
     file: Path, key: str, folder: Path, entry: Entry, case: Case, config: Config, deadline: float
 ) -> Row:
-    """The row on disk, when it is of this problem and limit; else a new one."""
+    """The row on disk, when all that determines it is the same; else a new one."""
     name = f"{case.problem}.{case.solver}.{case.start}{case.seed}.json"
-    path, stamp = folder / "rows" / name, {"fingerprint": key, "limit_s": config.compare.limit_s}
+    path, wanted = folder / "rows" / name, stamp(key, entry, config.compare.limit_s)
     if path.is_file():
         # a row that another version wrote counts as none
         with suppress(ValueError, KeyError):
             known = json.loads(path.read_text())
-            if known["stamp"] == stamp and known["row"]["status"] != "missing":
+            if known["stamp"] == wanted and known["row"]["status"] != "missing":
                 return Row.model_validate(known["row"])
     left_s = deadline - perf_counter()
     if left_s <= 0.0:
@@ -135,32 +139,27 @@ def _row(
     if row.status == "timeout" and limit_s < config.compare.limit_s:
         # with its whole time it might have come to an end: measured again when the comparison goes on
         return row
-    write_text(path, json.dumps({"stamp": stamp, "row": row.model_dump(mode="json")}) + "\n")
+    write_text(path, json.dumps({"stamp": wanted, "row": row.model_dump(mode="json")}) + "\n")
     _log.info("%s: %s, %s", name, row.status, row.message)
     return row
 
 
-def _words(source: Source, problem: MeasuredProblem) -> ProblemWords:
+def _words(source: Source, problem: MeasuredProblem, key: str, rows: Sequence[Row]) -> ProblemWords:
     reference = sigmas(problem, problem.solution, reference_covariance(problem, problem.solution))
+    cost = judge(problem, problem.solution).cost
+    known = [each for each in (cost, *(row.cost for row in rows)) if each is not None]
     return ProblemWords(
         name=source.name,
         source=source.words,
-        fingerprint=fingerprint(problem),
+        fingerprint=key,
         **problem.size,
         accel_psd=problem.data.accel_psd,
         torque_psd=problem.data.torque_psd,
         prepared_s=problem.prepared_s,
+        truth=problem.truth is not None,
+        reference_cost=cost,
+        least_cost=min(known, default=None),
         sigma_k1=reference[0],
         sigma_k2=reference[1],
         sigma_com_mm=reference[2],
     )
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for module, distribution in PACKAGES.items():
-        try:
-            found[module] = version(distribution)
-        except PackageNotFoundError:
-            continue
-    return found

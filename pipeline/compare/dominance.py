@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from pipeline.compare.judge import AGREED
 from pipeline.compare.rows import Comparison, Row
-from pipeline.compare.table import gap, least_cost
+from pipeline.compare.table import gap
 
 NOISE = 0.1
 """Times that differ by no more than this share count as equal."""
@@ -33,9 +33,8 @@ def standings(comparison: Comparison, solver: str) -> list[Standing]:
     for problem in comparison.problems:
         rows = [row for row in comparison.rows if row.problem == problem.name and row.start == "cold"]
         own = next((row for row in rows if row.solver == solver), None)
-        least = least_cost(rows, problem.name)
         others = [row for row in rows if row is not own and row.status in ("ok", "baseline")]
-        better = [row for row in others if own is not None and beats(row, own, least)]
+        better = [row for row in others if own is not None and beats(row, own, problem.least_cost)]
         better.sort(key=lambda row: row.wall_s or 0.0)
         out.append(Standing(problem.name, own, tuple(better)))
     return out

@@ -71,3 +71,10 @@ def _turn(theta: Array) -> tuple[Array, Array]:
     K = np.array([[0.0, -theta[2], theta[1]], [theta[2], 0.0, -theta[0]], [-theta[1], theta[0], 0.0]])
     square = K @ K
     return np.eye(3) + s * K + c * square, np.eye(3) - c * K + j * square
+
+
+def compile_block() -> None:
+    """Compile the loop, or load it: the first time on a machine takes seconds."""
+    one, three = np.ones((1, 3, 3)), np.ones((1, 3))
+    fixed = (one, one, three, three, three, np.ones(5))
+    landmark_block(np.zeros((1, 6)), np.ones(3), *fixed, 3.0, np.empty((1, 3, 6)), np.empty((1, 3, 3)))

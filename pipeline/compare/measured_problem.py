@@ -5,7 +5,6 @@ what polhode's back end chooses from the same measurements; it is frozen before 
 unknowns are counted from the cold start: its attitudes are the reference, its first pose holds G.
 """
 
-import hashlib
 import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -239,11 +238,9 @@ def ratios(at: Iterate, data: MotionData) -> tuple[float, float]:
     return float(np.log(moments[0] / moments[1])), float(np.log(moments[1] / moments[2]))
 
 
-def save(problem: MeasuredProblem, path: Path) -> str:
-    """Write for the solvers' processes; the fingerprint of the content."""
-    content = pickle.dumps(problem, protocol=4)
-    write_bytes(path, content)
-    return fingerprint(problem)
+def save(problem: MeasuredProblem, path: Path) -> None:
+    """Write for the solvers' processes."""
+    write_bytes(path, pickle.dumps(problem, protocol=4))
 
 
 def load(path: Path) -> MeasuredProblem:
@@ -252,13 +249,3 @@ def load(path: Path) -> MeasuredProblem:
         problem = pickle.load(stream)
     assert isinstance(problem, MeasuredProblem)
     return problem
-
-
-def fingerprint(problem: MeasuredProblem) -> str:
-    """Of the measurements and the cost: rows of the same one may be compared."""
-    d, digest = problem.data, hashlib.sha256()
-    for array in (d.frame, d.landmark, d.uvd_px, d.inv_sigma, d.R_RN, d.t_R, d.dt_s, problem.cold):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    for number in (d.accel_psd, d.torque_psd, d.robust_scale):
-        digest.update(f"{number:.9e}".encode())
-    return digest.hexdigest()[:16]

@@ -6,9 +6,20 @@ from typing import Any
 import numpy as np
 
 from pipeline.compare.judge import AGREED
-from pipeline.compare.profiles import front, growths, performance_profiles, successes
+from pipeline.compare.profiles import curve, front, growths
 from pipeline.compare.rows import Comparison, Row
-from pipeline.compare.table import COLUMNS, cells, gap, least_cost, verdict
+from pipeline.compare.table import (
+    COLUMNS,
+    ERROR_COLUMNS,
+    cells,
+    error_cells,
+    gap,
+    least_costs,
+    not_separable,
+    start_words,
+    told,
+    verdict,
+)
 from pipeline.report.page import fill
 from pipeline.report.plot import Figure, Trace, axis, layout, line
 from polhode.atomic import write_text
@@ -42,6 +53,7 @@ def write_page(comparison: Comparison, path: Path) -> None:
             comparison=comparison,
             figures=figures,
             columns=COLUMNS,
+            error_columns=ERROR_COLUMNS,
             tables=[_table(comparison, problem.name) for problem in comparison.problems],
             successes=_success_rows(comparison),
         ),
@@ -50,21 +62,26 @@ def write_page(comparison: Comparison, path: Path) -> None:
 
 def _table(comparison: Comparison, problem: str) -> dict[str, object]:
     rows = [row for row in comparison.rows if row.problem == problem]
-    least = least_cost(comparison.rows, problem)
+    least = least_costs(comparison)[problem]
     return {
         "problem": next(each for each in comparison.problems if each.name == problem),
         "rows": [(cells(row, least), row) for row in rows],
         "verdict": verdict(rows, least),
+        "not_separable": not_separable(rows),
+        "errors": [
+            (row, start_words(row), error_cells(row.errors)) for row in rows if row.errors is not None
+        ],
     }
 
 
 def _success_rows(comparison: Comparison) -> list[tuple[str, list[str]]]:
+    if len({(row.problem, row.start, row.seed) for row in comparison.rows}) < 2:
+        return []
     kinds = list(dict.fromkeys(row.start for row in comparison.rows))
-    found = successes(comparison)
-    out = [("", [f"{kind} starts" for kind in kinds])]
-    for solver, of_kind in found.items():
-        told = [of_kind.get(kind) for kind in kinds]
-        out.append((solver, ["" if each is None else f"{each[0]} of {each[1]}" for each in told]))
+    out = [("", [*(f"{kind} starts" for kind in kinds), "all"])]
+    for each in comparison.profiles:
+        cells = [told(each.starts[kind]) if kind in each.starts else "" for kind in kinds]
+        out.append((each.solver, [*cells, told(each)]))
     return out
 
 
@@ -82,7 +99,7 @@ def _line(x: object, y: object, name: str, names: list[str], **more: Any) -> Tra
 
 
 def _cost_against_time(comparison: Comparison, problem: str, names: list[str], number: int) -> list[Figure]:
-    least = least_cost(comparison.rows, problem)
+    least = least_costs(comparison)[problem]
     # what a baseline notes on its way is its own cost, of the frames so far
     rows = [row for row in comparison.rows if row.problem == problem and row.trace and row.claim == "ok"]
     if least is None or not rows:
@@ -113,17 +130,23 @@ def _profiles(comparison: Comparison, names: list[str]) -> list[Figure]:
     if len(cases) < 2:
         return []
     data = []
-    for profile in performance_profiles(comparison):
-        trace = _line(profile.factor, profile.share, profile.solver, names, mode="lines")
+    for profile in comparison.profiles:
+        if not profile.ran:
+            continue
+        trace = _line(*curve(profile), profile.solver, names, mode="lines")
         trace["line"] = {**trace["line"], "shape": "hv"}
+        trace["name"] = f"{profile.solver}: {told(profile)}"
         data.append(trace)
     caption = (
-        f"Share of the {len(cases)} cases (problems and starts) that a solver solved, within a factor of the "
-        "fastest solver's time (Dolan and Moré 2002). Solved: it claims convergence at the least cost known."
+        f"{len(cases)} cases (problems and starts). For each solver the share of the cases it ran (the "
+        "legend has their number) that it solved within a factor of the fastest solver's time (Dolan and "
+        "Moré 2002). Solved: it claims convergence at the least cost known. A case that did not run (package "
+        "missing, or no time left) counts neither for nor against it; baselines claim no convergence "
+        "and have no profile."
     )
     drawing = layout(
         xaxis=axis("time over the fastest", type="log"),
-        yaxis=axis("share of cases", range=[-0.02, 1.04]),
+        yaxis=axis("share of the cases it ran", range=[-0.02, 1.04]),
         legend={"orientation": "v", "x": 1.01, "y": 1.0},
     )
     return [Figure("profiles", "Performance profiles", caption, data, drawing, 460)]
@@ -139,7 +162,7 @@ def _growth(comparison: Comparison, names: list[str]) -> list[Figure]:
         trace["name"] = f"{each.solver}: n^{each.exponent:.2f}"
         data.append(trace)
     drawing = layout(
-        xaxis=axis("unknowns", type="log"),
+        xaxis=axis("observations", type="log"),
         yaxis=axis("seconds", type="log"),
         legend={"orientation": "v", "x": 1.01, "y": 1.0},
     )
@@ -151,12 +174,12 @@ def _time_against_accuracy(
     comparison: Comparison, problem: str, names: list[str], number: int
 ) -> list[Figure]:
     rows = [row for row in comparison.rows if row.problem == problem and row.start == "cold"]
-    least = least_cost(comparison.rows, problem)
+    least = least_costs(comparison)[problem]
     ended = [row for row in rows if row.status in ("ok", "baseline")]
     if not ended:
         return []
     data = [_point(row, least, names) for row in ended]
-    best = front(rows)
+    best = front(rows, least)
     over = [max(gap(row, least) or 0.0, AGREED) for row in best]
     step = line(
         np.array([row.wall_s for row in best]), np.array(over), "Pareto front", "#8a97a3", mode="lines"

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.compare.judge import AGREED
-from pipeline.compare.rows import Comparison, Row
-from pipeline.compare.table import gap, least_cost
+from pipeline.compare.rows import Comparison, Profile, Row, Tally
+from pipeline.compare.table import gap, least_costs
 from polhode.lie import Array
 
+Case = tuple[str, str, int]
+"""Problem, start, seed."""
 LONGEST = 100.0
 """Largest factor of time in a profile."""
 FEWEST_SIZES, LEAST_RANGE = 3, 2.0
@@ -22,78 +24,82 @@ def solved(row: Row, least: float | None) -> bool:
     return row.status == "ok" and over is not None and over <= AGREED
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Share of the cases that a solver solved within a factor of the fastest one's time (Dolan, Moré)."""
-
-    solver: str
-    factor: Array
-    """(n,) ascending, from 1"""
-    share: Array
-    """(n,) 0..1"""
-
-
 def performance_profiles(comparison: Comparison) -> list[Profile]:
-    """One for each solver, over all cases (problem, start, seed) that any of them solved."""
-    least = {problem.name: least_cost(comparison.rows, problem.name) for problem in comparison.problems}
-    times: dict[str, dict[tuple[str, str, int], float]] = {}
-    for row in comparison.rows:
-        of_solver = times.setdefault(row.solver, {})
-        if solved(row, least[row.problem]) and row.wall_s is not None:
-            of_solver[(row.problem, row.start, row.seed)] = row.wall_s
-    cases = sorted({case for of_solver in times.values() for case in of_solver})
-    fastest = {
-        case: min(of_solver[case] for of_solver in times.values() if case in of_solver) for case in cases
-    }
+    """One for each solver that claims convergence. What did not run counts neither for nor against it."""
+    least = least_costs(comparison)
+    rows = [row for row in comparison.rows if row.claim == "ok"]
+    fastest: dict[Case, float] = {}
+    for row in rows:
+        if solved(row, least[row.problem]):
+            fastest[_case(row)] = min(fastest.get(_case(row), np.inf), row.wall_s or 0.0)
     out = []
-    for solver, of_solver in times.items():
-        factors = np.sort([of_solver[case] / fastest[case] for case in cases if case in of_solver])
-        share = np.arange(1, len(factors) + 1) / max(len(cases), 1)
-        out.append(
-            Profile(
-                solver,
-                np.concatenate([[1.0], factors, [max([LONGEST, *factors])]]),
-                np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]]),
-            )
-        )
+    for solver in dict.fromkeys(row.solver for row in rows):
+        own = [row for row in rows if row.solver == solver]
+        good = [row for row in own if solved(row, least[row.problem])]
+        factors = sorted((row.wall_s or 0.0) / max(fastest[_case(row)], 1e-9) for row in good)
+        kinds = dict.fromkeys(row.start for row in own)
+        starts = {kind: _tally([row for row in own if row.start == kind], least) for kind in kinds}
+        out.append(Profile(solver=solver, starts=starts, factors=factors, **_tally(own, least).model_dump()))
     return out
+
+
+def curve(profile: Profile) -> tuple[Array, Array]:
+    """Factors of time (n,) from 1, and the share of the cases it ran that it solved within them (n,)."""
+    factors = np.array(profile.factors)
+    share = np.arange(1, len(factors) + 1) / max(profile.ran, 1)
+    return (
+        np.concatenate([[1.0], factors, [max([LONGEST, *factors])]]),
+        np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]]),
+    )
+
+
+def _case(row: Row) -> Case:
+    return row.problem, row.start, row.seed
+
+
+def _tally(rows: Sequence[Row], least: dict[str, float | None]) -> Tally:
+    ran = [row for row in rows if row.ran]
+    good = sum(solved(row, least[row.problem]) for row in ran)
+    return Tally(solved=good, ran=len(ran), not_run=len(rows) - len(ran))
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Time of a solver over the number of unknowns; time ~ size^exponent."""
+    """Time of a solver over the number of observations; time ~ size^exponent."""
 
     solver: str
     size: Array
+    """(n,) observations, by number of frames"""
     seconds: Array
     exponent: float
 
 
 def growths(comparison: Comparison) -> list[Growth]:
-    """Of the solvers that solved problems of three sizes or more, cold; medians where sizes are equal."""
-    sizes = {problem.name: problem.unknowns for problem in comparison.problems}
-    least = {problem.name: least_cost(comparison.rows, problem.name) for problem in comparison.problems}
-    out = []
+    """Of the solvers that solved problems of three numbers of frames or more, cold; medians where these are
+    equal. The size is the number of observations: landmarks seen again and again add no unknowns."""
+    problems = {problem.name: problem for problem in comparison.problems}
+    least, out = least_costs(comparison), []
     for solver in dict.fromkeys(row.solver for row in comparison.rows):
-        of_size: dict[int, list[float]] = {}
+        of_size: dict[int, list[tuple[int, float]]] = {}
         for row in comparison.rows:
             good = row.solver == solver and row.start == "cold" and row.wall_s is not None
             if good and solved(row, least[row.problem]):
-                of_size.setdefault(sizes[row.problem], []).append(float(row.wall_s or 0.0))
-        if len(of_size) < FEWEST_SIZES or max(of_size) < LEAST_RANGE * min(of_size):
+                problem = problems[row.problem]
+                of_size.setdefault(problem.frames, []).append((problem.observations, row.wall_s or 0.0))
+        if len(of_size) < FEWEST_SIZES:
             continue
-        size = np.array(sorted(of_size), dtype=np.float64)
-        seconds = np.array([np.median(of_size[int(n)]) for n in size])
+        size, seconds = np.array([np.median(of_size[n], axis=0) for n in sorted(of_size)]).T
+        if size[-1] < LEAST_RANGE * size[0]:
+            continue
         out.append(Growth(solver, size, seconds, float(np.polyfit(np.log(size), np.log(seconds), 1)[0])))
     return out
 
 
-def front(rows: Sequence[Row]) -> list[Row]:
+def front(rows: Sequence[Row], least: float | None) -> list[Row]:
     """The Pareto front of time against accuracy among the rows of one problem, by time.
 
-    Accuracy is the cost over the least one; below ``AGREED`` all are equally accurate.
+    Accuracy is the cost over the least one known; below ``AGREED`` all are equally accurate.
     """
-    least = min((row.cost for row in rows if row.cost is not None), default=None)
     ended = [row for row in rows if row.status in ("ok", "baseline") and row.wall_s is not None]
     out: list[Row] = []
     best = np.inf
@@ -102,15 +108,4 @@ def front(rows: Sequence[Row]) -> list[Row]:
         if over < best:
             out.append(row)
             best = over
-    return out
-
-
-def successes(comparison: Comparison) -> dict[str, dict[str, tuple[int, int]]]:
-    """By solver and kind of start: how many of how many were solved."""
-    least = {problem.name: least_cost(comparison.rows, problem.name) for problem in comparison.problems}
-    out: dict[str, dict[str, tuple[int, int]]] = {}
-    for row in comparison.rows:
-        of_solver = out.setdefault(row.solver, {})
-        done, tried = of_solver.get(row.start, (0, 0))
-        of_solver[row.start] = (done + solved(row, least[row.problem]), tried + 1)
     return out

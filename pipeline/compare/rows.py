@@ -16,6 +16,7 @@ from polhode.atomic import write_text
 from polhode.errors import InputError
 
 Status = Literal["ok", "baseline", "failed", "timeout", "missing"]
+Kept = Literal["answer", "best", "last", "nothing"]
 StartKind = Literal["cold", "perturbed", "near"]
 SCHEMA_FILE = Path(__file__).with_name("compare.schema.json")
 
@@ -48,8 +49,13 @@ class Row(Case):
     claim: Literal["ok", "baseline"]
     status: Status
     message: str
+    ran: bool
+    """False: its package is missing, or its turn did not come"""
+    kept: Kept
+    """Whose cost, ratios and errors these are: the solver's answer, or, where it came to no end, the best
+    point it noted, or the last one (of a method whose own cost on the way is another)"""
     cost: Finite | None
-    """The common cost where it stopped"""
+    """The common cost of what is kept"""
     gain_left: Finite | None
     """What one more Gauss-Newton step promises there, over the cost"""
     iterations: int | None = Field(ge=0)
@@ -57,11 +63,13 @@ class Row(Case):
     """Building and solving; start of the process and preparation of the problem are not in it"""
     build_s: Finite | None
     evaluation_s: Finite | None
-    """Of residuals, Jacobians, costs"""
+    """Of costs, residuals, Jacobians, normal equations"""
     linear_s: Finite | None
     """The rest: linear algebra and the solver's own work"""
+    not_separable: str
+    """Why evaluation and linear algebra are not told apart; empty: they are"""
     callback_s: Finite | None
-    """Part of the evaluation that went through functions written in Python, called by a foreign library"""
+    """Spent in Python functions that a foreign library calls for blocks, factors or the reduced cost"""
     memory_mb: Finite | None
     """Largest resident size of the process"""
     memory_before_mb: Finite | None
@@ -91,10 +99,36 @@ class ProblemWords(Part):
     accel_psd: Finite
     torque_psd: Finite
     prepared_s: Finite
+    truth: bool
+    """Whether rows have errors against a truth"""
+    reference_cost: Finite | None
+    """The common cost of the reference solution: ours, from the back end's own estimate"""
+    least_cost: Finite | None
+    """The least cost known, of the rows and the reference solution: what "solved" is judged by"""
     sigma_k1: Finite | None
     """Reference: of the whole Gauss-Newton Hessian of the common cost at the least cost found"""
     sigma_k2: Finite | None
     sigma_com_mm: Finite | None
+
+
+class Tally(Part):
+    """Cases of one kind of start; a case is a problem with a start."""
+
+    solved: int = Field(ge=0)
+    """Convergence was claimed at the least cost known"""
+    ran: int = Field(ge=0)
+    """It was run on so many: the denominator"""
+    not_run: int = Field(ge=0)
+    """Its package was missing, or its turn did not come: counted nowhere else"""
+
+
+class Profile(Tally):
+    """Performance profile (Dolan and Moré 2002) of a solver that claims convergence."""
+
+    solver: str
+    starts: dict[StartKind, Tally]
+    factors: list[Finite]
+    """(solved,) ascending: its time over that of the fastest solver of the same case"""
 
 
 class Comparison(Part):
@@ -107,6 +141,7 @@ class Comparison(Part):
     """Of the packages whose solvers were asked for"""
     problems: list[ProblemWords]
     rows: list[Row]
+    profiles: list[Profile] = Field(default_factory=list)
 
 
 def write_comparison(comparison: Comparison, path: Path) -> None:

@@ -3,20 +3,24 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from time import perf_counter
 from typing import Literal, Protocol
 
+import numpy as np
+
 from pipeline.compare.measured_problem import MeasuredProblem
+from pipeline.compare.reached import Reached
 from polhode.lie import Array
 
 Claim = Literal["ok", "baseline"]
 """Convergence on the common cost, or an answer by another formulation."""
 Part = Literal["build", "evaluation"]
+Kept = Literal["answer", "best", "last", "nothing"]
+"""Whose cost a row tells: the solver's answer, the best or the last point of one that came to no end."""
 
 
 class OutOfTime(Exception):
-    """The time of a solver is up; what it holds is the best point that it noted."""
+    """The time of a solver is up; what it noted is kept."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +47,19 @@ class Watch:
     trace: list[tuple[float, float]] = field(default_factory=list)
     """(seconds since the start, cost) at each iteration"""
     best: tuple[float, Array] | None = None
-    """Least cost that was noted, and where"""
+    """Least common cost that was noted, and where"""
+    last: Array | None = None
+    """Last point of a method whose own cost on the way is not the common one"""
     end: float | None = None
     """When the solution was reached"""
     callback_s: float = 0.0
-    """Part of the evaluation that went through callbacks written in Python"""
-    stream: Path | None = None
-    """File to which the trace is also written as it grows: what is left of a process that dies"""
+    """Spent in functions written in Python that a foreign library calls"""
+    reached: Reached | None = None
+    """Files to which all this is also written as it comes: what is left of a process that dies"""
+    not_separable: str = ""
+    """Why evaluation and linear algebra cannot be told apart; empty: they can"""
+    words: str = ""
+    """How far a method is that has no whole point on its way"""
 
     @contextmanager
     def part(self, name: Part) -> Iterator[None]:
@@ -61,14 +71,15 @@ class Watch:
             self.seconds[name] += perf_counter() - begin
 
     @contextmanager
-    def callback(self) -> Iterator[None]:
-        """Seconds of an evaluation that a foreign library asked Python for."""
+    def callback(self, part: Part | None = "evaluation") -> Iterator[None]:
+        """Seconds that a foreign library spent in Python: an evaluation, or linear algebra of ours (None)."""
         begin = perf_counter()
         try:
             yield
         finally:
             spent = perf_counter() - begin
-            self.seconds["evaluation"] += spent
+            if part is not None:
+                self.seconds[part] += spent
             self.callback_s += spent
 
     def elapsed(self) -> float:
@@ -84,14 +95,34 @@ class Watch:
         """Seconds until the limit."""
         return self.limit_s - self.elapsed()
 
-    def note(self, cost: float, x: Array | None = None) -> None:
-        """One iteration ended at this cost."""
+    def note(self, cost: float, x: Array | None = None, common: bool = True) -> None:
+        """One iteration ended at this cost, with the common unknowns x (n,).
+
+        ``common``: it is the common cost. If not, the last point is kept instead of the best.
+        """
         self.trace.append((self.elapsed(), float(cost)))
-        if x is not None and (self.best is None or cost < self.best[0]):
+        if self.reached is not None:
+            self.reached.cost(*self.trace[-1])
+        if x is None or (common and not cost < (np.inf if self.best is None else self.best[0])):
+            return
+        if common:
             self.best = (float(cost), x.copy())
-        if self.stream is not None:
-            with self.stream.open("a") as file:
-                file.write(f"{self.trace[-1][0]:.6f} {cost:.17g}\n")
+        else:
+            self.last = x.copy()
+        if self.reached is not None:
+            self.reached.point(x, "best" if common else "last")
+
+    def kept(self) -> tuple[Kept, Array | None]:
+        """What is left when there is no answer."""
+        if self.best is not None:
+            return "best", self.best[1]
+        return ("nothing", None) if self.last is None else ("last", self.last)
+
+    def tell(self, words: str) -> None:
+        """How far it is, for a method that has no whole point on its way."""
+        self.words = words
+        if self.reached is not None:
+            self.reached.words(words)
 
     def check(self) -> None:
         """Raises OutOfTime when the limit is passed."""

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -11,9 +10,10 @@ from pipeline.archives import read_measurements, read_relative_poses
 from pipeline.compare.measured_problem import MeasuredProblem, freeze
 from polhode.config import Config
 from polhode.config.backend import Backend
-from polhode.config.compare import Motion
+from polhode.config.compare import MonteCarlo, Motion
+from polhode.errors import InputError
 from polhode.progress import Progress
-from polhode.records import Truth
+from polhode.records import Ints, Truth
 from simulation.measurements import SyntheticScene, generate
 
 BOX = np.diag([1.5, 1.2, 0.9])
@@ -41,50 +41,77 @@ class Source:
     kind: str
     """data, run or monte_carlo"""
     folder: Path | None = None
+    truth: Path | None = None
+    """Folder of a sequence whose truth the rows are judged by, if it has one"""
     scene: SyntheticScene | None = None
     seed: int = 0
 
-    def problem(self, config: Config, progress: Progress) -> MeasuredProblem:
-        """Read or make the measurements and freeze their problem."""
+    def problem(self, config: Config, progress: Progress, store: Path) -> MeasuredProblem:
+        """Read or make the measurements and freeze their problem. ``store``: where to keep what was made."""
         backend = config.backend.model_copy(update={"process_noise": config.compare.process_noise})
         if self.scene is not None:
             return synthetic_problem(self.name, self.scene, self.seed, backend)
         assert self.folder is not None
         if self.kind == "run":
-            return _of_run(self.name, self.folder, backend, None)
-        from pipeline.run import run
+            tracks, relative = read_measurements(self.folder), read_relative_poses(self.folder)
+        else:
+            from pipeline.compare.dataset import measure
 
-        with TemporaryDirectory(prefix="polhode-compare-") as folder:
-            made = Path(folder) / "run"
-            run(config, self.folder, made, progress)
-            return _of_run(self.name, made, backend, None)
+            tracks, relative = measure(self.folder, config, progress, store)
+        return freeze(self.name, tracks, relative, backend, self._truth(tracks.timestamps_ns))
+
+    def _truth(self, timestamps_ns: Ints) -> Truth | None:
+        """Read by evaluation alone; it reaches the judge, no solver."""
+        if self.truth is None:
+            return None
+        from pipeline.evaluate import truth_of_frames
+
+        return truth_of_frames(self.truth, timestamps_ns)
 
 
-def sources(config: Config, data: Path | None, run: Path | None) -> Iterator[Source]:
-    """Those that the command line and the configuration ask for."""
+def sources(
+    config: Config, data: Path | None, run: Path | None, truth: Path | None = None
+) -> Iterator[Source]:
+    """Those that the command line and the configuration ask for. Raises InputError."""
+    for folder in (data, run, truth):
+        if folder is not None and not folder.is_dir():
+            raise InputError(f"{folder}: no such folder")
+    if data is not None and run is not None:
+        raise InputError("give --data or --run, not both")
+    if truth is not None and run is None:
+        raise InputError(
+            "--truth goes with --run: a dataset's own truth is found, and so is a generated one's"
+        )
+    if truth is not None and not (truth / "mav0" / "target0").is_dir():
+        raise InputError(
+            f"{truth}: has no truth (mav0/target0); give the sequence that the run was made from"
+        )
     if data is not None:
-        yield Source(data.resolve().name, f"dataset {data}", "data", folder=data)
+        yield Source(data.resolve().name, f"dataset {data}", "data", folder=data, truth=data)
     elif run is not None:
-        yield Source(run.resolve().name, f"run {run}", "run", folder=run)
+        yield Source(run.resolve().name, f"run {run}", "run", folder=run, truth=truth)
     else:
-        wanted = config.compare.monte_carlo
-        for motion in wanted.motions:
-            for frames in wanted.frames:
-                for landmarks in wanted.landmarks:
-                    scene = replace(
-                        SCENES[motion],
-                        frames=frames,
-                        landmarks=landmarks,
-                        sigma_uv_px=wanted.noise_px,
-                        sigma_d_px=wanted.noise_px,
-                        outliers=wanted.outliers,
-                        loop_closure=wanted.loop_closure,
-                    )
-                    # small problems keep their links between frames
-                    scene = replace(scene, min_inliers=min(scene.min_inliers, max(6, landmarks // 120)))
-                    name = f"{motion}-{frames}-{landmarks}"
-                    words = f"Monte Carlo, {motion}, seed {wanted.seed}"
-                    yield Source(name, words, "monte_carlo", scene=scene, seed=wanted.seed)
+        yield from _generated(config.compare.monte_carlo)
+
+
+def _generated(wanted: MonteCarlo) -> Iterator[Source]:
+    for motion in wanted.motions:
+        for frames in wanted.frames:
+            for landmarks in wanted.landmarks:
+                scene = replace(
+                    SCENES[motion],
+                    frames=frames,
+                    landmarks=landmarks,
+                    sigma_uv_px=wanted.noise_px,
+                    sigma_d_px=wanted.noise_px,
+                    outliers=wanted.outliers,
+                    loop_closure=wanted.loop_closure,
+                )
+                # small problems keep their links between frames
+                scene = replace(scene, min_inliers=min(scene.min_inliers, max(6, landmarks // 120)))
+                name = f"{motion}-{frames}-{landmarks}"
+                words = f"Monte Carlo, {motion}, seed {wanted.seed}"
+                yield Source(name, words, "monte_carlo", scene=scene, seed=wanted.seed)
 
 
 def synthetic_problem(name: str, scene: SyntheticScene, seed: int, backend: Backend) -> MeasuredProblem:
@@ -94,7 +121,3 @@ def synthetic_problem(name: str, scene: SyntheticScene, seed: int, backend: Back
         update={"accel_psd": scene.accel_psd, "torque_psd": scene.torque_psd, "unknown_wrench": "none"}
     )
     return freeze(name, sequence.tracks, sequence.relative, config, sequence.truth)
-
-
-def _of_run(name: str, folder: Path, backend: Backend, truth: Truth | None) -> MeasuredProblem:
-    return freeze(name, read_measurements(folder), read_relative_poses(folder), backend, truth)

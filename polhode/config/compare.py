@@ -1,12 +1,19 @@
 """Settings of the comparison of optimizers (``polhode compare``)."""
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from polhode.config.section import Section
 
 Motion = Literal["ts38", "flip", "minor_wobble", "major_wobble", "tumble", "slow_tumble", "fast_tumble"]
+
+
+def _once(name: str, values: Sequence[object]) -> None:
+    twice = next((value for place, value in enumerate(values) if value in values[:place]), None)
+    if twice is not None:
+        raise ValueError(f"{name}: {twice} is named twice; name it once")
 
 
 class MonteCarlo(Section):
@@ -26,6 +33,12 @@ class MonteCarlo(Section):
     """False: a landmark that comes back into view is a new one."""
     seed: int = Field(0, ge=0)
     """Of the measurements."""
+
+    @model_validator(mode="after")
+    def _named_once(self) -> Self:
+        for name in ("motions", "frames", "landmarks"):
+            _once(name, getattr(self, name))
+        return self
 
 
 class Compare(Section):
@@ -50,3 +63,14 @@ class Compare(Section):
     """So many starts near the solution."""
     monte_carlo: MonteCarlo = MonteCarlo()
     """Measurements when neither --data nor --run is given."""
+
+    @model_validator(mode="after")
+    def _starts_are_asked_for(self) -> Self:
+        if not (self.cold or self.perturbed or self.near):
+            raise ValueError("no starts are asked for: set cold to true, or perturbed or near to at least 1")
+        return self
+
+    @model_validator(mode="after")
+    def _solvers_once(self) -> Self:
+        _once("solvers", self.solvers)
+        return self

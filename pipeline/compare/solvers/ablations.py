@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 
 from backend.dynamics import Steps
-from backend.gauss_newton import GaussNewton
 from backend.inertia import inertia_from_second_moments, second_moments_from_inertia
 from backend.iterate import Iterate
 from backend.problem import Held, MotionData
@@ -130,11 +129,14 @@ def _open_loop(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
     marks = x[at.n_dense :].reshape(-1, 3)
     start = np.concatenate([x[: at.n_dense], marks[old].ravel()])
     held = replace(problem.held, reference=replace(at, p_G=at.p_G[old]))
-    found = GaussNewton(split, line_search=True).solve(held, start, MAX_ITERATIONS, watch.left())
-    watch.check()
     # the first passage of a landmark stands for it
     first = np.searchsorted(old, np.arange(data.n_landmarks))
-    ended = found.x[at.n_dense :].reshape(-1, 3)[first]
-    end = np.concatenate([found.x[: at.n_dense], ended.ravel()])
+
+    def common(z: Array) -> Array:
+        return np.concatenate([z[: at.n_dense], z[at.n_dense :].reshape(-1, 3)[first].ravel()])
+
+    found = Watched(split, watch, common).solve(held, start, MAX_ITERATIONS, watch.left())
+    watch.check()
+    end = common(found.x)
     words = f"{found.message}; {data.n_landmarks} landmarks became {len(old)}"
     return Outcome(end, found.converged, found.iterations, words)

@@ -73,7 +73,8 @@ class ChangedUnknowns:
             while True:
                 watch.check()
                 step = splu(H + damping * diags(H.diagonal() + 1e-12, format="csc")).solve(-g)
-                after = self._cost(blocks, change, z + step)
+                with watch.part("evaluation"):
+                    after = self._cost(blocks, change, z + step)
                 if np.isfinite(after) and after <= cost:
                     break
                 damping *= 10.0

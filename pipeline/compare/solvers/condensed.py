@@ -13,7 +13,6 @@ import numpy as np
 from backend.gauss_newton import GaussNewton, NormalEquations
 from backend.program import GOOD, IN_WORDS, MotionProgram
 from backend.stereo_terms import FromOutside
-from pipeline.compare.blocks import Blocks
 from pipeline.compare.measured_problem import MeasuredProblem
 from pipeline.compare.solver import Claim, Outcome, Watch
 from pipeline.compare.solvers.ipopt import MAX_ITERATIONS, Iterations
@@ -41,6 +40,11 @@ class ReducedCost:
         """The common cost, least over the landmarks."""
         return self._at(y).cost
 
+    def whole(self, y: Array) -> Array:
+        """With the landmarks: the common unknowns."""
+        self._at(y)
+        return np.concatenate([y, self.marks])
+
     def gradient(self, y: Array) -> Array:
         """(n,)"""
         return self._schur(y)[1]
@@ -52,7 +56,7 @@ class ReducedCost:
     def _schur(self, y: Array) -> tuple[Array, Array]:
         system = self._at(y)
         if self._reduced is None:
-            with self.watch.callback():
+            with self.watch.callback(None):
                 S, g, _ = self._newton.reduced(system)
                 self._reduced = S, g
         return self._reduced
@@ -130,16 +134,12 @@ class Condensed:
                 ["x", "p", "lam_f", "lam_g"],
                 ["triu_hess_gamma_x_x"],
             )
-            listener = Iterations(n, 0, 0, watch, n)
+            listener = Iterations(n, 0, 0, watch, reduced.whole)
             options["iteration_callback"] = listener
             solver: Any = ca.nlpsol("condensed", "ipopt", {"x": y, "p": p, "f": cost}, options)
         result = solver(x0=x[:n])
         stats = solver.stats()
         status = str(stats["return_status"])
-        end = np.asarray(result["x"]).ravel()
-        reduced.cost(end)
-        found = np.concatenate([end, reduced.marks])
-        if watch.left() <= 0.0:
-            watch.best = (Blocks(problem.data, problem.held).cost(found), found)
-            watch.check()
+        found = reduced.whole(np.asarray(result["x"]).ravel())
+        watch.check()
         return Outcome(found, status in GOOD, int(stats["iter_count"]), IN_WORDS.get(status, status))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backend.flow import flows, series_steps
-from backend.gauss_newton import GaussNewton, NormalEquations
+from backend.gauss_newton import NormalEquations
 from backend.inertia import inertia_from_second_moments, second_moments_from_inertia
 from backend.iterate import Iterate
 from backend.kernels import N_CONSTANTS
@@ -20,6 +20,7 @@ from backend.turns import turns_of_quaternions
 from pipeline.compare.measured_problem import MeasuredProblem
 from pipeline.compare.single_step import first_steps
 from pipeline.compare.solver import Claim, Outcome, Watch
+from pipeline.compare.solvers.ours import Timed
 from pipeline.compare.solvers.thesis_inertia import LogRatios, possible
 from polhode.lie import Array, log_so3
 from polhode.records import Ints
@@ -63,7 +64,7 @@ class DynamicIsam:
             seen[marks] = True
             begin = replace(at, p_G=p_G[marks])
             held = _held(problem.held, begin, small.R_RN)
-            solver = _Locked(small, int(np.searchsorted(marks, locked)), lock)
+            solver = _Locked(small, watch, int(np.searchsorted(marks, locked)), lock)
             found = solver.solve(held, begin.vector(), STEPS_A_FRAME, max(watch.left(), 0.0))
             ended = begin.moved_to(found.x)
             p_G[marks] = ended.p_G
@@ -71,6 +72,7 @@ class DynamicIsam:
             impossible += not possible(ended.xi)
             steps += found.iterations
             watch.note(found.cost)
+            watch.tell(f"{n} of {data.n_frames} frames were in")
             watch.check()
         assert at is not None
         second = second_moments_from_inertia(inertia_from_second_moments(at.second_moments(data.form)))
@@ -81,11 +83,11 @@ class DynamicIsam:
         return Outcome(problem.vector(end), True, steps, message)
 
 
-class _Locked(GaussNewton):
+class _Locked(Timed):
     """Wide priors of the thesis, the first landmark locked."""
 
-    def __init__(self, data: MotionData, mark: int, lock: Array) -> None:
-        super().__init__(data)
+    def __init__(self, data: MotionData, watch: Watch, mark: int, lock: Array) -> None:
+        super().__init__(data, watch)
         self._mark, self._lock = mark, lock
         self._prior = wide_prior
 

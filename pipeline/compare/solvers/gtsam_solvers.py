@@ -18,6 +18,7 @@ MAX_ITERATIONS = 300
 RELINEARIZE, WILDFIRE = 1e-5, 1e-8
 """Smallest change of an unknown that iSAM2 linearises again for, and that it passes on."""
 LAST_UPDATES = 40
+NOT_SEPARABLE = "GTSAM evaluates its stereo factors in C++ inside its own steps"
 
 
 @dataclass
@@ -32,6 +33,7 @@ class Batch:
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Until the relative decrease is below TOLERANCE."""
+        watch.not_separable = NOT_SEPARABLE
         with watch.part("build"):
             own = Graph(problem, watch)
             graph, values = own.all(x), own.values(x)
@@ -67,6 +69,7 @@ class Incremental:
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """The cost is noted when all frames are in."""
+        watch.not_separable = NOT_SEPARABLE
         with watch.part("build"):
             own = Graph(problem, watch)
             # small steps must reach every unknown, or the cost rests too early
@@ -88,7 +91,9 @@ class Incremental:
             seen[marks] = True
             isam.update(new, values)
             iterations += 1
+            watch.tell(f"{k + 1} of {d.n_frames} frames were in")
             watch.check()
+        watch.tell("")
         cost, converged = np.inf, False
         for _ in range(LAST_UPDATES):
             found = own.vector(isam.calculateEstimate())

@@ -1,5 +1,6 @@
 """IPOPT with MUMPS: polhode's own program, and the same cost in other formulations."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,16 +17,24 @@ from pipeline.compare.solvers.casadi_program import Code, Dynamics, Formulation,
 from polhode.lie import Array
 
 MAX_ITERATIONS = 500
-TIMES = ("t_wall_nlp_f", "t_wall_nlp_grad_f", "t_wall_nlp_hess_l", "t_wall_nlp_g", "t_wall_nlp_jac_g")
+TIMES = (
+    "t_wall_nlp_f", "t_wall_nlp_grad_f", "t_wall_nlp_hess_l", "t_wall_nlp_g", "t_wall_nlp_jac_g",
+    "t_wall_nlp_fg", "t_wall_nlp_jac_fg",
+)  # fmt: skip
+"""Evaluations in CasADi's statistics: IPOPT's, and the joint functions of its SQP method."""
+Common = Callable[[Array], Array]
 
 
 class Iterations(ca.Callback):
-    """Notes the cost at each iteration of a CasADi solver; it must live as long as the solver."""
+    """Notes cost and point at each iteration of a CasADi solver; it must live as long as the solver.
 
-    def __init__(self, n_x: int, n_g: int, n_p: int, watch: Watch, n_common: int) -> None:
+    ``common`` takes the solver's unknowns to the common ones.
+    """
+
+    def __init__(self, n_x: int, n_g: int, n_p: int, watch: Watch, common: Common = lambda x: x) -> None:
         ca.Callback.__init__(self)
         self._sizes = {"x": n_x, "f": 1, "g": n_g, "lam_x": n_x, "lam_g": n_g, "lam_p": n_p}
-        self._watch, self._n_common, self.feasible = watch, n_common, n_g == 0
+        self._watch, self._common, self.feasible = watch, common, n_g == 0
         self.construct("iterations", {})
 
     def get_n_in(self) -> int:
@@ -42,9 +51,9 @@ class Iterations(ca.Callback):
 
     def eval(self, arguments: Any) -> list[int]:
         """Zero: go on."""
-        x = np.asarray(arguments[0]).ravel()[: self._n_common]
+        x = self._common(np.asarray(arguments[0]).ravel())
         # with constraints the objective is not the cost until they hold
-        self._watch.note(float(arguments[1]), x if self.feasible else None)
+        self._watch.note(float(arguments[1]), x, common=self.feasible)
         return [1 if self._watch.left() <= 0.0 else 0]
 
 
@@ -62,7 +71,7 @@ class Shipped:
         """The back end's own call, its clock read."""
         program = _WatchedProgram(problem, watch)
         found = program.solve(problem.held, x, MAX_ITERATIONS, max(watch.left(), 0.1))
-        watch.seconds["evaluation"] += _evaluation_s(program.stats)
+        watch.seconds["evaluation"] += evaluation_s(program.stats)
         watch.check()
         return Outcome(found.x, found.converged, found.iterations, found.message)
 
@@ -75,7 +84,7 @@ class _WatchedProgram(MotionProgram):
 
     def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
         """Those of the back end, with a listener."""
-        self._listener = Iterations(self.n_x, 0, self.n_p, self.watch, self.n_x)
+        self._listener = Iterations(self.n_x, 0, self.n_p, self.watch)
         return {
             **super().options(max_iterations, max_seconds),
             "iteration_callback": self._listener,
@@ -126,7 +135,7 @@ class Variant:
                 functions, given = program.functions()
                 options = {**program.options(MAX_ITERATIONS, max(watch.left(), 0.1)), **given}
                 sizes = (program.n_x + program.n_slack, program.n_slack, len(program.p))
-                listener = Iterations(*sizes, watch, program.n_x)
+                listener = Iterations(*sizes, watch, lambda z: z[: program.n_x])
                 options["iteration_callback"] = listener
                 # wild steps of a cold start leave the domain: they are refused, and need not be told
                 options["show_eval_warnings"] = False
@@ -138,12 +147,12 @@ class Variant:
                 solver: Any = ca.nlpsol("variant", "ipopt", functions, options)
             result = solver(x0=program.start(x), p=program.p, lbg=0.0, ubg=0.0)
             stats = solver.stats()
-        watch.seconds["evaluation"] += _evaluation_s(stats)
+        watch.seconds["evaluation"] += evaluation_s(stats)
         watch.check()
         status = str(stats["return_status"])
         x = np.asarray(result["x"]).ravel()[: program.n_x]
         return Outcome(x, status in GOOD, int(stats["iter_count"]), IN_WORDS.get(status, status))
 
 
-def _evaluation_s(stats: dict[str, Any]) -> float:
+def evaluation_s(stats: dict[str, Any]) -> float:
     return float(sum(stats.get(name, 0.0) for name in TIMES))

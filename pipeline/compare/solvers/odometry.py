@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backend.gauss_newton import GaussNewton
 from backend.hypotheses import inertia_from_momentum
 from backend.inertia import second_moments_from_inertia
 from backend.iterate import Iterate
 from pipeline.compare.measured_problem import MeasuredProblem
 from pipeline.compare.solver import Claim, Outcome, Watch
+from pipeline.compare.solvers.ours import Watched
 from polhode.lie import Array, log_so3
 
 MAX_ITERATIONS = 100
@@ -32,9 +32,8 @@ class Odometry:
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """One bundle adjustment, then three least squares."""
         data = problem.data
-        found = GaussNewton(data, with_dynamics=False).solve(
-            problem.held, x, MAX_ITERATIONS, max(watch.left(), 0.0)
-        )
+        solver = Watched(data, watch, with_dynamics=False)
+        found = solver.solve(problem.held, x, MAX_ITERATIONS, max(watch.left(), 0.0))
         watch.check()
         at = problem.iterate(found.x)
         time_s = np.concatenate([[0.0], np.cumsum(data.dt_s)])

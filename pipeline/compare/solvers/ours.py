@@ -22,23 +22,23 @@ from polhode.lie import Array
 MAX_ITERATIONS, PASS = 500, 12
 
 
-class Watched(GaussNewton):
-    """The same solver, as the last step of the back end has it; its clock is read at each linearisation.
+def _same(x: Array) -> Array:
+    return x
 
-    ``common`` takes its unknowns to the common ones, in which what was reached is noted.
-    """
+
+class Timed(GaussNewton):
+    """The same solver; its clock is read at each linearisation."""
 
     def __init__(
-        self, data: MotionData, watch: Watch, common: Callable[[Array], Array] = lambda x: x
+        self, data: MotionData, watch: Watch, with_dynamics: bool = True, line_search: bool = False
     ) -> None:
-        super().__init__(data, line_search=True)
+        super().__init__(data, with_dynamics, line_search)
         self.watch = watch
-        self.common = common
 
     def normal_equations(
         self, held: Held, x: Array, weight: Array | None = None, prior: bool = True
     ) -> NormalEquations:
-        """Noted as an iteration."""
+        """Timed; ends the solution at its limit."""
         with self.watch.part("evaluation"):
             system = super().normal_equations(held, x, weight, prior)
         self.note(system.cost, x)
@@ -46,13 +46,33 @@ class Watched(GaussNewton):
         return system
 
     def note(self, cost: float, x: Array) -> None:
-        """What was reached, in the common unknowns."""
-        self.watch.note(cost, self.common(x))
+        """Nothing is noted."""
 
     def cost(self, held: Held, x: Array) -> float:
         """Timed."""
         with self.watch.part("evaluation"):
             return super().cost(held, x)
+
+
+class Watched(Timed):
+    """As the last step of the back end has it; what was reached is noted at each linearisation.
+
+    ``common`` takes its unknowns to the common ones. Without dynamics its cost is not the common one.
+    """
+
+    def __init__(
+        self,
+        data: MotionData,
+        watch: Watch,
+        common: Callable[[Array], Array] = _same,
+        with_dynamics: bool = True,
+    ) -> None:
+        super().__init__(data, watch, with_dynamics, line_search=with_dynamics)
+        self.common = common
+
+    def note(self, cost: float, x: Array) -> None:
+        """What was reached, in the common unknowns."""
+        self.watch.note(cost, self.common(x), common=self.with_dynamics)
 
 
 @dataclass
@@ -78,7 +98,8 @@ class Ours:
             with watch.part("build"):
                 if not common:
                     own = with_form(problem, self.form, problem.iterate(x))
-                solver = Watched(own.data, watch, *([] if common else [partial(in_form, own, problem)]))
+                to_common = _same if common else partial(in_form, own, problem)
+                solver = Watched(own.data, watch, to_common)
             start = x if common else in_form(problem, own, x)
             found = _solved(solver, own.held, start, iterations)
             x, total = found.x if common else in_form(own, problem, found.x), total + found.iterations

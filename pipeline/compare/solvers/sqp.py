@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.compare.measured_problem import MeasuredProblem
 from pipeline.compare.solver import Claim, Outcome, Watch
 from pipeline.compare.solvers.casadi_program import Formulation, VariantProgram
-from pipeline.compare.solvers.ipopt import TIMES, Iterations
+from pipeline.compare.solvers.ipopt import Iterations, evaluation_s
 from polhode.lie import Array
 
 MAX_ITERATIONS = 200
@@ -51,7 +51,7 @@ class Sqp:
             with watch.part("build"):
                 program = VariantProgram(problem, Formulation(), Path(folder))
                 functions, given = program.functions()
-                listener = Iterations(program.n_x, 0, len(program.p), watch, program.n_x)
+                listener = Iterations(program.n_x, 0, len(program.p), watch)
                 name, inner = self.qp, {"error_on_fail": False, "print_time": False, **QUADRATIC[self.qp]}
                 if self.qp == "ipopt":
                     name = "nlpsol"
@@ -86,7 +86,7 @@ class Sqp:
                 solver: Any = ca.nlpsol("sqp", "sqpmethod", functions, options)
             result = solver(x0=x, p=program.p)
             stats = solver.stats()
-        watch.seconds["evaluation"] += float(sum(stats.get(each, 0.0) for each in TIMES))
+        watch.seconds["evaluation"] += evaluation_s(stats)
         watch.check()
         end = np.asarray(result["x"]).ravel()
         return Outcome(end, bool(stats["success"]), int(stats["iter_count"]), str(stats["return_status"]))

@@ -20,6 +20,10 @@ class Faulty:
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Never well."""
+        if self.how == "hangs dumbly":
+            watch.note(1.0)
+            watch.tell(f"3 of {problem.data.n_frames} frames were in")
+            time.sleep(3600.0)
         watch.note(problem.held.half_log_det, x)
         if self.how == "crashes":
             os.abort()

@@ -10,9 +10,11 @@ import pytest
 
 from pipeline.archives import write_measurements
 from pipeline.cli import main
+from pipeline.compare.comparison import MARK, claim
 from pipeline.compare.rows import read_comparison
 from pipeline.compare.sources import SCENES
 from polhode.config.compare import Motion
+from polhode.errors import InputError
 from simulation.measurements import SyntheticSequence, generate
 
 Capture = pytest.CaptureFixture[str]
@@ -86,7 +88,25 @@ def test_what_has_no_time_left_is_a_row(config: Path, run: Path, tmp_path: Path,
 
 MISTAKES: dict[str, tuple[list[str], str]] = {
     "unknown solver": (["--compare.solvers", "cerez"], "unknown solver 'cerez'; did you mean ceres?"),
-    "both sources": (["--data", "x"], "give --data or --run, not both"),
+    "both sources": (["--data", "."], "give --data or --run, not both"),
+    "solver twice": (
+        ["--compare.solvers", "ipopt,ceres,ipopt"],
+        "key 'compare': solvers: ipopt is named twice; name it once",
+    ),
+    "frames twice": (
+        ["--compare.monte-carlo.frames", "20,20"],
+        "key 'compare.monte_carlo': frames: 20 is named twice; name it once",
+    ),
+    "motion twice": (
+        ["--compare.monte-carlo.motions", "flip,flip"],
+        "key 'compare.monte_carlo': motions: flip is named twice; name it once",
+    ),
+    "no starts": (
+        ["--compare.cold", "False"],
+        "key 'compare': no starts are asked for: set cold to true, or perturbed or near to at least 1",
+    ),
+    "truth of nothing": (["--truth", "."], ".: has no truth (mav0/target0); give the sequence"),
+    "no such truth": (["--truth", "nowhere"], "nowhere: no such folder"),
 }
 
 
@@ -101,13 +121,52 @@ def test_mistakes_are_one_line(name: str, config: Path, run: Path, tmp_path: Pat
 def test_a_folder_of_other_things_is_not_touched(
     config: Path, run: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "letter.txt").write_text("dear")
-    assert main(["compare", str(config), "--run", str(run), "-o", str(tmp_path / "out")]) == 2
-    assert "not a comparison" in capsys.readouterr().err
+    # a folder rows/ or a config.yaml of somebody else's does not make it ours
+    for name in ("letter.txt", "rows/notes.json", "config.yaml", "compare.json", ".polhode-compare"):
+        other = tmp_path / f"other-{name.replace('/', '-')}"
+        (other / name).parent.mkdir(parents=True)
+        (other / name).write_text("dear")
+        assert main(["compare", str(config), "--run", str(run), "-o", str(other)]) == 2
+        stderr = capsys.readouterr().err
+        assert "not a comparison" in stderr and stderr.count("\n") == 1
+        assert [path for path in other.rglob("*") if path.is_file()] == [other / name]
+        assert (other / name).read_text() == "dear"
     missing = ["compare", str(config), "--run", str(tmp_path / "no"), "-o", str(tmp_path / "new")]
     assert main(missing) == 2
     assert "no such folder" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_our_own_folder_is_gone_on_with_and_a_new_one_is_marked(tmp_path: Path) -> None:
+    claim(tmp_path / "out")
+    assert (tmp_path / "out" / MARK).is_file()
+    (tmp_path / "out" / "mine.txt").write_text("kept")
+    claim(tmp_path / "out")
+    assert (tmp_path / "out" / "mine.txt").read_text() == "kept"
+    (tmp_path / "empty").mkdir()
+    claim(tmp_path / "empty")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="a file stands here"):
+        claim(tmp_path / "file")
+
+
+def test_a_row_of_another_version_is_measured_again(
+    config: Path, run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    out = tmp_path / "out"
+    command = ["compare", str(config), "--run", str(run), "-o", str(out), "--compare.solvers", "odometry"]
+    assert main(command) == 0
+    (file,) = (out / "rows").iterdir()
+    stored = json.loads(file.read_text())
+    stored["row"]["message"] = "of before"
+    file.write_text(json.dumps(stored))
+    assert main(command) == 0
+    assert read_comparison(out / "compare.json").rows[0].message == "of before"
+    stored["stamp"]["versions"]["scipy"] = "0.1"
+    file.write_text(json.dumps(stored))
+    assert main(command) == 0
+    assert read_comparison(out / "compare.json").rows[0].message != "of before"
+    capsys.readouterr()
 
 
 def test_every_motion_of_the_configuration_has_a_scene() -> None:

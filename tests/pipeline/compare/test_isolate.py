@@ -6,6 +6,8 @@ import pytest
 
 from pipeline.compare.child import storable
 from pipeline.compare.isolate import row_of
+from pipeline.compare.judge import judge
+from pipeline.compare.measured_problem import load
 from pipeline.compare.registry import ENTRIES, Entry, entries
 from pipeline.compare.rows import Case, Row
 from polhode.errors import InputError
@@ -20,11 +22,22 @@ def row(small_file: Path, how: str, limit_s: float = 60.0) -> Row:
     return row_of(small_file, entry, CASE, limit_s)
 
 
+def assert_start_is_kept(found: Row, small_file: Path) -> None:
+    """The common cost of the point that it noted, whatever cost it told itself."""
+    problem = load(small_file)
+    at_start = judge(problem, problem.cold)
+    assert found.kept == "best"
+    assert found.cost == at_start.cost and found.k1 == at_start.k1
+    assert found.errors == at_start.errors is not None
+    assert found.evaluation_s is None and "before its times were read" in found.not_separable
+
+
 def test_a_crash_is_a_failed_row_with_what_was_reached(small_file: Path) -> None:
     found = row(small_file, "crashes")
     assert found.status == "failed"
     assert "SIGABRT" in found.message
-    assert len(found.trace) == 1 and found.cost is None
+    assert len(found.trace) == 1
+    assert_start_is_kept(found, small_file)
 
 
 def test_a_process_that_ends_without_an_answer_is_a_failed_row(small_file: Path) -> None:
@@ -36,7 +49,17 @@ def test_a_process_that_ends_without_an_answer_is_a_failed_row(small_file: Path)
 def test_one_that_hangs_is_ended_at_its_limit(small_file: Path) -> None:
     found = row(small_file, "hangs", limit_s=12.0)
     assert found.status == "timeout"
-    assert "12 s" in found.message
+    assert "12 s" in found.message and "the best point is kept" in found.message
+    assert_start_is_kept(found, small_file)
+    # its clock began when its process had read the problem
+    assert found.wall_s is not None and 2.0 < found.wall_s < 12.5
+    assert found.memory_mb is not None and found.memory_mb > 50.0
+
+
+def test_of_one_that_notes_no_point_nothing_is_kept(small_file: Path) -> None:
+    found = row(small_file, "hangs dumbly", limit_s=12.0)
+    assert (found.status, found.kept, found.cost) == ("timeout", "nothing", None)
+    assert "3 of 20 frames were in; nothing is kept" in found.message
 
 
 def test_an_exception_is_told_in_a_line(small_file: Path) -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from pipeline.compare.profiles import front, growths, performance_profiles, successes
+from pipeline.compare.page import write_page
+from pipeline.compare.profiles import curve, front, growths, performance_profiles
 from pipeline.compare.rows import (
     SCHEMA_FILE,
     Comparison,
@@ -16,14 +17,15 @@ from pipeline.compare.rows import (
     schema_text,
     write_comparison,
 )
-from pipeline.compare.table import csv_text, verdict
+from pipeline.compare.table import cells, csv_text, least_costs, not_separable, tallies, verdict
 from polhode.errors import InputError
 
 
 def row(solver: str, cost: float | None, wall_s: float, **more: object) -> Row:
     content = {
         "problem": "a", "solver": solver, "start": "cold", "seed": 0, "family": "tests", "claim": "ok",
-        "status": "ok", "message": "converged", "cost": cost, "gain_left": 0.0, "iterations": 3,
+        "status": "ok", "message": "converged", "ran": True, "kept": "answer",
+        "not_separable": "", "cost": cost, "gain_left": 0.0, "iterations": 3,
         "wall_s": wall_s, "build_s": 0.0, "evaluation_s": 0.0, "linear_s": wall_s, "callback_s": 0.0,
         "memory_mb": 1.0,
         "memory_before_mb": 1.0, "k1": 0.1, "k2": 0.1, "sigma_k1": None, "sigma_k2": None,
@@ -32,16 +34,22 @@ def row(solver: str, cost: float | None, wall_s: float, **more: object) -> Row:
     return Row.model_validate({**content, **more})
 
 
-def comparison(rows: list[Row]) -> Comparison:
+def comparison(rows: list[Row], reference: float | None = None) -> Comparison:
+    def least(name: str) -> float | None:
+        costs = [each.cost for each in rows if each.problem == name] + [reference]
+        return min((cost for cost in costs if cost is not None), default=None)
+
     sizes = {name: 100 * 2**n for n, name in enumerate(dict.fromkeys(each.problem for each in rows))}
     problems = [
         ProblemWords(
-            name=name, source="tests", fingerprint="0", frames=2, landmarks=3, observations=4, unknowns=size,
-            accel_psd=1e-6, torque_psd=1e-6, prepared_s=0.1, sigma_k1=None, sigma_k2=None, sigma_com_mm=None,
+            name=name, source="tests", fingerprint="0", frames=size // 10, landmarks=3, observations=size,
+            unknowns=9, accel_psd=1e-6, torque_psd=1e-6, prepared_s=0.1, truth=False,
+            reference_cost=reference, least_cost=least(name), sigma_k1=None, sigma_k2=None, sigma_com_mm=None,
         )
         for name, size in sizes.items()
     ]  # fmt: skip
-    return Comparison(limit_s=60.0, machine="m", versions={}, problems=problems, rows=rows)
+    found = Comparison(limit_s=60.0, machine="m", versions={}, problems=problems, rows=rows)
+    return found.model_copy(update={"profiles": performance_profiles(found)})
 
 
 def test_the_shipped_schema_is_that_of_the_models() -> None:
@@ -76,19 +84,85 @@ def test_profiles_count_what_was_solved_at_the_least_cost() -> None:
         row("slow", 20.0, 2.0, problem="b"),
         row("wrong", 20.0, 9.0, problem="b", status="failed"),
     ]
-    found = {each.solver: each for each in performance_profiles(comparison(rows))}
-    assert found["fast"].factor.tolist() == [1.0, 1.0, 2.0, 100.0]
-    assert found["fast"].share.tolist() == [0.0, 0.5, 1.0, 1.0]
-    assert found["slow"].factor.tolist() == [1.0, 1.0, 3.0, 100.0]
-    assert found["wrong"].share.tolist() == [0.0, 0.0]
-    assert successes(comparison(rows))["wrong"] == {"cold": (0, 2)}
+    found = {each.solver: each for each in comparison(rows).profiles}
+    factor, share = curve(found["fast"])
+    assert factor.tolist() == [1.0, 1.0, 2.0, 100.0]
+    assert share.tolist() == [0.0, 0.5, 1.0, 1.0]
+    assert curve(found["slow"])[0].tolist() == [1.0, 1.0, 3.0, 100.0]
+    assert curve(found["wrong"])[1].tolist() == [0.0, 0.0]
+    assert (found["wrong"].solved, found["wrong"].ran) == (0, 2)
+
+
+def test_what_did_not_run_counts_neither_for_nor_against_a_solver() -> None:
+    missing = {"status": "missing", "ran": False, "kept": "nothing"}
+    rows = [
+        row("whole", 10.0, 1.0),
+        row("partly", 10.0, 2.0),
+        row("never", None, 0.0, **missing),
+        row("whole", 20.0, 1.0, problem="b"),
+        row("partly", None, 0.0, problem="b", **{**missing, "status": "timeout"}),
+        row("never", None, 0.0, problem="b", **missing),
+        row("other", 20.0, 1.0, problem="b", status="baseline", claim="baseline"),
+    ]
+    made = comparison(rows)
+    found = {each.solver: each for each in made.profiles}
+    # a baseline claims no convergence
+    assert list(found) == ["whole", "partly", "never"]
+    counted = {name: (each.solved, each.ran, each.not_run) for name, each in found.items()}
+    assert counted == {"whole": (2, 2, 0), "partly": (1, 1, 1), "never": (0, 0, 2)}
+    assert curve(found["partly"])[1].max() == 1.0
+    assert found["partly"].starts["cold"].model_dump() == {"solved": 1, "ran": 1, "not_run": 1}
+    # on the page, at the terminal and in the JSON
+    assert "  partly: solved cold 1 of 1 (1 not run)" in tallies(made)
+    content = json.loads(made.model_dump_json(by_alias=True))["profiles"]
+    assert content[1]["ran"] == 1 and content[1]["not_run"] == 1
+
+
+def test_the_page_tells_how_many_cases_were_run(tmp_path: Path) -> None:
+    absent = {"status": "missing", "ran": False, "kept": "nothing", "problem": "b"}
+    rows = [
+        row("x", 10.0, 1.0),
+        row("x", 20.0, 1.0, problem="b"),
+        row("y", 10.0, 2.0),
+        row("y", None, 0.0, **absent),
+    ]
+    write_page(comparison(rows), tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "2 of 2" in page and "1 of 1 (1 not run)" in page and "x: 2 of 2" in page
+    write_page(comparison(rows[:1]), tmp_path / "one.html")
+    assert "1 of 1" not in (tmp_path / "one.html").read_text()
+
+
+def test_what_is_solved_is_judged_by_the_reference_solution_too() -> None:
+    rows = [row("x", 10.0, 1.0), row("y", 10.0, 2.0)]
+    assert [each.solved for each in comparison(rows).profiles] == [1, 1]
+    better = comparison(rows, reference=9.0)
+    assert [each.solved for each in better.profiles] == [0, 0]
+    assert least_costs(better) == {"a": 9.0}
+    assert cells(rows[0], 9.0)[3] == "1.1e-01"
+
+
+def test_times_that_are_not_told_apart_say_why() -> None:
+    rows = [
+        row("x", 10.0, 1.0),
+        row("inside", 10.0, 1.0, evaluation_s=None, linear_s=None, not_separable="all in C++"),
+    ]
+    assert cells(rows[1], 10.0)[7:9] == ["n/s", "n/s"]
+    assert cells(rows[0], 10.0)[7:9] == ["0.00", "1.00"]
+    assert not_separable(rows) == ["n/s, not separable (inside): all in C++"]
+    assert csv_text(rows).splitlines()[2].count("all in C++") == 1
 
 
 def test_growth_is_fitted_to_three_sizes() -> None:
     rows = [row("x", 10.0, 1.0 * 4.0**n, problem=name) for n, name in enumerate("abc")]
     (found,) = growths(comparison(rows))
     assert found.exponent == pytest.approx(2.0)
+    assert found.size.tolist() == [100.0, 200.0, 400.0]
     assert growths(comparison(rows[:2])) == []
+    # motions of as many frames are no sizes, however much each shows
+    alike = comparison(rows)
+    problems = [each.model_copy(update={"frames": 10}) for each in alike.problems]
+    assert growths(alike.model_copy(update={"problems": problems})) == []
 
 
 def test_the_front_holds_the_fastest_of_the_accurate() -> None:
@@ -99,5 +173,5 @@ def test_the_front_holds_the_fastest_of_the_accurate() -> None:
         row("slow and rough", 13.0, 1.0, status="baseline", claim="baseline"),
         row("failed", 10.0, 0.1, status="failed"),
     ]
-    assert [each.solver for each in front(rows)] == ["rough", "good"]
+    assert [each.solver for each in front(rows, 10.0)] == ["rough", "good"]
     assert "2 rows claim convergence" in verdict(rows, 10.0)

@@ -8,8 +8,9 @@ import pytest
 
 from pipeline.compare.judge import AGREED, judge, reference_covariance, sigmas
 from pipeline.compare.measured_problem import MeasuredProblem
-from pipeline.compare.registry import entries
+from pipeline.compare.registry import ABLATIONS, ENTRIES, entries
 from pipeline.compare.solver import Outcome, OutOfTime, Watch
+from pipeline.compare.solvers.ipopt import evaluation_s
 
 AGREEING = (
     "gauss_newton", "gauss_newton_ratios", "ipopt", "ipopt_condensed", "ipopt_vm", "ipopt_c",
@@ -78,6 +79,54 @@ def test_they_descend_and_stop_at_the_limit(name: str, small: MeasuredProblem) -
     reached = judge(small, watch.best[1]).cost
     assert reached is not None and np.isclose(reached, watch.best[0], rtol=1e-9)
     assert reached <= before * (1.0 + 1e-12)
+
+
+KEEP_THE_LAST = ("odometry", "ipopt_slack", "ipopt_slack_exact")
+"""Their own cost on the way is not the common one."""
+
+
+@pytest.mark.parametrize("name", [entry.name for entry in (*ENTRIES, *ABLATIONS)])
+def test_each_keeps_a_whole_point_on_its_way_or_tells_how_far_it_was(
+    name: str, small: MeasuredProblem
+) -> None:
+    watch = Watch(0.7)
+    with suppress(OutOfTime):
+        entries((name,))[0].load().solve(small, small.cold, watch)
+    kept, x = watch.kept()
+    if name in ("dynamic_isam", "gtsam_isam2") and x is None:
+        assert kept == "nothing" and watch.words.endswith("of 20 frames were in")
+        return
+    assert kept == ("last" if name in KEEP_THE_LAST else "best")
+    assert x is not None and x.shape == small.cold.shape
+    assert judge(small, x).cost is not None
+
+
+@pytest.mark.parametrize("name", ["odometry", "dynamic_isam", "ceres", "sqp_osqp", "ipopt_condensed"])
+def test_evaluation_is_part_of_the_time(name: str, small: MeasuredProblem) -> None:
+    watch = Watch(120.0)
+    entries((name,))[0].load().solve(small, small.cold, watch)
+    assert watch.not_separable == ""
+    spent = watch.seconds["evaluation"]
+    assert 0.05 * watch.elapsed() < spent < watch.elapsed() - watch.seconds["build"]
+
+
+@pytest.mark.parametrize("name", ["gtsam_lm", "gtsam_isam2"])
+def test_what_a_foreign_library_evaluates_inside_is_not_told_apart(name: str, small: MeasuredProblem) -> None:
+    watch = Watch(120.0)
+    entries((name,))[0].load().solve(small, small.start("near", 0), watch)
+    assert "C++" in watch.not_separable
+    # the calls of Python are
+    assert 0.0 < watch.callback_s < watch.elapsed()
+
+
+def test_the_parts_of_an_sqp_step_are_all_counted(small: MeasuredProblem) -> None:
+    """CasADi's SQP method calls joint functions, which have names of their own in its statistics."""
+    stats = {"t_wall_nlp_hess_l": 1.0, "t_wall_nlp_jac_fg": 2.0, "t_wall_nlp_fg": 4.0, "t_wall_QP": 8.0}
+    assert evaluation_s(stats) == 7.0
+    watch = Watch(120.0)
+    with watch.callback(None):
+        pass
+    assert watch.seconds["evaluation"] == 0.0 and watch.callback_s > 0.0
 
 
 def test_belief_propagation_comes_close(small: MeasuredProblem) -> None:

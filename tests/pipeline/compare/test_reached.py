@@ -1,0 +1,61 @@
+"""What a process has reached outlives it: the point, the costs, the words."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.compare.reached import Reached, read_point, read_trace, read_words, seconds_since_start
+from pipeline.compare.solver import Watch
+
+
+def test_the_newest_whole_point_is_read(tmp_path: Path) -> None:
+    stem = tmp_path / "row.json"
+    assert read_point(stem) is None and seconds_since_start(stem) is None
+    reached = Reached(stem, 4)
+    assert read_point(stem) is None
+    for n in range(5):
+        reached.point(np.full(4, float(n)), "best")
+        found = read_point(stem)
+        assert found is not None and found[0] == "best" and found[1].tolist() == [n] * 4
+    reached.point(np.zeros(4), "last")
+    found = read_point(stem)
+    assert found is not None and found[0] == "last"
+    # a write that is cut off in the middle does not touch the point that counts
+    reached._numbers[1:3] = np.nan
+    found = read_point(stem)
+    assert found is not None and found[1].tolist() == [0.0] * 4
+    with pytest.raises(ValueError, match="reshape"):
+        reached.point(np.zeros(3), "best")
+
+
+def test_a_line_that_was_cut_short_is_no_point_of_the_trace(tmp_path: Path) -> None:
+    stem = tmp_path / "row.json"
+    reached = Reached(stem, 1)
+    reached.cost(0.5, 12.0)
+    reached.cost(1.5, 11.0)
+    with stem.with_suffix(".trace").open("a") as file:
+        file.write("2.5 1")
+    assert read_trace(stem) == [(0.5, 12.0), (1.5, 11.0)]
+    assert read_words(stem) == ""
+    reached.words("half")
+    assert read_words(stem) == "half"
+
+
+def test_a_watch_keeps_the_best_of_the_common_cost_and_the_last_of_another(tmp_path: Path) -> None:
+    stem = tmp_path / "row.json"
+    watch = Watch(10.0, reached=Reached(stem, 2))
+    assert watch.kept() == ("nothing", None)
+    for cost, value in ((float("nan"), 9.0), (3.0, 0.0), (1.0, 1.0), (2.0, 2.0), (float("inf"), 3.0)):
+        watch.note(cost, np.full(2, value))
+    kept, x = watch.kept()
+    assert kept == "best" and x is not None and x.tolist() == [1.0, 1.0]
+    stored = read_point(stem)
+    assert stored is not None and stored[0] == "best" and stored[1].tolist() == [1.0, 1.0]
+    assert len(watch.trace) == 5
+
+    other = Watch(10.0, reached=Reached(tmp_path / "other.json", 2))
+    for cost, value in ((3.0, 0.0), (1.0, 1.0), (2.0, 2.0)):
+        other.note(cost, np.full(2, value), common=False)
+    kept, x = other.kept()
+    assert kept == "last" and x is not None and x.tolist() == [2.0, 2.0]
