@@ -87,7 +87,8 @@ def test_what_is_stored_is_printed_and_nothing_is_measured(
     compare.main()
     told = capsys.readouterr().out
     assert markdown(three, "gauss_newton") in told
-    assert "a: on the front: fast; backend.solver (ipopt) is not." in told
+    assert "a: on the front: fast\n" in told
+    assert "gauss_newton, the default: on the front of time against accuracy on 0 of 3 problems" in told
     assert "ablations: nothing stored" in told
 
 

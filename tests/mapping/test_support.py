@@ -73,7 +73,8 @@ def test_thin_parts_beside_the_body_stay() -> None:
     body = trimesh.creation.box((0.2, 0.2, 0.2))
     boom = trimesh.creation.box((0.012, 0.012, 0.05))
     boom.apply_translation((0.0, 0.0, 0.16))
-    both: trimesh.Trimesh = trimesh.util.concatenate([body, boom])
+    both = trimesh.util.concatenate([body, boom])
+    assert isinstance(both, trimesh.Trimesh)
     config = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu")
     field = Field(RIG, config, VOXEL_M)
     for depth, X_RG in views_of(both, 24, sigma_m=5e-4):
