@@ -71,6 +71,7 @@ bench: setup $(MATCHERS) $(SOLVERS)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.lengths)
 	$(BIN)/python -m benchmarks.fusion_peers $(SHORT)
 	$(BIN)/python -m benchmarks.fusion_scale $(SHORT)
+	$(BIN)/python -m benchmarks.frame_time $(SHORT)
 	$(BIN)/python -m benchmarks.lie_rank
 	$(BIN)/python -m benchmarks.conditioning -o runs/conditioning.png
 	$(BIN)/python -m benchmarks.bound

@@ -12,7 +12,8 @@ MiB: by how much the process's peak exceeds what it held before. Distances are t
     ours         mapping/fusion.py, as a run uses it (with colours, sigmas and counts of views)
     ours again   poses of a tenth of the frames move by two voxels: only these are fused again
     open3d       VoxelBlockGrid (Dong et al. 2021), the same truncation, voxels of weight 3 and more
-    colmap       its dense stereo (patch match, Schoenberger et al. 2016) needs CUDA: the row says so
+    colmap       its fusion of depth maps, points that 3 frames agree on, and its Poisson mesher, from depth
+                 on the disk; its own depth (patch match, Schoenberger et al. 2016) needs CUDA
 
 Open3D and pycolmap: ``pip install polhode[mapping-peers]``; a peer that is missing is a row that says so.
 """
@@ -33,6 +34,7 @@ import numpy as np
 import torch
 import trimesh
 
+from benchmarks.colmap_fusion import fuse_and_mesh, write_workspace
 from benchmarks.mesh_quality import depth_maps, true_poses
 from frontend.rectify import make_rectifier
 from mapping.field import Field
@@ -123,9 +125,12 @@ def _colmap(
         import pycolmap
     except ImportError as error:
         raise NotHereError(f"missing ({error}); pip install polhode[mapping-peers]") from error
-    if not pycolmap.has_cuda:
-        raise NotHereError("not run: patch-match stereo needs CUDA, and this pycolmap has none")
-    raise NotHereError("not run: its depth would be its own, so this is no comparison of fusions")
+    with TemporaryDirectory() as scratch:
+        write_workspace(Path(scratch), frames, rig)
+        begin = process_time()
+        mesh = trimesh.load_mesh(fuse_and_mesh(pycolmap, Path(scratch), int(MIN_WEIGHT)), process=False)
+        seconds = process_time() - begin
+    return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False), seconds
 
 
 METHODS: dict[str, Method] = {

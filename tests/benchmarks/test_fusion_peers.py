@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmarks.colmap_fusion import normals_of
 from benchmarks.fusion_peers import METHODS, print_rows, worker
 from polhode.config import Config
 from tests.mapping.analytic_depth import RIG, views_of
@@ -27,6 +28,21 @@ def test_ours_makes_the_surface(method: str, inputs: Path, tmp_path: Path) -> No
     found = pickle.loads((tmp_path / "output").read_bytes())
     assert np.linalg.norm(found["vertices"], axis=1) == pytest.approx(0.08, abs=6e-3)
     assert found["seconds"] > 0.0
+
+
+def test_colmap_fuses_and_meshes_without_cuda(inputs: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pycolmap")
+    worker("colmap", inputs, tmp_path / "output")
+    found = pickle.loads((tmp_path / "output").read_bytes())
+    assert np.median(np.linalg.norm(found["vertices"], axis=1)) == pytest.approx(0.08, abs=3e-3)
+
+
+def test_a_plane_has_one_normal_which_looks_at_the_camera() -> None:
+    v, u = np.mgrid[: RIG.height_px, : RIG.width_px]
+    ray = np.stack([(u - RIG.cx_px) / RIG.focal_px, (v - RIG.cy_px) / RIG.focal_px, np.ones(u.shape)], -1)
+    normal = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
+    found = normals_of(-0.5 / (ray @ normal), RIG)[2:-2, 2:-2]
+    np.testing.assert_allclose(found, np.broadcast_to(normal, found.shape), atol=1e-9)
 
 
 @pytest.mark.parametrize("method", ["open3d", "colmap"])

@@ -51,6 +51,7 @@ def test_a_good_sequence_is_read_whole(small_sequence: Path) -> None:
     assert (calibration.width_px, calibration.height_px) == (64, 48)
     pair = sequence.read_pair(3)
     np.testing.assert_array_equal(pair.left, np.asarray(Image.open(image_of(small_sequence, 0, 3))))
+    np.testing.assert_array_equal(sequence.read_left(3)[0], pair.left)
     np.testing.assert_array_equal(pair.right, np.asarray(Image.open(image_of(small_sequence, 1, 3))))
     assert pair.mask_left is None and pair.mask_right is None
 
