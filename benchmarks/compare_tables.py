@@ -112,6 +112,8 @@ def front_words(found: Comparison, problem: ProblemWords, default: str) -> str:
     if not names:
         return ""
     told = "is" if default in names else "is not"
+    if default not in {row.solver for row in rows}:
+        told = "was not asked for"
     return f"{problem.name}: on the front: {', '.join(names)}; backend.solver ({default}) {told}."
 
 

@@ -87,7 +87,9 @@ def test_what_is_stored_is_printed_and_nothing_is_measured(
     compare.main()
     told = capsys.readouterr().out
     assert markdown(three, "ipopt") in told
-    assert "a: on the front: fast; backend.solver (ipopt) is not." in told
+    assert "a: on the front: fast; backend.solver (ipopt) was not asked for." in told
+    assert "a: on the front: fast; backend.solver (slow) is not." in markdown(three, "slow")
+    assert "a: on the front: fast; backend.solver (fast) is." in markdown(three, "fast")
     assert "ablations: nothing stored" in told
 
 
