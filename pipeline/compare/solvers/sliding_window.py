@@ -51,14 +51,16 @@ class WindowLength:
         states = np.concatenate([start.p_NG, np.zeros_like(start.p_NG), start.v_N, start.w_G], axis=1)
         R_NG, centres = start.R_NG.copy(), start.p_NG + start.R_NG @ start.com_G
         placed, anew, belief, last = np.zeros(data.n_frames, dtype=bool), 0, window.belief, None
-        for measured in frames_of_data(data):
+        for k, measured in enumerate(frames_of_data(data)):
             last = window.add(measured)
             anew, belief = anew + (window.belief is not belief), window.belief
             for frame in belief.active.recent:
                 n = frame.number - 1
                 states[n], R_NG[n], placed[n] = frame.x, frame.R_NG, True
                 centres[n] = frame.x[:3] + frame.R_NG @ belief.active.constants[:3]
+            watch.tell(f"{k + 1} of {data.n_frames} frames were in")
             watch.check()
+        watch.tell("")
         watch.stop()
         assert last is not None
         xi, R_inertia = data.form.coordinates(second_moments_of(last))
