@@ -16,7 +16,6 @@ from mapping.frame import FrameTensors
 from mapping.lookup import Samples
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, right_jacobian_so3, transform_points
-from polhode.records import Ints
 
 MOST_SAMPLES = 3000
 _ITERATIONS = 20
@@ -24,10 +23,9 @@ _STILL = 0.05
 """Converged when a step is less than this, in standard deviations."""
 _KERNEL = 2.5
 """Width of the robust kernel, over the residuals' own scale."""
-_WINDOW_PX = 7
-"""The disparities come from windows of this width: pixels within one say the same."""
-_TILE_PX = 40
-"""Errors of depth are alike over so many pixels at most (``_correlation``)."""
+_ALIKE_PX = 12
+"""Errors of the depth are alike over squares of this width. Disparities come from windows of 7 px; what light and
+slant do is alike over more, and with 12 px no body's poses are off by more than their sigmas say."""
 _LEAST_SAMPLES = 50
 _IMPLAUSIBLE = float(chi2.isf(2.0 * 3.167e-5, 6))
 """Squared length of a correction of six numbers that is as rare as four sigma in one."""
@@ -41,10 +39,8 @@ class DepthPoints:
     """(n, 3) [m]"""
     variance_m2: Array
     """(n,) of the distance from the surface, without the pose's part"""
-    tile: Ints
-    """(n,) the part of the image that a point lies in: errors within one are alike"""
     independent: float
-    """Number of windows that the depth map holds over n, at most 1"""
+    """Number of independent measurements among these over n, at most 1"""
 
 
 @dataclass(frozen=True)
@@ -95,13 +91,11 @@ def align(
         J, distance = J[known], distance[known]
         weight, excess = _weights(distance, points.variance_m2[known] + variance[known])
         A = J.T @ (weight[:, None] * J)
-        scores = (weight * distance)[:, None] * J
         gain = points.independent / excess
-        gain /= _correlation(scores, points.tile[known], A, covariance_G, gain)
         # (C^-1 + A) without inverting C, which may be singular
         posterior = np.linalg.solve(np.eye(6) + gain * covariance_G @ A, covariance_G)
         posterior = 0.5 * (posterior + posterior.T)
-        target = posterior @ (gain * (A @ x - scores.sum(axis=0)))
+        target = posterior @ (gain * (A @ x - J.T @ (weight * distance)))
         moved = target - x
         step = float(np.sqrt(max(moved @ np.linalg.pinv(posterior, hermitian=True) @ moved, 0.0)))
         x = target
@@ -114,8 +108,8 @@ def align(
     return Alignment(x, _about(x, posterior), None)
 
 
-def depth_points(frame: FrameTensors, sigma_m: Array, X_RG: Array, rig: RectifiedRig) -> DepthPoints:
-    """At most MOST_SAMPLES pixels, evenly taken; sigma_m (h, w) of the depth itself [m]; X_RG (4, 4)."""
+def depth_points(frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> DepthPoints:
+    """At most MOST_SAMPLES pixels, evenly taken; ``frame`` keeps its sigma; X_RG (4, 4) the pose as given."""
     depth = frame.depth_m.cpu().numpy().astype(np.float64)
     pixel = np.flatnonzero(frame.weight.cpu().numpy() > 0)
     count = min(len(pixel), MOST_SAMPLES)
@@ -126,9 +120,8 @@ def depth_points(frame: FrameTensors, sigma_m: Array, X_RG: Array, rig: Rectifie
     p_R = np.column_stack([x * z, y * z, z])
     return DepthPoints(
         p_G=transform_points(inverse_pose(X_RG), p_R),
-        variance_m2=np.asarray(sigma_m, dtype=np.float64)[v, u] ** 2,
-        tile=np.unique(v // _TILE_PX * depth.shape[1] + u // _TILE_PX, return_inverse=True)[1],
-        independent=min(1.0, len(pixel) / (_WINDOW_PX**2 * max(count, 1))),
+        variance_m2=frame.own_sigma_m.cpu().numpy().astype(np.float64)[v, u] ** 2,
+        independent=min(1.0, len(pixel) / (_ALIKE_PX**2 * max(count, 1))),
     )
 
 
@@ -138,19 +131,6 @@ def _weights(distance: Array, variance: Array) -> tuple[Array, float]:
     # 0.455: the median of the square of a standard normal number
     excess = max(float(np.median(size)) / 0.455, 1.0)
     return 1.0 / (1.0 + size / (_KERNEL**2 * excess)) ** 2 / variance, excess
-
-
-def _correlation(scores: Array, tile: Ints, A: Array, covariance: Array, gain: float) -> float:
-    """By how much errors that are alike within a tile exceed what ``gain`` allows for, at least 1.
-
-    The sum of the scores (n, 6) scatters by the sum of the tiles' squares, not of the points' (Liang and
-    Zeger 1986, the "sandwich" of clusters).
-    """
-    of_tiles = np.zeros((int(tile.max()) + 1, 6))
-    np.add.at(of_tiles, tile, gain * scores)
-    M = np.linalg.solve(np.eye(6) + gain * covariance @ A, covariance)
-    told = float(np.trace(M @ A)) * gain
-    return max(float(np.sum((of_tiles @ M) * of_tiles)) / told, 1.0) if told > 0 else 1.0
 
 
 def _about(x: Array, covariance: Array) -> Array:

@@ -36,7 +36,7 @@ class FrameTensors:
     u0: int
     v0: int
     sigma_m: Float32[Tensor, "h w"] | None = None
-    """of the depth itself, where it is kept; ``doubt`` tells when that is worth it"""
+    """of the depth itself; None: not kept, as ``doubt`` leaves nothing to gain"""
     doubt: float = 0.0
     """What the pose's uncertainty does to the distances over the depth's own sigma, median"""
 
@@ -44,6 +44,13 @@ class FrameTensors:
     def bytes(self) -> int:
         """Memory of the images."""
         return (16 if self.sigma_m is None else 20) * self.depth_m.numel()
+
+    @property
+    def own_sigma_m(self) -> Float32[Tensor, "h w"]:
+        """``sigma_m``; ValueError where it was not kept."""
+        if self.sigma_m is None:
+            raise ValueError("the depth's own sigma was not kept")
+        return self.sigma_m
 
 
 def frame_tensors(
@@ -92,12 +99,10 @@ def frame_tensors(
 
 def at_pose(frame: FrameTensors, rig: RectifiedRig, covariance_R: Array, arm_R: Array) -> FrameTensors:
     """The same depth, whose ``sigma_m`` was kept, with the weights of another pose."""
-    if frame.sigma_m is None:
-        raise ValueError("the depth's own sigma was not kept")
     seen = frame.weight > 0
     normal, ray = _normals(frame.depth_m, seen, rig, frame.u0, frame.v0)
     of_pose = _pose_variance(frame.depth_m, normal, ray, covariance_R, arm_R)
-    variance = frame.sigma_m.square() + of_pose / frame.cosine.square()
+    variance = frame.own_sigma_m.square() + of_pose / frame.cosine.square()
     return replace(frame, weight=seen / variance)
 
 
