@@ -27,6 +27,8 @@ _ALIKE_PX = 12
 """Errors of the depth are alike over squares of this width. Disparities come from windows of 7 px; what light and
 slant do is alike over more, and with 12 px no body's poses are off by more than their sigmas say."""
 _LEAST_SAMPLES = 50
+_SPREAD = 1.5
+"""Other starts are so many standard deviations away."""
 _IMPLAUSIBLE = float(chi2.isf(2.0 * 3.167e-5, 6))
 """Squared length of a correction of six numbers that is as rare as four sigma in one."""
 
@@ -81,8 +83,8 @@ def align(
     ``least_share`` of the points must lie where the surface is known.
     """
     stays = Alignment(np.zeros(6), covariance_G, None)
-    x, n, step = np.zeros(6), len(points.p_G), np.inf
-    posterior = covariance_G
+    n, step, posterior = len(points.p_G), np.inf, covariance_G
+    x = _start(points, covariance_G, lookup, least_share)
     for _ in range(_ITERATIONS):
         distance, J, variance = distances(x, points.p_G, lookup)
         known = np.isfinite(distance)
@@ -123,6 +125,22 @@ def depth_points(frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> DepthPo
         variance_m2=frame.own_sigma_m.cpu().numpy().astype(np.float64)[v, u] ** 2,
         independent=min(1.0, len(pixel) / (_ALIKE_PX**2 * max(count, 1))),
     )
+
+
+def _start(
+    points: DepthPoints, covariance: Array, lookup: Callable[[Array], Samples], least_share: float
+) -> Array:
+    """No correction (6,); where that lies beyond the band around the surface, the likely one that does not."""
+    variances, axes = np.linalg.eigh(covariance)
+    spread = _SPREAD * np.sqrt(np.maximum(variances, 0.0))[:, None] * axes.T
+    best, most = np.zeros(6), -1
+    for x in (best, *spread, *-spread):
+        known = int(np.isfinite(distances(x, points.p_G, lookup)[0]).sum())
+        if known > most:
+            best, most = x, known
+        if not best.any() and most >= least_share * len(points.p_G):
+            break
+    return best
 
 
 def _weights(distance: Array, variance: Array) -> tuple[Array, float]:
