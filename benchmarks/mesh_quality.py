@@ -4,7 +4,8 @@
     python -m benchmarks.mesh_quality SEQ [SEQ ...] --runs RUN  with the poses of runs and their covariances,
                                                                 one for each sequence
     python -m benchmarks.mesh_quality SEQ --doubtful 3 1        every third pose off by 3 mm and 1 degree
-                        (sigma): with the covariance of the poses told to the fusion, and not
+                        (sigma): with the covariance of the poses told to the fusion, and not, with
+                        these frames aligned to the surface of the others (the default), and exact
 
 Prints a line a sequence: distances to the true surface (as ``polhode evaluate``; "seen thrice":
 completion, its larger 95th percentile, what is within 3 mm, and chamfer over the part that was seen and
@@ -60,11 +61,19 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Doubts:
-    """Errors of every third pose, and whether the fusion is told of them."""
+    """Errors of every third pose, and what the fusion is told of them."""
 
     shift_m: float
     turn_rad: float
     told: bool
+    aligned: bool = False
+
+    @property
+    def words(self) -> str:
+        """For the table."""
+        if self.shift_m == self.turn_rad == 0.0:
+            return "exact"
+        return "aligned" if self.aligned else "told" if self.told else "not told"
 
     def errors(self, count: int) -> Array:
         """(F, 4, 4) to be applied in G before the pose."""
@@ -132,7 +141,10 @@ def rebuild(
             yield frame, X
 
     begin = process_time()
-    surface = fuse(timed(), rectifier.rig, config.mapping, covariance_G=covariance)
+    mapping = (
+        config.mapping if doubts is None else config.mapping.model_copy(update={"align": doubts.aligned})
+    )
+    surface = fuse(timed(), rectifier.rig, mapping, covariance_G=covariance)
     return surface, depth_s, process_time() - begin - depth_s
 
 
@@ -161,7 +173,7 @@ def measure(
         for least in (1, 3)
     )
     within, frames = within_sigma(mesh, surface.sigma_m, truth.mesh), len(sequence)
-    name = folder.name if doubts is None else f"{folder.name}, {'told' if doubts.told else 'not told'}"
+    name = folder.name if doubts is None else f"{folder.name}, {doubts.words}"
     return Outcome(
         name, frames, metrics, thrice, within, len(mesh.vertices), depth_s / frames, fusion_s / frames
     )
@@ -214,7 +226,13 @@ def main() -> None:
     doubts: list[Doubts | None] = [None]
     if options.doubtful:
         mm, deg = options.doubtful
-        doubts = [Doubts(mm * 1e-3, np.deg2rad(deg), told) for told in (False, True)]
+        wrong = mm * 1e-3, np.deg2rad(deg)
+        doubts = [
+            Doubts(*wrong, False),
+            Doubts(*wrong, True),
+            Doubts(*wrong, True, True),
+            Doubts(0.0, 0.0, False),
+        ]
     print_table(
         measure(sequence, run, config, options.save, each) for sequence, run in jobs for each in doubts
     )

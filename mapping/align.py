@@ -24,11 +24,13 @@ _STILL = 0.05
 _KERNEL = 2.5
 """Width of the robust kernel, over the residuals' own scale."""
 _ALIKE_PX = 12
-"""Errors of the depth are alike over squares of this width. Disparities come from windows of 7 px; what light and
-slant do is alike over more, and with 12 px no body's poses are off by more than their sigmas say."""
+"""Errors of the depth are alike over squares of this width: disparities come from windows of 7 px, and what
+light and slant do is alike over more (docs/mapping.md has the figures)."""
 _LEAST_SAMPLES = 50
 _SPREAD = 1.5
 """Other starts are so many standard deviations away."""
+_MISFIT = 4.0
+"""Squares of the distances, over what the sigmas say, of a frame that lies elsewhere."""
 _IMPLAUSIBLE = float(chi2.isf(2.0 * 3.167e-5, 6))
 """Squared length of a correction of six numbers that is as rare as four sigma in one."""
 
@@ -83,7 +85,7 @@ def align(
     ``least_share`` of the points must lie where the surface is known.
     """
     stays = Alignment(np.zeros(6), covariance_G, None)
-    n, step, posterior = len(points.p_G), np.inf, covariance_G
+    n, step, excess, posterior = len(points.p_G), np.inf, 1.0, covariance_G
     x = _start(points, covariance_G, lookup, least_share)
     for _ in range(_ITERATIONS):
         distance, J, variance = distances(x, points.p_G, lookup)
@@ -95,16 +97,18 @@ def align(
         A = J.T @ (weight[:, None] * J)
         gain = points.independent / excess
         # (C^-1 + A) without inverting C, which may be singular
-        posterior = np.linalg.solve(np.eye(6) + gain * covariance_G @ A, covariance_G)
-        posterior = 0.5 * (posterior + posterior.T)
+        half = 0.5 * np.linalg.solve(np.eye(6) + gain * covariance_G @ A, covariance_G)
+        posterior = np.asarray(half + half.T)
         target = posterior @ (gain * (A @ x - J.T @ (weight * distance)))
         moved = target - x
-        step = float(np.sqrt(max(moved @ np.linalg.pinv(posterior, hermitian=True) @ moved, 0.0)))
+        step = max(float(moved @ np.linalg.pinv(posterior, hermitian=True) @ moved), 0.0) ** 0.5
         x = target
         if step < _STILL:
             break
     if step >= _STILL:
         return replace(stays, refused="it does not settle")
+    if excess > _MISFIT:
+        return replace(stays, refused="it does not fit the surface")
     if x @ np.linalg.pinv(covariance_G, hermitian=True) @ x > _IMPLAUSIBLE:
         return replace(stays, refused="it contradicts the motion")
     return Alignment(x, _about(x, posterior), None)
@@ -130,7 +134,7 @@ def depth_points(frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> DepthPo
 def _start(
     points: DepthPoints, covariance: Array, lookup: Callable[[Array], Samples], least_share: float
 ) -> Array:
-    """No correction (6,); where that lies beyond the band around the surface, the likely one that does not."""
+    """No correction (6,); where that lies beyond the band around the surface, a likely one that does not."""
     variances, axes = np.linalg.eigh(covariance)
     spread = _SPREAD * np.sqrt(np.maximum(variances, 0.0))[:, None] * axes.T
     best, most = np.zeros(6), -1

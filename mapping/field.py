@@ -27,6 +27,7 @@ from polhode.records import AlignedPoses, DepthMap, SurfaceModel
 
 _log = logging.getLogger(__name__)
 _ROUNDS = 5
+_ALIGN_ROUNDS = 2
 
 
 @dataclass
@@ -93,9 +94,9 @@ class Field:
             self.without_pose += 1
             return False
         known = covariance_G is None or bool(np.isfinite(covariance_G).all())
-        covariance_R = None if covariance_G is None else _turned(covariance_G, X_RG[:3, :3])
-        if not known:
-            covariance_R = self._unknown()
+        covariance_R = None if known else self._unknown()
+        if covariance_G is not None and known:
+            covariance_R = _turned(covariance_G, X_RG[:3, :3])
         tensors = frame_tensors(frame, self.rig, self._grid.device, covariance_R, X_RG[:3, 3])
         if tensors is None:
             self.without_depth += 1
@@ -171,9 +172,10 @@ class Field:
     def align(self) -> AlignedPoses | None:
         """Align the frames whose poses are doubtful to the surface that the others show; None: none is.
 
-        A pose is doubtful when its covariance moves the surface by more than ``align_from`` of the depth's own
-        sigma. All of these are taken away; then one after the other, the least doubtful first, is aligned and
-        added. In a second round each is aligned to all others, those without overlap before too.
+        A pose is doubtful when its covariance moves the surface by more than ``align_from`` of the depth's
+        own sigma. All of these are taken away; then one after the other, the least doubtful first, is aligned
+        and added, and once more when the others are. What cannot be aligned comes back as it was at the end,
+        so that none is aligned to doubts.
         """
         doubtful = {k: each for k, each in self._kept.items() if each.covariance_G is not None}
         if not doubtful:
@@ -181,17 +183,19 @@ class Field:
         for kept in doubtful.values():
             self._take_away(kept)
         order = sorted(doubtful, key=lambda k: (doubtful[k].tensors.doubt, k))
-        found = {k: aligned for k in order if (aligned := self._aligned(doubtful[k])) is not None}
+        found: dict[int, Alignment] = {}
+        for _ in range(_ALIGN_ROUNDS):
+            for k in order:
+                if k in found:
+                    self._take_away(doubtful[k])
+                aligned = self._aligned(doubtful[k])
+                if aligned is not None:
+                    found[k] = aligned
+                elif k in found:
+                    self._put(doubtful[k])
         for k in order:
             if k not in found:
                 self._put(doubtful[k])
-        for k in order:
-            self._take_away(doubtful[k])
-            aligned = self._aligned(doubtful[k])
-            if aligned is None:
-                self._put(doubtful[k])
-            else:
-                found[k] = aligned
         frames = sorted(found)
         return AlignedPoses(
             doubtful=len(doubtful),
@@ -204,9 +208,8 @@ class Field:
         """Add a frame that was taken away where the field as it is puts it; None: refused, and not added."""
         if kept.covariance_G is None:
             return None
-        lookup = FieldLookup.of(self._grid, self._X_FG, self.config.carved_share)
         points = depth_points(kept.tensors, kept.X_RG, self.rig)
-        aligned = align(points, kept.covariance_G, lookup, self.config.align_overlap)
+        aligned = align(points, kept.covariance_G, self.lookup(), self.config.align_overlap)
         if aligned.refused is not None:
             _log.debug("a pose stays as it was: %s", aligned.refused)
             return None
@@ -216,6 +219,10 @@ class Field:
         kept.X_RF = X_RG @ inverse_pose(self._X_FG)
         self._put(kept)
         return aligned
+
+    def lookup(self) -> FieldLookup:
+        """The field between its voxels, as it is now."""
+        return FieldLookup.of(self._grid, self._X_FG, self.config.carved_share)
 
     def _apart(self, numbers: Array, X_RG: Array) -> tuple[Array, Array]:
         """G in F (4, 4) such that few frames are elsewhere than they were fused, and which ones those are."""

@@ -35,7 +35,8 @@ def fuse(
     one at a time. Depth or poses with NaN are left out. n_frames: how many are coming, for the progress bar.
     covariance_G (F, 6, 6): of the poses, as ``Field.add`` takes them; None: exact; not finite: unknown.
     Frames whose poses are doubtful are aligned to the surface of the others; ``aligned`` of the result holds
-    their poses. Returns an empty mesh when nothing was seen; ``warnings`` of the result tells what is missing and why.
+    their poses. Returns an empty mesh when nothing was seen; ``warnings`` of the result tells what is missing
+    and why.
     """
     stream = iter(frames)
     head = list(islice(stream, _PEEK))

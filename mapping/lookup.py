@@ -1,4 +1,4 @@
-"""The field between its voxels: signed distance, its gradient and variance at any point, by trilinear weights."""
+"""The field between its voxels: signed distance, its gradient and its variance, by trilinear weights."""
 
 from dataclasses import dataclass
 
@@ -92,7 +92,7 @@ def interpolate(
                 if at >= len(keys) or keys[at] != key:
                     known = False
                     break
-                last_key, last_block = key, order[at]
+                last_key, last_block = np.int64(key), order[at]
             cell = cells[last_block * VOXELS + ((a % EDGE) * EDGE + b % EDGE) * EDGE + c % EDGE]
             weight = float(cell[WEIGHT]) + float(cell[FREE])
             if cell[WEIGHT] <= 0.0 or cell[VIEWS] < _LEAST_VIEWS or cell[FREE] > carved * weight:

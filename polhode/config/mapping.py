@@ -35,7 +35,7 @@ class Mapping(Section):
     align: bool = True
     """Align frames whose poses are doubtful to the surface that the others show."""
     align_from: float = Field(0.5, ge=0)
-    """A pose is doubtful when its uncertainty moves the surface by more than this, in the depth's own sigmas."""
+    """A pose is doubtful when its uncertainty moves the surface by more than this [the depth's own sigma]."""
     align_overlap: float = Field(0.3, gt=0, le=1)
     """A frame is aligned where at least this share of what it shows lies near known surface."""
     hole_share: float = Field(0.04, ge=0, le=0.3)
