@@ -4,7 +4,8 @@
     python -m benchmarks.mesh_quality SEQ [SEQ ...] --runs RUN  with the poses of runs and their covariances,
                                                                 one for each sequence
     python -m benchmarks.mesh_quality SEQ --doubtful 3 1        every third pose off by 3 mm and 1 degree
-                        (sigma): with the covariance of the poses told to the fusion, and not
+                        (sigma): with the covariance of the poses told to the fusion, and not, with
+                        these frames aligned to the surface of the others (the default), and exact
 
 Prints a line a sequence: distances to the true surface (as ``polhode evaluate``; "seen thrice":
 completion, its larger 95th percentile, what is within 3 mm, and chamfer over the part that was seen and
@@ -34,7 +35,7 @@ from pipeline.trajectory_file import read_trajectory
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
+from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.mesh_metrics import MeshMetrics, compare_surfaces, distance_to_surface
 from polhode.metrics import States, truth_at
 from polhode.records import DepthMap, SurfaceModel, Truth
@@ -56,15 +57,25 @@ class Outcome:
     vertices: int
     depth_s: float
     fusion_s: float
+    poses: str = ""
+    """What alignment made of doubtful poses"""
 
 
 @dataclass(frozen=True)
 class Doubts:
-    """Errors of every third pose, and whether the fusion is told of them."""
+    """Errors of every third pose, and what the fusion is told of them."""
 
     shift_m: float
     turn_rad: float
     told: bool
+    aligned: bool = False
+
+    @property
+    def words(self) -> str:
+        """For the table."""
+        if self.shift_m == self.turn_rad == 0.0:
+            return "exact"
+        return "aligned" if self.aligned else "told" if self.told else "not told"
 
     def errors(self, count: int) -> Array:
         """(F, 4, 4) to be applied in G before the pose."""
@@ -93,6 +104,23 @@ def run_poses(run: Path) -> Array:
     return target_poses(states, np.array(summary.R_GP), np.array(summary.com_G))
 
 
+def of_aligned(surface: SurfaceModel, X_RG: Array) -> str:
+    """How well the aligned poses hold against the true ones (F, 4, 4), in words."""
+    found = surface.aligned
+    if found is None or len(found.frames) == 0:
+        return ""
+    between = inverse_pose(found.X_RG) @ X_RG[found.frames]
+    error = np.hstack([between[:, :3, 3], log_so3(between[:, :3, :3])])
+    squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance_G), error)
+    mm, deg = (
+        np.median(np.linalg.norm(part, axis=1)) for part in (error[:, :3] * 1e3, np.rad2deg(error[:, 3:]))
+    )
+    return (
+        f"  {len(found.frames)} of {found.doubtful} doubtful poses aligned: median error {mm:.2f} mm, "
+        f"{deg:.2f} deg; mean normalised squared error {squared.mean():.1f} (6 would be right)"
+    )
+
+
 def depth_maps(
     sequence: StereoSequence, rectifier: Rectifier, X_RG: Array, points_G: Array, config: Config
 ) -> Iterator[DepthMap]:
@@ -112,8 +140,8 @@ def rebuild(
     config: Config,
     doubts: Doubts | None = None,
     covariance_G: Array | None = None,
-) -> tuple[SurfaceModel, float, float]:
-    """The surface from given poses, seconds for depth, seconds for fusion.
+) -> tuple[SurfaceModel, float, float, str]:
+    """The surface from given poses, seconds for depth, seconds for fusion, words about aligned poses.
 
     points_G bound the disparity; covariance_G (F, 6, 6) of the poses, as ``mapping.fusion.fuse`` takes it.
     """
@@ -132,8 +160,11 @@ def rebuild(
             yield frame, X
 
     begin = process_time()
-    surface = fuse(timed(), rectifier.rig, config.mapping, covariance_G=covariance)
-    return surface, depth_s, process_time() - begin - depth_s
+    mapping = (
+        config.mapping if doubts is None else config.mapping.model_copy(update={"align": doubts.aligned})
+    )
+    surface = fuse(timed(), rectifier.rig, mapping, covariance_G=covariance)
+    return surface, depth_s, process_time() - begin - depth_s, of_aligned(surface, X_RG)
 
 
 def measure(
@@ -148,7 +179,7 @@ def measure(
     to_true_G = between_target_frames(X_NG, X_true, np.zeros(3))
     corners = transform_points(inverse_pose(to_true_G), np.asarray(truth.mesh.vertices))
     of_poses = None if run is None else read_covariance(run).covariance_X_NG
-    surface, depth_s, fusion_s = rebuild(
+    surface, depth_s, fusion_s, poses = rebuild(
         sequence, make_rectifier(sequence.calibration), X_NG, corners, config, doubts, of_poses
     )
     mesh = surface.mesh.copy()
@@ -161,9 +192,9 @@ def measure(
         for least in (1, 3)
     )
     within, frames = within_sigma(mesh, surface.sigma_m, truth.mesh), len(sequence)
-    name = folder.name if doubts is None else f"{folder.name}, {'told' if doubts.told else 'not told'}"
+    name = folder.name if doubts is None else f"{folder.name}, {doubts.words}"
     return Outcome(
-        name, frames, metrics, thrice, within, len(mesh.vertices), depth_s / frames, fusion_s / frames
+        name, frames, metrics, thrice, within, len(mesh.vertices), depth_s / frames, fusion_s / frames, poses
     )
 
 
@@ -192,6 +223,8 @@ def print_table(outcomes: Iterable[Outcome]) -> None:
             f"{o.vertices:>10}{o.depth_s:>9.3f}{o.fusion_s:>9.3f}",
             flush=True,
         )
+        if o.poses:
+            print(o.poses, flush=True)
 
 
 def main() -> None:
@@ -214,7 +247,13 @@ def main() -> None:
     doubts: list[Doubts | None] = [None]
     if options.doubtful:
         mm, deg = options.doubtful
-        doubts = [Doubts(mm * 1e-3, np.deg2rad(deg), told) for told in (False, True)]
+        wrong = mm * 1e-3, np.deg2rad(deg)
+        doubts = [
+            Doubts(*wrong, False),
+            Doubts(*wrong, True),
+            Doubts(*wrong, True, True),
+            Doubts(0.0, 0.0, False),
+        ]
     print_table(
         measure(sequence, run, config, options.save, each) for sequence, run in jobs for each in doubts
     )

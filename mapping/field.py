@@ -5,14 +5,17 @@ moved on the body by more than a part of a voxel are taken away and added again.
 share moves the frame G on the body, not the surface: it is kept as one transform between the field and G.
 """
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
+from mapping.align import Alignment, align, depth_points
 from mapping.blocks import BlockGrid, Truncation
-from mapping.frame import FrameTensors, frame_tensors
+from mapping.frame import FrameTensors, at_pose, frame_tensors
 from mapping.integrate import allocate, integrate
+from mapping.lookup import FieldLookup
 from mapping.support import Support
 from mapping.surface import empty_surface, extract_surface
 from mapping.vertex_sigma import Shares
@@ -20,9 +23,11 @@ from polhode.camera import RectifiedRig
 from polhode.config.mapping import Mapping
 from polhode.lie import Array, inverse_pose, make_pose, transform_points
 from polhode.metrics import mean_rotation
-from polhode.records import DepthMap, SurfaceModel
+from polhode.records import AlignedPoses, DepthMap, SurfaceModel
 
+_log = logging.getLogger(__name__)
 _ROUNDS = 5
+_ALIGN_ROUNDS = 2
 
 
 @dataclass
@@ -34,6 +39,10 @@ class _Kept:
     """Pose of the field's frame with which it was added"""
     blocks: int
     """It has been added to so many of the field's blocks, the first ones"""
+    X_RG: Array
+    """The pose as given"""
+    covariance_G: Array | None = None
+    """Of that pose; None: it leaves nothing to gain"""
 
 
 class Field:
@@ -85,13 +94,18 @@ class Field:
             self.without_pose += 1
             return False
         known = covariance_G is None or bool(np.isfinite(covariance_G).all())
-        covariance_R = _turned(covariance_G, X_RG[:3, :3]) if known else self._unknown()
+        covariance_R = None if known else self._unknown()
+        if covariance_G is not None and known:
+            covariance_R = _turned(covariance_G, X_RG[:3, :3])
         tensors = frame_tensors(frame, self.rig, self._grid.device, covariance_R, X_RG[:3, 3])
         if tensors is None:
             self.without_depth += 1
             return False
+        doubtful = known and tensors.doubt > self.config.align_from
+        if not doubtful:
+            tensors = replace(tensors, sigma_m=None)
         X_RF = X_RG @ inverse_pose(self._X_FG)
-        kept = _Kept(tensors, X_RF, 0)
+        kept = _Kept(tensors, X_RF, 0, X_RG, covariance_G if doubtful else None)
         self._put(kept)
         self.used += 1
         if not known:
@@ -144,12 +158,71 @@ class Field:
             for k in moved.tolist():
                 self._take_away(self._kept[k])
         for k in moved.tolist():
-            self._kept[k] = _Kept(self._kept[k].tensors, X_RG[k] @ inverse_pose(self._X_FG), 0)
-            self._put(self._kept[k])
+            kept = self._kept[k]
+            kept.X_RF, kept.blocks = X_RG[k] @ inverse_pose(self._X_FG), 0
+            self._put(kept)
+        for k, kept in self._kept.items():
+            kept.X_RG = X_RG[k]
         return len(moved) + len(lost)
 
     def _take_away(self, kept: _Kept) -> None:
         integrate(self._grid, kept.tensors, kept.X_RF, self.rig, (0, kept.blocks), remove=True)
+        kept.blocks = 0
+
+    def align(self) -> AlignedPoses | None:
+        """Align the frames whose poses are doubtful to the surface that the others show; None: none is.
+
+        A pose is doubtful when its covariance moves the surface by more than ``align_from`` of the depth's
+        own sigma. All of these are taken away; then one after the other, the least doubtful first, is aligned
+        and added, and once more when the others are. What cannot be aligned comes back as it was at the end,
+        so that none is aligned to doubts.
+        """
+        doubtful = {k: each for k, each in self._kept.items() if each.covariance_G is not None}
+        if not doubtful:
+            return None
+        for kept in doubtful.values():
+            self._take_away(kept)
+        order = sorted(doubtful, key=lambda k: (doubtful[k].tensors.doubt, k))
+        found: dict[int, Alignment] = {}
+        for _ in range(_ALIGN_ROUNDS):
+            for k in order:
+                if k in found:
+                    self._take_away(doubtful[k])
+                aligned = self._aligned(doubtful[k])
+                if aligned is not None:
+                    found[k] = aligned
+                elif k in found:
+                    self._put(doubtful[k])
+        for k in order:
+            if k not in found:
+                self._put(doubtful[k])
+        frames = sorted(found)
+        return AlignedPoses(
+            doubtful=len(doubtful),
+            frames=np.array(frames, dtype=np.int64),
+            X_RG=np.array([found[k].apply(doubtful[k].X_RG) for k in frames]).reshape(-1, 4, 4),
+            covariance_G=np.array([found[k].covariance_G for k in frames]).reshape(-1, 6, 6),
+        )
+
+    def _aligned(self, kept: _Kept) -> Alignment | None:
+        """Add a frame that was taken away where the field as it is puts it; None: refused, and not added."""
+        if kept.covariance_G is None:
+            return None
+        points = depth_points(kept.tensors, kept.X_RG, self.rig)
+        aligned = align(points, kept.covariance_G, self.lookup(), self.config.align_overlap)
+        if aligned.refused is not None:
+            _log.debug("a pose stays as it was: %s", aligned.refused)
+            return None
+        X_RG = aligned.apply(kept.X_RG)
+        covariance_R = _turned(aligned.covariance_G, X_RG[:3, :3])
+        kept.tensors = at_pose(kept.tensors, self.rig, covariance_R, X_RG[:3, 3])
+        kept.X_RF = X_RG @ inverse_pose(self._X_FG)
+        self._put(kept)
+        return aligned
+
+    def lookup(self) -> FieldLookup:
+        """The field between its voxels, as it is now."""
+        return FieldLookup.of(self._grid, self._X_FG, self.config.carved_share)
 
     def _apart(self, numbers: Array, X_RG: Array) -> tuple[Array, Array]:
         """G in F (4, 4) such that few frames are elsewhere than they were fused, and which ones those are."""
@@ -234,10 +307,8 @@ class Field:
         return out
 
 
-def _turned(covariance: Array | None, R: Array) -> Array | None:
+def _turned(covariance: Array, R: Array) -> Array:
     """Covariance (6, 6) along other axes."""
-    if covariance is None:
-        return None
     both = np.zeros((6, 6))
     both[:3, :3] = both[3:, 3:] = R
     return np.asarray(both @ covariance @ both.T)

@@ -4,7 +4,7 @@ A pixel's weight is the squared cosine of the viewing angle over the variance of
 normal: of the depth itself, foreshortened, and of the frame's pose.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -18,6 +18,8 @@ from polhode.records import DepthMap
 
 _MARGIN_PX = 8
 _MIN_COSINE = 0.17
+_EVERY = 7
+"""Pixels looked at for the median: every seventh."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +35,22 @@ class FrameTensors:
     intensity: Float32[Tensor, "h w"]
     u0: int
     v0: int
+    sigma_m: Float32[Tensor, "h w"] | None = None
+    """of the depth itself; None: not kept, as ``doubt`` leaves nothing to gain"""
+    doubt: float = 0.0
+    """What the pose's uncertainty does to the distances over the depth's own sigma, median"""
 
     @property
     def bytes(self) -> int:
-        """Memory of the four images."""
-        return 16 * self.depth_m.numel()
+        """Memory of the images."""
+        return (16 if self.sigma_m is None else 20) * self.depth_m.numel()
+
+    @property
+    def own_sigma_m(self) -> Float32[Tensor, "h w"]:
+        """``sigma_m``; ValueError where it was not kept."""
+        if self.sigma_m is None:
+            raise ValueError("the depth's own sigma was not kept")
+        return self.sigma_m
 
 
 def frame_tensors(
@@ -63,10 +76,13 @@ def frame_tensors(
     sigma = torch.from_numpy(np.where(known, sigma_m, 1.0).astype(np.float32)).to(device)
     normal, ray = _normals(depth, seen, rig, u0, v0)
     cosine = (normal * ray).sum(0).abs().clamp(_MIN_COSINE, 1.0)
-    variance = (sigma * cosine).square()
+    variance, doubt = (sigma * cosine).square(), 0.0
     if covariance_R is not None:
         origin = np.zeros(3) if arm_R is None else arm_R
-        variance = variance + _pose_variance(depth, normal, ray, covariance_R, origin)
+        of_pose = _pose_variance(depth, normal, ray, covariance_R, origin)
+        ratio = (of_pose / variance)[seen][::_EVERY]
+        doubt = float(ratio.median().sqrt())
+        variance = variance + of_pose
     # no view knows a slant as well as its sigma along the normal says: windows see it compressed
     variance = variance / cosine.square()
     return FrameTensors(
@@ -76,7 +92,18 @@ def frame_tensors(
         intensity=torch.from_numpy(frame.intensity[crop].astype(np.float32)).to(device),
         u0=u0,
         v0=v0,
+        sigma_m=sigma,
+        doubt=doubt,
     )
+
+
+def at_pose(frame: FrameTensors, rig: RectifiedRig, covariance_R: Array, arm_R: Array) -> FrameTensors:
+    """The same depth, whose ``sigma_m`` was kept, with the weights of another pose."""
+    seen = frame.weight > 0
+    normal, ray = _normals(frame.depth_m, seen, rig, frame.u0, frame.v0)
+    of_pose = _pose_variance(frame.depth_m, normal, ray, covariance_R, arm_R)
+    variance = frame.own_sigma_m.square() + of_pose / frame.cosine.square()
+    return replace(frame, weight=seen / variance)
 
 
 def _known(depth_m: np.ndarray, sigma_m: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Depth maps and poses to one surface: the dense half of the pipeline (thesis 6.6)."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import chain, islice
 
 import numpy as np
@@ -33,7 +34,9 @@ def fuse(
     frames: pairs of a DepthMap and X_RG (4, 4), the target's pose in the rectified left camera; read once,
     one at a time. Depth or poses with NaN are left out. n_frames: how many are coming, for the progress bar.
     covariance_G (F, 6, 6): of the poses, as ``Field.add`` takes them; None: exact; not finite: unknown.
-    Returns an empty mesh when nothing was seen; ``warnings`` of the result tells what is missing and why.
+    Frames whose poses are doubtful are aligned to the surface of the others; ``aligned`` of the result holds
+    their poses. Returns an empty mesh when nothing was seen; ``warnings`` of the result tells what is missing
+    and why.
     """
     stream = iter(frames)
     head = list(islice(stream, _PEEK))
@@ -43,7 +46,8 @@ def fuse(
     with (progress or Silent()).stage("fusing depth", n_frames) as advance:
         for k, (frame, X_RG) in enumerate(_stepping(chain(head, stream), advance)):
             field.add(frame, X_RG, None if covariance_G is None else covariance_G[k])
-    return field.surface()
+    aligned = field.align() if config.align else None
+    return replace(field.surface(), aligned=aligned)
 
 
 def _stepping(frames: Iterable[Frame], advance: object) -> Iterator[Frame]:

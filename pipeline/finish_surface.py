@@ -173,6 +173,8 @@ def _described(
         colour="albedo" if colours.divided else "intensity",
         grey_per_albedo=colours.grey_per_albedo,
         sun=sun,
+        frames_doubtful=0 if surface.aligned is None else surface.aligned.doubtful,
+        frames_aligned=0 if surface.aligned is None else len(surface.aligned.frames),
         levels=tuple(
             MeshLevel(
                 file=f"mesh_lod{n}.glb",

@@ -65,6 +65,8 @@ def run(
         seen = images.sequence, images.rectifier
         with clock("fusion"):
             X_RG = pose_RG(tracks, estimate)
+            if fused.aligned is not None:
+                X_RG = fused.aligned.put_into(X_RG)
             surface, levels, shape = finish_surface(fused, *seen, X_RG, estimate.mass, config)
         outputs.write_surface(folder, surface, levels)
 
@@ -114,6 +116,11 @@ def _build_surface(
         )
     for warning in surface.warnings:
         _log.warning(warning)
+    if surface.aligned is not None:
+        _log.info(
+            "%d of %d frames with doubtful poses were aligned to the surface of the others",
+            *(len(surface.aligned.frames), surface.aligned.doubtful),
+        )
     clock.seconds["fusion"] -= clock.seconds.get("depth", 0.0)
     return surface
 

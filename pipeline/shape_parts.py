@@ -52,6 +52,10 @@ class Mesh(Part):
     sun: Sun | None
     """The light that fits best, used or not; null: nothing can be told."""
     levels: tuple[MeshLevel, ...]
+    frames_doubtful: int = Field(0, ge=0)
+    """Frames whose poses the motion knows poorly against what their depth tells."""
+    frames_aligned: int = Field(0, ge=0)
+    """Of these, those that were aligned to the surface of the other frames."""
 
 
 class Coverage(Part):

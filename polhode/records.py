@@ -11,9 +11,10 @@ import trimesh
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
-from polhode.surface_records import Bools, DepthMap, Ints, SurfaceModel
+from polhode.surface_records import AlignedPoses, Bools, DepthMap, Ints, SurfaceModel
 
 __all__ = [
+    "AlignedPoses",
     "Bools",
     "DepthMap",
     "Identifiability",

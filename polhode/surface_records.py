@@ -30,6 +30,26 @@ class DepthMap:
 
 
 @dataclass(frozen=True)
+class AlignedPoses:
+    """Poses that the surface tells better than the motion did: of frames that the motion knows poorly."""
+
+    doubtful: int
+    """Frames whose poses were worth it; those that are not aligned keep theirs"""
+    frames: Ints
+    """(n,) aligned ones, by the order in which they were added"""
+    X_RG: Array
+    """(n, 4, 4) the target in the rectified left camera"""
+    covariance_G: Array
+    """(n, 6, 6) p_R = X_RG (Exp(turn) p_G + shift): shift [m], turn [rad]"""
+
+    def put_into(self, X_RG: Array) -> Array:
+        """All poses (F, 4, 4), those of the aligned frames replaced."""
+        out = X_RG.copy()
+        out[self.frames] = self.X_RG
+        return out
+
+
+@dataclass(frozen=True)
 class SurfaceModel:
     """The dense model in G."""
 
@@ -45,6 +65,8 @@ class SurfaceModel:
     """(V,) UNSEEN, SEEN_UNLIT or SEEN_LIT; None: all was measured, so seen in light"""
     warnings: tuple[str, ...] = ()
     """What is missing of the surface, and why"""
+    aligned: AlignedPoses | None = None
+    """None: no pose was in doubt"""
 
     @property
     def is_invented(self) -> Bools:

@@ -32,6 +32,12 @@ class Mapping(Section):
     """Pieces of less area are removed [faces of a voxel]."""
     moved_voxels: float = Field(0.1, gt=0)
     """When poses improve, a frame is fused again once it moves the body by more than this [voxels]."""
+    align: bool = True
+    """Align frames whose poses are doubtful to the surface that the others show."""
+    align_from: float = Field(0.5, ge=0)
+    """A pose is doubtful when its uncertainty moves the surface by more than this [the depth's own sigma]."""
+    align_overlap: float = Field(0.3, gt=0, le=1)
+    """A frame is aligned where at least this share of what it shows lies near known surface."""
     hole_share: float = Field(0.04, ge=0, le=0.3)
     """Holes up to this share of the body's size (the diagonal of its box) across are closed, their faces
     flagged as invented; larger ones stay open. 0: none is closed."""

@@ -9,14 +9,19 @@ from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.records import DepthMap
 
 RIG = RectifiedRig(focal_px=240.0, cx_px=79.5, cy_px=59.5, baseline_m=0.09, width_px=160, height_px=120)
+FINE_RIG = RectifiedRig(
+    focal_px=480.0, cx_px=159.5, cy_px=119.5, baseline_m=0.09, width_px=320, height_px=240
+)
 DISTANCE_M = 0.6
 
 
-def depth_of(mesh: trimesh.Trimesh, X_RG: Array, sigma_m: float, rng: np.random.Generator) -> DepthMap:
+def depth_of(
+    mesh: trimesh.Trimesh, X_RG: Array, sigma_m: float, rng: np.random.Generator, rig: RectifiedRig = RIG
+) -> DepthMap:
     """Noisy depth of a mesh given in G, seen from the rectified camera."""
-    v, u = np.mgrid[: RIG.height_px, : RIG.width_px]
+    v, u = np.mgrid[: rig.height_px, : rig.width_px]
     rays = np.stack(
-        [(u - RIG.cx_px) / RIG.focal_px, (v - RIG.cy_px) / RIG.focal_px, np.ones(u.shape)], -1
+        [(u - rig.cx_px) / rig.focal_px, (v - rig.cy_px) / rig.focal_px, np.ones(u.shape)], -1
     ).reshape(-1, 3)
     X_GR = inverse_pose(X_RG)
     directions = rays @ X_GR[:3, :3].T
@@ -37,7 +42,7 @@ def depth_of(mesh: trimesh.Trimesh, X_RG: Array, sigma_m: float, rng: np.random.
 
 
 def views_of(
-    mesh: trimesh.Trimesh, count: int, sigma_m: float, seed: int = 0
+    mesh: trimesh.Trimesh, count: int, sigma_m: float, seed: int = 0, rig: RectifiedRig = RIG
 ) -> list[tuple[DepthMap, Array]]:
     """Depth maps from directions spread over the sphere."""
     rng = np.random.default_rng(seed)
@@ -48,5 +53,5 @@ def views_of(
     for a, b in zip(polar, azimuth, strict=True):
         R = exp_so3([a, 0.0, 0.0]) @ exp_so3([0.0, 0.0, b])
         X_RG = make_pose(R, [0.0, 0.0, DISTANCE_M])
-        frames.append((depth_of(mesh, X_RG, sigma_m, rng), X_RG))
+        frames.append((depth_of(mesh, X_RG, sigma_m, rng, rig), X_RG))
     return frames
