@@ -15,8 +15,8 @@ _Debug = FlagCreatePairsOff[bool]
 class Threshold:
     """Up to which rate a target counts as tumbling, not spinning (thesis eq. 1.12, g0 = 9.81 m/s^2).
 
-    Prints three rates: up to which the thrusters can hold the place beside it, up to which the fuel lasts, and
-    the smaller of the two.
+    Prints three rates: up to which the thrusters can hold the place beside it, up to which the fuel lasts,
+    and the smaller of the two.
     """
 
     radius_m: Annotated[float, arg(metavar="M")]

@@ -1,7 +1,7 @@
 """Is a target tumbling or spinning: the rate above which station keeping beside it costs too much.
 
-Thesis 1.2, eqs. 1.1-1.12: an inspector that follows a point at a radius from the axis needs a centripetal force;
-either the thrusters cannot give it, or it uses more than a share of the inspector's mass as fuel.
+Thesis 1.2, eqs. 1.1-1.12: an inspector that follows a point at a radius from the axis needs a centripetal
+force; either the thrusters cannot give it, or it uses more than a share of the inspector's mass as fuel.
 """
 
 from dataclasses import dataclass
