@@ -9,7 +9,7 @@ from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, P
 
 from pipeline.compare.command import Compare
 from pipeline.console import choose_progress
-from pipeline.plan_commands import Threshold
+from pipeline.plan_commands import PlanAhead, Threshold
 from pipeline.threads import limit_threads, processes
 from pipeline.train_command import TrainNetwork
 from polhode.config import Config, Scene
@@ -192,6 +192,7 @@ COMMANDS: dict[
     | type[Compare]
     | type[Predict]
     | type[Threshold]
+    | type[PlanAhead]
     | type[Report]
     | type[TrainNetwork],
 ] = {
@@ -201,6 +202,7 @@ COMMANDS: dict[
     "compare": Compare,
     "predict": Predict,
     "threshold": Threshold,
+    "plan": PlanAhead,
     "report": Report,
     "train": TrainNetwork,
 }

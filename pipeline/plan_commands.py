@@ -1,10 +1,11 @@
-"""The subcommands of ``polhode`` for planners: threshold. Heavy imports wait for the call."""
+"""The subcommands of ``polhode`` for planners: threshold and plan. Heavy imports wait for the call."""
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Literal
 
-from tyro.conf import FlagCreatePairsOff, arg
+from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from polhode.errors import InputError
 
@@ -55,4 +56,65 @@ class Threshold:
             ("omega_Thresh    (both)", found.overall),
         ):
             print(f"{name:24s} {rate:10.6f} rad/s {rate / RPM:10.4f} RPM")
+        return 0
+
+
+@dataclass(frozen=True)
+class PlanAhead:
+    """What planners take from a run: keep-out volumes, speeds of the surface, the corridor of a docking point.
+
+    Writes keepout.ply and .glb (N), surface_speed.ply (G), corridor.csv (N), planning.json into a folder.
+    """
+
+    run: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a finished run."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder of the results; files of the same names are replaced."""
+    horizon: Annotated[float, arg(metavar="S")] = 60.0
+    """How far to look ahead of the last stereo pair [s]."""
+    confidence: Annotated[float, arg(metavar="SHARE")] = 0.99
+    """Probability with which the whole surface stays inside the volume at all instants, 0.5 to 0.999."""
+    cover: Literal["auto", "surface", "hull"] = "auto"
+    """What is kept out of: the measured surface and what it encloses, or its convex hull; auto: the hull where open
+    rims span more than 1 % of the area."""
+    members: Annotated[int, arg(metavar="N")] = 800
+    """Motions drawn from the covariance."""
+    dock_point: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
+    """Docking point in G [m]."""
+    dock_axis: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
+    """Its axis in G, outwards, of any length."""
+    stand_off: Annotated[float, arg(metavar="M")] = 0.5
+    """Distance of the inspector from the docking point along the axis [m]."""
+    half_angle_deg: Annotated[float, arg(metavar="DEG")] = 10.0
+    """Half angle of the corridor's cone [deg]."""
+    isp_s: Annotated[float, arg(metavar="S")] = 230.0
+    """Specific impulse, for the fuel that station keeping takes [s]."""
+    debug: _Debug = False
+    """Show the traceback of an error."""
+
+    def execute(self) -> int:
+        """Plan, write, print."""
+        import numpy as np
+
+        from pipeline.plan import Docking, format_plan, plan_run, write_plan
+        from planning.keepout import Wanted
+
+        if self.output.exists() and not self.output.is_dir():
+            raise InputError(f"{self.output} is a file: -o names a folder")
+        if (self.dock_point is None) != (self.dock_axis is None):
+            raise InputError("--dock-point and --dock-axis belong together: give both")
+        docking = None
+        if self.dock_point is not None and self.dock_axis is not None:
+            point, axis = np.array(self.dock_point), np.array(self.dock_axis)
+            if not (np.isfinite(point).all() and np.isfinite(axis).all() and np.linalg.norm(axis) > 0.0):
+                raise InputError("--dock-axis: give a direction of finite numbers, not zero")
+            for name in ("stand_off", "half_angle_deg", "isp_s"):
+                if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                    raise InputError(f"--{name.replace('_', '-')}: give a number above 0")
+            docking = Docking(point, axis, self.stand_off, self.half_angle_deg, self.isp_s)
+        wanted = Wanted(self.horizon, self.confidence, members=self.members, cover=self.cover)
+        plan = plan_run(self.run, wanted, docking)
+        names = write_plan(plan, self.output)
+        print(format_plan(plan))
+        print(f"{', '.join(names)}: {self.output}")
         return 0
