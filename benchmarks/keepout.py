@@ -2,11 +2,11 @@
 
     python -m benchmarks.keepout RUN... [--horizon 60] [--draws 400] [--short] [--record FILE]
 
-The truth is drawn from the run's joint covariance, with disturbances of the level that it found, by other seeds
-than those that the volume was calibrated with; each point of its surface is off by its own sigma, independently.
-A draw counts as inside when all of its surface stays inside at all instants. The smallest volume that would do
-is at least that of a single draw's own sweep: the volume is set against the estimate's, without any margin, so the
-ratio is an upper bound. What was measured before is read from the record.
+The truth is drawn from the run's joint covariance, with disturbances of the level that it found, by other
+seeds than those that the volume was calibrated with; each point of its surface is off by its own sigma,
+independently. A draw counts as inside when all of its surface stays inside at all instants. The smallest
+volume that would do is at least that of a single draw's own sweep: the volume is set against the estimate's,
+without any margin, so the ratio is an upper bound. What was measured before is read from the record.
 """
 
 import argparse
@@ -67,7 +67,8 @@ def measure(case: Case) -> dict[str, Any]:
     field = np.full((*level.values.shape, 1), FAR, dtype=np.float32)
     sweep(
         field, level.origin, level.step_m, np.zeros(1), states.R_NG, states.p_NG, np.zeros((len(fine), 6, 6)),
-        np.zeros(len(fine)), body.grid.values, body.grid.origin, body.grid.step_m, body.middle_G, body.radius_m,
+        np.zeros(len(fine)), body.grid.values, body.grid.origin, body.grid.step_m, body.middle_G,
+        body.radius_m,
     )  # fmt: skip
     least = float((field[..., 0] <= 0.0).sum()) * level.step_m**3
     ours = float((level.values <= 0.0).sum()) * level.step_m**3
@@ -102,7 +103,8 @@ def measure(case: Case) -> dict[str, Any]:
         inside_instants += instant[0, 0] <= found.instant.added_m
     return {
         "inside": int(inside), "inside_instants": int(inside_instants), "volume_m3": ours, "least_m3": least,
-        "points": len(kept), "cell_m": level.step_m, "factor": found.swept.factor, "added_m": found.swept.added_m,
+        "points": len(kept), "cell_m": level.step_m, "factor": found.swept.factor,
+        "added_m": found.swept.added_m,
         "covers": found.body.covers,
     }  # fmt: skip
 
@@ -127,7 +129,8 @@ def table(lines: list[Case]) -> str:
             f"| {Path(case['run']).name} | {case['horizon_s']:g} | {case['confidence']:.0%} "
             f"| {line['inside']} of {n} ({line['inside'] / n:.1%}) "
             f"| {line['inside_instants']} of {n} ({line['inside_instants'] / n:.1%}) "
-            f"| {1e3 * line['volume_m3']:.2f} | {line['volume_m3'] / line['least_m3']:.3f} | {line['covers']} |"
+            f"| {1e3 * line['volume_m3']:.2f} | {line['volume_m3'] / line['least_m3']:.3f} "
+            f"| {line['covers']} |"
         )
     return "\n".join(rows)
 

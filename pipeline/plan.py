@@ -127,7 +127,8 @@ def _coverage_words(found: KeepOut, summary: Summary) -> list[str]:
 
 
 def write_plan(plan: Plan, folder: Path) -> list[str]:
-    """keepout.ply, keepout.glb, surface_speed.ply, corridor.csv, planning.json; the names of those written."""
+    """keepout.ply, keepout.glb, surface_speed.ply, corridor.csv, planning.json; the names of those
+    written."""
     folder.mkdir(parents=True, exist_ok=True)
     names: list[str] = []
     if plan.keep_out is not None:
@@ -229,7 +230,8 @@ def summary_of(plan: Plan) -> dict[str, Any]:
 
 
 def _grapples(surface: SurfaceModel, speed: SurfaceSpeed) -> dict[str, Any]:
-    """The slowest places that were measured, apart from each other; a ray outwards along the normal is free."""
+    """The slowest places that were measured, apart from each other; a ray outwards along the normal is
+    free."""
     mesh = surface.mesh
     p, normal = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
     size = float(np.linalg.norm(mesh.extents))
@@ -275,13 +277,16 @@ def format_plan(plan: Plan) -> str:
     found, lines = summary_of(plan), []
     if (keep := found["keepout"]) is not None:
         lines.append(
-            f"Keep-out over {plan.horizon_s:g} s at {plan.confidence:.1%}: {1e3 * keep['volume_m3']:.4g} litres; around "
-            f"the body {1e3 * keep['body_margin_m']['start']:.3g} mm now, {1e3 * keep['body_margin_m']['end']:.3g} mm at the end"
+            f"Keep-out over {plan.horizon_s:g} s at {plan.confidence:.1%}: "
+            f"{1e3 * keep['volume_m3']:.4g} litres; "
+            f"around the body {1e3 * keep['body_margin_m']['start']:.3g} mm now, "
+            f"{1e3 * keep['body_margin_m']['end']:.3g} mm at the end"
         )
     if (speed := found["surface_speed"]) is not None:
         lines.append(
-            f"The surface moves at {1e3 * speed['least_m_s']:.3g} to {1e3 * speed['largest_m_s']:.3g} mm/s at most; slowest, "
-            "with a free way along the normal:"
+            f"The surface moves at {1e3 * speed['least_m_s']:.3g} to "
+            f"{1e3 * speed['largest_m_s']:.3g} mm/s at most; "
+            "slowest, with a free way along the normal:"
         )
         for one in speed["grapples"]:
             place = " ".join(f"{x:+.3f}" for x in one["p_G"])
@@ -293,7 +298,8 @@ def format_plan(plan: Plan) -> str:
         least, largest = (1e3 * path["acceleration_m_s2"][k] for k in ("least", "largest"))
         lines.append(
             f"Corridor: {least:.3g} to {largest:.3g} mm/s^2 to stay at {path['stand_off_m']:g} m, "
-            f"{path['delta_v_m_s']:.3g} m/s over the horizon, {path['fuel_share']:.2%} of the mass at {path['isp_s']:g} s"
+            f"{path['delta_v_m_s']:.3g} m/s over the horizon, {path['fuel_share']:.2%} of the mass "
+            f"at {path['isp_s']:g} s"
         )
     lines += [f"Left out: {name}: {why}" for name, why in plan.left_out.items()]
     return "\n".join([*lines, *plan.notes])

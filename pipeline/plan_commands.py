@@ -61,7 +61,7 @@ class Threshold:
 
 @dataclass(frozen=True)
 class PlanAhead:
-    """What planners take from a run: keep-out volumes, speeds of the surface, the corridor of a docking point.
+    """What planners take from a run: keep-out volumes, speeds of the surface, corridor of a docking point.
 
     Writes keepout.ply and .glb (N), surface_speed.ply (G), corridor.csv (N), planning.json into a folder.
     """
@@ -75,8 +75,8 @@ class PlanAhead:
     confidence: Annotated[float, arg(metavar="SHARE")] = 0.99
     """Probability with which the whole surface stays inside the volume at all instants, 0.5 to 0.999."""
     cover: Literal["auto", "surface", "hull"] = "auto"
-    """What is kept out of: the measured surface and what it encloses, or its convex hull; auto: the hull where open
-    rims span more than 1 % of the area."""
+    """What is kept out of: the measured surface and what it encloses, or its convex hull; auto: the hull
+    where open rims span more than 1 % of the area."""
     members: Annotated[int, arg(metavar="N")] = 800
     """Motions drawn from the covariance."""
     dock_point: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None

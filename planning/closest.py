@@ -1,7 +1,8 @@
 """Which of many points is the closest to each cell of a grid: candidates handed on from cell to cell.
 
-The closest point of a cell is nearly always that of one of its neighbours: sweeps along the eight diagonals,
-as in fast sweeping (Zhao, Math. Comp. 74, 2005). Points may have a radius; what counts is distance less radius.
+The closest point of a cell is nearly always that of one of its neighbours: sweeps along the eight
+diagonals, as in fast sweeping (Zhao, Math. Comp. 74, 2005). Points may have a radius; what counts is distance
+less radius.
 """
 
 import numpy as np

@@ -1,8 +1,9 @@
-"""The approach corridor of a docking point: a cone that turns with the target, and what it takes to stay in it.
+"""The approach corridor of a docking point: a cone that turns with the target, and what it takes to stay in
+it.
 
-An inspector that keeps its place in the corridor at a stand-off moves with the target: besides the motion of the
-centre of mass, which is free, it needs the acceleration dw/dt x r + w x (w x r), r from the centre of mass (Euler and
-centripetal terms; thesis eq. 1.1 has the second one alone).
+An inspector that keeps its place in the corridor at a stand-off moves with the target: besides the motion of
+the centre of mass, which is free, it needs the acceleration dw/dt x r + w x (w x r), r from the centre of
+mass (Euler and centripetal terms; thesis eq. 1.1 has the second one alone).
 """
 
 from dataclasses import dataclass

@@ -2,10 +2,10 @@
 
 Three steps. The measured surface is grown until it holds the true one (``planning.measured_body``). What the
 estimate's motion sweeps is grown by c sigma of the pose, instant by instant. Then members drawn from the
-covariance tell how much more is needed: by so much that all but the wanted share of them stay inside with their
-whole sweep (split conformal prediction: Vovk, Gammerman, Shafer 2005; Lei et al., J. Am. Stat. Assoc. 113, 2018). What
-the grid and the linear sigma get wrong is thereby made up for. One half of the members chooses c, the one of
-the least volume; the other half, which had no say in it, tells the rest.
+covariance tell how much more is needed: by so much that all but the wanted share of them stay inside with
+their whole sweep (split conformal prediction: Vovk, Gammerman, Shafer 2005; Lei et al., J. Am. Stat. Assoc.
+113, 2018). What the grid and the linear sigma get wrong is thereby made up for. One half of the members chooses
+c, the one of the least volume; the other half, which had no say in it, tells the rest.
 """
 
 from dataclasses import dataclass
@@ -95,8 +95,8 @@ class SweptKeepOut:
 
 @dataclass(frozen=True)
 class InstantKeepOut:
-    """The volume at each instant: what a planner that knows the time must stay out of. All instants at once
-    hold with the confidence."""
+    """The volume at each instant, for a planner that knows the time. All instants at once hold with the
+    confidence."""
 
     body: MeasuredBody
     motion: BodyMotion
@@ -106,7 +106,7 @@ class InstantKeepOut:
     added_m: float
 
     def signed_distance(self, k: int, p_N: Array) -> Array:
-        """Distance (n,) [m] from the volume at the motion's instant k, of points (n, 3) in N; negative inside."""
+        """Distance (n,) [m] of points (n, 3) in N from the volume at the motion's instant k."""
         R, p = self.motion.R_NG[k], self.motion.p_NG[k]
         out, found, grid = np.empty(len(p_N)), np.empty(4), self.body.grid
         for n, g in enumerate((np.asarray(p_N) - p) @ R):
@@ -136,7 +136,7 @@ class KeepOut:
 
 
 def keep_out(surface: SurfaceModel, ahead: Ahead, wanted: Wanted) -> KeepOut:
-    """The keep-out volumes. Raises ValueError without a surface, or with too few members for the confidence."""
+    """Both volumes. Raises ValueError without a surface, or with too few members for the confidence."""
     half = wanted.members // 2
     needed = int(np.ceil(1.0 / wanted.pose_miss)) + 1
     if half < needed:
@@ -160,7 +160,7 @@ def member_times(ahead: Ahead, horizon_s: float) -> Array:
 
 
 def conformal(scores: Array, miss: float) -> Array:
-    """The least bound (C,) that a further draw exceeds with at most the probability ``miss``; scores (n, C)."""
+    """The least bound (C,) on scores (n, C) that one more exceeds with at most the probability ``miss``."""
     rank = int(np.ceil((len(scores) + 1) * (1.0 - miss)))
     return np.asarray(np.sort(scores, axis=0)[rank - 1])
 

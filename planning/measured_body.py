@@ -1,8 +1,8 @@
 """The body as it was measured, grown by how uncertain its surface is: a signed distance on a grid in G.
 
 Each point of the surface is off by at most so many of its sigmas that all points hold at once: for Gaussian
-errors independent from point to point the number follows from their count, and any correlation makes the event
-likelier (Sidak, J. Am. Stat. Assoc. 62, 1967).
+errors independent from point to point the number follows from their count, and positive correlation makes the
+event likelier (Slepian's inequality, Bell Syst. Tech. J. 41, 1962).
 """
 
 from dataclasses import dataclass
@@ -85,7 +85,8 @@ class MeasuredBody:
 
 
 def simultaneous_sigmas(count: int, miss: float) -> float:
-    """Sigmas within which ``count`` independent errors all stay, but for a probability ``miss``; one-sided."""
+    """Sigmas within which ``count`` independent errors all stay, but for a probability ``miss``;
+    one-sided."""
     return float(norm.isf(-np.expm1(np.log1p(-miss) / max(count, 1))))
 
 

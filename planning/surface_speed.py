@@ -35,8 +35,8 @@ def surface_speed(
 ) -> SurfaceSpeed:
     """Speeds of points (V, 3) in G; the motion begins at the last pair.
 
-    covariance_body (20, 20) of ``LastBody``; v_inspector_N (3,) [m/s], zero unless given. A point moves with v + w x
-    (p - com).
+    covariance_body (20, 20) of ``LastBody``; v_inspector_N (3,) [m/s], zero unless given. A point moves with
+    v + w x (p - com).
     """
     own = np.zeros(3) if v_inspector_N is None else v_inspector_N
     chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MOST_INSTANTS).round().astype(int))

@@ -160,7 +160,7 @@ def sticks_out_at_each_instant(
     body_step: float,
     points: Array,
 ) -> Array:
-    """How far members stick out of the body at the same instant (n, C) [m], less c sigma: over T and points."""
+    """How far members stick out of the body at the same instant (n, C) [m], less c sigma."""
     out = np.full((len(R), len(factors)), -FAR)
     found = np.empty(4)
     for n in range(len(R)):
