@@ -183,7 +183,7 @@ def build(truth: Truth, volume: InstantKeepOut) -> Any:
     spec.option.gravity = [0.0, 0.0, 0.0]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.visual.global_.offwidth, spec.visual.global_.offheight = SIZE_PX
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.55] * 3
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.7] * 3
     for name, V, F in (
         ("target", vertices_P, np.asarray(truth.mesh.faces)),
         ("grown", np.asarray(grown.vertices), np.asarray(grown.faces)),
@@ -204,7 +204,7 @@ def build(truth: Truth, volume: InstantKeepOut) -> Any:
     ghost.add_geom(
         type=mujoco.mjtGeom.mjGEOM_MESH,
         meshname="grown",
-        rgba=[0.3, 0.6, 1.0, 0.22],
+        rgba=[0.3, 0.6, 1.0, 0.15],
         contype=0,
         conaffinity=0,
     )

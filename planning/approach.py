@@ -59,6 +59,11 @@ class Way:
 def plan_way(keep_out: InstantKeepOut, task: Task) -> Way:
     """Least acceleration, squared. Raises ValueError when no way is found."""
     K, dt = task.steps, task.duration_s / task.steps
+    farthest = 0.25 * task.most_accel_m_s2 * task.duration_s**2
+    if np.linalg.norm(task.goal_N - task.start_N) > farthest:
+        raise ValueError(
+            f"no way was found: from rest to rest the thrust reaches {farthest:.3g} m in this time"
+        )
     hull, short_m = hull_points(keep_out.body.points_G, HULL_POINTS)
     margin = keep_out.margin_m() + short_m + task.radius_m + task.clearance_m
     motion = keep_out.motion
@@ -93,11 +98,11 @@ def plan_way(keep_out: InstantKeepOut, task: Task) -> Way:
         found = program.solve()
     except RuntimeError as error:
         raise ValueError(f"no way was found: {str(error).splitlines()[-1].strip()}") from None
-    accel = found.value(a).T
+    accel = np.asarray(found.value(a), dtype=np.float64).T
     return Way(
-        dt * np.arange(K + 1),
-        found.value(p).T,
-        found.value(v).T,
+        np.asarray(dt * np.arange(K + 1), dtype=np.float64),
+        np.asarray(found.value(p), dtype=np.float64).T,
+        np.asarray(found.value(v), dtype=np.float64).T,
         accel,
         float(dt * np.linalg.norm(accel, axis=1).sum()),
     )

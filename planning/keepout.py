@@ -4,8 +4,8 @@ Three steps. The measured surface is grown until it holds the true one (``planni
 estimate's motion sweeps is grown by c sigma of the pose, instant by instant. Then members drawn from the
 covariance tell how much more is needed: by so much that all but the wanted share of them stay inside with
 their whole sweep (split conformal prediction: Vovk, Gammerman, Shafer 2005; Lei et al., J. Am. Stat. Assoc.
-113, 2018). What the grid and the linear sigma get wrong is thereby made up for. One half of the members chooses
-c, the one of the least volume; the other half, which had no say in it, tells the rest.
+113, 2018). What the grid and the linear sigma get wrong is thereby made up for. One half of the members
+chooses c, the one of the least volume; the other half, which had no say in it, tells the rest.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.ndimage import label
+from scipy.spatial import cKDTree
 
 from planning.closest import closest
 from planning.ensemble import Ahead, BodyMotion, Members, draw_members, nominal, pose_covariance
@@ -37,6 +38,8 @@ BAND_SIGMAS = 3.0
 PARTS_OF_HORIZON = 6
 """Errors change slowly: of the points near a place, one in each part of the horizon stands for the others."""
 INSTANT_POINTS_CELLS = 4.0
+BEYOND_CELLS = 2.0
+"""Farther off than this the points of the surface tell the distance, not the grid."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,13 @@ class SweptKeepOut:
 
     def signed_distance(self, p_N: Array) -> Array:
         """Distance (n,) [m] of points (n, 3) in N from the volume, negative inside."""
-        return self.distance.at(p_N)
+        level, p_N = self.level, np.asarray(p_N, dtype=np.float64)
+        q = (p_N - level.origin) / level.step_m
+        outside = ((q < 0.0) | (q > np.array(level.values.shape) - 1.0)).any(axis=1)
+        out = self.distance.at(p_N)
+        if outside.any():
+            out[outside] = cKDTree(self.mesh.vertices).query(p_N[outside])[0]
+        return out
 
 
 @dataclass(frozen=True)
@@ -107,12 +116,23 @@ class InstantKeepOut:
 
     def signed_distance(self, k: int, p_N: Array) -> Array:
         """Distance (n,) [m] of points (n, 3) in N from the volume at the motion's instant k."""
-        R, p = self.motion.R_NG[k], self.motion.p_NG[k]
-        out, found, grid = np.empty(len(p_N)), np.empty(4), self.body.grid
-        for n, g in enumerate((np.asarray(p_N) - p) @ R):
-            linear(grid.values, grid.origin, grid.step_m, g[0], g[1], g[2], found)
+        p_G = (np.asarray(p_N) - self.motion.p_NG[k]) @ self.motion.R_NG[k]
+        away, nearest = self._tree.query(p_G)
+        out, found, grid = np.empty(len(p_G)), np.empty(4), self.body.grid
+        for n, g in enumerate(p_G):
+            if away[n] > BEYOND_CELLS * grid.step_m:
+                # far off, or inside: the sign is that of the grid, the distance that to the nearest point
+                q = self.body.points_G[nearest[n]]
+                found[0] = away[n] * np.sign(grid.at(g[None])[0])
+                found[1:] = (g - q) / found[0]
+            else:
+                linear(grid.values, grid.origin, grid.step_m, g[0], g[1], g[2], found)
             out[n] = found[0] - self.factor * sigma_along(self.covariance[k], g[0], g[1], g[2], found)
         return out - self.added_m
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.body.points_G)
 
     def margin_m(self) -> Array:
         """(T,) the most by which the body is grown for its pose."""

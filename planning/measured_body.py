@@ -38,11 +38,12 @@ class ScalarGrid:
     """(nx, ny, nz)"""
 
     def at(self, points: Array) -> Array:
-        """Values (n,) at points (n, 3); outside, the nearest border's value plus the distance to it."""
+        """Values (n,) at points (n, 3); outside, a lower bound of a distance."""
         q = (np.asarray(points, dtype=np.float64) - self.origin) / self.step_m
         inside = np.clip(q, 0.0, np.array(self.values.shape) - 1.0)
         found = map_coordinates(self.values, inside.T, order=1, mode="nearest")
-        return np.asarray(found + self.step_m * np.linalg.norm(q - inside, axis=1), dtype=np.float64)
+        away = self.step_m * np.linalg.norm(q - inside, axis=1)
+        return np.asarray(np.where(away > 0.0, np.hypot(away, np.maximum(found, 0.0)), found))
 
     def corners(self) -> Array:
         """(nx ny nz, 3)"""
@@ -191,7 +192,7 @@ def _grown_distance(grid: ScalarGrid, q: Array, normal: Array, margin: Array) ->
     behind = np.einsum("ij,ij->i", corners - q[nearest], normal[nearest]) < 0.0
     inside |= behind & (distance <= 0.87 * grid.step_m)
     out = np.linalg.norm(corners - q[grown], axis=1) - margin[grown]
-    return np.where(inside, np.minimum(out, -distance - margin[nearest]), out)
+    return np.asarray(np.where(inside, np.minimum(out, -distance - margin[nearest]), out))
 
 
 def _enclosed(distance: Array, step: float) -> NDArray[np.bool_]:

@@ -21,12 +21,15 @@ REACH_CELLS = 3.0
 
 @compiled
 def linear(values: Floats, origin: Array, step: float, x: float, y: float, z: float, out: Array) -> None:
-    """out (4,): value at a place, and its gradient; outside, the border's value plus the distance to it."""
+    """out (4,): value at a place, and its gradient; outside, a lower bound of a distance, and its direction.
+
+    What is far off lies behind the border's nearest place x0: no nearer than sqrt(|x - x0|^2 + value(x0)^2).
+    """
     nx, ny, nz = values.shape
     a, b, c = (x - origin[0]) / step, (y - origin[1]) / step, (z - origin[2]) / step
     u, v, w = min(max(a, 0.0), nx - 1.0), min(max(b, 0.0), ny - 1.0), min(max(c, 0.0), nz - 1.0)
     i, j, k = min(int(u), nx - 2), min(int(v), ny - 2), min(int(w), nz - 2)
-    out[3] = np.sqrt((a - u) ** 2 + (b - v) ** 2 + (c - w) ** 2) * step
+    off = (a - u) * step, (b - v) * step, (c - w) * step
     u, v, w = u - i, v - j, w - k
     v000, v001 = values[i, j, k], values[i, j, k + 1]
     v010, v011 = values[i, j + 1, k], values[i, j + 1, k + 1]
@@ -35,12 +38,20 @@ def linear(values: Floats, origin: Array, step: float, x: float, y: float, z: fl
     c00, c01 = v000 + (v001 - v000) * w, v010 + (v011 - v010) * w
     c10, c11 = v100 + (v101 - v100) * w, v110 + (v111 - v110) * w
     low, high = c00 + (c01 - c00) * v, c10 + (c11 - c10) * v
-    out[0] = low + (high - low) * u + out[3]
+    out[0] = low + (high - low) * u
     out[1] = (high - low) / step
     out[2] = ((c01 - c00) * (1.0 - u) + (c11 - c10) * u) / step
     back = (v001 - v000) * (1.0 - v) + (v011 - v010) * v
     front = (v101 - v100) * (1.0 - v) + (v111 - v110) * v
     out[3] = (back * (1.0 - u) + front * u) / step
+    away = off[0] ** 2 + off[1] ** 2 + off[2] ** 2
+    size = np.sqrt(out[1] ** 2 + out[2] ** 2 + out[3] ** 2)
+    if away > 0.0 and size > 1e-6:
+        value = max(out[0], 0.0)
+        whole = np.sqrt(away + value**2)
+        for axis in range(3):
+            out[1 + axis] = (off[axis] + value * out[1 + axis] / size) / whole
+        out[0] = whole
 
 
 @compiled

@@ -40,7 +40,7 @@ def ahead(
     covariance: Array = np.diag((size * scale) ** 2)
     J = np.diag([1.3, 1.0, 0.8])
     last = LastBody(
-        np.array([0.1, 0.0, 0.6]), np.array(v_N), exp_so3([0.2, -0.3, 0.1]), np.array(w_G), J, np.eye(3), BASIS,
-        covariance,
+        np.array([0.1, 0.0, 0.6]), np.array(v_N), exp_so3([0.2, -0.3, 0.1]), np.array(w_G), J, np.eye(3),
+        BASIS, covariance,
     )  # fmt: skip
     return Ahead(last, np.array(com_G), psd, psd)

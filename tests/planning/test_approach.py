@@ -11,7 +11,7 @@ from tests.planning.bodies import ahead, ball, box
 def task(**changed: object) -> Task:
     values: dict[str, object] = {
         "start_N": np.array([0.1, 0.0, 0.1]), "goal_N": np.array([0.1, 0.0, 1.1]),
-        "via_N": np.array([0.5, 0.0, 0.6]), "duration_s": 20.0, "steps": 20, "radius_m": 0.05,
+        "via_N": np.array([0.5, 0.0, 0.6]), "duration_s": 20.0, "steps": 12, "radius_m": 0.05,
         "clearance_m": 0.02, "most_accel_m_s2": 0.05,
     }  # fmt: skip
     return Task(**(values | changed))  # type: ignore[arg-type]
