@@ -35,7 +35,7 @@ class Film:
         self.camera = mujoco.MjvCamera()
         middle = 0.5 * (volume.motion.com_N[0] + volume.motion.com_N[-1])
         self.camera.lookat[:] = middle
-        self.camera.distance, self.camera.azimuth, self.camera.elevation = 1.7, 105.0, -12.0
+        self.camera.distance, self.camera.azimuth, self.camera.elevation = 2.2, 105.0, -12.0
 
     def add(self, data: Any, time_s: float) -> None:
         """One picture."""

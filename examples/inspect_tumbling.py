@@ -20,7 +20,7 @@ import numpy as np
 
 from pipeline.plan import ahead_of, surface_of
 from pipeline.trajectory_file import read_trajectory
-from planning.approach import Task, Way, plan_way
+from planning.approach import Task, Way, least_gap, plan_way
 from planning.keepout import InstantKeepOut, Wanted, keep_out
 from planning.measured_body import sample_surface
 from polhode.errors import InputError
@@ -121,8 +121,7 @@ def promise(volume: InstantKeepOut, way: Way, mesh: Any) -> tuple[float, float]:
     q, _, _ = sample_surface(mesh, np.zeros(len(mesh.vertices)), 0.003)
     p_G = np.einsum("tji,tj->ti", motion.R_NG, p - motion.p_NG)
     expected = float(cKDTree(q).query(p_G)[0].min()) - RADIUS_M
-    gaps = [float(volume.signed_distance(k, p[k : k + 1])[0]) for k in range(len(p))]
-    return min(gaps) - RADIUS_M, expected
+    return least_gap(volume, way) - RADIUS_M, expected
 
 
 def separation(flight: Flight, truth: Truth) -> Array:

@@ -5,7 +5,7 @@ each step. Beside the convex hull of the grown body there is, at each instant, a
 two; its normal is an unknown of the program, so the constraint is smooth and holds for the hull exactly.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,7 @@ from planning.keepout import InstantKeepOut
 from polhode.lie import Array
 
 HULL_POINTS = 100
+ROUNDS = 4
 HOLD_CLEAR = 2
 """Instants inside each step at which the separation is asked for."""
 
@@ -57,7 +58,25 @@ class Way:
 
 
 def plan_way(keep_out: InstantKeepOut, task: Task) -> Way:
-    """Least acceleration, squared. Raises ValueError when no way is found."""
+    """Least acceleration, squared, with the clearance at every instant. Raises ValueError without a way."""
+    asked = task
+    for _ in range(ROUNDS):
+        way = _solve(keep_out, asked)
+        short = task.radius_m + task.clearance_m - least_gap(keep_out, way)
+        if short <= 0.0:
+            return way
+        # what came closer between the instants of the program
+        asked = replace(asked, clearance_m=asked.clearance_m + 1.2 * short + 1e-4)
+    raise ValueError("no way was found that keeps the clearance between the instants of the program")
+
+
+def least_gap(keep_out: InstantKeepOut, way: Way) -> float:
+    """Least distance [m] of the inspector's middle from the volume, at the instants of the volume's motion."""
+    p, _, _ = way.at(keep_out.motion.time_s)
+    return min(float(keep_out.signed_distance(k, p[k : k + 1])[0]) for k in range(len(p)))
+
+
+def _solve(keep_out: InstantKeepOut, task: Task) -> Way:
     K, dt = task.steps, task.duration_s / task.steps
     farthest = 0.25 * task.most_accel_m_s2 * task.duration_s**2
     if np.linalg.norm(task.goal_N - task.start_N) > farthest:
