@@ -65,7 +65,7 @@ def main() -> int:
         return 2
     try:
         return example(options.run, options.sequence, options.output, options.duration)
-    except InputError as error:
+    except (InputError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return InputError.exit_code
 

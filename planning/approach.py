@@ -71,7 +71,7 @@ def plan_way(keep_out: InstantKeepOut, task: Task) -> Way:
 
 
 def least_gap(keep_out: InstantKeepOut, way: Way) -> float:
-    """Least distance [m] of the inspector's middle from the volume, at the instants of the volume's motion."""
+    """Least distance [m] of the inspector's middle from the volume, over the instants of its motion."""
     p, _, _ = way.at(keep_out.motion.time_s)
     return min(float(keep_out.signed_distance(k, p[k : k + 1])[0]) for k in range(len(p)))
 
