@@ -1,5 +1,6 @@
 # make setup   the environment .venv, with polhode in it
 # make demo    the shipped sample, end to end; the last line names the report
+# make example    flies around the target of the demo in MuJoCo, with a video (docs/planning.md)
 # make test    the tests            make check   style, types, import rules
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/fusion_peers.py; without them its rows say so
@@ -15,7 +16,7 @@ MATCHERS := .venv/.matchers
 DEMO_RUN := runs/demo
 SHORT ?=
 
-.PHONY: setup matchers fusion-peers demo test check bench
+.PHONY: setup matchers fusion-peers demo example test check bench
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -53,6 +54,10 @@ demo: setup
 	$(BIN)/polhode evaluate $(DEMO_RUN) sample
 	@echo "Demo done. Open $(DEMO_RUN)/report.html"
 
+example:
+	test -f $(DEMO_RUN)/mesh.ply || $(MAKE) demo
+	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
+
 test: setup $(PEERS) $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m pytest
 
@@ -65,6 +70,7 @@ check: setup
 bench: setup $(MATCHERS) $(SOLVERS)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.scenes)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.prediction_error runs/ts38 data/ts38 -o runs/prediction.png)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.keepout runs/ts38 runs/asteroid runs/pure_spin)
 	$(BIN)/python -m benchmarks.frontend $(SHORT)
 	$(BIN)/python -m benchmarks.disparity $(SHORT)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.mesh_quality data/ts38 data/asteroid data/major_axis data/specular_mli)

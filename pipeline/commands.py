@@ -9,6 +9,7 @@ from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, P
 
 from pipeline.compare.command import Compare
 from pipeline.console import choose_progress
+from pipeline.plan_commands import PlanAhead, Threshold
 from pipeline.threads import limit_threads, processes
 from pipeline.train_command import TrainNetwork
 from polhode.config import Config, Scene
@@ -190,6 +191,8 @@ COMMANDS: dict[
     | type[Evaluate]
     | type[Compare]
     | type[Predict]
+    | type[Threshold]
+    | type[PlanAhead]
     | type[Report]
     | type[TrainNetwork],
 ] = {
@@ -198,6 +201,8 @@ COMMANDS: dict[
     "evaluate": Evaluate,
     "compare": Compare,
     "predict": Predict,
+    "threshold": Threshold,
+    "plan": PlanAhead,
     "report": Report,
     "train": TrainNetwork,
 }

@@ -77,7 +77,7 @@ def predict(last: LastBody, time_s: ArrayLike, accel_psd: float, torque_psd: flo
     states = propagate(grid, last.r_N, last.v_N, last.R_NG, last.w_G, last.J_G)
     r_N, v_N, R_NG, w_G = (each[len(grid) - len(time) :] for each in states)
     deviation, J = draw(last)
-    R, w = _carry_on(last, deviation, J, time)
+    R, w = carry_on(last, deviation, J, time)
     moments = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
     noise = process_noise(moments / moments[1], last.w_G @ last.R_GP, time, accel_psd, torque_psd)
     dr = deviation[:, 0:3] + time[:, None, None] * deviation[:, 3:6]
@@ -99,15 +99,20 @@ def predict(last: LastBody, time_s: ArrayLike, accel_psd: float, torque_psd: flo
     return Prediction(time, r_N, v_N, R_NP, w_G @ R_GP, of_axes, of_marks)
 
 
-def draw(last: LastBody) -> tuple[Array, Array]:
-    """Deviations (2 PAIRS, 20) from the last state, and the inertias (2 PAIRS, 3, 3) that go with them."""
+def draw(last: LastBody, normal: Array | None = None) -> tuple[Array, Array]:
+    """Deviations (n, 20) from the last state, and the inertias (n, 3, 3) that go with them.
+
+    ``normal`` (n, 20): independent standard normal numbers. Without: 2 PAIRS whose moments are exact.
+    """
     sigma = np.sqrt(np.diag(last.covariance))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     values, vectors = np.linalg.eigh(last.covariance / scale[:, None] / scale)
     root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    z = np.random.default_rng([0, 60]).normal(size=(PAIRS, len(root)))
-    z = z @ np.linalg.inv(np.linalg.cholesky(z.T @ z / PAIRS)).T
-    deviation = np.concatenate([z, -z]) @ root.T
+    if normal is None:
+        z = np.random.default_rng([0, 60]).normal(size=(PAIRS, len(root)))
+        z = z @ np.linalg.inv(np.linalg.cholesky(z.T @ z / PAIRS)).T
+        normal = np.concatenate([z, -z])
+    deviation = normal @ root.T
     # linear in the parameters: what the motion forbids stays so, such as a spin about no principal axis
     change = np.einsum("nk,kij->nij", deviation[:, 12:17], last.J_by_parameters)
     share = _largest_share(last.J_G, change)
@@ -143,7 +148,7 @@ def _share_as_seen(last: LastBody, deviation: Array, change: Array, seen_s: Arra
     """
 
     def past(members: Array, J: Array) -> Array:
-        R, _ = _carry_on(last, members, J, seen_s)
+        R, _ = carry_on(last, members, J, seen_s)
         return np.asarray(np.linalg.norm(log_so3(np.swapaxes(R, -1, -2) @ seen_R_NG[:, None]), axis=-1))
 
     own = past(np.zeros((1, 20)), last.J_G[None])[:, 0]
@@ -170,7 +175,7 @@ def axes_by_parameters(last: LastBody) -> Array:
     return np.where(known, 1.0, 0.0)[:, None] * turns / np.where(known, gaps, 1.0)[:, None]
 
 
-def _carry_on(last: LastBody, deviation: Array, J: Array, time: Array) -> tuple[Array, Array]:
+def carry_on(last: LastBody, deviation: Array, J: Array, time: Array) -> tuple[Array, Array]:
     """Attitudes (T, N, 3, 3) and rates (T, N, 3) in G of all members."""
     n = len(deviation)
     q = wxyz_from_matrix(last.R_NG @ exp_so3(deviation[:, 6:9]))

@@ -1,0 +1,139 @@
+"""Does the keep-out volume keep its promise: Monte Carlo over what a run does not know of its target.
+
+    python -m benchmarks.keepout RUN... [--horizon 60] [--draws 400] [--short] [--record FILE]
+
+The truth is drawn from the run's joint covariance, with disturbances of the level that it found, by other
+seeds than those that the volume was calibrated with; each point of its surface is off by its own sigma,
+independently. A draw counts as inside when all of its surface stays inside at all instants. The smallest
+volume that would do is at least that of a single draw's own sweep: the volume is set against the estimate's,
+without any margin, so the ratio is an upper bound. What was measured before is read from the record.
+"""
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.record import Case, complete
+
+RECORD = Path("runs/keepout.jsonl")
+BARE_SIGMA_M = 1e-9
+POINTS_APART_M = 0.5
+"""Of a cell of the volume: points of the surface that are looked at."""
+
+
+def main() -> None:
+    """Measure what the record lacks, print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("runs", type=Path, nargs="+")
+    parser.add_argument("--horizon", type=float, nargs="+", default=[60.0], help="seconds")
+    parser.add_argument("--confidence", type=float, default=0.99)
+    parser.add_argument("--draws", type=int, default=400)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--short", action="store_true", help="10 s ahead, 200 draws")
+    parser.add_argument("--record", type=Path, default=RECORD)
+    options = parser.parse_args()
+    horizons, draws = ([10.0], 200) if options.short else (options.horizon, options.draws)
+    cases: list[Case] = [
+        {"run": os.fspath(run), "horizon_s": h, "confidence": options.confidence, "draws": draws}
+        for run in options.runs
+        for h in horizons
+    ]
+    print(table(complete(options.record, cases, measure, options.workers)))
+
+
+def measure(case: Case) -> dict[str, Any]:
+    """One run, one horizon."""
+    from pipeline.plan import ahead_of, surface_of
+    from planning.ensemble import draw_members, nominal
+    from planning.keepout import Wanted, fine_times, keep_out, near_the_surface
+    from planning.measured_body import grow, spread
+    from planning.sweep import FAR, sticks_out, sticks_out_at_each_instant, sweep
+    from polhode.records import SurfaceModel
+
+    run = Path(case["run"])
+    ahead, _ = ahead_of(run)
+    surface = surface_of(run)
+    wanted = Wanted(case["horizon_s"], case["confidence"])
+    found = keep_out(surface, ahead, wanted)
+    level, motion = found.swept.level, found.instant.motion
+    # the sweep of the bare estimate
+    bare = SurfaceModel(surface.mesh, np.full(len(surface.sigma_m), BARE_SIGMA_M), surface.views)
+    body = grow(bare, 0.5, cover="surface")
+    fine = fine_times(motion, body.radius_m, level.step_m, wanted.horizon_s)
+    states = nominal(ahead, fine)
+    field = np.full((*level.values.shape, 1), FAR, dtype=np.float32)
+    sweep(
+        field, level.origin, level.step_m, np.zeros(1), states.R_NG, states.p_NG, np.zeros((len(fine), 6, 6)),
+        np.zeros(len(fine)), body.grid.values, body.grid.origin, body.grid.step_m, body.middle_G,
+        body.radius_m,
+    )  # fmt: skip
+    least = float((field[..., 0] <= 0.0).sum()) * level.step_m**3
+    ours = float((level.values <= 0.0).sum()) * level.step_m**3
+    # truths: poses by other seeds, every point of the surface off by its own sigma
+    import trimesh
+
+    members = draw_members(ahead, motion.time_s, case["draws"], 1000)
+    # what lies within a cell of the surface stands for the rest: of each place the point that is farthest out
+    V, N = np.asarray(surface.mesh.vertices), np.asarray(surface.mesh.vertex_normals)
+    kept = spread(trimesh.Trimesh(V, process=False), POINTS_APART_M * level.step_m)
+    index = _rows_of(V, kept)
+    sigma = np.where(np.isfinite(surface.sigma_m), surface.sigma_m, 0.0)[index]
+    band = np.full(len(motion.time_s), 0.02 + level.step_m)
+    pairs = near_the_surface(field[..., 0], level.origin, level.step_m, motion, kept, band)
+    rng = np.random.default_rng(2000)
+    fields = np.ascontiguousarray(level.values[..., None])
+    inside = inside_instants = 0
+    chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, 40).round().astype(int))
+    for n in range(case["draws"]):
+        points = kept + (sigma * rng.normal(size=len(index)))[:, None] * N[index]
+        part = members.part(slice(n, n + 1))
+        inside += (
+            sticks_out(fields, level.origin, level.step_m, part.R_NG, part.p_NG, pairs, points)[0, 0] <= 0.0
+        )
+        few = points[:: max(1, len(points) // 2000)]
+        instant = sticks_out_at_each_instant(
+            np.array([found.instant.factor]), np.ascontiguousarray(part.R_NG[:, chosen]),
+            np.ascontiguousarray(part.p_NG[:, chosen]), motion.R_NG[chosen], motion.p_NG[chosen],
+            found.instant.covariance[chosen], found.body.grid.values, found.body.grid.origin,
+            found.body.grid.step_m, few,
+        )  # fmt: skip
+        inside_instants += instant[0, 0] <= found.instant.added_m
+    return {
+        "inside": int(inside), "inside_instants": int(inside_instants), "volume_m3": ours, "least_m3": least,
+        "points": len(kept), "cell_m": level.step_m, "factor": found.swept.factor,
+        "added_m": found.swept.added_m,
+        "covers": found.body.covers,
+    }  # fmt: skip
+
+
+def _rows_of(V: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(V).query(chosen)[1])
+
+
+def table(lines: list[Case]) -> str:
+    """Markdown."""
+    rows = [
+        "| run | horizon [s] | asked | draws inside, whole horizon | inside at each instant | volume [l] "
+        "| over the bare sweep | covers |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for line in lines:
+        case = line["case"]
+        n = case["draws"]
+        rows.append(
+            f"| {Path(case['run']).name} | {case['horizon_s']:g} | {case['confidence']:.0%} "
+            f"| {line['inside']} of {n} ({line['inside'] / n:.1%}) "
+            f"| {line['inside_instants']} of {n} ({line['inside_instants'] / n:.1%}) "
+            f"| {1e3 * line['volume_m3']:.2f} | {line['volume_m3'] / line['least_m3']:.3f} "
+            f"| {line['covers']} |"
+        )
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    main()

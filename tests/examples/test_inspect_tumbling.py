@@ -1,0 +1,73 @@
+"""The worked example in small: MuJoCo's own tumble is ours, and the gap is measured right."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from examples import inspect_tumbling
+from examples.inspect_tumbling import RADIUS_M, Flight, build, separation
+from planning.keepout import Wanted, keep_out
+from polhode.lie import exp_so3
+from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
+from polhode.records import Truth
+from polhode.rigid_body import propagate
+from tests.planning.bodies import ahead, ball
+
+MOMENTS = np.array([1.3e-2, 1.0e-2, 0.8e-2])
+R_GP, COM_G = exp_so3([0.3, 0.1, -0.2]), np.array([0.01, 0.0, -0.02])
+
+
+def truth() -> Truth:
+    one = np.zeros((1, 3))
+    mesh = trimesh.creation.box((0.2, 0.1, 0.05))
+    return Truth(
+        np.zeros(1, dtype=np.int64),
+        one,
+        np.eye(3)[None],
+        one,
+        one,
+        MOMENTS,
+        0.26,
+        0.22,
+        COM_G,
+        R_GP,
+        mesh,
+        4.0,
+    )
+
+
+def test_mujoco_tumbles_as_eulers_equations_say() -> None:
+    mujoco = pytest.importorskip("mujoco")
+    volume = keep_out(ball(), ahead((0.0, 0.3, 0.0)), Wanted(2.0, 0.97, members=100, cells=24)).instant
+    model = build(truth(), volume)
+    model.opt.timestep = 0.01
+    data = mujoco.MjData(model)
+    R0, w = exp_so3([0.1, 0.4, 0.2]), np.array([0.3, 1.0, 0.4])
+    data.qpos[0:3], data.qpos[3:7], data.qpos[7:11] = [0.0, 0.0, 0.5], wxyz_from_matrix(R0), [5.0, 0, 0, 1.0]
+    data.qvel[0:3], data.qvel[3:6] = [0.01, 0.0, 0.0], w
+    for _ in range(500):
+        mujoco.mj_step(model, data)
+    r, _, R, _ = propagate([0.0, 5.0], [0.0, 0.0, 0.5], [0.01, 0.0, 0.0], R0, w, np.diag(MOMENTS))
+    np.testing.assert_allclose(data.qpos[0:3], r[-1], atol=1e-6)
+    np.testing.assert_allclose(matrix_from_wxyz(data.qpos[3:7]), R[-1], atol=1e-5)
+
+
+def test_the_gap_is_that_to_the_true_surface() -> None:
+    R_NP = exp_so3([0.2, 0.5, -0.1])
+    p_G = np.array([0.1 + RADIUS_M + 0.07, 0.02, 0.01])
+    r_N = np.array([0.3, 0.2, 0.1])
+    p_N = r_N + R_NP @ (R_GP.T @ (p_G - COM_G))
+    flight = Flight(np.zeros(1), p_N[None], r_N[None], wxyz_from_matrix(R_NP)[None], 0)
+    assert separation(flight, truth())[0] == pytest.approx(0.07, abs=2e-4)
+
+
+def test_without_mujoco_one_line_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    monkeypatch.setattr(sys, "argv", ["example", "R", "S", "-o", str(tmp_path)])
+    assert inspect_tumbling.main() == 2
+    assert capsys.readouterr().err == "error: this example needs MuJoCo: pip install 'mujoco>=3.2'\n"

@@ -1,0 +1,95 @@
+"""polhode plan through the real command line: its files, what it leaves out, its errors."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from pipeline.cli import main
+from pipeline.outputs import write_run
+from pipeline.plan import CORRIDOR_COLUMNS
+from polhode.config import Config
+from polhode.records import SurfaceModel
+from tests.pipeline.conftest import Example
+
+Capture = pytest.CaptureFixture[str]
+DOCK = ["--dock-point", "0.06", "0", "0", "--dock-axis", "1", "0", "0", "--stand-off", "0.3"]
+AHEAD = ["--horizon", "2", "--confidence", "0.97", "--members", "100"]
+
+
+def written(example: Example, folder: Path, surface: SurfaceModel | None) -> Path:
+    folder.mkdir()
+    write_run(
+        folder,
+        config=Config(),
+        tracks=example.tracks,
+        estimate=example.estimate,
+        surface=surface,
+        timing_s={},
+    )
+    return folder
+
+
+def test_everything_is_written_and_opens_again(example: Example, tmp_path: Path, capsys: Capture) -> None:
+    run, out = written(example, tmp_path / "run", example.surface), tmp_path / "out"
+    assert main(["plan", str(run), "-o", str(out), *AHEAD, *DOCK]) == 0
+    shown = capsys.readouterr().out
+    assert "Keep-out over 2 s at 97.0%" in shown and "Corridor" in shown and shown.rstrip().endswith(str(out))
+    found = json.loads((out / "planning.json").read_text())
+    mesh = trimesh.load_mesh(out / "keepout.ply")
+    assert mesh.is_watertight and mesh.volume == pytest.approx(found["keepout"]["volume_m3"], rel=1e-3)
+    assert found["keepout"]["volume_m3"] > 0.12 * 0.20 * 0.24
+    assert isinstance(trimesh.load(out / "keepout.glb"), trimesh.Scene)
+    speed = trimesh.load_mesh(out / "surface_speed.ply", process=False)
+    columns = speed.metadata["_ply_raw"]["vertex"]["data"]
+    assert len(columns) == len(example.surface.mesh.vertices)
+    assert float(columns["largest_m_s"].max()) == pytest.approx(
+        found["surface_speed"]["largest_m_s"], rel=1e-5
+    )
+    rows = (out / "corridor.csv").read_text().splitlines()
+    assert rows[0] == ",".join(CORRIDOR_COLUMNS)
+    last = np.array(rows[-1].split(","), dtype=float)
+    assert last[0] == 2.0 and np.linalg.norm(last[4:7]) == pytest.approx(1.0)
+    assert found["corridor"]["delta_v_m_s"] > 0.0 and found["left_out"] == {}
+    # the whole body of the last pair is inside
+    estimate = example.estimate
+    p_N = np.asarray(example.surface.mesh.vertices) @ estimate.X_NG[-1, :3, :3].T + estimate.X_NG[-1, :3, 3]
+    assert mesh.contains(p_N).all() if trimesh.ray.has_embree else True
+
+
+def test_without_a_mesh_the_rest_is_given_and_the_reason_said(
+    example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    run, out = written(example, tmp_path / "run", None), tmp_path / "out"
+    assert main(["plan", str(run), "-o", str(out), *AHEAD, *DOCK]) == 0
+    assert "Left out: keepout:" in capsys.readouterr().out
+    found = json.loads((out / "planning.json").read_text())
+    assert found["keepout"] is None and "no mesh" in found["left_out"]["keepout"]
+    assert sorted(file.name for file in out.iterdir()) == ["corridor.csv", "planning.json"]
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--horizon", "0"], "--horizon"),
+        (["--confidence", "1.5"], "--confidence"),
+        (["--members", "10"], "--members"),
+        (["--dock-point", "0", "0", "0"], "--dock-axis"),
+        (["--dock-point", "0", "0", "0", "--dock-axis", "0", "0", "0"], "--dock-axis"),
+    ],
+)
+def test_wrong_words_are_one_line(
+    example: Example, tmp_path: Path, capsys: Capture, words: list[str], named: str
+) -> None:
+    run = written(example, tmp_path / "run", example.surface)
+    assert main(["plan", str(run), "-o", str(tmp_path / "out"), *words]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1 and named in captured.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_no_run_is_one_line(tmp_path: Path, capsys: Capture) -> None:
+    assert main(["plan", str(tmp_path / "none"), "-o", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
