@@ -9,6 +9,7 @@ from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, P
 
 from pipeline.compare.command import Compare
 from pipeline.console import choose_progress
+from pipeline.export_command import Export
 from pipeline.threads import limit_threads, processes
 from pipeline.train_command import TrainNetwork
 from polhode.config import Config, Scene
@@ -190,6 +191,7 @@ COMMANDS: dict[
     | type[Evaluate]
     | type[Compare]
     | type[Predict]
+    | type[Export]
     | type[Report]
     | type[TrainNetwork],
 ] = {
@@ -198,6 +200,7 @@ COMMANDS: dict[
     "evaluate": Evaluate,
     "compare": Compare,
     "predict": Predict,
+    "export": Export,
     "report": Report,
     "train": TrainNetwork,
 }

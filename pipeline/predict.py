@@ -60,7 +60,8 @@ def predict_run(
 ) -> RunPrediction:
     """Predict to ``horizon_s`` after the last pair, every ``step_s`` (the run's own interval unless given).
 
-    The last row is at the horizon; ``from_last``: the first one is the last pair's. Raises InputError when the run has no estimate or the times make no sense.
+    The last row is at the horizon; ``from_last``: the first one is the last pair's. Raises InputError when
+    the run has no estimate or the times make no sense.
     """
     last, summary = last_body(run_folder)
     table = read_trajectory(run_folder)

@@ -1,6 +1,6 @@
 """What a run holds that can leave it; what it lacks is named, with the reason."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +34,8 @@ class Found:
         return self.summary.R_GP is not None and (self.folder / "trajectory.csv").is_file()
 
 
-def read_run(folder: Path, level: int) -> Found:
-    """``level`` of detail: 0 the full mesh, 1, 2, ... the lighter ones. Raises InputError, one line."""
+def read_run(folder: Path) -> Found:
+    """Raises InputError, one line."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give the folder of a run")
     summary = read_summary(folder)
@@ -46,17 +46,23 @@ def read_run(folder: Path, level: int) -> Found:
     landmarks = read_landmarks(points) if points.is_file() else None
     if landmarks is not None and len(landmarks.p_G) == 0:
         landmarks = None
-    return Found(folder, summary, surface if surface is None else _level(folder, surface, level), landmarks)
+    return Found(folder, summary, surface, landmarks)
 
 
-def _level(folder: Path, surface: SurfaceModel, level: int) -> SurfaceModel:
-    if level == 0:
-        return surface
-    shares = load_config(folder / "config.yaml").mapping.levels
-    found = levels_of(surface, shares)
-    if not 0 < level <= len(found):
-        raise InputError(f"--level {level}: this run's mesh has levels 0 to {len(found)}; 0 is the full one")
-    return found[level - 1].surface
+def at_level(found: Found, level: int | None, lightest: int) -> Found:
+    """With the mesh at a ``level`` of detail: 0 the full one, 1, 2, ... lighter; None: up to ``lightest``.
+
+    Raises InputError when there is no such level.
+    """
+    if found.surface is None or level == 0 or (level is None and lightest == 0):
+        return found
+    shares = load_config(found.folder / "config.yaml").mapping.levels
+    levels = levels_of(found.surface, shares if level is not None else shares[:lightest])
+    if level is None:
+        level = len(levels)
+    if level > len(levels):
+        raise InputError(f"--level {level}: this run's mesh has levels 0 to {len(levels)}; 0 is the full one")
+    return found if level == 0 else replace(found, surface=levels[level - 1].surface)
 
 
 def last_state(found: Found, at: Placement) -> State:

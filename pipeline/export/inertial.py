@@ -1,8 +1,8 @@
 """Mass and inertia for simulators: what the run knows, what the user gave, what had to be assumed.
 
-A motion without known torques tells the inertia up to scale only, and a mass does not set that scale: it takes
-a length as well. In order: the middle moment as given; known torques; uniform density in the volume of the
-mesh, at the mass as given or found; else the numbers are relative, and the files say so.
+A motion without known torques tells the inertia up to scale only, and a mass does not set that scale: it
+takes a length as well. In order: the middle moment as given; known torques; uniform density in the volume
+of the mesh, at the mass as given or found; else the numbers are relative, and the files say so.
 """
 
 import numpy as np
@@ -50,15 +50,15 @@ def inertial_of(
     else:
         scale, scale_is = 1.0, "relative"
         words.append(
-            "inertia: relative, the middle moment is 1: the run does not tell its scale, a mass alone does not "
-            f"set it, and no volume does ({why_no_solid}); an option gives it: --middle-moment-kg-m2"
+            "inertia: relative, the middle moment is 1: the run does not tell its scale, a mass alone does "
+            f"not set it, and no volume does ({why_no_solid}); an option gives it: --middle-moment-kg-m2"
         )
     if mass_is == "relative" and scale_is == "relative":
         words.append("free motion is right at any scale; reactions to forces, torques and contacts are not")
     words += _undetermined(summary)
     return Inertial(
         mass_kg=mass,
-        com_F=transform_points(at.X_FG, np.array(summary.com_G)),
+        com_F=transform_points(at.X_FG, np.array([summary.com_G]))[0],
         R_FP=at.R_FG @ np.array(summary.R_GP),
         moments_kg_m2=scale * moments,
         mass_is=mass_is,
@@ -72,8 +72,8 @@ def _mass(summary: Summary, given: float | None) -> tuple[float, str, list[str]]
         return given, "given", [f"mass: {given:g} kg as given"]
     found = summary.inertia
     if found is not None and found.mass_kg is not None and found.sigma_mass_kg is not None:
-        words = f"mass: {found.mass_kg:.6g} kg from the known forces (standard deviation {found.sigma_mass_kg:.2g})"
-        return found.mass_kg, "determined", [words]
+        words = f"mass: {found.mass_kg:.6g} kg from the known forces"
+        return found.mass_kg, "determined", [f"{words} (standard deviation {found.sigma_mass_kg:.2g})"]
     if summary.assumed is not None:
         mass = summary.assumed.mass_kg
         return mass, "assumed", [f"mass: {mass:.6g} kg, from the mass or density that the run was given"]
@@ -86,7 +86,12 @@ def _undetermined(summary: Summary) -> list[str]:
     known = summary.identifiable
     if known is None:
         return []
-    names = {"k1": known.k1, "k2": known.k2, "the principal axes": known.axes, "the centre of mass": known.com}
+    names = {
+        "k1": known.k1,
+        "k2": known.k2,
+        "the principal axes": known.axes,
+        "the centre of mass": known.com,
+    }
     lost = [name for name, determined in names.items() if not determined]
     if not lost:
         return []
@@ -100,7 +105,7 @@ def _uniform(solid: Solid, at: Placement, mass: float, mass_is: str, words: list
     moments, R_GP = principal_axes(mass / solid.volume_m3 * solid.inertia)
     return Inertial(
         mass_kg=mass,
-        com_F=transform_points(at.X_FG, solid.com_G),
+        com_F=transform_points(at.X_FG, solid.com_G[None])[0],
         R_FP=at.R_FG @ R_GP,
         moments_kg_m2=moments,
         mass_is=mass_is,

@@ -35,7 +35,9 @@ def placement(
         if name == "G":
             return frame_G(), []
         if summary.R_GP is None or summary.com_G is None:
-            raise InputError("--frame P: this run has no estimate, so no principal axes; --frame G has no need of it")
+            raise InputError(
+                "--frame P: this run has no estimate, so no principal axes; --frame G has no need of it"
+            )
         warnings = []
         if summary.identifiable is not None and not (summary.identifiable.axes and summary.identifiable.com):
             warnings.append(
@@ -68,8 +70,8 @@ def _told(
     size = None if surface is None else float(surface.mesh.scale)
     if size is not None and found.rms_m > POOR_SHARE * size:
         warnings.append(
-            f"the alignment leaves {1e3 * found.rms_m:.3g} mm rms, {found.rms_m / size:.0%} of the body's size: "
-            "look at the result; --cad-points sets its start"
+            f"the alignment leaves {1e3 * found.rms_m:.3g} mm rms, {found.rms_m / size:.0%} of the body's "
+            "size: look at the result; --cad-points sets its start"
         )
     if found.rival_deg is not None:
         warnings.append(
@@ -93,7 +95,7 @@ def _from_points(file: Path, cad_m: float) -> Alignment:
 
 def _rows(file: Path) -> Array:
     """(n, 6); a first line of words and lines that begin with # are passed over."""
-    rows = []
+    rows: list[list[float]] = []
     for number, line in enumerate(file.read_text(errors="replace").splitlines(), start=1):
         cells = line.replace(",", " ").split()
         if not cells or cells[0].startswith("#"):
@@ -115,7 +117,7 @@ def _read_model(file: Path, cad_m: float) -> trimesh.Trimesh:
         raise InputError(f"{file}: no such file; --cad names a mesh")
     try:
         model = trimesh.load(file, force="mesh")
-    except Exception as error:  # noqa: BLE001  readers of many formats raise many things
+    except Exception as error:  # readers of many formats raise many things
         raise InputError(f"{file}: cannot be read as a mesh ({error}); give PLY, STL, OBJ or GLB") from error
     if not isinstance(model, trimesh.Trimesh) or len(model.faces) == 0:
         raise InputError(f"{file}: holds no triangles; give PLY, STL, OBJ or GLB")

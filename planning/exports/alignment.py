@@ -1,8 +1,8 @@
 """Where the target lies in a CAD model: from corresponding points, or from the surfaces.
 
-Points: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976. Surfaces: the iterative
-closest point to plane of Chen and Medioni, "Object modelling by registration of multiple range images", 1992,
-from many rotations, with the worst tenth of the points left out at each step.
+Points: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976. Surfaces: the
+iterative closest point to plane of Chen and Medioni, "Object modelling by registration of multiple range
+images", 1992, from many rotations, with the worst tenth of the points left out at each step.
 """
 
 from dataclasses import dataclass
@@ -84,7 +84,7 @@ def _sampled(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
 
 
 def _starts(scan: trimesh.Trimesh, model: trimesh.Trimesh) -> list[Array]:
-    """Middle on middle; rotations of the groups of octahedron and icosahedron between the principal frames."""
+    """Middle on middle; rotations of octahedron and icosahedron between the principal frames."""
     turns = np.concatenate([Rotation.create_group(name).as_matrix() for name in ("O", "I")])
     R_scan, middle_scan = _principal(scan)
     R_model, middle_model = _principal(model)

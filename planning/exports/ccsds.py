@@ -8,7 +8,8 @@ The quaternion of an AEM turns coordinates in REF_FRAME_A into those in REF_FRAM
 conventions): with A = N and B = F its four numbers are those of our Hamilton q_NF, scalar last.
 """
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,8 @@ from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 
 KM_PER_M = 1e-3
+COMMENT_WIDTH = 120
+"""Both standards allow 254 characters a line."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ def oem(motion: Motion, header: Header) -> str:
     times = utc(motion.timestamps_ns, header.epoch)
     lines = _head("OEM", "2.0", header)
     lines += ["META_START"]
-    lines += [f"COMMENT {text}" for text in (*_frame_words(header), of)]
+    lines += _comments((*_frame_words(header), of))
     lines += [
         f"OBJECT_NAME = {header.object_name}",
         f"OBJECT_ID = {header.object_id}",
@@ -83,7 +86,7 @@ def aem(
     times = utc(timestamps_ns, header.epoch)
     lines = _head("AEM", "2.0", header)
     lines += ["META_START"]
-    lines += [f"COMMENT {text}" for text in (*_frame_words(header), *words)]
+    lines += _comments((*_frame_words(header), *words))
     lines += [
         f"OBJECT_NAME = {header.object_name}",
         f"OBJECT_ID = {header.object_id}",
@@ -116,17 +119,23 @@ def tum(timestamps_ns: Ints, X_NF: Array, comments: Sequence[str]) -> str:
 
 def utc(timestamps_ns: Ints, epoch: np.datetime64) -> list[str]:
     """ISO 8601 to the nanosecond."""
-    return [str(epoch.astype("datetime64[ns]") + np.timedelta64(stamp, "ns")) for stamp in timestamps_ns.tolist()]
+    return [
+        str(epoch.astype("datetime64[ns]") + np.timedelta64(stamp, "ns")) for stamp in timestamps_ns.tolist()
+    ]
 
 
 def _head(kind: str, version: str, header: Header) -> list[str]:
     return [
         f"CCSDS_{kind}_VERS = {version}",
-        *(f"COMMENT {text}" for text in header.comments),
+        *_comments(header.comments),
         f"CREATION_DATE = {header.created}",
         "ORIGINATOR = POLHODE",
         "",
     ]
+
+
+def _comments(texts: Iterable[str]) -> list[str]:
+    return [f"COMMENT {line}" for text in texts for line in textwrap.wrap(text, COMMENT_WIDTH)]
 
 
 def _frame_words(header: Header) -> tuple[str, ...]:

@@ -1,10 +1,9 @@
 """Convex pieces that together contain the surface: collision geometry for planners.
 
-The pieces come from V-HACD (Mamou and Ghorbel, "A simple and efficient approach for 3D mesh approximate convex
-decomposition", 2009), where it is installed; else there is one, the convex hull. (CoACD took twenty times as
-long here for pieces that lay further from the surface: it repairs open meshes first.) V-HACD cuts voxels of a
-thinned mesh and may lie inside the surface, which is the dangerous side. So each triangle of the full mesh is
-given to the piece that it leaves least, and the piece grows to the hull of both: the union contains every
+The pieces come from V-HACD (Mamou and Ghorbel, "A simple and efficient approach for 3D mesh approximate
+convex decomposition", 2009), where it is installed; else there is one, the convex hull. V-HACD cuts voxels of
+a thinned mesh and may lie inside the surface, which is the dangerous side. So each triangle of the full mesh
+is given to the piece that it leaves least, and the piece grows to the hull of both: the union contains every
 triangle by construction.
 """
 
@@ -24,7 +23,7 @@ VOXELS = 400_000
 LEAST_VOLUME_PERCENT = 0.5
 """A piece is cut no more when its hull has so little more volume than its voxels."""
 ROUNDING = 2e-6
-"""Each piece is larger by this share of the body's size, more than writing it in single precision moves it."""
+"""Each piece is larger by this share of the body's size: more than single precision moves it."""
 SAMPLES = 4_000
 
 
@@ -44,10 +43,7 @@ def decompose(shape: Shape, most_pieces: int) -> Decomposition:
     points = shape.vertices[np.unique(shape.faces)]
     size = float(np.ptp(points, axis=0).max())
     seeds, words = _cut(shape.mesh(), most_pieces)
-    if len(seeds) > 1:
-        pieces = _grown(shape, seeds)
-    else:
-        pieces = [points]
+    pieces = _grown(shape, seeds) if len(seeds) > 1 else [points]
     try:
         hulls = tuple(_hull(each, ROUNDING * size) for each in pieces)
     except QhullError as error:
@@ -63,7 +59,8 @@ def _cut(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array], str]:
         import vhacdx
     except ImportError:
         return [], (
-            "collision geometry: the convex hull alone, as V-HACD is not installed (pip install 'polhode[export]')"
+            "collision geometry: the convex hull alone, as V-HACD is not installed "
+            "(pip install 'polhode[export]')"
         )
     thin = mesh if len(mesh.faces) <= CUT_FACES else mesh.simplify_quadric_decimation(face_count=CUT_FACES)
     parts = vhacdx.compute_vhacd(
@@ -87,9 +84,7 @@ def _grown(shape: Shape, seeds: list[Array]) -> list[Array]:
     # how far each triangle leaves each piece (T, pieces): the largest over its corners
     leaves = np.stack([_outside(points, each)[corner].max(axis=1) for each in planes], axis=1)
     owner = leaves.argmin(axis=1)
-    return [
-        np.concatenate([seed, points[np.unique(corner[owner == k])]]) for k, seed in enumerate(seeds)
-    ]
+    return [np.concatenate([seed, points[np.unique(corner[owner == k])]]) for k, seed in enumerate(seeds)]
 
 
 def _outside(points: Array, planes: Array) -> Array:

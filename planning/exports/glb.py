@@ -143,7 +143,8 @@ def _tumble(buffer: _Buffer, animation: Animation, per_m: float, target: dict[st
         {"input": keys, "interpolation": "LINEAR", "output": buffer.add(values)} for values in (xyzw, place)
     ]
     channels = [
-        {"sampler": k, "target": {"node": 0, "path": path}} for k, path in enumerate(("rotation", "translation"))
+        {"sampler": k, "target": {"node": 0, "path": path}}
+        for k, path in enumerate(("rotation", "translation"))
     ]
     return {"name": "tumble", "samplers": samplers, "channels": channels}
 

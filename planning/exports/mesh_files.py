@@ -30,9 +30,7 @@ def ply(shape: Shape, comments: Sequence[str], per_m: float, unit: str) -> bytes
         vertices[name] = shape.rgba[:, channel]
     vertices[sigma], vertices["views"] = per_m * shape.sigma_m, shape.views
     vertices["coverage"] = shape.coverage
-    faces = np.zeros(
-        len(shape.faces), dtype=[("count", "u1"), ("index", "<i4", (3,)), ("invented", "u1")]
-    )
+    faces = np.zeros(len(shape.faces), dtype=[("count", "u1"), ("index", "<i4", (3,)), ("invented", "u1")])
     faces["count"], faces["index"], faces["invented"] = 3, shape.faces, shape.invented
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {ascii_line(text)}" for text in comments)]
     lines += [

@@ -1,7 +1,7 @@
 """URDF, MJCF and SDF: the target as a free rigid body, with its inertia, surface and convex pieces.
 
-The link frame is F. Inertial tags: origin at the centre of mass, axes P, so the products of inertia are zero.
-Meshes are separate files, named by paths relative to the XML. Lengths are metres, as all three formats demand.
+The link frame is F. Inertial tags: origin at the centre of mass, axes P, so the products of inertia are
+zero. Meshes are separate files, named by paths relative to the XML. Lengths are metres, as all three demand.
 URDF: wiki.ros.org/urdf/XML. MJCF: mujoco.readthedocs.io, XML reference. SDF 1.9: sdformat.org.
 """
 
@@ -96,7 +96,9 @@ def mjcf(robot: Robot) -> str:
         ET.SubElement(body, "site", {"name": "P"} | _pos_quat(own.com_F, own.R_FP) | {"size": "0.005"})
     for file in files:
         name = file.partition(".")[0]
-        more = {"group": "3"} if file in robot.collision else {"group": "2", "contype": "0", "conaffinity": "0"}
+        more = (
+            {"group": "3"} if file in robot.collision else {"group": "2", "contype": "0", "conaffinity": "0"}
+        )
         ET.SubElement(body, "geom", {"name": name, "type": "mesh", "mesh": name} | more)
     if state is not None:
         pose = np.concatenate([X_NF[:3, 3], wxyz_from_matrix(X_NF[:3, :3])])
