@@ -5,19 +5,17 @@ Each writer below takes the run as far as it got, returns the files' contents, a
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.assumed import Solid, solid_of
-from pipeline.export.found import Found, at_level, last_state, motion_ahead, read_run
-from pipeline.export.inertial import inertial_of
+from pipeline.export.found import last_state, read_run
+from pipeline.export.job import Files, Job
 from pipeline.export.options import MESHES, METRES, MOTIONS, ROBOTS, Options, check, creation_date
 from pipeline.export.placing import placement
-from planning.exports import ccsds, glb, mesh_files, robot_xml
-from planning.exports.convex import decompose
+from pipeline.export.robot import remove_old_pieces, robot_files
+from planning.exports import ccsds, glb, mesh_files
 from planning.exports.document import (
     Document,
     MassPropertiesOut,
@@ -28,20 +26,12 @@ from planning.exports.document import (
     text_of,
 )
 from planning.exports.records import (
-    Inertial,
-    Motion,
-    Placement,
     Shape,
-    poses_of,
     shape_of_landmarks,
-    shape_of_surface,
 )
 from polhode.atomic import write_bytes
 from polhode.errors import InputError
-from polhode.lie import Array
 
-LIGHT_LEVEL = 2
-"""Of the surface that robot formats show, where the run's mesh has so many levels."""
 TURN_PER_KEY_RAD = np.deg2rad(5.0)
 """Between two keys of an animation: viewers go straight from one to the next."""
 FRAME_N = (
@@ -50,44 +40,6 @@ FRAME_N = (
 )
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass
-class Job:
-    """One export: what it is made from, and what is left out on the way."""
-
-    options: Options
-    found: Found
-    at: Placement
-    left_out: list[str] = field(default_factory=list)
-    """What the file lacks, and why; also what was assumed on the way"""
-
-    def leave_out(self, words: str) -> None:
-        """Say it once."""
-        if words not in self.left_out:
-            self.left_out.append(words)
-
-    @property
-    def comments(self) -> list[str]:
-        """Of every file: where it comes from, its frame."""
-        status = self.found.summary.status
-        note = "" if status == "ok" else f" (status {status}: see summary.json)"
-        return [
-            f"polhode export of the run {self.found.folder.resolve().name}{note}",
-            f"frame: {self.at.words}",
-        ]
-
-    def motion(self, step_s: float | None) -> Motion:
-        """See ``motion_ahead``."""
-        return motion_ahead(self.found.folder, self.options.horizon, step_s)
-
-    def poses(self, motion: Motion) -> Array:
-        """X_NF (T, 4, 4)."""
-        summary = self.found.summary
-        return poses_of(motion.r_N, motion.R_NP, np.array(summary.R_GP), np.array(summary.com_G), self.at)
-
-
-Files = dict[Path, bytes]
 
 
 def export_run(run: Path, options: Options) -> list[Path]:
@@ -109,6 +61,7 @@ def export_run(run: Path, options: Options) -> list[Path]:
     files = _WRITERS[options.to](job)
     for words in job.left_out:
         _log.warning("%s", words)
+    remove_old_pieces(files)
     for path, content in files.items():
         try:
             path.parent.mkdir(exist_ok=True)
@@ -118,15 +71,9 @@ def export_run(run: Path, options: Options) -> list[Path]:
     return list(files)
 
 
-def _shape(job: Job, lightest: int = 0) -> Shape | None:
-    """The mesh at the level that was asked for; else the lightest one up to ``lightest``."""
-    found = at_level(job.found, job.options.level, lightest)
-    return None if found.surface is None else shape_of_surface(found.surface, job.at)
-
-
 def _drawn(job: Job) -> Shape:
     """The mesh, or else the landmarks. Raises InputError when there are neither."""
-    shape, to = _shape(job), job.options.to
+    shape, to = job.shape(), job.options.to
     if shape is not None:
         return shape
     if job.found.landmarks is None:
@@ -180,91 +127,6 @@ def _glb(job: Job, shape: Shape, per_m: float) -> bytes:
             "sigma_at_the_end_deg": float(np.rad2deg(sigma[6:9].max())),
         }
     return glb.glb(shape, extras, per_m, options.unit, animation)
-
-
-def _inertial(job: Job) -> Inertial | None:
-    solid: Solid | None = None
-    why = "this run has no mesh"
-    if job.found.surface is not None:
-        solid, why = solid_of(job.found.surface.mesh)
-    options = job.options
-    inertial = inertial_of(
-        job.found.summary, solid, why, job.at, options.mass_kg, options.middle_moment_kg_m2
-    )
-    if inertial is None:
-        job.leave_out(f"mass properties are left out: this run has no estimate of them, and {why}")
-    return inertial
-
-
-def _robot(job: Job) -> Files:
-    options, shape = job.options, _shape(job, LIGHT_LEVEL)
-    inertial = _inertial(job)
-    state = last_state(job.found, job.at) if job.found.has_motion else None
-    if shape is None and inertial is None:
-        raise InputError(
-            f"{job.found.folder}: this run has neither mesh nor mass properties; nothing to export"
-        )
-    if state is None:
-        job.leave_out("the state is left out: this run has no motion; the body rests at the origin")
-    folder = options.output.with_name(f"{options.output.stem}_meshes")
-    files: Files = {}
-    words = [*job.comments, *(inertial.words if inertial is not None else ())]
-    visual, collision = None, []
-    if shape is None:
-        job.leave_out("surface and collision geometry are left out: this run has no mesh")
-    else:
-        visual = "surface.obj"
-        files[folder / visual] = mesh_files.obj(shape, job.comments, 1.0)
-        full = job.found.surface
-        assert full is not None
-        try:
-            # of the full mesh, whatever level is shown: a lighter one may lie inside it
-            cut = decompose(shape_of_surface(full, job.at), options.pieces)
-        except ValueError as error:
-            job.leave_out(f"collision geometry is left out: {error}")
-        else:
-            words.append(f"{cut.words}; 95 % of their surface is within {1e3 * cut.beyond_m:.2g} mm of it")
-            for number, piece in enumerate(cut.pieces):
-                collision.append(f"collision_{number:03d}.stl")
-                plain = _plain(np.asarray(piece.vertices), np.asarray(piece.faces))
-                files[folder / collision[-1]] = mesh_files.stl(
-                    plain, f"convex piece, frame {job.at.name}, m", 1.0
-                )
-    words += [robot_xml.state_words(state)] if state is not None else []
-    # what was assumed is told on the terminal too
-    for sentence in inertial.words if inertial is not None else ():
-        job.leave_out(sentence)
-    robot = robot_xml.Robot(
-        name=options.object_name,
-        folder=folder.name,
-        visual=visual,
-        collision=tuple(collision),
-        inertial=inertial,
-        state=state,
-        comments=tuple(words),
-    )
-    write: dict[str, Callable[[robot_xml.Robot], str]] = {
-        "urdf": robot_xml.urdf,
-        "mjcf": robot_xml.mjcf,
-        "sdf": robot_xml.sdf,
-    }
-    files[options.output] = write[options.to](robot).encode()
-    return files
-
-
-def _plain(vertices: Array, faces: Array) -> Shape:
-    """A mesh without what was measured."""
-    count = len(vertices)
-    return Shape(
-        vertices=vertices,
-        faces=np.asarray(faces, dtype=np.int64),
-        normals=np.zeros((count, 3)),
-        rgba=np.zeros((count, 4), dtype=np.uint8),
-        sigma_m=np.full(count, np.inf),
-        views=np.zeros(count, dtype=np.int64),
-        coverage=np.zeros(count, dtype=np.uint8),
-        invented=np.zeros(len(faces), dtype=bool),
-    )
 
 
 def _motion(job: Job) -> Files:
@@ -327,10 +189,10 @@ def _json(job: Job) -> Files:
         last, ahead, undetermined = states[0], states[1:], list(motion.undetermined)
     else:
         job.leave_out("states and prediction are left out: this run failed before it had a motion")
-    shape = _shape(job)
+    shape = job.shape()
     if shape is None:
         job.leave_out("the shape is left out: this run has no mesh")
-    inertial = _inertial(job)
+    inertial = job.inertial()
     found = summary.inertia
     document = Document(
         run_status=summary.status,
@@ -363,7 +225,7 @@ def _json(job: Job) -> Files:
 
 _WRITERS: dict[str, Callable[[Job], Files]] = {
     **dict.fromkeys(MESHES, _mesh),
-    **dict.fromkeys(ROBOTS, _robot),
+    **dict.fromkeys(ROBOTS, robot_files),
     **dict.fromkeys(MOTIONS, _motion),
     "json": _json,
 }

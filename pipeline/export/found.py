@@ -13,6 +13,7 @@ from pipeline.summary import Summary, read_summary
 from pipeline.trajectory_file import read_trajectory
 from planning.exports.records import Motion, Placement, State, poses_of
 from polhode.config.loader import load_config
+from polhode.config.mapping import Mapping
 from polhode.errors import InputError
 from polhode.records import Landmarks, SurfaceModel
 
@@ -56,13 +57,21 @@ def at_level(found: Found, level: int | None, lightest: int) -> Found:
     """
     if found.surface is None or level == 0 or (level is None and lightest == 0):
         return found
-    shares = load_config(found.folder / "config.yaml").mapping.levels
+    shares = _shares(found.folder)
     levels = levels_of(found.surface, shares if level is not None else shares[:lightest])
     if level is None:
         level = len(levels)
     if level > len(levels):
         raise InputError(f"--level {level}: this run's mesh has levels 0 to {len(levels)}; 0 is the full one")
     return found if level == 0 else replace(found, surface=levels[level - 1].surface)
+
+
+def _shares(folder: Path) -> tuple[float, ...]:
+    try:
+        return load_config(folder / "config.yaml").mapping.levels
+    except InputError:
+        # a run that failed early, or of another version
+        return Mapping().levels
 
 
 def last_state(found: Found, at: Placement) -> State:

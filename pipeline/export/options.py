@@ -83,7 +83,7 @@ def check(options: Options) -> None:
     for name, text in (("--object-name", options.object_name), ("--object-id", options.object_id)):
         if not re.fullmatch(r"[A-Za-z0-9_.+-]+", text):
             raise InputError(f"{name} '{text}': give letters, digits and _ . + - only")
-    if options.object_name in ("N", "P"):
+    if options.object_name in ("N", "P", "world"):
         raise InputError(f"--object-name {options.object_name}: this is the name of a frame; give another")
     _ = options.epoch_utc
     _require_place(options.output)

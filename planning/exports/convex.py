@@ -22,9 +22,13 @@ CUT_FACES = 12_000
 VOXELS = 400_000
 LEAST_VOLUME_PERCENT = 0.5
 """A piece is cut no more when its hull has so little more volume than its voxels."""
+NEARLY_CONVEX = 0.01
+"""Share of its volume that the hull of a convex body may have more."""
+PANEL = 1e-3
+"""Thickness of a flat piece, over the body's size."""
 ROUNDING = 2e-6
 """Each piece is larger by this share of the body's size: more than single precision moves it."""
-SAMPLES = 4_000
+SAMPLES, SURFACE_SAMPLES = 4_000, 60_000
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class Decomposition:
     words: str
     """How they were made"""
     beyond_m: float
-    """How far they reach beyond the surface [m]: 95 % of their outer area is nearer to a vertex of it"""
+    """How far they reach beyond the surface [m]: 95 % of their outer area is nearer to it"""
 
 
 def decompose(shape: Shape, most_pieces: int) -> Decomposition:
@@ -43,7 +47,7 @@ def decompose(shape: Shape, most_pieces: int) -> Decomposition:
     points = shape.vertices[np.unique(shape.faces)]
     size = float(np.ptp(points, axis=0).max())
     seeds, words = _cut(shape.mesh(), most_pieces)
-    pieces = _grown(shape, seeds) if len(seeds) > 1 else [points]
+    pieces = _grown(shape, seeds) if seeds else [points]
     try:
         hulls = tuple(_hull(each, ROUNDING * size) for each in pieces)
     except QhullError as error:
@@ -62,6 +66,8 @@ def _cut(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array], str]:
             "collision geometry: the convex hull alone, as V-HACD is not installed "
             "(pip install 'polhode[export]')"
         )
+    if mesh.is_volume and mesh.convex_hull.volume < (1.0 + NEARLY_CONVEX) * mesh.volume:
+        return [], "collision geometry: the convex hull, as the body is convex"
     thin = mesh if len(mesh.faces) <= CUT_FACES else mesh.simplify_quadric_decimation(face_count=CUT_FACES)
     parts = vhacdx.compute_vhacd(
         np.asarray(thin.vertices, dtype=np.float64),
@@ -71,8 +77,26 @@ def _cut(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array], str]:
         minimumVolumePercentErrorAllowed=LEAST_VOLUME_PERCENT,
         asyncACD=False,
     )
-    words = f"collision geometry: {len(parts)} convex pieces by V-HACD, grown until they contain the surface"
-    return [np.asarray(vertices, dtype=np.float64) for vertices, _ in parts], words
+    thickness_m = PANEL * float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
+    found = [_with_volume(np.asarray(vertices, dtype=np.float64), thickness_m) for vertices, _ in parts]
+    found = [vertices for vertices in found if _has_volume(vertices)]
+    words = f"collision geometry: {len(found)} convex pieces by V-HACD, grown until they contain the surface"
+    return found, words
+
+
+def _with_volume(points: Array, thickness_m: float) -> Array:
+    """The points; of a panel seen from one side, which has no volume, two sheets of them."""
+    if _has_volume(points):
+        return points
+    across = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
+    return np.concatenate([points - 0.5 * thickness_m * across, points + 0.5 * thickness_m * across])
+
+
+def _has_volume(points: Array) -> bool:
+    try:
+        return bool(ConvexHull(points).volume > 0.0)
+    except QhullError:
+        return False
 
 
 def _grown(shape: Shape, seeds: list[Array]) -> list[Array]:
@@ -113,7 +137,9 @@ def _hull(points: Array, margin_m: float) -> trimesh.Trimesh:
 
 def _beyond(hulls: tuple[trimesh.Trimesh, ...], shape: Shape) -> float:
     """See ``Decomposition.beyond_m``; of points on the pieces that no other piece covers."""
-    tree = cKDTree(shape.vertices[np.unique(shape.faces)])
+    # faces may be long: their corners alone would not tell where the surface is
+    within, _ = trimesh.sample.sample_surface(shape.mesh(), SURFACE_SAMPLES, seed=0)
+    tree = cKDTree(np.concatenate([shape.vertices[np.unique(shape.faces)], within]))
     planes = [ConvexHull(np.asarray(hull.vertices)).equations for hull in hulls]
     areas = np.array([hull.area for hull in hulls])
     found = []

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from planning.exports.records import Shape
+from polhode.lie import Array
+from polhode.records import Ints
 
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
 
@@ -75,6 +77,14 @@ def obj(shape: Shape, comments: Sequence[str], per_m: float) -> bytes:
             lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (shape.faces[chosen] + 1).tolist()]
     else:
         lines += [f"p {k + 1}" for k in range(len(positions))]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def plain_obj(vertices: Array, faces: Ints, comments: Sequence[str]) -> bytes:
+    """Wavefront OBJ of triangles alone [m]: vertices (V, 3), faces (T, 3)."""
+    lines = [f"# {ascii_line(text)}" for text in comments]
+    lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
     return ("\n".join(lines) + "\n").encode("ascii")
 
 

@@ -44,12 +44,13 @@ def urdf(robot: Robot) -> str:
     _comments(root, robot.comments)
     # MuJoCo otherwise looks for meshes beside the file, not in their folder
     compiler = ET.SubElement(ET.SubElement(root, "mujoco"), "compiler")
-    compiler.attrib |= {"strippath": "false", "balanceinertia": "false", "fusestatic": "false"}
-    ET.SubElement(root, "link", name="N")
+    compiler.attrib |= {"strippath": "false", "balanceinertia": "false"}
+    # the name that simulators know: the link is N
+    ET.SubElement(root, "link", name="world")
     joint = ET.SubElement(root, "joint", name="N_to_target", type="floating")
     X_NF = np.eye(4) if robot.state is None else robot.state.X_NF
     ET.SubElement(joint, "origin", _xyz_rpy(X_NF[:3, 3], X_NF[:3, :3]))
-    ET.SubElement(joint, "parent", link="N")
+    ET.SubElement(joint, "parent", link="world")
     ET.SubElement(joint, "child", link=robot.name)
     link = ET.SubElement(root, "link", name=robot.name)
     if robot.inertial is not None:
