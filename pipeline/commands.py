@@ -9,6 +9,7 @@ from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, P
 
 from pipeline.compare.command import Compare
 from pipeline.console import choose_progress
+from pipeline.export_command import Export
 from pipeline.plan_commands import PlanAhead, Threshold
 from pipeline.threads import limit_threads, processes
 from pipeline.train_command import TrainNetwork
@@ -193,6 +194,7 @@ COMMANDS: dict[
     | type[Predict]
     | type[Threshold]
     | type[PlanAhead]
+    | type[Export]
     | type[Report]
     | type[TrainNetwork],
 ] = {
@@ -203,6 +205,7 @@ COMMANDS: dict[
     "predict": Predict,
     "threshold": Threshold,
     "plan": PlanAhead,
+    "export": Export,
     "report": Report,
     "train": TrainNetwork,
 }

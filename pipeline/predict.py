@@ -55,16 +55,21 @@ class RunPrediction:
         )
 
 
-def predict_run(run_folder: Path, horizon_s: float, step_s: float | None = None) -> RunPrediction:
+def predict_run(
+    run_folder: Path, horizon_s: float, step_s: float | None = None, from_last: bool = False
+) -> RunPrediction:
     """Predict to ``horizon_s`` after the last pair, every ``step_s`` (the run's own interval unless given).
 
-    The last row is at the horizon. Raises InputError when the run has no estimate or the times make no sense.
+    The last row is at the horizon; ``from_last``: the first one is the last pair's. Raises InputError when
+    the run has no estimate or the times make no sense.
     """
     last, summary = last_body(run_folder)
     table = read_trajectory(run_folder)
     if step_s is None:
         step_s = float(np.median(np.diff(table.timestamps_ns))) * 1e-9
     time_s = prediction_times(horizon_s, step_s)
+    if from_last:
+        time_s = np.concatenate([[0.0], time_s])
     assert summary.noise is not None and summary.identifiable_components is not None
     states = predict(last, time_s, summary.noise.accel_psd, summary.noise.torque_psd)
     joint = read_covariance(run_folder).last_joint[:12, :12]

@@ -1,0 +1,104 @@
+"""What a run holds that can leave it; what it lacks is named, with the reason."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mapping.levels import levels_of
+from mapping.mesh_files import read_ply
+from pipeline.point_cloud_file import read_landmarks
+from pipeline.predict import predict_run
+from pipeline.summary import Summary, read_summary
+from pipeline.trajectory_file import read_trajectory
+from planning.exports.records import Motion, Placement, State, poses_of
+from polhode.config.loader import load_config
+from polhode.config.mapping import Mapping
+from polhode.errors import InputError
+from polhode.records import Landmarks, SurfaceModel
+
+
+@dataclass(frozen=True)
+class Found:
+    """A run as far as it got."""
+
+    folder: Path
+    summary: Summary
+    surface: SurfaceModel | None
+    """None: there is none"""
+    landmarks: Landmarks | None
+    """None: there are none"""
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether there is a last state."""
+        return self.summary.R_GP is not None and (self.folder / "trajectory.csv").is_file()
+
+
+def read_run(folder: Path) -> Found:
+    """Raises InputError, one line."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give the folder of a run")
+    summary = read_summary(folder)
+    mesh, points = folder / "mesh.ply", folder / "landmarks.ply"
+    surface = read_ply(mesh) if mesh.is_file() else None
+    if surface is not None and len(surface.mesh.faces) == 0:
+        surface = None
+    landmarks = read_landmarks(points) if points.is_file() else None
+    if landmarks is not None and len(landmarks.p_G) == 0:
+        landmarks = None
+    return Found(folder, summary, surface, landmarks)
+
+
+def at_level(found: Found, level: int | None, lightest: int) -> Found:
+    """With the mesh at a ``level`` of detail: 0 the full one, 1, 2, ... lighter; None: up to ``lightest``.
+
+    Raises InputError when there is no such level.
+    """
+    if found.surface is None or level == 0 or (level is None and lightest == 0):
+        return found
+    shares = _shares(found.folder)
+    levels = levels_of(found.surface, shares if level is not None else shares[:lightest])
+    if level is None:
+        level = len(levels)
+    if level > len(levels):
+        raise InputError(f"--level {level}: this run's mesh has levels 0 to {len(levels)}; 0 is the full one")
+    return found if level == 0 else replace(found, surface=levels[level - 1].surface)
+
+
+def _shares(folder: Path) -> tuple[float, ...]:
+    try:
+        return load_config(folder / "config.yaml").mapping.levels
+    except InputError:
+        # a run that failed early, or of another version
+        return Mapping().levels
+
+
+def last_state(found: Found, at: Placement) -> State:
+    """Of the run; needs ``found.has_motion``."""
+    summary, table = found.summary, read_trajectory(found.folder)
+    R_GP, com_G = np.array(summary.R_GP), np.array(summary.com_G)
+    X_NF = poses_of(table.r_N[-1:], table.R_NP[-1:], R_GP, com_G, at)[0]
+    w_N = table.R_NP[-1] @ table.w_P[-1]
+    return State(
+        timestamp_ns=int(table.timestamps_ns[-1]),
+        X_NF=X_NF,
+        v_N=table.v_N[-1] + np.cross(w_N, X_NF[:3, 3] - table.r_N[-1]),
+        w_F=X_NF[:3, :3].T @ w_N,
+    )
+
+
+def motion_ahead(folder: Path, horizon_s: float, step_s: float | None) -> Motion:
+    """The last state and those after it. Raises InputError when the run has no estimate."""
+    prediction = predict_run(folder, horizon_s, step_s, from_last=True)
+    states = prediction.states
+    return Motion(
+        timestamps_ns=prediction.timestamps_ns,
+        r_N=states.r_N,
+        v_N=states.v_N,
+        R_NP=states.R_NP,
+        w_P=states.w_P,
+        covariance=prediction.covariance,
+        covariance_of_marks=states.covariance_of_marks,
+        undetermined=prediction.undetermined,
+    )

@@ -1,0 +1,105 @@
+"""What a user can ask of ``polhode export``, checked before anything is read."""
+
+import os
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from polhode.errors import InputError
+
+Format = Literal["glb", "ply", "stl", "obj", "urdf", "mjcf", "sdf", "aem", "oem", "tum", "json"]
+FrameName = Literal["G", "P", "cad"]
+Unit = Literal["m", "mm"]
+FORMATS: tuple[str, ...] = get_args(Format)
+MESHES = ("glb", "ply", "stl", "obj")
+ROBOTS = ("urdf", "mjcf", "sdf")
+MOTIONS = ("aem", "oem", "tum")
+METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
+MOST_PIECES = 1024
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of the command; its docstrings are there."""
+
+    to: Format
+    output: Path
+    frame: FrameName | None = None
+    cad: Path | None = None
+    cad_points: Path | None = None
+    cad_unit: Unit = "m"
+    unit: Unit = "m"
+    level: int | None = None
+    animate: bool = False
+    mass_kg: float | None = None
+    middle_moment_kg_m2: float | None = None
+    pieces: int = 32
+    horizon: float = 60.0
+    step_s: float | None = None
+    epoch: str = "1970-01-01T00:00:00"
+    object_name: str = "target"
+    object_id: str = "UNKNOWN"
+
+    @property
+    def frame_name(self) -> FrameName:
+        """P for motion, G for everything else, unless given."""
+        return self.frame or ("P" if self.to in MOTIONS else "G")
+
+    @property
+    def epoch_utc(self) -> np.datetime64:
+        """UTC at timestamp 0 [ns]."""
+        try:
+            return np.datetime64(self.epoch.removesuffix("Z"), "ns")
+        except ValueError:
+            raise InputError(f"--epoch {self.epoch}: not a time; give UTC as 2026-01-31T12:00:00") from None
+
+
+def check(options: Options) -> None:
+    """Raise InputError, one line, for what cannot be meant or cannot be written."""
+    to = options.to
+    if options.unit == "mm" and to not in MESHES:
+        raise InputError(f"--unit mm: {to} has lengths of its own; the unit is for {', '.join(MESHES)}")
+    if options.animate and to != "glb":
+        raise InputError(f"--animate: only glb holds a motion of the model, not {to}")
+    if to == "oem" and options.frame_name != "P":
+        raise InputError(
+            f"--frame {options.frame_name}: an OEM tells the path of the centre of mass, the origin of P; "
+            "leave it out"
+        )
+    for name, value in (
+        ("--mass-kg", options.mass_kg),
+        ("--middle-moment-kg-m2", options.middle_moment_kg_m2),
+    ):
+        if value is not None and not (np.isfinite(value) and value > 0.0):
+            raise InputError(f"{name} {value:g}: give a number above 0")
+    if options.level is not None and options.level < 0:
+        raise InputError(f"--level {options.level}: 0 is the full mesh, 1, 2, ... are lighter ones")
+    if not 1 <= options.pieces <= MOST_PIECES:
+        raise InputError(f"--pieces {options.pieces}: give 1 (the convex hull) to {MOST_PIECES}")
+    for name, text in (("--object-name", options.object_name), ("--object-id", options.object_id)):
+        if not re.fullmatch(r"[A-Za-z0-9_.+-]+", text):
+            raise InputError(f"{name} '{text}': give letters, digits and _ . + - only")
+    if options.object_name in ("N", "P", "world"):
+        raise InputError(f"--object-name {options.object_name}: this is the name of a frame; give another")
+    _ = options.epoch_utc
+    _require_place(options.output)
+
+
+def _require_place(path: Path) -> None:
+    if not path.parent.is_dir():
+        raise InputError(f"{path.parent} is not a folder: choose another -o")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: -o names a file, such as target.glb")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path.parent}: cannot write here; choose another -o")
+
+
+def creation_date() -> str:
+    """Now, in UTC; the variable SOURCE_DATE_EPOCH (seconds, reproducible-builds.org) takes its place."""
+    text = os.environ.get("SOURCE_DATE_EPOCH", "")
+    now = datetime.fromtimestamp(int(text), UTC) if text.isdigit() else datetime.now(UTC)
+    return now.strftime("%Y-%m-%dT%H:%M:%S")

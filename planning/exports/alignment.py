@@ -1,0 +1,144 @@
+"""Where the target lies in a CAD model: from corresponding points, or from the surfaces.
+
+Points: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976. Surfaces: the
+iterative closest point to plane of Chen and Medioni, "Object modelling by registration of multiple range
+images", 1992, from many rotations, with the worst tenth of the points left out at each step.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
+
+KEPT = 0.9
+"""Share of the points that a step looks at: the scan may hold what the model does not."""
+MODEL_POINTS = 20_000
+FIRST_POINTS, LAST_POINTS = 250, 2_000
+FIRST_STEPS, LAST_STEPS, FINALISTS = 12, 40, 6
+DISTINCT_DEG = 15.0
+ALIKE = 1.3
+"""Another pose that fits worse by less than this factor is as good: the model is symmetric for us."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """X_cadG and how well it fits."""
+
+    X_cadG: Array
+    """(4, 4)"""
+    rms_m: float
+    """Root mean square of what is left: between points, or from the surface (of the better 90 %)"""
+    rival_deg: float | None
+    """Angle to another pose that fits as well; None: there is none"""
+
+
+def align_points(p_G: Array, p_cad: Array) -> Alignment:
+    """From corresponding points (n, 3) each. Raises ValueError when they do not tell the pose."""
+    if len(p_G) < 3:
+        raise ValueError(f"{len(p_G)} pairs of points; give three or more")
+    middle_G, middle_cad = p_G.mean(axis=0), p_cad.mean(axis=0)
+    U, spread, Vt = np.linalg.svd((p_cad - middle_cad).T @ (p_G - middle_G))
+    if spread[1] < 1e-6 * spread[0]:
+        raise ValueError("the points lie on a line; give one beside it")
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    X = make_pose(R, middle_cad - R @ middle_G)
+    left = transform_points(X, p_G) - p_cad
+    return Alignment(X, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))), None)
+
+
+def align_surfaces(scan: trimesh.Trimesh, model: trimesh.Trimesh, start: Array | None = None) -> Alignment:
+    """From the surfaces [m]; ``start`` (4, 4) is X_cadG so far, without it many rotations are tried.
+
+    Deterministic. The scan may be a part of the model.
+    """
+    points, face = trimesh.sample.sample_surface(model, MODEL_POINTS, seed=0)
+    target = _Target(cKDTree(points), np.asarray(points), np.asarray(model.face_normals)[face])
+    few, few_normals = _sampled(scan, FIRST_POINTS)
+    many, many_normals = _sampled(scan, LAST_POINTS)
+    if start is not None:
+        X, rms = _fit(start, many, many_normals, target, LAST_STEPS)
+        return Alignment(X, rms, None)
+    first = [_fit(X, few, few_normals, target, FIRST_STEPS) for X in _starts(scan, model)]
+    first.sort(key=lambda each: each[1])
+    last = [_fit(X, many, many_normals, target, LAST_STEPS) for X, _ in _distinct(first)[:FINALISTS]]
+    last.sort(key=lambda each: each[1])
+    best, rms = last[0]
+    rival = next((_degrees(best, X) for X, other in _distinct(last)[1:] if other < ALIKE * rms), None)
+    return Alignment(best, rms, rival)
+
+
+@dataclass(frozen=True)
+class _Target:
+    tree: cKDTree
+    points: Array
+    normals: Array
+
+
+def _sampled(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
+    points, face = trimesh.sample.sample_surface(mesh, count, seed=1)
+    return np.asarray(points), np.asarray(mesh.face_normals)[face]
+
+
+def _starts(scan: trimesh.Trimesh, model: trimesh.Trimesh) -> list[Array]:
+    """Middle on middle; rotations of octahedron and icosahedron between the principal frames."""
+    turns = np.concatenate([Rotation.create_group(name).as_matrix() for name in ("O", "I")])
+    R_scan, middle_scan = _principal(scan)
+    R_model, middle_model = _principal(model)
+    found = []
+    for turn in turns:
+        R = R_model @ turn @ R_scan.T
+        found.append(make_pose(R, middle_model - R @ middle_scan))
+    return found
+
+
+def _principal(mesh: trimesh.Trimesh) -> tuple[Array, Array]:
+    points, _ = trimesh.sample.sample_surface(mesh, 4_000, seed=2)
+    middle = np.asarray(points).mean(axis=0)
+    _, _, Vt = np.linalg.svd(np.asarray(points) - middle, full_matrices=False)
+    return np.asarray(Vt.T * [1.0, 1.0, np.linalg.det(Vt)]), middle
+
+
+def _fit(X: Array, points: Array, normals: Array, target: _Target, steps: int) -> tuple[Array, float]:
+    """The pose after some steps, and the root mean square distance of the better part of the points."""
+    for _ in range(steps):
+        moved, turned = transform_points(X, points), normals @ X[:3, :3].T
+        distance, near = target.tree.query(moved)
+        n = target.normals[near]
+        # the other side of a thin panel is no counterpart
+        same = np.sum(turned * n, axis=1) > 0.0
+        use = same & (distance <= np.quantile(distance, KEPT))
+        if use.sum() < 12:
+            break
+        middle = moved[use].mean(axis=0)
+        A = np.hstack([np.cross(moved[use] - middle, n[use]), n[use]])
+        gap = np.sum((target.points[near[use]] - moved[use]) * n[use], axis=1)
+        # along what the surface does not tell (a sphere's turns) nothing moves
+        x = np.linalg.lstsq(A, gap, rcond=1e-6)[0]
+        R = exp_so3(x[:3])
+        step = make_pose(R, middle - R @ middle + x[3:])
+        X = step @ X
+        if np.linalg.norm(x[:3]) < 1e-8 and np.linalg.norm(x[3:]) < 1e-9:
+            break
+    moved = transform_points(X, points)
+    distance, near = target.tree.query(moved)
+    flat = np.abs(np.sum((target.points[near] - moved) * target.normals[near], axis=1))
+    # between the samples of the model the plane tells; far from them the point does
+    left = np.sort(np.where(distance < 3.0 * np.median(distance), flat, distance))
+    return X, float(np.sqrt(np.mean(left[: int(KEPT * len(left))] ** 2)))
+
+
+def _distinct(fits: list[tuple[Array, float]]) -> list[tuple[Array, float]]:
+    """Those that are not within DISTINCT_DEG of a better one."""
+    kept: list[tuple[Array, float]] = []
+    for X, rms in fits:
+        if all(_degrees(X, other) > DISTINCT_DEG for other, _ in kept):
+            kept.append((X, rms))
+    return kept
+
+
+def _degrees(X_a: Array, X_b: Array) -> float:
+    return float(np.rad2deg(np.linalg.norm(log_so3(X_a[:3, :3].T @ X_b[:3, :3]))))

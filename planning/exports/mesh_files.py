@@ -1,0 +1,93 @@
+"""PLY, STL and OBJ. Comments are lines of ASCII; lengths are multiplied by ``per_m`` (1000: millimetres)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from planning.exports.records import Shape
+from polhode.lie import Array
+from polhode.records import Ints
+
+_PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
+
+
+def ply(shape: Shape, comments: Sequence[str], per_m: float, unit: str) -> bytes:
+    """Binary PLY: position, normal, colour, sigma, views, coverage; triangles with ``invented``.
+
+    The property of sigma is ``sigma_m`` or ``sigma_mm``: its unit is in its name.
+    """
+    sigma = f"sigma_{unit}"
+    floats = ["x", "y", "z", "nx", "ny", "nz"]
+    bytes_ = ["red", "green", "blue", "alpha"]
+    vertex = np.dtype(
+        [(name, "<f4") for name in floats]
+        + [(name, "u1") for name in bytes_]
+        + [(sigma, "<f4"), ("views", "<i4"), ("coverage", "u1")]
+    )
+    vertices = np.zeros(len(shape.vertices), dtype=vertex)
+    for axis, name in enumerate("xyz"):
+        vertices[name] = per_m * shape.vertices[:, axis]
+        vertices[f"n{name}"] = shape.normals[:, axis]
+    for channel, name in enumerate(bytes_):
+        vertices[name] = shape.rgba[:, channel]
+    vertices[sigma], vertices["views"] = per_m * shape.sigma_m, shape.views
+    vertices["coverage"] = shape.coverage
+    faces = np.zeros(len(shape.faces), dtype=[("count", "u1"), ("index", "<i4", (3,)), ("invented", "u1")])
+    faces["count"], faces["index"], faces["invented"] = 3, shape.faces, shape.invented
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {ascii_line(text)}" for text in comments)]
+    lines += [
+        f"comment {sigma} inf, views 0: not measured; coverage 0 unseen, 1 seen but never lit, 2 seen lit",
+        f"element vertex {len(vertices)}",
+        *(f"property {_PLY_TYPES[vertex[name].str]} {name}" for name in vertex.names or ()),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "property uchar invented",
+        "end_header",
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii") + vertices.tobytes() + faces.tobytes()
+
+
+def stl(shape: Shape, comment: str, per_m: float) -> bytes:
+    """Binary STL: triangles alone; the header holds the first 80 bytes of the comment."""
+    corners = (per_m * shape.vertices)[shape.faces].astype("<f4")
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float64)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    facets = np.zeros(len(corners), dtype=[("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("more", "<u2")])
+    facets["normal"] = normal / np.where(length > 0.0, length, 1.0)
+    facets["corner"] = corners
+    # a binary file that begins with "solid" would be taken for a text one
+    header = f"binary STL; {ascii_line(comment)}".encode("ascii")[:80].ljust(80)
+    return header + np.uint32(len(facets)).tobytes() + facets.tobytes()
+
+
+def obj(shape: Shape, comments: Sequence[str], per_m: float) -> bytes:
+    """Wavefront OBJ with normals; each vertex line goes on with red, green, blue in 0..1, as most read it."""
+    lines = [f"# {ascii_line(text)}" for text in comments]
+    positions = (per_m * shape.vertices).tolist()
+    colours = np.round(shape.rgba[:, :3] / 255.0, 4).tolist()
+    lines += [
+        f"v {x:.9g} {y:.9g} {z:.9g} {r:g} {g:g} {b:g}"
+        for (x, y, z), (r, g, b) in zip(positions, colours, strict=True)
+    ]
+    if len(shape.faces):
+        lines += [f"vn {x:.4f} {y:.4f} {z:.4f}" for x, y, z in shape.normals.tolist()]
+        for name, chosen in (("surface", ~shape.invented), ("invented", shape.invented)):
+            if chosen.any():
+                lines.append(f"g {name}")
+            lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (shape.faces[chosen] + 1).tolist()]
+    else:
+        lines += [f"p {k + 1}" for k in range(len(positions))]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def plain_obj(vertices: Array, faces: Ints, comments: Sequence[str]) -> bytes:
+    """Wavefront OBJ of triangles alone [m]: vertices (V, 3), faces (T, 3)."""
+    lines = [f"# {ascii_line(text)}" for text in comments]
+    lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def ascii_line(text: str) -> str:
+    """One line of ASCII; what is none becomes a question mark."""
+    return " ".join(text.split()).encode("ascii", "replace").decode("ascii")

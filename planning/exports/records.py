@@ -1,0 +1,153 @@
+"""What the formats are written from. F is the frame that the user chose: G, P or that of a CAD model."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from polhode.lie import Array, transform_points
+from polhode.records import Bools, Ints, Landmarks, SurfaceModel
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where F lies in the body."""
+
+    name: str
+    """G, P or cad"""
+    X_FG: Array
+    """(4, 4) p_F = X_FG @ p_G"""
+    words: str
+    """What F is, for the files' comments"""
+
+    @property
+    def R_FG(self) -> Array:
+        """(3, 3)"""
+        return np.asarray(self.X_FG[:3, :3])
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A surface in F [m]; without faces a cloud of points."""
+
+    vertices: Array
+    """(V, 3)"""
+    faces: Ints
+    """(T, 3)"""
+    normals: Array
+    """(V, 3) unit, or zero where there is none"""
+    rgba: NDArray[np.uint8]
+    """(V, 4)"""
+    sigma_m: Array
+    """(V,) inf where nothing was measured"""
+    views: Ints
+    """(V,) frames that saw the vertex"""
+    coverage: NDArray[np.uint8]
+    """(V,) 0 never seen, 1 seen but never lit, 2 seen in light"""
+    invented: Bools
+    """(T,) faces that close a small hole"""
+
+    def mesh(self) -> trimesh.Trimesh:
+        """The geometry alone."""
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass and inertia as the files have them, with what they rest on."""
+
+    mass_kg: float
+    com_F: Array
+    """(3,) [m]"""
+    R_FP: Array
+    """(3, 3) principal axes"""
+    moments_kg_m2: Array
+    """(3,) about the centre of mass, along the axes of P"""
+    mass_is: str
+    """given, determined, assumed or relative"""
+    scale_is: str
+    """determined, given, assumed or relative: that of the moments"""
+    words: tuple[str, ...]
+    """What was assumed, sentence by sentence"""
+
+
+@dataclass(frozen=True)
+class State:
+    """The last state of a run."""
+
+    timestamp_ns: int
+    X_NF: Array
+    """(4, 4)"""
+    v_N: Array
+    """(3,) velocity of the origin of F [m/s]"""
+    w_F: Array
+    """(3,) angular velocity, in F [rad/s]"""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """States at T instants, the last one of the run first."""
+
+    timestamps_ns: Ints
+    """(T,)"""
+    r_N: Array
+    """(T, 3) centre of mass [m]"""
+    v_N: Array
+    """(T, 3) [m/s]"""
+    R_NP: Array
+    """(T, 3, 3)"""
+    w_P: Array
+    """(T, 3) [rad/s]"""
+    covariance: Array
+    """(T, 12, 12) of r (N), v (N), theta (P), w (P); inf on the diagonal where undetermined"""
+    covariance_of_marks: Array
+    """(T, 12, 12) of the body itself: the estimated centre of mass and axes are marks on it; finite"""
+    undetermined: tuple[str, ...]
+    """Names of what the run's motion does not determine"""
+
+    @property
+    def time_s(self) -> Array:
+        """(T,) since the last state of the run"""
+        return np.asarray((self.timestamps_ns - self.timestamps_ns[0]) * 1e-9)
+
+
+def shape_of_surface(surface: SurfaceModel, at: Placement) -> Shape:
+    """The dense model in F."""
+    mesh = surface.mesh
+    colours = getattr(mesh.visual, "vertex_colors", np.full((1, 4), 128))
+    count = len(mesh.vertices)
+    return Shape(
+        vertices=transform_points(at.X_FG, np.asarray(mesh.vertices)),
+        faces=np.asarray(mesh.faces, dtype=np.int64),
+        normals=np.asarray(mesh.vertex_normals) @ at.R_FG.T,
+        rgba=np.broadcast_to(np.asarray(colours, dtype=np.uint8), (count, 4)),
+        sigma_m=surface.sigma_m,
+        views=surface.views,
+        coverage=surface.coverage_classes,
+        invented=surface.is_invented,
+    )
+
+
+def shape_of_landmarks(landmarks: Landmarks, at: Placement) -> Shape:
+    """The sparse map in F: points without faces."""
+    count = len(landmarks.p_G)
+    return Shape(
+        vertices=transform_points(at.X_FG, landmarks.p_G),
+        faces=np.zeros((0, 3), dtype=np.int64),
+        normals=np.zeros((count, 3)),
+        rgba=np.tile(np.array([160, 160, 160, 255], dtype=np.uint8), (count, 1)),
+        sigma_m=landmarks.sigma_m,
+        views=landmarks.observations,
+        coverage=np.full(count, 2, dtype=np.uint8),
+        invented=np.zeros(0, dtype=bool),
+    )
+
+
+def poses_of(r_N: Array, R_NP: Array, R_GP: Array, com_G: Array, at: Placement) -> Array:
+    """X_NF (T, 4, 4) of states (T, ...)."""
+    R_NG = R_NP @ R_GP.T
+    X_NG = np.zeros((len(r_N), 4, 4))
+    X_NG[:, :3, :3], X_NG[:, 3, 3] = R_NG, 1.0
+    X_NG[:, :3, 3] = r_N - R_NG @ com_G
+    return np.asarray(X_NG @ np.linalg.inv(at.X_FG))

@@ -1,0 +1,309 @@
+"""polhode export through the real command line; what it writes is given to the programs it is meant for."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from pipeline.cli import main
+from pipeline.outputs import write_run
+from planning.exports.document import SCHEMA_FILE, schema
+from polhode.config import Config
+from polhode.lie import exp_so3, log_so3, make_pose, transform_points
+from polhode.mesh_metrics import distance_to_surface
+from polhode.quaternion import matrix_from_wxyz
+from polhode.records import SurfaceModel
+from tests.pipeline.conftest import BOX_M, Example
+
+Capture = pytest.CaptureFixture[str]
+
+
+def write_example(example: Example, folder: Path, surface: SurfaceModel | None) -> Path:
+    folder.mkdir()
+    write_run(
+        folder,
+        config=Config(),
+        tracks=example.tracks,
+        estimate=example.estimate,
+        surface=surface,
+        timing_s={},
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A box with a closed mesh."""
+    return write_example(example, tmp_path_factory.mktemp("runs") / "box", example.surface)
+
+
+@pytest.fixture(scope="module")
+def bare(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same without a mesh."""
+    return write_example(example, tmp_path_factory.mktemp("runs") / "bare", None)
+
+
+@pytest.fixture(scope="module")
+def failed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that found nothing."""
+    from pipeline.summary import build_summary, write_summary
+
+    folder = tmp_path_factory.mktemp("failed")
+    write_summary(build_summary(None, None, None, {}, failure="no motion fits"), folder / "summary.json")
+    return folder
+
+
+def export(run: Path, to: str, output: Path, *more: str) -> Path:
+    assert main(["export", str(run), "--to", to, "-o", str(output), *more]) == 0
+    return output
+
+
+def document(run: Path, folder: Path, *more: str) -> dict[str, Any]:
+    content = json.loads(export(run, "json", folder / "run.json", *more).read_text())
+    jsonschema.Draft202012Validator(schema()).validate(content)
+    assert isinstance(content, dict)
+    return content
+
+
+def test_the_shipped_schema_is_that_of_the_models() -> None:
+    assert json.loads(SCHEMA_FILE.read_text()) == schema()
+
+
+def test_json_has_states_with_covariances_and_mass_properties(
+    run: Path, example: Example, tmp_path: Path
+) -> None:
+    content = document(run, tmp_path, "--horizon", "5", "--mass-kg", "4.5")
+    last, estimate = content["last"], example.estimate
+    assert last["timestamp_ns"] == estimate.timestamps_ns[-1] and last["utc"].startswith("1970-01-01T00:00:1")
+    np.testing.assert_allclose(last["r_N"], estimate.r_N[-1])
+    assert np.shape(last["covariance"]) == (12, 12) and len(content["prediction"]) == 10
+    assert content["prediction"][-1]["covariance"][0][0] > last["covariance"][0][0] > 0.0
+    # the box has uniform density, so the assumption is right
+    x, y, z = BOX_M
+    right = 4.5 / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+    np.testing.assert_allclose(content["inertial"]["moments_kg_m2"], right, rtol=1e-6)
+    assert content["inertial"]["mass_is"] == "given" and content["inertial"]["scale_is"] == "assumed"
+    assert content["mass_properties"]["identifiable"]["k1"] and content["left_out"] == []
+
+
+@pytest.mark.parametrize("frame", ["G", "P"])
+@pytest.mark.parametrize("to", ["mjcf", "urdf"])
+def test_mujoco_simulates_what_we_predict(
+    to: str, frame: str, run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    options = ("--frame", frame, "--mass-kg", "4.5")
+    content = document(run, tmp_path, *options)
+    file = export(run, to, tmp_path / f"box.{to}", *options)
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    last = content["last"]
+    body = model.body("target").id
+    assert model.nq == 7 and model.body_mass[body] == 4.5
+    np.testing.assert_allclose(
+        np.sort(model.body_inertia[body]), np.sort(content["inertial"]["moments_kg_m2"]), rtol=1e-9
+    )
+    if to == "mjcf":
+        mujoco.mj_resetDataKeyframe(model, data, model.key("last").id)
+    else:
+        # URDF holds a pose, no rates and no settings
+        model.opt.gravity[:], model.opt.timestep = 0.0, 0.002
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        R_NF = matrix_from_wxyz(last["q_NF_wxyz"])
+        w_N = matrix_from_wxyz(last["q_NP_wxyz"]) @ last["w_P"]
+        lever = np.array(last["p_NF"]) - last["r_N"]
+        data.qvel[:3], data.qvel[3:] = last["v_N"] + np.cross(w_N, lever), R_NF.T @ w_N
+    worst_deg = worst_m = 0.0
+    for row in content["prediction"]:
+        while data.time < row["time_s"] - 1e-6:
+            mujoco.mj_step(model, data)
+        turn = log_so3(matrix_from_wxyz(data.qpos[3:7]).T @ matrix_from_wxyz(row["q_NF_wxyz"]))
+        worst_deg = max(worst_deg, float(np.rad2deg(np.linalg.norm(turn))))
+        worst_m = max(worst_m, float(np.abs(data.qpos[:3] - row["p_NF"]).max()))
+    assert content["prediction"][-1]["time_s"] == pytest.approx(60.0)
+    with capsys.disabled():
+        print(f"\n  {to}, frame {frame}: within {worst_deg:.1e} deg and {worst_m:.1e} m over 60 s", end="")
+    assert worst_deg < 0.1 and worst_m < 1e-4
+
+
+def test_meshes_open_at_the_right_place_and_scale(run: Path, example: Example, tmp_path: Path) -> None:
+    for to in ("ply", "glb", "stl", "obj"):
+        for frame, unit, per_m in (("G", "m", 1.0), ("P", "mm", 1000.0)):
+            file = export(run, to, tmp_path / f"{frame}.{to}", "--frame", frame, "--unit", unit)
+            mesh = trimesh.load(file, force="mesh")
+            assert mesh.volume == pytest.approx(per_m**3 * np.prod(BOX_M), rel=1e-5)
+            # P has its origin at the centre of mass, with the axes of G in this example
+            middle = 0.0 if frame == "G" else -example.estimate.mass.com_G
+            np.testing.assert_allclose(
+                mesh.bounds.mean(axis=0), per_m * middle * np.ones(3), atol=1e-4 * per_m
+            )
+            if to in ("ply", "obj"):
+                found = {tuple(c) for c in np.asarray(mesh.visual.vertex_colors)[:, :3].tolist()}
+                assert len(found) > 50
+    ply = trimesh.load(tmp_path / "P.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_allclose(ply["sigma_mm"].reshape(-1), 0.8, rtol=1e-6)
+
+
+def test_a_cad_frame_is_found_from_points_and_from_the_surface(
+    run: Path, example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    X_cadG = make_pose(exp_so3([0.7, -1.9, 0.4]), [0.3, -0.2, 1.5])
+    p_G = example.estimate.landmarks.p_G[:6]
+    table = np.hstack([p_G, 1000.0 * transform_points(X_cadG, p_G)])
+    points, model = tmp_path / "points.csv", tmp_path / "model.stl"
+    np.savetxt(points, table, delimiter=",", header="x,y,z,x_cad,y_cad,z_cad", comments="")
+    box = trimesh.creation.box(BOX_M)
+    box.apply_transform(X_cadG)
+    box.apply_scale(1000.0)
+    box.export(model)
+    common = ("--frame", "cad", "--cad-unit", "mm", "--horizon", "1")
+    by_points = np.array(document(run, tmp_path, *common, "--cad-points", str(points))["frame"]["X_FG"])
+    np.testing.assert_allclose(by_points, X_cadG, atol=1e-9)
+    both = ("--cad", str(model), "--cad-points", str(points))
+    np.testing.assert_allclose(
+        np.array(document(run, tmp_path, *common, *both)["frame"]["X_FG"]), X_cadG, atol=2e-3
+    )
+    capsys.readouterr()
+    alone = document(run, tmp_path, *common, "--cad", str(model))
+    # a plain box looks alike after half-turns: any of them is right, and it is said
+    corners = transform_points(np.array(alone["frame"]["X_FG"]), example.surface.mesh.vertices)
+    away = distance_to_surface(trimesh.load(model).apply_scale(1e-3), corners)
+    assert away.max() < 2e-3 and "fits as well turned by 180 deg" in capsys.readouterr().out
+
+
+def test_a_run_without_a_mesh_exports_what_it_can(bare: Path, tmp_path: Path, capsys: Capture) -> None:
+    cloud = trimesh.load(export(bare, "ply", tmp_path / "points.ply"))
+    assert isinstance(cloud, trimesh.PointCloud) and len(cloud.vertices) == 150
+    assert "no mesh: the file holds the landmarks" in capsys.readouterr().out
+    export(bare, "glb", tmp_path / "points.glb")
+    file = export(bare, "mjcf", tmp_path / "bare.mjcf", "--mass-kg", "5")
+    shown = capsys.readouterr().out
+    assert "collision geometry are left out: this run has no mesh" in shown
+    assert "relative, the middle moment is 1" in shown and "a mass alone does not set it" in shown
+    assert mujoco.MjModel.from_xml_path(str(file)).ngeom == 0
+    assert "relative, the middle moment is 1" in file.read_text()
+    content = document(bare, tmp_path)
+    assert content["shape"] is None and content["inertial"]["scale_is"] == "relative"
+    assert any("shape is left out" in words for words in content["left_out"])
+
+
+def test_an_undetermined_inertia_is_exported_as_such(
+    undetermined: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    run = write_example(undetermined, tmp_path / "spin", undetermined.surface)
+    text = export(run, "urdf", tmp_path / "spin.urdf").read_text()
+    assert "not determined by the motion: k1, k2, the principal axes, the centre of mass" in text
+    content = document(run, tmp_path, "--horizon", "2")
+    assert content["mass_properties"]["cov_k"] == [[None, None], [None, None]]
+    assert content["last"]["covariance"][1][1] is None
+    capsys.readouterr()
+    text = export(run, "oem", tmp_path / "spin.oem", "--horizon", "2").read_text()
+    assert "does not determine" in capsys.readouterr().out
+    assert "as a mark on the body" in " ".join(text.split()) and "inf" not in text.split("META_STOP")[1]
+
+
+def test_a_failed_run_exports_what_it_found(
+    failed: Path, example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    content = document(failed, tmp_path)
+    assert content["run_status"] == "failed" and content["last"] is None
+    assert "no motion fits" in capsys.readouterr().out
+    for to in ("ply", "stl", "mjcf", "oem", "aem", "tum"):
+        assert main(["export", str(failed), "--to", to, "-o", str(tmp_path / "x")]) == 2
+        stderr = capsys.readouterr().err
+        assert stderr.count("\n") == 1 and "this run" in stderr
+    assert not (tmp_path / "x").exists()
+    # a mesh without a motion: what is assumed is said
+    from mapping.mesh_files import write_ply
+
+    write_ply(example.surface, failed / "mesh.ply")
+    text = export(failed, "mjcf", tmp_path / "shape.xml", "--mass-kg", "4.5").read_text()
+    shown = capsys.readouterr().out
+    assert "assumed, uniform density" in text and "the state is left out" in shown
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "shape.xml")).body_mass[1] == 4.5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--to", "obl"], "--to 'obl': unknown; did you mean obj?"),
+        (["--to", "urdf", "--mass-kg", "0"], "--mass-kg 0: give a number above 0"),
+        (["--to", "ply", "--frame", "cad"], "--frame cad: give --cad MESH or --cad-points FILE"),
+        (["--to", "ply", "--frame", "cad", "--cad", "/no/such.stl"], "/no/such.stl: no such file"),
+        (["--to", "ply", "--cad", "x.stl"], "--cad is for --frame cad"),
+        (["--to", "ply", "--frame", "Q"], "--frame 'Q': unknown"),
+        (["--to", "urdf", "--unit", "mm"], "--unit mm: urdf has lengths of its own"),
+        (["--to", "ply", "--level", "9"], "--level 9: this run's mesh has levels 0 to"),
+        (["--to", "ply", "--animate"], "--animate: only glb"),
+        (["--to", "oem", "--frame", "G"], "an OEM tells the path of the centre of mass"),
+        (["--to", "oem", "--horizon", "-1"], "--horizon -1: give the seconds"),
+        (["--to", "oem", "--epoch", "soon"], "--epoch soon: not a time"),
+        (["--to", "oem", "--object-name", "a b"], "--object-name 'a b'"),
+        (["--to", "urdf", "--pieces", "0"], "--pieces 0"),
+        (["--to", "ply", "-o", "/nowhere/at/all.ply"], "is not a folder: choose another -o"),
+        ([], "--to"),
+    ],
+)
+def test_mistakes_are_one_line(
+    arguments: list[str], words: str, run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    output = [] if "-o" in arguments else ["-o", str(tmp_path / "out")]
+    assert main(["export", str(run), *arguments, *output]) == 2
+    stderr = capsys.readouterr().err
+    assert words in stderr and stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_model_that_does_not_open_or_has_another_unit_is_refused(
+    run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    (tmp_path / "broken.stl").write_text("this is no mesh")
+    box = trimesh.creation.box(1000.0 * BOX_M)
+    box.export(tmp_path / "large.stl")
+    (tmp_path / "two.csv").write_text("0 0 0 0 0 0\n1 0 0 1 0 0\n")
+    for option, name, words in (
+        ("--cad", "broken.stl", "broken.stl"),
+        ("--cad", "large.stl", "check --cad-unit"),
+        ("--cad-points", "two.csv", "2 pairs of points; give three or more"),
+    ):
+        arguments = ["export", str(run), "--to", "ply", "--frame", "cad", option, str(tmp_path / name)]
+        assert main([*arguments, "-o", str(tmp_path / "out.ply")]) == 2
+        stderr = capsys.readouterr().err
+        assert words in stderr and stderr.count("\n") == 1
+
+
+def test_the_same_run_gives_the_same_bytes(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    for to in ("glb", "urdf", "oem", "json"):
+        first, second = (export(run, to, tmp_path / f"{name}.{to}") for name in "ab")
+        assert first.read_bytes().replace(b"a_meshes", b"b_meshes") == second.read_bytes()
+    for file in (tmp_path / "a_meshes").iterdir():
+        assert file.read_bytes() == (tmp_path / "b_meshes" / file.name).read_bytes()
+
+
+def test_known_torques_set_the_scale_whatever_the_mass(example: Example, tmp_path: Path) -> None:
+    mass = replace(
+        example.estimate.mass,
+        mass_kg=9.0,
+        sigma_mass_kg=0.1,
+        inertia_scale_kg_m2=0.25,
+        sigma_inertia_scale_kg_m2=0.01,
+    )
+    torqued = replace(example, estimate=replace(example.estimate, mass=mass))
+    run = write_example(torqued, tmp_path / "torqued", example.surface)
+    inertial = document(run, tmp_path, "--horizon", "1")["inertial"]
+    assert (inertial["mass_is"], inertial["scale_is"], inertial["mass_kg"]) == (
+        "determined",
+        "determined",
+        9.0,
+    )
+    assert inertial["moments_kg_m2"][1] == pytest.approx(0.25)
+    given = document(run, tmp_path, "--horizon", "1", "--middle-moment-kg-m2", "0.5")["inertial"]
+    assert given["scale_is"] == "given" and given["moments_kg_m2"][1] == pytest.approx(0.5)
