@@ -135,7 +135,7 @@ def test_meshes_open_at_the_right_place_and_scale(run: Path, example: Example, t
     for to in ("ply", "glb", "stl", "obj"):
         for frame, unit, per_m in (("G", "m", 1.0), ("P", "mm", 1000.0)):
             file = export(run, to, tmp_path / f"{frame}.{to}", "--frame", frame, "--unit", unit)
-            mesh = trimesh.load(file, force="mesh")
+            mesh = trimesh.load_mesh(file)
             assert mesh.volume == pytest.approx(per_m**3 * np.prod(BOX_M), rel=1e-5)
             # P has its origin at the centre of mass, with the axes of G in this example
             middle = 0.0 if frame == "G" else -example.estimate.mass.com_G
