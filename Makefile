@@ -13,6 +13,7 @@ STAMP := .venv/.installed
 PEERS := .venv/.peers
 SOLVERS := .venv/.solvers
 MATCHERS := .venv/.matchers
+FORMATS := .venv/.formats
 DEMO_RUN := runs/demo
 SHORT ?=
 
@@ -38,6 +39,16 @@ $(SOLVERS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers]'
 	@touch $@
 
+# Programs that must accept what `polhode export` writes. Drake reads SDF with Gazebo's parser; it asks for a
+# commercial solver, which reading needs not. The validator of glTF is there where npm is; its test says so.
+$(FORMATS): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[export,formats]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps drake || \
+	    echo "polhode: Drake is not installed here: its tests are skipped" >&2
+	@command -v npm > /dev/null && npm install --silent --no-fund --no-audit --prefix .venv/gltf \
+	    gltf-validator@2.0.0-dev.3.10 || echo "polhode: no npm: the test of the glTF validator is skipped" >&2
+	@touch $@
+
 # Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
 # one of them asks for a second OpenCV, which would overwrite ours.
 $(MATCHERS): $(STAMP)
@@ -58,7 +69,7 @@ example:
 	test -f $(DEMO_RUN)/mesh.ply || $(MAKE) demo
 	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
 
-test: setup $(PEERS) $(MATCHERS) $(SOLVERS)
+test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS)
 	$(BIN)/python -m pytest
 
 check: setup

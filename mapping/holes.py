@@ -66,11 +66,20 @@ def close_small_holes(
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if len(faces) == 0 or largest_m <= 0.0:
         return ClosedHoles(surface, 0, 0)
-    small = [loop for loop in boundary_loops(faces) if _across(vertices[loop]) <= largest_m]
+    small = [loop for loop in _holes(faces) if _across(vertices[loop]) <= largest_m]
     patches = list(_patches(vertices, faces, small))
     if patches and views and rig is not None:
         patches = _not_looked_through(mesh, patches, views, rig, caster or Caster(mesh))
     return ClosedHoles(_with(surface, patches), len(patches), len(small) - len(patches))
+
+
+def _holes(faces: Ints) -> list[Ints]:
+    """The loops but for outlines of single faces, which hang on the rest by their corners."""
+    loops = boundary_loops(faces)
+    lone = np.array([np.sort(loop) for loop in loops if len(loop) == 3], dtype=np.int64).reshape(-1, 3)
+    near = np.isin(faces, lone).all(axis=1)
+    there = {tuple(face) for face in np.sort(faces[near], axis=1).tolist()}
+    return [loop for loop in loops if len(loop) > 3 or tuple(sorted(loop.tolist())) not in there]
 
 
 def boundary_loops(faces: Ints) -> list[Ints]:

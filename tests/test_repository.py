@@ -54,8 +54,9 @@ def test_every_import_is_a_declared_dependency() -> None:
     groups = project()["project"]
     # What the extra `train` brings is imported inside functions, which say so when it is missing.
     extras = groups["optional-dependencies"]
-    # So is what `solvers` brings, by adapters that run only where it is there.
-    requirements = groups["dependencies"] + extras["train"] + extras["solvers"]
+    # So is what `solvers` brings, by adapters that run only where it is there; and what `export` brings:
+    # without it there is another way.
+    requirements = groups["dependencies"] + extras["train"] + extras["solvers"] + extras["export"]
     declared = {normalised(requirement) for requirement in requirements}
     distributions = packages_distributions()
     undeclared = {
@@ -70,7 +71,8 @@ def test_every_import_is_a_declared_dependency() -> None:
 def test_every_declared_dependency_has_a_tested_version() -> None:
     groups = project()["project"]
     extras = groups["optional-dependencies"]
-    wanted = groups["dependencies"] + extras["dev"] + extras["peers"] + extras["solvers"]
+    installed = ("dev", "peers", "solvers", "export", "formats")
+    wanted = groups["dependencies"] + [each for name in installed for each in extras[name]]
     declared = {normalised(each) for each in wanted}
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     tested = {normalised(line) for line in lines if line and not line.startswith("#")}

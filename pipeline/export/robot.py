@@ -45,8 +45,7 @@ def robot_files(job: Job) -> Files:
             job.leave_out(f"collision geometry is left out: {error}")
         else:
             words.append(
-                f"{cut.words}; 95 % of their outer area lies within {1e3 * cut.beyond_m:.2g} "
-                "mm of it (what was never seen may be filled)"
+                f"{cut.words}; 95 % of their area reaches less than {1e3 * cut.beyond_m:.2g} mm beyond it"
             )
             for number, piece in enumerate(cut.pieces):
                 collision.append(f"collision_{number:03d}.obj")

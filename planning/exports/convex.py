@@ -39,7 +39,7 @@ class Decomposition:
     words: str
     """How they were made"""
     beyond_m: float
-    """How far they reach beyond the surface [m]: 95 % of their outer area is nearer to it"""
+    """How far they reach beyond the surface [m], outwards: 95 % of their area reaches less"""
 
 
 def decompose(shape: Shape, most_pieces: int) -> Decomposition:
@@ -138,8 +138,10 @@ def _hull(points: Array, margin_m: float) -> trimesh.Trimesh:
 def _beyond(hulls: tuple[trimesh.Trimesh, ...], shape: Shape) -> float:
     """See ``Decomposition.beyond_m``; of points on the pieces that no other piece covers."""
     # faces may be long: their corners alone would not tell where the surface is
-    within, _ = trimesh.sample.sample_surface(shape.mesh(), SURFACE_SAMPLES, seed=0)
-    tree = cKDTree(np.concatenate([shape.vertices[np.unique(shape.faces)], within]))
+    surface = shape.mesh()
+    on, face = trimesh.sample.sample_surface(surface, SURFACE_SAMPLES, seed=0)
+    on, normal = np.asarray(on), np.asarray(surface.face_normals)[face]
+    tree = cKDTree(on)
     planes = [ConvexHull(np.asarray(hull.vertices)).equations for hull in hulls]
     areas = np.array([hull.area for hull in hulls])
     found = []
@@ -150,6 +152,8 @@ def _beyond(hulls: tuple[trimesh.Trimesh, ...], shape: Shape) -> float:
         for other, each in enumerate(planes):
             if other != k:
                 covered |= _outside(np.asarray(points), each) < 0.0
-        distance, _ = tree.query(np.asarray(points)[~covered])
-        found.append(distance)
+        free = np.asarray(points)[~covered]
+        distance, near = tree.query(free)
+        outside = np.sum((free - on[near]) * normal[near], axis=1) > 0.0
+        found.append(np.where(outside, distance, 0.0))
     return float(np.quantile(np.concatenate(found), 0.95))

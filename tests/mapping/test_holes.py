@@ -123,3 +123,14 @@ def test_a_loop_that_overlaps_in_its_plane_is_spanned_by_the_least_area() -> Non
     outer = [(a, b) for a, b in edges.tolist() if (b, a) not in set(map(tuple, edges.tolist()))]
     assert sorted(outer) == sorted((k, (k + 1) % 24) for k in range(24))
     assert len(points) + 24 > faces.max()
+
+
+def test_a_face_that_hangs_by_a_corner_is_no_hole() -> None:
+    whole = box()
+    n = len(whole.vertices)
+    tip = whole.vertices[0]
+    more = np.vstack([whole.vertices, tip + [0.004, 0.0, 0.004], tip + [0.0, 0.004, 0.004]])
+    hanging = trimesh.Trimesh(more, np.vstack([whole.faces, [0, n, n + 1]]), process=False)
+    found = close_small_holes(surface_of(hanging), 0.04)
+    assert (found.closed, found.left_open) == (0, 0)
+    assert not found.surface.is_invented.any()

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from trimesh.visual import ColorVisuals
 
 from pipeline.cli import main
 from pipeline.outputs import write_run
@@ -135,7 +136,7 @@ def test_meshes_open_at_the_right_place_and_scale(run: Path, example: Example, t
     for to in ("ply", "glb", "stl", "obj"):
         for frame, unit, per_m in (("G", "m", 1.0), ("P", "mm", 1000.0)):
             file = export(run, to, tmp_path / f"{frame}.{to}", "--frame", frame, "--unit", unit)
-            mesh = trimesh.load(file, force="mesh")
+            mesh = trimesh.load_mesh(file)
             assert mesh.volume == pytest.approx(per_m**3 * np.prod(BOX_M), rel=1e-5)
             # P has its origin at the centre of mass, with the axes of G in this example
             middle = 0.0 if frame == "G" else -example.estimate.mass.com_G
@@ -143,6 +144,7 @@ def test_meshes_open_at_the_right_place_and_scale(run: Path, example: Example, t
                 mesh.bounds.mean(axis=0), per_m * middle * np.ones(3), atol=1e-4 * per_m
             )
             if to in ("ply", "obj"):
+                assert isinstance(mesh.visual, ColorVisuals)
                 found = {tuple(c) for c in np.asarray(mesh.visual.vertex_colors)[:, :3].tolist()}
                 assert len(found) > 50
     ply = trimesh.load(tmp_path / "P.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]

@@ -1,6 +1,6 @@
 """What ``polhode export`` writes, read by the programs that it is meant for.
 
-They are installed by `make test` (extras ``export`` and ``formats``, Drake, the Khronos validator). evo, under the
+`make test` installs them (extras ``export`` and ``formats``, Drake, the Khronos validator). evo, under the
 GPL, runs as a process of its own. SDF is read by Drake, whose parser is Gazebo's libsdformat.
 """
 
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
 
 from pipeline.cli import main
 from planning.exports import convex
@@ -38,6 +39,7 @@ def cross() -> SurfaceModel:
     """A body that is not convex: three beams, bumpy, and open on one side."""
     beams = [trimesh.creation.box(np.roll([0.5, 0.08, 0.06], k)) for k in range(3)]
     mesh = trimesh.util.concatenate(beams)
+    assert isinstance(mesh, trimesh.Trimesh)
     for _ in range(3):
         mesh = mesh.subdivide()
     mesh.update_faces(mesh.triangles_center[:, 2] > -0.24)
@@ -55,7 +57,7 @@ def cross_run(example: Example, cross: SurfaceModel, tmp_path_factory: pytest.Te
 
 
 def pieces_of(folder: Path) -> list[trimesh.Trimesh]:
-    return [trimesh.load(file, force="mesh") for file in sorted(folder.glob("collision_*.obj"))]
+    return [trimesh.load_mesh(file) for file in sorted(folder.glob("collision_*.obj"))]
 
 
 def test_fcl_finds_every_point_of_the_surface_inside_the_pieces(
@@ -91,7 +93,7 @@ def test_fcl_finds_every_point_of_the_surface_inside_the_pieces(
     box = np.random.default_rng(2).uniform(-0.3, 0.3, (1500, 3))
     away = box[distance_to_surface(cross.mesh, box) > 0.05]
     share = float(touches(away, 1e-3).mean())
-    hull = convex.ConvexHull(np.asarray(cross.mesh.vertices)).equations
+    hull = ConvexHull(np.asarray(cross.mesh.vertices)).equations
     inside_hull = float((convex._outside(away, hull) < 0.0).mean())
     assert len(away) > 500 and share < 0.1 * inside_hull
     with capsys.disabled():
@@ -107,7 +109,7 @@ def test_the_pieces_contain_each_triangle_whole(cross: SurfaceModel) -> None:
     for most in (1, 4, 24):
         found = convex.decompose(shape, most)
         assert len(found.pieces) <= most
-        planes = [convex.ConvexHull(np.asarray(piece.vertices)).equations for piece in found.pieces]
+        planes = [ConvexHull(np.asarray(piece.vertices)).equations for piece in found.pieces]
         # a triangle lies in a convex piece if its corners do
         leaves = np.stack([convex._outside(shape.vertices, each)[shape.faces].max(axis=1) for each in planes])
         assert leaves.min(axis=0).max() < 1e-9
@@ -251,7 +253,7 @@ def test_drake_accepts_sdf_and_urdf_with_their_meshes(to: str, cross_run: Path, 
     assert inspector.NumGeometriesWithRole(Role.kProximity) == pieces
     assert inspector.NumGeometriesWithRole(Role.kIllustration) == 1
     if to == "sdf":
-        X_NF = plant.GetDefaultFreeBodyPose(body).GetAsMatrix4()
+        X_NF = plant.GetDefaultFloatingBaseBodyPose(body).GetAsMatrix4()
         np.testing.assert_allclose(X_NF[:3, 3], content["last"]["p_NF"], atol=1e-9)
         np.testing.assert_allclose(X_NF[:3, :3], matrix_from_wxyz(content["last"]["q_NF_wxyz"]), atol=1e-9)
 
@@ -319,8 +321,8 @@ def test_the_animation_is_the_prediction(cross_run: Path, tmp_path: Path) -> Non
         part = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
         outputs.append(np.frombuffer(part, "<f4").astype(float))
     xyzw, place = outputs[0].reshape(-1, 4), outputs[1].reshape(-1, 3)
-    rows = document(cross_run, tmp_path, *options)
-    rows = [rows["last"], *rows["prediction"]]
+    states = document(cross_run, tmp_path, *options)
+    rows = [states["last"], *states["prediction"]]
     np.testing.assert_allclose(place, [row["p_NF"] for row in rows], atol=1e-6)
     expected = matrix_from_wxyz([row["q_NF_wxyz"] for row in rows])
     np.testing.assert_allclose(matrix_from_wxyz(xyzw[:, [3, 0, 1, 2]]), expected, atol=1e-6)
