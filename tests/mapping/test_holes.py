@@ -129,7 +129,7 @@ def test_a_face_that_hangs_by_a_corner_is_no_hole() -> None:
     whole = box()
     n = len(whole.vertices)
     tip = whole.vertices[0]
-    more = np.vstack([whole.vertices, tip + [0.004, 0.0, 0.004], tip + [0.0, 0.004, 0.004]])
+    more = np.vstack([whole.vertices, tip + np.array([4e-3, 0.0, 4e-3]), tip + np.array([0.0, 4e-3, 4e-3])])
     hanging = trimesh.Trimesh(more, np.vstack([whole.faces, [0, n, n + 1]]), process=False)
     found = close_small_holes(surface_of(hanging), 0.04)
     assert (found.closed, found.left_open) == (0, 0)
