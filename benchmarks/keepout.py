@@ -31,6 +31,7 @@ def main() -> None:
     parser.add_argument("--horizon", type=float, nargs="+", default=[60.0], help="seconds")
     parser.add_argument("--confidence", type=float, default=0.99)
     parser.add_argument("--draws", type=int, default=400)
+    parser.add_argument("--cover", choices=("auto", "surface", "hull"), default="auto")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--short", action="store_true", help="10 s ahead, 200 draws")
     parser.add_argument("--record", type=Path, default=RECORD)
@@ -41,6 +42,8 @@ def main() -> None:
         for run in options.runs
         for h in horizons
     ]
+    if options.cover != "auto":
+        cases = [{**case, "cover": options.cover} for case in cases]
     print(table(complete(options.record, cases, measure, options.workers)))
 
 
@@ -56,7 +59,7 @@ def measure(case: Case) -> dict[str, Any]:
     run = Path(case["run"])
     ahead, _ = ahead_of(run)
     surface = surface_of(run)
-    wanted = Wanted(case["horizon_s"], case["confidence"])
+    wanted = Wanted(case["horizon_s"], case["confidence"], cover=case.get("cover", "auto"))
     found = keep_out(surface, ahead, wanted)
     level, motion = found.swept.level, found.instant.motion
     # the sweep of the bare estimate

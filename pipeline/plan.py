@@ -81,11 +81,10 @@ def plan_run(run: Path, wanted: Wanted, docking: Docking | None) -> Plan:
     ahead, summary = ahead_of(run)
     left_out: dict[str, str] = {}
     notes = [*summary.warnings[:1]] if summary.status == "failed" else []
-    notes += [
-        f"The run does not determine {name}: members of the ensemble are bounded by the motion that was seen."
-        for name, words in summary.identifiable_detail.items()
-        if words.startswith("not")
-    ]
+    hidden = [name for name, words in summary.identifiable_detail.items() if words.startswith("not")]
+    if hidden:
+        words = ", ".join(hidden)
+        notes.append(f"The run does not determine {words}: the motions drawn are bounded by what was seen.")
     found, speed, surface = None, None, None
     motion = nominal(ahead, np.concatenate([[0.0], member_times(ahead, wanted.horizon_s)]))
     try:
