@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.compare.dominance import NOISE
 from pipeline.compare.judge import AGREED
 from pipeline.compare.profiles import curve, front, growths
 from pipeline.compare.rows import Comparison, Row
@@ -186,7 +187,8 @@ def _time_against_accuracy(
     )
     step["line"] = {**step["line"], "shape": "hv"}
     caption = (
-        f"Cold start; costs within {AGREED:g} of the least count as equally accurate. On the front: "
+        f"Cold start; costs within {AGREED:g} of the least count as equally accurate, times within "
+        f"{NOISE:.0%} as equally long. On the front: "
         f"{', '.join(row.solver for row in best)}."
     )
     drawing = layout(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.compare.dominance import beats
 from pipeline.compare.judge import AGREED
 from pipeline.compare.rows import Comparison, Profile, Row, Tally
 from pipeline.compare.table import gap, least_costs
@@ -96,16 +97,7 @@ def growths(comparison: Comparison) -> list[Growth]:
 
 
 def front(rows: Sequence[Row], least: float | None) -> list[Row]:
-    """The Pareto front of time against accuracy among the rows of one problem, by time.
-
-    Accuracy is the cost over the least one known; below ``AGREED`` all are equally accurate.
-    """
+    """The Pareto front of time against accuracy, by time: the rows of one problem that none other beats."""
     ended = [row for row in rows if row.status in ("ok", "baseline") and row.wall_s is not None]
-    out: list[Row] = []
-    best = np.inf
-    for row in sorted(ended, key=lambda row: row.wall_s or 0.0):
-        over = max(gap(row, least) or 0.0, AGREED)
-        if over < best:
-            out.append(row)
-            best = over
-    return out
+    kept = [row for row in ended if not any(beats(other, row, least) for other in ended if other is not row)]
+    return sorted(kept, key=lambda row: row.wall_s or 0.0)

@@ -139,8 +139,9 @@ def verdict(rows: Sequence[Row], least: float | None) -> str:
         return "No solver claims convergence."
     worst = max(good, key=lambda row: row.cost or 0.0)
     fastest = min(good, key=lambda row: row.wall_s or float("inf"))
+    claim = "rows claim" if len(good) > 1 else "row claims"
     return (
-        f"{len(good)} rows claim convergence, {gap(worst, least):.1e} of the least cost apart at most "
+        f"{len(good)} {claim} convergence, {gap(worst, least):.1e} of the least cost apart at most "
         f"({worst.solver}); the fastest: {fastest.solver}, {fastest.wall_s:.2f} s."
     )
 
