@@ -143,6 +143,7 @@ def test_meshes_open_at_the_right_place_and_scale(run: Path, example: Example, t
                 mesh.bounds.mean(axis=0), per_m * middle * np.ones(3), atol=1e-4 * per_m
             )
             if to in ("ply", "obj"):
+                assert isinstance(mesh.visual, ColorVisuals)
                 found = {tuple(c) for c in np.asarray(mesh.visual.vertex_colors)[:, :3].tolist()}
                 assert len(found) > 50
     ply = trimesh.load(tmp_path / "P.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]
