@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from trimesh.visual import ColorVisuals
 
 from pipeline.cli import main
 from pipeline.outputs import write_run
