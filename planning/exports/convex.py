@@ -26,6 +26,8 @@ NEARLY_CONVEX = 0.01
 """Share of its volume that the hull of a convex body may have more."""
 PANEL = 1e-3
 """Thickness of a flat piece, over the body's size."""
+MOST_GROWTH = 10.0
+"""Volume of a piece over what it was when it was cut."""
 ROUNDING = 2e-6
 """Each piece is larger by this share of the body's size: more than single precision moves it."""
 SAMPLES, SURFACE_SAMPLES = 4_000, 60_000
@@ -52,22 +54,20 @@ def decompose(shape: Shape, most_pieces: int) -> Decomposition:
         hulls = tuple(_hull(each, ROUNDING * size) for each in pieces)
     except QhullError as error:
         raise ValueError("the surface is flat: it has no convex hull with a volume") from error
-    return Decomposition(hulls, words, _beyond(hulls, shape))
+    pieces_in_words = "the convex hull" if len(hulls) == 1 else f"{len(hulls)} convex pieces"
+    return Decomposition(hulls, f"collision geometry: {pieces_in_words} {words}", _beyond(hulls, shape))
 
 
 def _cut(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array], str]:
     """Vertices of convex pieces, and how they were found."""
     if most_pieces == 1:
-        return [], "collision geometry: the convex hull, as one piece was asked for"
+        return [], "as one piece was asked for"
     try:
         import vhacdx
     except ImportError:
-        return [], (
-            "collision geometry: the convex hull alone, as V-HACD is not installed "
-            "(pip install 'polhode[export]')"
-        )
+        return [], "alone, as V-HACD is not installed (pip install 'polhode[export]')"
     if mesh.is_volume and mesh.convex_hull.volume < (1.0 + NEARLY_CONVEX) * mesh.volume:
-        return [], "collision geometry: the convex hull, as the body is convex"
+        return [], "as the body is convex"
     thin = mesh if len(mesh.faces) <= CUT_FACES else mesh.simplify_quadric_decimation(face_count=CUT_FACES)
     parts = vhacdx.compute_vhacd(
         np.asarray(thin.vertices, dtype=np.float64),
@@ -80,8 +80,7 @@ def _cut(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array], str]:
     thickness_m = PANEL * float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
     found = [_with_volume(np.asarray(vertices, dtype=np.float64), thickness_m) for vertices, _ in parts]
     found = [vertices for vertices in found if _has_volume(vertices)]
-    words = f"collision geometry: {len(found)} convex pieces by V-HACD, grown until they contain the surface"
-    return found, words
+    return found, "by V-HACD, grown until they contain the surface"
 
 
 def _with_volume(points: Array, thickness_m: float) -> Array:
@@ -100,15 +99,30 @@ def _has_volume(points: Array) -> bool:
 
 
 def _grown(shape: Shape, seeds: list[Array]) -> list[Array]:
-    """Points of each piece with the corners of the triangles that it takes."""
-    planes = [ConvexHull(seed).equations for seed in seeds]
+    """Points of each piece with the corners of the triangles that it takes.
+
+    A sliver between two other pieces takes triangles from all around it: those that grow out of all
+    proportion are left out, and the others share what they had.
+    """
+    hulls = [ConvexHull(seed) for seed in seeds]
     used, index = np.unique(shape.faces, return_inverse=True)
     corner: Ints = index.reshape(-1, 3)
     points = shape.vertices[used]
     # how far each triangle leaves each piece (T, pieces): the largest over its corners
-    leaves = np.stack([_outside(points, each)[corner].max(axis=1) for each in planes], axis=1)
-    owner = leaves.argmin(axis=1)
-    return [np.concatenate([seed, points[np.unique(corner[owner == k])]]) for k, seed in enumerate(seeds)]
+    leaves = np.stack([_outside(points, hull.equations)[corner].max(axis=1) for hull in hulls], axis=1)
+    kept = np.arange(len(seeds))
+    while True:
+        owner = kept[leaves[:, kept].argmin(axis=1)]
+        pieces = [np.concatenate([seeds[k], points[np.unique(corner[owner == k])]]) for k in kept]
+        sound = np.array(
+            [
+                ConvexHull(piece).volume < MOST_GROWTH * hulls[k].volume
+                for k, piece in zip(kept, pieces, strict=True)
+            ]
+        )
+        if sound.all() or not sound.any():
+            return pieces
+        kept = kept[sound]
 
 
 def _outside(points: Array, planes: Array) -> Array:
