@@ -76,8 +76,8 @@ class _Graph:
         self.problem = pyceres.Problem()
         self.blocks, self.watch = Blocks(problem.data, problem.held), watch
         self.parts = self._parts()
-        # Ceres holds the addresses of these
-        self.values = [np.ascontiguousarray(x[part]) for part in self.parts]
+        # Ceres holds the addresses of these and writes to them: never to x
+        self.values = [x[part].copy() for part in self.parts]
         self._costs: list[Any] = []
         self._add_landmarks(problem)
         self._add_steps()

@@ -101,6 +101,15 @@ def test_each_keeps_a_whole_point_on_its_way_or_tells_how_far_it_was(
     assert judge(small, x).cost is not None
 
 
+@pytest.mark.parametrize("name", [entry.name for entry in ENTRIES])
+def test_none_writes_to_its_start(name: str, small: MeasuredProblem) -> None:
+    start = small.start("near", 0)
+    before = start.copy()
+    with suppress(OutOfTime):
+        entries((name,))[0].load().solve(small, start, Watch(1.0))
+    np.testing.assert_array_equal(start, before)
+
+
 @pytest.mark.parametrize("name", ["odometry", "dynamic_isam", "ceres", "sqp_osqp", "ipopt_condensed"])
 def test_evaluation_is_part_of_the_time(name: str, small: MeasuredProblem) -> None:
     watch = Watch(120.0)
