@@ -73,7 +73,10 @@ def read_ply(path: Path) -> SurfaceModel:
 
     Raises InputError for anything else.
     """
-    mesh = trimesh.load_mesh(path, process=False)
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+    except (ValueError, IndexError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); run it again") from error
     if not isinstance(mesh, trimesh.Trimesh):
         raise InputError(f"{path}: not a triangle mesh; give the mesh.ply of a run")
     raw = mesh.metadata.get("_ply_raw", {})

@@ -95,7 +95,7 @@ def solid_of(mesh: trimesh.Trimesh, caster: Caster | None = None) -> tuple[Solid
         return None, f"the surface is open and covers only {share:.0%} of the directions from its middle"
     filled = "" if share > NEARLY_CLOSED else f" (it covers {share:.0%} of the directions from its middle)"
     return solid_body(
-        hull, f"volume of the mesh's convex hull, as the mesh is open{filled}: an upper bound"
+        hull, f"volume of the mesh's convex hull, as the mesh is open{filled}: an upper bound of that volume"
     ), ""
 
 

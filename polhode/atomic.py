@@ -5,10 +5,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from polhode.errors import InputError
+
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """Yield a path beside ``path``, of the same suffix; rename it onto ``path`` when the block ends well."""
+    """Yield a path beside ``path``, of the same suffix; rename it onto ``path`` when the block ends well.
+
+    Raises InputError when a device or a pipe stands there: a renamed file would take its place.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise InputError(f"{path}: is no file but a device or a pipe; give a file's name")
     partial = path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}")
     try:
         yield partial

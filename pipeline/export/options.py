@@ -53,9 +53,14 @@ class Options:
     def epoch_utc(self) -> np.datetime64:
         """UTC at timestamp 0 [ns]."""
         try:
-            return np.datetime64(self.epoch.removesuffix("Z"), "ns")
+            time = datetime.fromisoformat(self.epoch)
         except ValueError:
             raise InputError(f"--epoch {self.epoch}: not a time; give UTC as 2026-01-31T12:00:00") from None
+        if time.tzinfo is not None:
+            time = time.astimezone(UTC).replace(tzinfo=None)
+        if not 1900 <= time.year < 2200:
+            raise InputError(f"--epoch {self.epoch}: give a time from 1900 to 2199")
+        return np.datetime64(time, "ns")
 
 
 def check(options: Options) -> None:

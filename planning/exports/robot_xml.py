@@ -152,8 +152,8 @@ def _visual(robot: Robot) -> tuple[str, ...]:
 
 def _comments(root: ET.Element, comments: Sequence[str]) -> None:
     for text in comments:
-        # XML allows no double hyphen inside a comment
-        root.append(ET.Comment(f" {text.replace('--', '- -')} "))
+        # XML allows no double hyphen inside a comment: options lose theirs
+        root.append(ET.Comment(f" {text.replace('--', '')} "))
 
 
 def _row(values: Array) -> str:

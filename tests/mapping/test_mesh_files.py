@@ -96,3 +96,11 @@ def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path) -> None:
     trimesh.PointCloud(np.eye(3)).export(tmp_path / "mesh.ply")
     with pytest.raises(InputError, match=r"mesh\.ply.*without sigma_m and views"):
         read_ply(tmp_path / "mesh.ply")
+
+
+def test_a_truncated_mesh_is_refused_in_one_line(surface: SurfaceModel, tmp_path: Path) -> None:
+    write_ply(surface, tmp_path / "mesh.ply")
+    whole = (tmp_path / "mesh.ply").read_bytes()
+    (tmp_path / "mesh.ply").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="cannot be read"):
+        read_ply(tmp_path / "mesh.ply")

@@ -245,6 +245,8 @@ def test_a_failed_run_exports_what_it_found(
         (["--to", "oem", "--frame", "G"], "an OEM tells the path of the centre of mass"),
         (["--to", "oem", "--horizon", "-1"], "--horizon -1: give the seconds"),
         (["--to", "oem", "--epoch", "soon"], "--epoch soon: not a time"),
+        (["--to", "oem", "--epoch", "NaT"], "--epoch NaT: not a time"),
+        (["--to", "oem", "--epoch", "1500-01-01"], "--epoch 1500-01-01: give a time from 1900 to 2199"),
         (["--to", "oem", "--object-name", "a b"], "--object-name 'a b'"),
         (["--to", "urdf", "--pieces", "0"], "--pieces 0"),
         (["--to", "ply", "-o", "/nowhere/at/all.ply"], "is not a folder: choose another -o"),

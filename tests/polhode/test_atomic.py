@@ -1,10 +1,12 @@
 """Files appear whole or not at all."""
 
+import os
 from pathlib import Path
 
 import pytest
 
 from polhode.atomic import replaced, write_bytes, write_text
+from polhode.errors import InputError
 
 
 def write_half(path: Path) -> None:
@@ -38,3 +40,11 @@ def test_the_new_file_takes_the_place_only_when_it_is_whole(tmp_path: Path) -> N
 def test_line_feeds_and_umlauts_are_written_as_given(tmp_path: Path) -> None:
     write_text(tmp_path / "a", "ω\n")
     assert (tmp_path / "a").read_bytes() == b"\xcf\x89\n"
+
+
+def test_a_pipe_is_not_replaced(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="no file but a device or a pipe"):
+        write_text(pipe, "words")
+    assert pipe.is_fifo() and list(tmp_path.iterdir()) == [pipe]
