@@ -40,7 +40,7 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class EdgeModel:
-    """A body's edges in G and its surface, which hides them. Feature i < n is a segment, i >= n a smooth part."""
+    """Edges in G and the surface that hides them. Feature i < n is a segment, i >= n a smooth part."""
 
     ends_G: Array
     """(n, 2, 3) [m]"""

@@ -72,4 +72,4 @@ def _crossing(a: Array, b: Array, normal_a: Array, normal_b: Array, eye_G: Array
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = q / two, zero / q
     inside = (first >= 0.0) & (first <= 1.0)
-    return np.clip(np.nan_to_num(np.where(inside, first, second)), 0.0, 1.0)
+    return np.asarray(np.clip(np.nan_to_num(np.where(inside, first, second)), 0.0, 1.0))
