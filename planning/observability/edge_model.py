@@ -24,7 +24,7 @@ CREASE_DEG = 30.0
 TOLERANCE = 5e-4
 """Edges are straight to this share of the body's diameter."""
 LEAST_LENGTH = 0.01
-"""Shorter edges, as a share of the body's diameter, are left out."""
+"""Shorter edges, as a share of the body's diameter, are left out; an arc counts as a whole."""
 
 
 class Kind(IntEnum):
@@ -126,14 +126,13 @@ def edge_model(
     least_length_m = LEAST_LENGTH * diameter if least_length_m is None else least_length_m
     edges, sides, kind, soft = _sharp_edges(surface, crease_deg)
     part = _smooth_parts(len(surface.faces), soft)
-    ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m)
-    long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= least_length_m
+    ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m, least_length_m)
     corners = _corner_normals(surface, part)
     return EdgeModel(
-        ends[long],
-        tangents[long],
-        normals[long],
-        kinds[long],
+        ends,
+        tangents,
+        normals,
+        kinds,
         surface,
         corners,
         part,
@@ -198,7 +197,7 @@ def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints) -> Bools:
 
 
 def _segments(
-    surface: trimesh.Trimesh, edges: Ints, sides: Array, kind: Ints, tolerance_m: float
+    surface: trimesh.Trimesh, edges: Ints, sides: Array, kind: Ints, tolerance_m: float, least_length_m: float
 ) -> tuple[Array, Array, Array, Ints]:
     """Chains of sharp edges, cut into straight pieces: ends, tangents, sides (n, 2, 3), kinds (n,)."""
     vertices = np.asarray(surface.vertices)
@@ -207,9 +206,9 @@ def _segments(
         own = np.flatnonzero(kind == which)
         for chain, members in chains_of(edges[own]):
             pieces = straight_pieces(vertices[chain], tolerance_m)
-            if not pieces:
+            knots = vertices[chain[[0, *(b for _, b in pieces)]]]
+            if np.linalg.norm(np.diff(knots, axis=0), axis=1).sum() < least_length_m:
                 continue
-            knots = vertices[chain[[pieces[0][0], *(b for _, b in pieces)]]]
             tangents.append(tangents_along(knots))
             for a, b in pieces:
                 ends.append(vertices[[chain[a], chain[b]]])
