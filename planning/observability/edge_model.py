@@ -21,6 +21,8 @@ from polhode.records import Bools, Ints
 
 CREASE_DEG = 30.0
 """Faces that meet at more than this angle form an edge."""
+FLAT_DEG = 0.5
+"""A part whose normals lean less from their mean is flat."""
 TOLERANCE = 5e-4
 """Edges are straight to this share of the body's diameter."""
 LEAST_LENGTH = 0.01
@@ -106,8 +108,9 @@ def edge_model(
     crease_deg: float = CREASE_DEG,
     tolerance_m: float | None = None,
     least_length_m: float | None = None,
+    flat_deg: float = FLAT_DEG,
 ) -> EdgeModel:
-    """Edges of a mesh in G.
+    """Edges of a mesh in G; smooth parts whose normals differ by less than ``flat_deg`` have no outlines.
 
     Raises InputError for a mesh without faces or with numbers that are not finite.
     """
@@ -137,7 +140,7 @@ def edge_model(
         corners,
         part,
         tolerance_m,
-        _is_curved(surface, corners, part),
+        _is_curved(surface, corners, part, flat_deg),
         Occluder(surface),
     )
 
@@ -188,12 +191,16 @@ def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
     return np.where(length > 0.0, normal / np.maximum(length, 1e-300), flat)
 
 
-def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints) -> Bools:
-    """(parts,) whether any corner of a part leans away from its face by more than half a degree."""
-    lean = np.einsum("fck,fk->fc", corners, np.asarray(surface.face_normals)).min(axis=1)
-    least = np.ones(int(part.max()) + 1)
-    np.minimum.at(least, part, lean)
-    return np.asarray(least < np.cos(np.radians(0.5)))
+def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints, flat_deg: float) -> Bools:
+    """(parts,) whether any corner of a part leans away from the part's mean normal by more than this."""
+    count = int(part.max()) + 1
+    mean = np.zeros((count, 3))
+    np.add.at(mean, part, np.asarray(surface.area_faces)[:, None] * np.asarray(surface.face_normals))
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    mean = np.where(length > 0.0, mean / np.maximum(length, 1e-300), 0.0)
+    least = np.ones(count)
+    np.minimum.at(least, part, np.einsum("fck,fk->fc", corners, mean[part]).min(axis=1))
+    return np.asarray(least < np.cos(np.radians(flat_deg)))
 
 
 def _segments(

@@ -23,6 +23,8 @@ MEASURED_TOLERANCE = 2e-3
 """Least tolerance for a measured mesh, as a share of its diameter."""
 MEASURED_LEAST_LENGTH = 0.025
 """Shorter edges of a measured mesh are noise, as a share of its diameter."""
+MEASURED_FLAT_DEG = 20.0
+"""The normals of a measured plane lean by less from their mean."""
 _SAMPLES = 20_000
 
 
@@ -36,6 +38,7 @@ def measured_edge_model(mesh: trimesh.Trimesh, sigma_m: Array) -> EdgeModel:
         simplified(mesh, tolerance_m),
         tolerance_m=tolerance_m,
         least_length_m=MEASURED_LEAST_LENGTH * diameter,
+        flat_deg=MEASURED_FLAT_DEG,
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
@@ -98,7 +99,7 @@ def picture(
         column = values[:, k]
         finite = column[np.isfinite(column)]
         top = max(float(finite.max()) if len(finite) else 1.0, 1e-12)
-        panel.add_collection(PolyCollection(backdrop, facecolor="0.93", edgecolor="none"))
+        panel.add_collection(PolyCollection(list(backdrop), facecolor="0.93", edgecolor="none"))
         shown = np.nan_to_num(column[points.feature], nan=0.0, posinf=top)
         norm = Normalize(0.0, top)
         lines = LineCollection(list(pieces), array=shown, cmap=COLOURS, norm=norm, linewidths=2.5)
@@ -108,6 +109,23 @@ def picture(
         figure.colorbar(ScalarMappable(norm, COLOURS), ax=panel, shrink=0.85)
     figure.suptitle(unit)
     return figure
+
+
+def view_panel(panel: Axes, model: EdgeModel, rig: RectifiedRig, X_RG: Array, points: ControlPoints) -> None:
+    """Draw the body and the edges in sight where they are in the image, outlines apart from the others."""
+    drawn = control_points(model, rig, X_RG, DRAWN_STEP_PX)
+    drawn = drawn[np.isin(drawn.feature, points.feature)]
+    panel.add_collection(PolyCollection(list(_faces(model, rig, X_RG)), facecolor="0.9", edgecolor="none"))
+    outline = drawn.feature >= len(model.ends_G)
+    for which, colour, name in (~outline, "C0", "edges"), (outline, "C3", "outlines"):
+        if which.any():
+            panel.add_collection(LineCollection(list(_pieces(drawn[which])), colors=colour, label=name))
+    panel.set(xlim=(-0.5, rig.width_px - 0.5), ylim=(rig.height_px - 0.5, -0.5), aspect="equal")
+    panel.set(xticks=[], yticks=[])
+    if len(drawn):
+        panel.legend(loc="lower right", fontsize=8, frameon=False)
+    else:
+        panel.text(0.5, 0.5, "no edge in sight", transform=panel.transAxes, ha="center")
 
 
 def _pieces(points: ControlPoints) -> Array:
@@ -129,7 +147,7 @@ def _faces(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> Array:
 
 
 def _tube(ends: Array, radius_m: float, rgb: Array) -> trimesh.Trimesh:
-    tube = trimesh.creation.cylinder(radius_m, segment=ends, sections=SIDES)
+    tube: trimesh.Trimesh = trimesh.creation.cylinder(radius_m, segment=ends, sections=SIDES)
     tube.visual.vertex_colors = _rgba(np.tile(rgb, (len(tube.vertices), 1)))
     return tube
 
