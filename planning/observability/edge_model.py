@@ -5,7 +5,7 @@ carry the normal of the smooth part that they belong to, so a crease splits them
 round.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -62,6 +62,10 @@ class EdgeModel:
     """how far a segment may be from the mesh's edge"""
     outlined: Bools
     """(parts,) which smooth parts give outlines"""
+    soft: Ints
+    """(k, 4) edges that are no creases: two vertices of the surface, the faces at both sides"""
+    faceted: bool
+    """outlines follow the edges of the faces, not the smooth surface that these may stand for"""
     occluder: Occluder = field(repr=False, compare=False)
 
     @property
@@ -89,17 +93,13 @@ class EdgeModel:
         keep = np.zeros(self.size, dtype=bool)
         keep[features] = True
         n = len(self.ends_G)
-        return EdgeModel(
-            self.ends_G[keep[:n]],
-            self.tangents_G[keep[:n]],
-            self.sides_G[keep[:n]],
-            self.kind[keep[:n]],
-            self.surface,
-            self.corner_normals_G,
-            self.part,
-            self.tolerance_m,
-            self.outlined & keep[n:],
-            self.occluder,
+        return replace(
+            self,
+            ends_G=self.ends_G[keep[:n]],
+            tangents_G=self.tangents_G[keep[:n]],
+            sides_G=self.sides_G[keep[:n]],
+            kind=self.kind[keep[:n]],
+            outlined=self.outlined & keep[n:],
         )
 
 
@@ -109,6 +109,7 @@ def edge_model(
     tolerance_m: float | None = None,
     least_length_m: float | None = None,
     flat_deg: float = FLAT_DEG,
+    faceted: bool = False,
 ) -> EdgeModel:
     """Edges of a mesh in G; smooth parts whose normals differ by less than ``flat_deg`` have no outlines.
 
@@ -128,7 +129,7 @@ def edge_model(
     tolerance_m = TOLERANCE * diameter if tolerance_m is None else tolerance_m
     least_length_m = LEAST_LENGTH * diameter if least_length_m is None else least_length_m
     edges, sides, kind, soft = _sharp_edges(surface, crease_deg)
-    part = _smooth_parts(len(surface.faces), soft)
+    part = _smooth_parts(len(surface.faces), soft[:, 2:])
     ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m, least_length_m)
     corners = _corner_normals(surface, part)
     return EdgeModel(
@@ -141,12 +142,14 @@ def edge_model(
         part,
         tolerance_m,
         _is_curved(surface, corners, part, flat_deg),
+        soft,
+        faceted,
         Occluder(surface),
     )
 
 
 def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Array, Ints, Ints]:
-    """Edges (m, 2), normals of their sides (m, 2, 3), kinds (m,); and pairs of faces that join smoothly."""
+    """Edges (m, 2), normals of their sides (m, 2, 3), kinds (m,); the other edges, as in ``soft``."""
     ordered = np.sort(surface.edges, axis=1)
     unique, of_edge, count = np.unique(ordered, axis=0, return_inverse=True, return_counts=True)
     faces = surface.edges_face[np.argsort(of_edge.reshape(-1), kind="stable")]
@@ -160,7 +163,8 @@ def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Arr
     soft = ~sharp
     sides = np.stack([n[first], n[second]], axis=1)
     kind = np.where(rim, Kind.BOUNDARY, Kind.CREASE)
-    return unique[sharp], sides[sharp], kind[sharp], np.stack([first[soft], second[soft]], axis=1)
+    others = np.column_stack([unique[soft], first[soft], second[soft]])
+    return unique[sharp], sides[sharp], kind[sharp], others
 
 
 def _smooth_parts(faces: int, joined: Ints) -> Ints:

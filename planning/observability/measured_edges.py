@@ -39,6 +39,7 @@ def measured_edge_model(mesh: trimesh.Trimesh, sigma_m: Array) -> EdgeModel:
         tolerance_m=tolerance_m,
         least_length_m=MEASURED_LEAST_LENGTH * diameter,
         flat_deg=MEASURED_FLAT_DEG,
+        faceted=True,
     )
 
 

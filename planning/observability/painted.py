@@ -148,8 +148,9 @@ def _faces(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> Array:
 
 def _tube(ends: Array, radius_m: float, rgb: Array) -> trimesh.Trimesh:
     tube: trimesh.Trimesh = trimesh.creation.cylinder(radius_m, segment=ends, sections=SIDES)
-    tube.visual.vertex_colors = _rgba(np.tile(rgb, (len(tube.vertices), 1)))
-    return tube
+    return trimesh.Trimesh(
+        tube.vertices, tube.faces, vertex_colors=_rgba(np.tile(rgb, (len(tube.vertices), 1))), process=False
+    )
 
 
 def _rgb(shares: Array) -> Array:
