@@ -10,12 +10,13 @@ from benchmarks.edge_bodies import edge_body
 from benchmarks.edge_views import EdgeViews, edge_rig, perturbed, random_poses, random_rotation, random_suns
 from benchmarks.record import Case
 from planning.observability.against_sky import body_beside, polarity
+from planning.observability.apart import clear_points
 from planning.observability.calibrated import noise_parts, parts_of
 from planning.observability.edge_model import EdgeModel, edge_model
 from planning.observability.edge_motion import edge_motion, moved, pose_error
 from planning.observability.metric import Observability, observability
 from planning.observability.residual import support
-from planning.observability.seen_edges import control_points
+from planning.observability.seen_edges import SPACING_PX
 from planning.observability.tracker import Tracked, track
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, make_pose, transform_points
@@ -100,7 +101,7 @@ def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, 
 
 def foreseen(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> tuple[Observability, Array]:
     """The metric of a pose before there is an image, and its noise parts (3, 6, 6)."""
-    points = control_points(model, rig, X_RG)
+    points = clear_points(model, rig, X_RG, SPACING_PX)
     f = edge_motion(points, rig, X_RG, model.middle_G)
     known = observability(f, points.weight, model.radius_m)
     if len(points) == 0 or len(known.unseen):

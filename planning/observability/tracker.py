@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from planning.observability.against_sky import body_beside, polarity
+from planning.observability.apart import APART_PX, clear_points
 from planning.observability.edge_model import EdgeModel
 from planning.observability.edge_motion import edge_motion, moved
 from planning.observability.edge_search import Candidates, search
 from planning.observability.metric import Observability, observability
-from planning.observability.seen_edges import SPACING_PX, ControlPoints, control_points
+from planning.observability.seen_edges import SPACING_PX, ControlPoints
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, transform_points
 from polhode.records import Bools
@@ -43,6 +44,8 @@ class Tracking:
     """the pose has settled when the edges move by less, root mean square"""
     remade_px: float = 1.0
     """control points are made anew when they have moved by this, root mean square"""
+    apart_px: float = APART_PX
+    """control points that are nearer to another edge, side by side with it, do not count"""
     least_found: int = 12
     """control points"""
     dark_sky: bool = True
@@ -160,7 +163,7 @@ class _View:
 
 
 def _view(model: EdgeModel, rig: RectifiedRig, X_RG: Array, wanted: Tracking) -> _View:
-    points = control_points(model, rig, X_RG, wanted.spacing_px)
+    points = clear_points(model, rig, X_RG, wanted.spacing_px, wanted.apart_px)
     return _View(points, body_beside(points, model, rig, X_RG))
 
 
