@@ -22,7 +22,7 @@ from polhode.camera import RectifiedRig
 from polhode.lie import Array, make_pose, transform_points
 
 RIG = edge_rig()
-LEVELS = (1.0, 0.6, 0.35)
+LEVELS = (1.0, 0.75, 0.5)
 """Of the total length of edges, the longest first: three models of decreasing detail."""
 START_DEG, START_M = 1.0, 0.01
 """Sigma of the start's error about and along each axis."""

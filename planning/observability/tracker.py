@@ -40,6 +40,8 @@ class Tracking:
     """grey levels"""
     least_sigma_px: float = 0.1
     """residuals are not weighted as if they were better than this"""
+    most_sigma_px: float = 1.0
+    """nor, at the last range, worse; with each step there the limit falls by half, down to the least"""
     settled_px: float = 0.01
     """the pose has settled when the edges move by less, root mean square"""
     remade_px: float = 1.0
@@ -124,12 +126,13 @@ def track(
     steps, drift_px, settled, few = 0, 0.0, False, False
     for number, range_px in enumerate(wanted.ranges_px):
         last = number == len(wanted.ranges_px) - 1
-        for _ in range(wanted.iterations * (2 if last else 1)):
+        for turn in range(wanted.iterations * (2 if last else 1)):
+            most_px = max(wanted.most_sigma_px * 0.5**turn, wanted.least_sigma_px) if last else np.inf
             if len(view.points) < wanted.least_found:
                 return _nothing(X_RG, model.radius_m, _too_few(len(view.points), wanted))
             found = _measure(view, grey, range_px, wanted)
             f = edge_motion(view.points, rig, X_RG, o_G)
-            step, few = _fit(found, f, view.points.weight, model.radius_m, wanted, narrow=last)
+            step, few = _fit(found, f, view.points.weight, model.radius_m, wanted, most_px)
             if few:
                 break
             X_RG = moved(X_RG, step, o_G)
@@ -141,7 +144,7 @@ def track(
             else:
                 view = view.at(rig, X_RG)
             settled = motion_px < wanted.settled_px
-            if motion_px < (wanted.settled_px if last else 0.3):
+            if motion_px < (wanted.settled_px if last else 0.3) and most_px in (np.inf, wanted.least_sigma_px):
                 break
     return _told(model, rig, view, grey, X_RG, steps, settled, few, wanted)
 
@@ -174,7 +177,7 @@ def _measure(view: _View, grey: Array, range_px: float, wanted: Tracking) -> Can
 
 
 def _fit(
-    found: Candidates, f: Array, length: Array, radius_m: float, wanted: Tracking, narrow: bool
+    found: Candidates, f: Array, length: Array, radius_m: float, wanted: Tracking, most_px: float
 ) -> tuple[Array, bool]:
     """Step (6,) of the pose by iterated weighted least squares, and whether too few edges were found."""
     step = np.zeros(6)
@@ -184,8 +187,8 @@ def _fit(
         if seen.sum() < wanted.least_found:
             return step, True
         residual = d[seen] - f[seen] @ step
-        scale = _scale(residual, length[seen], wanted)
-        weight = length[seen] * _robust(residual / scale, narrow)
+        scale = min(_scale(residual, length[seen], wanted), most_px)
+        weight = length[seen] * _robust(residual / scale, narrow=np.isfinite(most_px))
         before = step
         step = _solve(f[seen], d[seen], weight, radius_m, scale)
         if np.mean((f @ (step - before)) ** 2) < (0.1 * wanted.settled_px) ** 2:
@@ -244,7 +247,7 @@ def _told(
     seen = np.isfinite(d)
     robust = np.zeros(len(points))
     if seen.any():
-        robust[seen] = _robust(d[seen] / _scale(d[seen], points.weight[seen], wanted), narrow=True)
+        robust[seen] = _robust(d[seen] / wanted.least_sigma_px, narrow=True)
     f = edge_motion(points, rig, X_RG, model.middle_G)
     information = observability(f, points.weight * robust, model.radius_m)
     if few or seen.sum() < wanted.least_found:
