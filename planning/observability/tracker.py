@@ -50,6 +50,11 @@ class Tracking:
     """control points that are nearer to another edge, side by side with it, do not count"""
     least_found: int = 12
     """control points"""
+    restarts: int = 6
+    """from poses near the found one, while less than a share of the edges agrees"""
+    restart_px: float = 3.0
+    """how far a restart moves the edges, root mean square"""
+    content: float = 0.9
     dark_sky: bool = True
     """The body is brighter than what is behind it"""
 
@@ -115,17 +120,48 @@ def track(
 ) -> Tracked:
     """Pose of the model in an image (H, W) of grey levels, from a guess X_RG (4, 4).
 
-    Never raises for what the image shows: `converged` and `told` say what went wrong.
+    Never raises for what the image shows: `converged` and `told` say what went wrong. Deterministic: restarts
+    are drawn from a fixed seed.
     """
     wanted = wanted or Tracking()
+    grey = np.ascontiguousarray(image, dtype=np.float32)
+    found = _track(model, rig, grey, X_RG, wanted, wanted.ranges_px)
+    rng = np.random.default_rng(0)
+    for _ in range(wanted.restarts):
+        if len(found.points) == 0 or _agreement(found, wanted) >= wanted.content:
+            break
+        step = rng.standard_normal(6)
+        step *= wanted.restart_px / max(float(np.sqrt(np.mean((found.f @ step) ** 2))), 1e-12)
+        other = _track(model, rig, grey, moved(found.X_RG, step, model.middle_G), wanted, wanted.ranges_px[-1:])
+        if other.converged and (
+            _agreement(other, wanted) > _agreement(found, wanted) or not found.converged
+        ):
+            found = other
+    return found
+
+
+def _agreement(tracked: Tracked, wanted: Tracking) -> float:
+    """Length of edge that is found to three of the least sigmas, over what was expected."""
+    close = np.abs(np.nan_to_num(tracked.residuals_px, nan=np.inf)) < 3.0 * wanted.least_sigma_px
+    return float(tracked.points.weight[close].sum() / tracked.points.weight.sum())
+
+
+def _track(
+    model: EdgeModel,
+    rig: RectifiedRig,
+    grey: Array,
+    X_RG: Array,
+    wanted: Tracking,
+    ranges_px: tuple[float, ...],
+) -> Tracked:
+    """From one guess, without restarts."""
     o_G = model.middle_G
     if transform_points(X_RG, o_G[None])[0, 2] <= 0.0:
         return _nothing(X_RG, model.radius_m, "the target is behind the camera")
-    grey = np.ascontiguousarray(image, dtype=np.float32)
     view = _view(model, rig, X_RG, wanted)
     steps, drift_px, settled, few = 0, 0.0, False, False
-    for number, range_px in enumerate(wanted.ranges_px):
-        last = number == len(wanted.ranges_px) - 1
+    for number, range_px in enumerate(ranges_px):
+        last = number == len(ranges_px) - 1
         for turn in range(wanted.iterations * (2 if last else 1)):
             most_px = max(wanted.most_sigma_px * 0.5**turn, wanted.least_sigma_px) if last else np.inf
             if len(view.points) < wanted.least_found:
@@ -144,7 +180,8 @@ def track(
             else:
                 view = view.at(rig, X_RG)
             settled = motion_px < wanted.settled_px
-            if motion_px < (wanted.settled_px if last else 0.3) and most_px in (np.inf, wanted.least_sigma_px):
+            narrowest = most_px in (np.inf, wanted.least_sigma_px)
+            if narrowest and motion_px < (wanted.settled_px if last else 0.3):
                 break
     return _told(model, rig, view, grey, X_RG, steps, settled, few, wanted)
 
