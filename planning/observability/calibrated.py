@@ -51,6 +51,10 @@ class NoiseLevels:
         return np.asarray(np.einsum("nk,nkij->nij", variance, noise.parts))
 
 
+LEVELS = NoiseLevels((1e-4, 1e-3, 1e-4), (0.1, 0.1, 0.0))
+"""Placeholder"""
+
+
 def noise_parts(f: Array, weight: Array, feature: Ints, sign: Ints) -> Array:
     """(3, 6, 6) of one fit: f (m, 6), weights (m,), edge and polarity (m,) of each point. C must have full rank.
 

@@ -103,3 +103,15 @@ def _near(tracked: Tracked, grey: Array, by_px: float, wanted: Tracking) -> tupl
 
 def _share(which: Bools, length: Array) -> float:
     return float(length[which].sum() / max(length.sum(), 1e-12))
+
+
+FEATURES = ("found", "close", "supported", "whole", "limb", "beyond chance")
+WEIGHTS = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+TRUSTED = 0.5
+"""Probability from which a pose is kept"""
+
+
+def probability(features: Array) -> Array:
+    """(n,) that poses with features (n, 6) of `Support.as_features` are right, half of all being so."""
+    constant, *weights = WEIGHTS
+    return np.asarray(1.0 / (1.0 + np.exp(-(constant + features @ np.array(weights)))))
