@@ -73,16 +73,14 @@ def poses_of(case: Case, model: EdgeModel) -> Array:
 
 
 def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, Any]]:
-    """For each pose and level: the metric, and errors of the tracker on images of that pose, a little moved."""
+    """For each pose and level: the metric, and errors on images of that pose, a little moved."""
     o_G = model.middle_G
     models = levels(model)
     for number, X_RG in enumerate(poses_of(case, model)):
         rng = np.random.default_rng([case["seed"], 7, number])
         suns = random_suns(case["each"], case["seed"] + 1000 * number)
         truths = [_jittered(X_RG, o_G, rng) for _ in suns]
-        starts = perturbed(
-            np.array(truths), o_G, case["seed"] + 1000 * number, START_DEG, START_M
-        )
+        starts = perturbed(np.array(truths), o_G, case["seed"] + 1000 * number, START_DEG, START_M)
         images = [
             views.image(X, sun, 1000 * number + k)
             for k, (X, sun) in enumerate(zip(truths, suns, strict=True))
@@ -141,7 +139,7 @@ def off_px(tracked: Tracked, true: Array) -> float:
 
 
 def wrong_starts(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, Any]]:
-    """Tracks from near the truth and from poses that look alike: turned by 90 and 180 degrees, moved aside."""
+    """Tracks from near the truth, and from poses that look alike: turned by quarters, moved aside."""
     o_G = model.middle_G
     suns = random_suns(case["poses"], case["seed"])
     for number, X_RG in enumerate(poses_of(case, model)):
@@ -157,7 +155,9 @@ def _starts(X_RG: Array, model: EdgeModel, rng: np.random.Generator) -> Iterator
     o_G, R, radius_m = model.middle_G, X_RG[:3, :3], model.radius_m
 
     def off(shift: Array, turn: Array) -> Array:
-        near = np.concatenate([START_M * rng.standard_normal(3), np.deg2rad(START_DEG) * rng.standard_normal(3)])
+        near = np.concatenate(
+            [START_M * rng.standard_normal(3), np.deg2rad(START_DEG) * rng.standard_normal(3)]
+        )
         return moved(moved(X_RG, np.concatenate([shift, turn]), o_G), near, o_G)
 
     none = np.zeros(3)
