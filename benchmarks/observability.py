@@ -23,8 +23,8 @@ FIXED_M = 3.0
 
 def cases(short: bool) -> list[Case]:
     """Every measurement, the most wanted first."""
-    count = {"poses": 4, "each": 3} if short else {"poses": 20, "each": 6}
-    fixed = {"poses": 3, "each": 3} if short else {"poses": 10, "each": 6}
+    count = {"poses": 4, "each": 3} if short else {"poses": 20, "each": 8}
+    fixed = {"poses": 3, "each": 3} if short else {"poses": 10, "each": 8}
     plain = PLAIN[:2] if short else PLAIN
     cluttered = () if short else CLUTTERED
     near = {"near_m": 2.0, "far_m": 4.0, "rich": False}
