@@ -61,4 +61,3 @@ def contributions(information: FeatureInformation) -> Contributions:
         rise = without / count / mean - 1.0
     sigma = np.where(count > 0, np.sqrt(mean), np.inf)
     return Contributions(share, rise, np.asarray(sigma), np.asarray(count, dtype=np.int64))
-

@@ -98,7 +98,7 @@ def picture(
         column = values[:, k]
         finite = column[np.isfinite(column)]
         top = max(float(finite.max()) if len(finite) else 1.0, 1e-12)
-        panel.add_collection(PolyCollection(backdrop, facecolor="0.93", edgecolor="none"))
+        panel.add_collection(PolyCollection(list(backdrop), facecolor="0.93", edgecolor="none"))
         shown = np.nan_to_num(column[points.feature], nan=0.0, posinf=top)
         norm = Normalize(0.0, top)
         lines = LineCollection(list(pieces), array=shown, cmap=COLOURS, norm=norm, linewidths=2.5)
@@ -129,7 +129,7 @@ def _faces(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> Array:
 
 
 def _tube(ends: Array, radius_m: float, rgb: Array) -> trimesh.Trimesh:
-    tube = trimesh.creation.cylinder(radius_m, segment=ends, sections=SIDES)
+    tube: trimesh.Trimesh = trimesh.creation.cylinder(radius_m, segment=ends, sections=SIDES)
     tube.visual.vertex_colors = _rgba(np.tile(rgb, (len(tube.vertices), 1)))
     return tube
 

@@ -26,7 +26,7 @@ from planning.observability.edge_model import EdgeModel
 from planning.observability.outlines import outlines
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.records import Ints
+from polhode.records import Bools, Ints
 
 Value = Literal["log_det", "trace"]
 GREEDY_SHARE = 1.0 - float(np.exp(-1.0))
@@ -61,7 +61,7 @@ def value_of_set(scaled: Array, features: Ints, value: Value) -> float:
 def greedy(scaled: Array, budget: float, value: Value, cost: Array | None = None) -> Chosen:
     """A set of features of scaled information (T, n, 6, 6) whose cost is within the budget.
 
-    ``cost`` (n,) is 1 for each feature unless given, for instance `edge_lengths`. Ties go to the lower number.
+    ``cost`` (n,) is 1 for each feature unless given, as in `edge_lengths`. Ties go to the lower number.
     Raises InputError for a budget that no feature fits into.
     """
     price = np.ones(scaled.shape[1]) if cost is None else np.asarray(cost, dtype=np.float64)
@@ -83,9 +83,7 @@ def check(price: Array, budget: float) -> None:
         raise InputError(f"a budget of {budget:g} has room for no edge")
 
 
-def _greedy(
-    scaled: Array, budget: float, value: Value, price: Array, tells: Array, divisor: Array
-) -> Chosen:
+def _greedy(scaled: Array, budget: float, value: Value, price: Array, tells: Bools, divisor: Array) -> Chosen:
     """Add what adds most, over the divisor, of what still fits."""
     M = np.tile(np.eye(6), (len(scaled), 1, 1))
     chosen: list[int] = []
@@ -122,9 +120,7 @@ def _greedy(
     return Chosen(features, now, float(price[features].sum()), evaluations)
 
 
-def exchanged(
-    scaled: Array, start: Chosen, budget: float, value: Value, cost: Array | None = None
-) -> Chosen:
+def exchanged(scaled: Array, start: Chosen, budget: float, value: Value, cost: Array | None = None) -> Chosen:
     """The choice after exchanges of one chosen feature for another, the best one first, while they help.
 
     Fedorov, Theory of Optimal Experiments, 1972. Never worse than the start.
