@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from planning.approach import HULL_POINTS, Way, hull_points, keep_clear, least_gap, point_mass
+from planning.approach import HULL_POINTS, PointMass, Way, hull_points, keep_clear, least_gap, point_mass
 from planning.ensemble import Ahead, BodyMotion, nominal
 from planning.keepout import InstantKeepOut
 from planning.observability.edge_model import EdgeModel
-from planning.observability.view_table import ViewTable, trace_of_inverse, view_table
+from planning.observability.view_table import SUBDIVISIONS, ViewTable, trace_of_inverse, view_table
 from planning.observability.watch import (
     Watch,
     Watched,
@@ -64,18 +64,27 @@ class BestTrajectory:
 
 
 def best_trajectory(
-    model: EdgeModel, rig: RectifiedRig, ahead: Ahead, keep_out: InstantKeepOut, watch: Watch
+    model: EdgeModel,
+    rig: RectifiedRig,
+    ahead: Ahead,
+    keep_out: InstantKeepOut,
+    watch: Watch,
+    turns_deg: tuple[float, ...] = TURNS_DEG,
+    subdivisions: int = SUBDIVISIONS,
 ) -> BestTrajectory:
     """The way of the least objective from several guesses; the same input gives the same way.
 
+    Guesses are the straight way and those that turn around the target by turns_deg, to SIDES sides each;
+    ``subdivisions`` of the table's directions.
+
     Raises InputError where the start or the limits contradict each other, or no way keeps them.
     """
-    nodes = nominal(ahead, np.linspace(0.0, watch.duration_s, watch.steps + 1))
+    nodes = nominal(ahead, np.linspace(0.0, watch.duration_s, 2 * watch.steps + 1))
     _check(model, rig, keep_out, nodes, watch)
     baseline = straight(model, ahead, watch)
-    sun_G = None if watch.sun_N is None else sun_in_G(nodes, watch.sun_N)
-    table = view_table(model, rig, watch.range_m, sun_G)
-    guesses = _guesses(baseline.p_N, middles(model, nodes))
+    sun_G = None if watch.sun_N is None else sun_in_G(nodes, watch.sun_N)[::2]
+    table = view_table(model, rig, watch.range_m, sun_G, subdivisions)
+    guesses = _guesses(baseline.p_N, middles(model, nodes)[::2], turns_deg)
     found: list[tuple[float, int, Watched, float, float]] = []
     reasons: list[str] = []
     for number, guess in enumerate(guesses):
@@ -145,7 +154,7 @@ def _phases(watch: Watch) -> tuple[float, float]:
     return float(low), float(min(high, np.pi - np.radians(watch.sun_off_deg)))
 
 
-def _guesses(p_N: Array, o_N: Array) -> list[Array]:
+def _guesses(p_N: Array, o_N: Array, turns_deg: tuple[float, ...]) -> list[Array]:
     """Places (K + 1, 3): the straight ones, and turned around the target to all sides, more and more."""
     away = p_N - o_N
     first = away[0] / np.linalg.norm(away[0])
@@ -155,7 +164,7 @@ def _guesses(p_N: Array, o_N: Array) -> list[Array]:
     share = np.linspace(0.0, 1.0, len(p_N))
     smooth = share * share * (3.0 - 2.0 * share)
     out = [p_N]
-    for turn in np.radians(TURNS_DEG):
+    for turn in np.radians(np.asarray(turns_deg, dtype=np.float64)):
         for n in range(SIDES):
             angle = 2.0 * np.pi * n / SIDES
             axis = np.cos(angle) * aside + np.sin(angle) * other
@@ -237,23 +246,8 @@ def _solve(
     hull, short_m = hull_points(keep_out.body.points_G, HULL_POINTS)
     grown = keep_out.margin_m() + short_m + watch.radius_m + watch.clearance_m + margins.clearance_m
     keep_clear(flight, keep_out, hull, grown, guess)
-    held = np.linalg.norm(baseline.p_N - o_N, axis=1)
-    last = K if watch.goal_N is None else K - 1
-    for k in range(1, K + 1):
-        away = p[:, k] - o_N[k]
-        if k <= last:
-            low, high = watch.range_m[0] + margins.range_m, watch.range_m[1] - margins.range_m
-            if watch.hold_range:
-                low = max(low, (1.0 - RANGE_SLACK) * held[k])
-                high = max(min(high, (1.0 + RANGE_SLACK) * held[k]), (1.0 + 1e-3) * low)
-            program.subject_to(program.bounded(low**2, ca.sumsqr(away), high**2))
-        if watch.sun_N is not None and k <= last:
-            low_rad, high_rad = _phases(watch)
-            towards_sun = ca.dot(away, watch.sun_N / np.linalg.norm(watch.sun_N))
-            far = ca.norm_2(away)
-            program.subject_to(towards_sun <= np.cos(low_rad + margins.angle_rad) * far)
-            program.subject_to(towards_sun >= np.cos(high_rad - margins.angle_rad) * far)
-    metric = _metric(p, o_N, nodes, table, watch)
+    _within_limits(flight, o_N, watch, baseline, margins)
+    metric = _metric(p, o_N[::2], nodes, table, watch)
     # near 1 whatever the body and the camera
     size = float(ca.Function("size", [p], [metric])(guess.T))
     program.minimize(metric / size + EFFORT * ca.sumsqr(a) / (K * watch.most_accel_m_s2**2))
@@ -266,10 +260,36 @@ def _solve(
     return flight.way(found), float(found.value(metric))
 
 
+def _within_limits(flight: PointMass, o_N: Array, watch: Watch, baseline: Way, margins: _Margins) -> None:
+    """Range and Sun at the ends and the middles of the steps; o_N (2 K + 1, 3)."""
+    program, K, dt = flight.program, watch.steps, flight.dt_s
+    places_N, _, _ = baseline.at(0.5 * dt * np.arange(2 * K + 1))
+    held = np.linalg.norm(places_N - o_N, axis=1)
+    low_rad, high_rad = _phases(watch)
+    # the given goal is what it is
+    last = 2 * K if watch.goal_N is None else 2 * K - 1
+    for n in range(1, last + 1):
+        k = n // 2
+        place = flight.p[:, k]
+        if n % 2:
+            place = place + 0.5 * dt * flight.v[:, k] + 0.125 * dt**2 * flight.a[:, k]
+        away = place - o_N[n]
+        low, high = watch.range_m[0] + margins.range_m, watch.range_m[1] - margins.range_m
+        if watch.hold_range:
+            low = max(low, (1.0 - RANGE_SLACK) * float(held[n]))
+            high = max(min(high, (1.0 + RANGE_SLACK) * float(held[n])), (1.0 + RANGE_SLACK) * low)
+        program.subject_to(program.bounded(low**2, ca.sumsqr(away), high**2))
+        if watch.sun_N is not None:
+            towards_sun = ca.dot(away, watch.sun_N / np.linalg.norm(watch.sun_N))
+            far = ca.norm_2(away)
+            program.subject_to(towards_sun <= np.cos(low_rad + margins.angle_rad) * far)
+            program.subject_to(towards_sun >= np.cos(high_rad - margins.angle_rad) * far)
+
+
 def _metric(p: ca.MX, o_N: Array, nodes: BodyMotion, table: ViewTable, watch: Watch) -> ca.MX:
-    """The objective by the tables."""
+    """The objective by the tables; nodes at 2 K + 1 instants."""
     K = watch.steps
-    p_G = [ca.mtimes(ca.DM(nodes.R_NG[k].T), p[:, k] - o_N[k]) for k in range(K + 1)]
+    p_G = [ca.mtimes(ca.DM(nodes.R_NG[2 * k].T), p[:, k] - o_N[k]) for k in range(K + 1)]
     if watch.objective == "together":
         tell, D = table.information_of(), len(table.towards_G) * len(table.range_m)
         rows = [ca.DM(table.information[table.at(k)].reshape(D, 21)) for k in range(K + 1)]
