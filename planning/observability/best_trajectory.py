@@ -11,11 +11,12 @@
           a plane between inspector and keep-out hull, HOLD_CLEAR times a step (`planning.approach`)
 
 L and C are smooth tables of the metric around the target (`view_table.py`). A minimum of such a program is a
-local one, so it is solved from several guesses on all sides, and each answer is judged by the true metric: the
-best that keeps all limits between the instants, too, is returned, and the straight way beside it.
+local one, so it is solved from several guesses on all sides, and each answer is judged by the true metric:
+the best that keeps all limits between the instants, too, is returned, and the straight way beside it.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -97,8 +98,8 @@ def best_trajectory(
         found.append((true.value, number, true, expected, least_gap(keep_out, way)))
     if not found:
         raise InputError(
-            f"no trajectory was found from any of {len(guesses)} guesses that keeps clearance, range, Sun and "
-            f"thrust ({max(set(reasons), key=reasons.count)}); widen the limits or the time"
+            f"no trajectory was found from any of {len(guesses)} guesses that keeps clearance, range, Sun "
+            f"and thrust ({max(set(reasons), key=reasons.count)}); widen the limits or the time"
         )
     _, _, best, expected, gap = min(found, key=lambda one: one[:2])
     reference = judge(model, rig, ahead, watch, baseline)
@@ -128,24 +129,31 @@ def _check(
         raise InputError(
             f"from {low:.3g} m the body does not fit into the image; the nearest range is {least:.3g} m"
         )
-    away = watch.start_N - middles(model, nodes)[0]
-    far = float(np.linalg.norm(away))
-    if not low <= far <= high:
-        raise InputError(f"the start is {far:.3g} m from the target, outside of {low:g} to {high:g} m")
-    if float(keep_out.signed_distance(0, watch.start_N[None])[0]) < watch.radius_m + watch.clearance_m:
-        raise InputError("the start is inside the keep-out volume or too close to it")
-    if watch.sun_N is not None:
-        low_rad, high_rad = _phases(watch)
-        if low_rad >= high_rad:
-            raise InputError(
-                f"no phase angle is left between {np.degrees(low_rad):.0f} and {np.degrees(high_rad):.0f} degrees"
-            )
-        phase = float(np.arccos(away @ watch.sun_N / far / np.linalg.norm(watch.sun_N)))
-        if not low_rad <= phase <= high_rad:
-            raise InputError(
-                f"the start has a phase angle of {np.degrees(phase):.0f} degrees, outside of "
-                f"{np.degrees(low_rad):.0f} to {np.degrees(high_rad):.0f}"
-            )
+    ends = [("start", watch.start_N, 0)]
+    if watch.goal_N is not None:
+        ends.append(("goal", watch.goal_N, -1))
+    for name, place_N, k in ends:
+        away = place_N - middles(model, nodes)[k]
+        far = float(np.linalg.norm(away))
+        if not low <= far <= high:
+            raise InputError(f"the {name} is {far:.3g} m from the target, outside of {low:g} to {high:g} m")
+        instant = 0 if k == 0 else len(keep_out.motion.time_s) - 1
+        gap = float(keep_out.signed_distance(instant, place_N[None])[0])
+        if gap < watch.radius_m + watch.clearance_m:
+            raise InputError(f"the {name} is inside the keep-out volume or too close to it")
+        if watch.sun_N is not None:
+            low_rad, high_rad = _phases(watch)
+            if low_rad >= high_rad:
+                raise InputError(
+                    f"no phase angle is left between {np.degrees(low_rad):.0f} and "
+                    f"{np.degrees(high_rad):.0f} degrees"
+                )
+            phase = float(np.arccos(away @ watch.sun_N / far / np.linalg.norm(watch.sun_N)))
+            if not low_rad <= phase <= high_rad:
+                raise InputError(
+                    f"the {name} has a phase angle of {np.degrees(phase):.0f} degrees, outside of "
+                    f"{np.degrees(low_rad):.0f} to {np.degrees(high_rad):.0f}"
+                )
 
 
 def _phases(watch: Watch) -> tuple[float, float]:
@@ -251,7 +259,10 @@ def _solve(
     # near 1 whatever the body and the camera
     size = float(ca.Function("size", [p], [metric])(guess.T))
     program.minimize(metric / size + EFFORT * ca.sumsqr(a) / (K * watch.most_accel_m_s2**2))
-    options = {"print_level": 0, "sb": "yes", "max_iter": MOST_ITERATIONS, "tol": 1e-6}
+    options: dict[str, Any] = {"print_level": 0, "sb": "yes", "max_iter": MOST_ITERATIONS, "tol": 1e-6}
+    if watch.objective == "together":
+        # second derivatives of the sum take longer than the steps that they save
+        options["hessian_approximation"] = "limited-memory"
     program.solver("ipopt", {"print_time": False}, options)
     try:
         found = program.solve()
@@ -263,7 +274,7 @@ def _solve(
 def _within_limits(flight: PointMass, o_N: Array, watch: Watch, baseline: Way, margins: _Margins) -> None:
     """Range and Sun at the ends and the middles of the steps; o_N (2 K + 1, 3)."""
     program, K, dt = flight.program, watch.steps, flight.dt_s
-    places_N, _, _ = baseline.at(0.5 * dt * np.arange(2 * K + 1))
+    places_N, _, _ = baseline.at(np.linspace(0.0, K * dt, 2 * K + 1))
     held = np.linalg.norm(places_N - o_N, axis=1)
     low_rad, high_rad = _phases(watch)
     # the given goal is what it is
@@ -293,9 +304,14 @@ def _metric(p: ca.MX, o_N: Array, nodes: BodyMotion, table: ViewTable, watch: Wa
     if watch.objective == "together":
         tell, D = table.information_of(), len(table.towards_G) * len(table.range_m)
         rows = [ca.DM(table.information[table.at(k)].reshape(D, 21)) for k in range(K + 1)]
-        total = sum((tell(p_G[k], rows[k]) for k in range(1, K + 1)), tell(p_G[0], rows[0]))
-        return trace_of_inverse()(total)
+        told: ca.MX = tell(p_G[0], rows[0])
+        for k in range(1, K + 1):
+            told = told + tell(p_G[k], rows[k])
+        trace: ca.MX = trace_of_inverse()(told)
+        return trace
     value = table.log_trace_of()
     chosen = [K] if watch.objective == "end" else list(range(K + 1))
-    each = [ca.exp(value(p_G[k], ca.DM(table.log_trace[table.at(k)]))) for k in chosen]
-    return sum(each[1:], each[0]) / len(each)
+    total = ca.MX(0.0)
+    for k in chosen:
+        total = total + ca.exp(value(p_G[k], ca.DM(table.log_trace[table.at(k)])))
+    return total / len(chosen)

@@ -52,13 +52,12 @@ def painted(model: EdgeModel, values: Array, highest: float | None = None) -> tu
     """The body in grey, its edges as tubes and its smooth parts in the colours of values (size,)."""
     rgb, legend = coloured(values, highest)
     segments = len(model.ends_G)
-    body = model.surface.copy()
     smooth = model.outlined[model.part]
     face_rgb = np.where(smooth[:, None], rgb[segments:][model.part], np.array(BODY_RGB))
     # one vertex for each corner: neighbouring parts differ in colour
     corners = trimesh.Trimesh(
-        np.asarray(body.triangles).reshape(-1, 3),
-        np.arange(3 * len(body.faces)).reshape(-1, 3),
+        np.asarray(model.surface.triangles).reshape(-1, 3),
+        np.arange(3 * len(model.surface.faces)).reshape(-1, 3),
         vertex_colors=_rgba(np.repeat(face_rgb, 3, axis=0)),
         process=False,
     )
@@ -130,8 +129,8 @@ def _faces(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> Array:
 
 def _tube(ends: Array, radius_m: float, rgb: Array) -> trimesh.Trimesh:
     tube: trimesh.Trimesh = trimesh.creation.cylinder(radius_m, segment=ends, sections=SIDES)
-    tube.visual.vertex_colors = _rgba(np.tile(rgb, (len(tube.vertices), 1)))
-    return tube
+    colours = _rgba(np.tile(rgb, (len(tube.vertices), 1)))
+    return trimesh.Trimesh(tube.vertices, tube.faces, vertex_colors=colours, process=False)
 
 
 def _rgb(shares: Array) -> Array:

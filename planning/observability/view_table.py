@@ -1,12 +1,12 @@
 """What a camera would see of the target from all around, tabulated, and smooth between the views.
 
-What is in sight changes in jumps with the view, and an optimizer needs derivatives. So the metric, with hidden
-lines removed and the light of each instant, is computed from directions spread over a sphere around the
-target and from some ranges. Between them it is the mean with weights that fall as a Gaussian (Nadaraya and
-Watson, 1964), smooth of any order. Means are taken of two things: of log tr (I + C)^-1 (shifts in radii, turns in
-radians, one pixel of noise), less its main trend 3 log(range); and of C range^3, along G's axes, where neighbouring
-views agree and means stay positive. The camera points at o, the model's middle, with all of the body in its
-image: turning about the optical axis then changes neither.
+What is in sight changes in jumps with the view, and an optimizer needs derivatives. So the metric, with
+hidden lines removed and the light of each instant, is computed from directions spread over a sphere around
+the target and from some ranges. Between them it is the mean with weights that fall as a Gaussian (Nadaraya
+and Watson, 1964), smooth of any order. Means are taken of two things: of log tr (I + C)^-1 (shifts in radii,
+turns in radians, one pixel of noise), less its main trend 3 log(range); and of C range^3, along G's axes,
+where neighbouring views agree and means stay positive. The camera points at o, the model's middle, with all
+of the body in its image: turning about the optical axis then changes neither.
 """
 
 from dataclasses import dataclass
@@ -81,9 +81,9 @@ def trace_of_inverse() -> ca.Function:
     """From the 21 numbers of C to tr (I + C)^-1, by Cholesky."""
     c = ca.SX.sym("c", 21)
     C = ca.SX.zeros(6, 6)
-    for n, (i, j) in enumerate(zip(*UPPER, strict=True)):
-        C[int(i), int(j)] = c[n]
-        C[int(j), int(i)] = c[n]
+    for n, (row, column) in enumerate(zip(UPPER[0].tolist(), UPPER[1].tolist(), strict=True)):
+        C[row, column] = c[n]
+        C[column, row] = c[n]
     L = ca.SX.zeros(6, 6)
     M = C + ca.SX.eye(6)
     for j in range(6):

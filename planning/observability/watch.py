@@ -1,7 +1,7 @@
 """A camera that watches a tumbling target: what is asked of its way, and what the way gives.
 
-The camera is at the inspector's middle and points at o, the middle of the target's model. N does not turn; the
-Sun stands still in it.
+The camera is at the inspector's middle and points at o, the middle of the target's model. N does not turn;
+the Sun stands still in it.
 """
 
 from dataclasses import dataclass
@@ -126,7 +126,8 @@ def straight(model: EdgeModel, ahead: Ahead, watch: Watch) -> Way:
         )
     v = np.vstack([np.zeros(3), np.cumsum(dt * accel, axis=0)])
     p = watch.start_N + np.vstack([np.zeros(3), np.cumsum(dt * v[:-1] + 0.5 * dt**2 * accel, axis=0)])
-    return Way(dt * np.arange(K + 1), p, v, accel, float(dt * np.linalg.norm(accel, axis=1).sum()))
+    time = np.linspace(0.0, watch.duration_s, K + 1)
+    return Way(time, p, v, accel, float(dt * np.linalg.norm(accel, axis=1).sum()))
 
 
 def judge(model: EdgeModel, rig: RectifiedRig, ahead: Ahead, watch: Watch, way: Way) -> Watched:
