@@ -5,7 +5,7 @@
 What a trial needs, in this order:
 
     target = edge_body("bus", plain=True)          # or edge_body(mesh), edge_body(Path("x.obj"))
-    rig = edge_rig()                               # 640x480 px, focal length 800 px
+    rig = edge_rig()                               # 640x480 px, focal length 640 px
     X_CG = random_poses(target.mesh, rig, 100, seed=1)
     sun_C = random_suns(100, seed=2)
     views = EdgeViews(target, rig, seed=3)
@@ -109,7 +109,7 @@ def lights_to_camera(sun_C: Array) -> Array:
     return np.column_stack([x, np.cross(z, x), z])
 
 
-def edge_rig(focal_px: float = 800.0, width_px: int = 640, height_px: int = 480) -> RectifiedRig:
+def edge_rig(focal_px: float = 640.0, width_px: int = 640, height_px: int = 480) -> RectifiedRig:
     """A single camera; its second eye (baseline 0.1 m) is never used."""
     return RectifiedRig(focal_px, (width_px - 1) / 2, (height_px - 1) / 2, 0.1, width_px, height_px)
 
@@ -140,7 +140,8 @@ def random_poses(
     poses = np.empty((count, 4, 4))
     for k in range(count):
         z = rng.uniform(*range_m)
-        room = np.maximum(half - radius_m / z, 0.0)
+        # a sphere around the body, as wide as it looks from near by
+        room = np.maximum(half - radius_m / np.sqrt(max(z**2 - radius_m**2, 1e-12)), 0.0)
         aside = np.minimum(offset * half, room) * rng.uniform(-1.0, 1.0, 2)
         R_CG = random_rotation(rng)
         poses[k] = make_pose(R_CG, np.append(aside * z, z) - R_CG @ centre_G)

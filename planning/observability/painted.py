@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
@@ -52,12 +53,13 @@ def painted(model: EdgeModel, values: Array, highest: float | None = None) -> tu
     """The body in grey, its edges as tubes and its smooth parts in the colours of values (size,)."""
     rgb, legend = coloured(values, highest)
     segments = len(model.ends_G)
-    smooth = model.outlined[model.part]
-    face_rgb = np.where(smooth[:, None], rgb[segments:][model.part], np.array(BODY_RGB))
+    body = model.surface.copy()
+    of_parts = np.vstack([rgb[segments:], BODY_RGB])[model.part]
+    face_rgb = np.where(model.outlined_faces[:, None], of_parts, np.array(BODY_RGB))
     # one vertex for each corner: neighbouring parts differ in colour
     corners = trimesh.Trimesh(
-        np.asarray(model.surface.triangles).reshape(-1, 3),
-        np.arange(3 * len(model.surface.faces)).reshape(-1, 3),
+        np.asarray(body.triangles).reshape(-1, 3),
+        np.arange(3 * len(body.faces)).reshape(-1, 3),
         vertex_colors=_rgba(np.repeat(face_rgb, 3, axis=0)),
         process=False,
     )
@@ -109,6 +111,23 @@ def picture(
     return figure
 
 
+def view_panel(panel: Axes, model: EdgeModel, rig: RectifiedRig, X_RG: Array, points: ControlPoints) -> None:
+    """Draw the body and the edges in sight where they are in the image, outlines apart from the others."""
+    drawn = control_points(model, rig, X_RG, DRAWN_STEP_PX)
+    drawn = drawn[np.isin(drawn.feature, points.feature)]
+    panel.add_collection(PolyCollection(list(_faces(model, rig, X_RG)), facecolor="0.9", edgecolor="none"))
+    outline = drawn.feature >= len(model.ends_G)
+    for which, colour, name in (~outline, "C0", "edges"), (outline, "C3", "outlines"):
+        if which.any():
+            panel.add_collection(LineCollection(list(_pieces(drawn[which])), colors=colour, label=name))
+    panel.set(xlim=(-0.5, rig.width_px - 0.5), ylim=(rig.height_px - 0.5, -0.5), aspect="equal")
+    panel.set(xticks=[], yticks=[])
+    if len(drawn):
+        panel.legend(loc="lower right", fontsize=8, frameon=False)
+    else:
+        panel.text(0.5, 0.5, "no edge in sight", transform=panel.transAxes, ha="center")
+
+
 def _pieces(points: ControlPoints) -> Array:
     """(m, 2, 2) short lines along the edges [px]."""
     along = np.stack([-points.normal_px[:, 1], points.normal_px[:, 0]], axis=1)
@@ -129,8 +148,9 @@ def _faces(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> Array:
 
 def _tube(ends: Array, radius_m: float, rgb: Array) -> trimesh.Trimesh:
     tube: trimesh.Trimesh = trimesh.creation.cylinder(radius_m, segment=ends, sections=SIDES)
-    colours = _rgba(np.tile(rgb, (len(tube.vertices), 1)))
-    return trimesh.Trimesh(tube.vertices, tube.faces, vertex_colors=colours, process=False)
+    return trimesh.Trimesh(
+        tube.vertices, tube.faces, vertex_colors=_rgba(np.tile(rgb, (len(tube.vertices), 1))), process=False
+    )
 
 
 def _rgb(shares: Array) -> Array:

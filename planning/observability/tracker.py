@@ -154,9 +154,7 @@ class _View:
         """The same points of the model, where a pose that has hardly moved shows them."""
         p = self.points
         uv = rig.project(transform_points(X_RG, p.p_G))[:, :2]
-        return _View(
-            ControlPoints(p.p_G, uv, p.normal_px, p.feature, p.weight, p.sides_G), self.beside
-        )
+        return _View(ControlPoints(p.p_G, uv, p.normal_px, p.feature, p.weight, p.sides_G), self.beside)
 
 
 def _view(model: EdgeModel, rig: RectifiedRig, X_RG: Array, wanted: Tracking) -> _View:
