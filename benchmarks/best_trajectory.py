@@ -38,7 +38,7 @@ def main() -> None:
     """Measure what the record lacks, print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("bodies", nargs="*", default=list(BODIES))
-    parser.add_argument("--images", type=int, default=48, help="along each way")
+    parser.add_argument("--images", type=int, default=32, help="along each way")
     parser.add_argument("--short", action="store_true", help="12 images along each way")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--record", type=Path, default=RECORD)

@@ -1,4 +1,4 @@
-"""Pictures of the ways of `best_trajectory.py`, and what edges contribute in the middle of the straight one."""
+"""Pictures of the ways of `best_trajectory.py`, and what edges contribute halfway along the straight one."""
 
 from pathlib import Path
 
@@ -60,5 +60,6 @@ def pictures(line: Case, folder: Path) -> None:
     picture(model, rig, X_RG[0], found.share).savefig(folder / f"{name}_contributions.png", dpi=70)
     for d, degree in enumerate(DEGREES_OF_FREEDOM):
         body, legend = painted(model, found.share[:, d])
-        body.export(folder / f"{name}_{degree.replace(' ', '_')}.ply")
-        print(f"{name}_{degree.replace(' ', '_')}.ply: share of the variance from 0 to {legend.values[-1]:.3f}")
+        path = folder / f"{name}_{degree.replace(' ', '_')}.ply"
+        body.export(path)
+        print(f"{path.name}: shares of the variance from 0 to {legend.values[-1]:.3f}")

@@ -101,7 +101,7 @@ def test_a_goal_is_reached_at_rest() -> None:
 
 def test_between_its_views_the_table_is_smooth_and_near_the_metric() -> None:
     model = block()
-    table = view_table(model, RIG, (2.2, 3.6), subdivisions=2)
+    table = view_table(model, RIG, (2.2, 3.6), subdivisions=2, spacing_px=20.0)
     value, tell, trace = table.log_trace_of(), table.information_of(), trace_of_inverse()
     row, rows = ca.DM(table.log_trace[0]), ca.DM(table.information[0])
     p, r = ca.SX.sym("p", 3), ca.SX.sym("r", len(table.log_trace[0]))
@@ -114,7 +114,7 @@ def test_between_its_views_the_table_is_smooth_and_near_the_metric() -> None:
         R = looking(-p_G, np.array([0.0, 0.0, 1.0]))
         X = np.eye(4)
         X[:3, :3], X[:3, 3] = R, -R @ (p_G + model.middle_G)
-        C = feature_information(model, RIG, X[None]).scaled.sum(axis=1)[0]
+        C = feature_information(model, RIG, X[None], spacing_px=20.0).scaled.sum(axis=1)[0]
         true.append(np.log(np.trace(np.linalg.inv(C + np.eye(6)))))
         found.append(float(value(p_G, row)))
         joined.append(float(np.log(float(trace(tell(p_G, rows))))))
@@ -183,6 +183,6 @@ def test_what_cannot_be_flown_is_told() -> None:
         "goal_N": np.array([-0.1, 0.0, 2.6]),
         "phase_deg": (20.0, 150.0),
         "most_accel_m_s2": 0.015,
-        "steps": 5,
+        "steps": 4,
     }
     told("no trajectory was found", **far_side)
