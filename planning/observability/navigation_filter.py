@@ -17,14 +17,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2
 
 from planning.observability.edge_motion import pose_error
-from planning.prediction import process_noise
+from planning.observability.free_turning import turn_freely
 from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, right_jacobian_so3
-from polhode.rigid_body import propagate
 
-TURN_A_STEP_RAD = 0.05
-"""Of the body in one step of the integration of errors."""
-ACCURACY = 1e-10
-"""Of the integration of the motion, relative."""
 UNTOLD_SHARE = 1e-9
 """A direction with less than this share of the largest information, shifts in radii, is not told."""
 
@@ -98,45 +93,20 @@ class Update:
 
 def predict(state: State, target: Target, dt_s: float, accel_N: Array) -> State:
     """The state after dt_s > 0 [s] of free motion; accel_N (3,) of the inspector in this time [m/s^2]."""
-    _, _, R_NP, w_P = propagate(
-        [0.0, dt_s], state.r_N, state.v_N, state.R_NP, state.w_P, np.diag(target.moments), rtol=ACCURACY
-    )
-    F = transition(target.moments, state.w_P, dt_s)
-    noise = process_noise(target.moments, state.w_P, np.array([dt_s]), target.accel_psd, target.torque_psd)[0]
+    turn, w_P, Phi, Q = turn_freely(target.moments, state.w_P, dt_s, target.torque_psd)
+    F, noise, one = np.eye(12), np.zeros((12, 12)), np.eye(3)
+    F[:3, 3:6] = dt_s * one
+    F[6:, 6:], noise[6:, 6:] = Phi, Q
+    noise[:3, :3] = target.accel_psd * dt_s**3 / 3.0 * one
+    noise[:3, 3:6] = noise[3:6, :3] = target.accel_psd * dt_s**2 / 2.0 * one
+    noise[3:6, 3:6] = target.accel_psd * dt_s * one
     return State(
         state.r_N + dt_s * state.v_N - 0.5 * dt_s**2 * accel_N,
         state.v_N - dt_s * accel_N,
-        R_NP[-1],
-        w_P[-1],
+        state.R_NP @ turn,
+        w_P,
         F @ state.covariance @ F.T + noise,
     )
-
-
-def transition(moments: Array, w_P: Array, dt_s: float) -> Array:
-    """How errors (12,) grow in dt_s from the rate w_P (3,): (12, 12).
-
-    theta' = -w x theta + dw;  dw' = J^-1 ((J w) x - w x J) dw, by Runge and Kutta's fourth order.
-    """
-    steps = max(1, int(np.ceil(dt_s * float(np.linalg.norm(w_P)) / TURN_A_STEP_RAD)))
-    h, w, Phi = dt_s / steps, w_P, np.eye(6)
-
-    def derivative(w: Array, Phi: Array) -> tuple[Array, Array]:
-        A = np.zeros((6, 6))
-        A[:3, :3], A[:3, 3:] = -hat(w), np.eye(3)
-        A[3:, 3:] = (hat(moments * w) - hat(w) * moments) / moments[:, None]
-        return np.cross(moments * w, w) / moments, A @ Phi
-
-    for _ in range(steps):
-        w1, p1 = derivative(w, Phi)
-        w2, p2 = derivative(w + 0.5 * h * w1, Phi + 0.5 * h * p1)
-        w3, p3 = derivative(w + 0.5 * h * w2, Phi + 0.5 * h * p2)
-        w4, p4 = derivative(w + h * w3, Phi + h * p3)
-        w = w + h / 6.0 * (w1 + 2.0 * w2 + 2.0 * w3 + w4)
-        Phi = Phi + h / 6.0 * (p1 + 2.0 * p2 + 2.0 * p3 + p4)
-    F = np.eye(12)
-    F[:3, 3:6] = dt_s * np.eye(3)
-    F[6:, 6:] = Phi
-    return F
 
 
 def predicted_pose(state: State, target: Target, R_NR: Array) -> Array:

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from planning.observability.edge_motion import moved, pose_error
+from planning.observability.free_turning import turn_freely
 from planning.observability.navigation_filter import (
     State,
     Target,
@@ -16,7 +17,6 @@ from planning.observability.navigation_filter import (
     predict,
     predicted_pose,
     told_directions,
-    transition,
     update,
 )
 from planning.observability.pose_weights import Calibrated, Fixed, Gated, ResidualChecked, TrackedPose
@@ -90,8 +90,10 @@ def test_derivative_of_the_motion() -> None:
     def later(error: Array) -> Array:
         return end.error(predict(STATE.plus(error), QUIET, 2.0, push))
 
-    F = transition(TARGET.moments, STATE.w_P, 2.0)
-    assert np.abs(F + difference(later, 1e-3)).max() < 1e-6
+    F = -difference(later, 1e-3)
+    assert np.abs(F[6:, 6:] - turn_freely(TARGET.moments, STATE.w_P, 2.0, 0.0)[2]).max() < 1e-6
+    assert np.abs(F @ P0 @ F.T - end.covariance).max() < 1e-6
+    assert np.abs(F[6:, :6]).max() < 1e-9 and np.abs(F[6:9, 9:]).max() > 1.5
 
 
 def test_the_motion_is_that_of_a_free_body_seen_from_a_pushed_inspector() -> None:
@@ -104,6 +106,12 @@ def test_the_motion_is_that_of_a_free_body_seen_from_a_pushed_inspector() -> Non
     assert np.allclose(end.r_N, target[0][1] - inspector[0][1], atol=1e-12)
     assert np.allclose(end.v_N, target[1][1] - inspector[1][1], atol=1e-12)
     assert np.allclose(end.R_NP, target[2][1], atol=1e-9) and np.allclose(end.w_P, target[3][1], atol=1e-9)
+
+
+def test_disturbances_add_what_the_predictions_say() -> None:
+    added = predict(STATE, TARGET, 2.0, NO_PUSH).covariance - predict(STATE, QUIET, 2.0, NO_PUSH).covariance
+    expected = process_noise(TARGET.moments, STATE.w_P, np.array([2.0]), TARGET.accel_psd, TARGET.torque_psd)
+    assert np.abs(added - expected[0]).max() < 1e-6 * np.abs(expected).max()
 
 
 def test_errors_are_what_plus_adds() -> None:
