@@ -4,7 +4,7 @@
 
 Three filters, alike but for how they weigh a pose: all alike; all alike if enough edges were found; by the
 calibrated covariance of its view. Poses are `drawn` from the tracker's linear model (drawn_poses.py) or
-`tracked` in rendered images (tracked_poses.py); all filters get the same. Factors and thresholds are chosen on
+`tracked` in rendered images (tracked_poses.py), the same for all filters. Factors and thresholds are chosen on
 training runs of other seeds. Intervals: 95 %, bootstrap over runs. NEES is over its 12 degrees of freedom.
 What was measured before is read from the record.
 """
