@@ -90,6 +90,7 @@ bench: setup $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m benchmarks.fusion_scale $(SHORT)
 	$(BIN)/python -m benchmarks.frame_time $(SHORT)
 	$(BIN)/python -m benchmarks.lie_rank
+	$(BIN)/python -m benchmarks.observability_planar -o runs/observability_planar.png
 	$(BIN)/python -m benchmarks.conditioning -o runs/conditioning.png
 	$(BIN)/python -m benchmarks.bound
 	$(BIN)/python -m benchmarks.backend_size $(SHORT) -o runs/backend_growth.png

@@ -38,6 +38,9 @@ def levels_of(surface: SurfaceModel, shares: Sequence[float], seed: int = 0) -> 
     if not counts:
         return []
     full = surface.mesh
+    # as the files hold it: the last digits decide between edges that cost the same
+    start_V = np.asarray(full.vertices).astype(np.float32).astype(np.float64)
+    full = trimesh.Trimesh(start_V, np.asarray(full.faces), process=False)
     middles = cKDTree(np.asarray(full.triangles_center))
     points, _ = trimesh.sample.sample_surface(full, SAMPLES, seed=seed)
     levels, thinned = [], {len(full.faces): full}

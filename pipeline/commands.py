@@ -10,6 +10,7 @@ from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, P
 from pipeline.compare.command import Compare
 from pipeline.console import choose_progress
 from pipeline.export_command import Export
+from pipeline.observability.command import Observability
 from pipeline.plan_commands import PlanAhead, Threshold
 from pipeline.threads import limit_threads, processes
 from pipeline.train_command import TrainNetwork
@@ -194,6 +195,7 @@ COMMANDS: dict[
     | type[Predict]
     | type[Threshold]
     | type[PlanAhead]
+    | type[Observability]
     | type[Export]
     | type[Report]
     | type[TrainNetwork],
@@ -205,6 +207,7 @@ COMMANDS: dict[
     "predict": Predict,
     "threshold": Threshold,
     "plan": PlanAhead,
+    "observability": Observability,
     "export": Export,
     "report": Report,
     "train": TrainNetwork,

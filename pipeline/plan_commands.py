@@ -45,17 +45,21 @@ class Threshold:
                 raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
         if self.fuel_fraction >= 1.0:
             raise InputError(f"--fuel-fraction {self.fuel_fraction:g}: give a share of the mass, below 1")
-        found = threshold(
-            StationKeeping(
-                self.radius_m, self.mass_kg, self.force_n, self.isp_s, self.duration_s, self.fuel_fraction
-            )
+        given = StationKeeping(
+            self.radius_m, self.mass_kg, self.force_n, self.isp_s, self.duration_s, self.fuel_fraction
         )
+        try:
+            found = threshold(given)
+        except ValueError as error:
+            raise InputError(f"these values make no sense together ({error}): check their units") from None
         for name, rate in (
             ("omega_Thresh F  (thrust)", found.by_force),
             ("omega_Thresh Mf (fuel)", found.by_fuel),
             ("omega_Thresh    (both)", found.overall),
         ):
-            print(f"{name:24s} {rate:10.6f} rad/s {rate / RPM:10.4f} RPM")
+            # fixed digits down to where they would end in nothing but noughts
+            digits = ("10.6f", "10.4f") if 0.001 <= rate < 1e5 else ("10.4g", "10.4g")
+            print(f"{name:24s} {rate:{digits[0]}} rad/s {rate / RPM:{digits[1]}} RPM")
         return 0
 
 

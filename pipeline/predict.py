@@ -30,6 +30,10 @@ LEAST_TURN = 0.002
 """The same of the rate, as a share of it."""
 
 
+class NoCovariance(InputError):
+    """There is a motion, and nothing that tells how sure it is."""
+
+
 @dataclass(frozen=True)
 class RunPrediction:
     """What ``polhode predict`` shows and writes."""
@@ -65,9 +69,7 @@ def predict_run(
     """
     last, summary = last_body(run_folder)
     table = read_trajectory(run_folder)
-    if step_s is None:
-        step_s = float(np.median(np.diff(table.timestamps_ns))) * 1e-9
-    time_s = prediction_times(horizon_s, step_s)
+    time_s = prediction_times(horizon_s, step_or_own(table, step_s))
     if from_last:
         time_s = np.concatenate([[0.0], time_s])
     assert summary.noise is not None and summary.identifiable_components is not None
@@ -77,13 +79,22 @@ def predict_run(
     lost = undetermined_components(joint, ~np.array(parts.com_P), ~np.array(parts.axes_P), states)
     covariance = states.covariance.copy()
     covariance[:, np.arange(12), np.arange(12)] = np.where(lost, np.inf, np.diagonal(covariance, 0, 1, 2))
-    names = [name for name, words in summary.identifiable_detail.items() if words.startswith("not")]
     return RunPrediction(
         table.timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64),
         states,
         undetermined_as_inf(covariance),
-        tuple(names),
+        undetermined_names(summary),
     )
+
+
+def undetermined_names(summary: Summary) -> tuple[str, ...]:
+    """Of what the run's motion does not determine."""
+    return tuple(name for name, words in summary.identifiable_detail.items() if words.startswith("not"))
+
+
+def step_or_own(table: Trajectory, step_s: float | None) -> float:
+    """The step, or the run's own interval [s]."""
+    return float(np.median(np.diff(table.timestamps_ns))) * 1e-9 if step_s is None else step_s
 
 
 def prediction_times(horizon_s: float, step_s: float) -> Array:
@@ -103,13 +114,19 @@ def prediction_times(horizon_s: float, step_s: float) -> Array:
 
 
 def last_body(run_folder: Path) -> tuple[LastBody, Summary]:
-    """The end of a run, ready for ``planning.prediction.predict``. Raises InputError when there is none."""
+    """The end of a run, ready for ``planning.prediction.predict``.
+
+    Raises InputError when there is none, NoCovariance when its covariance is all that is missing.
+    """
     summary = read_summary(run_folder)
     if summary.inertia is None or summary.R_GP is None:
         raise InputError(f"{run_folder}: this run failed before it had an estimate; nothing can be predicted")
-    covariance = read_covariance(run_folder).last_body
+    try:
+        covariance = read_covariance(run_folder).last_body
+    except InputError as error:
+        raise NoCovariance(str(error)) from error
     if covariance is None:
-        raise InputError(f"{run_folder / 'covariance.npz'}: the array last_body is missing; run it again")
+        raise NoCovariance(f"{run_folder / 'covariance.npz'}: the array last_body is missing; run it again")
     table, R_GP = read_trajectory(run_folder), np.array(summary.R_GP)
     form = FORMS[load_config(run_folder / "config.yaml").backend.inertia]
     J, by_parameters = inertia_by_parameters(np.array(summary.inertia.J_G), form)

@@ -11,6 +11,8 @@ import numpy as np
 STANDARD_GRAVITY = 9.81
 """[m/s^2], as the thesis rounds it"""
 RPM = 2.0 * np.pi / 60.0
+MOST_DIGITS = 15.0
+"""A rate [rad/s] of more, or of less than the inverse, is a slip of the units."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +48,22 @@ class Threshold:
 
 
 def threshold(given: StationKeeping) -> Threshold:
-    """Eq. 1.12; all values positive, the fuel fraction below 1."""
-    by_force = given.force_n / (given.radius_m * given.mass_kg)
-    by_fuel = -STANDARD_GRAVITY * given.isp_s / (given.radius_m * given.duration_s)
-    by_fuel *= np.log1p(-given.fuel_fraction)
-    return Threshold(float(np.sqrt(by_force)), float(np.sqrt(by_fuel)))
+    """Eq. 1.12; all values positive, the fuel fraction below 1.
+
+    Raises ValueError when a rate is beyond what numbers can hold.
+    """
+    by_force = _root([given.force_n], [given.radius_m, given.mass_kg])
+    burnt = float(-np.log1p(-given.fuel_fraction))
+    by_fuel = _root([STANDARD_GRAVITY, given.isp_s, burnt], [given.radius_m, given.duration_s])
+    return Threshold(by_force, by_fuel)
+
+
+def _root(above: list[float], below: list[float]) -> float:
+    """Root of a quotient of products, by logarithms: a product may underflow where the root is sound."""
+    digits = 0.5 * float(np.log10(above).sum() - np.log10(below).sum())
+    if abs(digits) > MOST_DIGITS:
+        raise ValueError(f"a rate of 10^{digits:.0f} rad/s")
+    return float(10.0**digits)
 
 
 def fuel_share(delta_v_m_s: float, isp_s: float) -> float:

@@ -46,6 +46,8 @@ def export_run(run: Path, options: Options) -> list[Path]:
     """Write the files, the one that was named last. Raises InputError when nothing can be written."""
     check(options)
     found = read_run(run)
+    if options.to in MOTIONS and not found.has_motion:
+        raise InputError(f"{run}: {found.no_motion}; nothing for {options.to}, json tells what there is")
     at, warnings = placement(
         options.frame_name,
         found.summary,
@@ -119,13 +121,16 @@ def _glb(job: Job, shape: Shape, per_m: float) -> bytes:
             step = min(smooth, options.horizon) if step is None else min(step, smooth)
         motion = job.motion(step)
         animation = glb.Animation(motion.time_s, job.poses(motion))
-        sigma = np.sqrt(np.diagonal(motion.covariance_of_marks[-1]))
         extras["animation"] = {
             "words": "the node target moves in N: at time 0 it is at the last state of the run",
             "horizon_s": options.horizon,
-            "sigma_at_the_end_m": float(sigma[0:3].max()),
-            "sigma_at_the_end_deg": float(np.rad2deg(sigma[6:9].max())),
         }
+        if motion.has_covariance:
+            sigma = np.sqrt(np.diagonal(motion.covariance_of_marks[-1]))
+            extras["animation"] |= {
+                "sigma_at_the_end_m": float(sigma[0:3].max()),
+                "sigma_at_the_end_deg": float(np.rad2deg(sigma[6:9].max())),
+            }
     return glb.glb(shape, extras, per_m, options.unit, animation)
 
 
@@ -138,12 +143,14 @@ def _motion(job: Job) -> Files:
             "are taken as marks on the body"
         )
     X_NF = job.poses(motion)
-    sigma = np.sqrt(np.diagonal(motion.covariance_of_marks, axis1=1, axis2=2))
-    marks = [
-        f"standard deviation of the body's attitude, worst axis: {np.rad2deg(sigma[0, 6:9].max()):.3g} deg "
-        f"at the start, {np.rad2deg(sigma[-1, 6:9].max()):.3g} deg at the end; the JSON export has all "
-        "covariances",
-    ]
+    marks = ["the run has no covariances: how sure this is, nothing tells"]
+    if motion.has_covariance:
+        sigma = np.sqrt(np.diagonal(motion.covariance_of_marks, axis1=1, axis2=2))
+        marks = [
+            f"standard deviation of the body's attitude, worst axis: {np.rad2deg(sigma[0, 6:9].max()):.3g} "
+            f"deg at the start, {np.rad2deg(sigma[-1, 6:9].max()):.3g} deg at the end; the JSON export has "
+            "all covariances",
+        ]
     header = ccsds.Header(
         object_name=options.object_name,
         object_id=options.object_id,
@@ -188,7 +195,7 @@ def _json(job: Job) -> Files:
         states = states_out(motion, job.poses(motion), ccsds.utc(motion.timestamps_ns, options.epoch_utc))
         last, ahead, undetermined = states[0], states[1:], list(motion.undetermined)
     else:
-        job.leave_out("states and prediction are left out: this run failed before it had a motion")
+        job.leave_out(f"states and prediction are left out: {job.found.no_motion}")
     shape = job.shape()
     if shape is None:
         job.leave_out("the shape is left out: this run has no mesh")

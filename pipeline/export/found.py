@@ -8,7 +8,13 @@ import numpy as np
 from mapping.levels import levels_of
 from mapping.mesh_files import read_ply
 from pipeline.point_cloud_file import read_landmarks
-from pipeline.predict import predict_run
+from pipeline.predict import (
+    NoCovariance,
+    predict_run,
+    prediction_times,
+    step_or_own,
+    undetermined_names,
+)
 from pipeline.summary import Summary, read_summary
 from pipeline.trajectory_file import read_trajectory
 from planning.exports.records import Motion, Placement, State, poses_of
@@ -16,6 +22,7 @@ from polhode.config.loader import load_config
 from polhode.config.mapping import Mapping
 from polhode.errors import InputError
 from polhode.records import Landmarks, SurfaceModel
+from polhode.rigid_body import propagate
 
 
 @dataclass(frozen=True)
@@ -28,11 +35,13 @@ class Found:
     """None: there is none"""
     landmarks: Landmarks | None
     """None: there are none"""
+    no_motion: str
+    """Why there is no last state; empty: there is one"""
 
     @property
     def has_motion(self) -> bool:
         """Whether there is a last state."""
-        return self.summary.R_GP is not None and (self.folder / "trajectory.csv").is_file()
+        return not self.no_motion
 
 
 def read_run(folder: Path) -> Found:
@@ -47,7 +56,18 @@ def read_run(folder: Path) -> Found:
     landmarks = read_landmarks(points) if points.is_file() else None
     if landmarks is not None and len(landmarks.p_G) == 0:
         landmarks = None
-    return Found(folder, summary, surface, landmarks)
+    return Found(folder, summary, surface, landmarks, _why_no_motion(folder, summary))
+
+
+def _why_no_motion(folder: Path, summary: Summary) -> str:
+    if summary.R_GP is None or summary.com_G is None or summary.inertia is None:
+        reason = summary.warnings[0] if summary.warnings else "no reason is known"
+        return f"this run failed before it had a motion ({reason})"
+    try:
+        read_trajectory(folder)
+    except InputError as error:
+        return f"this run's motion cannot be read ({error})"
+    return ""
 
 
 def at_level(found: Found, level: int | None, lightest: int) -> Found:
@@ -88,11 +108,17 @@ def last_state(found: Found, at: Placement) -> State:
     )
 
 
-def motion_ahead(folder: Path, horizon_s: float, step_s: float | None) -> Motion:
-    """The last state and those after it. Raises InputError when the run has no estimate."""
-    prediction = predict_run(folder, horizon_s, step_s, from_last=True)
+def motion_ahead(folder: Path, horizon_s: float, step_s: float | None) -> tuple[Motion, str]:
+    """The last state and those after it, and why they have no covariances; empty: they have.
+
+    Raises InputError when the run has no estimate.
+    """
+    try:
+        prediction = predict_run(folder, horizon_s, step_s, from_last=True)
+    except NoCovariance as error:
+        return _bare_motion(folder, horizon_s, step_s), str(error)
     states = prediction.states
-    return Motion(
+    motion = Motion(
         timestamps_ns=prediction.timestamps_ns,
         r_N=states.r_N,
         v_N=states.v_N,
@@ -101,4 +127,27 @@ def motion_ahead(folder: Path, horizon_s: float, step_s: float | None) -> Motion
         covariance=prediction.covariance,
         covariance_of_marks=states.covariance_of_marks,
         undetermined=prediction.undetermined,
+    )
+    return motion, ""
+
+
+def _bare_motion(folder: Path, horizon_s: float, step_s: float | None) -> Motion:
+    """The same motion from the summary and the last row of the trajectory."""
+    summary, table = read_summary(folder), read_trajectory(folder)
+    assert summary.inertia is not None
+    time_s = np.concatenate([[0.0], prediction_times(horizon_s, step_or_own(table, step_s))])
+    R_GP, J_G = np.array(summary.R_GP), np.array(summary.inertia.J_G)
+    r_N, v_N, R_NG, w_G = propagate(
+        time_s, table.r_N[-1], table.v_N[-1], table.R_NP[-1] @ R_GP.T, R_GP @ table.w_P[-1], J_G
+    )
+    nothing = np.full((len(time_s), 12, 12), np.inf)
+    return Motion(
+        timestamps_ns=table.timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64),
+        r_N=r_N,
+        v_N=v_N,
+        R_NP=R_NG @ R_GP,
+        w_P=w_G @ R_GP,
+        covariance=nothing,
+        covariance_of_marks=nothing,
+        undetermined=undetermined_names(summary),
     )

@@ -10,6 +10,7 @@ from pipeline.export.found import Found, at_level, motion_ahead
 from pipeline.export.inertial import inertial_of
 from pipeline.export.options import Options
 from planning.exports.records import Inertial, Motion, Placement, Shape, poses_of, shape_of_surface
+from polhode.errors import InputError
 from polhode.lie import Array
 
 Files = dict[Path, bytes]
@@ -42,8 +43,13 @@ class Job:
         ]
 
     def motion(self, step_s: float | None) -> Motion:
-        """See ``motion_ahead``."""
-        return motion_ahead(self.found.folder, self.options.horizon, step_s)
+        """See ``motion_ahead``. Raises InputError when the run has none."""
+        if self.found.no_motion:
+            raise InputError(f"{self.found.folder}: {self.found.no_motion}")
+        motion, why_bare = motion_ahead(self.found.folder, self.options.horizon, step_s)
+        if why_bare:
+            self.leave_out(f"covariances of the motion are left out: {why_bare}")
+        return motion
 
     def poses(self, motion: Motion) -> Array:
         """X_NF (T, 4, 4)."""

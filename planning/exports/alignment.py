@@ -20,6 +20,10 @@ MODEL_POINTS = 20_000
 FIRST_POINTS, LAST_POINTS = 250, 2_000
 FIRST_STEPS, LAST_STEPS, FINALISTS = 12, 40, 6
 DISTINCT_DEG = 15.0
+MIRRORED = 5.0
+"""Points that fit so many times better after a reflection are given mirrored, where the fit is poor."""
+POOR = 0.02
+"""Of the points' spread: a fit that leaves more is poor."""
 ALIKE = 1.3
 """Another pose that fits worse by less than this factor is as good: the model is symmetric for us."""
 
@@ -37,17 +41,33 @@ class Alignment:
 
 
 def align_points(p_G: Array, p_cad: Array) -> Alignment:
-    """From corresponding points (n, 3) each. Raises ValueError when they do not tell the pose."""
+    """From corresponding points (n, 3) each. Raises ValueError when they do not tell the pose.
+
+    So it does when they fit after a reflection only: a pose cannot undo that.
+    """
     if len(p_G) < 3:
         raise ValueError(f"{len(p_G)} pairs of points; give three or more")
     middle_G, middle_cad = p_G.mean(axis=0), p_cad.mean(axis=0)
     U, spread, Vt = np.linalg.svd((p_cad - middle_cad).T @ (p_G - middle_G))
     if spread[1] < 1e-6 * spread[0]:
         raise ValueError("the points lie on a line; give one beside it")
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    X = make_pose(R, middle_cad - R @ middle_G)
-    left = transform_points(X, p_G) - p_cad
-    return Alignment(X, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))), None)
+    hand = float(np.sign(np.linalg.det(U @ Vt)))
+    poses = []
+    for sign in (hand, -hand):
+        R = U @ np.diag([1.0, 1.0, sign]) @ Vt
+        poses.append(make_pose(R, middle_cad - R @ middle_G))
+    X, mirrored = poses
+    rms, other = (_rms(transform_points(each, p_G) - p_cad) for each in (X, mirrored))
+    if rms > POOR * _rms(p_cad - middle_cad) and rms > MIRRORED * other:
+        raise ValueError(
+            f"the points are mirrored: {1e3 * rms:.3g} mm rms are left by any rotation, {1e3 * other:.3g} mm "
+            "after a reflection; one sign is wrong, or two coordinates are exchanged"
+        )
+    return Alignment(X, rms, None)
+
+
+def _rms(vectors: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
 def align_surfaces(scan: trimesh.Trimesh, model: trimesh.Trimesh, start: Array | None = None) -> Alignment:

@@ -44,7 +44,7 @@ def oem(motion: Motion, header: Header) -> str:
     """Centre of mass in N with its covariance at every instant.
 
     Where the run does not determine the centre of mass, the covariance is that of the estimated one as a mark
-    on the body, and a comment says so.
+    on the body, and a comment says so. Without covariances the file has none.
     """
     own = motion.covariance[:, :6, :6]
     finite = bool(np.isfinite(own).all())
@@ -55,6 +55,8 @@ def oem(motion: Motion, header: Header) -> str:
         else "covariance: of the estimated centre of mass as a mark on the body, along N; the run does not "
         "determine the centre of mass itself in every direction"
     )
+    if not motion.has_covariance:
+        of = "no covariance: the run has none"
     times = utc(motion.timestamps_ns, header.epoch)
     lines = _head("OEM", "2.0", header)
     lines += ["META_START"]
@@ -72,6 +74,8 @@ def oem(motion: Motion, header: Header) -> str:
     ]
     states = KM_PER_M * np.hstack([motion.r_N, motion.v_N])
     lines += [f"{time} {_numbers(row)}" for time, row in zip(times, states, strict=True)]
+    if not motion.has_covariance:
+        return "\n".join(lines) + "\n"
     lines += ["", "COVARIANCE_START"]
     for time, matrix in zip(times, KM_PER_M**2 * covariance, strict=True):
         lines += [f"EPOCH = {time}", f"COV_REF_FRAME = {header.frame_name}"]

@@ -102,9 +102,15 @@ class Motion:
     covariance: Array
     """(T, 12, 12) of r (N), v (N), theta (P), w (P); inf on the diagonal where undetermined"""
     covariance_of_marks: Array
-    """(T, 12, 12) of the body itself: the estimated centre of mass and axes are marks on it; finite"""
+    """(T, 12, 12) of the body itself: the estimated centre of mass and axes are marks on it; finite, or all
+    inf where the run has no covariances"""
     undetermined: tuple[str, ...]
     """Names of what the run's motion does not determine"""
+
+    @property
+    def has_covariance(self) -> bool:
+        """Whether anything tells how sure it is."""
+        return bool(np.isfinite(self.covariance_of_marks).all())
 
     @property
     def time_s(self) -> Array:

@@ -5,7 +5,7 @@ carry the normal of the smooth part that they belong to, so a crease splits them
 round.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -21,10 +21,12 @@ from polhode.records import Bools, Ints
 
 CREASE_DEG = 30.0
 """Faces that meet at more than this angle form an edge."""
+FLAT_DEG = 0.5
+"""A part whose normals lean less from their mean is flat."""
 TOLERANCE = 5e-4
 """Edges are straight to this share of the body's diameter."""
 LEAST_LENGTH = 0.01
-"""Shorter edges, as a share of the body's diameter, are left out."""
+"""Shorter edges, as a share of the body's diameter, are left out; an arc counts as a whole."""
 
 
 class Kind(IntEnum):
@@ -60,6 +62,10 @@ class EdgeModel:
     """how far a segment may be from the mesh's edge"""
     outlined: Bools
     """(parts,) which smooth parts give outlines"""
+    soft: Ints
+    """(k, 4) edges that are no creases: two vertices of the surface, the faces at both sides"""
+    faceted: bool
+    """outlines follow the edges of the faces, not the smooth surface that these may stand for"""
     occluder: Occluder = field(repr=False, compare=False)
 
     @property
@@ -87,17 +93,13 @@ class EdgeModel:
         keep = np.zeros(self.size, dtype=bool)
         keep[features] = True
         n = len(self.ends_G)
-        return EdgeModel(
-            self.ends_G[keep[:n]],
-            self.tangents_G[keep[:n]],
-            self.sides_G[keep[:n]],
-            self.kind[keep[:n]],
-            self.surface,
-            self.corner_normals_G,
-            self.part,
-            self.tolerance_m,
-            self.outlined & keep[n:],
-            self.occluder,
+        return replace(
+            self,
+            ends_G=self.ends_G[keep[:n]],
+            tangents_G=self.tangents_G[keep[:n]],
+            sides_G=self.sides_G[keep[:n]],
+            kind=self.kind[keep[:n]],
+            outlined=self.outlined & keep[n:],
         )
 
 
@@ -106,8 +108,10 @@ def edge_model(
     crease_deg: float = CREASE_DEG,
     tolerance_m: float | None = None,
     least_length_m: float | None = None,
+    flat_deg: float = FLAT_DEG,
+    faceted: bool = False,
 ) -> EdgeModel:
-    """Edges of a mesh in G.
+    """Edges of a mesh in G; smooth parts whose normals differ by less than ``flat_deg`` have no outlines.
 
     Raises InputError for a mesh without faces or with numbers that are not finite.
     """
@@ -125,26 +129,27 @@ def edge_model(
     tolerance_m = TOLERANCE * diameter if tolerance_m is None else tolerance_m
     least_length_m = LEAST_LENGTH * diameter if least_length_m is None else least_length_m
     edges, sides, kind, soft = _sharp_edges(surface, crease_deg)
-    part = _smooth_parts(len(surface.faces), soft)
-    ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m)
-    long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= least_length_m
+    part = _smooth_parts(len(surface.faces), soft[:, 2:])
+    ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m, least_length_m)
     corners = _corner_normals(surface, part)
     return EdgeModel(
-        ends[long],
-        tangents[long],
-        normals[long],
-        kinds[long],
+        ends,
+        tangents,
+        normals,
+        kinds,
         surface,
         corners,
         part,
         tolerance_m,
-        _is_curved(surface, corners, part),
+        _is_curved(surface, corners, part, flat_deg),
+        soft,
+        faceted,
         Occluder(surface),
     )
 
 
 def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Array, Ints, Ints]:
-    """Edges (m, 2), normals of their sides (m, 2, 3), kinds (m,); and pairs of faces that join smoothly."""
+    """Edges (m, 2), normals of their sides (m, 2, 3), kinds (m,); the other edges, as in ``soft``."""
     ordered = np.sort(surface.edges, axis=1)
     unique, of_edge, count = np.unique(ordered, axis=0, return_inverse=True, return_counts=True)
     faces = surface.edges_face[np.argsort(of_edge.reshape(-1), kind="stable")]
@@ -158,7 +163,8 @@ def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Arr
     soft = ~sharp
     sides = np.stack([n[first], n[second]], axis=1)
     kind = np.where(rim, Kind.BOUNDARY, Kind.CREASE)
-    return unique[sharp], sides[sharp], kind[sharp], np.stack([first[soft], second[soft]], axis=1)
+    others = np.column_stack([unique[soft], first[soft], second[soft]])
+    return unique[sharp], sides[sharp], kind[sharp], others
 
 
 def _smooth_parts(faces: int, joined: Ints) -> Ints:
@@ -189,16 +195,20 @@ def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
     return np.where(length > 0.0, normal / np.maximum(length, 1e-300), flat)
 
 
-def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints) -> Bools:
-    """(parts,) whether any corner of a part leans away from its face by more than half a degree."""
-    lean = np.einsum("fck,fk->fc", corners, np.asarray(surface.face_normals)).min(axis=1)
-    least = np.ones(int(part.max()) + 1)
-    np.minimum.at(least, part, lean)
-    return np.asarray(least < np.cos(np.radians(0.5)))
+def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints, flat_deg: float) -> Bools:
+    """(parts,) whether any corner of a part leans away from the part's mean normal by more than this."""
+    count = int(part.max()) + 1
+    mean = np.zeros((count, 3))
+    np.add.at(mean, part, np.asarray(surface.area_faces)[:, None] * np.asarray(surface.face_normals))
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    mean = np.where(length > 0.0, mean / np.maximum(length, 1e-300), 0.0)
+    least = np.ones(count)
+    np.minimum.at(least, part, np.einsum("fck,fk->fc", corners, mean[part]).min(axis=1))
+    return np.asarray(least < np.cos(np.radians(flat_deg)))
 
 
 def _segments(
-    surface: trimesh.Trimesh, edges: Ints, sides: Array, kind: Ints, tolerance_m: float
+    surface: trimesh.Trimesh, edges: Ints, sides: Array, kind: Ints, tolerance_m: float, least_length_m: float
 ) -> tuple[Array, Array, Array, Ints]:
     """Chains of sharp edges, cut into straight pieces: ends, tangents, sides (n, 2, 3), kinds (n,)."""
     vertices = np.asarray(surface.vertices)
@@ -207,9 +217,9 @@ def _segments(
         own = np.flatnonzero(kind == which)
         for chain, members in chains_of(edges[own]):
             pieces = straight_pieces(vertices[chain], tolerance_m)
-            if not pieces:
+            knots = vertices[chain[[0, *(b for _, b in pieces)]]]
+            if np.linalg.norm(np.diff(knots, axis=0), axis=1).sum() < least_length_m:
                 continue
-            knots = vertices[chain[[pieces[0][0], *(b for _, b in pieces)]]]
             tangents.append(tangents_along(knots))
             for a, b in pieces:
                 ends.append(vertices[[chain[a], chain[b]]])

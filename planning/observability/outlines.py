@@ -32,6 +32,24 @@ class Outlines:
 
 def outlines(model: EdgeModel, eye_G: Array) -> Outlines:
     """Outlines of the model's curved parts seen from eye_G (3,)."""
+    return _of_facets(model, eye_G) if model.faceted else _of_smooth_surface(model, eye_G)
+
+
+def _of_facets(model: EdgeModel, eye_G: Array) -> Outlines:
+    """Edges between a face that looks at the eye and one that does not."""
+    soft = model.soft[model.outlined[model.part[model.soft[:, 2]]]]
+    triangles = np.asarray(model.surface.triangles)
+    facing = np.einsum("fk,fk->f", np.asarray(model.surface.face_normals), eye_G - triangles[:, 0]) > 0.0
+    soft = soft[facing[soft[:, 2]] != facing[soft[:, 3]]]
+    ends = np.asarray(model.surface.vertices)[soft[:, :2]]
+    across = np.cross((ends[:, 1] - ends[:, 0])[:, None, :], ends - eye_G)
+    across /= np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-300)
+    outward = np.asarray(model.surface.face_normals)[soft[:, 2:]].sum(axis=1)
+    across *= np.where(np.einsum("nek,nk->n", across, outward) < 0.0, -1.0, 1.0)[:, None, None]
+    return Outlines(ends, across, np.asarray(model.part[soft[:, 2]]), np.zeros(len(soft)))
+
+
+def _of_smooth_surface(model: EdgeModel, eye_G: Array) -> Outlines:
     faces = np.flatnonzero(model.outlined[model.part])
     normals = model.corner_normals_G[faces]
     corners = np.asarray(model.surface.triangles)[faces]
@@ -51,9 +69,8 @@ def outlines(model: EdgeModel, eye_G: Array) -> Outlines:
         ends[:, side] = corners[row, alone] + t[:, None] * (corners[row, other] - corners[row, alone])
         n = normals[row, alone] + t[:, None] * (normals[row, other] - normals[row, alone])
         found[:, side] = n / np.linalg.norm(n, axis=1, keepdims=True)
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    lean = np.einsum("fck,fck->fc", normals, np.roll(normals, 1, axis=1)).min(axis=1)
-    bulge = longest * np.arccos(np.clip(lean, -1.0, 1.0)) / 8.0
+    chord, turn = corners - np.roll(corners, 1, axis=1), normals - np.roll(normals, 1, axis=1)
+    bulge = np.abs(np.einsum("fck,fck->fc", chord, turn)).max(axis=1) / 8.0
     return Outlines(ends, found, np.asarray(model.part[faces]), bulge)
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from planning.observability.edge_model import EdgeModel, Kind
 from planning.observability.outlines import outlines
@@ -12,6 +13,10 @@ from polhode.records import Bools, Ints
 
 SPACING_PX = 10.0
 """Between control points along an edge."""
+APART_PX = 2.0
+"""Parallel edges nearer than this in the image are one."""
+PARALLEL = 0.97
+"""Cosine of the angle between such edges."""
 _NEAR = 0.02
 """What is nearer to the camera than this share of the body's radius is cut off."""
 
@@ -47,7 +52,28 @@ def control_points(
     near_m = _NEAR * model.radius_m
     segments = _on_segments(model, rig, X_RG, spacing_px, near_m)
     turned_away = _on_outlines(model, rig, X_RG, spacing_px, near_m)
-    return _join(segments, turned_away)
+    return seen_once(_join(segments, turned_away), spacing_px)
+
+
+def seen_once(points: ControlPoints, spacing_px: float) -> ControlPoints:
+    """The points without those whose edge another, longer in this view, covers: an image has it once."""
+    if len(points) < 2:
+        return points
+    tree = cKDTree(points.uv_px)
+    pairs = tree.query_pairs(np.hypot(APART_PX, 0.75 * spacing_px), output_type="ndarray")
+    a, b = pairs[points.feature[pairs[:, 0]] != points.feature[pairs[:, 1]]].T
+    gap = points.uv_px[b] - points.uv_px[a]
+    across = np.abs(np.einsum("pk,pk->p", gap, points.normal_px[a]))
+    along = np.sqrt(np.maximum(np.einsum("pk,pk->p", gap, gap) - across**2, 0.0))
+    parallel = np.abs(np.einsum("pk,pk->p", points.normal_px[a], points.normal_px[b])) > PARALLEL
+    same = (across < APART_PX) & (along < 0.75 * spacing_px) & parallel
+    a, b = a[same], b[same]
+    seen = np.bincount(points.feature, points.weight)
+    seen_a, seen_b = seen[points.feature[a]], seen[points.feature[b]]
+    a_wins = (seen_a > seen_b) | ((seen_a == seen_b) & (points.feature[a] < points.feature[b]))
+    keep = np.ones(len(points), dtype=bool)
+    keep[np.where(a_wins, b, a)] = False
+    return points[keep]
 
 
 def _on_segments(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
 from mapping.levels import levels_of
-from mapping.mesh_files import write_glb
+from mapping.mesh_files import read_ply, write_glb, write_ply
 from polhode.records import SurfaceModel
 
 RADIUS_M = 0.1
@@ -63,3 +63,18 @@ def test_the_same_mesh_gives_the_same_bytes(surface: SurfaceModel, tmp_path: Pat
     for name in ("a", "b"):
         write_glb(levels_of(surface, (0.25,))[0].surface, tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_a_mesh_read_from_its_file_has_the_same_levels(surface: SurfaceModel, tmp_path: Path) -> None:
+    noise = np.random.default_rng(4).normal(scale=1e-4, size=surface.mesh.vertices.shape)
+    rough = surface.mesh.copy()
+    rough.vertices = rough.vertices + noise
+    whole = SurfaceModel(rough, surface.sigma_m, surface.views, surface.invented)
+    write_ply(whole, tmp_path / "mesh.ply")
+    for ours, theirs in zip(
+        levels_of(whole, (0.25, 0.0625)),
+        levels_of(read_ply(tmp_path / "mesh.ply"), (0.25, 0.0625)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(ours.surface.mesh.vertices, theirs.surface.mesh.vertices)
+        np.testing.assert_array_equal(ours.surface.mesh.faces, theirs.surface.mesh.faces)

@@ -219,6 +219,9 @@ def test_a_failed_run_exports_what_it_found(
         assert main(["export", str(failed), "--to", to, "-o", str(tmp_path / "x")]) == 2
         stderr = capsys.readouterr().err
         assert stderr.count("\n") == 1 and "this run" in stderr
+        if to in ("oem", "aem", "tum"):
+            # the reason, and no advice about frames
+            assert "before it had a motion (no motion fits)" in stderr and "--frame" not in stderr
     assert not (tmp_path / "x").exists()
     # a mesh without a motion: what is assumed is said
     from mapping.mesh_files import write_ply
@@ -228,6 +231,37 @@ def test_a_failed_run_exports_what_it_found(
     shown = capsys.readouterr().out
     assert "assumed, uniform density" in text and "the state is left out" in shown
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "shape.xml")).body_mass[1] == 4.5
+
+
+@pytest.mark.parametrize("archive", [None, b"no archive"])
+def test_a_run_without_covariances_exports_the_motion_and_says_so(
+    archive: bytes | None, run: Path, example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    whole = document(run, tmp_path, "--horizon", "5")
+    bare = write_example(example, tmp_path / "run", example.surface)
+    (bare / "covariance.npz").unlink()
+    if archive is not None:
+        (bare / "covariance.npz").write_bytes(archive)
+    content = document(bare, tmp_path, "--horizon", "5")
+    assert "covariances of the motion are left out" in capsys.readouterr().out
+    assert any("covariance.npz" in words for words in content["left_out"])
+    for ours, theirs in zip(
+        [content["last"], *content["prediction"]], [whole["last"], *whole["prediction"]], strict=True
+    ):
+        assert ours["timestamp_ns"] == theirs["timestamp_ns"]
+        np.testing.assert_allclose(ours["q_NP_wxyz"], theirs["q_NP_wxyz"], atol=1e-9)
+        np.testing.assert_allclose(ours["r_N"], theirs["r_N"], atol=1e-9)
+        assert {value for row in ours["covariance"] for value in row} == {None}
+    assert content["mass_properties"] == whole["mass_properties"]
+    text = export(bare, "oem", tmp_path / "bare.oem").read_text()
+    assert "no covariance: the run has none" in text and "COVARIANCE_START" not in text
+    assert "nothing tells" in export(bare, "aem", tmp_path / "bare.aem").read_text()
+    export(bare, "glb", tmp_path / "bare.glb", "--animate")
+    # a motion that cannot be read leaves the rest
+    (bare / "trajectory.csv").unlink()
+    content = document(bare, tmp_path)
+    assert content["last"] is None and any("trajectory.csv" in words for words in content["left_out"])
+    assert content["mass_properties"]["k1"] is not None
 
 
 @pytest.mark.parametrize(
@@ -270,10 +304,13 @@ def test_a_model_that_does_not_open_or_has_another_unit_is_refused(
     box = trimesh.creation.box(1000.0 * BOX_M)
     box.export(tmp_path / "large.stl")
     (tmp_path / "two.csv").write_text("0 0 0 0 0 0\n1 0 0 1 0 0\n")
+    p = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.3, 0.2, 0.6]])
+    np.savetxt(tmp_path / "mirrored.csv", np.hstack([p, p[:, [1, 0, 2]]]))
     for option, name, words in (
         ("--cad", "broken.stl", "broken.stl"),
         ("--cad", "large.stl", "check --cad-unit"),
         ("--cad-points", "two.csv", "2 pairs of points; give three or more"),
+        ("--cad-points", "mirrored.csv", "the points are mirrored"),
     ):
         arguments = ["export", str(run), "--to", "ply", "--frame", "cad", option, str(tmp_path / name)]
         assert main([*arguments, "-o", str(tmp_path / "out.ply")]) == 2

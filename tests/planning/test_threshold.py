@@ -47,7 +47,13 @@ def test_the_command_prints_three_rates_in_both_units(capsys: Capture) -> None:
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("--radius-m", "0"), ("--fuel-fraction", "1"), ("--isp-s", "-3"), ("--mass-kg", "nan")],
+    [
+        ("--radius-m", "0"),
+        ("--fuel-fraction", "1"),
+        ("--isp-s", "-3"),
+        ("--mass-kg", "nan"),
+        ("--duration-s", "inf"),
+    ],
 )
 def test_impossible_values_are_one_line(option: str, value: str, capsys: Capture) -> None:
     words = list(WORDS)
@@ -55,3 +61,35 @@ def test_impossible_values_are_one_line(option: str, value: str, capsys: Capture
     assert main(words) == 2
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1 and option in captured.err and captured.out == ""
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("--radius-m", "1e-320"),
+        ("--force-n", "1e300"),
+        ("--mass-kg", "1e308"),
+        ("--isp-s", "1e308"),
+        ("--duration-s", "1e-300"),
+        ("--fuel-fraction", "1e-320"),
+    ],
+)
+def test_rates_that_are_no_rates_are_one_line(option: str, value: str, capsys: Capture) -> None:
+    words = list(WORDS)
+    words[words.index(option) + 1] = value
+    assert main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1 and "check their units" in captured.err and captured.out == ""
+
+
+def test_products_that_underflow_do_not_matter_where_the_rate_is_sound() -> None:
+    found = threshold(StationKeeping(1e-200, 1e-100, 1e-300, 1e-200, 1.0, 0.5))
+    assert found.by_force == pytest.approx(1.0, rel=1e-12)
+    assert found.by_fuel == pytest.approx(np.sqrt(9.81 * np.log(2.0)), rel=1e-12)
+
+
+def test_slow_rates_keep_their_digits(capsys: Capture) -> None:
+    words = list(WORDS)
+    words[words.index("--force-n") + 1] = "1e-9"
+    assert main(words) == 0
+    assert "3.043e-07 rad/s  2.906e-06 RPM" in capsys.readouterr().out

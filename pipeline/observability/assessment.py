@@ -1,0 +1,26 @@
+"""What the command finds: the metric along a trajectory, and what each edge contributes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.observability.subject import Subject
+from planning.observability.along import EdgeView
+from planning.observability.contributions import Contributions
+from polhode.lie import Array
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """The metric along a trajectory, for noise of sigma_px across the edges."""
+
+    subject: Subject
+    views: list[EdgeView]
+    edges: Contributions
+    spacing_px: float
+    sigma_px: float
+
+    @property
+    def sigma(self) -> Array:
+        """(k, 6) standard deviations [m, rad], inf where a view does not tell."""
+        return self.sigma_px * np.stack([view.found.sigma for view in self.views])
