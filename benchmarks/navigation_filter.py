@@ -4,8 +4,8 @@
 
 Three filters, alike but for how they weigh a pose: all alike; all alike if enough edges were found; by the
 calibrated covariance of its view. Poses are `drawn` from the tracker's linear model (drawn_poses.py) or
-`tracked` in rendered images (tracked_poses.py), the same for all filters. Factors and thresholds are chosen on
-training runs of other seeds. Intervals: 95 %, bootstrap over runs. NEES is over its 12 degrees of freedom.
+`tracked` in rendered images (tracked_poses.py), the same for all filters. Factors and thresholds are chosen
+on training runs of other seeds. Intervals: 95 %, bootstrap over runs. NEES is over its 12 degrees of freedom.
 What was measured before is read from the record.
 """
 
@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.navigation_runs import FILTERS, PARTS, UNITS, fly, runs_of, to_line, tune
-from benchmarks.navigation_scene import SCENARIOS, flight, sun_R
+from benchmarks.navigation_runs import FILTERS, PARTS, UNITS, calibrated_errors, fly, runs_of, tune
+from benchmarks.navigation_scene import SCENARIOS, body_mesh, flight
 from benchmarks.record import Case, complete
 from polhode.lie import Array
 
@@ -37,7 +37,7 @@ def main() -> None:
     parser.add_argument("--source", nargs="+", choices=("drawn", "tracked"), default=["drawn", "tracked"])
     parser.add_argument("--body", default=BODY)
     parser.add_argument("--runs", type=int, default=30)
-    parser.add_argument("--training", type=int, default=10)
+    parser.add_argument("--training", type=int, default=8)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--short", action="store_true", help="3 runs, 2 for training, the approach, drawn")
     parser.add_argument("--plot", type=Path, help="PNG of the errors of all runs")
@@ -47,22 +47,20 @@ def main() -> None:
     if options.short:
         options.runs, options.training, options.source, scenarios = 3, 2, ["drawn"], SCENARIOS[:1]
     settings: list[Case] = [
-        {"source": source, "scenario": scenario, "body": options.body, "wrong": wrong}
+        {"source": source, "scenario": scenario, "body": options.body}
         for source in options.source
         for scenario in scenarios
-        for wrong in (0.0, WRONG)
     ]
     poses = [case for setting in settings for case in seeds(setting, options.runs, options.training)]
-    complete(options.record, poses, measure_poses, options.workers)
+    complete(options.record, poses, Poses(options.record.with_suffix(".images")), options.workers)
     sizes = {"runs": options.runs, "training": options.training}
     cases = [
-        {**setting, **sizes, "gate": gate}
+        {**setting, **sizes, "wrong": wrong, "gate": gate}
         for setting in settings
-        for gate in ((GATE, 1.0) if setting["wrong"] else (GATE,))
+        for wrong, gate in ((0.0, GATE), (WRONG, GATE), (WRONG, 1.0))
     ]
-    lines = complete(
-        options.record.with_suffix(".filters.jsonl"), cases, Compare(options.record), options.workers
-    )
+    compared = options.record.with_suffix(".filters.jsonl")
+    lines = complete(compared, cases, Compare(options.record), options.workers)
     print(errors_table(lines))
     print(wrong_table(lines))
     print(tuning_table(lines))
@@ -77,26 +75,32 @@ def seeds(setting: Case, runs: int, training: int) -> list[Case]:
     return [{**setting, "seed": seed} for seed in [*range(runs), *range(TRAINING, TRAINING + training)]]
 
 
-def measure_poses(case: Case) -> dict[str, Any]:
-    """The poses of one run."""
-    course = flight(case["scenario"], case["body"], case["seed"])
-    if case["source"] == "tracked":
-        from benchmarks.tracked_poses import tracked_poses
+class Poses:
+    """The poses of one run: at each instant the usual one and one of a bad start or wrong convergence."""
 
-        return {"poses": to_line(tracked_poses(course, case["body"], case["wrong"], case["seed"]))}
-    from benchmarks.drawn_poses import EdgeErrors, drawn_pose
-    from benchmarks.edge_views import edge_rig
-    from benchmarks.navigation_scene import body_mesh
-    from planning.observability.edge_model import edge_model
+    def __init__(self, images: Path) -> None:
+        self.images = images
 
-    model, rig = edge_model(body_mesh(case["body"])), edge_rig()
-    rng = np.random.default_rng([case["seed"], 0xD4A3])
-    poses = []
-    for k in range(len(course.states)):
-        wrong = bool(rng.random() < case["wrong"])
-        view = np.random.default_rng([case["seed"], 0xD4A4, k])
-        poses.append(drawn_pose(model, rig, course.X_RG(k), sun_R(course.R_NR[k]), wrong, view, EdgeErrors()))
-    return {"poses": to_line(poses)}
+    def __call__(self, case: Case) -> dict[str, Any]:
+        """Poses by `FoundPose.line`, or None."""
+        from benchmarks.edge_views import edge_rig
+        from planning.observability.edge_model import edge_model
+
+        course = flight(case["scenario"], case["body"], case["seed"])
+        model, rig = edge_model(body_mesh(case["body"])), edge_rig()
+        if case["source"] == "tracked":
+            from benchmarks.tracked_poses import tracked_poses
+
+            folder = self.images / case["body"] / case["scenario"] / str(case["seed"])
+            usual, bad = tracked_poses(course, case["body"], model, rig, case["seed"], folder)
+        else:
+            from benchmarks.drawn_poses import drawn_poses
+
+            usual, bad = drawn_poses(course, model, rig, case["seed"])
+        return {
+            "poses": [pose and pose.line() for pose in usual],
+            "bad": [pose and pose.line() for pose in bad],
+        }
 
 
 class Compare:
@@ -107,12 +111,15 @@ class Compare:
 
     def __call__(self, case: Case) -> dict[str, Any]:
         """One setting."""
-        setting = {key: case[key] for key in ("source", "scenario", "body", "wrong")}
+        setting = {key: case[key] for key in ("source", "scenario", "body")}
         gate = case["gate"] if case["gate"] < 1.0 else None
-        all_cases = seeds(setting, case["runs"], case["training"])
-        tuned = tune(runs_of(self.record, all_cases[case["runs"] :]), gate)
-        runs = runs_of(self.record, all_cases[: case["runs"]])
-        found: dict[str, Any] = {"tuning": tuned.numbers}
+        cases = seeds(setting, case["runs"], case["training"])
+        test, training = cases[: case["runs"]], cases[case["runs"] :]
+        errors = calibrated_errors(self.record, training)
+        tuned = tune(runs_of(self.record, training, case["wrong"], errors), gate)
+        runs = runs_of(self.record, test, case["wrong"], errors)
+        numbers = {"sigma [px]": errors[0], "tau [px]": errors[1], **tuned.numbers}
+        found: dict[str, Any] = {"tuning": numbers}
         for name, weighting in tuned.weightings.items():
             flown = [fly(run, weighting, gate) for run in runs]
             found[name] = {
