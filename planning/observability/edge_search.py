@@ -61,6 +61,18 @@ def gradients(image: Array, uv_px: Array) -> Array:
     return np.asarray(out[..., 0])
 
 
+def levels(image: Array, uv_px: Array) -> Array:
+    """Grey levels (m,) at places (m, 2), by bilinear interpolation; 0 outside of the image."""
+    height, width = image.shape
+    inside = (uv_px >= 0.0).all(axis=1) & (uv_px < np.array([width - 1, height - 1])).all(axis=1)
+    place = np.where(inside[:, None], uv_px, 0.0)
+    a, b = place.astype(np.int64).T
+    du, dv = (place - np.floor(place)).T
+    upper = (1.0 - du) * image[b, a] + du * image[b, a + 1]
+    lower = (1.0 - du) * image[b + 1, a] + du * image[b + 1, a + 1]
+    return np.asarray(np.where(inside, (1.0 - dv) * upper + dv * lower, 0.0))
+
+
 def _kernel() -> Array:
     """Derivative of a Gaussian, odd, such that a step of height one answers with one."""
     reach = int(np.ceil(3.0 * SMOOTHING_PX / STEP_PX))

@@ -181,7 +181,7 @@ def _fit(
         if seen.sum() < wanted.least_found:
             return step, True
         residual = d[seen] - f[seen] @ step
-        scale = _scale(residual, wanted)
+        scale = _scale(residual, length[seen], wanted)
         weight = length[seen] * _robust(residual / scale, narrow)
         before = step
         step = _solve(f[seen], d[seen], weight, radius_m, scale)
@@ -198,8 +198,12 @@ def _nearest(found: Candidates, at_px: Array) -> tuple[Array, Array]:
     return found.offset_px[row, which], found.contrast[row, which]
 
 
-def _scale(residual: Array, wanted: Tracking) -> float:
-    return max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), wanted.least_sigma_px)
+def _scale(residual: Array, length: Array, wanted: Tracking) -> float:
+    """Sigma of residuals from their median size; each counts with the length of edge that it stands for."""
+    size = np.abs(residual)
+    order = np.argsort(size)
+    half = np.searchsorted(np.cumsum(length[order]), 0.5 * float(length.sum()))
+    return max(MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]]), wanted.least_sigma_px)
 
 
 def _robust(u: Array, narrow: bool) -> Array:
@@ -237,7 +241,7 @@ def _told(
     seen = np.isfinite(d)
     robust = np.zeros(len(points))
     if seen.any():
-        robust[seen] = _robust(d[seen] / _scale(d[seen], wanted), narrow=True)
+        robust[seen] = _robust(d[seen] / _scale(d[seen], points.weight[seen], wanted), narrow=True)
     f = edge_motion(points, rig, X_RG, model.middle_G)
     information = observability(f, points.weight * robust, model.radius_m)
     if few or seen.sum() < wanted.least_found:
