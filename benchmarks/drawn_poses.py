@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmarks.found_pose import FoundPose, spread
 from benchmarks.navigation_scene import Flight, sun_R
+from planning.observability.calibrated import NoiseParts
 from planning.observability.edge_model import EdgeModel
 from planning.observability.edge_motion import edge_motion, moved
 from planning.observability.light import contrast
@@ -75,25 +76,25 @@ def drawn_pose(
     offset = errors.sigma_px * rng.standard_normal(len(points))
     offset += errors.tau_px * rng.standard_normal(len(edges))[of_edge]
     found = np.ones(len(points), dtype=bool)
+    # exposure moves no limb here
+    sky = np.zeros(len(points), dtype=np.int64)
     if wrong:
         caught, away = _caught(f, points.weight, of_edge, model.radius_m, rng)
         misfit = errors.misfit_px * rng.standard_normal(len(edges))[of_edge]
         offset = offset + np.where(caught, away + misfit, 0.0)
-        gain, _, _ = spread(f[caught], points.weight[caught], of_edge[caught], model.radius_m)
+        gain, _ = spread(f[caught], points.weight[caught], of_edge[caught], sky[caught], model.radius_m)
         found = np.abs(offset - f @ (gain @ offset[caught])) < errors.reach_px
     f, weight, offset, of_edge = f[found], points.weight[found], offset[found], of_edge[found]
-    gain, by_points, by_edges = spread(f, weight, of_edge, model.radius_m)
+    gain, parts = spread(f, weight, of_edge, sky[found], model.radius_m)
     step = gain @ offset
     left = offset - f @ step
     freedom = 1.0 - 6.0 / max(len(f), 7)
     residual = float(np.sqrt((weight * left**2).sum() / weight.sum() / freedom))
     return FoundPose(
         moved(X_RG, step, model.middle_G),
-        by_points,
-        by_edges,
-        errors.sigma_px,
+        NoiseParts(parts[None], np.array([residual])),
         float(weight.sum() / seen.weight.sum()),
-        residual,
+        {"residual": residual},
     )
 
 

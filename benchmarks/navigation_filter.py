@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.navigation_runs import FILTERS, PARTS, UNITS, calibrated_errors, fly, runs_of, tune
-from benchmarks.navigation_scene import SCENARIOS, body_mesh, flight
+from benchmarks.navigation_runs import FILTERS, PARTS, UNITS, believed, fly, runs_of, tune
+from benchmarks.navigation_scene import RIG, SCENARIOS, body_mesh, flight
 from benchmarks.record import Case, complete
 from polhode.lie import Array
 
@@ -37,7 +37,7 @@ def main() -> None:
     parser.add_argument("--source", nargs="+", choices=("drawn", "tracked"), default=["drawn", "tracked"])
     parser.add_argument("--body", default=BODY)
     parser.add_argument("--runs", type=int, default=30)
-    parser.add_argument("--training", type=int, default=8)
+    parser.add_argument("--training", type=int, default=6)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--short", action="store_true", help="3 runs, 2 for training, the approach, drawn")
     parser.add_argument("--plot", type=Path, help="PNG of the errors of all runs")
@@ -64,6 +64,7 @@ def main() -> None:
     print(errors_table(lines))
     print(wrong_table(lines))
     print(tuning_table(lines))
+    print(belief_table(lines))
     if options.plot:
         from benchmarks.navigation_plot import plot
 
@@ -83,20 +84,19 @@ class Poses:
 
     def __call__(self, case: Case) -> dict[str, Any]:
         """Poses by `FoundPose.line`, or None."""
-        from benchmarks.edge_views import edge_rig
         from planning.observability.edge_model import edge_model
 
         course = flight(case["scenario"], case["body"], case["seed"])
-        model, rig = edge_model(body_mesh(case["body"])), edge_rig()
+        model = edge_model(body_mesh(case["body"]))
         if case["source"] == "tracked":
             from benchmarks.tracked_poses import tracked_poses
 
             folder = self.images / case["body"] / case["scenario"] / str(case["seed"])
-            usual, bad = tracked_poses(course, case["body"], model, rig, case["seed"], folder)
+            usual, bad = tracked_poses(course, case["body"], model, RIG, case["seed"], folder)
         else:
             from benchmarks.drawn_poses import drawn_poses
 
-            usual, bad = drawn_poses(course, model, rig, case["seed"])
+            usual, bad = drawn_poses(course, model, RIG, case["seed"])
         return {
             "poses": [pose and pose.line() for pose in usual],
             "bad": [pose and pose.line() for pose in bad],
@@ -115,11 +115,15 @@ class Compare:
         gate = case["gate"] if case["gate"] < 1.0 else None
         cases = seeds(setting, case["runs"], case["training"])
         test, training = cases[: case["runs"]], cases[case["runs"] :]
-        errors = calibrated_errors(self.record, training)
-        tuned = tune(runs_of(self.record, training, case["wrong"], errors), gate)
-        runs = runs_of(self.record, test, case["wrong"], errors)
-        numbers = {"sigma [px]": errors[0], "tau [px]": errors[1], **tuned.numbers}
-        found: dict[str, Any] = {"tuning": numbers}
+        belief, told = believed(self.record, training)
+        tuned = tune(runs_of(self.record, training, case["wrong"], belief), gate)
+        runs = runs_of(self.record, test, case["wrong"], belief)
+        found: dict[str, Any] = {
+            "tuning": tuned.numbers,
+            "levels": [*belief.levels.floor_px2, *belief.levels.slope],
+            "doubt": belief.doubt,
+            "told": told,
+        }
         for name, weighting in tuned.weightings.items():
             flown = [fly(run, weighting, gate) for run in runs]
             found[name] = {
@@ -207,6 +211,29 @@ def tuning_table(lines: Iterable[Case]) -> str:
             ]
         head = f"| {case['source']} | {case['scenario']} | {case['wrong']:.0%} | {case['gate']:.1%} | "
         rows.append(head + " | ".join(f"{value:.3g}" for value in numbers.values()) + " |")
+    return "\n".join(rows) + "\n"
+
+
+def belief_table(lines: Iterable[Case]) -> str:
+    """Noise levels of the calibrated covariance, and how well statistics tell wrong poses."""
+    rows = [
+        "| poses | scenario | floor own, shared, limb [px] | slope | wrong, usual start | wrong, bad start | "
+        "area under ROC of statistics |",
+        "|---|---|---|---|---:|---:|---|",
+    ]
+    for line in lines:
+        case, told = line["case"], line["told"]
+        if case["wrong"]:
+            continue
+        floor = ", ".join(f"{np.sqrt(value):.3f}" for value in line["levels"][:3])
+        slope = ", ".join(f"{value:.2g}" for value in line["levels"][3:])
+        shares = f"{told['usual wrong']:.1%} | {told['bad wrong']:.1%}"
+        areas = ", ".join(
+            f"{name[6:]} {area:.2f}{' (used)' if name[6:] == line['doubt'] else ''}"
+            for name, area in told.items()
+            if name.startswith("area: ")
+        )
+        rows.append(f"| {case['source']} | {case['scenario']} | {floor} | {slope} | {shares} | {areas} |")
     return "\n".join(rows) + "\n"
 
 

@@ -8,14 +8,15 @@ edges and the largest residual chosen: each filter gets what is best for it.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import product
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import rankdata
 
 from benchmarks.found_pose import from_line
 from benchmarks.navigation_scene import STEP_S, Flight, flight
 from benchmarks.record import Case, measured
+from planning.observability.calibrated import NoiseLevels, NoiseParts, fitted, nees
 from planning.observability.edge_motion import pose_error
 from planning.observability.navigation_filter import predict, update
 from planning.observability.pose_weights import (
@@ -27,6 +28,7 @@ from planning.observability.pose_weights import (
     Weighting,
 )
 from polhode.lie import Array
+from polhode.records import Bools
 
 FILTERS = ("fixed", "gated", "calibrated")
 SETTLED_S = 10.0
@@ -36,8 +38,8 @@ REFUSALS = 3
 FACTORS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 QUANTILES = (0.03, 0.06, 0.12, 0.25, 0.5)
 """Of the training poses that a threshold would leave out."""
-SIGMAS_PX = (0.02, 0.05, 0.1, 0.2, 0.4)
-TAUS_PX = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
+WRONG_NEES = 100.0
+"""Squared error over the calibrated covariance, 6 on average, from which a pose is wrong."""
 PARTS = ("position [mm]", "velocity [mm/s]", "attitude [deg]", "rate [deg/s]")
 UNITS = np.array([1e3, 1e3, 180.0 / np.pi, 180.0 / np.pi])
 
@@ -66,11 +68,20 @@ class Flown:
     """(T, 12) of its covariance"""
 
 
-def runs_of(record: Path, cases: Sequence[Case], wrong: float, errors: tuple[float, float]) -> list[Run]:
+@dataclass(frozen=True)
+class Belief:
+    """How poses become tracked poses."""
+
+    levels: NoiseLevels
+    """of the calibrated covariance"""
+    doubt: str
+    """the statistic that tells wrong poses"""
+
+
+def runs_of(record: Path, cases: Sequence[Case], wrong: float, belief: Belief) -> list[Run]:
     """The recorded runs of these cases.
 
-    wrong: share of images, drawn by the run's seed, whose pose is the one that a bad start gave. errors: the
-    least sigma and the tau of edges [px].
+    wrong: share of images, drawn by the run's seed, whose pose is the one that a bad start gave.
     """
     runs = []
     for line in measured(record, cases):
@@ -79,31 +90,60 @@ def runs_of(record: Path, cases: Sequence[Case], wrong: float, errors: tuple[flo
         poses: list[TrackedPose | None] = []
         for usual, bad in zip(line["poses"], line["bad"], strict=True):
             chosen = bad if rng.random() < wrong else usual
-            found = None if chosen is None else from_line(chosen)
-            poses.append(
-                found and found.tracked(max(errors[0], found.sigma_px), errors[1], course.target.radius_m)
-            )
+            found = chosen and from_line(chosen)
+            poses.append(found and found.tracked(belief.levels, belief.doubt, course.target.radius_m))
         runs.append(Run(course, poses))
     return runs
 
 
-def calibrated_errors(record: Path, cases: Sequence[Case]) -> tuple[float, float]:
-    """Least sigma and tau [px] under which the poses of training runs are most likely.
+def believed(record: Path, cases: Sequence[Case]) -> tuple[Belief, dict[str, float]]:
+    """The noise levels that explain usual poses, and the statistic that tells those they do not explain.
 
-    Of the nine tenths that they explain best, so that wrong poses do not count.
+    Levels: greatest likelihood over all but the poses that they explain worst, a tenth of them. The numbers
+    are the areas under the ROC curve of each statistic, over usual poses and bad ones, and the share of poses
+    that are wrong: errors beyond WRONG_NEES.
     """
+    poses, errors, usual = [], [], []
+    for line in measured(record, cases):
+        course = _flight(line["case"])
+        for kind in "poses", "bad":
+            for k, each in enumerate(line[kind]):
+                if each is not None:
+                    poses.append(from_line(each))
+                    errors.append(pose_error(poses[-1].X_RG, course.X_RG(k), course.target.o_G))
+                    usual.append(kind == "poses")
+    off, normal = np.array(errors), np.array(usual)
+    noise = NoiseParts(
+        np.concatenate([pose.noise.parts for pose in poses]),
+        np.concatenate([pose.noise.residual_px for pose in poses]),
+    )
+    scale = np.sqrt(np.median(off[normal] ** 2, axis=0))
+    whole = np.array(
+        [np.linalg.matrix_rank(each) == 6 for each in noise.parts[:, 0] / np.outer(scale, scale)]
+    )
+    kept = normal & whole
+    for _ in range(8):
+        levels = fitted(NoiseParts(noise.parts[kept], noise.residual_px[kept]), off[kept])
+        distance = np.full(len(off), np.inf)
+        distance[whole] = nees(
+            off[whole], levels.covariance(NoiseParts(noise.parts[whole], noise.residual_px[whole]))
+        )
+        kept = normal & (distance <= np.quantile(distance[normal], 0.9))
+    wrong = distance > WRONG_NEES
+    areas = {
+        name: _area(np.array([pose.doubts[name] for pose in poses])[whole], wrong[whole])
+        for name in poses[0].doubts
+    }
+    numbers = {f"area: {name}": area for name, area in areas.items()}
+    numbers |= {"usual wrong": float(wrong[normal].mean()), "bad wrong": float(wrong[~normal].mean())}
+    return Belief(levels, max(areas, key=lambda name: areas[name])), numbers
 
-    def surprise(errors: tuple[float, float]) -> float:
-        each = []
-        for run in runs_of(record, cases, 0.0, errors):
-            for k, pose in enumerate(run.poses):
-                if pose is not None:
-                    off = pose_error(pose.X_RG, run.flight.X_RG(k), run.flight.target.o_G)
-                    sign, size = np.linalg.slogdet(pose.information)
-                    each.append(off @ pose.information @ off - size if sign > 0.0 else np.inf)
-        return float(np.sort(each)[: int(0.9 * len(each))].mean())
 
-    return min(product(SIGMAS_PX, TAUS_PX), key=surprise)
+def _area(statistic: Array, wrong: Bools) -> float:
+    """Chance that a wrong one has the larger statistic."""
+    rank = rankdata(statistic)
+    n = int(wrong.sum())
+    return float((rank[wrong].sum() - 0.5 * n * (n + 1)) / max(n * (len(rank) - n), 1))
 
 
 def _flight(case: Case) -> Flight:
@@ -118,7 +158,7 @@ def _cached_flight(scenario: str, body: str, seed: int) -> Flight:
 def fly(run: Run, weighting: Weighting, gate: float | None) -> Flown:
     """Follow a run from its first state with the covariance that it was drawn from."""
     course, state = run.flight, run.flight.start
-    errors, sigma, nees, tracked, taken, refused = [], [], [], 0, 0, 0
+    errors, sigma, honest, tracked, taken, refused = [], [], [], 0, 0, 0
     for k, pose in enumerate(run.poses):
         if k > 0:
             state = predict(state, course.target, STEP_S, course.accel_N[k - 1])
@@ -132,11 +172,11 @@ def fly(run: Run, weighting: Weighting, gate: float | None) -> Flown:
             refused = 0 if after.taken else refused + 1
         errors.append(state.error(course.states[k]))
         sigma.append(np.sqrt(np.diag(state.covariance)))
-        nees.append(state.nees(course.states[k]))
+        honest.append(state.nees(course.states[k]))
     late = slice(round(SETTLED_S / STEP_S), None)
     off = np.array(errors)
     squares = (off[late].reshape(-1, 4, 3) ** 2).sum(axis=2).mean(axis=0)
-    return Flown(squares, float(np.mean(nees[late])) / 12.0, taken / max(tracked, 1), off, np.array(sigma))
+    return Flown(squares, float(np.mean(honest[late])) / 12.0, taken / max(tracked, 1), off, np.array(sigma))
 
 
 def cost(runs: Sequence[Run], weighting: Weighting, gate: float | None) -> float:

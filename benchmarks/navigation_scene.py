@@ -12,11 +12,13 @@ import numpy as np
 import trimesh
 
 from benchmarks.edge_bodies import edge_body
+from benchmarks.edge_views import edge_rig
 from planning.observability.navigation_filter import State, Target, predict, predicted_pose
 from planning.prediction import process_noise
 from polhode.lie import Array, exp_so3, make_pose
 
 SCENARIOS = ("approach", "fly-around")
+RIG = edge_rig(480.0, 480, 360)
 DURATION_S = 60.0
 STEP_S = 1.0
 PSD = 1e-8

@@ -12,8 +12,11 @@ from benchmarks.edge_bodies import edge_body
 from benchmarks.edge_views import EdgeViews, ViewOptions
 from benchmarks.found_pose import FoundPose, spread
 from benchmarks.navigation_scene import Flight, sun_R
+from planning.observability.against_sky import polarity
+from planning.observability.calibrated import NoiseParts
 from planning.observability.edge_model import EdgeModel
 from planning.observability.edge_motion import moved
+from planning.observability.residual import support
 from planning.observability.tracker import Tracked, track
 from polhode.camera import RectifiedRig
 from polhode.dataset_writer import write_png
@@ -39,11 +42,11 @@ def tracked_poses(
     bad: list[FoundPose | None] = []
     for k in range(len(course.states)):
         X_RG = course.X_RG(k)
-        image = _image(views, X_RG, sun_R(course.R_NR[k]), k, folder)
+        image = _image(views, X_RG, sun_R(course.R_NR[k]), k, folder).astype(np.float64)
         for sigma, poses in (NEAR, usual), (FAR, bad):
             start = moved(X_RG, sigma * rng.standard_normal(6), model.middle_G)
-            tracked = track(model, rig, image.astype(np.float64), start)
-            poses.append(_found(tracked, model.radius_m) if tracked.converged else None)
+            tracked = track(model, rig, image, start)
+            poses.append(_found(tracked, image, model.radius_m))
     return usual, bad
 
 
@@ -55,17 +58,28 @@ def _image(views: EdgeViews, X_RG: Array, sun: Array, k: int, folder: Path) -> G
     return np.asarray(read_raw(path, views.rig.width_px, views.rig.height_px), dtype=np.uint8)
 
 
-def _found(tracked: Tracked, radius_m: float) -> FoundPose | None:
+def _found(tracked: Tracked, image: Array, radius_m: float) -> FoundPose | None:
     """What records keep of it."""
     used = tracked.robust > 0.0
-    if used.sum() < 7:
+    if not tracked.converged or used.sum() < 7:
         return None
     weight = (tracked.robust * tracked.points.weight)[used]
-    _, by_points, by_edges = spread(tracked.f[used], weight, tracked.points.feature[used], radius_m)
+    _, of_edge = np.unique(tracked.points.feature[used], return_inverse=True)
+    sky = polarity(tracked.beside)[used]
+    _, parts = spread(tracked.f[used], weight, of_edge, sky, radius_m)
     seen = tracked.found
-    # without the robust weights: what they leave out is what tells of a wrong pose
+    # without the robust weights: what they leave out may tell of a wrong pose
     length = tracked.points.weight[seen]
-    residual = np.sqrt((length * tracked.residuals_px[seen] ** 2).sum() / length.sum())
-    return FoundPose(
-        tracked.X_RG, by_points, by_edges, tracked.sigma_px, tracked.found_share, float(residual)
-    )
+    left_px = float(np.sqrt((length * tracked.residuals_px[seen] ** 2).sum() / length.sum()))
+    by_image = support(tracked, image)
+    doubts = {
+        "residual": left_px,
+        "robust residual": tracked.sigma_px,
+        "unsupported": 1.0 - by_image.supported,
+        "unsupported beyond chance": 1.0 - by_image.beyond_chance,
+        "edges not whole": 1.0 - by_image.whole,
+        "limbs": 1.0 - by_image.limb,
+        "found but unsupported": by_image.found - by_image.supported,
+    }
+    noise = NoiseParts(parts[None], np.array([tracked.sigma_px]))
+    return FoundPose(tracked.X_RG, noise, tracked.found_share, doubts)
