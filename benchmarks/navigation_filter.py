@@ -68,7 +68,7 @@ def main() -> None:
     if options.plot:
         from benchmarks.navigation_plot import plot
 
-        plot(options.record, lines, options.plot)
+        plot(lines, options.plot)
 
 
 def seeds(setting: Case, runs: int, training: int) -> list[Case]:
