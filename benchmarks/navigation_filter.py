@@ -152,14 +152,12 @@ def squares(line: Case, name: str, part: int) -> Array:
 def errors_table(lines: Iterable[Case]) -> str:
     """Root mean square errors of the three filters, and the calibrated one's over the others'."""
     rows = [
-        "| poses | scenario | wrong | error | " + " | ".join(FILTERS) + " | over fixed | over gated |",
-        "|---|---|---:|---|---:|---:|---:|---:|---:|",
+        "| poses | scenario | bad | gate | error | " + " | ".join(FILTERS) + " | over fixed | over gated |",
+        "|---|---|---:|---:|---|---:|---:|---:|---:|---:|",
     ]
     for line in lines:
         case = line["case"]
-        if case["gate"] == 1.0:
-            continue
-        head = f"| {case['source']} | {case['scenario']} | {case['wrong']:.0%} | "
+        head = f"| {case['source']} | {case['scenario']} | {case['wrong']:.0%} | {_gate(case)} | "
         for part, (name, unit) in enumerate(zip(PARTS, UNITS, strict=True)):
             each = {filter_: squares(line, filter_, part) for filter_ in FILTERS}
             values = " | ".join(f"{unit * np.sqrt(each[filter_].mean()):.3g}" for filter_ in FILTERS)
@@ -167,6 +165,8 @@ def errors_table(lines: Iterable[Case]) -> str:
             rows.append(f"{head}{name} | {values} | {over} |")
         nees = " | ".join(f"{np.mean(line[filter_]['nees']):.2f}" for filter_ in FILTERS)
         rows.append(f"{head}NEES | {nees} | | |")
+        taken = " | ".join(f"{np.mean(line[filter_]['taken']):.1%}" for filter_ in FILTERS)
+        rows.append(f"{head}poses used | {taken} | | |")
     return "\n".join(rows) + "\n"
 
 
@@ -182,7 +182,6 @@ def wrong_table(lines: list[Case]) -> str:
         case = line["case"]
         if not case["wrong"]:
             continue
-        gate = "none" if case["gate"] == 1.0 else f"{case['gate']:.1%}"
         grown = []
         for name in names:
             plain = name.removesuffix(" + residual")
@@ -191,8 +190,12 @@ def wrong_table(lines: list[Case]) -> str:
                 for part in range(4)
             ]
             grown.append(f"{np.exp(0.5 * np.mean(np.log(parts))):.2f}")
-        rows.append(f"| {case['source']} | {case['scenario']} | {gate} | " + " | ".join(grown) + " |")
+        rows.append(f"| {case['source']} | {case['scenario']} | {_gate(case)} | " + " | ".join(grown) + " |")
     return "\n".join(rows) + "\n"
+
+
+def _gate(case: Case) -> str:
+    return "none" if case["gate"] == 1.0 else f"{case['gate']:.1%}"
 
 
 def _setting(line: Case) -> tuple[str, str]:
@@ -209,7 +212,7 @@ def tuning_table(lines: Iterable[Case]) -> str:
                 "| poses | scenario | wrong | gate | " + " | ".join(numbers) + " |",
                 "|---|---|---:|---:|" + "---:|" * len(numbers),
             ]
-        head = f"| {case['source']} | {case['scenario']} | {case['wrong']:.0%} | {case['gate']:.1%} | "
+        head = f"| {case['source']} | {case['scenario']} | {case['wrong']:.0%} | {_gate(case)} | "
         rows.append(head + " | ".join(f"{value:.3g}" for value in numbers.values()) + " |")
     return "\n".join(rows) + "\n"
 

@@ -157,7 +157,12 @@ def test_a_lost_filter_finds_back() -> None:
 
 
 def made_up(wrong: float, gate: float) -> dict[str, object]:
-    each = {"squares": [[1.0, 1.0, 1.0, 1.0]] * 3, "nees": [1.0] * 3, "rms": [[0.1] * 4] * len(instants())}
+    each = {
+        "squares": [[1.0, 1.0, 1.0, 1.0]] * 3,
+        "nees": [1.0] * 3,
+        "taken": [0.5] * 3,
+        "rms": [[0.1] * 4] * len(instants()),
+    }
     worse = {**each, "squares": [[4.0, 4.0, 4.0, 4.0]] * 3}
     names = {"fixed": worse, "gated": worse, "calibrated": each}
     return {
