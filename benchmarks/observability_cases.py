@@ -80,9 +80,7 @@ def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, 
         rng = np.random.default_rng([case["seed"], 7, number])
         suns = random_suns(case["each"], case["seed"] + 1000 * number)
         truths = [_jittered(X_RG, o_G, rng) for _ in suns]
-        starts = perturbed(
-            np.array(truths), o_G, case["seed"] + 1000 * number, START_DEG, START_M
-        )
+        starts = perturbed(np.array(truths), o_G, case["seed"] + 1000 * number, START_DEG, START_M)
         images = [
             views.image(X, sun, 1000 * number + k)
             for k, (X, sun) in enumerate(zip(truths, suns, strict=True))
@@ -157,7 +155,9 @@ def _starts(X_RG: Array, model: EdgeModel, rng: np.random.Generator) -> Iterator
     o_G, R, radius_m = model.middle_G, X_RG[:3, :3], model.radius_m
 
     def off(shift: Array, turn: Array) -> Array:
-        near = np.concatenate([START_M * rng.standard_normal(3), np.deg2rad(START_DEG) * rng.standard_normal(3)])
+        near = np.concatenate(
+            [START_M * rng.standard_normal(3), np.deg2rad(START_DEG) * rng.standard_normal(3)]
+        )
         return moved(moved(X_RG, np.concatenate([shift, turn]), o_G), near, o_G)
 
     none = np.zeros(3)
