@@ -1,6 +1,6 @@
 """What the observability metric foretells against what an edge tracker does: Monte Carlo on rendered images.
 
-    python -m benchmarks.observability [--short] [--workers 1] [--record FILE] [--stored]
+python -m benchmarks.observability [--short] [--workers 1] [--record FILE] [--stored]
 """
 
 import argparse
@@ -30,7 +30,9 @@ def cases(short: bool) -> list[Case]:
     near = {"near_m": 2.0, "far_m": 4.0, "rich": False}
     at = {"near_m": FIXED_M, "far_m": FIXED_M, "rich": False}
     wrong = {"poses": 2 if short else 8, "each": 1, **near, "seed": 5}
-    out: list[Case] = [{"part": "approach", "body": "satellite", "poses": 9, **near, "each": fixed["each"], "seed": 9}]
+    out: list[Case] = [
+        {"part": "approach", "body": "satellite", "poses": 9, **near, "each": fixed["each"], "seed": 9}
+    ]
     out += [{"part": "trend", "body": body, **near, **count, "seed": 1} for body in plain]
     out += [{"part": "wrong", "body": body, **wrong} for body in (*plain, *cluttered)]
     out += [{"part": "fixed", "body": body, **at, **fixed, "seed": 2} for body in plain]
@@ -46,7 +48,11 @@ def main() -> None:
     parser.add_argument("--stored", action="store_true")
     options = parser.parse_args()
     wanted = cases(options.short)
-    lines = measured(options.record, wanted) if options.stored else complete(options.record, wanted, measure, options.workers)
+    lines = (
+        measured(options.record, wanted)
+        if options.stored
+        else complete(options.record, wanted, measure, options.workers)
+    )
     print(len(lines))
 
 

@@ -59,7 +59,9 @@ def spots_of(lines: Sequence[Case]) -> list[Spot]:
             C = _full(np.array(row["C"]))
             out.append(
                 Spot(
-                    line["case"]["body"], row["level"], np.sqrt(np.diagonal(np.linalg.inv(C))),
+                    line["case"]["body"],
+                    row["level"],
+                    np.sqrt(np.diagonal(np.linalg.inv(C))),
                     np.array([t["error"] for t in good]).reshape(-1, 6),
                     np.array([t["off_px"] for t in good]),
                     np.array([t["support"] for t in good]).reshape(-1, len(FEATURES)),
@@ -125,7 +127,11 @@ def trend_table(groups: dict[str, Sequence[Spot]]) -> str:
                 "band, 95 %": np.quantile(ratio, 0.95, axis=0),
             }
             for name, values in measures.items():
-                first = f"{group} | {how}, {lost:.0%} lost | {len(rms)}" if name[3] == "e" and "root" in name else " | | "
+                first = (
+                    f"{group} | {how}, {lost:.0%} lost | {len(rms)}"
+                    if name[3] == "e" and "root" in name
+                    else " | | "
+                )
                 rows.append(f"| {first} | {name} | " + " | ".join(f"{v:.3f}" for v in values) + " |")
     return "\n".join(rows)
 
@@ -154,7 +160,9 @@ def good_and_bad_table(spots: Sequence[Spot]) -> str:
                         count += 1
             if count >= 5:
                 median, most = np.quantile(found, [0.5, 0.9])
-                rows.append(f"| {name}, {low:g} to {high:g} | {count} | {median:.3f} {unit} | {most:.3f} {unit} |")
+                rows.append(
+                    f"| {name}, {low:g} to {high:g} | {count} | {median:.3f} {unit} | {most:.3f} {unit} |"
+                )
     return "\n".join(rows)
 
 
@@ -181,7 +189,9 @@ def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, NoiseLevel
     noise, errors, C = joined(test, trusted)
     residual = np.linalg.inv(C) * noise.residual_px[:, None, None] ** 2
     rows = [
-        "| covariance | trials | mean NEES / 6 | 95 % band | share within its 95 % | " + " | ".join(DEGREES_OF_FREEDOM) + " |",
+        "| covariance | trials | mean NEES / 6 | 95 % band | share within its 95 % | "
+        + " | ".join(DEGREES_OF_FREEDOM)
+        + " |",
         "|---|---:|---:|---|---:|" + "---:|" * 6,
     ]
     n = len(errors)
@@ -196,7 +206,8 @@ def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, NoiseLevel
         inside = float(np.mean(whole < chi2.ppf(0.95, 6)))
         rows.append(
             f"| {name} | {n} | {whole.mean() / 6:.2f} | {low:.2f} to {high:.2f} | {inside:.1%} | "
-            + " | ".join(f"{value:.2f}" for value in each) + " |"
+            + " | ".join(f"{value:.2f}" for value in each)
+            + " |"
         )
     return "\n".join(rows), levels
 
@@ -225,7 +236,10 @@ def wrong_table(lines: Sequence[Case]) -> str:
     order = list(dict.fromkeys(names))
     test = clear & np.isin(body, order[1::2])
     right = d < RIGHT_PX
-    rows = [f"{int((right & test).sum())} right and {int((~right & test).sum())} wrong poses of {len(order[1::2])} bodies.", ""]
+    rows = [
+        f"{int((right & test).sum())} right and {int((~right & test).sum())} wrong poses of {len(order[1::2])} bodies.",
+        "",
+    ]
     rows += ["| statistic | area under the ROC curve |", "|---|---:|"]
     statistics = {name: x[:, k] for k, name in enumerate(FEATURES)}
     statistics["residual's sigma (small is right)"] = -x[:, -1]
@@ -233,7 +247,11 @@ def wrong_table(lines: Sequence[Case]) -> str:
     statistics["probability (all together)"] = probability(x[:, : len(FEATURES)])
     for name, value in statistics.items():
         rows.append(f"| {name} | {_area(value[test & right], value[test & ~right]):.3f} |")
-    rows += ["", f"| start | converged | right | wrong, kept | wrong, refused | right, refused |", "|---|---:|---:|---:|---:|---:|"]
+    rows += [
+        "",
+        f"| start | converged | right | wrong, kept | wrong, refused | right, refused |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
     kept = probability(x[:, : len(FEATURES)]) >= TRUSTED
     for kind in dict.fromkeys(kinds):
         own = test & (np.array(kinds) == kind)
@@ -242,7 +260,10 @@ def wrong_table(lines: Sequence[Case]) -> str:
             f"| {(own & ~right & ~kept).sum()} | {(own & right & ~kept).sum()} |"
         )
     learn = clear & np.isin(body, order[::2])
-    rows += ["", f"Logistic regression on the other bodies: {learned(x[learn][:, : len(FEATURES)], right[learn])}"]
+    rows += [
+        "",
+        f"Logistic regression on the other bodies: {learned(x[learn][:, : len(FEATURES)], right[learn])}",
+    ]
     return "\n".join(rows)
 
 

@@ -281,9 +281,7 @@ HEAD = (
 )
 
 
-def row(
-    body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array, seconds: float = 0.0
-) -> str:
+def row(body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array, seconds: float = 0.0) -> str:
     """A line of the table: root mean squares of the errors, and medians of their lengths."""
     errors = pose_errors(answer.X_CG, X_CG, about_G)
     place_m, turn_deg = (

@@ -84,7 +84,9 @@ def fitted(noise: NoiseParts, errors: Array, with_image: bool = True) -> NoiseLe
     parts = noise.parts / np.outer(scale, scale)
     e = errors / scale
     count = 6 if with_image else 3
-    basis = np.hstack([np.ones((len(e), 3)), np.repeat(noise.residual_px[:, None] ** 2, 3, axis=1)])[:, :count]
+    basis = np.hstack([np.ones((len(e), 3)), np.repeat(noise.residual_px[:, None] ** 2, 3, axis=1)])[
+        :, :count
+    ]
     kinds = np.concatenate([parts, parts], axis=1)[:, :count]
 
     def loss(log_variance: Array) -> tuple[float, Array]:

@@ -132,10 +132,10 @@ def track(
             break
         step = rng.standard_normal(6)
         step *= wanted.restart_px / max(float(np.sqrt(np.mean((found.f @ step) ** 2))), 1e-12)
-        other = _track(model, rig, grey, moved(found.X_RG, step, model.middle_G), wanted, wanted.ranges_px[-1:])
-        if other.converged and (
-            _agreement(other, wanted) > _agreement(found, wanted) or not found.converged
-        ):
+        other = _track(
+            model, rig, grey, moved(found.X_RG, step, model.middle_G), wanted, wanted.ranges_px[-1:]
+        )
+        if other.converged and (_agreement(other, wanted) > _agreement(found, wanted) or not found.converged):
             found = other
     return found
 

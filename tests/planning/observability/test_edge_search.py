@@ -11,7 +11,9 @@ def ramp(at_px: float, height: float = 100.0) -> np.ndarray:
     from scipy.special import erf
 
     u = np.arange(64)
-    row = np.mean([0.5 * (1 + erf((u + s - at_px) / (0.8 * np.sqrt(2)))) for s in np.linspace(-0.5, 0.5, 41)], axis=0)
+    row = np.mean(
+        [0.5 * (1 + erf((u + s - at_px) / (0.8 * np.sqrt(2)))) for s in np.linspace(-0.5, 0.5, 41)], axis=0
+    )
     return np.tile(height * row, (48, 1)).astype(np.float32)
 
 
