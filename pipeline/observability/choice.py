@@ -21,7 +21,7 @@ class Choice:
 
     views: int
     smallest: SmallestSet | None
-    """with each sigma at most 10 % above that of all edges; None where no view tells anything"""
+    """with each sigma at most 10 % above that of all edges; None: not asked for, or no view tells anything"""
     best: Chosen | None
     """of as many edges as asked for; None when that was not asked"""
     best_ratio: Array | None
@@ -30,8 +30,10 @@ class Choice:
     """no set of so many edges has a larger value"""
 
 
-def choose(information: FeatureInformation, edges: int | None) -> Choice:
-    """Raises InputError for a number of edges that is none."""
+def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> Choice:
+    """The best so many edges, and the fewest that do, where asked for. Raises InputError for a number of edges that is none."""
+    if edges is None and not fewest:
+        return Choice(0, None, None, None, None)
     if edges is not None and edges < 1:
         raise InputError(f"--edges {edges}: give a number above 0")
     count = len(information.C)
@@ -41,7 +43,7 @@ def choose(information: FeatureInformation, edges: int | None) -> Choice:
         need = Need(few)
     except InputError:
         return Choice(len(views), None, None, None, None)
-    smallest = smallest_set(few)
+    smallest = smallest_set(few) if fewest else None
     if edges is None:
         return Choice(len(views), smallest, None, None, None)
     best = greedy(few.scaled, edges, "trace")

@@ -22,9 +22,9 @@ MOST_MIB = 1024.0
 
 
 def assess(
-    subject: Subject, spacing_px: float, sigma_px: float, few: int | None, progress: Progress
+    subject: Subject, spacing_px: float, sigma_px: float, few: int | None, fewest: bool, progress: Progress
 ) -> Assessment:
-    """Look from all places; choose edges, also the best ``few``. Raises InputError where memory lacks."""
+    """Look from all places; choose the best ``few`` edges, or the fewest. Raises InputError where memory lacks."""
     size_mib = len(subject.X_RG) * subject.model.size * 36 * 8 / 2**20
     if size_mib > MOST_MIB:
         raise InputError(
@@ -41,7 +41,7 @@ def assess(
             advance()
     information = FeatureInformation(np.stack(C), subject.model.radius_m)
     with progress.stage("choosing edges", 1) as advance:
-        choice = choose(information, few)
+        choice = choose(information, few, fewest)
         advance()
     return Assessment(subject, views, contributions(information), choice, spacing_px, sigma_px)
 
