@@ -31,7 +31,7 @@ class Choice:
 
 
 def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> Choice:
-    """The best so many edges, and the fewest that do, where asked for. Raises InputError for a number of edges that is none."""
+    """The best ``edges``, and the fewest that do, where asked for. Raises InputError for less than one."""
     if edges is None and not fewest:
         return Choice(0, None, None, None, None)
     if edges is not None and edges < 1:

@@ -24,7 +24,7 @@ MOST_MIB = 1024.0
 def assess(
     subject: Subject, spacing_px: float, sigma_px: float, few: int | None, fewest: bool, progress: Progress
 ) -> Assessment:
-    """Look from all places; choose the best ``few`` edges, or the fewest. Raises InputError where memory lacks."""
+    """Look from all places; choose the best ``few`` edges, or the fewest. InputError: memory lacks."""
     size_mib = len(subject.X_RG) * subject.model.size * 36 * 8 / 2**20
     if size_mib > MOST_MIB:
         raise InputError(
