@@ -23,13 +23,13 @@ FIXED_M = 3.0
 
 def cases(short: bool) -> list[Case]:
     """Every measurement, the most wanted first."""
-    count = {"poses": 4, "each": 3} if short else {"poses": 20, "each": 8}
-    fixed = {"poses": 3, "each": 3} if short else {"poses": 12, "each": 8}
+    count = {"poses": 4, "each": 3} if short else {"poses": 20, "each": 6}
+    fixed = {"poses": 3, "each": 3} if short else {"poses": 10, "each": 6}
     plain = PLAIN[:2] if short else PLAIN
     cluttered = () if short else CLUTTERED
     near = {"near_m": 2.0, "far_m": 4.0, "rich": False}
     at = {"near_m": FIXED_M, "far_m": FIXED_M, "rich": False}
-    wrong = {"poses": 2 if short else 8, "each": 1, **near, "seed": 5}
+    wrong = {"poses": 2 if short else 5, "each": 1, **near, "seed": 5}
     out: list[Case] = [
         {"part": "approach", "body": "satellite", "poses": 9, **near, "each": fixed["each"], "seed": 9}
     ]

@@ -73,7 +73,7 @@ def poses_of(case: Case, model: EdgeModel) -> Array:
 
 
 def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, Any]]:
-    """For each pose and level: the metric, and errors of the tracker on images of that pose, a little moved."""
+    """For each pose and level: the metric, and errors on images of that pose, a little moved."""
     o_G = model.middle_G
     models = levels(model)
     for number, X_RG in enumerate(poses_of(case, model)):
@@ -139,7 +139,7 @@ def off_px(tracked: Tracked, true: Array) -> float:
 
 
 def wrong_starts(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, Any]]:
-    """Tracks from near the truth and from poses that look alike: turned by 90 and 180 degrees, moved aside."""
+    """Tracks from near the truth, and from poses that look alike: turned by quarters, moved aside."""
     o_G = model.middle_G
     suns = random_suns(case["poses"], case["seed"])
     for number, X_RG in enumerate(poses_of(case, model)):

@@ -1,7 +1,8 @@
-"""Tables and a picture of what benchmarks.observability measured: trends, honesty of covariances, wrong poses."""
+"""What benchmarks.observability measured: trends, honesty of covariances, wrong poses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,7 @@ def spots_of(lines: Sequence[Case]) -> list[Spot]:
                     _full(np.array([t["C"] for t in good]).reshape(-1, 21)),
                     _full(np.array([t["parts"] for t in good]).reshape(-1, 3, 21)),
                     len(row["trials"]),
-                )  # fmt: skip
+                )
             )
     return out
 
@@ -150,7 +151,7 @@ def good_and_bad_table(spots: Sequence[Spot]) -> str:
     )
     for name, axes, bounds in kinds:
         unit = "mm" if axes[0] < 3 else "degrees"
-        for low, high in zip(bounds, bounds[1:], strict=False):
+        for low, high in pairwise(bounds):
             found: list[float] = []
             count = 0
             for spot in spots:
@@ -237,7 +238,7 @@ def wrong_table(lines: Sequence[Case]) -> str:
     test = clear & np.isin(body, order[1::2])
     right = d < RIGHT_PX
     rows = [
-        f"{int((right & test).sum())} right and {int((~right & test).sum())} wrong poses of {len(order[1::2])} bodies.",
+        f"{(right & test).sum()} right and {(~right & test).sum()} wrong poses of {len(order[1::2])} bodies.",
         "",
     ]
     rows += ["| statistic | area under the ROC curve |", "|---|---:|"]
@@ -249,7 +250,7 @@ def wrong_table(lines: Sequence[Case]) -> str:
         rows.append(f"| {name} | {_area(value[test & right], value[test & ~right]):.3f} |")
     rows += [
         "",
-        f"| start | converged | right | wrong, kept | wrong, refused | right, refused |",
+        "| start | converged | right | wrong, kept | wrong, refused | right, refused |",
         "|---|---:|---:|---:|---:|---:|",
     ]
     kept = probability(x[:, : len(FEATURES)]) >= TRUSTED

@@ -37,7 +37,7 @@ def beside_face_edge_on(points: ControlPoints, model: EdgeModel, X_RG: Array) ->
 
 
 def stands_clear(points: ControlPoints, least_px: float) -> Bools:
-    """(m,) false where a point of another edge is nearer than ``least_px``, and beside this one, not along it."""
+    """(m,) false where one of another edge is nearer than ``least_px``, beside this one, not along it."""
     clear = np.ones(len(points), dtype=bool)
     if len(points) == 0:
         return clear

@@ -56,7 +56,7 @@ LEVELS = NoiseLevels((1e-4, 1e-3, 1e-4), (0.1, 0.1, 0.0))
 
 
 def noise_parts(f: Array, weight: Array, feature: Ints, sign: Ints) -> Array:
-    """(3, 6, 6) of one fit: f (m, 6), weights (m,), edge and polarity (m,) of each point. C must have full rank.
+    """(3, 6, 6) of one fit: f (m, 6), weights (m,), edge and polarity (m,). C must have full rank.
 
     Raises numpy.linalg.LinAlgError where it has not.
     """

@@ -9,12 +9,13 @@ the observability metric, with robust weights.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from planning.observability.against_sky import body_beside, polarity
 from planning.observability.apart import APART_PX, clear_points
 from planning.observability.edge_model import EdgeModel
 from planning.observability.edge_motion import edge_motion, moved
-from planning.observability.edge_search import Candidates, search
+from planning.observability.edge_search import Candidates, Levels, as_levels, search
 from planning.observability.metric import Observability, observability
 from planning.observability.seen_edges import SPACING_PX, ControlPoints
 from polhode.camera import RectifiedRig
@@ -116,7 +117,7 @@ class Tracked:
 
 
 def track(
-    model: EdgeModel, rig: RectifiedRig, image: Array, X_RG: Array, wanted: Tracking | None = None
+    model: EdgeModel, rig: RectifiedRig, image: ArrayLike, X_RG: Array, wanted: Tracking | None = None
 ) -> Tracked:
     """Pose of the model in an image (H, W) of grey levels, from a guess X_RG (4, 4).
 
@@ -124,7 +125,7 @@ def track(
     are drawn from a fixed seed.
     """
     wanted = wanted or Tracking()
-    grey = np.ascontiguousarray(image, dtype=np.float32)
+    grey = as_levels(image)
     found = _track(model, rig, grey, X_RG, wanted, wanted.ranges_px)
     rng = np.random.default_rng(0)
     for _ in range(wanted.restarts):
@@ -149,7 +150,7 @@ def _agreement(tracked: Tracked, wanted: Tracking) -> float:
 def _track(
     model: EdgeModel,
     rig: RectifiedRig,
-    grey: Array,
+    grey: Levels,
     X_RG: Array,
     wanted: Tracking,
     ranges_px: tuple[float, ...],
@@ -205,7 +206,7 @@ def _view(model: EdgeModel, rig: RectifiedRig, X_RG: Array, wanted: Tracking) ->
     return _View(points, body_beside(points, model, rig, X_RG))
 
 
-def _measure(view: _View, grey: Array, range_px: float, wanted: Tracking) -> Candidates:
+def _measure(view: _View, grey: Levels, range_px: float, wanted: Tracking) -> Candidates:
     points = view.points
     sign = polarity(view.beside) if wanted.dark_sky else np.zeros(len(points), dtype=np.int64)
     return search(grey, points.uv_px, points.normal_px, sign, range_px, wanted.least_contrast)
@@ -243,12 +244,12 @@ def _scale(residual: Array, length: Array, wanted: Tracking) -> float:
     """Sigma of residuals from their median size; each counts with the length of edge that it stands for."""
     size = np.abs(residual)
     order = np.argsort(size)
-    half = np.searchsorted(np.cumsum(length[order]), 0.5 * float(length.sum()))
+    half = int(np.searchsorted(np.cumsum(length[order]), 0.5 * float(length.sum())))
     return max(MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]]), wanted.least_sigma_px)
 
 
 def _robust(u: Array, narrow: bool) -> Array:
-    """Weights of residuals in sigmas: Tukey's, which forgets what is far off; Cauchy's while far from home."""
+    """Weights of residuals in sigmas: Tukey's, which forgets what is far off; Cauchy's until near."""
     if narrow:
         return np.asarray(np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0))
     return np.asarray(1.0 / (1.0 + (u / CAUCHY) ** 2))
@@ -268,7 +269,7 @@ def _told(
     model: EdgeModel,
     rig: RectifiedRig,
     view: _View,
-    grey: Array,
+    grey: Levels,
     X_RG: Array,
     steps: int,
     settled: bool,

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import trimesh
 
+from planning.observability.edge_search import Levels
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 
@@ -31,7 +32,7 @@ def drawn(mesh: trimesh.Trimesh, X_RG: Array, seed: int = 0, noise: float = 1.0,
     return np.asarray(image + noise * np.random.default_rng(seed).standard_normal(image.shape))
 
 
-def _fill(canvas: Array, uv_px: Array, level: float) -> None:
+def _fill(canvas: Levels, uv_px: Array, level: float) -> None:
     """Cells whose middle lies in a triangle (3, 2)."""
     corners = (uv_px + 0.5) * FINE - 0.5
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
-from planning.observability.edge_search import gradients, levels, search
+from planning.observability.edge_search import Levels, gradients, levels, search
 
 
-def ramp(at_px: float, height: float = 100.0) -> np.ndarray:
-    """A vertical edge at u = at_px, brighter to the right, blurred by a pixel's box and a Gaussian of 0.8 px."""
-    from scipy.special import erf
-
+def ramp(at_px: float, height: float = 100.0) -> Levels:
+    """A vertical edge at u = at_px, brighter to the right, blurred by a pixel and a Gaussian of 0.8 px."""
     u = np.arange(64)
     row = np.mean(
         [0.5 * (1 + erf((u + s - at_px) / (0.8 * np.sqrt(2)))) for s in np.linspace(-0.5, 0.5, 41)], axis=0

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-
 from planning.observability.apart import clear_points
 from planning.observability.edge_model import EdgeModel, edge_model
 from planning.observability.edge_motion import edge_motion, moved, pose_error
