@@ -7,19 +7,36 @@ import argparse
 from pathlib import Path
 
 from benchmarks.edge_bodies import NAMES
+from benchmarks.edge_solids import SOLIDS
 from benchmarks.observability_cases import measure
 from benchmarks.record import Case, complete, measured
 
 RECORD = Path("runs/observability.jsonl")
 
 
+PLAIN = (*SOLIDS, "free_flyer")
+"""Bodies whose edges stand clear of each other"""
+CLUTTERED = tuple(name for name in NAMES if name not in PLAIN)
+"""Bodies with many small parts, bevels and thin panels"""
+FIXED_M = 3.0
+
+
 def cases(short: bool) -> list[Case]:
-    bodies = ("wedge", "satellite") if short else NAMES
-    few = {"poses": 4, "each": 4} if short else {"poses": 20, "each": 12}
-    any_range = {"near_m": 2.0, "far_m": 4.0, "seed": 1}
-    out: list[Case] = [{"part": "trend", "body": b, "rich": False, **few, **any_range} for b in bodies]
-    wrong = {"poses": 2 if short else 8, "each": 1}
-    out += [{"part": "wrong", "body": b, "rich": False, **wrong, **any_range, "seed": 5} for b in bodies]
+    """Every measurement, the most wanted first."""
+    count = {"poses": 4, "each": 3} if short else {"poses": 20, "each": 6}
+    fixed = {"poses": 3, "each": 3} if short else {"poses": 10, "each": 6}
+    plain = PLAIN[:2] if short else PLAIN
+    cluttered = () if short else CLUTTERED
+    near = {"near_m": 2.0, "far_m": 4.0, "rich": False}
+    at = {"near_m": FIXED_M, "far_m": FIXED_M, "rich": False}
+    wrong = {"poses": 2 if short else 5, "each": 1, **near, "seed": 5}
+    out: list[Case] = [
+        {"part": "approach", "body": "satellite", "poses": 9, **near, "each": fixed["each"], "seed": 9}
+    ]
+    out += [{"part": "trend", "body": body, **near, **count, "seed": 1} for body in plain]
+    out += [{"part": "wrong", "body": body, **wrong} for body in (*plain, *cluttered)]
+    out += [{"part": "fixed", "body": body, **at, **fixed, "seed": 2} for body in plain]
+    out += [{"part": "trend", "body": body, **near, **count, "seed": 1} for body in cluttered]
     return out
 
 

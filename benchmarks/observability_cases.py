@@ -10,18 +10,19 @@ from benchmarks.edge_bodies import edge_body
 from benchmarks.edge_views import EdgeViews, edge_rig, perturbed, random_poses, random_rotation, random_suns
 from benchmarks.record import Case
 from planning.observability.against_sky import body_beside, polarity
+from planning.observability.apart import clear_points
 from planning.observability.calibrated import noise_parts, parts_of
 from planning.observability.edge_model import EdgeModel, edge_model
 from planning.observability.edge_motion import edge_motion, moved, pose_error
 from planning.observability.metric import Observability, observability
 from planning.observability.residual import support
-from planning.observability.seen_edges import control_points
+from planning.observability.seen_edges import SPACING_PX
 from planning.observability.tracker import Tracked, track
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, make_pose, transform_points
 
 RIG = edge_rig()
-LEVELS = (1.0, 0.6, 0.35)
+LEVELS = (1.0, 0.75, 0.5)
 """Of the total length of edges, the longest first: three models of decreasing detail."""
 START_DEG, START_M = 1.0, 0.01
 """Sigma of the start's error about and along each axis."""
@@ -72,7 +73,7 @@ def poses_of(case: Case, model: EdgeModel) -> Array:
 
 
 def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, Any]]:
-    """For each pose and level: the metric, and errors of the tracker on images of that pose, a little moved."""
+    """For each pose and level: the metric, and errors on images of that pose, a little moved."""
     o_G = model.middle_G
     models = levels(model)
     for number, X_RG in enumerate(poses_of(case, model)):
@@ -98,7 +99,7 @@ def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, 
 
 def foreseen(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> tuple[Observability, Array]:
     """The metric of a pose before there is an image, and its noise parts (3, 6, 6)."""
-    points = control_points(model, rig, X_RG)
+    points = clear_points(model, rig, X_RG, SPACING_PX)
     f = edge_motion(points, rig, X_RG, model.middle_G)
     known = observability(f, points.weight, model.radius_m)
     if len(points) == 0 or len(known.unseen):
@@ -138,7 +139,7 @@ def off_px(tracked: Tracked, true: Array) -> float:
 
 
 def wrong_starts(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, Any]]:
-    """Tracks from near the truth and from poses that look alike: turned by 90 and 180 degrees, moved aside."""
+    """Tracks from near the truth, and from poses that look alike: turned by quarters, moved aside."""
     o_G = model.middle_G
     suns = random_suns(case["poses"], case["seed"])
     for number, X_RG in enumerate(poses_of(case, model)):

@@ -51,8 +51,12 @@ class NoiseLevels:
         return np.asarray(np.einsum("nk,nkij->nij", variance, noise.parts))
 
 
+LEVELS = NoiseLevels((1e-4, 1e-3, 1e-4), (0.1, 0.1, 0.0))
+"""Placeholder"""
+
+
 def noise_parts(f: Array, weight: Array, feature: Ints, sign: Ints) -> Array:
-    """(3, 6, 6) of one fit: f (m, 6), weights (m,), edge and polarity (m,) of each point. C must have full rank.
+    """(3, 6, 6) of one fit: f (m, 6), weights (m,), edge and polarity (m,). C must have full rank.
 
     Raises numpy.linalg.LinAlgError where it has not.
     """
@@ -80,7 +84,9 @@ def fitted(noise: NoiseParts, errors: Array, with_image: bool = True) -> NoiseLe
     parts = noise.parts / np.outer(scale, scale)
     e = errors / scale
     count = 6 if with_image else 3
-    basis = np.hstack([np.ones((len(e), 3)), np.repeat(noise.residual_px[:, None] ** 2, 3, axis=1)])[:, :count]
+    basis = np.hstack([np.ones((len(e), 3)), np.repeat(noise.residual_px[:, None] ** 2, 3, axis=1)])[
+        :, :count
+    ]
     kinds = np.concatenate([parts, parts], axis=1)[:, :count]
 
     def loss(log_variance: Array) -> tuple[float, Array]:

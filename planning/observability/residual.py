@@ -8,9 +8,10 @@ pixels find by chance in the same image, and whether the body ends at its limbs.
 from dataclasses import astuple, dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from planning.observability.against_sky import polarity
-from planning.observability.edge_search import gradients, levels, search
+from planning.observability.edge_search import Levels, as_levels, gradients, levels, search
 from planning.observability.tracker import Tracked, Tracking
 from polhode.lie import Array
 from polhode.records import Bools
@@ -58,14 +59,14 @@ class Support:
         return np.array([found, close, supported, whole, limb, self.beyond_chance])
 
 
-def support(tracked: Tracked, image: Array, wanted: Tracking | None = None) -> Support:
+def support(tracked: Tracked, image: ArrayLike, wanted: Tracking | None = None) -> Support:
     """Support of a tracked pose by the image (H, W) that it was tracked in, or by another."""
     wanted = wanted or Tracking()
     points = tracked.points
     length = points.weight
     if len(points) == 0:
         return Support(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf)
-    grey = np.ascontiguousarray(image, dtype=np.float32)
+    grey = as_levels(image)
     sign = polarity(tracked.beside)
     close, along = _near(tracked, grey, 0.0, wanted)
     chance = [_share(_near(tracked, grey, by, wanted)[1], length) for by in DISPLACED_PX]
@@ -86,13 +87,13 @@ def support(tracked: Tracked, image: Array, wanted: Tracking | None = None) -> S
     )
 
 
-def _near(tracked: Tracked, grey: Array, by_px: float, wanted: Tracking) -> tuple[Bools, Bools]:
+def _near(tracked: Tracked, grey: Levels, by_px: float, wanted: Tracking) -> tuple[Bools, Bools]:
     """(m,) whether an edge lies within CLOSE_PX of points displaced by so much; and runs the same way."""
     points = tracked.points
     uv = points.uv_px + by_px * points.normal_px
     either = np.zeros(len(points), dtype=np.int64)
     found = search(grey, uv, points.normal_px, either, CLOSE_PX, wanted.least_contrast)
-    close = np.isfinite(found.offset_px).any(axis=1)
+    close: Bools = np.any(np.isfinite(found.offset_px), axis=1)
     which = np.argmax(np.abs(found.contrast), axis=1)
     offset = np.nan_to_num(found.offset_px[np.arange(len(points)), which])
     slope = gradients(grey, uv + offset[:, None] * points.normal_px)
@@ -103,3 +104,15 @@ def _near(tracked: Tracked, grey: Array, by_px: float, wanted: Tracking) -> tupl
 
 def _share(which: Bools, length: Array) -> float:
     return float(length[which].sum() / max(length.sum(), 1e-12))
+
+
+FEATURES = ("found", "close", "supported", "whole", "limb", "beyond chance")
+WEIGHTS = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+TRUSTED = 0.5
+"""Probability from which a pose is kept"""
+
+
+def probability(features: Array) -> Array:
+    """(n,) that poses with features (n, 6) of `Support.as_features` are right, half of all being so."""
+    constant, *weights = WEIGHTS
+    return np.asarray(1.0 / (1.0 + np.exp(-(constant + features @ np.array(weights)))))
