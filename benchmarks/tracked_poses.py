@@ -17,12 +17,16 @@ from planning.observability.calibrated import NoiseParts
 from planning.observability.edge_model import EdgeModel
 from planning.observability.edge_motion import moved
 from planning.observability.residual import support
-from planning.observability.tracker import Tracked, track
+from planning.observability.tracker import Tracked, Tracking, track
 from polhode.camera import RectifiedRig
 from polhode.dataset_writer import write_png
 from polhode.images import Grey, read_raw
 from polhode.lie import Array
 
+VIEWS = ViewOptions(earth=0.0, samples=1)
+"""One ray a pixel: edges are jagged, which costs the tracker some of its accuracy."""
+TRACKING = Tracking(restarts=0)
+"""One start, as fast as a filter at each image needs it; it goes wrong more often than with restarts."""
 NEAR = np.repeat([0.01, np.deg2rad(1.0)], 3)
 """Sigma of a usual start [m, rad]."""
 FAR = np.repeat([0.06, np.deg2rad(6.0)], 3)
@@ -36,7 +40,7 @@ def tracked_poses(
 
     Images are kept in ``folder``.
     """
-    views = EdgeViews(edge_body(body, plain=True), rig, seed, ViewOptions(earth=0.0))
+    views = EdgeViews(edge_body(body, plain=True), rig, seed, VIEWS)
     rng = np.random.default_rng([seed, 0x7AC4])
     usual: list[FoundPose | None] = []
     bad: list[FoundPose | None] = []
@@ -45,7 +49,7 @@ def tracked_poses(
         image = _image(views, X_RG, sun_R(course.R_NR[k]), k, folder).astype(np.float64)
         for sigma, poses in (NEAR, usual), (FAR, bad):
             start = moved(X_RG, sigma * rng.standard_normal(6), model.middle_G)
-            tracked = track(model, rig, image, start)
+            tracked = track(model, rig, image, start, TRACKING)
             poses.append(_found(tracked, image, model.radius_m))
     return usual, bad
 
