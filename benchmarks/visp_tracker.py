@@ -210,7 +210,8 @@ def program() -> Path:
         raise NoVispError(f"no C++ compiler {compiler}: install one, or name it by CXX") from None
     if done.returncode != 0:
         wrong = [line for line in done.stderr.splitlines() if "error" in line or "cannot find" in line]
-        raise NoVispError(f"ViSP is not here (Debian: apt-get install libvisp-mbt-dev): {wrong[0][:160]}")
+        why = f": {wrong[0][:160]}" if wrong else ""
+        raise NoVispError(f"ViSP is not here (Debian: apt-get install libvisp-mbt-dev){why}")
     return target
 
 
@@ -279,7 +280,7 @@ def row(body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array) ->
 def nees(errors: Array, covariance: Array) -> Array:
     """Squared errors (V, 6) over covariances (V, 6, 6), summed: (V,)."""
     solved = np.linalg.solve(covariance, errors[:, :, None])[:, :, 0]
-    return np.einsum("vk,vk->v", errors, solved)
+    return np.asarray(np.einsum("vk,vk->v", errors, solved))
 
 
 def main() -> None:
