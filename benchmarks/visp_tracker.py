@@ -63,22 +63,22 @@ class NoVispError(Exception):
 
 @dataclass(frozen=True)
 class Settings:
-    """Of ViSP's tracker; defaults are those that served it best on these views (docs/observability.md)."""
+    """Of ViSP's tracker; the defaults served it best of all that ``benchmarks.visp_settings`` tried."""
 
-    threshold: float = 2000.0
-    """Least response of the mask; ViSP's example of a cube has 10000, for high contrast"""
+    threshold: float = 10000.0
+    """Least response of the mask"""
     mu: float = 0.5
     """How much the contrast of an edge may change, as a share"""
     mask_size: int = 5
     masks: int = 180
-    sample_step_px: float = 4.0
-    """Between sites along an edge; ViSP's example of a cube has 4"""
-    ranges_px: tuple[int, ...] = (12, 8, 8)
-    """Search on either side of an edge, in one round after the other"""
-    tracks: int = 2
+    sample_step_px: float = 2.0
+    """Between sites along an edge"""
+    ranges_px: tuple[int, ...] = (10, 8, 6, 4, 3, 2)
+    """Search on either side of an edge, in one round after the other; each samples the edges anew"""
+    tracks: int = 1
     """Calls of track() a round"""
-    appear_deg: float = 80.0
-    disappear_deg: float = 85.0
+    appear_deg: float = 88.0
+    disappear_deg: float = 89.0
     """Angle between a face and the line of sight to it from which the face counts, or does no more"""
     good_share: float = 0.2
     """Share of the sites that must be found"""
