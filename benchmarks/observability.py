@@ -23,8 +23,8 @@ FIXED_M = 3.0
 
 def cases(short: bool) -> list[Case]:
     """Every measurement, the most wanted first."""
-    count = {"poses": 4, "each": 3} if short else {"poses": 20, "each": 8}
-    fixed = {"poses": 3, "each": 3} if short else {"poses": 10, "each": 8}
+    count = {"poses": 4, "each": 3} if short else {"poses": 20, "each": 10}
+    fixed = {"poses": 3, "each": 3} if short else {"poses": 10, "each": 10}
     plain = PLAIN[:2] if short else PLAIN
     cluttered = () if short else CLUTTERED
     near = {"near_m": 2.0, "far_m": 4.0, "rich": False}
@@ -34,8 +34,8 @@ def cases(short: bool) -> list[Case]:
         {"part": "approach", "body": "satellite", "poses": 9, **near, "each": fixed["each"], "seed": 9}
     ]
     out += [{"part": "trend", "body": body, **near, **count, "seed": 1} for body in plain]
-    out += [{"part": "wrong", "body": body, **wrong} for body in (*plain, *cluttered)]
     out += [{"part": "fixed", "body": body, **at, **fixed, "seed": 2} for body in plain]
+    out += [{"part": "wrong", "body": body, **wrong} for body in (*plain, *cluttered)]
     out += [{"part": "trend", "body": body, **near, **count, "seed": 1} for body in cluttered]
     return out
 

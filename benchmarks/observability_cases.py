@@ -34,7 +34,7 @@ RIG = edge_rig()
 LEVELS = (1.0, 0.75, 0.5)
 """Of the total length of edges, the longest first: three models of decreasing detail."""
 LENS = Sensor(blur_px=0.8)
-"""A sharper lens aliases: its stairs displace whole edges, by more than the noise does"""
+"""A sharper lens aliases: its stairs displace edges by more than the noise does"""
 START_DEG, START_M = 1.0, 0.01
 """Sigma of the start's error about and along each axis."""
 JITTER_PX, JITTER_DEG = 0.5, 0.1
@@ -51,7 +51,7 @@ def measure(case: Case) -> dict[str, Any]:
 @lru_cache(maxsize=1)
 def _views(body: str, rich: bool) -> tuple[EdgeViews, EdgeModel]:
     target = edge_body(body, plain=not rich)
-    return EdgeViews(target, RIG, 3, ViewOptions(sensor=LENS)), edge_model(target.mesh)
+    return EdgeViews(target, RIG, 3, ViewOptions(sensor=LENS, scattered=True)), edge_model(target.mesh)
 
 
 def levels(model: EdgeModel) -> list[EdgeModel]:
@@ -68,8 +68,9 @@ def _extents(model: EdgeModel) -> Array:
     corners = np.asarray(model.surface.triangles)
     low = np.full((len(model.outlined), 3), np.inf)
     high = -low
-    np.minimum.at(low, model.part, corners.min(axis=1))
-    np.maximum.at(high, model.part, corners.max(axis=1))
+    curved = model.part >= 0
+    np.minimum.at(low, model.part[curved], corners[curved].min(axis=1))
+    np.maximum.at(high, model.part[curved], corners[curved].max(axis=1))
     return np.asarray(np.linalg.norm(high - low, axis=1))
 
 
