@@ -4,11 +4,21 @@ python -m benchmarks.observability [--short] [--workers 1] [--record FILE] [--st
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.edge_bodies import NAMES
 from benchmarks.edge_solids import SOLIDS
 from benchmarks.observability_cases import measure
+from benchmarks.observability_tables import (
+    Spot,
+    good_and_bad_table,
+    nees_table,
+    plot,
+    spots_of,
+    trend_table,
+    wrong_table,
+)
 from benchmarks.record import Case, complete, measured
 
 RECORD = Path("runs/observability.jsonl")
@@ -41,19 +51,44 @@ def cases(short: bool) -> list[Case]:
 
 
 def main() -> None:
+    """Measure what the record lacks; print the tables; draw the trends."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--short", action="store_true")
+    parser.add_argument("--short", action="store_true", help="two bodies, few poses")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--stored", action="store_true")
+    parser.add_argument("--stored", action="store_true", help="only what was measured before")
+    parser.add_argument("-o", "--output", type=Path, help="the picture")
     options = parser.parse_args()
     wanted = cases(options.short)
-    lines = (
-        measured(options.record, wanted)
-        if options.stored
-        else complete(options.record, wanted, measure, options.workers)
+    if options.stored:
+        lines = measured(options.record, wanted)
+    else:
+        lines = complete(options.record, wanted, measure, options.workers)
+    groups = {
+        "three models, 4 to 2 m": _spots(lines, "approach", PLAIN),
+        "plain bodies, 2 to 4 m": _spots(lines, "trend", PLAIN),
+        f"plain bodies, {FIXED_M:g} m": _spots(lines, "fixed", PLAIN),
+        "cluttered bodies, 2 to 4 m": _spots(lines, "trend", CLUTTERED),
+    }
+    groups = {name: spots for name, spots in groups.items() if spots}
+    print("# Trends\n\n" + trend_table(groups))
+    plain = _spots(lines, "trend", PLAIN)
+    if len({spot.body for spot in plain}) > 1:
+        print("\n# What is good and what is bad\n\n" + good_and_bad_table(plain))
+        for first, title in ((True, "one trial of each pose"), (False, "all trials")):
+            table, found = nees_table(plain, first)
+            print(f"\n# Honesty of covariances, {title}\n\n{table}\n\n{found}")
+    wrong = [line for line in lines if line["case"]["part"] == "wrong"]
+    if len(wrong) > 1:
+        print("\n# Right and wrong poses\n\n" + wrong_table(wrong))
+    if options.output:
+        plot(groups, options.output)
+
+
+def _spots(lines: list[Case], part: str, bodies: Sequence[str]) -> list[Spot]:
+    return spots_of(
+        [line for line in lines if line["case"]["part"] == part and line["case"]["body"] in bodies]
     )
-    print(len(lines))
 
 
 if __name__ == "__main__":
