@@ -136,9 +136,17 @@ def _trial(tracked: Tracked, true: Array, o_G: Array, image: Array) -> dict[str,
         "ok": bool(complete), "error": _told(pose_error(tracked.X_RG, true, o_G)),
         "off_px": _told(off_px(tracked, true)), "support": _told(shown.as_features),
         "sigma_px": _told(shown.sigma_px if np.isfinite(shown.sigma_px) else 99.0),
-        "C": _told(tracked.C[TRIANGLE]),
+        "C": _told(tracked.C[TRIANGLE]), "metric": _told(_log_determinant(tracked)),
         "parts": _told(parts_of(tracked).parts[0][:, *TRIANGLE]) if complete else None,
     }  # fmt: skip
+
+
+def _log_determinant(tracked: Tracked) -> float:
+    """Of C^-1 as the metric has it: every point counts, found or not."""
+    if len(tracked.points) == 0:
+        return 99.0
+    known = observability(tracked.f, tracked.points.weight, tracked.information.radius_m)
+    return float(-np.log(np.maximum(np.linalg.eigvalsh(known.C), 1e-9)).sum())
 
 
 def off_px(tracked: Tracked, true: Array) -> float:

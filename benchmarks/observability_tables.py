@@ -239,7 +239,7 @@ def _first(spot: Spot) -> Spot:
 
 def wrong_table(lines: Sequence[Case]) -> str:
     """How well statistics tell right from wrong poses: areas under the ROC curve, learnt and tested apart."""
-    features, off, names, kinds, C = [], [], [], [], []
+    features, off, names, kinds, C, metric = [], [], [], [], [], []
     for line in lines:
         for row in line["rows"]:
             trial = row["trial"]
@@ -250,6 +250,7 @@ def wrong_table(lines: Sequence[Case]) -> str:
                 kinds.append(row["kind"])
                 values = np.linalg.eigvalsh(_full(np.array(trial["C"])))
                 C.append(-np.log(np.maximum(values, 1e-9)).sum())
+                metric.append(trial["metric"])
     x, d, body = np.array(features), np.array(off), np.array(names)
     clear = (d < RIGHT_PX) | (d > WRONG_PX)
     order = list(dict.fromkeys(names))
@@ -262,7 +263,8 @@ def wrong_table(lines: Sequence[Case]) -> str:
     rows += ["| statistic | area under the ROC curve |", "|---|---:|"]
     statistics = {name: x[:, k] for k, name in enumerate(FEATURES)}
     statistics["residual's sigma (small is right)"] = -x[:, -1]
-    statistics["C^-1 alone (log determinant, small is right)"] = -np.array(C)
+    statistics["C^-1 of the fit, with robust weights (log determinant)"] = -np.array(C)
+    statistics["C^-1 of the pose, as the metric has it (log determinant)"] = -np.array(metric)
     statistics["probability (all together)"] = probability(x[:, : len(FEATURES)])
     for name, value in statistics.items():
         rows.append(f"| {name} | {_area(value[test & right], value[test & ~right]):.3f} |")
@@ -271,8 +273,8 @@ def wrong_table(lines: Sequence[Case]) -> str:
     close = d < NEAR_RIGHT_PX
     rows += [
         "",
-        f"Near misses: {(near & close).sum()} poses within {NEAR_RIGHT_PX} px, {(near & ~close).sum()} off by "
-        f"{NEAR_WRONG_PX[0]} to {NEAR_WRONG_PX[1]} px.",
+        f"Near misses: {(near & close).sum()} poses within {NEAR_RIGHT_PX} px, "
+        f"{(near & ~close).sum()} off by {NEAR_WRONG_PX[0]} to {NEAR_WRONG_PX[1]} px.",
         "",
         "| statistic | area under the ROC curve |",
         "|---|---:|",
