@@ -24,10 +24,10 @@ from benchmarks.record import Case, complete, measured
 RECORD = Path("runs/observability.jsonl")
 
 
-PLAIN = (*SOLIDS, "free_flyer")
+PLAIN = (*(name for name in SOLIDS if name != "satellite"), "free_flyer")
 """Bodies whose edges stand clear of each other"""
 CLUTTERED = tuple(name for name in NAMES if name not in PLAIN)
-"""Bodies with many small parts, bevels and thin panels"""
+"""Bodies with thin panels, bars, bevels and many small parts"""
 FIXED_M = 3.0
 
 
@@ -65,10 +65,11 @@ def main() -> None:
     else:
         lines = complete(options.record, wanted, measure, options.workers)
     groups = {
-        "three models, 4 to 2 m": _spots(lines, "approach", PLAIN),
+        "three models, 4 to 2 m": _spots(lines, "approach", NAMES),
         "plain bodies, 2 to 4 m": _spots(lines, "trend", PLAIN),
         f"plain bodies, {FIXED_M:g} m": _spots(lines, "fixed", PLAIN),
         "cluttered bodies, 2 to 4 m": _spots(lines, "trend", CLUTTERED),
+        "all bodies, 2 to 4 m": _spots(lines, "trend", NAMES),
     }
     groups = {name: spots for name, spots in groups.items() if spots}
     print("# Trends\n\n" + trend_table(groups))
