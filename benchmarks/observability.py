@@ -77,8 +77,9 @@ def main() -> None:
     if len({spot.body for spot in plain}) > 1:
         print("\n# What is good and what is bad\n\n" + good_and_bad_table(plain))
         for first, title in ((True, "one trial of each pose"), (False, "all trials")):
-            table, found = nees_table(plain, first)
-            print(f"\n# Honesty of covariances, {title}\n\n{table}\n\n{found}")
+            table, found, before = nees_table(plain, first)
+            print(f"\n# Honesty of covariances, {title}\n\n{table}")
+        print(f"\nLEVELS = {found}\nFORETOLD = {before}")
     wrong = [line for line in lines if line["case"]["part"] == "wrong"]
     if len(wrong) > 1:
         print("\n# Right and wrong poses\n\n" + wrong_table(wrong))
