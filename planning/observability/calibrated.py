@@ -52,7 +52,7 @@ class NoiseLevels:
 
 
 LEVELS = NoiseLevels((0.0, 0.0, 0.0), (1.45, 0.0, 0.0))
-"""Of all plain bodies together, as `python -m benchmarks.observability` prints them: on those images nothing is
+"""Of all plain bodies together, as benchmarks.observability prints them: on those images nothing is
 common to an edge."""
 
 
