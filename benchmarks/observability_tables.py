@@ -136,13 +136,15 @@ def trend_table(groups: dict[str, Sequence[Spot]]) -> str:
                 "r, error : C^-1": _each(np.corrcoef, rms, sigma**2),
                 "r, logarithms": _each(np.corrcoef, np.log(rms), np.log(sigma)),
                 "r, ranks": np.array([spearmanr(rms[:, k], sigma[:, k]).statistic for k in range(6)]),
-                f"r, {len(model_rms)} models, poses together": _each(np.corrcoef, model_rms, model_sigma),
                 "slope [px]": (rms * sigma).sum(axis=0) / (sigma**2).sum(axis=0),
                 "band, 5 %": np.quantile(ratio, 0.05, axis=0),
                 "band, 95 %": np.quantile(ratio, 0.95, axis=0),
             }
-            for name, values in measures.items():
-                first = f"{group} | {how}, {lost:.1%} lost | {len(rms)}" if "root" in name else " | | "
+            if len(model_rms) >= 10:
+                together = _each(np.corrcoef, model_rms, model_sigma)
+                measures = {f"r, {len(model_rms)} models, their poses together": together} | measures
+            for number, (name, values) in enumerate(measures.items()):
+                first = f"{group} | {how}, {lost:.1%} lost | {len(rms)}" if number == 0 else " | | "
                 rows.append(f"| {first} | {name} | " + " | ".join(f"{v:.3f}" for v in values) + " |")
     return "\n".join(rows)
 
