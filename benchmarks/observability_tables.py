@@ -24,6 +24,8 @@ RIGHT_PX, WRONG_PX = 1.5, 3.0
 """A pose counts as right, or as wrong, by how far its edges are from their true places."""
 NEAR_RIGHT_PX, NEAR_WRONG_PX = 0.3, (0.6, 6.0)
 LEAST_TRIALS = 3
+STRICT = 0.95
+"""Probability from which a trial counts in the trends: near misses of a pixel spoil a root mean square."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def _full(upper: Array) -> Array:
 
 def trusted(spot: Spot) -> Bools:
     """(n,) trials that the residual statistic lets pass."""
-    return np.asarray(probability(spot.support) >= TRUSTED)
+    return np.asarray(probability(spot.support) >= STRICT)
 
 
 def everything(spot: Spot) -> Bools:
@@ -319,6 +321,7 @@ def plot(groups: dict[str, Sequence[Spot]], path: Path) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter
 
     figure, axes = plt.subplots(len(groups), 6, figsize=(18, 3.1 * len(groups)), squeeze=False)
     for row, (group, spots) in zip(axes, groups.items(), strict=True):
@@ -334,6 +337,8 @@ def plot(groups: dict[str, Sequence[Spot]], path: Path) -> None:
             axis.plot(ends, slope * ends, "k-", lw=1)
             axis.fill_between(ends, ratio[0] * ends, ratio[1] * ends, color="k", alpha=0.1, lw=0)
             axis.set(xscale="log", yscale="log")
+            axis.xaxis.set_minor_formatter(NullFormatter())
+            axis.yaxis.set_minor_formatter(NullFormatter())
             unit = "mm" if k < 3 else "deg"
             r = np.corrcoef(rms[:, k], sigma[:, k])[0, 1]
             axis.set_title(f"{DEGREES_OF_FREEDOM[k]}: r = {r:.2f}", fontsize=9)
