@@ -108,8 +108,8 @@ def _share(which: Bools, length: Array) -> float:
 
 FEATURES = ("found", "close", "supported", "whole", "limb", "beyond chance")
 WEIGHTS = (-26.7, 7.1, 6.6, 3.2, 6.0, 4.9, 2.9)
-"""Constant and weights of a logistic regression on half of the bodies of benchmarks.observability, from images
-whose rays were not yet scattered; it prints what it would learn now, and tests on the other half."""
+"""Constant and weights of a logistic regression on half of the bodies of benchmarks.observability, on images
+whose rays were not scattered yet; it prints what it would learn now, and tests on the other half."""
 TRUSTED = 0.9
 """Probability from which a pose is kept"""
 
