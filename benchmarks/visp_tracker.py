@@ -15,16 +15,18 @@ ViSP is free software under the GPL. Nothing of it is here: ``visp_edges/track.c
 our own that is linked with it, and only by who runs this benchmark: Debian's package libvisp-mbt-dev and a
 C++ compiler must be there (``CXX``). The rest of polhode neither needs nor links it.
 
-Another tracker stands beside it as an entry of ``TRACKERS``.
+Ours (planning/observability/tracker.py) gets the same images and starts; its covariance is the calibrated
+one. ``kept``: as ours, but a pose that its residual statistic does not trust is lost, too.
 """
 
 import argparse
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -44,6 +46,10 @@ from benchmarks.edge_views import (
     random_suns,
 )
 from benchmarks.visp_model import cao_text, polygons_of
+from planning.observability.calibrated import LEVELS, parts_of
+from planning.observability.edge_model import edge_model
+from planning.observability.residual import TRUSTED, probability, support
+from planning.observability.tracker import track
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.images import Grey
@@ -127,8 +133,26 @@ def visp_answer(trial: Trial, settings: Settings | None = None) -> Answer:
     return Answer(X_CG, lost, np.array(turned), statistics)
 
 
-TRACKERS: dict[str, Tracker] = {"ViSP": visp_answer}
-"""Ours is to stand here, too."""
+def our_answer(trial: Trial, trusted: bool = False) -> Answer:
+    """Our poses, with all edges of the mesh for a model."""
+    model = edge_model(trial.mesh)
+    X, lost, covariance = np.array(trial.X_start), np.zeros(len(trial.X_start), dtype=bool), []
+    for k, (image, start) in enumerate(zip(trial.images, trial.X_start, strict=True)):
+        tracked = track(model, trial.rig, image, start)
+        X[k] = tracked.X_RG
+        whole = tracked.converged and len(tracked.information.unseen) == 0
+        unsure = trusted and probability(support(tracked, image).as_features[None])[0] < TRUSTED
+        lost[k] = not whole or unsure
+        known = LEVELS.covariance(parts_of(tracked))[0] if whole else np.full((6, 6), np.nan)
+        covariance.append(known)
+    return Answer(X, lost, np.array(covariance))
+
+
+TRACKERS: dict[str, Tracker] = {
+    "ViSP": visp_answer,
+    "ours": our_answer,
+    "ours, kept": partial(our_answer, trusted=True),
+}
 
 
 def visp_poses(
@@ -253,11 +277,11 @@ def trial_of(name: str, options: Options) -> tuple[Trial, Array]:
 
 HEAD = (
     "| body | tracker | lost | wrong | x [mm] | y | z | about x [deg] | about y | about z | NEES / 6 | "
-    "median [mm] | median [deg] |"
+    "median [mm] | median [deg] | s a view |"
 )
 
 
-def row(body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array) -> str:
+def row(body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array, seconds: float = 0.0) -> str:
     """A line of the table: root mean squares of the errors, and medians of their lengths."""
     errors = pose_errors(answer.X_CG, X_CG, about_G)
     place_m, turn_deg = (
@@ -268,11 +292,12 @@ def row(body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array) ->
     good = ~answer.lost & ~wrong
     cells = [body, tracker, f"{answer.lost.sum()}", f"{wrong.sum()}"]
     if not good.any():
-        return f"| {' | '.join(cells)} |" + " - |" * 9
+        return f"| {' | '.join(cells)} |" + " - |" * 10
     rms = np.sqrt((errors[good] ** 2).mean(axis=0))
     cells += [f"{1e3 * value:.2f}" for value in rms[:3]] + [f"{np.rad2deg(value):.3f}" for value in rms[3:]]
     cells.append(f"{np.mean(nees(errors[good], answer.covariance[good])) / 6:.2g}")
     cells += [f"{1e3 * np.median(place_m[good]):.2f}", f"{np.median(turn_deg[good]):.3f}"]
+    cells.append(f"{seconds / len(X_CG):.3f}")
     return f"| {' | '.join(cells)} |"
 
 
@@ -301,8 +326,11 @@ def main() -> None:
             trial, X_CG = trial_of(name, options)
             about_G = middle(trial.mesh)
             print(row(name, "the start", Answer(trial.X_start, *_nothing(len(X_CG))), X_CG, about_G))
-            for tracker, track in TRACKERS.items():
-                print(row(name, tracker, track(trial), X_CG, about_G), flush=True)
+            for tracker, answer_of in TRACKERS.items():
+                begin = time.perf_counter()
+                answer = answer_of(trial)
+                seconds = time.perf_counter() - begin
+                print(row(name, tracker, answer, X_CG, about_G, seconds), flush=True)
     except (NoVispError, InputError) as problem:
         print(f"polhode: error: {problem}", file=sys.stderr)
         sys.exit(2)

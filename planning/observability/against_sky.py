@@ -20,9 +20,11 @@ def body_beside(points: ControlPoints, model: EdgeModel, rig: RectifiedRig, X_RG
     for column, side in enumerate((-BESIDE_PX, BESIDE_PX)):
         beside = p_R.copy()
         beside[:, :2] += side * points.normal_px * (p_R[:, 2:] / rig.focal_px)
-        reach = 1.0 + 4.0 * model.radius_m / np.maximum(np.linalg.norm(beside, axis=1), 1e-9)
-        beyond_G = transform_points(X_GR, beside * reach[:, None])
-        out[:, column] = model.occluder.hides(X_GR[:3, 3], beyond_G, 0.0)
+        # The occluder looks 2.5 radii back from a place: first before the point, then behind it.
+        reach = 1.0 + 2.4 * model.radius_m / np.maximum(np.linalg.norm(beside, axis=1), 1e-9)
+        for factor in np.ones_like(reach), reach:
+            place_G = transform_points(X_GR, beside * factor[:, None])
+            out[:, column] |= model.occluder.hides(X_GR[:3, 3], place_G, 0.0)
     return out
 
 

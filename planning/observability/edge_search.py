@@ -9,10 +9,14 @@ for real-time accurate 3D camera tracking", ISMAR 2004: multiple hypotheses).
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from planning.compiled import compiled
 from polhode.lie import Array
-from polhode.records import Ints
+from polhode.records import Bools, Ints
+
+Levels = NDArray[np.float32]
+"""Grey levels (H, W) of an image"""
 
 STEP_PX = 0.5
 """Between samples of a profile."""
@@ -34,13 +38,18 @@ class Candidates:
     """(m, MOST) step of grey levels along the normal; its sign is the direction of growing light"""
 
 
+def as_levels(image: ArrayLike) -> Levels:
+    """Any image of grey levels (H, W), ready to be searched."""
+    return np.ascontiguousarray(image, dtype=np.float32)
+
+
 def search(
-    image: Array, uv_px: Array, normal_px: Array, polarity: Ints, range_px: float, least_contrast: float
+    image: Levels, uv_px: Array, normal_px: Array, polarity: Ints, range_px: float, least_contrast: float
 ) -> Candidates:
     """Edges within range_px of points (m, 2) along normals (m, 2), of at least a contrast [grey levels].
 
     polarity (m,): 1 where the light must grow along the normal, -1 where it must fall, 0 where either does.
-    ``image`` (H, W) float32; what lies outside it gives no edge.
+    What lies outside it gives no edge.
     """
     half = int(np.ceil(range_px / STEP_PX)) + 1
     response = np.zeros((len(uv_px), 2 * half + 1))
@@ -51,14 +60,27 @@ def search(
     return Candidates(offset, contrast)
 
 
-def gradients(image: Array, uv_px: Array) -> Array:
-    """Gradient (m, 2) of the smoothed image at places (m, 2) [grey levels, as a step along u or v would be]."""
+def gradients(image: Levels, uv_px: Array) -> Array:
+    """Gradient (m, 2) of the smoothed image at places (m, 2) [grey levels, as of a step along u or v]."""
     out = np.zeros((len(uv_px), 2, 1))
     for axis in 0, 1:
         direction = np.zeros_like(uv_px)
         direction[:, axis] = 1.0
         _respond(image, uv_px, direction, _kernel(), STEP_PX, 1, out[:, axis])
     return np.asarray(out[..., 0])
+
+
+def levels(image: Levels, uv_px: Array) -> Array:
+    """Grey levels (m,) at places (m, 2), by bilinear interpolation; 0 outside of the image."""
+    height, width = image.shape
+    most = np.array([width - 1.0, height - 1.0])
+    inside: Bools = np.all((uv_px >= 0.0) & (uv_px < most), axis=1)
+    place = np.where(inside[:, None], uv_px, 0.0)
+    a, b = place.astype(np.int64).T
+    du, dv = (place - np.floor(place)).T
+    upper = (1.0 - du) * image[b, a] + du * image[b, a + 1]
+    lower = (1.0 - du) * image[b + 1, a] + du * image[b + 1, a + 1]
+    return np.asarray(np.where(inside, (1.0 - dv) * upper + dv * lower, 0.0))
 
 
 def _kernel() -> Array:
@@ -71,7 +93,7 @@ def _kernel() -> Array:
 
 @compiled
 def _respond(
-    image: Array, uv: Array, normal: Array, kernel: Array, step: float, along: int, out: Array
+    image: Levels, uv: Array, normal: Array, kernel: Array, step: float, along: int, out: Array
 ) -> None:
     """Convolve the profiles (m, 2 half + 1) with the kernel; zero where one leaves the image."""
     height, width = image.shape

@@ -9,13 +9,15 @@ the observability metric, with robust weights.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from planning.observability.against_sky import body_beside, polarity
+from planning.observability.apart import APART_PX, clear_points
 from planning.observability.edge_model import EdgeModel
 from planning.observability.edge_motion import edge_motion, moved
-from planning.observability.edge_search import Candidates, search
+from planning.observability.edge_search import Candidates, Levels, as_levels, search
 from planning.observability.metric import Observability, observability
-from planning.observability.seen_edges import SPACING_PX, ControlPoints, control_points
+from planning.observability.seen_edges import SPACING_PX, ControlPoints
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, transform_points
 from polhode.records import Bools
@@ -39,12 +41,21 @@ class Tracking:
     """grey levels"""
     least_sigma_px: float = 0.1
     """residuals are not weighted as if they were better than this"""
+    most_sigma_px: float = 1.0
+    """nor, at the last range, worse; with each step there the limit falls by half, down to the least"""
     settled_px: float = 0.01
     """the pose has settled when the edges move by less, root mean square"""
     remade_px: float = 1.0
     """control points are made anew when they have moved by this, root mean square"""
+    apart_px: float = APART_PX
+    """control points that are nearer to another edge, side by side with it, do not count"""
     least_found: int = 12
     """control points"""
+    restarts: int = 6
+    """from poses near the found one, while less than a share of the edges agrees"""
+    restart_px: float = 3.0
+    """how far a restart moves the edges, root mean square"""
+    content: float = 0.9
     dark_sky: bool = True
     """The body is brighter than what is behind it"""
 
@@ -106,27 +117,59 @@ class Tracked:
 
 
 def track(
-    model: EdgeModel, rig: RectifiedRig, image: Array, X_RG: Array, wanted: Tracking | None = None
+    model: EdgeModel, rig: RectifiedRig, image: ArrayLike, X_RG: Array, wanted: Tracking | None = None
 ) -> Tracked:
     """Pose of the model in an image (H, W) of grey levels, from a guess X_RG (4, 4).
 
-    Never raises for what the image shows: `converged` and `told` say what went wrong.
+    Never raises for what the image shows: `converged` and `told` say what went wrong. Deterministic: restarts
+    are drawn from a fixed seed.
     """
     wanted = wanted or Tracking()
+    grey = as_levels(image)
+    found = _track(model, rig, grey, X_RG, wanted, wanted.ranges_px)
+    rng = np.random.default_rng(0)
+    for _ in range(wanted.restarts):
+        if len(found.points) == 0 or _agreement(found, wanted) >= wanted.content:
+            break
+        step = rng.standard_normal(6)
+        step *= wanted.restart_px / max(float(np.sqrt(np.mean((found.f @ step) ** 2))), 1e-12)
+        other = _track(
+            model, rig, grey, moved(found.X_RG, step, model.middle_G), wanted, wanted.ranges_px[-1:]
+        )
+        if other.converged and (_agreement(other, wanted) > _agreement(found, wanted) or not found.converged):
+            found = other
+    return found
+
+
+def _agreement(tracked: Tracked, wanted: Tracking) -> float:
+    """Length of edge that is found to three of the least sigmas, over what was expected."""
+    close = np.abs(np.nan_to_num(tracked.residuals_px, nan=np.inf)) < 3.0 * wanted.least_sigma_px
+    return float(tracked.points.weight[close].sum() / tracked.points.weight.sum())
+
+
+def _track(
+    model: EdgeModel,
+    rig: RectifiedRig,
+    grey: Levels,
+    X_RG: Array,
+    wanted: Tracking,
+    ranges_px: tuple[float, ...],
+) -> Tracked:
+    """From one guess, without restarts."""
     o_G = model.middle_G
     if transform_points(X_RG, o_G[None])[0, 2] <= 0.0:
         return _nothing(X_RG, model.radius_m, "the target is behind the camera")
-    grey = np.ascontiguousarray(image, dtype=np.float32)
     view = _view(model, rig, X_RG, wanted)
     steps, drift_px, settled, few = 0, 0.0, False, False
-    for number, range_px in enumerate(wanted.ranges_px):
-        last = number == len(wanted.ranges_px) - 1
-        for _ in range(wanted.iterations * (2 if last else 1)):
+    for number, range_px in enumerate(ranges_px):
+        last = number == len(ranges_px) - 1
+        for turn in range(wanted.iterations * (2 if last else 1)):
+            most_px = max(wanted.most_sigma_px * 0.5**turn, wanted.least_sigma_px) if last else np.inf
             if len(view.points) < wanted.least_found:
                 return _nothing(X_RG, model.radius_m, _too_few(len(view.points), wanted))
             found = _measure(view, grey, range_px, wanted)
             f = edge_motion(view.points, rig, X_RG, o_G)
-            step, few = _fit(found, f, view.points.weight, model.radius_m, wanted, narrow=last)
+            step, few = _fit(found, f, view.points.weight, model.radius_m, wanted, most_px)
             if few:
                 break
             X_RG = moved(X_RG, step, o_G)
@@ -138,7 +181,8 @@ def track(
             else:
                 view = view.at(rig, X_RG)
             settled = motion_px < wanted.settled_px
-            if motion_px < (wanted.settled_px if last else 0.3):
+            narrowest = most_px in (np.inf, wanted.least_sigma_px)
+            if narrowest and motion_px < (wanted.settled_px if last else 0.3):
                 break
     return _told(model, rig, view, grey, X_RG, steps, settled, few, wanted)
 
@@ -158,18 +202,18 @@ class _View:
 
 
 def _view(model: EdgeModel, rig: RectifiedRig, X_RG: Array, wanted: Tracking) -> _View:
-    points = control_points(model, rig, X_RG, wanted.spacing_px)
+    points = clear_points(model, rig, X_RG, wanted.spacing_px, wanted.apart_px)
     return _View(points, body_beside(points, model, rig, X_RG))
 
 
-def _measure(view: _View, grey: Array, range_px: float, wanted: Tracking) -> Candidates:
+def _measure(view: _View, grey: Levels, range_px: float, wanted: Tracking) -> Candidates:
     points = view.points
     sign = polarity(view.beside) if wanted.dark_sky else np.zeros(len(points), dtype=np.int64)
     return search(grey, points.uv_px, points.normal_px, sign, range_px, wanted.least_contrast)
 
 
 def _fit(
-    found: Candidates, f: Array, length: Array, radius_m: float, wanted: Tracking, narrow: bool
+    found: Candidates, f: Array, length: Array, radius_m: float, wanted: Tracking, most_px: float
 ) -> tuple[Array, bool]:
     """Step (6,) of the pose by iterated weighted least squares, and whether too few edges were found."""
     step = np.zeros(6)
@@ -179,8 +223,8 @@ def _fit(
         if seen.sum() < wanted.least_found:
             return step, True
         residual = d[seen] - f[seen] @ step
-        scale = _scale(residual, wanted)
-        weight = length[seen] * _robust(residual / scale, narrow)
+        scale = min(_scale(residual, length[seen], wanted), most_px)
+        weight = length[seen] * _robust(residual / scale, narrow=np.isfinite(most_px))
         before = step
         step = _solve(f[seen], d[seen], weight, radius_m, scale)
         if np.mean((f @ (step - before)) ** 2) < (0.1 * wanted.settled_px) ** 2:
@@ -196,12 +240,16 @@ def _nearest(found: Candidates, at_px: Array) -> tuple[Array, Array]:
     return found.offset_px[row, which], found.contrast[row, which]
 
 
-def _scale(residual: Array, wanted: Tracking) -> float:
-    return max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), wanted.least_sigma_px)
+def _scale(residual: Array, length: Array, wanted: Tracking) -> float:
+    """Sigma of residuals from their median size; each counts with the length of edge that it stands for."""
+    size = np.abs(residual)
+    order = np.argsort(size)
+    half = int(np.searchsorted(np.cumsum(length[order]), 0.5 * float(length.sum())))
+    return max(MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]]), wanted.least_sigma_px)
 
 
 def _robust(u: Array, narrow: bool) -> Array:
-    """Weights of residuals in sigmas: Tukey's, which forgets what is far off; Cauchy's while far from home."""
+    """Weights of residuals in sigmas: Tukey's, which forgets what is far off; Cauchy's until near."""
     if narrow:
         return np.asarray(np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0))
     return np.asarray(1.0 / (1.0 + (u / CAUCHY) ** 2))
@@ -221,7 +269,7 @@ def _told(
     model: EdgeModel,
     rig: RectifiedRig,
     view: _View,
-    grey: Array,
+    grey: Levels,
     X_RG: Array,
     steps: int,
     settled: bool,
@@ -235,7 +283,7 @@ def _told(
     seen = np.isfinite(d)
     robust = np.zeros(len(points))
     if seen.any():
-        robust[seen] = _robust(d[seen] / _scale(d[seen], wanted), narrow=True)
+        robust[seen] = _robust(d[seen] / wanted.least_sigma_px, narrow=True)
     f = edge_motion(points, rig, X_RG, model.middle_G)
     information = observability(f, points.weight * robust, model.radius_m)
     if few or seen.sum() < wanted.least_found:
