@@ -119,13 +119,13 @@ def least_number(need: Need) -> int:
     def over(w: Array) -> Array:
         inverse = np.linalg.inv(np.einsum("n,tnij->tij", w, C) + 1e-9 * np.eye(6))
         found = np.where(need.told, np.diagonal(inverse, axis1=1, axis2=2), 0.0).sum(axis=0)
-        return np.asarray((found / need.sum)[need.degrees] - limit)
+        return np.asarray(found[need.degrees] / need.sum[need.degrees] - limit)
 
     def slope(w: Array) -> Array:
         inverse = np.linalg.inv(np.einsum("n,tnij->tij", w, C) + 1e-9 * np.eye(6))
         each = np.einsum("tdi,tnij,tjd->tnd", inverse, C, inverse, optimize=True)
         part = np.where(need.told[:, None], each, 0.0).sum(axis=0)
-        return np.asarray(-(part / need.sum)[:, need.degrees].T)
+        return np.asarray(-(part[:, need.degrees] / need.sum[need.degrees]).T)
 
     found = minimize(
         lambda w: float(w.sum()),

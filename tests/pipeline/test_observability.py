@@ -108,6 +108,24 @@ def test_noise_point_and_unit_scale_as_they_should(box: Path, tmp_path: Path) ->
     assert sigma("--unit", "mm") == pytest.approx(plain, rel=1e-4)
 
 
+def test_the_best_few_edges_and_the_fewest_that_do(box: Path, tmp_path: Path, capsys: Capture) -> None:
+    poses, out = trajectory(tmp_path / "poses.txt", approach(3)), tmp_path / "out"
+    word = ["observability", str(box), "--trajectory", str(poses), "-o", str(out)]
+    assert main([*word, "--edges", "5", "--fewest"]) == 0
+    shown = capsys.readouterr().out
+    assert "edges are enough" in shown and "The best 5 edges" in shown
+    found = json.loads((out / "observability.json").read_text())["choice"]
+    smallest, best = found["smallest_set"], found["best"]
+    assert max(smallest["ratio"]) <= 1.1 and smallest["at_least"] <= len(smallest["edges"]) <= 9
+    assert len(best["edges"]) == 5 and min(best["ratio"]) >= 1.0 and best["value"] <= best["bound"]
+    with (out / "edges.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for name, edges in ("in_smallest_set", smallest["edges"]), ("in_best", best["edges"]):
+        assert [int(row["edge"]) for row in rows if row[name] == "1"] == sorted(edges)
+    assert main([*word, "--edges", "0"]) == 2
+    assert "--edges 0" in capsys.readouterr().err
+
+
 def test_sunlight_takes_edges_away(box: Path, tmp_path: Path, capsys: Capture) -> None:
     poses = trajectory(tmp_path / "poses.txt", approach(1, 3.0))
     word = ["observability", str(box), "--trajectory", str(poses), "-o", str(tmp_path)]
