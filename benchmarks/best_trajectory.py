@@ -169,7 +169,7 @@ def edge_sets(model: Any, rig: Any, seen: Any, trial: Trial) -> list[dict[str, A
     from planning.observability.smallest_set import smallest_set
 
     sun_G = np.einsum("tji,tj->ti", seen.X_RG[:, :3, :3], seen.sun_R)
-    information = feature_information(model, rig, seen.X_RG, sun_G)
+    information = feature_information(model, rig, seen.X_RG, sun_G, clear=True)
     A = information.scaled
     candidates = np.flatnonzero((A.trace(axis1=2, axis2=3) > 0.0).any(axis=0))
     few = smallest_set(information)

@@ -38,7 +38,7 @@ def pictures(line: Case, folder: Path) -> None:
     scale = np.array([model.radius_m] * 3 + [1.0] * 3)
     for n, (way, p_N) in enumerate(places.items()):
         X_RG = camera_poses(p_N, o_N, motion, UP_N)
-        C = feature_information(model, rig, X_RG, sun_G).total * np.outer(scale, scale)
+        C = feature_information(model, rig, X_RG, sun_G, clear=True).total * np.outer(scale, scale)
         trace = np.trace(np.linalg.inv(C + np.eye(6)), axis1=1, axis2=2)
         space.plot(*p_N[:, [0, 2]].T, color=f"C{n}", label=way)
         space.plot(*p_N[-1, [0, 2]], "o", color=f"C{n}")
