@@ -1,12 +1,15 @@
 """What a camera would see of the target from all around, tabulated, and smooth between the views.
 
 What is in sight changes in jumps with the view, and an optimizer needs derivatives. So the metric, with
-hidden lines and edges close to others removed, in the light of each instant, is computed from directions spread over a sphere around
+hidden lines removed and the light of each instant, is computed from directions spread over a sphere around
 the target and from some ranges. Between them it is the mean with weights that fall as a Gaussian (Nadaraya
 and Watson, 1964), smooth of any order. Means are taken of two things: of log tr (I + C)^-1 (shifts in radii,
 turns in radians, one pixel of noise), less its main trend 3 log(range); and of C range^3, along G's axes,
 where neighbouring views agree and means stay positive. The camera points at o, the model's middle, with all
 of the body in its image: turning about the optical axis then changes neither.
+
+Edges beside faces seen edge-on count here, though a tracker leaves them out (`apart.py`): that happens in
+bands that are narrower than the table's steps, and would be smeared over all of it.
 """
 
 from dataclasses import dataclass
@@ -15,11 +18,10 @@ import casadi as ca
 import numpy as np
 import trimesh
 
-from planning.observability.apart import clear_points
 from planning.observability.edge_model import EdgeModel
 from planning.observability.edge_motion import edge_motion
 from planning.observability.light import contrast, contrast_weight
-from planning.observability.seen_edges import SPACING_PX
+from planning.observability.seen_edges import SPACING_PX, control_points
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, make_pose
@@ -129,7 +131,7 @@ def view_table(
         for q, r in enumerate(ranges):
             eye_G = model.middle_G + r * towards_G
             X_RG = make_pose(R_RG, -R_RG @ eye_G)
-            points = clear_points(model, rig, X_RG, spacing_px)
+            points = control_points(model, rig, X_RG, spacing_px)
             f = (edge_motion(points, rig, X_RG, model.middle_G) * scale) @ turn
             weight = np.tile(points.weight, (T, 1))
             if sun_G is not None:
