@@ -77,7 +77,7 @@ def best_trajectory(
     """The way of the least objective from several guesses; the same input gives the same way.
 
     Guesses are the straight way and those that turn around the target by turns_deg, to SIDES sides each;
-    ``subdivisions`` of the table's directions. A table of the same model, ranges and instants saves making it.
+    ``subdivisions`` of the table's directions. A table of the same task saves making it.
 
     Raises InputError where the start or the limits contradict each other, or no way keeps them.
     """
