@@ -41,7 +41,8 @@ def cases(short: bool) -> list[Case]:
     at = {"near_m": FIXED_M, "far_m": FIXED_M, "rich": False}
     wrong = {"poses": 2 if short else 5, "each": 1, **near, "seed": 5}
     out: list[Case] = [
-        {"part": "approach", "body": "satellite", "poses": 9, **near, "each": fixed["each"], "seed": 9}
+        {"part": "approach", "body": body, "poses": 9, **near, "each": fixed["each"], "seed": 9}
+        for body in ("satellite", "steps")
     ]
     out += [{"part": "trend", "body": body, **near, **count, "seed": 1} for body in plain]
     out += [{"part": "fixed", "body": body, **at, **fixed, "seed": 2} for body in plain]
@@ -65,7 +66,8 @@ def main() -> None:
     else:
         lines = complete(options.record, wanted, measure, options.workers)
     groups = {
-        "three models, 4 to 2 m": _spots(lines, "approach", NAMES),
+        "three models of steps, 4 to 2 m": _spots(lines, "approach", ["steps"]),
+        "three models of satellite, 4 to 2 m": _spots(lines, "approach", ["satellite"]),
         "plain bodies, 2 to 4 m": _spots(lines, "trend", PLAIN),
         f"plain bodies, {FIXED_M:g} m": _spots(lines, "fixed", PLAIN),
         "cluttered bodies, 2 to 4 m": _spots(lines, "trend", CLUTTERED),
@@ -77,8 +79,9 @@ def main() -> None:
     if len({spot.body for spot in plain}) > 1:
         print("\n# What is good and what is bad\n\n" + good_and_bad_table(plain))
         for first, title in ((True, "one trial of each pose"), (False, "all trials")):
-            table, found = nees_table(plain, first)
-            print(f"\n# Honesty of covariances, {title}\n\n{table}\n\n{found}")
+            table, found, before = nees_table(plain, first)
+            print(f"\n# Honesty of covariances, {title}\n\n{table}")
+        print(f"\nLEVELS = {found}\nFORETOLD = {before}")
     wrong = [line for line in lines if line["case"]["part"] == "wrong"]
     if len(wrong) > 1:
         print("\n# Right and wrong poses\n\n" + wrong_table(wrong))

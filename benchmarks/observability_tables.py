@@ -10,7 +10,6 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2, mannwhitneyu, spearmanr
 
-from benchmarks.observability_cases import START_DEG, START_M
 from benchmarks.record import Case
 from planning.observability.calibrated import NoiseLevels, NoiseParts, fitted, nees
 from planning.observability.edge_motion import DEGREES_OF_FREEDOM
@@ -25,8 +24,6 @@ RIGHT_PX, WRONG_PX = 1.5, 3.0
 """A pose counts as right, or as wrong, by how far its edges are from their true places."""
 NEAR_RIGHT_PX, NEAR_WRONG_PX = 0.3, (0.6, 6.0)
 LEAST_TRIALS = 3
-EXPECTED_PX = 0.1
-"""A view that foretells, for this noise, more than the start's error, measures the start: left out."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ def spots_of(lines: Sequence[Case]) -> list[Spot]:
         for row in line["rows"]:
             good = [trial for trial in row["trials"] if trial["ok"]]
             C = _full(np.array(row["C"]))
-            if not row["seen"] or not _useful(C):
+            if not row["seen"]:
                 continue
             out.append(
                 Spot(
@@ -77,11 +74,6 @@ def spots_of(lines: Sequence[Case]) -> list[Spot]:
                 )
             )
     return out
-
-
-def _useful(C: Array) -> bool:
-    start = np.array([START_M] * 3 + [np.deg2rad(START_DEG)] * 3)
-    return bool((np.sqrt(np.diagonal(np.linalg.inv(C))) * EXPECTED_PX < start).all())
 
 
 def _full(upper: Array) -> Array:
@@ -144,13 +136,15 @@ def trend_table(groups: dict[str, Sequence[Spot]]) -> str:
                 "r, error : C^-1": _each(np.corrcoef, rms, sigma**2),
                 "r, logarithms": _each(np.corrcoef, np.log(rms), np.log(sigma)),
                 "r, ranks": np.array([spearmanr(rms[:, k], sigma[:, k]).statistic for k in range(6)]),
-                f"r, {len(model_rms)} models, poses together": _each(np.corrcoef, model_rms, model_sigma),
                 "slope [px]": (rms * sigma).sum(axis=0) / (sigma**2).sum(axis=0),
                 "band, 5 %": np.quantile(ratio, 0.05, axis=0),
                 "band, 95 %": np.quantile(ratio, 0.95, axis=0),
             }
-            for name, values in measures.items():
-                first = f"{group} | {how}, {lost:.1%} lost | {len(rms)}" if "root" in name else " | | "
+            if len(model_rms) >= 10:
+                together = _each(np.corrcoef, model_rms, model_sigma)
+                measures = {f"r, {len(model_rms)} models, their poses together": together} | measures
+            for number, (name, values) in enumerate(measures.items()):
+                first = f"{group} | {how}, {lost:.1%} lost | {len(rms)}" if number == 0 else " | | "
                 rows.append(f"| {first} | {name} | " + " | ".join(f"{v:.3f}" for v in values) + " |")
     return "\n".join(rows)
 
@@ -185,12 +179,6 @@ def good_and_bad_table(spots: Sequence[Spot]) -> str:
     return "\n".join(rows)
 
 
-def split(spots: Sequence[Spot]) -> tuple[list[Spot], list[Spot]]:
-    """Every other body to calibrate on, the others to test on."""
-    names = list(dict.fromkeys(spot.body for spot in spots))
-    return [s for s in spots if s.body in names[::2]], [s for s in spots if s.body in names[1::2]]
-
-
 def joined(spots: Sequence[Spot], keep: Any) -> tuple[NoiseParts, Array, Array]:
     """Noise parts, errors (n, 6) and C (n, 6, 6) of all trials that are kept."""
     chosen = [keep(spot) for spot in spots]
@@ -198,37 +186,44 @@ def joined(spots: Sequence[Spot], keep: Any) -> tuple[NoiseParts, Array, Array]:
     return NoiseParts(take("parts"), take("sigma_px")), take("errors"), take("C")
 
 
-def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, NoiseLevels]:
-    """Honesty of covariances on bodies that they were not calibrated on; and the levels found."""
-    learn, test = split(spots)
-    noise, errors, _ = joined(learn, trusted)
-    levels = fitted(noise, errors)
-    own = fitted(noise, errors, with_image=False)
-    test = [_first(spot) for spot in test] if first_only else test
-    noise, errors, C = joined(test, trusted)
-    residual = np.linalg.inv(C) * noise.residual_px[:, None, None] ** 2
+def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, NoiseLevels, NoiseLevels]:
+    """Honesty of covariances on each body by what the others taught; the levels that all teach, and those
+    without the image's residual.
+    """
+    errors: list[Array] = []
+    covariances: dict[str, list[Array]] = {}
+    for body in dict.fromkeys(spot.body for spot in spots):
+        others, taught, _ = joined([spot for spot in spots if spot.body != body], trusted)
+        own = [spot for spot in spots if spot.body == body]
+        noise, found, C = joined([_first(spot) for spot in own] if first_only else own, trusted)
+        errors.append(found)
+        for name, covariance in {
+            "C^-1 times mean squared residual": np.linalg.inv(C) * noise.residual_px[:, None, None] ** 2,
+            "calibrated, without the image's residual": fitted(others, taught, False).covariance(noise),
+            "calibrated": fitted(others, taught).covariance(noise),
+        }.items():
+            covariances.setdefault(name, []).append(covariance)
+    e = np.concatenate(errors)
+    n = len(e)
+    low, high = chi2.ppf([0.025, 0.975], 6 * n) / (6 * n)
     rows = [
         "| covariance | trials | mean NEES / 6 | 95 % band | share within its 95 % | "
         + " | ".join(DEGREES_OF_FREEDOM)
         + " |",
         "|---|---:|---:|---|---:|" + "---:|" * 6,
     ]
-    n = len(errors)
-    low, high = chi2.ppf([0.025, 0.975], 6 * n) / (6 * n)
-    for name, covariance in {
-        "C^-1 times mean squared residual": residual,
-        "calibrated, without the image's residual": own.covariance(noise),
-        "calibrated": levels.covariance(noise),
-    }.items():
-        whole = nees(errors, covariance)
-        each = (errors**2 / np.diagonal(covariance, axis1=1, axis2=2)).mean(axis=0)
+    for name, each_body in covariances.items():
+        P = np.concatenate(each_body)
+        whole = nees(e, P)
+        each = (e**2 / np.diagonal(P, axis1=1, axis2=2)).mean(axis=0)
         inside = float(np.mean(whole < chi2.ppf(0.95, 6)))
         rows.append(
             f"| {name} | {n} | {whole.mean() / 6:.2f} | {low:.2f} to {high:.2f} | {inside:.1%} | "
             + " | ".join(f"{value:.2f}" for value in each)
             + " |"
         )
-    return "\n".join(rows), levels
+    noise, found, _ = joined(spots, trusted)
+    return "\n".join(rows), fitted(noise, found), fitted(noise, found, False)
 
 
 def _first(spot: Spot) -> Spot:

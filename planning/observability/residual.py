@@ -110,7 +110,7 @@ FEATURES = ("found", "close", "supported", "whole", "limb", "beyond chance")
 WEIGHTS = (-26.7, 7.1, 6.6, 3.2, 6.0, 4.9, 2.9)
 """Constant and weights of a logistic regression on half of the bodies of benchmarks.observability,
 which prints it anew; the areas under the ROC curve there are of the other half."""
-TRUSTED = 0.9
+TRUSTED = 0.95
 """Probability from which a pose is kept"""
 
 
