@@ -16,8 +16,10 @@ from benchmarks.visp_tracker import (
     Answer,
     NoVispError,
     Options,
+    Trial,
     about_camera_axes,
     nees,
+    our_answer,
     program,
     row,
     trial_of,
@@ -140,3 +142,19 @@ def test_visp_says_when_it_sees_nothing() -> None:
     X_CG, _, statistics = visp_poses(polygons_of(trial.mesh), trial.rig, black, trial.X_start)
     assert statistics["lost"].tolist() == [1.0]
     np.testing.assert_allclose(X_CG, trial.X_start, atol=1e-12)
+
+
+def test_our_tracker_answers_the_same_question() -> None:
+    trial, X_CG = trial_of("wedge", Options(views=3, seed=1))
+    answer = our_answer(trial)
+    errors = pose_errors(answer.X_CG, X_CG, middle(trial.mesh))
+    assert not answer.lost.any()
+    assert (np.abs(errors) < [1e-3, 1e-3, 5e-3, 2e-3, 2e-3, 2e-3]).all()
+    assert (nees(errors, answer.covariance) < 60.0).all()
+
+
+def test_a_pose_that_our_statistic_does_not_trust_is_lost() -> None:
+    trial, X_CG = trial_of("wedge", Options(views=2, seed=1))
+    turned = X_CG @ make_pose(exp_so3([0.0, 0.0, np.pi]), np.zeros(3))
+    wrong = Trial(trial.mesh, trial.rig, trial.images, turned)
+    assert our_answer(wrong, trusted=True).lost.all()
