@@ -59,7 +59,7 @@ def main() -> None:
     for name, information in told.items():
         print(f"| {name} | {fewest(information)}")
     print(
-        "\n| body | spread of the logarithm | error, even light | correlation | in sunlight | correlation |"
+        "\n| body | spread | even light: median error | correlation | sunlight: error | correlation |"
     )
     print("|---|---:|---:|---:|---:|---:|")
     for name, model in models.items():
