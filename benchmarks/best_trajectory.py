@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.record import Case, complete
 
 RECORD = Path("runs/best_trajectory.jsonl")
-BODIES = ("house", "steps", "satellite")
+BODIES = ("steps", "satellite")
 HOME = 0.03
 DURATION_S, STEPS = 60.0, 12
 START_N, SUN_N = np.array([0.0, 0.0, -4.0]), np.array([0.8, -0.3, -0.6])

@@ -58,9 +58,7 @@ def main() -> None:
     print("|---|---:|---:|---:|---:|---:|")
     for name, information in told.items():
         print(f"| {name} | {fewest(information)}")
-    print(
-        "\n| body | spread of the logarithm | error, even light | correlation | in sunlight | correlation |"
-    )
+    print("\n| body | spread | even light: median error | correlation | sunlight: error | correlation |")
     print("|---|---:|---:|---:|---:|---:|")
     for name, model in models.items():
         if model.size <= TABLES_UP_TO:
