@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from benchmarks.best_trajectory import DURATION_S, SUN_N, tumbling
@@ -32,25 +33,24 @@ def pictures(line: Case, folder: Path) -> None:
     o_N, sun_G = middles(model, motion), sun_in_G(motion, SUN_N)
     figure = Figure(figsize=(11.5, 4.4), layout="constrained")
     FigureCanvasAgg(figure)
-    space = figure.add_subplot(1, 2, 1, projection="3d")
+    space = figure.add_subplot(1, 2, 1)
     over_time = figure.add_subplot(1, 2, 2)
     scale = np.array([model.radius_m] * 3 + [1.0] * 3)
     for n, (way, p_N) in enumerate(places.items()):
         X_RG = camera_poses(p_N, o_N, motion, UP_N)
-        C = feature_information(model, rig, X_RG, sun_G).total * np.outer(scale, scale)
+        C = feature_information(model, rig, X_RG, sun_G, clear=True).total * np.outer(scale, scale)
         trace = np.trace(np.linalg.inv(C + np.eye(6)), axis1=1, axis2=2)
-        space.plot(*p_N.T, color=f"C{n}", label=way)
-        space.plot(*p_N[-1:].T, "o", color=f"C{n}")
+        space.plot(*p_N[:, [0, 2]].T, color=f"C{n}", label=way)
+        space.plot(*p_N[-1, [0, 2]], "o", color=f"C{n}")
         over_time.semilogy(time, 1e3 * np.sqrt(trace), color=f"C{n}", label=way)
     corners = np.asarray(mesh.vertices) @ motion.R_NG[-1].T + motion.p_NG[-1]
-    space.plot_trisurf(*corners.T, triangles=np.asarray(mesh.faces), color="0.75", shade=True)
-    sun = 2.0 * SUN_N / np.linalg.norm(SUN_N)
-    space.plot(*np.stack([0.6 * sun, sun]).T, color="orange", linewidth=3, label="towards the Sun")
-    space.set(xlabel="x in N [m]", ylabel="y [m]", zlabel="z [m]")
-    space.set_aspect("equal")
-    space.view_init(elev=-60, azim=-90)
-    space.legend(fontsize=7, loc="upper left")
-    over_time.set(xlabel="time [s]", ylabel="root of tr (I + C)^-1, thousandths for one pixel", title=name)
+    shadows = list(corners[np.asarray(mesh.faces)][:, :, [0, 2]])
+    space.add_collection(PolyCollection(shadows, facecolor="0.75", edgecolor="none"))
+    sun = SUN_N[[0, 2]] / np.linalg.norm(SUN_N)
+    space.annotate("Sun", 1.6 * sun, 0.9 * sun, arrowprops={"arrowstyle": "->", "color": "orange"})
+    space.set(xlabel="x in N [m]", ylabel="z in N [m]", aspect="equal", title=f"{name}, seen along -y")
+    space.grid(alpha=0.3)
+    over_time.set(xlabel="time [s]", ylabel="root of tr (I + C)^-1, thousandths for one pixel")
     over_time.legend(fontsize=8)
     over_time.grid(alpha=0.3)
     figure.savefig(folder / f"{name}_ways.png", dpi=90)

@@ -167,7 +167,8 @@ def visp_poses(
 
     polygons (n, 3) in G [m] (visp_model.py); images uint8 (H, W); X_start (V, 4, 4). Statistics: lost (0 or
     1), sites, weights (sum of the robust ones), residual (weighted rms, of the normalised image),
-    projection_error_deg (ViSP's own: between edges and gradients), seconds. Raises NoVispError.
+    projection_error_deg (ViSP's own: between edges and gradients), seconds of the processor.
+    Raises NoVispError.
     """
     with TemporaryDirectory() as name:
         folder = Path(name)

@@ -72,19 +72,19 @@ def best_trajectory(
     watch: Watch,
     turns_deg: tuple[float, ...] = TURNS_DEG,
     subdivisions: int = SUBDIVISIONS,
+    table: ViewTable | None = None,
 ) -> BestTrajectory:
     """The way of the least objective from several guesses; the same input gives the same way.
 
     Guesses are the straight way and those that turn around the target by turns_deg, to SIDES sides each;
-    ``subdivisions`` of the table's directions.
+    ``subdivisions`` of the table's directions. A table of the same task saves making it.
 
     Raises InputError where the start or the limits contradict each other, or no way keeps them.
     """
     nodes = nominal(ahead, np.linspace(0.0, watch.duration_s, 2 * watch.steps + 1))
     _check(model, rig, keep_out, nodes, watch)
     baseline = straight(model, ahead, watch)
-    sun_G = None if watch.sun_N is None else sun_in_G(nodes, watch.sun_N)[::2]
-    table = view_table(model, rig, watch.range_m, sun_G, subdivisions)
+    table = table or table_for(model, rig, ahead, watch, subdivisions)
     guesses = _guesses(baseline.p_N, middles(model, nodes)[::2], turns_deg)
     found: list[tuple[float, int, Watched, float, float]] = []
     reasons: list[str] = []
@@ -104,6 +104,16 @@ def best_trajectory(
     _, _, best, expected, gap = min(found, key=lambda one: one[:2])
     reference = judge(model, rig, ahead, watch, baseline)
     return BestTrajectory(best, reference, expected, len(found), len(guesses), gap)
+
+
+def table_for(
+    model: EdgeModel, rig: RectifiedRig, ahead: Ahead, watch: Watch, subdivisions: int = SUBDIVISIONS
+) -> ViewTable:
+    """The metric around the target, at the instants of the steps if there is a Sun."""
+    if watch.sun_N is None:
+        return view_table(model, rig, watch.range_m, None, subdivisions)
+    nodes = nominal(ahead, np.linspace(0.0, watch.duration_s, watch.steps + 1))
+    return view_table(model, rig, watch.range_m, sun_in_G(nodes, watch.sun_N), subdivisions)
 
 
 class _NoWay(Exception):

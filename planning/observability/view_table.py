@@ -7,6 +7,9 @@ and Watson, 1964), smooth of any order. Means are taken of two things: of log tr
 turns in radians, one pixel of noise), less its main trend 3 log(range); and of C range^3, along G's axes,
 where neighbouring views agree and means stay positive. The camera points at o, the model's middle, with all
 of the body in its image: turning about the optical axis then changes neither.
+
+Edges beside faces seen edge-on count here, though a tracker leaves them out (`apart.py`): that happens in
+bands that are narrower than the table's steps, and would be smeared over all of it.
 """
 
 from dataclasses import dataclass

@@ -56,7 +56,8 @@ class Watch:
 
 @dataclass(frozen=True)
 class Watched:
-    """What a way gives, by the true metric: hidden lines removed, light of each instant."""
+    """What a way gives, by the true metric: edges that are in sight, clear of others, in the light of each
+    instant."""
 
     way: Way
     time_s: Array
@@ -144,7 +145,7 @@ def judge(model: EdgeModel, rig: RectifiedRig, ahead: Ahead, watch: Watch, way: 
         sun_G = sun_in_G(motion, watch.sun_N)
         sun_R = np.einsum("tij,tj->ti", X_RG[:, :3, :3], sun_G)
         phase = np.arccos(np.clip(away @ watch.sun_N / far / np.linalg.norm(watch.sun_N), -1.0, 1.0))
-    information = feature_information(model, rig, X_RG, sun_G)
+    information = feature_information(model, rig, X_RG, sun_G, clear=True)
     total = information.total
     each = variances(total, model.radius_m)
     told = np.isfinite(each)

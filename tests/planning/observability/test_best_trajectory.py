@@ -114,7 +114,7 @@ def test_between_its_views_the_table_is_smooth_and_near_the_metric() -> None:
         R = looking(-p_G, np.array([0.0, 0.0, 1.0]))
         X = np.eye(4)
         X[:3, :3], X[:3, 3] = R, -R @ (p_G + model.middle_G)
-        C = feature_information(model, RIG, X[None], spacing_px=20.0).scaled.sum(axis=1)[0]
+        C = feature_information(model, RIG, X[None], spacing_px=20.0, clear=True).scaled.sum(axis=1)[0]
         true.append(np.log(np.trace(np.linalg.inv(C + np.eye(6)))))
         found.append(float(value(p_G, row)))
         joined.append(float(np.log(float(trace(tell(p_G, rows))))))
