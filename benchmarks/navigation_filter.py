@@ -152,8 +152,10 @@ def squares(line: Case, name: str, part: int) -> Array:
 def errors_table(lines: Iterable[Case]) -> str:
     """Root mean square errors of the three filters, and the calibrated one's over the others'."""
     rows = [
-        "| poses | scenario | bad | gate | error | " + " | ".join(FILTERS) + " | over fixed | over gated |",
-        "|---|---|---:|---:|---|---:|---:|---:|---:|---:|",
+        "| poses | scenario | bad | gate | error | "
+        + " | ".join(FILTERS)
+        + " | over fixed | over gated | better than fixed, gated |",
+        "|---|---|---:|---:|---|---:|---:|---:|---:|---:|---:|",
     ]
     for line in lines:
         case = line["case"]
@@ -162,11 +164,12 @@ def errors_table(lines: Iterable[Case]) -> str:
             each = {filter_: squares(line, filter_, part) for filter_ in FILTERS}
             values = " | ".join(f"{unit * np.sqrt(each[filter_].mean()):.3g}" for filter_ in FILTERS)
             over = " | ".join(ratio(each["calibrated"], each[other]) for other in FILTERS[:2])
-            rows.append(f"{head}{name} | {values} | {over} |")
+            won = [int((each["calibrated"] < each[other]).sum()) for other in FILTERS[:2]]
+            rows.append(f"{head}{name} | {values} | {over} | {won[0]}, {won[1]} of {len(each['fixed'])} |")
         nees = " | ".join(f"{np.mean(line[filter_]['nees']):.2f}" for filter_ in FILTERS)
-        rows.append(f"{head}NEES | {nees} | | |")
+        rows.append(f"{head}NEES | {nees} | | | |")
         taken = " | ".join(f"{np.mean(line[filter_]['taken']):.1%}" for filter_ in FILTERS)
-        rows.append(f"{head}poses used | {taken} | | |")
+        rows.append(f"{head}poses used | {taken} | | | |")
     return "\n".join(rows) + "\n"
 
 
