@@ -255,7 +255,7 @@ def test_drake_accepts_sdf_and_urdf_with_their_meshes(to: str, cross_run: Path, 
     from pydrake.geometry import Role, SceneGraph
     from pydrake.multibody.plant import MultibodyPlant
 
-    options = ("--mass-kg", "4.5", "--frame", "P")
+    options = ("--mass-kg", "4.5", "--frame", "P", "--pieces", "16")
     file = export(cross_run, to, tmp_path / f"cross.{to}", *options)
     plant, scene = MultibodyPlant(0.0), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene)
