@@ -216,7 +216,7 @@ def format_assessment(found: Assessment) -> str:
         lost = len(sigma) - len(own)
         words = f"not told by {lost} of {len(sigma)} poses" if lost else ""
         if len(own):
-            numbers = f"{np.median(own):9.4f} {unit:3s} ({own.min():.4f} to {own.max():.4f})"
+            numbers = f"{np.median(own):9.4g} {unit:3s} ({own.min():.4g} to {own.max():.4g})"
             lines.append(f"  {name:8s} {numbers}{'; ' + words if words else ''}")
         else:
             lines.append(f"  {name:8s} {'inf':>9s} {unit:3s}; not told by any pose")

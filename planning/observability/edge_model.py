@@ -127,9 +127,14 @@ def edge_model(
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     surface.merge_vertices(merge_norm=True, merge_tex=True)
     surface.update_faces(surface.nondegenerate_faces())
+    # A sheet drawn from both sides, or a body drawn twice, has each face once.
+    surface.update_faces(surface.unique_faces())
     surface.remove_unreferenced_vertices()
     if len(surface.faces) == 0:
         raise InputError("all faces of the mesh are degenerate: an edge model needs a surface")
+    if np.linalg.det(np.asarray(surface.triangles) - surface.bounds.mean(axis=0)).sum() < 0.0:
+        # Its faces look inwards.
+        surface.invert()
     diameter = float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
     tolerance_m = TOLERANCE * diameter if tolerance_m is None else tolerance_m
     least_length_m = LEAST_LENGTH * diameter if least_length_m is None else least_length_m
