@@ -1,12 +1,14 @@
 """Keep-out volumes against closed forms, and their promise against independent draws."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from planning.ensemble import draw_members, nominal
 from planning.keepout import Wanted, conformal, keep_out
-from planning.measured_body import grow
+from planning.measured_body import continuous_sigma, grow
 from polhode.lie import Array
 from polhode.records import SurfaceModel
 from tests.planning.bodies import SIGMA_M, ahead, ball, box, measured
@@ -116,3 +118,22 @@ def test_the_instant_volume_moves_with_the_body() -> None:
         tip = states.p_NG[k] + states.R_NG[k] @ np.array([[0.20, 0.0, 0.0], [0.0, 0.0, 0.0]]).T.T[0]
         distance = float(found.signed_distance(k, tip[None])[0])
         assert distance == pytest.approx(0.05, abs=2.0 * found.body.grid.step_m) and distance < 0.05
+
+
+def test_a_lone_sigma_is_held_by_its_neighbours() -> None:
+    surface = ball()
+    sigma, V = surface.sigma_m.copy(), np.asarray(surface.mesh.vertices)
+    sigma[7], sigma[11] = 0.02, np.inf
+    found = continuous_sigma(replace(surface, sigma_m=sigma))
+    edges = surface.mesh.edges_unique
+    around = edges[(edges == 7).any(axis=1)]
+    nearest = float(np.linalg.norm(V[around[:, 0]] - V[around[:, 1]], axis=1).min())
+    assert found[7] == pytest.approx(SIGMA_M + nearest, rel=1e-9) and found[7] < 0.25 * sigma[7]
+    # no measurement: the 99th percentile of the others
+    assert found[11] == pytest.approx(SIGMA_M, rel=1e-9)
+    rest = np.delete(np.arange(len(V)), [7, 11])
+    np.testing.assert_array_equal(found[rest], surface.sigma_m[rest])
+    # a whole patch that is badly known stays so
+    patch = V[:, 2] > 0.0
+    wide = continuous_sigma(replace(surface, sigma_m=np.where(patch, 0.02, SIGMA_M)))
+    assert wide[V[:, 2].argmax()] == 0.02
