@@ -35,6 +35,7 @@ def main() -> None:
     """Measure what the record lacks, print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--source", nargs="+", choices=("drawn", "tracked"), default=["drawn", "tracked"])
+    parser.add_argument("--scenario", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
     parser.add_argument("--body", default=BODY)
     parser.add_argument("--runs", type=int, default=30)
     parser.add_argument("--training", type=int, default=6)
@@ -43,13 +44,12 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="PNG of the errors of all runs")
     parser.add_argument("--record", type=Path, default=RECORD)
     options = parser.parse_args()
-    scenarios: tuple[str, ...] = SCENARIOS
     if options.short:
-        options.runs, options.training, options.source, scenarios = 3, 2, ["drawn"], SCENARIOS[:1]
+        options.runs, options.training, options.source, options.scenario = 3, 2, ["drawn"], SCENARIOS[:1]
     settings: list[Case] = [
         {"source": source, "scenario": scenario, "body": options.body}
         for source in options.source
-        for scenario in scenarios
+        for scenario in options.scenario
     ]
     poses = [case for setting in settings for case in seeds(setting, options.runs, options.training)]
     complete(options.record, poses, Poses(options.record.with_suffix(".images")), options.workers)
