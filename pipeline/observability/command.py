@@ -9,6 +9,11 @@ from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from polhode.errors import InputError
 
+MOST_PX = 100_000
+"""Of an image's side."""
+MOST_M = 1e12
+"""Of the coordinates of a point."""
+
 
 @dataclass(frozen=True)
 class Observability:
@@ -68,17 +73,24 @@ class Observability:
 
         if self.output.exists() and not self.output.is_dir():
             raise InputError(f"{self.output} is a file: -o names a folder")
-        for name in ("sigma_px", "spacing_px"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InputError(f"--{name.replace('_', '-')}: give a number above 0")
+        for name, least in (("sigma_px", 1e-6), ("spacing_px", 0.1)):
+            if not least <= getattr(self, name) <= 1e6:
+                raise InputError(f"--{name.replace('_', '-')}: give a number from {least:g} to 1e6")
+        for name in ("width_px", "height_px"):
+            if (getattr(self, name) or 1) > MOST_PX:
+                raise InputError(f"--{name.replace('_', '-')}: give at most {MOST_PX}")
+        if self.edges is not None and self.edges < 1:
+            raise InputError(f"--edges {self.edges}: give a number above 0")
         if not 0.0 < self.crease_deg < 180.0:
             raise InputError(f"--crease-deg {self.crease_deg:g}: give an angle between 0 and 180")
         for name in ("about", "sun"):
             value = getattr(self, name)
             if value is not None and not all(math.isfinite(each) for each in value):
                 raise InputError(f"--{name}: give three finite numbers")
-        if self.sun is not None and not any(self.sun):
-            raise InputError("--sun 0 0 0: give a direction")
+        if self.about is not None and max(map(abs, self.about)) > MOST_M:
+            raise InputError(f"--about: give a point within {MOST_M:g} m")
+        if self.sun is not None and not 1e-100 < math.hypot(*self.sun) < 1e100:
+            raise InputError("--sun: give a direction, of a length that is neither 0 nor beyond 1e100")
         subject = subject_of(
             self.source,
             self.trajectory,

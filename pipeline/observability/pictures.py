@@ -49,6 +49,7 @@ def draw_metric(found: Assessment) -> bytes:
     panels[2].grid(True, color="0.9", linewidth=0.6)
     distance = panels[2].twinx()
     distance.plot(time, [view.range_m for view in found.views], "--", color="C3", linewidth=1.2)
+    distance.ticklabel_format(axis="y", useOffset=False)
     distance.set_ylabel("range [m]", color="C3")
     return _png(figure)
 

@@ -11,6 +11,8 @@ from polhode.quaternion import matrix_from_wxyz
 
 UNIT_WITHIN = 1e-2
 """How far a quaternion's length may be from 1."""
+MOST = 1e12
+"""Largest coordinate of a place [m]."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ def read_poses(path: Path) -> TimedPoses:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not a text file of poses") from error
     rows = [_row(path, number, line) for number, line in enumerate(lines, 1) if _says_something(line)]
@@ -38,6 +40,8 @@ def read_poses(path: Path) -> TimedPoses:
     if not (np.diff(table[:, 0]) > 0.0).all():
         late = 1 + int(np.argmax(np.diff(table[:, 0]) <= 0.0))
         raise InputError(f"{path}: pose {late + 1} is not later than the one before")
+    if (np.abs(table[:, 1:]) > MOST).any():
+        raise InputError(f"{path}: holds a place or quaternion above {MOST:g}")
     length = np.linalg.norm(table[:, 4:], axis=1)
     if (np.abs(length - 1.0) > UNIT_WITHIN).any():
         bad = int(np.argmax(np.abs(length - 1.0)))

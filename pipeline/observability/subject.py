@@ -12,7 +12,7 @@ from pipeline.plan import ahead_of, surface_of
 from pipeline.summary import Summary, read_summary
 from pipeline.trajectory_file import read_trajectory
 from planning.ensemble import nominal
-from planning.observability.edge_model import EdgeModel, edge_model
+from planning.observability.edge_model import CREASE_DEG, EdgeModel, edge_model
 from planning.observability.measured_edges import measured_edge_model
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
@@ -64,6 +64,8 @@ def subject_of(
     if path.is_dir():
         if unit_m != 1.0:
             raise InputError("--unit is for a mesh; a run is in metres")
+        if crease_deg != CREASE_DEG:
+            raise InputError("--crease-deg is for a mesh; the edges of a run's follow from its errors")
         return _of_run(path, trajectory, frame, camera, about_G, sun)
     if not path.is_file():
         raise InputError(f"{path}: there is no such run or mesh")

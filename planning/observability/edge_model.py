@@ -118,6 +118,8 @@ def edge_model(
 ) -> EdgeModel:
     """Edges of a mesh in G; smooth parts whose normals differ by less than ``flat_deg`` have no outlines.
 
+    A face given twice counts once, and a closed mesh that is inside out is turned.
+
     Raises InputError for a mesh without faces or with numbers that are not finite.
     """
     if len(mesh.faces) == 0:
@@ -126,14 +128,11 @@ def edge_model(
         raise InputError("the mesh has vertices that are not finite numbers")
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     surface.merge_vertices(merge_norm=True, merge_tex=True)
-    surface.update_faces(surface.nondegenerate_faces())
-    # A sheet drawn from both sides, or a body drawn twice, has each face once.
-    surface.update_faces(surface.unique_faces())
+    surface.update_faces(surface.nondegenerate_faces() & surface.unique_faces())
     surface.remove_unreferenced_vertices()
     if len(surface.faces) == 0:
         raise InputError("all faces of the mesh are degenerate: an edge model needs a surface")
-    if np.linalg.det(np.asarray(surface.triangles) - surface.bounds.mean(axis=0)).sum() < 0.0:
-        # Its faces look inwards.
+    if _is_inside_out(surface):
         surface.invert()
     diameter = float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
     tolerance_m = TOLERANCE * diameter if tolerance_m is None else tolerance_m
@@ -157,6 +156,11 @@ def edge_model(
         faceted,
         Occluder(surface),
     )
+
+
+def _is_inside_out(surface: trimesh.Trimesh) -> bool:
+    """Whether a closed surface has its normals inward, as after a mirroring; an open one has no inside."""
+    return bool(surface.is_watertight and surface.is_winding_consistent and surface.volume < 0.0)
 
 
 def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Array, Ints, Ints]:

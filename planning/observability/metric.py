@@ -15,7 +15,7 @@ from polhode.records import Bools
 
 UNSEEN_SHARE = 1e-9
 """A direction with less than this share of the largest information, shifts counted in radii, is not seen."""
-UNSEEN_TURN = 1.0
+UNSEEN_TURN = 5.0
 """Nor is one whose sigma, for noise of one pixel, exceeds this many radii or radians."""
 
 

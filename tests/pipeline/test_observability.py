@@ -168,6 +168,8 @@ def test_a_run_by_its_own_places_and_by_planned_ones(
     example: Example, tmp_path: Path, capsys: Capture
 ) -> None:
     run, out = written(example, tmp_path / "run", example.surface), tmp_path / "out"
+    assert main(["observability", str(run), "-o", str(out), "--crease-deg", "5"]) == 2
+    assert "--crease-deg is for a mesh" in capsys.readouterr().err
     assert main(["observability", str(run), "-o", str(out)]) == 0
     found = json.loads((out / "observability.json").read_text())
     assert len(found["poses"]) == len(example.tracks.timestamps_ns)
@@ -195,6 +197,9 @@ def test_a_run_without_a_mesh_says_so(example: Example, tmp_path: Path, capsys: 
         ("0 0 0 4 0 0 0 x\n", "line 1"),
         ("# t\n0 0 0 4 0 0 0 nan\n", "line 2"),
         ("0 0 0 4 0 0 0 2\n", "length 2"),
+        ("\ufeff0 0 0 4 0 0 0 2\n", "length 2"),
+        ("0 1e200 0 4 0 0 0 1\n", "above 1e+12"),
+        ("0 0 0 4 0 0 1e200 1e200\n", "above 1e+12"),
         ("1 0 0 4 0 0 0 1\n1 0 0 4 0 0 0 1\n", "not later"),
     ],
 )
@@ -213,6 +218,12 @@ def test_wrong_trajectories(content: str, words: str, box: Path, tmp_path: Path,
         (["--spacing-px", "-1"], "--spacing-px"),
         (["--crease-deg", "180"], "--crease-deg"),
         (["--sun", "0", "0", "0"], "--sun"),
+        (["--sun", "1e200", "1e200", "0"], "--sun"),
+        (["--sigma-px", "1e300"], "--sigma-px"),
+        (["--spacing-px", "1e-3"], "--spacing-px"),
+        (["--about", "1e300", "0", "0"], "--about"),
+        (["--width-px", "9" * 23], "--width-px"),
+        (["--edges", "0"], "--edges 0"),
         (["--about", "nan", "0", "0"], "--about"),
         (["--focal-px", "0"], "--focal-px"),
         (["--frame", "N"], "--frame N"),
@@ -222,7 +233,8 @@ def test_wrong_options(options: list[str], words: str, box: Path, tmp_path: Path
     poses = trajectory(tmp_path / "poses.txt", approach(1))
     word = ["observability", str(box), "--trajectory", str(poses), "-o", str(tmp_path / "out")]
     assert main([*word, *options]) == 2
-    assert words in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
 
 
 def test_wrong_sources(tmp_path: Path, box: Path, capsys: Capture) -> None:

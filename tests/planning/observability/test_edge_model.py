@@ -38,6 +38,20 @@ def test_a_box_has_twelve_edges_however_it_is_cut_into_faces(edge_m: float) -> N
     assert_allclose(np.einsum("nk,nk->n", model.sides_G[:, 0], model.sides_G[:, 1]), 0.0, atol=1e-12)
 
 
+def seen_px(mesh: trimesh.Trimesh) -> float:
+    return float(control_points(edge_model(mesh), RIG, pose((0.5, 0.4, 0.1), (0.0, 0.0, 4.0))).weight.sum())
+
+
+@pytest.mark.parametrize("solid", [trimesh.creation.box((1.0, 0.6, 0.4)), trimesh.creation.icosphere(3)])
+def test_a_mesh_inside_out_or_with_faces_twice_shows_the_same_edges(solid: trimesh.Trimesh) -> None:
+    inward = solid.faces[:, ::-1]
+    expected = seen_px(solid)
+    assert expected > 10.0
+    for faces in inward, np.vstack([solid.faces, solid.faces]), np.vstack([inward, solid.faces]):
+        again = trimesh.Trimesh(solid.vertices, faces, process=False)
+        assert seen_px(again) == pytest.approx(expected, rel=1e-9)
+
+
 def test_the_rim_of_an_open_mesh_is_an_edge() -> None:
     box = trimesh.creation.box((1.0, 1.0, 1.0))
     open_box = trimesh.Trimesh(box.vertices, box.faces[box.face_normals[:, 2] < 0.5])
