@@ -79,7 +79,9 @@ def _drawn(job: Job) -> Shape:
     if shape is not None:
         return shape
     if job.found.landmarks is None:
-        raise InputError(f"{job.found.folder}: this run has neither mesh nor landmarks; nothing for {to}")
+        raise InputError(
+            f"{job.found.folder}: this run has neither mesh nor landmarks; nothing for {to}{job.found.words}"
+        )
     if to == "stl":
         raise InputError(
             f"{job.found.folder}: this run has no mesh, and STL holds nothing but triangles; "

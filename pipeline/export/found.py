@@ -43,6 +43,11 @@ class Found:
         """Whether there is a last state."""
         return not self.no_motion
 
+    @property
+    def words(self) -> str:
+        """Why there is no motion, to end an error's line with; empty: there is one."""
+        return f" ({self.no_motion})" if self.no_motion else ""
+
 
 def read_run(folder: Path) -> Found:
     """Raises InputError, one line."""

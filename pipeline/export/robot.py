@@ -29,6 +29,7 @@ def robot_files(job: Job) -> Files:
     if shape is None and inertial is None:
         raise InputError(
             f"{job.found.folder}: this run has neither mesh nor mass properties; nothing to export"
+            f"{job.found.words}"
         )
     if state is None:
         job.leave_out("the state is left out: this run has no motion; the body rests at the origin")
