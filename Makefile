@@ -90,6 +90,8 @@ bench: setup $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m benchmarks.fusion_scale $(SHORT)
 	$(BIN)/python -m benchmarks.frame_time $(SHORT)
 	$(BIN)/python -m benchmarks.lie_rank
+	$(BIN)/python -m benchmarks.observability_speed $(SHORT)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.observability_of_run runs/ts38:data/ts38 runs/major_axis:data/major_axis runs/fast_20rpm:data/fast_20rpm runs/asteroid:data/asteroid)
 	$(BIN)/python -m benchmarks.observability_planar -o runs/observability_planar.png
 	$(BIN)/python -m benchmarks.conditioning -o runs/conditioning.png
 	$(BIN)/python -m benchmarks.bound

@@ -56,9 +56,21 @@ class ViewOptions:
     """Radiance of the Earth's disc relative to a white surface in sunlight; 0: black shadows"""
     samples: int = 4
     """Rays a pixel: 1, 4, 9 or 16"""
+    scattered: bool = False
+    """Each ray a little aside at random: where rays lie in rows, edges of some slopes are displaced whole"""
     bounces: int = 0
     sensor: config.Sensor = field(default_factory=config.Sensor)
     """Blur, noise, gain; nothing moves while the shutter is open"""
+
+
+class _Scattered(Camera):
+    """Rays up to a quarter of a pixel aside, by a seed that is that of their place in the pixel."""
+
+    def directions(self, uv_px: Array) -> Array:
+        """Pixels (n, 2) -> unit rays (n, 3) in this camera."""
+        place = np.round(4096.0 * (uv_px[0] % 1.0)).astype(np.int64) if len(uv_px) else np.zeros(2, dtype=int)
+        aside = np.random.default_rng(place).uniform(-0.25, 0.25, uv_px.shape)
+        return super().directions(uv_px + aside)
 
 
 class EdgeViews:
@@ -82,7 +94,8 @@ class EdgeViews:
         scene = config.Scene(
             body=target.config, light=light, rig=section, render=render, sensor=chosen.sensor
         )
-        self._camera = Camera(rig.K, np.zeros(4), np.eye(4), rig.width_px, rig.height_px)
+        kind = _Scattered if chosen.scattered else Camera
+        self._camera = kind(rig.K, np.zeros(4), np.eye(4), rig.width_px, rig.height_px)
         self._renderer = Renderer(target.body, scene, 0)
 
     def image(self, X_CG: Array, sun_C: Array, number: int = 0) -> Grey:

@@ -22,7 +22,10 @@ UNITS = np.array([1e3] * 3 + [np.rad2deg(1.0)] * 3)
 """m to mm, rad to degrees"""
 RIGHT_PX, WRONG_PX = 1.5, 3.0
 """A pose counts as right, or as wrong, by how far its edges are from their true places."""
+NEAR_RIGHT_PX, NEAR_WRONG_PX = 0.3, (0.6, 6.0)
 LEAST_TRIALS = 3
+STRICT = 0.95
+"""Probability from which a trial counts in the trends: near misses of a pixel spoil a root mean square."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,9 @@ def spots_of(lines: Sequence[Case]) -> list[Spot]:
     for line in lines:
         for row in line["rows"]:
             good = [trial for trial in row["trials"] if trial["ok"]]
+            C = _full(np.array(row["C"]))
             if not row["seen"]:
                 continue
-            C = _full(np.array(row["C"]))
             out.append(
                 Spot(
                     line["case"]["body"],
@@ -85,7 +88,7 @@ def _full(upper: Array) -> Array:
 
 def trusted(spot: Spot) -> Bools:
     """(n,) trials that the residual statistic lets pass."""
-    return np.asarray(probability(spot.support) >= TRUSTED)
+    return np.asarray(probability(spot.support) >= STRICT)
 
 
 def everything(spot: Spot) -> Bools:
@@ -104,6 +107,17 @@ def root_mean_squares(spots: Sequence[Spot], keep: Any) -> tuple[Array, Array]:
     return np.array(rms).reshape(-1, 6), np.array(sigma).reshape(-1, 6)
 
 
+def by_model(spots: Sequence[Spot], keep: Any) -> tuple[Array, Array]:
+    """The same over models: all poses of each together."""
+    rms, sigma = [], []
+    for name in dict.fromkeys((spot.body, spot.level) for spot in spots):
+        own = [s for s in spots if (s.body, s.level) == name and keep(s).sum() >= LEAST_TRIALS]
+        if own:
+            rms.append(np.sqrt(np.mean(np.concatenate([s.errors[keep(s)] for s in own]) ** 2, axis=0)))
+            sigma.append(np.sqrt(np.mean([s.sigma**2 for s in own], axis=0)))
+    return np.array(rms).reshape(-1, 6), np.array(sigma).reshape(-1, 6)
+
+
 def trend_table(groups: dict[str, Sequence[Spot]]) -> str:
     """Correlation of measured error with the metric, per degree of freedom."""
     rows = [
@@ -115,6 +129,7 @@ def trend_table(groups: dict[str, Sequence[Spot]]) -> str:
             rms, sigma = root_mean_squares(spots, keep)
             if len(rms) < 4:
                 continue
+            model_rms, model_sigma = by_model(spots, keep)
             kept = sum(int(keep(spot).sum()) for spot in spots)
             lost = 1.0 - kept / max(sum(spot.trials for spot in spots), 1)
             ratio = rms / sigma
@@ -127,12 +142,11 @@ def trend_table(groups: dict[str, Sequence[Spot]]) -> str:
                 "band, 5 %": np.quantile(ratio, 0.05, axis=0),
                 "band, 95 %": np.quantile(ratio, 0.95, axis=0),
             }
-            for name, values in measures.items():
-                first = (
-                    f"{group} | {how}, {lost:.0%} lost | {len(rms)}"
-                    if name[3] == "e" and "root" in name
-                    else " | | "
-                )
+            if len(model_rms) >= 10:
+                together = _each(np.corrcoef, model_rms, model_sigma)
+                measures = {f"r, {len(model_rms)} models, their poses together": together} | measures
+            for number, (name, values) in enumerate(measures.items()):
+                first = f"{group} | {how}, {lost:.1%} lost | {len(rms)}" if number == 0 else " | | "
                 rows.append(f"| {first} | {name} | " + " | ".join(f"{v:.3f}" for v in values) + " |")
     return "\n".join(rows)
 
@@ -167,12 +181,6 @@ def good_and_bad_table(spots: Sequence[Spot]) -> str:
     return "\n".join(rows)
 
 
-def split(spots: Sequence[Spot]) -> tuple[list[Spot], list[Spot]]:
-    """Every other body to calibrate on, the others to test on."""
-    names = list(dict.fromkeys(spot.body for spot in spots))
-    return [s for s in spots if s.body in names[::2]], [s for s in spots if s.body in names[1::2]]
-
-
 def joined(spots: Sequence[Spot], keep: Any) -> tuple[NoiseParts, Array, Array]:
     """Noise parts, errors (n, 6) and C (n, 6, 6) of all trials that are kept."""
     chosen = [keep(spot) for spot in spots]
@@ -180,37 +188,44 @@ def joined(spots: Sequence[Spot], keep: Any) -> tuple[NoiseParts, Array, Array]:
     return NoiseParts(take("parts"), take("sigma_px")), take("errors"), take("C")
 
 
-def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, NoiseLevels]:
-    """Honesty of covariances on bodies that they were not calibrated on; and the levels found."""
-    learn, test = split(spots)
-    noise, errors, _ = joined(learn, trusted)
-    levels = fitted(noise, errors)
-    own = fitted(noise, errors, with_image=False)
-    test = [_first(spot) for spot in test] if first_only else test
-    noise, errors, C = joined(test, trusted)
-    residual = np.linalg.inv(C) * noise.residual_px[:, None, None] ** 2
+def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, NoiseLevels, NoiseLevels]:
+    """Honesty of covariances on each body by what the others taught; the levels that all teach, and those
+    without the image's residual.
+    """
+    errors: list[Array] = []
+    covariances: dict[str, list[Array]] = {}
+    for body in dict.fromkeys(spot.body for spot in spots):
+        others, taught, _ = joined([spot for spot in spots if spot.body != body], trusted)
+        own = [spot for spot in spots if spot.body == body]
+        noise, found, C = joined([_first(spot) for spot in own] if first_only else own, trusted)
+        errors.append(found)
+        for name, covariance in {
+            "C^-1 times mean squared residual": np.linalg.inv(C) * noise.residual_px[:, None, None] ** 2,
+            "calibrated, without the image's residual": fitted(others, taught, False).covariance(noise),
+            "calibrated": fitted(others, taught).covariance(noise),
+        }.items():
+            covariances.setdefault(name, []).append(covariance)
+    e = np.concatenate(errors)
+    n = len(e)
+    low, high = chi2.ppf([0.025, 0.975], 6 * n) / (6 * n)
     rows = [
         "| covariance | trials | mean NEES / 6 | 95 % band | share within its 95 % | "
         + " | ".join(DEGREES_OF_FREEDOM)
         + " |",
         "|---|---:|---:|---|---:|" + "---:|" * 6,
     ]
-    n = len(errors)
-    low, high = chi2.ppf([0.025, 0.975], 6 * n) / (6 * n)
-    for name, covariance in {
-        "C^-1 times mean squared residual": residual,
-        "calibrated, without the image's residual": own.covariance(noise),
-        "calibrated": levels.covariance(noise),
-    }.items():
-        whole = nees(errors, covariance)
-        each = (errors**2 / np.diagonal(covariance, axis1=1, axis2=2)).mean(axis=0)
+    for name, each_body in covariances.items():
+        P = np.concatenate(each_body)
+        whole = nees(e, P)
+        each = (e**2 / np.diagonal(P, axis1=1, axis2=2)).mean(axis=0)
         inside = float(np.mean(whole < chi2.ppf(0.95, 6)))
         rows.append(
             f"| {name} | {n} | {whole.mean() / 6:.2f} | {low:.2f} to {high:.2f} | {inside:.1%} | "
             + " | ".join(f"{value:.2f}" for value in each)
             + " |"
         )
-    return "\n".join(rows), levels
+    noise, found, _ = joined(spots, trusted)
+    return "\n".join(rows), fitted(noise, found), fitted(noise, found, False)
 
 
 def _first(spot: Spot) -> Spot:
@@ -221,7 +236,7 @@ def _first(spot: Spot) -> Spot:
 
 def wrong_table(lines: Sequence[Case]) -> str:
     """How well statistics tell right from wrong poses: areas under the ROC curve, learnt and tested apart."""
-    features, off, names, kinds, C = [], [], [], [], []
+    features, off, names, kinds, C, metric = [], [], [], [], [], []
     for line in lines:
         for row in line["rows"]:
             trial = row["trial"]
@@ -232,6 +247,7 @@ def wrong_table(lines: Sequence[Case]) -> str:
                 kinds.append(row["kind"])
                 values = np.linalg.eigvalsh(_full(np.array(trial["C"])))
                 C.append(-np.log(np.maximum(values, 1e-9)).sum())
+                metric.append(trial["metric"])
     x, d, body = np.array(features), np.array(off), np.array(names)
     clear = (d < RIGHT_PX) | (d > WRONG_PX)
     order = list(dict.fromkeys(names))
@@ -244,10 +260,26 @@ def wrong_table(lines: Sequence[Case]) -> str:
     rows += ["| statistic | area under the ROC curve |", "|---|---:|"]
     statistics = {name: x[:, k] for k, name in enumerate(FEATURES)}
     statistics["residual's sigma (small is right)"] = -x[:, -1]
-    statistics["C^-1 alone (log determinant, small is right)"] = -np.array(C)
+    statistics["C^-1 of the fit, with robust weights (log determinant)"] = -np.array(C)
+    statistics["C^-1 of the pose, as the metric has it (log determinant)"] = -np.array(metric)
     statistics["probability (all together)"] = probability(x[:, : len(FEATURES)])
     for name, value in statistics.items():
         rows.append(f"| {name} | {_area(value[test & right], value[test & ~right]):.3f} |")
+    near = (d < NEAR_RIGHT_PX) | (d > NEAR_WRONG_PX[0]) & (d < NEAR_WRONG_PX[1])
+    near &= np.isin(body, order[1::2])
+    close = d < NEAR_RIGHT_PX
+    rows += [
+        "",
+        f"Near misses: {(near & close).sum()} poses within {NEAR_RIGHT_PX} px, "
+        f"{(near & ~close).sum()} off by {NEAR_WRONG_PX[0]} to {NEAR_WRONG_PX[1]} px.",
+        "",
+        "| statistic | area under the ROC curve |",
+        "|---|---:|",
+    ]
+    if (near & ~close).any():
+        rows += [
+            f"| {name} | {_area(v[near & close], v[near & ~close]):.3f} |" for name, v in statistics.items()
+        ]
     rows += [
         "",
         "| start | converged | right | wrong, kept | wrong, refused | right, refused |",
@@ -289,6 +321,7 @@ def plot(groups: dict[str, Sequence[Spot]], path: Path) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter
 
     figure, axes = plt.subplots(len(groups), 6, figsize=(18, 3.1 * len(groups)), squeeze=False)
     for row, (group, spots) in zip(axes, groups.items(), strict=True):
@@ -304,6 +337,8 @@ def plot(groups: dict[str, Sequence[Spot]], path: Path) -> None:
             axis.plot(ends, slope * ends, "k-", lw=1)
             axis.fill_between(ends, ratio[0] * ends, ratio[1] * ends, color="k", alpha=0.1, lw=0)
             axis.set(xscale="log", yscale="log")
+            axis.xaxis.set_minor_formatter(NullFormatter())
+            axis.yaxis.set_minor_formatter(NullFormatter())
             unit = "mm" if k < 3 else "deg"
             r = np.corrcoef(rms[:, k], sigma[:, k])[0, 1]
             axis.set_title(f"{DEGREES_OF_FREEDOM[k]}: r = {r:.2f}", fontsize=9)

@@ -20,8 +20,8 @@ FLAT_DEG = 0.5
 def polygons_of(mesh: trimesh.Trimesh) -> list[Array]:
     """Outlines (n, 3) of the mesh's flat faces [m], counter-clockwise from outside.
 
-    Holes in a face are left out: the face is closed over them. Raises InputError: a mesh without an edge, one
-    curved surface for ViSP, is not for it (more polygons than ``polygons`` of thousands of facets).
+    Holes in a face are left out: the face is closed over them. Curved surfaces come as their facets, each an
+    edge for ViSP: it is for bodies with flat sides.
     """
     merged = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     merged.merge_vertices()

@@ -69,22 +69,22 @@ class NoVispError(Exception):
 
 @dataclass(frozen=True)
 class Settings:
-    """Of ViSP's tracker; defaults are those that served it best on these views (docs/observability.md)."""
+    """Of ViSP's tracker; the defaults served it best of all that ``benchmarks.visp_settings`` tried."""
 
-    threshold: float = 2000.0
-    """Least response of the mask; ViSP's example of a cube has 10000, for high contrast"""
+    threshold: float = 10000.0
+    """Least response of the mask"""
     mu: float = 0.5
     """How much the contrast of an edge may change, as a share"""
     mask_size: int = 5
     masks: int = 180
-    sample_step_px: float = 4.0
-    """Between sites along an edge; ViSP's example of a cube has 4"""
-    ranges_px: tuple[int, ...] = (12, 8, 8)
-    """Search on either side of an edge, in one round after the other"""
-    tracks: int = 2
+    sample_step_px: float = 2.0
+    """Between sites along an edge"""
+    ranges_px: tuple[int, ...] = (10, 8, 6, 4, 3, 2)
+    """Search on either side of an edge, in one round after the other; each samples the edges anew"""
+    tracks: int = 1
     """Calls of track() a round"""
-    appear_deg: float = 80.0
-    disappear_deg: float = 85.0
+    appear_deg: float = 88.0
+    disappear_deg: float = 89.0
     """Angle between a face and the line of sight to it from which the face counts, or does no more"""
     good_share: float = 0.2
     """Share of the sites that must be found"""
@@ -167,7 +167,8 @@ def visp_poses(
 
     polygons (n, 3) in G [m] (visp_model.py); images uint8 (H, W); X_start (V, 4, 4). Statistics: lost (0 or
     1), sites, weights (sum of the robust ones), residual (weighted rms, of the normalised image),
-    projection_error_deg (ViSP's own: between edges and gradients), seconds. Raises NoVispError.
+    projection_error_deg (ViSP's own: between edges and gradients), seconds of the processor.
+    Raises NoVispError.
     """
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -234,7 +235,8 @@ def program() -> Path:
         raise NoVispError(f"no C++ compiler {compiler}: install one, or name it by CXX") from None
     if done.returncode != 0:
         wrong = [line for line in done.stderr.splitlines() if "error" in line or "cannot find" in line]
-        raise NoVispError(f"ViSP is not here (Debian: apt-get install libvisp-mbt-dev): {wrong[0][:160]}")
+        why = f": {wrong[0][:160]}" if wrong else ""
+        raise NoVispError(f"ViSP is not here (Debian: apt-get install libvisp-mbt-dev){why}")
     return target
 
 
@@ -304,7 +306,7 @@ def row(body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array, se
 def nees(errors: Array, covariance: Array) -> Array:
     """Squared errors (V, 6) over covariances (V, 6, 6), summed: (V,)."""
     solved = np.linalg.solve(covariance, errors[:, :, None])[:, :, 0]
-    return np.einsum("vk,vk->v", errors, solved)
+    return np.asarray(np.einsum("vk,vk->v", errors, solved))
 
 
 def main() -> None:

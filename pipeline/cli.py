@@ -5,6 +5,7 @@ Exit code 0: done; 2: the user's mistake, one line on standard error; 1: the run
 
 import contextlib
 import io
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -23,6 +24,8 @@ from polhode.errors import InputError, RunFailure
 
 DESCRIPTION = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
 INTERRUPTED = 130
+CLOSED = 141
+"""As a program that SIGPIPE ends."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,6 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(RunFailure.exit_code, str(error), debug)
     except KeyboardInterrupt as stop:
         return _fail(INTERRUPTED, str(stop) or "interrupted", debug)
+    except BrokenPipeError:
+        # Whoever read the output (head, less) has enough; nothing more can be told there.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return CLOSED
     except Exception as error:  # noqa: BLE001  the last resort: one line instead of a traceback
         message = (
             f"unexpected {type(error).__name__}: {error}; this is a fault of polhode, --debug shows where"

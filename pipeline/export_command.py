@@ -48,8 +48,8 @@ class Export:
     assumption. Without it the run's own, where forces told it; else the numbers are relative."""
     middle_moment_kg_m2: Annotated[float | None, arg(metavar="J")] = None
     """Middle principal moment [kg m^2], if known: it sets the scale of the inertia."""
-    pieces: Annotated[int, arg(metavar="N")] = 32
-    """Most convex pieces of the collision geometry; 1: the convex hull."""
+    pieces: Annotated[int, arg(metavar="N")] = 512
+    """Most convex pieces of the collision geometry; 1: the convex hull. Fewer reach farther beyond it."""
     horizon: Annotated[float, arg(metavar="S")] = 60.0
     """How far to predict beyond the last stereo pair [s]."""
     step_s: Annotated[float | None, arg(metavar="S")] = None

@@ -1,31 +1,25 @@
 """What planners take from a run: keep-out volumes, speeds of the surface, the corridor of a docking point."""
 
-import csv
-import io
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import trimesh
 
 from mapping.mesh_files import read_ply
+from pipeline.point_cloud_file import read_landmarks
 from pipeline.predict import last_body
 from pipeline.summary import Summary
 from planning.corridor import Corridor, corridor
 from planning.ensemble import Ahead, nominal
 from planning.keepout import KeepOut, Wanted, keep_out, member_times
-from planning.surface_speed import SurfaceSpeed, gentlest, surface_speed
-from planning.threshold import fuel_share
-from polhode.atomic import write_bytes, write_text
+from planning.surface_speed import SurfaceSpeed, surface_speed
 from polhode.errors import InputError
 from polhode.lie import Array
+from polhode.mesh_metrics import distance_to_surface
 from polhode.records import SurfaceModel
 
-GRAPPLES = 5
-APART_SHARE = 0.15
-"""Of the body's size, between two grapple places."""
+FAR_DOCK, FARTHEST_DOCK = 0.05, 5.0
+"""Of the body's size: a docking point farther from the surface is told of, or refused."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +85,7 @@ def plan_run(run: Path, wanted: Wanted, docking: Docking | None) -> Plan:
         surface = surface_of(run)
     except InputError as error:
         left_out["keepout"] = left_out["surface_speed"] = str(error)
+    odd = [] if docking is None else _docking_words(docking, surface, run)
     if surface is not None:
         try:
             found = keep_out(surface, ahead, wanted)
@@ -105,12 +100,45 @@ def plan_run(run: Path, wanted: Wanted, docking: Docking | None) -> Plan:
     if docking is None:
         left_out["corridor"] = "no --dock-point and --dock-axis"
     else:
+        notes += odd
         path = corridor(
             motion, docking.point_G, docking.axis_G, docking.stand_off_m, np.deg2rad(docking.half_angle_deg)
         )
     return Plan(
         wanted.horizon_s, wanted.confidence, found, speed, surface, path, docking, left_out, tuple(notes)
     )
+
+
+def _docking_words(docking: Docking, surface: SurfaceModel | None, run: Path) -> list[str]:
+    """What is odd about the docking point. Raises InputError when it cannot be on the target."""
+    if surface is not None:
+        points, what = np.asarray(surface.mesh.vertices), "surface"
+    else:
+        file = run / "landmarks.ply"
+        points, what = read_landmarks(file).p_G if file.is_file() else np.zeros((0, 3)), "nearest landmark"
+    if len(points) == 0:
+        return ["Whether the docking point lies on the target, nothing tells: the run has no surface."]
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    away = (
+        float(distance_to_surface(surface.mesh, docking.point_G[None])[0])
+        if surface is not None
+        else float(np.linalg.norm(points - docking.point_G, axis=1).min())
+    )
+    place = " ".join(f"{x:g}" for x in docking.point_G)
+    words = f"--dock-point {place} is {away:.3g} m from the {what}, and the target is {size:.2g} m across"
+    if away > FARTHEST_DOCK * size:
+        raise InputError(f"{words}: give metres in G, the frame of mesh.ply")
+    found = []
+    if away > FAR_DOCK * size:
+        found.append(f"{words}: the corridor is that of a point which is not on it; is it in G, in metres?")
+    if surface is not None:
+        from mapping.visibility import Caster
+
+        axis = docking.axis_G / np.linalg.norm(docking.axis_G)
+        start = docking.point_G + (away + FAR_DOCK * size) * axis
+        if np.isfinite(Caster(surface.mesh).first(start, axis[None])[0]).all():
+            found.append("The docking axis runs into the target: it should point outwards.")
+    return found
 
 
 def _coverage_words(found: KeepOut, summary: Summary) -> list[str]:
@@ -123,182 +151,3 @@ def _coverage_words(found: KeepOut, summary: Summary) -> list[str]:
     ]
     seen = summary.coverage.words if summary.coverage is not None else "the run does not say what was seen"
     return [*words, f"What stands out of it where nothing was ever seen is not covered: {seen}."]
-
-
-def write_plan(plan: Plan, folder: Path) -> list[str]:
-    """keepout.ply, keepout.glb, surface_speed.ply, corridor.csv, planning.json; the names of those
-    written."""
-    folder.mkdir(parents=True, exist_ok=True)
-    names: list[str] = []
-    if plan.keep_out is not None:
-        mesh = plan.keep_out.swept.mesh
-        for name in ("keepout.ply", "keepout.glb"):
-            write_bytes(folder / name, _bytes(mesh, name))
-            names.append(name)
-    if plan.speed is not None and plan.surface is not None:
-        write_bytes(folder / "surface_speed.ply", speed_ply(plan.surface.mesh, plan.speed))
-        names.append("surface_speed.ply")
-    if plan.corridor is not None:
-        write_text(folder / "corridor.csv", corridor_csv(plan.corridor))
-        names.append("corridor.csv")
-    write_text(folder / "planning.json", json.dumps(summary_of(plan), indent=1) + "\n")
-    return [*names, "planning.json"]
-
-
-def _bytes(mesh: trimesh.Trimesh, name: str) -> bytes:
-    content = mesh.export(file_type=name.rpartition(".")[2])
-    return content if isinstance(content, bytes) else str(content).encode()
-
-
-def speed_ply(mesh: trimesh.Trimesh, speed: SurfaceSpeed) -> bytes:
-    """Binary PLY in G: place, normal, speed now, largest, mean, along the normal, sigma [m/s]."""
-    columns = {
-        **{name: np.asarray(mesh.vertices)[:, i] for i, name in enumerate("xyz")},
-        **{f"n{name}": np.asarray(mesh.vertex_normals)[:, i] for i, name in enumerate("xyz")},
-        "speed_m_s": speed.now_m_s,
-        "largest_m_s": speed.largest_m_s,
-        "mean_m_s": speed.mean_m_s,
-        "normal_m_s": speed.normal_m_s,
-        "sigma_m_s": speed.sigma_m_s,
-    }
-    vertices = np.stack(list(columns.values()), axis=1).astype("<f4")
-    faces = np.zeros(len(mesh.faces), dtype=[("count", "u1"), ("index", "<i4", (3,))])
-    faces["count"], faces["index"] = 3, mesh.faces
-    lines = ["ply", "format binary_little_endian 1.0", "comment frame G, metres, speeds relative to N in m/s"]
-    lines += [f"element vertex {len(vertices)}", *(f"property float {name}" for name in columns)]
-    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
-    return ("\n".join(lines) + "\n").encode("ascii") + vertices.tobytes() + faces.tobytes()
-
-
-CORRIDOR_COLUMNS = ("time_s", *(f"{name}_{a}" for name in ("tip_N", "axis_N", "place_N", "velocity_N",
-                                                            "acceleration_N") for a in "xyz"))  # fmt: skip
-
-
-def corridor_csv(path: Corridor) -> str:
-    """A row for each instant [s, m, m/s, m/s^2]."""
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(CORRIDOR_COLUMNS)
-    parts = (path.tip_N, path.axis_N, path.place_N, path.velocity_N, path.acceleration_N)
-    for row in np.concatenate([path.time_s[:, None], *parts], axis=1):
-        rows.writerow([f"{x:.9g}" for x in row])
-    return text.getvalue()
-
-
-def summary_of(plan: Plan) -> dict[str, Any]:
-    """The content of planning.json: SI units."""
-    out: dict[str, Any] = {
-        "schema": "polhode-planning/1",
-        "horizon_s": plan.horizon_s,
-        "confidence": plan.confidence,
-        "keepout": None,
-        "surface_speed": None,
-        "corridor": None,
-        "left_out": plan.left_out,
-        "notes": list(plan.notes),
-    }
-    if plan.keep_out is not None:
-        found = plan.keep_out
-        out["keepout"] = {
-            "frame": "N",
-            "volume_m3": found.swept.volume_m3,
-            "cell_m": found.swept.level.step_m,
-            "sigmas_of_pose": found.swept.factor,
-            "added_m": found.swept.added_m,
-            "sigmas_of_surface": found.body.sigmas,
-            "covers": found.body.covers,
-            "open_share": found.body.open_share,
-            "body_margin_m": {
-                "start": float(found.instant.margin_m()[0]),
-                "end": float(found.instant.margin_m()[-1]),
-            },
-        }
-    if plan.speed is not None and plan.surface is not None:
-        out["surface_speed"] = _grapples(plan.surface, plan.speed)
-    if plan.corridor is not None and plan.docking is not None:
-        acceleration = np.linalg.norm(plan.corridor.acceleration_N, axis=1)
-        out["corridor"] = {
-            "stand_off_m": plan.docking.stand_off_m,
-            "half_angle_deg": plan.docking.half_angle_deg,
-            "acceleration_m_s2": {"least": float(acceleration.min()), "largest": float(acceleration.max())},
-            "delta_v_m_s": plan.corridor.delta_v_m_s,
-            "isp_s": plan.docking.isp_s,
-            "fuel_share": fuel_share(plan.corridor.delta_v_m_s, plan.docking.isp_s),
-        }
-    return out
-
-
-def _grapples(surface: SurfaceModel, speed: SurfaceSpeed) -> dict[str, Any]:
-    """The slowest places that were measured, apart from each other; a ray outwards along the normal is
-    free."""
-    mesh = surface.mesh
-    p, normal = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
-    size = float(np.linalg.norm(mesh.extents))
-    order = np.argsort(speed.largest_m_s, kind="stable")
-    order = order[(surface.views > 0)[order]]
-    chosen: list[int] = []
-    for start in range(0, len(order), 4000):
-        part = order[start : start + 4000]
-        free = part[_reachable(mesh, p[part], normal[part], size)]
-        both = np.concatenate([np.array(chosen, dtype=np.int64), free])
-        chosen = [
-            int(both[k]) for k in gentlest(speed.largest_m_s[both], p[both], APART_SHARE * size, GRAPPLES)
-        ]
-        if len(chosen) == GRAPPLES:
-            break
-    return {
-        "frame": "G",
-        "least_m_s": float(speed.largest_m_s.min()),
-        "largest_m_s": float(speed.largest_m_s.max()),
-        "grapples": [
-            {
-                "p_G": p[n].tolist(),
-                "normal_G": normal[n].tolist(),
-                "now_m_s": float(speed.now_m_s[n]),
-                "largest_m_s": float(speed.largest_m_s[n]),
-                "normal_m_s": float(speed.normal_m_s[n]),
-                "sigma_m_s": float(speed.sigma_m_s[n]),
-            }
-            for n in chosen
-        ],
-    }
-
-
-def _reachable(mesh: trimesh.Trimesh, p: Array, normal: Array, size: float) -> Array:
-    from mapping.visibility import Caster
-
-    distance, _ = Caster(mesh).first(p + 0.01 * size * normal, normal)
-    return ~np.isfinite(distance)
-
-
-def format_plan(plan: Plan) -> str:
-    """A few lines for the screen."""
-    found, lines = summary_of(plan), []
-    if (keep := found["keepout"]) is not None:
-        lines.append(
-            f"Keep-out over {plan.horizon_s:g} s at {plan.confidence:.1%}: "
-            f"{1e3 * keep['volume_m3']:.4g} litres; "
-            f"around the body {1e3 * keep['body_margin_m']['start']:.3g} mm now, "
-            f"{1e3 * keep['body_margin_m']['end']:.3g} mm at the end"
-        )
-    if (speed := found["surface_speed"]) is not None:
-        lines.append(
-            f"The surface moves at {1e3 * speed['least_m_s']:.3g} to "
-            f"{1e3 * speed['largest_m_s']:.3g} mm/s at most; "
-            "slowest, with a free way along the normal:"
-        )
-        for one in speed["grapples"]:
-            place = " ".join(f"{x:+.3f}" for x in one["p_G"])
-            lines.append(
-                f"  p_G {place} m: {1e3 * one['now_m_s']:6.1f} ± {1e3 * one['sigma_m_s']:.2g} mm/s now, "
-                f"{1e3 * one['largest_m_s']:6.1f} at most, {1e3 * one['normal_m_s']:+6.1f} along the normal"
-            )
-    if (path := found["corridor"]) is not None:
-        least, largest = (1e3 * path["acceleration_m_s2"][k] for k in ("least", "largest"))
-        lines.append(
-            f"Corridor: {least:.3g} to {largest:.3g} mm/s^2 to stay at {path['stand_off_m']:g} m, "
-            f"{path['delta_v_m_s']:.3g} m/s over the horizon, {path['fuel_share']:.2%} of the mass "
-            f"at {path['isp_s']:g} s"
-        )
-    lines += [f"Left out: {name}: {why}" for name, why in plan.left_out.items()]
-    return "\n".join([*lines, *plan.notes])

@@ -100,7 +100,8 @@ class PlanAhead:
         """Plan, write, print."""
         import numpy as np
 
-        from pipeline.plan import Docking, format_plan, plan_run, write_plan
+        from pipeline.plan import Docking, plan_run
+        from pipeline.plan_files import format_plan, write_plan
         from planning.keepout import Wanted
 
         if self.output.exists() and not self.output.is_dir():

@@ -85,46 +85,84 @@ def _solve(keep_out: InstantKeepOut, task: Task) -> Way:
         )
     hull, short_m = hull_points(keep_out.body.points_G, HULL_POINTS)
     margin = keep_out.margin_m() + short_m + task.radius_m + task.clearance_m
-    motion = keep_out.motion
-    program = ca.Opti()
-    a, p, v = program.variable(3, K), program.variable(3, K + 1), program.variable(3, K + 1)
-    u = program.variable(3, K * HOLD_CLEAR)
+    flight = point_mass(K, dt, task.start_N, task.most_accel_m_s2)
+    program, a, p, v = flight.program, flight.a, flight.p, flight.v
     guess = _bend(task, K + 1)
     program.set_initial(p, guess.T)
-    program.subject_to(p[:, 0] == task.start_N)
     program.subject_to(p[:, K] == task.goal_N)
-    program.subject_to(v[:, 0] == 0)
     program.subject_to(v[:, K] == 0)
-    for k in range(K):
-        program.subject_to(p[:, k + 1] == p[:, k] + dt * v[:, k] + 0.5 * dt**2 * a[:, k])
-        program.subject_to(v[:, k + 1] == v[:, k] + dt * a[:, k])
-        program.subject_to(ca.sumsqr(a[:, k]) <= task.most_accel_m_s2**2)
-        for h in range(HOLD_CLEAR):
-            share = (h + 0.5) / HOLD_CLEAR
-            n = int(np.argmin(np.abs(motion.time_s - (k + share) * dt)))
-            place = p[:, k] + share * dt * v[:, k] + 0.5 * (share * dt) ** 2 * a[:, k]
-            corners = hull @ motion.R_NG[n].T + motion.p_NG[n]
-            normal = u[:, k * HOLD_CLEAR + h]
-            program.subject_to(ca.sumsqr(normal) <= 1)
-            # the plane through the corner that is farthest along the normal
-            gap = ca.dot(normal, place) - ca.mtimes(ca.DM(corners), normal)
-            program.subject_to(gap >= float(margin[n]))
-            away = (1 - share) * guess[k] + share * guess[k + 1] - motion.com_N[n]
-            program.set_initial(normal, away / np.linalg.norm(away))
+    keep_clear(flight, keep_out, hull, margin, guess)
     program.minimize(ca.sumsqr(a) / task.most_accel_m_s2**2)
     program.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "max_iter": 500})
     try:
         found = program.solve()
     except RuntimeError as error:
         raise ValueError(f"no way was found: {str(error).splitlines()[-1].strip()}") from None
-    accel = np.asarray(found.value(a), dtype=np.float64).T
-    return Way(
-        np.asarray(dt * np.arange(K + 1), dtype=np.float64),
-        np.asarray(found.value(p), dtype=np.float64).T,
-        np.asarray(found.value(v), dtype=np.float64).T,
-        accel,
-        float(dt * np.linalg.norm(accel, axis=1).sum()),
-    )
+    return flight.way(found)
+
+
+@dataclass(frozen=True)
+class PointMass:
+    """A program with the motion of an inspector whose acceleration is constant over each step, in N."""
+
+    program: ca.Opti
+    a: ca.MX
+    """(3, K)"""
+    p: ca.MX
+    """(3, K + 1)"""
+    v: ca.MX
+    """(3, K + 1)"""
+    dt_s: float
+
+    def way(self, found: ca.OptiSol) -> Way:
+        """The plan of a solution."""
+        dt = self.dt_s
+        accel = np.asarray(found.value(self.a), dtype=np.float64).reshape(3, -1).T
+        return Way(
+            np.asarray(dt * np.arange(len(accel) + 1), dtype=np.float64),
+            np.asarray(found.value(self.p), dtype=np.float64).T,
+            np.asarray(found.value(self.v), dtype=np.float64).T,
+            accel,
+            float(dt * np.linalg.norm(accel, axis=1).sum()),
+        )
+
+
+def point_mass(steps: int, dt_s: float, start_N: Array, most_accel_m_s2: float) -> PointMass:
+    """From rest at start_N (3,), with a bounded thrust."""
+    program = ca.Opti()
+    a, p, v = program.variable(3, steps), program.variable(3, steps + 1), program.variable(3, steps + 1)
+    program.subject_to(p[:, 0] == start_N)
+    program.subject_to(v[:, 0] == 0)
+    for k in range(steps):
+        program.subject_to(p[:, k + 1] == p[:, k] + dt_s * v[:, k] + 0.5 * dt_s**2 * a[:, k])
+        program.subject_to(v[:, k + 1] == v[:, k] + dt_s * a[:, k])
+        program.subject_to(ca.sumsqr(a[:, k]) <= most_accel_m_s2**2)
+    return PointMass(program, a, p, v, dt_s)
+
+
+def keep_clear(
+    flight: PointMass, keep_out: InstantKeepOut, hull: Array, margin_m: Array, guess: Array
+) -> None:
+    """Ask for a plane between the inspector and the hull (m, 3) in G at instants inside each step.
+
+    margin_m (T,) at the instants of the volume's motion; guess (K + 1, 3) of the inspector's places.
+    """
+    program, dt, motion = flight.program, flight.dt_s, keep_out.motion
+    K = flight.a.shape[1]
+    u = program.variable(3, K * HOLD_CLEAR)
+    for k in range(K):
+        for h in range(HOLD_CLEAR):
+            share = (h + 0.5) / HOLD_CLEAR
+            n = int(np.argmin(np.abs(motion.time_s - (k + share) * dt)))
+            place = flight.p[:, k] + share * dt * flight.v[:, k] + 0.5 * (share * dt) ** 2 * flight.a[:, k]
+            corners = hull @ motion.R_NG[n].T + motion.p_NG[n]
+            normal = u[:, k * HOLD_CLEAR + h]
+            program.subject_to(ca.sumsqr(normal) <= 1)
+            # the plane through the corner that is farthest along the normal
+            gap = ca.dot(normal, place) - ca.mtimes(ca.DM(corners), normal)
+            program.subject_to(gap >= float(margin_m[n]))
+            away = (1 - share) * guess[k] + share * guess[k + 1] - motion.com_N[n]
+            program.set_initial(normal, away / np.linalg.norm(away))
 
 
 def hull_points(points: Array, count: int) -> tuple[Array, float]:

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from planning.closest import closest
 from planning.ensemble import Ahead, BodyMotion, Members, draw_members, nominal, pose_covariance
 from planning.measured_body import Cover, MeasuredBody, ScalarGrid, grow, spread
-from planning.sweep import FAR, linear, sigma_along, sticks_out, sticks_out_at_each_instant, sweep
+from planning.sweep import FAR, linear, sigma_along, sticks_out, sticks_out_at_each_instant, sweep, values_at
 from polhode.lie import Array
 from polhode.records import SurfaceModel
 
@@ -192,9 +192,9 @@ def _instant(
     grid = body.grid
     points = spread(trimesh.Trimesh(body.points_G), INSTANT_POINTS_CELLS * grid.step_m)
 
-    def scores(part: Members) -> Array:
+    def scores(part: Members, factors: Array) -> Array:
         return sticks_out_at_each_instant(
-            FACTORS,
+            factors,
             np.ascontiguousarray(part.R_NG[:, chosen]),
             np.ascontiguousarray(part.p_NG[:, chosen]),
             motion.R_NG[chosen],
@@ -206,13 +206,14 @@ def _instant(
             points,
         )
 
-    first = conformal(scores(halves[0]), wanted.pose_miss)
+    first = conformal(scores(halves[0], FACTORS), wanted.pose_miss)
     lever = np.sqrt(np.mean(np.sum(points**2, axis=1)) / 3.0)
     typical = np.sqrt((np.trace(P[:, :3, :3], axis1=1, axis2=2) / 3.0).mean()) + lever * np.sqrt(
         (np.trace(P[:, 3:, 3:], axis1=1, axis2=2) / 3.0).mean()
     )
     best = int(np.argmin(first + FACTORS * typical))
-    added = max(float(conformal(scores(halves[1]), wanted.pose_miss)[best]), 0.0)
+    chosen_factor = FACTORS[best : best + 1]
+    added = max(float(conformal(scores(halves[1], chosen_factor), wanted.pose_miss)[0]), 0.0)
     return InstantKeepOut(body, motion, P, float(FACTORS[best]), added)
 
 
@@ -244,11 +245,14 @@ def _swept(
         grid.values, grid.origin, grid.step_m, body.middle_G, radius,
     )  # fmt: skip
     pairs = near_the_surface(fields[..., 0], low, step, motion, body.points_G, BAND_SIGMAS * spread_m)
-    stick = sticks_out(fields, low, step, members.R_NG, members.p_NG, pairs, body.points_G)
-    allowed = np.maximum(conformal(stick[:half], wanted.pose_miss), -step)
+    first, second = members.part(slice(0, half)), members.part(slice(half, None))
+    stick = sticks_out(fields, low, step, first.R_NG, first.p_NG, pairs, body.points_G)
+    allowed = np.maximum(conformal(stick, wanted.pose_miss), -step)
     cells = [int((fields[..., c] <= allowed[c]).sum()) for c in range(len(FACTORS))]
     best = int(np.argmin(cells))
-    added = max(float(conformal(stick[half:], wanted.pose_miss)[best]), -step)
+    one = np.ascontiguousarray(fields[..., best : best + 1])
+    stick = sticks_out(one, low, step, second.R_NG, second.p_NG, pairs, body.points_G)
+    added = max(float(conformal(stick, wanted.pose_miss)[0]), -step)
     level = fields[..., best] - np.float32(added)
     free, _ = label(level > 0.0)
     level = np.where((free != free[0, 0, 0]) & (level > 0.0), -np.float32(step), level)
@@ -270,11 +274,11 @@ def near_the_surface(
 ) -> NDArray[np.int64]:
     """Pairs (k, 2) of instant and point within the band of the sweep's surface: of each place and part of the
     horizon the one that sticks out most."""
-    grid, shape = ScalarGrid(origin, step, np.ascontiguousarray(field)), np.array(field.shape)
+    grid, shape = np.ascontiguousarray(field), np.array(field.shape)
     values, keys, pairs = [], [], []
     for k, (R, p) in enumerate(zip(motion.R_NG, motion.p_NG, strict=True)):
         places = points @ R.T + p
-        value = grid.at(places)
+        value = values_at(grid, origin, step, places)
         near = np.flatnonzero(value > -band_m[k] - step)
         cell = np.clip(((places[near] - origin) / step).astype(np.int64), 0, shape - 1)
         key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]

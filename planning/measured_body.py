@@ -23,6 +23,8 @@ Floats = NDArray[np.float32]
 Cover = Literal["auto", "surface", "hull"]
 OPEN_SHARE = 0.01
 """A mesh whose open rims span more than this share of its area is not closed: its hull is kept out of."""
+CHUNK = 500
+"""Points at once: so many stay in the cache."""
 PLANES = 600
 """Largest faces of the hull whose planes bound it, beside those all around."""
 
@@ -217,9 +219,9 @@ def _hull_distance(corners: Array, q: Array, margin: Array) -> Array:
     u = np.concatenate([u, np.unique(np.round(hull.face_normals[large], 2), axis=0)])
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     support = np.full(len(u), -np.inf)
-    for part in np.array_split(np.arange(len(q)), max(1, len(q) // 20_000)):
+    for part in np.array_split(np.arange(len(q)), max(1, len(q) // CHUNK)):
         support = np.maximum(support, (q[part] @ u.T + margin[part, None]).max(axis=0))
     out = np.empty(len(corners))
-    for part in np.array_split(np.arange(len(corners)), max(1, len(corners) // 20_000)):
+    for part in np.array_split(np.arange(len(corners)), max(1, len(corners) // CHUNK)):
         out[part] = (corners[part] @ u.T - support).max(axis=1)
     return out

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planning.ensemble import BodyMotion
-from polhode.lie import Array
+from polhode.lie import Array, hat
 
 MOST_INSTANTS = 200
 
@@ -42,7 +42,11 @@ def surface_speed(
     chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MOST_INSTANTS).round().astype(int))
     total, largest = np.zeros(len(p_G)), np.zeros(len(p_G))
     for k in chosen:
-        speed = np.linalg.norm(velocity(motion, int(k), p_G) - own, axis=1)
+        # the same as velocity(), with one product for each point: u = p_G A + b
+        R, spin = motion.R_NG[k], hat(motion.w_N[k])
+        lever = motion.p_NG[k] - motion.com_N[k]
+        u = p_G @ (spin @ R).T + (motion.v_N[k] - own + spin @ lever)
+        speed = np.sqrt(np.einsum("ij,ij->i", u, u))
         total, largest = total + speed, np.maximum(largest, speed)
     u = velocity(motion, 0, p_G) - own
     now = np.linalg.norm(u, axis=1)

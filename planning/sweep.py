@@ -55,6 +55,16 @@ def linear(values: Floats, origin: Array, step: float, x: float, y: float, z: fl
 
 
 @compiled
+def values_at(values: Floats, origin: Array, step: float, points: Array) -> Array:
+    """Of a grid at points (n, 3), linear in between; outside as in ``linear``."""
+    out, found = np.empty(len(points)), np.empty(4)
+    for n in range(len(points)):
+        linear(values, origin, step, points[n, 0], points[n, 1], points[n, 2], found)
+        out[n] = found[0]
+    return out
+
+
+@compiled
 def sigma_along(P: Array, x: float, y: float, z: float, found: Array) -> float:
     """Sigma of the surface nearest to a place of G, along the direction to it; found (4,) of ``linear``."""
     size = np.sqrt(found[1] ** 2 + found[2] ** 2 + found[3] ** 2)
@@ -92,6 +102,8 @@ def sweep(
     """
     nx, ny, nz, C = fields.shape
     found = np.empty(4)
+    shift = np.sqrt(P[:, 0, 0] + P[:, 1, 1] + P[:, 2, 2])
+    turn = np.sqrt(P[:, 3, 3] + P[:, 4, 4] + P[:, 5, 5])
     for t in range(len(R)):
         A = R[t]
         cx = A[0, 0] * middle[0] + A[0, 1] * middle[1] + A[0, 2] * middle[2] + p[t, 0]
@@ -121,6 +133,14 @@ def sweep(
                     linear(body, body_origin, body_step, gx, gy, gz, found)
                     if found[0] > reach_m[t] + REACH_CELLS * step + fields[i, j, k, 0]:
                         continue
+                    # no sigma is larger than this: where it lowers no field, the true one does not either
+                    lever = np.sqrt(gx * gx + gy * gy + gz * gz) + abs(found[0])
+                    most = 1.000001 * (shift[t] + lever * turn[t])
+                    lower = False
+                    for c in range(C):
+                        lower = lower or found[0] - factors[c] * most < fields[i, j, k, c]
+                    if not lower:
+                        continue
                     sigma = sigma_along(P[t], gx, gy, gz, found)
                     for c in range(C):
                         value = found[0] - factors[c] * sigma
@@ -149,12 +169,13 @@ def sticks_out(
             i, j, k = min(int(u), nx - 2), min(int(v), ny - 2), min(int(w), nz - 2)
             away = np.sqrt((a - u) ** 2 + (b - v) ** 2 + (c - w) ** 2) * step
             u, v, w = u - i, v - j, w - k
+            a0, a1, b0, b1 = (1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v
             for f in range(C):
-                low = (fields[i, j, k, f] * (1 - w) + fields[i, j, k + 1, f] * w) * (1 - v)
-                low += (fields[i, j + 1, k, f] * (1 - w) + fields[i, j + 1, k + 1, f] * w) * v
-                high = (fields[i + 1, j, k, f] * (1 - w) + fields[i + 1, j, k + 1, f] * w) * (1 - v)
-                high += (fields[i + 1, j + 1, k, f] * (1 - w) + fields[i + 1, j + 1, k + 1, f] * w) * v
-                out[n, f] = max(out[n, f], low * (1 - u) + high * u + away)
+                value = a0 * (fields[i, j, k, f] * (1 - w) + fields[i, j, k + 1, f] * w)
+                value += a1 * (fields[i, j + 1, k, f] * (1 - w) + fields[i, j + 1, k + 1, f] * w)
+                value += b0 * (fields[i + 1, j, k, f] * (1 - w) + fields[i + 1, j, k + 1, f] * w)
+                value += b1 * (fields[i + 1, j + 1, k, f] * (1 - w) + fields[i + 1, j + 1, k + 1, f] * w)
+                out[n, f] = max(out[n, f], value + away)
     return out
 
 

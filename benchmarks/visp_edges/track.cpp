@@ -9,10 +9,11 @@
 //   rounds n, range_1 ... range_n (search in pixels), tracks a round
 //   views n, then for each: image, image before or "-", and the start, cMo, 12 numbers by rows
 // RESULT: a line a view, "ok" or "lost"; 12 numbers of cMo; 36 of the covariance of (t, theta u); moving edges
-// that were used, sum of their robust weights, normalised rms residual, projection error in degrees, seconds.
+// that were used, sum of their robust weights, normalised rms residual, projection error in degrees,
+// seconds of the processor.
 
-#include <chrono>
 #include <cmath>
+#include <ctime>
 #include <fstream>
 #include <iomanip>
 #include <iostream>
@@ -149,7 +150,7 @@ void solve(const Settings &s, const View &view, std::ostream &out) {
   }
   vpMbGenericTracker tracker;
   set_up(tracker, s);
-  const auto begin = std::chrono::steady_clock::now();
+  const std::clock_t begin = std::clock();
   vpHomogeneousMatrix pose = view.start;
   bool lost = false;
   try {
@@ -166,7 +167,7 @@ void solve(const Settings &s, const View &view, std::ostream &out) {
     std::cerr << view.image << ": " << problem.getMessage() << '\n';
     lost = true;
   }
-  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  const double seconds = double(std::clock() - begin) / CLOCKS_PER_SEC;
   vpMatrix covariance(6, 6);
   double count = 0, weights = 0, squares = 0, projection_deg = 90.0;
   if (!lost) {

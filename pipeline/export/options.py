@@ -37,7 +37,7 @@ class Options:
     animate: bool = False
     mass_kg: float | None = None
     middle_moment_kg_m2: float | None = None
-    pieces: int = 32
+    pieces: int = 512
     horizon: float = 60.0
     step_s: float | None = None
     epoch: str = "1970-01-01T00:00:00"

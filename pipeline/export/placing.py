@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from pipeline.mesh_input import read_mesh
 from pipeline.summary import Summary
 from planning.exports.alignment import Alignment, align_points, align_surfaces
 from planning.exports.frames import frame_cad, frame_G, frame_P
@@ -52,7 +53,7 @@ def placement(
     if cad is not None:
         if surface is None or len(surface.mesh.faces) == 0:
             raise InputError("--cad: this run has no mesh to lay on the model; give --cad-points FILE")
-        model = _read_model(cad, cad_m)
+        model = read_mesh(cad, cad_m)
         _require_size(cad, surface.mesh, model)
         found = align_surfaces(surface.mesh, model, None if start is None else start.X_cadG)
     assert found is not None
@@ -110,21 +111,6 @@ def _rows(file: Path) -> Array:
             raise ValueError(f"line {number} holds {len(values)} numbers, not six finite ones")
         rows.append(values)
     return np.array(rows).reshape(-1, 6)
-
-
-def _read_model(file: Path, cad_m: float) -> trimesh.Trimesh:
-    if not file.is_file():
-        raise InputError(f"{file}: no such file; --cad names a mesh")
-    try:
-        model = trimesh.load(file, force="mesh")
-    except Exception as error:  # readers of many formats raise many things
-        raise InputError(f"{file}: cannot be read as a mesh ({error}); give PLY, STL, OBJ or GLB") from error
-    if not isinstance(model, trimesh.Trimesh) or len(model.faces) == 0:
-        raise InputError(f"{file}: holds no triangles; give PLY, STL, OBJ or GLB")
-    if not np.isfinite(model.vertices).all() or model.area == 0.0:
-        raise InputError(f"{file}: a vertex is not finite, or the mesh has no area")
-    model.apply_scale(cad_m)
-    return model
 
 
 def _require_size(file: Path, scan: trimesh.Trimesh, model: trimesh.Trimesh) -> None:

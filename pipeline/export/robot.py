@@ -1,5 +1,6 @@
 """URDF, MJCF and SDF of a run, with their mesh files."""
 
+import logging
 from collections.abc import Callable
 
 import numpy as np
@@ -7,13 +8,17 @@ import numpy as np
 from pipeline.export.found import last_state
 from pipeline.export.job import Files, Job
 from planning.exports import mesh_files, robot_xml
-from planning.exports.convex import decompose
+from planning.exports.convex import WITHIN, decompose
 from planning.exports.records import shape_of_surface
 from polhode.errors import InputError
 
 LIGHT_LEVEL = 2
 """Of the surface that robot formats show, where the run's mesh has so many levels."""
 SURFACE_FILE = "surface.obj"
+FAR_SHARE = 1e-3
+"""Of the pieces' area: more than so much that reaches too far is told of."""
+
+_log = logging.getLogger(__name__)
 
 
 def robot_files(job: Job) -> Files:
@@ -44,9 +49,13 @@ def robot_files(job: Job) -> Files:
         except ValueError as error:
             job.leave_out(f"collision geometry is left out: {error}")
         else:
-            words.append(
-                f"{cut.words}; 95 % of their area reaches less than {1e3 * cut.beyond_m:.2g} mm beyond it"
-            )
+            words.append(f"{cut.words}; {cut.reach_words}")
+            _log.info("%s", words[-1])
+            if cut.far_share > FAR_SHARE:
+                job.leave_out(
+                    f"{cut.far_share:.1%} of the collision geometry reaches farther beyond the surface than "
+                    f"{WITHIN:.0%} of its diameter: more --pieces reach less far"
+                )
             for number, piece in enumerate(cut.pieces):
                 collision.append(f"collision_{number:03d}.obj")
                 files[folder / collision[-1]] = mesh_files.plain_obj(

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.observability.choice import Choice
 from pipeline.observability.subject import Subject
 from planning.observability.along import EdgeView
 from planning.observability.contributions import Contributions
@@ -17,6 +18,7 @@ class Assessment:
     subject: Subject
     views: list[EdgeView]
     edges: Contributions
+    choice: Choice
     spacing_px: float
     sigma_px: float
 

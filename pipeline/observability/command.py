@@ -50,6 +50,10 @@ class Observability:
     """Width of the image; a run's own, or 640."""
     height_px: Annotated[int | None, arg(metavar="PX")] = None
     """Height of the image; a run's own, or 480."""
+    edges: Annotated[int | None, arg(metavar="N")] = None
+    """Choose the best N edges, too: those that leave the least variance over the trajectory."""
+    fewest: FlagCreatePairsOff[bool] = False
+    """Find the fewest edges that leave every sigma within 10 % of that with all; takes up to a minute."""
     debug: FlagCreatePairsOff[bool] = False
     """Show the traceback of an error."""
 
@@ -85,7 +89,7 @@ class Observability:
             self.crease_deg,
             {"m": 1.0, "mm": 1e-3}[self.unit],
         )
-        found = assess(subject, self.spacing_px, self.sigma_px, choose_progress())
+        found = assess(subject, self.spacing_px, self.sigma_px, self.edges, self.fewest, choose_progress())
         names = write(found, self.output)
         print(format_assessment(found))
         print(f"{', '.join(names)}: {self.output}")

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.observability.assessment import Assessment
+from pipeline.observability.choice import Choice
 from planning.observability.edge_model import Kind
 from planning.observability.edge_motion import DEGREES_OF_FREEDOM
 from planning.observability.painted import Legend
@@ -58,8 +59,15 @@ def edge_table(found: Assessment) -> str:
     ends = [f"{end}_{axis}_m" for end in ("a", "b") for axis in "xyz"]
     dofs = [name.removesuffix("_m").removesuffix("_rad") for name in NAMES]
     out.writerow(
-        ["edge", "kind", "length_m", *ends, *(f"share_{d}" for d in dofs), *(f"rise_{d}" for d in dofs)]
+        [
+            *("edge", "kind", "length_m", *ends),
+            *(f"share_{d}" for d in dofs),
+            *(f"rise_{d}" for d in dofs),
+            *("in_smallest_set", "in_best"),
+        ]
     )
+    smallest, best = found.choice.smallest, found.choice.best
+    sets = [set() if each is None else set(each.features.tolist()) for each in (smallest, best)]
     kinds = [Kind(kind).name.lower() for kind in model.kind] + ["outline"] * len(model.outlined)
     for k, kind in enumerate(kinds):
         if k >= len(model.ends_G) and not model.outlined[k - len(model.ends_G)]:
@@ -68,7 +76,7 @@ def edge_table(found: Assessment) -> str:
         if k < len(model.ends_G):
             place = [f"{model.lengths_m[k]:.6g}", *(f"{value:.6g}" for value in model.ends_G[k].reshape(-1))]
         shares = (f"{value:.6g}" for value in (*edges.share[k], *edges.rise[k]))
-        out.writerow([k, kind, *place, *shares])
+        out.writerow([k, kind, *place, *shares, *(int(k in each) for each in sets)])
     return text.getvalue()
 
 
@@ -134,7 +142,34 @@ def document(found: Assessment, legend: Legend | None) -> dict[str, Any]:
                 "rgb": legend.rgb.tolist(),
             },
         },
+        "choice": choice_of(found.choice),
         "notes": list(subject.notes),
+    }
+
+
+def choice_of(choice: Choice) -> dict[str, Any]:
+    """Sets of edges: numbers as in edges.csv; ratios of sigma to that of all edges."""
+    smallest, best = choice.smallest, choice.best
+    return {
+        "views": choice.views,
+        "smallest_set": None
+        if smallest is None
+        else {
+            "words": "each sigma at most 10 % above that of all edges, root mean square over the views",
+            "edges": smallest.features.tolist(),
+            "ratio": _numbers(smallest.ratio),
+            "at_least": smallest.at_least,
+        },
+        "best": None
+        if best is None or choice.best_ratio is None
+        else {
+            "words": "6 less the mean trace of C^-1 (shifts in radii, with a prior of 1), greedy; no set "
+            "of as many edges has a value above the bound",
+            "edges": best.features.tolist(),
+            "ratio": _numbers(choice.best_ratio),
+            "value": best.value,
+            "bound": choice.bound,
+        },
     }
 
 
@@ -188,4 +223,21 @@ def format_assessment(found: Assessment) -> str:
     said = sorted({view.found.told() for view in found.views} - {""}, key=len)
     if said:
         lines.append(f"  {said[0]}")
+    lines += _choices(found)
     return "\n".join([*lines, *(f"Note: {note}" for note in found.subject.notes)])
+
+
+def _choices(found: Assessment) -> list[str]:
+    """Lines about sets of edges."""
+    lines, choice = [], found.choice
+    if choice.smallest is not None:
+        count, least = len(choice.smallest.features), choice.smallest.at_least
+        lines.append(
+            f"{count} edges are enough: every sigma within 10 % of that with all "
+            f"({'none fewer do' if count == least else f'at least {least} are needed'})"
+        )
+    if choice.best is not None and choice.best_ratio is not None:
+        worst = float(np.nanmax(choice.best_ratio))
+        told = f"sigmas up to {worst:.2f} times those with all" if np.isfinite(worst) else "not all is told"
+        lines.append(f"The best {len(choice.best.features)} edges: {told}; they are marked in edges.csv")
+    return lines

@@ -7,6 +7,7 @@ import numpy as np
 
 from pipeline.observability import document, pictures
 from pipeline.observability.assessment import Assessment
+from pipeline.observability.choice import choose
 from pipeline.observability.subject import Subject
 from planning.observability.along import look_along
 from planning.observability.contributions import contributions
@@ -20,8 +21,10 @@ MOST_MIB = 1024.0
 """Of matrices, one for each edge and view."""
 
 
-def assess(subject: Subject, spacing_px: float, sigma_px: float, progress: Progress) -> Assessment:
-    """Look from all places. Raises InputError where that takes too much memory."""
+def assess(
+    subject: Subject, spacing_px: float, sigma_px: float, few: int | None, fewest: bool, progress: Progress
+) -> Assessment:
+    """Look from all places; choose the best ``few`` edges, or the fewest. InputError: memory lacks."""
     size_mib = len(subject.X_RG) * subject.model.size * 36 * 8 / 2**20
     if size_mib > MOST_MIB:
         raise InputError(
@@ -36,8 +39,11 @@ def assess(subject: Subject, spacing_px: float, sigma_px: float, progress: Progr
             views.append(view)
             C.append(by_feature(view.points, view.f, subject.model.size))
             advance()
-    edges = contributions(FeatureInformation(np.stack(C), subject.model.radius_m))
-    return Assessment(subject, views, edges, spacing_px, sigma_px)
+    information = FeatureInformation(np.stack(C), subject.model.radius_m)
+    with progress.stage("choosing edges", 1) as advance:
+        choice = choose(information, few, fewest)
+        advance()
+    return Assessment(subject, views, contributions(information), choice, spacing_px, sigma_px)
 
 
 def write(found: Assessment, folder: Path) -> list[str]:

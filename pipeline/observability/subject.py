@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from pipeline.archives import read_measurements
+from pipeline.mesh_input import read_mesh
 from pipeline.observability.poses_file import TimedPoses, read_poses
 from pipeline.plan import ahead_of, surface_of
 from pipeline.summary import Summary, read_summary
@@ -17,8 +17,6 @@ from planning.observability.measured_edges import measured_edge_model
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, make_pose
-
-MESHES = (".ply", ".stl", ".obj", ".glb", ".gltf", ".off")
 
 
 @dataclass(frozen=True)
@@ -67,11 +65,13 @@ def subject_of(
         if unit_m != 1.0:
             raise InputError("--unit is for a mesh; a run is in metres")
         return _of_run(path, trajectory, frame, camera, about_G, sun)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such run or mesh")
     if trajectory is None:
         raise InputError(f"{path}: a mesh needs --trajectory FILE, the places of the camera in its frame")
     if frame != "G":
         raise InputError("--frame N is for a run, whose target tumbles; a mesh has only its own frame, G")
-    model = edge_model(_read_mesh(path, unit_m), crease_deg)
+    model = edge_model(read_mesh(path, unit_m), crease_deg)
     poses = read_poses(trajectory)
     o_G, about = (
         (model.middle_G, "the middle of the bounding box") if about_G is None else (about_G, "--about")
@@ -161,19 +161,3 @@ def _rig(camera: CameraOptions, own: RectifiedRig | None) -> RectifiedRig:
     if camera.height_px is not None:
         height, cy = camera.height_px, 0.5 * (camera.height_px - 1)
     return RectifiedRig(focal, cx, cy, 1.0 if own is None else own.baseline_m, width, height)
-
-
-def _read_mesh(path: Path, unit_m: float) -> trimesh.Trimesh:
-    """A mesh file in metres."""
-    if not path.exists():
-        raise InputError(f"{path}: there is no such file or folder")
-    if path.suffix.lower() not in MESHES:
-        raise InputError(f"{path}: give a run's folder or a mesh ({', '.join(MESHES)})")
-    try:
-        mesh = trimesh.load(path, force="mesh")
-    except Exception as error:
-        raise InputError(f"{path}: cannot be read as a mesh: {error}") from error
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise InputError(f"{path}: holds no faces: an edge model needs a surface")
-    mesh.apply_scale(unit_m)
-    return mesh

@@ -3,34 +3,50 @@
 The pieces come from V-HACD (Mamou and Ghorbel, "A simple and efficient approach for 3D mesh approximate
 convex decomposition", 2009), where it is installed; else there is one, the convex hull. V-HACD cuts voxels of
 a thinned mesh and may lie inside the surface, which is the dangerous side. So each triangle of the full mesh
-is given to the piece that it leaves least, and the piece grows to the hull of both: the union contains every
-triangle by construction.
+is given to the piece that it leaves least, and the piece becomes the hull of its triangles and of what it had
+inside the body: the union contains every triangle by construction. Pieces that reach too far beyond the
+surface are then cut (``convex_cuts``).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, QhullError
 
+from planning.exports.convex_cuts import (
+    PANEL,
+    Piece,
+    Reach,
+    cut_until_near,
+    has_volume,
+    outside,
+    piece_of,
+    with_volume,
+)
 from planning.exports.records import Shape
 from polhode.lie import Array
 from polhode.records import Ints
 
 CUT_FACES = 12_000
-"""Of the thinned mesh that is cut."""
+"""Of the thinned mesh that V-HACD cuts."""
 VOXELS = 400_000
+FIRST_PIECES = 32
+"""Of V-HACD; more follow where they reach too far."""
 LEAST_VOLUME_PERCENT = 0.5
-"""A piece is cut no more when its hull has so little more volume than its voxels."""
+"""A piece is cut no more by V-HACD when its hull has so little more volume than its voxels."""
 NEARLY_CONVEX = 0.01
 """Share of its volume that the hull of a convex body may have more."""
-PANEL = 1e-3
-"""Thickness of a flat piece, over the body's size."""
+WITHIN = 0.01
+"""Of the body's diameter: pieces that reach farther beyond the surface are cut."""
+LOOKED_AT = 0.9
+"""Of that: a cut looks at some points only."""
 MOST_GROWTH = 10.0
 """Volume of a piece over what it was when it was cut."""
+INNER_SAMPLES = 200
 ROUNDING = 2e-6
 """Each piece is larger by this share of the body's size: more than single precision moves it."""
-SAMPLES, SURFACE_SAMPLES = 4_000, 60_000
+SAMPLES = 20_000
 
 
 @dataclass(frozen=True)
@@ -42,20 +58,49 @@ class Decomposition:
     """How they were made"""
     beyond_m: float
     """How far they reach beyond the surface [m], outwards: 95 % of their area reaches less"""
+    most_beyond_m: float
+    """The largest found"""
+    far_share: float
+    """Of their area that reaches farther than WITHIN of the diameter"""
+    diameter_m: float
+    """Of the surface: its two points farthest from each other"""
+
+    @property
+    def reach_words(self) -> str:
+        """How far they reach, in words."""
+        share = self.most_beyond_m / self.diameter_m
+        return (
+            f"they reach at most {1e3 * self.most_beyond_m:.2g} mm beyond the surface, {share:.1%} of its "
+            f"diameter; 95 % of their area less than {1e3 * self.beyond_m:.2g} mm, and {self.far_share:.2%} "
+            f"of it farther than {WITHIN:.0%} of the diameter"
+        )
 
 
 def decompose(shape: Shape, most_pieces: int) -> Decomposition:
-    """Cut and grow. Raises ValueError when the points are flat: there is no volume."""
+    """Cut, grow, cut again. Raises ValueError when the points are flat: there is no volume."""
     points = shape.vertices[np.unique(shape.faces)]
-    size = float(np.ptp(points, axis=0).max())
-    seeds, words = _cut(shape.mesh(), most_pieces)
-    pieces = _grown(shape, seeds) if seeds else [points]
     try:
-        hulls = tuple(_hull(each, ROUNDING * size) for each in pieces)
+        corners = points[ConvexHull(points).vertices]
     except QhullError as error:
         raise ValueError("the surface is flat: it has no convex hull with a volume") from error
+    diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))
+    reach = Reach(shape.mesh())
+    seeds, words = _cut(shape.mesh(), min(max(most_pieces // 4, 2), FIRST_PIECES, most_pieces))
+    pieces = [corners]
+    if seeds:
+        grown = cut_until_near(_grown(shape, seeds, reach), reach, LOOKED_AT * WITHIN * diameter, most_pieces)
+        pieces = [each.corners for each in grown]
+    hulls = tuple(_hull(each, ROUNDING * reach.size_m) for each in pieces)
     pieces_in_words = "the convex hull" if len(hulls) == 1 else f"{len(hulls)} convex pieces"
-    return Decomposition(hulls, f"collision geometry: {pieces_in_words} {words}", _beyond(hulls, shape))
+    beyond = _beyond(hulls, reach)
+    return Decomposition(
+        hulls,
+        f"collision geometry: {pieces_in_words} {words}",
+        float(np.quantile(beyond, 0.95)),
+        float(beyond.max()),
+        float(np.mean(beyond > WITHIN * diameter)),
+        diameter,
+    )
 
 
 def _cut(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array], str]:
@@ -78,28 +123,13 @@ def _cut(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array], str]:
         asyncACD=False,
     )
     thickness_m = PANEL * float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
-    found = [_with_volume(np.asarray(vertices, dtype=np.float64), thickness_m) for vertices, _ in parts]
-    found = [vertices for vertices in found if _has_volume(vertices)]
-    return found, "by V-HACD, grown until they contain the surface"
+    found = [with_volume(np.asarray(vertices, dtype=np.float64), thickness_m) for vertices, _ in parts]
+    found = [vertices for vertices in found if has_volume(vertices)]
+    return found, "by V-HACD, grown until they contain the surface and cut where they reach far beyond it"
 
 
-def _with_volume(points: Array, thickness_m: float) -> Array:
-    """The points; of a panel seen from one side, which has no volume, two sheets of them."""
-    if _has_volume(points):
-        return points
-    across = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
-    return np.concatenate([points - 0.5 * thickness_m * across, points + 0.5 * thickness_m * across])
-
-
-def _has_volume(points: Array) -> bool:
-    try:
-        return bool(ConvexHull(points).volume > 0.0)
-    except QhullError:
-        return False
-
-
-def _grown(shape: Shape, seeds: list[Array]) -> list[Array]:
-    """Points of each piece with the corners of the triangles that it takes.
+def _grown(shape: Shape, seeds: list[Array], reach: Reach) -> list[Piece]:
+    """Each piece with the triangles that it takes, and with what it has inside the body.
 
     A sliver between two other pieces takes triangles from all around it: those that grow out of all
     proportion are left out, and the others share what they had.
@@ -109,29 +139,28 @@ def _grown(shape: Shape, seeds: list[Array]) -> list[Array]:
     corner: Ints = index.reshape(-1, 3)
     points = shape.vertices[used]
     # how far each triangle leaves each piece (T, pieces): the largest over its corners
-    leaves = np.stack([_outside(points, hull.equations)[corner].max(axis=1) for hull in hulls], axis=1)
+    leaves = np.stack([outside(points, hull.equations)[corner].max(axis=1) for hull in hulls], axis=1)
     kept = np.arange(len(seeds))
     while True:
         owner = kept[leaves[:, kept].argmin(axis=1)]
-        pieces = [np.concatenate([seeds[k], points[np.unique(corner[owner == k])]]) for k in kept]
-        sound = np.array(
-            [
-                ConvexHull(piece).volume < MOST_GROWTH * hulls[k].volume
-                for k, piece in zip(kept, pieces, strict=True)
-            ]
-        )
+        volumes = [
+            ConvexHull(np.concatenate([seeds[k], points[np.unique(corner[owner == k])]])).volume for k in kept
+        ]
+        sound = np.array([v < MOST_GROWTH * hulls[k].volume for k, v in zip(kept, volumes, strict=True)])
         if sound.all() or not sound.any():
-            return pieces
+            break
         kept = kept[sound]
-
-
-def _outside(points: Array, planes: Array) -> Array:
-    """(V,) largest signed distance to the planes (K, 4) of a hull; <= 0 inside."""
-    out = np.full(len(points), -np.inf)
-    for start in range(0, len(planes), 64):
-        some = planes[start : start + 64]
-        out = np.maximum(out, (points @ some[:, :3].T + some[:, 3]).max(axis=1))
-    return out
+    rng = np.random.default_rng(1)
+    pieces = []
+    for k in kept:
+        inner = np.concatenate(
+            [seeds[k], rng.dirichlet(np.full(len(seeds[k]), 0.3), INNER_SAMPLES) @ seeds[k]]
+        )
+        inner = inner[reach.of(inner, sure=True)[0] == 0.0]
+        triangles = points[corner[owner == k]]
+        if len(triangles) or len(inner) > 3:
+            pieces.append(piece_of(triangles, inner, reach))
+    return pieces
 
 
 def _hull(points: Array, margin_m: float) -> trimesh.Trimesh:
@@ -149,25 +178,19 @@ def _hull(points: Array, margin_m: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(corners, faces, process=False)
 
 
-def _beyond(hulls: tuple[trimesh.Trimesh, ...], shape: Shape) -> float:
-    """See ``Decomposition.beyond_m``; of points on the pieces that no other piece covers."""
-    # faces may be long: their corners alone would not tell where the surface is
-    surface = shape.mesh()
-    on, face = trimesh.sample.sample_surface(surface, SURFACE_SAMPLES, seed=0)
-    on, normal = np.asarray(on), np.asarray(surface.face_normals)[face]
-    tree = cKDTree(on)
+def _beyond(hulls: tuple[trimesh.Trimesh, ...], reach: Reach) -> Array:
+    """Of points on the pieces that no other piece covers, how far beyond the surface [m]."""
     planes = [ConvexHull(np.asarray(hull.vertices)).equations for hull in hulls]
+    boxes = np.stack([np.asarray(hull.bounds) for hull in hulls])
     areas = np.array([hull.area for hull in hulls])
     found = []
     for k, hull in enumerate(hulls):
         count = max(20, round(SAMPLES * areas[k] / areas.sum()))
-        points, _ = trimesh.sample.sample_surface(hull, count, seed=0)
+        points = np.asarray(trimesh.sample.sample_surface(hull, count, seed=0)[0])
         covered = np.zeros(len(points), dtype=bool)
-        for other, each in enumerate(planes):
+        meets = (boxes[:, 0] <= boxes[k, 1]).all(axis=1) & (boxes[:, 1] >= boxes[k, 0]).all(axis=1)
+        for other in np.flatnonzero(meets):
             if other != k:
-                covered |= _outside(np.asarray(points), each) < 0.0
-        free = np.asarray(points)[~covered]
-        distance, near = tree.query(free)
-        outside = np.sum((free - on[near]) * normal[near], axis=1) > 0.0
-        found.append(np.where(outside, distance, 0.0))
-    return float(np.quantile(np.concatenate(found), 0.95))
+                covered |= outside(points, planes[other]) < 0.0
+        found.append(reach.of(points[~covered], sure=True)[0])
+    return np.concatenate(found)

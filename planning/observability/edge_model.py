@@ -57,11 +57,11 @@ class EdgeModel:
     corner_normals_G: Array
     """(f, 3, 3) unit normals of the smooth part at the corners of the faces"""
     part: Ints
-    """(f,) smooth part of each face, numbered from 0"""
+    """(f,) curved part of each face, numbered from 0; -1 where the face is flat or belongs to a plane"""
     tolerance_m: float
     """how far a segment may be from the mesh's edge"""
     outlined: Bools
-    """(parts,) which smooth parts give outlines"""
+    """(parts,) which curved parts give outlines"""
     soft: Ints
     """(k, 4) edges that are no creases: two vertices of the surface, the faces at both sides"""
     faceted: bool
@@ -72,6 +72,11 @@ class EdgeModel:
     def size(self) -> int:
         """Number of features: segments, then smooth parts."""
         return len(self.ends_G) + len(self.outlined)
+
+    @property
+    def outlined_faces(self) -> Bools:
+        """(f,) faces of the curved parts that give outlines."""
+        return np.append(self.outlined, False)[self.part]
 
     @property
     def lengths_m(self) -> Array:
@@ -132,6 +137,7 @@ def edge_model(
     part = _smooth_parts(len(surface.faces), soft[:, 2:])
     ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m, least_length_m)
     corners = _corner_normals(surface, part)
+    curved = _is_curved(surface, corners, part, flat_deg)
     return EdgeModel(
         ends,
         tangents,
@@ -139,9 +145,9 @@ def edge_model(
         kinds,
         surface,
         corners,
-        part,
+        np.where(curved, np.cumsum(curved) - 1, -1)[part],
         tolerance_m,
-        _is_curved(surface, corners, part, flat_deg),
+        np.ones(int(curved.sum()), dtype=bool),
         soft,
         faceted,
         Occluder(surface),

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planning.observability.apart import clear_points
 from planning.observability.edge_model import EdgeModel
 from planning.observability.edge_motion import edge_motion
 from planning.observability.light import in_sunlight
@@ -51,15 +52,17 @@ def feature_information(
     sun_G: Array | None = None,
     o_G: Array | None = None,
     spacing_px: float = SPACING_PX,
+    clear: bool = False,
 ) -> FeatureInformation:
     """Views at X_RG (T, 4, 4), hidden lines removed; with sun_G (T, 3) edges count by their contrast.
 
-    About o_G (3,), without it about the model's middle.
+    About o_G (3,), without it about the model's middle. ``clear``: without what a tracker cannot tell from
+    edges beside it (`apart.py`), as is right for choosing.
     """
     about = model.middle_G if o_G is None else o_G
     C = np.zeros((len(X_RG), model.size, 6, 6))
     for k, X in enumerate(X_RG):
-        points = control_points(model, rig, X, spacing_px)
+        points = (clear_points if clear else control_points)(model, rig, X, spacing_px)
         if sun_G is not None:
             points = in_sunlight(model, points, inverse_pose(X)[:3, 3], sun_G[k])
         C[k] = by_feature(points, edge_motion(points, rig, X, about), model.size)

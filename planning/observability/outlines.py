@@ -37,7 +37,7 @@ def outlines(model: EdgeModel, eye_G: Array) -> Outlines:
 
 def _of_facets(model: EdgeModel, eye_G: Array) -> Outlines:
     """Edges between a face that looks at the eye and one that does not."""
-    soft = model.soft[model.outlined[model.part[model.soft[:, 2]]]]
+    soft = model.soft[model.outlined_faces[model.soft[:, 2]]]
     triangles = np.asarray(model.surface.triangles)
     facing = np.einsum("fk,fk->f", np.asarray(model.surface.face_normals), eye_G - triangles[:, 0]) > 0.0
     soft = soft[facing[soft[:, 2]] != facing[soft[:, 3]]]
@@ -50,7 +50,7 @@ def _of_facets(model: EdgeModel, eye_G: Array) -> Outlines:
 
 
 def _of_smooth_surface(model: EdgeModel, eye_G: Array) -> Outlines:
-    faces = np.flatnonzero(model.outlined[model.part])
+    faces = np.flatnonzero(model.outlined_faces)
     normals = model.corner_normals_G[faces]
     corners = np.asarray(model.surface.triangles)[faces]
     facing = np.einsum("fck,fck->fc", normals, corners - eye_G) > 0.0

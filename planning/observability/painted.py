@@ -54,8 +54,8 @@ def painted(model: EdgeModel, values: Array, highest: float | None = None) -> tu
     rgb, legend = coloured(values, highest)
     segments = len(model.ends_G)
     body = model.surface.copy()
-    smooth = model.outlined[model.part]
-    face_rgb = np.where(smooth[:, None], rgb[segments:][model.part], np.array(BODY_RGB))
+    of_parts = np.vstack([rgb[segments:], BODY_RGB])[model.part]
+    face_rgb = np.where(model.outlined_faces[:, None], of_parts, np.array(BODY_RGB))
     # one vertex for each corner: neighbouring parts differ in colour
     corners = trimesh.Trimesh(
         np.asarray(body.triangles).reshape(-1, 3),

@@ -160,3 +160,16 @@ def test_bodies_come_from_meshes_and_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such body; choose from block, wedge"):
         edge_body("bock")
     assert len(NAMES) == len(set(NAMES)) >= 10
+
+
+def test_scattered_rays_give_the_same_image_twice_and_the_same_body(poses: Array) -> None:
+    sun_C = random_suns(1, seed=2)[0]
+    rows, scattered = (
+        EdgeViews(edge_body("block"), RIG, 1, ViewOptions(scattered=s)).image(poses[0], sun_C).astype(float)
+        for s in (False, True)
+    )
+    again = EdgeViews(edge_body("block"), RIG, 1, ViewOptions(scattered=True)).image(poses[0], sun_C)
+    assert np.array_equal(again, scattered)
+    # only pixels that an edge passes differ
+    assert 0.0 < np.mean(np.abs(rows - scattered) > 15.0) < 0.02
+    assert scattered.sum() == pytest.approx(rows.sum(), rel=0.01)

@@ -17,6 +17,7 @@ from scipy.spatial import ConvexHull
 
 from pipeline.cli import main
 from planning.exports import convex
+from planning.exports.convex_cuts import clip, outside
 from planning.exports.records import Placement, shape_of_surface
 from polhode.mesh_metrics import distance_to_surface
 from polhode.quaternion import matrix_from_wxyz
@@ -94,7 +95,7 @@ def test_fcl_finds_every_point_of_the_surface_inside_the_pieces(
     away = box[distance_to_surface(cross.mesh, box) > 0.05]
     share = float(touches(away, 1e-3).mean())
     hull = ConvexHull(np.asarray(cross.mesh.vertices)).equations
-    inside_hull = float((convex._outside(away, hull) < 0.0).mean())
+    inside_hull = float((outside(away, hull) < 0.0).mean())
     assert len(away) > 500 and share < 0.1 * inside_hull
     with capsys.disabled():
         print(
@@ -103,17 +104,38 @@ def test_fcl_finds_every_point_of_the_surface_inside_the_pieces(
         )
 
 
-def test_the_pieces_contain_each_triangle_whole(cross: SurfaceModel) -> None:
+def test_the_pieces_contain_the_surface_and_reach_little_beyond(
+    cross: SurfaceModel, capsys: pytest.CaptureFixture[str]
+) -> None:
     shape = shape_of_surface(cross, Placement("G", np.eye(4), ""))
     pytest.importorskip("vhacdx")
-    for most in (1, 4, 24):
+    samples, _ = trimesh.sample.sample_surface(cross.mesh, 20_000, seed=5)
+    points = np.concatenate([np.asarray(samples), shape.vertices])
+    reached = []
+    for most in (1, 4, 24, 200):
         found = convex.decompose(shape, most)
         assert len(found.pieces) <= most
         planes = [ConvexHull(np.asarray(piece.vertices)).equations for piece in found.pieces]
-        # a triangle lies in a convex piece if its corners do
-        leaves = np.stack([convex._outside(shape.vertices, each)[shape.faces].max(axis=1) for each in planes])
-        assert leaves.min(axis=0).max() < 1e-9
-    assert found.beyond_m < 0.03
+        assert np.stack([outside(points, each) for each in planes]).min(axis=0).max() < 1e-9
+        reached.append(found.most_beyond_m / found.diameter_m)
+    assert reached[0] > reached[1] > reached[2] > reached[3] and found.far_share == 0.0
+    # within 1 % of the diameter
+    assert found.most_beyond_m < 0.01 * found.diameter_m and found.diameter_m == pytest.approx(0.5, rel=0.05)
+    with capsys.disabled():
+        words = ", ".join(f"{share:.2%}" for share in reached)
+        print(f"\n  1, 4, 24, {len(found.pieces)} pieces reach {words} of the diameter beyond", end="")
+
+
+def test_a_plane_cuts_triangles_into_parts_of_the_same_area() -> None:
+    triangles = np.random.default_rng(3).normal(size=(500, 3, 3))
+    n = np.array([0.36, 0.48, 0.8])
+    below, above = clip(triangles, n, 0.1)
+    assert (below @ n).max() < 0.1 + 1e-12 and (above @ n).min() > 0.1 - 1e-12
+
+    def area(t: np.ndarray) -> float:
+        return float(np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1).sum())
+
+    assert area(below) + area(above) == pytest.approx(area(triangles), rel=1e-12)
 
 
 def test_without_vhacd_there_is_the_convex_hull_and_it_is_said(
@@ -233,7 +255,7 @@ def test_drake_accepts_sdf_and_urdf_with_their_meshes(to: str, cross_run: Path, 
     from pydrake.geometry import Role, SceneGraph
     from pydrake.multibody.plant import MultibodyPlant
 
-    options = ("--mass-kg", "4.5", "--frame", "P")
+    options = ("--mass-kg", "4.5", "--frame", "P", "--pieces", "16")
     file = export(cross_run, to, tmp_path / f"cross.{to}", *options)
     plant, scene = MultibodyPlant(0.0), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene)

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from matplotlib.image import imread
 
 from pipeline.cli import main
 from pipeline.outputs import write_run
-from pipeline.plan import CORRIDOR_COLUMNS
+from pipeline.plan_files import CORRIDOR_COLUMNS
 from polhode.config import Config
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
@@ -53,6 +54,10 @@ def test_everything_is_written_and_opens_again(example: Example, tmp_path: Path,
     last = np.array(rows[-1].split(","), dtype=float)
     assert last[0] == 2.0 and np.linalg.norm(last[4:7]) == pytest.approx(1.0)
     assert found["corridor"]["delta_v_m_s"] > 0.0 and found["left_out"] == {}
+    assert not any("--dock-point" in words or "runs into" in words for words in found["notes"])
+    for name in ("keepout.png", "surface_speed.png", "corridor.png"):
+        picture = imread(out / name)
+        assert picture.shape[0] > 400 and len(np.unique(picture[..., :3].reshape(-1, 3), axis=0)) > 500
     # the whole body of the last pair is inside
     estimate = example.estimate
     p_N = np.asarray(example.surface.mesh.vertices) @ estimate.X_NG[-1, :3, :3].T + estimate.X_NG[-1, :3, 3]
@@ -67,7 +72,30 @@ def test_without_a_mesh_the_rest_is_given_and_the_reason_said(
     assert "Left out: keepout:" in capsys.readouterr().out
     found = json.loads((out / "planning.json").read_text())
     assert found["keepout"] is None and "no mesh" in found["left_out"]["keepout"]
-    assert sorted(file.name for file in out.iterdir()) == ["corridor.csv", "planning.json"]
+    assert sorted(file.name for file in out.iterdir()) == [
+        "corridor.csv",
+        "corridor.png",
+        "planning.json",
+    ]
+
+
+@pytest.mark.parametrize("mesh", [True, False])
+def test_a_docking_point_off_the_target_is_told_of(
+    mesh: bool, example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    run = written(example, tmp_path / "run", example.surface if mesh else None)
+    dock = ["--dock-point", "0.3", "0", "0", "--dock-axis", "-1", "0", "0"]
+    assert main(["plan", str(run), "-o", str(tmp_path / "out"), *AHEAD, *dock]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    notes = " ".join(json.loads((tmp_path / "out" / "planning.json").read_text())["notes"])
+    for words in (shown, notes):
+        assert "--dock-point 0.3 0 0 is 0." in words and "not on it" in words
+        # towards the target
+        assert ("runs into the target" in words) == mesh
+    # far in any unit: refused, and before any work
+    dock[1] = "100"
+    assert main(["plan", str(run), "-o", str(tmp_path / "none"), *AHEAD, *dock]) == 2
+    assert "give metres in G" in capsys.readouterr().err and not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize(
@@ -78,6 +106,10 @@ def test_without_a_mesh_the_rest_is_given_and_the_reason_said(
         (["--members", "10"], "--members"),
         (["--dock-point", "0", "0", "0"], "--dock-axis"),
         (["--dock-point", "0", "0", "0", "--dock-axis", "0", "0", "0"], "--dock-axis"),
+        (
+            ["--dock-point", "60", "0", "0", "--dock-axis", "1", "0", "0"],
+            "--dock-point 60 0 0 is 59.9 m from",
+        ),
     ],
 )
 def test_wrong_words_are_one_line(

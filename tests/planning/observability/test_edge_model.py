@@ -85,7 +85,8 @@ def test_another_body_hides_what_is_behind_it() -> None:
     near = trimesh.creation.box((0.5, 0.5, 0.1))
     far = trimesh.creation.box((0.2, 0.2, 0.1))
     far.apply_translation([0.0, 0.0, 1.0])
-    both = edge_model(trimesh.util.concatenate([near, far]))
+    faces = np.concatenate([near.faces, far.faces + len(near.vertices)])
+    both = edge_model(trimesh.Trimesh(np.concatenate([near.vertices, far.vertices]), faces))
     seen = control_points(both, RIG, pose((0.0, 0.0, 0.0), (0.0, 0.0, 3.0)))
     assert seen.p_G[:, 2].max() < 0.1
     aside = control_points(both, RIG, pose((0.0, 0.5, 0.0), (-0.4, 0.0, 3.0)))
@@ -172,6 +173,6 @@ def test_what_is_no_surface_is_refused() -> None:
     with pytest.raises(InputError, match="no faces"):
         edge_model(trimesh.Trimesh(np.zeros((3, 3)), np.zeros((0, 3), dtype=int)))
     with pytest.raises(InputError, match="not finite"):
-        edge_model(trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], [[0, 1, 2]], process=False))
+        edge_model(trimesh.Trimesh(np.diag([1.0, 1.0, np.nan]), np.array([[0, 1, 2]]), process=False))
     with pytest.raises(InputError, match="degenerate"):
-        edge_model(trimesh.Trimesh(np.zeros((3, 3)), [[0, 1, 2]], process=False))
+        edge_model(trimesh.Trimesh(np.zeros((3, 3)), np.array([[0, 1, 2]]), process=False))
