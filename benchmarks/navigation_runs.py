@@ -35,7 +35,7 @@ SETTLED_S = 10.0
 """Errors count from here on."""
 REFUSALS = 3
 """After so many in a row the next pose passes any gate: a filter that is lost must find back."""
-FACTORS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+FACTORS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)
 QUANTILES = (0.03, 0.06, 0.12, 0.25, 0.5)
 """Of the training poses that a threshold would leave out."""
 WRONG_NEES = 100.0

@@ -12,19 +12,19 @@ from benchmarks.edge_bodies import edge_body
 from benchmarks.edge_views import EdgeViews, ViewOptions
 from benchmarks.found_pose import FoundPose, spread
 from benchmarks.navigation_scene import Flight, sun_R
+from benchmarks.observability_cases import LENS
 from planning.observability.against_sky import polarity
 from planning.observability.calibrated import NoiseParts
 from planning.observability.edge_model import EdgeModel
 from planning.observability.edge_motion import moved
-from planning.observability.residual import support
+from planning.observability.residual import probability, support
 from planning.observability.tracker import Tracked, Tracking, track
 from polhode.camera import RectifiedRig
 from polhode.dataset_writer import write_png
 from polhode.images import Grey, read_raw
 from polhode.lie import Array
 
-VIEWS = ViewOptions(earth=0.0, samples=1)
-"""One ray a pixel: edges are jagged, which costs the tracker some of its accuracy."""
+VIEWS = ViewOptions(earth=0.0, scattered=True, sensor=LENS)
 TRACKING = Tracking(restarts=0)
 """One start, as fast as a filter at each image needs it; it goes wrong more often than with restarts."""
 NEAR = np.repeat([0.01, np.deg2rad(1.0)], 3)
@@ -84,6 +84,7 @@ def _found(tracked: Tracked, image: Array, radius_m: float) -> FoundPose | None:
         "edges not whole": 1.0 - by_image.whole,
         "limbs": 1.0 - by_image.limb,
         "found but unsupported": by_image.found - by_image.supported,
+        "improbable": 1.0 - float(probability(by_image.as_features[None])[0]),
     }
     noise = NoiseParts(parts[None], np.array([tracked.sigma_px]))
     return FoundPose(tracked.X_RG, noise, tracked.found_share, doubts)
