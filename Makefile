@@ -3,7 +3,7 @@
 # make example    flies around the target of the demo in MuJoCo, with a video (docs/planning.md)
 # make test    the tests            make check   style, types, import rules
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
-# make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/fusion_peers.py; without them its rows say so
+# make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/mapping/fusion_peers.py; without them its rows say so
 # make bench   accuracy and time, from images on every scene and of the back end alone: hours. What was measured
 #              before is read from its record, so it can be interrupted. make bench SHORT=--short: a few minutes
 
@@ -79,30 +79,30 @@ check: setup
 	$(BIN)/lint-imports --no-logo
 
 bench: setup $(MATCHERS) $(SOLVERS)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.scenes)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.prediction_error runs/ts38 data/ts38 -o runs/prediction.png)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.keepout runs/ts38 runs/asteroid runs/pure_spin)
-	$(BIN)/python -m benchmarks.frontend $(SHORT)
-	$(BIN)/python -m benchmarks.disparity $(SHORT)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.mesh_quality data/ts38 data/asteroid data/major_axis data/specular_mli)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.lengths)
-	$(BIN)/python -m benchmarks.fusion_peers $(SHORT)
-	$(BIN)/python -m benchmarks.fusion_scale $(SHORT)
-	$(BIN)/python -m benchmarks.frame_time $(SHORT)
-	$(BIN)/python -m benchmarks.lie_rank
-	$(BIN)/python -m benchmarks.observability_speed $(SHORT)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.observability_of_run runs/ts38:data/ts38 runs/major_axis:data/major_axis runs/fast_20rpm:data/fast_20rpm runs/asteroid:data/asteroid)
-	$(BIN)/python -m benchmarks.observability_planar -o runs/observability_planar.png
-	$(BIN)/python -m benchmarks.conditioning -o runs/conditioning.png
-	$(BIN)/python -m benchmarks.bound
-	$(BIN)/python -m benchmarks.backend_size $(SHORT) -o runs/backend_growth.png
-	$(BIN)/python -m benchmarks.same_answer $(SHORT)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.runs_by_solver runs/ts38 runs/asteroid runs/hard_light runs/specular_mli runs/pure_spin)
-	$(BIN)/python -m benchmarks.compare $(SHORT)
-	$(BIN)/python -m benchmarks.window $(SHORT)
-	$(BIN)/python -m benchmarks.window --seeds 3 --estimated $(SHORT)
-	$(BIN)/python -m benchmarks.pushes $(SHORT)
-	$(BIN)/python -m benchmarks.robustness $(SHORT)
-	$(BIN)/python -m benchmarks.convergence $(SHORT)
-	$(BIN)/python -m benchmarks.accuracy --motions 6 --seeds 20 --estimated $(SHORT)
-	$(BIN)/python -m benchmarks.accuracy --motions 6 $(SHORT)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.end_to_end.scenes)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.end_to_end.prediction_error runs/ts38 data/ts38 -o runs/prediction.png)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.planning.keepout runs/ts38 runs/asteroid runs/pure_spin)
+	$(BIN)/python -m benchmarks.frontend.frontend $(SHORT)
+	$(BIN)/python -m benchmarks.frontend.disparity $(SHORT)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.mapping.mesh_quality data/ts38 data/asteroid data/major_axis data/specular_mli)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.mapping.lengths)
+	$(BIN)/python -m benchmarks.mapping.fusion_peers $(SHORT)
+	$(BIN)/python -m benchmarks.mapping.fusion_scale $(SHORT)
+	$(BIN)/python -m benchmarks.mapping.frame_time $(SHORT)
+	$(BIN)/python -m benchmarks.solvers.lie_rank
+	$(BIN)/python -m benchmarks.edges.observability_speed $(SHORT)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.edges.observability_of_run runs/ts38:data/ts38 runs/major_axis:data/major_axis runs/fast_20rpm:data/fast_20rpm runs/asteroid:data/asteroid)
+	$(BIN)/python -m benchmarks.edges.observability_planar -o runs/observability_planar.png
+	$(BIN)/python -m benchmarks.solvers.conditioning -o runs/conditioning.png
+	$(BIN)/python -m benchmarks.monte_carlo.bound
+	$(BIN)/python -m benchmarks.solvers.backend_size $(SHORT) -o runs/backend_growth.png
+	$(BIN)/python -m benchmarks.monte_carlo.same_answer $(SHORT)
+	$(if $(SHORT),,$(BIN)/python -m benchmarks.solvers.runs_by_solver runs/ts38 runs/asteroid runs/hard_light runs/specular_mli runs/pure_spin)
+	$(BIN)/python -m benchmarks.solvers.compare $(SHORT)
+	$(BIN)/python -m benchmarks.monte_carlo.window $(SHORT)
+	$(BIN)/python -m benchmarks.monte_carlo.window --seeds 3 --estimated $(SHORT)
+	$(BIN)/python -m benchmarks.monte_carlo.disturbances $(SHORT)
+	$(BIN)/python -m benchmarks.monte_carlo.robustness $(SHORT)
+	$(BIN)/python -m benchmarks.monte_carlo.convergence $(SHORT)
+	$(BIN)/python -m benchmarks.monte_carlo.accuracy --motions 6 --seeds 20 --estimated $(SHORT)
+	$(BIN)/python -m benchmarks.monte_carlo.accuracy --motions 6 $(SHORT)

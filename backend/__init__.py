@@ -1,8 +1,8 @@
 """Measurements to motion, mass properties and covariance."""
 
-from backend.estimate import estimate_motion
-from backend.initialize import initialize_motion, undisputed_links
-from backend.window.online import estimate_online, in_words_of, window_warnings
+from polhode.backend.estimate import estimate_motion
+from polhode.backend.initialization.initialize import initialize_motion, undisputed_links
+from polhode.backend.window.online import estimate_online, in_words_of, window_warnings
 
 __all__ = [
     "estimate_motion",

@@ -7,17 +7,17 @@ from time import perf_counter
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from backend.ambiguity import open_turns_deg, with_open_sense
-from backend.fit import SUSPICIOUS, fit, times_stated
-from backend.gauss_newton import GaussNewton, Solution
-from backend.hypotheses import N_HYPOTHESES
-from backend.iterate import Iterate
-from backend.problem import TIGHT_GAUGE, MotionData, hold, motion_data
-from backend.program import MotionProgram
-from backend.result import assemble
-from backend.sense import OR_FAST
-from backend.systematic import with_systematic
-from backend.trials import renew_inertia
+from polhode.backend.fit import SUSPICIOUS, fit, times_stated
+from polhode.backend.initialization.hypotheses import N_HYPOTHESES
+from polhode.backend.initialization.multistart import renew_inertia
+from polhode.backend.initialization.rotation_direction import OR_FAST
+from polhode.backend.noise.systematic import with_systematic
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import TIGHT_GAUGE, MotionData, hold, motion_data
+from polhode.backend.result import assemble
+from polhode.backend.solvers.gauss_newton import GaussNewton, Solution
+from polhode.backend.solvers.ipopt import MotionProgram
+from polhode.backend.uncertainty.ambiguity import open_turns_deg, with_open_sense
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.progress import Progress

@@ -5,17 +5,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from backend.ambiguity import Choice, choose
-from backend.attach import attach_wrench
-from backend.fewer_frames import from_fewer_frames
-from backend.initialize import robust_landmarks
-from backend.iterate import Iterate
-from backend.noise import NoiseScales
-from backend.problem import MotionData
-from backend.process_level import estimate_process_noise
-from backend.prune import Kept, settle
-from backend.trials import Start, Trial, first_starts, try_hypotheses
-from backend.unknown_pushes import find_pushes
+from polhode.backend.disturbances.align_wrench_frame import attach_wrench
+from polhode.backend.disturbances.unknown_wrench import find_pushes
+from polhode.backend.initialization.fewer_frames import from_fewer_frames
+from polhode.backend.initialization.initialize import robust_landmarks
+from polhode.backend.initialization.multistart import Start, Trial, first_starts, try_hypotheses
+from polhode.backend.noise.measurement_noise import NoiseScales
+from polhode.backend.noise.process_level import estimate_process_noise
+from polhode.backend.noise.prune import Kept, settle
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import MotionData
+from polhode.backend.uncertainty.ambiguity import Choice, choose
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import inverse_pose, make_pose

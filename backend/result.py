@@ -2,8 +2,16 @@
 
 import numpy as np
 
-from backend.absolute import with_absolute_scale
-from backend.covariance import (
+from polhode.backend.disturbances.absolute_mass import with_absolute_scale
+from polhode.backend.disturbances.impulse_estimates import in_words, recovered_pushes
+from polhode.backend.dynamics.residuals import States
+from polhode.backend.initialization.rotation_direction import OR_FAST
+from polhode.backend.noise.measurement_noise import NoiseScales
+from polhode.backend.noise.prune import Kept, whitened_residuals
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import MotionData, hold
+from polhode.backend.solvers.gauss_newton import GaussNewton, robust_weight
+from polhode.backend.uncertainty.covariance import (
     AxesDerivative,
     Marginals,
     axes_derivative,
@@ -15,16 +23,8 @@ from backend.covariance import (
     state_jacobians,
     with_infinite,
 )
-from backend.dynamics import States
-from backend.equal_moments import of_free_turn, ratio_covariance
-from backend.gauss_newton import GaussNewton, robust_weight
-from backend.identifiability import Determined, analyse, undetermined_states
-from backend.iterate import Iterate
-from backend.noise import NoiseScales
-from backend.problem import MotionData, hold
-from backend.prune import Kept, whitened_residuals
-from backend.recovered import in_words, recovered_pushes
-from backend.sense import OR_FAST
+from polhode.backend.uncertainty.equal_moments import of_free_turn, ratio_covariance
+from polhode.backend.uncertainty.identifiability import Determined, analyse, undetermined_states
 from polhode.lie import Array, make_pose
 from polhode.records import (
     Bools,

@@ -6,7 +6,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from pipeline.threads import limit_threads
+from polhode.threads import limit_threads
 
 Case = dict[str, Any]
 """What names a case: its values are strings, numbers or booleans."""

@@ -3,15 +3,15 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from frontend.depth import compute_depth
-from frontend.methods import extract_pair, feature_method, match_method
-from frontend.parallel import in_order
-from frontend.patch_size import with_patch_size
-from frontend.rectified_pair import rectified_pair
-from frontend.rectify import Rectifier
-from frontend.stereo import StereoFeatures
 from polhode.config.frontend import Frontend
 from polhode.dataset import StereoSequence
+from polhode.frontend.disparity.depth import compute_depth
+from polhode.frontend.features.methods import extract_pair, feature_method, match_method
+from polhode.frontend.features.patch_size import with_patch_size
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.parallel import in_order
+from polhode.frontend.rectification.rectified_pair import rectified_pair
+from polhode.frontend.rectification.rectify import Rectifier
 from polhode.records import DepthMap
 
 Tick = Callable[[], None]

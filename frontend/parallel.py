@@ -13,12 +13,12 @@ Result = TypeVar("Result")
 
 PRELOADED = (
     "__main__",
-    "frontend.extract",
-    "frontend.pairs",
-    "frontend.track_refinement",
-    "frontend.surface_features",
-    "frontend.matcher",
-    "frontend.disparity_network",
+    "polhode.frontend.extract",
+    "polhode.frontend.matching.pairs",
+    "polhode.frontend.tracks.track_refinement",
+    "polhode.frontend.features.surface_features",
+    "polhode.frontend.matching.softmax_matcher",
+    "polhode.frontend.disparity.network",
 )
 """Modules that the frames' jobs need."""
 

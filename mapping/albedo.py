@@ -15,10 +15,18 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_array
 from trimesh.visual import ColorVisuals
 
-from mapping.shading import CLEARLY_BETTER, Observations, Sunlight, find_sun
-from mapping.visibility import Caster, DepthPicture, FrameView, pixels_of, sun_in_G, towards_G, values_at
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
+from polhode.mapping.shading import CLEARLY_BETTER, Observations, Sunlight, find_sun
+from polhode.mapping.visibility import (
+    Caster,
+    DepthPicture,
+    FrameView,
+    pixels_of,
+    sun_in_G,
+    towards_G,
+    values_at,
+)
 from polhode.records import Bools, Ints, SurfaceModel
 
 Floats = NDArray[np.float32]

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from mapping.frame import FrameTensors
-from mapping.lookup import Samples
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, right_jacobian_so3, transform_points
+from polhode.mapping.frame import FrameTensors
+from polhode.mapping.lookup import Samples
 
 MOST_SAMPLES = 3000
 _ITERATIONS = 20

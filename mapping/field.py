@@ -11,17 +11,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from mapping.align import Alignment, align, depth_points
-from mapping.blocks import BlockGrid, Truncation
-from mapping.frame import FrameTensors, at_pose, frame_tensors
-from mapping.integrate import allocate, integrate
-from mapping.lookup import FieldLookup
-from mapping.support import Support
-from mapping.surface import empty_surface, extract_surface
-from mapping.vertex_sigma import Shares
 from polhode.camera import RectifiedRig
 from polhode.config.mapping import Mapping
 from polhode.lie import Array, inverse_pose, make_pose, transform_points
+from polhode.mapping.align import Alignment, align, depth_points
+from polhode.mapping.blocks import BlockGrid, Truncation
+from polhode.mapping.frame import FrameTensors, at_pose, frame_tensors
+from polhode.mapping.integrate import allocate, integrate
+from polhode.mapping.lookup import FieldLookup
+from polhode.mapping.support import Support
+from polhode.mapping.surface import empty_surface, extract_surface
+from polhode.mapping.vertex_sigma import Shares
 from polhode.metrics import mean_rotation
 from polhode.records import AlignedPoses, DepthMap, SurfaceModel
 

@@ -6,11 +6,11 @@ from itertools import chain, islice
 
 import numpy as np
 
-from mapping.blocks import BYTES_PER_BLOCK, EDGE
-from mapping.field import Field
 from polhode.camera import RectifiedRig
 from polhode.config.mapping import Mapping
 from polhode.lie import Array
+from polhode.mapping.blocks import BYTES_PER_BLOCK, EDGE
+from polhode.mapping.field import Field
 from polhode.progress import Progress, Silent
 from polhode.records import DepthMap, SurfaceModel
 

@@ -12,11 +12,11 @@ import numpy as np
 import trimesh
 from trimesh.visual import ColorVisuals
 
-from mapping.hole_filling import fill_loop
-from mapping.mesh_loops import neighbours, piece_areas, rim_edges
-from mapping.visibility import LEAST_COSINE, Caster, FrameView, pixels_of
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
+from polhode.mapping.hole_filling import fill_loop
+from polhode.mapping.mesh_loops import neighbours, piece_areas, rim_edges
+from polhode.mapping.visibility import LEAST_COSINE, Caster, FrameView, pixels_of
 from polhode.records import Bools, Ints, SurfaceModel
 
 _MOST_CORNERS = 400

@@ -12,7 +12,9 @@ from jaxtyping import Float32, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mapping.blocks import (
+from polhode.camera import RectifiedRig
+from polhode.lie import Array, inverse_pose
+from polhode.mapping.blocks import (
     CHANNELS,
     COLOUR,
     COLOUR_WEIGHT,
@@ -29,10 +31,8 @@ from mapping.blocks import (
     unpack_keys,
     voxel_offsets,
 )
-from mapping.frame import FrameTensors
-from mapping.kernels import RESIDUE, touched_keys, update_blocks
-from polhode.camera import RectifiedRig
-from polhode.lie import Array, inverse_pose
+from polhode.mapping.frame import FrameTensors
+from polhode.mapping.kernels import RESIDUE, touched_keys, update_blocks
 
 _CHUNK_BLOCKS = 2048
 

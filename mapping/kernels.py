@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.blocks import (
+from polhode.lie import Array
+from polhode.mapping.blocks import (
     CHANNELS,
     COLOUR,
     COLOUR_WEIGHT,
@@ -15,8 +16,7 @@ from mapping.blocks import (
     VIEWS,
     WEIGHT,
 )
-from mapping.compiled import compiled
-from polhode.lie import Array
+from polhode.mapping.compiled import compiled
 from polhode.records import Ints
 
 Floats = NDArray[np.float32]

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.blocks import DISTANCE, EDGE, FREE, HALF, SQUARE, VIEWS, VOXELS, WEIGHT, BlockGrid
-from mapping.compiled import compiled
 from polhode.lie import Array, transform_points
+from polhode.mapping.blocks import DISTANCE, EDGE, FREE, HALF, SQUARE, VIEWS, VOXELS, WEIGHT, BlockGrid
+from polhode.mapping.compiled import compiled
 from polhode.records import Ints
 
 _BITS = HALF.bit_length()

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mapping.compiled import compiled
 from polhode.lie import Array
+from polhode.mapping.compiled import compiled
 from polhode.records import Ints
 
 MOMENTS = 9

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.blocks import DISTANCE, FREE, SQUARE, VIEWS, WEIGHT
 from polhode.config.mapping import Mapping
+from polhode.mapping.blocks import DISTANCE, FREE, SQUARE, VIEWS, WEIGHT
 from polhode.records import Bools
 
 Floats = NDArray[np.float32]

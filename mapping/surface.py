@@ -11,7 +11,8 @@ import trimesh
 from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
-from mapping.blocks import (
+from polhode.lie import Array
+from polhode.mapping.blocks import (
     COLOUR,
     COLOUR_WEIGHT,
     DISTANCE,
@@ -25,10 +26,9 @@ from mapping.blocks import (
     pack_keys,
     unpack_keys,
 )
-from mapping.mesh_loops import piece_areas
-from mapping.support import Support, known_voxels
-from mapping.vertex_sigma import Shares, vertex_sigma
-from polhode.lie import Array
+from polhode.mapping.mesh_loops import piece_areas
+from polhode.mapping.support import Support, known_voxels
+from polhode.mapping.vertex_sigma import Shares, vertex_sigma
 from polhode.records import Bools, Ints, SurfaceModel
 
 _CHUNK = 8

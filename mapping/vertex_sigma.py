@@ -3,7 +3,7 @@
 Independent noise averages out over the frames. What does not: disparities are matched in windows, so relief
 finer than a window is lost in every view alike, and all views share a part of their other errors (texture,
 light, calibration). The defaults of both shares were set on four simulated bodies
-(``benchmarks/mesh_quality.py``).
+(``benchmarks/mapping/mesh_quality.py``).
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from mapping.mesh_loops import averaged, least_spread, neighbours
 from polhode.lie import Array
+from polhode.mapping.mesh_loops import averaged, least_spread, neighbours
 
 WINDOW_VOXELS = 6.0
 """Radius of the disc over which roughness is told: a voxel is about a pixel, a window 7 of them wide."""

@@ -6,9 +6,9 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
-from mapping.visibility import Caster
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
+from polhode.mapping.visibility import Caster
 from polhode.records import Bools, Ints
 
 

@@ -11,12 +11,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from mapping.visibility import LEAST_COSINE, Caster, FrameView, pixels_of, towards_G
-from pipeline.direction_words import axis_words
-from pipeline.shape_parts import Coverage
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
+from polhode.mapping.visibility import LEAST_COSINE, Caster, FrameView, pixels_of, towards_G
 from polhode.mesh_metrics import sample_surface
+from polhode.pipeline.direction_words import axis_words
+from polhode.pipeline.run_directory.shape_parts import Coverage
 from polhode.records import Bools, SurfaceModel
 from polhode.surface_records import SEEN_LIT, SEEN_UNLIT, UNSEEN
 

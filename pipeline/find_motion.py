@@ -6,21 +6,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backend import estimate_motion, initialize_motion
-from frontend.combined import of_second
-from frontend.duplicates import merge_duplicates
-from frontend.guided import consistent_matches, reconnect
-from frontend.stereo import StereoFeatures
-from frontend.track_refinement import refine_tracks
-from frontend.tracks import Association, join_matches
-from pipeline.images import Images
-from pipeline.second_look import contradicts, revises
-from pipeline.sight import Sight, look_again, workers
-from pipeline.stopwatch import Stopwatch
+from polhode.backend import estimate_motion, initialize_motion
 from polhode.config import Config
 from polhode.config.frontend import Frontend
 from polhode.errors import RunFailure
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.combined import of_second
+from polhode.frontend.tracks.duplicates import merge_duplicates
+from polhode.frontend.tracks.guided import consistent_matches, reconnect
+from polhode.frontend.tracks.track_refinement import refine_tracks
+from polhode.frontend.tracks.tracks import Association, join_matches
 from polhode.lie import Array, inverse_pose
+from polhode.pipeline.consistency_check import contradicts, revises
+from polhode.pipeline.correspondences import Sight, look_again, workers
+from polhode.pipeline.images import Images
+from polhode.pipeline.stopwatch import Stopwatch
 from polhode.progress import Progress
 from polhode.records import InitialMotion, MotionEstimate, RelativePoses, StereoTracks
 

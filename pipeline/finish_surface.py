@@ -11,21 +11,21 @@ from typing import TypeVar
 
 import numpy as np
 
-from frontend.rectified_pair import rectified_left
-from frontend.rectify import Rectifier
-from mapping.albedo import Colouring, divide_shading
-from mapping.holes import ClosedHoles, close_small_holes
-from mapping.levels import Level, levels_of
-from mapping.visibility import Caster, FrameView
-from pipeline.assumed import assumed_properties
-from pipeline.coverage import coverage_of, warnings_of, with_classes
-from pipeline.physics_check import check_physics
-from pipeline.seen_surface import light_level
-from pipeline.shape_parts import Mesh, MeshLevel, ShapeFindings, Sun
 from polhode.camera import RectifiedRig
 from polhode.config import Config
 from polhode.dataset import StereoSequence
+from polhode.frontend.rectification.rectified_pair import rectified_left
+from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import Array, transform_points
+from polhode.mapping.albedo import Colouring, divide_shading
+from polhode.mapping.holes import ClosedHoles, close_small_holes
+from polhode.mapping.levels import Level, levels_of
+from polhode.mapping.visibility import Caster, FrameView
+from polhode.pipeline.assumed_density import assumed_properties
+from polhode.pipeline.coverage import coverage_of, warnings_of, with_classes
+from polhode.pipeline.evaluation.seen_surface import light_level
+from polhode.pipeline.physics_check import check_physics
+from polhode.pipeline.run_directory.shape_parts import Mesh, MeshLevel, ShapeFindings, Sun
 from polhode.records import MassProperties, SurfaceModel
 
 _log = logging.getLogger(__name__)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from frontend.rectify import Rectifier, make_rectifier
-from frontend.stereo import StereoFeatures
-from frontend.tracks import Association, to_tracks
 from polhode.config import Config
 from polhode.dataset import StereoSequence, open_sequence
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.frontend.tracks.tracks import Association, to_tracks
 from polhode.lie import Array
 from polhode.records import StereoTracks
 

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from mapping.holes import boundary_loops
-from mapping.visibility import Caster
-from pipeline.assumed import Solid, principal_axes, solid_body, solid_of
-from pipeline.direction_words import axis_words
-from pipeline.shape_parts import Physics
 from polhode.lie import Array, log_so3
+from polhode.mapping.holes import boundary_loops
+from polhode.mapping.visibility import Caster
 from polhode.metrics import HALF_TURNS
+from polhode.pipeline.assumed_density import Solid, principal_axes, solid_body, solid_of
+from polhode.pipeline.direction_words import axis_words
+from polhode.pipeline.run_directory.shape_parts import Physics
 from polhode.records import Bools, MassProperties, SurfaceModel
 
 CLEAR = 3.0

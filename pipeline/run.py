@@ -7,20 +7,20 @@ from typing import Literal
 
 import numpy as np
 
-from backend import estimate_online, in_words_of, window_warnings
-from frontend.extract import extract_depth
-from mapping.fusion import fuse
-from pipeline import outputs
-from pipeline.find_motion import find_motion, pose_RG
-from pipeline.finish_surface import finish_surface
-from pipeline.images import Images, open_images
-from pipeline.pictures import make_pictures
-from pipeline.run_folder import RunFolder
-from pipeline.sight import look, workers
-from pipeline.stopwatch import Stopwatch
-from pipeline.summary import Summary, build_summary
+from polhode.backend import estimate_online, in_words_of, window_warnings
 from polhode.config import Config
+from polhode.frontend.extract import extract_depth
 from polhode.lie import transform_points
+from polhode.mapping.fusion import fuse
+from polhode.pipeline.correspondences import look, workers
+from polhode.pipeline.find_motion import find_motion, pose_RG
+from polhode.pipeline.finish_surface import finish_surface
+from polhode.pipeline.images import Images, open_images
+from polhode.pipeline.pictures import make_pictures
+from polhode.pipeline.run_directory import outputs
+from polhode.pipeline.run_directory.run_folder import RunFolder
+from polhode.pipeline.run_directory.summary import Summary, build_summary
+from polhode.pipeline.stopwatch import Stopwatch
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
 

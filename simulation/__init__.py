@@ -1,5 +1,5 @@
 """Scenes to datasets with truth: bodies, materials, motion, light, rendering."""
 
-from simulation.sequence import simulate
+from polhode.simulation.dataset.sequence import simulate
 
 __all__ = ["simulate"]

@@ -1,6 +1,6 @@
 """One thread for BLAS, as in the program; a tiny stereo sequence on disk, for tests to read and to damage."""
 
-from pipeline.threads import limit_threads
+from polhode.threads import limit_threads
 
 limit_threads(1)  # before NumPy is imported
 

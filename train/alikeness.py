@@ -7,12 +7,12 @@ truth, turned alike, and correlated.
 
 import numpy as np
 
-from frontend.patches import Patches, cut_patches, tangent_affines, turned
 from polhode.camera import RectifiedRig
+from polhode.frontend.features.patches import Patches, cut_patches, tangent_affines, turned
 from polhode.lie import Array
 from polhode.records import Bools, Ints
-from train.points import ScenePoints
-from train.surface_turn import turn_between
+from polhode.train.points import ScenePoints
+from polhode.train.surface_turn import turn_between
 
 HALF_PX = 12.0
 """Half the side of the patches at the middle depth of the first frame [px]."""

@@ -1,6 +1,6 @@
 """The corpus: many short simulated sequences with the truth of their pixels, on disk as any other sequence.
 
-    python -m train.corpus CONFIG [--workers N]
+    python -m polhode.train.corpus CONFIG [--workers N]
 
 renders what is missing in the folder of ``train.corpus``; ``polhode train`` does the same before it begins.
 A folder ``0007`` is scene 7. ``corpus.yaml`` beside them tells what the scenes were drawn from.
@@ -18,9 +18,9 @@ from polhode.config.loader import load_config
 from polhode.config.train import Corpus, Train
 from polhode.errors import InputError
 from polhode.progress import Progress, Silent
-from simulation.sequence import SCENE_FILE, simulate
-from simulation.workers import in_processes
-from train.scene import random_scene
+from polhode.simulation.dataset.sequence import SCENE_FILE, simulate
+from polhode.simulation.workers import in_processes
+from polhode.train.scene import random_scene
 
 NOTE = "corpus.yaml"
 FREE_KEYS = {"folder", "scenes", "validation_every"}
@@ -116,7 +116,7 @@ def required_train(train: Train | None, config: Path) -> Train:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render the corpus of a configuration."""
-    parser = argparse.ArgumentParser(prog="python -m train.corpus", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m polhode.train.corpus", description=main.__doc__)
     parser.add_argument("config", type=Path)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     options = parser.parse_args(arguments)

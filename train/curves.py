@@ -1,6 +1,6 @@
 """Curves of a training, in TensorBoard's format: ``tensorboard --logdir OUTPUT`` shows them.
 
-    python -m train.curves OUTPUT... -o FILE.png
+    python -m polhode.train.curves OUTPUT... -o FILE.png
 
 draws them from the event files.
 """
@@ -88,7 +88,7 @@ def _draw(axes: Axes, curves: Mapping[str, Array], smooth: int = 1) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Draw the curves of trainings."""
-    parser = argparse.ArgumentParser(prog="python -m train.curves", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m polhode.train.curves", description=main.__doc__)
     parser.add_argument("outputs", type=Path, nargs="+", metavar="OUTPUT")
     parser.add_argument("-o", "--picture", type=Path, required=True)
     options = parser.parse_args(arguments)

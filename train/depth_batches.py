@@ -14,9 +14,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from frontend.disparity_evidence import evidence, hypotheses
-from frontend.disparity_start import Start, fill_holes
-from train.depth_samples import Sample, random_part, read_sample
+from polhode.frontend.disparity.evidence import evidence, hypotheses
+from polhode.frontend.disparity.start import Start, fill_holes
+from polhode.train.depth_samples import Sample, random_part, read_sample
 
 Floats = NDArray[np.float32]
 

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from frontend.networks.disparity import Mixture, read_mixture
-from train.depth_batches import DepthBatch
+from polhode.frontend.networks.disparity import Mixture, read_mixture
+from polhode.train.depth_batches import DepthBatch
 
 _HIDDEN_WEIGHT = 0.15
 """Of pixels that the other camera does not see: only their surroundings tell."""

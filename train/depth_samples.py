@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.disparity_crop import cut_crop
-from frontend.disparity_network import padded
-from frontend.disparity_start import Start, classical_start
-from frontend.rectify import Rectifier, make_rectifier
-from frontend.target import target_mask
 from polhode.config.depth import Depth
 from polhode.dataset import StereoSequence, open_sequence
+from polhode.frontend.disparity.crop import cut_crop
+from polhode.frontend.disparity.network import padded
+from polhode.frontend.disparity.start import Start, classical_start
+from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.frontend.rectification.target import target_mask
 from polhode.records import Bools
-from train.depth_truth import TrueDisparity, true_disparities
+from polhode.train.depth_truth import TrueDisparity, true_disparities
 
 Floats = NDArray[np.float32]
 _WIDEST_MARGIN_PX = 8.0

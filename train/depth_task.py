@@ -8,18 +8,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from frontend.disparity_network import Refined, refine
-from frontend.networks.disparity import DisparityNet
 from polhode.config.depth import Depth
 from polhode.config.train import DepthTraining, Train
 from polhode.errors import InputError
+from polhode.frontend.disparity.network import Refined, refine
+from polhode.frontend.networks.disparity import DisparityNet
 from polhode.progress import Progress
-from simulation.workers import in_processes
-from train.corpus import scene_folder, split
-from train.depth_batches import DepthBatch, random_batch
-from train.depth_loss import asked_pixels, depth_loss
-from train.depth_samples import Sample, build_samples, read_sample
-from train.task import Batch
+from polhode.simulation.workers import in_processes
+from polhode.train.corpus import scene_folder, split
+from polhode.train.depth_batches import DepthBatch, random_batch
+from polhode.train.depth_loss import asked_pixels, depth_loss
+from polhode.train.depth_samples import Sample, build_samples, read_sample
+from polhode.train.task import Batch
 
 
 class DepthTask:

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.rectify import Rectifier
 from polhode.dataset import StereoCalibration, StereoSequence
 from polhode.errors import InputError
+from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import Array, inverse_pose
 from polhode.records import Bools
-from simulation.products import products_path, read_products
+from polhode.simulation.dataset.products import products_path, read_products
 
 Floats = NDArray[np.float32]
 _SAME_SURFACE_PX = 1.0

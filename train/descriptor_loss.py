@@ -9,11 +9,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from frontend.networks.descriptor import Described
-from frontend.soft_assignment import DualSoftmax
 from polhode.config.train import DescriptorTraining
-from train.matching_loss import matching_loss
-from train.task import Batch
+from polhode.frontend.matching.soft_assignment import DualSoftmax
+from polhode.frontend.networks.descriptor import Described
+from polhode.train.matching_loss import matching_loss
+from polhode.train.task import Batch
 
 SAME_PX = 4.0
 """Points of one frame pair this close to each other are no negatives of one another [px]."""

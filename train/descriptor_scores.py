@@ -9,15 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frontend.features import Descriptors
-from frontend.patches import Patches, cut_patches, tangent_affines, turned
-from frontend.surface_descriptor import HistogramDescriptor
+from polhode.frontend.features.keypoints import Descriptors
+from polhode.frontend.features.patches import Patches, cut_patches, tangent_affines, turned
+from polhode.frontend.features.surface_descriptor import HistogramDescriptor
 from polhode.lie import Array
 from polhode.records import Bools, Ints
-from train.alikeness import alike, rig_of, turn_of
-from train.patch_batches import FramePair, frame_pairs, leaning, stray_points
-from train.points import ScenePoints
-from train.surface_turn import turn_between
+from polhode.train.alikeness import alike, rig_of, turn_of
+from polhode.train.patch_batches import FramePair, frame_pairs, leaning, stray_points
+from polhode.train.points import ScenePoints
+from polhode.train.surface_turn import turn_between
 
 ANGLES_DEG = {"30": (20.0, 40.0), "60": (50.0, 70.0)}
 """Angle between the views of the points of each score."""

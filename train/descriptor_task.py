@@ -5,19 +5,19 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
-from frontend.features import Descriptors
-from frontend.networks.descriptor import DescriptorNet
-from frontend.patches import Patches
 from polhode.config.train import DescriptorTraining, Train
 from polhode.errors import InputError
+from polhode.frontend.features.keypoints import Descriptors
+from polhode.frontend.features.patches import Patches
+from polhode.frontend.networks.descriptor import DescriptorNet
 from polhode.lie import Array
 from polhode.progress import Progress
-from train.corpus import split
-from train.descriptor_loss import Heads, descriptor_loss
-from train.descriptor_scores import Trial, make_trials, score
-from train.patch_batches import PatchBatches
-from train.points import prepare_points
-from train.task import Batch
+from polhode.train.corpus import split
+from polhode.train.descriptor_loss import Heads, descriptor_loss
+from polhode.train.descriptor_scores import Trial, make_trials, score
+from polhode.train.patch_batches import PatchBatches
+from polhode.train.points import prepare_points
+from polhode.train.task import Batch
 
 AT_ONCE = 256
 """Patches that the network describes at once in validation."""

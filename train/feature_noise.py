@@ -1,6 +1,6 @@
 """The constants of ``frontend.feature_noise``, from simulated scenes, and whether they hold elsewhere.
 
-    python -m train.feature_noise configs/train/features.yaml [--scenes 24] [--check SEQUENCE ...]
+    python -m polhode.train.feature_noise configs/train/features.yaml [--scenes 24] [--check SEQUENCE ...]
 
 SEQUENCE: folders that ``polhode simulate`` made. Neighbouring frames are matched as a run matches them. What
 passes the geometric check is compared with the true motion.
@@ -14,23 +14,23 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
-from frontend.feature_noise import confidence_logit, match_sigma
-from frontend.matcher import SoftmaxMatcher
-from frontend.patch_size import with_patch_size
-from frontend.ransac import ransac_rigid
-from frontend.rectified_pair import rectified_pair
-from frontend.rectify import Rectifier, make_rectifier
-from frontend.stereo import StereoFeatures
-from frontend.surface_features import SurfaceFeatureMethod
 from polhode.config.frontend import Features, Frontend
 from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
+from polhode.frontend.features.feature_noise import confidence_logit, match_sigma
+from polhode.frontend.features.patch_size import with_patch_size
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.features.surface_features import SurfaceFeatureMethod
+from polhode.frontend.matching.ransac import ransac_rigid
+from polhode.frontend.matching.softmax_matcher import SoftmaxMatcher
+from polhode.frontend.rectification.rectified_pair import rectified_pair
+from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Ints
-from simulation.plan import plan_sequence
-from simulation.sequence import SCENE_FILE
-from train.corpus import scene_folder, split
+from polhode.simulation.dataset.plan import plan_sequence
+from polhode.simulation.dataset.sequence import SCENE_FILE
+from polhode.train.corpus import scene_folder, split
 
 CONFIG = Frontend(features=Features(method="polhode"))
 WRONG_DEG = 2.0
@@ -151,7 +151,7 @@ def normalised_variance(scene: Residuals) -> tuple[float, float]:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Print the constants, and how the present ones fit the scenes that are named."""
-    parser = argparse.ArgumentParser(prog="python -m train.feature_noise", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m polhode.train.feature_noise", description=__doc__)
     parser.add_argument("config", type=Path, metavar="CONFIG", help="configuration with the corpus, YAML")
     parser.add_argument("--scenes", type=int, default=24, help="training scenes that are used")
     parser.add_argument("--check", type=Path, nargs="*", default=[], metavar="SEQUENCE")

@@ -20,9 +20,9 @@ from torch import Tensor, nn
 from polhode.config.train import Schedule
 from polhode.errors import InputError, RunFailure
 from polhode.progress import Progress
-from train.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
-from train.curves import Curves
-from train.task import Batch, Task
+from polhode.train.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from polhode.train.curves import Curves
+from polhode.train.task import Batch, Task
 
 AHEAD = 4
 """Batches that are made while a GPU is busy."""

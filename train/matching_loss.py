@@ -8,9 +8,9 @@ gradient runs from the motion through the fit and the matches into the network.
 import torch
 from torch import Tensor
 
-from frontend.networks.descriptor import Described
-from frontend.soft_assignment import DualSoftmax, motion_loss
-from train.task import Batch
+from polhode.frontend.matching.soft_assignment import DualSoftmax, motion_loss
+from polhode.frontend.networks.descriptor import Described
+from polhode.train.task import Batch
 
 FEWEST = 8
 """Frame pairs with fewer points tell no motion."""

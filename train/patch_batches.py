@@ -11,14 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from frontend.patches import Patches, cut_patches, tangent_affines, turned, upright_affines
 from polhode.config.train import DescriptorTraining
+from polhode.frontend.features.patches import Patches, cut_patches, tangent_affines, turned, upright_affines
 from polhode.lie import Array, inverse_pose
 from polhode.records import Bools, Ints
-from train.alikeness import alike, rig_of, turn_of
-from train.points import ScenePoints
-from train.surface_turn import turn_between
-from train.task import Batch
+from polhode.train.alikeness import alike, rig_of, turn_of
+from polhode.train.points import ScenePoints
+from polhode.train.surface_turn import turn_between
+from polhode.train.task import Batch
 
 FEWEST = 12
 """Two frames with fewer points in common are not drawn."""

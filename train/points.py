@@ -15,25 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from frontend.features import KeyPoints, detect
-from frontend.target import target_crop
 from polhode.config.frontend import Features
 from polhode.config.loader import load_config
 from polhode.config.scene import Product
 from polhode.config.train import Corpus
 from polhode.dataset_writer import image_path
+from polhode.frontend.features.keypoints import KeyPoints, detect
+from polhode.frontend.rectification.target import target_crop
 from polhode.images import Grey
 from polhode.lie import Array, inverse_pose
 from polhode.progress import Progress
 from polhode.records import Bools, Ints
-from simulation.correspondence import View, correspond, view_of
-from simulation.plan import Plan, plan_sequence
-from simulation.products import CAST, Products, products_path, read_products, render_products
-from simulation.raycast import RayCaster
-from simulation.render import Renderer
-from simulation.sequence import SCENE_FILE
-from simulation.workers import in_processes
-from train.corpus import scene_folder
+from polhode.simulation.dataset.correspondence import View, correspond, view_of
+from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.dataset.products import CAST, Products, products_path, read_products, render_products
+from polhode.simulation.dataset.sequence import SCENE_FILE
+from polhode.simulation.rendering.raycast import RayCaster
+from polhode.simulation.rendering.render import Renderer
+from polhode.simulation.workers import in_processes
+from polhode.train.corpus import scene_folder
 
 VERSION = 1
 """Of the files: those of another version are made anew."""

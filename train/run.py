@@ -14,10 +14,10 @@ from polhode.config.loader import dump_config
 from polhode.config.train import Train
 from polhode.errors import InputError
 from polhode.progress import Progress
-from train.checkpoint import write_weights
-from train.corpus import render_corpus
-from train.loop import Loop, Outcome
-from train.task import Task, make_task
+from polhode.train.checkpoint import write_weights
+from polhode.train.corpus import render_corpus
+from polhode.train.loop import Loop, Outcome
+from polhode.train.task import Task, make_task
 
 FREE_KEYS = (
     "output",

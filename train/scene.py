@@ -7,7 +7,7 @@ import numpy as np
 from polhode.config.scene import Background, Body, Light, Motion, Render, Rig, Scene, Sensor
 from polhode.config.train import Corpus
 from polhode.lie import Array
-from simulation.bodies import build_body
+from polhode.simulation.bodies import build_body
 
 MATERIALS = {
     "asteroid": ("regolith",),

@@ -1,6 +1,6 @@
 """Scores of descriptor weights on chosen sequences, such as bodies and textures that training never saw.
 
-    python -m train.score_weights SEQ... [--weights FILE]
+    python -m polhode.train.score_weights SEQ... [--weights FILE]
 
 SEQ: folders of ``polhode simulate`` with a rectified rig. A table: for each sequence, the share of the key
 points found again whose most similar key point in the other frame is the right one.
@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from frontend.networks.describe import descriptor_network
-from frontend.networks.descriptor import DescriptorNet
 from polhode.errors import InputError
-from simulation.sequence import SCENE_FILE
-from train.descriptor_scores import ANGLES_DEG, make_trials, score
-from train.descriptor_task import described_by
-from train.points import find_points
+from polhode.frontend.features.network_descriptor import descriptor_network
+from polhode.frontend.networks.descriptor import DescriptorNet
+from polhode.simulation.dataset.sequence import SCENE_FILE
+from polhode.train.descriptor_scores import ANGLES_DEG, make_trials, score
+from polhode.train.descriptor_task import described_by
+from polhode.train.points import find_points
 
 METHODS = {"rootsift": "RootSIFT", "surface_rootsift": "on patches", "rank_1": "network"}
 SEED = 1
@@ -46,7 +46,7 @@ def table(scores: Mapping[str, Mapping[str, float]]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Score descriptor weights on simulated sequences."""
-    parser = argparse.ArgumentParser(prog="python -m train.score_weights", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m polhode.train.score_weights", description=main.__doc__)
     parser.add_argument("sequences", type=Path, nargs="+", metavar="SEQ")
     parser.add_argument("--weights", type=Path, help="file; those shipped when absent")
     options = parser.parse_args(arguments)

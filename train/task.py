@@ -13,7 +13,7 @@ from polhode.config.train import Train
 from polhode.progress import Progress
 
 Batch = dict[str, Tensor]
-TASKS = {"descriptor": "train.descriptor_task", "depth": "train.depth_task"}
+TASKS = {"descriptor": "polhode.train.descriptor_task", "depth": "polhode.train.depth_task"}
 """Module of each ``train.task``; imported when it is asked for."""
 
 

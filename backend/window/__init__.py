@@ -1,9 +1,9 @@
 """The sliding window: the causal estimate, frame by frame."""
 
-from backend.window.estimator import SlidingWindow
-from backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
-from backend.window.online import estimate_online, in_words_of, window_warnings
-from backend.window.state import OnlineState
+from polhode.backend.window.causal_state import OnlineState
+from polhode.backend.window.estimator import SlidingWindow
+from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
+from polhode.backend.window.online import estimate_online, in_words_of, window_warnings
 
 __all__ = [
     "CameraNoise",

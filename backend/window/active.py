@@ -4,13 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from backend.inertia import InertiaForm
-from backend.kernels import N_CONSTANTS, N_STATE
-from backend.window.dense import add_block, others
-from backend.window.frame import Frame, states_of
-from backend.window.links import NO_LINKS, Links, link_jacobians
-from backend.window.quadratic import Quadratic, eliminate
-from backend.window.vision import N_POSE
+from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
+from polhode.backend.problem.inertia import InertiaForm
+from polhode.backend.window.dense import add_block, others
+from polhode.backend.window.frame import Frame, states_of
+from polhode.backend.window.links import NO_LINKS, Links, link_jacobians
+from polhode.backend.window.quadratic import Quadratic, eliminate
+from polhode.backend.window.vision import N_POSE
 from polhode.lie import Array
 from polhode.records import Ints
 

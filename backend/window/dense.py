@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from backend.compiled import compiled
+from polhode.backend.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 

@@ -5,19 +5,19 @@ import logging
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from backend.window.admit import first_frame, next_frame
-from backend.window.basin import choose_basin
-from backend.window.belief import Belief, new_belief
-from backend.window.frame import CameraNoise, FrameMeasurements
-from backend.window.history import History
-from backend.window.ipopt import IpoptSolver
-from backend.window.level import estimate_levels
-from backend.window.newton import NewtonSolver
-from backend.window.noise import estimate_noise
-from backend.window.problem import WindowSolver
-from backend.window.release import release
-from backend.window.state import OnlineState, online_state, unknown_state
-from backend.window.steps import expand_arrival, solve_whole, solve_window
+from polhode.backend.window.add_frame import first_frame, next_frame
+from polhode.backend.window.causal_state import OnlineState, online_state, unknown_state
+from polhode.backend.window.disturbance_level import estimate_levels
+from polhode.backend.window.estimator_state import Belief, new_belief
+from polhode.backend.window.frame import CameraNoise, FrameMeasurements
+from polhode.backend.window.history import History
+from polhode.backend.window.ipopt import IpoptSolver
+from polhode.backend.window.marginalize import release
+from polhode.backend.window.multistart import choose_basin
+from polhode.backend.window.newton import NewtonSolver
+from polhode.backend.window.pixel_noise import estimate_noise
+from polhode.backend.window.problem import WindowSolver
+from polhode.backend.window.steps import expand_arrival, solve_whole, solve_window
 from polhode.camera import RectifiedRig
 from polhode.config.backend import Backend
 from polhode.lie import Array

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from backend.kernels import N_STATE
-from backend.turns import turns
+from polhode.backend.dynamics.kernels import N_STATE
+from polhode.backend.dynamics.so3_exp import turns
 from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, StereoTracks
 

@@ -11,12 +11,12 @@ import casadi as ca
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from backend.gauss_newton import Solution
-from backend.inertia import InertiaForm
-from backend.kernels import N_CONSTANTS, N_STATE, Output, prior_kernel
-from backend.program import GOOD
-from backend.step_kernels import dynamics_kernel
-from backend.window.problem import WindowProblem
+from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE, Output, prior_kernel
+from polhode.backend.dynamics.step_kernels import dynamics_kernel
+from polhode.backend.problem.inertia import InertiaForm
+from polhode.backend.solvers.gauss_newton import Solution
+from polhode.backend.solvers.ipopt import GOOD
+from polhode.backend.window.problem import WindowProblem
 from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints

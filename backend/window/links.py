@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.dynamics import States, Steps, dynamics_jacobians, dynamics_residuals
-from backend.flow import series_steps
-from backend.inertia import InertiaForm, inertia_derivative, inertia_from_second_moments
-from backend.kernels import N_CONSTANTS, N_STATE
-from backend.process_noise import whitening
-from backend.turns import turns
+from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
+from polhode.backend.dynamics.process_noise import whitening
+from polhode.backend.dynamics.propagation import series_steps
+from polhode.backend.dynamics.residuals import States, Steps, dynamics_jacobians, dynamics_residuals
+from polhode.backend.dynamics.so3_exp import turns
+from polhode.backend.problem.inertia import InertiaForm, inertia_derivative, inertia_from_second_moments
 from polhode.lie import Array
 from polhode.records import Ints
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.initialize import ransac_orientation
+from polhode.backend.initialization.initialize import ransac_orientation
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, hat
 from polhode.records import Bools

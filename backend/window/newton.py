@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from backend.gauss_newton import Solution
-from backend.identifiability import CONSTANT_SCALE
-from backend.kernels import N_CONSTANTS
-from backend.window.problem import WindowProblem
+from polhode.backend.dynamics.kernels import N_CONSTANTS
+from polhode.backend.solvers.gauss_newton import Solution
+from polhode.backend.uncertainty.identifiability import CONSTANT_SCALE
+from polhode.backend.window.problem import WindowProblem
 from polhode.lie import Array
 
 AT_REST = 1e-3

@@ -7,10 +7,10 @@ from time import perf_counter
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from backend.systematic import online_with_systematic
-from backend.window.estimator import SlidingWindow
-from backend.window.frame import camera_noise_of, frames_of
-from backend.window.state import HALF_TURNS, OnlineState
+from polhode.backend.noise.systematic import online_with_systematic
+from polhode.backend.window.causal_state import HALF_TURNS, OnlineState
+from polhode.backend.window.estimator import SlidingWindow
+from polhode.backend.window.frame import camera_noise_of, frames_of
 from polhode.config.backend import Backend
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Progress

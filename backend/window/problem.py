@@ -5,12 +5,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from backend.dynamics import add_steps
-from backend.gauss_newton import Solution
-from backend.inertia import FORMS, InertiaForm
-from backend.kernels import N_CONSTANTS, N_STATE, prior_kernel
-from backend.window.links import Links, link_jacobians, link_residuals
-from backend.window.quadratic import Quadratic
+from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE, prior_kernel
+from polhode.backend.dynamics.residuals import add_steps
+from polhode.backend.problem.inertia import FORMS, InertiaForm
+from polhode.backend.solvers.gauss_newton import Solution
+from polhode.backend.window.links import Links, link_jacobians, link_residuals
+from polhode.backend.window.quadratic import Quadratic
 from polhode.lie import Array
 
 

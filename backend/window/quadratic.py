@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from backend.window.dense import block_of
+from polhode.backend.window.dense import block_of
 from polhode.lie import Array
 from polhode.records import Ints
 

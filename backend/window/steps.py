@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from backend.gauss_newton import Solution
-from backend.kernels import N_CONSTANTS
-from backend.window.active import add_parts
-from backend.window.belief import Belief
-from backend.window.history import History, WholeVision
-from backend.window.newton import NewtonSolver
-from backend.window.problem import WindowProblem, WindowSolver
-from backend.window.quadratic import Quadratic, eliminate
-from backend.window.state import last_information
-from backend.window.vision import GATE, N_POSE, Condensed
+from polhode.backend.dynamics.kernels import N_CONSTANTS
+from polhode.backend.solvers.gauss_newton import Solution
+from polhode.backend.window.active import add_parts
+from polhode.backend.window.causal_state import last_information
+from polhode.backend.window.estimator_state import Belief
+from polhode.backend.window.history import History, WholeVision
+from polhode.backend.window.newton import NewtonSolver
+from polhode.backend.window.problem import WindowProblem, WindowSolver
+from polhode.backend.window.quadratic import Quadratic, eliminate
+from polhode.backend.window.vision import GATE, N_POSE, Condensed
 from polhode.lie import Array
 
 INNER_ITERATIONS = 10

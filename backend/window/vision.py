@@ -4,12 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.compiled import compiled
-from backend.gauss_newton import robust_weight
-from backend.schur import back_substitute, stereo_normal_equations, stereo_residuals, subtract_landmarks
-from backend.turns import right_jacobians, turns
-from backend.window.dense import mirror_lower
-from backend.window.frame import Frame
+from polhode.backend.compiled import compiled
+from polhode.backend.dynamics.so3_exp import right_jacobians, turns
+from polhode.backend.solvers.gauss_newton import robust_weight
+from polhode.backend.solvers.schur import (
+    back_substitute,
+    stereo_normal_equations,
+    stereo_residuals,
+    subtract_landmarks,
+)
+from polhode.backend.window.dense import mirror_lower
+from polhode.backend.window.frame import Frame
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 

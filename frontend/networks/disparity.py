@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from frontend.disparity_evidence import CHANNELS, HYPOTHESES
+from polhode.frontend.disparity.evidence import CHANNELS, HYPOTHESES
 
 WIDTHS = (48, 64, 96, 128)
 STRIDE = 16

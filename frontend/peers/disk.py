@@ -3,12 +3,12 @@
 import torch
 from kornia.feature import DISK
 
-from frontend.peers.sides import Detections, stereo_from_sides
-from frontend.peers.weights import fill, load_weights
-from frontend.rectified_pair import RectifiedPair
-from frontend.stereo import StereoFeatures
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Frontend
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.peers.sides import Detections, stereo_from_sides
+from polhode.frontend.peers.weights import fill, load_weights
+from polhode.frontend.rectification.rectified_pair import RectifiedPair
 
 
 class DiskFeatures:

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from kornia.feature import LightGlue
 
-from frontend.methods import Matches
-from frontend.peers.weights import State, fill, load_weights
-from frontend.stereo import StereoFeatures
 from polhode.config.frontend import Frontend
 from polhode.errors import InputError
+from polhode.frontend.features.methods import Matches
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.peers.weights import State, fill, load_weights
 from polhode.lie import Array
 
 FEATURES = {"rootsift": "sift", "disk": "disk", "aliked": "aliked", "xfeat": "xfeat"}

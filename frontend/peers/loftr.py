@@ -15,11 +15,11 @@ from kornia.feature import LoFTR
 from kornia.feature.loftr.loftr import default_cfg
 from scipy.spatial import cKDTree
 
-from frontend.features import stretch
-from frontend.methods import Matches
-from frontend.peers.weights import fill, load_weights
-from frontend.stereo import Picture, StereoFeatures
 from polhode.config.frontend import Frontend
+from polhode.frontend.features.keypoints import stretch
+from polhode.frontend.features.methods import Matches
+from polhode.frontend.features.stereo import Picture, StereoFeatures
+from polhode.frontend.peers.weights import fill, load_weights
 from polhode.lie import Array
 from polhode.records import Ints
 

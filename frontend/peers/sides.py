@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import torch
 
-from frontend.features import KeyPoints, no_key_points, stretch
-from frontend.rectified_pair import RectifiedPair
-from frontend.stereo import StereoFeatures, match_stereo
-from frontend.target import Image, target_crop
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Features, Frontend
+from polhode.frontend.features.keypoints import KeyPoints, no_key_points, stretch
+from polhode.frontend.features.stereo import StereoFeatures, match_stereo
+from polhode.frontend.rectification.rectified_pair import RectifiedPair
+from polhode.frontend.rectification.target import Image, target_crop
 from polhode.records import Bools
 
 SIZE_MULTIPLE_PX = 32

@@ -1,1 +1,0 @@
-"""The same measurements, the same cost, through many optimizers (docs/compare.md)."""

@@ -1,1 +1,0 @@
-"""``polhode export``: a run in the formats of other programs."""

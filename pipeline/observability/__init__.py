@@ -1,1 +1,0 @@
-"""``polhode observability``: the edge metric along a trajectory, as tables and pictures."""

@@ -11,19 +11,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from frontend.rectify import Rectifier
-from mapping.view import MeshViewer
-from pipeline.outputs import write_picture
-from pipeline.pictures.animation import film
-from pipeline.pictures.body_views import body_frame
-from pipeline.pictures.frame_drawing import Rgb, caption, draw_frame
-from pipeline.pictures.landmarks import draw_landmarks
-from pipeline.pictures.mesh_sheet import draw_mesh
-from pipeline.pictures.model import Comparison, chosen_frames, compare_frames
-from pipeline.pictures.tracks import track_pictures
 from polhode.atomic import write_text
 from polhode.config import Pictures
 from polhode.dataset import StereoSequence
+from polhode.frontend.rectification.rectify import Rectifier
+from polhode.mapping.view import MeshViewer
+from polhode.pipeline.pictures.animation import film
+from polhode.pipeline.pictures.body_views import body_frame
+from polhode.pipeline.pictures.frame_drawing import Rgb, caption, draw_frame
+from polhode.pipeline.pictures.landmarks import draw_landmarks
+from polhode.pipeline.pictures.mesh_sheet import draw_mesh
+from polhode.pipeline.pictures.model import Comparison, chosen_frames, compare_frames
+from polhode.pipeline.pictures.tracks import track_pictures
+from polhode.pipeline.run_directory.outputs import write_picture
 from polhode.progress import Advance, Progress
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
 

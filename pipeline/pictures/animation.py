@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from pipeline.pictures.frame_drawing import GROUND, SIZE_PX, SPAN_GREY, Rgb, signed_colours
 from polhode.atomic import replaced, write_bytes
+from polhode.pipeline.pictures.frame_drawing import GROUND, SIZE_PX, SPAN_GREY, Rgb, signed_colours
 
 RATE_HZ = 10
 GIF_SCALE, MOST_GIF_BYTES, FEWEST_GIF_FRAMES = 0.75, 3_000_000, 8

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from pipeline.pictures.model import Comparison
 from polhode.lie import Array
+from polhode.pipeline.pictures.model import Comparison
 
 Rgb = NDArray[np.uint8]
 

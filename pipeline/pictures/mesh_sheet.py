@@ -13,12 +13,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mapping.view import MeshViewer, View
-from pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, BodyFrame, Direction, round_length_mm
-from pipeline.pictures.landmarks import SIGMA_MAP
-from pipeline.report.plot import INK
-from pipeline.report.shape import stretched, vertex_rgb
 from polhode.lie import Array
+from polhode.mapping.view import MeshViewer, View
+from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, BodyFrame, Direction, round_length_mm
+from polhode.pipeline.pictures.landmarks import SIGMA_MAP
+from polhode.pipeline.report.plot import INK
+from polhode.pipeline.report.shape import stretched, vertex_rgb
 from polhode.records import SurfaceModel
 
 DIRECTIONS = ALONG_AXES + OBLIQUE

@@ -12,13 +12,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from frontend.rectified_pair import rectified_left
-from frontend.rectify import Rectifier
-from mapping.view import MeshViewer
-from pipeline.report.shape import vertex_rgb
 from polhode.camera import RectifiedRig
 from polhode.dataset import StereoSequence
+from polhode.frontend.rectification.rectified_pair import rectified_left
+from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import Array, inverse_pose, transform_points
+from polhode.mapping.view import MeshViewer
+from polhode.pipeline.report.shape import vertex_rgb
 from polhode.records import Bools, Ints, MotionEstimate, StereoTracks
 
 MOST_PIXELS = 256

@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 
-from frontend.rectified_pair import rectified_left
-from frontend.rectify import Rectifier
-from frontend.target import Crop, target_crop
 from polhode.dataset import StereoSequence
+from polhode.frontend.rectification.rectified_pair import rectified_left
+from polhode.frontend.rectification.rectify import Rectifier
+from polhode.frontend.rectification.target import Crop, target_crop
 from polhode.lie import Array
 from polhode.records import MotionEstimate, StereoTracks
 

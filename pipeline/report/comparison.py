@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.report import words
-from pipeline.report.content import Content, read_content
-from pipeline.report.page import fill, run_name
-from pipeline.report.plot import Figure, Trace, axis, layout, line, translucent
-from pipeline.report.rotation import confidence_ellipse, possible_bodies
 from polhode.atomic import write_text
 from polhode.lie import Array
+from polhode.pipeline.report import wording as words
+from polhode.pipeline.report.content import Content, read_content
+from polhode.pipeline.report.page import fill, run_name
+from polhode.pipeline.report.plot import Figure, Trace, axis, layout, line, translucent
+from polhode.pipeline.report.rotation import confidence_ellipse, possible_bodies
 
 RUN_COLORS: tuple[str, ...] = (
     "#5b3f8c",

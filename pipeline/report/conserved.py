@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from pipeline.report.content import Content, Motion
-from pipeline.report.plot import ACCENT, FAINT, Figure, band, line, panels
 from polhode.lie import Array
+from polhode.pipeline.report.content import Content, Motion
+from polhode.pipeline.report.plot import ACCENT, FAINT, Figure, band, line, panels
 from polhode.rigid_body import angular_momentum_N, rotational_energy
 
 

@@ -7,13 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from mapping.mesh_files import read_ply
-from pipeline.archives import Covariance, Residuals, read_covariance, read_measurements, read_residuals
-from pipeline.online_file import read_online
-from pipeline.point_cloud_file import read_landmarks
-from pipeline.summary import Summary, read_summary
-from pipeline.trajectory_file import Trajectory, read_trajectory
 from polhode.lie import Array, make_pose
+from polhode.mapping.mesh_files import read_ply
+from polhode.pipeline.run_directory.archives import (
+    Covariance,
+    Residuals,
+    read_covariance,
+    read_measurements,
+    read_residuals,
+)
+from polhode.pipeline.run_directory.online_file import read_online
+from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
+from polhode.pipeline.run_directory.summary import Summary, read_summary
+from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory
 from polhode.records import Landmarks, OnlineEstimate, StereoTracks, SurfaceModel
 
 

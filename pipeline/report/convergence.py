@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from pipeline.report.content import Content, Motion
-from pipeline.report.plot import AXIS_COLORS, FAINT, INK, Figure, Layout, Trace, band, line, panels
-from pipeline.trajectory_file import standard_deviations
 from polhode.lie import Array, log_so3, transform_points
+from polhode.pipeline.report.content import Content, Motion
+from polhode.pipeline.report.plot import AXIS_COLORS, FAINT, INK, Figure, Layout, Trace, band, line, panels
+from polhode.pipeline.run_directory.trajectory_file import standard_deviations
 from polhode.records import Bools, OnlineEstimate
 
 DEG = float(np.rad2deg(1.0))

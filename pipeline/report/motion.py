@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from pipeline.report.content import Content, Motion
-from pipeline.report.plot import AXIS_COLORS, Figure, Layout, band, gap_shapes, line, panels
 from polhode.lie import Array
+from polhode.pipeline.report.content import Content, Motion
+from polhode.pipeline.report.plot import AXIS_COLORS, Figure, Layout, band, gap_shapes, line, panels
 
 
 def motion_figures(content: Content) -> list[Figure]:

@@ -14,18 +14,18 @@ from markupsafe import Markup
 from PIL import Image
 from plotly.offline import get_plotlyjs
 
-from pipeline.report import words
-from pipeline.report.conserved import conserved_figures
-from pipeline.report.content import Content, Picture, read_content
-from pipeline.report.convergence import convergence_figures
-from pipeline.report.mesh_words import mesh_rows, mesh_sentences
-from pipeline.report.motion import motion_figures
-from pipeline.report.plot import Figure
-from pipeline.report.residuals import measurement_figures
-from pipeline.report.rotation import rotation_figures
-from pipeline.report.shape import shape_figures
-from pipeline.report.sigmas import sigma_rows
 from polhode.atomic import write_text
+from polhode.pipeline.report import wording as words
+from polhode.pipeline.report.conserved import conserved_figures
+from polhode.pipeline.report.content import Content, Picture, read_content
+from polhode.pipeline.report.convergence import convergence_figures
+from polhode.pipeline.report.mesh_wording import mesh_rows, mesh_sentences
+from polhode.pipeline.report.motion import motion_figures
+from polhode.pipeline.report.plot import Figure
+from polhode.pipeline.report.residuals import measurement_figures
+from polhode.pipeline.report.rotation import rotation_figures
+from polhode.pipeline.report.shape import shape_figures
+from polhode.pipeline.report.sigmas import sigma_rows
 
 SHEETS = ("landmarks.png", "mesh.png")
 """Pictures of the whole width; the file in RUN/pictures is sharper."""

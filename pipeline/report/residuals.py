@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from pipeline.archives import Residuals
-from pipeline.report.content import Content
-from pipeline.report.plot import (
+from polhode.pipeline.report.content import Content
+from polhode.pipeline.report.plot import (
     ACCENT,
     AXIS_COLORS,
     FAINT,
@@ -18,6 +17,7 @@ from pipeline.report.plot import (
     packed,
     panels,
 )
+from polhode.pipeline.run_directory.archives import Residuals
 from polhode.records import StereoTracks
 
 NAMES = ("u", "v", "disparity")

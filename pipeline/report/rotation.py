@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.report.content import Content, Motion
-from pipeline.report.plot import (
+from polhode.lie import Array
+from polhode.pipeline.report.content import Content, Motion
+from polhode.pipeline.report.plot import (
     ACCENT,
     FAINT,
     INK,
@@ -21,7 +22,6 @@ from pipeline.report.plot import (
     packed,
     scene,
 )
-from polhode.lie import Array
 from polhode.rigid_body import angular_acceleration, rotational_energy
 
 FLAT_LIMIT = float(np.log(2.0))

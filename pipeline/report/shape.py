@@ -6,8 +6,9 @@ import numpy as np
 import trimesh
 from trimesh.visual.color import ColorVisuals
 
-from pipeline.report.content import Content
-from pipeline.report.plot import (
+from polhode.lie import Array, inverse_pose
+from polhode.pipeline.report.content import Content
+from polhode.pipeline.report.plot import (
     INK,
     SIGMA_SCALE,
     TIME_SCALE,
@@ -19,7 +20,6 @@ from pipeline.report.plot import (
     packed,
     scene,
 )
-from polhode.lie import Array, inverse_pose
 from polhode.records import Ints, Landmarks
 
 MAX_FACES = 60_000

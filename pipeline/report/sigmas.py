@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.report.content import Content
 from polhode.lie import Array
+from polhode.pipeline.report.content import Content
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planning.exports.records import Motion
 from polhode.lie import Array
+from polhode.planning.exports.records import Motion
 from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 

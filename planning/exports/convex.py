@@ -14,7 +14,8 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
-from planning.exports.convex_cuts import (
+from polhode.lie import Array
+from polhode.planning.exports.convex_cuts import (
     PANEL,
     Piece,
     Reach,
@@ -24,8 +25,7 @@ from planning.exports.convex_cuts import (
     piece_of,
     with_volume,
 )
-from planning.exports.records import Shape
-from polhode.lie import Array
+from polhode.planning.exports.records import Shape
 from polhode.records import Ints
 
 CUT_FACES = 12_000

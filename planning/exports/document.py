@@ -1,7 +1,7 @@
 """The JSON export: states, mass properties and prediction with their covariances, in SI units.
 
 The models below are the only definition; ``planning/exports/export.schema.json`` is generated from them
-(``python -m planning.exports.document``). A variance of what is not determined is ``null``, and so are the
+(``python -m polhode.planning.exports.document``). A variance of what is not determined is ``null``, and so are the
 covariances with it; there is no NaN or infinity.
 """
 
@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from planning.exports.records import Inertial, Motion, Placement, Shape
 from polhode.atomic import write_text
 from polhode.lie import Array
+from polhode.planning.exports.records import Inertial, Motion, Placement, Shape
 from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 
 SCHEMA_FILE = Path(__file__).with_name("export.schema.json")

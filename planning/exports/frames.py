@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from planning.exports.records import Placement
 from polhode.lie import Array, inverse_pose, make_pose
+from polhode.planning.exports.records import Placement
 
 
 def frame_G() -> Placement:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planning.exports.records import Shape
 from polhode.lie import Array
+from polhode.planning.exports.records import Shape
 from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 
 _VERTICES, _INDICES = 34962, 34963

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planning.exports.records import Shape
 from polhode.lie import Array
+from polhode.planning.exports.records import Shape
 from polhode.records import Ints
 
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}

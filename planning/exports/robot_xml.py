@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planning.exports.records import Inertial, State
 from polhode.lie import Array
+from polhode.planning.exports.records import Inertial, State
 from polhode.quaternion import wxyz_from_matrix
 
 TIMESTEP_S = 0.002

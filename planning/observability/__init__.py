@@ -1,1 +1,0 @@
-"""Pose observability from edges: what a model seen along a trajectory can tell, before an image exists."""

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from polhode.config import scene as config
-from simulation.bodies.artist import artist_of
-from simulation.bodies.asteroid import asteroid_parts
-from simulation.bodies.bus import bus_parts
-from simulation.bodies.cubesat import cubesat_parts
-from simulation.bodies.dish import dish_parts
-from simulation.bodies.dressing import texel_for
-from simulation.bodies.free_flyer import free_flyer_parts
-from simulation.bodies.mesh_file import mesh_file_parts
-from simulation.bodies.override import in_one_material
-from simulation.bodies.part import Body, Part, assemble
-from simulation.bodies.studio import Studio
-from simulation.bodies.truss import truss_parts
-from simulation.bodies.upper_stage import upper_stage_parts
+from polhode.simulation.bodies.families.asteroid import asteroid_parts
+from polhode.simulation.bodies.families.bus import bus_parts
+from polhode.simulation.bodies.families.cubesat import cubesat_parts
+from polhode.simulation.bodies.families.dish import dish_parts
+from polhode.simulation.bodies.families.free_flyer import free_flyer_parts
+from polhode.simulation.bodies.families.truss import truss_parts
+from polhode.simulation.bodies.families.upper_stage import upper_stage_parts
+from polhode.simulation.bodies.imported.mesh_file import mesh_file_parts
+from polhode.simulation.bodies.parts.part import Body, Part, assemble
+from polhode.simulation.bodies.textures.artist import artist_of
+from polhode.simulation.bodies.textures.dressing import texel_for
+from polhode.simulation.bodies.textures.override import in_one_material
+from polhode.simulation.bodies.textures.studio import Studio
 
 FAMILIES: dict[str, Callable[[float, Studio], list[Part]]] = {
     "free_flyer": free_flyer_parts,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from simulation.bodies.part import Body
+from polhode.simulation.bodies.parts.part import Body
 
 
 def describe(body: Body) -> str:

@@ -1,9 +1,9 @@
 """Motion of target and inspector over time: the truth of a sequence."""
 
-from simulation.motion.inspector import InspectorMotion, inspector_motion, reported_inspector
-from simulation.motion.mass import MassDistribution, mass_distribution, principal_axes
-from simulation.motion.target import TargetMotion, target_motion, timestamps
-from simulation.motion.wrench import known_wrench
+from polhode.simulation.motion.inspector import InspectorMotion, inspector_motion, reported_inspector
+from polhode.simulation.motion.mass import MassDistribution, mass_distribution, principal_axes
+from polhode.simulation.motion.target import TargetMotion, target_motion, timestamps
+from polhode.simulation.motion.wrench import known_wrench
 
 __all__ = [
     "InspectorMotion",

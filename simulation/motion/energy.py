@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.lie import Array
-from simulation.motion.integrate import advance, body_rate, free_of_forces
+from polhode.simulation.motion.integrate import advance, body_rate, free_of_forces
 
 LARGEST_LAG = 1.0
 """Friction times the body's rate over the least moment: how far the ball may lag; beyond, the law is void."""

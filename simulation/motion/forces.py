@@ -4,9 +4,9 @@ import numpy as np
 
 from polhode.config import scene as config
 from polhode.lie import Array
-from simulation.motion.energy import losses
-from simulation.motion.integrate import Forces
-from simulation.motion.mass import MassDistribution
+from polhode.simulation.motion.energy import losses
+from polhode.simulation.motion.integrate import Forces
+from polhode.simulation.motion.mass import MassDistribution
 
 LONGEST_CELL_S = 0.025
 """A white disturbance is constant for at most this long, and at most 1/20 of the frames' interval."""

@@ -7,9 +7,9 @@ from numpy.typing import ArrayLike
 
 from polhode.config import scene as config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, right_jacobian_so3
-from simulation.motion.course import CameraStates, Course, course_of
-from simulation.motion.deadband import LimitCycle, limit_cycle
-from simulation.motion.target import timestamps
+from polhode.simulation.motion.course import CameraStates, Course, course_of
+from polhode.simulation.motion.deadband import LimitCycle, limit_cycle
+from polhode.simulation.motion.target import timestamps
 
 _TAG = 0x31
 _BEYOND_S = 60.0

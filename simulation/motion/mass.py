@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.lie import Array
-from simulation.bodies import Body
+from polhode.simulation.bodies import Body
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 
 from polhode.lie import Array
 from polhode.quaternion import matrix_from_wxyz
-from simulation.motion.integrate import Forces, advance, free_of_forces
-from simulation.motion.precession import Precession, circulation_order, precession_of
+from polhode.simulation.motion.integrate import Forces, advance, free_of_forces
+from polhode.simulation.motion.precession import Precession, circulation_order, precession_of
 
 POINTS = 361
 """Points of a closed curve."""

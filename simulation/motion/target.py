@@ -11,10 +11,10 @@ from polhode.lie import Array, exp_so3, make_pose
 from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 from polhode.rigid_body import propagate
-from simulation.motion.energy import momentum_of_rate
-from simulation.motion.forces import acting_forces, is_free
-from simulation.motion.integrate import Forces, advance, body_rate
-from simulation.motion.mass import MassDistribution
+from polhode.simulation.motion.energy import momentum_of_rate
+from polhode.simulation.motion.forces import acting_forces, is_free
+from polhode.simulation.motion.integrate import Forces, advance, body_rate
+from polhode.simulation.motion.mass import MassDistribution
 
 RPM = 2.0 * np.pi / 60.0
 

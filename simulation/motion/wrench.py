@@ -5,8 +5,8 @@ import numpy as np
 from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.records import Ints
-from simulation.motion.forces import span_s
-from simulation.motion.target import timestamps
+from polhode.simulation.motion.forces import span_s
+from polhode.simulation.motion.target import timestamps
 
 LONGEST_STEP_S = 0.05
 STEPS_PER_PERIOD = 200

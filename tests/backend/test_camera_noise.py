@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend import estimate_motion, initialize_motion
-from backend.inertia import FORMS, second_moments_from_inertia
+from polhode.backend import estimate_motion, initialize_motion
+from polhode.backend.problem.inertia import FORMS, second_moments_from_inertia
 from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
-from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(
     frames=40, landmarks=300, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9]),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import LinAlgError
 
-from backend.chain import POSE, eliminate_chain, solve_with_chain
+from polhode.backend.solvers.chain import POSE, eliminate_chain, solve_with_chain
 from polhode.lie import Array
 
 

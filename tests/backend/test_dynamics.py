@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from backend.dynamics import States, Steps, add_steps, dynamics_jacobians, dynamics_residuals
-from backend.inertia import FORMS, inertia_derivative, inertia_from_second_moments
-from backend.step_kernels import StepLayout, dynamics_kernel
+from polhode.backend.dynamics.residuals import (
+    States,
+    Steps,
+    add_steps,
+    dynamics_jacobians,
+    dynamics_residuals,
+)
+from polhode.backend.dynamics.step_kernels import StepLayout, dynamics_kernel
+from polhode.backend.problem.inertia import FORMS, inertia_derivative, inertia_from_second_moments
 from polhode.lie import Array, exp_so3
 from polhode.quaternion import wxyz_from_matrix
 

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend import estimate_motion, initialize_motion
-from backend.estimate import refine
-from backend.gauss_newton import GaussNewton
-from backend.problem import motion_data
-from backend.program import MotionProgram
-from backend.trials import first_starts, try_hypothesis
+from polhode.backend import estimate_motion, initialize_motion
+from polhode.backend.estimate import refine
+from polhode.backend.initialization.multistart import first_starts, try_hypothesis
+from polhode.backend.problem.problem import motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate
-from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 
 TUMBLE = SyntheticScene(
     frames=40, landmarks=300, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9])

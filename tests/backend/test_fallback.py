@@ -4,17 +4,24 @@ import numpy as np
 import pytest
 from scipy.linalg import LinAlgError
 
-from backend import initialize_motion
-from backend.damping import Damping
-from backend.estimate import estimate_motion, refine, solve
-from backend.gauss_newton import ENOUGH, ITERATION_LIMIT, SHORTER, TIME_LIMIT, GaussNewton, Solution
-from backend.iterate import Iterate
-from backend.problem import TIGHT_GAUGE, MotionData, hold, motion_data
-from backend.program import MotionProgram
-from backend.trials import first_starts
+from polhode.backend import initialize_motion
+from polhode.backend.estimate import estimate_motion, refine, solve
+from polhode.backend.initialization.multistart import first_starts
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import TIGHT_GAUGE, MotionData, hold, motion_data
+from polhode.backend.solvers.damping import Damping
+from polhode.backend.solvers.gauss_newton import (
+    ENOUGH,
+    ITERATION_LIMIT,
+    SHORTER,
+    TIME_LIMIT,
+    GaussNewton,
+    Solution,
+)
+from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.config.backend import Backend
 from polhode.progress import Silent
-from simulation.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 
 SCENE = SyntheticScene(
     frames=24, landmarks=200, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9])

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend import estimate_motion
-from backend.fewer_frames import from_fewer_frames
+from polhode.backend import estimate_motion
+from polhode.backend.initialization.fewer_frames import from_fewer_frames
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.progress import Silent
 from polhode.records import Bools, InitialMotion, MotionEstimate, StereoTracks
-from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 
 GAP = range(26, 46)
 SCENE = SyntheticScene(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from backend.flow import SHARE_OF_NOISE, flow_derivatives, flows, series_steps
-from backend.process_noise import rotation_covariance_scaled
+from polhode.backend.dynamics.process_noise import rotation_covariance_scaled
+from polhode.backend.dynamics.propagation import SHARE_OF_NOISE, flow_derivatives, flows, series_steps
 from polhode.lie import Array, log_so3
 from polhode.quaternion import matrix_from_wxyz
 from polhode.rigid_body import propagate

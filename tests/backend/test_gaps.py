@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from backend.gaps import Gap, arrival_rad, carried, long_gaps, loose_steps
-from backend.iterate import Iterate
+from polhode.backend.initialization.gaps import Gap, arrival_rad, carried, long_gaps, loose_steps
+from polhode.backend.problem.iterate import Iterate
 from polhode.lie import Array, exp_so3, log_so3
 from polhode.rigid_body import propagate
 

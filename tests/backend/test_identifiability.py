@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from backend import estimate_motion, initialize_motion
-from backend.covariance import AxesDerivative
-from backend.identifiability import NAMES, analyse, determined_words
+from polhode.backend import estimate_motion, initialize_motion
+from polhode.backend.uncertainty.covariance import AxesDerivative
+from polhode.backend.uncertainty.identifiability import NAMES, analyse, determined_words
 from polhode.config.backend import Backend
 from polhode.progress import Silent
 from polhode.records import Identifiability, MotionEstimate
-from simulation.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 
 BOX = np.diag([1.5, 1.2, 0.9])
 SYMMETRIC = np.diag([1.3, 1.3, 0.8])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from backend.inertia import (
+from polhode.backend.problem.inertia import (
     FORMS,
     inertia_derivative,
     inertia_from_second_moments,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from backend.covariance import robust_information
-from backend.kernel_scale import WIDER, efficiency, widest_useful
+from polhode.backend.solvers.kernel_scale import WIDER, efficiency, widest_useful
+from polhode.backend.uncertainty.covariance import robust_information
 from polhode.lie import Array
 
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend import estimate_motion, initialize_motion
+from polhode.backend import estimate_motion, initialize_motion
 from polhode.config.backend import Backend
 from polhode.lie import log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
-from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 SCENE = SyntheticScene(

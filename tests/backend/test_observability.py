@@ -4,7 +4,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from backend.observability import System, evaluate, measured_poses, measured_rates, observability
+from polhode.backend.uncertainty.lie_rank import (
+    System,
+    evaluate,
+    measured_poses,
+    measured_rates,
+    observability,
+)
 from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
 from polhode.rigid_body import propagate
 

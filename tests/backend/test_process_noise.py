@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from backend.process_noise import (
+from polhode.backend.dynamics.process_noise import (
     rotation_covariance,
     rotation_covariance_scaled,
     translation_covariance,

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.estimate import refine
-from backend.gauss_newton import GaussNewton
-from backend.inertia import FORMS
-from backend.iterate import Iterate
-from backend.kernels import kernel_bend
-from backend.problem import LOOSE_GAUGE, TIGHT_GAUGE, hold, motion_data
-from backend.program import MotionProgram
+from polhode.backend.dynamics.kernels import kernel_bend
+from polhode.backend.estimate import refine
+from polhode.backend.problem.inertia import FORMS
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import LOOSE_GAUGE, TIGHT_GAUGE, hold, motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.config.backend import Backend
-from simulation.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=6, landmarks=60, detection=0.6, outliers=0.05, J_G=np.diag([1.5, 1.2, 0.9]))
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.inertia import FORMS
-from backend.iterate import Iterate
-from backend.noise import estimate_noise
-from backend.problem import MotionData, motion_data
-from backend.prune import prune, settle, whitened_residuals
+from polhode.backend.noise.measurement_noise import estimate_noise
+from polhode.backend.noise.prune import prune, settle, whitened_residuals
+from polhode.backend.problem.inertia import FORMS
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import MotionData, motion_data
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.records import Bools
-from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(frames=20, landmarks=300, detection=0.4, outliers=0.1, J_G=np.diag([1.5, 1.2, 0.9]))
 

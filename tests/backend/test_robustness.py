@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend import estimate_motion, initialize_motion
-from benchmarks.convergence import missed
+from benchmarks.monte_carlo.convergence import missed
+from benchmarks.monte_carlo.robustness import PLACED_M, PLACED_RAD, measure
 from benchmarks.record import Case
-from benchmarks.robustness import PLACED_M, PLACED_RAD, measure
+from polhode.backend import estimate_motion, initialize_motion
 from polhode.config.backend import Backend
 from polhode.lie import Array, inverse_pose, log_so3
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate
-from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 
 SEEDS = (100, 101, 102)
 """Not those of the benchmark."""

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from backend.ambiguity import Choice, choose, open_turns_deg
-from backend.inertia import inertia_from_second_moments
-from backend.iterate import Iterate
-from backend.sense import THE_OTHER_WAY, rate_branches
-from backend.shooting import _carry, shoot
-from backend.trials import Trial
+from polhode.backend.initialization.multistart import Trial
+from polhode.backend.initialization.rotation_direction import THE_OTHER_WAY, rate_branches
+from polhode.backend.initialization.shooting import _carry, shoot
+from polhode.backend.problem.inertia import inertia_from_second_moments
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.uncertainty.ambiguity import Choice, choose, open_turns_deg
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.rigid_body import propagate
 

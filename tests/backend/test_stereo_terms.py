@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.iterate import Iterate
-from backend.problem import MotionData, motion_data
-from backend.stereo_terms import FromOutside, StereoTerms
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import MotionData, motion_data
+from polhode.backend.solvers.stereo_terms import FromOutside, StereoTerms
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.records import StereoTracks
-from simulation.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=4, landmarks=25, detection=0.7, camera_moves=True)
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend import estimate_motion, initialize_motion
-from backend.systematic import position_spread
+from polhode.backend import estimate_motion, initialize_motion
+from polhode.backend.noise.systematic import position_spread
 from polhode.config.backend import Backend
 from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
-from simulation.measurements import RIG, SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo.measurements import RIG, SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(
     frames=25, landmarks=300, detection=0.5, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9]),

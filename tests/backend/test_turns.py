@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from backend.turns import (
+from polhode.backend.dynamics.so3_exp import (
     inverse_right_jacobians,
     right_jacobians,
     rotation_vectors,

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend import estimate_motion, initialize_motion
-from backend.estimate import refine
-from backend.gauss_newton import GaussNewton
-from backend.problem import motion_data, nodes_of
-from backend.program import MotionProgram
-from backend.trials import first_starts, try_hypotheses
+from polhode.backend import estimate_motion, initialize_motion
+from polhode.backend.estimate import refine
+from polhode.backend.initialization.multistart import first_starts, try_hypotheses
+from polhode.backend.problem.problem import motion_data, nodes_of
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate, Push
-from simulation.measurements import SyntheticScene, SyntheticSequence, Vector, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, Vector, generate
 
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 FREE = SyntheticScene(

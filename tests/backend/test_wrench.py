@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from backend.wrench import N_WRENCH, alignment, impulses_of, torque_in_G, wrench_residual
+from polhode.backend.problem.wrench import N_WRENCH, alignment, impulses_of, torque_in_G, wrench_residual
 from polhode.lie import Array, exp_so3
 from polhode.records import Wrench
 

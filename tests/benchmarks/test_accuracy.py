@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from benchmarks.accuracy import MOTIONS, consistency, over_bound, same_sequences
-from benchmarks.bound import COMPONENTS
+from benchmarks.monte_carlo.accuracy import MOTIONS, consistency, over_bound, same_sequences
+from benchmarks.monte_carlo.bound import COMPONENTS
 from benchmarks.record import Case
 
 FREEDOM = np.array([9.0, 150.0, 4.0, 75.0, 3.0, 5.0])

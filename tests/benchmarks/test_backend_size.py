@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.backend_size import PARTS, Clock, warm
+from benchmarks.solvers.backend_size import PARTS, Clock, warm
 
 
 def test_the_clock_joins_the_hypotheses_and_tells_the_other_parts_apart() -> None:

@@ -4,11 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from backend import estimate_motion, initialize_motion
-from benchmarks.bound import COMPONENTS, cramer_rao_bound, errors_of, normalised_squares, stated_mean_squares
+from benchmarks.monte_carlo.bound import (
+    COMPONENTS,
+    cramer_rao_bound,
+    errors_of,
+    normalised_squares,
+    stated_mean_squares,
+)
+from polhode.backend import estimate_motion, initialize_motion
 from polhode.config.backend import Backend
 from polhode.progress import Silent
-from simulation.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 
 SCENE = SyntheticScene(
     frames=24, landmarks=250, detection=0.5, J_G=np.diag([1.5, 1.2, 0.9]), w_G=(0.5, 0.6, 0.5), dt_s=1.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.conditioning import (
+from benchmarks.solvers.conditioning import (
     draw,
     rotation_conditions,
     scaled_translation_conditions,

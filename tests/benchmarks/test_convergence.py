@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.convergence import KINDS, missed, scene_of, wrong
+from benchmarks.monte_carlo.convergence import KINDS, missed, scene_of, wrong
 from benchmarks.record import Case
 
 FINE = [1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.02, 0.02, 0.02]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edge_bodies import NAMES, edge_body
-from benchmarks.edge_solids import SOLIDS, extruded
-from benchmarks.edge_views import (
+from benchmarks.edges.edge_bodies import NAMES, edge_body
+from benchmarks.edges.edge_solids import SOLIDS, extruded
+from benchmarks.edges.edge_views import (
     EdgeViews,
     ViewOptions,
     edge_rig,

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.frontend import METHODS, correct, loosened, normalised_squares, settings
-from benchmarks.frontend_guided import guided_error_deg
-from benchmarks.frontend_scenes import BRIGHT_DN, CONFIGS, UnseenScene, scene_names, scene_of
-from benchmarks.frontend_tables import (
+from benchmarks.frontend.frontend import METHODS, correct, loosened, normalised_squares, settings
+from benchmarks.frontend.guided import guided_error_deg
+from benchmarks.frontend.scenes import BRIGHT_DN, CONFIGS, UnseenScene, scene_names, scene_of
+from benchmarks.frontend.tables import (
     correct_at,
     lit_of,
     lit_pairs,
@@ -17,18 +17,18 @@ from benchmarks.frontend_tables import (
     success,
 )
 from benchmarks.record import Case, complete, forget, measured
-from frontend.methods import Matches, extract_pair
-from frontend.patch_size import with_patch_size
-from frontend.rectify import make_rectifier
-from frontend.stereo import StereoFeatures
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
+from polhode.frontend.features.methods import Matches, extract_pair
+from polhode.frontend.features.patch_size import with_patch_size
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.rectification.rectify import make_rectifier
 from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.simulation.dataset.correspondence import dense_correspondence, pixel_grid, view_of
+from polhode.simulation.dataset.plan import plan_sequence
+from polhode.simulation.rendering.raycast import RayCaster
 from polhode.truth import read_truth
-from simulation.correspondence import dense_correspondence, pixel_grid, view_of
-from simulation.plan import plan_sequence
-from simulation.raycast import RayCaster
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample"
 

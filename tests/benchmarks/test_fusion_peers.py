@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.colmap_fusion import normals_of
-from benchmarks.fusion_peers import METHODS, print_rows, worker
+from benchmarks.mapping.colmap_fusion import normals_of
+from benchmarks.mapping.fusion_peers import METHODS, print_rows, worker
 from polhode.config import Config
 from tests.mapping.analytic_depth import RIG, views_of
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.lengths import LENGTHS, measure
+from benchmarks.mapping.lengths import LENGTHS, measure
 from polhode.errors import InputError
-from simulation.bodies.artist import artist_of
-from simulation.bodies.free_flyer import free_flyer_parts
-from simulation.bodies.studio import Studio
+from polhode.simulation.bodies.families.free_flyer import free_flyer_parts
+from polhode.simulation.bodies.textures.artist import artist_of
+from polhode.simulation.bodies.textures.studio import Studio
 
 
 @pytest.fixture(scope="module")

@@ -8,18 +8,26 @@ import pytest
 from PIL import Image
 from scipy.stats import chi2
 
-from benchmarks import navigation_runs
-from benchmarks.drawn_poses import EdgeErrors, drawn_pose
-from benchmarks.found_pose import from_line, spread
-from benchmarks.navigation_filter import errors_table, ratio, wrong_table
-from benchmarks.navigation_plot import plot
-from benchmarks.navigation_runs import Belief, Run, constant_covariance, fly, runs_of
-from benchmarks.navigation_scene import RIG, SCENARIOS, body_mesh, flight, inspector, instants, sun_R
-from planning.observability.calibrated import NoiseLevels, noise_parts
-from planning.observability.edge_model import EdgeModel, edge_model
-from planning.observability.edge_motion import edge_motion, moved, pose_error
-from planning.observability.pose_weights import Calibrated, Fixed, ResidualChecked, TrackedPose
-from planning.observability.seen_edges import control_points
+from benchmarks.navigation import navigation_runs
+from benchmarks.navigation.drawn_poses import EdgeErrors, drawn_pose
+from benchmarks.navigation.found_pose import from_line, spread
+from benchmarks.navigation.navigation_filter import errors_table, ratio, wrong_table
+from benchmarks.navigation.navigation_plot import plot
+from benchmarks.navigation.navigation_runs import Belief, Run, constant_covariance, fly, runs_of
+from benchmarks.navigation.navigation_scene import (
+    RIG,
+    SCENARIOS,
+    body_mesh,
+    flight,
+    inspector,
+    instants,
+    sun_R,
+)
+from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
+from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.model.seen_edges import control_points
+from polhode.planning.edges.navigation.pose_weights import Calibrated, Fixed, ResidualChecked, TrackedPose
+from polhode.planning.edges.tracking.calibrated import NoiseLevels, noise_parts
 
 BODY = "satellite"
 TRUE_LEVELS = NoiseLevels((EdgeErrors.sigma_px**2, EdgeErrors.tau_px**2, 0.0), (0.0, 0.0, 0.0))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks.edge_bodies import edge_body
-from benchmarks.observability_cases import LEVELS, levels
-from benchmarks.observability_tables import (
+from benchmarks.edges.edge_bodies import edge_body
+from benchmarks.edges.observability_cases import LEVELS, levels
+from benchmarks.edges.observability_tables import (
     Spot,
     by_model,
     everything,
@@ -15,7 +15,7 @@ from benchmarks.observability_tables import (
     trend_table,
     trusted,
 )
-from planning.observability.edge_model import edge_model
+from polhode.planning.edges.model.edge_model import edge_model
 
 
 def made_up(noise_px: float = 0.05, seed: int = 0) -> list[Spot]:

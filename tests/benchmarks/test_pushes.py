@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.pushes import FREE, MOMENTS, UNKNOWN, print_unknown, whole_pushes
+from benchmarks.monte_carlo.disturbances import FREE, MOMENTS, UNKNOWN, print_unknown, whole_pushes
 from polhode.records import Push
 
 HIT = UNKNOWN["a hit of 0.25 s, 6 mm/s and 17 deg/s"]

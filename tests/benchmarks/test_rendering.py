@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from benchmarks.rendering import lumpy_ball, machine, measure
+from benchmarks.rendering.rendering_time import lumpy_ball, machine, measure
 from polhode.config.scene import Render, Rig, Scene
-from simulation.plan import plan_sequence
-from simulation.raycast import RayCaster
+from polhode.simulation.dataset.plan import plan_sequence
+from polhode.simulation.rendering.raycast import RayCaster
 
 
 def test_a_pair_takes_longer_than_its_rays_and_the_caster_is_left_as_it_was() -> None:

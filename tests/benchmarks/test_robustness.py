@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.bound import cramer_rao_bound, determined_at_truth, true_iterate
-from benchmarks.record import Case
-from benchmarks.robustness import (
+from benchmarks.monte_carlo.bound import cramer_rao_bound, determined_at_truth, true_iterate
+from benchmarks.monte_carlo.robustness import (
     CHOSEN,
     CONDITIONS,
     FRAMES,
@@ -19,9 +18,10 @@ from benchmarks.robustness import (
     print_table,
     scene_of,
 )
+from benchmarks.record import Case
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, make_pose
-from simulation.measurements import generate
+from polhode.simulation.monte_carlo.measurements import generate
 
 TUMBLE = "triaxial tumble, 7 RPM"
 GIVEN = Backend(accel_psd=1e-7, torque_psd=1e-7)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edge_solids import SOLIDS
-from benchmarks.edge_views import middle, perturbed, pose_errors, random_poses
-from benchmarks.visp_model import cao_text, polygons_of
-from benchmarks.visp_tracker import (
+from benchmarks.edges.edge_solids import SOLIDS
+from benchmarks.edges.edge_views import middle, perturbed, pose_errors, random_poses
+from benchmarks.edges.visp_model import cao_text, polygons_of
+from benchmarks.edges.visp_tracker import (
     Answer,
     NoVispError,
     Options,
@@ -107,7 +107,7 @@ def test_a_row_counts_what_is_lost_and_what_is_wrong() -> None:
 
 
 def test_without_visp_or_a_compiler_there_is_one_line() -> None:
-    words = [sys.executable, "-m", "benchmarks.visp_tracker", "block", "--views", "1"]
+    words = [sys.executable, "-m", "benchmarks.edges.visp_tracker", "block", "--views", "1"]
     for compiler, message in (("no-such-compiler", "no C\\+\\+ compiler"), ("false", "ViSP is not here")):
         place = {"CXX": compiler, "PATH": "/usr/bin:/bin"}
         done = subprocess.run(words, cwd=ROOT, env=place, capture_output=True, text=True, check=False)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from benchmarks.window import first_frames, ratios, smoothed, squares
+from benchmarks.monte_carlo.window import first_frames, ratios, smoothed, squares
 from polhode.config.backend import Backend
-from simulation.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=30, landmarks=300, J_G=np.diag([1.5, 1.2, 0.9]), w_G=(0.4, 0.5, 0.45))
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frontend.stereo import StereoFeatures
 from polhode.camera import RectifiedRig
+from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.records import Ints
 

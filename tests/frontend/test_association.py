@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from frontend.guided import consistent_matches, improbability, reconnect
-from frontend.landmark_map import LandmarkMap, descriptor_distance, enter, viewing_direction
-from frontend.pairs import PairMatch, match_pairs, relative_poses
-from frontend.ransac import fit_noisy, fit_rigid, ransac_rigid
-from frontend.retrieval import pairs_to_match
-from frontend.soft_assignment import DualSoftmax
-from frontend.tracks import Association, join_matches, to_tracks
 from polhode.config.frontend import Frontend, GuidedMatching, Tracks
+from polhode.frontend.matching.pairs import PairMatch, match_pairs, relative_poses
+from polhode.frontend.matching.ransac import fit_noisy, fit_rigid, ransac_rigid
+from polhode.frontend.matching.retrieval import pairs_to_match
+from polhode.frontend.matching.soft_assignment import DualSoftmax
+from polhode.frontend.tracks.guided import consistent_matches, improbability, reconnect
+from polhode.frontend.tracks.landmark_map import LandmarkMap, descriptor_distance, enter, viewing_direction
+from polhode.frontend.tracks.tracks import Association, join_matches, to_tracks
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import InitialMotion
 from tests.frontend.feature_world import RIG, World, make_world, purity

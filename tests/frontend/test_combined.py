@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frontend.combined import of_second, shifted, side_by_side
-from frontend.guided import reconnect
-from frontend.nearest import MutualNearest
-from frontend.pairs import match_pairs
-from frontend.retrieval import CLOSE, SAME_SIDE_DEG, frame_vectors, pairs_in_view
-from frontend.stereo import StereoFeatures
-from frontend.tracks import join_matches
 from polhode.config.frontend import Features, Frontend, GuidedMatching, PairMatching
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.combined import of_second, shifted, side_by_side
+from polhode.frontend.matching.nearest import MutualNearest
+from polhode.frontend.matching.pairs import match_pairs
+from polhode.frontend.matching.retrieval import CLOSE, SAME_SIDE_DEG, frame_vectors, pairs_in_view
+from polhode.frontend.tracks.guided import reconnect
+from polhode.frontend.tracks.tracks import join_matches
 from polhode.lie import exp_so3, inverse_pose, make_pose
 from polhode.records import InitialMotion, Ints
 from tests.frontend.feature_world import RIG, World, make_world

@@ -8,11 +8,11 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from frontend.networks.describe import describe, descriptor_network
-from frontend.networks.descriptor import DescriptorNet, normalised
-from frontend.networks.weights import load_weights
-from frontend.patches import cut_patches, turned, upright_affines
 from polhode.errors import InputError
+from polhode.frontend.features.network_descriptor import describe, descriptor_network
+from polhode.frontend.features.patches import cut_patches, turned, upright_affines
+from polhode.frontend.networks.descriptor import DescriptorNet, normalised
+from polhode.frontend.networks.weights import load_weights
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from frontend.disparity_facets import even_patches, fit_facets
-from frontend.disparity_planes import fit_planes
+from polhode.frontend.disparity.facets import even_patches, fit_facets
+from polhode.frontend.disparity.planes import fit_planes
 from polhode.lie import Array
 from polhode.records import Bools
 

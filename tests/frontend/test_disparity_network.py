@@ -7,15 +7,15 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from frontend.depth import compute_depth, dense_disparity
-from frontend.disparity_crop import cut_crop
-from frontend.disparity_evidence import CHANNELS, OFFSETS_PX, evidence, hypotheses, warp_right
-from frontend.disparity_network import refine
-from frontend.disparity_start import Start, classical_start, fill_holes
-from frontend.networks.disparity import OUTPUTS, STRIDE, DisparityNet, Mixture, read_mixture
 from polhode.camera import RectifiedRig
 from polhode.config.depth import Depth
 from polhode.errors import InputError
+from polhode.frontend.disparity.crop import cut_crop
+from polhode.frontend.disparity.depth import compute_depth, dense_disparity
+from polhode.frontend.disparity.evidence import CHANNELS, OFFSETS_PX, evidence, hypotheses, warp_right
+from polhode.frontend.disparity.network import refine
+from polhode.frontend.disparity.start import Start, classical_start, fill_holes
+from polhode.frontend.networks.disparity import OUTPUTS, STRIDE, DisparityNet, Mixture, read_mixture
 from polhode.records import Bools
 
 RIG = RectifiedRig(400.0, 99.5, 79.5, 0.1, 200, 160)

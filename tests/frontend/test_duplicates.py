@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frontend.duplicates import merge_duplicates
-from frontend.tracks import Association
 from polhode.config.frontend import GuidedMatching
+from polhode.frontend.tracks.duplicates import merge_duplicates
+from polhode.frontend.tracks.tracks import Association
 from polhode.lie import exp_so3
 from polhode.records import InitialMotion
 from tests.frontend.feature_world import RIG, World, make_world, purity

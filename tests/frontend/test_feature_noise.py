@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from frontend.feature_noise import confidence_logit, feature_sigma, match_sigma
-from frontend.stereo import StereoFeatures
-from train.feature_noise import Residuals, fit_noise, normalised_variance
+from polhode.frontend.features.feature_noise import confidence_logit, feature_sigma, match_sigma
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.train.feature_noise import Residuals, fit_noise, normalised_variance
 
 
 def _features(sigma_ls_px: list[float]) -> StereoFeatures:

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from frontend.features import KeyPoints, detect, stretch
-from frontend.target import Crop, Image
 from polhode.config.frontend import Features
+from polhode.frontend.features.keypoints import KeyPoints, detect, stretch
+from polhode.frontend.rectification.target import Crop, Image
 
 WHOLE = Crop(0, 0, 220, 200)
 

@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from frontend.consensus import motion_modes, one_to_one
-from frontend.features import Descriptors
-from frontend.matcher import SoftmaxMatcher
-from frontend.soft_assignment import DualSoftmax, motion_loss, rigid_fit, root_probabilities
-from frontend.stereo import StereoFeatures
 from polhode.config.frontend import Frontend
+from polhode.frontend.features.keypoints import Descriptors
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.consensus import motion_modes, one_to_one
+from polhode.frontend.matching.soft_assignment import DualSoftmax, motion_loss, rigid_fit, root_probabilities
+from polhode.frontend.matching.softmax_matcher import SoftmaxMatcher
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from tests.frontend.feature_world import RIG
 

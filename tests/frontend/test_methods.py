@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 import torch
 
-from frontend.extract import extract_features
-from frontend.features import detect
-from frontend.methods import (
+from polhode.config.frontend import Features, Frontend, PairMatching
+from polhode.dataset import open_sequence
+from polhode.errors import InputError
+from polhode.frontend.extract import extract_features
+from polhode.frontend.features.keypoints import detect
+from polhode.frontend.features.methods import (
     FEATURE_METHODS,
     MATCH_METHODS,
     extract_pair,
     feature_method,
     match_method,
 )
-from frontend.rectified_pair import RectifiedPair, rectified_pair
-from frontend.rectify import Rectifier, make_rectifier
-from frontend.stereo import StereoFeatures, match_stereo
-from frontend.target import target_crop
-from polhode.config.frontend import Features, Frontend, PairMatching
-from polhode.dataset import open_sequence
-from polhode.errors import InputError
+from polhode.frontend.features.stereo import StereoFeatures, match_stereo
+from polhode.frontend.rectification.rectified_pair import RectifiedPair, rectified_pair
+from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.frontend.rectification.target import target_crop
 from tests.frontend.feature_world import make_world
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample"

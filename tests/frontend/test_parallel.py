@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from frontend.parallel import in_order
+from polhode.frontend.parallel import in_order
 
 
 @dataclass(frozen=True)

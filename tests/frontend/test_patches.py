@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from frontend.patches import (
+from polhode.camera import RectifiedRig
+from polhode.frontend.features.patches import (
     Patches,
     angle_on_surface,
     cut_patches,
@@ -13,8 +14,7 @@ from frontend.patches import (
     turned,
     upright_affines,
 )
-from frontend.surface_planes import local_planes
-from polhode.camera import RectifiedRig
+from polhode.frontend.features.surface_planes import local_planes
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480, 3.0)

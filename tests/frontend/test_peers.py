@@ -9,17 +9,17 @@ import pytest
 import torch
 from kornia.feature import LoFTR
 
-from frontend.methods import extract_pair, feature_method, match_method
-from frontend.peers import weights as peer_weights
-from frontend.peers.loftr import snap
-from frontend.peers.weights import NETWORKS, weights_path
-from frontend.ransac import ransac_rigid
-from frontend.rectified_pair import rectified_pair
-from frontend.rectify import make_rectifier
-from frontend.stereo import Picture, StereoFeatures
 from polhode.config.frontend import Frontend, Weights
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
+from polhode.frontend.features.methods import extract_pair, feature_method, match_method
+from polhode.frontend.features.stereo import Picture, StereoFeatures
+from polhode.frontend.matching.ransac import ransac_rigid
+from polhode.frontend.peers import weights as peer_weights
+from polhode.frontend.peers.loftr import snap
+from polhode.frontend.peers.weights import NETWORKS, weights_path
+from polhode.frontend.rectification.rectified_pair import rectified_pair
+from polhode.frontend.rectification.rectify import make_rectifier
 from polhode.lie import log_so3
 from polhode.truth import read_truth
 from tests.frontend.feature_world import RIG, make_world

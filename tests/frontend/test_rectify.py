@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from frontend.rectify import make_rectifier
 from polhode.calibration import StereoCalibration
 from polhode.errors import InputError
+from polhode.frontend.rectification.rectify import make_rectifier
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 
 K0 = np.array([[467.0, 0.0, 322.0], [0.0, 465.0, 238.0], [0.0, 0.0, 1.0]])

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frontend.pairs import match_pairs, relative_poses
-from frontend.retrieval import frame_vectors, most_alike, pairs_to_match
 from polhode.config.frontend import Frontend, PairMatching
+from polhode.frontend.matching.pairs import match_pairs, relative_poses
+from polhode.frontend.matching.retrieval import frame_vectors, most_alike, pairs_to_match
 from tests.frontend.feature_world import RIG, World, make_world
 
 REVOLUTION = 24

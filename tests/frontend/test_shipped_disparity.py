@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from frontend.depth import compute_depth, dense_disparity
-from frontend.networks.weights import shipped_path
 from polhode.camera import RectifiedRig
 from polhode.config.depth import Depth
+from polhode.frontend.disparity.depth import compute_depth, dense_disparity
+from polhode.frontend.networks.weights import shipped_path
 from polhode.lie import Array
 from polhode.records import Bools
 

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from frontend.features import detect
-from frontend.stereo import match_stereo, refine_disparity
-from frontend.target import Image, target_crop
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Features, StereoMatching
+from polhode.frontend.features.keypoints import detect
+from polhode.frontend.features.stereo import match_stereo, refine_disparity
+from polhode.frontend.rectification.target import Image, target_crop
 from polhode.lie import Array
 
 RIG = RectifiedRig(467.0, 159.5, 119.5, 0.09, 320, 240)

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frontend.candidates import find_candidates
-from frontend.patch_size import with_patch_size
-from frontend.rectified_pair import RectifiedPair, rectified_pair
-from frontend.rectify import Rectifier, make_rectifier
-from frontend.rootsift import RootSift
-from frontend.surface_features import SurfaceFeatureMethod
 from polhode.config.frontend import Features, Frontend
 from polhode.dataset import StereoSequence, open_sequence
+from polhode.frontend.features.candidates import find_candidates
+from polhode.frontend.features.patch_size import with_patch_size
+from polhode.frontend.features.rootsift import RootSift
+from polhode.frontend.features.surface_features import SurfaceFeatureMethod
+from polhode.frontend.rectification.rectified_pair import RectifiedPair, rectified_pair
+from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
 
 SAMPLE = Path(__file__).parents[2] / "sample"
 CONFIG = Frontend(features=Features(method="polhode", surface_descriptor="rootsift"))

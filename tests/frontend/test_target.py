@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from frontend.target import Crop, Image, target_crop, target_mask
+from polhode.frontend.rectification.target import Crop, Image, target_crop, target_mask
 
 
 def scene(seed: int = 0) -> Image:

@@ -5,20 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frontend.alignment import align_patches
-from frontend.matcher import SoftmaxMatcher
-from frontend.pairs import PairMatch
-from frontend.patches import cut_patches, turned, upright_affines
-from frontend.ransac import fit_rigid, ransac_rigid
-from frontend.rectified_pair import rectified_pair
-from frontend.rectify import make_rectifier
-from frontend.stereo import StereoFeatures
-from frontend.surface_features import SurfaceFeatureMethod
-from frontend.track_refinement import disparity_slopes, refine_tracks
-from frontend.tracks import Association, join_matches
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Features, Frontend
 from polhode.dataset import open_sequence
+from polhode.frontend.features.patches import cut_patches, turned, upright_affines
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.features.surface_features import SurfaceFeatureMethod
+from polhode.frontend.matching.pairs import PairMatch
+from polhode.frontend.matching.ransac import fit_rigid, ransac_rigid
+from polhode.frontend.matching.softmax_matcher import SoftmaxMatcher
+from polhode.frontend.rectification.rectified_pair import rectified_pair
+from polhode.frontend.rectification.rectify import make_rectifier
+from polhode.frontend.tracks.alignment import align_patches
+from polhode.frontend.tracks.track_refinement import disparity_slopes, refine_tracks
+from polhode.frontend.tracks.tracks import Association, join_matches
 from polhode.lie import inverse_pose, transform_points
 from polhode.records import InitialMotion
 from tests.frontend.feature_world import RIG

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
-from mapping.visibility import Caster, FrameView
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.mapping.visibility import Caster, FrameView
 
 RIG = RectifiedRig(240.0, 79.5, 59.5, 0.09, 160, 120)
 DISTANCE_M = 0.5

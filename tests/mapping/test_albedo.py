@@ -7,9 +7,9 @@ import pytest
 import trimesh
 from trimesh.visual import ColorVisuals
 
-from mapping.albedo import divide_shading
-from mapping.visibility import FrameView
 from polhode.lie import Array
+from polhode.mapping.albedo import divide_shading
+from polhode.mapping.visibility import FrameView
 from polhode.records import Bools, SurfaceModel
 from tests.mapping.rendered_views import RIG, rendered, tumbling
 

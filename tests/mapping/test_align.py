@@ -7,13 +7,13 @@ import pytest
 import torch
 import trimesh
 
-from mapping.align import Alignment, DepthPoints, align, depth_points, distances
-from mapping.field import Field
-from mapping.frame import frame_tensors
-from mapping.fusion import fuse
-from mapping.lookup import FieldLookup, Samples
 from polhode.config.mapping import Mapping
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
+from polhode.mapping.align import Alignment, DepthPoints, align, depth_points, distances
+from polhode.mapping.field import Field
+from polhode.mapping.frame import frame_tensors
+from polhode.mapping.fusion import fuse
+from polhode.mapping.lookup import FieldLookup, Samples
 from polhode.mesh_metrics import distance_to_surface
 from polhode.records import DepthMap
 from tests.mapping.analytic_depth import DISTANCE_M, FINE_RIG, depth_of, views_of

@@ -8,13 +8,13 @@ import torch
 import trimesh
 from scipy.spatial import cKDTree
 
-from mapping.blocks import FREE, VIEWS, BlockGrid, Truncation
-from mapping.field import Field
-from mapping.frame import frame_tensors
-from mapping.fusion import fuse
-from mapping.integrate import allocate, integrate
 from polhode.config.mapping import Mapping
 from polhode.lie import Array, exp_so3, make_pose
+from polhode.mapping.blocks import FREE, VIEWS, BlockGrid, Truncation
+from polhode.mapping.field import Field
+from polhode.mapping.frame import frame_tensors
+from polhode.mapping.fusion import fuse
+from polhode.mapping.integrate import allocate, integrate
 from polhode.mesh_metrics import distance_to_surface
 from polhode.records import DepthMap, SurfaceModel
 from tests.mapping.analytic_depth import DISTANCE_M, RIG, depth_of, views_of

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from mapping.fusion import choose_voxel_m, fuse
-from mapping.mesh_files import write_glb, write_ply
 from polhode.config.mapping import Mapping
+from polhode.mapping.fusion import choose_voxel_m, fuse
+from polhode.mapping.mesh_files import write_glb, write_ply
 from polhode.mesh_metrics import distance_to_surface, sample_surface
 from polhode.records import SurfaceModel
 from tests.mapping.analytic_depth import RIG, views_of

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from mapping.hole_filling import fill_loop
-from mapping.holes import boundary_loops, close_small_holes
-from mapping.visibility import FrameView
+from polhode.mapping.hole_filling import fill_loop
+from polhode.mapping.holes import boundary_loops, close_small_holes
+from polhode.mapping.visibility import FrameView
 from polhode.records import SurfaceModel
 from tests.mapping.rendered_views import RIG, rendered, tumbling
 

@@ -8,8 +8,8 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
-from mapping.levels import levels_of
-from mapping.mesh_files import read_ply, write_glb, write_ply
+from polhode.mapping.levels import levels_of
+from polhode.mapping.mesh_files import read_ply, write_glb, write_ply
 from polhode.records import SurfaceModel
 
 RADIUS_M = 0.1

@@ -9,9 +9,9 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
-from mapping.mesh_files import read_ply, write_glb, write_ply
-from mapping.surface import empty_surface
 from polhode.errors import InputError
+from polhode.mapping.mesh_files import read_ply, write_glb, write_ply
+from polhode.mapping.surface import empty_surface
 from polhode.records import SurfaceModel
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from mapping.mesh_loops import neighbours, piece_areas, rim_edges, volume_moments
 from polhode.lie import exp_so3, make_pose
+from polhode.mapping.mesh_loops import neighbours, piece_areas, rim_edges, volume_moments
 
 
 def test_volume_moments_are_those_of_trimesh() -> None:

@@ -7,11 +7,11 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from mapping.blocks import CHANNELS, DISTANCE, FREE, SQUARE, VIEWS, WEIGHT
-from mapping.field import Field
-from mapping.support import Support, known_voxels, scatter_m
 from polhode.config.mapping import Mapping
 from polhode.lie import make_pose
+from polhode.mapping.blocks import CHANNELS, DISTANCE, FREE, SQUARE, VIEWS, WEIGHT
+from polhode.mapping.field import Field
+from polhode.mapping.support import Support, known_voxels, scatter_m
 from polhode.mesh_metrics import distance_to_surface
 from tests.mapping.analytic_depth import RIG, views_of
 

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from mapping.vertex_sigma import Shares, roughness, vertex_sigma
+from polhode.mapping.vertex_sigma import Shares, roughness, vertex_sigma
 
 SIDE_M, STEP_M = 0.2, 0.002
 

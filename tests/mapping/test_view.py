@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from mapping.view import MeshViewer
 from polhode.camera import RectifiedRig
 from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
+from polhode.mapping.view import MeshViewer
 
 RIG = RectifiedRig(200.0, 63.5, 47.5, 0.1, 128, 96)
 COLUMNS, ROWS = np.arange(128.0), np.arange(96.0)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from frontend.pairs import PairMatch
-from frontend.stereo import StereoFeatures
 from polhode.config.frontend import Frontend
 from polhode.dataset_writer import write_png, write_sensor
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.pairs import PairMatch
 from polhode.lie import make_pose
 from polhode.records import SurfaceModel
-from simulation.measurements import RIG, SyntheticSequence
+from polhode.simulation.monte_carlo.measurements import RIG, SyntheticSequence
 
 PICTURE = "patch.png"
 NOTHING = StereoFeatures(
@@ -53,9 +53,9 @@ def put_in_place(
     def built(*_: Any) -> SurfaceModel:
         return surface
 
-    patch.setattr("pipeline.sight.extract_features", found)
-    patch.setattr("pipeline.sight.match_pairs", matched)
-    patch.setattr("pipeline.run._build_surface", built)
+    patch.setattr("polhode.pipeline.correspondences.extract_features", found)
+    patch.setattr("polhode.pipeline.correspondences.match_pairs", matched)
+    patch.setattr("polhode.pipeline.run._build_surface", built)
 
 
 def _write(sequence: SyntheticSequence, folder: Path) -> None:

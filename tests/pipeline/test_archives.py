@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from pipeline.archives import (
+from polhode.errors import InputError
+from polhode.pipeline.run_directory.archives import (
     read_covariance,
     read_measurements,
     read_relative_poses,
@@ -17,8 +18,7 @@ from pipeline.archives import (
     write_covariance,
     write_measurements,
 )
-from pipeline.point_cloud_file import read_landmarks, write_landmarks
-from polhode.errors import InputError
+from polhode.pipeline.run_directory.point_cloud_file import read_landmarks, write_landmarks
 from polhode.records import Wrench
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from mapping.visibility import Caster
-from pipeline.assumed import assumed_properties, coverage, solid_of
 from polhode.config.backend import Backend
+from polhode.mapping.visibility import Caster
+from polhode.pipeline.assumed_density import assumed_properties, coverage, solid_of
 from polhode.records import MassProperties, SurfaceModel
 
 BOX_M = (0.12, 0.20, 0.24)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-import pipeline.run
-from pipeline.cli import main, squash
-from pipeline.commands import COMMANDS, Evaluate
-from pipeline.overrides import option_names
+import polhode.pipeline.run
+from polhode.cli.commands import COMMANDS, Evaluate
+from polhode.cli.main import main, squash
+from polhode.cli.overrides import option_names
 from polhode.config import Config
 from polhode.dataset_writer import write_camera_csv, write_png
 from polhode.errors import RunFailure
@@ -227,7 +227,7 @@ def test_the_last_line_of_a_run_ends_with_the_report_however_long(
         seen.append(values)
         return Result(status, report, failure="the solver stopped" if status == "failed" else None)
 
-    monkeypatch.setattr(pipeline.run, "run", fake)
+    monkeypatch.setattr(polhode.pipeline.run, "run", fake)
     arguments = run_arguments(config, tmp_path, tmp_path / "run", "--backend.inertia", "ratios_axes")
     assert main(arguments) == code
     assert capsys.readouterr().out.splitlines()[-1].endswith(str(report))
@@ -240,7 +240,7 @@ def test_a_failed_run_is_one_line_and_exit_1(
     def fail(*arguments: Any, **more: Any) -> None:
         raise RunFailure("no motion fits")
 
-    monkeypatch.setattr(pipeline.run, "run", fail)
+    monkeypatch.setattr(polhode.pipeline.run, "run", fail)
     line = error_line(run_arguments(config, tmp_path, tmp_path / "run"), capsys, code=1)
     assert "no motion fits" in line
 

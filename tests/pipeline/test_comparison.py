@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-import pipeline.evaluate
-from pipeline.cli import main
-from pipeline.outputs import build_summary, finish_run, write_run
-from pipeline.report import write_comparison
-from pipeline.report.comparison import NO_VALUE, side_by_side
-from pipeline.report.content import read_content
+import polhode.pipeline.evaluation.evaluate
+from polhode.cli.main import main
 from polhode.config import Config
+from polhode.pipeline.report import write_comparison
+from polhode.pipeline.report.comparison import NO_VALUE, side_by_side
+from polhode.pipeline.report.content import read_content
+from polhode.pipeline.run_directory.outputs import build_summary, finish_run, write_run
 
 Capture = pytest.CaptureFixture[str]
 
@@ -118,7 +118,7 @@ def test_evaluation_enters_the_report(
         (run / "metrics.json").write_text('{"rmse_position_m": 0.000081}\n')
         return {"rmse_position_m": 0.000081}
 
-    monkeypatch.setattr(pipeline.evaluate, "evaluate", measured)
+    monkeypatch.setattr(polhode.pipeline.evaluation.evaluate, "evaluate", measured)
     assert main(["evaluate", str(folder), str(tmp_path)]) == 0
     page = (folder / "report.html").read_text()
     assert "Against the truth" in page and "0.081" in page

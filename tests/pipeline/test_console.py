@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from pipeline.console import Bars, Lines, choose_progress, show_warnings
+from polhode.cli.console import Bars, Lines, choose_progress, show_warnings
 
 
 def test_a_stage_is_one_line_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
@@ -31,8 +31,8 @@ def test_bars_count_and_write_to_standard_output_only(capsys: pytest.CaptureFixt
 
 def test_warnings_are_one_line_on_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
     with show_warnings():
-        logging.getLogger("frontend.any").warning("two\nlines")
-        logging.getLogger("frontend.any").error("the caller tells errors")
-    logging.getLogger("frontend.any").error("later")
+        logging.getLogger("polhode.frontend.any").warning("two\nlines")
+        logging.getLogger("polhode.frontend.any").error("the caller tells errors")
+    logging.getLogger("polhode.frontend.any").error("later")
     captured = capsys.readouterr()
     assert captured.out == "warning: two lines\n"

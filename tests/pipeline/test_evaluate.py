@@ -10,13 +10,13 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from backend.inertia import FORMS, inertia_from_second_moments
-from pipeline.evaluate import evaluate, format_table, inertia_parameter_error
-from pipeline.outputs import write_run
+from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
 from polhode.config import Config
 from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor, write_truth
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.pipeline.evaluation.evaluate import evaluate, format_table, inertia_parameter_error
+from polhode.pipeline.run_directory.outputs import write_run
 from polhode.records import MotionEstimate, Truth
 from polhode.rigid_body import propagate
 from tests.pipeline.conftest import Example

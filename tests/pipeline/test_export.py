@@ -12,12 +12,12 @@ import pytest
 import trimesh
 from trimesh.visual import ColorVisuals
 
-from pipeline.cli import main
-from pipeline.outputs import write_run
-from planning.exports.document import SCHEMA_FILE, schema
+from polhode.cli.main import main
 from polhode.config import Config
 from polhode.lie import exp_so3, log_so3, make_pose, transform_points
 from polhode.mesh_metrics import distance_to_surface
+from polhode.pipeline.run_directory.outputs import write_run
+from polhode.planning.exports.document import SCHEMA_FILE, schema
 from polhode.quaternion import matrix_from_wxyz
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import BOX_M, Example
@@ -53,7 +53,7 @@ def bare(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def failed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that found nothing."""
-    from pipeline.summary import build_summary, write_summary
+    from polhode.pipeline.run_directory.summary import build_summary, write_summary
 
     folder = tmp_path_factory.mktemp("failed")
     write_summary(build_summary(None, None, None, {}, failure="no motion fits"), folder / "summary.json")
@@ -224,7 +224,7 @@ def test_a_failed_run_exports_what_it_found(
             assert "before it had a motion (no motion fits)" in stderr and "--frame" not in stderr
     assert not (tmp_path / "x").exists()
     # a mesh without a motion: what is assumed is said
-    from mapping.mesh_files import write_ply
+    from polhode.mapping.mesh_files import write_ply
 
     write_ply(example.surface, failed / "mesh.ply")
     text = export(failed, "mjcf", tmp_path / "shape.xml", "--mass-kg", "4.5").read_text()

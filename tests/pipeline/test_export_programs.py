@@ -15,11 +15,11 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from pipeline.cli import main
-from planning.exports import convex
-from planning.exports.convex_cuts import clip, outside
-from planning.exports.records import Placement, shape_of_surface
+from polhode.cli.main import main
 from polhode.mesh_metrics import distance_to_surface
+from polhode.planning.exports import convex
+from polhode.planning.exports.convex_cuts import clip, outside
+from polhode.planning.exports.records import Placement, shape_of_surface
 from polhode.quaternion import matrix_from_wxyz
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example

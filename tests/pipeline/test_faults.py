@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backend import estimate_motion
-from frontend.guided import reconnect
-from pipeline.cli import main
-from pipeline.trajectory_file import read_trajectory
+from polhode.backend import estimate_motion
+from polhode.cli.main import main
 from polhode.config import Config
 from polhode.dataset_writer import write_png
 from polhode.errors import RunFailure
+from polhode.frontend.tracks.guided import reconnect
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
-from simulation import simulate
+from polhode.simulation import simulate
 
 FRAMES = 6
 SCENE = {
@@ -84,7 +84,7 @@ def test_measurements_without_a_consistent_motion_fail_the_run_and_stay(
         uvd_px = rng.uniform(20.0, 200.0, tracks.uvd_px.shape)
         return estimate_motion(replace(tracks, uvd_px=uvd_px), motion, *more)
 
-    monkeypatch.setattr("pipeline.find_motion.estimate_motion", of_outliers)
+    monkeypatch.setattr("polhode.pipeline.find_motion.estimate_motion", of_outliers)
     assert run(at_rest, tmp_path / "run") == 1
     assert "no consistent motion" in capsys.readouterr().err
     assert summary_of(tmp_path / "run")["status"] == "failed"
@@ -102,7 +102,7 @@ def test_what_an_earlier_round_found_stays_when_a_later_one_fails(
             raise RunFailure("no consistent motion")
         return reconnect(*arguments)
 
-    monkeypatch.setattr("pipeline.find_motion.reconnect", failing)
+    monkeypatch.setattr("polhode.pipeline.find_motion.reconnect", failing)
     assert run(at_rest, tmp_path / "run") == 1
     assert len(read_trajectory(tmp_path / "run").timestamps_ns) == FRAMES
     summary = summary_of(tmp_path / "run")

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.cli import main
-from pipeline.outputs import write_online_estimate, write_run
+from polhode.cli.main import main
 from polhode.config import Config
 from polhode.dataset_writer import write_inspector, write_truth, write_wrench
+from polhode.pipeline.run_directory.outputs import write_online_estimate, write_run
 from polhode.records import OnlineEstimate, Truth
 from tests.pipeline.conftest import Example
 

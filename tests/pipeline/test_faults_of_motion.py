@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from frontend.tracks import to_tracks
-from pipeline.archives import read_measurements
-from pipeline.cli import main
-from pipeline.trajectory_file import read_trajectory
+from polhode.cli.main import main
+from polhode.frontend.tracks.tracks import to_tracks
+from polhode.pipeline.run_directory.archives import read_measurements
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.records import StereoTracks
-from simulation.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 from tests.pipeline.synthetic_front_end import put_in_place
 
 FRAMES = 14
@@ -109,7 +109,7 @@ def test_a_landmark_seen_once_is_mapped_with_a_warning(run: Run, monkeypatch: py
             tracks, **{n: getattr(tracks, n)[kept] for n in ("frame", "landmark", "uvd_px", "sigma_px")}
         )
 
-    monkeypatch.setattr("pipeline.images.to_tracks", with_singles)
+    monkeypatch.setattr("polhode.pipeline.images.to_tracks", with_singles)
     outcome = run(SCENE, 1)
     assert_done(outcome)
     assert outcome.says("3 landmarks were seen only once: each is where that one stereo pair puts it")
@@ -158,7 +158,7 @@ def test_nothing_but_outliers_fails_and_leaves_the_measurements(
         tracks = to_tracks(*arguments, **more)
         return replace(tracks, uvd_px=np.random.default_rng(0).uniform(20.0, 400.0, tracks.uvd_px.shape))
 
-    monkeypatch.setattr("pipeline.images.to_tracks", scattered)
+    monkeypatch.setattr("polhode.pipeline.images.to_tracks", scattered)
     outcome = run(SCENE, 1)
     assert "no consistent motion" in assert_failed(outcome, STOPPED_EARLY)
     assert outcome.summary["frames"] == FRAMES and outcome.summary["observations"] > 0

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.archives import read_measurements
-from pipeline.cli import main
-from pipeline.trajectory_file import Trajectory, read_trajectory
+from polhode.cli.main import main
 from polhode.lie import Array
-from simulation.measurements import SyntheticScene, generate
+from polhode.pipeline.run_directory.archives import read_measurements
+from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 from tests.pipeline.synthetic_front_end import put_in_place
 
 FRAMES = 14
@@ -97,7 +97,7 @@ def test_a_second_method_that_breaks_costs_nothing_that_was_found(
     def broken(*_: Any, **__: Any) -> None:
         raise ValueError("no such thing")
 
-    monkeypatch.setattr("pipeline.sight.side_by_side", broken)
+    monkeypatch.setattr("polhode.pipeline.correspondences.side_by_side", broken)
     outcome = run(SCENE, OTHER)
     assert outcome.code == 0 and outcome.summary["frames_used"] == FRAMES
     assert "the second method of the front end failed" in outcome.log and "no such thing" in outcome.log

@@ -9,14 +9,20 @@ import pytest
 import trimesh
 from trimesh.visual import ColorVisuals
 
-from mapping.levels import Level
-from mapping.mesh_files import write_ply
-from pipeline import finish_surface as module
-from pipeline.finish_surface import finish_surface
-from pipeline.outputs import build_summary, finish_run, write_config, write_estimate, write_surface
-from pipeline.shape_parts import ShapeFindings
 from polhode.config import Config
 from polhode.config.mapping import Mapping
+from polhode.mapping.levels import Level
+from polhode.mapping.mesh_files import write_ply
+from polhode.pipeline import finish_surface as module
+from polhode.pipeline.finish_surface import finish_surface
+from polhode.pipeline.run_directory.outputs import (
+    build_summary,
+    finish_run,
+    write_config,
+    write_estimate,
+    write_surface,
+)
+from polhode.pipeline.run_directory.shape_parts import ShapeFindings
 from polhode.records import SurfaceModel
 from tests.mapping.rendered_views import RIG, rendered, tumbling
 

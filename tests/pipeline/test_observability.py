@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from pipeline.cli import main
-from pipeline.outputs import write_run
-from planning.exports.ccsds import tum
+from polhode.cli.main import main
 from polhode.config import Config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.pipeline.run_directory.outputs import write_run
+from polhode.planning.exports.ccsds import tum
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
 

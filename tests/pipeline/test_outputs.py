@@ -9,9 +9,9 @@ import pytest
 import trimesh
 import yaml
 
-from pipeline.outputs import read_summary, write_run
 from polhode.config import Config
 from polhode.errors import InputError
+from polhode.pipeline.run_directory.outputs import read_summary, write_run
 from polhode.records import SurfaceModel
 
 STATED = {
@@ -82,7 +82,7 @@ def test_a_report_that_cannot_be_made_costs_only_itself(
     def refuse(folder: Path) -> None:
         raise InputError(f"{folder}/online.npz: covariance holds NaN")
 
-    monkeypatch.setattr("pipeline.outputs.write_report", refuse)
+    monkeypatch.setattr("polhode.pipeline.run_directory.outputs.write_report", refuse)
     summary = write_run(
         tmp_path, config=Config(), tracks=example.tracks, estimate=example.estimate, surface=None, timing_s={}
     )

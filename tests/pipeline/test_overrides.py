@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.overrides import split_overrides
+from polhode.cli.overrides import split_overrides
 from polhode.errors import InputError
 
 

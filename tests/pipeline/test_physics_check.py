@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from pipeline.physics_check import check_physics
 from polhode.lie import exp_so3
+from polhode.pipeline.physics_check import check_physics
 from polhode.records import Identifiability, MassProperties, SurfaceModel
 
 BOX_M = (0.12, 0.20, 0.24)

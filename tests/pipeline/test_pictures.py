@@ -16,19 +16,19 @@ import pytest
 import trimesh
 from PIL import Image
 
-from frontend.rectify import Rectifier
-from mapping.view import MeshViewer
-from pipeline import pictures
-from pipeline.outputs import refresh_report, write_run
-from pipeline.pictures.animation import MOST_GIF_BYTES, film
-from pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, body_frame, round_length_mm
-from pipeline.pictures.frame_drawing import GROUND, SIZE_PX, draw_frame, signed_colours
-from pipeline.pictures.landmarks import draw_landmarks
-from pipeline.pictures.model import Comparison, chosen_frames, compare_frames, fit_brightness
-from pipeline.report.shape import vertex_rgb
 from polhode.config import Config, Pictures
 from polhode.dataset import StereoImages, StereoSequence
+from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import inverse_pose
+from polhode.mapping.view import MeshViewer
+from polhode.pipeline import pictures
+from polhode.pipeline.pictures.animation import MOST_GIF_BYTES, film
+from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, body_frame, round_length_mm
+from polhode.pipeline.pictures.frame_drawing import GROUND, SIZE_PX, draw_frame, signed_colours
+from polhode.pipeline.pictures.landmarks import draw_landmarks
+from polhode.pipeline.pictures.model import Comparison, chosen_frames, compare_frames, fit_brightness
+from polhode.pipeline.report.shape import vertex_rgb
+from polhode.pipeline.run_directory.outputs import refresh_report, write_run
 from polhode.progress import Silent
 from polhode.records import Landmarks
 
@@ -288,7 +288,7 @@ def test_frames_are_spread_evenly_and_never_too_many() -> None:
 def test_a_gif_that_grows_too_large_keeps_fewer_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pipeline.pictures.animation.MOST_GIF_BYTES", 1_000_000)
+    monkeypatch.setattr("polhode.pipeline.pictures.animation.MOST_GIF_BYTES", 1_000_000)
     random = np.random.default_rng(0)
     with film(tmp_path / "a.mp4", tmp_path / "a.gif") as add:
         for _ in range(16):

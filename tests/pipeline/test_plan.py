@@ -8,10 +8,10 @@ import pytest
 import trimesh
 from matplotlib.image import imread
 
-from pipeline.cli import main
-from pipeline.outputs import write_run
-from pipeline.plan_files import CORRIDOR_COLUMNS
+from polhode.cli.main import main
 from polhode.config import Config
+from polhode.pipeline.products.plan_files import CORRIDOR_COLUMNS
+from polhode.pipeline.run_directory.outputs import write_run
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
 

@@ -6,21 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend import estimate_motion, initialize_motion
-from backend.inertia import FORMS, inertia_from_second_moments
-from pipeline.cli import main
-from pipeline.outputs import write_run
-from pipeline.predict import inertia_by_parameters, prediction_times
-from pipeline.trajectory_file import TRAJECTORY_COLUMNS, read_trajectory
+from polhode.backend import estimate_motion, initialize_motion
+from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
+from polhode.cli.main import main
 from polhode.config import Config
 from polhode.config.backend import Backend
 from polhode.errors import InputError
 from polhode.lie import exp_so3, log_so3
 from polhode.metrics import HALF_TURNS, best_half_turn, mean_rotation
+from polhode.pipeline.products.predict import inertia_by_parameters, prediction_times
+from polhode.pipeline.run_directory.outputs import write_run
+from polhode.pipeline.run_directory.trajectory_file import TRAJECTORY_COLUMNS, read_trajectory
 from polhode.progress import Silent
 from polhode.records import Truth
 from polhode.rigid_body import propagate
-from simulation.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 from tests.pipeline.conftest import Example
 
 Capture = pytest.CaptureFixture[str]
@@ -161,7 +161,7 @@ def test_mistakes_are_one_line(
 
 
 def test_a_run_that_failed_or_is_none_is_refused(tmp_path: Path, capsys: Capture) -> None:
-    from pipeline.summary import build_summary, write_summary
+    from polhode.pipeline.run_directory.summary import build_summary, write_summary
 
     assert main(["predict", str(tmp_path), "--horizon", "10"]) == 2
     assert "give the folder of a run" in capsys.readouterr().err

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.pushes_file import PUSHES_COLUMNS, write_pushes
+from polhode.pipeline.run_directory.disturbances_file import PUSHES_COLUMNS, write_pushes
 from polhode.records import Push, UnknownPushes
 
 

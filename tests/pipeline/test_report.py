@@ -13,18 +13,18 @@ import pytest
 import trimesh
 from scipy.integrate import solve_ivp
 
-from pipeline.outputs import build_summary, finish_run, write_measurements, write_run
-from pipeline.report import finding, refresh_report
-from pipeline.report.content import read_content
-from pipeline.report.motion import straight_line_residual
-from pipeline.report.plot import band, packed
-from pipeline.report.residuals import rms_per_frame
-from pipeline.report.rotation import confidence_ellipse, largest_k1, torque_free_path
-from pipeline.report.shape import MAX_FACES, cameras_in_target, thinned
-from pipeline.report.words import metric_rows, with_sigma
-from pipeline.trajectory_file import trajectory_of
 from polhode.config import Config
 from polhode.errors import InputError
+from polhode.pipeline.report import finding, refresh_report
+from polhode.pipeline.report.content import read_content
+from polhode.pipeline.report.motion import straight_line_residual
+from polhode.pipeline.report.plot import band, packed
+from polhode.pipeline.report.residuals import rms_per_frame
+from polhode.pipeline.report.rotation import confidence_ellipse, largest_k1, torque_free_path
+from polhode.pipeline.report.shape import MAX_FACES, cameras_in_target, thinned
+from polhode.pipeline.report.wording import metric_rows, with_sigma
+from polhode.pipeline.run_directory.outputs import build_summary, finish_run, write_measurements, write_run
+from polhode.pipeline.run_directory.trajectory_file import trajectory_of
 from polhode.records import SurfaceModel
 
 FIGURES = [

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.outputs import write_online_estimate, write_run
-from pipeline.report.content import Content, read_content
-from pipeline.report.convergence import convergence_figures
-from pipeline.report.sigmas import sigma_rows
-from pipeline.report.words import run_rows
 from polhode.config import Config
 from polhode.lie import make_pose
+from polhode.pipeline.report.content import Content, read_content
+from polhode.pipeline.report.convergence import convergence_figures
+from polhode.pipeline.report.sigmas import sigma_rows
+from polhode.pipeline.report.wording import run_rows
+from polhode.pipeline.run_directory.outputs import write_online_estimate, write_run
 from polhode.records import MotionEstimate, OnlineEstimate
 from tests.pipeline.test_report import _unpacked
 

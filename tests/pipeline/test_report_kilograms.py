@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.assumed import assumed_properties
-from pipeline.outputs import build_summary, finish_run, write_estimate
-from pipeline.report.words import inertia_rows
-from pipeline.shape_parts import ShapeFindings
 from polhode.config.backend import Backend
+from polhode.pipeline.assumed_density import assumed_properties
+from polhode.pipeline.report.wording import inertia_rows
+from polhode.pipeline.run_directory.outputs import build_summary, finish_run, write_estimate
+from polhode.pipeline.run_directory.shape_parts import ShapeFindings
 from polhode.records import Push, UnknownPushes
 
 

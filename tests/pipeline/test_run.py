@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.archives import read_measurements
-from pipeline.evaluate import evaluate
-from pipeline.run import RunResult, run
-from pipeline.trajectory_file import read_trajectory
 from polhode.config import Config
 from polhode.dataset_writer import write_png
 from polhode.errors import InputError, RunFailure
+from polhode.pipeline.evaluation.evaluate import evaluate
+from polhode.pipeline.run import RunResult, run
+from polhode.pipeline.run_directory.archives import read_measurements
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.progress import Silent
-from simulation import simulate
+from polhode.simulation import simulate
 
 SCENE = {
     "frames": 16,

@@ -7,11 +7,16 @@ from typing import Any
 
 import pytest
 
-from pipeline.outputs import finish_run, write_config, write_estimate, write_measurements
-from pipeline.run_folder import RunFolder
-from pipeline.summary import build_summary, read_summary
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
+from polhode.pipeline.run_directory.outputs import (
+    finish_run,
+    write_config,
+    write_estimate,
+    write_measurements,
+)
+from polhode.pipeline.run_directory.run_folder import RunFolder
+from polhode.pipeline.run_directory.summary import build_summary, read_summary
 
 
 def _finish(folder: Path, run: Any, warning: str = "") -> None:
@@ -157,7 +162,7 @@ def test_a_report_that_breaks_does_not_cost_what_was_found(
     def broken(folder: Path) -> None:
         raise KeyError(folder.name)
 
-    monkeypatch.setattr("pipeline.run_folder.write_report", broken)
+    monkeypatch.setattr("polhode.pipeline.run_directory.run_folder.write_report", broken)
     with pytest.raises(KeyError):
         _run(tmp_path / "run", solve, RunFailure("no surface"))
     assert (tmp_path / "run" / "trajectory.csv").is_file()
@@ -192,7 +197,7 @@ def test_the_log_holds_our_messages_and_the_loggers_are_left_as_they_were(
     logger = logging.getLogger("frontend")
     before = (logger.level, list(logger.handlers))
     with RunFolder(tmp_path / "run") as folder:
-        logging.getLogger("frontend.stereo").info("562 matches")
+        logging.getLogger("polhode.frontend.stereo").info("562 matches")
         logging.getLogger("some.library").warning("not ours")
         _finish(folder, example)
     text = (tmp_path / "run" / "log.txt").read_text()

@@ -6,13 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from backend import estimate_motion, initialize_motion
-from pipeline.second_look import attitudes_apart_deg, contradicts, revises
+from polhode.backend import estimate_motion, initialize_motion
 from polhode.config.backend import Backend
 from polhode.lie import exp_so3, make_pose
+from polhode.pipeline.consistency_check import attitudes_apart_deg, contradicts, revises
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
-from simulation.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=14, landmarks=300, detection=0.4, J_G=np.diag([1.5, 1.2, 0.9]))
 

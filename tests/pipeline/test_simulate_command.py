@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.cli import main
-from simulation.painting import Painter
+from polhode.cli.main import main
+from polhode.simulation.dataset.painting import Painter
 
 SCENE = """
 seed: 4

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator, ValidationError
 
-from pipeline.summary import (
+from polhode.errors import InputError
+from polhode.pipeline.run_directory.summary import (
     SCHEMA_FILE,
     STAGES,
     Summary,
@@ -18,7 +19,6 @@ from pipeline.summary import (
     summary_schema,
     write_summary,
 )
-from polhode.errors import InputError
 
 CONTRACT_KEYS = {
     "schema",

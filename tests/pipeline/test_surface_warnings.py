@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from frontend.extract import extract_depth
-from mapping.fusion import Frame, fuse
-from pipeline.cli import main
 from polhode.camera import RectifiedRig
+from polhode.cli.main import main
 from polhode.config import Config
 from polhode.config.mapping import Mapping
+from polhode.frontend.extract import extract_depth
 from polhode.lie import Array, make_pose
+from polhode.mapping.fusion import Frame, fuse
 from polhode.progress import Progress, Silent
 from polhode.records import DepthMap, SurfaceModel
-from simulation import simulate
+from polhode.simulation import simulate
 
 FRAMES = 6
 SCENE = {
@@ -103,8 +103,8 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
         given = ((depth, defect.poses(k, X_RG)) for k, (depth, X_RG) in enumerate(frames))
         return fuse(given, rig, config, progress, n_frames, covariance_G)
 
-    monkeypatch.setattr("pipeline.run.extract_depth", maps)
-    monkeypatch.setattr("pipeline.run.fuse", fused)
+    monkeypatch.setattr("polhode.pipeline.run.extract_depth", maps)
+    monkeypatch.setattr("polhode.pipeline.run.fuse", fused)
     options = [word for name, value in QUICK.items() for word in (f"--{name}", value)]
     folder = tmp_path / "run"
     command = ["run", "configs/default.yaml", "--data", str(at_rest), "-o", str(folder)]

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.trajectory_file import (
+from polhode.errors import InputError
+from polhode.pipeline.run_directory.trajectory_file import (
     TRAJECTORY_COLUMNS,
     read_trajectory,
     standard_deviations,
     trajectory_of,
     write_trajectory,
 )
-from polhode.errors import InputError
 
 
 def test_the_header_names_the_26_columns_of_the_contract() -> None:

@@ -3,9 +3,9 @@
 import numpy as np
 import trimesh
 
-from planning.ensemble import Ahead
-from planning.prediction import LastBody
 from polhode.lie import Array, exp_so3
+from polhode.planning.prediction.ensemble import Ahead
+from polhode.planning.prediction.prediction import LastBody
 from polhode.records import SurfaceModel
 
 SIGMA_M = 2e-4

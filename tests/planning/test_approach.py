@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from planning.approach import Task, hull_points, least_gap, plan_way
-from planning.keepout import Wanted, keep_out
+from polhode.planning.approach.approach import Task, hull_points, least_gap, plan_way
+from polhode.planning.keep_out.keepout import Wanted, keep_out
 from tests.planning.bodies import ahead, ball, box
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from planning.corridor import corridor
-from planning.ensemble import nominal
-from planning.surface_speed import gentlest, surface_speed, velocity
+from polhode.planning.approach.corridor import corridor
+from polhode.planning.approach.surface_speed import gentlest, surface_speed, velocity
+from polhode.planning.prediction.ensemble import nominal
 from tests.planning.bodies import ahead
 
 SPIN = 0.4

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from planning.ensemble import Disturbances, draw_members, nominal, pose_covariance
-from planning.prediction import process_noise
+from polhode.planning.prediction.ensemble import Disturbances, draw_members, nominal, pose_covariance
+from polhode.planning.prediction.prediction import process_noise
 from tests.planning.bodies import ahead
 
 TIMES = np.linspace(0.1, 8.0, 80)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from planning.ensemble import draw_members, nominal
-from planning.keepout import Wanted, conformal, keep_out
-from planning.measured_body import continuous_sigma, grow
 from polhode.lie import Array
+from polhode.planning.keep_out.keepout import Wanted, conformal, keep_out
+from polhode.planning.keep_out.measured_body import continuous_sigma, grow
+from polhode.planning.prediction.ensemble import draw_members, nominal
 from polhode.records import SurfaceModel
 from tests.planning.bodies import SIGMA_M, ahead, ball, box, measured
 

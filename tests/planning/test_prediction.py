@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planning.prediction import UNKNOWN_RAD, LastBody, axes_by_parameters, draw, predict, process_noise
 from polhode.lie import Array, exp_so3, log_so3
+from polhode.planning.prediction.prediction import (
+    UNKNOWN_RAD,
+    LastBody,
+    axes_by_parameters,
+    draw,
+    predict,
+    process_noise,
+)
 from polhode.rigid_body import propagate
 
 MOMENTS = np.array([1.3, 1.0, 0.8])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.cli import main
-from planning.threshold import RPM, StationKeeping, Threshold, fuel_share, threshold
+from polhode.cli.main import main
+from polhode.planning.approach.threshold import RPM, StationKeeping, Threshold, fuel_share, threshold
 
 Capture = pytest.CaptureFixture[str]
 SPHERES = StationKeeping(0.7, 5.91, 0.22, 37.7, 300.0, 0.17 / 5.91)

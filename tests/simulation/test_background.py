@@ -7,12 +7,12 @@ from polhode.config import scene as config
 from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, make_pose
-from simulation.background import Sky
-from simulation.cameras import Camera, build_cameras
-from simulation.earth import Earth
-from simulation.render import Picture
-from simulation.sensor import expose
-from simulation.stars import Stars, image_of_stars, star_field
+from polhode.simulation.camera.cameras import Camera, build_cameras
+from polhode.simulation.camera.sensor import expose
+from polhode.simulation.rendering.render import Picture
+from polhode.simulation.sky.background import Sky
+from polhode.simulation.sky.earth import Earth
+from polhode.simulation.sky.stars import Stars, image_of_stars, star_field
 
 AT_REST = np.eye(4)[None]
 

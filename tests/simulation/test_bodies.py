@@ -8,11 +8,11 @@ import trimesh
 
 from polhode.config import scene as config
 from polhode.errors import InputError
-from simulation.bodies import Body, build_body
-from simulation.bodies.facets import flat_facets, smooth_corner_normals
-from simulation.bodies.part import Part, assemble
-from simulation.charts import ChartAtlas
-from simulation.materials import PAINT_GREY, PAINT_WHITE
+from polhode.simulation.bodies import Body, build_body
+from polhode.simulation.bodies.parts.facets import flat_facets, smooth_corner_normals
+from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.rendering.charts import ChartAtlas
+from polhode.simulation.surface.materials import PAINT_GREY, PAINT_WHITE
 
 FAMILIES = ["free_flyer", "bus", "asteroid"]
 

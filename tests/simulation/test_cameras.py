@@ -6,7 +6,7 @@ import pytest
 
 from polhode.config import scene as config
 from polhode.errors import InputError
-from simulation.cameras import build_cameras, sample_offsets, sample_times
+from polhode.simulation.camera.cameras import build_cameras, sample_offsets, sample_times
 
 RIG = config.Rig(
     distortion=(-0.21, 0.06, 8e-4, -5e-4), principal_offset_px=(6, -4), right_rotation_deg=(0.5, -6, 0.8)

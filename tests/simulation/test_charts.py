@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from polhode.lie import Array
-from simulation.bodies.canvas import Canvas, chart_of_facet, charts_around, code
-from simulation.bodies.facets import flat_facets
-from simulation.bodies.part import SLOPE_STEP, Chart
-from simulation.bodies.solids import box, revolve
-from simulation.charts import ChartAtlas
-from simulation.materials import FOIL_GOLD, GLASS
+from polhode.simulation.bodies.parts.facets import flat_facets
+from polhode.simulation.bodies.parts.part import SLOPE_STEP, Chart
+from polhode.simulation.bodies.parts.solids import box, revolve
+from polhode.simulation.bodies.textures.canvas import Canvas, chart_of_facet, charts_around, code
+from polhode.simulation.rendering.charts import ChartAtlas
+from polhode.simulation.surface.materials import FOIL_GOLD, GLASS
 
 TEXEL_M = 0.001
 RIGHT, DOWN = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])

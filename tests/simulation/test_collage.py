@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from polhode.lie import Array
-from simulation import noise, spots
-from simulation.bodies import collage, drawn
-from simulation.bodies.artist import artist_of
-from simulation.bodies.canvas import Canvas, Code, Draw
-from simulation.bodies.studio import Artist
-from simulation.materials import FOIL_GOLD
+from polhode.simulation.bodies.textures import collage, drawn
+from polhode.simulation.bodies.textures.artist import artist_of
+from polhode.simulation.bodies.textures.canvas import Canvas, Code, Draw
+from polhode.simulation.bodies.textures.studio import Artist
+from polhode.simulation.surface import noise, spots
+from polhode.simulation.surface.materials import FOIL_GOLD
 
 FOLDERS = {"drawn": Path(drawn.__path__[0]), "collage": Path(collage.__path__[0])}
 SHEETS: dict[str, Callable[[Artist], Draw]] = {

@@ -6,8 +6,8 @@ import numpy as np
 
 from polhode.config.scene import Scene
 from polhode.progress import Silent
-from simulation.contact_sheet import contact_sheet
-from simulation.sequence import simulate
+from polhode.simulation.dataset.sequence import simulate
+from polhode.simulation.figures.contact_sheet import contact_sheet
 
 
 def test_every_tile_of_the_sheet_shows_the_target(tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ from PIL import Image
 from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
-from simulation.bodies.part import Part, assemble
-from simulation.cameras import Camera, build_cameras
-from simulation.correspondence import (
+from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.camera.cameras import Camera, build_cameras
+from polhode.simulation.dataset.correspondence import (
     Reason,
     View,
     angle_between,
@@ -24,9 +24,9 @@ from simulation.correspondence import (
     pixel_grid,
     view_of,
 )
-from simulation.materials import Material
-from simulation.plan import Plan, plan_sequence
-from simulation.raycast import RayCaster
+from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.rendering.raycast import RayCaster
+from polhode.simulation.surface.materials import Material
 
 MATT = Material(0.4, specular=0.0)
 

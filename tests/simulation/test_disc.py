@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from simulation.directions import even_directions, find, nearest_map
-from simulation.disc import Stratum, disc_irradiance, rays_over_disc
+from polhode.simulation.rendering.directions import even_directions, find, nearest_map
+from polhode.simulation.rendering.disc import Stratum, disc_irradiance, rays_over_disc
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from polhode.lie import exp_so3, log_so3
 from polhode.rigid_body import angular_momentum_N, propagate
-from simulation.disturbed_motion import disturbed_motion
+from polhode.simulation.monte_carlo.disturbed_motion import disturbed_motion
 
 J = np.array([[1.5, 0.1, 0.0], [0.1, 1.2, -0.05], [0.0, -0.05, 0.9]])
 START = (

@@ -3,8 +3,8 @@
 import numpy as np
 import trimesh
 
-from simulation.bodies.facets import flat_facets, flat_regions
-from simulation.bodies.solids import box, revolve
+from polhode.simulation.bodies.parts.facets import flat_facets, flat_regions
+from polhode.simulation.bodies.parts.solids import box, revolve
 
 
 def test_a_box_has_six_sides_whatever_its_size() -> None:

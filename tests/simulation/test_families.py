@@ -7,12 +7,12 @@ import pytest
 
 from polhode.config import scene as config
 from polhode.lie import Array
-from simulation.bodies import Body, build_body
-from simulation.bodies.artist import artist_of
-from simulation.bodies.asteroid import asteroid_parts
-from simulation.bodies.build import FAMILIES
-from simulation.bodies.part import Part, join
-from simulation.bodies.studio import Studio
+from polhode.simulation.bodies import Body, build_body
+from polhode.simulation.bodies.build import FAMILIES
+from polhode.simulation.bodies.families.asteroid import asteroid_parts
+from polhode.simulation.bodies.parts.part import Part, join
+from polhode.simulation.bodies.textures.artist import artist_of
+from polhode.simulation.bodies.textures.studio import Studio
 
 BUILT = ["free_flyer", "bus", "upper_stage", "dish", "truss", "cubesat"]
 SIZE_M = 0.4

@@ -8,12 +8,12 @@ import trimesh
 
 from polhode.config import scene as config
 from polhode.lie import Array
-from simulation.bodies.part import Part, assemble
-from simulation.indirect import IndirectLight
-from simulation.light import Lights
-from simulation.materials import Material
-from simulation.raycast import Hits, RayCaster
-from simulation.skin import Skin
+from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.rendering.indirect import IndirectLight
+from polhode.simulation.rendering.light import Lights
+from polhode.simulation.rendering.raycast import Hits, RayCaster
+from polhode.simulation.rendering.skin import Skin
+from polhode.simulation.surface.materials import Material
 
 MATT = Material(0.5, specular=0.0)
 UP = np.array([0.0, 0.0, 1.0])

@@ -12,8 +12,8 @@ from polhode.config.scene import Scene
 from polhode.dataset import open_sequence
 from polhode.lie import Array
 from polhode.progress import Silent
-from simulation.render import Renderer
-from simulation.sequence import Plan, plan_sequence, simulate
+from polhode.simulation.dataset.sequence import Plan, plan_sequence, simulate
+from polhode.simulation.rendering.render import Renderer
 
 FRAMES = 3
 

@@ -5,7 +5,7 @@ import pytest
 
 from polhode.config import scene as config
 from polhode.lie import exp_so3, inverse_pose, make_pose
-from simulation.light import lights_in_body, sunlight
+from polhode.simulation.rendering.light import lights_in_body, sunlight
 
 ECLIPSE = config.Light(eclipse=config.Eclipse(start_s=10.0, duration_s=8.0, ramp_s=2.0))
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from simulation.bodies.mass import SHEET_THICKNESS, PartMass, masses_by_name
-from simulation.bodies.part import join
+from polhode.simulation.bodies.parts.mass import SHEET_THICKNESS, PartMass, masses_by_name
+from polhode.simulation.bodies.parts.part import join
 
 
 def _one(mesh: trimesh.Trimesh) -> PartMass:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from polhode.lie import Array
-from simulation import materials
-from simulation.materials import (
+from polhode.simulation.surface import materials
+from polhode.simulation.surface.materials import (
     BRUSHED_METAL,
     FOIL_GOLD,
     REGOLITH,

@@ -13,10 +13,11 @@ from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.records import Ints
-from simulation.bodies import Body, build_body, describe
-from simulation.bodies.mesh_colours import linear_grey
-from simulation.bodies.mesh_materials import material_by_name
-from simulation.materials import (
+from polhode.simulation.bodies import Body, build_body, describe
+from polhode.simulation.bodies.imported.mesh_colours import linear_grey
+from polhode.simulation.bodies.imported.mesh_materials import material_by_name
+from polhode.simulation.rendering.skin import Skin
+from polhode.simulation.surface.materials import (
     BRUSHED_METAL,
     DARK_METAL,
     FOIL_GOLD,
@@ -25,8 +26,7 @@ from simulation.materials import (
     REGOLITH,
     SOLAR_CELL,
     Surface,
-)  # fmt: skip
-from simulation.skin import Skin
+)
 
 
 def _description(path: Path, **more: object) -> config.Body:

@@ -11,16 +11,16 @@ import trimesh
 from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.records import Bools
-from simulation.bodies.part import Part, assemble
-from simulation.directions import even_directions
-from simulation.disc import Stratum
-from simulation.indirect import IndirectLight
-from simulation.light import Lights
-from simulation.materials import Material, Surface
-from simulation.mirror import Mirror
-from simulation.raycast import RayCaster
-from simulation.reflection import mirrored_earth, mirrored_share, reflected
-from simulation.skin import Skin
+from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.rendering.directions import even_directions
+from polhode.simulation.rendering.disc import Stratum
+from polhode.simulation.rendering.indirect import IndirectLight
+from polhode.simulation.rendering.light import Lights
+from polhode.simulation.rendering.mirror import Mirror
+from polhode.simulation.rendering.raycast import RayCaster
+from polhode.simulation.rendering.reflection import mirrored_earth, mirrored_share, reflected
+from polhode.simulation.rendering.skin import Skin
+from polhode.simulation.surface.materials import Material, Surface
 
 UP = np.array([0.0, 0.0, 1.0])
 DARK = Lights(UP, 0.0, UP, 0.0, np.zeros(3), 0.0)

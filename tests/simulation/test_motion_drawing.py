@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from polhode.lie import Array
-from simulation.motion_drawing import Drawing
+from polhode.simulation.figures.motion_drawing import Drawing
 
 UP = np.array([0.0, 0.0, 1.0])
 FROM_Y = np.array([0.0, -1.0, 0.0])

@@ -10,15 +10,15 @@ from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.rigid_body import angular_momentum_N, rotational_energy
-from simulation.motion import TargetMotion, target_motion
-from simulation.motion.energy import (
+from polhode.simulation.motion import TargetMotion, target_motion
+from polhode.simulation.motion.energy import (
     energy_of_momentum,
     excess_energy,
     friction_for_loss,
     losses,
     momentum_of_rate,
 )
-from simulation.motion.integrate import body_rate
+from polhode.simulation.motion.integrate import body_rate
 from tests.simulation.motion_scenes import TRIAXIAL, mass_of, rpm, scene_of
 
 SLENDER = np.array([1.3, 1.0, 0.45])

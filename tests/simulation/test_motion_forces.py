@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulation.motion import TargetMotion, target_motion
-from simulation.motion.forces import cell_length_s
+from polhode.simulation.motion import TargetMotion, target_motion
+from polhode.simulation.motion.forces import cell_length_s
 from tests.simulation.motion_scenes import MASS_KG, mass_of, scene_of
 
 SPHERE = np.array([0.02, 0.02, 0.02])

@@ -10,8 +10,8 @@ from PIL import Image
 
 from polhode.config.scene import Scene
 from polhode.errors import InputError
-from simulation.motion.poinsot import poinsot
-from simulation.motion_plot import headline, main, motion_figure, numbers, save
+from polhode.simulation.figures.motion_plot import headline, main, motion_figure, numbers, save
+from polhode.simulation.motion.poinsot import poinsot
 
 MOMENTS = np.array([1.4e-2, 1.1e-2, 0.8e-2])
 

@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 
 from polhode.lie import Array
-from simulation.motion.integrate import free_of_forces
-from simulation.motion.poinsot import Poinsot, free_rotation, poinsot, polhodes, rotation_states, separatrix
+from polhode.simulation.motion.integrate import free_of_forces
+from polhode.simulation.motion.poinsot import (
+    Poinsot,
+    free_rotation,
+    poinsot,
+    polhodes,
+    rotation_states,
+    separatrix,
+)
 
 TRIAXIAL, DISC = np.array([1.4, 1.0, 0.7]), np.array([1.7, 1.0, 1.0])
 CASES = {

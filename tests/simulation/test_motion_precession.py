@@ -5,7 +5,7 @@ import pytest
 
 from polhode.lie import Array
 from polhode.rigid_body import propagate
-from simulation.motion.precession import circulation_order, precession_of
+from polhode.simulation.motion.precession import circulation_order, precession_of
 
 OBLATE, PROLATE = np.array([1.7, 1.0, 1.0]), np.array([1.5, 1.5, 0.6])
 TRIAXIAL = np.array([1.4, 1.0, 0.7])

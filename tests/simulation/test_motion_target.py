@@ -12,8 +12,8 @@ from polhode.config.loader import load_config
 from polhode.lie import Array, log_so3, transform_points
 from polhode.quaternion import matrix_from_wxyz
 from polhode.rigid_body import angular_momentum_N, rotational_energy
-from simulation.bodies import build_body
-from simulation.motion import MassDistribution, mass_distribution, target_motion
+from polhode.simulation.bodies import build_body
+from polhode.simulation.motion import MassDistribution, mass_distribution, target_motion
 from tests.simulation.motion_scenes import TRIAXIAL, mass_of, scene_of
 
 CONFIGS = Path(__file__).parents[2] / "configs"

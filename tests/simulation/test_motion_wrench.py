@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from polhode.lie import Array
-from simulation.motion import known_wrench, target_motion
-from simulation.sequence import plan_sequence, write_knowledge
+from polhode.simulation.dataset.sequence import plan_sequence, write_knowledge
+from polhode.simulation.motion import known_wrench, target_motion
 from tests.simulation.motion_scenes import MASS_KG, mass_of, scene_of
 
 PUSHES = [

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polhode.lie import Array
-from simulation.neighbourhood import Neighbourhood
+from polhode.simulation.rendering.neighbourhood import Neighbourhood
 
 UP = np.array([0.0, 0.0, 1.0])
 

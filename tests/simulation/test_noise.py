@@ -5,8 +5,15 @@ import pytest
 
 from polhode.lie import Array
 from polhode.records import Ints
-from simulation.materials import FOIL_GOLD, PAINT_WHITE, REGOLITH, WORN_PANEL, Material, MaterialTable
-from simulation.noise import cells, creases_at, fractal, fractal_gradient
+from polhode.simulation.surface.materials import (
+    FOIL_GOLD,
+    PAINT_WHITE,
+    REGOLITH,
+    WORN_PANEL,
+    Material,
+    MaterialTable,
+)
+from polhode.simulation.surface.noise import cells, creases_at, fractal, fractal_gradient
 
 SIDE = 64
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
-from simulation.pair_poses import pair_poses
+from polhode.simulation.monte_carlo.pair_poses import pair_poses
 
 RNG = np.random.default_rng(0)
 X_RG = make_pose(exp_so3(RNG.normal(size=(4, 3))), [0.0, 0.0, 0.6] + 0.1 * RNG.normal(size=(4, 3)))

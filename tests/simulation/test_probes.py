@@ -3,10 +3,10 @@
 import numpy as np
 import trimesh
 
-from simulation.bodies.part import Part, assemble
-from simulation.materials import PAINT_WHITE
-from simulation.probes import BELOW, DARK, SKY, Probes, place_probes
-from simulation.raycast import RayCaster
+from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.rendering.probes import BELOW, DARK, SKY, Probes, place_probes
+from polhode.simulation.rendering.raycast import RayCaster
+from polhode.simulation.surface.materials import PAINT_WHITE
 
 
 def _probes(*meshes: trimesh.Trimesh) -> Probes:

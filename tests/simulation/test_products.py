@@ -13,11 +13,10 @@ from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.progress import Silent
-from simulation.bodies.part import Body, Part, assemble
-from simulation.cameras import Camera, build_cameras
-from simulation.materials import Material
-from simulation.plan import plan_sequence
-from simulation.products import (
+from polhode.simulation.bodies.parts.part import Body, Part, assemble
+from polhode.simulation.camera.cameras import Camera, build_cameras
+from polhode.simulation.dataset.plan import plan_sequence
+from polhode.simulation.dataset.products import (
     AWAY,
     CAST,
     Products,
@@ -26,8 +25,9 @@ from simulation.products import (
     render_products,
     write_products,
 )
-from simulation.render import Renderer
-from simulation.sequence import simulate
+from polhode.simulation.dataset.sequence import simulate
+from polhode.simulation.rendering.render import Renderer
+from polhode.simulation.surface.materials import Material
 
 ALL: tuple[config.Product, ...] = get_args(config.Product)
 DISTORTED = config.Rig(

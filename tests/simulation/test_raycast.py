@@ -5,11 +5,11 @@ import pytest
 import trimesh
 
 from polhode.lie import Array
-from simulation.bodies import Body
-from simulation.bodies.part import Part, assemble
-from simulation.disc import Stratum, rays_over_disc
-from simulation.materials import PAINT_WHITE
-from simulation.raycast import Hits, RayCaster
+from polhode.simulation.bodies import Body
+from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.rendering.disc import Stratum, rays_over_disc
+from polhode.simulation.rendering.raycast import Hits, RayCaster
+from polhode.simulation.surface.materials import PAINT_WHITE
 
 
 def _sphere_body(radius_m: float, subdivisions: int = 5) -> Body:

@@ -4,9 +4,9 @@ import numpy as np
 
 from polhode.config import scene as config
 from polhode.lie import exp_so3, make_pose
-from simulation.bodies import build_body
-from simulation.cameras import build_cameras
-from simulation.render import Renderer
+from polhode.simulation.bodies import build_body
+from polhode.simulation.camera.cameras import build_cameras
+from polhode.simulation.rendering.render import Renderer
 
 SCENE = config.Scene(
     rig=config.Rig(width_px=96, height_px=72, focal_px=90.0), render=config.Render(samples=4, bounces=0)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-import simulation.sequence as sequence
+import polhode.simulation.dataset.sequence as sequence
 from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.progress import Advance, Silent
-from simulation.draft import drafted
-from simulation.sequence import simulate
+from polhode.simulation.dataset.draft import drafted
+from polhode.simulation.dataset.sequence import simulate
 
 SCENE = Scene.model_validate(
     {

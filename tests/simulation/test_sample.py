@@ -7,8 +7,8 @@ import numpy as np
 from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.progress import Silent
+from polhode.simulation.dataset.sequence import plan_sequence, simulate, truth_of
 from polhode.truth import read_truth
-from simulation.sequence import plan_sequence, simulate, truth_of
 
 ROOT = Path(__file__).parents[2]
 CONFIG = load_config(ROOT / "configs" / "sample.yaml")

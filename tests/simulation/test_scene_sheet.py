@@ -9,9 +9,15 @@ from PIL import Image
 from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.lie import inverse_pose, transform_points
-from simulation.contact_sheet import main
-from simulation.plan import Plan, plan_sequence
-from simulation.scene_sheet import TILE_PX, boxes_around, describe, frames_to_show, scene_files
+from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.figures.contact_sheet import main
+from polhode.simulation.figures.scene_sheet import (
+    TILE_PX,
+    boxes_around,
+    describe,
+    frames_to_show,
+    scene_files,
+)
 
 RIG = {"width_px": 96, "height_px": 72, "focal_px": 70.0}
 SCENE = """

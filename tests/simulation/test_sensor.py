@@ -5,7 +5,7 @@ import pytest
 
 from polhode.config import scene as config
 from polhode.images import bit_depth, to_grey
-from simulation.sensor import expose, spill, through_lens, vignette
+from polhode.simulation.camera.sensor import expose, spill, through_lens, vignette
 
 RNG = np.random.default_rng
 IDEAL = config.Sensor(

@@ -11,10 +11,10 @@ from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Silent
+from polhode.simulation.dataset.painting import Painter
+from polhode.simulation.dataset.plan import frames_that_arrive, plan_sequence
+from polhode.simulation.dataset.sequence import simulate
 from polhode.truth import read_truth
-from simulation.painting import Painter
-from simulation.plan import frames_that_arrive, plan_sequence
-from simulation.sequence import simulate
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 # No light by way of the body itself: it takes a second to prepare.

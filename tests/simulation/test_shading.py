@@ -8,11 +8,11 @@ import pytest
 import trimesh
 
 from polhode.lie import Array
-from simulation.bodies.part import Part, assemble
-from simulation.light import Lights
-from simulation.materials import Material, MaterialTable
-from simulation.raycast import Hits, RayCaster
-from simulation.shading import Arriving, shade
+from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.rendering.light import Lights
+from polhode.simulation.rendering.raycast import Hits, RayCaster
+from polhode.simulation.rendering.shading import Arriving, shade
+from polhode.simulation.surface.materials import Material, MaterialTable
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -7,10 +7,10 @@ import pytest
 import trimesh
 
 from polhode.config import scene as config
-from simulation.bodies import Body, build_body
-from simulation.bodies.part import SLOPE_STEP, Chart, Part, assemble
-from simulation.materials import FOIL_SILVER, GLASS, PAINT_GREY, REGOLITH, SOLAR_CELL, Surface
-from simulation.skin import Skin
+from polhode.simulation.bodies import Body, build_body
+from polhode.simulation.bodies.parts.part import SLOPE_STEP, Chart, Part, assemble
+from polhode.simulation.rendering.skin import Skin
+from polhode.simulation.surface.materials import FOIL_SILVER, GLASS, PAINT_GREY, REGOLITH, SOLAR_CELL, Surface
 
 
 def _on_all_faces(body: Body, description: config.Body) -> Surface:

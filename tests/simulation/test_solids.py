@@ -3,7 +3,18 @@
 import numpy as np
 import pytest
 
-from simulation.bodies.solids import ball, box, drum, ellipsoid_cap, frame, pose, prism, revolve, strut, tube
+from polhode.simulation.bodies.parts.solids import (
+    ball,
+    box,
+    drum,
+    ellipsoid_cap,
+    frame,
+    pose,
+    prism,
+    revolve,
+    strut,
+    tube,
+)
 
 
 def test_all_solids_are_closed_and_wound_outwards() -> None:

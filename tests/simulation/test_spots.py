@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from simulation.spots import discs_at, folds_at, layered_spots_at, spots_at
+from polhode.simulation.surface.spots import discs_at, folds_at, layered_spots_at, spots_at
 
 
 def test_the_gradient_of_spots_is_that_of_their_sum() -> None:

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from polhode.config.loader import load_config
 from polhode.lie import Array, log_so3
-from simulation.motion import TargetMotion, target_motion
-from simulation.sequence import Plan, plan_sequence, truth_of
+from polhode.simulation.dataset.sequence import Plan, plan_sequence, truth_of
+from polhode.simulation.motion import TargetMotion, target_motion
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 PATHS = [CONFIGS / "ts38.yaml", CONFIGS / "sample.yaml", *sorted(CONFIGS.glob("scenes/*.yaml"))]

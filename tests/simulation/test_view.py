@@ -8,9 +8,9 @@ import trimesh
 
 from polhode.config.scene import Scene
 from polhode.errors import InputError
-from simulation.bodies import build_body
-from simulation.plan import plan_sequence
-from simulation.view import Eye
+from polhode.simulation.bodies import build_body
+from polhode.simulation.dataset.plan import plan_sequence
+from polhode.simulation.dataset.view import Eye
 
 
 def _plan(**changes: object) -> None:

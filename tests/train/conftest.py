@@ -6,7 +6,7 @@ import pytest
 
 from polhode.config.train import Corpus
 from polhode.progress import Silent
-from train.corpus import render_corpus
+from polhode.train.corpus import render_corpus
 
 
 @pytest.fixture(scope="session")

@@ -10,10 +10,10 @@ from polhode.config.train import Corpus
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.progress import Silent
-from simulation.products import read_products
-from simulation.sequence import SCENE_FILE
-from train.corpus import main, render_corpus, scene_folder, split
-from train.scene import random_scene
+from polhode.simulation.dataset.products import read_products
+from polhode.simulation.dataset.sequence import SCENE_FILE
+from polhode.train.corpus import main, render_corpus, scene_folder, split
+from polhode.train.scene import random_scene
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("features.yaml", "depth.yaml")

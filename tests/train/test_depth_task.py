@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from frontend.disparity_crop import cut_crop
-from frontend.disparity_evidence import CHANNELS
-from frontend.disparity_start import classical_start
-from frontend.networks.disparity import OUTPUTS, Mixture
 from polhode.config.depth import Depth
 from polhode.config.train import DepthTraining
-from train.depth_batches import DepthBatch, moved, random_batch, spoil, stack, upside_down, with_holes
-from train.depth_loss import Asked, asked_pixels, depth_loss
-from train.depth_samples import Sample, random_part, read_sample, write_sample
-from train.depth_task import DepthTask, HeldOut, held_out_errors, scores
+from polhode.frontend.disparity.crop import cut_crop
+from polhode.frontend.disparity.evidence import CHANNELS
+from polhode.frontend.disparity.start import classical_start
+from polhode.frontend.networks.disparity import OUTPUTS, Mixture
+from polhode.train.depth_batches import DepthBatch, moved, random_batch, spoil, stack, upside_down, with_holes
+from polhode.train.depth_loss import Asked, asked_pixels, depth_loss
+from polhode.train.depth_samples import Sample, random_part, read_sample, write_sample
+from polhode.train.depth_task import DepthTask, HeldOut, held_out_errors, scores
 
 SETTINGS = DepthTraining(batch=2, crop_px=64, validation_samples=1)
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from frontend.rectify import Rectifier, make_rectifier
 from polhode.config.scene import Body, Light, Motion, Render, Rig, Scene
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
+from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
 from polhode.progress import Silent
-from simulation.products import products_path, read_products
-from simulation.sequence import simulate
-from train.depth_truth import true_disparities
+from polhode.simulation.dataset.products import products_path, read_products
+from polhode.simulation.dataset.sequence import simulate
+from polhode.train.depth_truth import true_disparities
 
 
 @pytest.fixture(scope="module")

@@ -9,25 +9,25 @@ import torch
 from safetensors import safe_open
 from torch.nn import functional
 
-from frontend.features import Descriptors
-from frontend.networks.describe import descriptor_network
-from frontend.networks.descriptor import Described
-from frontend.patches import Patches, tangent_affines
-from frontend.soft_assignment import DualSoftmax
-from pipeline.cli import main
+from polhode.cli.main import main
 from polhode.config.train import Corpus, DescriptorTraining
+from polhode.frontend.features.keypoints import Descriptors
+from polhode.frontend.features.network_descriptor import descriptor_network
+from polhode.frontend.features.patches import Patches, tangent_affines
+from polhode.frontend.matching.soft_assignment import DualSoftmax
+from polhode.frontend.networks.descriptor import Described
 from polhode.lie import Array, exp_so3
 from polhode.progress import Silent
-from train.alikeness import alike, correlation, rig_of
-from train.checkpoint import CHECKPOINT
-from train.curves import read_curves
-from train.descriptor_loss import Heads, descriptor_loss, turned_alike
-from train.descriptor_scores import area_under_curve, make_trials, score
-from train.matching_loss import matching_loss
-from train.patch_batches import PatchBatches
-from train.points import REPEAT_PX, ScenePoints, prepare_points
-from train.surface_turn import turn_between
-from train.task import Batch
+from polhode.train.alikeness import alike, correlation, rig_of
+from polhode.train.checkpoint import CHECKPOINT
+from polhode.train.curves import read_curves
+from polhode.train.descriptor_loss import Heads, descriptor_loss, turned_alike
+from polhode.train.descriptor_scores import area_under_curve, make_trials, score
+from polhode.train.matching_loss import matching_loss
+from polhode.train.patch_batches import PatchBatches
+from polhode.train.points import REPEAT_PX, ScenePoints, prepare_points
+from polhode.train.surface_turn import turn_between
+from polhode.train.task import Batch
 
 EXACT = DescriptorTraining(
     batch=60, frame_pairs=2, normal_noise_deg=0.0, fronto_parallel=0.0, place_noise_px=0.0, scale_noise=0.0

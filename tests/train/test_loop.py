@@ -12,10 +12,10 @@ from torch import Tensor, nn
 from polhode.config.train import Schedule
 from polhode.errors import InputError, RunFailure
 from polhode.progress import Silent
-from train.checkpoint import CHECKPOINT
-from train.curves import draw_curves, read_curves
-from train.loop import Loop, learning_rate
-from train.task import Batch
+from polhode.train.checkpoint import CHECKPOINT
+from polhode.train.curves import draw_curves, read_curves
+from polhode.train.loop import Loop, learning_rate
+from polhode.train.task import Batch
 
 SETTING = {"seed": 1}
 SCHEDULE = Schedule(

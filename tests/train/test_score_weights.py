@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from frontend.networks.descriptor import DescriptorNet
 from polhode.config.train import Corpus
-from train.checkpoint import write_weights
-from train.corpus import scene_folder
-from train.score_weights import main, table
+from polhode.frontend.networks.descriptor import DescriptorNet
+from polhode.train.checkpoint import write_weights
+from polhode.train.corpus import scene_folder
+from polhode.train.score_weights import main, table
 
 
 @pytest.fixture

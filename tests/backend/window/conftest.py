@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backend.window.estimator import SlidingWindow
-from backend.window.frame import camera_noise_of, frames_of
-from backend.window.problem import WindowProblem
-from backend.window.state import OnlineState
+from polhode.backend.window.causal_state import OnlineState
+from polhode.backend.window.estimator import SlidingWindow
+from polhode.backend.window.frame import camera_noise_of, frames_of
+from polhode.backend.window.problem import WindowProblem
 from polhode.config.backend import Backend
 from polhode.lie import Array
-from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 
 TUMBLE = SyntheticScene(
     frames=40,

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from backend.window.active import Active, Part, add_parts
-from backend.window.frame import Frame
-from backend.window.quadratic import Quadratic
+from polhode.backend.window.active import Active, Part, add_parts
+from polhode.backend.window.frame import Frame
+from polhode.backend.window.quadratic import Quadratic
 from polhode.lie import Array
 
 

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.estimate import refine
-from backend.gauss_newton import GaussNewton
-from backend.inertia import second_moments_from_inertia
-from backend.iterate import Iterate
-from backend.problem import motion_data
-from backend.window.estimator import SlidingWindow
-from backend.window.frame import FrameMeasurements, frames_of
-from backend.window.state import HALF_TURNS, OnlineState
+from polhode.backend.estimate import refine
+from polhode.backend.problem.inertia import second_moments_from_inertia
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.window.causal_state import HALF_TURNS, OnlineState
+from polhode.backend.window.estimator import SlidingWindow
+from polhode.backend.window.frame import FrameMeasurements, frames_of
 from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
-from simulation.measurements import SyntheticSequence, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticSequence, generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
 SMALL = {"frames": 6, "key_frames": 10, "history": 14}

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.window.estimator import SlidingWindow
-from backend.window.newton import NewtonSolver
-from backend.window.steps import expand_arrival, solve_whole, solve_window
-from simulation.measurements import generate
+from polhode.backend.window.estimator import SlidingWindow
+from polhode.backend.window.newton import NewtonSolver
+from polhode.backend.window.steps import expand_arrival, solve_whole, solve_window
+from polhode.simulation.monte_carlo.measurements import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
 

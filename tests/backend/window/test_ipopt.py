@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from backend.window.ipopt import IpoptSolver
-from backend.window.newton import NewtonSolver
-from simulation.measurements import SyntheticSequence
+from polhode.backend.window.ipopt import IpoptSolver
+from polhode.backend.window.newton import NewtonSolver
+from polhode.simulation.monte_carlo.measurements import SyntheticSequence
 from tests.backend.window.conftest import Feed, problem_of
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from backend.window.level import Grid, estimate_levels, most_likely
-from simulation.measurements import generate
+from polhode.backend.window.disturbance_level import Grid, estimate_levels, most_likely
+from polhode.simulation.monte_carlo.measurements import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
 

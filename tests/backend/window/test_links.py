@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from backend.inertia import FORMS
-from backend.window.links import NO_LINKS, Disturbances, add_links, link_jacobians, link_residuals, make_links
+from polhode.backend.problem.inertia import FORMS
+from polhode.backend.window.links import (
+    NO_LINKS,
+    Disturbances,
+    add_links,
+    link_jacobians,
+    link_residuals,
+    make_links,
+)
 from polhode.lie import Array, exp_so3
 
 RNG = np.random.default_rng(1)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.window.newton import NewtonSolver
-from backend.window.problem import WindowProblem
+from polhode.backend.window.newton import NewtonSolver
+from polhode.backend.window.problem import WindowProblem
 from polhode.lie import Array
-from simulation.measurements import SyntheticSequence
+from polhode.simulation.monte_carlo.measurements import SyntheticSequence
 from tests.backend.window.conftest import Feed, problem_of
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.window.noise import estimate_noise
-from simulation.measurements import generate
+from polhode.backend.window.pixel_noise import estimate_noise
+from polhode.simulation.monte_carlo.measurements import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
 

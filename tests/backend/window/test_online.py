@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend import estimate_motion, estimate_online, in_words_of, initialize_motion, window_warnings
-from benchmarks.window import first_frames
+from benchmarks.monte_carlo.window import first_frames
+from polhode.backend import estimate_motion, estimate_online, in_words_of, initialize_motion, window_warnings
 from polhode.config.backend import Backend
 from polhode.lie import inverse_pose, transform_points
 from polhode.progress import Silent
 from polhode.records import MotionEstimate, OnlineEstimate
-from simulation.measurements import SyntheticSequence
+from polhode.simulation.monte_carlo.measurements import SyntheticSequence
 
 FAST = Backend.model_validate({"solver": "gauss_newton", "process_noise": "given"})
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from backend.window.quadratic import Quadratic, eliminate
+from polhode.backend.window.quadratic import Quadratic, eliminate
 from polhode.lie import Array
 
 

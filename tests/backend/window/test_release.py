@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from backend.window.release import least_valuable
+from polhode.backend.window.marginalize import least_valuable
 from polhode.lie import log_so3
-from simulation.measurements import generate
+from polhode.simulation.monte_carlo.measurements import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
 

@@ -4,10 +4,10 @@ import itertools
 
 import numpy as np
 
-from backend.covariance import with_infinite
-from backend.window.state import HALF_TURNS, nearest_half_turn, unknown_state
+from polhode.backend.uncertainty.covariance import with_infinite
+from polhode.backend.window.causal_state import HALF_TURNS, nearest_half_turn, unknown_state
 from polhode.lie import exp_so3, make_pose
-from simulation.measurements import SyntheticSequence
+from polhode.simulation.monte_carlo.measurements import SyntheticSequence
 from tests.backend.window.conftest import Feed
 
 

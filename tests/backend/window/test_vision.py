@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from backend.gauss_newton import GaussNewton
-from backend.inertia import FORMS
-from backend.iterate import Iterate
-from backend.problem import hold, motion_data
-from backend.window.frame import Frame, camera_of, frames_of
-from backend.window.vision import (
+from polhode.backend.problem.inertia import FORMS
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import hold, motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.window.frame import Frame, camera_of, frames_of
+from polhode.backend.window.vision import (
     condense,
     information_of,
     inverted,
@@ -19,7 +19,7 @@ from backend.window.vision import (
 )
 from polhode.config.backend import Backend
 from polhode.lie import Array
-from simulation.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 
 RNG = np.random.default_rng(5)
 

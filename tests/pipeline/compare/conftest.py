@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.compare.measured_problem import MeasuredProblem, save
-from pipeline.compare.sources import SCENES, synthetic_problem
+from polhode.compare.problem.measured_problem import MeasuredProblem, save
+from polhode.compare.problem.sources import SCENES, synthetic_problem
 from polhode.config.backend import Backend
 
 

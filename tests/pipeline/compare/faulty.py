@@ -3,8 +3,8 @@
 import os
 import time
 
-from pipeline.compare.measured_problem import MeasuredProblem
-from pipeline.compare.solver import Claim, Outcome, Watch
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.solver import Claim, Outcome, Watch
 from polhode.lie import Array
 
 

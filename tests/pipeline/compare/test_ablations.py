@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from backend.flow import flow_derivatives
-from pipeline.compare.blocks import stacked
-from pipeline.compare.judge import AGREED, judge
-from pipeline.compare.measured_problem import MeasuredProblem
-from pipeline.compare.registry import ABLATIONS, entries
-from pipeline.compare.solver import Watch
-from pipeline.compare.solvers.ablations import ABSENT, passages
-from pipeline.compare.solvers.aghili_dynamics import flow_in_G
-from pipeline.compare.solvers.changed_inertia import (
+from polhode.backend.dynamics.propagation import flow_derivatives
+from polhode.compare.judging.judge import AGREED, judge
+from polhode.compare.problem.blocks import stacked
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.registry import ABLATIONS, entries
+from polhode.compare.solver import Watch
+from polhode.compare.solvers.ablations import ABSENT, passages
+from polhode.compare.solvers.aghili_dynamics import flow_in_G
+from polhode.compare.solvers.changed_inertia import (
     KINDS,
     aghili_of,
     dependence,
@@ -19,8 +19,8 @@ from pipeline.compare.solvers.changed_inertia import (
     of_aghili,
     of_lichter,
 )
-from pipeline.compare.solvers.changed_unknowns import changes
-from pipeline.compare.solvers.sliding_window import frames_of_data, rig_of
+from polhode.compare.solvers.changed_unknowns import changes
+from polhode.compare.solvers.sliding_window import frames_of_data, rig_of
 from polhode.lie import exp_so3, inverse_pose
 
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from pipeline.compare.blocks import Block, Blocks, root_of_kernel, stacked
-from pipeline.compare.landmark_block import landmark_block
-from pipeline.compare.measured_problem import MeasuredProblem
-from pipeline.compare.single_step import SingleSteps
+from polhode.compare.problem.blocks import Block, Blocks, root_of_kernel, stacked
+from polhode.compare.problem.landmark_block import landmark_block
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.problem.single_step import SingleSteps
 from polhode.lie import Array
 
 

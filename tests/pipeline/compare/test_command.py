@@ -8,14 +8,14 @@ from typing import get_args
 
 import pytest
 
-from pipeline.archives import write_measurements
-from pipeline.cli import main
-from pipeline.compare.comparison import MARK, claim
-from pipeline.compare.rows import read_comparison
-from pipeline.compare.sources import SCENES
+from polhode.cli.main import main
+from polhode.compare.comparison import MARK, claim
+from polhode.compare.problem.sources import SCENES
+from polhode.compare.tables.rows import read_comparison
 from polhode.config.compare import Motion
 from polhode.errors import InputError
-from simulation.measurements import SyntheticSequence, generate
+from polhode.pipeline.run_directory.archives import write_measurements
+from polhode.simulation.monte_carlo.measurements import SyntheticSequence, generate
 
 Capture = pytest.CaptureFixture[str]
 SOLVERS = ["--compare.solvers", "gauss_newton,odometry"]

@@ -1,7 +1,7 @@
 """Who is on the front of time against accuracy: noise of the times counts as equal, failures do not count."""
 
-from pipeline.compare.dominance import standing_lines, standings
-from pipeline.compare.rows import Comparison
+from polhode.compare.judging.dominance import standing_lines, standings
+from polhode.compare.tables.rows import Comparison
 from tests.pipeline.compare.test_rows import comparison, row
 
 

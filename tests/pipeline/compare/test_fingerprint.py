@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.compare import fingerprint
-from pipeline.compare.fingerprint import code_of, of_problem, stamp
-from pipeline.compare.measured_problem import MeasuredProblem, load, save
-from pipeline.compare.registry import entries
+from polhode.compare.problem.measured_problem import MeasuredProblem, load, save
+from polhode.compare.processes import fingerprint
+from polhode.compare.processes.fingerprint import code_of, of_problem, stamp
+from polhode.compare.registry import entries
 
 
 def numbers(value: Any, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
@@ -77,5 +77,5 @@ def test_a_stamp_holds_solver_limit_versions_code_and_machine(monkeypatch: pytes
 
 
 def test_the_code_of_a_package_is_that_of_all_its_modules() -> None:
-    assert code_of(("pipeline.compare.solvers",)) != code_of(("pipeline.compare.solvers.ours",))
+    assert code_of(("polhode.compare.solvers",)) != code_of(("polhode.compare.solvers.ours",))
     assert code_of(("backend",)) == code_of(("backend",)) != code_of(("polhode",))

@@ -6,14 +6,14 @@ import gtsam
 import numpy as np
 import pytest
 
-from backend.inertia import inertia_from_second_moments
-from pipeline.compare.blocks import Blocks
-from pipeline.compare.measured_problem import MeasuredProblem
-from pipeline.compare.solver import Watch
-from pipeline.compare.solvers.casadi_program import Formulation, VariantProgram
-from pipeline.compare.solvers.condensed import ReducedCost
-from pipeline.compare.solvers.gtsam_graph import Graph
-from pipeline.compare.solvers.thesis_inertia import LogRatios, possible
+from polhode.backend.problem.inertia import inertia_from_second_moments
+from polhode.compare.problem.blocks import Blocks
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.solver import Watch
+from polhode.compare.solvers.casadi_program import Formulation, VariantProgram
+from polhode.compare.solvers.condensed import ReducedCost
+from polhode.compare.solvers.gtsam_graph import Graph
+from polhode.compare.solvers.thesis_inertia import LogRatios, possible
 
 FORMULATIONS = [
     Formulation("gauss_newton", "weighted", "vm"),

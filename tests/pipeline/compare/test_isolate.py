@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.compare.child import storable
-from pipeline.compare.isolate import row_of
-from pipeline.compare.judge import judge
-from pipeline.compare.measured_problem import load
-from pipeline.compare.registry import ENTRIES, Entry, entries
-from pipeline.compare.rows import Case, Row
+from polhode.compare.judging.judge import judge
+from polhode.compare.problem.measured_problem import load
+from polhode.compare.processes.child import storable
+from polhode.compare.processes.isolate import row_of
+from polhode.compare.registry import ENTRIES, Entry, entries
+from polhode.compare.tables.rows import Case, Row
 from polhode.errors import InputError
 
 CASE = Case(problem="small", solver="faulty", start="cold", seed=0)

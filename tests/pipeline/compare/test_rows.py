@@ -6,9 +6,9 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from pipeline.compare.page import write_page
-from pipeline.compare.profiles import curve, front, growths, performance_profiles
-from pipeline.compare.rows import (
+from polhode.compare.judging.profiles import curve, front, growths, performance_profiles
+from polhode.compare.tables.page import write_page
+from polhode.compare.tables.rows import (
     SCHEMA_FILE,
     Comparison,
     ProblemWords,
@@ -17,7 +17,7 @@ from pipeline.compare.rows import (
     schema_text,
     write_comparison,
 )
-from pipeline.compare.table import cells, csv_text, least_costs, not_separable, tallies, verdict
+from polhode.compare.tables.table import cells, csv_text, least_costs, not_separable, tallies, verdict
 from polhode.errors import InputError
 
 

@@ -6,11 +6,11 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from pipeline.compare.judge import AGREED, judge, reference_covariance, sigmas
-from pipeline.compare.measured_problem import MeasuredProblem
-from pipeline.compare.registry import ABLATIONS, ENTRIES, entries
-from pipeline.compare.solver import Outcome, OutOfTime, Watch
-from pipeline.compare.solvers.ipopt import evaluation_s
+from polhode.compare.judging.judge import AGREED, judge, reference_covariance, sigmas
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.registry import ABLATIONS, ENTRIES, entries
+from polhode.compare.solver import Outcome, OutOfTime, Watch
+from polhode.compare.solvers.ipopt import evaluation_s
 
 AGREEING = (
     "gauss_newton", "gauss_newton_ratios", "ipopt", "ipopt_condensed", "ipopt_vm", "ipopt_c",

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.archives import read_measurements
-from pipeline.cli import main
-from pipeline.compare import dataset
-from pipeline.compare.dataset import measure
-from pipeline.compare.rows import Comparison, read_comparison
-from pipeline.evaluate import truth_of_frames
+from polhode.cli.main import main
+from polhode.compare.problem import dataset
+from polhode.compare.problem.dataset import measure
+from polhode.compare.tables.rows import Comparison, read_comparison
 from polhode.config import Config
 from polhode.errors import InputError
+from polhode.pipeline.evaluation.evaluate import truth_of_frames
+from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.progress import Silent
-from simulation import simulate
+from polhode.simulation import simulate
 
 SCENE = {
     "frames": 12,

@@ -3,10 +3,10 @@
 import numpy as np
 import trimesh
 
-from planning.observability.apart import beside_face_edge_on, clear_points, stands_clear
-from planning.observability.edge_model import edge_model
-from planning.observability.seen_edges import SPACING_PX, control_points
 from polhode.lie import exp_so3, make_pose
+from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.model.seen_edges import SPACING_PX, control_points
+from polhode.planning.edges.model.separation import beside_face_edge_on, clear_points, stands_clear
 from tests.planning.observability.pictures import POSE, RIG
 
 

@@ -7,16 +7,23 @@ import numpy as np
 import pytest
 import trimesh
 
-from planning.ensemble import Ahead, nominal
-from planning.keepout import InstantKeepOut
-from planning.measured_body import grow
-from planning.observability.best_trajectory import BestTrajectory, best_trajectory
-from planning.observability.edge_model import EdgeModel
-from planning.observability.information import feature_information
-from planning.observability.view_table import UPPER, looking, trace_of_inverse, view_table
-from planning.observability.watch import Watch, camera_poses, judge, least_range, middles, straight
 from polhode.errors import InputError
 from polhode.lie import transform_points
+from polhode.planning.edges.metric.information import feature_information
+from polhode.planning.edges.model.edge_model import EdgeModel
+from polhode.planning.edges.trajectory.best_trajectory import BestTrajectory, best_trajectory
+from polhode.planning.edges.trajectory.camera_path import (
+    Watch,
+    camera_poses,
+    judge,
+    least_range,
+    middles,
+    straight,
+)
+from polhode.planning.edges.trajectory.view_table import UPPER, looking, trace_of_inverse, view_table
+from polhode.planning.keep_out.keepout import InstantKeepOut
+from polhode.planning.keep_out.measured_body import grow
+from polhode.planning.prediction.ensemble import Ahead, nominal
 from tests.planning.bodies import ahead, measured
 from tests.planning.observability.views import RIG, block
 

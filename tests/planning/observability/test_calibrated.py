@@ -4,14 +4,21 @@ import numpy as np
 import pytest
 import trimesh
 
-from planning.observability.against_sky import body_beside, polarity
-from planning.observability.calibrated import NoiseLevels, NoiseParts, fitted, nees, noise_parts, parts_of
-from planning.observability.edge_model import edge_model
-from planning.observability.edge_motion import edge_motion
-from planning.observability.metric import observability
-from planning.observability.seen_edges import ControlPoints, control_points
-from planning.observability.tracker import track
 from polhode.lie import Array, exp_so3, make_pose
+from polhode.planning.edges.metric.edge_motion import edge_motion
+from polhode.planning.edges.metric.metric import observability
+from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.model.seen_edges import ControlPoints, control_points
+from polhode.planning.edges.tracking.against_sky import body_beside, polarity
+from polhode.planning.edges.tracking.calibrated import (
+    NoiseLevels,
+    NoiseParts,
+    fitted,
+    nees,
+    noise_parts,
+    parts_of,
+)
+from polhode.planning.edges.tracking.tracker import track
 from polhode.records import Ints
 from tests.planning.observability.pictures import BOX, POSE, RIG, drawn
 

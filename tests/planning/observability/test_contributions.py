@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from planning.observability.contributions import contributions
-from planning.observability.edge_model import edge_model
-from planning.observability.edge_motion import edge_motion
-from planning.observability.information import FeatureInformation, feature_information, variances
-from planning.observability.metric import Observability, observability
-from planning.observability.painted import coloured, painted, picture
-from planning.observability.seen_edges import control_points
+from polhode.planning.edges.metric.contributions import contributions
+from polhode.planning.edges.metric.edge_motion import edge_motion
+from polhode.planning.edges.metric.information import FeatureInformation, feature_information, variances
+from polhode.planning.edges.metric.metric import Observability, observability
+from polhode.planning.edges.metric.painted import coloured, painted, picture
+from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.model.seen_edges import control_points
 from tests.planning.observability.views import RIG, block, poses, seen
 
 

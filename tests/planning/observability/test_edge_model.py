@@ -5,14 +5,14 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from planning.observability.chains import chains_of, straight_pieces
-from planning.observability.edge_model import Kind, edge_model
-from planning.observability.measured_edges import measured_edge_model, simplified
-from planning.observability.outlines import outlines
-from planning.observability.seen_edges import control_points
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, make_pose
+from polhode.planning.edges.model.chains import chains_of, straight_pieces
+from polhode.planning.edges.model.edge_model import Kind, edge_model
+from polhode.planning.edges.model.measured_edges import measured_edge_model, simplified
+from polhode.planning.edges.model.outlines import outlines
+from polhode.planning.edges.model.seen_edges import control_points
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 

@@ -8,9 +8,10 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from planning.observability.edge_motion import moved, pose_error
-from planning.observability.free_turning import turn_freely
-from planning.observability.navigation_filter import (
+from polhode.lie import Array, exp_so3, make_pose
+from polhode.planning.edges.metric.edge_motion import moved, pose_error
+from polhode.planning.edges.navigation.free_rotation import turn_freely
+from polhode.planning.edges.navigation.navigation_filter import (
     State,
     Target,
     measurement_jacobian,
@@ -19,9 +20,14 @@ from planning.observability.navigation_filter import (
     told_directions,
     update,
 )
-from planning.observability.pose_weights import Calibrated, Fixed, Gated, ResidualChecked, TrackedPose
-from planning.prediction import process_noise
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.planning.edges.navigation.pose_weights import (
+    Calibrated,
+    Fixed,
+    Gated,
+    ResidualChecked,
+    TrackedPose,
+)
+from polhode.planning.prediction.prediction import process_noise
 from polhode.rigid_body import propagate
 
 TARGET = Target(

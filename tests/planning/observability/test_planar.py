@@ -8,7 +8,9 @@ from scipy.optimize import least_squares
 from scipy.optimize._numdiff import approx_derivative
 from scipy.stats import chi2
 
-from planning.observability.planar import (
+from polhode.errors import InputError
+from polhode.lie import Array
+from polhode.planning.edges.planar import (
     bearings,
     covariance,
     directions,
@@ -22,8 +24,6 @@ from planning.observability.planar import (
     rotation,
     wrapped,
 )
-from polhode.errors import InputError
-from polhode.lie import Array
 
 SIGMA_RAD = 2e-4
 TRUTH = np.array([3.0, 0.2, 0.17])

@@ -3,11 +3,11 @@
 import numpy as np
 import trimesh
 
-from planning.observability.edge_model import edge_model
-from planning.observability.edge_motion import moved
-from planning.observability.residual import probability, support
-from planning.observability.tracker import Tracking, track
 from polhode.lie import exp_so3, make_pose
+from polhode.planning.edges.metric.edge_motion import moved
+from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.tracking.residual import probability, support
+from polhode.planning.edges.tracking.tracker import Tracking, track
 from tests.planning.observability.pictures import BOX, POSE, RIG, drawn
 
 MODEL = edge_model(trimesh.creation.box(BOX))

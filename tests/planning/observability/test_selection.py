@@ -5,8 +5,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from planning.observability.information import FeatureInformation
-from planning.observability.selection import (
+from polhode.errors import InputError
+from polhode.lie import Array
+from polhode.planning.edges.metric.information import FeatureInformation
+from polhode.planning.edges.selection.selection import (
     GREEDY_SHARE,
     Value,
     edge_lengths,
@@ -15,10 +17,8 @@ from planning.observability.selection import (
     value_of,
     value_of_set,
 )
-from planning.observability.selection_bound import best_choice, upper_bound
-from planning.observability.smallest_set import Need, exact_smallest_set, least_number, smallest_set
-from polhode.errors import InputError
-from polhode.lie import Array
+from polhode.planning.edges.selection.selection_bound import best_choice, upper_bound
+from polhode.planning.edges.selection.smallest_set import Need, exact_smallest_set, least_number, smallest_set
 from tests.planning.observability.views import block, seen
 
 VALUES: tuple[Value, Value] = ("log_det", "trace")

@@ -3,10 +3,10 @@
 import numpy as np
 import trimesh
 
-from planning.observability.edge_model import EdgeModel, edge_model
-from planning.observability.information import FeatureInformation, feature_information
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose
+from polhode.planning.edges.metric.information import FeatureInformation, feature_information
+from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 

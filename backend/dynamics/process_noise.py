@@ -1,0 +1,118 @@
+"""Covariance of the process noise over one step, from the Lyapunov equation (thesis eqs. 4.56-4.59).
+
+Continuous white acceleration and torque; error state (r, v) in N and (theta, w) in G with the attitude
+error on the right. The equation is integrated along the motion itself, in scaled variables
+(theta by dt^1.5, w by dt^0.5), so that the matrix is well conditioned for any time step (section 4.9).
+"""
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from polhode.backend.dynamics.propagation import flow_derivatives, flows
+from polhode.lie import Array
+from polhode.quaternion import matrix_from_wxyz
+
+PART_RAD = 0.7
+"""Largest turn of a part of an interval: its variances are right to 1e-4."""
+MOST_TURN_RAD = 1e4
+"""Within one interval: no rate of a body, but one of a solution that has gone astray."""
+_ABSCISSAS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+NODES, WEIGHTS = 0.5 * (_ABSCISSAS + 1.0), 0.5 * _WEIGHTS
+
+
+def translation_covariance(dt_s: Array, accel_psd: float | Array) -> Array:
+    """Covariance (n, 2, 2) of (r, v) along one axis: q [dt^3/3, dt^2/2; dt^2/2, dt]; q may differ by step."""
+    t = np.asarray(dt_s, dtype=np.float64)
+    unit = np.stack([np.stack([t**3 / 3, t**2 / 2], -1), np.stack([t**2 / 2, t], -1)], -2)
+    return np.asarray(np.broadcast_to(accel_psd, t.shape)[:, None, None] * unit)
+
+
+def rotation_covariance_scaled(
+    w_G: Array, J_G: Array, dt_s: Array, torque_psd: float | Array
+) -> tuple[Array, Array]:
+    """Covariance (n, 6, 6) of (theta, w) divided by the scale (n, 6): Lambda = S Lambda_scaled S.
+
+    w_G (n, 3) rate at the start [rad/s], J_G (3, 3) any scale, dt_s (n,), torque_psd [(rad/s^2)^2/Hz] over
+    the middle moment, one or (n,).
+    """
+    t = np.asarray(dt_s, dtype=np.float64)
+    J = np.ascontiguousarray(J_G / np.linalg.eigvalsh(J_G)[1])
+    w = np.ascontiguousarray(w_G, dtype=np.float64)
+    root = np.broadcast_to(np.sqrt(torque_psd), t.shape)[:, None]
+    scale = root * np.repeat(np.stack([t**1.5, t**0.5], 1), 3, axis=1)
+    return _integrated(w, J, t), scale
+
+
+def _integrated(w_G: Array, J_G: Array, dt_s: Array) -> Array:
+    """Covariances (n, 6, 6) in theta / dt^1.5, w / dt^0.5 for a torque of unit strength.
+
+    Joined from parts of an interval, ``P <- F P F^T + Q``: F is the transition over a part, Q the integral of
+    ``K K^T``, K what an impulse leads to by the end, by Gauss's quadrature. What is joined so stays positive
+    definite, however long the interval. Raises LinAlgError for rates beyond all bounds.
+    """
+    n = len(dt_s)
+    turn = np.linalg.norm(w_G, axis=1) * dt_s
+    # not a number is refused too
+    if not np.all(turn < MOST_TURN_RAD):
+        raise LinAlgError("a rate beyond all bounds")
+    cov, w, done = np.zeros((n, 6, 6)), w_G.copy(), np.zeros(n)
+    left = np.arange(n)
+    while len(left):
+        t, at, one = dt_s[left], w[left], np.ones(len(left), dtype=np.int64)
+        rest = 1.0 - done[left]
+        part = rest / np.maximum(1.0, np.ceil(rest * t * np.linalg.norm(at, axis=1) / PART_RAD))
+        F, w[left] = _transition(at, J_G, t, part)
+        cov[left] = F @ cov[left] @ np.swapaxes(F, 1, 2)
+        for node, weight in zip(NODES, WEIGHTS, strict=True):
+            between = flows(at, J_G, t * part * node, one)[1]
+            K = _transition(between, J_G, t, part * (1.0 - node))[0][:, :, 3:] @ np.linalg.inv(J_G)
+            cov[left] += weight * part[:, None, None] * (K @ np.swapaxes(K, 1, 2))
+        done[left] += part
+        left = left[done[left] < 1.0 - 1e-12]
+    return 0.5 * (cov + np.swapaxes(cov, 1, 2))
+
+
+def _transition(w_G: Array, J_G: Array, t: Array, part: Array) -> tuple[Array, Array]:
+    """Transition (n, 6, 6) of (theta / t, w) over a part (n,) of t (n,) seconds, and the rate after it."""
+    q, w_end, turn, rate = flow_derivatives(
+        w_G, J_G, np.zeros((0, 3, 3)), t * part, np.ones(len(t), dtype=np.int64)
+    )
+    # a series that diverges leaves no unit quaternion, or none at all
+    if not np.all(np.abs(np.linalg.norm(q, axis=1) - 1.0) < 1e-6):
+        raise LinAlgError("a rate beyond all bounds")
+    F = np.zeros((len(t), 6, 6))
+    F[:, :3, :3] = np.swapaxes(matrix_from_wxyz(q), 1, 2)
+    F[:, :3, 3:] = np.swapaxes(turn, 1, 2) / t[:, None, None]
+    F[:, 3:, 3:] = np.swapaxes(rate, 1, 2)
+    return F, w_end
+
+
+def rotation_covariance(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float) -> Array:
+    """Covariance (n, 6, 6) of (theta, w) after one step [rad^2, rad^2/s, rad^2/s^2]."""
+    cov, scale = rotation_covariance_scaled(w_G, J_G, dt_s, torque_psd)
+    return cov * scale[:, :, None] * scale[:, None, :]
+
+
+def whitening(
+    w_G: Array,
+    J_G: Array,
+    dt_s: Array,
+    accel_psd: float | Array,
+    torque_psd: float | Array,
+    pose_variance: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Array, Array, float]:
+    """Square roots of the information: translation (n, 2, 2), rotation (n, 6, 6), lower triangular.
+
+    ``W @ error`` has unit covariance. Third: half the log-determinant of all covariances, which makes the
+    costs of different inertias comparable. ``pose_variance`` [m^2, rad^2] of each pose, by the noise of the
+    camera's own, enters every step twice: as if the steps were independent, which is on the safe side.
+    """
+    translation = translation_covariance(dt_s, accel_psd)
+    translation[:, 0, 0] += 2.0 * pose_variance[0]
+    T = np.linalg.cholesky(translation)
+    cov, scale = rotation_covariance_scaled(w_G, J_G, dt_s, torque_psd)
+    cov[:, [0, 1, 2], [0, 1, 2]] += 2.0 * pose_variance[1] / scale[:, :3] ** 2
+    L = np.linalg.cholesky(cov)
+    half_log = float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum() + np.log(scale).sum())
+    half_log += 3.0 * float(np.log(np.diagonal(T, axis1=1, axis2=2)).sum())
+    return np.linalg.inv(T), np.linalg.inv(L) / scale[:, None, :], half_log

@@ -1,0 +1,223 @@
+"""Residuals of the rigid-body dynamics between frames, with their Jacobians.
+
+The same residual as ``step_kernels.dynamics_residual`` states in CasADi. Variables of a step, in this order:
+state before, state after, constants. A state holds p_NG, theta, v_N, w_G (12). Where the camera's own pose is
+noisy it holds also b_N and alpha_N (6), the errors of its stated position and attitude: the poses are those
+that the stated camera sees, the true ones follow by ``Exp(alpha)`` about the camera and the shift b.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.backend.compiled import compiled
+from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
+from polhode.backend.dynamics.propagation import flow_derivatives, flows
+from polhode.backend.dynamics.so3_exp import (
+    inverse_right_jacobians,
+    right_jacobians,
+    rotation_vectors,
+    turns,
+    turns_of_quaternions,
+)
+from polhode.backend.problem.inertia import N_INERTIA
+from polhode.backend.problem.wrench import FORCE_BIAS, LN_MASS, N_OF_ROTATION, N_WRENCH, torque_in_G
+from polhode.lie import Array, hat
+from polhode.records import Ints
+
+RESIDUALS = 12
+N_OF_FORCE = N_WRENCH - N_OF_ROTATION
+"""Unknowns of a known wrench that the rotation does not depend on; they stand last."""
+
+
+@dataclass(frozen=True)
+class States:
+    """Unknowns of the frames at a point, s = 12 or 18 numbers each."""
+
+    x: Array
+    """(F, s)"""
+    R_NG: Array
+    """(F, 3, 3) attitudes, theta applied"""
+    camera_N: Array
+    """(F, 3) stated position of the camera [m]"""
+    com_G: Array
+    """(3,) [m]"""
+    wrench: Array | None = None
+    """(11,) unknowns of a known wrench (``wrench.py``); None: none acts"""
+    R_torque: Array | None = None
+    """(3, 3) reference of the torque's axes in G"""
+
+    @property
+    def n_constants(self) -> int:
+        """Numbers of com_G, xi and the wrench's unknowns."""
+        return N_CONSTANTS if self.wrench is None else N_CONSTANTS + N_WRENCH
+
+    def true_attitudes(self) -> Array:
+        """(F, 3, 3) freed from the errors of the camera's attitude."""
+        return turns(self.x[:, 15:18]) @ self.R_NG if self.x.shape[1] > N_STATE else self.R_NG
+
+    def centres(self) -> Array:
+        """(F, 3) true position of the centre of mass in N [m]."""
+        seen = self.x[:, 0:3] + self.R_NG @ self.com_G
+        if self.x.shape[1] == N_STATE:
+            return np.asarray(seen)
+        arm = np.einsum("fij,fj->fi", turns(self.x[:, 15:18]), seen - self.camera_N)
+        return np.asarray(self.camera_N + self.x[:, 12:15] + arm)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What is held of the steps between frames."""
+
+    dt_s: Array
+    """(F - 1,)"""
+    series: Ints
+    """(F - 1,) Taylor series of each"""
+    W_t: Array
+    """(F - 1, 2, 2) lower, whitens the translation"""
+    W_r: Array
+    """(F - 1, 6, 6) lower, whitens the rotation"""
+    of_force: Array | None = None
+    """(F - 1, 2, 3) what a known force does to position [N s^2] and velocity [N s] of 1 kg"""
+    torque_P: Array | None = None
+    """(F - 1, S, 2, 3) known torque over each series [N m]"""
+
+    def whiten(self, errors: Array) -> Array:
+        """errors (F - 1, 12, ...) of position, velocity, attitude, rate to unit covariance."""
+        W = np.zeros((len(self.dt_s), RESIDUALS, RESIDUALS))
+        W[:, 0:3, 0:3] = self.W_t[:, 0, 0, None, None] * np.eye(3)
+        W[:, 3:6, 0:3] = self.W_t[:, 1, 0, None, None] * np.eye(3)
+        W[:, 3:6, 3:6] = self.W_t[:, 1, 1, None, None] * np.eye(3)
+        W[:, 6:, 6:] = self.W_r
+        return np.asarray(W @ errors)
+
+
+def dynamics_residuals(states: States, steps: Steps, J_G: Array) -> Array:
+    """Whitened residuals (F - 1, 12); J_G (3, 3) any scale. Infinite where rates are beyond reason."""
+    torque, _ = _torque(states, steps)
+    q, w_end, _, _ = flows(states.x[:-1, 9:12], J_G, steps.dt_s, steps.series, torque)
+    if not (np.isfinite(q).all() and (np.linalg.norm(q, axis=1) > 0.5).all()):
+        return np.full((len(q), RESIDUALS), np.inf)
+    errors, _ = _errors(states, steps, turns_of_quaternions(q), w_end)
+    return steps.whiten(errors[:, :, None])[:, :, 0]
+
+
+def _errors(states: States, steps: Steps, R_step: Array, w_end: Array) -> tuple[Array, Array]:
+    """State after minus predicted state (F - 1, 12), and the true attitudes (F, 3, 3)."""
+    x, R, r_N = states.x, states.true_attitudes(), states.centres()
+    by_force = _by_force(states, steps)
+    dr = r_N[1:] - r_N[:-1] - steps.dt_s[:, None] * x[:-1, 6:9] - by_force[:, 0]
+    dv = x[1:, 6:9] - x[:-1, 6:9] - by_force[:, 1]
+    dtheta = rotation_vectors(np.swapaxes(R[:-1] @ R_step, 1, 2) @ R[1:])
+    return np.hstack([dr, dv, dtheta, x[1:, 9:12] - w_end]), R
+
+
+def _by_force(states: States, steps: Steps) -> Array:
+    """What a known force and its bias do to position and velocity, (F - 1, 2, 3)."""
+    if states.wrench is None or steps.of_force is None:
+        return np.zeros((len(steps.dt_s), 2, 3))
+    of_bias = np.stack([0.5 * steps.dt_s**2, steps.dt_s], axis=1)[:, :, None] * states.wrench[FORCE_BIAS]
+    return np.asarray(np.exp(-states.wrench[LN_MASS]) * (steps.of_force + of_bias))
+
+
+def _torque(states: States, steps: Steps) -> tuple[Array | None, Array | None]:
+    """A known torque in G, and its derivatives in (xi, ln scale, turn, bias): (F - 1, S, 12, 2, 3)."""
+    if states.wrench is None or states.R_torque is None or steps.torque_P is None:
+        return None, None
+    torque, of_unknowns = torque_in_G(steps.torque_P, states.wrench, states.R_torque)
+    of_xi = np.zeros((*torque.shape[:2], N_INERTIA, 2, 3))
+    return torque, np.concatenate([of_xi, of_unknowns], axis=2)
+
+
+def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> tuple[Array, Array]:
+    """Whitened residuals (F - 1, 12) and Jacobians (F - 1, 12, 2 s + c); dJ (5, 3, 3) in xi.
+
+    c = 8 constants com_G, xi, or 19 with the unknowns of a known wrench.
+    """
+    x = states.x
+    torque, dtorque = _torque(states, steps)
+    if dtorque is not None:
+        dJ = np.concatenate([dJ, np.zeros((N_OF_ROTATION, 3, 3))])
+    flow = flow_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series, torque, dtorque)
+    return jacobians_of_flow(states, steps, *flow)
+
+
+def jacobians_of_flow(
+    states: States, steps: Steps, q: Array, w_end: Array, turn: Array, rate: Array
+) -> tuple[Array, Array]:
+    """The same of a rotation over the steps that is known with its derivatives, as ``flow_derivatives`` says.
+
+    Its parameters stand after com_G.
+    """
+    n, s = len(steps.dt_s), states.x.shape[1]
+    turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), turns_of_quaternions(q)
+    errors, R = _errors(states, steps, R_step, w_end)
+    of_centre, of_turn = state_derivatives(states)
+    n_parameters = turn.shape[2] - 3
+    at = slice(2 * s + 3, 2 * s + 3 + n_parameters)
+    D = np.zeros((n, RESIDUALS, at.stop + (N_OF_FORCE if states.wrench is not None else 0)))
+    D[:, 0:3, :s], D[:, 0:3, s : 2 * s] = -of_centre[:-1], of_centre[1:]
+    D[:, 0:3, 6:9] -= steps.dt_s[:, None, None] * np.eye(3)
+    D[:, 0:3, 2 * s : 2 * s + 3] = R[1:] - R[:-1]
+    D[:, 3:6, 6:9], D[:, 3:6, s + 6 : s + 9] = -np.eye(3), np.eye(3)
+    # what turns the attitude before the step, or is the step's own, passes to its end
+    left = inverse_right_jacobians(errors[:, 6:9])
+    back = left @ np.swapaxes(R[1:], 1, 2) @ R[:-1]
+    D[:, 6:9, :s], D[:, 6:9, s : 2 * s] = -back @ of_turn[:-1], left @ of_turn[1:]
+    of_step = back @ R_step @ turn
+    D[:, 6:9, 9:12] -= of_step[:, :, :3]
+    D[:, 6:9, at] = -of_step[:, :, 3:]
+    D[:, 9:12, s + 9 : s + 12] = np.eye(3)
+    D[:, 9:12, 9:12] = -rate[:, :, :3]
+    D[:, 9:12, at] = -rate[:, :, 3:]
+    if states.wrench is not None:
+        _add_force(D, states, steps)
+    return steps.whiten(errors[:, :, None])[:, :, 0], steps.whiten(D)
+
+
+def _add_force(D: Array, states: States, steps: Steps) -> None:
+    """Derivatives in the logarithm of the mass and in the force's bias: the last four columns."""
+    assert states.wrench is not None
+    D[:, 0:6, -4] = _by_force(states, steps).reshape(-1, 6)
+    D[:, 0:3, -3:] = -np.exp(-states.wrench[LN_MASS]) * 0.5 * steps.dt_s[:, None, None] ** 2 * np.eye(3)
+    D[:, 3:6, -3:] = -np.exp(-states.wrench[LN_MASS]) * steps.dt_s[:, None, None] * np.eye(3)
+
+
+def state_derivatives(states: States) -> tuple[Array, Array]:
+    """Of the true centre of mass, and of the turn of the true attitude on the right: (F, 3, s) each."""
+    x, s, R = states.x, states.x.shape[1], states.true_attitudes()
+    Jr = right_jacobians(x[:, 3:6])
+    of_centre, of_turn = np.zeros((len(x), 3, s)), np.zeros((len(x), 3, s))
+    of_centre[:, :, 3:6] = -R @ hat(states.com_G) @ Jr
+    of_turn[:, :, 3:6] = Jr
+    if s == N_STATE:
+        of_centre[:, :, 0:3] = np.eye(3)
+        return of_centre, of_turn
+    alpha = x[:, 15:18]
+    arm = states.centres() - states.camera_N - x[:, 12:15]
+    left = right_jacobians(-alpha)
+    of_centre[:, :, 0:3], of_centre[:, :, 12:15] = turns(alpha), np.eye(3)
+    of_centre[:, :, 15:18] = -hat(arm) @ left
+    of_turn[:, :, 15:18] = np.swapaxes(R, 1, 2) @ left
+    return of_centre, of_turn
+
+
+def add_steps(H: Array, g: Array, residual: Array, jacobian: Array, s: int) -> None:
+    """Add ``J^T J`` (both triangles) and ``J^T r`` of every step to the dense system, constants last."""
+    square = np.swapaxes(jacobian, 1, 2) @ jacobian
+    slope = (np.swapaxes(jacobian, 1, 2) @ residual[:, :, None])[:, :, 0]
+    _scatter(H, g, square, slope, s)
+
+
+@compiled
+def _scatter(H: Array, g: Array, square: Array, slope: Array, s: int) -> None:
+    n, width = slope.shape
+    first = s * (n + 1)
+    at = np.empty(width, dtype=np.int64)
+    for k in range(n):
+        for c in range(width):
+            at[c] = s * k + c if c < 2 * s else first + c - 2 * s
+        for a in range(width):
+            g[at[a]] += slope[k, a]
+            for b in range(width):
+                H[at[a], at[b]] += square[k, a, b]

@@ -1,0 +1,219 @@
+"""A first motion without any guess: pose graph, bundle adjustment, frames left over bridged."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from polhode.backend.initialization.attitude_outliers import jumping_frames
+from polhode.backend.initialization.pose_graph import connect
+from polhode.backend.problem.inertia import FORMS
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import hold, motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.config.backend import Backend
+from polhode.errors import RunFailure
+from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.records import Bools, InitialMotion, Ints, RelativePoses, StereoTracks
+
+MIN_CONNECTED = 3
+MIN_COMMON = 4
+"""Landmarks that a frame must share with the map to be placed in it."""
+LEAST_AGREEMENT = 0.4
+"""Share of a frame's observations that must fit the map; a frame below it was placed wrongly."""
+BUNDLE_ITERATIONS = 12
+
+
+def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Backend) -> InitialMotion:
+    """Poses of the target from relative poses and tracks, G's origin in the middle of its landmarks.
+
+    Raises RunFailure when fewer than three frames hang together.
+    """
+    X_RG, connected, _ = connect(relative, tracks.time_s, tracks.X_NR[:, :3, :3])
+    if connected.sum() < MIN_CONNECTED:
+        raise RunFailure(
+            f"no consistent motion: only {connected.sum()} of {tracks.n_frames} frames could be connected"
+        )
+    p_G, known = robust_landmarks(tracks, X_RG, connected)
+    X_RG, connected = relocalize(tracks, X_RG, connected, p_G, known)
+    X_RG = bundle_adjust(tracks, X_RG, connected, config)
+    p_G, known = robust_landmarks(tracks, X_RG, connected)
+    agree = connected & (agreement(tracks, X_RG, p_G) >= LEAST_AGREEMENT)
+    if agree.sum() >= MIN_CONNECTED and not np.array_equal(agree, connected):
+        p_G, known = robust_landmarks(tracks, X_RG, agree)
+        X_RG, connected = relocalize(tracks, X_RG, agree, p_G, known)
+        X_RG = bundle_adjust(tracks, X_RG, connected, config)
+        p_G, known = robust_landmarks(tracks, X_RG, connected)
+    X_RG, connected = relocalize(tracks, X_RG, connected, p_G, known)
+    odd = jumping_frames(tracks.time_s, (tracks.X_NR @ X_RG)[:, :3, :3], connected)
+    connected = connected & ~odd
+    X_RG[connected] = X_RG[connected] @ make_pose(np.eye(3), np.median(p_G[known], axis=0))
+    X_NG = bridge(tracks.time_s, tracks.X_NR @ X_RG, connected)
+    return InitialMotion(inverse_pose(tracks.X_NR) @ X_NG, connected)
+
+
+def undisputed_links(relative: RelativePoses, time_s: Array, R_NR: Array) -> Bools:
+    """Which links (E,) the pose graph does not contradict: a track through a wrong one joins two places.
+
+    time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera. Links of frames that nothing connects stay.
+    """
+    _, connected, accepted = connect(relative, time_s, R_NR)
+    return np.asarray(accepted | ~(connected[relative.i] & connected[relative.j]))
+
+
+def robust_landmarks(tracks: StereoTracks, X_RG: Array, connected: Bools) -> tuple[Array, Bools]:
+    """Landmarks (L, 3) in G, the componentwise median of their triangulations, and which are known (L,)."""
+    n = tracks.n_landmarks
+    use = np.flatnonzero(connected[tracks.frame])
+    p_R = tracks.rig.triangulate(tracks.uvd_px[use])
+    p = np.einsum("mba,mb->ma", X_RG[tracks.frame[use], :3, :3], p_R - X_RG[tracks.frame[use], :3, 3])
+    mark = tracks.landmark[use]
+    count = np.bincount(mark, minlength=n)
+    known = count > 0
+    start = np.concatenate([[0], np.cumsum(count)[:-1]])
+    p_G = np.zeros((n, 3))
+    for axis in range(3):
+        ordered = p[np.lexsort((p[:, axis], mark)), axis]
+        low, high = start + (count - 1) // 2, start + count // 2
+        p_G[known, axis] = 0.5 * (ordered[low[known]] + ordered[high[known]])
+    if known.any():
+        p_G[~known] = np.median(p_G[known], axis=0)
+    return p_G, known
+
+
+def bundle_adjust(tracks: StereoTracks, X_RG: Array, connected: Bools, config: Backend) -> Array:
+    """Refine the connected poses and the landmarks on the pixels, without dynamics."""
+    kept = _observations_of(tracks, connected)
+    data = motion_data(kept, config)
+    p_G, _ = robust_landmarks(kept, X_RG, connected)
+    X_NG = tracks.X_NR @ X_RG
+    zero = np.zeros((tracks.n_frames, 3))
+    xi, R_inertia = FORMS[config.inertia].coordinates(np.eye(3))
+    start = Iterate(X_NG[:, :3, 3], X_NG[:, :3, :3], zero, zero, np.zeros(3), xi, R_inertia, p_G)
+    held = hold(data, start)
+    solution = GaussNewton(data, with_dynamics=False).solve(held, start.vector(), BUNDLE_ITERATIONS)
+    at = start.moved_to(solution.x)
+    X_NG[connected] = make_pose(at.R_NG, at.p_NG)[connected]
+    return np.asarray(inverse_pose(tracks.X_NR) @ X_NG)
+
+
+def _observations_of(tracks: StereoTracks, frames: Bools) -> StereoTracks:
+    use = frames[tracks.frame]
+    _, landmark = np.unique(tracks.landmark[use], return_inverse=True)
+    return replace(
+        tracks,
+        frame=tracks.frame[use],
+        landmark=landmark.astype(np.int64),
+        uvd_px=tracks.uvd_px[use],
+        sigma_px=tracks.sigma_px[use],
+    )
+
+
+def relocalize(
+    tracks: StereoTracks, X_RG: Array, connected: Bools, p_G: Array, known: Bools
+) -> tuple[Array, Bools]:
+    """Place further frames by absolute orientation on landmarks that they share with the map."""
+    X_RG, connected = X_RG.copy(), connected.copy()
+    for k in np.flatnonzero(~connected):
+        of_frame = np.flatnonzero((tracks.frame == k) & known[tracks.landmark])
+        if len(of_frame) < MIN_COMMON:
+            continue
+        p_R, target = tracks.rig.triangulate(tracks.uvd_px[of_frame]), p_G[tracks.landmark[of_frame]]
+        gate = triangulation_gate_m(tracks, of_frame, p_R)
+        X, inliers = ransac_orientation(p_R, target, gate, np.random.default_rng(int(k)))
+        if inliers >= max(MIN_COMMON, 0.5 * len(of_frame)):
+            X_RG[k], connected[k] = X, True
+    return X_RG, connected
+
+
+def triangulation_gate_m(tracks: StereoTracks, use: Ints, p_R: Array) -> Array:
+    """Distance (n,) [m] that a good triangulation p_R (n, 3) of observations ``use`` stays below."""
+    sigma = tracks.rig.triangulation_jacobian(p_R) @ tracks.sigma_px[use][:, :, None]
+    return np.asarray(4.0 * np.linalg.norm(sigma[..., 0], axis=1))
+
+
+def agreement(tracks: StereoTracks, X_RG: Array, p_G: Array) -> Array:
+    """Share (F,) of each frame's observations that lie near their landmark; 0 without observations."""
+    p_R = tracks.rig.triangulate(tracks.uvd_px)
+    expected = np.einsum("mij,mj->mi", X_RG[tracks.frame, :3, :3], p_G[tracks.landmark])
+    expected += X_RG[tracks.frame, :3, 3]
+    near = np.linalg.norm(p_R - expected, axis=1) < triangulation_gate_m(
+        tracks, np.arange(len(p_R)), expected
+    )
+    total = np.bincount(tracks.frame, minlength=tracks.n_frames)
+    return np.asarray(np.bincount(tracks.frame, near, tracks.n_frames) / np.maximum(total, 1))
+
+
+def ransac_orientation(p_R: Array, p_G: Array, gate_m: Array, rng: np.random.Generator) -> tuple[Array, int]:
+    """X_RG with p_R ~ X_RG p_G for most of (n, 3) pairs, and how many agree within gate_m (n,)."""
+    best, count = np.ones(len(p_R), bool), 0
+    for _ in range(100):
+        pick = rng.choice(len(p_R), 3, replace=False)
+        X = absolute_orientation(p_R[pick], p_G[pick])
+        agree = np.linalg.norm(transform_points(X, p_G) - p_R, axis=1) < gate_m
+        if agree.sum() > count:
+            best, count = agree, int(agree.sum())
+    if count < 3:
+        return np.eye(4), count
+    return absolute_orientation(p_R[best], p_G[best]), count
+
+
+def absolute_orientation(p_A: Array, p_B: Array) -> Array:
+    """X_AB of least squares with p_A ~ X_AB p_B, both (n, 3), n >= 3 (Kabsch 1976)."""
+    c_A, c_B = p_A.mean(axis=0), p_B.mean(axis=0)
+    U, _, V_T = np.linalg.svd((p_A - c_A).T @ (p_B - c_B))
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V_T)]) @ V_T
+    return make_pose(R, c_A - R @ c_B)
+
+
+def bridge(time_s: Array, X_NG: Array, connected: Bools) -> Array:
+    """Fill the frames between and outside the connected ones by constant rate, in N.
+
+    Over a long gap full revolutions are ambiguous: the turn nearest to the rate on both sides is taken.
+    """
+    X, index = X_NG.copy(), np.flatnonzero(connected)
+    R, p = X[:, :3, :3], X[:, :3, 3]
+    rates, centres = interval_rates(time_s[index], R[index])
+    for a, b in pairwise(index):
+        dt = time_s[b] - time_s[a]
+        near = rates[np.argsort(np.abs(centres - 0.5 * (time_s[a] + time_s[b])))[:3]]
+        turn = (
+            nearest_branch(log_so3(R[a].T @ R[b]), np.median(near, axis=0) * dt) if b > a + 1 else np.zeros(3)
+        )
+        for k in range(a + 1, b):
+            share = (time_s[k] - time_s[a]) / dt
+            X[k] = make_pose(R[a] @ exp_so3(share * turn), (1 - share) * p[a] + share * p[b])
+    first, last = index[0], index[-1]
+    velocity = (p[last] - p[first]) / (time_s[last] - time_s[first])
+    for k in [*range(first), *range(last + 1, len(X))]:
+        edge, rate = (first, rates[0]) if k < first else (last, rates[-1])
+        dt = time_s[k] - time_s[edge]
+        X[k] = make_pose(R[edge] @ exp_so3(dt * rate), p[edge] + dt * velocity)
+    return X
+
+
+def interval_rates(time_s: Array, R_NG: Array) -> tuple[Array, Array]:
+    """Mean body rate (n - 1, 3) [rad/s] over each interval, less than half a turn, and its middle time."""
+    dt = np.diff(time_s)
+    turn = log_so3(np.swapaxes(R_NG[:-1], 1, 2) @ R_NG[1:])
+    return turn / dt[:, None], 0.5 * (time_s[:-1] + time_s[1:])
+
+
+def nearest_branch(turn: Array, expected: Array) -> Array:
+    """The rotation vector equal to ``turn`` (3,) up to full revolutions, nearest to ``expected`` (3,)."""
+    angle = float(np.linalg.norm(turn))
+    if angle < 1e-9:
+        return turn
+    axis = turn / angle
+    revolutions = np.round((float(axis @ expected) - angle) / (2.0 * np.pi))
+    return np.asarray(axis * (angle + 2.0 * np.pi * revolutions))
+
+
+def frame_rates(time_s: Array, X_NG: Array, connected: Bools) -> Array:
+    """Body rate at each frame (F, 3) [rad/s] by differences between connected neighbours."""
+    index: Ints = np.flatnonzero(connected)
+    rates, centres = interval_rates(time_s[index], X_NG[index, :3, :3])
+    short = np.diff(index) <= 3
+    if short.any():
+        rates, centres = rates[short], centres[short]
+    return np.stack([np.interp(time_s, centres, rates[:, axis]) for axis in range(3)], axis=1)

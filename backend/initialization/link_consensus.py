@@ -1,0 +1,136 @@
+"""Compiled loops over links between frames: which of them agree with each other (``pose_graph.py``)."""
+
+import numpy as np
+
+from polhode.backend.compiled import compiled
+from polhode.lie import Array
+from polhode.records import Ints
+
+MOST_LINKS = 16
+"""So many links between two islands are compared, those of the largest weight."""
+MOST_THIRDS = 40
+
+
+@compiled
+def renew_bonds(
+    a: int, order: Ints, i: Ints, j: Ints, X_ij: Array, inliers: Ints, weight: Array, X: Array, island: Ints,
+    bound_rad: float, bound_shift: float, agreeing: float, score: Array, T: Array,
+) -> None:  # fmt: skip
+    """What the links of island a say of every other one b, in place; the largest group that agrees.
+
+    order (E,) of the links i, j, X_ij (E, 4, 4) by falling weight; X (F, 4, 4), island (F,). Written above
+    the diagonal, at (min(a, b), max(a, b)): score (F, F), ``agreeing`` plus its inliers for each link of the
+    group, the weight of a single link, -inf without links; T (F, F, 4, 4) with p_Gmin = T p_Gmax.
+    """
+    n = len(score)
+    count, member = np.zeros(n, dtype=np.int64), np.empty((n, MOST_LINKS), dtype=np.int64)
+    for e in order:
+        p, q = island[i[e]], island[j[e]]
+        if (p == a) != (q == a):
+            other = q if p == a else p
+            if count[other] < MOST_LINKS:
+                member[other, count[other]] = e
+                count[other] += 1
+    R, t = np.empty((MOST_LINKS, 3, 3)), np.empty((MOST_LINKS, 3))
+    centre, distance = np.empty((MOST_LINKS, 3)), np.empty(MOST_LINKS)
+    for other in range(n):
+        low, high, size = min(a, other), max(a, other), count[other]
+        if size == 0:
+            if other != a:
+                score[low, high] = -np.inf
+            continue
+        for m in range(size):
+            e = member[other, m]
+            ahead = island[i[e]] == low
+            A, B = (X[i[e]], X[j[e]]) if ahead else (X[j[e]], X[i[e]])
+            distance[m] = _between(A, X_ij[e], B, ahead, R[m], t[m], centre[m])
+        scale = 0.3 * np.median(distance[:size])
+        best, most, links = 0, -1.0, 0
+        for s in range(size):
+            total, agree = 0.0, 0
+            for m in range(size):
+                allowed = 2.0 * bound_shift * max(distance[m], scale)
+                if s == m or _agree(R[s], t[s], R[m], t[m], centre[m], bound_rad, allowed):
+                    total += agreeing + inliers[member[other, m]]
+                    agree += 1
+            if total > most:
+                best, most, links = s, total, agree
+        if links == 1:
+            best = 0
+        score[low, high] = weight[member[other, 0]] if links == 1 else most
+        T[low, high] = np.eye(4)
+        T[low, high, :3, :3], T[low, high, :3, 3] = R[best], t[best]
+
+
+@compiled
+def _between(A: Array, X_ij: Array, B: Array, ahead: bool, R: Array, t: Array, centre: Array) -> float:
+    """R, t = A^-1 L B, the link L = X_ij or its inverse; centre of B's camera in G. Returns L's distance."""
+    L, p = np.empty((3, 3)), np.empty(3)
+    for r in range(3):
+        p[r] = 0.0
+        for c in range(3):
+            L[r, c] = X_ij[r, c] if ahead else X_ij[c, r]
+            p[r] -= 0.0 if ahead else X_ij[c, r] * X_ij[c, 3]
+        if ahead:
+            p[r] = X_ij[r, 3]
+    M, q = np.zeros((3, 3)), np.empty(3)
+    for r in range(3):
+        q[r] = p[r] - A[r, 3]
+        for c in range(3):
+            q[r] += L[r, c] * B[c, 3]
+            for k in range(3):
+                M[r, c] += L[r, k] * B[k, c]
+    for r in range(3):
+        t[r] = A[0, r] * q[0] + A[1, r] * q[1] + A[2, r] * q[2]
+        centre[r] = -(B[0, r] * B[0, 3] + B[1, r] * B[1, 3] + B[2, r] * B[2, 3])
+        for c in range(3):
+            R[r, c] = A[0, r] * M[0, c] + A[1, r] * M[1, c] + A[2, r] * M[2, c]
+    return float(max(np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2), 1e-9))
+
+
+@compiled
+def _agree(
+    R_a: Array, t_a: Array, R_b: Array, t_b: Array, point: Array, bound_rad: float, bound_shift: float
+) -> bool:
+    """Whether two poses differ by less than an angle, and by less than a distance where they take a point."""
+    trace = square = 0.0
+    for r in range(3):
+        shift = t_a[r] - t_b[r]
+        for c in range(3):
+            trace += R_a[r, c] * R_b[r, c]
+            shift += (R_a[r, c] - R_b[r, c]) * point[c]
+        square += shift**2
+    turn = np.arccos(min(max(0.5 * (trace - 1.0), -1.0), 1.0))
+    return bool(turn < bound_rad and np.sqrt(square) < bound_shift)
+
+
+@compiled
+def closed_triangles(
+    i: Ints, j: Ints, X_ij: Array, linked: Array, X: Array, bound_rad: float, bound_shift: float
+) -> tuple[Array, Array]:
+    """Triangles on each link i, j (E,), X_ij (E, 4, 4), the first ``MOST_THIRDS``; how many agree with it.
+
+    linked (F, F) of frames, X (F, F, 4, 4) their relative poses, of two links one; bound_shift as a share of
+    the distance.
+    """
+    agree, seen = np.zeros(len(i)), np.zeros(len(i))
+    R, t, zero = np.empty((3, 3)), np.empty(3), np.zeros(3)
+    for e in range(len(i)):
+        direct = X_ij[e]
+        p = direct[:3, 3]
+        allowed = bound_shift * max(np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2), 1e-9)
+        for third in range(len(linked)):
+            if not (linked[i[e], third] and linked[j[e], third]):
+                continue
+            A, B = X[i[e], third], X[third, j[e]]
+            for r in range(3):
+                t[r] = A[r, 3]
+                for c in range(3):
+                    t[r] += A[r, c] * B[c, 3]
+                    R[r, c] = A[r, 0] * B[0, c] + A[r, 1] * B[1, c] + A[r, 2] * B[2, c]
+            seen[e] += 1.0
+            if _agree(R, t, direct[:3, :3], p, zero, bound_rad, allowed):
+                agree[e] += 1.0
+            if seen[e] == MOST_THIRDS:
+                break
+    return agree, seen

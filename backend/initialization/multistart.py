@@ -1,0 +1,174 @@
+"""From the first poses to the right basin: brief solves from several guesses of the inertia and of the turns.
+
+A single start was seen to end, confident, in a wrong minimum. The guesses differ in the inertia; where the
+target turns far between frames also in the sense of the turn, which poses alone do not tell.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from polhode.backend.dynamics.kernels import N_CAMERA
+from polhode.backend.initialization.gaps import (
+    AMBIGUOUS_RAD,
+    Gap,
+    arrival_rad,
+    carried,
+    landmarks_of_gaps,
+    long_gaps,
+    loose_steps,
+)
+from polhode.backend.initialization.hypotheses import inertia_hypotheses
+from polhode.backend.initialization.initialize import robust_landmarks
+from polhode.backend.initialization.rotation_direction import OR_FAST, THE_OTHER_WAY, rate_branches
+from polhode.backend.initialization.shooting import shoot
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import MotionData, hold
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.errors import RunFailure
+from polhode.lie import Array
+from polhode.progress import Advance
+from polhode.records import InitialMotion, StereoTracks
+
+PASSES = (3, 3, 3, 2)
+"""Iterations of the solves of one hypothesis; references and whitening are renewed between them."""
+LONG_PASSES = (10, 10, 10)
+SAME_BASIN = 0.03
+"""Two inertias (second moments of determinant 1) closer than this will end in the same minimum."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """First unknowns, guesses of the inertia by name, and what no measurement spans."""
+
+    iterate: Iterate
+    guesses: dict[str, Array]
+    time_s: Array
+    gaps: list[Gap]
+    tracks: StereoTracks
+    initial: InitialMotion
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Where one hypothesis led; the cost includes the normalisation of the process noise."""
+
+    iterate: Iterate
+    cost: float
+    misfit: float
+    """The cost without that normalisation."""
+
+
+def first_starts(tracks: StereoTracks, initial: InitialMotion, data: MotionData) -> list[Start]:
+    """Unknowns from the first guess of the poses, one start for each sense in which the target may turn."""
+    X_NG = tracks.X_NR @ initial.X_RG
+    R_NG, p_NG = X_NG[:, :3, :3], X_NG[:, :3, 3]
+    p_G, known = robust_landmarks(tracks, initial.X_RG, initial.connected)
+    if not known.any():
+        raise RunFailure(
+            f"no consistent motion: no landmark is seen in a frame that could be placed ({OR_FAST})"
+        )
+    com_G = np.median(p_G, axis=0)
+    use = np.flatnonzero(initial.connected)
+    velocity = np.polyfit(tracks.time_s[use], (p_NG + R_NG @ com_G)[use], 1)[0]
+    xi, R_inertia = data.form.coordinates(np.eye(3))
+    v_N = np.tile(velocity, (len(p_NG), 1))
+    camera = np.zeros((len(p_NG), N_CAMERA)) if data.camera_is_noisy else None
+    starts = []
+    for suffix, w_G in rate_branches(tracks.time_s, X_NG, initial.connected).items():
+        guesses = {name + suffix: guess for name, guess in inertia_hypotheses(R_NG[use], w_G[use]).items()}
+        iterate = Iterate(p_NG, R_NG, v_N, w_G, com_G, xi, R_inertia, p_G, camera)
+        gaps = long_gaps(tracks.time_s, initial.connected, w_G)
+        starts.append(Start(iterate, guesses, tracks.time_s, gaps, tracks, initial))
+    for suffix, shot in shoot(tracks.time_s, R_NG, initial.connected).items():
+        iterate = replace(starts[0].iterate, w_G=shot.w_G)
+        starts.append(replace(starts[0], iterate=iterate, guesses={"shooting" + suffix: shot.second}))
+    return starts
+
+
+def try_hypotheses(data: MotionData, starts: list[Start], advance: Advance) -> dict[str, Trial]:
+    """A brief solve from each guess that does not diverge; RunFailure when all do."""
+    trials: dict[str, Trial] = {}
+    for start in starts:
+        of_start: dict[str, Trial] = {}
+        at = start.iterate
+        for name, second in start.guesses.items():
+            trial = try_hypothesis(data, start, at, second, list(of_start.values()))
+            advance()
+            if trial is None:
+                continue
+            of_start[name] = trial
+            # the poses and landmarks found first serve the others too
+            at = min(of_start.values(), key=lambda t: t.cost).iterate
+        trials |= of_start
+    if not trials:
+        raise RunFailure(f"no consistent motion: every hypothesis of the inertia diverged ({OR_FAST})")
+    return _with_senses_settled(data, trials)
+
+
+def _with_senses_settled(data: MotionData, trials: dict[str, Trial]) -> dict[str, Trial]:
+    """The trials, the best of each sense solved further where there are two: what decides is a few units."""
+    senses = [[name for name in trials if name.endswith(THE_OTHER_WAY) == other] for other in (False, True)]
+    if not all(senses):
+        return trials
+    out = dict(trials)
+    for names in senses:
+        best = min(names, key=lambda name: trials[name].cost)
+        settled = solve_briefly(data, trials[best].iterate, [], LONG_PASSES)
+        if settled is not None:
+            out[best] = settled
+    return out
+
+
+def try_hypothesis(
+    data: MotionData, start: Start, at: Iterate, second: Array, found: list[Trial]
+) -> Trial | None:
+    """Brief solves from one guess of the inertia; None when it diverges."""
+    xi, R_inertia = data.form.coordinates(second)
+    iterate = replace(at, xi=xi, R_inertia=R_inertia)
+    if not start.gaps:
+        return solve_briefly(data, iterate, found)
+    loose = replace(data, loose=loose_steps(data.n_frames, start.gaps))
+    apart = solve_briefly(loose, iterate, [])
+    if apart is None:
+        return None
+    return _solve_across(data, start, apart.iterate, found)
+
+
+def _solve_across(data: MotionData, start: Start, apart: Iterate, found: list[Trial]) -> Trial | None:
+    """Carry the states through the gaps, then solve with every step counted."""
+    J_G = apart.J_G(data.form)
+    ambiguous = arrival_rad(apart, J_G, start.time_s, start.gaps) > AMBIGUOUS_RAD
+    trials = []
+    for other_way in (False, True) if ambiguous else (False,):
+        iterate = carried(apart, J_G, start.time_s, start.gaps, other_way)
+        iterate = replace(iterate, p_G=landmarks_of_gaps(start.tracks, iterate, start.initial))
+        trial = solve_briefly(data, iterate, [] if ambiguous else found)
+        trials += [trial] if trial is not None else []
+    return min(trials, key=lambda trial: trial.cost, default=None)
+
+
+def solve_briefly(
+    data: MotionData, iterate: Iterate, found: list[Trial], passes: tuple[int, ...] = PASSES
+) -> Trial | None:
+    """A few iterations; the trial found before whose basin they enter, as its cost is known already."""
+    solver, cost = GaussNewton(data), np.inf
+    for iterations in passes:
+        try:
+            iterate = renew_inertia(data, iterate)
+            held = hold(data, iterate)
+            solution = solver.solve(held, iterate.vector(), iterations)
+        except LinAlgError:
+            return None
+        iterate, cost = iterate.moved_to(solution.x), solution.cost + held.half_log_det
+        for other in found:
+            if np.abs(iterate.J_G(data.form) - other.iterate.J_G(data.form)).max() < SAME_BASIN:
+                return other
+    return Trial(iterate, float(cost), float(solution.cost)) if np.isfinite(cost) else None
+
+
+def renew_inertia(data: MotionData, iterate: Iterate) -> Iterate:
+    """The same inertia with its reference rotation moved to it."""
+    xi, R_inertia = data.form.coordinates(iterate.second_moments(data.form))
+    return replace(iterate, xi=xi, R_inertia=R_inertia)

@@ -1,0 +1,56 @@
+"""Which way the target turns between frames: near half a turn, poses alone leave it open.
+
+Attitudes a turn of 200 degrees apart are also 160 degrees apart the other way round. Euler's equation tells
+the two apart where the axis of rotation moves in the body; where it does not, both fit.
+"""
+
+import numpy as np
+
+from polhode.backend.initialization.initialize import frame_rates
+from polhode.lie import Array, log_so3
+from polhode.records import Bools, Ints
+
+OPEN_RAD = np.deg2rad(90.0)
+"""Median turn between neighbouring frames from which both senses are tried."""
+THE_OTHER_WAY = ", the other way round"
+"""Ends the name of a hypothesis with the longer turns."""
+LEAST_INTERVALS = 3
+OR_FAST = "so it looks, too, when the target turns by more than half a revolution between pairs"
+"""Beyond the turns that are tried both ways, poses show the short way round, and no body moves like that."""
+
+
+def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Array]:
+    """Body rates (F, 3) [rad/s] by suffix of the hypothesis: one, or both senses of large turns.
+
+    time_s (F,), X_NG (F, 4, 4), connected (F,).
+    """
+    short = frame_rates(time_s, X_NG, connected)
+    index: Ints = np.flatnonzero(connected[:-1] & connected[1:])
+    if len(index) < LEAST_INTERVALS:
+        return {"": short}
+    R, dt = X_NG[:, :3, :3], np.diff(time_s)[index]
+    turn = log_so3(np.swapaxes(R[index], 1, 2) @ R[index + 1])
+    if np.median(np.linalg.norm(turn, axis=1)) < OPEN_RAD:
+        return {"": short}
+    centre = 0.5 * (time_s[index] + time_s[index + 1])
+    both = {}
+    for sense in (1.0, -1.0):
+        rate = _along(turn, sense * _axis(turn)) / dt[:, None]
+        both[float(np.median(np.linalg.norm(rate, axis=1)))] = np.stack(
+            [np.interp(time_s, centre, rate[:, n]) for n in range(3)], axis=1
+        )
+    return {"": both[min(both)], THE_OTHER_WAY: both[max(both)]}
+
+
+def _axis(turn: Array) -> Array:
+    """Direction (3,) that most of the turns (n, 3) share up to sign."""
+    unit = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(unit.T @ unit)
+    return np.asarray(vectors[:, -1])
+
+
+def _along(turn: Array, axis: Array) -> Array:
+    """The same rotations (n, 3), below a full turn, in the sense of the axis."""
+    angle = np.linalg.norm(turn, axis=1, keepdims=True)
+    against = turn @ axis < 0.0
+    return np.where(against[:, None], turn * (1.0 - 2.0 * np.pi / angle), turn)

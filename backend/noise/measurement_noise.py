@@ -1,0 +1,85 @@
+"""The noise of the pixels, from the residuals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import MotionData, hold
+from polhode.backend.solvers.gauss_newton import GaussNewton, robust_weight
+from polhode.lie import Array
+
+MAD_TO_SIGMA = 1.4826
+LIMITS = (0.05, 6.0)
+"""Beyond, the measurements do not fit the motion: their noise is not what was found."""
+LEAST_OBSERVATIONS = 30
+"""Fewer repeated observations say nothing reliable about their noise."""
+
+
+@dataclass(frozen=True)
+class NoiseScales:
+    """Factors on the stated standard deviations of (u, v) and of the disparity."""
+
+    uv: float
+    disparity: float
+
+    def times(self, other: "NoiseScales") -> "NoiseScales":
+        """One after the other."""
+        return NoiseScales(self.uv * other.uv, self.disparity * other.disparity)
+
+    @property
+    def factors(self) -> Array:
+        """(3,) for u, v and disparity."""
+        return np.array([self.uv, self.uv, self.disparity])
+
+
+def estimate_noise(data: MotionData, iterate: Iterate, robust: bool) -> NoiseScales:
+    """Spread of the whitened residuals, each corrected for the freedom that the fit took.
+
+    ``robust``: median absolute deviation, for data with outliers; otherwise the root of the mean square.
+    A landmark seen from several sides is fitted to its u and v; its disparities stay almost free.
+    """
+    residuals, (A, p_NG, p_G) = GaussNewton(data).residuals(hold(data, iterate), iterate.vector())
+    repeated = np.diff(data.start)[data.landmark] >= 2
+    if repeated.sum() < LEAST_OBSERVATIONS:
+        return NoiseScales(1.0, 1.0)
+    weight = robust_weight(np.sum(residuals**2, axis=1), data.robust_scale)
+    taken = landmark_leverage(data, A, p_NG, p_G, weight)
+    # the poses are fitted to u and v too: six numbers for the two of each observation
+    taken[:, :2] += min(3.0 * len(np.unique(data.frame)) / len(data.frame), 0.3)
+    free = np.maximum(1.0 - taken[repeated], 0.05)
+    if robust:
+        whitened = np.abs(residuals[repeated]) / np.sqrt(free)
+        scales = MAD_TO_SIGMA * np.array([np.median(whitened[:, :2]), np.median(whitened[:, 2])])
+    else:
+        squares, freedom = np.sum(residuals[repeated] ** 2, axis=0), np.sum(free, axis=0)
+        scales = np.sqrt([squares[:2].sum() / freedom[:2].sum(), squares[2] / freedom[2]])
+    uv, disparity = np.clip(scales, *LIMITS)
+    return NoiseScales(float(uv), float(disparity))
+
+
+def landmark_leverage(data: MotionData, A: Array, p_NG: Array, p_G: Array, weight: Array) -> Array:
+    """Share (M, 3) of each residual's freedom that its landmark takes, poses given.
+
+    A (F, 3, 3) = R_RN R_NG, p_NG (F, 3), p_G (L, 3), robust weights (M,).
+    """
+    k, mark = data.frame, data.landmark
+    p_R = (
+        np.einsum("mij,mj->mi", A[k], p_G[mark])
+        + np.einsum("mij,mj->mi", data.R_RN[k], p_NG[k])
+        + data.t_R[k]
+    )
+    f, b = data.rig[0], data.rig[3]
+    x, y, z = p_R.T
+    D = np.zeros((len(k), 3, 3))
+    D[:, 0, 0] = D[:, 1, 1] = f / z
+    D[:, 0, 2], D[:, 1, 2], D[:, 2, 2] = -f * x / z**2, -f * y / z**2, -f * b / z**2
+    J = data.inv_sigma[:, :, None] * (D @ A[k])
+    information = np.zeros((data.n_landmarks, 3, 3))
+    np.add.at(information, mark, weight[:, None, None] * (np.swapaxes(J, 1, 2) @ J))
+    # a landmark that contradicts all its observations has next to no information
+    information += 1e-12 * (1.0 + np.trace(information, axis1=1, axis2=2))[:, None, None] * np.eye(3)
+    # a landmark whose observations all lost their weight takes nothing
+    least = 1e-12 * np.trace(information, axis1=1, axis2=2) + 1e-300
+    inverse = np.linalg.inv(information + least[:, None, None] * np.eye(3))
+    return np.asarray(weight[:, None] * np.einsum("mij,mjk,mik->mi", J, inverse[mark], J))

@@ -1,0 +1,110 @@
+"""Observations that contradict the motion leave the problem.
+
+A Cauchy kernel only bounds what a wrong observation can do. Many of them keep pulling, and the solver creeps
+for dozens of iterations while a landmark made of contradicting observations looks for its place.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polhode.backend.initialization.rotation_direction import OR_FAST
+from polhode.backend.noise.measurement_noise import NoiseScales, estimate_noise
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import MotionData, hold
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.kernel_scale import widest_useful
+from polhode.errors import RunFailure
+from polhode.lie import Array
+from polhode.records import Bools
+
+GATE = 4.5
+"""Largest norm of a whitened stereo residual that stays; of Gaussian ones 1 in 5700 is larger."""
+ENOUGH_LEFT = 3
+"""A landmark that lost observations stays with so many, or with two that are half of them."""
+
+ROUNDS = 2
+ITERATIONS = 3
+"""Of Gauss-Newton after each pruning."""
+LEAST_SHARE = 0.3
+"""Share of observations that must agree with the motion."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A problem made smaller, and how its unknowns sit in the whole one."""
+
+    data: MotionData
+    observations: Bools
+    """(M,) of the whole problem"""
+    landmarks: Bools
+    """(L,) of the whole problem"""
+
+    def restrict(self, iterate: Iterate) -> Iterate:
+        """The unknowns of the smaller problem."""
+        return replace(iterate, p_G=iterate.p_G[self.landmarks])
+
+    def expand(self, small: Iterate, whole: Iterate) -> Iterate:
+        """Back to all landmarks; those that left stay where they were in ``whole``."""
+        p_G = whole.p_G.copy()
+        p_G[self.landmarks] = small.p_G
+        return replace(small, p_G=p_G)
+
+
+def settle(data: MotionData, iterate: Iterate) -> tuple[MotionData, Kept, Iterate, NoiseScales]:
+    """Tell noise from contradictions: data with its own noise, what is kept of it, motion, noise factors.
+
+    The median absolute deviation sets the first gate; in the end the noise is the scatter of what is kept,
+    and the kernel as wide as that scatter allows.
+    Raises RunFailure when most observations contradict the motion.
+    """
+    first = estimate_noise(data, iterate, robust=True)
+    data = data.rescaled(first.factors)
+    kept = prune(data, iterate)
+    for _ in range(ROUNDS):
+        small = kept.restrict(iterate)
+        solution = GaussNewton(kept.data).solve(hold(kept.data, small), small.vector(), ITERATIONS)
+        iterate = kept.expand(small.moved_to(solution.x), iterate)
+        kept = prune(data, iterate)
+    last = estimate_noise(kept.data, kept.restrict(iterate), robust=False)
+    data = data.rescaled(last.factors)
+    s = np.sum(whitened_residuals(data, iterate)[kept.observations] ** 2, axis=1)
+    scale = widest_useful(s, data.robust_scale)
+    kept = replace(kept, data=replace(kept.data.rescaled(last.factors), robust_scale=scale))
+    return replace(data, robust_scale=scale), kept, iterate, first.times(last)
+
+
+def prune(data: MotionData, iterate: Iterate) -> Kept:
+    """The problem without the observations whose residual at the iterate is beyond the gate.
+
+    Raises RunFailure when most of them are.
+    """
+    residuals = whitened_residuals(data, iterate)
+    agree = np.sum(residuals**2, axis=1) < GATE**2
+    seen, left = np.diff(data.start), np.bincount(data.landmark[agree], minlength=data.n_landmarks)
+    landmarks = (left == seen) | (left >= ENOUGH_LEFT) | ((left == 2) & (seen <= 4))
+    observations = agree & landmarks[data.landmark]
+    share = float(np.mean(observations))
+    if not share >= LEAST_SHARE:
+        raise RunFailure(
+            f"no consistent motion: only {share:.0%} of the observations agree with the best one found "
+            f"({OR_FAST})"
+        )
+    number = np.cumsum(landmarks) - 1
+    landmark = number[data.landmark[observations]]
+    smaller = replace(
+        data,
+        frame=data.frame[observations],
+        landmark=landmark,
+        start=np.searchsorted(landmark, np.arange(int(landmarks.sum()) + 1)).astype(np.int64),
+        uvd_px=data.uvd_px[observations],
+        inv_sigma=data.inv_sigma[observations],
+        order=data.order[observations],
+    )
+    return Kept(smaller, observations, landmarks)
+
+
+def whitened_residuals(data: MotionData, iterate: Iterate) -> Array:
+    """Stereo residuals over their standard deviations (M, 3)."""
+    residuals, _ = GaussNewton(data).residuals(hold(data, iterate), iterate.vector())
+    return residuals

@@ -1,0 +1,72 @@
+"""Errors that every frame shares: no residual shows them, so no solver's covariance holds them.
+
+A camera matrix that is off by a hundredth of a pixel, or a matcher that reads every disparity a little short,
+moves the whole target. What such an offset of u, v and disparity does to a point at the target's place is
+added to the covariance of the position; attitude, rates and inertia hardly feel it. The frame G is held where
+the first pose was seen, not where it was: the centre of mass in G is off by the same shift.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from polhode.backend.uncertainty.identifiability import NAMES, determined_words
+from polhode.camera import RectifiedRig
+from polhode.lie import Array, inverse_pose, transform_points
+from polhode.records import Identifiability, MassProperties, MotionEstimate, OnlineEstimate, StereoTracks
+
+Sigma = tuple[float, float, float]
+"""Standard deviations of the offsets of u, v, disparity [px]."""
+
+
+def position_spread(rig: RectifiedRig, X_NR: Array, r_N: Array, sigma_px: Sigma) -> Array:
+    """Shifts (F, 3, 3) in N [m] of positions r_N (F, 3) for one sigma of each offset; X_NR (F, 4, 4)."""
+    r_R = transform_points(inverse_pose(X_NR), r_N[:, None])[:, 0]
+    return np.asarray(X_NR[:, :3, :3] @ rig.triangulation_jacobian(r_R) * np.asarray(sigma_px))
+
+
+def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Sigma) -> MotionEstimate:
+    """The estimate with the covariances of its positions and of the centre of mass grown."""
+    spread = position_spread(tracks.rig, tracks.X_NR, estimate.r_N, sigma_px)
+    in_G = estimate.X_NG[0, :3, :3].T @ spread[0]
+    joint = np.zeros((20, 3))
+    joint[:3], joint[17:] = spread[-1], in_G
+    body, mass = estimate.covariance_last_body, estimate.mass
+    return replace(
+        estimate,
+        covariance=np.stack([_grown(c, s) for c, s in zip(estimate.covariance, spread, strict=True)]),
+        covariance_last_joint=_grown(estimate.covariance_last_joint, joint),
+        covariance_last_body=None if body is None else _grown(body, joint),
+        mass=replace(mass, cov_com_G=_grown(mass.cov_com_G, in_G), identifiable=_grown_verdict(mass, in_G)),
+    )
+
+
+def _grown_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
+    """The verdict with the sigmas, and the words, of a centre of mass that is spread by in_G (3, 3) too."""
+    known = mass.identifiable
+    sigma, detail = known.sigma.copy(), dict(known.detail)
+    sigma[:3] = np.hypot(sigma[:3], np.linalg.norm(mass.R_GP.T @ in_G, axis=1))
+    detail |= {NAMES[n]: determined_words(n, sigma[n]) for n in range(3) if np.isfinite(sigma[n])}
+    return replace(known, sigma=sigma, detail=detail)
+
+
+def online_with_systematic(online: OnlineEstimate, tracks: StereoTracks, sigma_px: Sigma) -> OnlineEstimate:
+    """The causal estimate with the covariances of its positions and of the centre of mass grown."""
+    spread = position_spread(tracks.rig, tracks.X_NR, online.r_N, sigma_px)
+    known = np.isfinite(np.diagonal(online.covariance, axis1=1, axis2=2)).any(axis=1)
+    first = int(np.argmax(known))
+    in_G = online.X_NG[first, :3, :3].T @ spread[first]
+    return replace(
+        online,
+        covariance=np.stack([_grown(c, s) for c, s in zip(online.covariance, spread, strict=True)]),
+        cov_com_G=np.stack([_grown(c, in_G) for c in online.cov_com_G]),
+    )
+
+
+def _grown(covariance: Array, spread: Array) -> Array:
+    """Covariance (n, n) with spread (m, 3) of its first m components; what is unknown stays so."""
+    m = len(spread)
+    spread = spread * np.isfinite(np.diagonal(covariance)[:m, None])
+    out = covariance.copy()
+    out[:m, :m] += spread @ spread.T
+    return out

@@ -1,0 +1,101 @@
+"""The unknowns of the problem, and how a vector of corrections changes them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.backend.dynamics.kernels import N_CAMERA, N_CONSTANTS, N_STATE
+from polhode.backend.problem.inertia import InertiaForm, inertia_from_second_moments
+from polhode.backend.problem.wrench import N_WRENCH
+from polhode.lie import Array, exp_so3
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """One value of all unknowns. F frames, L landmarks.
+
+    As a vector (s F + c + 3 L): per frame p_NG, theta, v_N, w_G (s = 12), and the errors of the camera's pose
+    where they are unknowns (s = 18); then com_G, xi; then the landmarks.
+    theta = 0 at the iterate itself: it is a right perturbation of its R_NG.
+    """
+
+    p_NG: Array
+    """(F, 3) origin of G [m]"""
+    R_NG: Array
+    """(F, 3, 3)"""
+    v_N: Array
+    """(F, 3) velocity of the centre of mass [m/s]"""
+    w_G: Array
+    """(F, 3) angular velocity [rad/s]"""
+    com_G: Array
+    """(3,) [m]"""
+    xi: Array
+    """(5,) inertia in the coordinates of the form"""
+    R_inertia: Array
+    """(3, 3) reference rotation of the inertia's form"""
+    p_G: Array
+    """(L, 3) landmarks [m]"""
+    camera: Array | None = None
+    """(F, 6) shift [m] and turn [rad], along N, that make the stated camera pose the true one; None: exact"""
+
+    wrench: Array | None = None
+    """(11,) unknowns of a known wrench (``wrench.py``), after xi in the vector; None: none acts"""
+    R_torque: Array | None = None
+    """(3, 3) reference of the torque's axes in G"""
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.p_NG)
+
+    @property
+    def n_constants(self) -> int:
+        """Numbers of com_G, xi and the wrench's unknowns."""
+        return N_CONSTANTS if self.wrench is None else N_CONSTANTS + N_WRENCH
+
+    @property
+    def n_state(self) -> int:
+        """Numbers of a frame in the vector."""
+        return N_STATE if self.camera is None else N_STATE + N_CAMERA
+
+    @property
+    def n_states(self) -> int:
+        """Numbers of all frames: the constants follow."""
+        return self.n_state * self.n_frames
+
+    @property
+    def n_dense(self) -> int:
+        """Size of the part of the vector without the landmarks."""
+        return self.n_states + self.n_constants
+
+    def vector(self) -> Array:
+        """The unknowns as a vector, theta = 0."""
+        camera = np.zeros((self.n_frames, 0)) if self.camera is None else self.camera
+        states = np.concatenate([self.p_NG, np.zeros_like(self.p_NG), self.v_N, self.w_G, camera], axis=1)
+        wrench = np.zeros(0) if self.wrench is None else self.wrench
+        return np.concatenate([states.ravel(), self.com_G, self.xi, wrench, self.p_G.ravel()])
+
+    def moved_to(self, x: Array) -> "Iterate":
+        """The unknowns at vector x, whose theta turns the R_NG of this iterate."""
+        n, marks = self.n_states, self.n_dense
+        states = x[:n].reshape(-1, self.n_state)
+        return Iterate(
+            p_NG=states[:, 0:3],
+            R_NG=self.R_NG @ exp_so3(states[:, 3:6]),
+            v_N=states[:, 6:9],
+            w_G=states[:, 9:12],
+            com_G=x[n : n + 3],
+            xi=x[n + 3 : n + 8],
+            R_inertia=self.R_inertia,
+            p_G=x[marks:].reshape(-1, 3),
+            camera=None if self.camera is None else states[:, 12:18],
+            wrench=None if self.wrench is None else x[n + N_CONSTANTS : marks],
+            R_torque=self.R_torque,
+        )
+
+    def second_moments(self, form: InertiaForm) -> Array:
+        """Sigma (3, 3) in G, determinant 1."""
+        return form.second_moments(self.xi, self.R_inertia)
+
+    def J_G(self, form: InertiaForm) -> Array:
+        """Inertia (3, 3) in G, up to scale."""
+        return inertia_from_second_moments(self.second_moments(form))

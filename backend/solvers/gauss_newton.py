@@ -1,0 +1,329 @@
+"""Gauss-Newton with Levenberg damping, landmarks eliminated: reference solver and source of covariances."""
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from polhode.backend.dynamics.kernels import N_CAMERA, N_CONSTANTS, N_STATE, kernel_bend, prior_kernel
+from polhode.backend.dynamics.residuals import States, add_steps, dynamics_jacobians, dynamics_residuals
+from polhode.backend.problem.inertia import N_INERTIA, inertia_derivative
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import Held, MotionData
+from polhode.backend.problem.wrench import LN_MASS, LN_PRIOR, LN_SCALE, wrench_residual
+from polhode.backend.solvers.chain import POSE, eliminate_chain, solve_with_chain
+from polhode.backend.solvers.damping import CONSTANT_SCALE, Damping
+from polhode.backend.solvers.schur import (
+    back_substitute,
+    stereo_normal_equations,
+    stereo_residuals,
+    subtract_landmarks,
+)
+from polhode.lie import Array, right_jacobian_so3
+
+ITERATION_LIMIT = "limit of iterations (backend.max_iterations)"
+TIME_LIMIT = "limit of time (backend.max_seconds)"
+TOLERANCE = 1e-8
+"""Relative decrease of the cost that ends the iterations."""
+AT_REST, REST_ITERATIONS = 1e-6, 8
+"""So many iterations in a row with a smaller relative decrease end them too: what is left is a valley along
+which the data tell nothing."""
+SHORTER, ENOUGH = (0.5, 0.25, 0.125, 0.0625), 0.1
+"""Parts of a step that are tried, and the share of the decrease by the slope that each must bring."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a solver hands back; the grid of solvers shares it."""
+
+    x: Array
+    """vector of the unknowns around the reference that was held"""
+    cost: float
+    iterations: int
+    converged: bool
+    message: str
+
+
+@dataclass
+class NormalEquations:
+    """Gauss-Newton system at a point: dense part (states and constants), landmarks, coupling."""
+
+    H: Array
+    """(n, n) lower triangle valid, landmarks not yet eliminated"""
+    g: Array
+    """(n,) gradient"""
+    C: Array
+    """(L, 3, 3)"""
+    h: Array
+    """(L, 3) gradient of the landmarks"""
+    E: Array
+    """(M, 6, 3)"""
+    cost: float
+    n_state: int = N_STATE
+    """Numbers of a frame in H and g"""
+
+
+class GaussNewton:
+    """Solver of the weighted problem that ``program.MotionProgram`` states; kernels are built once."""
+
+    name = "gauss_newton"
+
+    def __init__(self, data: MotionData, with_dynamics: bool = True, line_search: bool = False) -> None:
+        """line_search: a step that goes too far is made shorter before it is damped.
+
+        Damping bends a step out of the valley along which the constants must move: from a cold start
+        shorter steps take half to a sixth of the iterations. The brief solves of ``trials`` know damping
+        alone.
+        """
+        self.data = data
+        self.with_dynamics = with_dynamics
+        self.line_search = line_search
+        self._prior = prior_kernel(data.form)
+
+    def solve(self, held: Held, x: Array, max_iterations: int, max_seconds: float = np.inf) -> Solution:
+        """Minimise from x; each iteration one damped step."""
+        begin = perf_counter()
+        damping = Damping()
+        system = self.normal_equations(held, x)
+        converged, iteration, resting = False, 0, 0
+        for iteration in range(1, max_iterations + 1):
+            found = self._descend(held, x, system, damping)
+            if found is None:
+                return Solution(x, system.cost, iteration, True, "no further decrease")
+            x, cost, damping = found
+            decrease = system.cost - cost
+            resting = resting + 1 if decrease <= AT_REST * cost else 0
+            if decrease <= TOLERANCE * max(cost, 1.0) or resting >= REST_ITERATIONS:
+                converged = True
+                break
+            damping = damping.less()
+            if perf_counter() - begin > max_seconds:
+                return Solution(x, float(cost), iteration, False, TIME_LIMIT)
+            if iteration < max_iterations:
+                system = self.normal_equations(held, x)
+        return Solution(x, float(cost), iteration, converged, "converged" if converged else ITERATION_LIMIT)
+
+    def _descend(
+        self, held: Held, x: Array, system: NormalEquations, damping: Damping
+    ) -> tuple[Array, float, Damping] | None:
+        """A point of no higher cost, that cost and the damping that led there; None when there is none."""
+        trials, refused = [damping], 0
+        while trials:
+            best, least = None, system.cost * (1.0 + 1e-13)
+            for trial in trials:
+                step = self._step(system, trial)
+                candidate, cost = x + step, self._cost_there(held, x + step)
+                if self.line_search and refused == 0 and not cost <= least:
+                    candidate, cost = self._shorter(held, x, system, step)
+                if np.isfinite(cost) and cost <= least:
+                    best, least = (candidate, float(cost), trial), cost
+            if best is not None:
+                return best
+            refused += 1
+            trials = damping.more(refused)
+            if held.reference.wrench is not None:
+                # a wrench's unknowns bend the valley too: firm states alone follow it
+                trials = [trial for trial in trials if trial.of_constants == 0.0]
+        return None
+
+    def _shorter(self, held: Held, x: Array, system: NormalEquations, step: Array) -> tuple[Array, float]:
+        """The longest of SHORTER parts of a step that decreases the cost enough (Armijo); else no cost."""
+        slope = float(system.g @ step[: len(system.g)] + system.h.ravel() @ step[len(system.g) :])
+        for length in SHORTER:
+            cost = self._cost_there(held, x + length * step)
+            if cost <= system.cost + ENOUGH * length * slope:
+                return x + length * step, cost
+        return x, np.inf
+
+    def _cost_there(self, held: Held, x: Array) -> float:
+        """The objective where a wild step may have left the range of the exponential: refused like any."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.cost(held, x)
+
+    def cost(self, held: Held, x: Array) -> float:
+        """The objective."""
+        residuals, _ = self.residuals(held, x)
+        total = robust_cost(np.sum(residuals**2, axis=1), self.data.robust_scale)
+        n = held.reference.n_states
+        total += self.dynamics_cost(held, x)
+        total += float(self._prior(x[n : n + 8], held.prior)[0])
+        total += self.camera_cost(held, x) + self.wrench_cost(held, x)
+        return total + 0.5 * float(np.sum(held.gauge_information * self._gauge_offset(held, x) ** 2))
+
+    def dynamics_cost(self, held: Held, x: Array) -> float:
+        """The part of the objective that the dynamics contribute."""
+        if not self.with_dynamics:
+            return 0.0
+        states, at = self.states(held, x)
+        residuals = dynamics_residuals(states, held.steps, at.J_G(self.data.form))
+        return 0.5 * float(np.sum(residuals**2))
+
+    def camera_cost(self, held: Held, x: Array) -> float:
+        """The part of the objective that the errors of the camera's pose contribute."""
+        return 0.5 * float(np.sum(held.camera_information * camera_errors(held, x) ** 2))
+
+    def wrench_cost(self, held: Held, x: Array) -> float:
+        """The part of the objective that what is known of a wrench's unknowns contributes."""
+        return 0.5 * float(np.sum(self._wrench(held, x)[0] ** 2))
+
+    def prior_information(self, held: Held, x: Array) -> Array:
+        """Gauss-Newton Hessian (8, 8) of the weak prior on com_G and xi; (19, 19) with a known wrench."""
+        n, c = held.reference.n_states, held.reference.n_constants
+        cols, rows = np.tril_indices(N_CONSTANTS)
+        block = np.zeros((c, c))
+        block[rows, cols] = block[cols, rows] = np.asarray(self._prior(x[n : n + 8], held.prior)[2]).ravel()
+        logs = np.array([LN_SCALE, LN_MASS]) + N_CONSTANTS if c > N_CONSTANTS else np.zeros(0, dtype=int)
+        block[logs, logs] = LN_PRIOR**-2
+        return block
+
+    def residuals(self, held: Held, x: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+        """Whitened stereo residuals (M, 3), and A (F, 3, 3), p_NG (F, 3), p_G (L, 3) at x."""
+        d = self.data
+        at = held.reference.moved_to(x)
+        A = d.R_RN @ at.R_NG
+        p_NG, p_G = np.ascontiguousarray(at.p_NG), np.ascontiguousarray(at.p_G)
+        r = stereo_residuals(d.frame, d.landmark, d.uvd_px, d.inv_sigma, d.rig, A, d.R_RN, d.t_R, p_NG, p_G)
+        return r, (A, p_NG, p_G)
+
+    def normal_equations(
+        self, held: Held, x: Array, weight: Array | None = None, prior: bool = True
+    ) -> NormalEquations:
+        """Linearise at x; robust weights unless given (M,). ``prior=False`` leaves prior and gauge out."""
+        d, s, n_states = self.data, held.reference.n_state, held.reference.n_states
+        r, (A, p_NG, p_G) = self.residuals(held, x)
+        squares = np.sum(r**2, axis=1)
+        # the kernel's curvature speeds up the solution; information given from outside has none
+        w = robust_weight(squares, d.robust_scale) if weight is None else weight
+        bend = kernel_bend(squares, d.robust_scale) if weight is None else np.zeros_like(squares)
+        theta = x[:n_states].reshape(-1, s)[:, 3:6]
+        H6, g6, C, h, E = stereo_normal_equations(
+            d.frame,
+            d.landmark,
+            d.inv_sigma,
+            d.rig,
+            A,
+            d.R_RN,
+            d.t_R,
+            p_NG,
+            p_G,
+            right_jacobian_so3(theta),
+            r,
+            w,
+            bend,
+        )
+        n = held.reference.n_dense
+        H, g, total = np.zeros((n, n)), np.zeros(n), robust_cost(squares, d.robust_scale)
+        for k in range(d.n_frames):
+            H[s * k : s * k + 6, s * k : s * k + 6] += H6[k]
+            g[s * k : s * k + 6] += g6[k]
+        total += self._add_dynamics(held, x, H, g)
+        total += self._add_camera(held, x, H, g)
+        total += self._add_wrench(held, x, H, g, prior)
+        if prior:
+            total += self._add_prior(held, x, H, g)
+        untouched = np.diagonal(H) == 0.0
+        H[untouched, untouched] = 1.0
+        return NormalEquations(H, g, C, h, E, total, s)
+
+    def reduced(self, system: NormalEquations, damping: float = 0.0) -> tuple[Array, Array, Array]:
+        """Eliminate the landmarks: S (n, n) lower, gradient (n,), C^-1 (L, 3, 3)."""
+        C_inv = self._inverse_landmarks(system, damping)
+        S, g = system.H.copy(), system.g.copy()
+        S[np.diag_indices_from(S)] *= 1.0 + damping
+        subtract_landmarks(S, g, self.data.frame, self.data.start, system.E, C_inv, system.h, system.n_state)
+        return S, g, C_inv
+
+    @staticmethod
+    def _inverse_landmarks(system: NormalEquations, damping: float) -> Array:
+        C = system.C + (damping + 1e-12) * np.eye(3) * np.trace(system.C, axis1=1, axis2=2)[:, None, None]
+        return np.asarray(np.linalg.inv(C))
+
+    def _step(self, system: NormalEquations, damped: Damping) -> Array:
+        d, damping = self.data, damped.of_all
+        while True:
+            try:
+                C_inv = self._inverse_landmarks(system, damping)
+                chain = eliminate_chain(system.H, system.g, d.n_frames, system.n_state, damping)
+                S, g = chain.dense, chain.dense_gradient
+                at = POSE * d.n_frames + np.arange(N_CONSTANTS)
+                S[at, at] += damped.of_constants / CONSTANT_SCALE**2
+                subtract_landmarks(S, g, d.frame, d.start, system.E, C_inv, system.h, POSE)
+                step = solve_with_chain(chain, system.n_state)
+                break
+            except LinAlgError:
+                damping = max(damping, 1e-8) * 10.0
+        marks = back_substitute(step, d.frame, d.start, system.E, C_inv, -system.h, system.n_state)
+        return np.concatenate([step, marks.ravel()])
+
+    def _add_dynamics(self, held: Held, x: Array, H: Array, g: Array) -> float:
+        if not self.with_dynamics:
+            return 0.0
+        states, at = self.states(held, x)
+        form = self.data.form
+        dJ = inertia_derivative(form, at.xi, at.R_inertia)
+        residual, jacobian = dynamics_jacobians(states, held.steps, at.J_G(form), dJ)
+        add_steps(H, g, residual, jacobian, at.n_state)
+        return 0.5 * float(np.sum(residual**2))
+
+    def states(self, held: Held, x: Array) -> tuple[States, Iterate]:
+        """The states as the dynamics read them, and the iterate, at x."""
+        at = held.reference.moved_to(x)
+        of_frames = x[: at.n_states].reshape(-1, at.n_state)
+        return States(of_frames, at.R_NG, self.data.camera_N, at.com_G, at.wrench, at.R_torque), at
+
+    def _add_camera(self, held: Held, x: Array, H: Array, g: Array) -> float:
+        error = camera_errors(held, x)
+        slots = np.arange(len(error))[:, None] * held.reference.n_state + N_STATE + np.arange(N_CAMERA)
+        if len(error):
+            H[slots, slots] += held.camera_information
+            g[slots] += held.camera_information * error
+        return self.camera_cost(held, x)
+
+    def _wrench(self, held: Held, x: Array) -> tuple[Array, Array]:
+        at, form = held.reference.moved_to(x), self.data.form
+        if at.wrench is None or at.R_torque is None:
+            return np.zeros(0), np.zeros((0, N_INERTIA))
+        dJ = inertia_derivative(form, at.xi, at.R_inertia)
+        return wrench_residual(at.J_G(form), dJ, at.wrench, at.R_torque, held.bias_sigma)
+
+    def _add_wrench(self, held: Held, x: Array, H: Array, g: Array, prior: bool) -> float:
+        residual, jacobian = self._wrench(held, x)
+        if not prior:
+            # the logarithms stand last
+            residual, jacobian = residual[:-2], jacobian[:-2]
+        at = slice(held.reference.n_states + 3, held.reference.n_states + 3 + jacobian.shape[1])
+        H[at, at] += jacobian.T @ jacobian
+        g[at] += jacobian.T @ residual
+        return 0.5 * float(np.sum(residual**2))
+
+    def _add_prior(self, held: Held, x: Array, H: Array, g: Array) -> float:
+        n = held.reference.n_states
+        cost, gradient, _ = self._prior(x[n : n + 8], held.prior)
+        H[n : n + 8, n : n + 8] += self.prior_information(held, x)[:8, :8]
+        g[n : n + 8] += np.asarray(gradient).ravel()
+        offset = self._gauge_offset(held, x)
+        H[np.arange(6), np.arange(6)] += held.gauge_information
+        g[:6] += held.gauge_information * offset
+        return float(cost) + 0.5 * float(np.sum(held.gauge_information * offset**2))
+
+    def _gauge_offset(self, held: Held, x: Array) -> Array:
+        return np.concatenate([x[:3] - held.reference.p_NG[0], x[3:6]])
+
+
+def camera_errors(held: Held, x: Array) -> Array:
+    """Errors (F, 6) of the camera's stated poses in the unknowns x; (0, 6) where these are exact."""
+    s = held.reference.n_state
+    if s == N_STATE:
+        return np.zeros((0, N_CAMERA))
+    return np.asarray(x[: held.reference.n_states].reshape(-1, s)[:, N_STATE:])
+
+
+def robust_cost(s: Array, scale: float) -> float:
+    """Cauchy: sum of 0.5 c^2 ln(1 + s / c^2) over squared norms s (M,)."""
+    return float(0.5 * scale**2 * np.log1p(s / scale**2).sum())
+
+
+def robust_weight(s: Array, scale: float) -> Array:
+    """Derivative of the Cauchy kernel: 1 / (1 + s / c^2)."""
+    return np.asarray(1.0 / (1.0 + s / scale**2))

@@ -1,0 +1,252 @@
+"""The whole optimisation problem as a CasADi nonlinear program, solved by IPOPT."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from polhode.backend.dynamics.kernels import (
+    N_CAMERA,
+    N_CONSTANTS,
+    N_STATE,
+    Output,
+    hold_kernel,
+    prior_kernel,
+    wrench_kernel,
+)
+from polhode.backend.dynamics.step_kernels import StepLayout, dynamics_kernel
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import Held, MotionData, series_groups
+from polhode.backend.solvers.assembly import gather, scatter, upper_keys, upper_sparsity
+from polhode.backend.solvers.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, Solution
+from polhode.backend.solvers.stereo_terms import FromOutside, StereoTerms
+from polhode.lie import Array
+from polhode.quaternion import wxyz_from_matrix
+from polhode.records import Ints
+
+GOOD = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
+"""What IPOPT calls an optimum."""
+IN_WORDS = {
+    "Solve_Succeeded": "converged",
+    "Solved_To_Acceptable_Level": "converged to the acceptable tolerance",
+    "Search_Direction_Becomes_Too_Small": "converged: no further decrease",
+    "Maximum_Iterations_Exceeded": ITERATION_LIMIT,
+    "Maximum_WallTime_Exceeded": TIME_LIMIT,
+}
+TOLERANCE = 1e-3
+"""Largest gradient at the end, where whitened residuals are of order one."""
+COST_AT_REST = 1e-7
+"""Relative change of the cost that ends the iterations when it is not exceeded three times in a row."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """Expressions of one kernel over its data, and the unknowns (n, width) that each application reads."""
+
+    slots: Ints
+    cost: Any
+    gradient: Any = None
+    hessian: Any = None
+
+
+class MotionProgram:
+    r"""Full smoothing of a tumbling rigid body (thesis eqs. 4.77-4.108), stated once.
+
+    Unknowns ``x``, s F + c + 3 L numbers: for each frame k the pose of the geometric frame ``p_k``,
+    ``theta_k`` (attitude R_k = R_ref,k Exp(theta_k)), the velocity ``v_k`` of the centre of mass and the
+    angular velocity ``w_k`` in G (s = 12), and where the camera's stated poses are noisy their errors
+    ``b_k``, ``alpha_k`` (s = 18); the constants ``com`` and ``xi`` (inertia up to scale, ``inertia.py``;
+    c = 8), and where forces or torques are known mass, scale, biases and the torque's axes (``wrench.py``;
+    c = 19); landmarks ``l_j`` in G.
+
+    minimise over x, without constraints::
+
+        sum_(k,j) rho(|| Sigma_kj^-1/2 (uvd_kj - project(R_RN,k (R_k l_j + p_k) + t_R,k)) ||^2)     stereo
+      + 1/2 sum_k || Lambda_k^-1/2 [ r_k+1 - r_k - dt v_k;  v_k+1 - v_k;                            dynamics
+                                     Log(dR_k^T R_k^T R_k+1);  w_k+1 - w'_k ] ||^2
+      + 1/2 || (com - middle) / s ||^2 + 1/2 || 3 Sigma(xi) / tr Sigma(xi) - I ||^2              weak prior
+      + 1/2 || (p_0 - p_ref,0, theta_0) / gauge ||^2                                           frame G held
+      + 1/2 sum_k || (b_k / sigma_p, alpha_k / sigma_theta) ||^2                              camera's poses
+      + 1/2 || products of inertia in the torque's axes, biases, logarithms ||^2                known wrench
+
+    where r_k = p_k + R_k com; with a noisy camera at c_k the dynamics have Exp(alpha_k) R_k for R_k and
+    c_k + b_k + Exp(alpha_k) (r_k - c_k) for r_k: vision sees from the stated pose, mechanics acts on the true
+    one; dR_k, w'_k solve Euler's equation J(xi) w' = -w x J(xi) w over dt from w_k (Taylor series),
+    with a known torque over the scale added, and force over mass in the translation;
+    rho(s) = c^2/2 ln(1 + s/c^2); Lambda_k solves the Lyapunov equation (4.58) at that rate.
+    R_ref, Lambda, middle and the gauge are parameters, renewed between solves (``problem.hold``).
+
+    Each term of the dynamics and the priors is a small kernel that returns cost, gradient and Gauss-Newton
+    Hessian; constant sparse matrices scatter the stacked blocks into the program's gradient and Hessian. The
+    stereo terms come from compiled loops (``stereo_terms.py``). CasADi never differentiates the whole.
+    """
+
+    name = "ipopt"
+
+    def __init__(self, data: MotionData) -> None:
+        self.data = data
+        self._series: Ints = np.zeros(0, dtype=np.int64)
+        self._solver: Any = None
+        # CasADi holds only a weak hand on them
+        self._outside: list[FromOutside] = []
+
+    def solve(self, held: Held, x: Array, max_iterations: int, max_seconds: float = np.inf) -> Solution:
+        """Minimise from x. The program is built at the first call, and when a step needs more series."""
+        if self._solver is None or np.any(held.steps.series > self._series):
+            series = held.steps.series
+            self._series = np.maximum(series, self._series) if self._solver else series
+            layout = Layout(held.reference, int(self._series.max()))
+            self._solver = self.build(layout, max_iterations, max_seconds)
+        result = self._solver(x0=x, p=program_parameters(self.data, held, self._series))
+        stats = self._solver.stats()
+        status = str(stats["return_status"])
+        good, message = status in GOOD, IN_WORDS.get(status, status)
+        return Solution(
+            np.asarray(result["x"]).ravel(), float(result["f"]), int(stats["iter_count"]), good, message
+        )
+
+    def build(self, layout: "Layout", max_iterations: int, max_seconds: float) -> Any:
+        """The solver, ready to be called with start and parameters."""
+        stereo = StereoTerms(self.data, layout.n_state, layout.n_dense)
+        n_x, n_attitudes = stereo.n_x, 9 * self.data.n_frames
+        x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", layout.n_p)
+        keys = stereo.keys()
+        sizes = (n_x, n_attitudes)
+        functions = ((stereo.cost, 1), (stereo.gradient, n_x), (stereo.hessian, len(keys)))
+        self._outside = [FromOutside(f.__name__, f, sizes, n_out) for f, n_out in functions]
+        of_stereo = [outside(x, p[:n_attitudes]) for outside in self._outside]
+        cost = of_stereo[0] + sum(ca.sum2(term.cost) for term in self.terms(x, p, layout, "cost"))
+
+        terms = self.terms(x, p, layout, "gradient")
+        slots = np.concatenate([term.slots.ravel() for term in terms])
+        gradient = of_stereo[1] + scatter(slots, n_x) @ ca.vertcat(*[ca.vec(term.gradient) for term in terms])
+
+        terms = self.terms(x, p, layout, "quadratic")
+        keys = np.concatenate([keys, *[upper_keys(term.slots, n_x) for term in terms]])
+        cells, position = np.unique(keys, return_inverse=True)
+        blocks = ca.vertcat(of_stereo[2], *[ca.vec(term.hessian) for term in terms])
+        values = scatter(position, len(cells)) @ blocks
+        sparsity = upper_sparsity(cells, n_x)
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
+        grad_f = ca.Function("nlp_grad_f", [x, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
+        hess = ca.Function(
+            "nlp_hess_l",
+            [x, p, lam_f, lam_g],
+            [ca.MX(sparsity, lam_f * values)],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
+        )
+        options = {**self.options(max_iterations, max_seconds), "grad_f": grad_f, "hess_lag": hess}
+        problem: Any = {"x": x, "p": p, "f": cost}
+        return ca.nlpsol("motion", "ipopt", problem, options)
+
+    def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
+        """Of CasADi and IPOPT, without the derivatives."""
+        return {
+            "no_nlp_grad": True,
+            "calc_lam_p": False,
+            "print_time": False,
+            "error_on_fail": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "linear_solver": "mumps",
+                "max_iter": max_iterations,
+                "max_wall_time": float(np.clip(max_seconds, 1e-6, 1e6)),
+                "tol": TOLERANCE,
+                "dual_inf_tol": TOLERANCE,
+                # In the flat valley of an undetermined motion gradients stay large while the cost rests.
+                "acceptable_tol": 1e8,
+                "acceptable_iter": 3,
+                "acceptable_obj_change_tol": COST_AT_REST,
+                "nlp_scaling_method": "none",
+            },
+        }
+
+    def terms(self, x: Any, p: Any, at: "Layout", output: Output) -> list[Term]:
+        """Kernels mapped over their data: dynamics by number of series, priors, what is held."""
+        d, s, step = self.data, at.n_state, at.step
+        of_constants = s * d.n_frames + np.arange(step.n_constants)
+        terms = []
+        for series, index in series_groups(self._series):
+            states = s * index[:, None] + np.arange(2 * s)
+            constants = np.broadcast_to(of_constants, (len(index), step.n_constants))
+            slots = np.concatenate([states, constants], axis=1)
+            arguments = [
+                gather(x, slots),
+                gather(p, at.steps + step.n_p * index[:, None] + np.arange(step.n_p)),
+            ]
+            if step.pushed:
+                torque = gather(p, at.torque + at.n_torque * index[:, None] + np.arange(6 * series))
+                arguments.append(ca.reshape(torque, 6, series * len(index)))
+            kernel = dynamics_kernel(d.form, series, output, step).map(len(index))
+            terms.append(Term(slots, *kernel.call(arguments)))
+        body = of_constants[None, :N_CONSTANTS]
+        prior = prior_kernel(d.form, output)
+        terms.append(Term(body, *prior.call([gather(x, body), p[at.prior : at.prior + 13]])))
+        hold = hold_kernel(output)
+        gauge = np.arange(6)[None]
+        terms.append(Term(gauge, *hold.call([gather(x, gauge), p[at.gauge : at.gauge + 12]])))
+        if s > N_STATE:
+            errors = s * np.arange(d.n_frames)[:, None] + N_STATE + np.arange(N_CAMERA)
+            held = ca.repmat(p[at.camera : at.camera + 12], 1, d.n_frames)
+            terms.append(Term(errors, *hold.map(d.n_frames).call([gather(x, errors), held])))
+        if step.pushed:
+            unknowns, wrench = of_constants[None, 3:], wrench_kernel(d.form, output)
+            terms.append(Term(unknowns, *wrench.call([gather(x, unknowns), p[at.wrench : at.wrench + 20]])))
+        return terms
+
+
+class Layout:
+    """Where each kind of unknown and of parameter begins in the program's vectors; attitudes A are first."""
+
+    def __init__(self, reference: Iterate, most_series: int) -> None:
+        self.n_state, self.n_dense, n = reference.n_state, reference.n_dense, reference.n_frames
+        self.step = StepLayout(reference.n_state, reference.wrench is not None)
+        self.n_torque = 6 * most_series if self.step.pushed else 0
+        self.steps = 9 * n
+        self.torque = self.steps + self.step.n_p * (n - 1)
+        self.prior = self.torque + self.n_torque * (n - 1)
+        self.gauge = self.prior + 13
+        self.camera = self.gauge + 12
+        self.wrench = self.camera + 12
+        self.n_p = self.wrench + 20
+
+
+def program_parameters(data: MotionData, held: Held, series: Ints) -> Array:
+    """Values of the parameters, as ``Layout`` orders them."""
+    reference = held.reference
+    torque, wrench = np.zeros(0), np.zeros(20)
+    if reference.wrench is not None and reference.R_torque is not None and data.impulses is not None:
+        # by columns: each series has its six numbers together
+        torque = data.impulses.torque(series).ravel()
+        axes = [reference.R_inertia.T.ravel(), reference.R_torque.T.ravel()]
+        wrench = np.concatenate([*axes, held.bias_sigma])
+    return np.concatenate(
+        [
+            np.swapaxes(held.A, 1, 2).ravel(),
+            dynamics_parameters(data, held).ravel(),
+            torque,
+            held.prior,
+            *(reference.p_NG[0], np.zeros(3), held.gauge_information),
+            *(np.zeros(N_CAMERA), held.camera_information),
+            wrench,
+        ]
+    )
+
+
+def dynamics_parameters(data: MotionData, held: Held) -> Array:
+    """Parameters (F - 1, n_p) of the steps, as ``step_kernels.StepLayout`` orders them."""
+    at, W_t, n = held.reference, held.steps.W_t, data.n_frames - 1
+    by_columns = np.swapaxes(at.R_NG, 1, 2).reshape(-1, 9)
+    inertia = np.broadcast_to(at.R_inertia.T.ravel(), (n, 9))
+    q01 = wxyz_from_matrix(np.swapaxes(at.R_NG[:-1], 1, 2) @ at.R_NG[1:])
+    lower = np.stack([W_t[:, 0, 0], W_t[:, 1, 0], W_t[:, 1, 1]], axis=1)
+    whiten = np.swapaxes(held.steps.W_r, 1, 2).reshape(-1, 36)
+    columns = [by_columns[:-1], by_columns[1:], inertia, q01, data.dt_s[:, None], lower, whiten]
+    if at.n_state > N_STATE:
+        columns += [data.camera_N[:-1], data.camera_N[1:]]
+    if at.R_torque is not None and held.steps.of_force is not None:
+        columns += [np.broadcast_to(at.R_torque.T.ravel(), (n, 9)), held.steps.of_force.reshape(n, 6)]
+    return np.concatenate(columns, axis=1)

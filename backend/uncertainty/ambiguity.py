@@ -1,0 +1,100 @@
+"""Two motions that fit alike: the target may turn one way between frames or the other.
+
+The shorter turns are reported, as every sampled signal is read; rates, inertia and axes then rest on that
+assumption and not on the data, so they count as not determined.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polhode.backend.initialization.multistart import Trial
+from polhode.backend.initialization.rotation_direction import THE_OTHER_WAY
+from polhode.backend.uncertainty.covariance import with_infinite
+from polhode.lie import Array
+from polhode.records import MotionEstimate
+
+AS_GOOD = 0.02
+"""Relative difference of the misfit that does not decide: a wrong sense of a tumble costs several times the
+misfit, and what is small beside it may come from the noise model."""
+TOO_FAR_DEG, FAR_DEG = 225.0, 150.0
+"""Turns beyond the first may be a revolution off as well: no sense that fits is believed. From the second on
+a sense is believed only if it leaves the disturbances about as small as stated."""
+OPEN = "not determined: another motion, which turns the other way round between frames, fits as well"
+OF_STATE = np.r_[np.zeros(6, dtype=np.bool_), np.ones(6, dtype=np.bool_)]
+"""Attitude and rate."""
+OF_JOINT = np.r_[OF_STATE, np.ones(5, dtype=np.bool_), np.zeros(3, dtype=np.bool_)]
+"""These and the inertia, of state, inertia and centre of mass."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The hypothesis that was taken, and median turns [deg] of it and of one that fits alike."""
+
+    name: str
+    turns_deg: tuple[float, float] | None
+
+
+def choose(trials: dict[str, Trial], dt_s: Array) -> Choice:
+    """The best hypothesis; of two senses that fit alike, the one with the shorter turns. dt_s (F - 1,)."""
+    bests = []
+    for other in (False, True):
+        names = [name for name in trials if name.endswith(THE_OTHER_WAY) == other]
+        bests += [min(names, key=lambda name: trials[name].cost)] if names else []
+    # the normalisation differs with the rate: it may not decide between two
+    bests.sort(key=lambda name: trials[name].misfit)
+    if len(bests) < 2 or trials[bests[1]].misfit > (1.0 + AS_GOOD) * trials[bests[0]].misfit:
+        return Choice(bests[0], None)
+    turns = {name: _turn_deg(trials[name], dt_s) for name in bests}
+    short, far = sorted(bests, key=lambda name: turns[name])
+    return Choice(short, (turns[short], turns[far]))
+
+
+def _turn_deg(trial: Trial, dt_s: Array) -> float:
+    return float(np.rad2deg(np.median(np.linalg.norm(trial.iterate.w_G[:-1], axis=1) * dt_s)))
+
+
+def open_turns_deg(
+    choice: Choice, trial: Trial, dt_s: Array, much_disturbed: bool
+) -> tuple[float, float] | None:
+    """Median turns [deg] of the motion and of the one that it is not told from; None: it is told."""
+    turn = _turn_deg(trial, dt_s)
+    if choice.turns_deg is None and (turn > TOO_FAR_DEG or (much_disturbed and turn > FAR_DEG)):
+        return turn, abs(360.0 - turn)
+    return choice.turns_deg
+
+
+def with_open_sense(estimate: MotionEstimate, turns_deg: tuple[float, float]) -> MotionEstimate:
+    """The estimate with what hangs on the sense of the turns called undetermined, and a warning."""
+    known, mass = estimate.mass.identifiable, estimate.mass
+    detail = {
+        name: OPEN if name.startswith(("k", "axes")) and not text.startswith("not") else text
+        for name, text in known.detail.items()
+    }
+    known = replace(
+        known,
+        k1=False,
+        k2=False,
+        axes=False,
+        axes_P=np.zeros(3, dtype=np.bool_),
+        detail=detail,
+        sigma=np.where(np.arange(8) < 3, known.sigma, np.inf),
+    )
+    mass = replace(
+        mass,
+        cov_k=with_infinite(mass.cov_k, np.ones(2, dtype=np.bool_)),
+        cov_J=with_infinite(mass.cov_J, np.ones(5, dtype=np.bool_)),
+        cov_R_GP=with_infinite(mass.cov_R_GP, np.ones(3, dtype=np.bool_)),
+        identifiable=known,
+    )
+    warning = (
+        f"the sense of the rotation is ambiguous: {turns_deg[0]:.0f} degrees between frames, as reported, or "
+        f"{turns_deg[1]:.0f} the other way round; a higher frame rate would tell"
+    )
+    return replace(
+        estimate,
+        covariance=np.stack([with_infinite(state, OF_STATE) for state in estimate.covariance]),
+        covariance_last_joint=with_infinite(estimate.covariance_last_joint, OF_JOINT),
+        mass=mass,
+        warnings=(*estimate.warnings, warning),
+    )

@@ -1,0 +1,275 @@
+"""Covariance of everything reported, from the Gauss-Newton information at the solution.
+
+The information is singular: G and its landmarks may move together. G is held at its true first pose.
+What does not depend on that choice (r_N, v_N, the attitude of the principal axes, w_P) gets its absolute
+covariance: the camera's frame is known; with G held, the landmarks carry the uncertainty of the first pose.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotri
+
+from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
+from polhode.backend.dynamics.residuals import States, state_derivatives
+from polhode.backend.problem.inertia import InertiaForm, inertia_from_second_moments, principal_axes
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import Held
+from polhode.backend.problem.wrench import LN_MASS, LN_SCALE, TURN
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.kernel_scale import efficiency
+from polhode.backend.solvers.schur import landmark_covariances, mirror
+from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
+from polhode.records import Bools
+
+N_GAUGE = 6
+SMALLEST_GAP = 1e-6
+"""Least difference of two moments (middle one 1) in the derivative of the axes."""
+
+
+@dataclass(frozen=True)
+class Marginals:
+    """Joint covariance of states and constants, those of the landmarks, information of the constants."""
+
+    dense: Array
+    """(s F + 8, s F + 8); zero for the first pose, where the camera's is exact"""
+    landmarks: Array
+    """(L, 3, 3) [m^2]"""
+    constants_information: Array
+    """(8, 8) of com_G and xi, everything else eliminated, without prior"""
+    wrench_information: Array | None
+    """(2, 2) of the logarithms of the inertia's scale and of the mass, everything else eliminated"""
+    response: Array
+    """(s F, 8) how the states follow when com_G and xi are changed and everything else is fitted again"""
+
+
+def marginals(solver: GaussNewton, held: Held, x: Array, weight: Array) -> Marginals:
+    """Invert the information at x; weight (M,) is the information that each observation contributes."""
+    bare = solver.normal_equations(held, x, weight, prior=False)
+    S, _, C_inv = solver.reduced(bare)
+    mirror(S)
+    n, n_states, first = len(S), held.reference.n_states, N_GAUGE
+    follow = _first_pose_follows(held.reference.moved_to(x), solver.data.camera_N)
+    _substitute_first_pose(S, follow)
+    of_states = np.asfortranarray(S[first:n_states, first:n_states])
+    factor = cho_factor(of_states, lower=True, overwrite_a=True, check_finite=False)
+    response = np.zeros((n_states, n - n_states))
+    response[first:] = -cho_solve(factor, S[first:n_states, n_states:], check_finite=False)
+    information = S[n_states:, n_states:] + S[n_states:, first:n_states] @ response[first:]
+    information = 0.5 * (information + information.T)
+    prior = solver.prior_information(held, x)
+    constants = np.linalg.inv(information + prior)
+    dense = np.zeros((n, n))
+    dense[first:n_states, first:n_states] = _inverse(factor[0])
+    mirror(dense[first:n_states, first:n_states])
+    dense[first:n_states, first:n_states] += (response[first:] @ constants) @ response[first:].T
+    dense[:n_states, n_states:] = response @ constants
+    dense[n_states:, :n_states] = dense[:n_states, n_states:].T
+    dense[n_states:, n_states:] = constants
+    errors = slice(N_STATE, N_STATE + follow.shape[1])
+    response[:first] = follow @ response[errors]
+    dense[:first] = follow @ dense[errors]
+    dense[:, :first] = dense[:, errors] @ follow.T
+    d = solver.data
+    marks = landmark_covariances(dense, d.frame, d.start, bare.E, C_inv, bare.n_state)
+    return _with_constants(dense, marks, information, prior, response)
+
+
+def _with_constants(
+    dense: Array, marks: Array, information: Array, prior: Array, response: Array
+) -> Marginals:
+    """What is known of com_G and xi, and of mass and scale, each with all other constants eliminated."""
+    if len(information) == N_CONSTANTS:
+        return Marginals(dense, marks, information, None, response)
+    at = np.arange(len(information))
+    body, rest = at[:N_CONSTANTS], at[N_CONSTANTS:]
+    # the weak prior of the others: what a push does not show must not make the matrix singular
+    follow = -np.linalg.solve((information + prior)[np.ix_(rest, rest)], information[np.ix_(rest, body)])
+    of_body = information[np.ix_(body, body)] + information[np.ix_(body, rest)] @ follow
+    logs = N_CONSTANTS + np.array([LN_SCALE, LN_MASS])
+    others = np.setdiff1d(at, logs)
+    follow_logs = np.linalg.solve(
+        (information + prior)[np.ix_(others, others)], information[np.ix_(others, logs)]
+    )
+    of_logs = information[np.ix_(logs, logs)] - information[np.ix_(logs, others)] @ follow_logs
+    response = response[:, body] + response[:, rest] @ follow
+    return Marginals(dense, marks, 0.5 * (of_body + of_body.T), of_logs, response)
+
+
+def _first_pose_follows(iterate: Iterate, camera_N: Array) -> Array:
+    """How the first pose (6) moves with the errors (0 or 6) of the camera's, while the true one is held."""
+    if iterate.camera is None:
+        return np.zeros((N_GAUGE, 0))
+    alpha = iterate.camera[0, 3:]
+    turn, left = exp_so3(alpha), right_jacobian_so3(-alpha)
+    arm = turn @ (iterate.p_NG[0] - camera_N[0])
+    out = np.zeros((N_GAUGE, N_GAUGE))
+    out[0:3, 0:3], out[0:3, 3:6] = -turn.T, turn.T @ hat(arm) @ left
+    out[3:6, 3:6] = -(turn @ iterate.R_NG[0]).T @ left
+    return out
+
+
+def _substitute_first_pose(S: Array, follow: Array) -> None:
+    """Put the first pose's dependence on the camera's errors into the information S, in place."""
+    at = slice(N_STATE, N_STATE + follow.shape[1])
+    S[at] += follow.T @ S[:N_GAUGE]
+    S[:, at] += S[:, :N_GAUGE] @ follow
+
+
+def _inverse(cholesky: Array) -> Array:
+    """Inverse, lower triangle, of a matrix from its lower factor by columns, which is overwritten."""
+    inverse, _ = dpotri(cholesky, lower=1, overwrite_c=1)
+    return np.asarray(inverse)
+
+
+@dataclass(frozen=True)
+class AxesDerivative:
+    """Moments and axes of J_G with their derivatives in xi (delta method)."""
+
+    moments: Array
+    R_GP: Array
+    ratios: Array
+    """(2, 5) d(k1, k2) / d xi"""
+    axes: Array
+    """(3, 5) d theta / d xi, theta in R_GP Exp(theta)"""
+    ln_middle: Array = field(default_factory=lambda: np.zeros(5))
+    """(5,) d ln(middle moment of J of unit second moments) / d xi"""
+
+
+def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
+    """First-order change of moments and axes; nearly equal moments give large, finite derivatives.
+
+    Where a known torque acts its axes set the half-turn of the principal ones.
+    """
+    J = iterate.J_G(form)
+    moments, R = principal_axes(J)
+    if iterate.wrench is not None and iterate.R_torque is not None:
+        R = R @ _nearest_half_turn(R.T @ iterate.R_torque @ exp_so3(iterate.wrench[TURN]))
+    values = np.diag(R.T @ J @ R)
+    ratios, axes, ln_middle = np.zeros((2, 5)), np.zeros((3, 5)), np.zeros(5)
+    step = 1e-6
+    for n in range(5):
+        change = np.zeros(5)
+        change[n] = step
+        after = inertia_from_second_moments(form.second_moments(iterate.xi + change, iterate.R_inertia))
+        before = inertia_from_second_moments(form.second_moments(iterate.xi - change, iterate.R_inertia))
+        M = R.T @ (after - before) @ R / (2.0 * step)
+        relative = np.diag(M) / values
+        ratios[:, n] = relative[0] - relative[1], relative[1] - relative[2]
+        ln_middle[n] = relative[1]
+        axes[0, n] = M[2, 1] / _gap(values[1] - values[2], values[1])
+        axes[1, n] = -M[0, 2] / _gap(values[0] - values[2], values[1])
+        axes[2, n] = M[1, 0] / _gap(values[0] - values[1], values[1])
+    return AxesDerivative(moments, R, ratios, axes, ln_middle)
+
+
+def _nearest_half_turn(R: Array) -> Array:
+    """Of the identity and the half-turns about x, y, z, as diagonal matrices, the one nearest to R (3, 3)."""
+    signs = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+    return np.diag(signs[np.argmax(signs @ np.diag(R))])
+
+
+def _gap(difference: float, middle: float) -> float:
+    return max(difference, SMALLEST_GAP * middle)
+
+
+def body_jacobians(iterate: Iterate, camera_N: Array | None = None) -> Array:
+    """Derivative (F, 12, s + 8) of r_N, v_N, theta in R_NG Exp(theta), w_G of each frame, true poses.
+
+    In the s unknowns of the frame and in (com_G, xi). camera_N (F, 3), see MotionData, is needed when s = 18.
+    """
+    n, s = iterate.n_frames, iterate.n_state
+    numbers = iterate.vector()[: iterate.n_states].reshape(n, s)
+    states = States(numbers, iterate.R_NG, np.zeros((n, 3)) if camera_N is None else camera_N, iterate.com_G)
+    out = np.zeros((n, 12, s + N_CONSTANTS))
+    out[:, 0:3, :s], out[:, 6:9, :s] = state_derivatives(states)
+    out[:, 0:3, s : s + 3] = states.true_attitudes()
+    out[:, 3:6, 6:9] = out[:, 9:12, 9:12] = np.eye(3)
+    return out
+
+
+def state_jacobians(iterate: Iterate, derivative: AxesDerivative, camera_N: Array | None = None) -> Array:
+    """The same (F, 12, s + 8) of r_N, v_N, theta_P, w_P: attitude and rate of the principal axes."""
+    out, R_GP, s = body_jacobians(iterate, camera_N), derivative.R_GP, iterate.n_state
+    # R_NG Exp(theta_G) R_GP Exp(theta_GP), and w_P = (R_GP Exp(theta_GP))^T w_G
+    out[:, 6:9], out[:, 9:12] = R_GP.T @ out[:, 6:9], R_GP.T @ out[:, 9:12]
+    out[:, 6:9, s + 3 :] += derivative.axes
+    out[:, 9:12, s + 3 :] += hat(iterate.w_G @ R_GP) @ derivative.axes
+    return out
+
+
+def state_jacobian(iterate: Iterate, k: int, derivative: AxesDerivative) -> tuple[Array, Array]:
+    """The same of frame k alone, the camera's pose exact: in its 12 unknowns, and in (com_G, xi) (12, 8)."""
+    only = slice(k, k + 1)
+    frame = replace(
+        iterate,
+        p_NG=iterate.p_NG[only],
+        R_NG=iterate.R_NG[only],
+        v_N=iterate.v_N[only],
+        w_G=iterate.w_G[only],
+    )
+    own, constants = np.split(state_jacobians(frame, derivative)[0], [N_STATE], axis=1)
+    return own, constants
+
+
+def state_covariances(iterate: Iterate, m: Marginals, jacobians: Array) -> tuple[Array, Array]:
+    """Covariances (F, 12, 12) of the states, and the last one jointly with xi and com_G (20, 20).
+
+    jacobians (F, 12, s + 8) of the states in their own unknowns and the constants.
+    """
+    s, n = iterate.n_state, iterate.n_states
+    out = np.zeros((iterate.n_frames, 12, 12))
+    for k, T in enumerate(jacobians):
+        at = np.r_[s * k : s * k + s, n : n + N_CONSTANTS]
+        out[k] = T @ m.dense[np.ix_(at, at)] @ T.T
+    T = np.vstack([T, np.eye(s + N_CONSTANTS)[np.r_[s + 3 : s + 8, s : s + 3]]])
+    return out, np.asarray(T @ m.dense[np.ix_(at, at)] @ T.T)
+
+
+def pose_covariances(iterate: Iterate, m: Marginals) -> Array:
+    """Covariances (F, 6, 6) of X_NG, shift [m] and turn [rad] along G's axes: X_NG (Exp(turn) p_G + shift).
+
+    What all poses share moves the frame G and is no error of theirs: it is taken out, each frame counting
+    alike.
+    """
+    n, s = iterate.n_frames, iterate.n_state
+    turned = np.zeros((n, 6, 6))
+    turned[:, :3, :3], turned[:, 3:, 3:] = np.swapaxes(iterate.R_NG, 1, 2), np.eye(3)
+    to_mean = np.zeros((len(m.dense), 6))
+    for k, T in enumerate(turned):
+        to_mean[s * k : s * k + 6] = T.T / n
+    against_mean = m.dense @ to_mean
+    mean = to_mean.T @ against_mean
+    out = np.empty((n, 6, 6))
+    for k, T in enumerate(turned):
+        at = slice(s * k, s * k + 6)
+        shared = T @ against_mean[at]
+        out[k] = T @ m.dense[at, at] @ T.T - shared - shared.T + mean
+    return out
+
+
+def last_body_covariance(iterate: Iterate, m: Marginals, camera_N: Array | None = None) -> Array:
+    """Covariance (20, 20) of the last r_N, v_N, theta in R_NG Exp(theta), w_G, then xi, com_G.
+
+    Free of the principal axes, so it stays finite where they are undetermined; the prior bounds the rest.
+    """
+    return state_covariances(iterate, m, body_jacobians(iterate, camera_N))[1]
+
+
+def robust_information(s: Array, scale: float) -> Array:
+    """Information (M,) that each observation contributes under the Cauchy kernel, s its squared norm.
+
+    The kernel's efficiency, shared out in proportion to the weights.
+    """
+    w = 1.0 / (1.0 + s * (3.0 / max(float(np.mean(s)), 1e-12)) / scale**2)
+    return np.asarray(w / np.mean(w) * efficiency(s, scale))
+
+
+def with_infinite(covariance: Array, lost: Bools) -> Array:
+    """The covariance (n, n) with the components ``lost`` (n,) unknown: rows and columns 0, variances inf."""
+    out = covariance.copy()
+    out[lost, :] = 0.0
+    out[:, lost] = 0.0
+    out[lost, lost] = np.inf
+    return out

@@ -1,0 +1,132 @@
+"""What the motion determines: eigen-directions of the information of com_G and inertia, without prior.
+
+Scaled so that 1 means a centimetre of the centre of mass, 0.2 of k1 or k2, or 0.3 rad of the axes; a
+direction whose scaled standard deviation exceeds 0.3 is undetermined: 3 mm, 0.06, 5 degrees. What a spin
+without nutation hides comes out at 0.5 to 20 and more, what a tumble shows below 0.25
+(``tests/backend/test_identifiability.py`` holds such motions).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from polhode.backend.uncertainty.covariance import AxesDerivative
+from polhode.backend.uncertainty.equal_moments import of_free_turn, ratio_covariance
+from polhode.lie import Array
+from polhode.records import Bools, Identifiability
+
+SCALE = np.array([0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.3, 0.3])
+CONSTANT_SCALE = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1, 0.1, 0.1])
+"""Of com_G [m] and xi."""
+LIMIT = 0.3
+CAP = 10.0
+"""Scaled sigma that is enough to call a direction lost: keeps rounding from spreading it to the others."""
+NAMES = ("com_x", "com_y", "com_z", "k1", "k2", "axes_x", "axes_y", "axes_z")
+
+
+@dataclass(frozen=True)
+class Determined:
+    """The verdict, and the directions that are lost."""
+
+    record: Identifiability
+    lost: Array
+    """(8, m) unit scaled directions, as changes of (com_G, xi)"""
+    turned: Array
+    """(8, n) the same for each rotation of the axes that is undetermined"""
+
+    @property
+    def lost_constants(self) -> Bools:
+        """(8,) of com_G and xi, those in which a lost direction has a share."""
+        return np.asarray(np.abs(self.lost).max(axis=1, initial=0.0) > 0.1 * CONSTANT_SCALE)
+
+
+def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Determined:
+    """information (8, 8) of (com_G, xi) without prior; w_P (F, 3) the motion, for the reason in words."""
+    # d(com_G, xi) / d(com_P, k1, k2, theta), scaled
+    to_solver = block_diag(derivative.R_GP, np.linalg.inv(np.vstack([derivative.ratios, derivative.axes])))
+    to_solver = to_solver * SCALE
+    values, vectors = np.linalg.eigh(to_solver.T @ information @ to_solver)
+    sigma = 1.0 / np.sqrt(np.maximum(values, CAP**-2))
+    lost = sigma > LIMIT
+    share = np.sqrt(np.sum((vectors[:, lost] * sigma[lost]) ** 2, axis=1))
+    good = share <= LIMIT
+    covariance = (vectors * sigma**2) @ vectors.T * SCALE[:, None] * SCALE
+    total = np.sqrt(np.diag(covariance))
+    in_solver = to_solver / SCALE
+    of_ratios = ratio_covariance(derivative, (in_solver @ covariance @ in_solver.T)[3:, 3:])
+    total[3:5] = np.maximum(total[3:5], np.sqrt(np.diag(of_ratios)))
+    good[3:5] &= total[3:5] <= LIMIT * SCALE[3:5]
+    # axes whose moments may be equal are free to turn, however large the estimated difference
+    k = np.log(derivative.moments[:2] / derivative.moments[1:])
+    equal = ~good[3:5] | (k < 2.0 * total[3:5])
+    good[[7, 5]] &= ~equal
+    good[6] &= not equal.all()
+    # Without both ratios the order of the moments is open, and with it which axis is which. A spin about any
+    # axis of a nearly round body looks like one about a principal axis of another: seen, 60 degrees off.
+    good[5:] &= good[3:5].all()
+    total[5:] = np.sqrt(np.diag(of_free_turn(covariance[5:, 5:], ~good[5:])))
+    good[5:] &= total[5:] <= LIMIT * SCALE[5:]
+    detail = {name: _words(n, good, total, w_P) for n, name in enumerate(NAMES)}
+    record = Identifiability(
+        k1=bool(good[3]),
+        k2=bool(good[4]),
+        com=bool(good[:3].all()),
+        axes=bool(good[5:].all()),
+        detail=detail,
+        com_P=good[:3],
+        axes_P=good[5:],
+        sigma=np.where(good, total, np.inf),
+    )
+    return Determined(record, to_solver @ vectors[:, lost], to_solver[:, 5:][:, ~good[5:]])
+
+
+def determined_words(n: int, sigma: float) -> str:
+    """What is said of quantity n of NAMES when its standard deviation is sigma [m, 1, rad]."""
+    unit = "mm" if n < 3 else "" if n < 5 else "deg"
+    number = sigma * (1e3 if n < 3 else 1.0 if n < 5 else np.rad2deg(1.0))
+    return f"determined, standard deviation about {number:.2g} {unit}".strip()
+
+
+def _words(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
+    if good[n]:
+        return determined_words(n, sigma[n])
+    mean_square = np.mean(w_P**2, axis=0)
+    rate = np.sqrt(mean_square.sum())
+    if rate < 0.01:
+        return "not determined: the target hardly rotates"
+    spin = int(np.argmax(mean_square))
+    steady = mean_square[spin] > 0.98 * mean_square.sum()
+    about = f"the {'xyz'[spin]} principal axis"
+    if n < 3:
+        if steady and n == spin:
+            return f"not determined: the target spins about {about}, a shift along it moves nothing"
+        return "not determined: the rotation moves the centre of mass too little in the body"
+    if steady:
+        return f"not determined: the target spins steadily about {about}, without nutation"
+    return "not determined: the motion is too short, or two moments too nearly equal, to tell"
+
+
+def undetermined_states(determined: Determined, jacobians: Array, response: Array, w_P: Array) -> Bools:
+    """Components (F, 12) of the states that move with a lost direction.
+
+    jacobians (F, 12, s + 8) of the states in their own s variables and the constants; response (s F, 8).
+    """
+    change = _largest_change(determined.lost, jacobians, response)
+    of_axes = np.hstack([determined.lost, determined.turned])
+    change[:, 6:] = _largest_change(of_axes, jacobians, response)[:, 6:]
+    rate = max(float(np.sqrt(np.mean(np.sum(w_P**2, axis=1)))), 0.01)
+    # the prior bounds what r and v can do; the axes may be far off, where the linear change says little
+    lost = change > np.repeat([0.3 * 0.01, 0.3 * 0.01 * rate, 0.01, 0.002 * rate], 3)
+    if np.sum(~determined.record.axes_P) >= 2:
+        # the axes may even be exchanged: nothing expressed in P is known
+        lost[:, 6:] = True
+    return np.asarray(lost)
+
+
+def _largest_change(directions: Array, jacobians: Array, response: Array) -> Array:
+    """Root of the summed squares (F, 12) of the states' changes along directions (8, m)."""
+    n_frames = len(jacobians)
+    own = response.reshape(n_frames, -1, 8) @ directions
+    constants = np.broadcast_to(directions, (n_frames, *directions.shape))
+    return np.asarray(np.linalg.norm(jacobians @ np.concatenate([own, constants], axis=1), axis=2))

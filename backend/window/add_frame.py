@@ -1,0 +1,124 @@
+"""A new frame enters: where it is, which observations agree, what is new."""
+
+import numpy as np
+
+from polhode.backend.window.estimator_state import Belief
+from polhode.backend.window.frame import Frame, FrameMeasurements, camera_of
+from polhode.backend.window.locate import LEAST_COMMON, Known, Located, locate
+from polhode.lie import Array, inverse_pose, log_so3, make_pose, transform_points
+from polhode.records import Bools, Ints
+
+STEADY_FRAMES = 4
+"""Located frames after which the dynamics predict better than a difference of poses."""
+LOST_RAD = 0.1
+"""Standard deviation of a predicted attitude beyond which new landmarks are not placed by it."""
+STRIKES = 2
+"""Observations in a row that contradict a landmark until it starts anew, unless more agreed before."""
+
+
+def first_frame(belief: Belief, m: FrameMeasurements, number: int, time_s: float) -> Frame:
+    """The frame that defines G: its axes those of N, its origin in the middle of what is seen."""
+    p_R = belief.rig.triangulate(m.uvd_px)
+    R_NG, p_NG = m.X_NR[:3, :3], (m.X_NR @ np.append(np.median(p_R, axis=0), 1.0))[:3]
+    frame = _frame(belief, m, number, time_s, R_NG, np.concatenate([p_NG, np.zeros(9)]))
+    frame.hold()
+    _see(belief, frame, m, np.ones(len(m.landmark), bool))
+    return frame
+
+
+def next_frame(belief: Belief, m: FrameMeasurements, number: int, time_s: float) -> Frame | None:
+    """The frame with its first state; None when it cannot be placed. Lets its observations enter."""
+    before = belief.active.recent[-1]
+    n_located = len(belief.active.frames)
+    slot = belief.landmarks.find(m.landmark)
+    index = np.flatnonzero(slot >= 0)
+    inv_sigma = 1.0 / (m.sigma_px * belief.noise)
+    known = Known(
+        m.uvd_px[index],
+        inv_sigma[index],
+        belief.landmarks.p_G[slot[index]],
+        belief.landmarks.covariance[slot[index]],
+    )
+    x, R_NG = belief.predict(time_s)
+    guess = inverse_pose(m.X_NR) @ make_pose(R_NG, x[:3]) if n_located >= 2 else None
+    found = locate(belief.rig, known, guess, number)
+    if found.by == "nothing" and n_located < STEADY_FRAMES:
+        return None
+    if found.by != "nothing":
+        X_NG = m.X_NR @ found.X_RG
+        R_NG, x[:3] = X_NG[:3, :3], X_NG[:3, 3]
+        if n_located < STEADY_FRAMES:
+            _difference(belief, before, x, R_NG, time_s - before.time_s, whole=n_located == 1)
+    frame = _frame(belief, m, number, time_s, R_NG, x)
+    if found.by == "nothing" and (len(index) >= LEAST_COMMON or _predicted_sigma(belief, time_s) > LOST_RAD):
+        # it contradicts the map, or nobody knows where it is: what it sees would only do harm
+        return frame
+    _see(belief, frame, m, _let_in(belief, slot, index, found))
+    return frame
+
+
+def _frame(belief: Belief, m: FrameMeasurements, number: int, time_s: float, R_NG: Array, x: Array) -> Frame:
+    R_RN, t_R = camera_of(m.X_NR)
+    nothing, none = np.zeros(0, np.int64), np.zeros((0, 3))
+    information = belief.camera.information(m.X_NR, R_NG, x[:3])
+    return Frame(number, time_s, R_RN, t_R, nothing, none, none, R_NG, x, information)
+
+
+def _difference(belief: Belief, before: Frame, x: Array, R_NG: Array, dt_s: float, whole: bool) -> None:
+    """Velocities by the difference of two poses; ``whole``: of both frames."""
+    com_G = belief.active.constants[:3]
+    shift = x[:3] + R_NG @ com_G - before.x[:3] - before.R_NG @ com_G
+    x[6:9], x[9:12] = shift / dt_s, log_so3(before.R_NG.T @ R_NG) / dt_s
+    if whole:
+        before.x[6:12] = x[6:12]
+
+
+def _predicted_sigma(belief: Belief, time_s: float) -> float:
+    """Largest standard deviation [rad] of the predicted attitude, about."""
+    if belief.last is None:
+        return np.inf
+    covariance = np.linalg.inv(belief.last.joint)
+    dt = time_s - belief.active.recent[-1].time_s
+    turn = covariance[3:6, 3:6] + dt**2 * covariance[9:12, 9:12]
+    return float(np.sqrt(np.linalg.eigvalsh(turn)[-1] + belief.disturbances.torque_psd * dt**3 / 3.0))
+
+
+def _let_in(belief: Belief, slot: Ints, index: Ints, found: Located) -> Bools:
+    """Observations (m,) that enter: of new landmarks, of known ones when they agree.
+
+    A landmark that is contradicted again and again starts anew with the latest observation of it.
+    """
+    marks, enter = belief.landmarks, np.ones(len(slot), bool)
+    agreeing, other = slot[index[found.agree]], index[~found.agree]
+    marks.refused[agreeing] = 0
+    marks.refused[slot[other]] += 1
+    wrong = (marks.refused[slot[other]] >= STRIKES) | (marks.views[slot[other]] <= 1)
+    enter[other] = wrong
+    restart = slot[other[wrong]]
+    if len(restart) == 0:
+        return enter
+    anew = np.zeros(len(marks), bool)
+    anew[restart] = True
+    for frame in belief.active.frames:
+        stays: Bools = ~anew[frame.slot]
+        if not stays.all():
+            marks.leave(frame.slot[~stays])
+            frame.keep(stays)
+    return enter
+
+
+def _see(belief: Belief, frame: Frame, m: FrameMeasurements, enter: Bools) -> None:
+    """Give the frame its observations; place the landmarks that are new by its pose."""
+    marks, names = belief.landmarks, m.landmark[enter]
+    uvd, inv_sigma = m.uvd_px[enter], 1.0 / (m.sigma_px[enter] * belief.noise)
+    slot = marks.find(names)
+    new = slot < 0
+    slot[new] = marks.take(names[new])
+    X_GR = inverse_pose(frame.X_NG_seen) @ m.X_NR
+    p_R = belief.rig.triangulate(uvd[new])
+    marks.p_G[slot[new]] = transform_points(X_GR, p_R)
+    spread = X_GR[:3, :3] @ belief.rig.triangulation_jacobian(p_R) / inv_sigma[new][:, None, :]
+    marks.covariance[slot[new]] = spread @ np.swapaxes(spread, 1, 2)
+    marks.views[slot] += 1
+    order = np.argsort(slot)
+    frame.slot, frame.uvd_px, frame.inv_sigma = slot[order], uvd[order], inv_sigma[order]

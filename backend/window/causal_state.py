@@ -1,0 +1,175 @@
+"""What the window knows after each frame: the causal state with its covariance, and the verdicts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
+
+from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
+from polhode.backend.problem.inertia import InertiaForm
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.uncertainty.covariance import axes_derivative, state_jacobian, with_infinite
+from polhode.backend.uncertainty.equal_moments import of_free_turn
+from polhode.backend.uncertainty.identifiability import analyse, undetermined_states
+from polhode.backend.window.frame import Frame
+from polhode.lie import Array, make_pose
+from polhode.records import Bools
+
+N_JOINT = N_STATE + N_CONSTANTS
+ROUNDING = 1e-7
+"""Share of the diagonal of a Hessian that does no harm to what is known."""
+HALF_TURNS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=np.float64)
+"""Diagonals of no turn and of the half-turns about x, y, z."""
+
+
+@dataclass(frozen=True)
+class OnlineState:
+    """The causal estimate at one frame; ``MotionEstimate`` has the meaning of the quantities."""
+
+    timestamp_ns: int
+    r_N: Array
+    v_N: Array
+    R_NP: Array
+    w_P: Array
+    covariance: Array
+    """(12, 12) r, v, theta, w; inf on the diagonal where undetermined"""
+    X_NG: Array
+    k1: float
+    k2: float
+    cov_k: Array
+    """(2, 2)"""
+    com_G: Array
+    cov_com_G: Array
+    """(3, 3)"""
+    R_GP: Array
+    cov_R_GP: Array
+    """(3, 3) of the axes, along P [rad^2]"""
+    xi: Array
+    """(5,) inertia in the solver's parameters"""
+    cov_J: Array
+    """(5, 5)"""
+    determined: Bools
+    """(4,) k1, k2, com, axes"""
+
+
+@dataclass(frozen=True)
+class LastInformation:
+    """Information (20, 20) of the last state and the constants, all else eliminated."""
+
+    joint: Array
+    weak_prior: Array
+    """(8, 8) of com_G and xi: part of it"""
+
+
+def last_information(H: Array, weak_prior: Array) -> LastInformation:
+    """From the Hessian of the window's program, whose last 20 entries they are."""
+    try:
+        L = cholesky(H, lower=True, check_finite=False)
+    except LinAlgError:
+        # axes of equal moments have no curvature at all
+        L = cholesky(H + ROUNDING * np.diag(np.diagonal(H)), lower=True, check_finite=False)
+    L = L[-N_JOINT:, -N_JOINT:]
+    return LastInformation(L @ L.T, weak_prior)
+
+
+def online_state(
+    timestamp_ns: int,
+    frame: Frame,
+    constants: Array,
+    R_inertia: Array,
+    form: InertiaForm,
+    information: LastInformation,
+    recent_w_G: Array,
+    half_turn: Array,
+) -> OnlineState:
+    """Express the last state in principal axes, with the covariance of it.
+
+    recent_w_G (n, 3) is the motion that the words of the verdict are about. half_turn (3, 3), the axes R_GP
+    of the frame before, chooses among the four equivalent ones.
+    """
+    at = Iterate(
+        frame.x[None, :3],
+        frame.R_NG[None],
+        frame.x[None, 6:9],
+        frame.x[None, 9:12],
+        constants[:3],
+        constants[3:],
+        R_inertia,
+        np.zeros((0, 3)),
+    )
+    derivative = axes_derivative(form, at)
+    joint = information.joint
+    bare = joint.copy()
+    bare[N_STATE:, N_STATE:] -= information.weak_prior
+    state = cho_factor(joint[:N_STATE, :N_STATE], lower=True, check_finite=False)
+    response = -cho_solve(state, joint[:N_STATE, N_STATE:], check_finite=False)
+    constants_information = bare[N_STATE:, N_STATE:] + joint[N_STATE:, :N_STATE] @ response
+    w_P = recent_w_G @ derivative.R_GP
+    determined = analyse(0.5 * (constants_information + constants_information.T), derivative, w_P)
+    own, of_constants = state_jacobian(at, 0, derivative)
+    T = np.hstack([own, of_constants])
+    dense = np.asarray(np.linalg.inv(joint))
+    covariance = T @ dense @ T.T
+    lost = undetermined_states(determined, T[None], response, w_P[-1:])[0]
+    turn = nearest_half_turn(derivative.R_GP, half_turn)
+    R_GP = derivative.R_GP @ turn
+    flip = np.concatenate([np.ones(6), np.diag(turn), np.diag(turn)])
+    known = determined.record
+    # along the curved valley of what one ratio leaves open, the other one moves too
+    ratios = known.k1 and known.k2
+    cov_com, cov_J = dense[12:15, 12:15], dense[15:, 15:]
+    com_lost: Bools = np.abs(derivative.R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
+    cov_axes = of_free_turn(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P)
+    moments = derivative.moments
+    return OnlineState(
+        timestamp_ns,
+        frame.x[:3] + frame.R_NG @ constants[:3],
+        frame.x[6:9].copy(),
+        frame.R_NG @ R_GP,
+        R_GP.T @ frame.x[9:12],
+        with_infinite(covariance, lost) * np.outer(flip, flip),
+        frame.X_NG_seen,
+        float(np.log(moments[0] / moments[1])),
+        float(np.log(moments[1] / moments[2])),
+        with_infinite(derivative.ratios @ cov_J @ derivative.ratios.T, np.repeat(not ratios, 2)),
+        constants[:3].copy(),
+        with_infinite(cov_com, com_lost),
+        R_GP,
+        with_infinite(cov_axes, ~known.axes_P) * np.outer(np.diag(turn), np.diag(turn)),
+        constants[3:].copy(),
+        with_infinite(cov_J, determined.lost_constants[3:]),
+        np.array([ratios, ratios, known.com, known.axes]),
+    )
+
+
+def unknown_state(
+    timestamp_ns: int, X_NR: Array, frame: Frame | None = None, com_G: Array | None = None
+) -> OnlineState:
+    """Before the motion is known: the latest place of the target, or one meter before the camera."""
+    X_NG = X_NR @ make_pose(np.eye(3), [0.0, 0.0, 1.0]) if frame is None else frame.X_NG_seen
+    com = np.zeros(3) if com_G is None else com_G.copy()
+    return OnlineState(
+        timestamp_ns,
+        X_NG[:3, :3] @ com + X_NG[:3, 3],
+        np.zeros(3),
+        X_NG[:3, :3],
+        np.zeros(3),
+        np.diag(np.full(12, np.inf)),
+        X_NG,
+        0.0,
+        0.0,
+        np.diag(np.full(2, np.inf)),
+        com,
+        np.diag(np.full(3, np.inf)),
+        np.eye(3),
+        np.diag(np.full(3, np.inf)),
+        np.zeros(5),
+        np.diag(np.full(5, np.inf)),
+        np.zeros(4, bool),
+    )
+
+
+def nearest_half_turn(R_GP: Array, wanted: Array) -> Array:
+    """The half-turn (3, 3), or none, after which the axes R_GP lie nearest to the wanted ones."""
+    along = np.einsum("ij,ij->j", R_GP, wanted)
+    return np.diag(HALF_TURNS[int(np.argmax(HALF_TURNS @ along))])

@@ -1,0 +1,165 @@
+"""All that the window believes at a moment; the steps of the estimator work on it."""
+
+from dataclasses import dataclass, field
+from operator import is_
+
+import numpy as np
+
+from polhode.backend.dynamics.kernels import N_CONSTANTS
+from polhode.backend.dynamics.propagation import flows, series_steps
+from polhode.backend.problem.inertia import inertia_from_second_moments
+from polhode.backend.problem.problem import COM_PRIOR_M, geometric_median
+from polhode.backend.window.active import Active
+from polhode.backend.window.causal_state import LastInformation
+from polhode.backend.window.frame import CameraNoise
+from polhode.backend.window.history import History
+from polhode.backend.window.landmarks import LandmarkSlots
+from polhode.backend.window.links import Disturbances, make_links
+from polhode.backend.window.problem import Shape
+from polhode.backend.window.vision import Condensed, Sight, condense, poses_of, robust_gain, sight_of
+from polhode.camera import RectifiedRig
+from polhode.config.backend import Backend
+from polhode.lie import Array
+from polhode.quaternion import matrix_from_wxyz
+
+GAUGE_SIGMA = 1e-5
+"""How firmly G is held at the first frame [rad, radii of the target]."""
+
+
+@dataclass
+class Belief:
+    """Frames, landmarks, constants, and the levels of noise they are weighed with."""
+
+    rig: RectifiedRig
+    robust_scale: float
+    shape: Shape
+    disturbances: Disturbances
+    landmarks: LandmarkSlots = field(default_factory=LandmarkSlots)
+    active: Active = field(default_factory=Active)
+    history: History | None = None
+    """until the number of frames outgrows it"""
+    R_inertia: Array = field(default_factory=lambda: np.eye(3))
+    weak_prior: Array = field(default_factory=lambda: np.zeros(13))
+    """parameters of ``kernels.prior_kernel``"""
+    noise: Array = field(default_factory=lambda: np.ones(3))
+    """factors on the stated standard deviations of u, v and disparity"""
+    camera: CameraNoise = field(default_factory=CameraNoise)
+    inertia_known: bool = False
+    """Both ratios were determined at the last frame"""
+    contradicted: float = 0.0
+    """Share of the observations that the last solution does not agree with"""
+    last: LastInformation | None = None
+    """about the newest state and the constants"""
+
+    def __post_init__(self) -> None:
+        r = self.rig
+        self.rig_vector = np.array([r.focal_px, r.cx_px, r.cy_px, r.baseline_m, r.disparity_offset_px])
+        self.gain = robust_gain(self.robust_scale)
+        self._sight: Sight | None = None
+        self._gathered: list[Array] = []
+
+    @property
+    def xi(self) -> Array:
+        """(5,)"""
+        return self.active.constants[3:]
+
+    @property
+    def J_G(self) -> Array:
+        """(3, 3) up to scale."""
+        return inertia_from_second_moments(self.shape.form.second_moments(self.xi, self.R_inertia))
+
+    @property
+    def J_noise(self) -> Array:
+        """(3, 3) inertia by which a torque disturbs the rates: a sphere's until the ratios are determined.
+
+        Else a guess that is too long loosens the dynamics about its axis, and nothing speaks against it then.
+        """
+        return self.J_G if self.inertia_known else np.eye(3)
+
+    def sight(self) -> Sight:
+        """What the frames see of landmarks that are seen again."""
+        # whatever changes what a frame sees gives it another array of these
+        now = [frame.inv_sigma for frame in self.active.frames]
+        same = len(now) == len(self._gathered) and all(map(is_, now, self._gathered))
+        if self._sight is None or not same:
+            self._sight, self._gathered = sight_of(self.active.frames, len(self.landmarks)), now
+        return self._sight
+
+    def condensed(self, sight: Sight) -> Condensed:
+        """Vision at the present unknowns, landmarks eliminated."""
+        p_G = self.landmarks.p_G[sight.slot]
+        return condense(
+            sight, poses_of(self.active.frames), self.rig_vector, p_G, self.robust_scale, self.gain
+        )
+
+    def move_landmarks(self, condensed: Condensed, step: Array, n_fixed: int = 0) -> None:
+        """They follow the step (6 F,) of the poses; those seen once follow their frame.
+
+        The first ``n_fixed`` frames keep their reference attitudes: an arrival cost depends on them.
+        """
+        slot = condensed.sight.slot
+        self.landmarks.p_G[slot] += condensed.landmark_steps(step)
+        self.landmarks.covariance[slot] = condensed.C_inv
+        frames = self.active.frames
+        for frame in frames[n_fixed:]:
+            frame.settle()
+        slot = np.concatenate([frame.slot for frame in frames])
+        once = self.landmarks.views[slot] == 1
+        of = np.repeat(np.arange(len(frames)), [len(frame.slot) for frame in frames])[once]
+        p_R = self.rig.triangulate(np.concatenate([frame.uvd_px for frame in frames])[once])
+        poses = poses_of(frames)
+        p_N = p_R - poses.t_R[of] - np.einsum("mij,mj->mi", poses.R_RN[of], poses.p_NG[of])
+        self.landmarks.p_G[slot[once]] = np.einsum("mji,mj->mi", poses.A[of], p_N)
+
+    def renew_weak_prior(self) -> float:
+        """The centre of mass is expected in the middle of the landmarks. Returns their radius [m]."""
+        p_G = self.landmarks.p_G[self.landmarks.used]
+        middle = geometric_median(p_G)
+        radius = float(np.sqrt(np.median(np.sum((p_G - middle) ** 2, axis=1))))
+        sigma = max(COM_PRIOR_M, radius)
+        self.weak_prior = np.concatenate([middle, [sigma], self.R_inertia.T.ravel()])
+        return radius
+
+    def renew_inertia(self) -> None:
+        """The same inertia about a reference of its own; only while nothing else depends on the reference."""
+        xi, R_inertia = self.shape.form.coordinates(self.shape.form.second_moments(self.xi, self.R_inertia))
+        self.set_inertia(xi, R_inertia)
+
+    def set_inertia(self, xi: Array, R_inertia: Array) -> None:
+        """Another inertia."""
+        self.R_inertia = R_inertia
+        self.weak_prior[4:] = R_inertia.T.ravel()
+        self.active.constants = np.concatenate([self.active.constants[:3], xi])
+
+    def gauge_information(self, radius_m: float) -> Array:
+        """(6,) of the hold on the first pose."""
+        return np.repeat([(GAUGE_SIGMA * max(radius_m, 1e-3)) ** -2, GAUGE_SIGMA**-2], 3)
+
+    def predict(self, time_s: float) -> tuple[Array, Array]:
+        """State (12,) and attitude R_NG (3, 3) at a later time, by the dynamics."""
+        last, com_G = self.active.recent[-1], self.active.constants[:3]
+        dt = time_s - last.time_s
+        w_G = last.x[9:12]
+        J_G, dt_s = self.J_G, np.array([dt])
+        series = series_steps(w_G[None], J_G, dt_s, self.disturbances.torque_psd)
+        q, w_after, _, _ = flows(w_G[None], J_G, dt_s, series)
+        R_NG = last.R_NG @ matrix_from_wxyz(q[0])
+        r_N = last.x[:3] + last.R_NG @ com_G + dt * last.x[6:9]
+        return np.concatenate([r_N - R_NG @ com_G, np.zeros(3), last.x[6:9], w_after[0]]), R_NG
+
+    def link_newest(self) -> None:
+        """The step to the newest state, whitened at the present rates."""
+        before, frame = self.active.recent[-2:]
+        dt_s = np.array([frame.time_s - before.time_s])
+        link = make_links(before.x[None, 9:12], self.J_G, self.J_noise, dt_s, self.disturbances)
+        self.active.links = self.active.links.and_then(link)
+
+
+def new_belief(rig: RectifiedRig, config: Backend, camera: CameraNoise) -> Belief:
+    """Nothing seen yet: the inertia of a sphere."""
+    shape = Shape(config.inertia)
+    belief = Belief(rig, config.robust_scale, shape, Disturbances(config.accel_psd, config.torque_psd))
+    belief.camera, belief.active.noisy_camera = camera, not camera.exact
+    xi, belief.R_inertia = shape.form.coordinates(np.eye(3))
+    belief.active.constants = np.concatenate([np.zeros(N_CONSTANTS - len(xi)), xi])
+    return belief

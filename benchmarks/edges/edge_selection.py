@@ -1,0 +1,132 @@
+"""Sets of edges along a few views: how good greedy is, and how few edges do.
+
+    python -m benchmarks.edges.edge_selection [BODY ...] [--views 8] [--budget 8]
+
+First table: ``budget`` edges chosen from the views by log det and by the trace: greedy, after exchanges, the
+best choice where branch and bound ends, and the upper bound. For the trace what remains of 6 is shown, in
+millionths: the mean of the summed variances, shifts in radii, turns in radians, for one pixel. Second table:
+the fewest edges for which each sigma stays within 10 %, the lower bound, and the exact number where all sets
+can be tried. Third, for bodies of few edges: the smooth table of `view_table.py` against the metric at views
+between its own. Edges count where they stand clear of others (`apart.py`).
+"""
+
+import argparse
+
+import numpy as np
+
+from benchmarks.edges.edge_bodies import edge_body
+from benchmarks.edges.edge_views import edge_rig, random_poses
+from polhode.camera import RectifiedRig
+from polhode.errors import InputError
+from polhode.lie import make_pose
+from polhode.planning.edges.metric.information import FeatureInformation, feature_information
+from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.selection.selection import exchanged, greedy
+from polhode.planning.edges.selection.selection_bound import best_choice, upper_bound
+from polhode.planning.edges.selection.smallest_set import Need, exact_smallest_set, smallest_set
+from polhode.planning.edges.trajectory.camera_path import least_range
+from polhode.planning.edges.trajectory.view_table import looking, view_table
+
+BODIES = ("block", "house", "drum", "satellite", "bus", "cubesat")
+EXACT_UP_TO = 25
+TABLES_UP_TO = 200
+BETWEEN = 100
+SUN_G = np.array([[0.3, 0.8, 0.5]])
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("bodies", nargs="*", default=list(BODIES))
+    parser.add_argument("--views", type=int, default=8)
+    parser.add_argument("--budget", type=int, default=8)
+    options = parser.parse_args()
+    rig = edge_rig()
+    models = {name: edge_model(edge_body(name).mesh) for name in options.bodies}
+    told = {
+        name: feature_information(
+            model, rig, random_poses(model.surface, rig, options.views, seed=1), clear=True
+        )
+        for name, model in models.items()
+    }
+    print("| body | edges seen | value | greedy | exchanged | best | bound | computed |")
+    print("|---|---:|---|---:|---:|---:|---:|---:|")
+    for name, information in told.items():
+        for row in choices(information, options.budget):
+            print(f"| {name} | {row}")
+    print("\n| body | edges seen | within 10 % | at least | exact | largest sigma |")
+    print("|---|---:|---:|---:|---:|---:|")
+    for name, information in told.items():
+        print(f"| {name} | {fewest(information)}")
+    print("\n| body | spread | even light: median error | correlation | sunlight: error | correlation |")
+    print("|---|---:|---:|---:|---:|---:|")
+    for name, model in models.items():
+        if model.size <= TABLES_UP_TO:
+            print(f"| {name} | {between(model, rig)}")
+
+
+def choices(information: FeatureInformation, budget: int) -> list[str]:
+    """Two rows: by log det, by the trace."""
+    A = information.scaled
+    seen = len(Need(information).candidates)
+    rows = []
+    for value in ("log_det", "trace"):
+        first = greedy(A, budget, value)
+        second = exchanged(A, first, budget, value)
+        best = "-"
+        if seen <= EXACT_UP_TO:
+            try:
+                best = shown(best_choice(A, budget, value).value, value)
+            except InputError:
+                best = "too long"
+        bound = shown(upper_bound(A, budget, value), value)
+        of_greedy, of_second = shown(first.value, value), shown(second.value, value)
+        rows.append(
+            f"{seen} | {value} | {of_greedy} | {of_second} | {best} | {bound} | {first.evaluations} |"
+        )
+    return rows
+
+
+def shown(value: float, kind: str) -> str:
+    """log det as it is, of the trace what remains."""
+    return f"{value:.2f}" if kind == "log_det" else f"{1e6 * (6.0 - value):.1f}"
+
+
+def fewest(information: FeatureInformation) -> str:
+    """One row."""
+    found = smallest_set(information)
+    seen = len(Need(information).candidates)
+    try:
+        exact = str(len(exact_smallest_set(information).features)) if seen <= EXACT_UP_TO else "-"
+    except InputError:
+        exact = "-"
+    return f"{seen} | {len(found.features)} | {found.at_least} | {exact} | {np.nanmax(found.ratio):.3f} |"
+
+
+def between(model: EdgeModel, rig: RectifiedRig) -> str:
+    """One row: spread of the natural logarithm, median difference, correlation; even light, then sunlight."""
+    near = least_range(model, rig) + 0.02
+    rng = np.random.default_rng(0)
+    towards = rng.normal(size=(BETWEEN, 3))
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    far = rng.uniform(near, 2.0 * near, BETWEEN)
+    cells = []
+    for sun in None, SUN_G:
+        table = view_table(model, rig, (near, 2.0 * near), sun)
+        value = table.log_trace_of()
+        found, true = np.empty(BETWEEN), np.empty(BETWEEN)
+        for k, p_G in enumerate(far[:, None] * towards):
+            R_RG = looking(-p_G, np.array([0.0, 0.0, 1.0]))
+            X_RG = make_pose(R_RG, -R_RG @ (p_G + model.middle_G))
+            C = feature_information(model, rig, X_RG[None], sun, clear=True).scaled.sum(axis=1)[0]
+            true[k] = np.log(np.trace(np.linalg.inv(C + np.eye(6))))
+            found[k] = float(value(p_G, table.log_trace[0]))
+        if sun is None:
+            cells.append(f"{true.std():.2f}")
+        cells.append(f"{np.median(np.abs(found - true)):.2f}")
+        cells.append(f"{np.corrcoef(found, true)[0, 1]:.2f}")
+    return " | ".join(cells) + " |"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,79 @@
+"""Seconds a view of the observability metric, over bodies and numbers of faces.
+
+    python -m benchmarks.edges.observability_speed [--short]
+
+Bodies of the simulator and solids, cut into smaller faces where they have fewer than asked; views from all
+around. A view is: hidden lines removed, control points, their motion, C and its inverse. Process time on one
+core, the least of three rounds; the model of edges is made once. Issue: at most 50 ms for 10,000 faces.
+"""
+
+import argparse
+from time import process_time
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from benchmarks.edges.edge_bodies import KINDS, edge_body
+from polhode.camera import RectifiedRig
+from polhode.lie import Array, make_pose
+from polhode.planning.edges.metric.along import look_along
+from polhode.planning.edges.model.edge_model import edge_model
+
+RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
+DIAMETERS_AWAY = 2.0
+ROUNDS = 3
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--faces", type=int, default=10_000)
+    parser.add_argument("--short", action="store_true", help="two bodies, five views")
+    options = parser.parse_args()
+    count = 5 if options.short else 40
+    bodies = {name: edge_body(name).mesh for name in (list(KINDS)[:1] if options.short else KINDS)}
+    bodies["torus"] = trimesh.creation.torus(0.5, 0.15, 120, 60)
+    print("| body | faces | edges | model [ms] | points a view | view, median [ms] | slowest [ms] |")
+    print("|---|---|---|---|---|---|---|")
+    for name, mesh in bodies.items():
+        print(row(name, finer(mesh, options.faces), count), flush=True)
+
+
+def row(name: str, mesh: trimesh.Trimesh, count: int) -> str:
+    """One body."""
+    start = process_time()
+    model = edge_model(mesh)
+    made = process_time() - start
+    X_RG = places(model.middle_G, 2.0 * DIAMETERS_AWAY * model.radius_m, count)
+    times, points = np.full((ROUNDS, count), np.inf), []
+    for n in range(ROUNDS):
+        for k in range(count):
+            start = process_time()
+            view = next(look_along(model, RIG, X_RG[k : k + 1], model.middle_G))
+            _ = view.found.covariance
+            times[n, k] = process_time() - start
+            points.append(len(view.points))
+    best = 1e3 * times.min(axis=0)
+    numbers = f"{len(mesh.faces)} | {model.size} | {1e3 * made:.0f} | {np.mean(points):.0f}"
+    return f"| {name} | {numbers} | {np.median(best):.1f} | {best.max():.1f} |"
+
+
+def places(middle_G: Array, distance_m: float, count: int) -> Array:
+    """Poses X_RG (count, 4, 4) from all around, the middle on the optical axis."""
+    R = Rotation.random(count, random_state=0).as_matrix()
+    return make_pose(R, np.array([0.0, 0.0, distance_m]) - R @ middle_G)
+
+
+def finer(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
+    """The mesh with at least so many faces: the longest edges are cut."""
+    longest = float(mesh.edges_unique_length.max())
+    while len(mesh.faces) < faces:
+        longest *= 0.8
+        vertices, cut = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, longest, max_iter=20)
+        mesh = trimesh.Trimesh(vertices, cut, process=False)
+    return mesh
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,350 @@
+"""What benchmarks.observability measured: trends, honesty of covariances, wrong poses."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import chi2, mannwhitneyu, spearmanr
+
+from benchmarks.record import Case
+from polhode.lie import Array
+from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
+from polhode.planning.edges.tracking.calibrated import NoiseLevels, NoiseParts, fitted, nees
+from polhode.planning.edges.tracking.residual import FEATURES, TRUSTED, probability
+from polhode.records import Bools
+
+TRIANGLE = np.triu_indices(6)
+UNITS = np.array([1e3] * 3 + [np.rad2deg(1.0)] * 3)
+"""m to mm, rad to degrees"""
+RIGHT_PX, WRONG_PX = 1.5, 3.0
+"""A pose counts as right, or as wrong, by how far its edges are from their true places."""
+NEAR_RIGHT_PX, NEAR_WRONG_PX = 0.3, (0.6, 6.0)
+LEAST_TRIALS = 3
+STRICT = 0.95
+"""Probability from which a trial counts in the trends: near misses of a pixel spoil a root mean square."""
+
+
+@dataclass(frozen=True)
+class Spot:
+    """One model at one pose."""
+
+    body: str
+    level: int
+    sigma: Array
+    """(6,) foretold, for one pixel"""
+    errors: Array
+    """(n, 6) of the trials that converged"""
+    off_px: Array
+    """(n,)"""
+    support: Array
+    """(n, k) FEATURES"""
+    sigma_px: Array
+    """(n,)"""
+    C: Array
+    """(n, 6, 6) of the fits"""
+    parts: Array
+    """(n, 3, 6, 6) of the fits"""
+    trials: int
+    """converged or not"""
+
+
+def spots_of(lines: Sequence[Case]) -> list[Spot]:
+    """Those whose edges tell all six degrees of freedom."""
+    out = []
+    for line in lines:
+        for row in line["rows"]:
+            good = [trial for trial in row["trials"] if trial["ok"]]
+            C = _full(np.array(row["C"]))
+            if not row["seen"]:
+                continue
+            out.append(
+                Spot(
+                    line["case"]["body"],
+                    row["level"],
+                    np.sqrt(np.diagonal(np.linalg.inv(C))),
+                    np.array([t["error"] for t in good]).reshape(-1, 6),
+                    np.array([t["off_px"] for t in good]),
+                    np.array([t["support"] for t in good]).reshape(-1, len(FEATURES)),
+                    np.array([t["sigma_px"] for t in good]),
+                    _full(np.array([t["C"] for t in good]).reshape(-1, 21)),
+                    _full(np.array([t["parts"] for t in good]).reshape(-1, 3, 21)),
+                    len(row["trials"]),
+                )
+            )
+    return out
+
+
+def _full(upper: Array) -> Array:
+    """Upper triangles (..., 21) -> symmetric (..., 6, 6)."""
+    out = np.zeros((*upper.shape[:-1], 6, 6))
+    out[..., TRIANGLE[0], TRIANGLE[1]] = upper
+    out[..., TRIANGLE[1], TRIANGLE[0]] = upper
+    return out
+
+
+def trusted(spot: Spot) -> Bools:
+    """(n,) trials that the residual statistic lets pass."""
+    return np.asarray(probability(spot.support) >= STRICT)
+
+
+def everything(spot: Spot) -> Bools:
+    """(n,) all that converged."""
+    return np.ones(len(spot.errors), dtype=bool)
+
+
+def root_mean_squares(spots: Sequence[Spot], keep: Any) -> tuple[Array, Array]:
+    """Errors and what was foretold, (n, 6) each, of spots with enough trials."""
+    rms, sigma = [], []
+    for spot in spots:
+        chosen = keep(spot)
+        if chosen.sum() >= LEAST_TRIALS:
+            rms.append(np.sqrt((spot.errors[chosen] ** 2).mean(axis=0)))
+            sigma.append(spot.sigma)
+    return np.array(rms).reshape(-1, 6), np.array(sigma).reshape(-1, 6)
+
+
+def by_model(spots: Sequence[Spot], keep: Any) -> tuple[Array, Array]:
+    """The same over models: all poses of each together."""
+    rms, sigma = [], []
+    for name in dict.fromkeys((spot.body, spot.level) for spot in spots):
+        own = [s for s in spots if (s.body, s.level) == name and keep(s).sum() >= LEAST_TRIALS]
+        if own:
+            rms.append(np.sqrt(np.mean(np.concatenate([s.errors[keep(s)] for s in own]) ** 2, axis=0)))
+            sigma.append(np.sqrt(np.mean([s.sigma**2 for s in own], axis=0)))
+    return np.array(rms).reshape(-1, 6), np.array(sigma).reshape(-1, 6)
+
+
+def trend_table(groups: dict[str, Sequence[Spot]]) -> str:
+    """Correlation of measured error with the metric, per degree of freedom."""
+    rows = [
+        "| group | poses kept by | models x poses | | " + " | ".join(DEGREES_OF_FREEDOM) + " |",
+        "|---|---|---:|---|" + "---:|" * 6,
+    ]
+    for group, spots in groups.items():
+        for how, keep in (("converged", everything), ("residual", trusted)):
+            rms, sigma = root_mean_squares(spots, keep)
+            if len(rms) < 4:
+                continue
+            model_rms, model_sigma = by_model(spots, keep)
+            kept = sum(int(keep(spot).sum()) for spot in spots)
+            lost = 1.0 - kept / max(sum(spot.trials for spot in spots), 1)
+            ratio = rms / sigma
+            measures: dict[str, Array] = {
+                "r, error : root of C^-1": _each(np.corrcoef, rms, sigma),
+                "r, error : C^-1": _each(np.corrcoef, rms, sigma**2),
+                "r, logarithms": _each(np.corrcoef, np.log(rms), np.log(sigma)),
+                "r, ranks": np.array([spearmanr(rms[:, k], sigma[:, k]).statistic for k in range(6)]),
+                "slope [px]": (rms * sigma).sum(axis=0) / (sigma**2).sum(axis=0),
+                "band, 5 %": np.quantile(ratio, 0.05, axis=0),
+                "band, 95 %": np.quantile(ratio, 0.95, axis=0),
+            }
+            if len(model_rms) >= 10:
+                together = _each(np.corrcoef, model_rms, model_sigma)
+                measures = {f"r, {len(model_rms)} models, their poses together": together} | measures
+            for number, (name, values) in enumerate(measures.items()):
+                first = f"{group} | {how}, {lost:.1%} lost | {len(rms)}" if number == 0 else " | | "
+                rows.append(f"| {first} | {name} | " + " | ".join(f"{v:.3f}" for v in values) + " |")
+    return "\n".join(rows)
+
+
+def _each(correlation: Any, a: Array, b: Array) -> Array:
+    return np.array([correlation(a[:, k], b[:, k])[0, 1] for k in range(6)])
+
+
+def good_and_bad_table(spots: Sequence[Spot]) -> str:
+    """What error a value of the metric stands for."""
+    rows = ["| metric | models x poses | median error | 90 % of errors below |", "|---|---:|---:|---:|"]
+    kinds = (
+        ("across, mm/px", (0, 1), (0.5, 1.0, 1.5, 2.0, 3.0, 6.0)),
+        ("along the line of sight, mm/px", (2,), (2.0, 5.0, 10.0, 15.0, 25.0, 50.0)),
+        ("turns, degrees/px", (3, 4, 5), (0.05, 0.15, 0.25, 0.4, 0.7, 1.5)),
+    )
+    for name, axes, bounds in kinds:
+        unit = "mm" if axes[0] < 3 else "degrees"
+        for low, high in pairwise(bounds):
+            found: list[float] = []
+            count = 0
+            for spot in spots:
+                for k in axes:
+                    if low <= spot.sigma[k] * UNITS[k] < high:
+                        found += list(np.abs(spot.errors[trusted(spot), k]) * UNITS[k])
+                        count += 1
+            if count >= 5:
+                median, most = np.quantile(found, [0.5, 0.9])
+                rows.append(
+                    f"| {name}, {low:g} to {high:g} | {count} | {median:.3f} {unit} | {most:.3f} {unit} |"
+                )
+    return "\n".join(rows)
+
+
+def joined(spots: Sequence[Spot], keep: Any) -> tuple[NoiseParts, Array, Array]:
+    """Noise parts, errors (n, 6) and C (n, 6, 6) of all trials that are kept."""
+    chosen = [keep(spot) for spot in spots]
+    take = lambda name: np.concatenate([getattr(s, name)[c] for s, c in zip(spots, chosen, strict=True)])  # noqa: E731
+    return NoiseParts(take("parts"), take("sigma_px")), take("errors"), take("C")
+
+
+def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, NoiseLevels, NoiseLevels]:
+    """Honesty of covariances on each body by what the others taught; the levels that all teach, and those
+    without the image's residual.
+    """
+    errors: list[Array] = []
+    covariances: dict[str, list[Array]] = {}
+    for body in dict.fromkeys(spot.body for spot in spots):
+        others, taught, _ = joined([spot for spot in spots if spot.body != body], trusted)
+        own = [spot for spot in spots if spot.body == body]
+        noise, found, C = joined([_first(spot) for spot in own] if first_only else own, trusted)
+        errors.append(found)
+        for name, covariance in {
+            "C^-1 times mean squared residual": np.linalg.inv(C) * noise.residual_px[:, None, None] ** 2,
+            "calibrated, without the image's residual": fitted(others, taught, False).covariance(noise),
+            "calibrated": fitted(others, taught).covariance(noise),
+        }.items():
+            covariances.setdefault(name, []).append(covariance)
+    e = np.concatenate(errors)
+    n = len(e)
+    low, high = chi2.ppf([0.025, 0.975], 6 * n) / (6 * n)
+    rows = [
+        "| covariance | trials | mean NEES / 6 | 95 % band | share within its 95 % | "
+        + " | ".join(DEGREES_OF_FREEDOM)
+        + " |",
+        "|---|---:|---:|---|---:|" + "---:|" * 6,
+    ]
+    for name, each_body in covariances.items():
+        P = np.concatenate(each_body)
+        whole = nees(e, P)
+        each = (e**2 / np.diagonal(P, axis1=1, axis2=2)).mean(axis=0)
+        inside = float(np.mean(whole < chi2.ppf(0.95, 6)))
+        rows.append(
+            f"| {name} | {n} | {whole.mean() / 6:.2f} | {low:.2f} to {high:.2f} | {inside:.1%} | "
+            + " | ".join(f"{value:.2f}" for value in each)
+            + " |"
+        )
+    noise, found, _ = joined(spots, trusted)
+    return "\n".join(rows), fitted(noise, found), fitted(noise, found, False)
+
+
+def _first(spot: Spot) -> Spot:
+    """One trial of a spot: what is common to a pose makes its trials no witnesses of their own."""
+    names = ("errors", "off_px", "support", "sigma_px", "C", "parts")
+    return Spot(spot.body, spot.level, spot.sigma, *(getattr(spot, n)[:1] for n in names), trials=1)
+
+
+def wrong_table(lines: Sequence[Case]) -> str:
+    """How well statistics tell right from wrong poses: areas under the ROC curve, learnt and tested apart."""
+    features, off, names, kinds, C, metric = [], [], [], [], [], []
+    for line in lines:
+        for row in line["rows"]:
+            trial = row["trial"]
+            if trial["ok"]:
+                features.append([*trial["support"], trial["sigma_px"]])
+                off.append(trial["off_px"])
+                names.append(line["case"]["body"])
+                kinds.append(row["kind"])
+                values = np.linalg.eigvalsh(_full(np.array(trial["C"])))
+                C.append(-np.log(np.maximum(values, 1e-9)).sum())
+                metric.append(trial["metric"])
+    x, d, body = np.array(features), np.array(off), np.array(names)
+    clear = (d < RIGHT_PX) | (d > WRONG_PX)
+    order = list(dict.fromkeys(names))
+    test = clear & np.isin(body, order[1::2])
+    right = d < RIGHT_PX
+    rows = [
+        f"{(right & test).sum()} right and {(~right & test).sum()} wrong poses of {len(order[1::2])} bodies.",
+        "",
+    ]
+    rows += ["| statistic | area under the ROC curve |", "|---|---:|"]
+    statistics = {name: x[:, k] for k, name in enumerate(FEATURES)}
+    statistics["residual's sigma (small is right)"] = -x[:, -1]
+    statistics["C^-1 of the fit, with robust weights (log determinant)"] = -np.array(C)
+    statistics["C^-1 of the pose, as the metric has it (log determinant)"] = -np.array(metric)
+    statistics["probability (all together)"] = probability(x[:, : len(FEATURES)])
+    for name, value in statistics.items():
+        rows.append(f"| {name} | {_area(value[test & right], value[test & ~right]):.3f} |")
+    near = (d < NEAR_RIGHT_PX) | (d > NEAR_WRONG_PX[0]) & (d < NEAR_WRONG_PX[1])
+    near &= np.isin(body, order[1::2])
+    close = d < NEAR_RIGHT_PX
+    rows += [
+        "",
+        f"Near misses: {(near & close).sum()} poses within {NEAR_RIGHT_PX} px, "
+        f"{(near & ~close).sum()} off by {NEAR_WRONG_PX[0]} to {NEAR_WRONG_PX[1]} px.",
+        "",
+        "| statistic | area under the ROC curve |",
+        "|---|---:|",
+    ]
+    if (near & ~close).any():
+        rows += [
+            f"| {name} | {_area(v[near & close], v[near & ~close]):.3f} |" for name, v in statistics.items()
+        ]
+    rows += [
+        "",
+        "| start | converged | right | wrong, kept | wrong, refused | right, refused |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    kept = probability(x[:, : len(FEATURES)]) >= TRUSTED
+    for kind in dict.fromkeys(kinds):
+        own = test & (np.array(kinds) == kind)
+        rows.append(
+            f"| {kind} | {own.sum()} | {(own & right).sum()} | {(own & ~right & kept).sum()} "
+            f"| {(own & ~right & ~kept).sum()} | {(own & right & ~kept).sum()} |"
+        )
+    learn = clear & np.isin(body, order[::2])
+    rows += [
+        "",
+        f"Logistic regression on the other bodies: {learned(x[learn][:, : len(FEATURES)], right[learn])}",
+    ]
+    return "\n".join(rows)
+
+
+def learned(x: Array, right: Bools) -> list[float]:
+    """Constant and weights of a logistic regression, with a small ridge."""
+    y = np.where(right, 1.0, -1.0)
+    each = np.where(right, 0.5 / max(right.sum(), 1), 0.5 / max((~right).sum(), 1))
+
+    def loss(w: Array) -> float:
+        return float((each * np.logaddexp(0.0, -y * (w[0] + x @ w[1:]))).sum() + 1e-4 * w[1:] @ w[1:])
+
+    return [round(float(v), 2) for v in minimize(loss, np.zeros(x.shape[1] + 1)).x]
+
+
+def _area(right: Array, wrong: Array) -> float:
+    return float(mannwhitneyu(right, wrong).statistic / (len(right) * len(wrong)))
+
+
+def plot(groups: dict[str, Sequence[Spot]], path: Path) -> None:
+    """Measured error against the metric, one panel per degree of freedom and group."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter
+
+    figure, axes = plt.subplots(len(groups), 6, figsize=(18, 3.1 * len(groups)), squeeze=False)
+    for row, (group, spots) in zip(axes, groups.items(), strict=True):
+        rms, sigma = root_mean_squares(spots, trusted)
+        kept = [spot for spot in spots if trusted(spot).sum() >= LEAST_TRIALS]
+        names = list(dict.fromkeys(spot.body for spot in kept))
+        colour = [names.index(spot.body) for spot in kept]
+        for k, axis in enumerate(row):
+            axis.scatter(sigma[:, k] * UNITS[k], rms[:, k] * UNITS[k], c=colour, cmap="tab20", s=7)
+            slope = (rms[:, k] @ sigma[:, k]) / (sigma[:, k] @ sigma[:, k])
+            ends = np.array([sigma[:, k].min(), sigma[:, k].max()]) * UNITS[k]
+            ratio = np.quantile(rms[:, k] / sigma[:, k], [0.05, 0.95])
+            axis.plot(ends, slope * ends, "k-", lw=1)
+            axis.fill_between(ends, ratio[0] * ends, ratio[1] * ends, color="k", alpha=0.1, lw=0)
+            axis.set(xscale="log", yscale="log")
+            axis.xaxis.set_minor_formatter(NullFormatter())
+            axis.yaxis.set_minor_formatter(NullFormatter())
+            unit = "mm" if k < 3 else "deg"
+            r = np.corrcoef(rms[:, k], sigma[:, k])[0, 1]
+            axis.set_title(f"{DEGREES_OF_FREEDOM[k]}: r = {r:.2f}", fontsize=9)
+            axis.set_xlabel(f"root of C^-1 [{unit}/px]", fontsize=8)
+            if k == 0:
+                axis.set_ylabel(f"{group}\nRMS error [mm, deg]", fontsize=8)
+            axis.tick_params(labelsize=7)
+    figure.tight_layout()
+    figure.savefig(path, dpi=70)

@@ -1,0 +1,350 @@
+"""ViSP's model-based edge tracker on rendered views, from starts that are wrong by a known amount.
+
+    python -m benchmarks.edges.visp_tracker [BODY ...] [--views 50] [--angle 2] [--shift 0.02] [--rich] [--primed]
+
+For each body: views of random poses, 2 to 4 m away, under random sunlight (benchmarks/edges/edge_views.py); each
+tracker gets the image, the model and a start that is off by ``--angle`` degrees and ``--shift`` metres about
+each axis (sigma). Errors are those of the body's middle, along the axes of the camera, and of the attitude,
+about them. ``lost``: the tracker says so; ``wrong``: it does not, but its pose is off by more than 50 mm or
+5 degrees. Errors are of the rest; NEES: squared errors over the tracker's own covariance, 1 is honest.
+
+ViSP (Marchand, Spindler, Chaumette 2005) is a tracker for video: it learns what an edge looks like where it
+starts. ``--primed`` gives it one more image, rendered at the start's pose, to learn from.
+
+ViSP is free software under the GPL. Nothing of it is here: ``visp_edges/track.cpp`` is a small program of
+our own that is linked with it, and only by who runs this benchmark: Debian's package libvisp-mbt-dev and a
+C++ compiler must be there (``CXX``). The rest of polhode neither needs nor links it.
+
+Ours (planning/edges/tracking/tracker.py) gets the same images and starts; its covariance is the calibrated
+one. ``kept``: as ours, but a pose that its residual statistic does not trust is lost, too.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from benchmarks.edges.edge_bodies import edge_body
+from benchmarks.edges.edge_solids import SOLIDS
+from benchmarks.edges.edge_views import (
+    EdgeViews,
+    edge_rig,
+    middle,
+    perturbed,
+    pose_errors,
+    random_poses,
+    random_suns,
+)
+from benchmarks.edges.visp_model import cao_text, polygons_of
+from polhode.camera import RectifiedRig
+from polhode.errors import InputError
+from polhode.images import Grey
+from polhode.lie import Array, hat, log_so3, right_jacobian_so3
+from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.tracking.calibrated import LEVELS, parts_of
+from polhode.planning.edges.tracking.residual import TRUSTED, probability, support
+from polhode.planning.edges.tracking.tracker import track
+from polhode.records import Bools
+
+SOURCE = Path(__file__).with_name("visp_edges") / "track.cpp"
+LIBRARIES = ("-lvisp_mbt", "-lvisp_me", "-lvisp_io", "-lvisp_core")
+INCLUDES = ("-I/usr/include/opencv4", "-I/usr/include/eigen3")
+FAR_M, FAR_DEG = 0.05, 5.0
+"""A pose that is off by more is wrong."""
+
+
+class NoVispError(Exception):
+    """ViSP is not installed, or does not compile here; in a line."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Of ViSP's tracker; the defaults are what ``benchmarks.visp_settings`` was used to look for.
+
+    What helps it: several rounds of one track() each, with a search that narrows. Threshold, contrast and a
+    mask of 3 or 5 px change less than 30 views can tell.
+    """
+
+    threshold: float = 10000.0
+    """Least response of the mask"""
+    mu: float = 0.5
+    """How much the contrast of an edge may change, as a share"""
+    mask_size: int = 5
+    masks: int = 180
+    sample_step_px: float = 2.0
+    """Between sites along an edge"""
+    ranges_px: tuple[int, ...] = (10, 8, 6, 4, 3, 2)
+    """Search on either side of an edge, in one round after the other; each samples the edges anew"""
+    tracks: int = 1
+    """Calls of track() a round"""
+    appear_deg: float = 88.0
+    disappear_deg: float = 89.0
+    """Angle between a face and the line of sight to it from which the face counts, or does no more"""
+    good_share: float = 0.2
+    """Share of the sites that must be found"""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Views of one body, as a tracker gets them."""
+
+    mesh: trimesh.Trimesh
+    """In G"""
+    rig: RectifiedRig
+    images: Sequence[Grey]
+    X_start: Array
+    """(V, 4, 4) X_CG to start from"""
+    before: Sequence[Grey] | None = None
+    """What would be seen at X_start, for trackers that learn from the last image"""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a tracker finds."""
+
+    X_CG: Array
+    """(V, 4, 4)"""
+    lost: Bools
+    """(V,) the tracker says that it has no pose"""
+    covariance: Array
+    """(V, 6, 6) of ``pose_errors`` about the mesh's middle [m, rad]; NaN where unknown"""
+    statistics: dict[str, Array] = field(default_factory=dict)
+    """(V,) each: what else it tells of its pose"""
+
+
+Tracker = Callable[[Trial], Answer]
+
+
+def visp_answer(trial: Trial, settings: Settings | None = None) -> Answer:
+    """ViSP's poses, with the mesh's flat faces for a model. Raises NoVispError."""
+    X_CG, covariance, statistics = visp_poses(
+        polygons_of(trial.mesh), trial.rig, trial.images, trial.X_start, settings, trial.before
+    )
+    lost = statistics.pop("lost").astype(bool)
+    covariance[lost] = np.nan
+    about_G = middle(trial.mesh)
+    turned = [about_camera_axes(C, X, about_G) for C, X in zip(covariance, X_CG, strict=True)]
+    return Answer(X_CG, lost, np.array(turned), statistics)
+
+
+def our_answer(trial: Trial, trusted: bool = False) -> Answer:
+    """Our poses, with all edges of the mesh for a model."""
+    model = edge_model(trial.mesh)
+    X, lost, covariance = np.array(trial.X_start), np.zeros(len(trial.X_start), dtype=bool), []
+    for k, (image, start) in enumerate(zip(trial.images, trial.X_start, strict=True)):
+        tracked = track(model, trial.rig, image, start)
+        X[k] = tracked.X_RG
+        whole = tracked.converged and len(tracked.information.unseen) == 0
+        unsure = trusted and probability(support(tracked, image).as_features[None])[0] < TRUSTED
+        lost[k] = not whole or unsure
+        known = LEVELS.covariance(parts_of(tracked))[0] if whole else np.full((6, 6), np.nan)
+        covariance.append(known)
+    return Answer(X, lost, np.array(covariance))
+
+
+TRACKERS: dict[str, Tracker] = {
+    "ViSP": visp_answer,
+    "ours": our_answer,
+    "ours, kept": partial(our_answer, trusted=True),
+}
+
+
+def visp_poses(
+    polygons: Sequence[Array],
+    rig: RectifiedRig,
+    images: Sequence[Grey],
+    X_start: Array,
+    settings: Settings | None = None,
+    before: Sequence[Grey] | None = None,
+) -> tuple[Array, Array, dict[str, Array]]:
+    """X_CG (V, 4, 4), covariances (V, 6, 6) of (translation, theta u) of X_CG, and statistics (V,) each.
+
+    polygons (n, 3) in G [m] (visp_model.py); images uint8 (H, W); X_start (V, 4, 4). Statistics: lost (0 or
+    1), sites, weights (sum of the robust ones), residual (weighted rms, of the normalised image),
+    projection_error_deg (ViSP's own: between edges and gradients), seconds of the processor.
+    Raises NoVispError.
+    """
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "model.cao").write_text(cao_text(polygons), encoding="ascii")
+        job = folder / "job"
+        job.write_text(_job(folder, rig, images, X_start, settings or Settings(), before), encoding="ascii")
+        done = subprocess.run([program(), job], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise NoVispError(f"ViSP's tracker failed: {done.stderr.strip().splitlines()[-1]}")
+    lines = [line.split() for line in done.stdout.splitlines() if line.startswith(("ok ", "lost "))]
+    if len(lines) != len(images):
+        raise NoVispError(f"ViSP's tracker gave {len(lines)} poses for {len(images)} images")
+    values = np.array([[float(value) for value in line[1:]] for line in lines])
+    X_CG = np.tile(np.eye(4), (len(lines), 1, 1))
+    X_CG[:, :3] = values[:, :12].reshape(-1, 3, 4)
+    names = ("sites", "weights", "residual", "projection_error_deg", "seconds")
+    statistics = dict(zip(names, values[:, 48:].T, strict=True))
+    statistics["lost"] = np.array([float(line[0] == "lost") for line in lines])
+    return X_CG, values[:, 12:48].reshape(-1, 6, 6), statistics
+
+
+def _job(
+    folder: Path,
+    rig: RectifiedRig,
+    images: Sequence[Grey],
+    X_start: Array,
+    s: Settings,
+    before: Sequence[Grey] | None,
+) -> str:
+    """Write the images; the text that tells ``track`` what to do."""
+    rows = [
+        f"model {folder / 'model.cao'}",
+        f"camera {rig.focal_px} {rig.focal_px} {rig.cx_px} {rig.cy_px}",
+        f"appear {s.appear_deg} disappear {s.disappear_deg} good {s.good_share}",
+        f"edges {s.threshold} {s.mu} {s.mu} {s.mask_size} {s.masks} {s.sample_step_px}",
+        f"rounds {len(s.ranges_px)} {' '.join(str(r) for r in s.ranges_px)} {s.tracks}",
+        f"views {len(images)}",
+    ]
+    for k, (image, X) in enumerate(zip(images, X_start, strict=True)):
+        path, earlier = folder / f"{k}.pgm", Path("-")
+        Image.fromarray(image).save(path)
+        if before is not None:
+            earlier = folder / f"{k}_before.pgm"
+            Image.fromarray(before[k]).save(earlier)
+        rows.append(f"{path} {earlier} {' '.join(repr(float(value)) for value in X[:3].ravel())}")
+    return "\n".join(rows) + "\n"
+
+
+@cache
+def _workshop() -> TemporaryDirectory[str]:
+    """Where the program lies while this process lives."""
+    return TemporaryDirectory(prefix="visp_edges_")
+
+
+@cache
+def program() -> Path:
+    """Compile ``track``, once a process: a few seconds. Raises NoVispError."""
+    target = Path(_workshop().name) / "track"
+    compiler = os.environ.get("CXX", "g++")
+    words = [compiler, "-std=c++17", "-O2", *INCLUDES, str(SOURCE), "-o", str(target), *LIBRARIES]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+    except OSError:
+        raise NoVispError(f"no C++ compiler {compiler}: install one, or name it by CXX") from None
+    if done.returncode != 0:
+        wrong = [line for line in done.stderr.splitlines() if "error" in line or "cannot find" in line]
+        why = f": {wrong[0][:160]}" if wrong else ""
+        raise NoVispError(f"ViSP is not here (Debian: apt-get install libvisp-mbt-dev){why}")
+    return target
+
+
+def about_camera_axes(covariance: Array, X_CG: Array, about_G: Array) -> Array:
+    """Covariance (6, 6) of (translation, theta u) of X_CG (4, 4) -> that of ``pose_errors`` about a point."""
+    lever = hat(X_CG[:3, :3] @ about_G)
+    # exp(theta + d) = exp(J_left d) exp(theta), and J_left(theta) = J_right(-theta)
+    J_left = right_jacobian_so3(-log_so3(X_CG[:3, :3]))
+    T = np.block([[np.eye(3), -lever @ J_left], [np.zeros((3, 3)), J_left]])
+    return np.asarray(T @ covariance @ T.T)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Of the trials."""
+
+    views: int = 50
+    angle_deg: float = 2.0
+    shift_m: float = 0.02
+    rich: bool = False
+    primed: bool = False
+    seed: int = 0
+
+
+def trial_of(name: str, options: Options) -> tuple[Trial, Array]:
+    """Views of a body with starts, and the true X_CG (V, 4, 4)."""
+    target, rig = edge_body(name, plain=not options.rich), edge_rig()
+    views = EdgeViews(target, rig, options.seed)
+    X_CG = random_poses(target.mesh, rig, options.views, options.seed)
+    suns = random_suns(options.views, options.seed)
+    X_start = perturbed(X_CG, middle(target.mesh), options.seed, options.angle_deg, options.shift_m)
+    before = None
+    if options.primed:
+        before = [
+            views.image(X, sun, options.views + k)
+            for k, (X, sun) in enumerate(zip(X_start, suns, strict=True))
+        ]
+    return Trial(target.mesh, rig, views.images(X_CG, suns), X_start, before), X_CG
+
+
+HEAD = (
+    "| body | tracker | lost | wrong | x [mm] | y | z | about x [deg] | about y | about z | NEES / 6 | "
+    "median [mm] | median [deg] | s a view |"
+)
+
+
+def row(body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array, seconds: float = 0.0) -> str:
+    """A line of the table: root mean squares of the errors, and medians of their lengths."""
+    errors = pose_errors(answer.X_CG, X_CG, about_G)
+    place_m, turn_deg = (
+        np.linalg.norm(errors[:, :3], axis=1),
+        np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1)),
+    )
+    wrong = ~answer.lost & ((place_m > FAR_M) | (turn_deg > FAR_DEG))
+    good = ~answer.lost & ~wrong
+    cells = [body, tracker, f"{answer.lost.sum()}", f"{wrong.sum()}"]
+    if not good.any():
+        return f"| {' | '.join(cells)} |" + " - |" * 10
+    rms = np.sqrt((errors[good] ** 2).mean(axis=0))
+    cells += [f"{1e3 * value:.2f}" for value in rms[:3]] + [f"{np.rad2deg(value):.3f}" for value in rms[3:]]
+    cells.append(f"{np.mean(nees(errors[good], answer.covariance[good])) / 6:.2g}")
+    cells += [f"{1e3 * np.median(place_m[good]):.2f}", f"{np.median(turn_deg[good]):.3f}"]
+    cells.append(f"{seconds / len(X_CG):.3f}")
+    return f"| {' | '.join(cells)} |"
+
+
+def nees(errors: Array, covariance: Array) -> Array:
+    """Squared errors (V, 6) over covariances (V, 6, 6), summed: (V,)."""
+    solved = np.linalg.solve(covariance, errors[:, :, None])[:, :, 0]
+    return np.asarray(np.einsum("vk,vk->v", errors, solved))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("bodies", nargs="*", default=list(SOLIDS))
+    parser.add_argument("--views", type=int, default=Options.views)
+    parser.add_argument("--angle", type=float, default=Options.angle_deg, help="sigma of the start [deg]")
+    parser.add_argument("--shift", type=float, default=Options.shift_m, help="sigma of the start [m]")
+    parser.add_argument("--seed", type=int, default=Options.seed)
+    parser.add_argument("--rich", action="store_true", help="the bodies' own surfaces")
+    parser.add_argument("--primed", action="store_true", help="an image at the start's pose to learn from")
+    given = parser.parse_args()
+    options = Options(given.views, given.angle, given.shift, given.rich, given.primed, given.seed)
+    try:
+        program()
+        print(HEAD + "\n|---|---|" + "---:|" * 11)
+        for name in given.bodies:
+            trial, X_CG = trial_of(name, options)
+            about_G = middle(trial.mesh)
+            print(row(name, "the start", Answer(trial.X_start, *_nothing(len(X_CG))), X_CG, about_G))
+            for tracker, answer_of in TRACKERS.items():
+                begin = time.perf_counter()
+                answer = answer_of(trial)
+                seconds = time.perf_counter() - begin
+                print(row(name, tracker, answer, X_CG, about_G, seconds), flush=True)
+    except (NoVispError, InputError) as problem:
+        print(f"polhode: error: {problem}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _nothing(count: int) -> tuple[Bools, Array]:
+    return np.zeros(count, dtype=bool), np.full((count, 6, 6), np.nan)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,161 @@
+"""Dense disparity against the truth, on scenes that no training has seen (configs/depth_test/).
+
+    python -m benchmarks.frontend.disparity [--short] [--sequences FOLDER ...]
+
+Methods: ``sgbm`` is OpenCV's semi-global matching alone (8 paths, blocks of 5, checked left against right,
+specks removed); ``classical`` is method sgbm of this program, refined and smoothed; ``network`` is method
+network. All get the same mask and the true range of disparities. What is counted are the pixels of the
+target in direct sunlight that both cameras see. Sequences are rendered to data/depth_test/ when missing.
+
+Columns: density [%]; share of the found disparities off by more than 1 px [%], of all, and at the density of
+sgbm (the surest ones); median error [px]; share of errors within one and two sigma [%]; seconds of a core.
+"""
+
+import argparse
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from polhode.config.depth import Depth
+from polhode.dataset import open_sequence
+from polhode.frontend.disparity.crop import Crop, cut_crop
+from polhode.frontend.disparity.depth import disparity_of
+from polhode.frontend.disparity.sgbm import match_checked
+from polhode.frontend.rectification.rectify import make_rectifier
+from polhode.frontend.rectification.target import target_mask
+from polhode.train.depth_truth import TrueDisparity, true_disparities
+
+ROOT = Path(__file__).resolve().parents[2]
+Floats = NDArray[np.float32]
+Method = Callable[[Crop], tuple[Floats, Floats | None]]
+HEAD = "scene | method | density | bad 1 px | at equal density | median px | in 1 sigma | in 2 sigma | s"
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of all asked pixels (n,) of a scene, in order of the pairs; NaN where the method gives none."""
+
+    error: Floats
+    """absolute [px]"""
+    sigma: Floats | None
+    seconds: float
+    """of one core, a pair"""
+
+
+def methods(weights: Path | None) -> dict[str, Method]:
+    """What is compared; each gives disparity and sigma (h, w) of a crop."""
+    peer = Depth(block_px=5)
+    ours = {name: Depth(method=kind) for name, kind in (("classical", "sgbm"), ("network", "network"))}
+    if weights is not None:
+        ours["network"] = ours["network"].model_copy(update={"weights": str(weights)})
+    found: dict[str, Method] = {"sgbm": lambda crop: (match_checked(crop, peer), None)}
+    for name, config in ours.items():
+        found[name] = lambda crop, config=config: disparity_of(crop, config)
+    return found
+
+
+def measure(folder: Path, method: Method, pairs: int | None) -> Errors:
+    """One method on the pairs of a sequence."""
+    sequence = open_sequence(folder)
+    rectifier = make_rectifier(sequence.calibration)
+    errors, sigmas, seconds = [], [], 0.0
+    count = len(sequence) if pairs is None else min(pairs, len(sequence))
+    for k in range(count):
+        raw = sequence.read_pair(k)
+        left, right = rectifier(raw.left, 0), rectifier(raw.right, 1)
+        truth, _ = true_disparities(sequence, rectifier, k)
+        crop = cut_crop(left, right, target_mask(left), _span(truth), Depth())
+        begin = process_time()
+        disparity, sigma = method(crop)
+        seconds += process_time() - begin
+        asked = (truth.visible & truth.sunlit)[crop.inner]
+        errors.append(np.abs(disparity + crop.shift_px - truth.disparity[crop.inner])[asked])
+        if sigma is not None:
+            sigmas.append(np.where(np.isfinite(disparity), sigma, np.nan)[asked])
+        # Sunlit pixels beside the mask count as not found.
+        missed = int((truth.visible & truth.sunlit).sum() - asked.sum())
+        errors.append(np.full(missed, np.nan, dtype=np.float32))
+        if sigma is not None:
+            sigmas.append(np.full(missed, np.nan, dtype=np.float32))
+    return Errors(np.concatenate(errors), np.concatenate(sigmas) if sigmas else None, seconds / max(count, 1))
+
+
+def row(scene: str, name: str, errors: Errors, peer_density: float) -> tuple[str, list[float]]:
+    """A line of the table, and its numbers."""
+    found = np.isfinite(errors.error)
+    density = float(found.mean())
+    bad = float(np.mean(errors.error[found] > 1.0))
+    at_equal, within = bad, [float("nan"), float("nan")]
+    if errors.sigma is not None:
+        wanted = round(peer_density * len(errors.error))
+        surest = np.argsort(np.where(found, errors.sigma, np.inf), kind="stable")[:wanted]
+        # A pixel that is missing at the peer's density counts as wrong.
+        at_equal = float(np.mean(~(errors.error[surest] <= 1.0)))
+        within = [float(np.mean(errors.error[found] < n * errors.sigma[found])) for n in (1.0, 2.0)]
+    median = float(np.median(errors.error[found]))
+    numbers = [100 * density, 100 * bad, 100 * at_equal, median, *(100 * w for w in within), errors.seconds]
+    return _line(scene, name, numbers), numbers
+
+
+def _line(scene: str, name: str, numbers: list[float]) -> str:
+    formats = ("{:.1f}", "{:.2f}", "{:.2f}", "{:.3f}", "{:.1f}", "{:.1f}", "{:.2f}")
+    cells = ["-" if np.isnan(x) else f.format(x) for f, x in zip(formats, numbers, strict=True)]
+    return "| " + " | ".join([scene, name, *cells]) + " |"
+
+
+def _span(truth: TrueDisparity) -> tuple[float, float]:
+    return float(np.nanmin(truth.disparity)), float(np.nanmax(truth.disparity))
+
+
+def test_sequences() -> list[Path]:
+    """The unseen scenes, rendered where they are missing."""
+    folders = []
+    for config in sorted((ROOT / "configs/depth_test").glob("*.yaml")):
+        folder = ROOT / "data/depth_test" / config.stem
+        if not (folder / "mav0/target0").is_dir():
+            command = [sys.executable, "-m", "pipeline", "simulate", str(config), "-o", str(folder)]
+            subprocess.run(command, cwd=ROOT, check=True)
+        folders.append(folder)
+    return folders
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--short", action="store_true", help="one pair of each scene")
+    parser.add_argument("--sequences", nargs="+", type=Path, help="instead of configs/depth_test/")
+    parser.add_argument("--methods", nargs="+", help="only these")
+    parser.add_argument("--weights", type=Path, help="of the network; the shipped ones when absent")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    compared = methods(options.weights)
+    chosen = [name for name in compared if not options.methods or name in options.methods]
+    print(f"| {HEAD} |")
+    print("|" + "---|" * (HEAD.count("|") + 1))
+    totals: dict[str, list[list[float]]] = {name: [] for name in chosen}
+    for folder in options.sequences or test_sequences():
+        pairs = 1 if options.short else None
+        peer = measure(folder, compared["sgbm"], pairs)
+        density = float(np.isfinite(peer.error).mean())
+        for name in chosen:
+            errors = peer if name == "sgbm" else measure(folder, compared[name], pairs)
+            text, numbers = row(folder.name, name, errors, density)
+            totals[name].append(numbers)
+            print(text, flush=True)
+    for name, numbers in totals.items():
+        print(_line("mean", name, [float(x) for x in np.mean(numbers, axis=0)]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,260 @@
+"""Features and matches of every method on scenes that no method was made with, beside their time.
+
+    python -m benchmarks.frontend.frontend [--methods METHOD ...] [--short] [--again METHOD ...] [--by-scene]
+                                  [--picture docs/images/frontend_pareto.png] [--record FILE]
+
+A method is written features-zoom+matcher: ``disk-1x+lightglue`` is DISK on the crop as it is, matched by
+LightGlue; without a matcher, mutual nearest neighbours; ``polhode`` alone has its own matcher. Methods whose
+weights are missing are left out, with the reason. What was measured before is read from the record, whatever
+has become of the method since: ``--again`` measures anew.
+
+Frames 30 and 60 degrees of turn apart. Wrong stereo: the disparity is off by more than 1 px from every
+surface within a pixel. Correct: the two features show the same place of the body within 5 mm. Correct at
+equal precision: matches in order of confidence, over all pairs, as many as keep the precision that RootSIFT
+has at its own threshold. Motion: the same RANSAC for all (frontend/matching/ransac.py); a pair without motion counts
+as wrong; shares are over pairs with 30 stereo features in both frames. Times: of one core, in its own
+seconds. Lit pairs: at least 3,000 px of the body are seen and lit in both frames, whatever the method finds.
+Guided: the same from a prediction that is 5 degrees off (benchmarks/frontend/guided.py).
+Normalised residuals: mean squares of what correct matches are off by, over their variance.
+"""
+
+import argparse
+import hashlib
+import re
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+import torch
+
+from benchmarks.end_to_end.scenes import ROOT
+from benchmarks.frontend.guided import guided_error_deg
+from benchmarks.frontend.scenes import CONFIGS, UnseenScene, open_scene, render, scene_names
+from benchmarks.frontend.tables import lit_pairs, print_by_scene, print_table
+from benchmarks.record import Case, complete, forget
+from polhode.config.frontend import Frontend
+from polhode.errors import InputError
+from polhode.frontend.features.methods import Matches, extract_pair, feature_method, match_method
+from polhode.frontend.features.patch_size import with_patch_size
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.ransac import ransac_rigid
+from polhode.lie import Array, log_so3
+from polhode.records import Bools, Ints
+
+RECORD = ROOT / "runs" / "frontend.jsonl"
+REFERENCE = "rootsift-2x"
+METHODS = (
+    REFERENCE,
+    "polhode",
+    "disk-1x",
+    "disk-1x+lightglue",
+    "aliked-1x",
+    "aliked-1x+lightglue",
+    "aliked-2x+lightglue",
+    "xfeat-2x",
+    "xfeat-2x+lightglue",
+)
+WRONG_STEREO_PX = 1.0
+SAME_POINT_M = 5e-3
+GAPS = (1, 2)
+"""Frames between the two of a pair: 30 degrees each."""
+
+
+def main() -> None:
+    """Measure what the record lacks, print the tables, draw the picture."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--methods", nargs="+", default=METHODS, help=f"of {', '.join(METHODS)}, or others")
+    parser.add_argument("--short", action="store_true", help="three scenes")
+    parser.add_argument("--again", nargs="+", default=(), help="methods that are measured anew")
+    parser.add_argument("--by-scene", action="store_true", help="also each scene by itself")
+    parser.add_argument("--picture", type=Path, help="correct matches against time, PNG")
+    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
+    parser.add_argument("--workers", type=int, default=1, help="processes; more than one disturb the times")
+    options = parser.parse_args()
+    methods = usable(dict.fromkeys((REFERENCE, *options.methods)))
+    names = scene_names(options.short)
+    for name in names:
+        render(name)
+    forget(options.record, lambda case: case.get("method") in options.again)
+    cases = [case_of(method, name) for name in names for method in methods]
+    lines = complete(options.record, cases, measure, options.workers)
+    light = complete(options.record, [light_case(name) for name in names], measure_light, options.workers)
+    for gap in GAPS:
+        print_table(lines, methods, REFERENCE, gap, lit_pairs(light))
+    if options.by_scene:
+        for gap in GAPS:
+            print_by_scene(lines, methods, names, gap)
+    if options.picture is not None:
+        from benchmarks.frontend.plot import draw_pareto
+
+        draw_pareto(lines, methods, REFERENCE, options.picture)
+
+
+def usable(methods: "dict[str, None]") -> list[str]:
+    """Those of the methods whose weights are there; the others are named with what they lack."""
+    found = []
+    for method in methods:
+        config = settings(method)
+        try:
+            feature_method(config), match_method(config)
+        except InputError as error:
+            print(f"{method} is left out: {error}")
+        else:
+            found.append(method)
+    return found
+
+
+def settings(method: str) -> Frontend:
+    """Configuration of a method by its name here."""
+    parts = re.fullmatch(r"(?P<features>[a-z]+)(-(?P<zoom>[\d.]+)x)?(\+(?P<matcher>[a-z]+))?", method)
+    if parts is None:
+        raise SystemExit(f"{method}: write features, or features-2x+matcher")
+    features = {"method": parts["features"]} | ({"upsample": parts["zoom"]} if parts["zoom"] else {})
+    return Frontend.model_validate({"features": features, "pairs": {"method": parts["matcher"]}})
+
+
+def case_of(method: str, scene: str) -> Case:
+    """Names a measurement, with a digest of the scene; new code or defaults need ``--again``."""
+    text = (CONFIGS / f"{scene}.yaml").read_bytes()
+    return {"method": method, "scene": scene, "digest": hashlib.sha256(text).hexdigest()[:12]}
+
+
+def light_case(scene: str) -> Case:
+    """Names what holds for all methods: how much of the body both frames of a pair show in the light."""
+    return {"light": scene, "digest": case_of(REFERENCE, scene)["digest"]}
+
+
+def measure_light(case: Case) -> Case:
+    """Area lit in both frames [px], for each pair."""
+    scene = open_scene(case["light"])
+    pairs = [(i, i + gap) for gap in GAPS for i in range(len(scene) - gap)]
+    return {"pairs": [[i, j, scene.lit_in_both(i, j)] for i, j in pairs]}
+
+
+def measure(case: Case) -> Case:
+    """All frames and pairs of one scene by one method."""
+    torch.set_num_threads(1)
+    scene = open_scene(case["scene"])
+    config = with_patch_size(settings(case["method"]), scene.sequence, scene.rectifier)
+    extract_pair(scene.pair(0), scene.rig, config)  # the first call of a network takes longer
+    frames, features_s = [], []
+    for k in range(len(scene)):
+        pair = scene.pair(k)
+        begin = process_time()
+        frames.append(extract_pair(pair, scene.rig, config))
+        features_s.append(process_time() - begin)
+    return {"features_s": features_s, **measure_frames(scene, frames, config)}
+
+
+def measure_frames(scene: UnseenScene, frames: list[StereoFeatures], config: Frontend) -> Case:
+    """The features of all frames, and their matches."""
+    shown = [scene.body_points(k, frame.uvd_px) for k, frame in enumerate(frames)]
+    points_G = [p_G for p_G, _ in shown]
+    pairs = [(i, i + gap) for gap in GAPS for i in range(len(scene) - gap)]
+    return {
+        "features": [len(frame) for frame in frames],
+        "wrong_stereo": [int(np.sum(error > WRONG_STEREO_PX)) for _, error in shown],
+        "pairs": [measure_pair(scene, frames, points_G, i, j, config) for i, j in pairs],
+    }
+
+
+def measure_pair(
+    scene: UnseenScene, frames: list[StereoFeatures], points_G: list[Array], i: int, j: int, config: Frontend
+) -> Case:
+    """One pair of frames: all matches by confidence; those at the method's threshold, and their motion."""
+    a, b = frames[i], frames[j]
+    begin = process_time()
+    every = match_method(loosened(config))(a, b)
+    match_s = process_time() - begin
+    every_right = correct(every, points_G[i], points_G[j])
+    sure = every.confidence >= threshold(config)
+    usual, right = Matches(every.features[sure], every.confidence[sure]), every_right[sure]
+    error_deg, inlier = motion_of(scene, usual, a, b, i, j, config)
+    return {
+        "gap": j - i,
+        "features": min(len(a), len(b)),
+        "matches": len(right),
+        "correct": int(right.sum()),
+        "inliers": int(inlier.sum()),
+        "correct_inliers": int((right & inlier).sum()),
+        "error_deg": error_deg,
+        "guided_deg": guided_error_deg(scene, frames, i, j, config),
+        "match_s": match_s,
+        "squares": normalised_squares(scene, usual.features[right & inlier], a, b, i, j),
+        "confidence": np.round(every.confidence, 4).tolist(),
+        "right": every_right.astype(int).tolist(),
+    }
+
+
+def threshold(config: Frontend) -> float:
+    """The confidence from which on the method, as it is configured, gives a match."""
+    if config.matcher == config.features.method == "polhode":
+        # a run keeps all that agree on the motion
+        return 0.0
+    return 1.0 - config.pairs.ratio if config.matcher == "nearest" else config.pairs.min_confidence
+
+
+def loosened(config: Frontend) -> Frontend:
+    """The same method without a threshold on its confidence."""
+    pairs = config.pairs.model_copy(update={"ratio": 1.0, "min_confidence": 0.0})
+    return config.model_copy(update={"pairs": pairs})
+
+
+def correct(matches: Matches, p_Ga: Array, p_Gb: Array) -> Bools:
+    """True (m,) where both features show the same place of the body."""
+    apart = p_Ga[matches.features[:, 0]] - p_Gb[matches.features[:, 1]]
+    return np.asarray(np.linalg.norm(apart, axis=1) < SAME_POINT_M)
+
+
+def motion_of(
+    scene: UnseenScene,
+    matches: Matches,
+    a: StereoFeatures,
+    b: StereoFeatures,
+    i: int,
+    j: int,
+    config: Frontend,
+) -> tuple[float | None, Bools]:
+    """Error of the rotation [deg], None where no motion is found, and the matches that agree with it."""
+    left, right = matches.features.T
+    pairing, none = config.pairs, np.zeros(len(left), dtype=bool)
+    if len(left) < pairing.min_inliers:
+        return None, none
+    fit = ransac_rigid(
+        a.uvd_px[left],
+        a.p_R[left],
+        b.p_R[right],
+        scene.rig,
+        pairing.hypotheses,
+        pairing.gate_px,
+        np.random.default_rng([0, i, j]),
+    )
+    if fit.inlier.sum() < pairing.min_inliers:
+        return None, none
+    turn = fit.X_RiRj[:3, :3].T @ scene.motion(i, j)[:3, :3]
+    return float(np.rad2deg(np.linalg.norm(log_so3(turn)))), fit.inlier
+
+
+def normalised_squares(
+    scene: UnseenScene, index: Ints, a: StereoFeatures, b: StereoFeatures, i: int, j: int
+) -> list[float]:
+    """Sums over matches (m, 2) of the squared residuals of u, v, disparity over their variances, and m.
+
+    The residual is the measurement in frame i less that of frame j carried over by the true motion.
+    """
+    left, right = index.T
+    X_RiRj, rig = scene.motion(i, j), scene.rig
+    p_Ri = b.p_R[right] @ X_RiRj[:3, :3].T + X_RiRj[:3, 3]
+    residual = a.uvd_px[left] - rig.project(p_Ri)
+    # d uvd_i / d uvd_j: triangulate in j, turn, project in i.
+    J = (
+        np.linalg.inv(rig.triangulation_jacobian(p_Ri))
+        @ X_RiRj[:3, :3]
+        @ rig.triangulation_jacobian(b.p_R[right])
+    )
+    variance = a.sigma_px[left] ** 2 + np.einsum("nab,nb->na", J**2, b.sigma_px[right] ** 2)
+    return [*np.sum(residual**2 / variance, axis=0).tolist(), len(left)]
+
+
+if __name__ == "__main__":
+    main()

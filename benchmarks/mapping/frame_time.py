@@ -1,0 +1,139 @@
+"""Seconds of a clock on the wall that the dense model takes for each frame, by what is done.
+
+    python -m benchmarks.mapping.frame_time [SEQ ...]          by default ts38 and asteroid, at voxels of 1 mm
+    python -m benchmarks.mapping.frame_time --short            the shipped sample
+
+One process, one core, true poses, images as they are on the disk. Columns, in seconds a frame:
+
+    depth      images to a depth map: reading, rectifying, disparity, refinement
+    fusion     a depth map into the field
+    meshing    marching cubes and sigmas once at the end, shared by the frames
+    finishing  holes, colours, coverage, lighter meshes, mass against volume, once, shared by the frames
+    in all     fusion, meshing and finishing: what the limit of 0.25 s is for; depth is told beside it
+    of a core  the same in seconds of the processor: on a machine with other work the clock runs on
+
+A few frames go through everything first, so that what is compiled or loaded does not count.
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter, process_time
+
+import numpy as np
+import torch
+
+from benchmarks.mapping.mesh_quality import depth_maps, true_poses
+from polhode.config import Config
+from polhode.config.loader import load_config
+from polhode.dataset import open_sequence
+from polhode.frontend.rectification.rectify import make_rectifier
+from polhode.lie import Array, inverse_pose
+from polhode.mapping.field import Field
+from polhode.pipeline.finish_surface import finish_surface
+from polhode.records import Identifiability, MassProperties
+from polhode.truth import read_truth
+
+LIMIT_S = 0.25
+SEQUENCES = [Path("data/ts38"), Path("data/asteroid")]
+WARM = 3
+"""Frames that go first."""
+
+
+@dataclass(frozen=True)
+class Times:
+    """Of so many frames: depth, fusion, meshing, finishing (4,) [s], on the wall's clock and of the core."""
+
+    frames: int
+    size: str
+    wall_s: Array
+    core_s: Array
+    faces: int
+
+
+def now() -> Array:
+    """(2,) [s]: on the wall's clock, of this process."""
+    return np.array([perf_counter(), process_time()])
+
+
+def mass_of_nothing() -> MassProperties:
+    """A motion that tells nothing: the finishing compares the mesh with it in words alone."""
+    none = np.zeros(3, dtype=bool)
+    known = Identifiability(False, False, False, False, {}, none, none, np.full(8, np.inf))
+    return MassProperties(
+        J_G=np.eye(3),
+        moments=np.ones(3),
+        k1=0.0,
+        k2=0.0,
+        cov_k=np.eye(2),
+        cov_J=np.eye(5),
+        R_GP=np.eye(3),
+        cov_R_GP=np.eye(3),
+        com_G=np.zeros(3),
+        cov_com_G=np.eye(3),
+        identifiable=known,
+    )
+
+
+def measure(folder: Path, config: Config, voxel_m: float, most: int | None = None) -> Times:
+    """The true poses bound the disparities, as the sparse map does in a run."""
+    sequence, truth = open_sequence(folder), read_truth(folder)
+    if truth.mesh is None:
+        raise SystemExit(f"{folder}: this sequence has no true surface")
+    rectifier = make_rectifier(sequence.calibration)
+    X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ true_poses(sequence, truth)
+    count = len(sequence) if most is None else min(most, len(sequence))
+    maps = depth_maps(sequence, rectifier, X_RG, np.asarray(truth.mesh.vertices), config)
+    field = Field(rectifier.rig, config.mapping, voxel_m, 0.25 * config.mapping.memory_mib)
+    depth, fusion = np.zeros(2), np.zeros(2)
+    for X in X_RG[:count]:
+        begin = now()
+        frame = next(maps)
+        between = now()
+        field.add(frame, X)
+        depth, fusion = depth + between - begin, fusion + now() - between
+    begin = now()
+    surface = field.surface()
+    meshed = now()
+    finished, _, _ = finish_surface(surface, sequence, rectifier, X_RG, mass_of_nothing(), config)
+    wall_s, core_s = np.stack([depth, fusion, meshed - begin, now() - meshed]).T
+    size = f"{rectifier.rig.width_px}x{rectifier.rig.height_px}"
+    return Times(count, size, wall_s, core_s, len(finished.mesh.faces))
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("sequences", nargs="*", type=Path)
+    parser.add_argument("--short", action="store_true", help="the shipped sample")
+    parser.add_argument("--voxel-mm", type=float, default=1.0)
+    parser.add_argument("--config", type=Path, default=Path("configs/default.yaml"))
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    config = load_config(options.config)
+    sequences = options.sequences or ([Path("sample")] if options.short else SEQUENCES)
+    voxel_m = options.voxel_mm * 1e-3
+    measure(sequences[0], config, voxel_m, WARM)
+    print(
+        f"{'sequence':<14}{'frames':>7}{'size':>10}{'voxel mm':>10}{'faces':>9}{'depth':>9}{'fusion':>9}"
+        f"{'meshing':>9}{'finishing':>11}{'in all':>9}{'of a core':>11}   limit {LIMIT_S} s"
+    )
+    for folder in sequences:
+        t = measure(folder, config, voxel_m)
+        parts, in_all, core = (
+            t.wall_s / t.frames,
+            t.wall_s[1:].sum() / t.frames,
+            t.core_s[1:].sum() / t.frames,
+        )
+        print(
+            f"{folder.name:<14}{t.frames:>7}{t.size:>10}{options.voxel_mm:>10.2f}{t.faces:>9}"
+            f"{parts[0]:>9.3f}{parts[1]:>9.3f}{parts[2]:>9.3f}{parts[3]:>11.3f}{in_all:>9.3f}{core:>11.3f}"
+            f"   {'met' if in_all <= LIMIT_S else 'missed'}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

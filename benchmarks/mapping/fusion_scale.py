@@ -1,0 +1,148 @@
+"""The field's memory and time over sizes: a 0.3 m body at 1 mm, a craft of 10 m with panels at 5 mm.
+
+    python -m benchmarks.mapping.fusion_scale              both
+    python -m benchmarks.mapping.fusion_scale --short      the small one, 20 frames
+
+Depth maps of 640x480 are cast from the solids, with independent noise of half a voxel; the camera looks from
+close by at places spread over the surface, so no frame holds the whole of the large one. Each runs in a
+process of its own. Field: the blocks of voxels; peak: by how much the process's peak, with the frames that
+wait, the mesh and what makes it, exceeds what it held before.
+"""
+
+import argparse
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+import torch
+import trimesh
+
+from benchmarks.mapping.fusion_peers import memory_mib
+from polhode.camera import RectifiedRig
+from polhode.config.mapping import Mapping
+from polhode.lie import Array, inverse_pose, make_pose
+from polhode.mapping.field import Field
+from polhode.mapping.visibility import Caster
+from polhode.mesh_metrics import distance_to_surface, sample_surface
+from polhode.records import DepthMap
+
+RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A solid, the edge of a voxel and how it is looked at."""
+
+    voxel_m: float
+    distance_m: float
+    frames: int
+    memory_mib: float
+
+
+CASES = {"0.3 m": Case(1e-3, 0.5, 60, 1024.0), "10 m": Case(5e-3, 3.0, 300, 4096.0)}
+
+
+def solid(name: str) -> trimesh.Trimesh:
+    """A box of 0.3 m across; or a bus with two panels, 10 m from tip to tip."""
+    if name == "0.3 m":
+        box: trimesh.Trimesh = trimesh.creation.box((0.2, 0.18, 0.14))
+        return box
+    parts = [trimesh.creation.box((3.0, 2.0, 2.0))]
+    for side in (-1.0, 1.0):
+        panel = trimesh.creation.box((3.5, 1.6, 0.04))
+        panel.apply_translation([side * 3.25, 0.0, 0.0])
+        parts.append(panel)
+    vertices = np.concatenate([part.vertices for part in parts])
+    faces = np.concatenate([part.faces + 8 * k for k, part in enumerate(parts)])
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def view(
+    mesh: trimesh.Trimesh, caster: Caster, place: Array, normal: Array, case: Case, rng: np.random.Generator
+) -> tuple[DepthMap, Array]:
+    """Depth from above a place of the surface, somewhat to the side, with the pose of the body."""
+    away = normal + 0.4 * rng.normal(size=3)
+    eye = place + case.distance_m * away / np.linalg.norm(away)
+    z = (place - eye) / np.linalg.norm(place - eye)
+    x = np.cross(np.roll(np.abs(z), 1) + 1e-3, z)
+    x /= np.linalg.norm(x)
+    X_GR = make_pose(np.stack([x, np.cross(z, x), z], axis=1), eye)
+    v, u = np.mgrid[: RIG.height_px, : RIG.width_px]
+    rays = np.stack(
+        [(u - RIG.cx_px) / RIG.focal_px, (v - RIG.cy_px) / RIG.focal_px, np.ones(u.shape)], axis=-1
+    ).reshape(-1, 3)
+    length = np.linalg.norm(rays, axis=1)
+    found, _ = caster.first(eye, (rays / length[:, None]) @ X_GR[:3, :3].T)
+    sigma_m = 0.5 * case.voxel_m
+    depth = (found / length + rng.normal(0.0, sigma_m, len(found))).reshape(v.shape)
+    seen = np.isfinite(depth)
+    return DepthMap(
+        depth_m=np.where(seen, depth, np.nan).astype(np.float32),
+        sigma_m=np.where(seen, sigma_m, np.nan).astype(np.float32),
+        intensity=np.where(seen, 150, 0).astype(np.uint8),
+        target=seen,
+    ), inverse_pose(X_GR)
+
+
+def measure(name: str, frames: int) -> str:
+    """One line of the table."""
+    case, mesh = CASES[name], solid(name)
+    caster, rng = Caster(mesh), np.random.default_rng(0)
+    places, normals = sample_surface(mesh, frames)
+    config = Mapping(voxel_mm=case.voxel_m * 1e3, memory_mib=case.memory_mib, device="cpu")
+    # a little one first, so that what is compiled does not count
+    warm = Field(RIG, config, case.voxel_m)
+    warm.add(*view(mesh, caster, places[0], normals[0], case, rng))
+    warm.surface()
+    del warm
+    Path("/proc/self/clear_refs").write_text("5")
+    before, seconds = memory_mib("VmRSS"), 0.0
+    field = Field(RIG, config, case.voxel_m, kept_mib=256.0)
+    for place, normal in zip(places, normals, strict=True):
+        frame = view(mesh, caster, place, normal, case, rng)
+        begin = process_time()
+        field.add(*frame)
+        seconds += process_time() - begin
+    begin = process_time()
+    surface = field.surface()
+    seconds += process_time() - begin
+    peak = memory_mib("VmHWM") - before
+    points, _ = sample_surface(surface.mesh, 20_000)
+    off = distance_to_surface(mesh, points) / case.voxel_m
+    told = "; ".join(surface.warnings) or "none"
+    return (
+        f"{name:<8}{case.voxel_m * 1e3:>9.1f}{frames:>8}{field.bytes / 2**20:>11.0f}{peak:>10.0f}"
+        f"{len(surface.mesh.faces):>11}{np.mean(off):>17.2f}{seconds / frames:>11.3f}   {told}"
+    )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--short", action="store_true", help="the small one, 20 frames")
+    parser.add_argument("--worker", nargs=2, metavar=("NAME", "FRAMES"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    if options.worker:
+        print(measure(options.worker[0], int(options.worker[1])), flush=True)
+        return
+    print(
+        f"{'body':<8}{'voxel mm':>9}{'frames':>8}{'field MiB':>11}{'peak MiB':>10}{'faces':>11}"
+        f"{'error in voxels':>17}{'s a frame':>11}   warnings",
+        flush=True,
+    )
+    for name, case in CASES.items():
+        if options.short and name != "0.3 m":
+            continue
+        frames = 20 if options.short else case.frames
+        command = [sys.executable, "-m", "benchmarks.mapping.fusion_scale", "--worker", name, str(frames)]
+        subprocess.run(command, check=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,191 @@
+"""Eight lengths of the free flyer, measured on a mesh and on the true one (as table 6.3 of the thesis).
+
+    python -m benchmarks.mapping.lengths [RUN SEQ]          a run of configs/ts38.yaml (runs/ts38, data/ts38)
+    python -m benchmarks.mapping.lengths --mesh MESH SEQ    a mesh in the true G (benchmarks.mesh_quality --save)
+
+A length is the distance between two parallel faces of the body. On the true mesh a face is what lies in one
+plane and is free of other parts within 2 mm. On the estimated mesh, which the motion alone brings into the
+true frame, a plane is fitted to where rays onto that face meet the surface; the length is the distance of the
+two planes at the middle of the faces.
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from benchmarks.mapping.mesh_quality import run_poses, true_poses
+from polhode.dataset import open_sequence
+from polhode.errors import InputError
+from polhode.lie import Array
+from polhode.mapping.mesh_files import read_ply
+from polhode.mapping.visibility import Caster
+from polhode.pipeline.evaluation.evaluate import between_target_frames
+from polhode.truth import read_truth
+
+SAMPLES = 4000
+"""Points drawn on a face."""
+CLEAR_M = 2e-3
+"""Nearer to another part no point of a face is used."""
+REACH_M = 4e-3
+"""The estimated surface is looked for so far on either side of the true face."""
+FLAT_M = 5e-5
+FEWEST = 60
+"""Rays that must meet the estimated surface."""
+MM = 1e-3
+
+
+@dataclass(frozen=True)
+class Face:
+    """A plane of the body, by a point on it and its outward normal, in the true G, lengths in mm."""
+
+    point_mm: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Length:
+    """Between two faces that look away from each other."""
+
+    name: str
+    one: Face
+    other: Face
+
+
+S = 0.5**0.5
+LENGTHS = (
+    Length("largest extent along x", Face((114, 22, -14), (1, 0, 0)), Face((-114, -18, 20), (-1, 0, 0))),
+    Length("largest extent along y", Face((4, 117, 8), (0, 1, 0)), Face((0, -110, 0), (0, -1, 0))),
+    Length("shell across z", Face((0, 0, 110), (0, 0, 1)), Face((0, 0, -110), (0, 0, -1))),
+    Length("shell across x", Face((110, 0, 0), (1, 0, 0)), Face((-110, 0, 0), (-1, 0, 0))),
+    Length("bevels across x + y", Face((84.8, 84.8, 0), (S, S, 0)), Face((-84.8, -84.8, 0), (-S, -S, 0))),
+    Length("bevels across y + z", Face((0, 84.8, 84.8), (0, S, S)), Face((0, -84.8, -84.8), (0, -S, -S))),
+    Length("port, width", Face((26, 113.5, 8), (1, 0, 0)), Face((-18, 113.5, 8), (-1, 0, 0))),
+    Length("port, height", Face((4, 113.5, 43), (0, 0, 1)), Face((4, 113.5, -27), (0, 0, -1))),
+)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One line of the table [mm]."""
+
+    name: str
+    true_mm: float
+    found_mm: float | None
+    """None: too little of a face is in the mesh"""
+    points: int
+    """of the face with fewer of them"""
+
+
+def measure(estimate: trimesh.Trimesh, truth: trimesh.Trimesh) -> list[Measured]:
+    """All lengths on a mesh in the true frame G, both in metres."""
+    true, found = Caster(truth), Caster(estimate)
+    rows = []
+    for length in LENGTHS:
+        ends = [_offset(true, found, truth, face) for face in (length.one, length.other)]
+        along = np.array(length.one.normal)
+        true_mm = float(along @ (np.array(length.one.point_mm) - np.array(length.other.point_mm)))
+        points = min(count for _, count in ends)
+        known = points >= FEWEST
+        rows.append(
+            Measured(
+                length.name, true_mm, true_mm + sum(off for off, _ in ends) / MM if known else None, points
+            )
+        )
+    return rows
+
+
+def _offset(true: Caster, found: Caster, truth: trimesh.Trimesh, face: Face) -> tuple[float, int]:
+    """How far outside of the true face the estimated one is, at its middle [m], and the rays that met it."""
+    normal = np.array(face.normal) / np.linalg.norm(face.normal)
+    points = _clear_points(true, truth, np.array(face.point_mm) * MM, normal)
+    distance, _ = found.first(points + REACH_M * normal, np.broadcast_to(-normal, points.shape))
+    off = REACH_M - distance
+    met = np.abs(off) < REACH_M
+    if met.sum() < FEWEST:
+        return np.nan, int(met.sum())
+    across = np.linalg.svd(normal[None])[2][1:]
+    design = np.column_stack([np.ones(len(points)), (points - points.mean(axis=0)) @ across.T])
+    kept = met.copy()
+    for _ in range(5):
+        plane = np.linalg.lstsq(design[kept], off[kept], rcond=None)[0]
+        rest = np.abs(off - design @ plane)
+        kept = met & (rest < 3.0 * 1.4826 * np.median(rest[kept]) + 1e-6)
+    return float(plane[0]), int(kept.sum())
+
+
+def _clear_points(true: Caster, truth: trimesh.Trimesh, point: Array, normal: Array) -> Array:
+    """Points (n, 3) of the face that holds ``point``, away from its rims and from other parts."""
+    corners = np.asarray(truth.triangles)
+    flat = (np.asarray(truth.face_normals) @ normal > 0.999) & (
+        np.abs((corners - point) @ normal).max(axis=1) < FLAT_M
+    )
+    if not flat.any():
+        raise InputError(
+            "the true mesh has no such face: these lengths are those of configs/ts38.yaml's body"
+        )
+    face = truth.submesh([np.flatnonzero(flat)], append=True)
+    points = np.asarray(trimesh.sample.sample_surface(face, SAMPLES, seed=0)[0])
+    across = np.linalg.svd(normal[None])[2][1:]
+    clear = np.ones(len(points), dtype=bool)
+    for angle in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False):
+        beside = points + CLEAR_M * (np.cos(angle) * across[0] + np.sin(angle) * across[1])
+        # from far outside: what stands on the face is met first
+        far = 2.0 * true.radius_m
+        distance, _ = true.first(beside + far * normal, np.broadcast_to(-normal, points.shape))
+        clear &= np.abs(distance - far) < FLAT_M
+    return points[clear]
+
+
+def in_true_frame(run: Path, folder: Path) -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
+    """A run's mesh, brought into the true G by the motion, and the true mesh."""
+    sequence, truth = open_sequence(folder), read_truth(folder)
+    if truth.mesh is None:
+        raise InputError(f"{folder}: this sequence has no true surface")
+    mesh = read_ply(run / "mesh.ply").mesh
+    mesh.apply_transform(between_target_frames(run_poses(run), true_poses(sequence, truth), mesh.centroid))
+    return mesh, truth.mesh
+
+
+def print_table(rows: list[Measured]) -> None:
+    """One line a length, and the mean of the errors."""
+    print(f"{'length':<26}{'true mm':>9}{'mesh mm':>9}{'error mm':>10}{'points':>8}")
+    errors = []
+    for row in rows:
+        if row.found_mm is None:
+            print(f"{row.name:<26}{row.true_mm:>9.2f}{'not in the mesh':>19}{row.points:>8}")
+            continue
+        errors.append(abs(row.found_mm - row.true_mm))
+        print(
+            f"{row.name:<26}{row.true_mm:>9.2f}{row.found_mm:>9.2f}"
+            f"{row.found_mm - row.true_mm:>+10.2f}{row.points:>8}"
+        )
+    if errors:
+        print(
+            f"mean absolute error {np.mean(errors):.2f} mm, standard deviation {np.std(errors):.2f} mm, "
+            f"largest {np.max(errors):.2f} mm, of {len(errors)} lengths (thesis: 1.83, 1.13 mm)"
+        )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("run", nargs="?", type=Path, default=Path("runs/ts38"))
+    parser.add_argument("sequence", nargs="?", type=Path, default=Path("data/ts38"))
+    parser.add_argument("--mesh", type=Path, help="a mesh in the true frame G instead of a run")
+    options = parser.parse_args()
+    if options.mesh is not None:
+        truth = read_truth(options.sequence).mesh
+        if truth is None:
+            raise SystemExit(f"{options.sequence}: this sequence has no true surface")
+        print_table(measure(read_ply(options.mesh).mesh, truth))
+        return
+    print_table(measure(*in_true_frame(options.run, options.sequence)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,159 @@
+"""Known forces and torques, and unknown pushes: how well they are followed, Monte Carlo on measurements.
+
+    python -m benchmarks.monte_carlo.disturbances [--seeds 20] [--workers 1] [--short] [--record FILE]
+
+60 frames of 0.5 s, 300 landmarks, pixel noise 1 px, process noise 1e-8, both estimated. NEES: mean normalised
+squared error, 1 is expected; coverage: share of the states' components within three standard deviations. What
+was measured before is read from the record.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.record import Case, complete
+from polhode.config.backend import Backend
+from polhode.lie import Array, log_so3
+from polhode.metrics import HALF_TURNS
+from polhode.progress import Silent
+from polhode.records import MotionEstimate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, Vector, generate
+
+RECORD = Path(__file__).resolve().parents[1] / "records" / "pushes.jsonl"
+MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
+FREE = SyntheticScene(
+    frames=60, landmarks=300, detection=0.4, w_G=(0.3, 0.5, 0.35), J_G=np.diag(MOMENTS),
+    accel_psd=1e-8, torque_psd=1e-8,
+)  # fmt: skip
+KNOWN = (
+    (4.0, 5.0, (0.0, 0.0, 2e-2), (2e-3, 0.0, -1e-3)),
+    (17.0, 3.0, (0.0, -1e-2, -2e-2), (0.0, 1.6e-3, 2e-3)),
+)
+UNKNOWN: dict[str, tuple[tuple[float, float, Vector, Vector], ...]] = {
+    "nothing pushes": (),
+    "3 s, 9 mm/s and 23 deg/s": ((12.0, 3.0, (0.0, -1e-2, 1e-2), (0.0, 1.6e-3, 2e-3)),),
+    "a hit of 0.25 s, 6 mm/s and 17 deg/s": ((12.0, 0.25, (0.0, -8e-2, 8e-2), (0.0, 1e-2, -2e-2)),),
+    "4 s, 2 mm/s and 3 deg/s": ((12.0, 4.0, (0.0, -1e-3, 2e-3), (0.0, 1.6e-4, 2e-4)),),
+}
+
+
+def main() -> None:
+    """Measure what the record lacks, print the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20, help="sequences per row")
+    parser.add_argument("--short", action="store_true", help="one sequence per row")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
+    options = parser.parse_args()
+    seeds = range(1 if options.short else options.seeds)
+    known: list[Case] = [{"push": "known", "search": "found", "seed": seed} for seed in seeds]
+    unknown: list[Case] = [
+        {"push": push, "search": search, "seed": seed}
+        for push in UNKNOWN
+        for search in ("none", "found")
+        for seed in seeds
+    ]
+    print_known(complete(options.record, known, measure, options.workers))
+    print_unknown(complete(options.record, unknown, measure, options.workers))
+
+
+def measure(case: Case) -> Case:
+    """One sequence: what the estimate says over what is true."""
+    from polhode.backend import estimate_motion, initialize_motion
+
+    known = case["push"] == "known"
+    pushes = KNOWN if known else UNKNOWN[case["push"]]
+    sequence = generate(replace(FREE, pushes=pushes), 400 + case["seed"])
+    if not known:
+        sequence = replace(sequence, tracks=replace(sequence.tracks, wrench=None))
+    config = Backend(solver="gauss_newton", unknown_wrench=case["search"])
+    initial = initialize_motion(sequence.tracks, sequence.relative, config)
+    estimate = estimate_motion(sequence.tracks, initial, config, Silent())
+    errors, h = state_errors(sequence, estimate)
+    sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
+    mass = estimate.mass
+    k = np.array([mass.k1 - sequence.truth.k1, mass.k2 - sequence.truth.k2])
+    squares = [e @ np.linalg.solve(C, e) / 12.0 for e, C in zip(errors, estimate.covariance, strict=True)]
+    out: dict[str, Any] = {
+        "nees": float(np.mean(squares)),
+        "inside": float(np.mean(np.abs(errors) < 3.0 * sigma)),
+        "k": (k / np.sqrt(np.diag(mass.cov_k))).tolist(),
+        "error_k": k.tolist(),
+        "found": [] if estimate.pushes is None else whole_pushes(estimate, pushes, h),
+    }
+    if known:
+        assert mass.mass_kg is not None and mass.sigma_mass_kg is not None
+        assert mass.inertia_scale_kg_m2 is not None and mass.sigma_inertia_scale_kg_m2 is not None
+        values = ((mass.mass_kg, mass.sigma_mass_kg, FREE.mass_kg),
+                  (mass.inertia_scale_kg_m2, mass.sigma_inertia_scale_kg_m2, MOMENTS[1]))  # fmt: skip
+        out["kilograms"] = [[(value - true) / sigma, sigma / true] for value, sigma, true in values]
+    return out
+
+
+def state_errors(sequence: SyntheticSequence, estimate: MotionEstimate) -> tuple[Array, Array]:
+    """Errors (F, 12) in the order of the covariance, and the half-turn (3,) of the axes that fits best."""
+    truth = sequence.truth
+    turns = [log_so3(np.swapaxes(estimate.R_NP, 1, 2) @ truth.R_NP @ np.diag(h)) for h in HALF_TURNS]
+    best = int(np.argmin([np.linalg.norm(turn) for turn in turns]))
+    h = HALF_TURNS[best]
+    errors = [truth.r_N - estimate.r_N, truth.v_N - estimate.v_N, turns[best], truth.w_P * h - estimate.w_P]
+    return np.hstack(errors), np.asarray(h)
+
+
+def whole_pushes(
+    estimate: MotionEstimate, pushes: tuple[tuple[float, float, Vector, Vector], ...], h: Array
+) -> list[list[float]]:
+    """Of each push that was found (6,): error of the changes of velocity and rate over their sigmas."""
+    assert estimate.pushes is not None
+    out = []
+    for push in estimate.pushes.pushes:
+        change = np.zeros((2, 3))
+        for start_s, duration_s, force_N, torque_P in pushes:
+            if push.start_ns < 1e9 * (start_s + duration_s) and push.end_ns > 1e9 * start_s:
+                change += duration_s * np.array([np.array(force_N) / FREE.mass_kg, torque_P / MOMENTS * h])
+        dv = (push.delta_v_N - change[0]) / push.sigma_delta_v_N
+        dw = (push.delta_w_P - change[1]) / push.sigma_delta_w_P
+        out.append([*dv.tolist(), *dw.tolist(), float(change.any())])
+    return out
+
+
+def print_known(lines: list[Case]) -> None:
+    """Mass and middle moment with a known wrench."""
+    values = np.array([line["kilograms"] for line in lines])
+    print("| known forces and torques | sigma | NEES | largest error over sigma |\n|---|---|---|---|")
+    for n, name in enumerate(("mass", "middle moment")):
+        z, sigma = values[:, n, 0], values[:, n, 1]
+        print(f"| {name} | {100 * np.median(sigma):.2f} % | {np.mean(z**2):.2f} | {np.abs(z).max():.1f} |")
+    print(f"| states | | {np.mean([line['nees'] for line in lines]):.2f} | |\n")
+
+
+def print_unknown(lines: list[Case]) -> None:
+    """Runs that look for pushes, and runs that do not."""
+    print(
+        "| unknown push | search | found | false | states: NEES, coverage | rms error k1, k2 | push: NEES |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for name in UNKNOWN:
+        for search in ("none", "found"):
+            rows = [
+                line for line in lines
+                if (line["case"]["push"], line["case"]["search"]) == (name, search)
+            ]  # fmt: skip
+            found = [push for row in rows for push in row["found"]]
+            true = np.array([push[:6] for push in found if push[6]])
+            right = sum(any(push[6] for push in row["found"]) for row in rows)
+            k = np.sqrt(np.mean(np.square([row["error_k"] for row in rows]), axis=0))
+            push_nees = f"{np.mean(true**2):.2f}" if len(true) else ""
+            print(
+                f"| {name} | {search} | {right}/{len(rows)} | {len(found) - len(true)} "
+                f"| {np.mean([row['nees'] for row in rows]):.2f}, "
+                f"{100 * np.mean([row['inside'] for row in rows]):.1f} % "
+                f"| {k[0]:.4f}, {k[1]:.4f} | {push_nees} |"
+            )
+
+
+if __name__ == "__main__":
+    main()

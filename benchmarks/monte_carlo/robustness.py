@@ -1,0 +1,341 @@
+"""Gross outliers, ten seconds of nothing, an inspector that jitters: Monte Carlo on measurements, cold start.
+
+    python -m benchmarks.monte_carlo.robustness [--seeds 12] [--workers 1] [--short] [--record FILE]
+
+80 pairs, 600 landmarks, about 50 observations a pair, 0.5 px, disturbances of 1e-7; 12 sequences of each of
+five motions, the same in every row but for what is wrong. Disturbances and noise of the pixels are estimated,
+from a stated 1e-6. What was measured before is read from the record.
+
+"outliers": 30 % of the observations are off by up to 40 px, 10 % of the relative poses are wrong. "gap": no
+measurement in the ten seconds in the middle. "jitter": the inspector swings within a dead band of 4 mm and
+0.4 degrees; its poses are known exactly, or reported with noise of a stated sigma (0.5 mm, 0.02 degrees).
+
+"converge" and "falsely" are those of ``benchmarks/monte_carlo/convergence.py``; bound, NEES and its 95 % band those of
+``benchmarks/monte_carlo/accuracy.py``. What the information at the truth does not determine does not count.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import t as student
+
+from benchmarks.monte_carlo.accuracy import MOTIONS, consistency
+from benchmarks.monte_carlo.convergence import NAMES, missed, stated_sigma, wrong
+from benchmarks.monte_carlo.disturbances import state_errors
+from benchmarks.record import Case, complete
+from polhode.lie import Array, inverse_pose, log_so3
+from polhode.records import MotionEstimate
+from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence
+
+RECORD = Path(__file__).resolve().parents[1] / "records" / "robustness.jsonl"
+"""Kept in the repository, like that of the accuracy."""
+CHOSEN = (
+    "spin of 10 RPM near the middle axis (TS38)",
+    "flip of a box, 8 RPM",
+    "minor-axis wobble, 8 RPM",
+    "triaxial tumble, 7 RPM",
+    "fast tumble, 20 RPM, 4 pairs a second",
+)
+FRAMES, NOISE_PX, PSD, GAP_S = 80, 0.5, 1e-7, 10.0
+OUTLIERS, WRONG_PAIRS = 0.3, 0.1
+DEADBAND_M, DEADBAND_RAD = (4e-3, 1e-3), (np.deg2rad(0.4), np.deg2rad(0.3))
+SIGMA_P_M, SIGMA_THETA_RAD = 5e-4, float(np.deg2rad(0.02))
+CONDITIONS = (
+    "nothing wrong", "outliers", "gap", "gap and outliers", "jitter, reported poses", "jitter, exact poses",
+)  # fmt: skip
+QUANTITIES = ("r", "v", "attitude", "w", "com", "inertia")
+NEEDS = (range(3), range(3), range(5, 8), range(0), range(3), range(3, 8))
+"""Of each of them: which of convergence.NAMES must be determined at the truth for it to count."""
+SIGNED = (*(f"{name}_{axis}" for name in QUANTITIES[:5] for axis in "xyz"), "k1", "k2")
+"""r, v along N; attitude, w, com along the true principal axes."""
+PLACED_M, PLACED_RAD = 5e-3, float(np.deg2rad(2.0))
+"""Frames behind a gap are right when the body is so near to where it is, as seen from the first frame."""
+SHORT_MOTIONS, SHORT_SEEDS = 2, 2
+
+
+def main() -> None:
+    """Measure what the record lacks, print the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=12, help="sequences per motion and row")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--short", action="store_true", help="a few motions and seeds")
+    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
+    options = parser.parse_args()
+    motions = CHOSEN[:SHORT_MOTIONS] if options.short else CHOSEN
+    seeds = range(SHORT_SEEDS if options.short else options.seeds)
+    # seeds outermost: an interrupted benchmark has as many of each row
+    cases: list[Case] = [
+        {"condition": condition, "motion": motion, "seed": seed}
+        for seed in seeds
+        for motion in motions
+        for condition in CONDITIONS
+    ]
+    print_table(complete(options.record, cases, measure, options.workers))
+
+
+def gap_of(scene: SyntheticScene) -> slice:
+    """The frames of ten seconds in the middle."""
+    count = round(GAP_S / scene.dt_s)
+    start = (scene.frames - count) // 2
+    return slice(start, start + count)
+
+
+def scene_of(condition: str, motion: str) -> SyntheticScene:
+    """The motion with what is wrong."""
+    scene = replace(MOTIONS[motion], frames=FRAMES, landmarks=600, min_inliers=8)
+    scene = replace(scene, sigma_uv_px=NOISE_PX, sigma_d_px=NOISE_PX, accel_psd=PSD, torque_psd=PSD)
+    if "outliers" in condition:
+        scene = replace(scene, outliers=OUTLIERS, wrong_pairs=WRONG_PAIRS)
+    if "gap" in condition:
+        scene = replace(scene, dropped=tuple(range(FRAMES)[gap_of(scene)]))
+    if "jitter" in condition:
+        scene = replace(scene, deadband_m=DEADBAND_M, deadband_rad=DEADBAND_RAD)
+    if "reported" in condition:
+        scene = replace(scene, sigma_camera_p_m=SIGMA_P_M, sigma_camera_theta_rad=SIGMA_THETA_RAD)
+    return scene
+
+
+def measure(case: Case) -> Case:
+    """One sequence: errors and sigmas of the constants, squares over the frames, signed means."""
+    from benchmarks.monte_carlo.bound import (
+        constants_errors,
+        cramer_rao_bound,
+        determined_at_truth,
+        errors_of,
+        normalised_squares,
+    )
+    from polhode.backend import estimate_motion, initialize_motion
+    from polhode.config.backend import Backend
+    from polhode.errors import RunFailure
+    from polhode.progress import Silent
+    from polhode.simulation.monte_carlo.measurements import generate
+
+    scene = scene_of(case["condition"], case["motion"])
+    # the same draws of motion and landmarks in every condition
+    sequence = generate(scene, 1000 * CHOSEN.index(case["motion"]) + case["seed"])
+    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0))
+    given = Backend(accel_psd=PSD, torque_psd=PSD)
+    known = determined_at_truth(sequence, given)
+    start = time.perf_counter()
+    try:
+        initial = initialize_motion(sequence.tracks, sequence.relative, config)
+        estimate = estimate_motion(sequence.tracks, initial, config, Silent())
+    except RunFailure as failure:
+        return {"failure": str(failure), "determined_at_truth": known}
+    seconds = time.perf_counter() - start
+    bound, errors = cramer_rao_bound(sequence, given), errors_of(estimate, sequence, config)
+    counts = np.array([all(known[n] for n in needs) for needs in NEEDS])
+    noise = estimate.noise
+    out: Case = {
+        "errors": constants_errors(estimate, sequence).tolist(),
+        "sigma": stated_sigma(estimate),
+        "determined_at_truth": known,
+        "squares": np.where(counts, errors.mean_squares, np.nan).tolist(),
+        "bound": bound.mean_squares.tolist(),
+        "nees": np.where(counts, normalised_squares(errors, estimate), np.nan).tolist(),
+        "freedom": bound.freedom.tolist(),
+        "inside": inside(sequence, estimate, slice(None)),
+        "signed": signed_means(sequence, estimate),
+        "pixels": noise.pixel_sigma_px / NOISE_PX,
+        "levels": [noise.accel_psd / PSD, noise.torque_psd / PSD],
+        "seconds": round(seconds, 2),
+    }
+    if scene.dropped:
+        gap = gap_of(scene)
+        there = replace(errors, states=errors.states[gap])
+        within = replace(
+            estimate, R_NP=estimate.R_NP[gap], w_P=estimate.w_P[gap], covariance=estimate.covariance[gap]
+        )
+        bound = cramer_rao_bound(sequence, given, gap)
+        out["gap"] = {
+            "nees": np.where(counts, normalised_squares(there, within), np.nan).tolist(),
+            "freedom": bound.freedom.tolist(),
+            "squares": np.where(counts, there.mean_squares, np.nan).tolist(),
+            "bound": bound.mean_squares.tolist(),
+            "inside": inside(sequence, estimate, gap),
+            "sigma": sigma_about(estimate, gap),
+            "behind": placed_off(sequence, estimate, gap.stop),
+        }
+    return out
+
+
+def inside(sequence: SyntheticSequence, estimate: MotionEstimate, frames: slice) -> float:
+    """Share of the states' determined components within three standard deviations."""
+    errors = np.abs(state_errors(sequence, estimate)[0][frames])
+    sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2)[frames])
+    return float(np.mean((errors < 3.0 * sigma)[np.isfinite(sigma)]))
+
+
+def signed_means(sequence: SyntheticSequence, estimate: MotionEstimate) -> list[float]:
+    """Estimate minus truth, averaged over the frames, in the order of SIGNED."""
+    errors, turn = state_errors(sequence, estimate)
+    truth, mass = sequence.truth, estimate.mass
+    r, v, theta, w = np.split(-errors.mean(axis=0), 4)
+    com = sequence.truth.R_NP[0].T @ (estimate.r_N[0] - truth.r_N[0])
+    return [*r, *v, *(turn * theta), *(turn * w), *com, mass.k1 - truth.k1, mass.k2 - truth.k2]
+
+
+def sigma_about(estimate: MotionEstimate, gap: slice) -> list[list[float]]:
+    """Sigma of r [m], attitude [rad] and w along N [rad/s], beside the gap and the largest in it."""
+    from benchmarks.monte_carlo.bound import rate_along_N
+
+    T = rate_along_N(estimate.R_NP, estimate.w_P)
+    covariance = T @ estimate.covariance @ np.swapaxes(T, 1, 2)
+    variance = np.diagonal(covariance, axis1=1, axis2=2).reshape(-1, 4, 3)[:, [0, 2, 3]]
+    sigma = np.sqrt(variance.mean(axis=2))
+    beside = np.delete(sigma, np.arange(len(sigma))[gap], axis=0)
+    return [np.median(beside, axis=0).tolist(), sigma[gap].max(axis=0).tolist()]
+
+
+def placed_off(sequence: SyntheticSequence, estimate: MotionEstimate, first: int) -> list[float]:
+    """Largest error of the body's place [m] and attitude [rad] from a frame on, G held at the first frame."""
+    D = inverse_pose(sequence.X_NG) @ estimate.X_NG
+    # where G itself was put at the first frame is free
+    off = (sequence.X_NG @ D @ inverse_pose(D[0]))[first:]
+    shift = np.linalg.norm((off - sequence.X_NG[first:])[:, :3, 3], axis=1)
+    turn = log_so3(np.swapaxes(sequence.X_NG[first:, :3, :3], 1, 2) @ off[:, :3, :3])
+    return [float(shift.max()), float(np.linalg.norm(turn, axis=1).max())]
+
+
+def print_table(lines: list[Case]) -> None:
+    """Convergence, errors, consistency, the gap, the bias; then what went wrong."""
+    rows = [(name, [line for line in lines if line["case"]["condition"] == name]) for name in CONDITIONS]
+    print("\nConvergence, and the noise that was estimated over the true one (median)\n")
+    _print(("", "runs", "failed", "determined at the truth", "of them converge", "falsely", "pixels",
+            "acceleration", "torque", "seconds"), rows, _convergence)  # fmt: skip
+    print("\nRMSE over the bound of the same measurements; in brackets over the RMSE with nothing wrong\n")
+    reference = _good(rows[0][1])
+    _print(("", *QUANTITIES), rows, lambda some: _over_bound(some, reference))
+    print("\nNEES over its expectation, in brackets the 95 % band; states within three sigma\n")
+    _print(("", *QUANTITIES, "inside"), rows, _consistency)
+    print("\nWithin the gap: RMSE over the bound, and NEES\n")
+    gaps = [row for row in rows if "gap" in row[0]]
+    _print(("", *(f"{q}, {what}" for what in ("RMSE", "NEES") for q in QUANTITIES[:4]), "inside"), gaps, _gap)
+    print("\nMedian sigma beside the gap and at its largest within it, and the frames behind the gap\n")
+    _print(("", "r mm", "attitude deg", "w deg/s", "runs placed right", "off at most"), gaps, _growth)
+    print("\nMean signed error over its standard error: the largest, and what chance exceeds in 5 %\n")
+    _print(("", "each motion", "all motions together", "the worst of these"), rows, _bias)
+    for line in lines:
+        _tell(line)
+
+
+def _print(
+    head: tuple[str, ...], rows: list[tuple[str, list[Case]]], cells: Callable[[list[Case]], list[str]]
+) -> None:
+    print("| " + " | ".join(head) + " |\n|" + "---|" * len(head))
+    for name, lines in rows:
+        print("| " + " | ".join([name, *cells(lines)]) + " |")
+
+
+def _convergence(lines: list[Case]) -> list[str]:
+    good, known = _good(lines), [line for line in lines if all(line["determined_at_truth"])]
+    converge = sum(not missed(line) for line in known)
+    share = f"{converge} ({converge / max(len(known), 1):.0%})"
+    false = sum(int(wrong(line).sum()) for line in good)
+    levels = np.median([[line["pixels"], *line["levels"]] for line in good], axis=0)
+    seconds = np.median([line["seconds"] for line in good])
+    counts = (len(lines), len(lines) - len(good), len(known), share, false)
+    return [*map(str, counts), *(f"{x:.2f}" for x in levels), f"{seconds:.1f}"]
+
+
+def _over_bound(lines: list[Case], reference: list[Case]) -> list[str]:
+    """Every sequence with its own bound; against the reference the sequences that both have."""
+    good, by_name = _good(lines), {_sequence(line): line for line in reference}
+    over = np.sqrt(np.nanmean([np.divide(line["squares"], line["bound"]) for line in good], axis=0))
+    pairs = [(line, by_name[_sequence(line)]) for line in good if _sequence(line) in by_name]
+    ours, theirs = (
+        np.nanmean([np.divide(pair[n]["squares"], pair[1]["bound"]) for pair in pairs], axis=0)
+        for n in (0, 1)
+    )
+    return [f"{a:.3f} ({b:.2f})" for a, b in zip(over, np.sqrt(ours / theirs), strict=True)]
+
+
+def _consistency(lines: list[Case]) -> list[str]:
+    good = _good(lines)
+    return [*_with_band(good), f"{np.mean([line['inside'] for line in good]):.2%}"]
+
+
+def _with_band(lines: list[Case]) -> list[str]:
+    """A star marks what lies outside."""
+    return [
+        f"{x:.2f}{'' if a <= x <= b else '*'} ({a:.2f}-{b:.2f})"
+        for x, a, b in zip(*consistency(lines), strict=True)
+    ]
+
+
+def _gap(lines: list[Case]) -> list[str]:
+    parts = [line["gap"] for line in _good(lines)]
+    over = np.sqrt(np.nanmean([np.divide(part["squares"], part["bound"]) for part in parts], axis=0))
+    share = np.mean([part["inside"] for part in parts])
+    return [*(f"{x:.3f}" for x in over[:4]), *_with_band(parts)[:4], f"{share:.2%}"]
+
+
+def _growth(lines: list[Case]) -> list[str]:
+    parts = [line["gap"] for line in _good(lines)]
+    beside, within = np.nanmedian([part["sigma"] for part in parts], axis=0) * [1e3, *[np.rad2deg(1.0)] * 2]
+    off = np.array([part["behind"] for part in parts])
+    right = np.all(off < [PLACED_M, PLACED_RAD], axis=1).sum()
+    worst = f"{1e3 * off[:, 0].max():.2f} mm, {np.rad2deg(off[:, 1].max()):.2f} deg"
+    return [
+        *(f"{a:.2g} -> {b:.2g}" for a, b in zip(beside, within, strict=True)),
+        f"{right} of {len(lines)}",
+        worst,
+    ]
+
+
+def bias(lines: list[Case]) -> tuple[Array, Array]:
+    """Mean signed error over its standard error: (motions, 17), and (17,) of all of them."""
+    motions = dict.fromkeys(line["case"]["motion"] for line in lines)
+    each = [np.array([line["signed"] for line in lines if line["case"]["motion"] == m]) for m in motions]
+    # each motion in its own scale
+    scaled = [values / np.sqrt(np.mean(values**2, axis=0)) for values in each]
+    return np.array([_mean_over_error(values) for values in each]), _mean_over_error(np.concatenate(scaled))
+
+
+def _mean_over_error(values: Array) -> Array:
+    return np.asarray(values.mean(axis=0) / (values.std(axis=0, ddof=1) / np.sqrt(len(values))))
+
+
+def _bias(lines: list[Case]) -> list[str]:
+    known = [line for line in _good(lines) if all(line["determined_at_truth"])]
+    each, together = bias(known)
+    out = []
+    for values, count in ((each, len(known) // len(each)), (together, len(known))):
+        limit = student.ppf(1.0 - 0.025 / values.size, count - 1)
+        out.append(f"{np.abs(values).max():.1f} of {values.size} (chance: {limit:.1f})")
+    n = int(np.argmax(np.abs(together)))
+    return [*out, f"{SIGNED[n]}: {together[n]:+.1f}"]
+
+
+def _sequence(line: Case) -> tuple[str, int]:
+    return line["case"]["motion"], line["case"]["seed"]
+
+
+def _good(lines: list[Case]) -> list[Case]:
+    return [line for line in lines if "failure" not in line]
+
+
+def _tell(line: Case) -> None:
+    """A sentence for a run that went wrong."""
+    name = ", ".join(str(value) for value in line["case"].values())
+    if "failure" in line:
+        print(f"{name}: {line['failure']}")
+    elif wrong(line).any():
+        at = np.flatnonzero(wrong(line))
+        print(
+            f"{name}: "
+            + ", ".join(
+                f"{NAMES[n]} off by {line['errors'][n]:.3g}, stated {line['sigma'][n]:.2g}" for n in at
+            )
+        )
+    elif all(line["determined_at_truth"]) and missed(line):
+        lost = [n for n, sigma in zip(NAMES, line["sigma"], strict=True) if sigma is None]
+        print(f"{name}: not told though determined: {', '.join(lost)}")
+
+
+if __name__ == "__main__":
+    main()

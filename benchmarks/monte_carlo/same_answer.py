@@ -1,0 +1,137 @@
+"""Do both solvers and both forms of the inertia end in the same answer? Cold starts at the thesis's size.
+
+    python -m benchmarks.monte_carlo.same_answer [--seeds 1] [--workers 2] [--short] [--record FILE]
+
+The sequences of ``benchmarks/monte_carlo/accuracy.py`` (six motions, 1 px and 0.3 px), process noise given, each four
+times: by Gauss-Newton and by IPOPT, with ``backend.inertia`` ``second_moments`` and ``ratios_axes``. "one
+problem": the whole data with the stated noise, from the truth; relative difference of the final cost from
+that of Gauss-Newton with ``second_moments``. "cold start": all that a run does, with its own noise of the
+pixels and observations left out; observations left out otherwise, and the largest difference of a state, k1
+or k2 over its standard deviation. What was measured before is read from the record.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.monte_carlo.accuracy import MOTIONS, NOISES_PX
+from benchmarks.record import Case, complete
+from polhode.config.backend import Backend
+from polhode.lie import Array, log_so3
+from polhode.records import MotionEstimate
+
+RECORD = Path(__file__).resolve().parents[1] / "records" / "same_answer.jsonl"
+N_MOTIONS = 6
+SOLVERS, FORMS = ("gauss_newton", "ipopt"), ("second_moments", "ratios_axes")
+WANTED = 1e-6
+"""Relative difference of the costs."""
+
+
+def main() -> None:
+    """Measure what the record lacks, print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=1, help="sequences per motion and noise")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--short", action="store_true", help="one motion, one sequence")
+    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
+    options = parser.parse_args()
+    cases: list[Case] = [
+        {"motion": motion, "noise_px": noise, "seed": seed}
+        for seed in range(1 if options.short else options.seeds)
+        for motion in list(MOTIONS)[: 1 if options.short else N_MOTIONS]
+        for noise in NOISES_PX[: 1 if options.short else None]
+    ]
+    print_table(complete(options.record, cases, measure, options.workers))
+
+
+def measure(case: Case) -> Case:
+    """One sequence four times: costs, and differences from the first."""
+    from benchmarks.monte_carlo.bound import true_iterate
+    from polhode.backend import estimate_motion, initialize_motion
+    from polhode.backend.estimate import refine
+    from polhode.backend.problem.problem import motion_data
+    from polhode.backend.solvers.gauss_newton import GaussNewton
+    from polhode.backend.solvers.ipopt import MotionProgram
+    from polhode.progress import Silent
+    from polhode.simulation.monte_carlo.measurements import generate
+
+    noise = case["noise_px"]
+    scene = replace(MOTIONS[case["motion"]], sigma_uv_px=noise, sigma_d_px=noise)
+    sequence = generate(scene, 7000 + case["seed"])
+    found: dict[str, MotionEstimate] = {}
+    costs: dict[str, float] = {}
+    for solver in SOLVERS:
+        for form in FORMS:
+            given = {"accel_psd": scene.accel_psd, "torque_psd": scene.torque_psd}
+            config = Backend.model_validate(
+                {"solver": solver, "inertia": form, "process_noise": "given", **given}
+            )
+            name = f"{solver}, {form}"
+            data = motion_data(sequence.tracks, config)
+            program = MotionProgram(data) if solver == "ipopt" else GaussNewton(data)
+            costs[name] = refine(program, data, true_iterate(sequence, config), 50)[1].cost
+            initial = initialize_motion(sequence.tracks, sequence.relative, config)
+            found[name] = estimate_motion(sequence.tracks, initial, config, Silent())
+    first = next(iter(found.values()))
+    return {
+        name: {
+            "cost": costs[name],
+            "iterations": estimate.solver.iterations,
+            "converged": estimate.solver.converged,
+            "left_out_otherwise": int(np.sum((estimate.inlier_weight > 0.0) != (first.inlier_weight > 0.0))),
+            "sigmas_apart": largest_difference(first, estimate),
+        }
+        for name, estimate in found.items()
+    }
+
+
+def largest_difference(first: MotionEstimate, other: MotionEstimate) -> float:
+    """Of the states of all frames and of k1, k2, over the standard deviations of the first.
+
+    Both have their axes in the order of the moments; of the four half-turns the nearest is taken.
+    """
+    from polhode.backend.window.causal_state import nearest_half_turn
+
+    turn = nearest_half_turn(other.R_NP[0], first.R_NP[0])
+    states: Array = np.concatenate(
+        [
+            other.r_N - first.r_N,
+            other.v_N - first.v_N,
+            log_so3(np.swapaxes(first.R_NP, 1, 2) @ other.R_NP @ turn),
+            other.w_P @ turn - first.w_P,
+        ],
+        axis=1,
+    )
+    sigma = np.sqrt(np.diagonal(first.covariance, axis1=1, axis2=2))
+    a, b = first.mass, other.mass
+    of_ratios = np.array([b.k1 - a.k1, b.k2 - a.k2]) / np.sqrt(np.diagonal(a.cov_k))
+    return float(np.max(np.abs([*(states / sigma).ravel(), *of_ratios])))
+
+
+def print_table(lines: list[Case]) -> None:
+    """One row a solver and form: the worst over all sequences."""
+    names = [f"{solver}, {form}" for solver in SOLVERS for form in FORMS]
+    print(
+        "| solver, inertia | sequences | one problem: cost apart | cold start: converged | iterations ",
+        end="",
+    )
+    print("| left out otherwise | sigmas apart |\n|" + "---|" * 7)
+    worst = 0.0
+    for name in names:
+        some = [line[name] for line in lines]
+        apart = max(abs(line[name]["cost"] / line[names[0]]["cost"] - 1.0) for line in lines)
+        worst = max(worst, apart)
+        otherwise = [one["left_out_otherwise"] for one in some if one["left_out_otherwise"]]
+        print(
+            f"| {name} | {len(some)} | {apart:.1e} | {sum(one['converged'] for one in some)} "
+            f"| {np.mean([one['iterations'] for one in some]):.1f} "
+            f"| {sum(otherwise)} in {len(otherwise)} sequences "
+            f"| {max(one['sigmas_apart'] for one in some):.1e} |"
+        )
+    print(f"\nOn one problem the costs differ by at most {worst:.1e}, wanted at most {WANTED:.0e}.")
+
+
+if __name__ == "__main__":
+    main()

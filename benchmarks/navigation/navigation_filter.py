@@ -1,0 +1,247 @@
+"""Does a filter that weighs tracked poses by the metric follow a tumbling target better than others.
+
+    python -m benchmarks.navigation.navigation_filter [--source drawn tracked] [--short] [--plot FILE] [--record FILE]
+
+Three filters, alike but for how they weigh a pose: all alike; all alike if enough edges were found; by the
+calibrated covariance of its view. Poses are `drawn` from the tracker's linear model (drawn_poses.py) or
+`tracked` in rendered images (tracked_poses.py), the same for all filters. Factors and thresholds are chosen
+on training runs of other seeds. Intervals: 95 %, bootstrap over runs. NEES is over its 12 degrees of freedom.
+What was measured before is read from the record.
+"""
+
+import argparse
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.navigation.navigation_runs import FILTERS, PARTS, UNITS, believed, fly, runs_of, tune
+from benchmarks.navigation.navigation_scene import RIG, SCENARIOS, body_mesh, flight
+from benchmarks.record import Case, complete
+from polhode.lie import Array
+
+RECORD = Path("runs/navigation_filter.jsonl")
+BODY = "satellite"
+WRONG = 0.05
+"""Share of images on which the fit goes to a wrong pose, or starts far off."""
+GATE = 0.999
+TRAINING = 1000
+"""First seed of the training runs."""
+DRAWS = 4000
+
+
+def main() -> None:
+    """Measure what the record lacks, print the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--source", nargs="+", choices=("drawn", "tracked"), default=["drawn", "tracked"])
+    parser.add_argument("--scenario", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
+    parser.add_argument("--body", default=BODY)
+    parser.add_argument("--runs", type=int, default=30)
+    parser.add_argument("--training", type=int, default=6)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--short", action="store_true", help="3 runs, 2 for training, the approach, drawn")
+    parser.add_argument("--plot", type=Path, help="PNG of the errors of all runs")
+    parser.add_argument("--record", type=Path, default=RECORD)
+    options = parser.parse_args()
+    if options.short:
+        options.runs, options.training, options.source, options.scenario = 3, 2, ["drawn"], SCENARIOS[:1]
+    settings: list[Case] = [
+        {"source": source, "scenario": scenario, "body": options.body}
+        for source in options.source
+        for scenario in options.scenario
+    ]
+    poses = [case for setting in settings for case in seeds(setting, options.runs, options.training)]
+    complete(options.record, poses, Poses(options.record.with_suffix(".images")), options.workers)
+    sizes = {"runs": options.runs, "training": options.training}
+    cases = [
+        {**setting, **sizes, "wrong": wrong, "gate": gate}
+        for setting in settings
+        for wrong, gate in ((0.0, GATE), (WRONG, GATE), (WRONG, 1.0))
+    ]
+    compared = options.record.with_suffix(".filters.jsonl")
+    lines = complete(compared, cases, Compare(options.record), options.workers)
+    print(errors_table(lines))
+    print(wrong_table(lines))
+    print(tuning_table(lines))
+    print(belief_table(lines))
+    if options.plot:
+        from benchmarks.navigation.navigation_plot import plot
+
+        plot(lines, options.plot)
+
+
+def seeds(setting: Case, runs: int, training: int) -> list[Case]:
+    """Cases of single runs, for training last."""
+    return [{**setting, "seed": seed} for seed in [*range(runs), *range(TRAINING, TRAINING + training)]]
+
+
+class Poses:
+    """The poses of one run: at each instant the usual one and one of a bad start or wrong convergence."""
+
+    def __init__(self, images: Path) -> None:
+        self.images = images
+
+    def __call__(self, case: Case) -> dict[str, Any]:
+        """Poses by `FoundPose.line`, or None."""
+        from polhode.planning.edges.model.edge_model import edge_model
+
+        course = flight(case["scenario"], case["body"], case["seed"])
+        model = edge_model(body_mesh(case["body"]))
+        if case["source"] == "tracked":
+            from benchmarks.navigation.tracked_poses import tracked_poses
+
+            folder = self.images / case["body"] / case["scenario"] / str(case["seed"])
+            usual, bad = tracked_poses(course, case["body"], model, RIG, case["seed"], folder)
+        else:
+            from benchmarks.navigation.drawn_poses import drawn_poses
+
+            usual, bad = drawn_poses(course, model, RIG, case["seed"])
+        return {
+            "poses": [pose and pose.line() for pose in usual],
+            "bad": [pose and pose.line() for pose in bad],
+        }
+
+
+class Compare:
+    """Tune the filters and fly the test runs: mean squares, NEES and share of poses used, of each run."""
+
+    def __init__(self, record: Path) -> None:
+        self.record = record
+
+    def __call__(self, case: Case) -> dict[str, Any]:
+        """One setting."""
+        setting = {key: case[key] for key in ("source", "scenario", "body")}
+        gate = case["gate"] if case["gate"] < 1.0 else None
+        cases = seeds(setting, case["runs"], case["training"])
+        test, training = cases[: case["runs"]], cases[case["runs"] :]
+        belief, told = believed(self.record, training)
+        tuned = tune(runs_of(self.record, training, case["wrong"], belief), gate)
+        runs = runs_of(self.record, test, case["wrong"], belief)
+        found: dict[str, Any] = {
+            "tuning": tuned.numbers,
+            "levels": [*belief.levels.floor_px2, *belief.levels.slope],
+            "doubt": belief.doubt,
+            "told": told,
+        }
+        for name, weighting in tuned.weightings.items():
+            flown = [fly(run, weighting, gate) for run in runs]
+            found[name] = {
+                "squares": [each.squares.tolist() for each in flown],
+                "nees": [each.nees for each in flown],
+                "taken": [each.taken for each in flown],
+            }
+            if not name.endswith("residual"):
+                late = [np.linalg.norm(each.errors.reshape(-1, 4, 3), axis=2) for each in flown]
+                found[name]["rms"] = np.sqrt(np.mean(np.square(late), axis=0)).tolist()
+        return found
+
+
+def ratio(ours: Array, other: Array) -> str:
+    """Root mean square of ours over the other's, from mean squares of runs (n,), with its 95 % interval."""
+    pick = np.random.default_rng(9).integers(0, len(ours), (DRAWS, len(ours)))
+    low, high = np.quantile(np.sqrt(ours[pick].mean(axis=1) / other[pick].mean(axis=1)), [0.025, 0.975])
+    return f"{np.sqrt(ours.mean() / other.mean()):.2f} ({low:.2f} to {high:.2f})"
+
+
+def squares(line: Case, name: str, part: int) -> Array:
+    """(n,) mean squares of the runs."""
+    return np.array(line[name]["squares"])[:, part]
+
+
+def errors_table(lines: Iterable[Case]) -> str:
+    """Root mean square errors of the three filters, and the calibrated one's over the others'."""
+    rows = [
+        "| poses | scenario | bad | gate | error | "
+        + " | ".join(FILTERS)
+        + " | over fixed | over gated | better than fixed, gated |",
+        "|---|---|---:|---:|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    for line in lines:
+        case = line["case"]
+        head = f"| {case['source']} | {case['scenario']} | {case['wrong']:.0%} | {_gate(case)} | "
+        for part, (name, unit) in enumerate(zip(PARTS, UNITS, strict=True)):
+            each = {filter_: squares(line, filter_, part) for filter_ in FILTERS}
+            values = " | ".join(f"{unit * np.sqrt(each[filter_].mean()):.3g}" for filter_ in FILTERS)
+            over = " | ".join(ratio(each["calibrated"], each[other]) for other in FILTERS[:2])
+            won = [int((each["calibrated"] < each[other]).sum()) for other in FILTERS[:2]]
+            rows.append(f"{head}{name} | {values} | {over} | {won[0]}, {won[1]} of {len(each['fixed'])} |")
+        nees = " | ".join(f"{np.mean(line[filter_]['nees']):.2f}" for filter_ in FILTERS)
+        rows.append(f"{head}NEES | {nees} | | | |")
+        taken = " | ".join(f"{np.mean(line[filter_]['taken']):.1%}" for filter_ in FILTERS)
+        rows.append(f"{head}poses used | {taken} | | | |")
+    return "\n".join(rows) + "\n"
+
+
+def wrong_table(lines: list[Case]) -> str:
+    """How much larger errors are with wrong poses than without: geometric mean of the four."""
+    clean = {_setting(line): line for line in lines if not line["case"]["wrong"]}
+    names = [name + rest for name in FILTERS for rest in ("", " + residual")]
+    rows = [
+        "| poses | scenario | gate | " + " | ".join(names) + " |",
+        "|---|---|---:|" + "---:|" * len(names),
+    ]
+    for line in lines:
+        case = line["case"]
+        if not case["wrong"]:
+            continue
+        grown = []
+        for name in names:
+            plain = name.removesuffix(" + residual")
+            parts = [
+                squares(line, name, part).mean() / squares(clean[_setting(line)], plain, part).mean()
+                for part in range(4)
+            ]
+            grown.append(f"{np.exp(0.5 * np.mean(np.log(parts))):.2f}")
+        rows.append(f"| {case['source']} | {case['scenario']} | {_gate(case)} | " + " | ".join(grown) + " |")
+    return "\n".join(rows) + "\n"
+
+
+def _gate(case: Case) -> str:
+    return "none" if case["gate"] == 1.0 else f"{case['gate']:.1%}"
+
+
+def _setting(line: Case) -> tuple[str, str]:
+    return line["case"]["source"], line["case"]["scenario"]
+
+
+def tuning_table(lines: Iterable[Case]) -> str:
+    """What was chosen on the training runs."""
+    rows: list[str] = []
+    for line in lines:
+        case, numbers = line["case"], line["tuning"]
+        if not rows:
+            rows += [
+                "| poses | scenario | wrong | gate | " + " | ".join(numbers) + " |",
+                "|---|---|---:|---:|" + "---:|" * len(numbers),
+            ]
+        head = f"| {case['source']} | {case['scenario']} | {case['wrong']:.0%} | {_gate(case)} | "
+        rows.append(head + " | ".join(f"{value:.3g}" for value in numbers.values()) + " |")
+    return "\n".join(rows) + "\n"
+
+
+def belief_table(lines: Iterable[Case]) -> str:
+    """Noise levels of the calibrated covariance, and how well statistics tell wrong poses."""
+    rows = [
+        "| poses | scenario | floor own, shared, limb [px] | slope | wrong, usual start | wrong, bad start | "
+        "area under ROC of statistics |",
+        "|---|---|---|---|---:|---:|---|",
+    ]
+    for line in lines:
+        case, told = line["case"], line["told"]
+        if case["wrong"]:
+            continue
+        floor = ", ".join(f"{np.sqrt(value):.3f}" for value in line["levels"][:3])
+        slope = ", ".join(f"{value:.2g}" for value in line["levels"][3:])
+        shares = f"{told['usual wrong']:.1%} | {told['bad wrong']:.1%}"
+        areas = ", ".join(
+            f"{name[6:]} {area:.2f}{' (used)' if name[6:] == line['doubt'] else ''}"
+            for name, area in told.items()
+            if name.startswith("area: ")
+        )
+        rows.append(f"| {case['source']} | {case['scenario']} | {floor} | {slope} | {shares} | {areas} |")
+    return "\n".join(rows) + "\n"
+
+
+if __name__ == "__main__":
+    main()

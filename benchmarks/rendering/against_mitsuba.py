@@ -1,0 +1,162 @@
+"""Our shading against Mitsuba's path tracer, on one scene with every kind of surface that both can show.
+
+    python -m benchmarks.rendering.against_mitsuba [-o docs/images/mitsuba.png] [--width 320] [--samples 1600]
+
+A deck of boxes, drawings, solar cells, a mast, a metal tank and a nozzle, which cast shadows on each other.
+Prints one row for each light; draws ours, Mitsuba's and ten times the difference for the last. The peer is
+the extra ``peers``. Full scale is the level that the default sensor brings to 255.
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from benchmarks.rendering.mitsuba_deck import deck
+from benchmarks.rendering.mitsuba_scene import PeerLights, render
+from polhode.config import scene as config
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.records import Bools
+from polhode.simulation.bodies.parts.part import assemble
+from polhode.simulation.camera.cameras import Camera, build_cameras
+from polhode.simulation.dataset.products import Products, render_products
+from polhode.simulation.rendering.render import Renderer
+
+FULL_SCALE = 255.0 / config.Sensor().white_dn
+"""Level of a saturated pixel."""
+EDGE_PX = 2
+"""Pixels so near to a silhouette or a shadow's edge are left out: they measure where the samples fall."""
+SAME_FACE_M, SAME_FACE_COSINE = 2e-3, 0.9
+"""Neighbours on one face: so near to its plane, with normals so alike."""
+X_NG = make_pose(exp_so3([2.35, 0.0, 0.0]) @ exp_so3([0.0, 0.0, 0.4]), [0.01, 0.01, 0.66])
+SUN_N = (0.7, -0.55, -0.45)
+EARTH_N = (-0.6, 0.5, -0.6)
+
+
+@dataclass(frozen=True)
+class Case:
+    """What lights the deck."""
+
+    name: str
+    sun: float = 1.0
+    sun_diameter_deg: float = 0.0
+    earth: float = 0.0
+    bounces: Literal[0, 1] = 0
+
+
+CASES = (
+    Case("point Sun"),
+    Case("Sun of 0.533 deg", sun_diameter_deg=0.533),
+    Case("Sun of 5 deg", sun_diameter_deg=5.0),
+    Case("Earth alone", sun=0.0, earth=0.4),
+    Case("Sun, one bounce", sun_diameter_deg=0.533, bounces=1),
+    Case("Sun and Earth, one bounce", sun_diameter_deg=0.533, earth=0.15, bounces=1),
+)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Levels of both, and where they are compared."""
+
+    ours: Array
+    """(H, W)"""
+    theirs: Array
+    """(H, W)"""
+    compared: Bools
+    """(H, W) lit in both, and not at an edge"""
+
+    @property
+    def difference(self) -> Array:
+        """Ours minus theirs (n,) where compared, in shares of full scale."""
+        return np.asarray((self.ours - self.theirs)[self.compared] / FULL_SCALE)
+
+    def row(self) -> str:
+        """Statistics in per cent of full scale."""
+        error = 100 * np.abs(self.difference)
+        p95, p99 = np.percentile(error, [95, 99])
+        return (
+            f"{100 * self.difference.mean():+.3f} | {error.mean():.3f} | {p95:.3f} | {p99:.3f} | "
+            f"{error.max():.2f} | {100 * (error < 3).mean():.2f} | {self.compared.sum()}"
+        )
+
+
+HEAD = "bias | mean | 95 % | 99 % | max | share within 3 [%] | pixels"
+
+
+def compare(case: Case, width_px: int = 96, samples: int = 64) -> Comparison:
+    """Render the deck with both programs: ours with 16 samples a pixel, Mitsuba's with ``samples``."""
+    rig = config.Rig(width_px=width_px, height_px=width_px * 3 // 4, focal_px=1.15 * width_px)
+    camera, _ = build_cameras(rig)
+    parts, X_GN = deck(), inverse_pose(X_NG)
+    light = config.Light(
+        sun=case.sun,
+        sun_direction_N=SUN_N,
+        sun_diameter_deg=case.sun_diameter_deg,
+        earth_direction_N=EARTH_N,
+        earth=case.earth,
+    )
+    scene = config.Scene(light=light, render=config.Render(samples=16, bounces=case.bounces))
+    renderer = Renderer(assemble(parts), scene, 0)
+    ours = renderer.picture(camera, np.eye(4), X_NG).level
+    to_sun, to_earth = (X_GN[:3, :3] @ np.array(d) / np.linalg.norm(d) for d in (SUN_N, EARTH_N))
+    lights = PeerLights(to_sun, case.sun, case.sun_diameter_deg, to_earth, case.earth, light.earth_radius_deg)
+    theirs = render(parts, lights, camera, X_GN, samples, case.bounces)
+    truth = render_products(renderer, camera, np.eye(4), X_NG, ("depth", "normals", "shadow"))
+    lit = minimum_filter(np.minimum(ours, theirs) > 1e-3, 2 * EDGE_PX + 1)
+    edges = maximum_filter(_edges(truth, camera), 2 * EDGE_PX - 1)
+    return Comparison(ours, theirs, np.asarray(lit & ~edges))
+
+
+def _edges(truth: Products, camera: Camera) -> Bools:
+    """Pixels (H, W) whose right or lower neighbour shows another face, nothing, or another kind of shadow."""
+    assert truth.depth is not None and truth.normals is not None and truth.shadow is not None
+    rays = camera.pixel_directions.reshape(*truth.depth.shape, 3)
+    p_K = np.nan_to_num(rays * (truth.depth / rays[..., 2])[..., None], nan=1e3)
+    normals = np.nan_to_num(truth.normals)
+    edges = np.zeros(truth.depth.shape, np.bool_)
+    for axis in (0, 1):
+        n, p, shadow = (np.roll(values, -1, axis) for values in (normals, p_K, truth.shadow))
+        step_m = np.abs(np.einsum("hwk,hwk->hw", p - p_K, normals))
+        bent = np.einsum("hwk,hwk->hw", n, normals) < SAME_FACE_COSINE
+        edges |= (step_m > SAME_FACE_M) | bent | (shadow != truth.shadow)
+    return edges
+
+
+def picture(comparison: Comparison) -> Image.Image:
+    """Ours, Mitsuba's, and the difference times ten around grey, side by side."""
+    ours, theirs = (np.clip(level / FULL_SCALE, 0, 1) for level in (comparison.ours, comparison.theirs))
+    panels = [ours, theirs, np.clip(0.5 + 10 * (ours - theirs), 0, 1)]
+    gap = np.ones((ours.shape[0], 4))
+    row = np.hstack([panels[0], gap, panels[1], gap, panels[2]])
+    return Image.fromarray(np.rint(255 * row).astype(np.uint8))
+
+
+def main() -> None:
+    """Print the table; draw the last case when asked."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE.png")
+    parser.add_argument("--width", type=int, default=320, help="image width [px]; the height is 3/4 of it")
+    parser.add_argument(
+        "--samples", type=int, default=1600, help="Mitsuba's samples a pixel; fewer if direct"
+    )
+    options = parser.parse_args()
+    print(f"| light | {HEAD} | seconds |\n|{'---|' * (HEAD.count('|') + 3)}")
+    for case in CASES:
+        start = perf_counter()
+        # Direct light is almost free of noise; light by way of a mirror is not.
+        samples = options.samples if case.bounces else min(options.samples, 144)
+        comparison = compare(case, options.width, samples)
+        print(f"| {case.name} | {comparison.row()} | {perf_counter() - start:.0f} |", flush=True)
+        if options.output and case == CASES[-1]:
+            picture(comparison).save(options.output, optimize=True)
+
+
+if __name__ == "__main__":
+    main()

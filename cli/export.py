@@ -1,0 +1,90 @@
+"""``polhode export``: its options."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+from polhode.errors import InputError
+
+_FORMATS = "glb ply stl obj urdf mjcf sdf aem oem tum json"
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a run in the format of another program: its mesh, a body for simulators, or its predicted motion.
+
+    glb, ply, stl, obj: the mesh. urdf, mjcf, sdf: a free body with inertia, surface and convex pieces, whose
+    meshes lie in a folder beside the file. aem, oem, tum: the predicted motion. json: everything but the
+    mesh, with covariances. What the run lacks is left out and said.
+    """
+
+    run: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a run."""
+    to: Annotated[str, arg(metavar="FORMAT")]
+    """glb ply stl obj urdf mjcf sdf aem oem tum json"""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
+    """The file; replaced if it is there."""
+    frame: Annotated[str | None, arg(metavar="G|P|cad")] = None
+    """Frame of the file: G of the run; P, principal axes at the centre of mass; cad, that of your model. G
+    unless given, P for aem, oem and tum."""
+    cad: Annotated[Path | None, arg(metavar="MESH")] = None
+    """With --frame cad: your model (PLY, STL, OBJ, GLB); the run's mesh is laid on it (ICP)."""
+    cad_points: Annotated[Path | None, arg(metavar="FILE")] = None
+    """With --frame cad: three or more corresponding points, a line each: x y z in G [m], x y z in the
+    frame of your model. With --cad too, where ICP starts."""
+    cad_unit: Annotated[str, arg(metavar="m|mm")] = "m"
+    """Unit of both."""
+    unit: Annotated[str, arg(metavar="m|mm")] = "m"
+    """Unit of glb, ply, stl and obj; the other formats have their own."""
+    level: Annotated[int | None, arg(metavar="N")] = None
+    """Level of detail of the mesh: 0 full, 1, 2, ... lighter. 0 unless given; 2 for urdf, mjcf and sdf, whose
+    convex pieces contain the full mesh at any level."""
+    animate: FlagCreatePairsOff[bool] = False
+    """glb: the model tumbles in N over the horizon, as predicted."""
+    mass_kg: Annotated[float | None, arg(metavar="KG")] = None
+    """Mass of the target [kg]; with the volume of the mesh it sets the scale of the inertia, as an
+    assumption. Without it the run's own, where forces told it; else the numbers are relative."""
+    middle_moment_kg_m2: Annotated[float | None, arg(metavar="J")] = None
+    """Middle principal moment [kg m^2], if known: it sets the scale of the inertia."""
+    pieces: Annotated[int, arg(metavar="N")] = 512
+    """Most convex pieces of the collision geometry; 1: the convex hull. Fewer reach farther beyond it."""
+    horizon: Annotated[float, arg(metavar="S")] = 60.0
+    """How far to predict beyond the last stereo pair [s]."""
+    step_s: Annotated[float | None, arg(metavar="S")] = None
+    """Time between two rows [s]; the run's own interval unless given."""
+    epoch: Annotated[str, arg(metavar="UTC")] = "1970-01-01T00:00:00"
+    """UTC of timestamp 0 of the run."""
+    object_name: Annotated[str, arg(metavar="NAME")] = "target"
+    """Name of the target in the file."""
+    object_id: Annotated[str, arg(metavar="ID")] = "UNKNOWN"
+    """International designator of the target, for aem and oem."""
+    debug: FlagCreatePairsOff[bool] = False
+    """Show the traceback of an error."""
+
+    def execute(self) -> int:
+        """Check, export, say where it is."""
+        _require("--to", self.to, _FORMATS.split())
+        _require("--unit", self.unit, ["m", "mm"])
+        _require("--cad-unit", self.cad_unit, ["m", "mm"])
+        if self.frame is not None:
+            _require("--frame", self.frame, ["G", "P", "cad"])
+        from polhode.pipeline.products.export.flow import export_run
+        from polhode.pipeline.products.export.options import Options
+
+        values = {each.name: getattr(self, each.name) for each in fields(Options)}
+        files = export_run(self.run, Options(**values))
+        if len(files) > 1:
+            print(f"Meshes: {len(files) - 1} files in {files[0].parent}")
+        print(f"Export: {files[-1]}")
+        return 0
+
+
+def _require(option: str, value: str, valid: list[str]) -> None:
+    if value not in valid:
+        from polhode.config.keys import suggestion
+
+        raise InputError(
+            f"{option} '{value}': unknown;{suggestion(value, valid)} give one of {' '.join(valid)}"
+        )

@@ -1,0 +1,108 @@
+"""``polhode observability``: its options. Heavy imports wait for the call."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+from polhode.errors import InputError
+
+MOST_PX = 100_000
+"""Of an image's side."""
+MOST_M = 1e12
+"""Of the coordinates of a point."""
+
+
+@dataclass(frozen=True)
+class Observability:
+    """How well a tracker of edges could tell the pose along a trajectory, before an image exists.
+
+    C = sum of f f^T over the edges in sight, f their motion across themselves under each degree of freedom;
+    C^-1 is the covariance of the pose for noise of one pixel (docs/observability.md). Writes
+    observability.json and .csv, edges.csv, edges.glb and .ply (painted), metric.png, views.png,
+    contributions.png.
+    """
+
+    source: Annotated[Positional[Path], arg(metavar="RUN|MESH")]
+    """Folder of a run, whose mesh is taken, or a mesh file (PLY, STL, OBJ, GLB)."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder of the results; files of the same names are replaced."""
+    trajectory: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Places of the camera, TUM: timestamp tx ty tz qx qy qz qw a line; the camera looks along its z, x is
+    right, y down. Without it a run's own."""
+    frame: Literal["G", "N"] = "G"
+    """Frame of these places: G of the mesh; N, for a run whose target tumbles on as predicted, with times in
+    seconds after its last pair."""
+    sun: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
+    """Direction to the Sun, of any length: edges then count by their contrast. In N for a run, in the frame
+    of a mesh. Without it every edge counts alike."""
+    about: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
+    """Point in G [m] whose shifts are told and that turns are about. A run's centre of mass, or the middle of
+    the mesh's bounding box, unless given."""
+    sigma_px: Annotated[float, arg(metavar="PX")] = 1.0
+    """Noise of the distance to an edge, at each point of it."""
+    spacing_px: Annotated[float, arg(metavar="PX")] = 10.0
+    """Between such points along an edge."""
+    crease_deg: Annotated[float, arg(metavar="DEG")] = 30.0
+    """For a mesh: faces that meet at more than this angle form an edge."""
+    unit: Literal["m", "mm"] = "m"
+    """Of a mesh."""
+    focal_px: Annotated[float | None, arg(metavar="PX")] = None
+    """Focal length; a run's own, or 800, unless given."""
+    width_px: Annotated[int | None, arg(metavar="PX")] = None
+    """Width of the image; a run's own, or 640."""
+    height_px: Annotated[int | None, arg(metavar="PX")] = None
+    """Height of the image; a run's own, or 480."""
+    edges: Annotated[int | None, arg(metavar="N")] = None
+    """Choose the best N edges, too: those that leave the least variance over the trajectory."""
+    fewest: FlagCreatePairsOff[bool] = False
+    """Find the fewest edges that leave every sigma within 10 % of that with all; takes up to a minute."""
+    debug: FlagCreatePairsOff[bool] = False
+    """Show the traceback of an error."""
+
+    def execute(self) -> int:
+        """Check, look, write, print."""
+        import numpy as np
+
+        from polhode.cli.console import choose_progress
+        from polhode.pipeline.products.observability.document import format_assessment
+        from polhode.pipeline.products.observability.flow import assess, write
+        from polhode.pipeline.products.observability.subject import CameraOptions, subject_of
+
+        if self.output.exists() and not self.output.is_dir():
+            raise InputError(f"{self.output} is a file: -o names a folder")
+        for name, least in (("sigma_px", 1e-6), ("spacing_px", 0.1)):
+            if not least <= getattr(self, name) <= 1e6:
+                raise InputError(f"--{name.replace('_', '-')}: give a number from {least:g} to 1e6")
+        for name in ("width_px", "height_px"):
+            if (getattr(self, name) or 1) > MOST_PX:
+                raise InputError(f"--{name.replace('_', '-')}: give at most {MOST_PX}")
+        if self.edges is not None and self.edges < 1:
+            raise InputError(f"--edges {self.edges}: give a number above 0")
+        if not 0.0 < self.crease_deg < 180.0:
+            raise InputError(f"--crease-deg {self.crease_deg:g}: give an angle between 0 and 180")
+        for name in ("about", "sun"):
+            value = getattr(self, name)
+            if value is not None and not all(math.isfinite(each) for each in value):
+                raise InputError(f"--{name}: give three finite numbers")
+        if self.about is not None and max(map(abs, self.about)) > MOST_M:
+            raise InputError(f"--about: give a point within {MOST_M:g} m")
+        if self.sun is not None and not 1e-100 < math.hypot(*self.sun) < 1e100:
+            raise InputError("--sun: give a direction, of a length that is neither 0 nor beyond 1e100")
+        subject = subject_of(
+            self.source,
+            self.trajectory,
+            self.frame,
+            CameraOptions(self.focal_px, self.width_px, self.height_px),
+            None if self.about is None else np.array(self.about),
+            None if self.sun is None else np.array(self.sun) / np.linalg.norm(self.sun),
+            self.crease_deg,
+            {"m": 1.0, "mm": 1e-3}[self.unit],
+        )
+        found = assess(subject, self.spacing_px, self.sigma_px, self.edges, self.fewest, choose_progress())
+        names = write(found, self.output)
+        print(format_assessment(found))
+        print(f"{', '.join(names)}: {self.output}")
+        return 0

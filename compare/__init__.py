@@ -1,0 +1,1 @@
+"""The same measurements, the same cost, through many optimizers (docs/compare.md)."""

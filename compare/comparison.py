@@ -1,0 +1,165 @@
+"""``polhode compare`` as the data flows: measurements, frozen problems, one row a solver and start, the page.
+
+Every row is a file of DIR/rows as soon as it is known: an interrupted comparison goes on where it stopped.
+"""
+
+import json
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from time import perf_counter
+
+from polhode.atomic import write_text
+from polhode.compare.judging.judge import judge, reference_covariance, sigmas
+from polhode.compare.judging.profiles import performance_profiles
+from polhode.compare.problem.landmark_block import compile_block
+from polhode.compare.problem.measured_problem import MeasuredProblem, load, save
+from polhode.compare.problem.sources import Source, sources
+from polhode.compare.processes.fingerprint import machine, of_problem, stamp, versions
+from polhode.compare.processes.isolate import empty_row, row_of
+from polhode.compare.registry import Entry, entries
+from polhode.compare.tables.rows import Case, Comparison, ProblemWords, Row, write_comparison
+from polhode.compare.tables.table import csv_text
+from polhode.config import Config
+from polhode.errors import InputError, RunFailure
+from polhode.pipeline.run_directory.outputs import write_config
+from polhode.progress import Progress
+
+FILE = "compare.json"
+MARK, MARK_TEXT = ".polhode-compare", "An output folder of polhode compare, which may write here again.\n"
+"""A folder with this file is ours, whatever else it holds."""
+
+_log = logging.getLogger(__name__)
+
+
+def compare(
+    config: Config,
+    folder: Path,
+    progress: Progress,
+    data: Path | None = None,
+    run: Path | None = None,
+    truth: Path | None = None,
+) -> Comparison:
+    """Fill ``folder`` with compare.json, compare.csv and compare.html. Raises InputError, RunFailure."""
+    chosen = entries(config.compare.solvers)
+    wanted = list(sources(config, data, run, truth))
+    claim(folder)
+    write_config(folder, config)
+    # the first use on a machine compiles; that is no solver's time
+    compile_block()
+    deadline = perf_counter() + config.compare.total_s
+    problems: list[ProblemWords] = []
+    rows: list[Row] = []
+    for source in wanted:
+        try:
+            file = _prepared(source, folder, config, progress)
+        except RunFailure as failure:
+            if source is wanted[-1] and not problems:
+                raise
+            _log.warning("%s is left out: %s", source.name, failure)
+            continue
+        problem = load(file)
+        key, cases, own = of_problem(problem), list(_cases(source.name, config, chosen)), []
+        with progress.stage(f"solvers, {source.name}", len(cases)) as advance:
+            for entry, case in cases:
+                own.append(_row(file, key, folder, entry, case, config, deadline))
+                advance()
+        rows += own
+        problems.append(_words(source, problem, key, own))
+        comparison = Comparison(
+            limit_s=config.compare.limit_s,
+            machine=machine(),
+            versions=versions(),
+            problems=problems,
+            rows=rows,
+        )
+        comparison = comparison.model_copy(update={"profiles": performance_profiles(comparison)})
+        write_comparison(comparison, folder / FILE)
+        write_text(folder / "compare.csv", csv_text(rows))
+    from polhode.compare.tables.page import write_page
+
+    write_page(comparison, folder / "compare.html")
+    return comparison
+
+
+def _cases(problem: str, config: Config, chosen: tuple[Entry, ...]) -> Iterator[tuple[Entry, Case]]:
+    for entry in chosen:
+        if config.compare.cold:
+            yield entry, Case(problem=problem, solver=entry.name, start="cold", seed=0)
+        for seed in range(config.compare.perturbed):
+            yield entry, Case(problem=problem, solver=entry.name, start="perturbed", seed=seed)
+        for seed in range(config.compare.near):
+            yield entry, Case(problem=problem, solver=entry.name, start="near", seed=seed)
+
+
+def claim(folder: Path) -> None:
+    """Make the folder and mark it as ours; refuse one that holds anything else. Raises InputError."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: a file stands here; choose another folder for -o")
+    mark = folder / MARK
+    ours = mark.is_file() and mark.read_text() == MARK_TEXT
+    if folder.is_dir() and any(folder.iterdir()) and not ours:
+        raise InputError(f"{folder}: holds files that are not a comparison; choose another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(mark, MARK_TEXT)
+        for part in ("rows", "problems"):
+            (folder / part).mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write here ({error.strerror}); choose another -o") from error
+
+
+def _prepared(source: Source, folder: Path, config: Config, progress: Progress) -> Path:
+    """The file of a frozen problem, made anew each time: the same measurements give the same bytes."""
+    file = folder / "problems" / f"{source.name}.pickle"
+    with progress.stage(f"freezing {source.name}", 1) as advance:
+        save(source.problem(config, progress, file.with_suffix("")), file)
+        advance()
+    return file
+
+
+def _row(
+    file: Path, key: str, folder: Path, entry: Entry, case: Case, config: Config, deadline: float
+) -> Row:
+    """The row on disk, when all that determines it is the same; else a new one."""
+    name = f"{case.problem}.{case.solver}.{case.start}{case.seed}.json"
+    path, wanted = folder / "rows" / name, stamp(key, entry, config.compare.limit_s)
+    if path.is_file():
+        # a row that another version wrote counts as none
+        with suppress(ValueError, KeyError):
+            known = json.loads(path.read_text())
+            if known["stamp"] == wanted and known["row"]["status"] != "missing":
+                return Row.model_validate(known["row"])
+    left_s = deadline - perf_counter()
+    if left_s <= 0.0:
+        return empty_row(entry, case, "timeout", "its turn did not come: the comparison's time was up")
+    limit_s = min(config.compare.limit_s, left_s)
+    row = row_of(file, entry, case, limit_s)
+    if row.status == "timeout" and limit_s < config.compare.limit_s:
+        # with its whole time it might have come to an end: measured again when the comparison goes on
+        return row
+    write_text(path, json.dumps({"stamp": wanted, "row": row.model_dump(mode="json")}) + "\n")
+    _log.info("%s: %s, %s", name, row.status, row.message)
+    return row
+
+
+def _words(source: Source, problem: MeasuredProblem, key: str, rows: Sequence[Row]) -> ProblemWords:
+    reference = sigmas(problem, problem.solution, reference_covariance(problem, problem.solution))
+    cost = judge(problem, problem.solution).cost
+    known = [each for each in (cost, *(row.cost for row in rows)) if each is not None]
+    return ProblemWords(
+        name=source.name,
+        source=source.words,
+        fingerprint=key,
+        **problem.size,
+        accel_psd=problem.data.accel_psd,
+        torque_psd=problem.data.torque_psd,
+        prepared_s=problem.prepared_s,
+        truth=problem.truth is not None,
+        reference_cost=cost,
+        least_cost=min(known, default=None),
+        sigma_k1=reference[0],
+        sigma_k2=reference[1],
+        sigma_com_mm=reference[2],
+    )

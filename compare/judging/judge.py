@@ -1,0 +1,111 @@
+"""One judge for all: cost, what is left to gain, ratios and errors of a returned point."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.spatial.transform import Rotation
+
+from polhode.backend.dynamics.residuals import States
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.schur import mirror
+from polhode.backend.uncertainty.covariance import axes_derivative
+from polhode.compare.problem.measured_problem import MeasuredProblem, ratios
+from polhode.compare.tables.rows import Errors
+from polhode.lie import Array, inverse_pose, log_so3, make_pose, transform_points
+from polhode.records import Truth
+
+AGREED = 1e-6
+"""Relative difference of costs within which solvers agree; more than that left to gain is no convergence."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the common functions say of a point."""
+
+    cost: float | None
+    gain_left: float | None
+    k1: float | None
+    k2: float | None
+    errors: Errors | None
+
+
+def judge(problem: MeasuredProblem, x: Array) -> Verdict:
+    """Everything by the common functions; None where a point lies outside their domain."""
+    solver = GaussNewton(problem.data)
+    with np.errstate(all="ignore"):
+        cost = solver.cost(problem.held, x) if np.isfinite(x).all() else np.inf
+        if not np.isfinite(cost):
+            return Verdict(None, None, None, None, None)
+        at = problem.iterate(x)
+        k1, k2 = ratios(at, problem.data)
+        errors = errors_of(at, problem) if problem.truth is not None else None
+        return Verdict(float(cost), gain_left(problem, x), k1, k2, errors)
+
+
+def gain_left(problem: MeasuredProblem, x: Array) -> float | None:
+    """Decrease that a Gauss-Newton step promises at x, over the cost; None where it has no solution."""
+    solver = GaussNewton(problem.data)
+    system = solver.normal_equations(problem.held, x)
+    S, g, C_inv = solver.reduced(system)
+    try:
+        factor = cho_factor(S, lower=True, overwrite_a=True)
+    except (LinAlgError, ValueError):
+        return None
+    of_landmarks = np.einsum("li,lij,lj->", system.h, C_inv, system.h)
+    gain = 0.5 * float(g @ cho_solve(factor, g)) + 0.5 * float(of_landmarks)
+    return gain / max(system.cost, 1.0) if np.isfinite(gain) else None
+
+
+def sigmas(problem: MeasuredProblem, x: Array, cov_constants: Array | None) -> list[float | None]:
+    """Standard deviations of k1, k2 and of com_G [mm, root of the trace] from a covariance (8, 8)."""
+    if cov_constants is None or not np.isfinite(cov_constants).all():
+        return [None, None, None]
+    of_xi = axes_derivative(problem.data.form, problem.iterate(x)).ratios
+    variances = np.diag(of_xi @ cov_constants[3:, 3:] @ of_xi.T)
+    values = [*variances, 1e6 * np.trace(cov_constants[:3, :3])]
+    return [float(np.sqrt(value)) if value > 0.0 else None for value in values]
+
+
+def reference_covariance(problem: MeasuredProblem, x: Array) -> Array:
+    """(8, 8) of com_G, xi: inverse of the whole Gauss-Newton Hessian, priors and hold of G included."""
+    solver = GaussNewton(problem.data)
+    S, _, _ = solver.reduced(solver.normal_equations(problem.held, x))
+    mirror(S)
+    n = problem.held.reference.n_states
+    columns = np.eye(len(S))[:, n : n + 8]
+    return np.asarray(np.linalg.solve(S, columns)[n : n + 8])
+
+
+def errors_of(at: Iterate, problem: MeasuredProblem) -> Errors | None:
+    """Against the truth; vectors compared in N."""
+    truth = problem.truth
+    assert truth is not None
+    numbers = at.vector()[: at.n_states].reshape(-1, at.n_state)
+    states = States(numbers, at.R_NG, problem.data.camera_N, at.com_G)
+    r_N, R_NG = states.centres(), states.true_attitudes()
+    D = np.swapaxes(R_NG, 1, 2) @ truth.R_NP
+    best = Rotation.from_matrix(D).mean().as_matrix()
+    attitude = np.linalg.norm(log_so3(best.T @ D), axis=1)
+    w_N = np.einsum("fij,fj->fi", R_NG, at.w_G) - np.einsum("fij,fj->fi", truth.R_NP, truth.w_P)
+    k1, k2 = ratios(at, problem.data)
+    return Errors(
+        position_mm=1e3 * _rms(r_N - truth.r_N),
+        velocity_mm_s=1e3 * _rms(at.v_N - truth.v_N),
+        attitude_deg=float(np.rad2deg(np.sqrt(np.mean(attitude**2)))),
+        angular_velocity_deg_s=float(np.rad2deg(_rms(w_N))),
+        com_mm=1e3 * float(np.linalg.norm(_offset(at, truth))),
+        k1=k1 - truth.k1,
+        k2=k2 - truth.k2,
+    )
+
+
+def _offset(at: Iterate, truth: Truth) -> Array:
+    """Estimated minus true centre of mass in the body, mean over the frames [m]."""
+    in_G = transform_points(inverse_pose(make_pose(at.R_NG, at.p_NG)), truth.r_N[:, None])[:, 0]
+    return np.asarray(at.com_G - in_G.mean(axis=0))
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))

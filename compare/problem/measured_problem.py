@@ -1,0 +1,251 @@
+"""One frozen problem: measurements, what is held of their cost, a cold start. The same for every solver.
+
+What the cost leaves to choose (which observations count, the noise, the process noise at the body's rate) is
+what polhode's back end chooses from the same measurements; it is frozen before the first solver starts. The
+unknowns are counted from the cold start: its attitudes are the reference, its first pose holds G.
+"""
+
+import pickle
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from polhode.atomic import write_bytes
+from polhode.backend import initialize_motion
+from polhode.backend.estimate import MAX_PASSES, refine
+from polhode.backend.fit import fit
+from polhode.backend.initialization.multistart import first_starts
+from polhode.backend.noise.prune import Kept
+from polhode.backend.problem.inertia import unit_determinant
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import Held, MotionData, hold, motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.uncertainty.covariance import axes_derivative
+from polhode.config.backend import Backend
+from polhode.errors import InputError, RunFailure
+from polhode.lie import Array, log_so3
+from polhode.records import RelativePoses, StereoTracks, Truth
+
+GAUGE = 0.01
+"""How firmly G is held at the first frame [rad, body radii]: it costs nothing at the solution. Ten times
+looser, the solvers creep along the curved valley in which G may move; ten times firmer, starts get stuck."""
+PERTURBATION = {
+    "p_NG": 2e-3,
+    "theta": 0.02,
+    "v_N": 2e-3,
+    "w_G": 0.02,
+    "com_G": 3e-3,
+    "xi": 0.2,
+    "p_G": 2e-3,
+}
+"""Standard deviations of a perturbed start: m, rad, m/s, rad/s, m, -, m."""
+NEAR = 0.1
+"""So much of them off the solution is near it."""
+
+
+@dataclass(frozen=True)
+class MeasuredProblem:
+    """What a solver's process reads."""
+
+    name: str
+    """Of the measurements"""
+    data: MotionData
+    held: Held
+    cold: Array
+    """(n,) the cold start, around ``held.reference``"""
+    solution: Array
+    """(n,) by Gauss-Newton from the back end's own estimate: for starts near it, never shown to a solver"""
+    relative: RelativePoses | None
+    """Of the target between frames, for methods that use nothing else"""
+    truth: Truth | None
+    prepared_s: float
+    """What it took to freeze the problem"""
+
+    @property
+    def size(self) -> dict[str, int]:
+        """Numbers of frames, landmarks, observations, unknowns."""
+        d = self.data
+        return {
+            "frames": d.n_frames,
+            "landmarks": d.n_landmarks,
+            "observations": len(d.frame),
+            "unknowns": len(self.cold),
+        }
+
+    def iterate(self, x: Array) -> Iterate:
+        """The unknowns by name."""
+        return self.held.reference.moved_to(x)
+
+    def vector(self, at: Iterate) -> Array:
+        """The common unknowns (n,) of an iterate: its G is carried to the held first pose."""
+        return coordinates(aligned(at, self.iterate(self.cold), self.data), self.held, self.data)
+
+    def start(self, kind: str, seed: int) -> Array:
+        """Cold; off it; or near the solution (n,)."""
+        if kind == "cold":
+            return self.cold
+        if kind == "perturbed":
+            return self.perturbed(self.cold, seed)
+        return self.perturbed(self.solution, seed, NEAR)
+
+    def perturbed(self, x: Array, seed: int, size: float = 1.0) -> Array:
+        """A start off ``x`` (n,) by random errors, ``PERTURBATION`` times size."""
+        at, rng = self.iterate(x), np.random.default_rng([seed, 91])
+        out, n = x.copy(), at.n_states
+        states = out[:n].reshape(-1, at.n_state)
+        for columns, key in ((slice(0, 3), "p_NG"), (slice(3, 6), "theta"), (slice(6, 9), "v_N"),
+                             (slice(9, 12), "w_G")):  # fmt: skip
+            states[:, columns] += size * PERTURBATION[key] * rng.normal(size=(len(states), 3))
+        out[n : n + 3] += size * PERTURBATION["com_G"] * rng.normal(size=3)
+        out[n + 3 : n + 8] += size * PERTURBATION["xi"] * rng.normal(size=5)
+        out[at.n_dense :] += size * PERTURBATION["p_G"] * rng.normal(size=len(out) - at.n_dense)
+        return out
+
+
+def aligned(at: Iterate, target: Iterate, data: MotionData) -> Iterate:
+    """The same motion with G moved, body and landmarks with it, to ``target``'s first pose."""
+    turn = at.R_NG[0].T @ target.R_NG[0]
+    shift = at.R_NG[0].T @ (target.p_NG[0] - at.p_NG[0])
+    second = turn.T @ at.second_moments(data.form) @ turn
+    xi, R_inertia = data.form.coordinates(second)
+    return replace(
+        at,
+        p_NG=at.p_NG + at.R_NG @ shift,
+        R_NG=at.R_NG @ turn,
+        w_G=at.w_G @ turn,
+        com_G=turn.T @ (at.com_G - shift),
+        xi=xi,
+        R_inertia=R_inertia,
+        p_G=(at.p_G - shift) @ turn,
+        R_torque=None if at.R_torque is None else turn.T @ at.R_torque,
+    )
+
+
+def coordinates(at: Iterate, held: Held, data: MotionData) -> Array:
+    """The vector (n,) around the held reference that stands for an iterate in the same G."""
+    reference = held.reference
+    x = at.vector()
+    states = x[: at.n_states].reshape(-1, at.n_state)
+    states[:, 3:6] = log_so3(np.swapaxes(reference.R_NG, 1, 2) @ at.R_NG)
+    n = at.n_states
+    if not np.allclose(at.R_inertia, reference.R_inertia):
+        x[n + 3 : n + 8] = inertia_around(at.second_moments(data.form), data, reference)
+    return x
+
+
+def inertia_around(second: Array, data: MotionData, reference: Iterate) -> Array:
+    """Coordinates (5,) of second moments around the reference rotation of the inertia."""
+    if data.form.name == "second_moments":
+        return data.form.coordinates(second)[0]
+    values, axes = np.linalg.eigh(unit_determinant(second))
+    # of all orders and half-turns of the axes the one nearest to the reference
+    best, out = np.inf, np.zeros(5)
+    for order in ([0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]):
+        for signs in ([1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]):
+            R = axes[:, order] * np.array(signs)
+            R = R * np.array([1.0, 1.0, np.linalg.det(R)])
+            eta = log_so3(reference.R_inertia.T @ R)
+            if np.linalg.norm(eta) < best:
+                d = values[order]
+                best = float(np.linalg.norm(eta))
+                out = np.concatenate([[np.log(d[0] / d[2]), np.log(d[1] / d[2])], eta])
+    return out
+
+
+@contextmanager
+def _solvable(name: str) -> Iterator[None]:
+    """Raises RunFailure where the measurements' equations have no solution."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise RunFailure(f"{name}: no consistent motion: its equations have no solution") from error
+
+
+def freeze(
+    name: str,
+    tracks: StereoTracks,
+    relative: RelativePoses | None,
+    config: Backend,
+    truth: Truth | None = None,
+) -> MeasuredProblem:
+    """The problem that polhode's back end makes of the measurements, with a cold start.
+
+    Raises InputError without relative poses to start from; RunFailure when no motion is found.
+    """
+    if relative is None or not len(relative.i):
+        raise InputError(f"{name}: the measurements hold no relative poses to start from; run it again")
+    begin = perf_counter()
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"), _solvable(name):
+        initial = initialize_motion(tracks, relative, config)
+        data = motion_data(tracks, config)
+        found = fit(data, tracks, initial, config, lambda: None)
+        start = first_starts(tracks, initial, data)[0].iterate
+        kept = found.kept
+        end, _, _ = refine(GaussNewton(kept.data), kept.data, kept.restrict(found.iterate), 200)
+    # unknowns of a known wrench have no cold start of their own
+    start = replace(kept.restrict(start), wrench=end.wrench, R_torque=end.R_torque)
+    if not np.isfinite(start.vector()).all():
+        raise RunFailure(f"{name}: the first poses give no finite start")
+    held = _hold_around(kept, start, end)
+    if truth is not None and len(truth.timestamps_ns) != tracks.n_frames:
+        raise InputError(f"{name}: truth and measurements have different frames")
+    x = coordinates(aligned(end, start, kept.data), held, kept.data)
+    for _ in range(MAX_PASSES):
+        x = GaussNewton(kept.data).solve(held, x, 200).x
+    return MeasuredProblem(name, kept.data, held, start.vector(), x, relative, truth, perf_counter() - begin)
+
+
+def _hold_around(kept: Kept, start: Iterate, end: Iterate) -> Held:
+    """Whitening at the rates of ``end``; references, gauge and prior around ``start``."""
+    in_start = aligned(end, start, kept.data)
+    at_end = hold(kept.data, in_start, GAUGE)
+    xi, R_inertia = kept.data.form.coordinates(np.eye(3))
+    reference = replace(start, xi=xi, R_inertia=R_inertia)
+    return replace(
+        at_end,
+        reference=reference,
+        A=kept.data.R_RN @ start.R_NG,
+        prior=np.concatenate([at_end.prior[:4], R_inertia.T.ravel()]),
+    )
+
+
+def with_form(problem: MeasuredProblem, form_name: str, at: Iterate) -> MeasuredProblem:
+    """The same problem in another form of the inertia, its reference rotation that of ``at``."""
+    from polhode.backend.problem.inertia import FORMS
+
+    form = FORMS[form_name]
+    old, data = problem.data.form, replace(problem.data, form=form)
+    reference = problem.held.reference
+    xi, R_inertia = form.coordinates(at.second_moments(old))
+    held = replace(
+        problem.held,
+        reference=replace(reference, xi=xi, R_inertia=R_inertia),
+        prior=np.concatenate([problem.held.prior[:4], R_inertia.T.ravel()]),
+    )
+    x = problem.cold.copy()
+    n = reference.n_states
+    x[n + 3 : n + 8] = xi
+    return replace(problem, data=data, held=held, cold=x)
+
+
+def ratios(at: Iterate, data: MotionData) -> tuple[float, float]:
+    """k1, k2 of an iterate."""
+    moments = axes_derivative(data.form, at).moments
+    return float(np.log(moments[0] / moments[1])), float(np.log(moments[1] / moments[2]))
+
+
+def save(problem: MeasuredProblem, path: Path) -> None:
+    """Write for the solvers' processes."""
+    write_bytes(path, pickle.dumps(problem, protocol=4))
+
+
+def load(path: Path) -> MeasuredProblem:
+    """Read what ``save`` wrote: only ever a file that this program has just written itself."""
+    with path.open("rb") as stream:
+        problem = pickle.load(stream)
+    assert isinstance(problem, MeasuredProblem)
+    return problem

@@ -1,0 +1,113 @@
+"""Everything that determines a row, in a few characters: a stored row with another stamp is measured again.
+
+The problem: measurements, what is held of the cost (references, whitening, prior, hold of G), all starts, the
+truth. The solver: its entry, its packages' versions, our code that it runs. The machine, as rows tell times.
+"""
+
+import hashlib
+import platform
+from collections.abc import Iterable
+from dataclasses import asdict, fields, is_dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.registry import Entry
+
+BASE = ("polhode", "numpy", "scipy", "numba", "casadi")
+"""Distributions that every row depends on; IPOPT with its linear algebra and OSQP come with CasADi."""
+SHOWN = ("casadi", "scipy", "gtsam", "pyceres")
+CODE = (
+    "polhode.backend", "polhode.config.backend", "polhode.lie", "polhode.threads",
+    *(f"polhode.compare.{name}" for name in (
+        "judging.judge", "problem.blocks", "problem.landmark_block", "problem.measured_problem",
+        "problem.single_step", "processes.child", "processes.isolate", "processes.reached", "solver", "solvers")),
+)  # fmt: skip
+"""Our modules, and packages with all of theirs, whose code a row depends on."""
+UNIMPORTANT: dict[type, tuple[str, ...]] = {MeasuredProblem: ("name", "prepared_s")}
+"""Fields that say nothing of what is solved."""
+
+
+class _Digest(Protocol):
+    def update(self, content: bytes, /) -> None: ...
+
+
+def of_problem(problem: MeasuredProblem) -> str:
+    """Rows of the same one had the same measurements, cost, starts and truth."""
+    digest = hashlib.sha256()
+    _add(digest, problem)
+    return digest.hexdigest()[:16]
+
+
+def stamp(problem: str, entry: Entry, limit_s: float) -> dict[str, Any]:
+    """What a stored row must have in common with a new one; ``problem`` is its fingerprint."""
+    return {
+        "fingerprint": problem,
+        "limit_s": limit_s,
+        "entry": {
+            **asdict(entry),
+            "options": [list(pair) for pair in entry.options],
+            "needs": [*entry.needs],
+        },
+        "versions": versions((*BASE, *entry.needs)),
+        "code": code_of(),
+        "machine": machine(),
+    }
+
+
+def versions(distributions: Iterable[str] = SHOWN) -> dict[str, str]:
+    """Of those that are installed."""
+    found = {}
+    for name in distributions:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def machine() -> str:
+    """Processor, system and Python."""
+    return f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}"
+
+
+@cache
+def code_of(names: tuple[str, ...] = CODE) -> str:
+    """Of the source of modules, and of packages with all of theirs."""
+    digest = hashlib.sha256()
+    for name in names:
+        spec = find_spec(name)
+        assert spec is not None and spec.origin is not None
+        origin = Path(spec.origin)
+        for file in sorted(origin.parent.rglob("*.py")) if origin.name == "__init__.py" else [origin]:
+            digest.update(file.name.encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _add(digest: _Digest, value: Any) -> None:
+    """Content with its kind, so that no two different values look alike. Raises TypeError for a new kind."""
+    digest.update(type(value).__name__.encode())
+    if isinstance(value, np.ndarray):
+        digest.update(f"{value.dtype}{value.shape}".encode())
+        digest.update(np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value):
+        for each in fields(value):
+            if each.name not in UNIMPORTANT.get(type(value), ()):
+                digest.update(each.name.encode())
+                _add(digest, getattr(value, each.name))
+    elif isinstance(value, tuple | list):
+        for item in value:
+            _add(digest, item)
+    elif value is None or isinstance(value, bool | int | float | str | np.generic):
+        digest.update(repr(value).encode())
+    elif hasattr(value, "name") and hasattr(value, "second_moments"):
+        # a form of the inertia has no numbers of its own
+        digest.update(str(value.name).encode())
+    else:
+        raise TypeError(f"no fingerprint of {type(value).__name__}")

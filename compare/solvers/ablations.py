@@ -1,0 +1,142 @@
+"""Variants of the formulation, solved by polhode's Gauss-Newton, judged by the common cost all the same.
+
+``log_ratios``: the thesis's k1, k2 with axes and its wide prior. ``constant_noise``: the process noise of a
+body at rest, not along its motion. ``open_loop``: a landmark that comes back into view is a new one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from polhode.backend.dynamics.process_noise import whitening
+from polhode.backend.dynamics.residuals import Steps
+from polhode.backend.problem.inertia import inertia_from_second_moments, second_moments_from_inertia
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import Held, MotionData
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.solvers.dynamic_isam import wide_prior
+from polhode.compare.solvers.ours import Watched
+from polhode.compare.solvers.thesis_inertia import LogRatios, possible
+from polhode.lie import Array
+from polhode.records import Ints
+
+MAX_ITERATIONS = 300
+ABSENT = 2
+"""Frames without a landmark after which it counts as a new one."""
+
+
+@dataclass
+class Ablation:
+    """One variant."""
+
+    variant: str
+    family: str = "ablations"
+    claim: Claim = "baseline"
+    needs: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """As in the registry."""
+        return f"ablation_{self.variant}"
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        return f"our Gauss-Newton, {self.variant}"
+
+    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+        """The variant's optimum, in the common unknowns."""
+        if self.variant == "log_ratios":
+            return _log_ratios(problem, x, watch)
+        if self.variant == "constant_noise":
+            held = replace(problem.held, steps=_at_rest(problem))
+            found = Watched(problem.data, watch).solve(held, x, MAX_ITERATIONS, watch.left())
+            watch.check()
+            return Outcome(found.x, found.converged, found.iterations, found.message)
+        return _open_loop(problem, x, watch)
+
+
+class _WidePrior(Watched):
+    """The thesis's, on its own numbers."""
+
+    def __init__(self, data: MotionData, watch: Watch, common: Callable[[Array], Array]) -> None:
+        super().__init__(data, watch, common)
+        self._prior = wide_prior
+
+
+def _at_rest(problem: MeasuredProblem) -> Steps:
+    data = problem.data
+    still = np.zeros((len(data.dt_s), 3))
+    levels = np.full(len(data.dt_s), data.accel_psd), np.full(len(data.dt_s), data.torque_psd)
+    W_t, W_r, _ = whitening(still, np.eye(3), data.dt_s, *levels)
+    return replace(problem.held.steps, W_t=W_t, W_r=W_r)
+
+
+def _in_common(problem: MeasuredProblem, data: MotionData, around: Iterate, x: Array) -> Array:
+    """Unknowns x counted from an iterate, in the data's form of the inertia -> the common unknowns."""
+    at = around.moved_to(x)
+    J = inertia_from_second_moments(at.second_moments(data.form))
+    xi, R_inertia = problem.data.form.coordinates(second_moments_from_inertia(J))
+    return problem.vector(replace(at, xi=xi, R_inertia=R_inertia))
+
+
+def _log_ratios(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    data = replace(problem.data, form=LogRatios())
+    start = problem.iterate(x)
+    xi, R_inertia = data.form.coordinates(start.second_moments(problem.data.form))
+    begin = replace(start, xi=xi, R_inertia=R_inertia)
+    total, before = 0, np.inf
+    while True:
+        # references are renewed, as the axes of nearly equal moments turn far
+        solver = _WidePrior(data, watch, partial(_in_common, problem, data, begin))
+        held = _around(problem.held, data, begin)
+        found = solver.solve(held, begin.vector(), 15, watch.left())
+        watch.check()
+        total, begin = total + found.iterations, begin.moved_to(found.x)
+        resting = before - found.cost <= 1e-8 * found.cost
+        if (found.converged and resting) or total >= MAX_ITERATIONS:
+            break
+        before = found.cost
+    words = "a possible body" if possible(begin.xi) else "an impossible body"
+    end = _in_common(problem, data, begin, begin.vector())
+    return Outcome(end, found.converged, total, f"{found.message}; {words}")
+
+
+def _around(held: Held, data: MotionData, at: Iterate) -> Held:
+    return replace(held, reference=at, A=data.R_RN @ at.R_NG)
+
+
+def passages(data: MotionData) -> tuple[Ints, Ints]:
+    """(M,) landmark of each observation when those that come back are new, and the old one of each new."""
+    new, old, number = np.empty(len(data.frame), dtype=np.int64), [], -1
+    for mark in range(data.n_landmarks):
+        at = np.arange(data.start[mark], data.start[mark + 1])
+        for m, gap in zip(at, np.diff(data.frame[at], prepend=-(10**6)), strict=True):
+            if gap > ABSENT:
+                number += 1
+                old.append(mark)
+            new[m] = number
+    return new, np.array(old, dtype=np.int64)
+
+
+def _open_loop(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    data, at = problem.data, problem.held.reference
+    new, old = passages(data)
+    split = replace(data, landmark=new, start=np.searchsorted(new, np.arange(len(old) + 1)).astype(np.int64))
+    marks = x[at.n_dense :].reshape(-1, 3)
+    start = np.concatenate([x[: at.n_dense], marks[old].ravel()])
+    held = replace(problem.held, reference=replace(at, p_G=at.p_G[old]))
+    # the first passage of a landmark stands for it
+    first = np.searchsorted(old, np.arange(data.n_landmarks))
+
+    def common(z: Array) -> Array:
+        return np.concatenate([z[: at.n_dense], z[at.n_dense :].reshape(-1, 3)[first].ravel()])
+
+    found = Watched(split, watch, common).solve(held, start, MAX_ITERATIONS, watch.left())
+    watch.check()
+    end = common(found.x)
+    words = f"{found.message}; {data.n_landmarks} landmarks became {len(old)}"
+    return Outcome(end, found.converged, found.iterations, words)

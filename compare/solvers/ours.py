@@ -1,0 +1,123 @@
+"""polhode's own Gauss-Newton (``backend.gauss_newton``) in either form of the inertia."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from polhode.backend.estimate import PASS_TOLERANCE
+from polhode.backend.problem.problem import Held, MotionData
+from polhode.backend.solvers.gauss_newton import TIME_LIMIT, GaussNewton, NormalEquations, Solution
+from polhode.compare.judging.judge import reference_covariance
+from polhode.compare.problem.measured_problem import MeasuredProblem, inertia_around, with_form
+from polhode.compare.solver import Claim, Outcome, OutOfTime, Watch
+from polhode.lie import Array
+
+MAX_ITERATIONS, PASS = 500, 12
+
+
+def _same(x: Array) -> Array:
+    return x
+
+
+class Timed(GaussNewton):
+    """The same solver; its clock is read at each linearisation."""
+
+    def __init__(
+        self, data: MotionData, watch: Watch, with_dynamics: bool = True, line_search: bool = False
+    ) -> None:
+        super().__init__(data, with_dynamics, line_search)
+        self.watch = watch
+
+    def normal_equations(
+        self, held: Held, x: Array, weight: Array | None = None, prior: bool = True
+    ) -> NormalEquations:
+        """Timed; ends the solution at its limit."""
+        with self.watch.part("evaluation"):
+            system = super().normal_equations(held, x, weight, prior)
+        self.note(system.cost, x)
+        self.watch.check()
+        return system
+
+    def note(self, cost: float, x: Array) -> None:
+        """Nothing is noted."""
+
+    def cost(self, held: Held, x: Array) -> float:
+        """Timed."""
+        with self.watch.part("evaluation"):
+            return super().cost(held, x)
+
+
+class Watched(Timed):
+    """As the last step of the back end has it; what was reached is noted at each linearisation.
+
+    ``common`` takes its unknowns to the common ones. Without dynamics its cost is not the common one.
+    """
+
+    def __init__(
+        self,
+        data: MotionData,
+        watch: Watch,
+        common: Callable[[Array], Array] = _same,
+        with_dynamics: bool = True,
+    ) -> None:
+        super().__init__(data, watch, with_dynamics, line_search=with_dynamics)
+        self.common = common
+
+    def note(self, cost: float, x: Array) -> None:
+        """What was reached, in the common unknowns."""
+        self.watch.note(cost, self.common(x), common=self.with_dynamics)
+
+
+@dataclass
+class Ours:
+    """Gauss-Newton in one form of the inertia."""
+
+    name: str = "gauss_newton"
+    form: str = "second_moments"
+    words: str = "ours: Gauss-Newton/Levenberg, landmarks and chain eliminated"
+    family: str = "ours"
+    claim: Claim = "ok"
+    needs: tuple[str, ...] = ()
+
+    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+        """Solve in the form's own coordinates, again until the cost rests (``backend.estimate.refine``).
+
+        A form with a reference rotation has it renewed every few iterations, the common form has
+        none.
+        """
+        own, common = problem, self.form == problem.data.form.name
+        before, total, iterations = np.inf, 0, MAX_ITERATIONS if common else PASS
+        while True:
+            with watch.part("build"):
+                if not common:
+                    own = with_form(problem, self.form, problem.iterate(x))
+                to_common = _same if common else partial(in_form, own, problem)
+                solver = Watched(own.data, watch, to_common)
+            start = x if common else in_form(problem, own, x)
+            found = _solved(solver, own.held, start, iterations)
+            x, total = found.x if common else in_form(own, problem, found.x), total + found.iterations
+            resting = before - found.cost <= PASS_TOLERANCE * found.cost
+            if (found.converged and resting) or total >= MAX_ITERATIONS:
+                break
+            before = found.cost
+        watch.stop()
+        cov = reference_covariance(problem, x) if common else None
+        return Outcome(x, found.converged, total, found.message, cov)
+
+
+def _solved(solver: Watched, held: Held, x: Array, iterations: int) -> Solution:
+    found = solver.solve(held, x, iterations, max(solver.watch.left(), 0.0))
+    solver.note(found.cost, found.x)
+    if found.message == TIME_LIMIT:
+        raise OutOfTime
+    return found
+
+
+def in_form(before: MeasuredProblem, after: MeasuredProblem, x: Array) -> Array:
+    """The same unknowns with the inertia in the other problem's coordinates."""
+    out, at = x.copy(), before.iterate(x)
+    second = at.second_moments(before.data.form)
+    out[at.n_states + 3 : at.n_states + 8] = inertia_around(second, after.data, after.held.reference)
+    return out

@@ -1,0 +1,124 @@
+"""The sliding window of the back end in different lengths, against smoothing everything at once.
+
+The window sees the frames one by one. A state counts as it was when its frame left the window, or when the
+frames ended: it is smoothed by at most so many frames after its own. Landmarks are then put where they fit
+these poses best, and the common cost is judged. The window starts from nothing but the measurements.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polhode.backend.problem.inertia import second_moments_from_inertia
+from polhode.backend.problem.problem import MotionData
+from polhode.backend.window import CameraNoise, FrameMeasurements, OnlineState, SlidingWindow
+from polhode.camera import RectifiedRig
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.solvers.condensed import ReducedCost
+from polhode.config.backend import Backend, Window
+from polhode.lie import Array, inverse_pose, make_pose
+
+LEAST_HISTORY = 4
+
+
+@dataclass
+class WindowLength:
+    """One length."""
+
+    frames: str = "12"
+    family: str = "ablations"
+    claim: Claim = "baseline"
+    needs: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """As in the registry."""
+        return f"window_{self.frames}"
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        return f"sliding window of {self.frames} frames"
+
+    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+        """Where each state was when it left the window; ``x`` serves frames that were never placed."""
+        data, start = problem.data, problem.iterate(x)
+        window = SlidingWindow(
+            rig_of(data), settings_of(data, int(self.frames)), CameraNoise(*data.camera_sigma)
+        )
+        states = np.concatenate([start.p_NG, np.zeros_like(start.p_NG), start.v_N, start.w_G], axis=1)
+        R_NG, centres = start.R_NG.copy(), start.p_NG + start.R_NG @ start.com_G
+        placed, anew, belief, last = np.zeros(data.n_frames, dtype=bool), 0, window.belief, None
+        for k, measured in enumerate(frames_of_data(data)):
+            last = window.add(measured)
+            anew, belief = anew + (window.belief is not belief), window.belief
+            for frame in belief.active.recent:
+                n = frame.number - 1
+                states[n], R_NG[n], placed[n] = frame.x, frame.R_NG, True
+                centres[n] = frame.x[:3] + frame.R_NG @ belief.active.constants[:3]
+            watch.tell(f"{k + 1} of {data.n_frames} frames were in")
+            watch.check()
+        watch.tell("")
+        watch.stop()
+        assert last is not None
+        xi, R_inertia = data.form.coordinates(second_moments_of(last))
+        at = replace(
+            start,
+            p_NG=centres - R_NG @ last.com_G,
+            R_NG=R_NG,
+            v_N=states[:, 6:9],
+            w_G=states[:, 9:12],
+            com_G=last.com_G,
+            xi=xi,
+            R_inertia=R_inertia,
+        )
+        end = problem.vector(at)
+        end[start.n_dense :] = x[start.n_dense :]
+        words = f"{np.sum(~placed)} frames were not placed, begun anew {anew} times"
+        return Outcome(with_landmarks(problem, end), True, data.n_frames, words)
+
+
+def settings_of(data: MotionData, frames: int) -> Backend:
+    """Of the window: its length, as long a history, the noise of the problem."""
+    return Backend(
+        window=Window(frames=frames, history=max(frames, LEAST_HISTORY)),
+        process_noise="given",
+        accel_psd=data.accel_psd,
+        torque_psd=data.torque_psd,
+        robust_scale=data.robust_scale,
+        inertia="ratios_axes" if data.form.name == "ratios_axes" else "second_moments",
+    )
+
+
+def rig_of(data: MotionData) -> RectifiedRig:
+    """The camera; the size of its images plays no part."""
+    f, cx, cy, baseline, offset = (float(value) for value in data.rig)
+    return RectifiedRig(f, cx, cy, baseline, int(2.0 * cx), int(2.0 * cy), offset)
+
+
+def frames_of_data(data: MotionData) -> Iterator[FrameMeasurements]:
+    """The measurements of the problem in the order of time."""
+    X_NR = inverse_pose(make_pose(data.R_RN, data.t_R))
+    time_ns = np.round(1e9 * np.concatenate([[0.0], np.cumsum(data.dt_s)])).astype(np.int64)
+    order = np.lexsort((data.landmark, data.frame))
+    start = np.searchsorted(data.frame[order], np.arange(data.n_frames + 1))
+    for k in range(data.n_frames):
+        use = order[start[k] : start[k + 1]]
+        marks, uvd, sigma = data.landmark[use], data.uvd_px[use], 1.0 / data.inv_sigma[use]
+        yield FrameMeasurements(int(time_ns[k]), X_NR[k], marks, uvd, sigma)
+
+
+def second_moments_of(state: OnlineState) -> Array:
+    """(3, 3) in G, from the ratios and the axes."""
+    moments = np.array([np.exp(state.k1), 1.0, np.exp(-state.k2)])
+    return second_moments_from_inertia(state.R_GP @ np.diag(moments) @ state.R_GP.T)
+
+
+def with_landmarks(problem: MeasuredProblem, x: Array) -> Array:
+    """x with the landmarks where they fit its poses best."""
+    n = problem.held.reference.n_dense
+    reduced = ReducedCost(problem, x, Watch(np.inf))
+    reduced.cost(x[:n])
+    return np.concatenate([x[:n], reduced.marks])

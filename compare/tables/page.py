@@ -1,0 +1,207 @@
+"""compare.html: one self-contained page."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polhode.atomic import write_text
+from polhode.compare.judging.dominance import NOISE
+from polhode.compare.judging.judge import AGREED
+from polhode.compare.judging.profiles import curve, front, growths
+from polhode.compare.tables.rows import Comparison, Row
+from polhode.compare.tables.table import (
+    COLUMNS,
+    ERROR_COLUMNS,
+    cells,
+    error_cells,
+    gap,
+    least_costs,
+    not_separable,
+    start_words,
+    told,
+    verdict,
+)
+from polhode.pipeline.report.page import fill
+from polhode.pipeline.report.plot import Figure, Trace, axis, layout, line
+
+COLORS = (
+    "#5b3f8c", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#22303c", "#a05195",
+    "#8c564b",
+)  # fmt: skip
+"""Taken in turn; the pattern of the line changes with each round."""
+DASHES = ("solid", "dash", "dot")
+FLOOR = 1e-12
+"""Lowest cost over the least that is drawn."""
+MOST_TRACES = 12
+"""Problems whose traces are drawn."""
+
+
+def write_page(comparison: Comparison, path: Path) -> None:
+    """Cost against time, performance profiles, growth, time against accuracy, the tables."""
+    names = list(dict.fromkeys(row.solver for row in comparison.rows))
+    figures = []
+    for number, problem in enumerate(comparison.problems[:MOST_TRACES]):
+        figures += _cost_against_time(comparison, problem.name, names, number)
+    figures += [*_profiles(comparison, names), *_growth(comparison, names)]
+    for number, problem in enumerate(comparison.problems[:MOST_TRACES]):
+        figures += _time_against_accuracy(comparison, problem.name, names, number)
+    write_text(
+        path,
+        fill(
+            "compare.html.j2",
+            title="Optimizers side by side",
+            comparison=comparison,
+            figures=figures,
+            columns=COLUMNS,
+            error_columns=ERROR_COLUMNS,
+            tables=[_table(comparison, problem.name) for problem in comparison.problems],
+            successes=_success_rows(comparison),
+        ),
+    )
+
+
+def _table(comparison: Comparison, problem: str) -> dict[str, object]:
+    rows = [row for row in comparison.rows if row.problem == problem]
+    least = least_costs(comparison)[problem]
+    return {
+        "problem": next(each for each in comparison.problems if each.name == problem),
+        "rows": [(cells(row, least), row) for row in rows],
+        "verdict": verdict(rows, least),
+        "not_separable": not_separable(rows),
+        "errors": [
+            (row, start_words(row), error_cells(row.errors)) for row in rows if row.errors is not None
+        ],
+    }
+
+
+def _success_rows(comparison: Comparison) -> list[tuple[str, list[str]]]:
+    if len({(row.problem, row.start, row.seed) for row in comparison.rows}) < 2:
+        return []
+    kinds = list(dict.fromkeys(row.start for row in comparison.rows))
+    out = [("", [*(f"{kind} starts" for kind in kinds), "all"])]
+    for each in comparison.profiles:
+        cells = [told(each.starts[kind]) if kind in each.starts else "" for kind in kinds]
+        out.append((each.solver, [*cells, told(each)]))
+    return out
+
+
+def style(name: str, names: list[str]) -> tuple[str, str]:
+    """Colour and pattern of a solver, the same in every drawing."""
+    place = names.index(name)
+    return COLORS[place % len(COLORS)], DASHES[place // len(COLORS) % len(DASHES)]
+
+
+def _line(x: object, y: object, name: str, names: list[str], **more: Any) -> Trace:
+    color, dash = style(name, names)
+    trace = line(np.asarray(x), np.asarray(y), name, color, **more)
+    trace["line"] = {**trace["line"], "dash": dash}
+    return trace
+
+
+def _cost_against_time(comparison: Comparison, problem: str, names: list[str], number: int) -> list[Figure]:
+    least = least_costs(comparison)[problem]
+    # what a baseline notes on its way is its own cost, of the frames so far
+    rows = [row for row in comparison.rows if row.problem == problem and row.trace and row.claim == "ok"]
+    if least is None or not rows:
+        return []
+    kind = rows[0].start
+    data = []
+    for row in rows:
+        if row.start != kind or row.seed != rows[0].seed:
+            continue
+        points = np.array(row.trace)
+        over = np.maximum(points[:, 1] / least - 1.0, FLOOR)
+        data.append(_line(np.maximum(points[:, 0], 1e-3), over, row.solver, names))
+    caption = (
+        f"{kind.capitalize()} start. Cost over the least one found, minus 1, at each iteration; a line "
+        f"begins when the solver is built. Below {AGREED:g} solvers agree. Slack formulations count what "
+        "their slack says, not the common cost, until the constraints hold."
+    )
+    drawing = layout(
+        xaxis=axis("seconds", type="log"),
+        yaxis=axis("cost over the least - 1", type="log", exponentformat="power"),
+        legend={"orientation": "v", "x": 1.01, "y": 1.0},
+    )
+    return [Figure(f"cost{number}", f"Cost against time, {problem}", caption, data, drawing, 480)]
+
+
+def _profiles(comparison: Comparison, names: list[str]) -> list[Figure]:
+    cases = {(row.problem, row.start, row.seed) for row in comparison.rows}
+    if len(cases) < 2:
+        return []
+    data = []
+    for profile in comparison.profiles:
+        if not profile.ran:
+            continue
+        trace = _line(*curve(profile), profile.solver, names, mode="lines")
+        trace["line"] = {**trace["line"], "shape": "hv"}
+        trace["name"] = f"{profile.solver}: {told(profile)}"
+        data.append(trace)
+    caption = (
+        f"{len(cases)} cases (problems and starts). For each solver the share of the cases it ran (the "
+        "legend has their number) that it solved within a factor of the fastest solver's time (Dolan and "
+        "Moré 2002). Solved: it claims convergence at the least cost known. A case that did not run (package "
+        "missing, or no time left) counts neither for nor against it; baselines claim no convergence "
+        "and have no profile."
+    )
+    drawing = layout(
+        xaxis=axis("time over the fastest", type="log"),
+        yaxis=axis("share of the cases it ran", range=[-0.02, 1.04]),
+        legend={"orientation": "v", "x": 1.01, "y": 1.0},
+    )
+    return [Figure("profiles", "Performance profiles", caption, data, drawing, 460)]
+
+
+def _growth(comparison: Comparison, names: list[str]) -> list[Figure]:
+    found = growths(comparison)
+    if not found:
+        return []
+    data = []
+    for each in found:
+        trace = _line(each.size, each.seconds, each.solver, names)
+        trace["name"] = f"{each.solver}: n^{each.exponent:.2f}"
+        data.append(trace)
+    drawing = layout(
+        xaxis=axis("observations", type="log"),
+        yaxis=axis("seconds", type="log"),
+        legend={"orientation": "v", "x": 1.01, "y": 1.0},
+    )
+    caption = "Cold starts that were solved; the exponent is fitted to all sizes."
+    return [Figure("growth", "Time against size", caption, data, drawing, 460)]
+
+
+def _time_against_accuracy(
+    comparison: Comparison, problem: str, names: list[str], number: int
+) -> list[Figure]:
+    rows = [row for row in comparison.rows if row.problem == problem and row.start == "cold"]
+    least = least_costs(comparison)[problem]
+    ended = [row for row in rows if row.status in ("ok", "baseline")]
+    if not ended:
+        return []
+    data = [_point(row, least, names) for row in ended]
+    best = front(rows, least)
+    over = [max(gap(row, least) or 0.0, AGREED) for row in best]
+    step = line(
+        np.array([row.wall_s for row in best]), np.array(over), "Pareto front", "#8a97a3", mode="lines"
+    )
+    step["line"] = {**step["line"], "shape": "hv"}
+    caption = (
+        f"Cold start; costs within {AGREED:g} of the least count as equally accurate, times within "
+        f"{NOISE:.0%} as equally long. On the front: "
+        f"{', '.join(row.solver for row in best)}."
+    )
+    drawing = layout(
+        xaxis=axis("seconds", type="log"),
+        yaxis=axis("cost over the least - 1", type="log"),
+        legend={"orientation": "v", "x": 1.01, "y": 1.0},
+    )
+    title = f"Time against accuracy, {problem}"
+    return [Figure(f"front{number}", title, caption, [step, *data], drawing, 420)]
+
+
+def _point(row: Row, least: float | None, names: list[str]) -> Trace:
+    color, _ = style(row.solver, names)
+    marker = {"color": color, "size": 9, "symbol": "circle" if row.status == "ok" else "diamond"}
+    over = max(gap(row, least) or 0.0, AGREED)
+    return line(np.array([row.wall_s]), np.array([over]), row.solver, color, mode="markers", marker=marker)

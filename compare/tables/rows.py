@@ -1,0 +1,172 @@
+"""compare.json: what every solver did with every problem, one row each.
+
+The pydantic models are the only definition; ``pipeline/compare/compare.schema.json`` is generated from them
+(``python -m polhode.compare.tables.rows``) and shipped, and every file is validated when it is written and read.
+There is no NaN or infinity: what a solver does not tell is null.
+"""
+
+import json
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError
+
+from polhode.atomic import write_text
+from polhode.errors import InputError
+from polhode.pipeline.run_directory.summary_parts import Finite, Part
+
+Status = Literal["ok", "baseline", "failed", "timeout", "missing"]
+Kept = Literal["answer", "best", "last", "nothing"]
+StartKind = Literal["cold", "perturbed", "near"]
+SCHEMA_FILE = Path(__file__).with_name("compare.schema.json")
+
+
+class Errors(Part):
+    """Estimate minus truth: root mean squares over the frames; attitude after the best constant rotation."""
+
+    position_mm: Finite
+    velocity_mm_s: Finite
+    attitude_deg: Finite
+    angular_velocity_deg_s: Finite
+    com_mm: Finite
+    k1: Finite
+    k2: Finite
+
+
+class Case(Part):
+    """What a row is about."""
+
+    problem: str
+    solver: str
+    start: StartKind
+    seed: int = Field(ge=0)
+
+
+class Row(Case):
+    """What one solver did with one problem from one start."""
+
+    family: str
+    claim: Literal["ok", "baseline"]
+    status: Status
+    message: str
+    ran: bool
+    """False: its package is missing, or its turn did not come"""
+    kept: Kept
+    """Whose cost, ratios and errors these are: the solver's answer, or, where it came to no end, the best
+    point it noted, or the last one (of a method whose own cost on the way is another)"""
+    cost: Finite | None
+    """The common cost of what is kept"""
+    gain_left: Finite | None
+    """What one more Gauss-Newton step promises there, over the cost"""
+    iterations: int | None = Field(ge=0)
+    wall_s: Finite | None
+    """Building and solving; start of the process and preparation of the problem are not in it"""
+    build_s: Finite | None
+    evaluation_s: Finite | None
+    """Of costs, residuals, Jacobians, normal equations"""
+    linear_s: Finite | None
+    """The rest: linear algebra and the solver's own work"""
+    not_separable: str
+    """Why evaluation and linear algebra are not told apart; empty: they are"""
+    callback_s: Finite | None
+    """Spent in Python functions that a foreign library calls for blocks, factors or the reduced cost"""
+    memory_mb: Finite | None
+    """Largest resident size of the process"""
+    memory_before_mb: Finite | None
+    """The same before it started to solve: interpreter, libraries, the problem"""
+    k1: Finite | None
+    k2: Finite | None
+    sigma_k1: Finite | None
+    """By the solver's own linear algebra"""
+    sigma_k2: Finite | None
+    sigma_com_mm: Finite | None
+    errors: Errors | None
+    trace: list[tuple[Finite, Finite]]
+    """Seconds since the start, cost, at each iteration"""
+
+
+class ProblemWords(Part):
+    """One frozen problem."""
+
+    name: str
+    source: str
+    fingerprint: str
+    """Rows with the same one had the same measurements and the same cost"""
+    frames: int
+    landmarks: int
+    observations: int
+    unknowns: int
+    accel_psd: Finite
+    torque_psd: Finite
+    prepared_s: Finite
+    truth: bool
+    """Whether rows have errors against a truth"""
+    reference_cost: Finite | None
+    """The common cost of the reference solution: ours, from the back end's own estimate"""
+    least_cost: Finite | None
+    """The least cost known, of the rows and the reference solution: what "solved" is judged by"""
+    sigma_k1: Finite | None
+    """Reference: of the whole Gauss-Newton Hessian of the common cost at the least cost found"""
+    sigma_k2: Finite | None
+    sigma_com_mm: Finite | None
+
+
+class Tally(Part):
+    """Cases of one kind of start; a case is a problem with a start."""
+
+    solved: int = Field(ge=0)
+    """Convergence was claimed at the least cost known"""
+    ran: int = Field(ge=0)
+    """It was run on so many: the denominator"""
+    not_run: int = Field(ge=0)
+    """Its package was missing, or its turn did not come: counted nowhere else"""
+
+
+class Profile(Tally):
+    """Performance profile (Dolan and Moré 2002) of a solver that claims convergence."""
+
+    solver: str
+    starts: dict[StartKind, Tally]
+    factors: list[Finite]
+    """(solved,) ascending: its time over that of the fastest solver of the same case"""
+
+
+class Comparison(Part):
+    """The whole file."""
+
+    schema_: Literal["polhode-compare/1"] = Field("polhode-compare/1", alias="schema")
+    limit_s: Finite
+    machine: str
+    versions: dict[str, str]
+    """Of the packages whose solvers were asked for"""
+    problems: list[ProblemWords]
+    rows: list[Row]
+    profiles: list[Profile] = Field(default_factory=list)
+
+
+def write_comparison(comparison: Comparison, path: Path) -> None:
+    """Validate, write atomically."""
+    content = comparison.model_dump(mode="json", by_alias=True)
+    Comparison.model_validate(content)
+    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def read_comparison(path: Path) -> Comparison:
+    """Raises InputError, one line, when it is missing or is not what it should be."""
+    try:
+        return Comparison.model_validate_json(path.read_text())
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; make it with polhode compare") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise InputError(f"{path}: not a comparison: {where}: {first['msg']}") from None
+
+
+def schema_text() -> str:
+    """The JSON Schema as it is shipped."""
+    return json.dumps(Comparison.model_json_schema(by_alias=True), indent=1) + "\n"
+
+
+if __name__ == "__main__":
+    write_text(SCHEMA_FILE, schema_text())

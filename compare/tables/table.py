@@ -1,0 +1,165 @@
+"""The comparison at the terminal and as CSV."""
+
+import csv
+import io
+from collections.abc import Sequence
+
+from rich.console import Console, JustifyMethod
+from rich.table import Table
+
+from polhode.compare.tables.rows import Comparison, Errors, Row, Tally
+
+COLUMNS = (
+    "solver", "start", "status", "over least", "iter", "time s", "build", "eval", "linear", "MB",
+    "sigma k1", "sigma k2",
+)  # fmt: skip
+ERROR_COLUMNS = ("r mm", "v mm/s", "attitude deg", "w deg/s", "com mm", "k1", "k2")
+NOT_SEPARABLE = "n/s"
+"""In the place of a time that is not told apart; why stands below the table."""
+WIDTH = 132
+"""Characters of the table where no terminal says how many there are."""
+
+
+def least_costs(comparison: Comparison) -> dict[str, float | None]:
+    """By problem: the least of its rows and its reference solution."""
+    return {problem.name: problem.least_cost for problem in comparison.problems}
+
+
+def gap(row: Row, least: float | None) -> float | None:
+    """Cost over the least one of its problem, minus 1."""
+    if row.cost is None or least is None:
+        return None
+    return row.cost / least - 1.0
+
+
+def print_tables(comparison: Comparison) -> None:
+    """A table for each problem, and a sentence on what agrees."""
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=WIDTH)
+    for problem in comparison.problems:
+        rows = [row for row in comparison.rows if row.problem == problem.name]
+        least = problem.least_cost
+        title = (
+            f"{problem.name}: {problem.frames} frames, {problem.landmarks} landmarks, "
+            f"{problem.observations} observations"
+        )
+        table = Table(title=title, title_justify="left")
+        for column in COLUMNS:
+            justify: JustifyMethod = "left" if column in COLUMNS[:3] else "right"
+            table.add_column(column, justify=justify, no_wrap=True)
+        for row in rows:
+            table.add_row(*cells(row, least))
+        console.print(table)
+        judged = [(row, error_cells(row.errors)) for row in rows if row.errors is not None]
+        if judged:
+            console.print(_errors_table(judged))
+        for row in rows:
+            if row.status in ("failed", "timeout", "missing"):
+                console.print(f"  {row.solver} ({row.start} {row.seed}): {row.message}", markup=False)
+        for told in not_separable(rows):
+            console.print(f"  {told}", markup=False)
+        console.print(verdict(rows, least), markup=False)
+    for line in tallies(comparison):
+        console.print(line, markup=False)
+
+
+def cells(row: Row, least: float | None) -> list[str]:
+    """One row in words."""
+    over = gap(row, least)
+    return [
+        row.solver,
+        start_words(row),
+        row.status,
+        "" if over is None else f"{over:.1e}",
+        "" if row.iterations is None else str(row.iterations),
+        *(_number(value, ".2f") for value in (row.wall_s, row.build_s)),
+        *(
+            NOT_SEPARABLE if row.not_separable else _number(value, ".2f")
+            for value in (row.evaluation_s, row.linear_s)
+        ),
+        _number(row.memory_mb, ".0f"),
+        _number(row.sigma_k1, ".2e"),
+        _number(row.sigma_k2, ".2e"),
+    ]
+
+
+def not_separable(rows: Sequence[Row]) -> list[str]:
+    """Why times are not told apart, and whose."""
+    reasons: dict[str, list[str]] = {}
+    for row in rows:
+        if row.not_separable and row.solver not in reasons.setdefault(row.not_separable, []):
+            reasons[row.not_separable].append(row.solver)
+    return [f"{NOT_SEPARABLE}, not separable ({', '.join(who)}): {why}" for why, who in reasons.items()]
+
+
+def tallies(comparison: Comparison) -> list[str]:
+    """Cases solved, of how many that were run, by kind of start; nothing for a single case."""
+    if len({(row.problem, row.start, row.seed) for row in comparison.rows}) < 2:
+        return []
+    return [
+        f"  {each.solver}: solved "
+        + ", ".join(f"{kind} {told(tally)}" for kind, tally in each.starts.items())
+        for each in comparison.profiles
+    ]
+
+
+def told(tally: Tally) -> str:
+    """As in "3 of 5 (2 not run)"."""
+    return f"{tally.solved} of {tally.ran}" + (f" ({tally.not_run} not run)" if tally.not_run else "")
+
+
+def error_cells(errors: Errors) -> list[str]:
+    """Estimate minus truth, in the order of ``ERROR_COLUMNS``."""
+    return [
+        f"{errors.position_mm:.2f}", f"{errors.velocity_mm_s:.2f}", f"{errors.attitude_deg:.3f}",
+        f"{errors.angular_velocity_deg_s:.3f}", f"{errors.com_mm:.2f}", f"{errors.k1:+.4f}",
+        f"{errors.k2:+.4f}",
+    ]  # fmt: skip
+
+
+def _errors_table(judged: Sequence[tuple[Row, list[str]]]) -> Table:
+    table = Table(title="Estimate minus truth, of what is kept", title_justify="left")
+    for column in (*COLUMNS[:3], *ERROR_COLUMNS):
+        table.add_column(column, justify="left" if column in COLUMNS[:3] else "right", no_wrap=True)
+    for row, numbers in judged:
+        table.add_row(row.solver, start_words(row), row.status, *numbers)
+    return table
+
+
+def start_words(row: Row) -> str:
+    """Kind of start, with its seed."""
+    return row.start if row.start == "cold" else f"{row.start} {row.seed}"
+
+
+def verdict(rows: Sequence[Row], least: float | None) -> str:
+    """How far the costs of those that claim convergence are apart."""
+    good = [row for row in rows if row.status == "ok"]
+    if not good or least is None:
+        return "No solver claims convergence."
+    worst = max(good, key=lambda row: row.cost or 0.0)
+    fastest = min(good, key=lambda row: row.wall_s or float("inf"))
+    claim = "rows claim" if len(good) > 1 else "row claims"
+    return (
+        f"{len(good)} {claim} convergence, {gap(worst, least):.1e} of the least cost apart at most "
+        f"({worst.solver}); the fastest: {fastest.solver}, {fastest.wall_s:.2f} s."
+    )
+
+
+def csv_text(rows: Sequence[Row]) -> str:
+    """All rows, one line each; the trace stays in the JSON."""
+    stream = io.StringIO()
+    names = [name for name in Row.model_fields if name not in ("trace", "errors")]
+    errors = ("position_mm", "velocity_mm_s", "attitude_deg", "angular_velocity_deg_s", "com_mm", "k1", "k2")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([*names, *(f"error_{name}" for name in errors)])
+    for row in rows:
+        content = row.model_dump()
+        told = content["errors"] or {}
+        values = [*(content[name] for name in names), *(told.get(name) for name in errors)]
+        writer.writerow(["" if value is None else value for value in values])
+    return stream.getvalue()
+
+
+def _number(value: float | None, form: str) -> str:
+    return "" if value is None else format(value, form)

@@ -1,0 +1,228 @@
+"""Left to right on epipolar lines, with sub-pixel disparity: one stereo measurement per key point.
+
+The disparity of a match is refined by least squares over a window of the left image, with gain, offset
+and an affine disparity free (a slanted surface with exposure differences); the key points' own columns
+scatter several times more. Lucas and Kanade 1981; Gruen, "Adaptive least squares correlation", 1985.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import spline_filter1d
+
+from polhode.camera import RectifiedRig
+from polhode.config.frontend import StereoMatching
+from polhode.frontend.features.keypoints import Descriptors, KeyPoints
+from polhode.frontend.rectification.target import Image
+from polhode.lie import Array
+from polhode.records import Bools, Ints
+
+SIGMA_UV_PX = 0.30
+"""Scatter of a key point between views of the target, before the back end estimates it [px]."""
+MIN_SIGMA_DISPARITY_PX = 0.10
+"""Floor of a refined disparity's sigma: textures are never as sharp as the noise alone says [px]."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A part of a rectified left image."""
+
+    image: Image
+    """(H, W)"""
+    corner_px: tuple[int, int]
+    """(u, v) in the whole image of the part's first pixel"""
+
+
+@dataclass(frozen=True)
+class StereoFeatures:
+    """Stereo measurements of one frame with their descriptors."""
+
+    uvd_px: Array
+    """(n, 3) u left, v, disparity in the rectified pair"""
+    sigma_px: Array
+    """(n, 3)"""
+    p_R: Array
+    """(n, 3) [m] in the rectified left camera"""
+    scale_px: Array
+    """(n,)"""
+    descriptors: Descriptors
+    """(n, d) of the left image, unit length"""
+    angle_rad: Array | None = None
+    """(n,) orientation in the left image, where the method has one"""
+    picture: Picture | None = None
+    """The left image around the target, where the matcher reads images"""
+    R_RS: Array | None = None
+    """(n, 3, 3) axes of the surface at the feature: z its normal, x a direction that its texture gives"""
+    metres_per_px: Array | None = None
+    """(n, 2) how far the point moves for one pixel across the image, and for one of disparity [m/px]"""
+    sigma_ls_px: Array | None = None
+    """(n,) what the least squares alone say of the disparity's standard deviation"""
+    reliability: Array | None = None
+    """(n,) probability that the feature is found again, where the method knows it"""
+
+    def __len__(self) -> int:
+        return len(self.uvd_px)
+
+    @property
+    def on_surface(self) -> Bools:
+        """(n,) which features know their surface's axes"""
+        if self.R_RS is None:
+            return np.zeros(len(self), dtype=np.bool_)
+        return np.asarray(np.isfinite(self.R_RS[:, 0, 0]), dtype=np.bool_)
+
+
+def match_stereo(
+    left: Image,
+    right: Image,
+    points_left: KeyPoints,
+    points_right: KeyPoints,
+    rig: RectifiedRig,
+    config: StereoMatching,
+) -> StereoFeatures:
+    """Stereo measurements of one rectified pair."""
+    index_left, disparity = _match_on_lines(points_left, points_right, rig, config)
+    uv = points_left.uv_px[index_left]
+    refined, sigma_d, correlation = refine_disparity(left, right, uv, disparity, config.window_px)
+    depth_positive = refined - rig.disparity_offset_px > 0.5
+    near_start = np.abs(refined - disparity) < 1.5
+    good = (correlation > config.min_correlation) & near_start & depth_positive
+    uvd = np.column_stack([uv[good], refined[good]])
+    sigma_uv = np.full(len(uvd), SIGMA_UV_PX)
+    return StereoFeatures(
+        uvd,
+        np.column_stack([sigma_uv, sigma_uv, np.maximum(sigma_d[good], MIN_SIGMA_DISPARITY_PX)]),
+        rig.triangulate(uvd),
+        points_left.scale_px[index_left][good],
+        points_left.descriptors[index_left][good],
+        points_left.angle_rad[index_left][good],
+    )
+
+
+def _match_on_lines(
+    left: KeyPoints, right: KeyPoints, rig: RectifiedRig, config: StereoMatching
+) -> tuple[NDArray[np.intp], Array]:
+    """Mutual best descriptors among the candidates on the epipolar line: left index (m,), disparity (m,)."""
+    if len(left) == 0 or len(right) == 0:
+        return np.zeros(0, dtype=np.intp), np.zeros(0)
+    allowed = _candidates(left, right, rig, config)
+    similarity = np.where(allowed, left.descriptors @ right.descriptors.T, -1.0)
+    best = similarity.argmax(axis=1)
+    rows = np.arange(len(left))
+    mutual = similarity.argmax(axis=0)[best] == rows
+    top = similarity[rows, best]
+    similarity[rows, best] = -1.0
+    distance = np.sqrt(np.maximum(2.0 - 2.0 * top, 0.0))
+    second = np.sqrt(np.maximum(2.0 - 2.0 * similarity.max(axis=1), 0.0))
+    keep = np.flatnonzero(mutual & (top > 0.0) & (distance < config.ratio * second))
+    return keep, left.uv_px[keep, 0] - right.uv_px[best[keep], 0]
+
+
+def _candidates(left: KeyPoints, right: KeyPoints, rig: RectifiedRig, config: StereoMatching) -> Bools:
+    """(n_left, n_right): near the same row, in front of the cameras, of like scale and orientation."""
+    row = np.abs(left.uv_px[:, None, 1] - right.uv_px[None, :, 1])
+    gate = config.row_gate_px * np.maximum(1.0, 0.4 * left.scale_px)[:, None]
+    disparity = left.uv_px[:, None, 0] - right.uv_px[None, :, 0] - rig.disparity_offset_px
+    octave = np.abs(np.log2(left.scale_px[:, None] / right.scale_px[None, :]))
+    turn = np.abs((left.angle_rad[:, None] - right.angle_rad[None, :] + np.pi) % (2 * np.pi) - np.pi)
+    in_range = (disparity > 0.5) & (disparity < config.max_disparity_share * rig.width_px)
+    return np.asarray((row < gate) & in_range & (octave < 0.6) & (turn < np.deg2rad(35.0)))
+
+
+def refine_disparity(
+    left: Image,
+    right: Image,
+    uv_px: Array,
+    disparity_px: Array,
+    window_px: int,
+    iterations: int = 8,
+    slope: Array | None = None,
+) -> tuple[Array, Array, Array]:
+    """Least-squares disparity at points uv (n, 2) from start values (n,), and slopes (n, 2) where known.
+
+    Model: left(u + x, v + y) = gain * right(u + x - d - a x - b y, v + y) + offset over a square window.
+    Returns disparity (n,) [px], its sigma from the residuals (n,) [px], normalised correlation (n,).
+    """
+    n = len(uv_px)
+    if n == 0:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    half = window_px // 2
+    y, x = (a.ravel() for a in np.mgrid[-half : half + 1, -half : half + 1])
+    weight = np.exp(-(x**2 + y**2) / (2 * (0.6 * half) ** 2))
+    # Windows centred on whole pixels: the left image is read, not interpolated, and rows stay rows.
+    centre = np.round(uv_px).astype(np.int64)
+    columns, rows = centre[:, :1] + x, np.clip(centre[:, 1:] + y, 0, left.shape[0] - 1)
+    target = left[rows, np.clip(columns, 0, left.shape[1] - 1)].astype(np.float64)
+    spline = spline_filter1d(right.astype(np.float64), order=3, axis=1, mode="mirror")
+    warp = np.column_stack([disparity_px, np.zeros(n), np.zeros(n)])
+    if slope is not None:
+        warp[:, 0] += np.sum(slope * (centre - uv_px), axis=1)
+        warp[:, 1:] = np.clip(slope, -0.8, 0.8)
+    for _ in range(iterations):
+        A, _ = _linearise(spline, rows, columns, warp, x, y, target)
+        step = np.linalg.solve(*_normal_equations(A, target, weight))[..., 0]
+        step[:, 0] = np.clip(step[:, 0], -1.0, 1.0)
+        step[:, 1:3] = np.clip(step[:, 1:3], -0.2, 0.2)
+        warp = warp + step[:, :3]
+        warp[:, 1:] = np.clip(warp[:, 1:], -0.8, 0.8)
+        if np.max(np.abs(step[:, 0])) < 1e-3:
+            break
+    A, source = _linearise(spline, rows, columns, warp, x, y, target)
+    normal, rhs = _normal_equations(A, target, weight)
+    residual = target - (A @ np.linalg.solve(normal, rhs))[..., 0]
+    variance = np.sum(weight * residual**2, axis=1) / max(np.sum(weight) - 5.0, 1.0)
+    covariance = np.linalg.inv(normal)
+    # The whole-pixel centre is up to half a pixel from the key point: follow the slant.
+    arm = np.column_stack([np.ones(n), uv_px - centre])
+    sigma = np.sqrt(variance * np.einsum("na,nab,nb->n", arm, covariance[:, :3, :3], arm))
+    return np.sum(warp * arm, axis=1), sigma, _correlation(target, source, weight)
+
+
+def _sample_rows(spline: Array, rows: Ints, u: Array) -> tuple[Array, Array]:
+    """Value and slope along the row of a cubic B-spline (H, W) at whole rows and any columns (n, k)."""
+    u = np.clip(u, 1.0, spline.shape[1] - 3.001)
+    first = np.floor(u).astype(np.int64)
+    t = u - first
+    taps = [spline[rows, first + offset] for offset in (-1, 0, 1, 2)]
+    weights = [(1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]
+    slopes = [-3 * (1 - t) ** 2, -12 * t + 9 * t**2, 3 + 6 * t - 9 * t**2, 3 * t**2]
+    value = sum(w * tap for w, tap in zip(weights, taps, strict=True))
+    slope = sum(w * tap for w, tap in zip(slopes, taps, strict=True))
+    return np.asarray(value / 6.0), np.asarray(slope / 6.0)
+
+
+def _linearise(
+    spline: Array, rows: Ints, columns: Ints, warp: Array, x: Ints, y: Ints, target: Array
+) -> tuple[Array, Array]:
+    """Jacobian (n, k, 5) for steps of (d, a, b) and for gain and offset; the right window (n, k).
+
+    Gain and offset are solved for whole, the warp as an increment, so the right-hand side is the target.
+    """
+    u = columns - warp[:, :1] - warp[:, 1:2] * x - warp[:, 2:3] * y
+    source, slope = _sample_rows(spline, rows, u)
+    gradient = -_gain(source, target) * slope
+    return np.stack([gradient, gradient * x, gradient * y, source, np.ones_like(source)], axis=-1), source
+
+
+def _gain(source: Array, target: Array) -> Array:
+    """Exposure ratio (n, 1) between the two windows."""
+    ds = source - source.mean(axis=1, keepdims=True)
+    dt = target - target.mean(axis=1, keepdims=True)
+    gain = np.sum(ds * dt, axis=1, keepdims=True) / np.maximum(np.sum(ds * ds, axis=1, keepdims=True), 1e-6)
+    return np.asarray(np.clip(gain, 0.3, 3.0))
+
+
+def _normal_equations(A: Array, b: Array, weight: Array) -> tuple[Array, Array]:
+    Aw = A * weight[:, None]
+    normal = np.swapaxes(Aw, 1, 2) @ A
+    # A textureless window leaves the warp undetermined: the floor keeps it where it started.
+    normal += np.diag([1e-2, 1e-1, 1e-1, 1e-6, 1e-6])
+    return normal, np.swapaxes(Aw, 1, 2) @ b[..., None]
+
+
+def _correlation(a: Array, b: Array, weight: Array) -> Array:
+    w = weight / weight.sum()
+    da, db = a - (a * w).sum(axis=1, keepdims=True), b - (b * w).sum(axis=1, keepdims=True)
+    covariance = (w * da * db).sum(axis=1)
+    spread = np.sqrt((w * da**2).sum(axis=1) * (w * db**2).sum(axis=1))
+    return np.asarray(covariance / np.maximum(spread, 1e-9))

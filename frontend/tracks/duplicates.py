@@ -1,0 +1,142 @@
+"""One landmark, two names: tracks that blind matching left apart are merged where the motion makes them one.
+
+Two landmarks are the same when the solved motion puts them in the same place, no frame shows both, and they
+look alike from like directions. What merges closes loops, and loops decide how well the inertia is known.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.stats import chi2
+
+from polhode.camera import RectifiedRig
+from polhode.config.frontend import GuidedMatching
+from polhode.frontend.features.keypoints import Descriptors
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.tracks.landmark_map import LandmarkMap, enter
+from polhode.frontend.tracks.tracks import Association
+from polhode.lie import Array
+from polhode.records import Bools, InitialMotion, Ints
+
+AGREE = float(chi2.ppf(0.99, 3))
+"""Largest normalised square of the distance of two estimates of one place."""
+FLOOR_PX = 0.3
+"""Uncertainty of a landmark's place that its own observations do not show: poses, light, as seen from the
+camera."""
+
+
+@dataclass(frozen=True)
+class _Views:
+    """What the frames saw of one landmark."""
+
+    direction_G: Array
+    """(n, 3)"""
+    descriptors: Descriptors
+    """(n, d)"""
+    frames: Bools
+    """(F,)"""
+
+
+def merge_duplicates(
+    frames: Sequence[StereoFeatures],
+    association: Association,
+    motion: InitialMotion,
+    rig: RectifiedRig,
+    config: GuidedMatching,
+) -> Association:
+    """The association with landmarks joined that are one under the motion; unconnected frames have no say."""
+    model = LandmarkMap.empty(association.n_landmarks)
+    connected = np.flatnonzero(motion.connected).tolist()
+    if not connected:
+        return association
+    for k in connected:
+        enter(model, frames[k], association.landmark[k], motion.X_RG[k], rig)
+    range_m = float(np.median(np.concatenate([frames[k].p_R[:, 2] for k in connected])))
+    first, second = _in_one_place(model, FLOOR_PX * range_m / rig.focal_px)
+    if len(first) == 0:
+        return association
+    views = _views(model, connected, len(frames), np.unique(np.concatenate([first, second])))
+    distance = np.array(
+        [_looks(views[a], views[b], config) for a, b in zip(first.tolist(), second.tolist(), strict=True)]
+    )
+    name = _joined(first, second, distance, views, association.n_landmarks, config.max_distance)
+    return _renamed(association, name)
+
+
+def _in_one_place(model: LandmarkMap, floor_m: float) -> tuple[Ints, Ints]:
+    """Pairs of landmarks whose places agree within what their observations allow."""
+    placed = np.flatnonzero(np.isfinite(model.p_G).all(axis=1))
+    if len(placed) < 2:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    p_G = model.p_G[placed]
+    covariance = np.linalg.inv(model.information[placed]) + floor_m**2 * np.eye(3)
+    widest = np.sqrt(2.0 * AGREE * np.linalg.eigvalsh(covariance)[:, -1])
+    # a few badly placed landmarks must not make everything everyone's neighbour
+    pairs = cKDTree(p_G).query_pairs(float(np.percentile(widest, 90.0)), output_type="ndarray")
+    a, b = pairs.T
+    gap = p_G[a] - p_G[b]
+    whitened = np.linalg.solve(covariance[a] + covariance[b], gap[..., None])[..., 0]
+    near = np.sum(gap * whitened, axis=1) < AGREE
+    return placed[a[near]].astype(np.int64), placed[b[near]].astype(np.int64)
+
+
+def _views(model: LandmarkMap, connected: Sequence[int], n_frames: int, landmarks: Ints) -> dict[int, _Views]:
+    """Per landmark everything that was seen of it."""
+    label = np.concatenate(model.landmark)
+    frame = np.concatenate([np.full(len(seen), k) for k, seen in zip(connected, model.landmark, strict=True)])
+    direction_G, descriptors = np.concatenate(model.direction_G), np.concatenate(model.descriptors)
+    order = np.argsort(label, kind="stable")
+    start, stop = (np.searchsorted(label[order], landmarks, side=side) for side in ("left", "right"))
+    views = {}
+    for landmark, a, b in zip(landmarks.tolist(), start.tolist(), stop.tolist(), strict=True):
+        own, shown = order[a:b], np.zeros(n_frames, dtype=bool)
+        shown[frame[own]] = True
+        views[landmark] = _Views(direction_G[own], descriptors[own], shown)
+    return views
+
+
+def _looks(a: _Views, b: _Views, config: GuidedMatching) -> float:
+    """Smallest descriptor distance of two landmarks over views from like directions.
+
+    Infinite where no directions are alike, or one frame shows both.
+    """
+    if np.any(a.frames & b.frames):
+        return float("inf")
+    like = a.direction_G @ b.direction_G.T > np.cos(np.deg2rad(config.merge_view_angle_deg))
+    if not like.any():
+        return float("inf")
+    similarity = float(np.max((a.descriptors @ b.descriptors.T)[like]))
+    return float(np.sqrt(max(2.0 - 2.0 * similarity, 0.0)))
+
+
+def _joined(
+    first: Ints, second: Ints, distance: Array, views: dict[int, _Views], n: int, max_distance: float
+) -> Ints:
+    """Name (L,) of each landmark after joining the most alike first, never two of one frame."""
+    name = np.arange(n, dtype=np.int64)
+    shown = {landmark: view.frames.copy() for landmark, view in views.items()}
+    for pair in np.argsort(distance, kind="stable").tolist():
+        if not distance[pair] < max_distance:
+            break
+        a, b = _root(name, int(first[pair])), _root(name, int(second[pair]))
+        if a == b or np.any(shown[a] & shown[b]):
+            continue
+        name[b] = a
+        shown[a] |= shown[b]
+    return np.array([_root(name, k) for k in range(n)], dtype=np.int64)
+
+
+def _root(name: Ints, k: int) -> int:
+    while name[k] != k:
+        k = int(name[k])
+    return k
+
+
+def _renamed(association: Association, name: Ints) -> Association:
+    """Labels 0..L-1 without gaps."""
+    dense = np.unique(name, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    return Association(
+        tuple(np.where(labels >= 0, dense[np.maximum(labels, 0)], -1) for labels in association.landmark)
+    )

@@ -1,0 +1,176 @@
+"""Association with a known motion: lost frames are looked for where the motion puts them.
+
+Frames that blind matching has connected keep their matches: those passed a geometric check pair by pair, and
+are truer than what a search around predictions adds, since shaded features drift with the light. A frame that
+blind matching lost is searched in wide windows around its predicted pose and must pass a rigid fit of its own
+before it counts as measured, so that a wrong prediction is not locked in.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from polhode.camera import RectifiedRig
+from polhode.config.frontend import GuidedMatching
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.pairs import PairMatch
+from polhode.frontend.matching.ransac import fit_noisy, ransac_rigid, reprojection_error_px
+from polhode.frontend.matching.soft_assignment import DUSTBIN, TEMPERATURE
+from polhode.frontend.tracks.landmark_map import (
+    LandmarkMap,
+    descriptor_distance,
+    enter,
+    mutual_best,
+    viewing_direction,
+)
+from polhode.frontend.tracks.tracks import Association
+from polhode.lie import Array, inverse_pose, transform_points
+from polhode.records import Bools, InitialMotion, Ints
+
+LEAST_PROBABILITY = 0.01
+"""Of an accepted association, of features that know their surface."""
+NARROWER = (1.0, 1.0 / 3.0, 1.0 / 5.0)
+"""Search radii around a pose that gets better, over the first one."""
+
+
+@dataclass(frozen=True)
+class GuidedResult:
+    """The new association and the poses that it was made with."""
+
+    association: Association
+    motion: InitialMotion
+
+
+def consistent_matches(
+    matches: Sequence[PairMatch],
+    frames: Sequence[StereoFeatures],
+    motion: InitialMotion,
+    rig: RectifiedRig,
+    gate_px: float,
+) -> list[PairMatch]:
+    """The matches between connected frames whose points the motion moves onto each other within the gate."""
+    kept = []
+    for match in matches:
+        if not (motion.connected[match.i] and motion.connected[match.j]):
+            continue
+        X_RiRj = motion.X_RG[match.i] @ inverse_pose(motion.X_RG[match.j])
+        p_Ri = transform_points(X_RiRj, frames[match.j].p_R[match.features[:, 1]])
+        error = reprojection_error_px(p_Ri, frames[match.i].uvd_px[match.features[:, 0]], rig)
+        good: Bools = error < gate_px
+        if good.any():
+            kept.append(replace(match, features=match.features[good]))
+    return kept
+
+
+def reconnect(
+    frames: Sequence[StereoFeatures],
+    association: Association,
+    motion: InitialMotion,
+    rig: RectifiedRig,
+    config: GuidedMatching,
+    seed: int,
+) -> GuidedResult:
+    """Look for the frames that are not connected, nearest to a connected one first.
+
+    Landmarks are those of the association, placed by the motion; a found frame adds its observations to them.
+    """
+    X_RG, connected = motion.X_RG.copy(), motion.connected.copy()
+    labels = [known.copy() for known in association.landmark]
+    waiting = [k for k in np.flatnonzero(~connected).tolist() if len(frames[k]) >= config.min_inliers]
+    if not waiting or not np.any(connected):
+        return GuidedResult(association, motion)
+    model = LandmarkMap.empty(association.n_landmarks)
+    for k in np.flatnonzero(connected).tolist():
+        enter(model, frames[k], labels[k], X_RG[k], rig)
+    for k in sorted(waiting, key=lambda frame: _distance_to(frame, motion.connected)):
+        X_found = _relocalise(model, frames[k], X_RG[k], rig, config, np.random.default_rng([seed, k]))
+        if X_found is None:
+            continue
+        X_RG[k], connected[k] = X_found, True
+        feature, landmark = _search(model, frames[k], X_found, rig, config, config.fine_gate_px)
+        labels[k] = np.full(len(frames[k]), -1, dtype=np.int64)
+        labels[k][feature] = landmark
+        enter(model, frames[k], labels[k], X_found, rig)
+    return GuidedResult(Association(tuple(labels)), InitialMotion(X_RG, connected))
+
+
+def _distance_to(k: int, connected: Bools) -> int:
+    known = np.flatnonzero(connected)
+    return int(np.min(np.abs(known - k))) if len(known) else 0
+
+
+def _relocalise(
+    model: LandmarkMap,
+    features: StereoFeatures,
+    X_RG: Array,
+    rig: RectifiedRig,
+    config: GuidedMatching,
+    rng: np.random.Generator,
+) -> Array | None:
+    """Measured pose of a frame near its predicted one, or None when too few landmarks agree."""
+    X_found = X_RG
+    for share in NARROWER:
+        # nearer to the pose fewer others look alike, so more is found
+        gate_px = share * config.coarse_gate_px
+        feature, landmark = _search(model, features, X_found, rig, config, gate_px)
+        if len(feature) < config.min_inliers:
+            return None
+        p_R, p_G = features.p_R[feature], model.p_G[landmark]
+        fit = ransac_rigid(features.uvd_px[feature], p_R, p_G, rig, 300, 2.0, rng)
+        if fit.inlier.sum() < config.min_inliers:
+            return None
+        X_found = fit_noisy(fit.X_RiRj, p_R, p_G, rig)
+    return X_found
+
+
+def _search(
+    model: LandmarkMap,
+    features: StereoFeatures,
+    X_RG: Array,
+    rig: RectifiedRig,
+    config: GuidedMatching,
+    gate_px: float,
+) -> tuple[Ints, Ints]:
+    """Mutually best (feature, landmark) among those that agree in place, view and descriptor."""
+    nothing = np.zeros(0, dtype=np.int64)
+    direction_G = viewing_direction(features.p_R, X_RG)
+    observed = np.concatenate(model.landmark)
+    p_G = model.p_G
+    placed = np.asarray(np.isfinite(p_G).all(axis=1), dtype=np.bool_)
+    p_R = transform_points(X_RG, np.where(placed[:, None], p_G, 0.0))
+    ahead: Bools = placed & np.asarray(p_R[:, 2] > 1e-3)
+    uvd = np.where(ahead[:, None], rig.project(np.where(ahead[:, None], p_R, 1.0)), -1e6)
+    # The disparity's window is narrower than the image's: a landmark does not change its depth unseen.
+    squeeze = np.array([1.0, 1.0, max(1.0, min(4.0, gate_px / 6.0))])
+    near = cKDTree(uvd * squeeze).query_ball_point(features.uvd_px * squeeze, gate_px)
+    feature, landmark = _flatten(near)
+    if len(feature) == 0:
+        return nothing, nothing
+    distance = descriptor_distance(model, observed, features, direction_G, feature, landmark, config, X_RG)
+    largest = np.full(len(feature), config.max_distance)
+    surface = features.on_surface[feature]
+    if surface.any():
+        distance[surface] = improbability(distance[surface], feature[surface], landmark[surface])
+        largest[surface] = 1.0 - LEAST_PROBABILITY
+    good = distance < largest
+    return mutual_best(feature[good], landmark[good], distance[good])
+
+
+def improbability(distance: Array, feature: Ints, landmark: Ints) -> Array:
+    """One less the probability (n,) that two are a match: the dual softmax of our matcher, over those pairs
+    alone that the prediction allows; distance (n,) of descriptors of unit length."""
+    alike = np.exp(-0.5 * distance**2 / TEMPERATURE)
+    none = np.exp((DUSTBIN - 1.0) / TEMPERATURE)
+    along_feature = np.bincount(feature, alike) + none
+    along_landmark = np.bincount(landmark, alike) + none
+    return np.asarray(1.0 - alike**2 / (along_feature[feature] * along_landmark[landmark]))
+
+
+def _flatten(near: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:
+    """Neighbour lists -> pairs (feature, landmark)."""
+    counts = np.array([len(n) for n in near])
+    feature = np.repeat(np.arange(len(near)), counts)
+    landmark = np.fromiter((x for n in near for x in n), dtype=np.int64, count=int(counts.sum()))
+    return feature.astype(np.int64), landmark

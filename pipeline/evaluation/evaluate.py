@@ -1,0 +1,255 @@
+"""A run against the truth: RUN/metrics.json and a table (CONTRACT.md, ``metrics.json``).
+
+The two meshes live in different frames G. They are brought together by the motion alone: at every frame the
+estimated pose carries the estimated mesh into N and the true pose carries it back into the true G; the one
+rigid transform that fits all frames best is applied. No alignment of surfaces: an error of the motion that is
+common to all frames shows in the mesh.
+"""
+
+import json
+from dataclasses import asdict, replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from rich.console import Console
+from rich.table import Table
+
+from polhode.atomic import write_text
+from polhode.backend.problem.inertia import FORMS, InertiaForm, unit_determinant
+from polhode.config.loader import load_config
+from polhode.dataset import StereoSequence, open_sequence
+from polhode.errors import InputError
+from polhode.lie import Array, inverse_pose, make_pose
+from polhode.mapping.mesh_files import read_ply
+from polhode.mesh_metrics import SAMPLES, compare_surfaces, sample_surface
+from polhode.metrics import (
+    HALF_TURN_NAMES,
+    States,
+    angle_deg,
+    constant_body_rotation,
+    mean_rotation,
+    motion_errors,
+    nees,
+    state_coverage,
+    state_nees,
+    truth_at,
+    turned,
+)
+from polhode.pipeline.evaluation.seen_surface import seen_and_lit
+from polhode.pipeline.run_directory.archives import Covariance, read_covariance
+from polhode.pipeline.run_directory.summary import Summary, read_summary
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.records import Ints, Truth
+from polhode.rigid_body import propagate
+from polhode.truth import read_truth
+
+HORIZONS_S = (10, 30, 60)
+
+Metrics = dict[str, Any]
+
+
+def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
+    """Compare a run with the truth of its sequence; write RUN/metrics.json and return it.
+
+    Values that cannot be computed (undetermined, or no truth that far) are None, ``null`` in the file.
+    Raises InputError when the run holds no estimate or the sequence no truth.
+    """
+    summary = read_summary(run_folder)
+    if summary.inertia is None or summary.com_G is None or summary.R_GP is None:
+        raise InputError(f"{run_folder}: the run has no estimate; nothing to evaluate")
+    table = read_trajectory(run_folder)
+    estimate = States(table.timestamps_ns, table.r_N, table.v_N, table.R_NP, table.w_P)
+    covariance = read_covariance(run_folder)
+    truth = read_truth(sequence_folder)
+    true_states = truth_at(truth, estimate.timestamps_ns)
+    X_NG = target_poses(estimate, np.array(summary.R_GP), np.array(summary.com_G))
+    X_NG_true = target_poses(true_states, truth.R_GP, truth.com_G)
+    config = load_config(run_folder / "config.yaml")
+    metrics = _motion_metrics(estimate, true_states, covariance)
+    metrics["error_k1"] = summary.inertia.k1 - truth.k1
+    metrics["error_k2"] = summary.inertia.k2 - truth.k2
+    metrics["nees"] |= _mass_nees(summary, truth, true_states, X_NG[0], FORMS[config.backend.inertia])
+    metrics |= _prediction_errors(estimate, true_states, truth, summary)
+    metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true)
+    write_text(run_folder / "metrics.json", json.dumps(metrics, indent=2, allow_nan=False) + "\n")
+    return metrics
+
+
+def truth_of_frames(sequence_folder: Path, timestamps_ns: Ints) -> Truth | None:
+    """The truth of a sequence at its frames' instants (F,), without the surface; None: it has none.
+
+    Raises InputError when the truth does not cover the frames.
+    """
+    if not (sequence_folder / "mav0" / "target0").is_dir():
+        return None
+    truth = read_truth(sequence_folder)
+    states = truth_at(truth, timestamps_ns)
+    return replace(
+        truth,
+        timestamps_ns=timestamps_ns,
+        r_N=states.r_N,
+        R_NP=states.R_NP,
+        v_N=states.v_N,
+        w_P=states.w_P,
+        mesh=None,
+    )
+
+
+def target_poses(states: States, R_GP: Array, com_G: Array) -> Array:
+    """X_NG (F, 4, 4) from the states of the principal frame: p_N = r_N + R_NP R_GP^T (p_G - com_G)."""
+    R_NG = states.R_NP @ R_GP.T
+    return make_pose(R_NG, states.r_N - R_NG @ com_G)
+
+
+def _motion_metrics(estimate: States, truth: States, covariance: Covariance) -> Metrics:
+    errors = asdict(motion_errors(estimate, truth))
+    half_turn = errors.pop("half_turn")
+    attitude = {"median": errors.pop("attitude_median_deg"), "max": errors.pop("attitude_max_deg")}
+    return {
+        **errors,
+        "attitude_error_deg": attitude,
+        "half_turn": HALF_TURN_NAMES[half_turn],
+        "nees": state_nees(estimate, truth, covariance.covariance, half_turn),
+        "coverage_3sigma": state_coverage(estimate, truth, covariance.covariance, half_turn),
+    }
+
+
+def _mass_nees(
+    summary: Summary, truth: Truth, true_states: States, X_NG_first: Array, form: InertiaForm
+) -> dict[str, float | None]:
+    """NEES of the five inertia parameters and of the centre of mass.
+
+    The estimate's G is held at the first frame, so the truth is expressed in G through the true state there.
+    """
+    assert summary.inertia is not None
+    R_GN = X_NG_first[:3, :3].T
+    R_GP_true = R_GN @ true_states.R_NP[0]
+    J_true = R_GP_true @ np.diag(truth.moments) @ R_GP_true.T
+    error_J = inertia_parameter_error(np.array(summary.inertia.J_G), J_true, form)
+    com_true = (inverse_pose(X_NG_first) @ np.append(true_states.r_N[0], 1.0))[:3]
+    cov_J = np.array(summary.inertia.cov_J, dtype=np.float64)
+    cov_com = np.array(summary.cov_com_G, dtype=np.float64)
+    return {
+        "inertia": nees(error_J[None], cov_J[None]),
+        "com": nees((np.array(summary.com_G) - com_true)[None], cov_com[None]),
+    }
+
+
+def inertia_parameter_error(J: Array, J_true: Array, form: InertiaForm) -> Array:
+    """Estimate minus truth (5,) in the solver's parameters around the estimate; J (3, 3) in G, any scale."""
+    xi, R_ref = form.coordinates(_second_moments(J))
+    target = unit_determinant(_second_moments(J_true))
+    x = xi.copy()
+    for _ in range(30):
+        residual = (form.second_moments(x, R_ref) - target)[np.triu_indices(3)]
+        jacobian = _differences(lambda y: form.second_moments(y, R_ref)[np.triu_indices(3)], x)
+        step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
+        x = x + step * min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-12))
+        if np.abs(step).max() < 1e-12:
+            break
+    return np.asarray(xi - x)
+
+
+def _second_moments(J: Array) -> Array:
+    return np.asarray(0.5 * np.trace(J) * np.eye(3) - J)
+
+
+def _differences(function: Any, x: Array, step: float = 1e-6) -> Array:
+    """Central differences of a vector function at x (n,) -> (m, n)."""
+    columns = [(function(x + e) - function(x - e)) / (2 * step) for e in step * np.eye(len(x))]
+    return np.stack(columns, axis=1)
+
+
+def _prediction_errors(estimate: States, true_states: States, truth: Truth, summary: Summary) -> Metrics:
+    """Errors of position and attitude past the last image.
+
+    The attitude is compared as in ``attitude_error_deg``: after the constant body rotation of the run itself.
+    """
+    assert summary.inertia is not None
+    half_turn = motion_errors(estimate, true_states).half_turn
+    R_fit = constant_body_rotation(turned(estimate, half_turn), true_states)
+    end_ns = int(estimate.timestamps_ns[-1])
+    reach_s = (int(truth.timestamps_ns[-1]) - end_ns) * 1e-9
+    horizons = [h for h in HORIZONS_S if h <= reach_s + 1e-6]
+    degrees: dict[str, float | None] = {str(h): None for h in HORIZONS_S}
+    metres: dict[str, float | None] = {str(h): None for h in HORIZONS_S}
+    if horizons:
+        at = truth_at(truth, end_ns + np.array(horizons, dtype=np.int64) * 1_000_000_000)
+        r_N, v_N, R_NP, w_P = propagate(
+            [0.0, *horizons],
+            estimate.r_N[-1],
+            estimate.v_N[-1],
+            estimate.R_NP[-1],
+            estimate.w_P[-1],
+            np.diag(summary.inertia.moments),
+        )
+        predicted = turned(States(at.timestamps_ns, r_N[1:], v_N[1:], R_NP[1:], w_P[1:]), half_turn)
+        angles = angle_deg(np.swapaxes(predicted.R_NP @ R_fit, -1, -2) @ at.R_NP)
+        distances = np.linalg.norm(predicted.r_N - at.r_N, axis=1)
+        for h, angle, distance in zip(horizons, angles, distances, strict=True):
+            degrees[str(h)], metres[str(h)] = float(angle), float(distance)
+    return {"prediction_error_deg": degrees, "prediction_error_m": metres}
+
+
+def _mesh_metrics(
+    run_folder: Path, sequence_folder: Path, truth: Truth, X_NG: Array, X_NG_true: Array
+) -> dict[str, float] | None:
+    file = run_folder / "mesh.ply"
+    if truth.mesh is None or not file.is_file():
+        return None
+    mesh = read_ply(file).mesh
+    if len(mesh.faces) == 0:
+        return None
+    in_true_G = mesh.copy()
+    in_true_G.apply_transform(between_target_frames(X_NG, X_NG_true, mesh.centroid))
+    points = seen_truth(truth.mesh, X_NG_true, open_sequence(sequence_folder))
+    if len(points) == 0:
+        return None
+    return asdict(compare_surfaces(in_true_G, truth.mesh, points))
+
+
+def between_target_frames(X_NG: Array, X_NG_true: Array, centre_G: Array) -> Array:
+    """X_G*G (4, 4): the estimate's G in the true one, averaged over the frames (F, 4, 4) each.
+
+    Rotations by their chordal mean; translations where ``centre_G``, the middle of the mesh, is carried to.
+    """
+    between = inverse_pose(X_NG_true) @ X_NG
+    R = mean_rotation(between[:, :3, :3])
+    moved = np.mean(between[:, :3, :3] @ centre_G + between[:, :3, 3], axis=0)
+    return make_pose(R, moved - R @ centre_G)
+
+
+def seen_truth(
+    mesh: trimesh.Trimesh, X_NG_true: Array, sequence: StereoSequence, least_frames: int = 1
+) -> Array:
+    """Points (n, 3) of the true surface, in the true G, that were seen and lit in so many frames."""
+    points, normals = sample_surface(mesh, SAMPLES)
+    if len(sequence) != len(X_NG_true):
+        raise InputError(f"{sequence.folder}: not the sequence of this run (other number of pairs)")
+    return points[seen_and_lit(mesh, points, normals, X_NG_true, sequence, least_frames)]
+
+
+def format_table(metrics: Metrics) -> str:
+    """Everything in metrics.json, one line each, as text."""
+    table = Table(title="Estimate minus truth", show_header=False)
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    for key, value in metrics.items():
+        if isinstance(value, dict):
+            for name, part in value.items():
+                table.add_row(f"{key} {name}", _shown(part))
+        else:
+            table.add_row(key, _shown(value))
+    console = Console(width=80, file=StringIO(), force_terminal=False)
+    with console.capture() as capture:
+        console.print(table)
+    return capture.get()
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "not available"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

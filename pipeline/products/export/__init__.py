@@ -1,0 +1,1 @@
+"""``polhode export``: a run in the formats of other programs."""

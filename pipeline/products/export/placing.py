@@ -1,0 +1,122 @@
+"""The frame that the user asked for, and the CAD files that it takes."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from polhode.errors import InputError
+from polhode.lie import Array
+from polhode.pipeline.products.mesh_input import read_mesh
+from polhode.pipeline.run_directory.summary import Summary
+from polhode.planning.exports.alignment import Alignment, align_points, align_surfaces
+from polhode.planning.exports.frames import frame_cad, frame_G, frame_P
+from polhode.planning.exports.records import Placement
+from polhode.records import SurfaceModel
+
+POOR_SHARE = 0.02
+"""Of the body's size: what is left of a fit above it is told of."""
+SIZES = (0.25, 4.0)
+"""Model over scan: beyond, the unit is wrong."""
+
+
+def placement(
+    name: str,
+    summary: Summary,
+    surface: SurfaceModel | None,
+    cad: Path | None,
+    cad_points: Path | None,
+    cad_m: float,
+) -> tuple[Placement, list[str]]:
+    """The frame, and warnings. ``cad_m``: metres of a unit of the CAD files. Raises InputError, one line."""
+    if name != "cad":
+        if cad is not None or cad_points is not None:
+            option = "--cad" if cad is not None else "--cad-points"
+            raise InputError(f"{option} is for --frame cad, and this is --frame {name}")
+        if name == "G":
+            return frame_G(), []
+        if summary.R_GP is None or summary.com_G is None:
+            raise InputError(
+                "--frame P: this run has no estimate, so no principal axes; --frame G has no need of it"
+            )
+        warnings = []
+        if summary.identifiable is not None and not (summary.identifiable.axes and summary.identifiable.com):
+            warnings.append(
+                "the run does not determine every principal axis or every component of the centre of mass: "
+                "frame P is the best finite one"
+            )
+        return frame_P(np.array(summary.R_GP), np.array(summary.com_G)), warnings
+    if cad is None and cad_points is None:
+        raise InputError("--frame cad: give --cad MESH or --cad-points FILE, which tell where that frame is")
+    start = None if cad_points is None else _from_points(cad_points, cad_m)
+    found = start
+    if cad is not None:
+        if surface is None or len(surface.mesh.faces) == 0:
+            raise InputError("--cad: this run has no mesh to lay on the model; give --cad-points FILE")
+        model = read_mesh(cad, cad_m)
+        _require_size(cad, surface.mesh, model)
+        found = align_surfaces(surface.mesh, model, None if start is None else start.X_cadG)
+    assert found is not None
+    return _told(found, cad, cad_points, surface)
+
+
+def _told(
+    found: Alignment, cad: Path | None, cad_points: Path | None, surface: SurfaceModel | None
+) -> tuple[Placement, list[str]]:
+    by = "surface on surface" if cad is not None else "corresponding points"
+    file = cad if cad is not None else cad_points
+    assert file is not None
+    words = f"{file.name}, aligned by {by}; {1e3 * found.rms_m:.3g} mm rms are left"
+    warnings = []
+    size = None if surface is None else float(surface.mesh.scale)
+    if size is not None and found.rms_m > POOR_SHARE * size:
+        warnings.append(
+            f"the alignment leaves {1e3 * found.rms_m:.3g} mm rms, {found.rms_m / size:.0%} of the body's "
+            "size: look at the result; --cad-points sets its start"
+        )
+    if found.rival_deg is not None:
+        warnings.append(
+            f"the model fits as well turned by {found.rival_deg:.0f} deg: it looks alike to the scan; "
+            "--cad-points says which way is right"
+        )
+    return frame_cad(found.X_cadG, words), warnings
+
+
+def _from_points(file: Path, cad_m: float) -> Alignment:
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; --cad-points names a table of points")
+    try:
+        rows = _rows(file)
+        return align_points(rows[:, :3], cad_m * rows[:, 3:])
+    except ValueError as error:
+        raise InputError(
+            f"{file}: {error}; a line holds x, y, z in G [m] and x, y, z in the CAD frame [--cad-unit]"
+        ) from error
+
+
+def _rows(file: Path) -> Array:
+    """(n, 6); a first line of words and lines that begin with # are passed over."""
+    rows: list[list[float]] = []
+    for number, line in enumerate(file.read_text(errors="replace").splitlines(), start=1):
+        cells = line.replace(",", " ").split()
+        if not cells or cells[0].startswith("#"):
+            continue
+        try:
+            values = [float(cell) for cell in cells]
+        except ValueError:
+            if rows:
+                raise ValueError(f"line {number} is no row of numbers") from None
+            continue
+        if len(values) != 6 or not np.isfinite(values).all():
+            raise ValueError(f"line {number} holds {len(values)} numbers, not six finite ones")
+        rows.append(values)
+    return np.array(rows).reshape(-1, 6)
+
+
+def _require_size(file: Path, scan: trimesh.Trimesh, model: trimesh.Trimesh) -> None:
+    ratio = float(model.scale / scan.scale)
+    if not SIZES[0] < ratio < SIZES[1]:
+        raise InputError(
+            f"{file}: {model.scale:.3g} m across, and the run's mesh is {scan.scale:.3g} m: "
+            "check --cad-unit, m or mm"
+        )

@@ -1,0 +1,1 @@
+"""``polhode observability``: the edge metric along a trajectory, as tables and pictures."""

@@ -1,0 +1,243 @@
+"""The metric in numbers: one line for each place, one for each edge, and all of it as JSON."""
+
+import csv
+import io
+from typing import Any
+
+import numpy as np
+
+from polhode.lie import Array
+from polhode.pipeline.products.observability.assessment import Assessment
+from polhode.pipeline.products.observability.choice import Choice
+from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
+from polhode.planning.edges.metric.painted import Legend
+from polhode.planning.edges.model.edge_model import Kind
+
+SCHEMA = "polhode-observability/1"
+NAMES = ("x_m", "y_m", "z_m", "about_x_rad", "about_y_rad", "about_z_rad")
+
+
+def table(found: Assessment) -> str:
+    """observability.csv: one row a pose; sigma is inf where the edges in sight do not tell."""
+    text = io.StringIO()
+    out = csv.writer(text, lineterminator="\n")
+    columns = (
+        "time_s",
+        "range_m",
+        "edges_expected",
+        "points",
+        "edge_length_px",
+        *(f"sigma_{name}" for name in NAMES),
+        "position_dop_m_per_px",
+        "attitude_dop_rad_per_px",
+        "geometric_dop_per_px",
+        "condition",
+        "not_told",
+    )
+    out.writerow(columns)
+    for time, sigma, view in zip(found.subject.time_s, found.sigma, found.views, strict=True):
+        metric = view.found
+        numbers = (view.length_px, *sigma, metric.position_dop, metric.attitude_dop, metric.geometric_dop)
+        counts = view.expected_edges, len(view.points)
+        out.writerow(
+            [
+                f"{time:.9f}",
+                f"{view.range_m:.6g}",
+                *counts,
+                *(f"{value:.6g}" for value in (*numbers, metric.condition)),
+                metric.told(),
+            ]
+        )
+    return text.getvalue()
+
+
+def edge_table(found: Assessment) -> str:
+    """edges.csv: one row a feature of the model; shares and rises of the variances along the trajectory."""
+    model, edges = found.subject.model, found.edges
+    text = io.StringIO()
+    out = csv.writer(text, lineterminator="\n")
+    ends = [f"{end}_{axis}_m" for end in ("a", "b") for axis in "xyz"]
+    dofs = [name.removesuffix("_m").removesuffix("_rad") for name in NAMES]
+    out.writerow(
+        [
+            *("edge", "kind", "length_m", *ends),
+            *(f"share_{d}" for d in dofs),
+            *(f"rise_{d}" for d in dofs),
+            *("in_smallest_set", "in_best"),
+        ]
+    )
+    smallest, best = found.choice.smallest, found.choice.best
+    sets = [set() if each is None else set(each.features.tolist()) for each in (smallest, best)]
+    kinds = [Kind(kind).name.lower() for kind in model.kind] + ["outline"] * len(model.outlined)
+    for k, kind in enumerate(kinds):
+        if k >= len(model.ends_G) and not model.outlined[k - len(model.ends_G)]:
+            continue
+        place: list[str] = [""] * 7
+        if k < len(model.ends_G):
+            place = [f"{model.lengths_m[k]:.6g}", *(f"{value:.6g}" for value in model.ends_G[k].reshape(-1))]
+        shares = (f"{value:.6g}" for value in (*edges.share[k], *edges.rise[k]))
+        out.writerow([k, kind, *place, *shares, *(int(k in each) for each in sets)])
+    return text.getvalue()
+
+
+def document(found: Assessment, legend: Legend | None) -> dict[str, Any]:
+    """observability.json. What is infinite or unknown is null, and the words beside it say why."""
+    subject, model = found.subject, found.subject.model
+    rig = subject.rig
+    return {
+        "schema": SCHEMA,
+        "source": subject.source,
+        "camera": {
+            "focal_px": rig.focal_px,
+            "cx_px": rig.cx_px,
+            "cy_px": rig.cy_px,
+            "width_px": rig.width_px,
+            "height_px": rig.height_px,
+        },
+        "model": {
+            "segments": len(model.ends_G),
+            "smooth_parts": int(model.outlined.sum()),
+            "length_m": float(model.lengths_m.sum()),
+            "faces": len(model.surface.faces),
+            "tolerance_m": model.tolerance_m,
+            "radius_m": model.radius_m,
+        },
+        "about": {"words": subject.about, "o_G": subject.o_G.tolist()},
+        "degrees_of_freedom": {
+            "names": list(DEGREES_OF_FREEDOM),
+            "words": "shifts of o along the camera's axes (right, down, ahead) [m], turns about them through "
+            "o [rad]; C, in pixels squared per unit, is the information of the edges for noise of one "
+            "pixel; sigma is the root of the diagonal of sigma_px^2 C^-1",
+        },
+        "sigma_px": found.sigma_px,
+        "spacing_px": found.spacing_px,
+        "sunlit": subject.sun_G is not None,
+        "poses": [
+            {
+                "time_s": float(time),
+                "range_m": view.range_m,
+                "X_RG": view.X_RG.tolist(),
+                "edges_expected": view.expected_edges,
+                "points": len(view.points),
+                "edge_length_px": view.length_px,
+                "C": view.found.C.tolist(),
+                "covariance": _numbers(found.sigma_px**2 * view.found.covariance),
+                "sigma": _numbers(sigma),
+                "position_dop_m_per_px": _number(view.found.position_dop),
+                "attitude_dop_rad_per_px": _number(view.found.attitude_dop),
+                "geometric_dop_per_px": _number(view.found.geometric_dop),
+                "condition": _number(view.found.condition),
+                "not_told": view.found.told(),
+            }
+            for time, sigma, view in zip(subject.time_s, found.sigma, found.views, strict=True)
+        ],
+        "along": along(found),
+        "edges": {
+            "file": "edges.csv",
+            "painted": None
+            if legend is None
+            else {
+                "words": "largest share of a degree of freedom's variance",
+                "values": legend.values.tolist(),
+                "rgb": legend.rgb.tolist(),
+            },
+        },
+        "choice": choice_of(found.choice),
+        "notes": list(subject.notes),
+    }
+
+
+def choice_of(choice: Choice) -> dict[str, Any]:
+    """Sets of edges: numbers as in edges.csv; ratios of sigma to that of all edges."""
+    smallest, best = choice.smallest, choice.best
+    return {
+        "views": choice.views,
+        "smallest_set": None
+        if smallest is None
+        else {
+            "words": "each sigma at most 10 % above that of all edges, root mean square over the views",
+            "edges": smallest.features.tolist(),
+            "ratio": _numbers(smallest.ratio),
+            "at_least": smallest.at_least,
+        },
+        "best": None
+        if best is None or choice.best_ratio is None
+        else {
+            "words": "6 less the mean trace of C^-1 (shifts in radii, with a prior of 1), greedy; no set "
+            "of as many edges has a value above the bound",
+            "edges": best.features.tolist(),
+            "ratio": _numbers(choice.best_ratio),
+            "value": best.value,
+            "bound": choice.bound,
+        },
+    }
+
+
+def along(found: Assessment) -> dict[str, Any]:
+    """The trajectory in a few numbers: over the views that tell a degree of freedom, and how many do not."""
+    sigma = found.sigma
+    told = np.isfinite(sigma)
+    values = {
+        name: {
+            "median": _number(np.median(sigma[told[:, k], k]) if told[:, k].any() else np.inf),
+            "best": _number(sigma[:, k].min()),
+            "worst": _number(sigma[:, k].max()),
+            "poses_that_do_not_tell": int((~told[:, k]).sum()),
+        }
+        for k, name in enumerate(NAMES)
+    }
+    return {"sigma": values, "poses": len(sigma), "poses_that_tell_all": int(told.all(axis=1).sum())}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _numbers(values: Array) -> list[Any]:
+    return [_number(value) if np.ndim(value) == 0 else _numbers(value) for value in values]
+
+
+def format_assessment(found: Assessment) -> str:
+    """A few lines for the screen."""
+    model, lines = found.subject.model, []
+    smooth = int(model.outlined.sum())
+    lines.append(
+        f"Edge model: {len(model.ends_G)} straight edges, {model.lengths_m.sum():.2f} m in all, "
+        f"and the outlines of {smooth} smooth part{'' if smooth == 1 else 's'}"
+    )
+    lines.append(
+        f"Metric of {len(found.views)} pose{'' if len(found.views) == 1 else 's'}, for {found.sigma_px:g} px "
+        f"of noise across edges every {found.spacing_px:g} px, about {found.subject.about}:"
+    )
+    units = (("mm", 1e3),) * 3 + (("deg", np.degrees(1.0)),) * 3
+    sigma, told = found.sigma, np.isfinite(found.sigma)
+    for k, (name, (unit, scale)) in enumerate(zip(DEGREES_OF_FREEDOM, units, strict=True)):
+        own = scale * sigma[told[:, k], k]
+        lost = len(sigma) - len(own)
+        words = f"not told by {lost} of {len(sigma)} poses" if lost else ""
+        if len(own):
+            numbers = f"{np.median(own):9.4g} {unit:3s} ({own.min():.4g} to {own.max():.4g})"
+            lines.append(f"  {name:8s} {numbers}{'; ' + words if words else ''}")
+        else:
+            lines.append(f"  {name:8s} {'inf':>9s} {unit:3s}; not told by any pose")
+    said = sorted({view.found.told() for view in found.views} - {""}, key=len)
+    if said:
+        lines.append(f"  {said[0]}")
+    lines += _choices(found)
+    return "\n".join([*lines, *(f"Note: {note}" for note in found.subject.notes)])
+
+
+def _choices(found: Assessment) -> list[str]:
+    """Lines about sets of edges."""
+    lines, choice = [], found.choice
+    if choice.smallest is not None:
+        count, least = len(choice.smallest.features), choice.smallest.at_least
+        lines.append(
+            f"{count} edges are enough: every sigma within 10 % of that with all "
+            f"({'none fewer do' if count == least else f'at least {least} are needed'})"
+        )
+    if choice.best is not None and choice.best_ratio is not None:
+        worst = float(np.nanmax(choice.best_ratio))
+        told = f"sigmas up to {worst:.2f} times those with all" if np.isfinite(worst) else "not all is told"
+        lines.append(f"The best {len(choice.best.features)} edges: {told}; they are marked in edges.csv")
+    return lines

@@ -1,0 +1,165 @@
+"""What the metric is asked of: the edges of a run or of a mesh, a camera, and its places."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from polhode.camera import RectifiedRig
+from polhode.errors import InputError
+from polhode.lie import Array, inverse_pose, make_pose
+from polhode.pipeline.products.mesh_input import read_mesh
+from polhode.pipeline.products.observability.poses_file import TimedPoses, read_poses
+from polhode.pipeline.products.plan import ahead_of, surface_of
+from polhode.pipeline.run_directory.archives import read_measurements
+from polhode.pipeline.run_directory.summary import Summary, read_summary
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.planning.edges.model.edge_model import CREASE_DEG, EdgeModel, edge_model
+from polhode.planning.edges.model.measured_edges import measured_edge_model
+from polhode.planning.prediction.ensemble import nominal
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """A pinhole without distortion; None: the run's, or for a mesh the default."""
+
+    focal_px: float | None = None
+    width_px: int | None = None
+    height_px: int | None = None
+
+
+DEFAULT_CAMERA = (800.0, 640, 480)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Edges, camera and places, ready for the metric."""
+
+    source: str
+    model: EdgeModel
+    rig: RectifiedRig
+    time_s: Array
+    """(k,) as in the trajectory's file; of the run's own, after its first pair"""
+    X_RG: Array
+    """(k, 4, 4)"""
+    about: str
+    o_G: Array
+    """(3,) [m]"""
+    sun_G: Array | None
+    """(k, 3) towards the Sun; None: every edge counts as lit"""
+    notes: tuple[str, ...]
+
+
+def subject_of(
+    path: Path,
+    trajectory: Path | None,
+    frame: str,
+    camera: CameraOptions,
+    about_G: Array | None,
+    sun: Array | None,
+    crease_deg: float,
+    unit_m: float,
+) -> Subject:
+    """Raises InputError, one line, for what cannot be read or does not fit together."""
+    if path.is_dir():
+        if unit_m != 1.0:
+            raise InputError("--unit is for a mesh; a run is in metres")
+        if crease_deg != CREASE_DEG:
+            raise InputError("--crease-deg is for a mesh; the edges of a run's follow from its errors")
+        return _of_run(path, trajectory, frame, camera, about_G, sun)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such run or mesh")
+    if trajectory is None:
+        raise InputError(f"{path}: a mesh needs --trajectory FILE, the places of the camera in its frame")
+    if frame != "G":
+        raise InputError("--frame N is for a run, whose target tumbles; a mesh has only its own frame, G")
+    model = edge_model(read_mesh(path, unit_m), crease_deg)
+    poses = read_poses(trajectory)
+    o_G, about = (
+        (model.middle_G, "the middle of the bounding box") if about_G is None else (about_G, "--about")
+    )
+    X_RG = inverse_pose(poses.X_FR)
+    sun_G = None if sun is None else np.tile(sun, (len(X_RG), 1))
+    return Subject(str(path), model, _rig(camera, None), poses.time_s, X_RG, about, o_G, sun_G, ())
+
+
+def _of_run(
+    run: Path,
+    trajectory: Path | None,
+    frame: str,
+    camera: CameraOptions,
+    about_G: Array | None,
+    sun_N: Array | None,
+) -> Subject:
+    summary = read_summary(run)
+    surface = surface_of(run)
+    model = measured_edge_model(surface.mesh, surface.sigma_m)
+    notes = []
+    if surface.coverage is not None:
+        seen = float((surface.views > 0).mean())
+        notes.append(
+            f"{seen:.0%} of the mesh's vertices were measured: edges never seen are not in the model"
+        )
+    tracks = read_measurements(run / "measurements.npz")
+    R_NG = None
+    if trajectory is None:
+        if frame != "G":
+            raise InputError("--frame N: give --trajectory FILE with the camera's places in N")
+        time_s, X_RG, R_NG = _as_the_run_saw_it(run, summary, tracks.X_NR)
+    else:
+        poses = read_poses(trajectory)
+        time_s, X_RG = poses.time_s, inverse_pose(poses.X_FR)
+        if frame == "N":
+            X_RG, R_NG = _seen_from_N(run, trajectory, poses)
+    if sun_N is not None and R_NG is None:
+        raise InputError(
+            "--sun is in N, and places in G do not tell how the target stands in N: --frame N does"
+        )
+    sun_G = None if sun_N is None or R_NG is None else sun_N @ R_NG
+    if about_G is not None:
+        o_G, about = about_G, "--about"
+    elif summary.com_G is not None and np.isfinite(summary.com_G).all():
+        o_G, about = np.array(summary.com_G), "the run's centre of mass"
+    else:
+        o_G, about = model.middle_G, "the middle of the bounding box"
+    rig = _rig(camera, tracks.rig)
+    return Subject(str(run), model, rig, time_s, X_RG, about, o_G, sun_G, tuple(notes))
+
+
+def _as_the_run_saw_it(run: Path, summary: Summary, X_NR: Array) -> tuple[Array, Array, Array]:
+    """Times (k,), poses X_RG (k, 4, 4) and attitudes R_NG (k, 3, 3) of the run's own pairs."""
+    if summary.R_GP is None or summary.com_G is None:
+        raise InputError(
+            f"{run}: this run found no motion, so no places of its camera; give --trajectory FILE"
+        )
+    table = read_trajectory(run)
+    R_NG = table.R_NP @ np.array(summary.R_GP).T
+    X_NG = make_pose(R_NG, table.r_N - R_NG @ np.array(summary.com_G))
+    return table.time_s, inverse_pose(X_NR) @ X_NG, R_NG
+
+
+def _seen_from_N(run: Path, file: Path, poses: TimedPoses) -> tuple[Array, Array]:
+    """Places in N, seconds after the last pair -> X_RG (k, 4, 4), R_NG (k, 3, 3) of the predicted target."""
+    if poses.time_s[0] < 0.0:
+        raise InputError(
+            f"{file}: with --frame N times are seconds after the run's last pair; one is negative"
+        )
+    ahead, _ = ahead_of(run)
+    motion = nominal(ahead, poses.time_s)
+    return inverse_pose(poses.X_FR) @ make_pose(motion.R_NG, motion.p_NG), motion.R_NG
+
+
+def _rig(camera: CameraOptions, own: RectifiedRig | None) -> RectifiedRig:
+    """The run's camera, or the default, with what the user gives in its place."""
+    focal, width, height = DEFAULT_CAMERA if own is None else (own.focal_px, own.width_px, own.height_px)
+    cx, cy = (0.5 * (width - 1), 0.5 * (height - 1)) if own is None else (own.cx_px, own.cy_px)
+    for name in ("focal_px", "width_px", "height_px"):
+        value = getattr(camera, name)
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
+    focal = focal if camera.focal_px is None else camera.focal_px
+    if camera.width_px is not None:
+        width, cx = camera.width_px, 0.5 * (camera.width_px - 1)
+    if camera.height_px is not None:
+        height, cy = camera.height_px, 0.5 * (camera.height_px - 1)
+    return RectifiedRig(focal, cx, cy, 1.0 if own is None else own.baseline_m, width, height)

@@ -1,0 +1,153 @@
+"""What planners take from a run: keep-out volumes, speeds of the surface, the corridor of a docking point."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from polhode.errors import InputError
+from polhode.lie import Array
+from polhode.mapping.mesh_files import read_ply
+from polhode.mesh_metrics import distance_to_surface
+from polhode.pipeline.products.predict import last_body
+from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
+from polhode.pipeline.run_directory.summary import Summary
+from polhode.planning.approach.corridor import Corridor, corridor
+from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
+from polhode.planning.keep_out.keepout import KeepOut, Wanted, keep_out, member_times
+from polhode.planning.prediction.ensemble import Ahead, nominal
+from polhode.records import SurfaceModel
+
+FAR_DOCK, FARTHEST_DOCK = 0.05, 5.0
+"""Of the body's size: a docking point farther from the surface is told of, or refused."""
+
+
+@dataclass(frozen=True)
+class Docking:
+    """A docking point in G, as the user gives it."""
+
+    point_G: Array
+    axis_G: Array
+    stand_off_m: float
+    half_angle_deg: float
+    isp_s: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What was found, and what was left out and why."""
+
+    horizon_s: float
+    confidence: float
+    keep_out: KeepOut | None
+    speed: SurfaceSpeed | None
+    surface: SurfaceModel | None
+    corridor: Corridor | None
+    docking: Docking | None
+    left_out: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def ahead_of(run: Path) -> tuple[Ahead, Summary]:
+    """The end of a run. Raises InputError when it has no estimate."""
+    last, summary = last_body(run)
+    assert summary.com_G is not None and summary.noise is not None
+    return Ahead(last, np.array(summary.com_G), summary.noise.accel_psd, summary.noise.torque_psd), summary
+
+
+def surface_of(run: Path) -> SurfaceModel:
+    """The mesh of a run. Raises InputError when there is none."""
+    path = run / "mesh.ply"
+    if not path.is_file():
+        raise InputError(f"{path} is missing: this run has no mesh; run it again with depth")
+    surface = read_ply(path)
+    if len(surface.mesh.faces) == 0:
+        raise InputError(f"{path} holds no faces: this run has no mesh; see its warnings")
+    return surface
+
+
+def plan_run(run: Path, wanted: Wanted, docking: Docking | None) -> Plan:
+    """Everything that the run allows; what it does not is named with the reason."""
+    if not (np.isfinite(wanted.horizon_s) and wanted.horizon_s > 0.0):
+        raise InputError(f"--horizon {wanted.horizon_s:g}: give the seconds to look ahead, a number above 0")
+    if not 0.5 <= wanted.confidence <= 0.999:
+        raise InputError(f"--confidence {wanted.confidence:g}: give a share from 0.5 to 0.999")
+    ahead, summary = ahead_of(run)
+    left_out: dict[str, str] = {}
+    notes = [*summary.warnings[:1]] if summary.status == "failed" else []
+    hidden = [name for name, words in summary.identifiable_detail.items() if words.startswith("not")]
+    if hidden:
+        words = ", ".join(hidden)
+        notes.append(f"The run does not determine {words}: the motions drawn are bounded by what was seen.")
+    found, speed, surface = None, None, None
+    motion = nominal(ahead, np.concatenate([[0.0], member_times(ahead, wanted.horizon_s)]))
+    try:
+        surface = surface_of(run)
+    except InputError as error:
+        left_out["keepout"] = left_out["surface_speed"] = str(error)
+    odd = [] if docking is None else _docking_words(docking, surface, run)
+    if surface is not None:
+        try:
+            found = keep_out(surface, ahead, wanted)
+        except ValueError as error:
+            raise InputError(f"--members {wanted.members}: {error}") from None
+        notes += _coverage_words(found, summary)
+        mesh = surface.mesh
+        speed = surface_speed(
+            motion, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), ahead.last.covariance
+        )
+    path = None
+    if docking is None:
+        left_out["corridor"] = "no --dock-point and --dock-axis"
+    else:
+        notes += odd
+        path = corridor(
+            motion, docking.point_G, docking.axis_G, docking.stand_off_m, np.deg2rad(docking.half_angle_deg)
+        )
+    return Plan(
+        wanted.horizon_s, wanted.confidence, found, speed, surface, path, docking, left_out, tuple(notes)
+    )
+
+
+def _docking_words(docking: Docking, surface: SurfaceModel | None, run: Path) -> list[str]:
+    """What is odd about the docking point. Raises InputError when it cannot be on the target."""
+    if surface is not None:
+        points, what = np.asarray(surface.mesh.vertices), "surface"
+    else:
+        file = run / "landmarks.ply"
+        points, what = read_landmarks(file).p_G if file.is_file() else np.zeros((0, 3)), "nearest landmark"
+    if len(points) == 0:
+        return ["Whether the docking point lies on the target, nothing tells: the run has no surface."]
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    away = (
+        float(distance_to_surface(surface.mesh, docking.point_G[None])[0])
+        if surface is not None
+        else float(np.linalg.norm(points - docking.point_G, axis=1).min())
+    )
+    place = " ".join(f"{x:g}" for x in docking.point_G)
+    words = f"--dock-point {place} is {away:.3g} m from the {what}, and the target is {size:.2g} m across"
+    if away > FARTHEST_DOCK * size:
+        raise InputError(f"{words}: give metres in G, the frame of mesh.ply")
+    found = []
+    if away > FAR_DOCK * size:
+        found.append(f"{words}: the corridor is that of a point which is not on it; is it in G, in metres?")
+    if surface is not None:
+        from polhode.mapping.visibility import Caster
+
+        axis = docking.axis_G / np.linalg.norm(docking.axis_G)
+        start = docking.point_G + (away + FAR_DOCK * size) * axis
+        if np.isfinite(Caster(surface.mesh).first(start, axis[None])[0]).all():
+            found.append("The docking axis runs into the target: it should point outwards.")
+    return found
+
+
+def _coverage_words(found: KeepOut, summary: Summary) -> list[str]:
+    body = found.body
+    rims = f"open rims span {body.open_share:.1%} of its area"
+    words = [
+        f"Kept out of: the convex hull of the mesh ({rims}), so dents are filled."
+        if body.covers == "hull"
+        else f"Kept out of: the measured surface and what it encloses ({rims})."
+    ]
+    seen = summary.coverage.words if summary.coverage is not None else "the run does not say what was seen"
+    return [*words, f"What stands out of it where nothing was ever seen is not covered: {seen}."]

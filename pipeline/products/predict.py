@@ -1,0 +1,246 @@
+"""Where the target of a run will be: the last state carried on, as a table, an archive and in words."""
+
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from polhode.backend.problem.inertia import FORMS, InertiaForm, inertia_from_second_moments
+from polhode.config.loader import load_config
+from polhode.errors import InputError
+from polhode.lie import Array
+from polhode.pipeline.run_directory.archives import (
+    STATE_ORDER,
+    read_covariance,
+    undetermined_as_inf,
+    write_arrays,
+)
+from polhode.pipeline.run_directory.summary import Summary, read_summary
+from polhode.pipeline.run_directory.trajectory_file import (
+    Trajectory,
+    read_trajectory,
+    standard_deviations,
+    write_trajectory,
+)
+from polhode.planning.prediction.prediction import LastBody, Prediction, predict
+from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
+from polhode.records import Ints
+
+MOST_ROWS = 100_000
+SHOWN_ROWS = 6
+"""Of the printed table, evenly spaced."""
+SEEN_FRAMES = 20
+"""Of the past that an undetermined inertia is held against."""
+LEAST_SHARE = 0.1
+"""A component of the position is undetermined when so much of it lies along a direction that is."""
+LEAST_TURN = 0.002
+"""The same of the rate, as a share of it."""
+
+
+class NoCovariance(InputError):
+    """There is a motion, and nothing that tells how sure it is."""
+
+
+@dataclass(frozen=True)
+class RunPrediction:
+    """What ``polhode predict`` shows and writes."""
+
+    timestamps_ns: Ints
+    """(T,)"""
+    states: Prediction
+    covariance: Array
+    """(T, 12, 12) as in covariance.npz; ``inf`` on the diagonal where undetermined"""
+    undetermined: tuple[str, ...]
+    """Names of what the run's motion does not determine."""
+
+    def trajectory(self, marks: bool) -> Trajectory:
+        """The columns of trajectory.csv; ``marks``: with the standard deviations of the body itself."""
+        sigma = standard_deviations(self.states.covariance_of_marks if marks else self.covariance)
+        return Trajectory(
+            self.timestamps_ns,
+            self.states.r_N,
+            self.states.v_N,
+            continuous_wxyz(wxyz_from_matrix(self.states.R_NP)),
+            self.states.w_P,
+            *np.split(sigma, 4, axis=1),
+        )
+
+
+def predict_run(
+    run_folder: Path, horizon_s: float, step_s: float | None = None, from_last: bool = False
+) -> RunPrediction:
+    """Predict to ``horizon_s`` after the last pair, every ``step_s`` (the run's own interval unless given).
+
+    The last row is at the horizon; ``from_last``: the first one is the last pair's. Raises InputError when
+    the run has no estimate or the times make no sense.
+    """
+    last, summary = last_body(run_folder)
+    table = read_trajectory(run_folder)
+    time_s = prediction_times(horizon_s, step_or_own(table, step_s))
+    if from_last:
+        time_s = np.concatenate([[0.0], time_s])
+    assert summary.noise is not None and summary.identifiable_components is not None
+    states = predict(last, time_s, summary.noise.accel_psd, summary.noise.torque_psd)
+    joint = read_covariance(run_folder).last_joint[:12, :12]
+    parts = summary.identifiable_components
+    lost = undetermined_components(joint, ~np.array(parts.com_P), ~np.array(parts.axes_P), states)
+    covariance = states.covariance.copy()
+    covariance[:, np.arange(12), np.arange(12)] = np.where(lost, np.inf, np.diagonal(covariance, 0, 1, 2))
+    return RunPrediction(
+        table.timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64),
+        states,
+        undetermined_as_inf(covariance),
+        undetermined_names(summary),
+    )
+
+
+def undetermined_names(summary: Summary) -> tuple[str, ...]:
+    """Of what the run's motion does not determine."""
+    return tuple(name for name, words in summary.identifiable_detail.items() if words.startswith("not"))
+
+
+def step_or_own(table: Trajectory, step_s: float | None) -> float:
+    """The step, or the run's own interval [s]."""
+    return float(np.median(np.diff(table.timestamps_ns))) * 1e-9 if step_s is None else step_s
+
+
+def prediction_times(horizon_s: float, step_s: float) -> Array:
+    """Seconds after the last pair: multiples of the step, and the horizon. Raises InputError."""
+    if not (np.isfinite(horizon_s) and horizon_s > 0.0):
+        raise InputError(f"--horizon {horizon_s:g}: give the seconds to look ahead, a number above 0")
+    if not (np.isfinite(step_s) and step_s > 0.0):
+        raise InputError(f"--step-s {step_s:g}: give the seconds between two rows, a number above 0")
+    if horizon_s / step_s > MOST_ROWS:
+        raise InputError(
+            f"--horizon {horizon_s:g} s in steps of {step_s:g} s makes more than {MOST_ROWS} rows: "
+            "give a larger --step-s"
+        )
+    steps = step_s * np.arange(1, int(horizon_s / step_s + 1e-9) + 1)
+    # a last step that all but reaches the horizon is the horizon
+    return np.concatenate([steps[steps < horizon_s - 1e-6 * step_s], [horizon_s]])
+
+
+def last_body(run_folder: Path) -> tuple[LastBody, Summary]:
+    """The end of a run, ready for ``planning.prediction.predict``.
+
+    Raises InputError when there is none, NoCovariance when its covariance is all that is missing.
+    """
+    summary = read_summary(run_folder)
+    if summary.inertia is None or summary.R_GP is None:
+        raise InputError(f"{run_folder}: this run failed before it had an estimate; nothing can be predicted")
+    try:
+        covariance = read_covariance(run_folder).last_body
+    except InputError as error:
+        raise NoCovariance(str(error)) from error
+    if covariance is None:
+        raise NoCovariance(f"{run_folder / 'covariance.npz'}: the array last_body is missing; run it again")
+    table, R_GP = read_trajectory(run_folder), np.array(summary.R_GP)
+    form = FORMS[load_config(run_folder / "config.yaml").backend.inertia]
+    J, by_parameters = inertia_by_parameters(np.array(summary.inertia.J_G), form)
+    known = summary.identifiable
+    seen_s = seen_R_NG = None
+    if known is not None and not (known.k1 and known.k2 and known.axes):
+        before = np.unique(np.linspace(0, len(table.time_s) - 2, SEEN_FRAMES).astype(int))[::-1]
+        seen_s, seen_R_NG = table.time_s[before] - table.time_s[-1], table.R_NP[before] @ R_GP.T
+    body = LastBody(
+        r_N=table.r_N[-1],
+        v_N=table.v_N[-1],
+        R_NG=table.R_NP[-1] @ R_GP.T,
+        w_G=R_GP @ table.w_P[-1],
+        J_G=J,
+        R_GP=R_GP,
+        J_by_parameters=by_parameters,
+        covariance=covariance,
+        seen_s=seen_s,
+        seen_R_NG=seen_R_NG,
+    )
+    return body, summary
+
+
+def inertia_by_parameters(J_G: Array, form: InertiaForm) -> tuple[Array, Array]:
+    """J_G (3, 3) in the scale of the solver's parameters, and its derivative (5, 3, 3) by them."""
+    xi, R_ref = form.coordinates(0.5 * np.trace(J_G) * np.eye(3) - J_G)
+
+    def inertia(x: Array) -> Array:
+        return inertia_from_second_moments(form.second_moments(x, R_ref))
+
+    step = 1e-6
+    slopes = [(inertia(xi + e) - inertia(xi - e)) / (2 * step) for e in step * np.eye(len(xi))]
+    return inertia(xi), np.stack(slopes)
+
+
+def undetermined_components(last: Array, com_lost: Array, axes_lost: Array, states: Prediction) -> Array:
+    """Components (T, 12) that are expressed in what the run does not determine.
+
+    last (12, 12) covariance of the last state, ``inf`` where undetermined; com_lost, axes_lost (3,) along P.
+    """
+    lost = np.tile(~np.isfinite(np.diagonal(last)), (len(states.time_s), 1))
+    # what is undetermined in the body turns with it
+    lost[:, 0:3] = lost[:, 3:6] | (np.abs(states.R_NP[:, :, com_lost]) > LEAST_SHARE).any(axis=2)
+    if axes_lost.sum() >= 2:
+        # the axes may even be exchanged: nothing expressed in them is known
+        lost[:, 6:] = True
+    elif axes_lost.any():
+        rate = np.linalg.norm(states.w_P, axis=1, keepdims=True)
+        lost[:, 6:9] |= axes_lost
+        lost[:, 9:12] |= np.abs(np.cross(states.w_P, np.eye(3)[axes_lost][0])) > LEAST_TURN * rate
+    return lost
+
+
+def write_prediction(prediction: RunPrediction, path: Path, marks: bool) -> None:
+    """The table of ``RunPrediction.trajectory``, or with the ending .npz all arrays with full covariances.
+
+    Raises InputError when the file cannot be there.
+    """
+    if not path.parent.is_dir():
+        raise InputError(f"{path.parent} is not a folder: choose another -o")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: -o names a file, such as prediction.csv")
+    if path.suffix != ".npz":
+        write_trajectory(prediction.trajectory(marks), path)
+        return
+    states = prediction.states
+    write_arrays(
+        path,
+        {
+            "timestamps_ns": prediction.timestamps_ns,
+            "r_N": states.r_N,
+            "v_N": states.v_N,
+            "q_NP_wxyz": continuous_wxyz(wxyz_from_matrix(states.R_NP)),
+            "w_P": states.w_P,
+            "covariance": prediction.covariance,
+            "covariance_of_marks": states.covariance_of_marks,
+            "order": np.array(STATE_ORDER),
+        },
+    )
+
+
+def format_prediction(prediction: RunPrediction) -> str:
+    """A few rows in words: where the centre of mass will be, and how well place and attitude are known."""
+    time_s, states = prediction.states.time_s, prediction.states
+    rows = np.unique(np.linspace(0, len(time_s) - 1, SHOWN_ROWS + 1).round().astype(int)[1:])
+    marks = standard_deviations(states.covariance_of_marks)
+    table = Table(title="After the last pair (one standard deviation, worst axis)")
+    for name in ("seconds", "r_N [m]", "place of the body", "attitude of the body", "rate [deg/s]"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for k in rows:
+        table.add_row(
+            f"{time_s[k]:g}",
+            " ".join(f"{x:.4f}" for x in states.r_N[k]),
+            f"± {1e3 * marks[k, 0:3].max():.2g} mm",
+            f"± {np.rad2deg(marks[k, 6:9].max()):.2g} deg",
+            f"{np.rad2deg(np.linalg.norm(states.w_P[k])):.2f}",
+        )
+    console = Console(width=100, file=StringIO(), force_terminal=False)
+    with console.capture() as capture:
+        console.print(table)
+    words = ""
+    if prediction.undetermined:
+        words = (
+            f"The run does not determine {', '.join(prediction.undetermined)}: "
+            "sigmas that rest on it are inf in the file; --marks gives those of the body itself.\n"
+        )
+    return capture.get() + words

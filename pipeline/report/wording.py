@@ -1,0 +1,294 @@
+"""The words and numbers of the report: the finding in a sentence, values with their standard deviations."""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from polhode.lie import Array
+from polhode.pipeline.report.content import Content, Motion
+from polhode.pipeline.run_directory.summary import Summary
+from polhode.pipeline.run_directory.summary_parts import Assumed
+from polhode.pipeline.run_directory.trajectory_file import Trajectory
+
+SAME_COST, AMBIGUOUS_COST = 0.01, 6.0
+"""Excess over the best minimum: below the first it is the same, below the second the data hardly decide."""
+AXIS_WORDS = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a table."""
+
+    name: str
+    value: str
+    unit: str = ""
+    verdict: str = ""
+    sure: bool = True
+
+
+def with_sigma(value: float, sigma: float | None) -> str:
+    """``0.0317 ± 0.0021``: the standard deviation with two digits, the value to the same place."""
+    if sigma is None or not np.isfinite(sigma):
+        return f"{value:.3g}"
+    if sigma <= 0.0:
+        return f"{value:.6g} (exact)"
+    places = max(0, 1 - int(np.floor(np.log10(sigma))))
+    return f"{value:.{places}f} ± {sigma:.{places}f}"
+
+
+def finding(summary: Summary, trajectory: Trajectory | None) -> str:
+    """What the run found, in a sentence or two."""
+    if trajectory is None or summary.inertia is None or summary.identifiable is None:
+        reason = summary.warnings[0] if summary.warnings else "no estimate was reached"
+        return f"No motion was found: {reason.rstrip('.')}."
+    rate = float(np.median(np.linalg.norm(trajectory.w_P, axis=1)))
+    speed_mm_s = 1e3 * float(np.median(np.linalg.norm(trajectory.v_N, axis=1)))
+    turns = f"The target turns at {rate * 30 / np.pi:.2f} RPM {_about(trajectory.w_P)}"
+    motion = f"{turns} and drifts at {speed_mm_s:.1f} mm/s"
+    inertia, known = summary.inertia, summary.identifiable
+    ratios = [
+        f"{name} = {with_sigma(value, _root(variance))}"
+        for name, value, variance, sure in (
+            ("k1", inertia.k1, inertia.cov[0][0], known.k1),
+            ("k2", inertia.k2, inertia.cov[1][1], known.k2),
+        )
+        if sure
+    ]
+    unknown = [name for name, sure in (("k1", known.k1), ("k2", known.k2)) if not sure]
+    told = f"its inertia ratios are {' and '.join(ratios)}" if ratios else ""
+    untold = f"this motion does not tell {' and '.join(unknown)}" if unknown else ""
+    return f"{motion}; {', '.join(part for part in (told, untold) if part)}."
+
+
+def inertia_rows(summary: Summary) -> list[Row]:
+    """The mass properties, each with its standard deviation and whether the motion determines it."""
+    inertia, known, parts = summary.inertia, summary.identifiable, summary.identifiable_components
+    if inertia is None or known is None or parts is None or summary.com_G is None or summary.R_GP is None:
+        return []
+    detail = summary.identifiable_detail
+    rows = [
+        _row("k1 = ln(Jxx / Jyy)", inertia.k1, _root(inertia.cov[0][0]), "", known.k1, detail.get("k1", "")),
+        _row("k2 = ln(Jyy / Jzz)", inertia.k2, _root(inertia.cov[1][1]), "", known.k2, detail.get("k2", "")),
+        Row(
+            "moments Jxx : Jyy : Jzz",
+            " : ".join(map(with_sigma, inertia.moments, inertia.sigma_moments)),
+            "middle one 1",
+            _verdict(known.k1 and known.k2, ""),
+            known.k1 and known.k2,
+        ),
+    ]
+    for k, name in enumerate("xyz"):
+        sigma = _diagonal_mm(summary.cov_com_G, k)
+        row = _row(f"centre of mass, {name} in G", 1e3 * summary.com_G[k], sigma, "mm", sigma is not None, "")
+        rows.append(row)
+    for k, name in enumerate("xyz"):
+        if not parts.com_P[k]:
+            verdict = _verdict(False, detail.get(f"com_{name}", ""))
+            rows.append(
+                Row(f"centre of mass, along the principal axis {name}", "no bound", "", verdict, False)
+            )
+    for k, name in enumerate("xyz"):
+        root = None if summary.cov_R_GP is None else _root(summary.cov_R_GP[k][k])
+        value, unit = ("no bound", "") if root is None else (f"± {np.rad2deg(root):.2g}", "deg")
+        sure = parts.axes_P[k]
+        verdict = _verdict(sure, detail.get(f"axes_{name}", ""))
+        rows.append(Row(f"principal axes, turned about {name}", value, unit, verdict, sure))
+    return rows
+
+
+def absolute_rows(summary: Summary) -> list[Row]:
+    """Mass and inertia in kilograms, from known forces and torques; nothing when none are known."""
+    inertia, detail = summary.inertia, summary.identifiable_detail
+    if inertia is None:
+        return []
+    rows = []
+    for name, value, sigma, unit, key in (
+        ("mass", inertia.mass_kg, inertia.sigma_mass_kg, "kg", "mass"),
+        ("middle moment Jyy", inertia.scale_kg_m2, inertia.sigma_scale_kg_m2, "kg m²", "inertia_scale"),
+    ):
+        if value is not None:
+            rows.append(_row(name, value, sigma, unit, sigma is not None, detail.get(key, "")))
+    return rows
+
+
+def push_rows(summary: Summary) -> list[Row]:
+    """What unknown forces and torques did, two lines a push."""
+    rows = []
+    for push in summary.unknown_pushes:
+        when = f"from {push.start_s:.1f} s to {push.end_s:.1f} s"
+        for name, change, sigma, scale, unit in (
+            ("change of velocity, along N", push.delta_v_N, push.sigma_delta_v_N, 1e3, "mm/s"),
+            (
+                "change of rate, along P",
+                push.delta_w_P,
+                push.sigma_delta_w_P,
+                float(np.rad2deg(1.0)),
+                "deg/s",
+            ),
+        ):
+            parts = [
+                with_sigma(scale * value, None if s is None else scale * s)
+                for value, s in zip(change, sigma, strict=True)
+            ]
+            rows.append(Row(f"{when}: {name}", ", ".join(parts), unit))
+    return rows
+
+
+def assumed_rows(assumed: Assumed | None) -> list[Row]:
+    """What uniform density says, in kilograms; not estimated."""
+    if assumed is None:
+        return []
+    moments = np.linalg.eigvalsh(np.array(assumed.inertia_kg_m2))[::-1]
+    rows = [
+        Row("volume", f"{1e3 * assumed.volume_m3:.4g}", "litres"),
+        Row("density", f"{assumed.density_kg_m3:.4g}", "kg/m³"),
+        Row("mass", f"{assumed.mass_kg:.4g}", "kg"),
+        Row("moments Jxx, Jyy, Jzz", ", ".join(f"{moment:.4g}" for moment in moments), "kg m²"),
+    ]
+    rows += [
+        Row(name, f"{value:.3f}")
+        for name, value in (("k1", assumed.k1), ("k2", assumed.k2))
+        if value is not None
+    ]
+    if assumed.com_G is not None:
+        rows.append(
+            Row("centre of mass in G", ", ".join(f"{1e3 * part:.1f}" for part in assumed.com_G), "mm")
+        )
+    return rows
+
+
+def run_rows(content: Content) -> list[Row]:
+    """Size of the data, noise and solver."""
+    summary = content.summary
+    rows = [
+        Row("stereo pairs", f"{summary.frames}"),
+        Row("pairs with measurements", f"{summary.frames_used}"),
+        Row("duration of the data", f"{summary.duration_s:.1f}", "s"),
+        Row("landmarks", f"{summary.landmarks}"),
+        Row("stereo observations", f"{summary.observations}"),
+    ]
+    if summary.noise is not None:
+        noise = summary.noise
+        rows += [
+            Row("residual of u, v", f"{noise.pixel_sigma_px:.3f}", "px"),
+            Row("residual of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"),
+            Row("disturbance acceleration", f"{np.sqrt(noise.accel_psd):.2g}", "m/s² /√Hz"),
+            Row("disturbance torque / Jyy", f"{np.sqrt(noise.torque_psd):.2g}", "rad/s² /√Hz"),
+        ]
+    if summary.solver is not None:
+        solver = summary.solver
+        ended = "converged" if solver.converged else f"stopped: {solver.message or 'not converged'}"
+        rows.append(Row("solver", f"{solver.name}, {solver.iterations} iterations"))
+        rows.append(Row("solver's end", ended, sure=solver.converged))
+        rows.append(Row("cost", f"{solver.cost:.6g}"))
+        if solver.reduced_chi2 is not None:
+            rows.append(Row("reduced chi-squared", f"{solver.reduced_chi2:.3f}"))
+        rows += [Row(f"start from {name}", _outcome(cost)) for name, cost in solver.runner_up.items()]
+    return rows
+
+
+def motion_rows(motion: Motion | None) -> list[Row]:
+    """The motion in a few numbers, with the median standard deviation over the run."""
+    if motion is None:
+        return []
+    path = motion.trajectory
+    rate = np.linalg.norm(path.w_P, axis=1)
+    return [
+        Row("rate of turn, median", f"{np.rad2deg(np.median(rate)):.2f}", "deg/s"),
+        Row("distance from the origin of N", f"{np.median(np.linalg.norm(path.r_N, axis=1)):.4f}", "m"),
+        _median_row("σ position, worst axis", 1e3 * path.sigma_r, "mm"),
+        _median_row("σ velocity, worst axis", 1e3 * path.sigma_v, "mm/s"),
+        _median_row("σ attitude, worst axis", np.rad2deg(path.sigma_theta), "deg"),
+        _median_row("σ angular velocity, worst axis", np.rad2deg(path.sigma_w), "deg/s"),
+    ]
+
+
+def timing_rows(summary: Summary) -> list[tuple[str, float, float]]:
+    """(stage, seconds, share of the longest); without the report, which is timed after it is made."""
+    times = {name: getattr(summary.timing_s, name) for name in type(summary.timing_s).model_fields}
+    stages = {name: s for name, s in times.items() if s > 0 and name not in ("total", "report")}
+    longest = max(stages.values(), default=1.0)
+    return [(name, seconds, seconds / longest) for name, seconds in stages.items()]
+
+
+def metric_rows(metrics: dict[str, Any]) -> list[Row]:
+    """metrics.json, one line a number; a nested group gives its name to its members."""
+    rows = []
+    for key, value in metrics.items():
+        if isinstance(value, dict):
+            scaled = {f"{name}_m" if key.endswith("_m") else name: part for name, part in value.items()}
+            rows += [Row(f"{_plain(key)}: {_member(row.name)}", row.value) for row in metric_rows(scaled)]
+        elif isinstance(value, bool | str) or value is None:
+            rows.append(Row(_plain(key), "–" if value is None else str(value)))
+        elif isinstance(value, int | float):
+            scale = 1e3 if key.endswith(("_m", "_m_s")) else 1.0
+            rows.append(Row(_plain(key), f"{scale * value:.4g}"))
+        elif isinstance(value, list):
+            rows.append(
+                Row(_plain(key), ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value))
+            )
+    return rows
+
+
+def _about(w_P: Array) -> str:
+    """Near which principal axis the angular velocity lies, on the average."""
+    share = np.mean(np.abs(w_P), axis=0) / max(float(np.mean(np.linalg.norm(w_P, axis=1))), 1e-12)
+    k = int(np.argmax(share))
+    if share[k] > 0.9:
+        return f"about its principal axis {AXIS_WORDS[k]}"
+    return "about an axis that wanders through the body"
+
+
+def _row(name: str, value: float, sigma: float | None, unit: str, sure: bool, reason: str) -> Row:
+    return Row(name, with_sigma(value, sigma), unit, _verdict(sure, reason), sure)
+
+
+def _verdict(sure: bool, reason: str) -> str:
+    return "determined" if sure else reason or "not determined by this motion"
+
+
+def _diagonal_mm(covariance: Any, k: int) -> float | None:
+    sigma = None if covariance is None else _root(covariance[k][k])
+    return None if sigma is None else 1e3 * sigma
+
+
+def _root(variance: float | None) -> float | None:
+    return None if variance is None else float(np.sqrt(max(variance, 0.0)))
+
+
+def _median_row(name: str, sigma: Array, unit: str) -> Row:
+    worst = np.max(np.median(sigma, axis=0))
+    return Row(name, f"{worst:.2g}", unit) if np.isfinite(worst) else Row(name, "not determined")
+
+
+def _outcome(cost: float | None) -> str:
+    """Where another start of the inertia ended, by the cost that it has more than the one chosen."""
+    if cost is None:
+        return "did not end"
+    if cost < SAME_COST:
+        return "ended in the same minimum"
+    likely = "nearly as likely: an ambiguity" if cost < AMBIGUOUS_COST else "far less likely"
+    return f"a minimum of {cost:.1f} more: {likely}"
+
+
+def _member(name: str) -> str:
+    name = name.removesuffix(" [mm]") if name.split(" ")[0].isdigit() else name
+    return f"{name} s after the last image" if name.isdigit() else name
+
+
+def _plain(key: str) -> str:
+    """rmse_angular_velocity_deg_s -> RMSE angular velocity [deg/s]; completeness_3mm stays a share."""
+    key = re.sub(r"^(rmse|nees)(?=_|$)", lambda word: word[0].upper(), key)
+    for suffix, unit in (
+        ("_deg_s", "deg/s"),
+        ("_m_s", "mm/s"),
+        ("_deg", "deg"),
+        ("_mm", "mm"),
+        ("_m", "mm"),
+        ("_s", "s"),
+    ):
+        if key.endswith(suffix):
+            return f"{key.removesuffix(suffix).replace('_', ' ')} [{unit}]"
+    return key.replace("_", " ")

@@ -1,0 +1,63 @@
+"""The approach corridor of a docking point: a cone that turns with the target, and what it takes to stay in
+it.
+
+An inspector that keeps its place in the corridor at a stand-off moves with the target: besides the motion of
+the centre of mass, which is free, it needs the acceleration dw/dt x r + w x (w x r), r from the centre of
+mass (Euler and centripetal terms; thesis eq. 1.1 has the second one alone).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.lie import Array
+from polhode.planning.prediction.ensemble import BodyMotion
+
+
+@dataclass(frozen=True)
+class Corridor:
+    """The axis of the cone over T instants, along N."""
+
+    time_s: Array
+    tip_N: Array
+    """(T, 3) docking point [m]"""
+    axis_N: Array
+    """(T, 3) unit vector outwards"""
+    place_N: Array
+    """(T, 3) of the inspector at the stand-off [m]"""
+    velocity_N: Array
+    """(T, 3) [m/s]"""
+    acceleration_N: Array
+    """(T, 3) [m/s^2]"""
+    half_angle_rad: float
+
+    @property
+    def delta_v_m_s(self) -> float:
+        """Change of velocity over the whole time, by the trapezoidal rule."""
+        return float(np.trapezoid(np.linalg.norm(self.acceleration_N, axis=1), self.time_s))
+
+    def holds(self, p_N: Array) -> Array:
+        """(T,) whether a place (T, 3) at each instant lies in the cone."""
+        away = p_N - self.tip_N
+        along = np.einsum("ti,ti->t", away, self.axis_N)
+        return np.asarray(along >= np.cos(self.half_angle_rad) * np.linalg.norm(away, axis=1))
+
+
+def corridor(
+    motion: BodyMotion, point_G: Array, axis_G: Array, stand_off_m: float, half_angle_rad: float
+) -> Corridor:
+    """point_G (3,) [m]; axis_G (3,) any length, outwards."""
+    axis_N = motion.R_NG @ (axis_G / np.linalg.norm(axis_G))
+    tip_N = motion.R_NG @ point_G + motion.p_NG
+    place_N = tip_N + stand_off_m * axis_N
+    r, w = place_N - motion.com_N, motion.w_N
+    turning = np.cross(w, r)
+    return Corridor(
+        motion.time_s,
+        tip_N,
+        axis_N,
+        place_N,
+        motion.v_N + turning,
+        np.cross(motion.w_dot_N, r) + np.cross(w, turning),
+        half_angle_rad,
+    )

@@ -1,0 +1,88 @@
+"""How fast the surface moves past an inspector, and where a grapple would meet it most gently."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.lie import Array, hat
+from polhode.planning.prediction.ensemble import BodyMotion
+
+MOST_INSTANTS = 200
+
+
+@dataclass(frozen=True)
+class SurfaceSpeed:
+    """Of points fixed to the target, relative to an inspector whose velocity in N is constant."""
+
+    now_m_s: Array
+    """(V,) at the last stereo pair"""
+    largest_m_s: Array
+    """(V,) over the horizon"""
+    mean_m_s: Array
+    """(V,)"""
+    normal_m_s: Array
+    """(V,) along the outward normal at the last pair: positive, it comes towards whoever stands before it"""
+    sigma_m_s: Array
+    """(V,) standard deviation of the speed at the last pair, and of what moves with the unknown"""
+
+
+def surface_speed(
+    motion: BodyMotion,
+    p_G: Array,
+    normal_G: Array,
+    covariance_body: Array,
+    v_inspector_N: Array | None = None,
+) -> SurfaceSpeed:
+    """Speeds of points (V, 3) in G; the motion begins at the last pair.
+
+    covariance_body (20, 20) of ``LastBody``; v_inspector_N (3,) [m/s], zero unless given. A point moves with
+    v + w x (p - com).
+    """
+    own = np.zeros(3) if v_inspector_N is None else v_inspector_N
+    chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MOST_INSTANTS).round().astype(int))
+    total, largest = np.zeros(len(p_G)), np.zeros(len(p_G))
+    for k in chosen:
+        # the same as velocity(), with one product for each point: u = p_G A + b
+        R, spin = motion.R_NG[k], hat(motion.w_N[k])
+        lever = motion.p_NG[k] - motion.com_N[k]
+        u = p_G @ (spin @ R).T + (motion.v_N[k] - own + spin @ lever)
+        speed = np.sqrt(np.einsum("ij,ij->i", u, u))
+        total, largest = total + speed, np.maximum(largest, speed)
+    u = velocity(motion, 0, p_G) - own
+    now = np.linalg.norm(u, axis=1)
+    R = motion.R_NG[0]
+    along_G = np.divide(u, now[:, None], out=np.zeros_like(u), where=now[:, None] > 0.0) @ R
+    return SurfaceSpeed(
+        now,
+        largest,
+        total / len(chosen),
+        np.einsum("ij,ij->i", u @ R, normal_G),
+        _sigma(motion, R, p_G, along_G, covariance_body),
+    )
+
+
+def velocity(motion: BodyMotion, k: int, p_G: Array) -> Array:
+    """Of points (V, 3) fixed to the target, along N (V, 3) [m/s], at the motion's instant k."""
+    lever = p_G @ motion.R_NG[k].T + motion.p_NG[k] - motion.com_N[k]
+    return np.asarray(motion.v_N[k] + np.cross(motion.w_N[k], lever))
+
+
+def _sigma(motion: BodyMotion, R: Array, p_G: Array, along_G: Array, covariance: Array) -> Array:
+    """In G: the velocity is R^T v + w x (p - com); the length of its change along itself, to first order."""
+    lever = p_G - (motion.com_N[0] - motion.p_NG[0]) @ R
+    w_G = motion.w_N[0] @ R
+    slopes = np.concatenate([along_G @ R.T, np.cross(lever, along_G), -np.cross(along_G, w_G)], axis=1)
+    chosen = np.r_[3:6, 9:12, 17:20]
+    part = covariance[np.ix_(chosen, chosen)]
+    return np.asarray(np.sqrt(np.maximum(np.einsum("vi,ij,vj->v", slopes, part, slopes), 0.0)))
+
+
+def gentlest(speed: Array, p_G: Array, apart_m: float, count: int) -> list[int]:
+    """Indices of the slowest points (V,), each at least so far from the others."""
+    chosen: list[int] = []
+    for n in np.argsort(speed, kind="stable"):
+        if all(np.linalg.norm(p_G[n] - p_G[m]) >= apart_m for m in chosen):
+            chosen.append(int(n))
+            if len(chosen) == count:
+                break
+    return chosen

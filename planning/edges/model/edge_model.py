@@ -1,0 +1,257 @@
+"""Edges that a camera can see, from any mesh: creases and open rims, merged to straight segments.
+
+Smooth parts have no edges of their own; their outlines depend on the view (`outlines.py`). Corners of faces
+carry the normal of the smooth part that they belong to, so a crease splits them and a cylinder's side stays
+round.
+"""
+
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+
+import numpy as np
+import trimesh
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from polhode.errors import InputError
+from polhode.lie import Array
+from polhode.planning.edges.model.chains import chains_of, straight_pieces, tangents_along
+from polhode.planning.edges.model.rays import Occluder
+from polhode.records import Bools, Ints
+
+CREASE_DEG = 30.0
+"""Faces that meet at more than this angle form an edge."""
+FLAT_DEG = 0.5
+"""A part whose normals lean less from their mean is flat."""
+TOLERANCE = 5e-4
+"""Edges are straight to this share of the body's diameter."""
+LEAST_LENGTH = 0.01
+"""Shorter edges, as a share of the body's diameter, are left out; an arc counts as a whole."""
+
+
+class Kind(IntEnum):
+    """What makes an edge."""
+
+    CREASE = 0
+    """two faces that meet at an angle"""
+    BOUNDARY = 1
+    """the rim of an open mesh"""
+    OUTLINE = 2
+    """where a smooth part turns away from the viewer"""
+
+
+@dataclass(frozen=True)
+class EdgeModel:
+    """Edges in G and the surface that hides them. Feature i < n is a segment, i >= n a smooth part."""
+
+    ends_G: Array
+    """(n, 2, 3) [m]"""
+    tangents_G: Array
+    """(n, 2, 3) unit direction of the edge at both ends: along arcs they differ from the chord"""
+    sides_G: Array
+    """(n, 2, 3) outward normals of the faces at both sides; a rim has its only face twice"""
+    kind: Ints
+    """(n,) of Kind"""
+    surface: trimesh.Trimesh
+    """faces in G; all of it hides, whichever edges are used"""
+    corner_normals_G: Array
+    """(f, 3, 3) unit normals of the smooth part at the corners of the faces"""
+    part: Ints
+    """(f,) curved part of each face, numbered from 0; -1 where the face is flat or belongs to a plane"""
+    tolerance_m: float
+    """how far a segment may be from the mesh's edge"""
+    outlined: Bools
+    """(parts,) which curved parts give outlines"""
+    soft: Ints
+    """(k, 4) edges that are no creases: two vertices of the surface, the faces at both sides"""
+    faceted: bool
+    """outlines follow the edges of the faces, not the smooth surface that these may stand for"""
+    occluder: Occluder = field(repr=False, compare=False)
+
+    @property
+    def size(self) -> int:
+        """Number of features: segments, then smooth parts."""
+        return len(self.ends_G) + len(self.outlined)
+
+    @property
+    def outlined_faces(self) -> Bools:
+        """(f,) faces of the curved parts that give outlines."""
+        return np.append(self.outlined, False)[self.part]
+
+    @property
+    def lengths_m(self) -> Array:
+        """(n,) of the segments."""
+        return np.asarray(np.linalg.norm(self.ends_G[:, 1] - self.ends_G[:, 0], axis=1))
+
+    @property
+    def middle_G(self) -> Array:
+        """(3,) middle of the surface's bounding box [m]: the point that motion is told about by default."""
+        return np.asarray(self.surface.bounds.mean(axis=0))
+
+    @property
+    def radius_m(self) -> float:
+        """Half the diagonal of the bounding box."""
+        return 0.5 * float(np.linalg.norm(np.ptp(self.surface.bounds, axis=0)))
+
+    def only(self, features: Ints | Bools) -> "EdgeModel":
+        """The model with these features (indices or mask of ``size``); the whole surface still hides them."""
+        keep = np.zeros(self.size, dtype=bool)
+        keep[features] = True
+        n = len(self.ends_G)
+        return replace(
+            self,
+            ends_G=self.ends_G[keep[:n]],
+            tangents_G=self.tangents_G[keep[:n]],
+            sides_G=self.sides_G[keep[:n]],
+            kind=self.kind[keep[:n]],
+            outlined=self.outlined & keep[n:],
+        )
+
+
+def edge_model(
+    mesh: trimesh.Trimesh,
+    crease_deg: float = CREASE_DEG,
+    tolerance_m: float | None = None,
+    least_length_m: float | None = None,
+    flat_deg: float = FLAT_DEG,
+    faceted: bool = False,
+) -> EdgeModel:
+    """Edges of a mesh in G; smooth parts whose normals differ by less than ``flat_deg`` have no outlines.
+
+    A face given twice counts once, and a closed mesh that is inside out is turned.
+
+    Raises InputError for a mesh without faces or with numbers that are not finite.
+    """
+    if len(mesh.faces) == 0:
+        raise InputError("the mesh has no faces: an edge model needs a surface")
+    if not np.isfinite(mesh.vertices).all():
+        raise InputError("the mesh has vertices that are not finite numbers")
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    surface.merge_vertices(merge_norm=True, merge_tex=True)
+    surface.update_faces(surface.nondegenerate_faces() & surface.unique_faces())
+    surface.remove_unreferenced_vertices()
+    if len(surface.faces) == 0:
+        raise InputError("all faces of the mesh are degenerate: an edge model needs a surface")
+    if _is_inside_out(surface):
+        surface.invert()
+    diameter = float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
+    tolerance_m = TOLERANCE * diameter if tolerance_m is None else tolerance_m
+    least_length_m = LEAST_LENGTH * diameter if least_length_m is None else least_length_m
+    edges, sides, kind, soft = _sharp_edges(surface, crease_deg)
+    part = _smooth_parts(len(surface.faces), soft[:, 2:])
+    ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m, least_length_m)
+    corners = _corner_normals(surface, part)
+    curved = _is_curved(surface, corners, part, flat_deg)
+    return EdgeModel(
+        ends,
+        tangents,
+        normals,
+        kinds,
+        surface,
+        corners,
+        np.where(curved, np.cumsum(curved) - 1, -1)[part],
+        tolerance_m,
+        np.ones(int(curved.sum()), dtype=bool),
+        soft,
+        faceted,
+        Occluder(surface),
+    )
+
+
+def _is_inside_out(surface: trimesh.Trimesh) -> bool:
+    """Whether a closed surface has its normals inward, as after a mirroring; an open one has no inside."""
+    return bool(surface.is_watertight and surface.is_winding_consistent and surface.volume < 0.0)
+
+
+def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Array, Ints, Ints]:
+    """Edges (m, 2), normals of their sides (m, 2, 3), kinds (m,); the other edges, as in ``soft``."""
+    ordered = np.sort(surface.edges, axis=1)
+    unique, of_edge, count = np.unique(ordered, axis=0, return_inverse=True, return_counts=True)
+    faces = surface.edges_face[np.argsort(of_edge.reshape(-1), kind="stable")]
+    start = np.concatenate([[0], np.cumsum(count)[:-1]])
+    first, second = faces[start], faces[start + np.minimum(count, 2) - 1]
+    n = np.asarray(surface.face_normals)
+    cosine = np.einsum("nk,nk->n", n[first], n[second])
+    crease = (cosine < np.cos(np.radians(crease_deg))) | (count > 2)
+    rim = count == 1
+    sharp = crease | rim
+    soft = ~sharp
+    sides = np.stack([n[first], n[second]], axis=1)
+    kind = np.where(rim, Kind.BOUNDARY, Kind.CREASE)
+    others = np.column_stack([unique[soft], first[soft], second[soft]])
+    return unique[sharp], sides[sharp], kind[sharp], others
+
+
+def _smooth_parts(faces: int, joined: Ints) -> Ints:
+    """Faces that join smoothly, numbered: (f,)."""
+    graph = coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(faces, faces))
+    _, part = connected_components(graph, directed=False)
+    return np.asarray(part, dtype=np.int64)
+
+
+def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
+    """Mean of the faces around a vertex within the smooth part (f, 3, 3).
+
+    Weights of Max, "Weights for computing vertex normals from facet normals", J. Graphics Tools 4, 1999:
+    exact for vertices on a sphere.
+    """
+    triangles = np.asarray(surface.triangles)
+    flat = np.broadcast_to(np.asarray(surface.face_normals)[:, None, :], triangles.shape)
+    onward = np.roll(triangles, -1, axis=1) - triangles
+    back = np.roll(triangles, 1, axis=1) - triangles
+    squares = np.einsum("fck,fck->fc", onward, onward) * np.einsum("fck,fck->fc", back, back)
+    weighted = np.cross(onward, back) / np.maximum(squares, 1e-300)[..., None]
+    key = np.asarray(surface.faces) * (part.max() + 1) + part[:, None]
+    _, corner = np.unique(key.reshape(-1), return_inverse=True)
+    total = np.zeros((corner.max() + 1, 3))
+    np.add.at(total, corner.reshape(-1), weighted.reshape(-1, 3))
+    normal = total[corner.reshape(-1)].reshape(-1, 3, 3)
+    length = np.linalg.norm(normal, axis=2, keepdims=True)
+    return np.where(length > 0.0, normal / np.maximum(length, 1e-300), flat)
+
+
+def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints, flat_deg: float) -> Bools:
+    """(parts,) whether any corner of a part leans away from the part's mean normal by more than this."""
+    count = int(part.max()) + 1
+    mean = np.zeros((count, 3))
+    np.add.at(mean, part, np.asarray(surface.area_faces)[:, None] * np.asarray(surface.face_normals))
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    mean = np.where(length > 0.0, mean / np.maximum(length, 1e-300), 0.0)
+    least = np.ones(count)
+    np.minimum.at(least, part, np.einsum("fck,fk->fc", corners, mean[part]).min(axis=1))
+    return np.asarray(least < np.cos(np.radians(flat_deg)))
+
+
+def _segments(
+    surface: trimesh.Trimesh, edges: Ints, sides: Array, kind: Ints, tolerance_m: float, least_length_m: float
+) -> tuple[Array, Array, Array, Ints]:
+    """Chains of sharp edges, cut into straight pieces: ends, tangents, sides (n, 2, 3), kinds (n,)."""
+    vertices = np.asarray(surface.vertices)
+    ends, tangents, normals, kinds = [], [], [], []
+    for which in Kind.CREASE, Kind.BOUNDARY:
+        own = np.flatnonzero(kind == which)
+        for chain, members in chains_of(edges[own]):
+            pieces = straight_pieces(vertices[chain], tolerance_m)
+            knots = vertices[chain[[0, *(b for _, b in pieces)]]]
+            if np.linalg.norm(np.diff(knots, axis=0), axis=1).sum() < least_length_m:
+                continue
+            tangents.append(tangents_along(knots))
+            for a, b in pieces:
+                ends.append(vertices[[chain[a], chain[b]]])
+                normals.append(_mean_sides(sides[own[members[a:b]]]))
+                kinds.append(int(which))
+    return (
+        np.array(ends).reshape(-1, 2, 3),
+        np.concatenate(tangents) if tangents else np.zeros((0, 2, 3)),
+        np.array(normals).reshape(-1, 2, 3),
+        np.array(kinds, dtype=np.int64),
+    )
+
+
+def _mean_sides(sides: Array) -> Array:
+    """Two mean normals (2, 3) of (m, 2, 3), whose order may differ from edge to edge."""
+    first = sides[0]
+    swapped = np.einsum("mk,k->m", sides[:, 0] - sides[:, 1], first[0] - first[1]) < 0.0
+    ordered = np.where(swapped[:, None, None], sides[:, ::-1], sides)
+    mean = ordered.mean(axis=0)
+    return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12))

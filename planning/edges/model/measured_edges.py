@@ -1,0 +1,96 @@
+"""Edges of a measured mesh: as few faces as its errors allow, so that flat places become large ones.
+
+Marching cubes cuts a surface into small faces whose angles are noise; quadric simplification (Garland and
+Heckbert, SIGGRAPH 1997) removes them first where the surface is flat.
+"""
+
+import fast_simplification
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+from polhode.lie import Array
+from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
+from polhode.records import Ints
+
+LADDER = 0.6
+"""Each try has this share of the faces of the one before."""
+FEWEST = 60
+"""Faces."""
+KEPT_SHARE = 0.95
+"""So much of both surfaces is within the tolerance of the other."""
+MEASURED_TOLERANCE = 2e-3
+"""Least tolerance for a measured mesh, as a share of its diameter."""
+MEASURED_LEAST_LENGTH = 0.025
+"""Shorter edges of a measured mesh are noise, as a share of its diameter."""
+MEASURED_FLAT_DEG = 20.0
+"""The normals of a measured plane lean by less from their mean."""
+_SAMPLES = 20_000
+
+
+def measured_edge_model(mesh: trimesh.Trimesh, sigma_m: Array) -> EdgeModel:
+    """Edges of a run's mesh in G, whose vertices have sigma_m (V,), inf where nothing was measured."""
+    diameter = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    known = sigma_m[np.isfinite(sigma_m)]
+    noise = 2.0 * float(np.median(known)) if len(known) else 0.0
+    tolerance_m = max(MEASURED_TOLERANCE * diameter, noise)
+    return edge_model(
+        simplified(mesh, tolerance_m),
+        tolerance_m=tolerance_m,
+        least_length_m=MEASURED_LEAST_LENGTH * diameter,
+        flat_deg=MEASURED_FLAT_DEG,
+        faceted=True,
+    )
+
+
+def simplified(mesh: trimesh.Trimesh, tolerance_m: float) -> trimesh.Trimesh:
+    """The mesh with the fewest faces of which 95 % are within the tolerance of the other, both ways.
+
+    The mesh itself where no simpler one does.
+    """
+    best = mesh
+    if len(mesh.faces) <= FEWEST:
+        return best
+    points, normals = _samples(mesh)
+    tree = cKDTree(points)
+    faces = LADDER * len(mesh.faces)
+    while faces >= FEWEST:
+        tried = _reduced(best, int(faces))
+        # Asked for less than the quadrics can do, the mesh stays as it is.
+        if len(tried.faces) == 0 or len(tried.faces) > 0.98 * len(best.faces):
+            break
+        own, own_normals = _samples(tried)
+        back = _off(cKDTree(own), own, own_normals, points)
+        off = _off(tree, points, normals, own), back
+        if min(float((d <= tolerance_m).mean()) for d in off) < KEPT_SHARE:
+            break
+        best = tried
+        faces *= LADDER
+    return best
+
+
+def _reduced(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
+    vertices, triangles = fast_simplification.simplify(
+        np.asarray(mesh.vertices, dtype=np.float32),
+        np.asarray(mesh.faces, dtype=np.int32),
+        target_count=faces,
+        agg=3,
+    )
+    return trimesh.Trimesh(vertices, triangles, process=False)
+
+
+def _samples(mesh: trimesh.Trimesh) -> tuple[Array, Array]:
+    """Points (n, 3) spread over the surface and the normals of their faces (n, 3); the same each time."""
+    points, face = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)
+    which: Ints = np.asarray(face)
+    return np.asarray(points), np.asarray(mesh.face_normals)[which]
+
+
+def _off(tree: cKDTree, points: Array, normals: Array, other: Array) -> Array:
+    """Distance (m,) of points from the plane of the nearest sample, sideways where the surface has ended."""
+    distance, nearest = tree.query(other, k=4)
+    gap = other[:, None] - points[nearest]
+    across = np.abs(np.einsum("mkc,mkc->mk", gap, normals[nearest]))
+    # Near samples speak for the plane; far ones tell that there is no surface.
+    spacing = 3.0 * float(np.median(distance[:, 0])) + 1e-12
+    return np.asarray(np.where(distance[:, 0] < spacing, across.min(axis=1), distance[:, 0]))

@@ -1,0 +1,168 @@
+"""Which edges to use when there is room for few: greedy choice under a budget, with what can be promised.
+
+For features with information C_ti in view t (shifts in radii, turns in radians, noise of one pixel), a set S
+has M_t(S) = I + sum of C_ti. The unit matrix is a prior of one radius and one radian: with it an empty set
+has a value, too, and against what edges tell it is nothing. Two values, both means over the views, both 0
+for the empty set and never less for more edges:
+
+log_det: log det M_t. Submodular: what an edge adds falls as others join it. Greedy is then at least 1 - 1/e
+    = 63 % of the best under a budget of number (Nemhauser, Wolsey, Fisher, Math. Programming 14, 1978), and
+    what an edge added once bounds what it adds later, so most of it need not be computed again (lazy: Minoux,
+    1978). Under a budget of length the better of greedy by value and greedy by value a metre is at least half
+    of that (Leskovec et al., KDD 2007).
+trace: 6 - tr M_t^-1, the fall of the summed variances (A-optimality). Not submodular: two edges can tell
+    together what neither tells alone. No such constant holds; the bound is the one computed afterwards for
+    the very case (`selection_bound.upper_bound`), which holds for both values and is mostly much closer. What
+    counts is how much of the 6 remains, so greedy is followed by exchanges of one edge for another.
+"""
+
+import heapq
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from polhode.errors import InputError
+from polhode.lie import Array
+from polhode.planning.edges.model.edge_model import EdgeModel
+from polhode.planning.edges.model.outlines import outlines
+from polhode.records import Bools, Ints
+
+Value = Literal["log_det", "trace"]
+GREEDY_SHARE = 1.0 - float(np.exp(-1.0))
+"""Of the best log_det, in number; half of it in length."""
+OUTLINE_VIEWS = 30
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A set of features."""
+
+    features: Ints
+    """(k,) in the order in which they were chosen"""
+    value: float
+    cost: float
+    evaluations: int
+    """how often the value of a set was computed"""
+
+
+def value_of(M: Array, value: Value) -> Array:
+    """Values (...,) of M (..., T, 6, 6) = I + C, means over the views."""
+    if value == "log_det":
+        return np.asarray(np.linalg.slogdet(M)[1].mean(axis=-1))
+    return np.asarray(6.0 - np.trace(np.linalg.inv(M), axis1=-2, axis2=-1).mean(axis=-1))
+
+
+def value_of_set(scaled: Array, features: Ints, value: Value) -> float:
+    """Of features (k,) with scaled information (T, n, 6, 6)."""
+    return float(value_of(np.eye(6) + scaled[:, features].sum(axis=1), value))
+
+
+def greedy(scaled: Array, budget: float, value: Value, cost: Array | None = None) -> Chosen:
+    """A set of features of scaled information (T, n, 6, 6) whose cost is within the budget.
+
+    ``cost`` (n,) is 1 for each feature unless given, as in `edge_lengths`. Ties go to the lower number.
+    Raises InputError for a budget that no feature fits into.
+    """
+    price = np.ones(scaled.shape[1]) if cost is None else np.asarray(cost, dtype=np.float64)
+    check(price, budget)
+    tells = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
+    plain = _greedy(scaled, budget, value, price, tells, np.ones(len(price)))
+    if np.ptp(price) < 1e-12 * price.max():
+        return plain
+    for_its_price = _greedy(scaled, budget, value, price, tells, price)
+    best = for_its_price if for_its_price.value > plain.value else plain
+    return replace(best, evaluations=plain.evaluations + for_its_price.evaluations)
+
+
+def check(price: Array, budget: float) -> None:
+    """Raises InputError where nothing can be chosen."""
+    if not np.isfinite(price).all() or (price <= 0.0).any():
+        raise InputError("costs of edges must be positive")
+    if len(price) == 0 or price.min() > budget:
+        raise InputError(f"a budget of {budget:g} has room for no edge")
+
+
+def _greedy(scaled: Array, budget: float, value: Value, price: Array, tells: Bools, divisor: Array) -> Chosen:
+    """Add what adds most, over the divisor, of what still fits."""
+    M = np.tile(np.eye(6), (len(scaled), 1, 1))
+    chosen: list[int] = []
+    now, left = 0.0, float(budget) + 1e-12 * abs(budget)
+    candidates = np.flatnonzero(tells & (price <= left))
+    gain = value_of(M + np.swapaxes(scaled[:, candidates], 0, 1), value)
+    evaluations = len(candidates)
+    # (minus the gain, feature, size of the set when it was computed)
+    heap = [(-g / divisor[i], int(i), 0) for g, i in zip(gain, candidates, strict=True)]
+    heapq.heapify(heap)
+    while heap:
+        if value == "trace":
+            heap = [entry for entry in heap if price[entry[1]] <= left]
+            of = np.array([i for _, i, _ in heap], dtype=np.int64)
+            gain = value_of(M + np.swapaxes(scaled[:, of], 0, 1), value) - now
+            evaluations += len(of) if chosen else 0
+            heap = [(-g / divisor[i], int(i), len(chosen)) for g, i in zip(gain, of, strict=True)]
+            heapq.heapify(heap)
+            if not heap:
+                break
+        _, i, size = heapq.heappop(heap)
+        if price[i] > left:
+            continue
+        if size < len(chosen):
+            gain_i = float(value_of(M + scaled[:, i], value)) - now
+            evaluations += 1
+            heapq.heappush(heap, (-gain_i / divisor[i], i, len(chosen)))
+            continue
+        chosen.append(i)
+        M = M + scaled[:, i]
+        left -= float(price[i])
+        now = float(value_of(M, value))
+    features = np.array(chosen, dtype=np.int64)
+    return Chosen(features, now, float(price[features].sum()), evaluations)
+
+
+def exchanged(scaled: Array, start: Chosen, budget: float, value: Value, cost: Array | None = None) -> Chosen:
+    """The choice after exchanges of one chosen feature for another, the best one first, while they help.
+
+    Fedorov, Theory of Optimal Experiments, 1972. Never worse than the start.
+    """
+    n = scaled.shape[1]
+    price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
+    chosen, now, evaluations = list(start.features.tolist()), start.value, start.evaluations
+    spent = float(price[chosen].sum())
+    tells = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
+    while True:
+        M = np.eye(6) + scaled[:, chosen].sum(axis=1)
+        free = np.setdiff1d(np.flatnonzero(tells), chosen)
+        best = (now * (1.0 + 1e-12), -1, -1)
+        for place, i in enumerate(chosen):
+            fits = free[spent - price[i] + price[free] <= budget * (1.0 + 1e-12)]
+            if len(fits) == 0:
+                continue
+            values = value_of(M - scaled[:, i] + np.swapaxes(scaled[:, fits], 0, 1), value)
+            evaluations += len(fits)
+            at = int(np.argmax(values))
+            best = max(best, (float(values[at]), -place, int(fits[at])))
+        if best[2] < 0:
+            break
+        now, place, joining = best[0], -best[1], best[2]
+        spent += float(price[joining] - price[chosen[place]])
+        chosen[place] = joining
+    features = np.array(chosen, dtype=np.int64)
+    value_now = value_of_set(scaled, features, value)
+    return Chosen(features, value_now, float(price[features].sum()), evaluations)
+
+
+def edge_lengths(model: EdgeModel) -> Array:
+    """(size,) [m]: of segments; of smooth parts the mean length of their outlines, seen from all around."""
+    total = np.zeros(len(model.outlined))
+    k = np.arange(OUTLINE_VIEWS) + 0.5
+    # evenly over the sphere, along a spiral of the golden angle
+    z, around = 1.0 - 2.0 * k / OUTLINE_VIEWS, np.pi * (3.0 - np.sqrt(5.0)) * k
+    towards = np.column_stack([np.sqrt(1 - z**2) * np.cos(around), np.sqrt(1 - z**2) * np.sin(around), z])
+    if model.outlined.any():
+        for eye_G in model.middle_G + 20.0 * model.radius_m * towards:
+            found = outlines(model, eye_G)
+            np.add.at(total, found.part, np.linalg.norm(found.ends_G[:, 1] - found.ends_G[:, 0], axis=1))
+    # a flat part has no outline: any positive length will do
+    curved = np.maximum(total / OUTLINE_VIEWS, model.tolerance_m)
+    return np.concatenate([model.lengths_m, curved])

@@ -1,0 +1,150 @@
+"""A big dish on a small bus: reflector with ribs behind, feed on struts, a solar wing."""
+
+import numpy as np
+
+from polhode.simulation.bodies.components.antennas import paraboloid
+from polhode.simulation.bodies.components.deck import decks_of_box
+from polhode.simulation.bodies.components.fittings import fit_out
+from polhode.simulation.bodies.components.wing import solar_wing
+from polhode.simulation.bodies.parts.part import Part
+from polhode.simulation.bodies.parts.solids import box, drum, frame, pose, revolve, strut, tube
+from polhode.simulation.bodies.textures.canvas import Draw
+from polhode.simulation.bodies.textures.studio import Studio, sheet_by_side
+from polhode.simulation.surface.materials import (
+    ANODISED,
+    BRUSHED_METAL,
+    COMPOSITE,
+    FOIL_BLACK,
+    FOIL_GOLD,
+    FOIL_SILVER,
+    PAINT_GREY,
+    PAINT_WHITE,
+)
+
+SECTIONS, STEPS = 72, 10
+
+
+def dish_parts(size_m: float, studio: Studio) -> list[Part]:
+    """Parts of a dish of diameter size_m [m] that opens towards +z, the bus behind it; G at the vertex."""
+    rng = studio.rng
+    focal = size_m * float(rng.uniform(0.32, 0.46))
+    gores = int(rng.integers(8, 19))
+    parts = _reflector(studio, size_m, focal, gores)
+    parts += _feed(studio, size_m, focal)
+    hub = 0.10 * size_m
+    parts += _hub(size_m, hub)
+    parts += _bus(studio, size_m, hub)
+    return parts
+
+
+def _depth(r: float, focal: float) -> float:
+    return r * r / (4.0 * focal)
+
+
+def _reflector(studio: Studio, size_m: float, focal: float, gores: int) -> list[Part]:
+    rng = studio.rng
+    wall_m = 0.006 * size_m
+    solid = paraboloid(size_m, focal, wall_m, SECTIONS, STEPS)
+    last = len(solid.profile) - 1
+    base = float(rng.choice([0.78, 0.78, 0.6, 0.3]))
+    front = studio.artist.reflector(base, gores)
+    back: Draw = (
+        studio.artist.blanket(FOIL_BLACK) if rng.random() < 0.4 else studio.artist.reflector(0.08, gores)
+    )
+    material = PAINT_WHITE if base > 0.2 else COMPOSITE
+    parts = [
+        studio.wrapped(solid, [(last - STEPS, last - 1, front), (1, STEPS, back)], material, "reflector", 0.5)
+    ]
+    radii = np.linspace(0.13, 0.5, 7) * size_m
+    for k in range(gores):
+        angle = 2 * np.pi * k / gores
+        spine = np.column_stack([
+            radii * np.cos(angle), radii * np.sin(angle), radii**2 / (4 * focal) - 1.6 * wall_m,
+        ])  # fmt: skip
+        parts.append(Part(tube(spine, 1.1 * wall_m, 6), COMPOSITE, name="rib"))
+    for share in (0.22, 0.36):
+        r = share * size_m
+        z = _depth(r, focal) - 1.8 * wall_m
+        ring = revolve([(r - wall_m, z - wall_m), (r + wall_m, z - wall_m), (r + wall_m, z + 0.6 * wall_m),
+                        (r - wall_m, z + 0.6 * wall_m)], SECTIONS, closed=True)  # fmt: skip
+        parts.append(Part(ring.mesh, COMPOSITE, name="rib"))
+    return parts
+
+
+def _feed(studio: Studio, size_m: float, focal: float) -> list[Part]:
+    """Struts that hold a horn at the focus, or a secondary mirror before a horn at the vertex."""
+    rng = studio.rng
+    legs = int(rng.integers(3, 5))
+    start = float(rng.uniform(0, 2))
+    foot = size_m * float(rng.uniform(0.26, 0.44))
+    top = 0.93 * focal
+    parts = []
+    for k in range(legs):
+        angle = start + 2 * np.pi * k / legs
+        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        a, b = foot * out + [0, 0, _depth(foot, focal)], 0.05 * size_m * out + [0, 0, top]
+        parts.append(Part(strut(a, b, 0.007 * size_m, 10), PAINT_WHITE, name="feed"))
+        shoe = drum(0.016 * size_m, 0.02 * size_m, 12)
+        shoe.apply_transform(pose(b - a, a - 0.004 * (b - a)))
+        parts.append(Part(shoe, BRUSHED_METAL, name="feed"))
+    if rng.random() < 0.5:
+        d, r = size_m, 0.085 * size_m
+        mirror = revolve([(0, top - 0.035 * d), (0.6 * r, top - 0.02 * d), (r, top + 0.012 * d),
+                          (r, top + 0.025 * d), (0, top + 0.045 * d)], 40)  # fmt: skip
+        horn = revolve([(0, -0.02 * d), (0.04 * d, -0.02 * d), (0.045 * d, 0.1 * d), (0.065 * d, 0.17 * d),
+                        (0.06 * d, 0.17 * d), (0.035 * d, 0.1 * d), (0, 0.1 * d)], 36)  # fmt: skip
+        return [*parts, Part(mirror.mesh, PAINT_WHITE, name="feed"), Part(horn.mesh, ANODISED, name="feed")]
+    can = box([0.1 * size_m, 0.1 * size_m, 0.09 * size_m], bevel=0.08)
+    can.apply_translation([0, 0, top + 0.03 * size_m])
+    draw = studio.artist.panel(0.6, 0.8) if rng.random() < 0.5 else studio.artist.blanket(FOIL_GOLD)
+    horn = revolve([(0, top), (0.02 * size_m, top), (0.045 * size_m, top - 0.06 * size_m),
+                    (0.04 * size_m, top - 0.06 * size_m), (0, top - 0.02 * size_m)], 28)  # fmt: skip
+    return [
+        *parts,
+        studio.faced(can, FOIL_GOLD, draw, "feed"),
+        Part(horn.mesh, ANODISED, name="feed"),
+    ]
+
+
+def _hub(size_m: float, depth_m: float) -> list[Part]:
+    """A drum behind the vertex and six struts that carry the dish."""
+    can = drum(0.13 * size_m, depth_m, 40)
+    can.apply_translation([0, 0, -depth_m - 0.004 * size_m])
+    parts = [Part(can, PAINT_GREY, name="hub")]
+    for k in range(6):
+        angle = 2 * np.pi * (k + 0.25) / 6
+        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        a, b = 0.15 * size_m * out + [0, 0, -1.1 * depth_m], 0.3 * size_m * out + [0, 0, 0.03 * size_m]
+        parts.append(Part(strut(a, b, 0.008 * size_m), COMPOSITE, name="hub"))
+    return parts
+
+
+def _bus(studio: Studio, size_m: float, hub: float) -> list[Part]:
+    """The bus behind the hub with its wing and equipment."""
+    rng, artist = studio.rng, studio.artist
+    sides = size_m * rng.uniform((0.24, 0.24, 0.2), (0.36, 0.36, 0.42))
+    middle = np.array([0.0, 0.0, -hub - 0.5 * sides[2]])
+    foil = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(3))]
+    sheets = [artist.blanket(foil), artist.panel(0.35, 0.8), artist.radiator(), artist.blanket(foil)]
+    order = rng.permutation(6) % 4
+    hull = box(sides, bevel=0.025)
+    hull.apply_translation(middle)
+    parts = [studio.faced_by(hull, foil, sheet_by_side([sheets[k] for k in order]), "box", 1.5)]
+    decks = decks_of_box(sides, middle)
+    wings = [1.0] if rng.random() < 0.55 else [1.0, -1.0]
+    tilt, cell = float(rng.uniform(-1.2, 1.2)), int(rng.integers(34, 56))
+    panels = int(rng.integers(1, 3))
+    length, width = (
+        size_m * float(rng.uniform(0.34, 0.5)) * (0.5 + 0.5 * panels),
+        size_m * float(rng.uniform(0.24, 0.36)),
+    )
+    for side in wings:
+        root = middle + np.array([0.5 * side * sides[0], 0, -0.1 * sides[2]])
+        X = frame([side, 0, 0], [0, np.sin(tilt), np.cos(tilt)], root)
+        wing = solar_wing(studio, length, width, 0.008 * size_m, panels, 0.1 * size_m, cell)
+        parts += [part.moved(X) for part in wing]
+        decks["+x" if side > 0 else "-x"].reserve(0, 0, 0.1 * size_m)
+    for name, deck in decks.items():
+        if name != "+z":
+            parts += fit_out(deck, 0.5 * size_m, studio, 1, int(rng.integers(1, 5)))
+    return parts

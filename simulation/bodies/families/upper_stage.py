@@ -1,0 +1,231 @@
+"""A spent upper stage: tanks, interstage ring, engine, pressure bottles, cable tunnel, payload adapter."""
+
+import numpy as np
+
+from polhode.lie import Array
+from polhode.simulation.bodies.components.antennas import patch
+from polhode.simulation.bodies.components.equipment import cable, electronics_box, umbilical
+from polhode.simulation.bodies.components.propulsion import bottle, engine, thruster_block
+from polhode.simulation.bodies.parts.part import Part
+from polhode.simulation.bodies.parts.solids import ellipsoid_cap, frame, pose, prism, revolve, strut, tube
+from polhode.simulation.bodies.textures.studio import Studio
+from polhode.simulation.surface.materials import (
+    ANODISED,
+    BRUSHED_METAL,
+    COMPOSITE,
+    DARK_METAL,
+    FOIL_BLACK,
+    FOIL_GOLD,
+    FOIL_SILVER,
+    PAINT_BLACK,
+    PAINT_GREY,
+    PAINT_WHITE,
+    Material,
+)
+
+SECTIONS = 72
+
+
+def upper_stage_parts(size_m: float, studio: Studio) -> list[Part]:
+    """Parts of a stage size_m [m] long from the nozzle's exit (-z) to the adapter's rim (+z)."""
+    rng = studio.rng
+    radius = size_m * float(rng.uniform(0.13, 0.22))
+    nozzle = size_m * float(rng.uniform(0.14, 0.24))
+    adapter = size_m * float(rng.uniform(0.05, 0.1))
+    throat = -0.5 * size_m + nozzle
+    bottom = throat + 0.5 * nozzle + 0.35 * radius
+    top = 0.5 * size_m - adapter
+    two_tanks = bool(rng.random() < 0.4)
+    middle = bottom + (top - bottom) * float(rng.uniform(0.3, 0.42)) if two_tanks else bottom
+    lower_radius = radius * (float(rng.uniform(0.62, 0.8)) if two_tanks else 1.0)
+    parts = _tank(studio, radius, middle, top)
+    if two_tanks:
+        parts += _second_tank(studio, lower_radius, radius, bottom, middle)
+    else:
+        parts += _aft_skirt(studio, radius, bottom)
+    parts += _thrust_section(studio, lower_radius, nozzle, throat, bottom)
+    parts += _front(studio, radius, top, adapter)
+    parts += _sides(studio, radius, middle, top)
+    return parts
+
+
+def _tank(studio: Studio, radius: float, bottom: float, top: float) -> list[Part]:
+    """The main tank: a wall with one drawing around it, a dome at either end."""
+    rng = studio.rng
+    length = top - bottom
+    solid = revolve([(0, bottom), (radius, bottom), (radius, top), (0, top)], SECTIONS)
+    look = rng.random()
+    if look < 0.62:
+        base, material = float(rng.choice([0.78, 0.78, 0.5, 0.3])), PAINT_WHITE
+        wall = studio.artist.tank_wall(base)
+    elif look < 0.8:
+        base, material = 0.12, BRUSHED_METAL
+        wall = studio.artist.tank_wall(base)
+    else:
+        material = FOIL_GOLD if rng.random() < 0.6 else FOIL_SILVER
+        wall = studio.artist.blanket(material)
+    parts = [studio.wrapped(solid, [(1, 2, wall)], material, "tank")]
+    parts += _dome(studio, radius, bottom, -0.4 * radius) + _dome(studio, radius, top, 0.36 * radius)
+    # Raised rings at the welds of the domes.
+    for z in (bottom + 0.03 * length, top - 0.03 * length):
+        ring = revolve([(0.97 * radius, z - 0.012 * length), (1.015 * radius, z - 0.012 * length),
+                        (1.015 * radius, z + 0.012 * length), (0.97 * radius, z + 0.012 * length)],
+                       SECTIONS, closed=True)  # fmt: skip
+        parts.append(Part(ring.mesh, BRUSHED_METAL, name="ring"))
+    return parts
+
+
+def _dome(studio: Studio, radius: float, z: float, height: float) -> list[Part]:
+    """An elliptic dome of height [m] (downwards when negative) with a manhole and radial seams."""
+    rng = studio.rng
+    cap = ellipsoid_cap(0.985 * radius, abs(height))[::-1]
+    solid = revolve(np.vstack([[(0, -0.1 * radius)], [(0.985 * radius, -0.1 * radius)], cap]), 48)
+    material = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK, PAINT_GREY, BRUSHED_METAL][int(rng.integers(5))]
+    r, h = 0.2 * radius, abs(height)
+    cover = revolve([(0, 0.9 * h), (r, 0.9 * h), (r, 1.03 * h), (0, 1.03 * h)], 28)
+    X = pose([0, 0, np.sign(height)], [0, 0, z])
+    return [
+        Part(solid.mesh, material, name="dome").moved(X),
+        Part(cover.mesh, ANODISED, name="dome").moved(X),
+    ]
+
+
+def _second_tank(studio: Studio, radius: float, upper_radius: float, bottom: float, top: float) -> list[Part]:
+    """A smaller tank below the main one, hung in an open truss."""
+    rng = studio.rng
+    gap = 0.16 * (top - bottom) + 0.3 * upper_radius
+    upper = top - gap
+    solid = revolve([(0, bottom), (radius, bottom), (radius, upper), (0, upper)], SECTIONS)
+    foil = FOIL_GOLD if rng.random() < 0.5 else FOIL_SILVER
+    wrapped, base = bool(rng.random() < 0.5), float(rng.choice([0.1, 0.6]))
+    wall = studio.artist.blanket(foil) if wrapped else studio.artist.tank_wall(base)
+    material = foil if wrapped else PAINT_WHITE
+    parts = [studio.wrapped(solid, [(1, 2, wall)], material, "tank")]
+    parts += _dome(studio, radius, bottom, -0.4 * radius) + _dome(studio, radius, upper, 0.4 * radius)
+    count = int(rng.integers(8, 13))
+    for k in range(count):
+        for step in (-0.5, 0.5):
+            low, high = 2 * np.pi * k / count, 2 * np.pi * (k + step) / count
+            a = [0.99 * radius * np.cos(low), 0.99 * radius * np.sin(low), upper - 0.04 * gap]
+            b = [0.96 * upper_radius * np.cos(high), 0.96 * upper_radius * np.sin(high), top + 0.01 * gap]
+            parts.append(Part(strut(a, b, 0.022 * radius), COMPOSITE, name="truss"))
+    return parts
+
+
+def _aft_skirt(studio: Studio, radius: float, bottom: float) -> list[Part]:
+    """A ring below the tank, open at its lower end, with stringers outside."""
+    low = bottom - 0.32 * radius
+    ring = revolve([(0.94 * radius, low), (1.005 * radius, low), (1.005 * radius, bottom + 0.06 * radius),
+                    (0.94 * radius, bottom + 0.06 * radius)], SECTIONS, closed=True)  # fmt: skip
+    base = float(studio.rng.choice([0.08, 0.3, 0.6]))
+    wall = studio.artist.ring_wall(base)
+    return [studio.wrapped(ring, [(1, 2, wall)], PAINT_GREY, "skirt")]
+
+
+def _thrust_section(studio: Studio, radius: float, nozzle: float, throat: float, bottom: float) -> list[Part]:
+    """Engines, the struts that carry them, bottles and pipes around."""
+    rng = studio.rng
+    exit_m = nozzle * float(rng.uniform(0.34, 0.48))
+    pair = bool(rng.random() < 0.25 and exit_m < 0.48 * radius)
+    places = [np.array([0.52 * radius, 0.0]), np.array([-0.52 * radius, 0.0])] if pair else [np.zeros(2)]
+    if not pair:
+        exit_m = min(exit_m, 0.95 * radius)
+    parts: list[Part] = []
+    for place in places:
+        X = pose([0.0, 0.0, -1.0], [*place, throat], float(rng.uniform(0, 6)))
+        parts += [part.moved(X) for part in engine(studio, exit_m, nozzle)]
+    frame = throat + 0.5 * nozzle
+    plate = revolve([(0, frame - 0.02 * radius), (0.42 * radius, frame - 0.02 * radius),
+                     (0.86 * radius, bottom + 0.02 * radius), (0, bottom + 0.02 * radius)], 40)  # fmt: skip
+    parts.append(Part(plate.mesh, DARK_METAL, name="thrust_frame"))
+    for k in range(10):
+        angle = 2 * np.pi * k / 10
+        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        a, b = 0.43 * radius * out + [0, 0, frame], 0.93 * radius * out + [0, 0, bottom]
+        parts.append(Part(strut(a, b, 0.02 * radius), BRUSHED_METAL, name="thrust_frame"))
+    count = int(rng.integers(2, 6))
+    size = radius * float(rng.uniform(0.14, 0.2))
+    for k in range(count):
+        angle = 2 * np.pi * (k + 0.5) / count + 0.4
+        at = np.array([0.74 * radius * np.cos(angle), 0.74 * radius * np.sin(angle), frame + 0.02 * radius])
+        parts += [part.moved(pose([0, 0, 1.0], at)) for part in bottle(size, rng)]
+        pipe = at * np.array([[1, 1, 1], [1, 1, 1], [0.7, 0.7, 1]]) + size * np.array(
+            [[0, 0, 0], [0, 0, 1.4], [0, 0, 1.6]]
+        )
+        parts.append(Part(tube(pipe, 0.07 * size, 8), BRUSHED_METAL, name="pipe"))
+    return parts
+
+
+def _front(studio: Studio, radius: float, top: float, adapter: float) -> list[Part]:
+    """Forward ring with avionics inside, and the payload adapter: an open cone with a bright rim."""
+    rng = studio.rng
+    upper = radius * float(rng.uniform(0.55, 0.92))
+    wall_m = 0.03 * radius
+    foot, rim = top - 0.08 * radius, top + adapter
+    profile = [(1.004 * radius, foot), (1.004 * radius, top + 0.1 * adapter), (upper, rim - 0.12 * adapter),
+               (upper - wall_m, rim - 0.12 * adapter), (0.95 * radius, top + 0.1 * adapter),
+               (0.95 * radius, foot)]  # fmt: skip
+    cone = revolve(profile, SECTIONS, closed=True)
+    base = float(rng.choice([0.05, 0.35, 0.7]))
+    material = COMPOSITE if base < 0.1 else PAINT_GREY
+    parts = [studio.wrapped(cone, [(0, 2, studio.artist.ring_wall(base))], material, "adapter")]
+    inner, outer, foot = upper - 1.5 * wall_m, upper + 0.6 * wall_m, rim - 0.14 * adapter
+    flange = revolve([(inner, foot), (outer, foot), (outer, rim), (inner, rim)], SECTIONS, closed=True)
+    parts.append(Part(flange.mesh, BRUSHED_METAL, name="adapter"))
+    for k in range(int(rng.integers(3, 6))):
+        angle = 2 * np.pi * k / 6 + rng.uniform(0, 0.4)
+        at = [0.5 * radius * np.cos(angle), 0.5 * radius * np.sin(angle), top + 0.2 * radius]
+        things = electronics_box(studio, 0.22 * radius, 0.16 * radius, 0.1 * radius)
+        parts += [part.moved(pose([0, 0, 1.0], at, angle)) for part in things]
+    return parts
+
+
+def _sides(studio: Studio, radius: float, bottom: float, top: float) -> list[Part]:
+    """What runs along the wall: cable tunnels, a feed line, thruster blocks, hatches, antennas."""
+    rng = studio.rng
+    length = top - bottom
+    parts = []
+    for angle in rng.uniform(0, 2 * np.pi) + np.array([0.0, np.pi])[: int(rng.integers(1, 3))]:
+        parts += _tunnel(studio, radius, bottom + 0.06 * length, top - 0.02 * length, float(angle))
+    if rng.random() < 0.6:
+        angle = float(rng.uniform(0, 2 * np.pi))
+        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        z = np.linspace(bottom - 0.05 * length, top - 0.12 * length, 9)
+        offset = np.r_[0.92, np.full(7, 1.035), 0.98]
+        parts += cable(radius * offset[:, None] * out + z[:, None] * [0, 0, 1.0], 0.022 * radius)
+    for angle in rng.uniform(0, 2 * np.pi) + np.arange(4) * np.pi / 2:
+        at = _on_wall(radius, angle, bottom + 0.05 * length)
+        parts += [part.moved(at) for part in thruster_block(studio, 0.16 * radius)]
+    for _ in range(5):
+        at = _on_wall(
+            radius, rng.uniform(0, 2 * np.pi), rng.uniform(bottom + 0.15 * length, top - 0.1 * length)
+        )
+        kind = rng.integers(3)
+        if kind == 0:
+            things = patch(studio, 0.16 * radius)
+        elif kind == 1:
+            things = umbilical(studio, 0.24 * radius)
+        else:
+            things = electronics_box(studio, 0.3 * radius, 0.22 * radius, 0.08 * radius)
+        parts += [part.moved(at) for part in things]
+    return parts
+
+
+def _tunnel(studio: Studio, radius: float, low: float, high: float, angle: float) -> list[Part]:
+    """A long cover with slanted ends along the wall."""
+    rng = studio.rng
+    wide, tall = 0.16 * radius, 0.09 * radius
+    half = 0.5 * (high - low)
+    outline = [(-0.5 * wide, -half), (0.5 * wide, -half), (0.5 * wide, half), (-0.5 * wide, half)]
+    cover = prism(outline, 1.6 * tall, taper=0.9)
+    cover.apply_translation([0, 0, -0.6 * tall])
+    base = float(rng.choice([0.08, 0.4, 0.75]))
+    material: Material = PAINT_WHITE if base > 0.5 else PAINT_BLACK if base < 0.1 else PAINT_GREY
+    part = studio.faced(cover, material, studio.artist.panel(base, 0.4), "tunnel")
+    return [part.moved(_on_wall(radius, angle, 0.5 * (low + high)))]
+
+
+def _on_wall(radius: float, angle: float, z: float) -> Array:
+    """Frame on a cylinder: z outward, y along the cylinder's axis."""
+    out = np.array([np.cos(angle), np.sin(angle), 0.0])
+    return frame([-np.sin(angle), np.cos(angle), 0.0], out, radius * out + np.array([0.0, 0.0, z]))

@@ -1,0 +1,220 @@
+"""Where the point seen at a pixel of one image lies in another: any two frames, any two cameras.
+
+    python -m polhode.simulation.dataset.correspondence CONFIG --frames 3 7 --cameras 0 1 -o FILE.npz [--picture FILE.png]
+
+Rays go through the pixels of view a to the body in G, and from there to camera b. The file holds one row for
+each pixel of image a that shows the target: the fields of ``Correspondence`` and ``uv_a_px``.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polhode.config.loader import load_config
+from polhode.errors import InputError
+from polhode.lie import Array, inverse_pose, transform_points
+from polhode.records import Bools
+from polhode.simulation.camera.cameras import Camera
+from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.rendering.raycast import Hits, RayCaster
+
+NEAREST_M = 1e-6
+"""Points closer to the camera's plane than this, or behind it, have no image [m]."""
+SAME_RAY = 1e-6
+"""Largest distance of unit rays that are one: a distorted lens maps far points into the image again."""
+
+
+class Reason(IntEnum):
+    """Why a point is not visible in view b: the first of these that holds."""
+
+    VISIBLE = 0
+    OFF_TARGET = 1
+    """The pixel of view a does not show the target."""
+    TURNED_AWAY = 2
+    """The surface that view a sees is turned away from camera b."""
+    OUTSIDE = 3
+    """Beside image b, or behind the camera."""
+    HIDDEN = 4
+    """Another part of the body stands before camera b."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera and where it is relative to the body."""
+
+    camera: Camera
+    X_GK: Array
+    """(4, 4)"""
+
+
+@dataclass(frozen=True)
+class Correspondence:
+    """Pixels of view a in view b; leading dimensions as the pixels had them."""
+
+    uv_b_px: Array
+    """(..., 2) distorted; NaN without an image of the point, given also where it is hidden or outside"""
+    visible: Bools
+    """(...)"""
+    reason: NDArray[np.uint8]
+    """(...) of ``Reason``"""
+    p_G: Array
+    """(..., 3) [m]; NaN off the target"""
+    angle_rad: Array
+    """(...) at the point, between the directions to the two cameras; NaN off the target"""
+
+
+def view_of(plan: Plan, frame: int, camera: int) -> View:
+    """View of one camera (0: left, 1: right) at one frame. Raises InputError: there is none."""
+    frames, cameras = plan.scene.frames, len(plan.cameras)
+    if not 0 <= frame < frames:
+        raise InputError(f"there is no frame {frame}: the scene has frames 0 to {frames - 1}")
+    if not 0 <= camera < cameras:
+        raise InputError(f"there is no camera {camera}: 0 is the left one, 1 the right one")
+    chosen = plan.cameras[camera]
+    return View(chosen, inverse_pose(plan.target.X_NG[frame]) @ plan.X_NC[frame] @ chosen.X_CK)
+
+
+def angle_between(a: View, b: View) -> float:
+    """Angle at the body's origin between the directions to two cameras [rad]: how far apart the views are."""
+    return float(_angles(np.zeros((1, 3)), a, b)[0])
+
+
+def dense_correspondence(caster: RayCaster, a: View, b: View) -> Correspondence:
+    """All pixels of view a: fields (H, W, ...). ``uv_b_px - pixel_grid(a.camera)`` is the flow."""
+    return correspond(caster, a, b, pixel_grid(a.camera))
+
+
+def pixel_grid(camera: Camera) -> Array:
+    """Pixel centres (H, W, 2)."""
+    v, u = np.mgrid[: camera.height_px, : camera.width_px]
+    return np.stack([u, v], axis=-1).astype(np.float64)
+
+
+def correspond(caster: RayCaster, a: View, b: View, uv_a_px: Array) -> Correspondence:
+    """Follow pixels (..., 2) of view a, distorted, to view b."""
+    shape = uv_a_px.shape[:-1]
+    rays_K = a.camera.directions(uv_a_px.reshape(-1, 2))
+    hits = caster.first_hits(a.X_GK[:3, 3], rays_K @ a.X_GK[:3, :3].T)
+    count = len(rays_K)
+    uv_b, p_G = np.full((count, 2), np.nan), np.full((count, 3), np.nan)
+    reason = np.full(count, Reason.OFF_TARGET, np.uint8)
+    angle = np.full(count, np.nan)
+    uv_b[hits.ray] = _image_of(b, hits.p_G)
+    p_G[hits.ray] = hits.p_G
+    reason[hits.ray] = _reasons(caster, hits, b, uv_b[hits.ray])
+    angle[hits.ray] = _angles(hits.p_G, a, b)
+    return Correspondence(
+        uv_b.reshape(*shape, 2),
+        (reason == Reason.VISIBLE).reshape(shape),
+        reason.reshape(shape),
+        p_G.reshape(*shape, 3),
+        angle.reshape(shape),
+    )
+
+
+def _image_of(view: View, p_G: Array) -> Array:
+    """Pixels (n, 2) of points (n, 3), inside the image or not; NaN where the lens forms no image."""
+    p_K = transform_points(inverse_pose(view.X_GK), p_G)
+    uv = np.full((len(p_K), 2), np.nan)
+    before = p_K[:, 2] > NEAREST_M
+    if not before.any():
+        return uv
+    uv[before] = view.camera.project(p_K[before])
+    if view.camera.dist.any():
+        inside = np.flatnonzero(_inside(view.camera, uv))
+        rays = p_K[inside] / np.linalg.norm(p_K[inside], axis=1, keepdims=True)
+        folded = np.linalg.norm(view.camera.directions(uv[inside]) - rays, axis=1) > SAME_RAY
+        uv[inside[folded]] = np.nan
+    return uv
+
+
+def _inside(camera: Camera, uv_px: Array) -> Bools:
+    """True (n,) within the image's outermost pixels; false for NaN."""
+    return np.asarray(
+        ((uv_px >= -0.5) & (uv_px < [camera.width_px - 0.5, camera.height_px - 0.5])).all(axis=1)
+    )
+
+
+def _reasons(caster: RayCaster, hits: Hits, view: View, uv_px: Array) -> NDArray[np.uint8]:
+    """Reason (n,) for each hit whose image in ``view`` would be at uv_px (n, 2)."""
+    toward = view.X_GK[:3, 3] - hits.p_G
+    distance = np.linalg.norm(toward, axis=1)
+    toward /= distance[:, None]
+    facing = np.einsum("nk,nk->n", hits.flat_normal_G, toward) > 0
+    clear = caster.clear(hits, toward, distance)
+    reason = np.where(clear, Reason.VISIBLE, Reason.HIDDEN)
+    reason = np.where(_inside(view.camera, uv_px), reason, Reason.OUTSIDE)
+    return np.where(facing, reason, Reason.TURNED_AWAY).astype(np.uint8)
+
+
+def _angles(p_G: Array, a: View, b: View) -> Array:
+    to_a, to_b = a.X_GK[:3, 3] - p_G, b.X_GK[:3, 3] - p_G
+    across = np.linalg.norm(np.cross(to_a, to_b), axis=1)
+    return np.asarray(np.arctan2(across, np.einsum("nk,nk->n", to_a, to_b)))
+
+
+def write_correspondence(path: Path, uv_a_px: Array, found: Correspondence) -> None:
+    """Write the pixels of view a (..., 2) that show the target, one row each."""
+    on_target = found.reason != Reason.OFF_TARGET
+    np.savez_compressed(
+        path,
+        uv_a_px=uv_a_px[on_target],
+        uv_b_px=found.uv_b_px[on_target],
+        visible=found.visible[on_target],
+        reason=found.reason[on_target],
+        p_G=found.p_G[on_target],
+        angle_rad=found.angle_rad[on_target],
+    )
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Write what the command line asks for, and say how many points both views see."""
+    parser = argparse.ArgumentParser(
+        prog="python -m polhode.simulation.dataset.correspondence",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("config", type=Path, metavar="CONFIG", help="configuration with a scene, YAML")
+    parser.add_argument(
+        "--frames", type=int, nargs=2, required=True, metavar=("A", "B"), help="counted from 0"
+    )
+    parser.add_argument("--cameras", type=int, nargs=2, default=(0, 0), metavar=("A", "B"), help="0: left")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.npz")
+    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="both images with points in colour")
+    options = parser.parse_args(words)
+    try:
+        print(_execute(options))
+    except InputError as error:
+        parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
+
+
+def _execute(options: argparse.Namespace) -> str:
+    for path in filter(None, (options.output, options.picture)):
+        if not path.parent.is_dir():
+            raise InputError(f"{path.parent} is not a folder: make it, or write {path.name} elsewhere")
+    config = load_config(options.config)
+    if config.scene is None:
+        raise InputError(f"{options.config} has no scene: give a configuration for polhode simulate")
+    plan = plan_sequence(config.scene, config.seed)
+    a, b = (view_of(plan, k, c) for k, c in zip(options.frames, options.cameras, strict=True))
+    found = dense_correspondence(RayCaster(plan.body), a, b)
+    write_correspondence(options.output, pixel_grid(a.camera), found)
+    if options.picture:
+        from polhode.simulation.figures.correspondence_picture import draw_correspondence
+
+        ends = list(zip(options.frames, options.cameras, strict=True))
+        draw_correspondence(plan, ends, found).save(options.picture, optimize=True)
+    seen = int((found.reason != Reason.OFF_TARGET).sum())
+    degrees = np.rad2deg(angle_between(a, b))
+    return (
+        f"{found.visible.sum()} of {seen} points are visible in both; the views are {degrees:.1f} deg apart"
+    )
+
+
+if __name__ == "__main__":
+    main()

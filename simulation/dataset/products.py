@@ -1,0 +1,125 @@
+"""Truth of every pixel, on request: depth, normals, target mask, shadow mask, albedo.
+
+One ray through each pixel's centre, distortion included, at the moment of the timestamp: neither motion nor
+the lens blurs the truth. Beside the target, numbers are NaN.
+"""
+
+import os
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TypeVar
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polhode.config.scene import Product
+from polhode.errors import InputError
+from polhode.lie import Array, inverse_pose
+from polhode.records import Bools, Ints
+from polhode.simulation.camera.cameras import Camera
+from polhode.simulation.rendering.raycast import Hits, RayCaster
+from polhode.simulation.rendering.render import Renderer
+
+T = TypeVar("T", bound=np.generic)
+
+CAST, AWAY = 1, 2
+"""Values of the shadow mask: another part stands before the Sun; the surface is turned away from it."""
+
+
+@dataclass(frozen=True)
+class Products:
+    """Truth of one image (H, W); what was not asked for is None."""
+
+    depth: Array | None = None
+    """(H, W) along the optical axis [m]"""
+    normals: Array | None = None
+    """(H, W, 3) unit, in the camera's axes, towards the camera: of the mesh's faces, as the depth has them"""
+    mask: Bools | None = None
+    """(H, W) the target"""
+    shadow: NDArray[np.uint8] | None = None
+    """(H, W) 1: another part stands before the Sun's centre; 2: turned away from it; 0: lit, or no target.
+    The body's own doing: an eclipse changes nothing here"""
+    albedo: Array | None = None
+    """(H, W) diffuse reflectance"""
+
+
+def render_products(
+    renderer: Renderer, camera: Camera, X_NK: Array, X_NG: Array, names: Iterable[Product]
+) -> Products:
+    """The truth that ``names`` ask for, of a camera at X_NK (4, 4) and the target at X_NG (4, 4)."""
+    asked = set(names)
+    X_GN = inverse_pose(X_NG)
+    X_GK = X_GN @ X_NK
+    hits = renderer.caster.first_hits(X_GK[:3, 3], camera.pixel_directions @ X_GK[:3, :3].T)
+    sun_N = np.array(renderer.light.sun_direction_N)
+    sun_G = X_GN[:3, :3] @ (sun_N / np.linalg.norm(sun_N))
+    shape = (camera.height_px, camera.width_px)
+    depth = normals = mask = shadow = albedo = None
+    if "depth" in asked:
+        along_axis = hits.distance_m * camera.pixel_directions[hits.ray, 2]
+        depth = _image(shape, hits.ray, along_axis, np.nan)
+    if "normals" in asked:
+        normals = _image(shape, hits.ray, hits.flat_normal_G @ X_GK[:3, :3], np.nan)
+    if "mask" in asked:
+        mask = _image(shape, hits.ray, np.ones(len(hits.ray), np.bool_), False)
+    if "shadow" in asked:
+        shadow = _image(shape, hits.ray, _shadow(renderer.caster, hits, sun_G), 0)
+    if "albedo" in asked:
+        surface = renderer.skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+        albedo = _image(shape, hits.ray, surface.albedo, np.nan)
+    return Products(depth, normals, mask, shadow, albedo)
+
+
+def _shadow(caster: RayCaster, hits: Hits, sun_G: Array) -> NDArray[np.uint8]:
+    away = hits.normal_G @ sun_G <= 0
+    return np.where(away, AWAY, np.where(caster.lit(hits, sun_G), 0, CAST)).astype(np.uint8)
+
+
+def _image(shape: tuple[int, int], pixel: Ints, values: NDArray[T], beside: float) -> NDArray[T]:
+    """Values (n, ...) at pixels (n,), counted row by row -> (H, W, ...)."""
+    image = np.full((shape[0] * shape[1], *values.shape[1:]), beside, values.dtype)
+    image[pixel] = values
+    return image.reshape(*shape, *values.shape[1:])
+
+
+def products_path(mav0: Path, camera_index: int, timestamp_ns: int) -> Path:
+    """File of one image's products, camera_index 0 (left) or 1 (right)."""
+    return mav0 / f"truth{camera_index}" / f"{timestamp_ns}.npz"
+
+
+def write_products(path: Path, products: Products) -> None:
+    """Write what there is, compressed, numbers as float32; the whole file or nothing."""
+    arrays = {f.name: getattr(products, f.name) for f in fields(Products)}
+    narrow = {
+        name: values.astype(np.float32) if values.dtype == np.float64 else values
+        for name, values in arrays.items()
+        if values is not None
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.stem}.partial-{os.getpid()}.npz")
+    try:
+        np.savez_compressed(partial, **narrow)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read_products(path: Path) -> Products:
+    """Read what ``write_products`` has written. Raises InputError: the file is missing or damaged."""
+    try:
+        with np.load(path) as archive:
+            arrays = {f.name: archive[f.name] for f in fields(Products) if f.name in archive.files}
+    except (OSError, EOFError, ValueError, BadZipFile, zlib.error) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{path}: no truth of pixels ({reason}); simulate with scene.render.products"
+        ) from None
+    return Products(
+        **{
+            name: values.astype(np.float64) if values.dtype == np.float32 else values
+            for name, values in arrays.items()
+        }
+    )

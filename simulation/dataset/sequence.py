@@ -1,0 +1,125 @@
+"""A simulated sequence, from the scene's description to the dataset on disk (CONTRACT.md)."""
+
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+
+import polhode
+from polhode.config import Config
+from polhode.config.loader import dump_config
+from polhode.config.scene import Scene
+from polhode.dataset_writer import (
+    write_camera_csv,
+    write_inspector,
+    write_sensor,
+    write_truth,
+    write_wrench,
+)
+from polhode.progress import Progress
+from polhode.simulation.camera.cameras import mount_pose
+from polhode.simulation.dataset.draft import Draft, drafted, require_free
+from polhode.simulation.dataset.painting import paint
+from polhode.simulation.dataset.plan import Plan, plan_sequence, truth_of
+from polhode.simulation.motion import known_wrench, reported_inspector
+
+__all__ = ["Plan", "plan_sequence", "require_free", "simulate", "truth_of", "write_sequence"]
+
+SCENE_FILE = "scene.yaml"
+"""The configuration that made the dataset, beside mav0/."""
+MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".mtl", ".png", ".jpg", ".jpeg")
+
+
+def simulate(
+    scene: Scene, seed: int, folder: Path, progress: Progress, workers: int = 1, overwrite: bool = False
+) -> Plan:
+    """Render a scene into the dataset ``folder``, with truth. The bytes do not depend on ``workers``.
+
+    Raises InputError: the folder is taken (``overwrite`` frees a dataset's), or the scene cannot be rendered.
+    """
+    require_free(folder, overwrite)
+    plan = plan_sequence(scene, seed)
+    write_sequence(plan, folder, progress, workers, overwrite)
+    return plan
+
+
+def write_sequence(
+    plan: Plan, folder: Path, progress: Progress, workers: int = 1, overwrite: bool = False
+) -> None:
+    """Render a plan into the dataset ``folder``; goes on where the same plan was interrupted.
+
+    Raises InputError as ``simulate``, RunFailure when a worker is killed, KeyboardInterrupt with a message.
+    """
+    description = describe_scene(plan.scene, plan.seed)
+    with drafted(folder, overwrite, _maker(plan, description)) as draft:
+        try:
+            _render(plan, draft, progress, workers)
+        except KeyboardInterrupt:
+            there = len(plan.frames) - len(draft.missing(plan.frames))
+            kept = f"; {there} of {len(plan.frames)} pairs are kept, the same command goes on from there"
+            raise KeyboardInterrupt("interrupted" + (kept if there else "")) from None
+        write_knowledge(plan, draft.mav0)
+        write_truth(draft.mav0, truth_of(plan))
+        (draft.path / SCENE_FILE).write_text(description, encoding="utf-8")
+
+
+def describe_scene(scene: Scene, seed: int) -> str:
+    """The configuration that makes the dataset, every default of the scene written out, as YAML."""
+    return dump_config(Config(seed=seed, scene=scene), keys=("seed", "scene"))
+
+
+def _maker(plan: Plan, description: str) -> str:
+    """What the images depend on, as a text: the scene, its mesh file, and the program itself."""
+    return f"{description}# program: {_program()}\n{_mesh_files(plan.scene.body.path)}"
+
+
+def _program() -> str:
+    """The sources that make the images, in short."""
+    home = Path(polhode.__path__[0])
+    sources = [*home.glob("*.py"), *(home / "config").rglob("*.py"), *(home / "simulation").rglob("*.py")]
+    digest = sha256()
+    for file in sorted(sources):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _mesh_files(path: str | None) -> str:
+    """The mesh file and what may colour it, by size and date."""
+    if path is None:
+        return ""
+    beside = Path(path).resolve().parent.iterdir()
+    files = [file for file in beside if file.suffix.lower() in MESH_SUFFIXES]
+    return "".join(f"# {f.name}: {f.stat().st_size} {f.stat().st_mtime_ns}\n" for f in sorted(files))
+
+
+def _render(plan: Plan, draft: Draft, progress: Progress, workers: int) -> None:
+    missing = draft.missing(plan.frames)
+    there = len(plan.frames) - len(missing)
+    title = f"rendering ({there} of {len(plan.frames)} were there)" if there else "rendering"
+    with progress.stage(title, len(missing)) as advance:
+        paint(plan, draft, missing, workers, advance)
+
+
+def write_knowledge(plan: Plan, mav0: Path) -> None:
+    """Write all that the estimator knows: calibration, times, the inspector's poses, known pushes."""
+    scene, X_BC = plan.scene, mount_pose(plan.scene.rig)
+    all_ns = plan.target.timestamps_ns[: scene.frames]
+    for index, camera in enumerate(plan.cameras):
+        path = mav0 / f"cam{index}"
+        write_sensor(
+            path,
+            camera.K,
+            camera.dist,
+            X_BC @ camera.X_CK,
+            camera.width_px,
+            camera.height_px,
+            rate_hz=1.0 / scene.interval_s,
+            bits=scene.sensor.bits,
+        )
+        write_camera_csv(path, all_ns[list(plan.frames)])
+    if (known := known_wrench(scene)) is not None:
+        write_wrench(mav0, *known)
+    if scene.inspector.moves and scene.inspector.reported:
+        X_NB = reported_inspector(scene, plan.X_NC, X_BC, np.random.default_rng([plan.seed, 0x1]))
+        sigma_theta_rad = float(np.deg2rad(scene.inspector.sigma_theta_deg))
+        write_inspector(mav0, all_ns, X_NB, scene.inspector.sigma_p_m, sigma_theta_rad)

@@ -1,0 +1,89 @@
+"""Two images side by side; points of one colour are the same point of the body."""
+
+import colorsys
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from polhode.images import to_grey
+from polhode.lie import Array
+from polhode.records import Bools, Ints
+from polhode.simulation.camera.sensor import Image as Grey
+from polhode.simulation.dataset.correspondence import Correspondence, Reason, pixel_grid
+from polhode.simulation.dataset.painting import Painter
+from polhode.simulation.dataset.plan import Plan
+
+Rgb = NDArray[np.uint8]
+UNSEEN = (110, 110, 110)
+ENLARGED, MARGIN_PX = 2, 8
+SHIFT = 4
+"""Circles are drawn at 1/2^SHIFT of a pixel."""
+
+
+def draw_correspondence(
+    plan: Plan, ends: Sequence[tuple[int, int]], found: Correspondence, points: int = 160
+) -> Image.Image:
+    """Images of ``ends``, (frame, camera) twice, around the target, with about so many points of ``found``.
+
+    ``found`` is the dense field. Coloured: visible in both; grey rings: seen in the first only.
+    """
+    on_target = found.reason != Reason.OFF_TARGET
+    step = max(1, round(np.sqrt(on_target.sum() / points)))
+    chosen = np.zeros_like(on_target)
+    chosen[step // 2 :: step, step // 2 :: step] = True
+    chosen &= on_target
+    uv_a, uv_b = pixel_grid(plan.cameras[ends[0][1]])[chosen], found.uv_b_px[chosen]
+    colours, visible = _colours(uv_a), found.visible[chosen]
+    painter = Painter(plan)
+    images = [painter.image(*end) for end in ends]
+    corners_px, size_px = _boxes([picture.covered > 0 for _, picture in images])
+    panels = []
+    for k, (uv, shown) in enumerate([(uv_a, np.ones_like(visible)), (uv_b, visible)]):
+        panel = _panel(images[k][0], plan.scene.sensor.bits, corners_px[k], size_px)
+        at = ENLARGED * (uv - corners_px[k] + 0.5) - 0.5
+        for n in np.flatnonzero(shown):
+            _circle(panel, at[n], colours[n] if visible[n] else UNSEEN, filled=bool(visible[n]))
+        panels.append(panel)
+    gap = np.full((panels[0].shape[0], 4, 3), 60, np.uint8)
+    return Image.fromarray(np.hstack([panels[0], gap, panels[1]]))
+
+
+def _boxes(covered: list[Bools]) -> tuple[list[Ints], tuple[int, int]]:
+    """Left upper corners (u, v) and the one size (w, h) of boxes around the target in each image (H, W)."""
+    height, width = covered[0].shape
+    sides = [[np.flatnonzero(mask.any(axis=axis)) for axis in (0, 1)] for mask in covered]
+    spans = [[(int(s[0]), int(s[-1])) if len(s) else (0, 0) for s in side] for side in sides]
+    size = [max(span[k][1] - span[k][0] for span in spans) + 1 + 2 * MARGIN_PX for k in (0, 1)]
+    w, h = min(size[0], width), min(size[1], height)
+    return [
+        np.array([np.clip(sum(u) // 2 - w // 2, 0, width - w), np.clip(sum(v) // 2 - h // 2, 0, height - h)])
+        for u, v in spans
+    ], (w, h)
+
+
+def _panel(image: Grey, bits: int, corner_px: Ints, size_px: tuple[int, int]) -> Rgb:
+    """A box of the image, enlarged, grey as RGB (h, w, 3)."""
+    (left, top), (w, h) = corner_px, size_px
+    grey = to_grey(image, bits)[top : top + h, left : left + w]
+    large = cv2.resize(grey, (ENLARGED * w, ENLARGED * h), interpolation=cv2.INTER_LINEAR)
+    return np.repeat(large[..., None], 3, axis=2).astype(np.uint8)
+
+
+def _colours(uv_px: Array) -> list[tuple[int, int, int]]:
+    """Hue by the direction from the middle of the points (n, 2), paler towards it."""
+    offset = uv_px - uv_px.mean(axis=0)
+    hue = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) % 1.0
+    reach = np.linalg.norm(offset, axis=1)
+    pure = 0.35 + 0.65 * reach / reach.max(initial=1.0)
+    rgb = [colorsys.hsv_to_rgb(h, s, 1.0) for h, s in zip(hue, pure, strict=True)]
+    return [(round(255 * r), round(255 * g), round(255 * b)) for r, g, b in rgb]
+
+
+def _circle(image: Rgb, uv_px: Array, colour: tuple[int, int, int], filled: bool) -> None:
+    at = np.rint(uv_px * 2**SHIFT).astype(int).tolist()
+    if filled:
+        cv2.circle(image, at, 4 * 2**SHIFT, (0, 0, 0), -1, cv2.LINE_AA, SHIFT)
+    cv2.circle(image, at, 3 * 2**SHIFT, colour, -1 if filled else 1, cv2.LINE_AA, SHIFT)

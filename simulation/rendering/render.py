@@ -1,0 +1,119 @@
+"""One image: rays, hits, materials, light, and the mean over the samples of each pixel."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from polhode.config import scene as config
+from polhode.lie import Array, inverse_pose
+from polhode.records import Ints
+from polhode.simulation.bodies import Body
+from polhode.simulation.camera.cameras import Camera, sample_offsets
+from polhode.simulation.rendering.disc import Stratum, rays_over_disc
+from polhode.simulation.rendering.indirect import IndirectLight
+from polhode.simulation.rendering.light import Lights, lights_in_body
+from polhode.simulation.rendering.mirror import Mirror
+from polhode.simulation.rendering.raycast import Hits, RayCaster
+from polhode.simulation.rendering.shading import Arriving, shade
+from polhode.simulation.rendering.skin import Skin
+from polhode.simulation.surface.materials import Surface
+
+PIXELS_A_PROBE = 60
+"""Probes of indirect light are as fine as the image asks for,"""
+PROBES = (2000, 8000)
+"""within these numbers."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What the lens forms on the sensor."""
+
+    level: Array
+    """(H, W) light, 1 for a white surface that faces the Sun"""
+    covered: Array
+    """(H, W) share of each pixel that the target covers"""
+
+
+class Renderer:
+    """A body and its light, ready to be seen from anywhere."""
+
+    def __init__(self, body: Body, scene: config.Scene, seed: int) -> None:
+        self._body = body
+        self._light = scene.light
+        self._samples = scene.render.samples
+        self._caster = RayCaster(body)
+        self._skin = Skin(body, scene.body, seed)
+        self._bounces = scene.render.bounces
+        pixels = scene.rig.width_px * scene.rig.height_px
+        self._probes = int(np.clip(pixels // PIXELS_A_PROBE, *PROBES))
+
+    @property
+    def caster(self) -> RayCaster:
+        """The body, ready for rays."""
+        return self._caster
+
+    @property
+    def skin(self) -> Skin:
+        """Its surface."""
+        return self._skin
+
+    @property
+    def light(self) -> config.Light:
+        """The scene's light."""
+        return self._light
+
+    @cached_property
+    def _indirect(self) -> IndirectLight:
+        """Built when first needed: it takes a second."""
+        return IndirectLight(self._body, self._caster, self._skin, self._bounces, self._probes)
+
+    def picture(self, camera: Camera, X_NK: Array, X_NG: Array, t_s: float = 0.0) -> Picture:
+        """Render what a camera at X_NK sees of the target at X_NG, t_s after the first frame.
+
+        Poses are (4, 4), or (S, 4, 4) with one pose per sample of a pixel: that blurs what moves.
+        """
+        offsets = sample_offsets(self._samples)
+        poses_NK, poses_NG = (np.broadcast_to(X, (len(offsets), 4, 4)) for X in (X_NK, X_NG))
+        level, covered = np.zeros((2, camera.width_px * camera.height_px))
+        for i, (X_NK, X_NG) in enumerate(zip(poses_NK, poses_NG, strict=True)):
+            X_GN = inverse_pose(X_NG)
+            X_GK = X_GN @ X_NK
+            lights = lights_in_body(self._light, X_GN, X_GK @ inverse_pose(camera.X_CK), t_s)
+            pixels = self._pixels_near_body(camera, X_GK)
+            rays_G = _directions(camera, pixels, offsets[i]) @ X_GK[:3, :3].T
+            hits = self._caster.first_hits(X_GK[:3, 3], rays_G)
+            surface = self._skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+            to_viewer = -rays_G[hits.ray]
+            stratum = Stratum(pixels[hits.ray], i, len(offsets))
+            to_sun = rays_over_disc(lights.sun_direction_G, lights.sun_radius_rad, stratum)
+            arriving = self._arriving(hits, surface, to_viewer, lights, stratum)
+            level[stratum.pixel] += shade(hits, surface, to_viewer, lights, self._caster, to_sun, arriving)
+            covered[stratum.pixel] += 1.0
+        shape = (camera.height_px, camera.width_px)
+        return Picture(level.reshape(shape) / len(offsets), covered.reshape(shape) / len(offsets))
+
+    def _arriving(
+        self, hits: Hits, surface: Surface, to_viewer_G: Array, lights: Lights, stratum: Stratum
+    ) -> Arriving | None:
+        """What n hits receive by way of the body itself."""
+        if lights.earth == 0 and not self._bounces:
+            return None
+        around = self._indirect.at(hits, lights)
+        mirror = Mirror(self._caster, self._skin, self._indirect, self._bounces)
+        mirrored = mirror.level(hits, surface, to_viewer_G, lights, around, stratum)
+        return Arriving(around.bounced(surface.normal_G), around.earth_share(), mirrored)
+
+    def _pixels_near_body(self, camera: Camera, X_GK: Array) -> Ints:
+        """Pixels whose ray passes the body's bounding sphere."""
+        centre_K = inverse_pose(X_GK)[:3, 3]
+        distance = float(np.linalg.norm(centre_K))
+        margin_rad = 2.0 / camera.K[0, 0]
+        angle = np.arcsin(min(self._body.radius_m / distance, 1.0)) + margin_rad
+        return np.flatnonzero(camera.pixel_directions @ (centre_K / distance) > np.cos(angle))
+
+
+def _directions(camera: Camera, pixels: Ints, offset_px: Array) -> Array:
+    """Unit rays (n, 3) in the camera, through pixels (n,) at one offset (2,) from their centres."""
+    v, u = np.divmod(pixels, camera.width_px)
+    return camera.directions(np.stack([u, v], axis=1) + offset_px)

@@ -1,0 +1,166 @@
+"""The Earth behind the target: oceans, land and clouds in sunlight, and the thin bright limb of its air.
+
+The ball has radius 1. Its air scatters as one layer: light along the view grows with the air mass as
+1 - exp(-depth), and falls off above the ground with a scale height of 8 km. The air mass is Rozenberg's
+("Twilight", 1966), 1 / (c + 0.025 exp(-11 c)) at cosine c from the zenith. Clouds and coasts are noise, its
+finest grain some 5 km. Patterns stand still: neither the orbit nor the Earth's rotation moves them.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from polhode.config import scene as config
+from polhode.errors import InputError
+from polhode.lie import Array, exp_so3
+from polhode.simulation.camera.cameras import Camera
+from polhode.simulation.rendering.light import sunlight
+from polhode.simulation.surface.noise import fractal_at
+
+FULL_DISC = 0.22
+"""Mean radiance of the full disc relative to a white surface, over many seeds: ``light.earth`` scales it."""
+SCALE_HEIGHT = 8.0 / 6371.0
+DEPTH = 0.16
+"""Optical depth of the clear sky straight down."""
+SKY = 0.42
+"""Reflectance of an endlessly deep sky."""
+LIMB_AIR_MASS = 40.0
+TOP = 12.0
+"""Height above which nothing scatters, in scale heights."""
+
+
+class Earth:
+    """The Earth's disc, where ``light.earth_direction_N`` points."""
+
+    def __init__(self, light: config.Light, seed: int) -> None:
+        """Raises InputError: the disc is wider than half the sky."""
+        if light.earth_radius_deg >= 90:
+            raise InputError(
+                f"scene.light.earth_radius_deg: {light.earth_radius_deg:g} degrees hide half the sky or "
+                "more; give less than 90 (66 at 600 km)"
+            )
+        self._light = light
+        self._seed = seed
+        self._middle_N = _unit(light.earth_direction_N)
+        self._sun_N = _unit(light.sun_direction_N)
+        # The noise has a grain along its axes, which must not lie along those of an image.
+        self._turn = exp_so3(np.random.default_rng([seed, 0x5]).normal(size=3))
+        self._distance = 1.0 / np.sin(np.deg2rad(light.earth_radius_deg))
+        self._known: dict[bytes, Array] = {}
+
+    def level(self, camera: Camera, X_NK: Array, t_s: float) -> Array:
+        """Light (H, W) of a camera's view at X_NK (4, 4), t_s after the first frame."""
+        factor = sunlight(self._light, t_s)
+        if factor * self._light.earth == 0.0:
+            return np.zeros((camera.height_px, camera.width_px))
+        return factor * self._light.earth / FULL_DISC * self._reflectance(camera, X_NK[:3, :3])
+
+    def hides(self, direction_N: Array) -> Array:
+        """Whether the Earth stands before directions (n, 3)."""
+        return np.asarray(direction_N @ self._middle_N > np.sqrt(1.0 - self._distance**-2))
+
+    def _reflectance(self, camera: Camera, R_NK: Array) -> Array:
+        """Light (H, W) relative to a white surface in sunlight; remembered while the camera does not turn."""
+        key = R_NK.tobytes() + camera.X_CK.tobytes()
+        known = self._known.get(key)
+        if known is None:
+            rays_N = camera.pixel_directions @ R_NK.T
+            directions = (rays_N @ self._turn, self._middle_N @ self._turn, self._sun_N @ self._turn)
+            flat = _reflectance(*directions, self._distance, 1.0 / camera.K[0, 0], self._seed)
+            # Two cameras: more poses than these two means that they turn, and none comes back.
+            if len(self._known) >= 2:
+                self._known.clear()
+            known = np.asarray(flat).reshape(camera.height_px, camera.width_px)
+            self._known[key] = known
+        return known
+
+
+def _unit(vector: tuple[float, float, float]) -> Array:
+    return np.asarray(np.asarray(vector) / np.linalg.norm(vector))
+
+
+@njit(cache=True)
+def _reflectance(
+    rays: Array, middle: Array, sun: Array, distance: float, pixel_rad: float, seed: int
+) -> Array:
+    """Light (n,) along unit rays (n, 3), of a ball of radius 1 at a distance; a white surface sends 1."""
+    out = np.zeros(len(rays))
+    for i in range(len(rays)):
+        ray = rays[i]
+        ahead = distance * float(ray @ middle)
+        miss = math.sqrt(max(distance * distance - ahead * ahead, 0.0))
+        if ahead <= 0.0 or miss > 1.0 + TOP * SCALE_HEIGHT:
+            continue
+        on_ball = min(max((1.0 - miss) / (ahead * pixel_rad) + 0.5, 0.0), 1.0)
+        if on_ball < 1.0:
+            tangent = ahead * ray - distance * middle
+            day = _daylight(float(tangent @ sun) / miss)
+            depth = 2.0 * LIMB_AIR_MASS * DEPTH * math.exp(-max(miss - 1.0, 0.0) / SCALE_HEIGHT)
+            out[i] += (1.0 - on_ball) * day * SKY * (1.0 - math.exp(-depth))
+        if on_ball > 0.0:
+            up = math.sqrt(max(1.0 - miss * miss, 0.0))
+            place = (ahead - up) * ray - distance * middle
+            footprint = (ahead - up) * pixel_rad / max(up, 0.02)
+            out[i] += on_ball * _disc(place, up, ray, sun, footprint, seed)
+    return out
+
+
+@njit(cache=True)
+def _disc(place: Array, up: float, ray: Array, sun: Array, footprint: float, seed: int) -> float:
+    """Light from a place on the ball (3,), seen along a ray at cosine ``up`` from its zenith."""
+    sun_up = float(place @ sun)
+    day = _daylight(sun_up)
+    if day == 0.0:
+        return 0.0
+    clear = math.exp(-DEPTH * _air_mass(up))
+    ground, clouds = _surface(place, footprint, seed)
+    direct = max(sun_up, 0.0) * math.exp(-DEPTH * _air_mass(max(sun_up, 0.0)))
+    half = sun - ray
+    tilt = float(half @ place) ** 2 / float(half @ half)
+    glint = 0.12 * math.exp(-(1.0 / max(tilt, 1e-3) - 1.0) / 0.03) if ground < 0.06 else 0.0
+    below = (1.0 - clouds) * (ground + glint) + clouds * (0.5 + 0.35 * clouds)
+    return clear * below * (direct + 0.12 * day) + day * SKY * (1.0 - clear)
+
+
+@njit(cache=True)
+def _surface(place: Array, footprint: float, seed: int) -> tuple[float, float]:
+    """Reflectance of the ground at a place, and share of it under clouds; no grain below the footprint."""
+    x, y, z = place
+    finest = max(int(math.log2(0.25 / footprint)), 2)
+    region, gx, gy, gz = fractal_at(2.5 * x, 2.5 * y, 2.5 * z, 2, seed + 11)
+    # Along the lines of equal pressure: the gradient turned about the vertical.
+    x, y, z = x + 0.03 * (y * gz - z * gy), y + 0.03 * (z * gx - x * gz), z + 0.03 * (x * gy - y * gx)
+    wisps, _, _, _ = fractal_at(8.0 * x, 8.0 * y, 8.0 * z, 4, seed + 22)
+    thick = wisps + 0.8 * region
+    if thick > -0.5 and finest > 4:
+        puffs, _, _, _ = fractal_at(90.0 * x, 90.0 * y, 90.0 * z, min(finest - 4, 5), seed + 33)
+        thick += puffs
+    clouds = _ramp(thick, 0.03, 0.65)
+    if clouds > 0.95:
+        return 0.03, clouds
+    x, y, z = place
+    land, _, _, _ = fractal_at(1.3 * x, 1.3 * y, 1.3 * z, 4, seed)
+    if abs(land - 0.1) < 0.25:
+        land, _, _, _ = fractal_at(1.3 * x, 1.3 * y, 1.3 * z, min(finest, 9), seed)
+    if land < 0.1:
+        return 0.03, clouds
+    dry, _, _, _ = fractal_at(9.0 * x, 9.0 * y, 9.0 * z, min(finest, 5), seed + 44)
+    return 0.12 + 0.12 * dry, clouds
+
+
+@njit(cache=True)
+def _air_mass(up: float) -> float:
+    return 1.0 / (up + 0.025 * math.exp(-11.0 * up))
+
+
+@njit(cache=True)
+def _daylight(sun_up: float) -> float:
+    """Light of the sky where the Sun's cosine from the zenith is ``sun_up``; dusk ends at -7 degrees."""
+    return 1.0 - math.exp(-max(sun_up + 0.12, 0.0) / 0.12)
+
+
+@njit(cache=True)
+def _ramp(value: float, low: float, high: float) -> float:
+    t = min(max((value - low) / (high - low), 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
