@@ -85,7 +85,7 @@ def measure(
 
 def polhode(*arguments: str, may_fail: bool = False) -> None:
     """The program, as a user calls it."""
-    done = subprocess.run([sys.executable, "-m", "pipeline", *arguments], cwd=ROOT, check=False)
+    done = subprocess.run([sys.executable, "-m", "polhode", *arguments], cwd=ROOT, check=False)
     if done.returncode > (1 if may_fail else 0):
         raise SystemExit(done.returncode)
 

@@ -121,7 +121,7 @@ def test_sequences() -> list[Path]:
     for config in sorted((ROOT / "configs/depth_test").glob("*.yaml")):
         folder = ROOT / "data/depth_test" / config.stem
         if not (folder / "mav0/target0").is_dir():
-            command = [sys.executable, "-m", "pipeline", "simulate", str(config), "-o", str(folder)]
+            command = [sys.executable, "-m", "polhode", "simulate", str(config), "-o", str(folder)]
             subprocess.run(command, cwd=ROOT, check=True)
         folders.append(folder)
     return folders

@@ -23,7 +23,7 @@ from polhode.planning.exports.records import Placement, shape_of_surface
 from polhode.quaternion import matrix_from_wxyz
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
-from tests.pipeline.test_export import document, export, run, write_example
+from tests.pipeline.products.test_export import document, export, run, write_example
 
 __all__ = ["run"]
 ROOT = Path(__file__).parents[2]

@@ -1,0 +1,303 @@
+"""The program as a user meets it: exit codes, one line on standard error, help, the last line."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import polhode.pipeline.run
+from polhode.cli.commands import COMMANDS, Evaluate
+from polhode.cli.main import main, squash
+from polhode.cli.overrides import option_names
+from polhode.config import Config
+from polhode.dataset_writer import write_camera_csv, write_png
+from polhode.errors import RunFailure
+
+Capture = pytest.CaptureFixture[str]
+ROOT = Path(__file__).parents[2]
+
+
+def error_line(arguments: list[str], capsys: Capture, code: int = 2) -> str:
+    """Run; check the exit code and that standard error is exactly one line; return it."""
+    assert main(arguments) == code
+    stderr = capsys.readouterr().err
+    assert stderr.startswith("polhode: error: ")
+    assert stderr.endswith("\n")
+    assert stderr.count("\n") == 1
+    return stderr
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "config.yaml"
+    path.write_text("seed: 1\n")
+    return path
+
+
+def run_arguments(config: Path, data: Path, output: Path, *more: str) -> list[str]:
+    return ["run", str(config), "--data", str(data), "-o", str(output), *more]
+
+
+BAD_USAGE: dict[str, tuple[list[str], str]] = {
+    "nothing": ([], "a command is missing: simulate, run, evaluate"),
+    "unknown command": (["rnu"], "unknown command 'rnu'; did you mean run?"),
+    "no arguments": (["run"], "Missing from polhode run: CONFIG"),
+    "no output": (["run", "c.yaml", "--data", "S"], "-o RUN, --output RUN"),
+    "no value": (["run", "c.yaml", "--data"], "Missing value for argument '--data'"),
+    "unknown option": (
+        ["run", "c.yaml", "--data", "S", "-o", "R", "--overwite"],
+        "unknown option '--overwite'; did you mean --overwrite?",
+    ),
+    "unknown key": (
+        ["run", "c.yaml", "--data", "S", "-o", "R", "--bakend.inertia", "x"],
+        "unknown option '--bakend.inertia'; did you mean --backend.inertia?",
+    ),
+    "one word too many": (["evaluate", "R", "S", "T"], "unexpected argument 'T'"),
+    "override without value": (
+        ["run", "c.yaml", "--data", "S", "-o", "R", "--seed"],
+        "--seed: a value is missing",
+    ),
+    "override of no config": (["evaluate", "R", "S", "--seed", "1"], "'evaluate' reads no configuration"),
+    "no such config": (["run", "c.yaml", "--data", "S", "-o", "R"], "c.yaml is missing"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_USAGE)
+def test_bad_usage_is_one_line_and_exit_2(name: str, capsys: Capture) -> None:
+    arguments, expected = BAD_USAGE[name]
+    assert expected in error_line(arguments, capsys)
+
+
+def test_a_bad_configuration_is_one_line_and_exit_2(config: Path, tmp_path: Path, capsys: Capture) -> None:
+    arguments = run_arguments(config, tmp_path, tmp_path / "run")
+    config.write_text("backend: {inerta: ratios_axes}\n")
+    assert f"{config}: unknown key 'backend.inerta'; did you mean inertia?" in error_line(arguments, capsys)
+    config.write_text("backend: {accel_psd: small}\n")
+    assert f"{config}: key 'backend.accel_psd': expected a number" in error_line(arguments, capsys)
+    config.write_text("backend: {inertia: ratios}\n")
+    assert "expected one of second_moments, ratios_axes" in error_line(arguments, capsys)
+    config.write_text("")
+    line = error_line([*arguments, "--backend.accel-psd", "small"], capsys)
+    assert "command line: key 'backend.accel_psd': expected a number, got text 'small'" in line
+
+
+def camera(folder: Path, index: int) -> Path:
+    return folder / "mav0" / f"cam{index}"
+
+
+def images(folder: Path) -> list[Path]:
+    return sorted(camera(folder, 0).glob("data/*.png"))
+
+
+def stamps(folder: Path) -> list[int]:
+    return [int(path.stem) for path in images(folder)]
+
+
+def no_calibration(folder: Path) -> None:
+    (camera(folder, 1) / "sensor.yaml").unlink()
+
+
+def nan_calibration(folder: Path) -> None:
+    path = camera(folder, 0) / "sensor.yaml"
+    path.write_text(path.read_text().replace("[50.0", "[.nan"))
+
+
+def empty_list(folder: Path) -> None:
+    (camera(folder, 0) / "data.csv").write_text("#timestamp [ns],filename\n")
+
+
+def time_goes_back(folder: Path) -> None:
+    write_camera_csv(camera(folder, 0), stamps(folder)[::-1])
+
+
+def truncated(folder: Path) -> None:
+    for path in images(folder)[:4]:
+        path.write_bytes(path.read_bytes()[:500])
+
+
+def missing_images(folder: Path) -> None:
+    for path in images(folder)[:4]:
+        path.unlink()
+
+
+def wrong_size(folder: Path) -> None:
+    for path in images(folder):
+        write_png(path, np.full((40, 64), 200, dtype=np.uint8))
+
+
+def two_pairs(folder: Path) -> None:
+    write_camera_csv(camera(folder, 1), stamps(folder)[:2])
+    write_camera_csv(camera(folder, 0), stamps(folder)[:2])
+
+
+def black(folder: Path) -> None:
+    for path in folder.glob("mav0/cam*/data/*.png"):
+        write_png(path, np.zeros((48, 64), dtype=np.uint8))
+
+
+BAD_DATA: dict[str, tuple[Callable[[Path], None], str]] = {
+    "no calibration": (no_calibration, "cam1/sensor.yaml is missing"),
+    "NaN in the calibration": (nan_calibration, "'intrinsics': holds NaN"),
+    "empty data.csv": (empty_list, "cam0/data.csv is empty"),
+    "time goes back": (time_goes_back, "goes back"),
+    "images truncated": (truncated, "4 of 6 frames are missing, unpaired or unreadable"),
+    "images missing": (missing_images, "4 of 6 frames are missing, unpaired or unreadable"),
+    "images of wrong size": (wrong_size, "wrong size, 64x40 px instead of 64x48 px"),
+    "two pairs": (two_pairs, "at least 3 are needed"),
+    "black frames": (black, "all frames are black"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_DATA)
+def test_bad_data_is_one_line_exit_2_and_leaves_nothing(
+    small_sequence: Path, config: Path, tmp_path: Path, name: str, capsys: Capture
+) -> None:
+    damage, expected = BAD_DATA[name]
+    damage(small_sequence)
+    before = sorted(tmp_path.iterdir())
+    line = error_line(run_arguments(config, small_sequence, tmp_path / "run"), capsys)
+    assert expected in line
+    assert str(small_sequence) in line
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_missing_folder_is_one_line_and_exit_2(config: Path, tmp_path: Path, capsys: Capture) -> None:
+    line = error_line(run_arguments(config, tmp_path / "none", tmp_path / "run"), capsys)
+    assert f"{tmp_path / 'none'} is not a folder" in line
+
+
+def old_run(folder: Path) -> dict[str, bytes]:
+    folder.mkdir()
+    (folder / "summary.json").write_text("{}")
+    (folder / "trajectory.csv").write_text("old")
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("more", [[], ["--overwrite"]])
+def test_a_run_that_exists_is_refused_or_stays_whole_when_the_new_one_is_bad(
+    small_sequence: Path, config: Path, tmp_path: Path, more: list[str], capsys: Capture
+) -> None:
+    content = old_run(tmp_path / "run")
+    if more:
+        truncated(small_sequence)
+    line = error_line(run_arguments(config, small_sequence, tmp_path / "run", *more), capsys)
+    assert ("--overwrite" in line) != bool(more)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()} == content
+
+
+def test_a_folder_that_is_no_run_is_never_overwritten(
+    small_sequence: Path, config: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "thesis.txt").write_text("mine")
+    error_line(run_arguments(config, small_sequence, precious, "--overwrite"), capsys)
+    assert (precious / "thesis.txt").read_text() == "mine"
+
+
+def test_simulate_without_a_scene_is_one_line_and_exit_2(
+    config: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    assert "no 'scene' to simulate" in error_line(
+        ["simulate", str(config), "-o", str(tmp_path / "s")], capsys
+    )
+
+
+@dataclass(frozen=True)
+class Result:
+    status: str
+    report_path: Path
+    sentence: str = "Found it."
+    failure: str | None = None
+
+
+@pytest.mark.parametrize(("status", "code"), [("ok", 0), ("degraded", 0), ("failed", 1)])
+def test_the_last_line_of_a_run_ends_with_the_report_however_long(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, status: str, code: int
+) -> None:
+    report = tmp_path / ("long name " * 20) / "report.html"
+    seen: list[Any] = []
+
+    def fake(values: Config, *arguments: Any, **more: Any) -> Result:
+        seen.append(values)
+        return Result(status, report, failure="the solver stopped" if status == "failed" else None)
+
+    monkeypatch.setattr(polhode.pipeline.run, "run", fake)
+    arguments = run_arguments(config, tmp_path, tmp_path / "run", "--backend.inertia", "ratios_axes")
+    assert main(arguments) == code
+    assert capsys.readouterr().out.splitlines()[-1].endswith(str(report))
+    assert (seen[0].seed, seen[0].backend.inertia) == (1, "ratios_axes")
+
+
+def test_a_failed_run_is_one_line_and_exit_1(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    def fail(*arguments: Any, **more: Any) -> None:
+        raise RunFailure("no motion fits")
+
+    monkeypatch.setattr(polhode.pipeline.run, "run", fail)
+    line = error_line(run_arguments(config, tmp_path, tmp_path / "run"), capsys, code=1)
+    assert "no motion fits" in line
+
+
+def test_an_unexpected_error_shows_its_traceback_only_with_debug(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    def fail(command: Evaluate) -> int:
+        raise ZeroDivisionError("a\nb")
+
+    monkeypatch.setattr(Evaluate, "execute", fail)
+    assert "ZeroDivisionError: a b" in error_line(["evaluate", "R", "S"], capsys, code=1)
+    assert main(["--debug", "evaluate", "R", "S"]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_help_lists_every_command_and_every_value_with_its_default(capsys: Capture) -> None:
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in COMMANDS)
+    for command, not_its in (("simulate", "--train"), ("train", "--scene")):
+        assert main([command, "--help"]) == 0
+        text = capsys.readouterr().out
+        assert [name for name in option_names() if name not in text and not name.startswith(not_its)] == []
+        assert "(default: 1e-06)" in text
+
+
+def test_help_of_run_lists_the_stages(capsys: Capture) -> None:
+    # Even when the rest of the line is not yet right.
+    assert main(["run", "missing.yaml", "--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(option in text for option in option_names() if not option.startswith(("--scene", "--train")))
+
+
+def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
+    heavy = "numpy scipy torch cv2 casadi numba kornia trimesh plotly skimage"
+    code = (
+        "import sys; from pipeline.cli import main; assert main(['run', '--help']) == 0;"
+        f"sys.exit(' '.join(set('{heavy}'.split()) & set(sys.modules)) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_program_itself_exits_with_the_code() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "polhode", "run", "none.yaml", "--data", "S", "-o", "R"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr == "polhode: error: none.yaml is missing: give an existing configuration file\n"
+    assert done.stdout == ""
+
+
+def test_a_box_becomes_one_line() -> None:
+    box = "╭─ Wrong ───╮\n│ No such   │\n│ thing.    │\n│ ───────── │\n│ For help  │\n╰───────────╯\n"
+    assert squash(box) == "Wrong: No such thing."

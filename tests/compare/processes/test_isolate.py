@@ -1,0 +1,112 @@
+"""A solver that crashes, hangs, lies or is missing costs its own row."""
+
+from pathlib import Path
+
+import pytest
+
+from polhode.compare.judging.judge import judge
+from polhode.compare.problem.measured_problem import load
+from polhode.compare.processes.child import storable
+from polhode.compare.processes.isolate import row_of
+from polhode.compare.registry import ENTRIES, Entry, entries
+from polhode.compare.tables.rows import Case, Row
+from polhode.errors import InputError
+
+CASE = Case(problem="small", solver="faulty", start="cold", seed=0)
+
+
+def row(small_file: Path, how: str, limit_s: float = 60.0) -> Row:
+    entry = Entry("faulty", "tests", "ok", "misbehaves", "tests.compare.faulty", "Faulty", (("how", how),))
+    return row_of(small_file, entry, CASE, limit_s)
+
+
+def assert_start_is_kept(found: Row, small_file: Path) -> None:
+    """The common cost of the point that it noted, whatever cost it told itself."""
+    problem = load(small_file)
+    at_start = judge(problem, problem.cold)
+    assert found.kept == "best"
+    assert found.cost == at_start.cost and found.k1 == at_start.k1
+    assert found.errors == at_start.errors is not None
+    assert found.evaluation_s is None and "before its times were read" in found.not_separable
+
+
+def test_a_crash_is_a_failed_row_with_what_was_reached(small_file: Path) -> None:
+    found = row(small_file, "crashes")
+    assert found.status == "failed"
+    assert "SIGABRT" in found.message
+    assert len(found.trace) == 1
+    assert_start_is_kept(found, small_file)
+
+
+def test_a_process_that_ends_without_an_answer_is_a_failed_row(small_file: Path) -> None:
+    found = row(small_file, "exits")
+    assert found.status == "failed"
+    assert "ended with 3" in found.message
+
+
+def test_one_that_hangs_is_ended_at_its_limit(small_file: Path) -> None:
+    found = row(small_file, "hangs", limit_s=12.0)
+    assert found.status == "timeout"
+    assert "12 s" in found.message and "the best point is kept" in found.message
+    assert_start_is_kept(found, small_file)
+    # its clock began when its process had read the problem
+    assert found.wall_s is not None and 2.0 < found.wall_s < 12.5
+    assert found.memory_mb is not None and found.memory_mb > 50.0
+
+
+def test_of_one_that_notes_no_point_nothing_is_kept(small_file: Path) -> None:
+    found = row(small_file, "hangs dumbly", limit_s=12.0)
+    assert (found.status, found.kept, found.cost) == ("timeout", "nothing", None)
+    assert "3 of 20 frames were in; nothing is kept" in found.message
+
+
+def test_an_exception_is_told_in_a_line(small_file: Path) -> None:
+    found = row(small_file, "raises")
+    assert found.status == "failed"
+    assert found.message == "ValueError: no such luck"
+
+
+def test_convergence_that_the_common_cost_does_not_confirm_is_a_failure(small_file: Path) -> None:
+    found = row(small_file, "lies")
+    assert found.status == "failed"
+    assert "left to gain" in found.message
+    assert found.cost is not None and found.gain_left is not None and found.gain_left > 1e-6
+
+
+def test_a_point_without_a_cost_is_a_failure(small_file: Path) -> None:
+    found = row(small_file, "nonsense")
+    assert found.status == "failed"
+    assert found.cost is None
+
+
+def test_numbers_that_are_not_finite_are_none_in_a_row(small_file: Path) -> None:
+    nested = {
+        "cost": float("inf"),
+        "errors": {"k1": float("nan"), "k2": 1.0},
+        "trace": [(0.0, 1.0)],
+        "status": "ok",
+    }
+    assert storable(nested) == {**nested, "cost": None, "errors": {"k1": None, "k2": 1.0}}
+
+
+def test_the_child_takes_our_packages_wherever_it_is_started(
+    small_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A foreign package of our name in the working directory is not taken for ours."""
+    (tmp_path / "backend").mkdir()
+    (tmp_path / "backend" / "__init__.py").write_text("raise RuntimeError('foreign')")
+    monkeypatch.chdir(tmp_path)
+    assert row(small_file, "raises").message == "ValueError: no such luck"
+
+
+def test_a_missing_package_is_a_row_that_names_it(small_file: Path) -> None:
+    entry = Entry("x", "tests", "ok", "", "ours", "Ours", needs=("no_such_package_anywhere",))
+    found = row_of(small_file, entry, CASE, 10.0)
+    assert found.status == "missing"
+    assert "no_such_package_anywhere" in found.message
+
+
+def test_names_of_solvers_are_unique_and_a_wrong_one_is_told() -> None:
+    assert len({entry.name for entry in ENTRIES}) == len(ENTRIES)
+    with pytest.raises(InputError, match="did you mean ceres"):
+        entries(("ceress",))

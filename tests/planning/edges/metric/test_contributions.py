@@ -1,0 +1,113 @@
+"""Contributions of edges: they add up, they are the rise to first order, they are painted."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from polhode.planning.edges.metric.contributions import contributions
+from polhode.planning.edges.metric.edge_motion import edge_motion
+from polhode.planning.edges.metric.information import FeatureInformation, feature_information, variances
+from polhode.planning.edges.metric.metric import Observability, observability
+from polhode.planning.edges.metric.painted import coloured, painted, picture
+from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.model.seen_edges import control_points
+from tests.planning.edges.views import RIG, block, poses, seen
+
+
+def test_features_add_up_to_the_metric() -> None:
+    model = block()
+    X = poses(3)
+    total = feature_information(model, RIG, X).total
+    for k, pose in enumerate(X):
+        points = control_points(model, RIG, pose)
+        whole = observability(edge_motion(points, RIG, pose, model.middle_G), points.weight, model.radius_m)
+        np.testing.assert_allclose(total[k], whole.C, rtol=1e-9, atol=1e-6)
+        np.testing.assert_allclose(variances(total[k], model.radius_m), whole.sigma**2, rtol=1e-6)
+
+
+def test_many_variances_at_once_are_infinite_where_the_metric_is() -> None:
+    ball = edge_model(trimesh.creation.icosphere(3, 0.5))
+    told = feature_information(ball, RIG, poses(2))
+    for C, each in zip(told.total, variances(told.total, ball.radius_m), strict=True):
+        np.testing.assert_allclose(np.sqrt(each), Observability(C, ball.radius_m, 1).sigma, rtol=1e-6)
+        assert np.isinf(each[3:]).all()
+
+
+def test_shares_add_up_and_do_not_depend_on_how_an_edge_is_cut() -> None:
+    information = seen(block())
+    found = contributions(information)
+    np.testing.assert_allclose(found.share.sum(axis=0), 1.0, rtol=1e-9)
+    assert (found.views == 4).all() and (found.share >= 0.0).all()
+    cut = np.concatenate([information.C, 0.3 * information.C[:, :1]], axis=1)
+    cut[:, 0] *= 0.7
+    pieces = contributions(FeatureInformation(cut, information.radius_m)).share
+    np.testing.assert_allclose(pieces[0] + pieces[-1], found.share[0], rtol=1e-9)
+
+
+def test_the_rise_is_the_share_of_a_small_feature_and_exact_for_a_large_one() -> None:
+    information = seen(block())
+    whole = contributions(information)
+    left = contributions(FeatureInformation(information.C[:, 1:], information.radius_m))
+    np.testing.assert_allclose(left.sigma**2 / whole.sigma**2 - 1.0, whole.rise[0], rtol=1e-6)
+    small = information.C.copy()
+    small[:, 0] *= 1e-4
+    found = contributions(FeatureInformation(small, information.radius_m))
+    np.testing.assert_allclose(found.rise[0], found.share[0], rtol=2e-3)
+
+
+def test_what_nothing_else_tells_rises_without_bound() -> None:
+    information = seen(block(), 1)
+    told = np.flatnonzero(information.C.trace(axis1=2, axis2=3)[0] > 0.0)
+    # one after the other goes, until the next one would be missed
+    while True:
+        found = contributions(FeatureInformation(information.C[:, told], information.radius_m))
+        if np.isinf(found.rise).any():
+            break
+        told = np.delete(told, np.argmin(found.rise.max(axis=1)))
+    assert 3 <= len(told) <= 6 and np.isfinite(found.sigma).all()
+
+
+def test_known_motion_joins_views_along_G() -> None:
+    model, X = block(), poses(3)
+    information = feature_information(model, RIG, X)
+    joined = information.accumulated(X[:, :3, :3])
+    assert joined.C.shape == (1, model.size, 6, 6)
+    # the sum of traces does not depend on axes
+    np.testing.assert_allclose(
+        np.trace(joined.total[0][:3, :3]), np.trace(information.total[:, :3, :3], axis1=1, axis2=2).sum()
+    )
+    np.testing.assert_array_less(
+        variances(joined.total, model.radius_m)[0, 3:].sum(),
+        variances(information.total, model.radius_m)[:, 3:].sum(axis=1).min(),
+    )
+
+
+def test_painted_edges_have_the_colours_of_the_legend(tmp_path: Path) -> None:
+    model = block()
+    values = np.linspace(0.0, 0.8, model.size)
+    mesh, legend = painted(model, values)
+    np.testing.assert_allclose(legend.values, [0.0, 0.2, 0.4, 0.6, 0.8])
+    mesh.export(tmp_path / "painted.ply")
+    back = trimesh.load_mesh(tmp_path / "painted.ply")
+    assert isinstance(back.visual, trimesh.visual.ColorVisuals)
+    colours = np.unique(np.asarray(back.visual.vertex_colors)[:, :3], axis=0)
+    for k in range(len(model.ends_G)):
+        assert (colours == coloured(values)[0][k].astype(int)).all(axis=1).any()
+    rgb, _ = coloured(np.array([np.nan, 0.0, 1.0, np.inf]))
+    assert (rgb[0] == rgb[1]).all() and (rgb[2] == rgb[3]).all() and (rgb[1] != rgb[2]).any()
+
+
+def test_a_picture_has_a_panel_for_each_degree_of_freedom() -> None:
+    model = block()
+    found = contributions(seen(model, 1))
+    figure = picture(model, RIG, poses(1)[0], found.share)
+    titles = [panel.get_title() for panel in figure.axes if panel.get_title()]
+    assert titles == ["x", "y", "z", "about x", "about y", "about z"]
+
+
+def test_without_any_edge_nothing_is_shared() -> None:
+    found = contributions(FeatureInformation(np.zeros((2, 3, 6, 6)), 1.0))
+    assert np.isinf(found.sigma).all() and np.isnan(found.share).all() and (found.views == 0).all()
+    assert found.rise.shape == pytest.approx((3, 6))
