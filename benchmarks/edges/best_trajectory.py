@@ -66,9 +66,9 @@ def measure(case: Case) -> dict[str, Any]:
 
     from benchmarks.edges.edge_bodies import edge_body
     from benchmarks.edges.edge_views import edge_rig
+    from benchmarks.edges.trajectory.camera_path import judge
+    from benchmarks.edges.trajectory.trajectory_optimization import best_trajectory, table_for
     from polhode.planning.edges.model.edge_model import edge_model
-    from polhode.planning.edges.trajectory.best_trajectory import best_trajectory, table_for
-    from polhode.planning.edges.trajectory.camera_path import judge
 
     target, rig = edge_body(case["body"]), edge_rig()
     model = edge_model(target.mesh)
@@ -127,7 +127,7 @@ def tumbling(mesh: Any) -> tuple[Any, Any]:
 
 def task(model: Any, rig: Any) -> Any:
     """What is asked of a way."""
-    from polhode.planning.edges.trajectory.camera_path import Watch, least_range
+    from benchmarks.edges.trajectory.camera_path import Watch, least_range
 
     nearest = least_range(model, rig) + 0.02
     return Watch(START_N, DURATION_S, STEPS, 0.01, (nearest, 4.3), 0.15, 0.1, sun_N=SUN_N)
@@ -148,8 +148,8 @@ class Trial:
     def errors(self, model: Any) -> dict[str, Any]:
         """Root mean squares (6,) [m, rad] of the poses that came home, and the share of those."""
         from benchmarks.edges.edge_views import perturbed
+        from benchmarks.edges.tracking.tracker import track
         from polhode.planning.edges.metric.edge_motion import pose_error
-        from polhode.planning.edges.tracking.tracker import track
 
         start = perturbed(self.X_RG, model.middle_G, seed=4)
         e, home = np.zeros((len(start), 6)), np.zeros(len(start), dtype=bool)

@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from benchmarks.edges.best_trajectory import DURATION_S, SUN_N, tumbling
 from benchmarks.edges.edge_bodies import edge_body
 from benchmarks.edges.edge_views import edge_rig
+from benchmarks.edges.trajectory.camera_path import camera_poses, middles, sun_in_G
 from benchmarks.record import Case
 from polhode.planning.edges.metric.contributions import contributions
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
 from polhode.planning.edges.metric.information import feature_information
 from polhode.planning.edges.metric.painted import painted, picture
 from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.edges.trajectory.camera_path import camera_poses, middles, sun_in_G
 from polhode.planning.prediction.ensemble import nominal
 
 UP_N = np.array([0.0, -1.0, 0.0])

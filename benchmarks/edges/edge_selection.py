@@ -16,6 +16,8 @@ import numpy as np
 
 from benchmarks.edges.edge_bodies import edge_body
 from benchmarks.edges.edge_views import edge_rig, random_poses
+from benchmarks.edges.trajectory.camera_path import least_range
+from benchmarks.edges.trajectory.view_table import looking, view_table
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import make_pose
@@ -24,8 +26,6 @@ from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.selection.selection import exchanged, greedy
 from polhode.planning.edges.selection.selection_bound import best_choice, upper_bound
 from polhode.planning.edges.selection.smallest_set import Need, exact_smallest_set, smallest_set
-from polhode.planning.edges.trajectory.camera_path import least_range
-from polhode.planning.edges.trajectory.view_table import looking, view_table
 
 BODIES = ("block", "house", "drum", "satellite", "bus", "cubesat")
 EXACT_UP_TO = 25

@@ -1,6 +1,6 @@
 """Single views of a body for trials of edge trackers: random poses, sunlight, the sensor's noise.
 
-    python -m benchmarks.edges.edge_views [BODY ...] [--rich] [--views 3] -o DIR      PNGs; prints seconds a view
+    python -m benchmarks.edges.edge_views [BODY ...] [--rich] [--views 3] -o DIR  PNGs; prints seconds a view
 
 What a trial needs, in this order:
 

@@ -16,6 +16,10 @@ from benchmarks.edges.edge_views import (
     random_rotation,
     random_suns,
 )
+from benchmarks.edges.tracking.against_sky import body_beside, polarity
+from benchmarks.edges.tracking.calibrated_covariance import noise_parts, parts_of
+from benchmarks.edges.tracking.residual import support
+from benchmarks.edges.tracking.tracker import Tracked, track
 from benchmarks.record import Case
 from polhode.camera import RectifiedRig
 from polhode.config.scene import Sensor
@@ -25,10 +29,6 @@ from polhode.planning.edges.metric.metric import Observability, observability
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.model.seen_edges import SPACING_PX
 from polhode.planning.edges.model.separation import clear_points
-from polhode.planning.edges.tracking.against_sky import body_beside, polarity
-from polhode.planning.edges.tracking.calibrated import noise_parts, parts_of
-from polhode.planning.edges.tracking.residual import support
-from polhode.planning.edges.tracking.tracker import Tracked, track
 
 RIG = edge_rig()
 LEVELS = (1.0, 0.75, 0.5)

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import linregress
 
-from polhode.lie import Array
-from polhode.planning.edges.planar import (
+from benchmarks.edges.planar_metric import (
     bearings,
     folded_bearings,
     gauss_newton,
@@ -27,6 +26,7 @@ from polhode.planning.edges.planar import (
     printed_directions,
     wrapped,
 )
+from polhode.lie import Array
 
 HALF_HEIGHT_M = 0.5
 MODELS = 6

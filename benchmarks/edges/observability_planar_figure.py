@@ -19,8 +19,8 @@ from benchmarks.edges.observability_planar import (
     model,
     six_models,
 )
+from benchmarks.edges.planar_metric import metric
 from polhode.lie import Array
-from polhode.planning.edges.planar import metric
 
 TITLES = ("range $p_1$", "offset $p_2$", r"attitude $\theta$")
 ERRORS = ("mean error of $p_1$ [mm]", "mean error of $p_2$ [mm]", r"mean error of $\theta$ [deg]")

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2, mannwhitneyu, spearmanr
 
+from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, NoiseParts, fitted, nees
+from benchmarks.edges.tracking.residual import FEATURES, TRUSTED, probability
 from benchmarks.record import Case
 from polhode.lie import Array
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
-from polhode.planning.edges.tracking.calibrated import NoiseLevels, NoiseParts, fitted, nees
-from polhode.planning.edges.tracking.residual import FEATURES, TRUSTED, probability
 from polhode.records import Bools
 
 TRIANGLE = np.triu_indices(6)

@@ -1,12 +1,14 @@
 """ViSP's model-based edge tracker on rendered views, from starts that are wrong by a known amount.
 
-    python -m benchmarks.edges.visp_tracker [BODY ...] [--views 50] [--angle 2] [--shift 0.02] [--rich] [--primed]
+    python -m benchmarks.edges.visp_tracker [BODY ...] [--views 50] [--angle 2] [--shift 0.02] [--rich]
+                                             [--primed]
 
-For each body: views of random poses, 2 to 4 m away, under random sunlight (benchmarks/edges/edge_views.py); each
-tracker gets the image, the model and a start that is off by ``--angle`` degrees and ``--shift`` metres about
-each axis (sigma). Errors are those of the body's middle, along the axes of the camera, and of the attitude,
-about them. ``lost``: the tracker says so; ``wrong``: it does not, but its pose is off by more than 50 mm or
-5 degrees. Errors are of the rest; NEES: squared errors over the tracker's own covariance, 1 is honest.
+For each body: views of random poses, 2 to 4 m away, under random sunlight (benchmarks/edges/edge_views.py);
+each tracker gets the image, the model and a start that is off by ``--angle`` degrees and ``--shift`` metres
+about each axis (sigma). Errors are those of the body's middle, along the axes of the camera, and of the
+attitude, about them. ``lost``: the tracker says so; ``wrong``: it does not, but its pose is off by more than
+50 mm or 5 degrees. Errors are of the rest; NEES: squared errors over the tracker's own covariance, 1 is
+honest.
 
 ViSP (Marchand, Spindler, Chaumette 2005) is a tracker for video: it learns what an edge looks like where it
 starts. ``--primed`` gives it one more image, rendered at the start's pose, to learn from.
@@ -15,7 +17,7 @@ ViSP is free software under the GPL. Nothing of it is here: ``visp_edges/track.c
 our own that is linked with it, and only by who runs this benchmark: Debian's package libvisp-mbt-dev and a
 C++ compiler must be there (``CXX``). The rest of polhode neither needs nor links it.
 
-Ours (planning/edges/tracking/tracker.py) gets the same images and starts; its covariance is the calibrated
+Ours (benchmarks/edges/tracking/tracker.py) gets the same images and starts; its covariance is the calibrated
 one. ``kept``: as ours, but a pose that its residual statistic does not trust is lost, too.
 """
 
@@ -45,15 +47,15 @@ from benchmarks.edges.edge_views import (
     random_poses,
     random_suns,
 )
+from benchmarks.edges.tracking.calibrated_covariance import LEVELS, parts_of
+from benchmarks.edges.tracking.residual import TRUSTED, probability, support
+from benchmarks.edges.tracking.tracker import track
 from benchmarks.edges.visp_model import cao_text, polygons_of
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.images import Grey
 from polhode.lie import Array, hat, log_so3, right_jacobian_so3
 from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.edges.tracking.calibrated import LEVELS, parts_of
-from polhode.planning.edges.tracking.residual import TRUSTED, probability, support
-from polhode.planning.edges.tracking.tracker import track
 from polhode.records import Bools
 
 SOURCE = Path(__file__).with_name("visp_edges") / "track.cpp"

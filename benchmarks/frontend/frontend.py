@@ -11,8 +11,8 @@ has become of the method since: ``--again`` measures anew.
 Frames 30 and 60 degrees of turn apart. Wrong stereo: the disparity is off by more than 1 px from every
 surface within a pixel. Correct: the two features show the same place of the body within 5 mm. Correct at
 equal precision: matches in order of confidence, over all pairs, as many as keep the precision that RootSIFT
-has at its own threshold. Motion: the same RANSAC for all (frontend/matching/ransac.py); a pair without motion counts
-as wrong; shares are over pairs with 30 stereo features in both frames. Times: of one core, in its own
+has at its own threshold. Motion: the same RANSAC for all (frontend/matching/ransac.py); a pair without motion
+counts as wrong; shares are over pairs with 30 stereo features in both frames. Times: of one core, in its own
 seconds. Lit pairs: at least 3,000 px of the body are seen and lit in both frames, whatever the method finds.
 Guided: the same from a prediction that is 5 degrees off (benchmarks/frontend/guided.py).
 Normalised residuals: mean squares of what correct matches are off by, over their variance.

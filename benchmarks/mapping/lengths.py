@@ -1,7 +1,7 @@
 """Eight lengths of the free flyer, measured on a mesh and on the true one (as table 6.3 of the thesis).
 
     python -m benchmarks.mapping.lengths [RUN SEQ]          a run of configs/ts38.yaml (runs/ts38, data/ts38)
-    python -m benchmarks.mapping.lengths --mesh MESH SEQ    a mesh in the true G (benchmarks.mesh_quality --save)
+    python -m benchmarks.mapping.lengths --mesh MESH SEQ  a mesh in true G (benchmarks.mesh_quality --save)
 
 A length is the distance between two parallel faces of the body. On the true mesh a face is what lies in one
 plane and is free of other parts within 2 mm. On the estimated mesh, which the motion alone brings into the

@@ -1,9 +1,10 @@
 """Quality and cost of the dense surface: depth and fusion alone, on sequences with truth.
 
     python -m benchmarks.mapping.mesh_quality SEQ [SEQ ...]             with the true poses
-    python -m benchmarks.mapping.mesh_quality SEQ [SEQ ...] --runs RUN  with the poses of runs and their covariances,
+    python -m benchmarks.mapping.mesh_quality SEQ [SEQ ...] --runs RUN
+                                                                with the poses of runs and their covariances,
                                                                 one for each sequence
-    python -m benchmarks.mapping.mesh_quality SEQ --doubtful 3 1        every third pose off by 3 mm and 1 degree
+    python -m benchmarks.mapping.mesh_quality SEQ --doubtful 3 1  every third pose off by 3 mm and 1 degree
                         (sigma): with the covariance of the poses told to the fusion, and not, with
                         these frames aligned to the surface of the others (the default), and exact
 

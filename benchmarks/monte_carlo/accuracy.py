@@ -1,16 +1,16 @@
 """Monte Carlo at the thesis's size: errors against the Cramer-Rao bound, and whether the sigmas are honest.
 
-    python -m benchmarks.monte_carlo.accuracy [--seeds 100] [--motions 6] [--workers 2] [--short] [--estimated]
-                                  [--record FILE]
+    python -m benchmarks.monte_carlo.accuracy [--seeds 100] [--motions 6] [--workers 2] [--short]
+                                  [--estimated] [--record FILE]
 
 Per motion and noise: 115 frames, about 2,400 landmarks and 24,700 stereo observations, a cold start from
 relative poses, full smoothing. ``--estimated``: the strength of the process noise is estimated too; else it
 is given. What was measured before is read from the record: an interrupted benchmark goes on where it stopped.
 
 "RMSE / bound" divides the root mean squared error over seeds and frames by that of the bound at the true
-state (``benchmarks/monte_carlo/bound.py``). "NEES" is the mean normalised squared error over its expectation; its 95 %
-band is that of the chi-square with as many degrees of freedom as the correlated frames are worth. * marks
-what lies outside. "all": every sequence with its own bound.
+state (``benchmarks/monte_carlo/bound.py``). "NEES" is the mean normalised squared error over its expectation;
+its 95 % band is that of the chi-square with as many degrees of freedom as the correlated frames are worth. *
+marks what lies outside. "all": every sequence with its own bound.
 """
 
 import argparse

@@ -10,8 +10,9 @@ from a stated 1e-6. What was measured before is read from the record.
 measurement in the ten seconds in the middle. "jitter": the inspector swings within a dead band of 4 mm and
 0.4 degrees; its poses are known exactly, or reported with noise of a stated sigma (0.5 mm, 0.02 degrees).
 
-"converge" and "falsely" are those of ``benchmarks/monte_carlo/convergence.py``; bound, NEES and its 95 % band those of
-``benchmarks/monte_carlo/accuracy.py``. What the information at the truth does not determine does not count.
+"converge" and "falsely" are those of ``benchmarks/monte_carlo/convergence.py``; bound, NEES and its 95 % band
+those of ``benchmarks/monte_carlo/accuracy.py``. What the information at the truth does not determine does not
+count.
 """
 
 import argparse

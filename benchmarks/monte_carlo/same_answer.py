@@ -2,12 +2,12 @@
 
     python -m benchmarks.monte_carlo.same_answer [--seeds 1] [--workers 2] [--short] [--record FILE]
 
-The sequences of ``benchmarks/monte_carlo/accuracy.py`` (six motions, 1 px and 0.3 px), process noise given, each four
-times: by Gauss-Newton and by IPOPT, with ``backend.inertia`` ``second_moments`` and ``ratios_axes``. "one
-problem": the whole data with the stated noise, from the truth; relative difference of the final cost from
-that of Gauss-Newton with ``second_moments``. "cold start": all that a run does, with its own noise of the
-pixels and observations left out; observations left out otherwise, and the largest difference of a state, k1
-or k2 over its standard deviation. What was measured before is read from the record.
+The sequences of ``benchmarks/monte_carlo/accuracy.py`` (six motions, 1 px and 0.3 px), process noise given,
+each four times: by Gauss-Newton and by IPOPT, with ``backend.inertia`` ``second_moments`` and
+``ratios_axes``. "one problem": the whole data with the stated noise, from the truth; relative difference of
+the final cost from that of Gauss-Newton with ``second_moments``. "cold start": all that a run does, with its
+own noise of the pixels and observations left out; observations left out otherwise, and the largest difference
+of a state, k1 or k2 over its standard deviation. What was measured before is read from the record.
 """
 
 import argparse

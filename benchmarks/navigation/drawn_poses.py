@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.edges.tracking.calibrated_covariance import NoiseParts
 from benchmarks.navigation.found_pose import FoundPose, spread
 from benchmarks.navigation.navigation_scene import Flight, sun_R
 from polhode.camera import RectifiedRig
@@ -18,7 +19,6 @@ from polhode.planning.edges.metric.edge_motion import edge_motion, moved
 from polhode.planning.edges.model.edge_model import EdgeModel
 from polhode.planning.edges.model.light import contrast
 from polhode.planning.edges.model.seen_edges import control_points
-from polhode.planning.edges.tracking.calibrated import NoiseParts
 from polhode.records import Bools, Ints
 
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, NoiseParts
+from benchmarks.navigation.pose_weights import TrackedPose
 from polhode.lie import Array
 from polhode.planning.edges.metric.metric import observability
-from polhode.planning.edges.navigation.pose_weights import TrackedPose
-from polhode.planning.edges.tracking.calibrated import NoiseLevels, NoiseParts
 from polhode.records import Ints
 
 TOLD = 1e-9

@@ -1,6 +1,7 @@
 """Does a filter that weighs tracked poses by the metric follow a tumbling target better than others.
 
-    python -m benchmarks.navigation.navigation_filter [--source drawn tracked] [--short] [--plot FILE] [--record FILE]
+    python -m benchmarks.navigation.navigation_filter [--source drawn tracked] [--short] [--plot FILE]
+                                                      [--record FILE]
 
 Three filters, alike but for how they weigh a pose: all alike; all alike if enough edges were found; by the
 calibrated covariance of its view. Poses are `drawn` from the tracker's linear model (drawn_poses.py) or

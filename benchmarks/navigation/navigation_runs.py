@@ -1,4 +1,4 @@
-"""Filters of benchmarks/navigation/navigation_filter.py on recorded poses: their tuning on other runs, their errors.
+"""Filters of navigation_filter.py on recorded poses: their tuning on other runs, their errors.
 
 The constant covariance is that of the training runs' errors, without the worst twentieth; every filter's
 covariance is then multiplied by the factor that gives the least errors there. So are the least share of found
@@ -13,13 +13,11 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import rankdata
 
+from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, NoiseParts, fitted, nees
+from benchmarks.navigation.error_state_filter import predict, update
 from benchmarks.navigation.found_pose import from_line
 from benchmarks.navigation.navigation_scene import STEP_S, Flight, flight
-from benchmarks.record import Case, measured
-from polhode.lie import Array
-from polhode.planning.edges.metric.edge_motion import pose_error
-from polhode.planning.edges.navigation.navigation_filter import predict, update
-from polhode.planning.edges.navigation.pose_weights import (
+from benchmarks.navigation.pose_weights import (
     Calibrated,
     Fixed,
     Gated,
@@ -27,7 +25,9 @@ from polhode.planning.edges.navigation.pose_weights import (
     TrackedPose,
     Weighting,
 )
-from polhode.planning.edges.tracking.calibrated import NoiseLevels, NoiseParts, fitted, nees
+from benchmarks.record import Case, measured
+from polhode.lie import Array
+from polhode.planning.edges.metric.edge_motion import pose_error
 from polhode.records import Bools
 
 FILTERS = ("fixed", "gated", "calibrated")

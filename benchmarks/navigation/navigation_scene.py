@@ -13,8 +13,8 @@ import trimesh
 
 from benchmarks.edges.edge_bodies import edge_body
 from benchmarks.edges.edge_views import edge_rig
+from benchmarks.navigation.error_state_filter import State, Target, predict, predicted_pose
 from polhode.lie import Array, exp_so3, make_pose
-from polhode.planning.edges.navigation.navigation_filter import State, Target, predict, predicted_pose
 from polhode.planning.prediction.prediction import process_noise
 
 SCENARIOS = ("approach", "fly-around")

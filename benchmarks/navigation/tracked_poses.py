@@ -11,6 +11,10 @@ import numpy as np
 from benchmarks.edges.edge_bodies import edge_body
 from benchmarks.edges.edge_views import EdgeViews, ViewOptions
 from benchmarks.edges.observability_cases import LENS
+from benchmarks.edges.tracking.against_sky import polarity
+from benchmarks.edges.tracking.calibrated_covariance import NoiseParts
+from benchmarks.edges.tracking.residual import probability, support
+from benchmarks.edges.tracking.tracker import Tracked, Tracking, track
 from benchmarks.navigation.found_pose import FoundPose, spread
 from benchmarks.navigation.navigation_scene import Flight, sun_R
 from polhode.camera import RectifiedRig
@@ -19,10 +23,6 @@ from polhode.images import Grey, read_raw
 from polhode.lie import Array
 from polhode.planning.edges.metric.edge_motion import moved
 from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.tracking.against_sky import polarity
-from polhode.planning.edges.tracking.calibrated import NoiseParts
-from polhode.planning.edges.tracking.residual import probability, support
-from polhode.planning.edges.tracking.tracker import Tracked, Tracking, track
 
 VIEWS = ViewOptions(earth=0.0, scattered=True, sensor=LENS)
 TRACKING = Tracking(restarts=0)

@@ -1,10 +1,10 @@
 """Time of a stereo pair against rays a pixel, bounces and faces, on one core.
 
-Run: ``python -m benchmarks.rendering.rendering_time [--short]``. Prints Markdown. A pair: both images of 640x480 px from the
-first ray to the PNG on disk, motion blur and sensor included; seconds of processor time, the median over
-frames that follow each other. Ray casting: the share of that time in embree and in what turns its answers
-into hits. Set-up: the body's probes and compiled code, once per process. The first table has the replica of
-Test Session 38; the second a lumpy ball of more and more faces in its place.
+Run: ``python -m benchmarks.rendering.rendering_time [--short]``. Prints Markdown. A pair: both images of
+640x480 px from the first ray to the PNG on disk, motion blur and sensor included; seconds of processor time,
+the median over frames that follow each other. Ray casting: the share of that time in embree and in what turns
+its answers into hits. Set-up: the body's probes and compiled code, once per process. The first table has the
+replica of Test Session 38; the second a lumpy ball of more and more faces in its place.
 """
 
 import platform

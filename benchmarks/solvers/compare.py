@@ -1,12 +1,13 @@
 """Optimizers side by side: the pages and tables of docs/compare.md.
 
-    python -m benchmarks.solvers.compare [NAME ...] [--short] [-o FOLDER] [--run RUN] [--sequence SEQ] [--stored]
+    python -m benchmarks.solvers.compare [NAME ...] [--short] [-o FOLDER] [--run RUN] [--sequence SEQ]
+                                        [--stored]
 
 A NAME is that of a file of configs/compare, or ``run``: configs/default.yaml on a stored run (made by
-``python -m benchmarks.end_to_end.scenes``), with the truth of its sequence when that is there. Without a name: ``run``,
-profiles, seeds, growth and ablations. Pages go to FOLDER/NAME; what was measured before is read from there,
-so that an interrupted benchmark goes on where it stopped. ``--stored``: nothing is measured, the tables of
-what FOLDER holds are printed. ``--short``: every solver once on a small problem.
+``python -m benchmarks.end_to_end.scenes``), with the truth of its sequence when that is there. Without a
+name: ``run``, profiles, seeds, growth and ablations. Pages go to FOLDER/NAME; what was measured before is
+read from there, so that an interrupted benchmark goes on where it stopped. ``--stored``: nothing is measured,
+the tables of what FOLDER holds are printed. ``--short``: every solver once on a small problem.
 """
 
 import argparse

@@ -1,9 +1,9 @@
 """Condition number of the process covariance against the time step, before and after scaling (thesis 4.9).
 
-Run: ``python -m benchmarks.solvers.conditioning -o docs/images/conditioning.png``. Left: translation as in figure 4-6
-(alpha = 1: position in m, velocity in m/s) and 4-8 (velocity divided by alpha), and in units that follow the
-step. Right: rotation of a box that flips, as it is and as the back end scales it. By eq. 4.118 the best step
-is sqrt(3) / alpha; the thesis's text says alpha sqrt(3).
+Run: ``python -m benchmarks.solvers.conditioning -o docs/images/conditioning.png``. Left: translation as in
+figure 4-6 (alpha = 1: position in m, velocity in m/s) and 4-8 (velocity divided by alpha), and in units that
+follow the step. Right: rotation of a box that flips, as it is and as the back end scales it. By eq. 4.118 the
+best step is sqrt(3) / alpha; the thesis's text says alpha sqrt(3).
 """
 
 import argparse

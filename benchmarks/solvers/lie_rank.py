@@ -1,6 +1,7 @@
 """The Lie-derivative rank test of the thesis's chapter 3, and of the back end's problem, motion by motion.
 
-Run: ``python -m benchmarks.solvers.lie_rank``. No data: ranks of symbolic matrices at one state of each motion.
+Run: ``python -m benchmarks.solvers.lie_rank``. No data: ranks of symbolic matrices at one state of each
+motion.
 """
 
 import numpy as np

@@ -1,9 +1,9 @@
 """Time of the two solvers and of the covariance on one problem, and how it grows with frames and landmarks.
 
-Part of ``python -m benchmarks.solvers.backend_size``. The start is the truth, off by a millimetre, 0.06 degrees,
-1 mm/s, 0.06 deg/s and 1 mm in each landmark, with the inertia of a sphere; both solvers end at the same cost.
-The least of a few repetitions, in seconds of the processor on one thread: what else the machine does adds
-little.
+Part of ``python -m benchmarks.solvers.backend_size``. The start is the truth, off by a millimetre, 0.06
+degrees, 1 mm/s, 0.06 deg/s and 1 mm in each landmark, with the inertia of a sphere; both solvers end at the
+same cost. The least of a few repetitions, in seconds of the processor on one thread: what else the machine
+does adds little.
 """
 
 import time

@@ -21,7 +21,8 @@ from polhode.progress import Progress
 from polhode.records import RelativePoses, StereoTracks
 
 CODE = ("polhode", "polhode.frontend", "polhode.backend", "polhode.pipeline.find_motion",
-        "polhode.pipeline.images", "polhode.pipeline.consistency_check", "polhode.pipeline.correspondences")  # fmt: skip
+        "polhode.pipeline.images",
+        "polhode.pipeline.consistency_check", "polhode.pipeline.correspondences")  # fmt: skip
 DISTRIBUTIONS = (*BASE, "torch", "opencv-python-headless", "kornia")
 
 

@@ -26,7 +26,8 @@ CODE = (
     "polhode.backend", "polhode.config.backend", "polhode.lie", "polhode.threads",
     *(f"polhode.compare.{name}" for name in (
         "judging.judge", "problem.blocks", "problem.landmark_block", "problem.measured_problem",
-        "problem.single_step", "processes.child", "processes.isolate", "processes.reached", "solver", "solvers")),
+        "problem.single_step", "processes.child",
+        "processes.isolate", "processes.reached", "solver", "solvers")),
 )  # fmt: skip
 """Our modules, and packages with all of theirs, whose code a row depends on."""
 UNIMPORTANT: dict[type, tuple[str, ...]] = {MeasuredProblem: ("name", "prepared_s")}

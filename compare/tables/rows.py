@@ -1,8 +1,8 @@
 """compare.json: what every solver did with every problem, one row each.
 
 The pydantic models are the only definition; ``pipeline/compare/compare.schema.json`` is generated from them
-(``python -m polhode.compare.tables.rows``) and shipped, and every file is validated when it is written and read.
-There is no NaN or infinity: what a solver does not tell is null.
+(``python -m polhode.compare.tables.rows``) and shipped, and every file is validated when it is written and
+read. There is no NaN or infinity: what a solver does not tell is null.
 """
 
 import json

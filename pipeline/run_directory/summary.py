@@ -1,8 +1,9 @@
 """summary.json: what a run found, in one small file (CONTRACT.md, "A run directory").
 
 The pydantic model below is the only definition; ``pipeline/summary.schema.json`` is generated from it
-(``python -m polhode.pipeline.run_directory.summary``) and shipped, and every summary is validated when it is written and read.
-Standard deviations and variances of undetermined quantities are ``null``; there is no NaN or infinity.
+(``python -m polhode.pipeline.run_directory.summary``) and shipped, and every summary is validated when it is
+written and read. Standard deviations and variances of undetermined quantities are ``null``; there is no NaN
+or infinity.
 """
 
 import json

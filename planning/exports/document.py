@@ -1,8 +1,8 @@
 """The JSON export: states, mass properties and prediction with their covariances, in SI units.
 
 The models below are the only definition; ``planning/exports/export.schema.json`` is generated from them
-(``python -m polhode.planning.exports.document``). A variance of what is not determined is ``null``, and so are the
-covariances with it; there is no NaN or infinity.
+(``python -m polhode.planning.exports.document``). A variance of what is not determined is ``null``, and so
+are the covariances with it; there is no NaN or infinity.
 """
 
 import json

@@ -1,6 +1,7 @@
 """Where the point seen at a pixel of one image lies in another: any two frames, any two cameras.
 
-    python -m polhode.simulation.dataset.correspondence CONFIG --frames 3 7 --cameras 0 1 -o FILE.npz [--picture FILE.png]
+    python -m polhode.simulation.dataset.correspondence CONFIG --frames 3 7 --cameras 0 1 -o FILE.npz
+                                                              [--picture FILE.png]
 
 Rays go through the pixels of view a to the body in G, and from there to camera b. The file holds one row for
 each pixel of image a that shows the target: the fields of ``Correspondence`` and ``uv_a_px``.

@@ -1,4 +1,4 @@
-"""Cones, polhode, herpolhode of a scene: ``python -m polhode.simulation.figures.motion_plot CONFIG -o FILE.png``."""
+"""Cones, polhode, herpolhode: ``python -m polhode.simulation.figures.motion_plot CONFIG -o FILE.png``."""
 
 import argparse
 from io import BytesIO

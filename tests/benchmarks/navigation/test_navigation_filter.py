@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 from scipy.stats import chi2
 
+from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, noise_parts
 from benchmarks.navigation import navigation_runs
 from benchmarks.navigation.drawn_poses import EdgeErrors, drawn_pose
 from benchmarks.navigation.found_pose import from_line, spread
@@ -23,11 +24,10 @@ from benchmarks.navigation.navigation_scene import (
     instants,
     sun_R,
 )
+from benchmarks.navigation.pose_weights import Calibrated, Fixed, ResidualChecked, TrackedPose
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.model.seen_edges import control_points
-from polhode.planning.edges.navigation.pose_weights import Calibrated, Fixed, ResidualChecked, TrackedPose
-from polhode.planning.edges.tracking.calibrated import NoiseLevels, noise_parts
 
 BODY = "satellite"
 TRUE_LEVELS = NoiseLevels((EdgeErrors.sigma_px**2, EdgeErrors.tau_px**2, 0.0), (0.0, 0.0, 0.0))

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import trimesh
 
+from benchmarks.edges.tracking.edge_search import Levels
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose, transform_points
-from polhode.planning.edges.tracking.edge_search import Levels
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 BOX = (0.8, 0.55, 0.35)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmarks.edges.trajectory.view_table import looking
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.metric.information import feature_information
 from polhode.planning.edges.model.edge_model import edge_model
 from polhode.planning.edges.model.light import contrast, contrast_weight, in_sunlight
 from polhode.planning.edges.model.seen_edges import ControlPoints, control_points
-from polhode.planning.edges.trajectory.view_table import looking
 from tests.planning.edges.views import RIG
 
 

@@ -9,13 +9,13 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks.edges.trajectory.view_table import looking
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose
 from polhode.planning.approach.approach import Way
 from polhode.planning.edges.metric.information import feature_information, variances
 from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.trajectory.view_table import looking
 from polhode.planning.prediction.ensemble import Ahead, BodyMotion, nominal
 
 Objective = Literal["each", "end", "together"]

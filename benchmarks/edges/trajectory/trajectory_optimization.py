@@ -21,6 +21,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from benchmarks.edges.trajectory.camera_path import (
+    Watch,
+    Watched,
+    judge,
+    least_range,
+    middles,
+    straight,
+    sun_in_G,
+)
+from benchmarks.edges.trajectory.view_table import SUBDIVISIONS, ViewTable, trace_of_inverse, view_table
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3
@@ -34,16 +44,6 @@ from polhode.planning.approach.approach import (
     point_mass,
 )
 from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.trajectory.camera_path import (
-    Watch,
-    Watched,
-    judge,
-    least_range,
-    middles,
-    straight,
-    sun_in_G,
-)
-from polhode.planning.edges.trajectory.view_table import SUBDIVISIONS, ViewTable, trace_of_inverse, view_table
 from polhode.planning.keep_out.keepout import InstantKeepOut
 from polhode.planning.prediction.ensemble import Ahead, BodyMotion, nominal
 

@@ -8,9 +8,7 @@ from scipy.optimize import least_squares
 from scipy.optimize._numdiff import approx_derivative
 from scipy.stats import chi2
 
-from polhode.errors import InputError
-from polhode.lie import Array
-from polhode.planning.edges.planar import (
+from benchmarks.edges.planar_metric import (
     bearings,
     covariance,
     directions,
@@ -24,6 +22,8 @@ from polhode.planning.edges.planar import (
     rotation,
     wrapped,
 )
+from polhode.errors import InputError
+from polhode.lie import Array
 
 SIGMA_RAD = 2e-4
 TRUTH = np.array([3.0, 0.2, 0.17])

@@ -10,10 +10,10 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from benchmarks.edges.tracking.against_sky import polarity
+from benchmarks.edges.tracking.edge_search import Levels, as_levels, gradients, levels, search
+from benchmarks.edges.tracking.tracker import Tracked, Tracking
 from polhode.lie import Array
-from polhode.planning.edges.tracking.against_sky import polarity
-from polhode.planning.edges.tracking.edge_search import Levels, as_levels, gradients, levels, search
-from polhode.planning.edges.tracking.tracker import Tracked, Tracking
 from polhode.records import Bools
 
 CLOSE_PX = 1.0

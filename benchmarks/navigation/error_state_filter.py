@@ -16,9 +16,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2
 
+from benchmarks.navigation.free_rotation import turn_freely
 from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, right_jacobian_so3
 from polhode.planning.edges.metric.edge_motion import pose_error
-from polhode.planning.edges.navigation.free_rotation import turn_freely
 
 UNTOLD_SHARE = 1e-9
 """A direction with less than this share of the largest information, shifts in radii, is not told."""

@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.lie import Array, exp_so3, make_pose
-from polhode.planning.edges.metric.edge_motion import edge_motion
-from polhode.planning.edges.metric.metric import observability
-from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.edges.model.seen_edges import ControlPoints, control_points
-from polhode.planning.edges.tracking.against_sky import body_beside, polarity
-from polhode.planning.edges.tracking.calibrated import (
+from benchmarks.edges.tracking.against_sky import body_beside, polarity
+from benchmarks.edges.tracking.calibrated_covariance import (
     NoiseLevels,
     NoiseParts,
     fitted,
@@ -18,7 +13,12 @@ from polhode.planning.edges.tracking.calibrated import (
     noise_parts,
     parts_of,
 )
-from polhode.planning.edges.tracking.tracker import track
+from benchmarks.edges.tracking.tracker import track
+from polhode.lie import Array, exp_so3, make_pose
+from polhode.planning.edges.metric.edge_motion import edge_motion
+from polhode.planning.edges.metric.metric import observability
+from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.model.seen_edges import ControlPoints, control_points
 from polhode.records import Ints
 from tests.planning.edges.pictures import BOX, POSE, RIG, drawn
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from polhode.planning.edges.tracking.edge_search import Levels, gradients, levels, search
+from benchmarks.edges.tracking.edge_search import Levels, gradients, levels, search
 
 
 def ramp(at_px: float, height: float = 100.0) -> Levels:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from benchmarks.edges.tracking.against_sky import body_beside, polarity
+from benchmarks.edges.tracking.edge_search import Candidates, Levels, as_levels, search
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, transform_points
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved
@@ -18,8 +20,6 @@ from polhode.planning.edges.metric.metric import Observability, observability
 from polhode.planning.edges.model.edge_model import EdgeModel
 from polhode.planning.edges.model.seen_edges import SPACING_PX, ControlPoints
 from polhode.planning.edges.model.separation import APART_PX, clear_points
-from polhode.planning.edges.tracking.against_sky import body_beside, polarity
-from polhode.planning.edges.tracking.edge_search import Candidates, Levels, as_levels, search
 from polhode.records import Bools
 
 TUKEY = 4.685

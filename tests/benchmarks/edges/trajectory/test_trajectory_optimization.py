@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.errors import InputError
-from polhode.lie import transform_points
-from polhode.planning.edges.metric.information import feature_information
-from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.trajectory.best_trajectory import BestTrajectory, best_trajectory
-from polhode.planning.edges.trajectory.camera_path import (
+from benchmarks.edges.trajectory.camera_path import (
     Watch,
     camera_poses,
     judge,
@@ -20,7 +15,12 @@ from polhode.planning.edges.trajectory.camera_path import (
     middles,
     straight,
 )
-from polhode.planning.edges.trajectory.view_table import UPPER, looking, trace_of_inverse, view_table
+from benchmarks.edges.trajectory.trajectory_optimization import BestTrajectory, best_trajectory
+from benchmarks.edges.trajectory.view_table import UPPER, looking, trace_of_inverse, view_table
+from polhode.errors import InputError
+from polhode.lie import transform_points
+from polhode.planning.edges.metric.information import feature_information
+from polhode.planning.edges.model.edge_model import EdgeModel
 from polhode.planning.keep_out.keepout import InstantKeepOut
 from polhode.planning.keep_out.measured_body import grow
 from polhode.planning.prediction.ensemble import Ahead, nominal

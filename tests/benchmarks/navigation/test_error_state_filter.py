@@ -8,10 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from polhode.lie import Array, exp_so3, make_pose
-from polhode.planning.edges.metric.edge_motion import moved, pose_error
-from polhode.planning.edges.navigation.free_rotation import turn_freely
-from polhode.planning.edges.navigation.navigation_filter import (
+from benchmarks.navigation.error_state_filter import (
     State,
     Target,
     measurement_jacobian,
@@ -20,13 +17,16 @@ from polhode.planning.edges.navigation.navigation_filter import (
     told_directions,
     update,
 )
-from polhode.planning.edges.navigation.pose_weights import (
+from benchmarks.navigation.free_rotation import turn_freely
+from benchmarks.navigation.pose_weights import (
     Calibrated,
     Fixed,
     Gated,
     ResidualChecked,
     TrackedPose,
 )
+from polhode.lie import Array, exp_so3, make_pose
+from polhode.planning.edges.metric.edge_motion import moved, pose_error
 from polhode.planning.prediction.prediction import process_noise
 from polhode.rigid_body import propagate
 

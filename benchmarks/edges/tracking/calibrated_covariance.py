@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
+from benchmarks.edges.tracking.against_sky import polarity
+from benchmarks.edges.tracking.tracker import Tracked
 from polhode.lie import Array
-from polhode.planning.edges.tracking.against_sky import polarity
-from polhode.planning.edges.tracking.tracker import Tracked
 from polhode.records import Ints
 
 KINDS = ("own", "shared", "limb")

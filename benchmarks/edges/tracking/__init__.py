@@ -1,0 +1,10 @@
+"""An edge tracker, with which the observability metric is tried on images.
+
+In: an edge model, a camera and an image; out: the pose, its residuals and its calibrated covariance.
+
+    tracker                 pose from the edges of one image
+    edge_search             edges of the image along the normals of control points
+    against_sky             on which side of a control point the body is
+    residual                whether the tracker converged to the right pose
+    calibrated_covariance   covariance of the pose, with errors that whole edges share
+"""
