@@ -1,7 +1,8 @@
 # make setup   the environment .venv, with polhode in it
 # make demo    the shipped sample, end to end; the last line names the report
 # make example    flies around the target of the demo in MuJoCo, with a video (docs/planning.md)
-# make test    the tests            make check   style, types, import rules
+# make test    the tests, in two processes (make test JOBS=4: in four)
+# make check   style, types, import rules
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/mapping/fusion_peers.py; without them its rows say so
 # make bench   accuracy and time, from images on every scene and of the back end alone: hours. What was measured
@@ -16,6 +17,7 @@ MATCHERS := .venv/.matchers
 FORMATS := .venv/.formats
 DEMO_RUN := runs/demo
 SHORT ?=
+JOBS ?= 2
 
 .PHONY: setup matchers fusion-peers demo example test check bench
 .DEFAULT_GOAL := setup
@@ -70,7 +72,7 @@ example:
 	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
 
 test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal
 
 check: setup
 	$(BIN)/ruff check .

@@ -1,0 +1,134 @@
+"""Which tests notice each of the deliberate faults.
+
+Run: ``python -m benchmarks.mutation.catch [--only TEXT] [--jobs 2] [-o runs/faults.md]``. Half an hour.
+
+Each fault goes alone into a copy of the repository, and the tests that it names run until the first one fails.
+That test must pass without the fault, else it counts for nothing.
+"""
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from time import perf_counter
+
+from benchmarks.mutation.faults import FAULTS, Fault
+
+ROOT = Path(__file__).resolve().parents[2]
+LEFT_OUT = (".git", ".venv", "runs", "data", ".mypy_cache", ".ruff_cache", ".pytest_cache")
+LONGEST_S = 1500.0
+"""The tests of a fault that makes a loop endless are stopped."""
+_COMPILED = re.compile(r"^@(njit|compiled|fused)", re.MULTILINE)
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the tests said to one fault."""
+
+    fault: Fault
+    caught_by: str
+    """The first test that fails; empty: none does"""
+    seconds: float
+    trouble: str = ""
+    """Why the fault could not be tried"""
+
+
+def main() -> None:
+    """Try the faults and print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--tree", type=Path, default=ROOT, help="the repository whose tests are tried")
+    parser.add_argument("--only", default="", help="faults whose file or kind contains this text")
+    parser.add_argument("--jobs", type=int, default=1, help="copies of the repository that are tested at a time")
+    parser.add_argument("-o", "--output", type=Path, help="a file for the table as well")
+    options = parser.parse_args()
+    chosen = [fault for fault in FAULTS if options.only in fault.file or options.only in fault.kind]
+    with tempfile.TemporaryDirectory(prefix="polhode-faults-") as folder:
+        outcomes = try_all(chosen, options.tree.resolve(), Path(folder), options.jobs)
+    lines = table(outcomes)
+    print("\n".join(lines))
+    if options.output:
+        options.output.write_text("\n".join(lines) + "\n")
+    sys.exit(any(not outcome.caught_by for outcome in outcomes))
+
+
+def try_all(faults: list[Fault], tree: Path, folder: Path, jobs: int) -> list[Outcome]:
+    """Each fault in one of ``jobs`` copies of the tree."""
+    free: SimpleQueue[Path] = SimpleQueue()
+    for job in range(jobs):
+        copy = folder / str(job)
+        shutil.copytree(tree, copy, symlinks=True, ignore=shutil.ignore_patterns(*LEFT_OUT))
+        free.put(copy)
+
+    def attempt(fault: Fault) -> Outcome:
+        copy = free.get()
+        try:
+            outcome = try_one(fault, copy, tree)
+        finally:
+            free.put(copy)
+        said = outcome.trouble or outcome.caught_by or "NOT CAUGHT"
+        print(f"{outcome.seconds:6.0f} s  {fault.file}: {fault.kind}: {said}", file=sys.stderr, flush=True)
+        return outcome
+
+    with ThreadPoolExecutor(jobs) as pool:
+        return list(pool.map(attempt, faults))
+
+
+def try_one(fault: Fault, copy: Path, tree: Path) -> Outcome:
+    """Put the fault into the copy, run its tests, and take it out again."""
+    begin, file = perf_counter(), copy / fault.file
+    if not file.is_file() or file.read_text().count(fault.old) != 1:
+        return Outcome(fault, "", 0.0, "the piece of code does not occur once in this file: renew the fault")
+    code = file.read_text().replace(fault.old, fault.new)
+    file.write_text(code)
+    # callers elsewhere keep compiled code of the function in the cache: they are compiled anew
+    cache = tempfile.mkdtemp(dir=copy.parent) if _COMPILED.search(code) else None
+    try:
+        said = run_tests(copy, fault.tests, cache)
+    finally:
+        shutil.copy2(tree / fault.file, file)
+        if cache:
+            shutil.rmtree(cache)
+    failed = _FAILED.search(said)
+    if failed is None:
+        return Outcome(fault, "", perf_counter() - begin, "" if " passed" in said else said[-300:])
+    name = failed.group(1)
+    if " passed" not in run_tests(copy, (name.removeprefix("tests/"),), None):
+        return Outcome(fault, "", perf_counter() - begin, f"{name} fails without the fault too")
+    return Outcome(fault, name, perf_counter() - begin)
+
+
+def run_tests(copy: Path, tests: tuple[str, ...], cache: str | None) -> str:
+    """What pytest prints, until the first failure."""
+    environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+    if cache:
+        environment["NUMBA_CACHE_DIR"] = cache
+    names = [f"tests/{test}" for test in tests]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-x", "-q", "-n", "0", "-rfE", *names]
+    try:
+        return subprocess.run(
+            command, cwd=copy, env=environment, capture_output=True, text=True, timeout=LONGEST_S
+        ).stdout
+    except subprocess.TimeoutExpired:
+        return f"FAILED {names[0]} (endless)"
+
+
+def table(outcomes: list[Outcome]) -> list[str]:
+    """In Markdown; a sentence at the end."""
+    lines = ["| file | fault | caught by |", "|---|---|---|"]
+    for outcome in outcomes:
+        by = f"`{outcome.caught_by.removeprefix('tests/')}`" if outcome.caught_by else "**nothing**"
+        lines.append(f"| `{outcome.fault.file}` | {outcome.fault.kind} | {outcome.trouble or by} |")
+    caught = sum(bool(outcome.caught_by) for outcome in outcomes)
+    return [*lines, "", f"{caught} of {len(outcomes)} faults are caught."]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,322 @@
+"""Forty deliberate faults, each of a kind that a person could commit: what the test suite must notice.
+
+A fault is one piece of code, and what replaces it. The piece must occur exactly once in its file, so that a
+change of the code that removes it is noticed: then the fault is written anew for the new code.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One defect, and the tests that exercise the code it sits in."""
+
+    kind: str
+    """What is wrong, in a few words"""
+    file: str
+    """Where, relative to the repository"""
+    old: str
+    new: str
+    tests: tuple[str, ...]
+    """Test files or folders, the closest first, relative to ``tests/``"""
+
+
+BACKEND = (
+    Fault(
+        "Euler's equation: cross product the other way round",
+        "backend/dynamics/propagation.py",
+        "a -= w1 * m2 - w2 * m1",
+        "a += w1 * m2 - w2 * m1",
+        ("backend/dynamics", "backend"),
+    ),
+    Fault(
+        "dropped term: the derivative of the rate without the change of the inertia",
+        "backend/dynamics/propagation.py",
+        "            a -= dJ[0, n] * w[k + 1, n]\n",
+        "",
+        ("backend/dynamics", "backend"),
+    ),
+    Fault(
+        "wrong power in the derivative of the disparity",
+        "backend/solvers/schur.py",
+        "xz, yz, bz = fz * x / z, fz * y / z, fb / z**2",
+        "xz, yz, bz = fz * x / z, fz * y / z, fb / z",
+        ("backend/solvers", "backend"),
+    ),
+    Fault(
+        "off by one: the last observation of each landmark is not eliminated",
+        "backend/solvers/schur.py",
+        "            for b in range(start[mark], a + 1):\n                kb = np.uint64(stride * frame[b])\n"
+        "                for row",
+        "            for b in range(start[mark], a):\n                kb = np.uint64(stride * frame[b])\n"
+        "                for row",
+        ("backend/solvers", "backend"),
+    ),
+    Fault(
+        "scale of the kernel not squared in the robust weight",
+        "backend/solvers/gauss_newton.py",
+        "return np.asarray(1.0 / (1.0 + s / scale**2))",
+        "return np.asarray(1.0 / (1.0 + s / scale))",
+        ("backend/solvers", "backend"),
+    ),
+    Fault(
+        "sign of a derivative of the principal axes",
+        "backend/uncertainty/covariance.py",
+        "axes[1, n] = -M[0, 2] / _gap",
+        "axes[1, n] = M[0, 2] / _gap",
+        ("backend/uncertainty", "backend"),
+    ),
+    Fault(
+        "left-handed principal axes",
+        "backend/problem/inertia.py",
+        "R[:, 1] = np.cross(R[:, 2], R[:, 0])",
+        "R[:, 1] = np.cross(R[:, 0], R[:, 2])",
+        ("backend/problem", "backend"),
+    ),
+    Fault(
+        "noise corrected for the freedom of the landmarks, not for that of the poses",
+        "backend/noise/measurement_noise.py",
+        "    taken[:, :2] += min(3.0 * len(np.unique(data.frame)) / len(data.frame), 0.3)\n",
+        "",
+        ("backend/noise", "backend"),
+    ),
+    Fault(
+        "frames swapped: a rotation of the pose graph applied in the wrong frame",
+        "backend/initialization/pose_graph.py",
+        'error = np.einsum("eba,eb->ea", R[i], target)',
+        'error = np.einsum("eab,eb->ea", R[i], target)',
+        ("backend/initialization", "backend"),
+    ),
+    Fault(
+        "the sliding window keeps the frame that is worth least and drops the best",
+        "backend/window/marginalize.py",
+        "return int(np.argmin(worth))",
+        "return int(np.argmax(worth))",
+        ("backend/window", "backend"),
+    ),
+)
+FRONTEND = (
+    Fault(
+        "factor two: distance of unit descriptors from their product",
+        "frontend/features/stereo.py",
+        "distance = np.sqrt(np.maximum(2.0 - 2.0 * top, 0.0))",
+        "distance = np.sqrt(np.maximum(1.0 - top, 0.0))",
+        ("frontend/features", "frontend"),
+    ),
+    Fault(
+        "the refined disparity does not follow the slant from the window's centre to the point",
+        "frontend/features/stereo.py",
+        "return np.sum(warp * arm, axis=1), sigma,",
+        "return warp[:, 0], sigma,",
+        ("frontend/features", "frontend"),
+    ),
+    Fault(
+        "transposed rotation of a covariance between two frames",
+        "frontend/matching/ransac.py",
+        "W = np.linalg.inv(C_A + R @ C_B @ R.T)",
+        "W = np.linalg.inv(C_A + R.T @ C_B @ R)",
+        ("frontend/matching", "frontend"),
+    ),
+    Fault(
+        "direction from the camera instead of towards it",
+        "frontend/tracks/landmark_map.py",
+        "towards = -p_R / np.linalg.norm(p_R, axis=1, keepdims=True)",
+        "towards = p_R / np.linalg.norm(p_R, axis=1, keepdims=True)",
+        ("frontend/tracks", "frontend"),
+    ),
+    Fault(
+        "offset of the principal points with the wrong sign",
+        "frontend/rectification/rectify.py",
+        "K[0, 2] -= rig.disparity_offset_px",
+        "K[0, 2] += rig.disparity_offset_px",
+        ("frontend/rectification", "frontend"),
+    ),
+    Fault(
+        "missing check: landmarks that one frame shows both are merged",
+        "frontend/tracks/duplicates.py",
+        "    if np.any(a.frames & b.frames):\n        return float(\"inf\")\n",
+        "",
+        ("frontend/tracks", "frontend"),
+    ),
+)
+SIMULATION = (
+    Fault(
+        "quaternion kinematics: sign of one product",
+        "simulation/motion/integrate.py",
+        "out[8] = 0.5 * (w * rate[1] + z * rate[0] - x * rate[2])",
+        "out[8] = 0.5 * (w * rate[1] - z * rate[0] + x * rate[2])",
+        ("simulation/test_motion_forces.py", "simulation"),
+    ),
+    Fault(
+        "the lamp's light falls with the distance, not with its square",
+        "simulation/rendering/shading.py",
+        "at_hit = lights.lamp / reach[visible] ** 2",
+        "at_hit = lights.lamp / reach[visible]",
+        ("simulation/rendering", "simulation"),
+    ),
+    Fault(
+        "tangential distortion with its coefficients swapped",
+        "simulation/camera/cameras.py",
+        "off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y",
+        "off_y = y * radial + p2 * (r2 + 2.0 * y * y) + 2.0 * p1 * x * y",
+        ("simulation/camera", "simulation"),
+    ),
+    Fault(
+        "unit: noise drawn of grey values, not of electrons",
+        "simulation/camera/sensor.py",
+        "return digitise(charge / sensor.electrons_per_dn, sensor, rng)",
+        "return digitise(charge / sensor.white_dn, sensor, rng)",
+        ("simulation/camera", "simulation"),
+    ),
+    Fault(
+        "parallel axis theorem forgotten",
+        "simulation/bodies/parts/mass.py",
+        "inertia += factor * mass.inertia_per_density + weight * (d @ d * np.eye(3) - np.outer(d, d))",
+        "inertia += factor * mass.inertia_per_density",
+        ("simulation/bodies", "simulation"),
+    ),
+    Fault(
+        "pixel centres off by half a pixel",
+        "simulation/camera/cameras.py",
+        "return self.directions(np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64))",
+        "return self.directions(np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64) + 0.5)",
+        ("simulation/camera", "simulation/test_depth.py", "simulation"),
+    ),
+)
+MAPPING = (
+    Fault(
+        "row and column of the projection swapped",
+        "mapping/integrate.py",
+        "pixel = v[hit] * w + u[hit]",
+        "pixel = u[hit] * w + v[hit]",
+        ("mapping",),
+    ),
+    Fault(
+        "pose where its inverse is needed",
+        "mapping/integrate.py",
+        "np.ascontiguousarray(inverse_pose(X_RG)),\n            grid.voxel_m,",
+        "np.ascontiguousarray(X_RG),\n            grid.voxel_m,",
+        ("mapping",),
+    ),
+    Fault(
+        "sign of the rotation's derivative in the alignment of a frame",
+        "mapping/align.py",
+        "by_turn = np.cross(along, away)",
+        "by_turn = np.cross(away, along)",
+        ("mapping/test_align.py", "mapping"),
+    ),
+    Fault(
+        "missing check: holes that a frame looked through are closed",
+        "mapping/holes.py",
+        "    if patches and views and rig is not None:\n",
+        "    if False and patches and views and rig is not None:\n",
+        ("mapping/test_holes.py", "mapping"),
+    ),
+)
+PLANNING = (
+    Fault(
+        "wrong exponent in the spread of the position by white acceleration",
+        "planning/prediction/prediction.py",
+        "out[:, i, i] = accel_psd * time_s[:, None] ** 3 / 3",
+        "out[:, i, i] = accel_psd * time_s[:, None] ** 2 / 3",
+        ("planning/prediction", "planning"),
+    ),
+    Fault(
+        "transposed rotation in the swept volume",
+        "planning/keep_out/sweep.py",
+        "gx = A[0, 0] * dx + A[1, 0] * dy + A[2, 0] * dz",
+        "gx = A[0, 0] * dx + A[0, 1] * dy + A[0, 2] * dz",
+        ("planning/keep_out", "planning"),
+    ),
+    Fault(
+        "scalar part of an exported quaternion first instead of last",
+        "planning/exports/ccsds.py",
+        "rows = np.hstack([wxyz[:, [1, 2, 3, 0]], np.rad2deg(w_F)])",
+        "rows = np.hstack([wxyz, np.rad2deg(w_F)])",
+        ("pipeline/products/test_export.py", "pipeline/test_export_programs.py", "planning"),
+    ),
+    Fault(
+        "scale of shifts by the radius applied the wrong way round",
+        "planning/edges/metric/information.py",
+        "return np.array([radius_m] * 3 + [1.0] * 3)",
+        "return np.array([1.0 / radius_m] * 3 + [1.0] * 3)",
+        ("planning/edges/metric", "planning"),
+    ),
+)
+PIPELINE_AND_CLI = (
+    Fault(
+        "columns of trajectory.csv exchanged: velocity before position",
+        "pipeline/run_directory/trajectory_file.py",
+        "states = np.hstack([trajectory.r_N, trajectory.v_N, trajectory.q_NP_wxyz, trajectory.w_P])",
+        "states = np.hstack([trajectory.v_N, trajectory.r_N, trajectory.q_NP_wxyz, trajectory.w_P])",
+        ("pipeline/run_directory", "pipeline"),
+    ),
+    Fault(
+        "what stood in the run directory is lost when a run ends with the user's mistake",
+        "pipeline/run_directory/run_folder.py",
+        "failed = isinstance(error, Exception) and not isinstance(error, InputError)",
+        "failed = isinstance(error, Exception)",
+        ("pipeline/run_directory", "pipeline"),
+    ),
+    Fault(
+        "sign of the lever arm from the centre of mass to the origin of the mesh",
+        "pipeline/evaluation/evaluate.py",
+        "return make_pose(R_NG, states.r_N - R_NG @ com_G)",
+        "return make_pose(R_NG, states.r_N + R_NG @ com_G)",
+        ("pipeline/evaluation", "pipeline"),
+    ),
+    Fault(
+        "bad input unhandled: a standard deviation of zero passes",
+        "pipeline/run_directory/archives.py",
+        "if np.any(sigma_px <= 0.0):",
+        "if np.any(sigma_px < 0.0):",
+        ("pipeline/run_directory", "pipeline"),
+    ),
+    Fault(
+        "wrong exit code for the user's mistake",
+        "cli/main.py",
+        "return _fail(InputError.exit_code, str(error), debug)",
+        "return _fail(RunFailure.exit_code, str(error), debug)",
+        ("cli",),
+    ),
+)
+COMPARE = (
+    Fault(
+        "the front of time against accuracy: slower counts as faster",
+        "compare/judging/dominance.py",
+        "faster = (1.0 + NOISE) * row.wall_s < other.wall_s",
+        "faster = (1.0 + NOISE) * row.wall_s > other.wall_s",
+        ("compare/judging", "compare"),
+    ),
+    Fault(
+        "the judge forgets what the landmarks still promise",
+        "compare/judging/judge.py",
+        "gain = 0.5 * float(g @ cho_solve(factor, g)) + 0.5 * float(of_landmarks)",
+        "gain = 0.5 * float(g @ cho_solve(factor, g))",
+        ("compare/judging", "compare"),
+    ),
+)
+POLHODE = (
+    Fault(
+        "offset of the disparity ignored in the triangulation",
+        "polhode/camera.py",
+        "z = self.focal_px * self.baseline_m / (uvd[..., 2] - self.disparity_offset_px)",
+        "z = self.focal_px * self.baseline_m / uvd[..., 2]",
+        ("polhode",),
+    ),
+    Fault(
+        "not atomic: a file is written in its place",
+        "polhode/atomic.py",
+        "    with replaced(path) as partial:\n        partial.write_bytes(content)\n",
+        "    path.write_bytes(content)\n",
+        ("polhode", "pipeline/run_directory"),
+    ),
+    Fault(
+        "series of the Jacobian of rotations near zero",
+        "polhode/lie.py",
+        "a = np.where(small, 0.5 - angle**2 / 24.0,",
+        "a = np.where(small, 1.0 - angle**2 / 24.0,",
+        ("polhode/test_lie.py", "polhode"),
+    ),
+)
+FAULTS = (*BACKEND, *FRONTEND, *SIMULATION, *MAPPING, *PLANNING, *PIPELINE_AND_CLI, *COMPARE, *POLHODE)
