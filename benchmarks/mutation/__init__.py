@@ -1,5 +1,5 @@
-"""Does the test suite notice a defect? In: the repository. Out: a table of deliberate faults and the tests that fail.
+"""Does the test suite notice a defect? In: the repository. Out: deliberate faults and the tests that fail.
 
 - ``faults``: the list of faults, each a piece of code and what replaces it.
-- ``catch``: the command; puts one fault at a time into a copy of the repository and runs the tests of its room.
+- ``catch``: the command; puts one fault at a time into a copy of the repository and runs its tests.
 """

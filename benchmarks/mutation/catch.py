@@ -2,8 +2,8 @@
 
 Run: ``python -m benchmarks.mutation.catch [--only TEXT] [--jobs 2] [-o runs/faults.md]``. Half an hour.
 
-Each fault goes alone into a copy of the repository, and the tests that it names run until the first one fails.
-That test must pass without the fault, else it counts for nothing.
+Each fault goes alone into a copy of the repository, and the tests that it names run until the first one
+fails. That test must pass without the fault, else it counts for nothing.
 """
 
 import argparse
@@ -46,7 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--tree", type=Path, default=ROOT, help="the repository whose tests are tried")
     parser.add_argument("--only", default="", help="faults whose file or kind contains this text")
-    parser.add_argument("--jobs", type=int, default=1, help="copies of the repository that are tested at a time")
+    parser.add_argument("--jobs", type=int, default=1, help="copies of the repository to test at a time")
     parser.add_argument("-o", "--output", type=Path, help="a file for the table as well")
     options = parser.parse_args()
     chosen = [fault for fault in FAULTS if options.only in fault.file or options.only in fault.kind]
@@ -111,7 +111,8 @@ def run_tests(copy: Path, tests: tuple[str, ...], cache: str | None) -> str:
     if cache:
         environment["NUMBA_CACHE_DIR"] = cache
     names = [f"tests/{test}" for test in tests]
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-x", "-q", "-n", "0", "-rfE", *names]
+    options = ["-p", "no:cacheprovider", "--exitfirst", "--quiet", "--numprocesses", "0", "-rfE"]
+    command = [sys.executable, "-m", "pytest", *options, *names]
     try:
         return subprocess.run(
             command, cwd=copy, env=environment, capture_output=True, text=True, timeout=LONGEST_S

@@ -134,7 +134,7 @@ FRONTEND = (
     Fault(
         "missing check: landmarks that one frame shows both are merged",
         "frontend/tracks/duplicates.py",
-        "    if np.any(a.frames & b.frames):\n        return float(\"inf\")\n",
+        '    if np.any(a.frames & b.frames):\n        return float("inf")\n',
         "",
         ("frontend/tracks", "frontend"),
     ),
