@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from polhode.compiled import compiled_fused_ieee
 from polhode.lie import Array
 from polhode.mapping.blocks import (
     CHANNELS,
@@ -16,7 +17,6 @@ from polhode.mapping.blocks import (
     VIEWS,
     WEIGHT,
 )
-from polhode.mapping.compiled import compiled
 from polhode.records import Ints
 
 Floats = NDArray[np.float32]
@@ -29,7 +29,7 @@ RESIDUE = 1e-5
 """Of a weight that was taken away: what is left of it is rounding."""
 
 
-@compiled
+@compiled_fused_ieee
 def touched_keys(
     depth: Floats,
     weight: Floats,
@@ -83,7 +83,7 @@ def touched_keys(
     return count
 
 
-@compiled
+@compiled_fused_ieee
 def update_blocks(
     values: Floats,
     keys: Ints,

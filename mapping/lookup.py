@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from polhode.compiled import compiled_fused_ieee
 from polhode.lie import Array, transform_points
 from polhode.mapping.blocks import DISTANCE, EDGE, FREE, HALF, SQUARE, VIEWS, VOXELS, WEIGHT, BlockGrid
-from polhode.mapping.compiled import compiled
 from polhode.records import Ints
 
 _BITS = HALF.bit_length()
@@ -62,7 +62,7 @@ class FieldLookup:
         return Samples(out[:, 0], out[:, 1:4] @ self.X_FG[:3, :3], out[:, 4])
 
 
-@compiled
+@compiled_fused_ieee
 def interpolate(
     values: NDArray[np.float32], keys: Ints, order: Ints, limits: Array, points: Array, out: Array
 ) -> None:

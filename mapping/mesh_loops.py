@@ -2,15 +2,15 @@
 
 import numpy as np
 
+from polhode.compiled import compiled_fused_ieee
 from polhode.lie import Array
-from polhode.mapping.compiled import compiled
 from polhode.records import Ints
 
 MOMENTS = 9
 """Means of x, y, z and of xx, xy, xz, yy, yz, zz"""
 
 
-@compiled
+@compiled_fused_ieee
 def piece_areas(vertices: Array, faces: Ints) -> tuple[Ints, Array]:
     """The piece of each vertex (V,), told by one of its vertices, and the areas (V,) of the pieces."""
     parent = np.arange(len(vertices))
@@ -38,7 +38,7 @@ def piece_areas(vertices: Array, faces: Ints) -> tuple[Ints, Array]:
     return parent, area
 
 
-@compiled
+@compiled_fused_ieee
 def _root(parent: Ints, v: int) -> int:
     while parent[v] != v:
         parent[v] = parent[parent[v]]
@@ -46,7 +46,7 @@ def _root(parent: Ints, v: int) -> int:
     return v
 
 
-@compiled
+@compiled_fused_ieee
 def volume_moments(vertices: Array, faces: Ints) -> Array:
     """(10,): volume, its first moments x, y, z and second moments xx, xy, xz, yy, yz, zz about the origin.
 
@@ -71,7 +71,7 @@ def volume_moments(vertices: Array, faces: Ints) -> Array:
     return out
 
 
-@compiled
+@compiled_fused_ieee
 def neighbours(faces: Ints, count: int) -> tuple[Ints, Ints]:
     """Starts (V + 1,) and the neighbours of each of ``count`` vertices, along the faces' winding.
 
@@ -92,7 +92,7 @@ def neighbours(faces: Ints, count: int) -> tuple[Ints, Ints]:
     return start, other
 
 
-@compiled
+@compiled_fused_ieee
 def rim_edges(faces: Ints, start: Ints, other: Ints) -> Ints:
     """Edges (n, 2) with one face, as that face winds them, in the order of the faces; see ``neighbours``."""
     out, count = np.empty((3 * len(faces), 2), np.int64), 0
@@ -110,7 +110,7 @@ def rim_edges(faces: Ints, start: Ints, other: Ints) -> Ints:
     return out[:count].copy()
 
 
-@compiled
+@compiled_fused_ieee
 def averaged(values: Array, start: Ints, other: Ints) -> Array:
     """Values (V, 9) averaged over each vertex and its neighbours."""
     out = np.empty_like(values)
@@ -128,7 +128,7 @@ def averaged(values: Array, start: Ints, other: Ints) -> Array:
     return out
 
 
-@compiled
+@compiled_fused_ieee
 def least_spread(moments: Array) -> Array:
     """Smallest eigenvalue (V,) of second moments about the mean, not negative.
 

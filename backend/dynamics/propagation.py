@@ -16,7 +16,7 @@ the process noise allows.
 
 import numpy as np
 
-from polhode.backend.compiled import compiled
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 

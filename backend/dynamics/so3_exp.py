@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from polhode.backend.compiled import compiled
+from polhode.compiled import compiled
 from polhode.lie import Array
 
 SMALL_RAD = 1e-3

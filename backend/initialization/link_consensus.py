@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polhode.backend.compiled import compiled
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 

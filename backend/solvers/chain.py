@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from polhode.backend.compiled import compiled
+from polhode.compiled import compiled
 from polhode.lie import Array
 
 POSE = 6

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polhode.backend.compiled import compiled, fused
+from polhode.compiled import compiled, compiled_fused
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -30,7 +30,7 @@ def stereo_residuals(
     return out
 
 
-@fused
+@compiled_fused
 def stereo_normal_equations(
     frame: Ints, landmark: Ints, inv_sigma: Array, rig: Array, A: Array, R_RN: Array, t_R: Array,
     p_NG: Array, p_G: Array, Jr: Array, residuals: Array, weight: Array, bend: Array,
@@ -97,7 +97,7 @@ def stereo_normal_equations(
     return H, g, C, h, E
 
 
-@fused
+@compiled_fused
 def subtract_landmarks(
     S: Array, rhs: Array, frame: Ints, start: Ints, E: Array, C_inv: Array, h: Array, stride: int
 ) -> None:
@@ -150,7 +150,7 @@ def back_substitute(
     return out
 
 
-@fused
+@compiled_fused
 def landmark_covariances(cov: Array, frame: Ints, start: Ints, E: Array, C_inv: Array, stride: int) -> Array:
     """Covariances (L, 3, 3) = C^-1 + C^-1 E^T cov E C^-1, from that of the poses."""
     out = C_inv.copy()

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.backend.compiled import compiled
 from polhode.backend.dynamics.so3_exp import right_jacobians, turns
 from polhode.backend.solvers.gauss_newton import robust_weight
 from polhode.backend.solvers.schur import (
@@ -15,6 +14,7 @@ from polhode.backend.solvers.schur import (
 )
 from polhode.backend.window.dense import mirror_lower
 from polhode.backend.window.frame import Frame
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 

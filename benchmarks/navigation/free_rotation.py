@@ -7,8 +7,8 @@ ways.
 
 import numpy as np
 
+from polhode.compiled import compiled_ieee
 from polhode.lie import Array
-from polhode.planning.compiled import compiled
 from polhode.quaternion import matrix_from_wxyz
 
 TURN_A_STEP_RAD = 0.03
@@ -32,7 +32,7 @@ def turn_freely(
     return turn, y[4:7], y[7:43].reshape(6, 6), y[43:].reshape(6, 6)
 
 
-@compiled
+@compiled_ieee
 def _integrate(moments: Array, y: Array, h: float, steps: int, psd: float) -> None:
     """Carry y (79,) on in place: quaternion, rate, Phi and Q by rows."""
     slope, total = np.empty(79), np.empty(79)
@@ -48,7 +48,7 @@ def _integrate(moments: Array, y: Array, h: float, steps: int, psd: float) -> No
         y += h / 6.0 * total
 
 
-@compiled
+@compiled_ieee
 def _derivative(moments: Array, y: Array, psd: float, out: Array) -> None:
     """Derivative (79,) of y in time."""
     a, b, c = y[4], y[5], y[6]

@@ -6,7 +6,7 @@ eliminate the landmarks. The kernel is in the residuals (``blocks.root_of_kernel
 
 import numpy as np
 
-from polhode.backend.compiled import compiled
+from polhode.compiled import compiled
 from polhode.lie import Array
 
 

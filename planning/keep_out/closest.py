@@ -7,8 +7,8 @@ less radius.
 
 import numpy as np
 
+from polhode.compiled import compiled_ieee
 from polhode.lie import Array
-from polhode.planning.compiled import compiled
 from polhode.records import Ints
 
 ROUNDS = 2
@@ -30,7 +30,7 @@ def closest(origin: Array, step_m: float, shape: tuple[int, int, int], q: Array,
     return best
 
 
-@compiled
+@compiled_ieee
 def _seed(best: Ints, value: Array, place: Array, reach: Array) -> None:
     nx, ny, nz = best.shape
     for n in range(len(place)):
@@ -45,7 +45,7 @@ def _seed(best: Ints, value: Array, place: Array, reach: Array) -> None:
                         best[i, j, k] = n
 
 
-@compiled
+@compiled_ieee
 def _sweep(best: Ints, value: Array, place: Array, reach: Array, si: int, sj: int, sk: int) -> None:
     nx, ny, nz = best.shape
     for x in range(nx):

@@ -7,8 +7,8 @@ body's surface, sigma of that surface along the direction to the cell, from the 
 import numpy as np
 from numpy.typing import NDArray
 
+from polhode.compiled import compiled_ieee
 from polhode.lie import Array
-from polhode.planning.compiled import compiled
 from polhode.records import Ints
 
 Floats = NDArray[np.float32]
@@ -19,7 +19,7 @@ DEEP_CELLS = 2.0
 REACH_CELLS = 3.0
 
 
-@compiled
+@compiled_ieee
 def linear(values: Floats, origin: Array, step: float, x: float, y: float, z: float, out: Array) -> None:
     """out (4,): value at a place, and its gradient; outside, a lower bound of a distance, and its direction.
 
@@ -54,7 +54,7 @@ def linear(values: Floats, origin: Array, step: float, x: float, y: float, z: fl
         out[0] = whole
 
 
-@compiled
+@compiled_ieee
 def values_at(values: Floats, origin: Array, step: float, points: Array) -> Array:
     """Of a grid at points (n, 3), linear in between; outside as in ``linear``."""
     out, found = np.empty(len(points)), np.empty(4)
@@ -64,7 +64,7 @@ def values_at(values: Floats, origin: Array, step: float, points: Array) -> Arra
     return out
 
 
-@compiled
+@compiled_ieee
 def sigma_along(P: Array, x: float, y: float, z: float, found: Array) -> float:
     """Sigma of the surface nearest to a place of G, along the direction to it; found (4,) of ``linear``."""
     size = np.sqrt(found[1] ** 2 + found[2] ** 2 + found[3] ** 2)
@@ -80,7 +80,7 @@ def sigma_along(P: Array, x: float, y: float, z: float, found: Array) -> float:
     return float(np.sqrt(max(total, 0.0)))
 
 
-@compiled
+@compiled_ieee
 def sweep(
     fields: Floats,
     origin: Array,
@@ -148,7 +148,7 @@ def sweep(
                             fields[i, j, k, c] = value
 
 
-@compiled
+@compiled_ieee
 def sticks_out(
     fields: Floats, origin: Array, step: float, R: Array, p: Array, pairs: Ints, points: Array
 ) -> Array:
@@ -179,7 +179,7 @@ def sticks_out(
     return out
 
 
-@compiled
+@compiled_ieee
 def sticks_out_at_each_instant(
     factors: Array,
     R: Array,

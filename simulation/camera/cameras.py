@@ -8,8 +8,8 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numba import njit
 
+from polhode.compiled import compiled
 from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, make_pose
@@ -84,7 +84,7 @@ def _undistort(distorted: Array, dist: Array) -> Array:
     return np.asarray(points)
 
 
-@njit(cache=True)
+@compiled
 def _inverted(distorted: Array, k1: float, k2: float, p1: float, p2: float) -> tuple[Array, bool]:
     """Newton's iteration from the distorted points; true when the Jacobian's determinant reaches zero."""
     points = distorted.copy()

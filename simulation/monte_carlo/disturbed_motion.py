@@ -1,8 +1,8 @@
 """A rigid body under white disturbances that hold over small steps, by a fourth-order method."""
 
 import numpy as np
-from numba import njit
 
+from polhode.compiled import compiled
 from polhode.lie import Array, exp_so3
 
 
@@ -24,7 +24,7 @@ def disturbed_motion(
     return r_N, v_N, _turned(np.ascontiguousarray(R), exp_so3(turn)), w_G
 
 
-@njit(cache=True)
+@compiled
 def _acceleration(J: Array, J_inv: Array, w: Array, torque: Array) -> Array:
     h, moment, out = np.zeros(3), np.empty(3), np.zeros(3)
     for a in range(3):
@@ -39,7 +39,7 @@ def _acceleration(J: Array, J_inv: Array, w: Array, torque: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def _rates(w: Array, J: Array, J_inv: Array, torque: Array, h: float) -> tuple[Array, Array]:
     """Rates (n + 1, 3), and the rotation vectors (n, 3) of the steps."""
     n = len(torque)
@@ -57,7 +57,7 @@ def _rates(w: Array, J: Array, J_inv: Array, torque: Array, h: float) -> tuple[A
     return rates, turn
 
 
-@njit(cache=True)
+@compiled
 def _turned(R: Array, steps: Array) -> Array:
     """R (3, 3) and its products with the steps (n, 3, 3), one after the other: (n + 1, 3, 3)."""
     out = np.zeros((len(steps) + 1, 3, 3))

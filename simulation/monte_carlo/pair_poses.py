@@ -1,8 +1,8 @@
 """Relative poses between frames by absolute orientation of the landmarks that they share."""
 
 import numpy as np
-from numba import njit
 
+from polhode.compiled import compiled
 from polhode.lie import Array, make_pose
 from polhode.records import Ints
 
@@ -27,7 +27,7 @@ def pair_poses(
     return i, j, make_pose(R, centres[:, 0] - np.einsum("eab,eb->ea", R, centres[:, 1])), count
 
 
-@njit(cache=True)
+@compiled
 def _sums(index: Ints, i: Ints, j: Ints, p_R: Array, X_RG: Array, gate_m: float) -> tuple[Array, Array, Ints]:
     """Centres (E, 2, 3) in both frames, products about them (E, 3, 3), numbers (E,) of good landmarks."""
     n = len(i)

@@ -12,9 +12,9 @@ Its momentum in N stays exactly; its energy h.J^-1 h / 2 falls by f |J^-1 (h x J
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.integrate import DOP853
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 
 STAGES = DOP853.n_stages
@@ -44,7 +44,7 @@ class Forces(NamedTuple):
     """Square of the ball's moment over the layer's coefficient [kg m^2 s]"""
 
 
-@njit(cache=True)
+@compiled
 def body_rate(h_P: Array, moments: Array, friction: float) -> Array:
     """Angular velocity w_P (3,) [rad/s] of a body whose momentum is h_P (3,)."""
     w = np.empty(3)
@@ -55,7 +55,7 @@ def body_rate(h_P: Array, moments: Array, friction: float) -> Array:
     return w
 
 
-@njit(cache=True)
+@compiled
 def advance(y: Array, start_s: float, stop_s: float, forces: Forces) -> Array:
     """State (13,) at stop_s from the state at start_s, forwards or backwards in time [s]."""
     knots = forces.knots_s
@@ -74,7 +74,7 @@ def advance(y: Array, start_s: float, stop_s: float, forces: Forces) -> Array:
     return y
 
 
-@njit(cache=True)
+@compiled
 def _within_segment(y: Array, start_s: float, end_s: float, segment: int, forces: Forces) -> Array:
     """Equal steps over a span in which nothing jumps."""
     duration = end_s - start_s
@@ -96,7 +96,7 @@ def _within_segment(y: Array, start_s: float, end_s: float, segment: int, forces
     return y
 
 
-@njit(cache=True)
+@compiled
 def _step(y: Array, time_s: float, step_s: float, segment: int, active: Array, forces: Forces) -> Array:
     """One step of order eight."""
     slopes = np.empty((STAGES, 13))
@@ -116,7 +116,7 @@ def _step(y: Array, time_s: float, step_s: float, segment: int, active: Array, f
     return out
 
 
-@njit(cache=True)
+@compiled
 def _slope(y: Array, time_s: float, segment: int, active: Array, forces: Forces, out: Array) -> None:
     """Derivative of the state, written to out (13,)."""
     rate = body_rate(y[10:13], forces.moments, forces.friction)

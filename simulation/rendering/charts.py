@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.bodies.parts.part import SLOPE_STEP, Chart
@@ -51,7 +51,7 @@ def _layers(chart: Chart) -> NDArray[np.uint8]:
     return np.zeros(chart.image.size, np.uint8) if chart.layer is None else chart.layer.ravel()
 
 
-@njit(cache=True)
+@compiled
 def _look_up(
     chart: Ints,
     p: Array,

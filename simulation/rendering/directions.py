@@ -1,10 +1,10 @@
 """Directions spread evenly over the sphere, and the way back: which of them is nearest to a given one."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
@@ -34,7 +34,7 @@ def nearest_map(directions: Array) -> NDArray[np.int32]:
     return np.asarray(cKDTree(directions).query(cell)[1], dtype=np.int32)
 
 
-@njit(cache=True)
+@compiled
 def find(x: float, y: float, z: float, nearest: NDArray[np.int32]) -> int:
     """Index of the direction near (x, y, z), any length, by the map of ``nearest_map``."""
     size = abs(x) + abs(y) + abs(z)

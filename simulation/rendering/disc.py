@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.rendering.directions import GOLDEN_ANGLE
@@ -71,7 +71,7 @@ def _across(direction: Array) -> Array:
     return np.stack([right, np.cross(direction, right)])
 
 
-@njit(cache=True)
+@compiled
 def _hash(pixel: Ints, use: int) -> tuple[Array, Array]:
     """Two uniform numbers (n,) in [0, 1) for each pixel."""
     first, second = np.empty(len(pixel)), np.empty(len(pixel))

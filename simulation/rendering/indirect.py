@@ -7,9 +7,9 @@ to part, the Earth's disc behind the body's own outline, and what rough clear su
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.simulation.bodies import Body
 from polhode.simulation.rendering.directions import find, nearest_map
@@ -161,7 +161,7 @@ def _places(count: int, stratum: Stratum) -> Array:
     return spiral(index, rays * stratum.samples)
 
 
-@njit(cache=True)
+@compiled
 def _open_share(sees: NDArray[np.int16], normal: Array, directions: Array, inside: Array) -> Array:
     """Share (P,) of the disc's light above the horizon that comes from open sky; 1 where there is none."""
     share = np.empty(len(sees))
@@ -179,7 +179,7 @@ def _open_share(sees: NDArray[np.int16], normal: Array, directions: Array, insid
     return share
 
 
-@njit(cache=True)
+@compiled
 def _look(
     sees: NDArray[np.int16],
     directions: Array,
@@ -214,7 +214,7 @@ def _look(
     return bounced * (4.0 / len(directions)), views
 
 
-@njit(cache=True)
+@compiled
 def _highlight(n: Array, from_viewer: Array, sun: Array, alpha2: float, f0: float) -> float:
     """Level of the Sun's mirror image on a surface of normal n (3,), seen along a direction (3,)."""
     n_l = n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2]
@@ -226,7 +226,7 @@ def _highlight(n: Array, from_viewer: Array, sun: Array, alpha2: float, f0: floa
     return float(glossy(n_l, max(n_v, 1e-3), min((n_l + n_v) / length, 1.0), 0.5 * length, alpha2, f0))
 
 
-@njit(cache=True)
+@compiled
 def _mirrored(
     index: NDArray[np.int32],
     share: NDArray[np.float32],

@@ -8,9 +8,9 @@ their own take the nearest one.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -64,7 +64,7 @@ class Neighbourhood:
         return self._p, self._n, reach_m, self._low, cell_m, self._shape, self._start, self._member
 
 
-@njit(cache=True)
+@compiled
 def _fill_cells(p: Array, low: Array, cell_m: float, shape: Ints, reach_m: float) -> tuple[Ints, Ints]:
     """For each cell of the grid, the points that reach into it: members[start[cell]:start[cell + 1]]."""
     count = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
@@ -95,7 +95,7 @@ def _fill_cells(p: Array, low: Array, cell_m: float, shape: Ints, reach_m: float
     return start, members
 
 
-@njit(cache=True)
+@compiled
 def _cell_of(p: Array, a: int, low: Array, cell_m: float, shape: Ints) -> int:
     """The cell that holds p[a]; -1: outside of the grid."""
     cell = 0
@@ -107,7 +107,7 @@ def _cell_of(p: Array, a: int, low: Array, cell_m: float, shape: Ints) -> int:
     return cell
 
 
-@njit(cache=True)
+@compiled
 def _weight(p: Array, n: Array, a: int, q: Array, m: Array, i: int, reach2: float) -> float:
     """What the neighbour at q[i] with normal m[i] counts at p[a] with normal n[a]."""
     dx, dy, dz = p[a, 0] - q[i, 0], p[a, 1] - q[i, 1], p[a, 2] - q[i, 2]
@@ -125,7 +125,7 @@ def _weight(p: Array, n: Array, a: int, q: Array, m: Array, i: int, reach2: floa
     return float(near * near * alike * alike)
 
 
-@njit(cache=True)
+@compiled
 def _nearest(
     p: Array,
     n: Array,
@@ -152,7 +152,7 @@ def _nearest(
     return out
 
 
-@njit(cache=True)
+@compiled
 def _near(
     p: Array,
     n: Array,
@@ -196,7 +196,7 @@ def _near(
     return index, weight
 
 
-@njit(cache=True)
+@compiled
 def _next_best(p: Array, n: Array, a: int, q: Array, m: Array, member: Ints) -> tuple[int, float]:
     """Where no point counts: the nearest that faces the same half of space, and 1; 0 if there is none."""
     nearest, found, share = np.inf, 0, 0.0
@@ -208,7 +208,7 @@ def _next_best(p: Array, n: Array, a: int, q: Array, m: Array, member: Ints) -> 
     return found, share
 
 
-@njit(cache=True)
+@compiled
 def _blend(index: NDArray[np.int32], weight: NDArray[np.float32], values: NDArray[np.float32]) -> Array:
     out = np.zeros((len(index), values.shape[1]))
     for n in range(len(index)):

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 from polhode.simulation.rendering.directions import even_directions
@@ -126,7 +126,7 @@ def _far_apart(points: SurfacePoints, spacing_m: float, rng: np.random.Generator
     return np.sort(order[taken])
 
 
-@njit(cache=True)
+@compiled
 def _greedy(count: int, pairs: Ints) -> Bools:
     """Which of ``count`` points stay; pairs (m, 2) of near ones, i < j, sorted by i."""
     stays = np.ones(count, np.bool_)

@@ -5,14 +5,14 @@ shadowing; Schlick's Fresnel. Levels are relative to a white diffuse surface in 
 """
 
 import numpy as np
-from numba import njit
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.simulation.rendering.light import Lights
 from polhode.simulation.surface.materials import Surface
 
 
-@njit(cache=True)
+@compiled
 def glossy(n_l: float, n_v: float, n_h: float, v_h: float, alpha2: float, f0: float) -> float:
     """Level of the mirror term times n_l, from cosines between normal, light, viewer and half vector.
 
@@ -29,7 +29,7 @@ def glossy(n_l: float, n_v: float, n_h: float, v_h: float, alpha2: float, f0: fl
     return float(np.pi * density * fresnel * 0.5 * n_l / max(of_viewer + of_light, 1e-6))
 
 
-@njit(cache=True)
+@compiled
 def reflected(
     normal: Array, toward: Array, to_viewer: Array, albedo: Array, f0: Array, alpha2: Array
 ) -> Array:
@@ -80,7 +80,7 @@ def earth_seen(directions_G: Array, alpha: Array, lights: Lights) -> Array:
     return np.asarray(0.5 + 0.5 * tilt / np.sqrt(alpha**2 + tilt**2 + 1e-12))
 
 
-@njit(cache=True)
+@compiled
 def lobe_ray(
     n: Array, v: Array, alpha: float, f0: float, right: float, up: float
 ) -> tuple[float, float, float, float]:
@@ -118,7 +118,7 @@ def lobe_ray(
     return lx * x0 + ly * y0 + lz * n[0], lx * x1 + ly * y1 + lz * n[1], lx * x2 + ly * y2 + lz * n[2], weight
 
 
-@njit(cache=True)
+@compiled
 def lobe_rays(
     normal: Array, to_viewer: Array, alpha: Array, f0: Array, place: Array, horizon: Array
 ) -> tuple[Array, Array]:

@@ -9,8 +9,8 @@ finest grain some 5 km. Patterns stand still: neither the orbit nor the Earth's 
 import math
 
 import numpy as np
-from numba import njit
 
+from polhode.compiled import compiled
 from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3
@@ -80,7 +80,7 @@ def _unit(vector: tuple[float, float, float]) -> Array:
     return np.asarray(np.asarray(vector) / np.linalg.norm(vector))
 
 
-@njit(cache=True)
+@compiled
 def _reflectance(
     rays: Array, middle: Array, sun: Array, distance: float, pixel_rad: float, seed: int
 ) -> Array:
@@ -106,7 +106,7 @@ def _reflectance(
     return out
 
 
-@njit(cache=True)
+@compiled
 def _disc(place: Array, up: float, ray: Array, sun: Array, footprint: float, seed: int) -> float:
     """Light from a place on the ball (3,), seen along a ray at cosine ``up`` from its zenith."""
     sun_up = float(place @ sun)
@@ -123,7 +123,7 @@ def _disc(place: Array, up: float, ray: Array, sun: Array, footprint: float, see
     return clear * below * (direct + 0.12 * day) + day * SKY * (1.0 - clear)
 
 
-@njit(cache=True)
+@compiled
 def _surface(place: Array, footprint: float, seed: int) -> tuple[float, float]:
     """Reflectance of the ground at a place, and share of it under clouds; no grain below the footprint."""
     x, y, z = place
@@ -149,18 +149,18 @@ def _surface(place: Array, footprint: float, seed: int) -> tuple[float, float]:
     return 0.12 + 0.12 * dry, clouds
 
 
-@njit(cache=True)
+@compiled
 def _air_mass(up: float) -> float:
     return 1.0 / (up + 0.025 * math.exp(-11.0 * up))
 
 
-@njit(cache=True)
+@compiled
 def _daylight(sun_up: float) -> float:
     """Light of the sky where the Sun's cosine from the zenith is ``sun_up``; dusk ends at -7 degrees."""
     return 1.0 - math.exp(-max(sun_up + 0.12, 0.0) / 0.12)
 
 
-@njit(cache=True)
+@compiled
 def _ramp(value: float, low: float, high: float) -> float:
     t = min(max((value - low) / (high - low), 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t)

@@ -10,8 +10,8 @@ meets is ``albedo * (1 - specular)``. Lengths of the textures hold for a body of
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numba import njit
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.surface.noise import cell_at, creases_at, fractal_at
@@ -137,7 +137,7 @@ class MaterialTable:
         return Surface(*found)
 
 
-@njit(cache=True)
+@compiled
 def _evaluate(
     material: Ints,
     ground: Ints,
@@ -175,7 +175,7 @@ def _evaluate(
     return albedo, specular, roughness, bent
 
 
-@njit(cache=True)
+@compiled
 def _variation(row: Array, p: Array, seed: int, scale: float, collage: bool, patched: bool) -> float:
     """Relative variation of the reflectance at a point, by grain and patches."""
     variation = 0.0
@@ -195,7 +195,7 @@ def _variation(row: Array, p: Array, seed: int, scale: float, collage: bool, pat
     return variation
 
 
-@njit(cache=True)
+@compiled
 def _tilt(row: Array, p: Array, seed: int, scale: float, collage: bool) -> tuple[float, float, float]:
     """Gradient of the relief at a point, by bumps and creases."""
     tx, ty, tz = 0.0, 0.0, 0.0

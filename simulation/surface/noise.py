@@ -7,8 +7,8 @@ The functions ``..._at`` serve one point inside compiled loops, with lengths in 
 """
 
 import numpy as np
-from numba import njit
 
+from polhode.compiled import compiled, compiled_inline
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -22,7 +22,7 @@ CREASE_TILTS = (1.0, 0.75, 0.55)
 """Their tilts."""
 
 
-@njit(cache=True, inline="always")
+@compiled_inline
 def hash_bits(i: int, j: int, k: int, seed: int) -> Bits:
     """Lattice point and seed -> 64 random bits."""
     h = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)
@@ -34,21 +34,21 @@ def hash_bits(i: int, j: int, k: int, seed: int) -> Bits:
     return h ^ (h >> np.uint64(32))
 
 
-@njit(cache=True, inline="always")
+@compiled_inline
 def unit_of(bits: Bits, place: int) -> float:
     """The first, second or third 21 bits (place 0, 1, 2) as a number in [0, 1)."""
     # Signed numbers turn into floats in one instruction, unsigned ones do not.
     return np.int64((bits >> np.uint64(21 * place)) & np.uint64(0x1FFFFF)) / 2097152.0
 
 
-@njit(cache=True, inline="always")
+@compiled_inline
 def _stirred(bits: Bits) -> Bits:
     """Other random bits of the same cell."""
     h = bits * np.uint64(0x9E3779B97F4A7C15)
     return h ^ (h >> np.uint64(32))
 
 
-@njit(cache=True)
+@compiled
 def _value_noise(x: float, y: float, z: float, seed: int) -> tuple[float, float, float, float]:
     """Smooth noise in [-1, 1], feature size 1, and its gradient."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
@@ -74,7 +74,7 @@ def _value_noise(x: float, y: float, z: float, seed: int) -> tuple[float, float,
     return value, gx, gy, gz
 
 
-@njit(cache=True)
+@compiled
 def fractal_at(x: float, y: float, z: float, octaves: int, seed: int) -> tuple[float, float, float, float]:
     """Sum of octaves in [-1, 1] whose largest feature has size 1, and its gradient."""
     size, amplitude, norm = 1.0, 1.0, 0.0
@@ -94,7 +94,7 @@ def fractal_at(x: float, y: float, z: float, octaves: int, seed: int) -> tuple[f
     return value / norm, gx / norm, gy / norm, gz / norm
 
 
-@njit(cache=True)
+@compiled
 def nearest_cell_at(x: float, y: float, z: float, seed: int) -> Bits:
     """Random bits of the nearest of the points that are strewn one to a unit cube."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
@@ -127,13 +127,13 @@ def nearest_cell_at(x: float, y: float, z: float, seed: int) -> Bits:
     return answer
 
 
-@njit(cache=True)
+@compiled
 def cell_at(x: float, y: float, z: float, seed: int) -> float:
     """One uniform value in [-1, 1] per random cell of size 1."""
     return 2.0 * unit_of(_stirred(nearest_cell_at(x, y, z, seed)), 0) - 1.0
 
 
-@njit(cache=True)
+@compiled
 def creases_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, float]:
     """Tilt of crumpled foil, largest flat piece of size 1: constant on each piece, cells within cells."""
     tx, ty, tz = 0.0, 0.0, 0.0
@@ -148,7 +148,7 @@ def creases_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, f
     return tx, ty, tz
 
 
-@njit(cache=True)
+@compiled
 def _fractal(p: Array, scale_m: Array, octaves: int, seed: Ints) -> Array:
     out = np.empty((len(p), 4))
     for n in range(len(p)):
@@ -157,7 +157,7 @@ def _fractal(p: Array, scale_m: Array, octaves: int, seed: Ints) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def _cells(p: Array, scale_m: Array, seed: Ints) -> Array:
     out = np.empty(len(p))
     for n in range(len(p)):

@@ -6,7 +6,8 @@ that are piecewise linear along random directions, so every crease is straight a
 """
 
 import numpy as np
-from numba import njit
+
+from polhode.compiled import compiled, compiled_inline
 
 State = np.uint64
 
@@ -18,19 +19,19 @@ FOLDS = 7
 """Directions along which the foil is folded."""
 
 
-@njit(cache=True, inline="always")
+@compiled_inline
 def _next(state: State) -> State:
     """The next state of a linear congruential generator of 64 bits (Knuth's MMIX constants)."""
     return state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
 
 
-@njit(cache=True, inline="always")
+@compiled_inline
 def _draw(state: State) -> float:
     """A number in [0, 1) of the state's upper bits."""
     return np.int64(state >> np.uint64(40)) / 16777216.0
 
 
-@njit(cache=True, inline="always")
+@compiled_inline
 def _start(i: int, j: int, k: int, seed: int) -> State:
     """The generator's first state in a cell, after three steps of mixing."""
     state = np.uint64(seed) + np.uint64(0x5851F42D)
@@ -40,7 +41,7 @@ def _start(i: int, j: int, k: int, seed: int) -> State:
     return state ^ (state >> np.uint64(31))
 
 
-@njit(cache=True)
+@compiled
 def spots_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, float, float]:
     """Noise of about [-1, 1] and its gradient: soft spots of random sign, feature size 1."""
     # Spots reach half a cell: the eight cells around the nearest corner hold all that matter.
@@ -68,7 +69,7 @@ def spots_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, flo
     return value, gx, gy, gz
 
 
-@njit(cache=True)
+@compiled
 def layered_spots_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, float, float]:
     """Large, middle and small spots, feature sizes 1, 0.4 and 0.15."""
     value, gx, gy, gz = 0.0, 0.0, 0.0, 0.0
@@ -83,7 +84,7 @@ def layered_spots_at(x: float, y: float, z: float, seed: int) -> tuple[float, fl
     return value, gx, gy, gz
 
 
-@njit(cache=True)
+@compiled
 def discs_at(x: float, y: float, z: float, seed: int) -> float:
     """Hard-edged balls of all sizes up to 1, each of one value in [-1, 1]; the last one lies on top."""
     i, j, k = int(np.floor(x - 0.5)), int(np.floor(y - 0.5)), int(np.floor(z - 0.5))
@@ -110,7 +111,7 @@ def discs_at(x: float, y: float, z: float, seed: int) -> float:
     return value
 
 
-@njit(cache=True)
+@compiled
 def folds_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, float]:
     """Tilt of folded foil: the sum of slopes that jump at random places along random directions."""
     tx, ty, tz = 0.0, 0.0, 0.0

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from polhode.compiled import compiled_ieee
 from polhode.lie import Array
-from polhode.planning.compiled import compiled
 from polhode.records import Bools, Ints
 
 Levels = NDArray[np.float32]
@@ -91,7 +91,7 @@ def _kernel() -> Array:
     return np.asarray(kernel / kernel[reach + 1 :].sum())
 
 
-@compiled
+@compiled_ieee
 def _respond(
     image: Levels, uv: Array, normal: Array, kernel: Array, step: float, along: int, out: Array
 ) -> None:
@@ -124,7 +124,7 @@ def _respond(
             out[i, k] = answer if answer == answer else 0.0
 
 
-@compiled
+@compiled_ieee
 def _extrema(
     response: Array, polarity: Ints, step: float, reach: float, least: float, offset: Array, contrast: Array
 ) -> None:

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -62,7 +62,7 @@ class FileColours:
         )
 
 
-@njit(cache=True)
+@compiled
 def _look_up(
     face: Ints,
     weights: Array,

@@ -2,8 +2,8 @@
 
 import numpy as np
 import trimesh
-from numba import njit
 
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 
@@ -25,7 +25,7 @@ def smooth_corner_normals(mesh: trimesh.Trimesh) -> Array:
     return np.asarray(_smooth(faces, order // 3, start, normals, area))
 
 
-@njit(cache=True)
+@compiled
 def _smooth(faces: Ints, face_at: Ints, start: Ints, normals: Array, area: Array) -> Array:
     """``face_at[start[v] : start[v + 1]]`` are the faces around vertex v."""
     out = np.empty((len(faces), 3, 3))

@@ -1,0 +1,80 @@
+"""Just-in-time compilation by numba, kept on disk between runs, in a cache that knows its constants.
+
+Numba freezes the global constants that a function reads into the machine code, but decides by the function's
+own file alone whether the copy on disk is stale: after a change of a constant that is imported from another
+module, it would go on using the old value. Here, the name under which a function is stored ends with a digest
+of every constant and compiled function that it reads, so that a changed constant leads to a new compilation.
+
+The variants differ in the floating-point rules that the compiler may apply; they give different bytes.
+"""
+
+import hashlib
+from collections.abc import Callable
+from types import CodeType, FunctionType, ModuleType
+from typing import Any, ParamSpec, TypeVar, cast
+
+import numba
+import numpy as np
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def compiled(function: Callable[P, T]) -> Callable[P, T]:
+    """Compile at the first call; every operation is rounded, and a division by zero raises an error."""
+    return _compile(function)
+
+
+def compiled_inline(function: Callable[P, T]) -> Callable[P, T]:
+    """As ``compiled``; the body is inserted wherever another compiled function calls it."""
+    return _compile(function, inline="always")
+
+
+def compiled_fused(function: Callable[P, T]) -> Callable[P, T]:
+    """As ``compiled``; a product and the sum that it enters may become one fused multiply-add."""
+    return _compile(function, fastmath={"contract"})
+
+
+def compiled_ieee(function: Callable[P, T]) -> Callable[P, T]:
+    """As ``compiled``; a division by zero gives inf or NaN (IEEE 754), so that loops need no check for it."""
+    return _compile(function, error_model="numpy")
+
+
+def compiled_fused_ieee(function: Callable[P, T]) -> Callable[P, T]:
+    """With fused multiply-adds and with IEEE 754 division: see ``compiled_fused`` and ``compiled_ieee``."""
+    return _compile(function, fastmath={"contract"}, error_model="numpy")
+
+
+def _compile(function: Callable[P, T], **flags: Any) -> Callable[P, T]:
+    plain = cast(FunctionType, function)
+    plain.__qualname__ = f"{plain.__qualname__}-{_digest_of_constants(plain)}"
+    return cast(Callable[P, T], numba.njit(cache=True, **flags)(plain))
+
+
+def _digest_of_constants(function: FunctionType) -> str:
+    """Digest of the globals that the function reads, directly or as attributes of imported modules."""
+    names = function.__code__.co_names
+    contents = []
+    for name in names:
+        value = function.__globals__.get(name)
+        contents.append(f"{name}={_content(value)}")
+        if isinstance(value, ModuleType):
+            contents += [f"{name}.{a}={_content(getattr(value, a))}" for a in names if hasattr(value, a)]
+    return hashlib.sha256("\n".join(contents).encode()).hexdigest()[:12]
+
+
+def _content(value: object) -> str:
+    """Text that changes when the frozen value would; empty for modules, types and Python's own functions."""
+    if isinstance(value, (bool, int, float, str, np.generic)):
+        return repr(value)
+    if isinstance(value, tuple):
+        return f"({','.join(_content(part) for part in value)})"
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
+    inner = getattr(value, "py_func", None)
+    if isinstance(inner, FunctionType):
+        # Its qualified name ends with the digest of the constants that it reads in its turn.
+        code = inner.__code__
+        constants = [repr(part) for part in code.co_consts if not isinstance(part, CodeType)]
+        return f"{inner.__qualname__}{code.co_code.hex()}{constants}"
+    return ""
