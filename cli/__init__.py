@@ -1,0 +1,14 @@
+"""The command line: words in, one call of a room's function, one line of result or of error out.
+
+``main.py`` parses the words and runs the command; every command is a dataclass of its options in a file
+of its own, whose ``execute`` checks them and calls the room that does the work. Heavy imports wait for that
+call, so that ``--help`` is quick.
+
+- main: finds the command, loads its configuration, turns errors into exit codes and one line each
+- options: what several commands have in common
+- overrides: configuration keys given on the command line
+- console: progress bars or plain lines, and warnings
+- simulate, train: make datasets; train the networks of the front end
+- run, evaluate, report, compare: estimate; compare with the truth; show; compare optimizers
+- predict, plan, export, observability, threshold: what follows from a run
+"""

@@ -1,23 +1,24 @@
-"""``polhode export``: its options."""
+"""``polhode export``: a run in the formats of other programs."""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import FlagCreatePairsOff, Positional, arg
+from tyro.conf import Positional, arg
 
+from polhode.cli.options import Flag
 from polhode.errors import InputError
 
 _FORMATS = "glb ply stl obj urdf mjcf sdf aem oem tum json"
 
 
 @dataclass(frozen=True)
-class Export:
+class ExportCommand:
     """Write a run in the format of another program: its mesh, a body for simulators, or its predicted motion.
 
     glb, ply, stl, obj: the mesh. urdf, mjcf, sdf: a free body with inertia, surface and convex pieces, whose
-    meshes lie in a folder beside the file. aem, oem, tum: the predicted motion. json: everything but the
-    mesh, with covariances. What the run lacks is left out and said.
+    meshes are written to a folder beside the file. aem, oem, tum: the predicted motion. json: everything
+    but the mesh, with covariances. What the run lacks is left out, with a warning.
     """
 
     run: Annotated[Positional[Path], arg(metavar="RUN")]
@@ -25,33 +26,34 @@ class Export:
     to: Annotated[str, arg(metavar="FORMAT")]
     """glb ply stl obj urdf mjcf sdf aem oem tum json"""
     output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
-    """The file; replaced if it is there."""
+    """The file. An existing file is replaced."""
     frame: Annotated[str | None, arg(metavar="G|P|cad")] = None
-    """Frame of the file: G of the run; P, principal axes at the centre of mass; cad, that of your model. G
-    unless given, P for aem, oem and tum."""
+    """Frame of the file: G of the run; P, principal axes at the centre of mass; cad, that of your model. The
+    default is G, and P for aem, oem and tum."""
     cad: Annotated[Path | None, arg(metavar="MESH")] = None
-    """With --frame cad: your model (PLY, STL, OBJ, GLB); the run's mesh is laid on it (ICP)."""
+    """With --frame cad: your model (PLY, STL, OBJ, GLB); the run's mesh is registered to it (ICP)."""
     cad_points: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With --frame cad: three or more corresponding points, a line each: x y z in G [m], x y z in the
-    frame of your model. With --cad too, where ICP starts."""
+    """With --frame cad: three or more corresponding points, one per line: x y z in G [m], x y z in the
+    frame of your model. Together with --cad they initialize ICP."""
     cad_unit: Annotated[str, arg(metavar="m|mm")] = "m"
-    """Unit of both."""
+    """Unit of --cad and --cad-points."""
     unit: Annotated[str, arg(metavar="m|mm")] = "m"
     """Unit of glb, ply, stl and obj; the other formats have their own."""
     level: Annotated[int | None, arg(metavar="N")] = None
-    """Level of detail of the mesh: 0 full, 1, 2, ... lighter. 0 unless given; 2 for urdf, mjcf and sdf, whose
-    convex pieces contain the full mesh at any level."""
-    animate: FlagCreatePairsOff[bool] = False
-    """glb: the model tumbles in N over the horizon, as predicted."""
+    """Level of detail of the mesh: 0 full, 1, 2, ... lighter. The default is 0, and 2 for urdf, mjcf and sdf,
+    whose convex pieces contain the full mesh at any level."""
+    animate: Flag = False
+    """glb: animate the model, which tumbles in N over the horizon as predicted."""
     mass_kg: Annotated[float | None, arg(metavar="KG")] = None
-    """Mass of the target [kg]; with the volume of the mesh it sets the scale of the inertia, as an
-    assumption. Without it the run's own, where forces told it; else the numbers are relative."""
+    """Mass of the target [kg]; with the volume of the mesh and uniform density it sets the scale of the
+    inertia. Without it the run's own where known forces determined it; otherwise the values are relative."""
     middle_moment_kg_m2: Annotated[float | None, arg(metavar="J")] = None
     """Middle principal moment [kg m^2], if known: it sets the scale of the inertia."""
     pieces: Annotated[int, arg(metavar="N")] = 512
-    """Most convex pieces of the collision geometry; 1: the convex hull. Fewer reach farther beyond it."""
+    """Maximum number of convex pieces of the collision geometry; 1: the convex hull. Fewer pieces protrude
+    more from the surface."""
     horizon: Annotated[float, arg(metavar="S")] = 60.0
-    """How far to predict beyond the last stereo pair [s]."""
+    """Time to predict beyond the last stereo pair [s]."""
     step_s: Annotated[float | None, arg(metavar="S")] = None
     """Time between two rows [s]; the run's own interval unless given."""
     epoch: Annotated[str, arg(metavar="UTC")] = "1970-01-01T00:00:00"
@@ -60,11 +62,11 @@ class Export:
     """Name of the target in the file."""
     object_id: Annotated[str, arg(metavar="ID")] = "UNKNOWN"
     """International designator of the target, for aem and oem."""
-    debug: FlagCreatePairsOff[bool] = False
+    debug: Flag = False
     """Show the traceback of an error."""
 
     def execute(self) -> int:
-        """Check, export, say where it is."""
+        """Check, export and print the path."""
         _require("--to", self.to, _FORMATS.split())
         _require("--unit", self.unit, ["m", "mm"])
         _require("--cad-unit", self.cad_unit, ["m", "mm"])

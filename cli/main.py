@@ -1,38 +1,65 @@
-"""The program ``polhode``.
+"""The program ``polhode``: finds the command, loads its configuration and runs it.
 
-Exit code 0: done; 2: the user's mistake, one line on standard error; 1: the run failed.
+Exit code 0: success; 1: the run failed; 2: the user's mistake. Every error is one line on standard error.
 """
 
 import contextlib
+import dataclasses
 import io
+import operator
 import os
 import sys
 import traceback
 from collections.abc import Sequence
+from itertools import dropwhile, takewhile
 from typing import Annotated, Any, Union, cast
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from polhode.cli.commands import COMMANDS, Command, Configured, with_values
+from polhode.cli.compare import CompareCommand
 from polhode.cli.console import show_warnings
+from polhode.cli.evaluate import EvaluateCommand
+from polhode.cli.export import ExportCommand
+from polhode.cli.observability import ObservabilityCommand
+from polhode.cli.options import Command
 from polhode.cli.overrides import option_names, split_overrides
+from polhode.cli.plan import PlanCommand
+from polhode.cli.predict import PredictCommand
+from polhode.cli.report import ReportCommand
+from polhode.cli.run import RunCommand
+from polhode.cli.simulate import SimulateCommand
+from polhode.cli.threshold import ThresholdCommand
+from polhode.cli.train import TrainCommand
 from polhode.config.keys import is_structured, suggestion
 from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
 from polhode.threads import limit_threads
 
+COMMANDS: dict[str, type[Command]] = {
+    "simulate": SimulateCommand,
+    "run": RunCommand,
+    "evaluate": EvaluateCommand,
+    "compare": CompareCommand,
+    "predict": PredictCommand,
+    "threshold": ThresholdCommand,
+    "plan": PlanCommand,
+    "observability": ObservabilityCommand,
+    "export": ExportCommand,
+    "report": ReportCommand,
+    "train": TrainCommand,
+}
 DESCRIPTION = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
 INTERRUPTED = 130
-CLOSED = 141
-"""As a program that SIGPIPE ends."""
+OUTPUT_CLOSED = 141
+"""The exit code of a program that SIGPIPE ended."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line (default: the process's own); the exit code."""
+    """Run one command line (by default that of the process) and return the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
-    # Nothing imported so far loads NumPy (tests/pipeline/test_cli.py); the configuration may raise the limit.
+    # Nothing imported so far loads NumPy (tests/cli/test_main.py); the configuration may raise the limit.
     limit_threads(1)
     try:
         with show_warnings():
@@ -44,12 +71,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as stop:
         return _fail(INTERRUPTED, str(stop) or "interrupted", debug)
     except BrokenPipeError:
-        # Whoever read the output (head, less) has enough; nothing more can be told there.
+        # The reader of the output (head, less) has closed it; nothing more can be written there.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return CLOSED
-    except Exception as error:  # noqa: BLE001  the last resort: one line instead of a traceback
+        return OUTPUT_CLOSED
+    except Exception as error:  # noqa: BLE001  last resort: one line instead of a traceback
         message = (
-            f"unexpected {type(error).__name__}: {error}; this is a fault of polhode, --debug shows where"
+            f"unexpected {type(error).__name__}: {error}; this is a defect of polhode; --debug shows where"
         )
         return _fail(RunFailure.exit_code, message, debug)
 
@@ -64,14 +91,16 @@ def _dispatch(words: list[str]) -> int:
     if not asks_help:
         _require_command(words)
     elif words[0] in COMMANDS:
-        # Whatever else stands on the line, help is what was asked for.
+        # Help wins over everything else on the line, even over mistakes.
         words = [words[0], "--help"]
     own, overrides = split_overrides(words)
     command = _parse(own)
     if command is None:
         return 0
-    if isinstance(command, Configured):
-        command = with_values(command, load_config(command.config, overrides))
+    if isinstance(command, SimulateCommand | RunCommand | CompareCommand | TrainCommand):
+        values = load_config(command.config, overrides)
+        limit_threads(values.runtime.blas_threads)
+        command = dataclasses.replace(command, values=values)
     elif overrides:
         raise InputError(f"'{words[0]}' reads no configuration: remove --{next(iter(overrides))}")
     return command.execute()
@@ -87,7 +116,10 @@ def _require_command(words: list[str]) -> None:
 
 
 def _parse(words: list[str]) -> Command | None:
-    """The command that the words ask for; None when they asked for help, which tyro has printed."""
+    """The command with its options; None for ``--help``, which tyro has printed.
+
+    tyro 1.0 has no public access to the text of an error: it draws it in a box on standard error and exits.
+    """
     options = [Annotated[cls, tyro.conf.subcommand(name)] for name, cls in COMMANDS.items()]
     union = cast(Any, Union)[tuple(options)]
     stderr = io.StringIO()
@@ -111,7 +143,7 @@ def _parse(words: list[str]) -> Command | None:
 
 
 def _registry() -> ConstructorRegistry:
-    """Tells tyro that lists of sections, and mappings, are one word of YAML: ``overrides`` reads it."""
+    """Tell tyro that lists of sections, and mappings, are one word of YAML, which ``overrides`` reads."""
     registry = ConstructorRegistry()
 
     @registry.primitive_rule
@@ -138,16 +170,15 @@ def _unknown_option(command: str, word: str) -> str:
 
 
 def squash(text: str) -> str:
-    """A message that tyro drew in a box, as one line: its title and the words above the first rule."""
-    words: list[str] = []
-    for line in text.splitlines():
-        content = line.strip("│╭╮╰╯─ \n")
-        if words and not content:
-            break
-        words += content.split()
-        if line.startswith("╭"):
-            words[-1:] = [words[-1] + ":"] if words else []
-    return " ".join(words) or "this command line cannot be read"
+    """A message that tyro drew as a title and a box, as one line: the title and the text above the next rule.
+
+    Where standard output is not UTF-8, tyro underlines the title with hyphens instead of drawing a box.
+    """
+    lines = [line.strip("│╭╮╰╯─ ") for line in text.splitlines()]
+    rows = iter(line if line.strip("-") else "" for line in lines)
+    title = next(filter(None, rows), "this command line cannot be read")
+    body = " ".join(takewhile(bool, dropwhile(operator.not_, rows)))
+    return " ".join((f"{title}: {body}" if body else title).split())
 
 
 def _fail(code: int, message: str, debug: bool) -> int:

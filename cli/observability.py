@@ -1,54 +1,54 @@
-"""``polhode observability``: its options. Heavy imports wait for the call."""
+"""``polhode observability``: how well edges determine the pose along a camera trajectory."""
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional, arg
+from tyro.conf import Positional, arg
 
+from polhode.cli.options import Flag
 from polhode.errors import InputError
 
-MOST_PX = 100_000
-"""Of an image's side."""
-MOST_M = 1e12
-"""Of the coordinates of a point."""
+MAX_IMAGE_PX = 100_000
+"""Limit of an image's width and height."""
+MAX_COORDINATE_M = 1e12
 
 
 @dataclass(frozen=True)
-class Observability:
-    """How well a tracker of edges could tell the pose along a trajectory, before an image exists.
+class ObservabilityCommand:
+    """How well edge tracking could determine the pose along a trajectory, before any image exists.
 
-    C = sum of f f^T over the edges in sight, f their motion across themselves under each degree of freedom;
-    C^-1 is the covariance of the pose for noise of one pixel (docs/observability.md). Writes
-    observability.json and .csv, edges.csv, edges.glb and .ply (painted), metric.png, views.png,
+    C = sum of f f^T over the visible edges, f their motion perpendicular to themselves under each degree of
+    freedom; C^-1 is the covariance of the pose for noise of one pixel (docs/observability.md). Writes
+    observability.json and .csv, edges.csv, edges.glb and .ply (coloured), metric.png, views.png,
     contributions.png.
     """
 
     source: Annotated[Positional[Path], arg(metavar="RUN|MESH")]
-    """Folder of a run, whose mesh is taken, or a mesh file (PLY, STL, OBJ, GLB)."""
+    """Folder of a run, whose mesh is used, or a mesh file (PLY, STL, OBJ, GLB)."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
     """Folder of the results; files of the same names are replaced."""
     trajectory: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Places of the camera, TUM: timestamp tx ty tz qx qy qz qw a line; the camera looks along its z, x is
-    right, y down. Without it a run's own."""
+    """Camera trajectory, TUM format: one line per pose, timestamp tx ty tz qx qy qz qw; the camera looks
+    along its z axis, x points right, y down. A run's own unless given."""
     frame: Literal["G", "N"] = "G"
-    """Frame of these places: G of the mesh; N, for a run whose target tumbles on as predicted, with times in
-    seconds after its last pair."""
+    """Frame of this trajectory: G of the mesh; N, for a run whose target keeps tumbling as predicted, with
+    times in seconds after its last pair."""
     sun: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
-    """Direction to the Sun, of any length: edges then count by their contrast. In N for a run, in the frame
-    of a mesh. Without it every edge counts alike."""
+    """Direction to the Sun, of any length: edges are then weighted by their contrast. In N for a run, in its
+    own frame for a mesh. Without it all edges have the same weight."""
     about: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
-    """Point in G [m] whose shifts are told and that turns are about. A run's centre of mass, or the middle of
+    """Reference point in G [m] of translations and rotations. The centre of mass of a run, or the centre of
     the mesh's bounding box, unless given."""
     sigma_px: Annotated[float, arg(metavar="PX")] = 1.0
-    """Noise of the distance to an edge, at each point of it."""
+    """Standard deviation of the distance to an edge, at each sample point."""
     spacing_px: Annotated[float, arg(metavar="PX")] = 10.0
-    """Between such points along an edge."""
+    """Spacing of the sample points along an edge."""
     crease_deg: Annotated[float, arg(metavar="DEG")] = 30.0
-    """For a mesh: faces that meet at more than this angle form an edge."""
+    """For a mesh: faces that meet at a larger angle form an edge."""
     unit: Literal["m", "mm"] = "m"
-    """Of a mesh."""
+    """Unit of a mesh file."""
     focal_px: Annotated[float | None, arg(metavar="PX")] = None
     """Focal length; a run's own, or 800, unless given."""
     width_px: Annotated[int | None, arg(metavar="PX")] = None
@@ -56,14 +56,15 @@ class Observability:
     height_px: Annotated[int | None, arg(metavar="PX")] = None
     """Height of the image; a run's own, or 480."""
     edges: Annotated[int | None, arg(metavar="N")] = None
-    """Choose the best N edges, too: those that leave the least variance over the trajectory."""
-    fewest: FlagCreatePairsOff[bool] = False
-    """Find the fewest edges that leave every sigma within 10 % of that with all; takes up to a minute."""
-    debug: FlagCreatePairsOff[bool] = False
+    """Also select the best N edges: those that minimize the variance over the trajectory."""
+    fewest: Flag = False
+    """Also find the smallest set of edges that keeps every sigma within 10 % of that with all; takes up to a
+    minute."""
+    debug: Flag = False
     """Show the traceback of an error."""
 
     def execute(self) -> int:
-        """Check, look, write, print."""
+        """Check, assess, write and print."""
         import numpy as np
 
         from polhode.cli.console import choose_progress
@@ -77,8 +78,8 @@ class Observability:
             if not least <= getattr(self, name) <= 1e6:
                 raise InputError(f"--{name.replace('_', '-')}: give a number from {least:g} to 1e6")
         for name in ("width_px", "height_px"):
-            if (getattr(self, name) or 1) > MOST_PX:
-                raise InputError(f"--{name.replace('_', '-')}: give at most {MOST_PX}")
+            if (getattr(self, name) or 1) > MAX_IMAGE_PX:
+                raise InputError(f"--{name.replace('_', '-')}: give at most {MAX_IMAGE_PX}")
         if self.edges is not None and self.edges < 1:
             raise InputError(f"--edges {self.edges}: give a number above 0")
         if not 0.0 < self.crease_deg < 180.0:
@@ -87,10 +88,10 @@ class Observability:
             value = getattr(self, name)
             if value is not None and not all(math.isfinite(each) for each in value):
                 raise InputError(f"--{name}: give three finite numbers")
-        if self.about is not None and max(map(abs, self.about)) > MOST_M:
-            raise InputError(f"--about: give a point within {MOST_M:g} m")
+        if self.about is not None and max(map(abs, self.about)) > MAX_COORDINATE_M:
+            raise InputError(f"--about: give a point within {MAX_COORDINATE_M:g} m")
         if self.sun is not None and not 1e-100 < math.hypot(*self.sun) < 1e100:
-            raise InputError("--sun: give a direction, of a length that is neither 0 nor beyond 1e100")
+            raise InputError("--sun: give a direction whose length is neither 0 nor above 1e100")
         subject = subject_of(
             self.source,
             self.trajectory,

@@ -1,35 +1,30 @@
-"""``polhode train``: from a configuration to the weights of a network of the front end."""
+"""``polhode train``: train a network of the front end."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Annotated
-
-from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, Positional, arg
 
 from polhode.cli.console import choose_progress
+from polhode.cli.options import ConfigFile, ConfigValues, Flag
 from polhode.config import Config, Train
 from polhode.errors import InputError
 from polhode.threads import processes
 
-_Values = Annotated[AvoidSubcommands[FlagConversionOff[Config]], arg(name="")]
-
 
 @dataclass(frozen=True)
-class TrainNetwork:
-    """Train a network of the front end on simulated scenes, which are rendered first where they are missing.
+class TrainCommand:
+    """Train a network of the front end on simulated scenes; missing ones are rendered first.
 
-    The same command goes on where it was interrupted. Options with dots override the configuration; the
-    defaults shown are those of a value that the file leaves out.
+    The same command resumes an interrupted training. Options with dots override the configuration; the help
+    shows the default of each key, which applies where the file does not set it.
     """
 
-    config: Annotated[Positional[Path], arg(metavar="CONFIG")]
+    config: ConfigFile
     """Configuration with a train section, YAML: configs/train/features.yaml, configs/train/depth.yaml."""
-    debug: FlagCreatePairsOff[bool] = False
+    debug: Flag = False
     """Show the traceback of an error."""
-    values: _Values = field(default_factory=lambda: Config(train=Train()))
+    values: ConfigValues = field(default_factory=lambda: Config(train=Train()))
 
     def execute(self) -> int:
-        """Train; print where the weights are and how good they are."""
+        """Train; print the weights' path and their scores."""
         if self.values.train is None:
             raise InputError(f"{self.config}: no 'train' section; see configs/train/ for examples")
         from polhode.train.run import train
@@ -41,6 +36,6 @@ class TrainNetwork:
             print(f"  {name}: {value:.4g}")
         if not trained.outcome.finished:
             steps = f"step {trained.outcome.step} of {self.values.train.schedule.steps}"
-            print(f"The time was up at {steps}; the same command goes on.")
+            print(f"The time limit was reached at {steps}; the same command resumes.")
         print(f"Weights: {trained.weights}")
         return 0

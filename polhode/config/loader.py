@@ -51,14 +51,15 @@ class _Layered:
                 self.source[here] = source
 
 
-def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Config:
+def load_config(path: Path | None, overrides: Mapping[str, Any] | None = None) -> Config:
     """Read ``path`` and what it extends, lay ``overrides`` (dotted key -> value) over it, and validate.
 
+    Without a path the overrides are laid over the defaults of the program, which are those of the types.
     Raises InputError: a missing file, a YAML syntax error with its line, a circle of ``extends``, an
     unknown key, a wrong type, a value out of range.
     """
     layered = _Layered()
-    for source, values in _chain(path, ()):
+    for source, values in _chain(path, ()) if path is not None else ():
         layered.merge(values, str(source))
     for key, value in (overrides or {}).items():
         layered.merge(_nested(key.split("."), value), COMMAND_LINE)

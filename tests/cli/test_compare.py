@@ -82,7 +82,7 @@ def test_what_has_no_time_left_is_a_row(config: Path, run: Path, tmp_path: Path,
         "0.001",
     ]
     assert main(command) == 1
-    assert "no solver came to an end" in capsys.readouterr().err
+    assert "no solver converged" in capsys.readouterr().err
     assert {row.status for row in read_comparison(out / "compare.json").rows} == {"timeout"}
 
 

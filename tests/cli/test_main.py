@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 import polhode.pipeline.run
-from polhode.cli.commands import COMMANDS, Evaluate
-from polhode.cli.main import main, squash
+from polhode.cli.evaluate import EvaluateCommand
+from polhode.cli.main import COMMANDS, main, squash
 from polhode.cli.overrides import option_names
 from polhode.config import Config
+from polhode.config.loader import load_config
 from polhode.dataset_writer import write_camera_csv, write_png
 from polhode.errors import RunFailure
 
@@ -46,7 +47,7 @@ def run_arguments(config: Path, data: Path, output: Path, *more: str) -> list[st
 BAD_USAGE: dict[str, tuple[list[str], str]] = {
     "nothing": ([], "a command is missing: simulate, run, evaluate"),
     "unknown command": (["rnu"], "unknown command 'rnu'; did you mean run?"),
-    "no arguments": (["run"], "Missing from polhode run: CONFIG"),
+    "no arguments": (["run"], "Missing from polhode run: --data SEQ"),
     "no output": (["run", "c.yaml", "--data", "S"], "-o RUN, --output RUN"),
     "no value": (["run", "c.yaml", "--data"], "Missing value for argument '--data'"),
     "unknown option": (
@@ -138,6 +139,23 @@ def two_pairs(folder: Path) -> None:
 def black(folder: Path) -> None:
     for path in folder.glob("mav0/cam*/data/*.png"):
         write_png(path, np.zeros((48, 64), dtype=np.uint8))
+
+
+def test_the_configuration_may_be_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    seen: list[Config] = []
+
+    def fake(values: Config, *arguments: Any, **more: Any) -> Result:
+        seen.append(values)
+        return Result("ok", tmp_path / "report.html")
+
+    monkeypatch.setattr(polhode.pipeline.run, "run", fake)
+    folders = ["--data", str(tmp_path), "-o", str(tmp_path / "run")]
+    assert main(["run", *folders]) == 0
+    assert main(["run", *folders, "--seed", "7"]) == 0
+    assert seen == [Config(), Config(seed=7)]
+    assert load_config(ROOT / "configs" / "default.yaml") == Config()
 
 
 BAD_DATA: dict[str, tuple[Callable[[Path], None], str]] = {
@@ -248,10 +266,10 @@ def test_a_failed_run_is_one_line_and_exit_1(
 def test_an_unexpected_error_shows_its_traceback_only_with_debug(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    def fail(command: Evaluate) -> int:
+    def fail(command: EvaluateCommand) -> int:
         raise ZeroDivisionError("a\nb")
 
-    monkeypatch.setattr(Evaluate, "execute", fail)
+    monkeypatch.setattr(EvaluateCommand, "execute", fail)
     assert "ZeroDivisionError: a b" in error_line(["evaluate", "R", "S"], capsys, code=1)
     assert main(["--debug", "evaluate", "R", "S"]) == 1
     assert "Traceback" in capsys.readouterr().err
@@ -278,7 +296,7 @@ def test_help_of_run_lists_the_stages(capsys: Capture) -> None:
 def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
     heavy = "numpy scipy torch cv2 casadi numba kornia trimesh plotly skimage"
     code = (
-        "import sys; from pipeline.cli import main; assert main(['run', '--help']) == 0;"
+        "import sys; from polhode.cli.main import main; assert main(['run', '--help']) == 0;"
         f"sys.exit(' '.join(set('{heavy}'.split()) & set(sys.modules)) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
@@ -298,6 +316,25 @@ def test_the_program_itself_exits_with_the_code() -> None:
     assert done.stdout == ""
 
 
-def test_a_box_becomes_one_line() -> None:
-    box = "╭─ Wrong ───╮\n│ No such   │\n│ thing.    │\n│ ───────── │\n│ For help  │\n╰───────────╯\n"
-    assert squash(box) == "Wrong: No such thing."
+BOX = """
+╭─ Wrong ───╮
+│ No such   │
+│ --thing.  │
+│ ───────── │
+│ For help  │
+╰───────────╯
+"""
+WITHOUT_UTF_8 = """
+ Wrong
+ -----------
+  No such
+  --thing.
+  ---------
+  For help
+
+"""
+
+
+@pytest.mark.parametrize("drawn", [BOX, WITHOUT_UTF_8])
+def test_a_box_becomes_one_line(drawn: str) -> None:
+    assert squash(drawn) == "Wrong: No such --thing."

@@ -1,0 +1,31 @@
+"""``polhode evaluate``: a run against the truth of its dataset."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from polhode.cli.options import Flag
+
+
+@dataclass(frozen=True)
+class EvaluateCommand:
+    """Compare a run with the truth of its dataset: RUN/metrics.json, a table, a section of the report."""
+
+    run: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a finished run."""
+    data: Annotated[Positional[Path], arg(metavar="SEQ")]
+    """Folder of the sequence of that run, with its truth in mav0/target0."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+    def execute(self) -> int:
+        """Write the metrics, renew the report and print the table."""
+        from polhode.pipeline.evaluation.evaluate import evaluate, format_table
+        from polhode.pipeline.report import write_report
+
+        metrics = evaluate(self.run, self.data)
+        write_report(self.run)
+        print(format_table(metrics))
+        return 0

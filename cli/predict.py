@@ -1,0 +1,42 @@
+"""``polhode predict``: the motion of the target after the last stereo pair."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from polhode.cli.options import Flag
+
+
+@dataclass(frozen=True)
+class PredictCommand:
+    """Predict the target's motion: its last state propagated as a free rigid body, with standard deviations.
+
+    Prints a few rows; -o writes all of them with the columns of trajectory.csv.
+    """
+
+    run: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a finished run."""
+    horizon: Annotated[float, arg(metavar="S")]
+    """Time to predict beyond the last stereo pair [s]."""
+    output: Annotated[Path | None, arg(aliases=["-o"], metavar="FILE")] = None
+    """Table, CSV; with the suffix .npz an archive with the full covariances. An existing file is replaced."""
+    step_s: Annotated[float | None, arg(metavar="S")] = None
+    """Time between two rows [s]; the run's own interval unless given."""
+    marks: Flag = False
+    """Give the standard deviations of the body itself: the estimated centre of mass and principal axes are
+    treated as marks on it. They are finite even where the motion does not determine those."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+    def execute(self) -> int:
+        """Predict, write and print."""
+        from polhode.pipeline.products.predict import format_prediction, predict_run, write_prediction
+
+        prediction = predict_run(self.run, self.horizon, self.step_s)
+        print(format_prediction(prediction))
+        if self.output is not None:
+            write_prediction(prediction, self.output, self.marks)
+            print(f"Prediction: {self.output}")
+        return 0

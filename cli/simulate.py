@@ -1,0 +1,48 @@
+"""``polhode simulate``: render a dataset with truth."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+from polhode.cli.console import choose_progress
+from polhode.cli.options import ConfigFile, ConfigValues, Flag
+from polhode.config import Config, Scene
+from polhode.errors import InputError
+from polhode.threads import processes
+
+
+@dataclass(frozen=True)
+class SimulateCommand:
+    """Render a dataset with truth from the scene of a configuration.
+
+    Options with dots override the configuration; the help shows the default of each key, which applies where
+    the file does not set it.
+    """
+
+    config: ConfigFile
+    """Configuration with a scene, YAML."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="SEQ")]
+    """Folder of the dataset, which is created."""
+    overwrite: Flag = False
+    """Replace an existing dataset. Nothing else is ever replaced."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+    values: ConfigValues = field(default_factory=lambda: Config(scene=Scene()))
+
+    def execute(self) -> int:
+        """Render. The dataset appears when it is complete; an interrupted one is resumed."""
+        if self.values.scene is None:
+            raise InputError(f"{self.config}: no 'scene' to simulate; add one, or extend a file that has it")
+        from polhode.simulation.bodies import describe
+        from polhode.simulation.dataset.sequence import plan_sequence, require_free, write_sequence
+
+        require_free(self.output, self.overwrite)
+        plan = plan_sequence(self.values.scene, self.values.seed)
+        print(describe(plan.body), flush=True)
+        write_sequence(
+            plan, self.output, choose_progress(), processes(self.values.runtime.workers), self.overwrite
+        )
+        print(f"{len(plan.frames)} stereo pairs with truth: {self.output}")
+        return 0

@@ -1,0 +1,61 @@
+"""``polhode threshold``: the rate that separates a tumbling target from a spinning one."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from tyro.conf import arg
+
+from polhode.cli.options import Flag
+from polhode.errors import InputError
+
+
+@dataclass(frozen=True)
+class ThresholdCommand:
+    """The rate up to which a target counts as tumbling, above which as spinning (thesis eq. 1.12).
+
+    Prints three rates: up to which the thrusters can keep the inspector's station beside a point of the
+    target, up to which its fuel lasts, and the smaller of the two (g0 = 9.81 m/s^2).
+    """
+
+    radius_m: Annotated[float, arg(metavar="M")]
+    """Distance of the inspector from the spin axis [m]."""
+    mass_kg: Annotated[float, arg(metavar="KG")]
+    """Mass of the inspector with its fuel [kg]."""
+    force_n: Annotated[float, arg(metavar="N")]
+    """Maximum force of its thrusters [N]."""
+    isp_s: Annotated[float, arg(metavar="S")]
+    """Specific impulse [s]."""
+    duration_s: Annotated[float, arg(metavar="S")]
+    """Duration of station keeping [s]."""
+    fuel_fraction: Annotated[float, arg(metavar="SHARE")]
+    """Share of its mass that may be used as fuel, above 0 and below 1."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+    def execute(self) -> int:
+        """Print the three rates."""
+        from polhode.planning.approach.threshold import RPM, StationKeeping, threshold
+
+        for name in ("radius_m", "mass_kg", "force_n", "isp_s", "duration_s", "fuel_fraction"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
+        if self.fuel_fraction >= 1.0:
+            raise InputError(f"--fuel-fraction {self.fuel_fraction:g}: give a share of the mass, below 1")
+        given = StationKeeping(
+            self.radius_m, self.mass_kg, self.force_n, self.isp_s, self.duration_s, self.fuel_fraction
+        )
+        try:
+            rates = threshold(given)
+        except ValueError as error:
+            raise InputError(f"these values are inconsistent ({error}): check their units") from None
+        for name, rate in (
+            ("omega_Thresh F  (thrust)", rates.by_force),
+            ("omega_Thresh Mf (fuel)", rates.by_fuel),
+            ("omega_Thresh    (both)", rates.overall),
+        ):
+            # fixed decimals as long as they show significant digits
+            digits = ("10.6f", "10.4f") if 0.001 <= rate < 1e5 else ("10.4g", "10.4g")
+            print(f"{name:24s} {rate:{digits[0]}} rad/s {rate / RPM:{digits[1]}} RPM")
+        return 0
