@@ -26,7 +26,7 @@ from polhode.config.scene import Render, Scene
 from polhode.dataset_writer import image_path
 from polhode.simulation.bodies import Body
 from polhode.simulation.bodies.parts.part import Part, assemble
-from polhode.simulation.dataset.painting import Painter
+from polhode.simulation.dataset.frame_renderer import Painter
 from polhode.simulation.dataset.plan import Plan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.surface.materials import REGOLITH

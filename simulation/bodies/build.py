@@ -16,10 +16,8 @@ from polhode.simulation.bodies.families.truss import truss_parts
 from polhode.simulation.bodies.families.upper_stage import upper_stage_parts
 from polhode.simulation.bodies.imported.mesh_file import mesh_file_parts
 from polhode.simulation.bodies.parts.part import Body, Part, assemble
-from polhode.simulation.bodies.textures.artist import artist_of
-from polhode.simulation.bodies.textures.dressing import texel_for
-from polhode.simulation.bodies.textures.override import in_one_material
-from polhode.simulation.bodies.textures.studio import Studio
+from polhode.simulation.bodies.textures.by_material import in_one_material, texel_for
+from polhode.simulation.bodies.textures.part_builder import Studio, texture_generator
 
 FAMILIES: dict[str, Callable[[float, Studio], list[Part]]] = {
     "free_flyer": free_flyer_parts,
@@ -43,7 +41,7 @@ def build_body(body: config.Body, seed: int) -> Body:
     """Build the target; ``seed`` serves where the description has none. Raises InputError (mesh files)."""
     own = seed if body.seed is None else body.seed
     rng, ink = np.random.default_rng([0xB0D1, own]), np.random.default_rng([0x1A4C, own])
-    studio = Studio(artist_of(body.texture), rng, ink, body.size_m / TEXELS.get(body.family, 440.0))
+    studio = Studio(texture_generator(body.texture), rng, ink, body.size_m / TEXELS.get(body.family, 440.0))
     if body.family == "mesh":
         # The section has validated both.
         assert body.path is not None

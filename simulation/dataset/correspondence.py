@@ -1,14 +1,10 @@
 """Where the point seen at a pixel of one image lies in another: any two frames, any two cameras.
 
-    python -m polhode.simulation.dataset.correspondence CONFIG --frames 3 7 --cameras 0 1 -o FILE.npz
-                                                              [--picture FILE.png]
-
-Rays go through the pixels of view a to the body in G, and from there to camera b. The file holds one row for
-each pixel of image a that shows the target: the fields of ``Correspondence`` and ``uv_a_px``.
+Rays go through the pixels of view a to the body in G, and from there to camera b. A file of
+correspondences holds one row for each pixel of image a that shows the target: ``uv_a_px`` and the fields of
+``Correspondence``.
 """
 
-import argparse
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -16,12 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.config.loader import load_config
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Bools
 from polhode.simulation.camera.cameras import Camera
-from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.dataset.plan import Plan
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 
 NEAREST_M = 1e-6
@@ -171,51 +166,3 @@ def write_correspondence(path: Path, uv_a_px: Array, found: Correspondence) -> N
         p_G=found.p_G[on_target],
         angle_rad=found.angle_rad[on_target],
     )
-
-
-def main(words: Sequence[str] | None = None) -> None:
-    """Write what the command line asks for, and say how many points both views see."""
-    parser = argparse.ArgumentParser(
-        prog="python -m polhode.simulation.dataset.correspondence",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("config", type=Path, metavar="CONFIG", help="configuration with a scene, YAML")
-    parser.add_argument(
-        "--frames", type=int, nargs=2, required=True, metavar=("A", "B"), help="counted from 0"
-    )
-    parser.add_argument("--cameras", type=int, nargs=2, default=(0, 0), metavar=("A", "B"), help="0: left")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.npz")
-    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="both images with points in colour")
-    options = parser.parse_args(words)
-    try:
-        print(_execute(options))
-    except InputError as error:
-        parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
-
-
-def _execute(options: argparse.Namespace) -> str:
-    for path in filter(None, (options.output, options.picture)):
-        if not path.parent.is_dir():
-            raise InputError(f"{path.parent} is not a folder: make it, or write {path.name} elsewhere")
-    config = load_config(options.config)
-    if config.scene is None:
-        raise InputError(f"{options.config} has no scene: give a configuration for polhode simulate")
-    plan = plan_sequence(config.scene, config.seed)
-    a, b = (view_of(plan, k, c) for k, c in zip(options.frames, options.cameras, strict=True))
-    found = dense_correspondence(RayCaster(plan.body), a, b)
-    write_correspondence(options.output, pixel_grid(a.camera), found)
-    if options.picture:
-        from polhode.simulation.figures.correspondence_picture import draw_correspondence
-
-        ends = list(zip(options.frames, options.cameras, strict=True))
-        draw_correspondence(plan, ends, found).save(options.picture, optimize=True)
-    seen = int((found.reason != Reason.OFF_TARGET).sum())
-    degrees = np.rad2deg(angle_between(a, b))
-    return (
-        f"{found.visible.sum()} of {seen} points are visible in both; the views are {degrees:.1f} deg apart"
-    )
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,7 @@ from polhode.lie import Array
 from polhode.records import Truth
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.camera.cameras import Camera, build_cameras
-from polhode.simulation.dataset.view import require_view
+from polhode.simulation.dataset.view_check import require_view
 from polhode.simulation.motion import (
     InspectorMotion,
     MassDistribution,

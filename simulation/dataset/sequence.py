@@ -18,9 +18,9 @@ from polhode.dataset_writer import (
 )
 from polhode.progress import Progress
 from polhode.simulation.camera.cameras import mount_pose
-from polhode.simulation.dataset.draft import Draft, drafted, require_free
-from polhode.simulation.dataset.painting import paint
+from polhode.simulation.dataset.frame_renderer import paint
 from polhode.simulation.dataset.plan import Plan, plan_sequence, truth_of
+from polhode.simulation.dataset.staging import Draft, drafted, require_free
 from polhode.simulation.motion import known_wrench, reported_inspector
 
 __all__ = ["Plan", "plan_sequence", "require_free", "simulate", "truth_of", "write_sequence"]
@@ -117,7 +117,7 @@ def write_knowledge(plan: Plan, mav0: Path) -> None:
             bits=scene.sensor.bits,
         )
         write_camera_csv(path, all_ns[list(plan.frames)])
-    if (known := known_wrench(scene)) is not None:
+    if (known := known_wrench(scene.motion, plan.target.timestamps_ns)) is not None:
         write_wrench(mav0, *known)
     if scene.inspector.moves and scene.inspector.reported:
         X_NB = reported_inspector(scene, plan.X_NC, X_BC, np.random.default_rng([plan.seed, 0x1]))

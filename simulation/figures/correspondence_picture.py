@@ -1,26 +1,87 @@
-"""Two images side by side; points of one colour are the same point of the body."""
+"""Dense correspondences of two views as a file, and as a picture.
 
+    python -m polhode.simulation.figures.correspondence_picture CONFIG --frames 3 7 --cameras 0 1 -o FILE.npz
+        [--picture FILE.png]
+
+The picture shows two images side by side; points of one colour are the same point of the body.
+"""
+
+import argparse
 import colorsys
 from collections.abc import Sequence
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from polhode.config.loader import load_config
+from polhode.errors import InputError
 from polhode.images import to_grey
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 from polhode.simulation.camera.sensor import Image as Grey
-from polhode.simulation.dataset.correspondence import Correspondence, Reason, pixel_grid
-from polhode.simulation.dataset.painting import Painter
-from polhode.simulation.dataset.plan import Plan
+from polhode.simulation.dataset.correspondence import (
+    Correspondence,
+    Reason,
+    angle_between,
+    dense_correspondence,
+    pixel_grid,
+    view_of,
+    write_correspondence,
+)
+from polhode.simulation.dataset.frame_renderer import Painter
+from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.rendering.raycast import RayCaster
 
 Rgb = NDArray[np.uint8]
 UNSEEN = (110, 110, 110)
 ENLARGED, MARGIN_PX = 2, 8
 SHIFT = 4
 """Circles are drawn at 1/2^SHIFT of a pixel."""
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Write what the command line asks for, and say how many points both views see."""
+    parser = argparse.ArgumentParser(
+        prog="python -m polhode.simulation.figures.correspondence_picture",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("config", type=Path, metavar="CONFIG", help="configuration with a scene, YAML")
+    parser.add_argument(
+        "--frames", type=int, nargs=2, required=True, metavar=("A", "B"), help="counted from 0"
+    )
+    parser.add_argument("--cameras", type=int, nargs=2, default=(0, 0), metavar=("A", "B"), help="0: left")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.npz")
+    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="both images with points in colour")
+    options = parser.parse_args(words)
+    try:
+        print(_execute(options))
+    except InputError as error:
+        parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
+
+
+def _execute(options: argparse.Namespace) -> str:
+    for path in filter(None, (options.output, options.picture)):
+        if not path.parent.is_dir():
+            raise InputError(f"{path.parent} is not a folder: make it, or write {path.name} elsewhere")
+    config = load_config(options.config)
+    if config.scene is None:
+        raise InputError(f"{options.config} has no scene: give a configuration for polhode simulate")
+    plan = plan_sequence(config.scene, config.seed)
+    a, b = (view_of(plan, k, c) for k, c in zip(options.frames, options.cameras, strict=True))
+    found = dense_correspondence(RayCaster(plan.body), a, b)
+    write_correspondence(options.output, pixel_grid(a.camera), found)
+    if options.picture:
+        ends = list(zip(options.frames, options.cameras, strict=True))
+        draw_correspondence(plan, ends, found).save(options.picture, optimize=True)
+    seen = int((found.reason != Reason.OFF_TARGET).sum())
+    degrees = np.rad2deg(angle_between(a, b))
+    return (
+        f"{found.visible.sum()} of {seen} points are visible in both; the views are {degrees:.1f} deg apart"
+    )
 
 
 def draw_correspondence(
@@ -87,3 +148,7 @@ def _circle(image: Rgb, uv_px: Array, colour: tuple[int, int, int], filled: bool
     if filled:
         cv2.circle(image, at, 4 * 2**SHIFT, (0, 0, 0), -1, cv2.LINE_AA, SHIFT)
     cv2.circle(image, at, 3 * 2**SHIFT, colour, -1 if filled else 1, cv2.LINE_AA, SHIFT)
+
+
+if __name__ == "__main__":
+    main()

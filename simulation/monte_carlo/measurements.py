@@ -24,6 +24,9 @@ J_SPHERES = np.array(
 """Inertia of the thesis's satellite (eq. 6.1) [kg m^2]: nearly equal upper moments."""
 
 
+RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
+
+
 @dataclass(frozen=True)
 class SyntheticScene:
     """A body, its motion and the camera. Lengths [m], rates [rad/s]."""
@@ -88,9 +91,6 @@ class SyntheticSequence:
     """(M,)"""
     X_NR: Array
     """(F, 4, 4) true poses of the camera; those of the tracks are what the inspector states"""
-
-
-RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
 
 
 def random_scene(seed: int, **changes: Any) -> SyntheticScene:

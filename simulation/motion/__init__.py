@@ -1,9 +1,19 @@
-"""Motion of target and inspector over time: the truth of a sequence."""
+"""Motion over time: the truth of a sequence. In: scene and mass properties. Out: poses, rates, forces.
 
+target.py     the target's states
+inspector.py  the camera's path, its jitter, and the poses that the inspector reports
+mass.py       mass properties, by density or by hand
+forces.py     known and white forces and torques
+energy.py     loss of rotational energy, by drag or by friction inside
+integrate.py  the rigid body under forces that jump
+deadband.py   limit cycle of a dead-band control
+poinsot.py    torque-free motion: precession, polhode, herpolhode
+"""
+
+from polhode.simulation.motion.forces import known_wrench
 from polhode.simulation.motion.inspector import InspectorMotion, inspector_motion, reported_inspector
 from polhode.simulation.motion.mass import MassDistribution, mass_distribution, principal_axes
 from polhode.simulation.motion.target import TargetMotion, target_motion, timestamps
-from polhode.simulation.motion.wrench import known_wrench
 
 __all__ = [
     "InspectorMotion",

@@ -1,19 +1,188 @@
-"""Motion of the inspector's left camera: its course, the jitter of its control, and what it reports."""
+"""Motion of the inspector's left camera: its path, the jitter of its attitude and position control, and the
+poses that the inspector reports.
+"""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
 
 from polhode.config import scene as config
+from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, right_jacobian_so3
-from polhode.simulation.motion.course import CameraStates, Course, course_of
 from polhode.simulation.motion.deadband import LimitCycle, limit_cycle
 from polhode.simulation.motion.target import timestamps
+
+BRAKE_S = 1.0
+"""How long the approach takes to come to a stop [s]."""
+
 
 _TAG = 0x31
 _BEYOND_S = 60.0
 """The jitter goes on for this long after the last frame, for long exposures [s]."""
+
+
+class CameraStates(NamedTuple):
+    """Left camera at n times."""
+
+    X_NC: Array
+    """(n, 4, 4)"""
+    v_N: Array
+    """(n, 3) [m/s]"""
+    w_C: Array
+    """(n, 3) angular velocity relative to N, in the camera's axes [rad/s]"""
+
+
+class Course(Protocol):
+    """A motion of the camera."""
+
+    def at(self, t_s: Array) -> CameraStates:
+        """States at times (n,) after the first frame [s], also before it."""
+        ...
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Constant velocity and constant angular velocity in the camera's axes; rest when both are zero."""
+
+    X_NC0: Array
+    """(4, 4) at the first frame"""
+    v_N: Array
+    """(3,) [m/s]"""
+    w_C: Array
+    """(3,) [rad/s]"""
+
+    def at(self, t_s: Array) -> CameraStates:
+        R_NC = self.X_NC0[:3, :3] @ exp_so3(t_s[:, None] * self.w_C)
+        X_NC = make_pose(R_NC, self.X_NC0[:3, 3] + t_s[:, None] * self.v_N)
+        return CameraStates(X_NC, np.tile(self.v_N, (len(t_s), 1)), np.tile(self.w_C, (len(t_s), 1)))
+
+
+@dataclass(frozen=True)
+class Circle:
+    """The first pose carried around an axis through a centre, at a constant rate."""
+
+    X_NC0: Array
+    """(4, 4) at the first frame"""
+    centre_N: Array
+    """(3,) [m]"""
+    w_N: Array
+    """(3,) [rad/s]"""
+
+    def at(self, t_s: Array) -> CameraStates:
+        turn = exp_so3(t_s[:, None] * self.w_N)
+        X_NC = np.asarray(make_pose(turn, self.centre_N - turn @ self.centre_N) @ self.X_NC0)
+        v_N = np.cross(self.w_N, X_NC[:, :3, 3] - self.centre_N)
+        return CameraStates(X_NC, v_N, np.tile(self.X_NC0[:3, :3].T @ self.w_N, (len(t_s), 1)))
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Along a line at a constant speed, then braking evenly to a stop; the attitude stays."""
+
+    X_NC0: Array
+    """(4, 4) at the first frame"""
+    direction_N: Array
+    """(3,) unit"""
+    way_m: float
+    """Length of the line [m]"""
+    speed_m_s: float
+
+    def at(self, t_s: Array) -> CameraStates:
+        brake_s = min(BRAKE_S, 2.0 * self.way_m / self.speed_m_s)
+        cruise_s = self.way_m / self.speed_m_s - 0.5 * brake_s
+        braking_s = np.clip(t_s - cruise_s, 0.0, brake_s)
+        slowed = braking_s / brake_s if brake_s > 0 else np.ones(len(t_s))
+        way_m = self.speed_m_s * (np.minimum(t_s, cruise_s) + braking_s * (1.0 - 0.5 * slowed))
+        speed_m_s = self.speed_m_s * (1.0 - slowed)
+        if brake_s == 0.0:
+            way_m = np.zeros(len(t_s))
+        p_N = self.X_NC0[:3, 3] + way_m[:, None] * self.direction_N
+        X_NC = make_pose(np.tile(self.X_NC0[:3, :3], (len(t_s), 1, 1)), p_N)
+        return CameraStates(X_NC, speed_m_s[:, None] * self.direction_N, np.zeros((len(t_s), 3)))
+
+
+@dataclass(frozen=True)
+class Through:
+    """Splines through given poses, from rest to rest; the first and the last pose hold outside.
+
+    Cubic in position; in attitude scipy's RotationSpline, whose angular velocity is continuous. A clock that
+    starts and stops gently makes the camera set off and arrive without a jump of velocity.
+    """
+
+    knots_s: Array
+    """(n,) increasing, n >= 2 [s]"""
+    p_N: Array
+    """(n, 3) [m]"""
+    R_NC: Array
+    """(n, 3, 3)"""
+
+    @cached_property
+    def _position(self) -> CubicSpline:
+        return CubicSpline(self.knots_s, self.p_N, bc_type="natural")
+
+    @cached_property
+    def _attitude(self) -> RotationSpline:
+        return RotationSpline(self.knots_s, Rotation.from_matrix(self.R_NC))
+
+    def at(self, t_s: Array) -> CameraStates:
+        clock_s, pace = self._clock(t_s)
+        X_NC = make_pose(self._attitude(clock_s).as_matrix(), self._position(clock_s))
+        v_N = self._position(clock_s, 1) * pace[:, None]
+        # scipy gives the angular velocity in the axes that turn, which are the camera's.
+        w_C = self._attitude(clock_s, 1) * pace[:, None]
+        return CameraStates(X_NC, v_N, w_C)
+
+    def _clock(self, t_s: Array) -> tuple[Array, Array]:
+        """Time on the splines and its pace: true time at every knot, at rest at the first and the last."""
+        first, last = float(self.knots_s[0]), float(self.knots_s[-1])
+        t = np.clip(t_s, first, last)
+        outside = (t_s <= first) | (t_s >= last)
+        if len(self.knots_s) == 2:
+            x = (t - first) / (last - first)
+            return first + (last - first) * x * x * (3 - 2 * x), np.where(outside, 0.0, 6 * x * (1 - x))
+        clock, pace = t.copy(), np.ones(len(t))
+        for end, neighbour in ((first, self.knots_s[1]), (last, self.knots_s[-2])):
+            x = (t - end) / (neighbour - end)
+            near = x < 1.0
+            clock[near] = (end + (neighbour - end) * x * x * (2 - x))[near]
+            pace[near] = (x * (4 - 3 * x))[near]
+        return clock, np.where(outside, 0.0, pace)
+
+
+def course_of(scene: config.Scene) -> Course:
+    """The course that the scene's inspector takes. Raises InputError for an approach without a direction."""
+    inspector = scene.inspector
+    X_NC0 = make_pose(exp_so3(np.deg2rad(inspector.attitude_deg)), inspector.position_m)
+    target_N = np.array(scene.motion.position_m)
+    match inspector.profile:
+        case "rest":
+            return Drift(X_NC0, np.zeros(3), np.zeros(3))
+        case "drift":
+            return Drift(X_NC0, np.array(inspector.velocity_mm_s) * 1e-3, np.deg2rad(inspector.rate_deg_s))
+        case "circle":
+            axis_N = np.array(inspector.circle_axis) / np.linalg.norm(inspector.circle_axis)
+            return Circle(X_NC0, target_N, axis_N * (2 * np.pi / inspector.circle_period_s))
+        case "approach":
+            line_N = target_N - X_NC0[:3, 3]
+            distance_m = float(np.linalg.norm(line_N))
+            if distance_m == 0.0:
+                raise InputError(
+                    "scene.inspector.position_m is the target's position: an approach must start away from it"
+                )
+            way_m = max(distance_m - inspector.approach_stop_m, 0.0)
+            return Approach(X_NC0, line_N / distance_m, way_m, inspector.approach_mm_s * 1e-3)
+        case "waypoints":
+            points = inspector.waypoints
+            return Through(
+                np.array([point.t_s for point in points]),
+                np.array([point.position_m for point in points]),
+                exp_so3(np.deg2rad([point.attitude_deg for point in points])),
+            )
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.simulation.bodies import Body
-from polhode.simulation.rendering.directions import find, nearest_map
-from polhode.simulation.rendering.disc import Stratum, disc_irradiance, spiral
-from polhode.simulation.rendering.light import Lights
-from polhode.simulation.rendering.neighbourhood import Near
+from polhode.simulation.rendering.appearance import Skin
+from polhode.simulation.rendering.light import Lights, disc_irradiance
 from polhode.simulation.rendering.probes import DARK, DIRECTIONS, PROBES, SKY, place_probes
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.reflection import glossy, lobe_ray
-from polhode.simulation.rendering.skin import Skin
+from polhode.simulation.rendering.sampling import Stratum, find, nearest_map, spiral
+from polhode.simulation.rendering.surface_interpolation import Near
 from polhode.simulation.surface.materials import Surface
 
 CELL_RAD = float(np.sqrt(4.0 / DIRECTIONS))

@@ -89,3 +89,21 @@ def sunlight(light: config.Light, t_s: float) -> float:
         return 1.0
     covered = np.arccos(2.0 * outside_s / eclipse.ramp_s - 1.0)
     return float(1.0 - (covered - np.sin(covered) * np.cos(covered)) / np.pi)
+
+
+def disc_irradiance(cosine: Array, radius_rad: float) -> Array:
+    """Irradiance (n,) of a disc of radiance 1, relative to that of a whole sky; nothing stands before it.
+
+    cosine (n,): between the normal and the disc's middle; radius_rad at most pi/2. Where the horizon cuts
+    the disc, the form factor of a sphere (Howell, "Radiation configuration factors", B-43).
+    """
+    sine = np.sqrt(np.clip(1.0 - cosine**2, 1e-12, 1.0))
+    s, c = np.sin(radius_rad), np.cos(radius_rad)
+    whole = s * s * cosine
+    cut = (
+        0.5
+        - np.arcsin(np.clip(c / sine, -1.0, 1.0)) / np.pi
+        + cosine * s * s * np.arccos(np.clip(-c * cosine / (s * sine), -1.0, 1.0)) / np.pi
+        - s * c * np.sqrt(np.clip(1.0 - (cosine / s) ** 2, 0.0, 1.0)) / np.pi
+    )
+    return np.where(cosine >= s, whole, np.where(cosine <= -s, 0.0, cut))

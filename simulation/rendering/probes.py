@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Bools, Ints
-from polhode.simulation.rendering.directions import even_directions
-from polhode.simulation.rendering.neighbourhood import Neighbourhood
 from polhode.simulation.rendering.raycast import RayCaster
+from polhode.simulation.rendering.sampling import even_directions
+from polhode.simulation.rendering.surface_interpolation import Neighbourhood
 
 SKY, BELOW, DARK = -1, -2, -3
 """Entries of the table beside probes: open sky; under the probe's own horizon; a surface without light."""

@@ -10,13 +10,12 @@ from polhode.lie import Array, inverse_pose
 from polhode.records import Ints
 from polhode.simulation.bodies import Body
 from polhode.simulation.camera.cameras import Camera, sample_offsets
-from polhode.simulation.rendering.disc import Stratum, rays_over_disc
+from polhode.simulation.rendering.appearance import Skin
 from polhode.simulation.rendering.indirect import IndirectLight
 from polhode.simulation.rendering.light import Lights, lights_in_body
-from polhode.simulation.rendering.mirror import Mirror
 from polhode.simulation.rendering.raycast import Hits, RayCaster
-from polhode.simulation.rendering.shading import Arriving, shade
-from polhode.simulation.rendering.skin import Skin
+from polhode.simulation.rendering.sampling import Stratum, rays_over_disc
+from polhode.simulation.rendering.shading import Arriving, Mirror, shade
 from polhode.simulation.surface.materials import Surface
 
 PIXELS_A_PROBE = 60

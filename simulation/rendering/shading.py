@@ -1,19 +1,40 @@
-"""Light on surfaces: Sun, Earth, lamp, and what other parts of the body pass on.
+"""Light that leaves a surface: from Sun, Earth and lamp, and from other parts of the body.
 
-Levels are relative to a white diffuse surface that faces the Sun.
+Levels are relative to a white diffuse surface that faces the Sun. Rough surfaces take what they reflect
+specularly from the views of the probes (indirect.py), which are free of noise. Sharp surfaces trace one ray
+per hit; these rays are spread over the GGX lobe from sample to sample of a pixel, and shaded where they end.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from polhode.lie import Array
-from polhode.records import Bools
-from polhode.simulation.rendering.disc import disc_irradiance
-from polhode.simulation.rendering.light import Lights
+from polhode.records import Bools, Ints
+from polhode.simulation.rendering.appearance import Skin
+from polhode.simulation.rendering.indirect import Around, IndirectLight
+from polhode.simulation.rendering.light import Lights, disc_irradiance
 from polhode.simulation.rendering.raycast import Hits, RayCaster
-from polhode.simulation.rendering.reflection import mirrored_earth, mirrored_share, reflected
+from polhode.simulation.rendering.reflection import (
+    earth_seen,
+    lobe_rays,
+    mirrored_earth,
+    mirrored_share,
+    reflected,
+)
+from polhode.simulation.rendering.sampling import Stratum
 from polhode.simulation.surface.materials import Surface
+
+FAINT, CLEAR = 0.06, 0.12
+"""Share of mirrored light from which a sharp surface sends rays, and from which they are all it shows."""
+SHARP_ALPHA = 0.07
+"""GGX alpha below which a surface is sharp: the probes' views resolve about as much."""
+DULLEST = 0.5
+"""Least roughness of what such a ray meets: one ray cannot average sharper highlights."""
+CORE = 0.92
+"""Radius of the part of the lobe that is sent rays: a far tail that meets something bright makes specks."""
+EARTH_EDGE = 0.5
+"""Width of the Earth's edge for one ray, relative to the lobe that the rays of a pixel are spread over."""
 
 
 @dataclass(frozen=True)
@@ -81,3 +102,54 @@ def _reflected(surface: Surface, toward_G: Array, to_viewer_G: Array, where: Boo
             surface.roughness[where] ** 4,
         )
     )
+
+
+class Mirror:
+    """A body as its own surfaces show it."""
+
+    def __init__(self, caster: RayCaster, skin: Skin, indirect: IndirectLight, bounces: int) -> None:
+        self._caster, self._skin, self._indirect, self._bounces = caster, skin, indirect, bounces
+
+    def level(
+        self,
+        hits: Hits,
+        surface: Surface,
+        to_viewer_G: Array,
+        lights: Lights,
+        around: Around,
+        stratum: Stratum,
+    ) -> Array:
+        """Level (n,) of body and Earth as n hits mirror them towards the viewer, to_viewer_G (n, 3) unit."""
+        level = around.mirrored(surface, to_viewer_G, hits.flat_normal_G, stratum)
+        share = mirrored_share(surface, to_viewer_G)
+        sharp = np.flatnonzero((surface.roughness**2 < SHARP_ALPHA) & (share > FAINT))
+        if len(sharp) > 0:
+            traced = self._traced(
+                hits[sharp], _part(surface, sharp), to_viewer_G[sharp], lights, stratum[sharp]
+            )
+            fade = np.minimum((share[sharp] - FAINT) / (CLEAR - FAINT), 1.0)
+            level[sharp] += fade * (traced - level[sharp])
+        return level
+
+    def _traced(
+        self, hits: Hits, surface: Surface, to_viewer_G: Array, lights: Lights, stratum: Stratum
+    ) -> Array:
+        """Level (n,) that one ray a hit brings."""
+        alpha = np.maximum(surface.roughness**2, 1e-3)
+        lobe = (surface.normal_G, to_viewer_G, alpha, surface.specular)
+        rays, weight = lobe_rays(*lobe, CORE * stratum.on_disc(use=1), hits.flat_normal_G)
+        met = self._caster.next_hits(hits, rays)
+        seen = lights.earth * earth_seen(rays, EARTH_EDGE * alpha, lights)
+        seen[met.ray] = self._glow(met, -rays[met.ray], lights) if self._bounces else 0.0
+        return weight * seen
+
+    def _glow(self, hits: Hits, to_viewer_G: Array, lights: Lights) -> Array:
+        """Level (n,) of hits in the mirror, under Sun, Earth and lamp."""
+        surface = self._skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+        surface = replace(surface, roughness=np.maximum(surface.roughness, DULLEST))
+        arriving = Arriving(earth_share=self._indirect.at(hits, lights).earth_share())
+        return shade(hits, surface, to_viewer_G, lights, self._caster, arriving=arriving)
+
+
+def _part(surface: Surface, which: Ints) -> Surface:
+    return Surface(*(getattr(surface, field.name)[which] for field in fields(surface)))

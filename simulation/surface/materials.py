@@ -15,7 +15,12 @@ from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.surface.noise import cell_at, creases_at, fractal_at
-from polhode.simulation.surface.spots import SPOT_SLOPE, discs_at, folds_at, layered_spots_at
+from polhode.simulation.surface.spot_noise import SPOT_SLOPE, discs_at, folds_at, layered_spots_at
+
+ALBEDO, SPECULAR, ROUGHNESS, GRAIN, GRAIN_M, PATCH, PATCH_M, BUMP, BUMP_M, CREASE, CREASE_M, STREAK = range(
+    12
+)
+"""Columns of the table that compiled loops read: the material's fields in their order."""
 
 
 @dataclass(frozen=True)
@@ -68,12 +73,6 @@ REGOLITH = Material(
     0.30, 0.0, 1.0, grain=0.2, grain_m=0.06, patch=0.13, patch_m=0.005, crease=0.2, crease_m=0.008
 )
 WORN_PANEL = Material(0.42, 0.05, 0.45, grain=0.15, grain_m=0.02, patch=0.45, patch_m=0.018)
-
-
-ALBEDO, SPECULAR, ROUGHNESS, GRAIN, GRAIN_M, PATCH, PATCH_M, BUMP, BUMP_M, CREASE, CREASE_M, STREAK = range(
-    12
-)
-"""Columns of the table that compiled loops read: the material's fields in their order."""
 
 
 @dataclass(frozen=True)

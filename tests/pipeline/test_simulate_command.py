@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from polhode.cli.main import main
-from polhode.simulation.dataset.painting import Painter
+from polhode.simulation.dataset.frame_renderer import Painter
 
 SCENE = """
 seed: 4

@@ -7,7 +7,7 @@ import numpy as np
 
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import ball, box, drum, pose, prism, revolve, strut, tube
-from polhode.simulation.bodies.textures.studio import Studio
+from polhode.simulation.bodies.textures.part_builder import Studio
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,

@@ -6,7 +6,7 @@ from polhode.lie import Array
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import box, drum, pose, strut
 from polhode.simulation.bodies.textures.canvas import Draw
-from polhode.simulation.bodies.textures.studio import Studio
+from polhode.simulation.bodies.textures.part_builder import Studio
 from polhode.simulation.surface.materials import ANODISED, BRUSHED_METAL, COMPOSITE, PAINT_BLACK, SOLAR_CELL
 
 

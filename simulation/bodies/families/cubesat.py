@@ -7,7 +7,6 @@ import numpy as np
 
 from polhode.lie import Array
 from polhode.simulation.bodies.components.antennas import patch
-from polhode.simulation.bodies.components.deck import Deck, decks_of_box
 from polhode.simulation.bodies.components.equipment import (
     camera_lens,
     electronics_box,
@@ -15,11 +14,12 @@ from polhode.simulation.bodies.components.equipment import (
     sun_sensor,
     umbilical,
 )
+from polhode.simulation.bodies.components.layout import Deck, decks_of_box
 from polhode.simulation.bodies.components.propulsion import thruster
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import box, drum, pose, tube
 from polhode.simulation.bodies.textures.canvas import Draw
-from polhode.simulation.bodies.textures.studio import Studio, sheet_by_side
+from polhode.simulation.bodies.textures.part_builder import Studio, sheet_by_side
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,

@@ -3,13 +3,12 @@
 import numpy as np
 
 from polhode.simulation.bodies.components.antennas import paraboloid
-from polhode.simulation.bodies.components.deck import decks_of_box
-from polhode.simulation.bodies.components.fittings import fit_out
+from polhode.simulation.bodies.components.layout import decks_of_box, fit_out
 from polhode.simulation.bodies.components.wing import solar_wing
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import box, drum, frame, pose, revolve, strut, tube
 from polhode.simulation.bodies.textures.canvas import Draw
-from polhode.simulation.bodies.textures.studio import Studio, sheet_by_side
+from polhode.simulation.bodies.textures.part_builder import Studio, sheet_by_side
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,

@@ -8,7 +8,7 @@ from polhode.simulation.bodies.parts.facets import flat_facets
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import ball, box, drum, hull, pose, revolve
 from polhode.simulation.bodies.textures.canvas import chart_of_facet
-from polhode.simulation.bodies.textures.studio import Studio
+from polhode.simulation.bodies.textures.part_builder import Studio
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,

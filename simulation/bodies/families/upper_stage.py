@@ -8,7 +8,7 @@ from polhode.simulation.bodies.components.equipment import cable, electronics_bo
 from polhode.simulation.bodies.components.propulsion import bottle, engine, thruster_block
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import ellipsoid_cap, frame, pose, prism, revolve, strut, tube
-from polhode.simulation.bodies.textures.studio import Studio
+from polhode.simulation.bodies.textures.part_builder import Studio
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from polhode.lie import Array
 from polhode.records import Ints
-from polhode.simulation.bodies.parts.colours import FileColours
 from polhode.simulation.bodies.parts.facets import smooth_corner_normals
+from polhode.simulation.bodies.parts.file_colours import FileColours
 from polhode.simulation.bodies.parts.mass import PartMass, masses_by_name, together
 from polhode.simulation.surface.materials import Material
 
@@ -158,4 +158,17 @@ def join(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]
     return trimesh.Trimesh(
         np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), process=False
+    )
+
+
+def describe(body: Body) -> str:
+    """One line: extents [m], faces, drawings, materials, and the parts by volume [m^3]."""
+    sides = " x ".join(f"{side:.3g}" for side in np.ptp(np.asarray(body.mesh.vertices), axis=0))
+    ordered = sorted(body.parts, key=lambda part: -part.volume_m3)
+    listed = [f"{part.name} {part.volume_m3:.3g} m^3" for part in ordered[:6]]
+    if len(ordered) > 6:
+        listed.append(f"{len(ordered) - 6} more")
+    return (
+        f"body {sides} m along x, y, z; {len(body.mesh.faces)} faces, {len(body.charts)} drawings, "
+        f"{len(body.materials)} materials; parts: {', '.join(listed)}"
     )

@@ -18,6 +18,10 @@ from polhode.simulation.surface.materials import Material
 Code = NDArray[np.uint8]
 
 
+MARGIN = 4
+"""Texels that an unrolled drawing repeats beyond its ends."""
+
+
 @dataclass
 class Canvas:
     """A drawing in the making; all lengths in texels."""
@@ -178,10 +182,6 @@ def _wrapped(sheet: NDArray[Any]) -> NDArray[Any]:
 def _sliced(sheet: NDArray[Any], where: tuple[NDArray[Any], NDArray[Any]], how: int) -> NDArray[Any]:
     """The sheet at columns and rows (h, w) each."""
     return np.asarray(cv2.remap(sheet, *where, how))
-
-
-MARGIN = 4
-"""Texels that an unrolled drawing repeats beyond its ends."""
 
 
 def _unrolled(

@@ -11,7 +11,7 @@ from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Silent
-from polhode.simulation.dataset.painting import Painter
+from polhode.simulation.dataset.frame_renderer import Painter
 from polhode.simulation.dataset.plan import frames_that_arrive, plan_sequence
 from polhode.simulation.dataset.sequence import simulate
 from polhode.truth import read_truth

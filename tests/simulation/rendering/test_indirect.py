@@ -9,10 +9,10 @@ import trimesh
 from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.rendering.appearance import Skin
 from polhode.simulation.rendering.indirect import IndirectLight
 from polhode.simulation.rendering.light import Lights
 from polhode.simulation.rendering.raycast import Hits, RayCaster
-from polhode.simulation.rendering.skin import Skin
 from polhode.simulation.surface.materials import Material
 
 MATT = Material(0.5, specular=0.0)

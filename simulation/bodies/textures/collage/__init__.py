@@ -1,10 +1,18 @@
 """The second texture generator: overlapping shapes of all sizes, strokes and glyphs (body.texture: collage).
 
-It shares no drawing code with ``simulation.bodies.drawn``: what is trained on one can be tested on the other.
+sheets.py  flat sheets: panels, plates, solar cells, radiators, foil
+walls.py   unrolled walls of tanks, rings, nozzles and reflectors
+marks.py   single marks on them
 """
 
-from polhode.simulation.bodies.textures.collage.sheets import blanket, machined_plate, panel, plain
-from polhode.simulation.bodies.textures.collage.tiles import cells, radiator
+from polhode.simulation.bodies.textures.collage.sheets import (
+    blanket,
+    cells,
+    machined_plate,
+    panel,
+    plain,
+    radiator,
+)
 from polhode.simulation.bodies.textures.collage.walls import nozzle_wall, reflector, ring_wall, tank_wall
 
 __all__ = [

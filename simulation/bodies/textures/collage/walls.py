@@ -4,8 +4,14 @@ import cv2
 import numpy as np
 
 from polhode.simulation.bodies.textures.canvas import Canvas, Draw, code
-from polhode.simulation.bodies.textures.collage.leaves import Leaves, strew
-from polhode.simulation.bodies.textures.collage.strokes import combs, inscription, inscriptions, strokes
+from polhode.simulation.bodies.textures.collage.marks import (
+    Leaves,
+    combs,
+    inscription,
+    inscriptions,
+    strew,
+    strokes,
+)
 from polhode.simulation.surface.materials import PAINT_WHITE, VINYL
 
 

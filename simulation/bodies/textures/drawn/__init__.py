@@ -1,9 +1,19 @@
-"""The first texture generator: stickers, lettering, seams, rivets (body.texture: drawn)."""
+"""The first texture generator: stickers, lettering, seams, rivets (body.texture: drawn).
 
-from polhode.simulation.bodies.textures.drawn.arrays import cells, radiator
-from polhode.simulation.bodies.textures.drawn.blankets import blanket
-from polhode.simulation.bodies.textures.drawn.hulls import nozzle_wall, reflector, ring_wall, tank_wall
-from polhode.simulation.bodies.textures.drawn.panels import machined_plate, panel, plain
+sheets.py  flat sheets: panels, plates, solar cells, radiators, foil
+walls.py   unrolled walls of tanks, rings, nozzles and reflectors
+marks.py   single marks on them
+"""
+
+from polhode.simulation.bodies.textures.drawn.sheets import (
+    blanket,
+    cells,
+    machined_plate,
+    panel,
+    plain,
+    radiator,
+)
+from polhode.simulation.bodies.textures.drawn.walls import nozzle_wall, reflector, ring_wall, tank_wall
 
 __all__ = [
     "blanket",

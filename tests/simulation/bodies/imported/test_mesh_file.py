@@ -14,9 +14,9 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.bodies import Body, build_body, describe
-from polhode.simulation.bodies.imported.mesh_colours import linear_grey
-from polhode.simulation.bodies.imported.mesh_materials import material_by_name
-from polhode.simulation.rendering.skin import Skin
+from polhode.simulation.bodies.imported.colours import linear_grey
+from polhode.simulation.bodies.imported.mesh_file import material_by_name
+from polhode.simulation.rendering.appearance import Skin
 from polhode.simulation.surface.materials import (
     BRUSHED_METAL,
     DARK_METAL,

@@ -9,10 +9,9 @@ import pytest
 
 from polhode.lie import Array
 from polhode.simulation.bodies.textures import collage, drawn
-from polhode.simulation.bodies.textures.artist import artist_of
 from polhode.simulation.bodies.textures.canvas import Canvas, Code, Draw
-from polhode.simulation.bodies.textures.studio import Artist
-from polhode.simulation.surface import noise, spots
+from polhode.simulation.bodies.textures.part_builder import Artist, texture_generator
+from polhode.simulation.surface import noise, spot_noise
 from polhode.simulation.surface.materials import FOIL_GOLD
 
 FOLDERS = {"drawn": Path(drawn.__path__[0]), "collage": Path(collage.__path__[0])}
@@ -45,14 +44,14 @@ def test_neither_generator_imports_the_other() -> None:
     for own, other in (("drawn", "collage"), ("collage", "drawn")):
         for path in FOLDERS[own].glob("*.py"):
             assert not any(f".{other}" in name for name in _imports(path)), path
-    assert "simulation.spots" not in _imports(Path(noise.__file__))
-    assert "simulation.noise" not in _imports(Path(spots.__file__))
+    assert "polhode.simulation.surface.spot_noise" not in _imports(Path(noise.__file__))
+    assert "polhode.simulation.surface.noise" not in _imports(Path(spot_noise.__file__))
 
 
 @pytest.mark.parametrize("texture", ["drawn", "collage"])
 @pytest.mark.parametrize("sheet", SHEETS)
 def test_a_sheet_is_its_seeds_and_of_any_size(texture: str, sheet: str) -> None:
-    draw = SHEETS[sheet](artist_of("drawn" if texture == "drawn" else "collage"))
+    draw = SHEETS[sheet](texture_generator("drawn" if texture == "drawn" else "collage"))
     np.testing.assert_array_equal(_canvas(draw, 1).code, _canvas(draw, 1).code)
     assert (_canvas(draw, 1).code != _canvas(draw, 2).code).any()
     for shape in ((3, 40), (40, 3), (14, 14)):
@@ -72,8 +71,8 @@ def test_drawn_panels_keep_to_rows_and_columns_and_collages_do_not() -> None:
         return [_along_axes(_canvas(texture.panel(0.3), seed, (300, 300)).code) for seed in range(4)]
 
     # Directions without preference have 0.22.
-    assert min(shares(artist_of("drawn"))) > 0.4
-    assert max(shares(artist_of("collage"))) < 0.28
+    assert min(shares(texture_generator("drawn"))) > 0.4
+    assert max(shares(texture_generator("collage"))) < 0.28
 
 
 def test_leaves_have_structure_at_all_scales() -> None:
@@ -82,7 +81,7 @@ def test_leaves_have_structure_at_all_scales() -> None:
     radius = np.rint(np.hypot(u, v)).astype(np.int64)
     power: Array = np.zeros((256, 256))
     for seed in range(4):
-        code = _canvas(artist_of("collage").panel(0.3, 1.0), seed, (256, 256)).code.astype(np.float64)
+        code = _canvas(texture_generator("collage").panel(0.3, 1.0), seed, (256, 256)).code.astype(np.float64)
         power += np.abs(np.fft.fft2(code - code.mean())) ** 2
     frequency = np.arange(4, 60)
     rings = [float(power[radius == f].mean()) for f in frequency]

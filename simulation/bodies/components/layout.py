@@ -1,0 +1,114 @@
+"""Equipment on flat walls: places that do not overlap, and a wall fitted out.
+
+Electronics boxes come first, then smaller things wherever there is room.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from polhode.lie import Array
+from polhode.simulation.bodies.components.antennas import helix, patch, whip
+from polhode.simulation.bodies.components.equipment import (
+    electronics_box,
+    grapple_pin,
+    handrail,
+    hexagonal_can,
+    star_tracker,
+    sun_sensor,
+    umbilical,
+)
+from polhode.simulation.bodies.components.propulsion import thruster_block
+from polhode.simulation.bodies.parts.part import Part
+from polhode.simulation.bodies.parts.solids import box, frame, pose
+from polhode.simulation.bodies.textures.part_builder import Studio
+from polhode.simulation.surface.materials import BRUSHED_METAL
+
+
+@dataclass
+class Deck:
+    """A rectangular wall in the frame X_G (4, 4): origin in its middle, z outward."""
+
+    X_G: Array
+    width_m: float
+    height_m: float
+    _taken: list[tuple[float, float, float]] = field(default_factory=list)
+
+    def reserve(self, x_m: float, y_m: float, radius_m: float) -> None:
+        """Keep a disc free of other things."""
+        self._taken.append((x_m, y_m, radius_m))
+
+    def find(self, radius_m: float, rng: np.random.Generator, tries: int = 24) -> tuple[float, float] | None:
+        """A place (x, y) for a thing of a radius [m], or none; it is taken from then on."""
+        reach = 0.5 * np.array([self.width_m, self.height_m]) - radius_m
+        if (reach <= 0).any():
+            return None
+        for _ in range(tries):
+            x, y = rng.uniform(-reach, reach).tolist()
+            if all(np.hypot(x - a, y - b) > radius_m + r for a, b, r in self._taken):
+                self.reserve(x, y, radius_m)
+                return x, y
+        return None
+
+    def put(self, parts: list[Part], x_m: float, y_m: float, turn: float = 0.0) -> list[Part]:
+        """The parts at a place on the wall, turned about its normal [rad]."""
+        X = self.X_G @ pose([0, 0, 1.0], [x_m, y_m, 0.0], turn)
+        return [part.moved(X) for part in parts]
+
+    def place(self, make: Callable[[], list[Part]], radius_m: float, rng: np.random.Generator) -> list[Part]:
+        """What ``make`` gives, wherever there is room, turned by 0 to 270 degrees; else nothing."""
+        at = self.find(radius_m, rng)
+        return [] if at is None else self.put(make(), *at, turn=float(rng.integers(4)) * np.pi / 2)
+
+
+def decks_of_box(size_m: Array, centre_G: Array) -> dict[str, Deck]:
+    """The six walls of a box by the names +x, -x, +y, -y, +z, -z."""
+    decks = {}
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            z = sign * np.eye(3)[axis]
+            x = np.eye(3)[(axis + 1) % 3]
+            X = frame(x, z, centre_G + 0.5 * size_m[axis] * z)
+            name = ("+" if sign > 0 else "-") + "xyz"[axis]
+            decks[name] = Deck(X, float(size_m[(axis + 1) % 3]), float(size_m[(axis + 2) % 3]))
+    return decks
+
+
+def fit_out(deck: Deck, size_m: float, studio: Studio, boxes: int, small: int) -> list[Part]:
+    """At most so many boxes and small things on a wall; size_m [m] is the body's, which sets theirs."""
+    rng, s = studio.rng, size_m
+    parts = []
+    for _ in range(boxes):
+        w, d, h = s * rng.uniform((0.12, 0.12, 0.05), (0.26, 0.26, 0.1))
+        boxed = partial(electronics_box, studio, w, d, h)
+        parts += deck.place(boxed, 0.6 * float(np.hypot(w, d)), rng)
+    for _ in range(small):
+        make, radius = _small_thing(s, studio)
+        parts += deck.place(make, radius, rng)
+    for _ in range(2 * small):
+        parts += deck.place(partial(_clamp, s), 0.03 * s, rng)
+    return parts
+
+
+def _small_thing(s: float, studio: Studio) -> tuple[Callable[[], list[Part]], float]:
+    """How to make one, and the radius [m] that it takes."""
+    catalogue: list[tuple[Callable[[], list[Part]], float]] = [
+        (partial(star_tracker, studio, 0.17 * s), 0.12 * s),
+        (partial(thruster_block, studio, 0.08 * s), 0.1 * s),
+        (partial(sun_sensor, 0.05 * s), 0.04 * s),
+        (partial(patch, studio, 0.11 * s), 0.08 * s),
+        (partial(handrail, 0.2 * s, 0.006 * s), 0.12 * s),
+        (partial(hexagonal_can, studio, 0.12 * s), 0.08 * s),
+        (partial(umbilical, studio, 0.14 * s), 0.1 * s),
+        (partial(helix, 0.16 * s, 0.03 * s), 0.06 * s),
+        (partial(whip, 0.3 * s, 0.004 * s), 0.03 * s),
+        (partial(grapple_pin, 0.12 * s), 0.08 * s),
+    ]
+    return catalogue[int(studio.rng.integers(len(catalogue)))]
+
+
+def _clamp(s: float) -> list[Part]:
+    """A tie point for cables."""
+    return [Part(box([0.03 * s, 0.012 * s, 0.02 * s], bevel=0.2), BRUSHED_METAL, name="fitting")]

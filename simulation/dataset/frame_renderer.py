@@ -1,0 +1,90 @@
+"""Rendering the pairs of a plan, in this process or in several."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from polhode.dataset_writer import image_path, mask_path, write_png
+from polhode.lie import Array
+from polhode.progress import Advance
+from polhode.simulation.camera.cameras import sample_times
+from polhode.simulation.camera.sensor import Image, expose
+from polhode.simulation.dataset.plan import Plan
+from polhode.simulation.dataset.products import products_path, render_products, write_products
+from polhode.simulation.dataset.staging import Draft
+from polhode.simulation.rendering.render import Picture, Renderer
+from polhode.simulation.workers import in_processes
+
+
+class Painter:
+    """Renders single images and pairs of a plan."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._renderer = Renderer(plan.body, plan.scene, plan.seed)
+
+    def image(self, k: int, index: int) -> tuple[Image, Picture]:
+        """Frame k of camera ``index`` (0: left) as the sensor gives it, and the light before the lens."""
+        plan, camera = self._plan, self._plan.cameras[index]
+        X_NC, X_NG = self._poses(k)
+        X_NK, t_s = X_NC @ camera.X_CK, plan.time_s(k)
+        picture = self._renderer.picture(camera, X_NK, X_NG, t_s)
+        level, stars = plan.sky.behind(picture, camera, X_NK, t_s)
+        noise = np.random.default_rng([plan.seed, 0x2, k, index])
+        return expose(level, plan.scene.sensor, noise, stars), picture
+
+    def pair(self, k: int, mav0: Path) -> None:
+        """Write frame k into a folder of mav0's layout: both images, masks and products on request."""
+        plan, asked = self._plan, self._plan.scene.render
+        stamp = int(plan.target.timestamps_ns[k])
+        for index, camera in enumerate(plan.cameras):
+            image, picture = self.image(k, index)
+            write_png(image_path(mav0 / f"cam{index}", stamp), image)
+            if asked.masks:
+                write_png(mask_path(mav0, index, stamp), picture.covered >= 0.5)
+            if asked.products:
+                X_NK = plan.X_NC[k] @ camera.X_CK
+                products = render_products(self._renderer, camera, X_NK, plan.target.X_NG[k], asked.products)
+                write_products(products_path(mav0, index, stamp), products)
+
+    def _poses(self, k: int) -> tuple[Array, Array]:
+        """X_NC and X_NG at frame k: (S, 4, 4), for each sample of a pixel, when the shutter takes time."""
+        plan = self._plan
+        exposure_s = 1e-3 * plan.scene.sensor.exposure_ms
+        if exposure_s == 0:
+            return plan.X_NC[k], plan.target.X_NG[k]
+        offsets_s = exposure_s * sample_times(plan.scene.render.samples)
+        return plan.inspector.poses_during(k, offsets_s), plan.target.poses_during(k, offsets_s)
+
+
+def paint(plan: Plan, draft: Draft, frames: Sequence[int], workers: int, advance: Advance) -> None:
+    """Render the frames into the draft; ``advance`` is called after each. The bytes do not depend on workers.
+
+    Raises RunFailure when a worker is killed.
+    """
+    if workers == 1 or len(frames) <= 1:
+        painter = Painter(plan)
+        for k in frames:
+            _paint_into(draft, painter, k)
+            advance()
+        return
+    in_processes(_paint, frames, workers, lambda _: advance(), _prepare, (plan, draft))
+
+
+def _paint_into(draft: Draft, painter: Painter, k: int) -> None:
+    with draft.frame(k) as mav0:
+        painter.pair(k, mav0)
+
+
+_here: tuple[Draft, Painter] | None = None
+
+
+def _prepare(plan: Plan, draft: Draft) -> None:
+    global _here
+    _here = draft, Painter(plan)
+
+
+def _paint(k: int) -> None:
+    assert _here is not None  # the process has been prepared
+    _paint_into(*_here, k)

@@ -1,0 +1,156 @@
+"""Bodies: shape, mass and surface."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from polhode.config import scene as config
+from polhode.errors import InputError
+from polhode.simulation.bodies import Body, build_body
+from polhode.simulation.bodies.parts.facets import flat_facets, smooth_corner_normals
+from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.rendering.appearance import ChartAtlas
+from polhode.simulation.surface.materials import PAINT_GREY, PAINT_WHITE
+
+FAMILIES = ["free_flyer", "bus", "asteroid"]
+
+
+def _build(family: str, seed: int = 1, **more: object) -> Body:
+    return build_body(config.Body.model_validate({"family": family, **more}), seed)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_same_seed_gives_the_same_body_and_another_seed_another(family: str) -> None:
+    one, same, other = _build(family, 1), _build(family, 1), _build(family, 2)
+    np.testing.assert_array_equal(one.mesh.vertices, same.mesh.vertices)
+    drawings = [[chart.image for chart in body.charts] for body in (one, same, other)]
+    assert all((a == b).all() for a, b in zip(drawings[0], drawings[1], strict=True))
+    moved = (
+        one.mesh.vertices.shape != other.mesh.vertices.shape
+        or (one.mesh.vertices != other.mesh.vertices).any()
+    )
+    redrawn = any(
+        a.shape != b.shape or (a != b).any() for a, b in zip(drawings[0], drawings[2], strict=False)
+    )
+    assert moved or redrawn
+
+
+def test_the_bodys_own_seed_stands_above_the_configs() -> None:
+    own = config.Body(family="bus", seed=9)
+    np.testing.assert_array_equal(build_body(own, 1).mesh.vertices, build_body(own, 2).mesh.vertices)
+
+
+def test_the_free_flyers_shell_has_18_faces_and_its_size() -> None:
+    body = _build("free_flyer", size_m=0.22)
+    shell_charts = body.charts[:18]
+    normals = np.array([np.cross(chart.right_G, -chart.down_G) for chart in shell_charts])
+    distances = np.einsum("nk,nk->n", normals, [chart.origin_G for chart in shell_charts])
+    np.testing.assert_allclose(np.sort(np.abs(distances)), [0.11] * 6 + [0.545 * 0.22] * 12)
+    assert len(np.unique(np.round(normals, 6), axis=0)) == 18
+
+
+def test_parallel_faces_never_carry_the_same_drawing() -> None:
+    images = [chart.image for chart in _build("free_flyer").charts]
+    same = [a.shape == b.shape and (a == b).all() for i, a in enumerate(images) for b in images[:i]]
+    assert not any(same)
+
+
+def test_the_asteroid_has_the_volume_of_a_sphere_of_its_size() -> None:
+    body = _build("asteroid", size_m=0.3)
+    assert body.mesh.volume == pytest.approx(np.pi / 6 * 0.3**3)
+    assert body.mesh.is_watertight
+
+
+def test_mass_of_joined_parts_is_that_of_the_closed_form() -> None:
+    """Two boxes end to end are one long box."""
+    halves = []
+    for x in (-0.1, 0.1):
+        box = trimesh.creation.box([0.2, 0.1, 0.05])
+        box.apply_translation([x + 0.03, 0, 0])
+        halves.append(Part(box, PAINT_WHITE))
+    body = assemble(halves)
+    m = 0.4 * 0.1 * 0.05
+    a2, b2, c2 = 0.4**2, 0.1**2, 0.05**2
+    assert body.volume_m3 == pytest.approx(m)
+    np.testing.assert_allclose(body.com_G, [0.03, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        body.inertia_per_density, m / 12 * np.diag([b2 + c2, a2 + c2, a2 + b2]), atol=1e-15
+    )
+
+
+def test_masses_of_the_names_add_up_to_the_bodys() -> None:
+    body = _build("free_flyer")
+    assert len({part.name for part in body.parts}) == len(body.parts)
+    assert {"shell", "tank", "thruster"} <= {part.name for part in body.parts}
+    weights = np.array([part.volume_m3 * part.density_factor for part in body.parts])
+    assert weights.sum() == pytest.approx(body.volume_m3)
+    np.testing.assert_allclose(weights @ [part.com_G for part in body.parts] / weights.sum(), body.com_G)
+    about_origin = np.zeros((3, 3))
+    for weight, part in zip(weights, body.parts, strict=True):
+        p = part.com_G
+        about_origin += part.density_factor * part.inertia_per_density
+        about_origin += weight * (p @ p * np.eye(3) - np.outer(p, p))
+    p = body.com_G
+    whole = body.inertia_per_density + body.volume_m3 * (p @ p * np.eye(3) - np.outer(p, p))
+    np.testing.assert_allclose(about_origin, whole, atol=1e-12 * np.abs(whole).max())
+
+
+def test_normals_are_smooth_on_a_ball_and_flat_on_a_box() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    corners = smooth_corner_normals(ball)
+    assert np.einsum("fck,fck->fc", corners, ball.vertices[ball.faces]).min() > np.cos(np.deg2rad(1.0))
+    box = trimesh.creation.box()
+    np.testing.assert_allclose(smooth_corner_normals(box), np.repeat(box.face_normals[:, None], 3, axis=1))
+
+
+def test_a_box_has_six_flat_facets() -> None:
+    assert sorted(len(faces) for faces in flat_facets(trimesh.creation.box())) == [2] * 6
+
+
+def test_a_chart_is_read_where_it_was_drawn() -> None:
+    body = _build("free_flyer")
+    atlas = ChartAtlas(body.charts)
+    for index in (0, 7, 20):
+        chart = body.charts[index]
+        row, column = (size // 2 for size in chart.image.shape)
+        p_G = chart.origin_G + chart.texel_m * (column * chart.right_G + row * chart.down_G)
+        read = atlas.look_up(np.array([index, -1]), np.stack([p_G, p_G])).reflectance
+        assert read[0] == pytest.approx(chart.image[row, column], abs=1e-6)
+        assert np.isnan(read[1])
+
+
+def test_drawings_read_the_right_way_round_from_outside() -> None:
+    body = _build("free_flyer")
+    for index, chart in enumerate(body.charts):
+        outward = body.mesh.face_normals[np.flatnonzero(body.face_chart == index)[0]]
+        # Right, down and the viewing direction (inwards) are right-handed, as in an image.
+        assert np.cross(chart.right_G, chart.down_G) @ -outward == pytest.approx(1.0)
+
+
+def test_a_mesh_file_keeps_its_size_in_metres(tmp_path: Path) -> None:
+    path = tmp_path / "box.stl"
+    trimesh.creation.box([200.0, 100.0, 50.0]).export(path)
+    body = _build("mesh", path=str(path), metres_per_unit=0.001)
+    np.testing.assert_allclose(body.mesh.extents, [0.2, 0.1, 0.05])
+    assert body.materials[0] != PAINT_GREY
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("absent.obj", None, "no such mesh file"),
+        ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no faces"),
+        ("broken.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
+        ("picture.xyzzy", "hello", "cannot be read as a mesh"),
+    ],
+)
+def test_a_bad_mesh_file_gives_one_line(tmp_path: Path, name: str, content: str | None, message: str) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(InputError, match=message) as caught:
+        _build("mesh", path=str(path), metres_per_unit=1.0)
+    assert "\n" not in str(caught.value)
+    assert name in str(caught.value)

@@ -1,0 +1,198 @@
+"""A dataset is made, taken up again after an interruption, and replaced: whole or not at all."""
+
+import multiprocessing
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+import polhode.simulation.dataset.sequence as sequence
+from polhode.config.scene import Scene
+from polhode.errors import InputError
+from polhode.progress import Advance, Silent
+from polhode.simulation.dataset.sequence import simulate
+from polhode.simulation.dataset.staging import drafted
+
+SCENE = Scene.model_validate(
+    {
+        "frames": 4,
+        "truth_horizon_s": 1.0,
+        "rig": {"width_px": 48, "height_px": 36, "focal_px": 35.0},
+        "motion": {"position_m": [0.04, 0.0, 0.6]},
+        "light": {"earth": 0.0},
+        "render": {"masks": True, "products": ["depth"], "samples": 1, "bounces": 0},
+    }
+)
+
+
+class _Listener:
+    """Notes how many frames are rendered; after ``patience`` of them it raises."""
+
+    def __init__(self, patience: int = 99, error: type[BaseException] = KeyboardInterrupt) -> None:
+        self.patience, self.error = patience, error
+        self.title, self.frames = "", 0
+
+    @contextmanager
+    def stage(self, title: str, total: int) -> Iterator[Advance]:
+        del total
+        self.title = title
+
+        def advance() -> None:
+            self.frames += 1
+            if self.frames == self.patience:
+                raise self.error
+
+        yield advance
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def _names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("whole") / "S"
+    simulate(SCENE, 4, folder, Silent())
+    return _files(folder)
+
+
+def test_an_interrupted_rendering_goes_on_and_ends_with_the_same_bytes(
+    tmp_path: Path, whole: dict[str, bytes]
+) -> None:
+    with pytest.raises(KeyboardInterrupt, match=r"interrupted; [2-4] of 4 pairs are kept, the same command"):
+        simulate(SCENE, 4, tmp_path / "S", _Listener(2), workers=2)
+    assert _names(tmp_path) == [".S.partial"]
+    second = _Listener()
+    simulate(SCENE, 4, tmp_path / "S", second, workers=1)
+    kept = int(second.title.removeprefix("rendering (").split()[0])
+    assert kept >= 2 and kept + second.frames == 4
+    assert _files(tmp_path / "S") == whole
+    assert _names(tmp_path) == ["S"]
+
+
+def _die_after_two_frames(folder: Path) -> None:
+    class Dies(_Listener):
+        @contextmanager
+        def stage(self, title: str, total: int) -> Iterator[Advance]:
+            with super().stage(title, total) as advance:
+                yield lambda: os._exit(9) if self.frames == 2 else advance()
+
+    simulate(SCENE, 4, folder, Dies())
+
+
+def test_a_killed_rendering_goes_on_and_ends_with_the_same_bytes(
+    tmp_path: Path, whole: dict[str, bytes]
+) -> None:
+    process = multiprocessing.get_context("fork").Process(
+        target=_die_after_two_frames, args=(tmp_path / "S",)
+    )
+    process.start()
+    process.join()
+    assert process.exitcode == 9
+    # What a kill leaves of a frame that was on its way to the disk.
+    half = tmp_path / ".S.partial" / ".frames" / "3" / "cam0" / "data"
+    half.mkdir(parents=True)
+    (half / "junk.png").write_bytes(b"\x89PNG")
+    last = _Listener()
+    simulate(SCENE, 4, tmp_path / "S", last)
+    assert (last.title, last.frames) == ("rendering (3 of 4 were there)", 1)
+    assert _files(tmp_path / "S") == whole
+
+
+def test_a_frame_that_is_no_longer_whole_is_rendered_again(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        simulate(SCENE, 4, tmp_path / "S", _Listener(3))
+    image = next((tmp_path / ".S.partial/mav0/cam1/data").iterdir())
+    image.write_bytes(image.read_bytes()[:40])
+    next((tmp_path / ".S.partial/mav0/truth0").iterdir()).unlink()
+    last = _Listener()
+    simulate(SCENE, 4, tmp_path / "S", last)
+    assert last.frames >= 2
+    assert _files(tmp_path / "S") == whole
+
+
+@pytest.mark.parametrize("change", ["scene", "seed", "program"])
+def test_a_draft_of_another_scene_or_program_is_begun_anew(
+    tmp_path: Path, change: str, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = SCENE.model_copy(update={"interval_s": 0.25}) if change == "scene" else SCENE
+    with monkeypatch.context() as patch:
+        if change == "program":
+            patch.setattr(sequence, "_program", lambda: "an older one")
+        with pytest.raises(KeyboardInterrupt):
+            simulate(other, 5 if change == "seed" else 4, tmp_path / "S", _Listener(2))
+    anew = _Listener()
+    simulate(SCENE, 4, tmp_path / "S", anew)
+    assert (anew.title, anew.frames) == ("rendering", 4)
+    assert _files(tmp_path / "S") == whole
+
+
+def test_an_interrupt_before_the_first_frame_leaves_nothing(tmp_path: Path) -> None:
+    class Impatient(_Listener):
+        @contextmanager
+        def stage(self, title: str, total: int) -> Iterator[Advance]:
+            raise KeyboardInterrupt
+            yield
+
+    with pytest.raises(KeyboardInterrupt, match=r"^interrupted$"):
+        simulate(SCENE, 4, tmp_path / "S", Impatient())
+    assert _names(tmp_path) == []
+
+
+def test_a_mistake_that_shows_late_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        simulate(SCENE, 4, tmp_path / "S", _Listener(2, InputError))
+    assert _names(tmp_path) == []
+
+
+def test_the_old_dataset_stands_until_the_new_one_is_whole(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    simulate(SCENE, 4, tmp_path / "S", Silent())
+    with pytest.raises(KeyboardInterrupt):
+        simulate(SCENE, 5, tmp_path / "S", _Listener(1), overwrite=True)
+    assert _files(tmp_path / "S") == whole
+
+
+def test_replacing_leaves_nothing_of_the_old_dataset(tmp_path: Path) -> None:
+    simulate(SCENE, 4, tmp_path / "S", Silent())
+    shorter = SCENE.model_copy(update={"frames": 1})
+    simulate(shorter, 4, tmp_path / "S", Silent(), overwrite=True)
+    assert len(list((tmp_path / "S/mav0/cam0/data").iterdir())) == 1
+    assert _names(tmp_path) == ["S"]
+
+
+def test_only_a_dataset_or_an_empty_folder_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "S").mkdir()
+    one = SCENE.model_copy(update={"frames": 1})
+    simulate(one, 4, tmp_path / "S", Silent())
+    with pytest.raises(InputError, match=r"exists: choose another folder or pass --overwrite"):
+        simulate(one, 4, tmp_path / "S", Silent())
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "thesis.tex").write_text("x")
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match="exists" if not overwrite else "holds no mav0"):
+            simulate(one, 4, tmp_path / "work", Silent(), overwrite=overwrite)
+    assert _names(tmp_path / "work") == ["thesis.tex"]
+
+
+def test_a_file_in_the_way_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "S").write_text("x")
+    with pytest.raises(InputError, match="is a file"):
+        simulate(SCENE, 4, tmp_path / "S", Silent(), overwrite=True)
+    with pytest.raises(InputError, match="cannot be made"):
+        simulate(SCENE, 4, tmp_path / "S" / "inside", Silent())
+    assert (tmp_path / "S").read_text() == "x"
+
+
+def test_two_simulations_of_one_dataset_do_not_mix(tmp_path: Path) -> None:
+    with (
+        drafted(tmp_path / "S", False, "first"),
+        pytest.raises(InputError, match="another simulation is at work"),
+        drafted(tmp_path / "S", False, "second"),
+    ):
+        pass

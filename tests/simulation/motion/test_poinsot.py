@@ -1,0 +1,211 @@
+"""Poinsot's facts: the curves lie where energy and momentum say, and the cones roll on each other.
+
+Prograde or retrograde (thesis 2.5.1): by energy and momentum, and seen in the motion itself.
+"""
+
+import numpy as np
+import pytest
+
+from polhode.lie import Array
+from polhode.rigid_body import propagate
+from polhode.simulation.motion.integrate import free_of_forces
+from polhode.simulation.motion.poinsot import (
+    Poinsot,
+    circulation_order,
+    free_rotation,
+    poinsot,
+    polhodes,
+    precession_of,
+    rotation_states,
+    separatrix,
+)
+
+TRIAXIAL, DISC = np.array([1.4, 1.0, 0.7]), np.array([1.7, 1.0, 1.0])
+CASES = {
+    "about the greatest axis": (TRIAXIAL, np.array([1.0, 0.2, 0.3])),
+    "about the least axis": (TRIAXIAL, np.array([0.1, -0.25, -1.1])),
+    "disc": (DISC, np.array([0.9, 0.3, -0.2])),
+}
+
+
+OBLATE, PROLATE = np.array([1.7, 1.0, 1.0]), np.array([1.5, 1.5, 0.6])
+TRIAXIAL = np.array([1.4, 1.0, 0.7])
+MAJOR, MINOR = np.array([1.0, 0.2, 0.3]), np.array([0.1, -0.25, 1.1])
+SPINS = {
+    "disc": (OBLATE, np.array([0.9, 0.3, -0.2])),
+    "disc, backwards": (OBLATE, np.array([-0.9, 0.3, -0.2])),
+    "rod": (PROLATE, np.array([-0.2, 0.3, 1.3])),
+    "rod, backwards": (PROLATE, np.array([-0.2, 0.3, -1.3])),
+    "greatest axis": (TRIAXIAL, MAJOR),
+    "least axis": (TRIAXIAL, MINOR),
+    "least axis, backwards": (TRIAXIAL, -MINOR),
+    "above the separatrix": (TRIAXIAL, np.array([0.3, 1.0, 0.2])),
+    "below the separatrix": (TRIAXIAL, np.array([0.2, 1.0, 0.4])),
+}
+
+
+@pytest.fixture(scope="module", params=list(CASES.values()), ids=list(CASES))
+def geometry(request: pytest.FixtureRequest) -> Poinsot:
+    return poinsot(*request.param)
+
+
+def test_the_polhode_is_closed_and_keeps_energy_and_momentum(geometry: Poinsot) -> None:
+    w = geometry.polhode_P
+    np.testing.assert_allclose(w[-1], w[0], atol=1e-9)
+    np.testing.assert_allclose(w**2 @ geometry.moments, geometry.two_energy, rtol=1e-10)
+    h = np.linalg.norm(w * geometry.moments, axis=1)
+    np.testing.assert_allclose(h, h[0], rtol=1e-10)
+
+
+def test_the_herpolhode_lies_in_the_invariable_plane(geometry: Poinsot) -> None:
+    """2 E = h . w: the rate's component along the momentum is constant."""
+    h = np.linalg.norm(geometry.polhode_P[0] * geometry.moments)
+    np.testing.assert_allclose(geometry.herpolhode_H[:, 2], geometry.two_energy / h, rtol=1e-9)
+
+
+def test_the_cones_touch_along_the_rate_at_the_first_frame(geometry: Poinsot) -> None:
+    np.testing.assert_allclose(geometry.body_cone_H[0], geometry.herpolhode_H[0], atol=1e-12)
+    assert geometry.herpolhode_H[0, 0] > 0
+    assert geometry.herpolhode_H[0, 1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_body_cone_rolls_without_slipping() -> None:
+    """Along both curves the rate covers equal ways in equal times: no relative motion at the contact."""
+    for moments, w_P in CASES.values():
+        R_HP, rates_P = free_rotation(moments, w_P, np.linspace(0.0, 5.0, 2001))
+        in_body = np.linalg.norm(np.diff(rates_P, axis=0), axis=1)
+        rates_H = (R_HP @ rates_P[..., None])[..., 0]
+        in_space = np.linalg.norm(np.diff(rates_H, axis=0), axis=1)
+        np.testing.assert_allclose(in_body, in_space, rtol=1e-5)
+
+
+def test_the_axis_goes_around_the_momentum_once(geometry: Poinsot) -> None:
+    t_s = np.linspace(0.0, geometry.precession.precession_period_s, 361)
+    R_HP, rates_P = free_rotation(geometry.moments, geometry.polhode_P[0], t_s)
+    np.testing.assert_allclose(geometry.around_H, (R_HP @ rates_P[..., None])[..., 0], atol=1e-12)
+    axis_H = R_HP @ geometry.axis_P
+    turned = np.unwrap(np.arctan2(axis_H[:, 1], axis_H[:, 0]))[-1] - np.arctan2(axis_H[0, 1], axis_H[0, 0])
+    assert turned == pytest.approx(2 * np.pi, rel=0.05)
+    assert geometry.axis_P @ geometry.polhode_P[0] > 0
+
+
+@pytest.mark.parametrize("moments", [TRIAXIAL, DISC])
+def test_other_polhodes_lie_on_the_ellipsoid_with_one_momentum_each(moments: Array) -> None:
+    curves = polhodes(moments, 2.0, 3)
+    assert len(curves) == (12 if moments is TRIAXIAL else 6)
+    for curve in curves:
+        np.testing.assert_allclose(curve**2 @ moments, 2.0, rtol=1e-12)
+        h = np.linalg.norm(curve * moments, axis=1)
+        np.testing.assert_allclose(h, h[0], rtol=1e-9)
+
+
+def test_the_separatrix_has_the_momentum_of_a_spin_about_the_middle_axis() -> None:
+    curves = separatrix(TRIAXIAL, 2.0)
+    assert len(curves) == 2
+    for curve in curves:
+        np.testing.assert_allclose(curve**2 @ TRIAXIAL, 2.0, rtol=1e-12)
+        np.testing.assert_allclose(np.sum((curve * TRIAXIAL) ** 2, axis=1), 2.0 * TRIAXIAL[1], rtol=1e-12)
+    assert separatrix(DISC, 2.0) == []
+
+
+def test_a_steady_spin_stays_where_it_is() -> None:
+    still = poinsot(TRIAXIAL, np.array([0.0, 0.0, 1.3]))
+    assert still.precession.sense == "none"
+    np.testing.assert_allclose(
+        still.herpolhode_H, np.tile([0, 0, 1.3], (len(still.herpolhode_H), 1)), atol=1e-12
+    )
+    np.testing.assert_allclose(still.axis_P, [0, 0, 1], atol=1e-15)
+
+
+def test_states_under_drag_follow_its_forces() -> None:
+    forces = free_of_forces(TRIAXIAL)._replace(drag_hz=0.1)
+    _, h_P = rotation_states(forces, np.array([0.0, 0.0, 1.0]), np.array([0.0, 2.0, 5.0]))
+    np.testing.assert_allclose(h_P[:, 2], np.exp([0.0, -0.2, -0.5]), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("moments", "sense"), [(OBLATE, "retrograde"), (PROLATE, "prograde")])
+def test_a_disc_precesses_retrograde_and_a_rod_prograde(moments: Array, sense: str) -> None:
+    for seed in range(20):
+        w_P = np.random.default_rng(seed).normal(size=3)
+        assert precession_of(moments, w_P).sense == sense
+
+
+@pytest.mark.parametrize(("moments", "w_P"), SPINS.values(), ids=SPINS)
+def test_sense_and_periods_are_those_of_the_motion(moments: Array, w_P: Array) -> None:
+    """Angles of the axis about the momentum and of the body about the axis, followed over three circuits."""
+    precession = precession_of(moments, w_P)
+    turned, spun, tilt = _euler_angles(moments, w_P, 3 * precession.spin_period_s)
+    assert abs(turned) == pytest.approx(6 * np.pi * precession.spin_period_s / precession.precession_period_s)
+    assert abs(spun) == pytest.approx(6 * np.pi, rel=1e-6)
+    assert precession.sense == ("prograde" if turned * spun > 0 else "retrograde")
+    np.testing.assert_allclose(np.rad2deg([tilt.min(), tilt.max()]), precession.wobble_deg, atol=0.02)
+
+
+def _euler_angles(moments: Array, w_P: Array, duration_s: float) -> tuple[float, float, Array]:
+    """Turns of the circled axis about h and of the body about that axis, and the tilt from h (n,) [rad]."""
+    order = circulation_order(moments, w_P)
+    assert order is not None
+    axis_P = np.eye(3)[order[2]] * np.sign(w_P[order[2]])
+    t_s = np.linspace(0.0, duration_s, 1201)
+    zero = np.zeros(3)
+    _, _, R_NP, w = propagate(t_s, zero, zero, np.eye(3), w_P, np.diag(moments), rtol=1e-9)
+    h_N = moments * w_P / np.linalg.norm(moments * w_P)
+    axis_N = R_NP @ axis_P
+    first_N = np.cross(h_N, axis_N[0])
+    first_N /= np.linalg.norm(first_N)
+    second_N = np.cross(h_N, first_N)
+    turned = np.unwrap(np.arctan2(axis_N @ second_N, axis_N @ first_N))
+    # The body about its axis: the direction of h seen from the body turns the other way.
+    a, b = (np.eye(3)[(order[2] + k) % 3] * s for k, s in ((1, 1.0), (2, np.sign(w_P[order[2]]))))
+    h_P = w * moments
+    spun = -np.unwrap(np.arctan2(h_P @ b, h_P @ a))
+    return turned[-1] - turned[0], spun[-1] - spun[0], np.arccos(axis_N @ h_N)
+
+
+@pytest.mark.parametrize("name", ["disc", "rod"])
+def test_the_body_cone_of_a_disc_encloses_the_space_cone_and_a_rods_lies_beside_it(name: str) -> None:
+    moments, w_P = SPINS[name]
+    axis_P = np.array([1.0, 0, 0]) if name == "disc" else np.array([0, 0, 1.0])
+    h_P = moments * w_P
+    tilt, body, space = _angle(axis_P, h_P), _angle(axis_P, w_P), _angle(h_P, w_P)
+    if name == "disc":
+        assert tilt == pytest.approx(body - space)
+        assert body > space
+    else:
+        assert tilt == pytest.approx(body + space)
+
+
+def _angle(a: Array, b: Array) -> float:
+    return float(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
+
+
+def test_an_axisymmetric_body_has_the_textbook_periods() -> None:
+    w_P = SPINS["rod"][1]
+    precession = precession_of(PROLATE, w_P)
+    assert precession.precession_period_s == pytest.approx(
+        2 * np.pi * PROLATE[0] / np.linalg.norm(PROLATE * w_P)
+    )
+    assert precession.spin_period_s == pytest.approx(2 * np.pi / (w_P[2] * (1 - PROLATE[2] / PROLATE[0])))
+
+
+@pytest.mark.parametrize(
+    ("moments", "w_P"),
+    [
+        (TRIAXIAL, [0.0, 1.0, 0.0]),
+        (TRIAXIAL, [1.0, 0.0, 0.0]),
+        (TRIAXIAL, [0.0, 0.0, 0.0]),
+        (np.ones(3), [1.0, 2.0, 3.0]),
+        (OBLATE, [0.0, 1.0, 1.0]),
+    ],
+)
+def test_a_steady_spin_has_no_precession(moments: Array, w_P: list[float]) -> None:
+    assert precession_of(moments, np.array(w_P)).sense == "none"
+
+
+def test_on_the_separatrix_there_is_no_sense() -> None:
+    """2 E J_middle = h^2: J_1 (J_1 - J_2) w_1^2 = J_3 (J_2 - J_3) w_3^2."""
+    J = TRIAXIAL
+    w_P = np.array([1.0, 0.7, np.sqrt(J[0] * (J[0] - J[1]) / (J[2] * (J[1] - J[2])))])
+    assert precession_of(J, w_P).sense == "none"
+    assert precession_of(J, w_P * [1.001, 1, 1]).sense == "retrograde"
+    assert precession_of(J, w_P * [0.999, 1, 1]).sense == "prograde"
