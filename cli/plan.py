@@ -50,7 +50,7 @@ class PlanCommand:
 
         from polhode.pipeline.products.plan import Docking, plan_run
         from polhode.pipeline.products.plan_files import format_plan, write_plan
-        from polhode.planning.keep_out.keepout import Wanted
+        from polhode.planning.keep_out.volumes import Wanted
 
         if self.output.exists() and not self.output.is_dir():
             raise InputError(f"{self.output} is a file: -o names a folder")

@@ -35,7 +35,7 @@ class ThresholdCommand:
 
     def execute(self) -> int:
         """Print the three rates."""
-        from polhode.planning.approach.threshold import RPM, StationKeeping, threshold
+        from polhode.planning.approach.tumbling_threshold import RPM, StationKeeping, threshold
 
         for name in ("radius_m", "mass_kg", "force_n", "isp_s", "duration_s", "fuel_fraction"):
             value = getattr(self, name)

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw
 
-from polhode.planning.approach.approach import Way
-from polhode.planning.keep_out.keepout import InstantKeepOut
+from polhode.planning.approach.trajectory import Way
+from polhode.planning.keep_out.volumes import InstantKeepOut
 from polhode.quaternion import wxyz_from_matrix
 
 TRAIL_M = 0.006

@@ -23,9 +23,9 @@ from polhode.lie import Array
 from polhode.metrics import truth_at
 from polhode.pipeline.products.plan import ahead_of, surface_of
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
-from polhode.planning.approach.approach import Task, Way, least_gap, plan_way
-from polhode.planning.keep_out.keepout import InstantKeepOut, Wanted, keep_out
+from polhode.planning.approach.trajectory import Task, Way, least_gap, plan_way
 from polhode.planning.keep_out.measured_body import sample_surface
+from polhode.planning.keep_out.volumes import InstantKeepOut, Wanted, keep_out
 from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Truth
 from polhode.truth import read_truth

@@ -11,7 +11,7 @@ import trimesh
 
 from polhode.config.backend import Backend
 from polhode.lie import Array
-from polhode.mapping.mesh_loops import volume_moments
+from polhode.mapping.mesh_geometry import volume_moments
 from polhode.mapping.visibility import Caster
 from polhode.pipeline.run_directory.summary_parts import Assumed
 from polhode.records import MassProperties, SurfaceModel

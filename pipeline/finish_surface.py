@@ -17,9 +17,9 @@ from polhode.dataset import StereoSequence
 from polhode.frontend.rectification.rectified_pair import rectified_left
 from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import Array, transform_points
-from polhode.mapping.albedo import Colouring, divide_shading
-from polhode.mapping.holes import ClosedHoles, close_small_holes
-from polhode.mapping.levels import Level, levels_of
+from polhode.mapping.finishing.albedo import Colouring, divide_shading
+from polhode.mapping.finishing.detail_levels import Level, levels_of
+from polhode.mapping.finishing.hole_closing import ClosedHoles, close_small_holes
 from polhode.mapping.visibility import Caster, FrameView
 from polhode.pipeline.assumed_density import assumed_properties
 from polhode.pipeline.coverage import coverage_of, warnings_of, with_classes

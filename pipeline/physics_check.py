@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from polhode.lie import Array, log_so3
-from polhode.mapping.holes import boundary_loops
+from polhode.mapping.finishing.hole_closing import boundary_loops
 from polhode.mapping.visibility import Caster
 from polhode.metrics import HALF_TURNS
 from polhode.pipeline.assumed_density import Solid, principal_axes, solid_body, solid_of

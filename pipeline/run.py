@@ -11,7 +11,7 @@ from polhode.backend import estimate_online, in_words_of, window_warnings
 from polhode.config import Config
 from polhode.frontend.extract import extract_depth
 from polhode.lie import transform_points
-from polhode.mapping.fusion import fuse
+from polhode.mapping.fusion.fuse import fuse
 from polhode.pipeline.correspondences import look, workers
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface

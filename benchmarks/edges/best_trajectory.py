@@ -105,7 +105,7 @@ def measure(case: Case) -> dict[str, Any]:
 
 def tumbling(mesh: Any) -> tuple[Any, Any]:
     """The motion of a body with small covariances about its middle, and its keep-out volume."""
-    from polhode.planning.keep_out.keepout import Wanted, keep_out
+    from polhode.planning.keep_out.volumes import Wanted, keep_out
     from polhode.planning.prediction.ensemble import Ahead
     from polhode.planning.prediction.prediction import LastBody
     from polhode.records import SurfaceModel

@@ -15,7 +15,7 @@ from benchmarks.record import Case
 from polhode.planning.edges.metric.contributions import contributions
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
 from polhode.planning.edges.metric.information import feature_information
-from polhode.planning.edges.metric.painted import painted, picture
+from polhode.planning.edges.metric.pictures import painted, picture
 from polhode.planning.edges.model.edge_model import edge_model
 from polhode.planning.prediction.ensemble import nominal
 

@@ -7,7 +7,7 @@ best choice where branch and bound ends, and the upper bound. For the trace what
 millionths: the mean of the summed variances, shifts in radii, turns in radians, for one pixel. Second table:
 the fewest edges for which each sigma stays within 10 %, the lower bound, and the exact number where all sets
 can be tried. Third, for bodies of few edges: the smooth table of `view_table.py` against the metric at views
-between its own. Edges count where they stand clear of others (`apart.py`).
+between its own. Edges count where they stand clear of others (`visible_edges.clear_points`).
 """
 
 import argparse
@@ -23,8 +23,7 @@ from polhode.errors import InputError
 from polhode.lie import make_pose
 from polhode.planning.edges.metric.information import FeatureInformation, feature_information
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
-from polhode.planning.edges.selection.selection import exchanged, greedy
-from polhode.planning.edges.selection.selection_bound import best_choice, upper_bound
+from polhode.planning.edges.selection.selection import best_choice, exchanged, greedy, upper_bound
 from polhode.planning.edges.selection.smallest_set import Need, exact_smallest_set, smallest_set
 
 BODIES = ("block", "house", "drum", "satellite", "bus", "cubesat")

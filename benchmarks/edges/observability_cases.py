@@ -27,8 +27,7 @@ from polhode.lie import Array, make_pose, transform_points
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
 from polhode.planning.edges.metric.metric import Observability, observability
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
-from polhode.planning.edges.model.seen_edges import SPACING_PX
-from polhode.planning.edges.model.separation import clear_points
+from polhode.planning.edges.model.visible_edges import SPACING_PX, clear_points
 
 RIG = edge_rig()
 LEVELS = (1.0, 0.75, 0.5)

@@ -18,8 +18,8 @@ from polhode.lie import Array, inverse_pose, make_pose
 from polhode.metrics import truth_at
 from polhode.pipeline.products.observability.subject import CameraOptions, subject_of
 from polhode.pipeline.run_directory.archives import read_measurements
-from polhode.planning.edges.metric.along import look_along
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
+from polhode.planning.edges.metric.information import look_along
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 from polhode.truth import read_truth
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.edges.edge_bodies import KINDS, edge_body
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, make_pose
-from polhode.planning.edges.metric.along import look_along
+from polhode.planning.edges.metric.information import look_along
 from polhode.planning.edges.model.edge_model import edge_model
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)

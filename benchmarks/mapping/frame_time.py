@@ -29,7 +29,7 @@ from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.frontend.rectification.rectify import make_rectifier
 from polhode.lie import Array, inverse_pose
-from polhode.mapping.field import Field
+from polhode.mapping.fusion.field import Field
 from polhode.pipeline.finish_surface import finish_surface
 from polhode.records import Identifiability, MassProperties
 from polhode.truth import read_truth

@@ -9,7 +9,7 @@ count: the faster of two runs after a warm-up of a few frames, from depth in mem
 MiB: by how much the process's peak exceeds what it held before. Distances are those of
 ``benchmarks.mesh_quality``, on what was seen and lit in three frames.
 
-    ours         mapping/fusion.py, as a run uses it (with colours, sigmas and counts of views)
+    ours         mapping/fusion/fuse.py, as a run uses it (with colours, sigmas and counts of views)
     ours again   poses of a tenth of the frames move by two voxels: only these are fused again
     open3d       VoxelBlockGrid (Dong et al. 2021), the same truncation, voxels of weight 3 and more
     colmap       its fusion of depth maps, points that 3 frames agree on, and its Poisson mesher, from depth
@@ -42,8 +42,8 @@ from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.frontend.rectification.rectify import make_rectifier
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.mapping.field import Field
-from polhode.mapping.fusion import choose_voxel_m, fuse
+from polhode.mapping.fusion.field import Field
+from polhode.mapping.fusion.fuse import choose_voxel_m, fuse
 from polhode.mesh_metrics import compare_surfaces
 from polhode.pipeline.evaluation.evaluate import seen_truth
 from polhode.records import DepthMap

@@ -24,7 +24,7 @@ from benchmarks.mapping.fusion_peers import memory_mib
 from polhode.camera import RectifiedRig
 from polhode.config.mapping import Mapping
 from polhode.lie import Array, inverse_pose, make_pose
-from polhode.mapping.field import Field
+from polhode.mapping.fusion.field import Field
 from polhode.mapping.visibility import Caster
 from polhode.mesh_metrics import distance_to_surface, sample_surface
 from polhode.records import DepthMap

@@ -186,28 +186,28 @@ SIMULATION = (
 MAPPING = (
     Fault(
         "row and column of the projection swapped",
-        "mapping/integrate.py",
+        "mapping/fusion/integration.py",
         "pixel = v[hit] * w + u[hit]",
         "pixel = u[hit] * w + v[hit]",
         ("mapping",),
     ),
     Fault(
         "pose where its inverse is needed",
-        "mapping/integrate.py",
+        "mapping/fusion/integration.py",
         "np.ascontiguousarray(inverse_pose(X_RG)),\n            grid.voxel_m,",
         "np.ascontiguousarray(X_RG),\n            grid.voxel_m,",
         ("mapping",),
     ),
     Fault(
         "sign of the rotation's derivative in the alignment of a frame",
-        "mapping/align.py",
+        "mapping/fusion/frame_alignment.py",
         "by_turn = np.cross(along, away)",
         "by_turn = np.cross(away, along)",
         ("mapping/test_align.py", "mapping"),
     ),
     Fault(
         "missing check: holes that a frame looked through are closed",
-        "mapping/holes.py",
+        "mapping/finishing/hole_closing.py",
         "    if patches and views and rig is not None:\n",
         "    if False and patches and views and rig is not None:\n",
         ("mapping/test_holes.py", "mapping"),
@@ -223,7 +223,7 @@ PLANNING = (
     ),
     Fault(
         "transposed rotation in the swept volume",
-        "planning/keep_out/sweep.py",
+        "planning/keep_out/swept_distance.py",
         "gx = A[0, 0] * dx + A[1, 0] * dy + A[2, 0] * dz",
         "gx = A[0, 0] * dx + A[0, 1] * dy + A[0, 2] * dz",
         ("planning/keep_out", "planning"),

@@ -16,9 +16,9 @@ from benchmarks.navigation.navigation_scene import Flight, sun_R
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved
+from polhode.planning.edges.model.edge_contrast import contrast
 from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.model.light import contrast
-from polhode.planning.edges.model.seen_edges import control_points
+from polhode.planning.edges.model.visible_edges import control_points
 from polhode.records import Bools, Ints
 
 

@@ -63,9 +63,9 @@ def measure(case: Case) -> dict[str, Any]:
     import trimesh
 
     from polhode.pipeline.products.plan import ahead_of, surface_of
-    from polhode.planning.keep_out.keepout import Wanted, fine_times, keep_out, near_the_surface
     from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grow, spread
-    from polhode.planning.keep_out.sweep import FAR, sticks_out, sticks_out_at_each_instant, sweep
+    from polhode.planning.keep_out.swept_distance import FAR, sticks_out, sticks_out_at_each_instant, sweep
+    from polhode.planning.keep_out.volumes import Wanted, fine_times, keep_out, near_the_surface
     from polhode.planning.prediction.ensemble import draw_members, nominal
     from polhode.records import SurfaceModel
 

@@ -59,7 +59,7 @@ def measure(case: Case) -> dict[str, Any]:
     from polhode.pipeline.evaluation.seen_surface import seen_and_lit
     from polhode.pipeline.products.plan import ahead_of, surface_of
     from polhode.pipeline.run_directory.trajectory_file import read_trajectory
-    from polhode.planning.keep_out.keepout import Wanted, keep_out
+    from polhode.planning.keep_out.volumes import Wanted, keep_out
     from polhode.planning.prediction.ensemble import nominal
     from polhode.truth import read_truth
 

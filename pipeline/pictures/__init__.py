@@ -15,7 +15,7 @@ from polhode.atomic import write_text
 from polhode.config import Pictures
 from polhode.dataset import StereoSequence
 from polhode.frontend.rectification.rectify import Rectifier
-from polhode.mapping.view import MeshViewer
+from polhode.mapping.mesh_viewer import MeshViewer
 from polhode.pipeline.pictures.animation import film
 from polhode.pipeline.pictures.body_views import body_frame
 from polhode.pipeline.pictures.frame_drawing import Rgb, caption, draw_frame

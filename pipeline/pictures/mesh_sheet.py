@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from polhode.lie import Array
-from polhode.mapping.view import MeshViewer, View
+from polhode.mapping.mesh_viewer import MeshViewer, View
 from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, BodyFrame, Direction, round_length_mm
 from polhode.pipeline.pictures.landmarks import SIGMA_MAP
 from polhode.pipeline.report.plot import INK

@@ -17,7 +17,7 @@ from polhode.dataset import StereoSequence
 from polhode.frontend.rectification.rectified_pair import rectified_left
 from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.mapping.view import MeshViewer
+from polhode.mapping.mesh_viewer import MeshViewer
 from polhode.pipeline.report.shape import vertex_rgb
 from polhode.records import Bools, Ints, MotionEstimate, StereoTracks
 

@@ -14,7 +14,7 @@ from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary import Summary
 from polhode.planning.approach.corridor import Corridor, corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
-from polhode.planning.keep_out.keepout import KeepOut, Wanted, keep_out, member_times
+from polhode.planning.keep_out.volumes import KeepOut, Wanted, keep_out, member_times
 from polhode.planning.prediction.ensemble import Ahead, nominal
 from polhode.records import SurfaceModel
 

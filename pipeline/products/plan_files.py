@@ -15,7 +15,7 @@ from polhode.pipeline.products.plan import Plan
 from polhode.pipeline.products.plan_pictures import plan_pictures
 from polhode.planning.approach.corridor import Corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, gentlest
-from polhode.planning.approach.threshold import fuel_share
+from polhode.planning.approach.tumbling_threshold import fuel_share
 from polhode.records import SurfaceModel
 
 GRAPPLES = 5

@@ -16,12 +16,12 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from polhode.lie import Array
-from polhode.mapping.view import MeshViewer, View
+from polhode.mapping.mesh_viewer import MeshViewer, View
 from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, Direction, round_length_mm
 from polhode.pipeline.products.plan import Plan
 from polhode.pipeline.report.plot import FAINT, INK
 from polhode.planning.approach.surface_speed import SurfaceSpeed
-from polhode.planning.keep_out.keepout import KeepOut
+from polhode.planning.keep_out.volumes import KeepOut
 from polhode.records import SurfaceModel
 
 SIDE_PX, DPI = 340, 100

@@ -15,7 +15,7 @@ from polhode.atomic import write_bytes, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.errors import InputError
-from polhode.mapping.levels import Level
+from polhode.mapping.finishing.detail_levels import Level
 from polhode.mapping.mesh_files import write_glb, write_ply
 from polhode.pipeline.report import finding, refresh_report, write_report
 from polhode.pipeline.run_directory.archives import (

@@ -1,1 +1,13 @@
-"""What leaves the project: records in, file contents out. Nothing here reads a run or writes a file."""
+"""Files for other programs.
+
+In: records of a run in the frame F that the user chose. Out: bytes or text of a file.
+
+    records         shape, motion, mass properties and frame that the files are written from
+    cad_alignment   pose of the target in a CAD model
+    convex_pieces   collision geometry: convex pieces that contain the surface
+    robot_xml       URDF, MJCF, SDF
+    mesh_files      PLY, STL, OBJ
+    glb             binary glTF, at rest or tumbling
+    ccsds           OEM, AEM and TUM
+    json_document   JSON, and its schema
+"""

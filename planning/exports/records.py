@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from polhode.lie import Array, transform_points
+from polhode.lie import Array, inverse_pose, make_pose, transform_points
 from polhode.records import Bools, Ints, Landmarks, SurfaceModel
 
 
@@ -157,3 +157,19 @@ def poses_of(r_N: Array, R_NP: Array, R_GP: Array, com_G: Array, at: Placement) 
     X_NG[:, :3, :3], X_NG[:, 3, 3] = R_NG, 1.0
     X_NG[:, :3, 3] = r_N - R_NG @ com_G
     return np.asarray(X_NG @ np.linalg.inv(at.X_FG))
+
+
+def frame_G() -> Placement:
+    """The geometric frame of the run: its mesh and landmarks as they are."""
+    return Placement("G", np.eye(4), "G, the geometric frame of the run, fixed to the target")
+
+
+def frame_P(R_GP: Array, com_G: Array) -> Placement:
+    """Principal axes at the centre of mass."""
+    words = "P, the principal axes of the target (Jxx >= Jyy >= Jzz), origin at its centre of mass"
+    return Placement("P", inverse_pose(make_pose(R_GP, com_G)), words)
+
+
+def frame_cad(X_cadG: Array, words: str) -> Placement:
+    """The frame of a CAD model."""
+    return Placement("cad", X_cadG, f"that of the CAD model; {words}")

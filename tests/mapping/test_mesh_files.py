@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
 from polhode.errors import InputError
+from polhode.mapping.fusion.surface_extraction import empty_surface
 from polhode.mapping.mesh_files import read_ply, write_glb, write_ply
-from polhode.mapping.surface import empty_surface
 from polhode.records import SurfaceModel
 
 

@@ -17,8 +17,8 @@ from scipy.spatial import ConvexHull
 
 from polhode.cli.main import main
 from polhode.mesh_metrics import distance_to_surface
-from polhode.planning.exports import convex
-from polhode.planning.exports.convex_cuts import clip, outside
+from polhode.planning.exports import convex_pieces
+from polhode.planning.exports.convex_pieces import clip, outside
 from polhode.planning.exports.records import Placement, shape_of_surface
 from polhode.quaternion import matrix_from_wxyz
 from polhode.records import SurfaceModel
@@ -113,7 +113,7 @@ def test_the_pieces_contain_the_surface_and_reach_little_beyond(
     points = np.concatenate([np.asarray(samples), shape.vertices])
     reached = []
     for most in (1, 4, 24, 200):
-        found = convex.decompose(shape, most)
+        found = convex_pieces.decompose(shape, most)
         assert len(found.pieces) <= most
         planes = [ConvexHull(np.asarray(piece.vertices)).equations for piece in found.pieces]
         assert np.stack([outside(points, each) for each in planes]).min(axis=0).max() < 1e-9
@@ -142,13 +142,13 @@ def test_without_vhacd_there_is_the_convex_hull_and_it_is_said(
     cross: SurfaceModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "vhacdx", None)
-    found = convex.decompose(shape_of_surface(cross, Placement("G", np.eye(4), "")), 16)
+    found = convex_pieces.decompose(shape_of_surface(cross, Placement("G", np.eye(4), "")), 16)
     assert len(found.pieces) == 1 and "V-HACD is not installed" in found.words
     flat = trimesh.creation.box((1.0, 1.0, 0.0))
     count = len(flat.vertices)
     plate = SurfaceModel(flat, np.ones(count), np.ones(count, dtype=np.int64))
     with pytest.raises(ValueError, match="flat"):
-        convex.decompose(shape_of_surface(plate, Placement("G", np.eye(4), "")), 1)
+        convex_pieces.decompose(shape_of_surface(plate, Placement("G", np.eye(4), "")), 1)
 
 
 def test_oem_readers_find_states_and_covariances(run: Path, tmp_path: Path) -> None:

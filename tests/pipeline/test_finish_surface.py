@@ -11,7 +11,7 @@ from trimesh.visual import ColorVisuals
 
 from polhode.config import Config
 from polhode.config.mapping import Mapping
-from polhode.mapping.levels import Level
+from polhode.mapping.finishing.detail_levels import Level
 from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline import finish_surface as module
 from polhode.pipeline.finish_surface import finish_surface

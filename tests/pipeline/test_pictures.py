@@ -20,7 +20,7 @@ from polhode.config import Config, Pictures
 from polhode.dataset import StereoImages, StereoSequence
 from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import inverse_pose
-from polhode.mapping.view import MeshViewer
+from polhode.mapping.mesh_viewer import MeshViewer
 from polhode.pipeline import pictures
 from polhode.pipeline.pictures.animation import MOST_GIF_BYTES, film
 from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, body_frame, round_length_mm

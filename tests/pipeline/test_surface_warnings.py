@@ -16,7 +16,7 @@ from polhode.config import Config
 from polhode.config.mapping import Mapping
 from polhode.frontend.extract import extract_depth
 from polhode.lie import Array, make_pose
-from polhode.mapping.fusion import Frame, fuse
+from polhode.mapping.fusion.fuse import Frame, fuse
 from polhode.progress import Progress, Silent
 from polhode.records import DepthMap, SurfaceModel
 from polhode.simulation import simulate

@@ -18,8 +18,7 @@ from polhode.lie import Array, transform_points
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved
 from polhode.planning.edges.metric.metric import Observability, observability
 from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.model.seen_edges import SPACING_PX, ControlPoints
-from polhode.planning.edges.model.separation import APART_PX, clear_points
+from polhode.planning.edges.model.visible_edges import SEPARATION_PX, SPACING_PX, ControlPoints, clear_points
 from polhode.records import Bools
 
 TUKEY = 4.685
@@ -47,7 +46,7 @@ class Tracking:
     """the pose has settled when the edges move by less, root mean square"""
     remade_px: float = 1.0
     """control points are made anew when they have moved by this, root mean square"""
-    apart_px: float = APART_PX
+    separation_px: float = SEPARATION_PX
     """control points that are nearer to another edge, side by side with it, do not count"""
     least_found: int = 12
     """control points"""
@@ -112,7 +111,7 @@ class Tracked:
 
     @property
     def covariance(self) -> Array:
-        """(6, 6) for independent residuals of sigma_px; see `calibrated.py` for a better one."""
+        """(6, 6) for independent residuals of sigma_px; see `calibrated_covariance.py` for a better one."""
         return self.information.covariance * self.sigma_px**2
 
 
@@ -202,7 +201,7 @@ class _View:
 
 
 def _view(model: EdgeModel, rig: RectifiedRig, X_RG: Array, wanted: Tracking) -> _View:
-    points = clear_points(model, rig, X_RG, wanted.spacing_px, wanted.apart_px)
+    points = clear_points(model, rig, X_RG, wanted.spacing_px, wanted.separation_px)
     return _View(points, body_beside(points, model, rig, X_RG))
 
 

@@ -13,7 +13,7 @@ from benchmarks.edges.trajectory.view_table import looking
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose
-from polhode.planning.approach.approach import Way
+from polhode.planning.approach.trajectory import Way
 from polhode.planning.edges.metric.information import feature_information, variances
 from polhode.planning.edges.model.edge_model import EdgeModel
 from polhode.planning.prediction.ensemble import Ahead, BodyMotion, nominal

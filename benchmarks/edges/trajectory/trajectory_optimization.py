@@ -34,7 +34,7 @@ from benchmarks.edges.trajectory.view_table import SUBDIVISIONS, ViewTable, trac
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3
-from polhode.planning.approach.approach import (
+from polhode.planning.approach.trajectory import (
     HULL_POINTS,
     PointMass,
     Way,
@@ -44,7 +44,7 @@ from polhode.planning.approach.approach import (
     point_mass,
 )
 from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.keep_out.keepout import InstantKeepOut
+from polhode.planning.keep_out.volumes import InstantKeepOut
 from polhode.planning.prediction.ensemble import Ahead, BodyMotion, nominal
 
 EFFORT = 1e-3

@@ -8,8 +8,8 @@ turns in radians, one pixel of noise), less its main trend 3 log(range); and of 
 where neighbouring views agree and means stay positive. The camera points at o, the model's middle, with all
 of the body in its image: turning about the optical axis then changes neither.
 
-Edges beside faces seen edge-on count here, though a tracker leaves them out (`apart.py`): that happens in
-bands that are narrower than the table's steps, and would be smeared over all of it.
+Edges beside faces seen edge-on count here, though a tracker leaves them out (`visible_edges.clear_points`):
+that happens in bands that are narrower than the table's steps, and would be smeared over all of it.
 """
 
 from dataclasses import dataclass
@@ -22,9 +22,9 @@ from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.metric.edge_motion import edge_motion
+from polhode.planning.edges.model.edge_contrast import contrast, contrast_weight
 from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.model.light import contrast, contrast_weight
-from polhode.planning.edges.model.seen_edges import SPACING_PX, control_points
+from polhode.planning.edges.model.visible_edges import SPACING_PX, control_points
 
 RANGES = 4
 SUBDIVISIONS = 2

@@ -26,7 +26,7 @@ from polhode.pipeline.products.export.placing import placement
 from polhode.pipeline.products.export.robot import remove_old_pieces, robot_files
 from polhode.pipeline.products.export.run_contents import last_state, read_run
 from polhode.planning.exports import ccsds, glb, mesh_files
-from polhode.planning.exports.document import (
+from polhode.planning.exports.json_document import (
     Document,
     MassPropertiesOut,
     frame_out,

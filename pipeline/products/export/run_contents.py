@@ -8,7 +8,7 @@ import numpy as np
 from polhode.config.loader import load_config
 from polhode.config.mapping import Mapping
 from polhode.errors import InputError
-from polhode.mapping.levels import levels_of
+from polhode.mapping.finishing.detail_levels import levels_of
 from polhode.mapping.mesh_files import read_ply
 from polhode.pipeline.products.predict import (
     NoCovariance,

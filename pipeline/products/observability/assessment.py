@@ -7,8 +7,8 @@ import numpy as np
 from polhode.lie import Array
 from polhode.pipeline.products.observability.choice import Choice
 from polhode.pipeline.products.observability.subject import Subject
-from polhode.planning.edges.metric.along import EdgeView
 from polhode.planning.edges.metric.contributions import Contributions
+from polhode.planning.edges.metric.information import EdgeView
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ import numpy as np
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.planning.edges.metric.information import FeatureInformation
-from polhode.planning.edges.selection.selection import Chosen, greedy
-from polhode.planning.edges.selection.selection_bound import upper_bound
+from polhode.planning.edges.selection.selection import Chosen, greedy, upper_bound
 from polhode.planning.edges.selection.smallest_set import Need, SmallestSet, smallest_set
 
 MOST_VIEWS = 20

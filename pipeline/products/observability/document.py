@@ -10,7 +10,7 @@ from polhode.lie import Array
 from polhode.pipeline.products.observability.assessment import Assessment
 from polhode.pipeline.products.observability.choice import Choice
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
-from polhode.planning.edges.metric.painted import Legend
+from polhode.planning.edges.metric.pictures import Legend
 from polhode.planning.edges.model.edge_model import Kind
 
 SCHEMA = "polhode-observability/1"

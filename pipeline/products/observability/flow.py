@@ -11,10 +11,9 @@ from polhode.pipeline.products.observability import document, pictures
 from polhode.pipeline.products.observability.assessment import Assessment
 from polhode.pipeline.products.observability.choice import choose
 from polhode.pipeline.products.observability.subject import Subject
-from polhode.planning.edges.metric.along import look_along
 from polhode.planning.edges.metric.contributions import contributions
-from polhode.planning.edges.metric.information import FeatureInformation, by_feature
-from polhode.planning.edges.metric.painted import painted
+from polhode.planning.edges.metric.information import FeatureInformation, by_feature, look_along
+from polhode.planning.edges.metric.pictures import painted
 from polhode.progress import Progress
 
 MOST_MIB = 1024.0

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from polhode.pipeline.products.observability.assessment import Assessment
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
-from polhode.planning.edges.metric.painted import picture, view_panel
+from polhode.planning.edges.metric.pictures import picture, view_panel
 
 VIEWS = 6
 DPI = 100

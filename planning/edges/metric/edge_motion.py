@@ -9,7 +9,7 @@ import numpy as np
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, log_so3, transform_points
-from polhode.planning.edges.model.seen_edges import ControlPoints
+from polhode.planning.edges.model.visible_edges import ControlPoints
 
 DEGREES_OF_FREEDOM = ("x", "y", "z", "about x", "about y", "about z")
 """Shifts along R's axes (right, down, ahead), turns about them through o."""

@@ -1,5 +1,10 @@
-"""What each edge tells of the pose, view by view: one information matrix for each feature."""
+"""Information of edges about the pose: per view along a trajectory, and per edge of the model.
 
+``look_along`` yields the metric of each view; ``feature_information`` keeps one matrix for each feature and
+view, from which contributions and selections of edges are computed.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,11 +12,10 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
 from polhode.planning.edges.metric.edge_motion import edge_motion
-from polhode.planning.edges.metric.metric import UNSEEN_SHARE, UNSEEN_TURN
+from polhode.planning.edges.metric.metric import UNSEEN_SHARE, UNSEEN_TURN, Observability, observability
+from polhode.planning.edges.model.edge_contrast import in_sunlight
 from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.model.light import in_sunlight
-from polhode.planning.edges.model.seen_edges import SPACING_PX, ControlPoints, control_points
-from polhode.planning.edges.model.separation import clear_points
+from polhode.planning.edges.model.visible_edges import SPACING_PX, ControlPoints, clear_points, control_points
 from polhode.records import Bools
 
 
@@ -57,7 +61,7 @@ def feature_information(
     """Views at X_RG (T, 4, 4), hidden lines removed; with sun_G (T, 3) edges count by their contrast.
 
     About o_G (3,), without it about the model's middle. ``clear``: without what a tracker cannot tell from
-    edges beside it (`apart.py`), as is right for choosing.
+    edges beside it (`visible_edges.clear_points`), as is right for choosing.
     """
     about = model.middle_G if o_G is None else o_G
     C = np.zeros((len(X_RG), model.size, 6, 6))
@@ -107,3 +111,50 @@ def _spectrum(C: Array, radius_m: float) -> tuple[Array, Array, Bools]:
     values, directions = np.linalg.eigh(C * np.outer(_scale(radius_m), _scale(radius_m)))
     seen = values > np.maximum(UNSEEN_SHARE * values[..., -1:], 1.0 / UNSEEN_TURN**2)
     return values, directions, np.asarray(seen)
+
+
+@dataclass(frozen=True)
+class EdgeView:
+    """What the camera sees of the edges from one place, and what that tells of the pose."""
+
+    X_RG: Array
+    """(4, 4) the target in the camera"""
+    points: ControlPoints
+    f: Array
+    """(m, 6) motion across the edges [px per m, px per rad]"""
+    found: Observability
+    length_px: float
+    """of all visible edges in the image"""
+    o_G: Array
+    """(3,) the point that turns are about and whose shifts are told [m]"""
+
+    @property
+    def range_m(self) -> float:
+        """From the camera to o."""
+        return float(np.linalg.norm(self.X_RG[:3, :3] @ self.o_G + self.X_RG[:3, 3]))
+
+    @property
+    def expected_edges(self) -> int:
+        """Features in sight: what the binary metric, edges found against expected, expects."""
+        return len(np.unique(self.points.feature))
+
+
+def look_along(
+    model: EdgeModel,
+    rig: RectifiedRig,
+    X_RG: Array,
+    o_G: Array,
+    spacing_px: float = SPACING_PX,
+    sun_G: Array | None = None,
+) -> Iterator[EdgeView]:
+    """The views from a trajectory X_RG (k, 4, 4), about o_G (3,), one by one.
+
+    With sun_G (k, 3), towards the Sun, edges count by their contrast.
+    """
+    for k, X in enumerate(X_RG):
+        points = control_points(model, rig, X, spacing_px)
+        if sun_G is not None:
+            points = in_sunlight(model, points, inverse_pose(X)[:3, 3], sun_G[k])
+        f = edge_motion(points, rig, X, o_G)
+        found = observability(f, points.weight, model.radius_m)
+        yield EdgeView(X, points, f, found, spacing_px * float(points.weight.sum()), o_G)

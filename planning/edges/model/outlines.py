@@ -4,7 +4,7 @@ Hertzmann and Zorin, "Illustrating smooth surfaces", SIGGRAPH 2000: the zero of 
 places interpolated over each face.
 
 Under a small motion the outline slides over the surface, but along the line of sight only, which the image
-does not show: its motion across the edge is that of the material point (tests/planning/observability).
+does not show: its motion across the edge is that of the material point (tests/planning/edges).
 """
 
 from dataclasses import dataclass

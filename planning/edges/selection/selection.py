@@ -1,19 +1,24 @@
-"""Which edges to use when there is room for few: greedy choice under a budget, with what can be promised.
+"""Which edges to use under a budget: greedy selection, upper bounds on any selection, and the best of few.
 
 For features with information C_ti in view t (shifts in radii, turns in radians, noise of one pixel), a set S
-has M_t(S) = I + sum of C_ti. The unit matrix is a prior of one radius and one radian: with it an empty set
-has a value, too, and against what edges tell it is nothing. Two values, both means over the views, both 0
-for the empty set and never less for more edges:
+has M_t(S) = I + sum of C_ti. The unit matrix is a prior of one radius and one radian: with it the empty set
+has a value too, and it is negligible against the information of the edges. Two values, both means over the
+views, both 0 for the empty set and never smaller for more edges:
 
-log_det: log det M_t. Submodular: what an edge adds falls as others join it. Greedy is then at least 1 - 1/e
+log_det: log det M_t. Submodular: the gain of an edge falls as others join it. Greedy is then at least 1 - 1/e
     = 63 % of the best under a budget of number (Nemhauser, Wolsey, Fisher, Math. Programming 14, 1978), and
-    what an edge added once bounds what it adds later, so most of it need not be computed again (lazy: Minoux,
-    1978). Under a budget of length the better of greedy by value and greedy by value a metre is at least half
-    of that (Leskovec et al., KDD 2007).
-trace: 6 - tr M_t^-1, the fall of the summed variances (A-optimality). Not submodular: two edges can tell
-    together what neither tells alone. No such constant holds; the bound is the one computed afterwards for
-    the very case (`selection_bound.upper_bound`), which holds for both values and is mostly much closer. What
-    counts is how much of the 6 remains, so greedy is followed by exchanges of one edge for another.
+    an edge's earlier gain bounds its later one, so most gains need not be computed again (lazy evaluation:
+    Minoux, 1978). Under a budget of length the better of greedy by value and greedy by value per metre is at
+    least half of that (Leskovec et al., KDD 2007).
+trace: 6 - tr M_t^-1, the fall of the summed variances (A-optimality). Not submodular: two edges together may
+    determine what neither determines alone. No such constant holds; the bound is the one computed afterwards
+    for the very case (`upper_bound`), which holds for both values and is mostly much closer. What counts is
+    how much of the 6 remains, so greedy is followed by exchanges of one edge for another.
+
+Both values are concave in shares w of the edges, 0 <= w <= 1. The plane that touches a concave function at
+any w lies above it; its highest point within the budget is a fractional knapsack. So each w gives a bound on
+the best selection, and the steps of Frank and Wolfe (Naval Research Logistics 3, 1956) tighten it. With this
+bound, branch and bound finds the best selection.
 """
 
 import heapq
@@ -166,3 +171,128 @@ def edge_lengths(model: EdgeModel) -> Array:
     # a flat part has no outline: any positive length will do
     curved = np.maximum(total / OUTLINE_VIEWS, model.tolerance_m)
     return np.concatenate([model.lengths_m, curved])
+
+
+STEPS = 60
+BRANCH_STEPS = 12
+MOST_BRANCHES = 20_000
+CLOSE = 1e-9
+HALVINGS = 8
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A choice, some of it made."""
+
+    taken: Bools
+    """(n,)"""
+    open_: Bools
+    """(n,) not decided"""
+
+
+def upper_bound(
+    scaled: Array, budget: float, value: Value, cost: Array | None = None, steps: int = STEPS
+) -> float:
+    """No set of features of scaled information (T, n, 6, 6) within the budget has a larger value."""
+    n = scaled.shape[1]
+    price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
+    check(price, budget)
+    case = _Case(np.zeros(n, dtype=bool), np.ones(n, dtype=bool))
+    return _bound(scaled, budget, value, price, case, steps)[0]
+
+
+def best_choice(scaled: Array, budget: float, value: Value, cost: Array | None = None) -> Chosen:
+    """The set of the largest value within the budget. For tens of features.
+
+    Raises InputError where it would take too long, or when no feature fits.
+    """
+    n = scaled.shape[1]
+    price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
+    best = exchanged(scaled, greedy(scaled, budget, value, price), budget, value, price)
+    tells = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
+    stack = [_Case(np.zeros(n, dtype=bool), tells)]
+    branches = 0
+    while stack:
+        case = stack.pop()
+        left = budget - price[case.taken].sum()
+        case = _Case(case.taken, case.open_ & (price <= left + 1e-12 * budget))
+        of_taken = float(value_of(np.eye(6) + scaled[:, case.taken].sum(axis=1), value))
+        if of_taken > best.value:
+            features = np.flatnonzero(case.taken)
+            best = Chosen(features, of_taken, float(price[features].sum()), branches)
+        if not case.open_.any():
+            continue
+        branches += 1
+        if branches > MOST_BRANCHES:
+            raise InputError(
+                f"the best of {n} edges was not found in {MOST_BRANCHES} branches; take the greedy choice"
+            )
+        bound, shares = _bound(scaled, budget, value, price, case, BRANCH_STEPS, stop_below=best.value)
+        if bound <= best.value + CLOSE:
+            continue
+        undecided = np.where(case.open_, np.abs(shares - 0.5), np.inf)
+        i = int(np.argmin(undecided))
+        without, with_it = case.open_.copy(), case.taken.copy()
+        without[i], with_it[i] = False, True
+        stack += [_Case(case.taken, without), _Case(with_it, without)]
+    return Chosen(best.features, best.value, best.cost, branches)
+
+
+def _bound(
+    scaled: Array,
+    budget: float,
+    value: Value,
+    price: Array,
+    case: _Case,
+    steps: int,
+    stop_below: float = -np.inf,
+) -> tuple[float, Array]:
+    """Upper bound of what can still become of a case, and shares (n,) that come near it."""
+    left = budget - float(price[case.taken].sum())
+    w = np.where(case.taken, 1.0, 0.0)
+    w = w + np.where(case.open_, min(1.0, left / max(float(price[case.open_].sum()), 1e-300)), 0.0)
+    lowest = np.inf
+    for _ in range(steps):
+        M = np.eye(6) + np.einsum("n,tnij->tij", w, scaled)
+        slope = _slope(scaled, M, value)
+        corner = _knapsack(slope, price, left, case)
+        rest = float(slope @ (corner - w))
+        lowest = min(lowest, float(value_of(M, value)) + rest)
+        if lowest <= stop_below + CLOSE or rest < CLOSE:
+            break
+        step = np.einsum("n,tnij->tij", corner - w, scaled)
+        w = w + _along(M, step, value) * (corner - w)
+    return lowest, w
+
+
+def _slope(scaled: Array, M: Array, value: Value) -> Array:
+    """Derivative (n,) of the value by the shares."""
+    inverse = np.linalg.inv(M)
+    if value == "trace":
+        inverse = inverse @ inverse
+    return np.asarray(np.einsum("tij,tnji->n", inverse, scaled, optimize=True) / len(M))
+
+
+def _knapsack(slope: Array, price: Array, left: float, case: _Case) -> Array:
+    """Shares (n,) of the largest sum of slopes: the dearest first, the last one in part."""
+    w = np.where(case.taken, 1.0, 0.0)
+    members = np.flatnonzero(case.open_)
+    order = members[np.argsort(-slope[members] / price[members], kind="stable")]
+    before = np.cumsum(price[order]) - price[order]
+    w[order] = np.clip((left - before) / price[order], 0.0, 1.0)
+    return w
+
+
+def _along(M: Array, step: Array, value: Value) -> float:
+    """Where between 0 and 1 the value along M + s step is largest: halving by the sign of the slope."""
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        s = 0.5 * (low + high)
+        inverse = np.linalg.inv(M + s * step)
+        if value == "trace":
+            inverse = inverse @ inverse
+        if float(np.einsum("tij,tji->", inverse, step)) > 0.0:
+            low = s
+        else:
+            high = s
+    return 0.5 * (low + high)

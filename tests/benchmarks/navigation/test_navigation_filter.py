@@ -27,7 +27,7 @@ from benchmarks.navigation.navigation_scene import (
 from benchmarks.navigation.pose_weights import Calibrated, Fixed, ResidualChecked, TrackedPose
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
-from polhode.planning.edges.model.seen_edges import control_points
+from polhode.planning.edges.model.visible_edges import control_points
 
 BODY = "satellite"
 TRUE_LEVELS = NoiseLevels((EdgeErrors.sigma_px**2, EdgeErrors.tau_px**2, 0.0), (0.0, 0.0, 0.0))

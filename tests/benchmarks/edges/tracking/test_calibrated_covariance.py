@@ -18,7 +18,7 @@ from polhode.lie import Array, exp_so3, make_pose
 from polhode.planning.edges.metric.edge_motion import edge_motion
 from polhode.planning.edges.metric.metric import observability
 from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.edges.model.seen_edges import ControlPoints, control_points
+from polhode.planning.edges.model.visible_edges import ControlPoints, control_points
 from polhode.records import Ints
 from tests.planning.edges.pictures import BOX, POSE, RIG, drawn
 

@@ -21,8 +21,8 @@ from polhode.errors import InputError
 from polhode.lie import transform_points
 from polhode.planning.edges.metric.information import feature_information
 from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.keep_out.keepout import InstantKeepOut
 from polhode.planning.keep_out.measured_body import grow
+from polhode.planning.keep_out.volumes import InstantKeepOut
 from polhode.planning.prediction.ensemble import Ahead, nominal
 from tests.planning.bodies import ahead, measured
 from tests.planning.edges.views import RIG, block

@@ -10,9 +10,9 @@ from polhode.planning.edges.metric.contributions import contributions
 from polhode.planning.edges.metric.edge_motion import edge_motion
 from polhode.planning.edges.metric.information import FeatureInformation, feature_information, variances
 from polhode.planning.edges.metric.metric import Observability, observability
-from polhode.planning.edges.metric.painted import coloured, painted, picture
+from polhode.planning.edges.metric.pictures import coloured, painted, picture
 from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.edges.model.seen_edges import control_points
+from polhode.planning.edges.model.visible_edges import control_points
 from tests.planning.edges.views import RIG, block, poses, seen
 
 

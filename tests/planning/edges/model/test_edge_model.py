@@ -12,7 +12,7 @@ from polhode.planning.edges.model.chains import chains_of, straight_pieces
 from polhode.planning.edges.model.edge_model import Kind, edge_model
 from polhode.planning.edges.model.measured_edges import measured_edge_model, simplified
 from polhode.planning.edges.model.outlines import outlines
-from polhode.planning.edges.model.seen_edges import control_points
+from polhode.planning.edges.model.visible_edges import control_points
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 

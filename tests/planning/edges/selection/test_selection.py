@@ -11,13 +11,14 @@ from polhode.planning.edges.metric.information import FeatureInformation
 from polhode.planning.edges.selection.selection import (
     GREEDY_SHARE,
     Value,
+    best_choice,
     edge_lengths,
     exchanged,
     greedy,
+    upper_bound,
     value_of,
     value_of_set,
 )
-from polhode.planning.edges.selection.selection_bound import best_choice, upper_bound
 from polhode.planning.edges.selection.smallest_set import Need, exact_smallest_set, least_number, smallest_set
 from tests.planning.edges.views import block, seen
 

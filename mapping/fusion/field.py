@@ -1,0 +1,332 @@
+"""The surface as it grows: frames are added one by one, and moved when their poses improve.
+
+The field keeps sums, so a frame can be taken away as it was added. Once poses change, only the frames that
+moved on the body by more than a part of a voxel are taken away and added again. A motion that all frames
+share moves the frame G on the body, not the surface: it is kept as one transform between the field and G.
+"""
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from polhode.camera import RectifiedRig
+from polhode.config.mapping import Mapping
+from polhode.lie import Array, inverse_pose, make_pose, transform_points
+from polhode.mapping.fusion.block_grid import BlockGrid, Truncation
+from polhode.mapping.fusion.depth_frame import FrameTensors, at_pose, frame_tensors
+from polhode.mapping.fusion.frame_alignment import Alignment, align, depth_points
+from polhode.mapping.fusion.integration import allocate, integrate
+from polhode.mapping.fusion.interpolation import FieldLookup
+from polhode.mapping.fusion.surface_extraction import Shares, Support, empty_surface, extract_surface
+from polhode.metrics import mean_rotation
+from polhode.records import AlignedPoses, DepthMap, SurfaceModel
+
+_log = logging.getLogger(__name__)
+_ROUNDS = 5
+_ALIGN_ROUNDS = 2
+
+
+@dataclass
+class _Kept:
+    """A frame in the field."""
+
+    tensors: FrameTensors
+    X_RF: Array
+    """Pose of the field's frame with which it was added"""
+    blocks: int
+    """It has been added to so many of the field's blocks, the first ones"""
+    X_RG: Array
+    """The pose as given"""
+    covariance_G: Array | None = None
+    """Of that pose; None: it leaves nothing to gain"""
+
+
+class Field:
+    """Depth maps fused in the field's frame F, which is G but for what all poses had in common since.
+
+    The depth maps are held, some 0.2 to 1 MB each: so frames can be moved, and in the surface each frame
+    counts in all blocks, also those that only later frames needed. ``kept_mib`` bounds this: the oldest are
+    let go, and stay as they are.
+    """
+
+    def __init__(
+        self, rig: RectifiedRig, config: Mapping, voxel_m: float, kept_mib: float | None = None
+    ) -> None:
+        self.rig, self.config = rig, config
+        self._most_kept = np.inf if kept_mib is None else kept_mib * 2**20
+        self.used = self.without_pose = self.without_depth = 0
+        self._doubtful: set[int] = set()
+        self._voxel_m = voxel_m
+        self._grid = self._empty()
+        self._kept: dict[int, _Kept] = {}
+        self._X_FG = np.eye(4)
+        self._frames = self._let_go = 0
+
+    def _empty(self) -> BlockGrid:
+        config, voxel_m = self.config, self._voxel_m
+        cut = Truncation(
+            config.truncation_voxels * voxel_m,
+            config.truncation_behind_voxels * voxel_m,
+            config.free_space_weight,
+        )
+        return BlockGrid(voxel_m, cut, choose_device(config), config.memory_mib)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the field, without the frames that are kept."""
+        return self._grid.bytes
+
+    def add(self, frame: DepthMap, X_RG: Array, covariance_G: Array | None = None) -> bool:
+        """Add a frame; false when it has no depth, or no finite pose, and is left out.
+
+        X_RG (4, 4) the target in the rectified left camera; covariance_G (6, 6) of that pose, shift [m] and
+        turn [rad] along the axes of G, the turn about its origin: p_R = X_RG (Exp(turn) p_G + shift). None:
+        exact. One that is not finite tells nothing of the pose: the frame counts little, as if it were off by
+        the width of the band in front of the surface, and a warning says so.
+        """
+        number = self._frames
+        self._frames += 1
+        if not np.isfinite(X_RG).all():
+            self.without_pose += 1
+            return False
+        known = covariance_G is None or bool(np.isfinite(covariance_G).all())
+        covariance_R = None if known else self._unknown()
+        if covariance_G is not None and known:
+            covariance_R = _turned(covariance_G, X_RG[:3, :3])
+        tensors = frame_tensors(frame, self.rig, self._grid.device, covariance_R, X_RG[:3, 3])
+        if tensors is None:
+            self.without_depth += 1
+            return False
+        doubtful = known and tensors.doubt > self.config.align_from
+        if not doubtful:
+            tensors = replace(tensors, sigma_m=None)
+        X_RF = X_RG @ inverse_pose(self._X_FG)
+        kept = _Kept(tensors, X_RF, 0, X_RG, covariance_G if doubtful else None)
+        self._put(kept)
+        self.used += 1
+        if not known:
+            self._doubtful.add(number)
+        self._kept[number] = kept
+        while sum(each.tensors.bytes for each in self._kept.values()) > self._most_kept:
+            oldest = self._kept.pop(next(iter(self._kept)))
+            self._complete(oldest)
+            self._let_go += 1
+        return True
+
+    def _unknown(self) -> Array:
+        """The covariance (6, 6) of a pose of which nothing is known: farther off it would miss the band."""
+        return np.diag([self._grid.cut.front_m**2] * 3 + [0.0] * 3)
+
+    def _put(self, kept: _Kept) -> None:
+        allocate(self._grid, kept.tensors, kept.X_RF, self.rig)
+        self._complete(kept)
+
+    def _complete(self, kept: _Kept) -> None:
+        """Add a frame to the blocks that it does not know: those that later frames needed."""
+        most = len(self._grid)
+        integrate(self._grid, kept.tensors, kept.X_RF, self.rig, (kept.blocks, most))
+        kept.blocks = most
+
+    def move(self, X_RG: Array) -> int:
+        """Put the frames where better poses (F, 4, 4) see them; how many had to be fused again.
+
+        F: as many as were added, with those that were left out. A frame whose new pose is not finite leaves.
+        """
+        if self._let_go:
+            raise ValueError(f"{self._let_go} frames were let go and cannot be moved")
+        if len(X_RG) != self._frames:
+            raise ValueError(f"{len(X_RG)} poses for {self._frames} frames")
+        lost = [k for k in self._kept if not np.isfinite(X_RG[k]).all()]
+        for k in lost:
+            self._take_away(self._kept.pop(k))
+            self._doubtful.discard(k)
+            self.used, self.without_pose = self.used - 1, self.without_pose + 1
+        if not self._kept:
+            return len(lost)
+        numbers = np.array(list(self._kept))
+        moved = numbers
+        if len(self._grid):
+            self._X_FG, moved = self._apart(numbers, X_RG[numbers])
+        if 2 * len(moved) > len(numbers):
+            # cheaper than taking away and adding
+            self._grid, self._X_FG, moved = self._empty(), np.eye(4), numbers
+        else:
+            for k in moved.tolist():
+                self._take_away(self._kept[k])
+        for k in moved.tolist():
+            kept = self._kept[k]
+            kept.X_RF, kept.blocks = X_RG[k] @ inverse_pose(self._X_FG), 0
+            self._put(kept)
+        for k, kept in self._kept.items():
+            kept.X_RG = X_RG[k]
+        return len(moved) + len(lost)
+
+    def _take_away(self, kept: _Kept) -> None:
+        integrate(self._grid, kept.tensors, kept.X_RF, self.rig, (0, kept.blocks), remove=True)
+        kept.blocks = 0
+
+    def align(self) -> AlignedPoses | None:
+        """Align the frames whose poses are doubtful to the surface that the others show; None: none is.
+
+        A pose is doubtful when its covariance moves the surface by more than ``align_from`` of the depth's
+        own sigma. All of these are taken away; then one after the other, the least doubtful first, is aligned
+        and added, and once more when the others are. What cannot be aligned comes back as it was at the end,
+        so that none is aligned to doubts.
+        """
+        doubtful = {k: each for k, each in self._kept.items() if each.covariance_G is not None}
+        if not doubtful:
+            return None
+        for kept in doubtful.values():
+            self._take_away(kept)
+        order = sorted(doubtful, key=lambda k: (doubtful[k].tensors.doubt, k))
+        found: dict[int, Alignment] = {}
+        for _ in range(_ALIGN_ROUNDS):
+            for k in order:
+                if k in found:
+                    self._take_away(doubtful[k])
+                aligned = self._aligned(doubtful[k])
+                if aligned is not None:
+                    found[k] = aligned
+                elif k in found:
+                    self._put(doubtful[k])
+        for k in order:
+            if k not in found:
+                self._put(doubtful[k])
+        frames = sorted(found)
+        return AlignedPoses(
+            doubtful=len(doubtful),
+            frames=np.array(frames, dtype=np.int64),
+            X_RG=np.array([found[k].apply(doubtful[k].X_RG) for k in frames]).reshape(-1, 4, 4),
+            covariance_G=np.array([found[k].covariance_G for k in frames]).reshape(-1, 6, 6),
+        )
+
+    def _aligned(self, kept: _Kept) -> Alignment | None:
+        """Add a frame that was taken away where the field as it is puts it; None: refused, and not added."""
+        if kept.covariance_G is None:
+            return None
+        points = depth_points(kept.tensors, kept.X_RG, self.rig)
+        aligned = align(points, kept.covariance_G, self.lookup(), self.config.align_overlap)
+        if aligned.refused is not None:
+            _log.debug("a pose stays as it was: %s", aligned.refused)
+            return None
+        X_RG = aligned.apply(kept.X_RG)
+        covariance_R = _turned(aligned.covariance_G, X_RG[:3, :3])
+        kept.tensors = at_pose(kept.tensors, self.rig, covariance_R, X_RG[:3, 3])
+        kept.X_RF = X_RG @ inverse_pose(self._X_FG)
+        self._put(kept)
+        return aligned
+
+    def lookup(self) -> FieldLookup:
+        """The field between its voxels, as it is now."""
+        return FieldLookup.of(self._grid, self._X_FG, self.config.carved_share)
+
+    def _apart(self, numbers: Array, X_RG: Array) -> tuple[Array, Array]:
+        """G in F (4, 4) such that few frames are elsewhere than they were fused, and which ones those are."""
+        X_RF = np.stack([self._kept[int(k)].X_RF for k in numbers])
+        corners = self._corners()
+        best = self._X_FG, np.ones(len(numbers), dtype=bool)
+        between = inverse_pose(X_RF) @ X_RG
+        tolerance_m = self.config.moved_voxels * self._voxel_m
+        trial, agree = self._X_FG, np.ones(len(numbers), dtype=bool)
+        for _ in range(_ROUNDS):
+            apart = _farthest(between, trial, corners)
+            if (apart > tolerance_m).sum() < best[1].sum():
+                best = trial, apart > tolerance_m
+            # what most frames have in common, those that went elsewhere left out
+            agree = apart <= max(np.median(apart), tolerance_m)
+            trial = _common(between[agree], corners.mean(axis=0))
+        return best[0], numbers[best[1]]
+
+    def _corners(self) -> Array:
+        """(8, 3): of the box around the blocks, in F [m]."""
+        centres = self._grid.centres_m().cpu().numpy().astype(np.float64)
+        low, high = centres.min(axis=0), centres.max(axis=0)
+        return np.array(
+            [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+        )
+
+    def surface(self) -> SurfaceModel:
+        """The mesh in G of what frames agree on, with what is to be said about it."""
+        config = self.config
+        for kept in self._kept.values():
+            self._complete(kept)
+        told = self._warnings()
+        least = min(config.min_views, max(self.used, 1))
+        found = self._extract(least)
+        if self.used > least and len(found.mesh.faces) == 0:
+            # frames that do not overlap
+            found = self._extract(1)
+            if len(found.mesh.faces):
+                told.append(
+                    f"no part of the surface was seen in {config.min_views} frames: the mesh is what single "
+                    "frames saw, and nothing confirms it"
+                )
+        elif 0 < self.used < config.min_views:
+            told.append(
+                f"the surface is made of {self.used} {'frame' if self.used == 1 else 'frames'}: nothing "
+                "confirms its parts, and what they did not see is open"
+            )
+        if len(found.mesh.faces) == 0:
+            if self.used:
+                told.append("what the frames agree on is too small for a surface: there is none")
+            return empty_surface(tuple(told))
+        found.mesh.apply_transform(inverse_pose(self._X_FG))
+        return replace(found, warnings=tuple(told))
+
+    def _extract(self, least_views: int) -> SurfaceModel:
+        config = self.config
+        shares = Shares(config.shared_sigma, config.relief_sigma)
+        support = Support.of(config, least_views)
+        return extract_surface(self._grid, support, config.least_piece_voxels, shares)
+
+    def _warnings(self) -> list[str]:
+        out = []
+        if self.without_pose:
+            out.append(
+                f"{self.without_pose} of {self._frames} frames have no finite pose: not in the surface"
+            )
+        if self._doubtful:
+            n, width_mm = len(self._doubtful), self._grid.cut.front_m * 1e3
+            out.append(
+                f"{n} of {self._frames} frames have a pose of unknown precision: they count as if "
+                f"{width_mm:.3g} mm off"
+            )
+        if self._frames and self.used == 0:
+            out.append("no frame has valid depth: there is no surface")
+        elif 2 * self.without_depth > self._frames:
+            out.append(f"{self.without_depth} of {self._frames} frames have no valid depth")
+        if self._grid.refused:
+            out.append(
+                f"the field of {self.config.memory_mib:.0f} MiB is full and parts of the surface are "
+                "missing; larger mapping.memory_mib or mapping.voxel_mm helps"
+            )
+        return out
+
+
+def _turned(covariance: Array, R: Array) -> Array:
+    """Covariance (6, 6) along other axes."""
+    both = np.zeros((6, 6))
+    both[:3, :3] = both[3:, 3:] = R
+    return np.asarray(both @ covariance @ both.T)
+
+
+def _farthest(between: Array, X_FG: Array, corners_F: Array) -> Array:
+    """(F,): how far the corners go when each frame's own G in F (F, 4, 4) is replaced by one for all [m]."""
+    shift = transform_points(between @ inverse_pose(X_FG), corners_F) - corners_F
+    return np.asarray(np.linalg.norm(shift, axis=-1).max(axis=-1))
+
+
+def _common(between: Array, centre_F: Array) -> Array:
+    """The mean (4, 4) of transforms (F, 4, 4) to F, exact where it puts ``centre_F``."""
+    R = mean_rotation(between[:, :3, :3])
+    at_G = np.mean(transform_points(inverse_pose(between), centre_F[None])[:, 0], axis=0)
+    return make_pose(R, centre_F - R @ at_G)
+
+
+def choose_device(config: Mapping) -> torch.device:
+    """The configured device; auto takes a GPU when there is one."""
+    if config.device != "auto":
+        return torch.device(config.device)
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")

@@ -1,0 +1,190 @@
+"""An inspector's way around a tumbling target, out of its keep-out volume at every instant.
+
+The inspector is a ball that its thrusters push along straight axes of N; its acceleration is constant over
+each step. Beside the convex hull of the grown body there is, at each instant, a plane that separates the
+two; its normal is an unknown of the program, so the constraint is smooth and holds for the hull exactly.
+"""
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import trimesh
+
+from polhode.lie import Array
+from polhode.planning.keep_out.volumes import InstantKeepOut
+
+HULL_POINTS = 100
+ROUNDS = 4
+HOLD_CLEAR = 2
+"""Instants inside each step at which the separation is asked for."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """Where to fly, from rest to rest."""
+
+    start_N: Array
+    goal_N: Array
+    via_N: Array
+    """(3,) the side on which to pass"""
+    duration_s: float
+    steps: int
+    radius_m: float
+    """of the inspector"""
+    clearance_m: float
+    """left between its surface and the keep-out volume"""
+    most_accel_m_s2: float
+
+
+@dataclass(frozen=True)
+class Way:
+    """The plan at the ends of the steps."""
+
+    time_s: Array
+    """(K + 1,)"""
+    p_N: Array
+    v_N: Array
+    accel_N: Array
+    """(K, 3)"""
+    delta_v_m_s: float
+
+    def at(self, time_s: Array) -> tuple[Array, Array, Array]:
+        """Place, velocity, acceleration (n, 3) at times inside the plan."""
+        k = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.accel_N) - 1)
+        dt = (time_s - self.time_s[k])[:, None]
+        a = self.accel_N[k]
+        return self.p_N[k] + dt * self.v_N[k] + 0.5 * dt**2 * a, self.v_N[k] + dt * a, a
+
+
+def plan_way(keep_out: InstantKeepOut, task: Task) -> Way:
+    """Least acceleration, squared, with the clearance at every instant. Raises ValueError without a way."""
+    asked = task
+    for _ in range(ROUNDS):
+        way = _solve(keep_out, asked)
+        short = task.radius_m + task.clearance_m - least_gap(keep_out, way)
+        if short <= 0.0:
+            return way
+        # what came closer between the instants of the program
+        asked = replace(asked, clearance_m=asked.clearance_m + 1.2 * short + 1e-4)
+    raise ValueError("no way was found that keeps the clearance between the instants of the program")
+
+
+def least_gap(keep_out: InstantKeepOut, way: Way) -> float:
+    """Least distance [m] of the inspector's middle from the volume, over the instants of its motion."""
+    p, _, _ = way.at(keep_out.motion.time_s)
+    return min(float(keep_out.signed_distance(k, p[k : k + 1])[0]) for k in range(len(p)))
+
+
+def _solve(keep_out: InstantKeepOut, task: Task) -> Way:
+    K, dt = task.steps, task.duration_s / task.steps
+    farthest = 0.25 * task.most_accel_m_s2 * task.duration_s**2
+    if np.linalg.norm(task.goal_N - task.start_N) > farthest:
+        raise ValueError(
+            f"no way was found: from rest to rest the thrust reaches {farthest:.3g} m in this time"
+        )
+    hull, short_m = hull_points(keep_out.body.points_G, HULL_POINTS)
+    margin = keep_out.margin_m() + short_m + task.radius_m + task.clearance_m
+    flight = point_mass(K, dt, task.start_N, task.most_accel_m_s2)
+    program, a, p, v = flight.program, flight.a, flight.p, flight.v
+    guess = _bend(task, K + 1)
+    program.set_initial(p, guess.T)
+    program.subject_to(p[:, K] == task.goal_N)
+    program.subject_to(v[:, K] == 0)
+    keep_clear(flight, keep_out, hull, margin, guess)
+    program.minimize(ca.sumsqr(a) / task.most_accel_m_s2**2)
+    program.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "max_iter": 500})
+    try:
+        found = program.solve()
+    except RuntimeError as error:
+        raise ValueError(f"no way was found: {str(error).splitlines()[-1].strip()}") from None
+    return flight.way(found)
+
+
+@dataclass(frozen=True)
+class PointMass:
+    """A program with the motion of an inspector whose acceleration is constant over each step, in N."""
+
+    program: ca.Opti
+    a: ca.MX
+    """(3, K)"""
+    p: ca.MX
+    """(3, K + 1)"""
+    v: ca.MX
+    """(3, K + 1)"""
+    dt_s: float
+
+    def way(self, found: ca.OptiSol) -> Way:
+        """The plan of a solution."""
+        dt = self.dt_s
+        accel = np.asarray(found.value(self.a), dtype=np.float64).reshape(3, -1).T
+        return Way(
+            np.asarray(dt * np.arange(len(accel) + 1), dtype=np.float64),
+            np.asarray(found.value(self.p), dtype=np.float64).T,
+            np.asarray(found.value(self.v), dtype=np.float64).T,
+            accel,
+            float(dt * np.linalg.norm(accel, axis=1).sum()),
+        )
+
+
+def point_mass(steps: int, dt_s: float, start_N: Array, most_accel_m_s2: float) -> PointMass:
+    """From rest at start_N (3,), with a bounded thrust."""
+    program = ca.Opti()
+    a, p, v = program.variable(3, steps), program.variable(3, steps + 1), program.variable(3, steps + 1)
+    program.subject_to(p[:, 0] == start_N)
+    program.subject_to(v[:, 0] == 0)
+    for k in range(steps):
+        program.subject_to(p[:, k + 1] == p[:, k] + dt_s * v[:, k] + 0.5 * dt_s**2 * a[:, k])
+        program.subject_to(v[:, k + 1] == v[:, k] + dt_s * a[:, k])
+        program.subject_to(ca.sumsqr(a[:, k]) <= most_accel_m_s2**2)
+    return PointMass(program, a, p, v, dt_s)
+
+
+def keep_clear(
+    flight: PointMass, keep_out: InstantKeepOut, hull: Array, margin_m: Array, guess: Array
+) -> None:
+    """Ask for a plane between the inspector and the hull (m, 3) in G at instants inside each step.
+
+    margin_m (T,) at the instants of the volume's motion; guess (K + 1, 3) of the inspector's places.
+    """
+    program, dt, motion = flight.program, flight.dt_s, keep_out.motion
+    K = flight.a.shape[1]
+    u = program.variable(3, K * HOLD_CLEAR)
+    for k in range(K):
+        for h in range(HOLD_CLEAR):
+            share = (h + 0.5) / HOLD_CLEAR
+            n = int(np.argmin(np.abs(motion.time_s - (k + share) * dt)))
+            place = flight.p[:, k] + share * dt * flight.v[:, k] + 0.5 * (share * dt) ** 2 * flight.a[:, k]
+            corners = hull @ motion.R_NG[n].T + motion.p_NG[n]
+            normal = u[:, k * HOLD_CLEAR + h]
+            program.subject_to(ca.sumsqr(normal) <= 1)
+            # the plane through the corner that is farthest along the normal
+            gap = ca.dot(normal, place) - ca.mtimes(ca.DM(corners), normal)
+            program.subject_to(gap >= float(margin_m[n]))
+            away = (1 - share) * guess[k] + share * guess[k + 1] - motion.com_N[n]
+            program.set_initial(normal, away / np.linalg.norm(away))
+
+
+def hull_points(points: Array, count: int) -> tuple[Array, float]:
+    """Points (m, 3) of the hull, spread over it, and how far the hull goes beyond theirs [m]."""
+    corners = np.asarray(trimesh.convex.convex_hull(points).vertices)
+    chosen = [int(np.argmax(np.linalg.norm(corners - corners.mean(axis=0), axis=1)))]
+    away = np.linalg.norm(corners - corners[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(corners)):
+        chosen.append(int(np.argmax(away)))
+        away = np.minimum(away, np.linalg.norm(corners - corners[chosen[-1]], axis=1))
+    few = corners[chosen]
+    # a support function is the largest at a corner of the hull: how far each corner is from the smaller hull
+    planes = trimesh.convex.convex_hull(few)
+    beyond = np.einsum(
+        "fi,nfi->nf", planes.face_normals, corners[:, None] - planes.triangles_center[None]
+    ).max(axis=1)
+    return few, float(max(beyond.max(), 0.0))
+
+
+def _bend(task: Task, count: int) -> Array:
+    """A first guess (count, 3): the parabola through start, via and goal."""
+    s = np.linspace(0.0, 1.0, count)[:, None]
+    s = s * s * (3.0 - 2.0 * s)
+    middle = task.via_N - 0.5 * (task.start_N + task.goal_N)
+    return np.asarray((1 - s) * task.start_N + s * task.goal_N + 4.0 * s * (1 - s) * middle)

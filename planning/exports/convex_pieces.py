@@ -1,0 +1,410 @@
+"""Convex pieces that together contain the surface: collision geometry for planners.
+
+The pieces come from V-HACD (Mamou and Ghorbel, "A simple and efficient approach for 3D mesh approximate
+convex decomposition", 2009), where it is installed; otherwise there is one, the convex hull. V-HACD splits
+the voxels of a simplified mesh, so its pieces may lie inside the surface, which is the unsafe side. Therefore
+each triangle of the full mesh is assigned to the piece that it protrudes from least, and the piece becomes
+the hull of its triangles and of its own points inside the body: the union contains every triangle by
+construction.
+
+Pieces that reach too far beyond the surface are then split by planes until they do not. A plane cuts
+triangles exactly, so the pieces still contain the surface after each split. Among a few planes, through the
+bottom of the concavity that the piece bridges and through its middle, the one is taken that leaves least
+beyond the surface (as in approximate convex decomposition: Lien and Amato, Computational Geometry 35, 2006).
+"""
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from polhode.lie import Array
+from polhode.planning.exports.records import Shape
+from polhode.records import Bools, Ints
+
+CUT_FACES = 12_000
+"""Of the thinned mesh that V-HACD cuts."""
+VOXELS = 400_000
+FIRST_PIECES = 32
+"""Of V-HACD; more follow where they reach too far."""
+LEAST_VOLUME_PERCENT = 0.5
+"""A piece is cut no more by V-HACD when its hull has so little more volume than its voxels."""
+NEARLY_CONVEX = 0.01
+"""Share of its volume that the hull of a convex body may have more."""
+WITHIN = 0.01
+"""Of the body's diameter: pieces that reach farther beyond the surface are cut."""
+LOOKED_AT = 0.9
+"""Of that: a cut looks at some points only."""
+MOST_GROWTH = 10.0
+"""Volume of a piece over what it was when it was cut."""
+INNER_SAMPLES = 200
+ROUNDING = 2e-6
+"""Each piece is larger by this share of the body's size: more than single precision moves it."""
+SAMPLES = 20_000
+
+
+class Reach:
+    """How far points reach beyond a surface, outwards."""
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        """Samples the surface: faces may be long, so their corners alone would not tell where it is."""
+        # about its middle: rays are of single precision
+        self._middle = np.asarray(mesh.bounds.mean(axis=0))
+        V = np.asarray(mesh.vertices) - self._middle
+        self._mesh = trimesh.Trimesh(V, np.asarray(mesh.faces), process=False)
+        self.size_m = float(np.ptp(V, axis=0).max())
+        points, face = trimesh.sample.sample_surface(mesh, SURFACE_SAMPLES, seed=0)
+        # slivers and needles have no area to be sampled
+        self._on = np.concatenate([np.asarray(points), np.asarray(mesh.vertices)])
+        self._normal = np.concatenate([np.asarray(mesh.face_normals)[face], np.asarray(mesh.vertex_normals)])
+        self._tree = cKDTree(self._on)
+
+    def of(self, points: Array, sure: bool = False) -> tuple[Array, Array, Array]:
+        """Of points (n, 3): distance beyond (n,) [m], 0 inside; nearest place of the surface (n, 3), normal
+        there (n, 3).
+
+        Outside is what lies before the nearest place; ``sure``: and does not look at the surface's back all
+        around, as the nearest normal errs deep inside, beside edges and fragments.
+        """
+        distance, near = self._tree.query(points)
+        before = np.sum((points - self._on[near]) * self._normal[near], axis=1) > 0.0
+        if sure:
+            far = np.flatnonzero(before & (distance > 0.002 * self.size_m))
+            before[far] = self._in_front(points[far])
+        return np.where(before, distance, 0.0), self._on[near], self._normal[near]
+
+    def _in_front(self, points: Array) -> Bools:
+        """Whether at most half of the directions look at the surface's back."""
+        start = np.repeat(points - self._middle, len(DIRECTIONS), axis=0)
+        along = np.tile(DIRECTIONS, (len(points), 1))
+        face = self._mesh.ray.intersects_first(start, along)
+        facing = np.einsum("ij,ij->i", self._mesh.face_normals[face], along)
+        back = ((face >= 0) & (facing > 0.0)).reshape(len(points), len(DIRECTIONS))
+        return np.asarray(back.mean(axis=1) <= 0.5)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A convex hull and how far it reaches."""
+
+    triangles: Array
+    """(n, 3, 3) of the surface"""
+    inner: Array
+    """(m, 3) points inside the body"""
+    hull: ConvexHull
+    worst_m: float
+    """Farthest beyond the surface, of the points looked at"""
+    mean_m: float
+    dent: Array
+    """(3,) the surface's place nearest to the worst point"""
+    dent_normal: Array
+    """(3,)"""
+
+    @property
+    def corners(self) -> Array:
+        """(k, 3) of the hull"""
+        return np.asarray(self.hull.points[self.hull.vertices])
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """Convex pieces in F."""
+
+    pieces: tuple[trimesh.Trimesh, ...]
+    words: str
+    """How they were made"""
+    beyond_m: float
+    """How far they reach beyond the surface [m], outwards: 95 % of their area reaches less"""
+    most_beyond_m: float
+    """The largest found"""
+    far_share: float
+    """Of their area that reaches farther than WITHIN of the diameter"""
+    diameter_m: float
+    """Of the surface: its two points farthest from each other"""
+
+    @property
+    def reach_words(self) -> str:
+        """How far they reach, in words."""
+        share = self.most_beyond_m / self.diameter_m
+        return (
+            f"they reach at most {1e3 * self.most_beyond_m:.2g} mm beyond the surface, {share:.1%} of its "
+            f"diameter; 95 % of their area less than {1e3 * self.beyond_m:.2g} mm, and {self.far_share:.2%} "
+            f"of it farther than {WITHIN:.0%} of the diameter"
+        )
+
+
+def decompose(shape: Shape, most_pieces: int) -> Decomposition:
+    """Cut, grow, cut again. Raises ValueError when the points are flat: there is no volume."""
+    points = shape.vertices[np.unique(shape.faces)]
+    try:
+        corners = points[ConvexHull(points).vertices]
+    except QhullError as error:
+        raise ValueError("the surface is flat: it has no convex hull with a volume") from error
+    diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))
+    reach = Reach(shape.mesh())
+    seeds, words = _initial_pieces(shape.mesh(), min(max(most_pieces // 4, 2), FIRST_PIECES, most_pieces))
+    pieces = [corners]
+    if seeds:
+        grown = cut_until_near(_grown(shape, seeds, reach), reach, LOOKED_AT * WITHIN * diameter, most_pieces)
+        pieces = [each.corners for each in grown]
+    hulls = tuple(_hull(each, ROUNDING * reach.size_m) for each in pieces)
+    pieces_in_words = "the convex hull" if len(hulls) == 1 else f"{len(hulls)} convex pieces"
+    beyond = _beyond(hulls, reach)
+    return Decomposition(
+        hulls,
+        f"collision geometry: {pieces_in_words} {words}",
+        float(np.quantile(beyond, 0.95)),
+        float(beyond.max()),
+        float(np.mean(beyond > WITHIN * diameter)),
+        diameter,
+    )
+
+
+def _initial_pieces(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array], str]:
+    """Vertices of convex pieces, and how they were found."""
+    if most_pieces == 1:
+        return [], "as one piece was asked for"
+    try:
+        import vhacdx
+    except ImportError:
+        return [], "alone, as V-HACD is not installed (pip install 'polhode[export]')"
+    if mesh.is_volume and mesh.convex_hull.volume < (1.0 + NEARLY_CONVEX) * mesh.volume:
+        return [], "as the body is convex"
+    thin = mesh if len(mesh.faces) <= CUT_FACES else mesh.simplify_quadric_decimation(face_count=CUT_FACES)
+    parts = vhacdx.compute_vhacd(
+        np.asarray(thin.vertices, dtype=np.float64),
+        np.asarray(thin.faces, dtype=np.uint32),
+        maxConvexHulls=most_pieces,
+        resolution=VOXELS,
+        minimumVolumePercentErrorAllowed=LEAST_VOLUME_PERCENT,
+        asyncACD=False,
+    )
+    thickness_m = PANEL * float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
+    found = [with_volume(np.asarray(vertices, dtype=np.float64), thickness_m) for vertices, _ in parts]
+    found = [vertices for vertices in found if has_volume(vertices)]
+    return found, "by V-HACD, grown until they contain the surface and cut where they reach far beyond it"
+
+
+def _grown(shape: Shape, seeds: list[Array], reach: Reach) -> list[Piece]:
+    """Each piece with the triangles that it takes, and with what it has inside the body.
+
+    A sliver between two other pieces takes triangles from all around it: those that grow out of all
+    proportion are left out, and the others share what they had.
+    """
+    hulls = [ConvexHull(seed) for seed in seeds]
+    used, index = np.unique(shape.faces, return_inverse=True)
+    corner: Ints = index.reshape(-1, 3)
+    points = shape.vertices[used]
+    # how far each triangle leaves each piece (T, pieces): the largest over its corners
+    leaves = np.stack([outside(points, hull.equations)[corner].max(axis=1) for hull in hulls], axis=1)
+    kept = np.arange(len(seeds))
+    while True:
+        owner = kept[leaves[:, kept].argmin(axis=1)]
+        volumes = [
+            ConvexHull(np.concatenate([seeds[k], points[np.unique(corner[owner == k])]])).volume for k in kept
+        ]
+        sound = np.array([v < MOST_GROWTH * hulls[k].volume for k, v in zip(kept, volumes, strict=True)])
+        if sound.all() or not sound.any():
+            break
+        kept = kept[sound]
+    rng = np.random.default_rng(1)
+    pieces = []
+    for k in kept:
+        inner = np.concatenate(
+            [seeds[k], rng.dirichlet(np.full(len(seeds[k]), 0.3), INNER_SAMPLES) @ seeds[k]]
+        )
+        inner = inner[reach.of(inner, sure=True)[0] == 0.0]
+        triangles = points[corner[owner == k]]
+        if len(triangles) or len(inner) > 3:
+            pieces.append(piece_of(triangles, inner, reach))
+    return pieces
+
+
+def _hull(points: Array, margin_m: float) -> trimesh.Trimesh:
+    """The convex hull, each vertex moved away from the middle by ``margin_m``, faces outwards."""
+    corners = points[ConvexHull(points).vertices]
+    away = corners - corners.mean(axis=0)
+    corners = corners + margin_m * away / np.linalg.norm(away, axis=1, keepdims=True)
+    hull = ConvexHull(corners)
+    used, faces = np.unique(hull.simplices, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    corners = corners[used]
+    a, b, c = (corners[faces[:, k]] for k in range(3))
+    inwards = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) < 0.0
+    faces[inwards] = faces[inwards][:, ::-1]
+    return trimesh.Trimesh(corners, faces, process=False)
+
+
+def _beyond(hulls: tuple[trimesh.Trimesh, ...], reach: Reach) -> Array:
+    """Of points on the pieces that no other piece covers, how far beyond the surface [m]."""
+    planes = [ConvexHull(np.asarray(hull.vertices)).equations for hull in hulls]
+    boxes = np.stack([np.asarray(hull.bounds) for hull in hulls])
+    areas = np.array([hull.area for hull in hulls])
+    found = []
+    for k, hull in enumerate(hulls):
+        count = max(20, round(SAMPLES * areas[k] / areas.sum()))
+        points = np.asarray(trimesh.sample.sample_surface(hull, count, seed=0)[0])
+        covered = np.zeros(len(points), dtype=bool)
+        meets = (boxes[:, 0] <= boxes[k, 1]).all(axis=1) & (boxes[:, 1] >= boxes[k, 0]).all(axis=1)
+        for other in np.flatnonzero(meets):
+            if other != k:
+                covered |= outside(points, planes[other]) < 0.0
+        found.append(reach.of(points[~covered], sure=True)[0])
+    return np.concatenate(found)
+
+
+SURFACE_SAMPLES = 100_000
+PIECE_SAMPLES = 250
+"""Points of a piece whose distance from the surface is looked at, at each cut."""
+SURE_SAMPLES = 2_000
+"""The same once no piece seems to reach too far."""
+DIRECTIONS = trimesh.creation.icosphere(1).vertices
+"""Lines of sight that tell whether a point lies inside."""
+AREA_WEIGHT = 2.0
+"""Of the mean reach against the largest, when planes are compared."""
+SECTION_POINTS = 60
+PANEL = 1e-3
+"""Thickness of a flat piece, over the body's size."""
+
+
+def piece_of(triangles: Array, inner: Array, reach: Reach, samples: int = PIECE_SAMPLES) -> Piece:
+    """Raises QhullError when there are too few points."""
+    points = with_volume(np.concatenate([triangles.reshape(-1, 3), inner]), PANEL * reach.size_m)
+    hull = ConvexHull(points)
+    beyond, place, normal = reach.of(_on_hull(hull, samples), sure=True)
+    k = int(beyond.argmax())
+    return Piece(triangles, inner, hull, float(beyond[k]), float(beyond.mean()), place[k], normal[k])
+
+
+def cut_until_near(pieces: list[Piece], reach: Reach, within_m: float, most: int) -> list[Piece]:
+    """The worst piece is cut, and the worst then, until all reach less far or there are so many."""
+    waiting = [(-piece.worst_m, number, piece) for number, piece in enumerate(pieces)]
+    heapq.heapify(waiting)
+    number, done, sure = len(waiting), list[Piece](), set[int]()
+    while waiting and len(waiting) + len(done) < most:
+        worst, own, piece = heapq.heappop(waiting)
+        if -worst <= within_m and own in sure:
+            done.append(piece)
+            continue
+        if -worst > within_m and len(piece.triangles) == 0:
+            # it holds nothing of the surface, and fills the inside where others do
+            continue
+        halves: list[Piece] | None
+        if -worst > within_m:
+            halves = _halves(piece, reach)
+        else:
+            halves = [piece_of(piece.triangles, piece.inner, reach, SURE_SAMPLES)]
+            sure.add(number)
+        if halves is None:
+            done.append(piece)
+            continue
+        for half in halves:
+            heapq.heappush(waiting, (-half.worst_m, number, half))
+            number += 1
+    return done + [each[2] for each in sorted(waiting, key=lambda each: each[1])]
+
+
+def _halves(piece: Piece, reach: Reach) -> list[Piece] | None:
+    """By the best of some planes; None: none cuts it."""
+    corners = piece.corners
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    axes = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2]
+    along = np.linalg.svd(piece.dent_normal[None])[2][1:]
+    planes = [(n, float(n @ at)) for n in axes for at in (piece.dent, middle)]
+    planes += [(n, float(n @ piece.dent)) for n in along]
+    best, found = np.inf, None
+    for n, offset in planes:
+        height = corners @ n - offset
+        if min(height.max(), -height.min()) < PANEL * reach.size_m:
+            continue
+        try:
+            halves = _split(piece, n, offset, reach)
+        except QhullError:
+            continue
+        if not halves:
+            continue
+        mean = sum(half.mean_m * half.hull.area for half in halves) / piece.hull.area
+        cost = max(half.worst_m for half in halves) + AREA_WEIGHT * mean
+        if cost < best:
+            best, found = cost, halves
+    return found
+
+
+def _split(piece: Piece, n: Array, offset: float, reach: Reach) -> list[Piece]:
+    """Both sides of the plane; inside the body both reach up to it."""
+    below, above = clip(piece.triangles, n, offset)
+    height = piece.inner @ n - offset
+    low, high = piece.inner[height <= 0.0], piece.inner[height > 0.0]
+    count = min(len(low), len(high), SECTION_POINTS)
+    if count:
+        a, b = low[:count], high[-count:]
+        share = (offset - a @ n) / ((b - a) @ n)
+        section = a + share[:, None] * (b - a)
+        section = section[reach.of(section, sure=True)[0] == 0.0]
+        low, high = np.concatenate([section, low]), np.concatenate([high, section])
+    sides = [(below, low), (above, high)]
+    kept = [(tri, inner) for tri, inner in sides if len(tri) or len(inner) > 3]
+    return [piece_of(tri, inner, reach) for tri, inner in kept]
+
+
+def clip(triangles: Array, n: Array, offset: float) -> tuple[Array, Array]:
+    """Triangles (k, 3, 3) below and above the plane n . p = offset; those across it are cut."""
+    height = triangles @ n - offset
+    over = height > 0.0
+    count = over.sum(axis=1)
+    below, above = [triangles[count == 0]], [triangles[count == 3]]
+    for alone_above in (True, False):
+        some = count == (1 if alone_above else 2)
+        t, h = triangles[some], height[some]
+        row = np.arange(len(t))
+        # the corner that is alone on its side, and the other two
+        k = (over[some] == alone_above).argmax(axis=1)
+        p, a, b = t[row, k], t[row, (k + 1) % 3], t[row, (k + 2) % 3]
+        hp, ha, hb = h[row, k], h[row, (k + 1) % 3], h[row, (k + 2) % 3]
+        on_a = p + (hp / (hp - ha))[:, None] * (a - p)
+        on_b = p + (hp / (hp - hb))[:, None] * (b - p)
+        tip = np.stack([p, on_a, on_b], axis=1)
+        rest = np.concatenate([np.stack([a, b, on_a], axis=1), np.stack([b, on_b, on_a], axis=1)])
+        (above if alone_above else below).append(tip)
+        (below if alone_above else above).append(rest)
+    return np.concatenate(below), np.concatenate(above)
+
+
+def with_volume(points: Array, thickness_m: float) -> Array:
+    """The points; of a panel seen from one side, which has no volume, two sheets of them."""
+    if has_volume(points):
+        return points
+    across = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
+    return np.concatenate([points - 0.5 * thickness_m * across, points + 0.5 * thickness_m * across])
+
+
+def has_volume(points: Array) -> bool:
+    """Whether their hull does."""
+    try:
+        return bool(ConvexHull(points).volume > 0.0)
+    except (QhullError, ValueError):
+        return False
+
+
+def outside(points: Array, planes: Array) -> Array:
+    """(V,) largest signed distance to the planes (K, 4) of a hull; <= 0 inside."""
+    out = np.full(len(points), -np.inf)
+    for start in range(0, len(planes), 64):
+        some = planes[start : start + 64]
+        out = np.maximum(out, (points @ some[:, :3].T + some[:, 3]).max(axis=1))
+    return out
+
+
+def _on_hull(hull: ConvexHull, count: int) -> Array:
+    """Points (count, 3) on its faces; the same for the same hull."""
+    corner = hull.points[hull.simplices]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    rng = np.random.default_rng(0)
+    face = rng.choice(len(corner), count, p=area / area.sum())
+    share = rng.random((count, 2))
+    over = share.sum(axis=1) > 1.0
+    share[over] = 1.0 - share[over]
+    a, b, c = corner[face, 0], corner[face, 1], corner[face, 2]
+    return np.asarray(a + share[:, :1] * (b - a) + share[:, 1:] * (c - a))

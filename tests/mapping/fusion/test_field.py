@@ -1,0 +1,273 @@
+"""The field as it grows: frames added, taken away, moved; what is told when little is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial import cKDTree
+
+from polhode.config.mapping import Mapping
+from polhode.lie import Array, exp_so3, make_pose
+from polhode.mapping.fusion.block_grid import FREE, VIEWS, BlockGrid, Truncation
+from polhode.mapping.fusion.depth_frame import frame_tensors
+from polhode.mapping.fusion.field import Field
+from polhode.mapping.fusion.fuse import fuse
+from polhode.mapping.fusion.integration import allocate, integrate
+from polhode.mesh_metrics import distance_to_surface
+from polhode.records import DepthMap, SurfaceModel
+from tests.mapping.analytic_depth import DISTANCE_M, RIG, depth_of, views_of
+
+VOXEL_M = 3e-3
+CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu", shared_sigma=0.0, relief_sigma=0.0)
+CPU = torch.device("cpu")
+Frames = list[tuple[DepthMap, Array]]
+
+
+@pytest.fixture(scope="module")
+def box() -> trimesh.Trimesh:
+    mesh: trimesh.Trimesh = trimesh.creation.box((0.12, 0.10, 0.08))
+    return mesh
+
+
+@pytest.fixture(scope="module")
+def frames(box: trimesh.Trimesh) -> Frames:
+    return views_of(box, 24, sigma_m=1e-3)
+
+
+def moved(X_RG: Array, shift_m: float, turn_rad: float, seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    return np.asarray(X_RG @ make_pose(exp_so3(rng.normal(0, turn_rad, 3)), rng.normal(0, shift_m, 3)))
+
+
+def filled(frames: Frames) -> Field:
+    field = Field(RIG, CONFIG, VOXEL_M)
+    for depth, X_RG in frames:
+        field.add(depth, X_RG)
+    return field
+
+
+def between(a: SurfaceModel, b: SurfaceModel) -> float:
+    """Largest distance of a vertex of either mesh from the nearest of the other [voxels]."""
+    A, B = np.asarray(a.mesh.vertices), np.asarray(b.mesh.vertices)
+    return float(max(cKDTree(A).query(B)[0].max(), cKDTree(B).query(A)[0].max())) / VOXEL_M
+
+
+def test_loops_and_tensors_say_the_same(frames: Frames) -> None:
+    grids = []
+    for in_tensors in (False, True):
+        grid = BlockGrid(VOXEL_M, Truncation(4 * VOXEL_M, 3 * VOXEL_M, 0.15), CPU, 1024.0)
+        for k, (depth, X_RG) in enumerate([*frames[:5], frames[4]]):
+            tensors = frame_tensors(depth, RIG, CPU)
+            assert tensors is not None
+            allocate(grid, tensors, X_RG, RIG, in_tensors)
+            integrate(grid, tensors, X_RG, RIG, remove=k == 5, in_tensors=in_tensors)
+        grids.append(grid)
+    compiled, tensors_ = grids
+    at = tensors_.find(compiled.keys)
+    assert len(compiled) == len(tensors_) > 100 and bool((at >= 0).all())
+    a, b = compiled.values.reshape(-1, 7), tensors_.values[at].reshape(-1, 7)
+    # single precision puts a voxel in a thousand into the next pixel
+    assert float((a[:, VIEWS] == b[:, VIEWS]).float().mean()) > 0.998
+    same = (a[:, VIEWS] == b[:, VIEWS]) & ((a[:, FREE] > 0) == (b[:, FREE] > 0))
+    close = torch.isclose(a[same], b[same], rtol=1e-3, atol=1e-2).all(dim=1)
+    assert float(close.float().mean()) > 0.998
+
+
+def test_a_frame_taken_away_leaves_nothing(frames: Frames) -> None:
+    field = filled(frames[:6])
+    before = field.surface()
+    wrong = moved(frames[7][1], 0.02, 0.2, seed=1)
+    field.add(frames[7][0], wrong)
+    assert between(field.surface(), before) > 1.0
+    lost = np.stack([X for _, X in frames[:6]] + [np.full((4, 4), np.nan)])
+    assert field.move(lost) == 1
+    after = field.surface()
+    assert len(after.mesh.faces) == len(before.mesh.faces)
+    assert between(after, before) < 1e-3
+    np.testing.assert_allclose(np.sort(after.sigma_m), np.sort(before.sigma_m), rtol=1e-3)
+    assert "1 of 7 frames have no finite pose" in after.warnings[0]
+
+
+def test_fused_again_after_better_poses_is_fused_from_scratch(frames: Frames) -> None:
+    at_first = [(d, moved(X, 2e-3, 0.02, seed=k) if k % 4 == 0 else X) for k, (d, X) in enumerate(frames)]
+    field = filled(at_first)
+    better = np.stack([X for _, X in frames])
+    assert between(field.surface(), filled(frames).surface()) > 0.5
+    assert field.move(better) == 6
+    again, scratch = field.surface(), filled(frames).surface()
+    # single precision rounds what was added and taken away
+    assert between(again, scratch) < 0.01
+    np.testing.assert_array_equal(np.sort(again.views), np.sort(scratch.views))
+
+
+def test_what_all_poses_share_moves_the_mesh_alone(frames: Frames) -> None:
+    field = filled(frames)
+    shared = make_pose(exp_so3([0.1, -0.2, 0.05]), [0.03, -0.01, 0.02])
+    poses = np.stack([X @ shared for _, X in frames])
+    poses[5] = moved(poses[5], 2e-3, 0.02, seed=5)
+    assert field.move(poses) == 1
+    scratch = filled([(d, X) for (d, _), X in zip(frames, poses, strict=True)]).surface()
+    surface = field.surface()
+    # other voxels, which cut the box's edges and its noise elsewhere, the same surface
+    off = distance_to_surface(scratch.mesh, np.asarray(surface.mesh.vertices)) / VOXEL_M
+    assert np.mean(off) < 0.15 and np.percentile(off, 99) < 0.8
+    assert field.move(poses) == 0
+
+
+def test_when_most_poses_change_the_field_is_made_anew(frames: Frames) -> None:
+    field = filled(frames)
+    poses = np.stack([moved(X, 2e-3, 0.02, seed=k) for k, (_, X) in enumerate(frames)])
+    assert field.move(poses) == len(frames)
+    scratch = filled([(d, X) for (d, _), X in zip(frames, poses, strict=True)]).surface()
+    np.testing.assert_array_equal(field.surface().mesh.vertices, scratch.mesh.vertices)
+
+
+def test_frames_that_memory_does_not_hold_stay_as_they_are(frames: Frames) -> None:
+    field = Field(RIG, CONFIG, VOXEL_M, kept_mib=0.2)
+    for depth, X_RG in frames:
+        field.add(depth, X_RG)
+    # what they miss are a few blocks at rims
+    assert between(field.surface(), filled(frames).surface()) < 1.0
+    with pytest.raises(ValueError, match="frames were let go"):
+        field.move(np.stack([X for _, X in frames]))
+
+
+def test_poses_for_other_frames_are_refused(frames: Frames) -> None:
+    with pytest.raises(ValueError, match="2 poses for 3 frames"):
+        filled(frames[:3]).move(np.zeros((2, 4, 4)))
+
+
+def test_frames_whose_poses_are_doubtful_weigh_less(box: trimesh.Trimesh, frames: Frames) -> None:
+    shift, turn = 4e-3, 0.04
+    covariance = np.zeros((len(frames), 6, 6))
+    wrong = []
+    for k, (depth, X_RG) in enumerate(frames):
+        doubtful = k % 3 == 0
+        wrong.append((depth, moved(X_RG, shift, turn, seed=k) if doubtful else X_RG))
+        covariance[k] = np.diag([shift**2] * 3 + [turn**2] * 3) if doubtful else np.eye(6) * 1e-10
+    told = fuse(wrong, RIG, CONFIG, covariance_G=covariance)
+    untold = fuse(wrong, RIG, CONFIG)
+    error = [distance_to_surface(box, np.asarray(s.mesh.vertices)).mean() for s in (told, untold)]
+    assert error[0] < 0.7 * error[1]
+
+
+def test_a_pose_of_unknown_precision_counts_little_and_is_told_of(
+    box: trimesh.Trimesh, frames: Frames
+) -> None:
+    covariance, wrong = np.zeros((len(frames), 6, 6)), []
+    for k, (depth, X_RG) in enumerate(frames):
+        unknown = k % 3 == 0
+        wrong.append((depth, moved(X_RG, 4e-3, 0.04, seed=k) if unknown else X_RG))
+        if unknown:
+            covariance[k, 0, 0] = (np.nan, np.inf)[k % 2]
+    told = fuse(wrong, RIG, CONFIG, covariance_G=covariance)
+    untold = fuse(wrong, RIG, CONFIG)
+    error = [distance_to_surface(box, np.asarray(s.mesh.vertices)).mean() for s in (told, untold)]
+    assert error[0] < 0.7 * error[1]
+    assert told.warnings == ("8 of 24 frames have a pose of unknown precision: they count as if 12 mm off",)
+    # where nothing else saw the body they make the surface, with sigmas that say how little is known
+    alone = fuse(frames, RIG, CONFIG, covariance_G=np.full((len(frames), 6, 6), np.nan))
+    assert len(alone.mesh.faces) > 1000 and "24 of 24" in alone.warnings[0]
+    assert np.median(alone.sigma_m) > 3.0 * np.median(fuse(frames, RIG, CONFIG).sigma_m)
+
+
+def test_a_turn_matters_far_from_its_axis_and_along_the_normal_alone() -> None:
+    plate = trimesh.creation.box((0.16, 0.12, 0.01))
+    X_RG = make_pose(np.eye(3), [0.0, 0.0, DISTANCE_M])
+    depth = depth_of(plate, X_RG, 1e-9, np.random.default_rng(0))
+    depth = replace(depth, sigma_m=np.where(np.isfinite(depth.depth_m), 1e-3, np.nan).astype(np.float32))
+    turn = 0.02
+    covariance = np.diag([5.0, 5.0, 0.0, 0.0, turn**2, 0.0])
+    tensors = frame_tensors(depth, RIG, CPU, covariance, X_RG[:3, 3])
+    assert tensors is not None
+    row = round(RIG.cy_px) - tensors.v0
+    for x_m in (0.0, 0.05):
+        column = round(RIG.cx_px + RIG.focal_px * x_m / (DISTANCE_M - 0.005)) - tensors.u0
+        sigma = float(tensors.weight[row, column]) ** -0.5
+        # shifts within the plane, however large, change no distance along the normal
+        assert sigma == pytest.approx(np.hypot(1e-3, x_m * turn), rel=0.05, abs=2e-4)
+
+
+def test_a_full_field_says_so(frames: Frames) -> None:
+    surface = fuse(frames, RIG, CONFIG.model_copy(update={"memory_mib": 2.0}))
+    assert any("field of 2 MiB is full" in told for told in surface.warnings)
+    assert not surface.mesh.is_watertight
+
+
+def test_frames_that_do_not_overlap_give_what_was_seen_and_a_warning() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
+    # three poses that put the same side in three places
+    frames = [
+        (depth, X_RG @ make_pose(np.eye(3), [0.4 * k, 0.0, 0.0]))
+        for k, (depth, X_RG) in enumerate(views_of(ball, 1, sigma_m=5e-4) * 4)
+    ]
+    surface = fuse(frames, RIG, CONFIG)
+    assert len(surface.mesh.faces) > 1000
+    assert not surface.mesh.is_watertight
+    assert surface.views.max() == 1
+    assert "nothing confirms it" in surface.warnings[0]
+
+
+def test_a_single_frame_gives_an_open_surface_and_a_warning(frames: Frames) -> None:
+    surface = fuse(frames[:1], RIG, CONFIG)
+    assert len(surface.mesh.faces) > 500 and not surface.mesh.is_watertight
+    assert "made of 1 frame" in surface.warnings[0]
+
+
+def test_without_valid_depth_there_is_no_surface_and_a_warning(frames: Frames) -> None:
+    for value in (np.nan, 0.0, -1.0, np.inf):
+        blind = [(replace(d, depth_m=np.full_like(d.depth_m, value)), X) for d, X in frames[:4]]
+        surface = fuse(blind, RIG, Mapping(device="cpu"))
+        assert len(surface.mesh.faces) == 0
+        assert surface.warnings == ("no frame has valid depth: there is no surface",)
+
+
+def test_depth_with_holes_of_nan_is_fused_without_them(box: trimesh.Trimesh, frames: Frames) -> None:
+    rng, broken = np.random.default_rng(0), []
+    for depth, X_RG in frames:
+        bad = rng.random(depth.depth_m.shape) < 0.3
+        broken.append((replace(depth, depth_m=np.where(bad, np.nan, depth.depth_m).astype(np.float32)), X_RG))
+    surface = fuse(broken, RIG, CONFIG)
+    error = distance_to_surface(box, np.asarray(surface.mesh.vertices))
+    assert np.isfinite(surface.mesh.vertices).all() and np.isfinite(surface.sigma_m).all()
+    assert error.mean() < VOXEL_M / 3
+    assert surface.warnings == ()
+
+
+def test_depth_beyond_all_reason_takes_no_memory(frames: Frames) -> None:
+    far = [(replace(d, depth_m=d.depth_m * 1e6), X) for d, X in frames[:3]]
+    field = filled(far)
+    assert field.bytes == 0
+    assert len(field.surface().mesh.faces) == 0
+    assert field.move(np.stack([X for _, X in far])) == 3
+    assert len(field.surface().mesh.faces) == 0
+
+
+def test_poses_that_put_all_beyond_the_field_can_be_mended(frames: Frames) -> None:
+    beyond = make_pose(np.eye(3), [1e6, 0.0, 0.0])
+    field = filled([(d, X @ beyond) for d, X in frames[:6]])
+    assert field.bytes == 0
+    assert field.move(np.stack([X for _, X in frames[:6]])) == 6
+    scratch = filled(frames[:6]).surface()
+    np.testing.assert_array_equal(field.surface().mesh.vertices, scratch.mesh.vertices)
+
+
+def test_memory_grows_with_the_surface(frames: Frames) -> None:
+    grid = BlockGrid(VOXEL_M, Truncation(4 * VOXEL_M, 3 * VOXEL_M, 0.15), CPU, memory_mib=2.0**30)
+    ends, keys = [], torch.arange(5000, dtype=torch.int64)
+    for k, part in enumerate(keys.split(900)):
+        grid.allocate(part)
+        grid.values[-1] = float(k + 1)
+        ends.append(len(grid) - 1)
+    assert grid.held_bytes <= 1.5 * grid.bytes + 2**24
+    torch.testing.assert_close(grid.keys, keys)
+    assert grid.values[ends, 0, 0].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert float(grid.values.sum()) == 21.0 * grid.values[0].numel()
+
+
+def test_no_pose_at_all(frames: Frames) -> None:
+    surface = fuse([(d, np.full((4, 4), np.nan)) for d, _ in frames[:3]], RIG, CONFIG)
+    assert len(surface.mesh.faces) == 0
+    assert surface.warnings[0] == "3 of 3 frames have no finite pose: not in the surface"

@@ -1,0 +1,139 @@
+"""Keep-out volumes against closed forms, and their promise against independent draws."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from polhode.lie import Array
+from polhode.planning.keep_out.measured_body import continuous_sigma, grow
+from polhode.planning.keep_out.volumes import Wanted, conformal, keep_out
+from polhode.planning.prediction.ensemble import draw_members, nominal
+from polhode.records import SurfaceModel
+from tests.planning.bodies import SIGMA_M, ahead, ball, box, measured
+
+
+def quick(horizon_s: float) -> Wanted:
+    """97 % needs 76 members."""
+    return Wanted(horizon_s, 0.97, members=120, cells=48)
+
+
+def capsule_distance(p: Array, a: Array, b: Array, radius: float) -> Array:
+    along = np.clip((p - a) @ (b - a) / np.sum((b - a) ** 2), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(p - a - along[:, None] * (b - a), axis=1) - radius)
+
+
+def test_a_ball_along_a_line_sweeps_a_capsule() -> None:
+    target = ahead((0.0, 0.0, 0.1), (0.03, 0.01, 0.0), size=1e-4)
+    found = keep_out(ball(), target, quick(10.0))
+    radius = 0.1 + found.body.sigmas * SIGMA_M
+    a = target.last.r_N
+    b = a + 10.0 * target.last.v_N
+    cell = found.swept.level.step_m
+    p = a + np.random.default_rng(0).uniform(-0.25, 0.45, (3000, 3))
+    exact = capsule_distance(p, a, b, radius)
+    near = np.abs(exact) < 0.12
+    off = found.swept.signed_distance(p[near]) - exact[near]
+    # the volume may be larger than the capsule by what the grids cannot tell, hardly smaller
+    assert off.max() < 0.25 * cell and off.min() > -1.5 * cell
+    exact_volume = np.pi * radius**2 * np.linalg.norm(b - a) + 4.0 / 3.0 * np.pi * radius**3
+    assert found.swept.mesh.is_watertight
+    assert exact_volume < 1.005 * found.swept.volume_m3 < 1.2 * exact_volume
+
+
+def inside(surface: SurfaceModel, found_level: object, R: Array, p: Array, noise: Array) -> bool:
+    V = np.asarray(surface.mesh.vertices) + (surface.sigma_m * noise)[:, None] * surface.mesh.vertex_normals
+    return all(float(found_level.at(V @ A.T + b).max()) <= 0.0 for A, b in zip(R, p, strict=True))  # type: ignore[attr-defined]
+
+
+def test_independent_draws_stay_inside_as_often_as_promised() -> None:
+    surface, target = box(), ahead((0.05, 0.6, 0.1), (0.005, 0.0, 0.0), psd=1e-9)
+    found = keep_out(surface, target, Wanted(15.0, 0.97, members=400, cells=48))
+    times = np.linspace(0.11, 15.0, 40)
+    members = draw_members(target, times, 200, 77)
+    rng = np.random.default_rng(5)
+    swept, instants = 0, 0
+    motion = found.instant.motion
+    rows = np.unique(np.linspace(0, len(motion.time_s) - 1, 6).round().astype(int))
+    at_rows = draw_members(target, motion.time_s[rows], 200, 78)
+    for n in range(200):
+        noise = rng.normal(size=len(surface.sigma_m))
+        swept += inside(surface, found.swept.level, members.R_NG[n], members.p_NG[n], noise)
+        V = np.asarray(surface.mesh.vertices)[::15]
+        gaps = [
+            found.instant.signed_distance(int(k), V @ at_rows.R_NG[n, i].T + at_rows.p_NG[n, i]).max()
+            for i, k in enumerate(rows)
+        ]
+        instants += max(gaps) <= 0.0
+    # 97 % promised: of 200 independent draws at least 188 with a probability of 99.6 %
+    assert swept >= 188 and instants >= 188
+    bare = keep_out(
+        measured(surface.mesh, 1e-9), ahead((0.05, 0.6, 0.1), (0.005, 0.0, 0.0), size=1e-4),
+        quick(15.0),
+    )  # fmt: skip
+    assert bare.swept.volume_m3 < found.swept.volume_m3 < 1.5 * bare.swept.volume_m3
+
+
+def test_less_is_known_more_is_kept_out() -> None:
+    motion = (0.0, 0.3, 0.0)
+    volumes = [
+        keep_out(box(), ahead(motion, size=size), quick(5.0)).swept.volume_m3 for size in (0.1, 1.0, 3.0)
+    ]
+    assert volumes[0] < volumes[1] < volumes[2]
+
+
+def test_an_open_mesh_is_kept_out_of_by_its_hull_and_says_so() -> None:
+    full = trimesh.creation.icosphere(4, 0.1)
+    half = full.submesh([np.flatnonzero(full.triangles_center[:, 2] > 0.0)], append=True)
+    assert grow(measured(full), 0.01).covers == "surface"
+    body = grow(measured(half), 0.01)
+    assert body.covers == "hull" and body.open_share > 0.3
+    # the middle of the dent that was not seen
+    assert float(body.grid.at(np.array([[0.0, 0.0, 0.05]]))[0]) < -0.03
+    shell = grow(measured(half), 0.01, cover="surface")
+    assert float(shell.grid.at(np.array([[0.0, 0.0, 0.05]]))[0]) > 0.03
+
+
+def test_the_same_seed_gives_the_same_volume() -> None:
+    runs = [keep_out(ball(), ahead((0.0, 0.3, 0.0)), quick(3.0)) for _ in range(2)]
+    np.testing.assert_array_equal(runs[0].swept.level.values, runs[1].swept.level.values)
+
+
+def test_too_few_members_are_refused() -> None:
+    with pytest.raises(ValueError, match="needs 226 members"):
+        keep_out(ball(), ahead((0.0, 0.3, 0.0)), Wanted(3.0, 0.99, members=100))
+
+
+def test_the_conformal_bound_is_an_order_statistic() -> None:
+    scores = np.arange(1.0, 100.0)[::-1, None]
+    assert conformal(scores, 0.05)[0] == 95.0
+
+
+def test_the_instant_volume_moves_with_the_body() -> None:
+    target = ahead((0.0, 0.5, 0.0), size=0.01)
+    found = keep_out(box(), target, quick(4.0)).instant
+    states = nominal(target, found.motion.time_s)
+    for k in (0, len(states.time_s) - 1):
+        tip = states.p_NG[k] + states.R_NG[k] @ np.array([[0.20, 0.0, 0.0], [0.0, 0.0, 0.0]]).T.T[0]
+        distance = float(found.signed_distance(k, tip[None])[0])
+        assert distance == pytest.approx(0.05, abs=2.0 * found.body.grid.step_m) and distance < 0.05
+
+
+def test_a_lone_sigma_is_held_by_its_neighbours() -> None:
+    surface = ball()
+    sigma, V = surface.sigma_m.copy(), np.asarray(surface.mesh.vertices)
+    sigma[7], sigma[11] = 0.02, np.inf
+    found = continuous_sigma(replace(surface, sigma_m=sigma))
+    edges = surface.mesh.edges_unique
+    around = edges[(edges == 7).any(axis=1)]
+    nearest = float(np.linalg.norm(V[around[:, 0]] - V[around[:, 1]], axis=1).min())
+    assert found[7] == pytest.approx(SIGMA_M + nearest, rel=1e-9) and found[7] < 0.25 * sigma[7]
+    # no measurement: the 99th percentile of the others
+    assert found[11] == pytest.approx(SIGMA_M, rel=1e-9)
+    rest = np.delete(np.arange(len(V)), [7, 11])
+    np.testing.assert_array_equal(found[rest], surface.sigma_m[rest])
+    # a whole patch that is badly known stays so
+    patch = V[:, 2] > 0.0
+    wide = continuous_sigma(replace(surface, sigma_m=np.where(patch, 0.02, SIGMA_M)))
+    assert wide[V[:, 2].argmax()] == 0.02
