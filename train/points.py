@@ -26,9 +26,15 @@ from polhode.images import Grey
 from polhode.lie import Array, inverse_pose
 from polhode.progress import Progress
 from polhode.records import Bools, Ints
-from polhode.simulation.dataset.correspondence import View, correspond, view_of
-from polhode.simulation.dataset.plan import Plan, plan_sequence
-from polhode.simulation.dataset.products import CAST, Products, products_path, read_products, render_products
+from polhode.simulation.dataset.correspondence import CameraView, correspond, view_of
+from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
+from polhode.simulation.dataset.products import (
+    CAST_SHADOW,
+    Products,
+    products_path,
+    read_products,
+    render_products,
+)
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.render import Renderer
@@ -162,12 +168,12 @@ def find_points(folder: Path) -> ScenePoints:
     )
 
 
-def _read_grey(folder: Path, plan: Plan, k: int) -> Grey:
+def _read_grey(folder: Path, plan: SequencePlan, k: int) -> Grey:
     path = image_path(folder / "mav0" / "cam0", int(plan.target.timestamps_ns[k]))
     return np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
 
 
-def _truths(folder: Path, plan: Plan) -> list[Products]:
+def _truths(folder: Path, plan: SequencePlan) -> list[Products]:
     """The truth of the left images' pixels: read where it was written, else made."""
     paths = [products_path(folder / "mav0", 0, int(ns)) for ns in plan.target.timestamps_ns]
     if all(path.is_file() for path in paths[: plan.scene.frames]):
@@ -178,7 +184,7 @@ def _truths(folder: Path, plan: Plan) -> list[Products]:
     return [render_products(renderer, camera, X_NC, X_NG, names) for X_NC, X_NG in poses]
 
 
-def _detected(plan: Plan, grey: Grey, truth: Products, k: int) -> dict[str, NDArray[Any]]:
+def _detected(plan: SequencePlan, grey: Grey, truth: Products, k: int) -> dict[str, NDArray[Any]]:
     """Key points of frame k on the target, one at a place, with what the truth tells of their surface."""
     assert truth.mask is not None
     assert truth.depth is not None
@@ -209,7 +215,7 @@ def _near_shadow_edge(truth: Products) -> Bools:
     """Pixels (H, W) near the edge of a cast shadow."""
     assert truth.shadow is not None
     assert truth.mask is not None
-    cast, lit = truth.shadow == CAST, (truth.shadow == 0) & truth.mask
+    cast, lit = truth.shadow == CAST_SHADOW, (truth.shadow == 0) & truth.mask
     touching = np.ones((3, 3), np.uint8)
     edge = cast & (cv2.dilate(lit.astype(np.uint8), touching) > 0)
     return _within(edge, SHADOW_PX)
@@ -230,7 +236,7 @@ def _within(marked: Bools, distance_px: float) -> Bools:
 
 def _seen_again(
     caster: RayCaster,
-    views: Sequence[View],
+    views: Sequence[CameraView],
     a: int,
     b: int,
     uv_px: Array,

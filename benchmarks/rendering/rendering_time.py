@@ -26,8 +26,8 @@ from polhode.config.scene import Render, Scene
 from polhode.dataset_writer import image_path
 from polhode.simulation.bodies import Body
 from polhode.simulation.bodies.parts.part import Part, assemble
-from polhode.simulation.dataset.frame_renderer import Painter
-from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.dataset.frame_renderer import FrameRenderer
+from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.surface.materials import REGOLITH
 from polhode.simulation.surface.noise import fractal
@@ -75,20 +75,20 @@ def main(short: bool) -> None:
         print(measure(replace(plan, body=lumpy_ball(subdivisions)), 2 if short else FRAMES).row(), flush=True)
 
 
-def measure(plan: Plan, frames: int) -> Timing:
+def measure(plan: SequencePlan, frames: int) -> Timing:
     """Render a frame to warm up and ``frames`` more of a plan."""
     with tempfile.TemporaryDirectory() as folder, _stopwatch() as casting:
         mav0 = Path(folder)
         for index in range(2):
             image_path(mav0 / f"cam{index}", 0).parent.mkdir(parents=True)
         start = time.process_time()
-        painter = Painter(plan)
-        painter.pair(0, mav0)
+        renderer = FrameRenderer(plan)
+        renderer.write_pair(0, mav0)
         first_s = time.process_time() - start
         pairs_s, casts_s = np.empty((2, frames))
         for k in range(frames):
             before, start = casting.seconds, time.process_time()
-            painter.pair(k + 1, mav0)
+            renderer.write_pair(k + 1, mav0)
             pairs_s[k], casts_s[k] = time.process_time() - start, casting.seconds - before
     pair_s, render = float(np.median(pairs_s)), plan.scene.render
     share = float(np.median(casts_s / pairs_s))
@@ -113,7 +113,7 @@ def machine() -> str:
     return f"One core of {name}, Python {platform.python_version()}, {platform.system()}."
 
 
-def _plan(scene: Scene, seed: int, samples: int, bounces: int) -> Plan:
+def _plan(scene: Scene, seed: int, samples: int, bounces: int) -> SequencePlan:
     render = Render.model_validate({"samples": samples, "bounces": bounces})
     sensor = scene.sensor.model_copy(update={"dropped_frames": (), "drop_probability": 0.0})
     update = {"frames": FRAMES + 1, "truth_horizon_s": 0.0, "render": render, "sensor": sensor}

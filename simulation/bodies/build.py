@@ -16,10 +16,10 @@ from polhode.simulation.bodies.families.truss import truss_parts
 from polhode.simulation.bodies.families.upper_stage import upper_stage_parts
 from polhode.simulation.bodies.imported.mesh_file import mesh_file_parts
 from polhode.simulation.bodies.parts.part import Body, Part, assemble
-from polhode.simulation.bodies.textures.by_material import in_one_material, texel_for
-from polhode.simulation.bodies.textures.part_builder import Studio, texture_generator
+from polhode.simulation.bodies.textures.by_material import override_material, texel_size_for
+from polhode.simulation.bodies.textures.part_builder import PartBuilder, texture_generator
 
-FAMILIES: dict[str, Callable[[float, Studio], list[Part]]] = {
+FAMILIES: dict[str, Callable[[float, PartBuilder], list[Part]]] = {
     "free_flyer": free_flyer_parts,
     "bus": bus_parts,
     "upper_stage": upper_stage_parts,
@@ -40,19 +40,21 @@ MESH_GRAIN_M = 0.25
 def build_body(body: config.Body, seed: int) -> Body:
     """Build the target; ``seed`` serves where the description has none. Raises InputError (mesh files)."""
     own = seed if body.seed is None else body.seed
-    rng, ink = np.random.default_rng([0xB0D1, own]), np.random.default_rng([0x1A4C, own])
-    studio = Studio(texture_generator(body.texture), rng, ink, body.size_m / TEXELS.get(body.family, 440.0))
+    rng, texture_rng = np.random.default_rng([0xB0D1, own]), np.random.default_rng([0x1A4C, own])
+    builder = PartBuilder(
+        texture_generator(body.texture), rng, texture_rng, body.size_m / TEXELS.get(body.family, 440.0)
+    )
     if body.family == "mesh":
         # The section has validated both.
         assert body.path is not None
         assert body.metres_per_unit is not None
-        parts = mesh_file_parts(Path(body.path), body.metres_per_unit, studio)
+        parts = mesh_file_parts(Path(body.path), body.metres_per_unit, builder)
         area_m2 = sum(float(part.mesh.area) for part in parts)
         grain = float(np.sqrt(area_m2 / 6.0)) / MESH_GRAIN_M
-        studio = replace(studio, texel_m=texel_for(area_m2))
+        builder = replace(builder, texel_m=texel_size_for(area_m2))
     else:
-        parts = FAMILIES[body.family](body.size_m, studio)
+        parts = FAMILIES[body.family](body.size_m, builder)
         grain = body.size_m / GRAIN_M.get(body.family, 0.3)
     if body.material != "automatic":
-        parts = in_one_material(parts, body.material, studio)
+        parts = override_material(parts, body.material, builder)
     return assemble(parts, grain)

@@ -13,7 +13,7 @@ from polhode.lie import Array
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
-LARGEST_MEAN = 1e12
+MAX_MEAN_ELECTRONS = 1e12
 """Mean number of electrons [-] beyond which a pixel's count is no longer drawn higher: far past any well."""
 
 
@@ -25,7 +25,7 @@ def expose(
     ``points`` (H, W) is light that has passed the lens blur already: stars.
     """
     light = through_lens(level, sensor, points)
-    electrons = np.minimum(light * sensor.white_dn * sensor.electrons_per_dn, LARGEST_MEAN)
+    electrons = np.minimum(light * sensor.white_dn * sensor.electrons_per_dn, MAX_MEAN_ELECTRONS)
     full_well = sensor.full_well_dn * sensor.electrons_per_dn
     charge = spill(_count(electrons, rng), full_well, sensor.bloom)
     return digitise(charge / sensor.electrons_per_dn, sensor, rng)

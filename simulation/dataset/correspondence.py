@@ -16,12 +16,12 @@ from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Bools
 from polhode.simulation.camera.cameras import Camera
-from polhode.simulation.dataset.plan import Plan
+from polhode.simulation.dataset.plan import SequencePlan
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 
-NEAREST_M = 1e-6
+MIN_DISTANCE_M = 1e-6
 """Points closer to the camera's plane than this, or behind it, have no image [m]."""
-SAME_RAY = 1e-6
+RAY_TOLERANCE = 1e-6
 """Largest distance of unit rays that are one: a distorted lens maps far points into the image again."""
 
 
@@ -31,16 +31,16 @@ class Reason(IntEnum):
     VISIBLE = 0
     OFF_TARGET = 1
     """The pixel of view a does not show the target."""
-    TURNED_AWAY = 2
+    BACK_FACING = 2
     """The surface that view a sees is turned away from camera b."""
     OUTSIDE = 3
     """Beside image b, or behind the camera."""
-    HIDDEN = 4
+    OCCLUDED = 4
     """Another part of the body stands before camera b."""
 
 
 @dataclass(frozen=True)
-class View:
+class CameraView:
     """A camera and where it is relative to the body."""
 
     camera: Camera
@@ -64,23 +64,23 @@ class Correspondence:
     """(...) at the point, between the directions to the two cameras; NaN off the target"""
 
 
-def view_of(plan: Plan, frame: int, camera: int) -> View:
-    """View of one camera (0: left, 1: right) at one frame. Raises InputError: there is none."""
+def view_of(plan: SequencePlan, frame: int, camera: int) -> CameraView:
+    """CameraView of one camera (0: left, 1: right) at one frame. Raises InputError: there is none."""
     frames, cameras = plan.scene.frames, len(plan.cameras)
     if not 0 <= frame < frames:
         raise InputError(f"there is no frame {frame}: the scene has frames 0 to {frames - 1}")
     if not 0 <= camera < cameras:
         raise InputError(f"there is no camera {camera}: 0 is the left one, 1 the right one")
     chosen = plan.cameras[camera]
-    return View(chosen, inverse_pose(plan.target.X_NG[frame]) @ plan.X_NC[frame] @ chosen.X_CK)
+    return CameraView(chosen, inverse_pose(plan.target.X_NG[frame]) @ plan.X_NC[frame] @ chosen.X_CK)
 
 
-def angle_between(a: View, b: View) -> float:
+def angle_between_views(a: CameraView, b: CameraView) -> float:
     """Angle at the body's origin between the directions to two cameras [rad]: how far apart the views are."""
     return float(_angles(np.zeros((1, 3)), a, b)[0])
 
 
-def dense_correspondence(caster: RayCaster, a: View, b: View) -> Correspondence:
+def dense_correspondence(caster: RayCaster, a: CameraView, b: CameraView) -> Correspondence:
     """All pixels of view a: fields (H, W, ...). ``uv_b_px - pixel_grid(a.camera)`` is the flow."""
     return correspond(caster, a, b, pixel_grid(a.camera))
 
@@ -91,7 +91,7 @@ def pixel_grid(camera: Camera) -> Array:
     return np.stack([u, v], axis=-1).astype(np.float64)
 
 
-def correspond(caster: RayCaster, a: View, b: View, uv_a_px: Array) -> Correspondence:
+def correspond(caster: RayCaster, a: CameraView, b: CameraView, uv_a_px: Array) -> Correspondence:
     """Follow pixels (..., 2) of view a, distorted, to view b."""
     shape = uv_a_px.shape[:-1]
     rays_K = a.camera.directions(uv_a_px.reshape(-1, 2))
@@ -113,18 +113,18 @@ def correspond(caster: RayCaster, a: View, b: View, uv_a_px: Array) -> Correspon
     )
 
 
-def _image_of(view: View, p_G: Array) -> Array:
+def _image_of(view: CameraView, p_G: Array) -> Array:
     """Pixels (n, 2) of points (n, 3), inside the image or not; NaN where the lens forms no image."""
     p_K = transform_points(inverse_pose(view.X_GK), p_G)
     uv = np.full((len(p_K), 2), np.nan)
-    before = p_K[:, 2] > NEAREST_M
+    before = p_K[:, 2] > MIN_DISTANCE_M
     if not before.any():
         return uv
     uv[before] = view.camera.project(p_K[before])
     if view.camera.dist.any():
         inside = np.flatnonzero(_inside(view.camera, uv))
         rays = p_K[inside] / np.linalg.norm(p_K[inside], axis=1, keepdims=True)
-        folded = np.linalg.norm(view.camera.directions(uv[inside]) - rays, axis=1) > SAME_RAY
+        folded = np.linalg.norm(view.camera.directions(uv[inside]) - rays, axis=1) > RAY_TOLERANCE
         uv[inside[folded]] = np.nan
     return uv
 
@@ -136,19 +136,19 @@ def _inside(camera: Camera, uv_px: Array) -> Bools:
     )
 
 
-def _reasons(caster: RayCaster, hits: Hits, view: View, uv_px: Array) -> NDArray[np.uint8]:
+def _reasons(caster: RayCaster, hits: Hits, view: CameraView, uv_px: Array) -> NDArray[np.uint8]:
     """Reason (n,) for each hit whose image in ``view`` would be at uv_px (n, 2)."""
     toward = view.X_GK[:3, 3] - hits.p_G
     distance = np.linalg.norm(toward, axis=1)
     toward /= distance[:, None]
     facing = np.einsum("nk,nk->n", hits.flat_normal_G, toward) > 0
     clear = caster.clear(hits, toward, distance)
-    reason = np.where(clear, Reason.VISIBLE, Reason.HIDDEN)
+    reason = np.where(clear, Reason.VISIBLE, Reason.OCCLUDED)
     reason = np.where(_inside(view.camera, uv_px), reason, Reason.OUTSIDE)
-    return np.where(facing, reason, Reason.TURNED_AWAY).astype(np.uint8)
+    return np.where(facing, reason, Reason.BACK_FACING).astype(np.uint8)
 
 
-def _angles(p_G: Array, a: View, b: View) -> Array:
+def _angles(p_G: Array, a: CameraView, b: CameraView) -> Array:
     to_a, to_b = a.X_GK[:3, 3] - p_G, b.X_GK[:3, 3] - p_G
     across = np.linalg.norm(np.cross(to_a, to_b), axis=1)
     return np.asarray(np.arctan2(across, np.einsum("nk,nk->n", to_a, to_b)))

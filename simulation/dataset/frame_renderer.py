@@ -10,36 +10,36 @@ from polhode.lie import Array
 from polhode.progress import Advance
 from polhode.simulation.camera.cameras import sample_times
 from polhode.simulation.camera.sensor import Image, expose
-from polhode.simulation.dataset.plan import Plan
+from polhode.simulation.dataset.plan import SequencePlan
 from polhode.simulation.dataset.products import products_path, render_products, write_products
-from polhode.simulation.dataset.staging import Draft
-from polhode.simulation.rendering.render import Picture, Renderer
+from polhode.simulation.dataset.staging import StagedDataset
+from polhode.simulation.rendering.render import RenderedLight, Renderer
 from polhode.simulation.workers import in_processes
 
 
-class Painter:
+class FrameRenderer:
     """Renders single images and pairs of a plan."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: SequencePlan) -> None:
         self._plan = plan
         self._renderer = Renderer(plan.body, plan.scene, plan.seed)
 
-    def image(self, k: int, index: int) -> tuple[Image, Picture]:
+    def render_image(self, k: int, index: int) -> tuple[Image, RenderedLight]:
         """Frame k of camera ``index`` (0: left) as the sensor gives it, and the light before the lens."""
         plan, camera = self._plan, self._plan.cameras[index]
         X_NC, X_NG = self._poses(k)
         X_NK, t_s = X_NC @ camera.X_CK, plan.time_s(k)
         picture = self._renderer.picture(camera, X_NK, X_NG, t_s)
-        level, stars = plan.sky.behind(picture, camera, X_NK, t_s)
+        level, stars = plan.sky.background(picture, camera, X_NK, t_s)
         noise = np.random.default_rng([plan.seed, 0x2, k, index])
         return expose(level, plan.scene.sensor, noise, stars), picture
 
-    def pair(self, k: int, mav0: Path) -> None:
+    def write_pair(self, k: int, mav0: Path) -> None:
         """Write frame k into a folder of mav0's layout: both images, masks and products on request."""
         plan, asked = self._plan, self._plan.scene.render
         stamp = int(plan.target.timestamps_ns[k])
         for index, camera in enumerate(plan.cameras):
-            image, picture = self.image(k, index)
+            image, picture = self.render_image(k, index)
             write_png(image_path(mav0 / f"cam{index}", stamp), image)
             if asked.masks:
                 write_png(mask_path(mav0, index, stamp), picture.covered >= 0.5)
@@ -58,33 +58,35 @@ class Painter:
         return plan.inspector.poses_during(k, offsets_s), plan.target.poses_during(k, offsets_s)
 
 
-def paint(plan: Plan, draft: Draft, frames: Sequence[int], workers: int, advance: Advance) -> None:
-    """Render the frames into the draft; ``advance`` is called after each. The bytes do not depend on workers.
+def render_frames(
+    plan: SequencePlan, staged: StagedDataset, frames: Sequence[int], workers: int, advance: Advance
+) -> None:
+    """Render the frames into the staged dataset and call ``advance`` after each.
 
-    Raises RunFailure when a worker is killed.
+    The bytes do not depend on the number of workers. Raises RunFailure when a worker is killed.
     """
     if workers == 1 or len(frames) <= 1:
-        painter = Painter(plan)
+        renderer = FrameRenderer(plan)
         for k in frames:
-            _paint_into(draft, painter, k)
+            _render_into(staged, renderer, k)
             advance()
         return
-    in_processes(_paint, frames, workers, lambda _: advance(), _prepare, (plan, draft))
+    in_processes(_render_frame, frames, workers, lambda _: advance(), _prepare, (plan, staged))
 
 
-def _paint_into(draft: Draft, painter: Painter, k: int) -> None:
-    with draft.frame(k) as mav0:
-        painter.pair(k, mav0)
+def _render_into(staged: StagedDataset, renderer: FrameRenderer, k: int) -> None:
+    with staged.frame(k) as mav0:
+        renderer.write_pair(k, mav0)
 
 
-_here: tuple[Draft, Painter] | None = None
+_here: tuple[StagedDataset, FrameRenderer] | None = None
 
 
-def _prepare(plan: Plan, draft: Draft) -> None:
+def _prepare(plan: SequencePlan, staged: StagedDataset) -> None:
     global _here
-    _here = draft, Painter(plan)
+    _here = staged, FrameRenderer(plan)
 
 
-def _paint(k: int) -> None:
+def _render_frame(k: int) -> None:
     assert _here is not None  # the process has been prepared
-    _paint_into(*_here, k)
+    _render_into(*_here, k)

@@ -11,7 +11,7 @@ from polhode.lie import Array
 from polhode.records import Truth
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.camera.cameras import Camera, build_cameras
-from polhode.simulation.dataset.view_check import require_view
+from polhode.simulation.dataset.view_check import require_target_in_view
 from polhode.simulation.motion import (
     InspectorMotion,
     MassDistribution,
@@ -24,7 +24,7 @@ from polhode.simulation.sky.background import Sky
 
 
 @dataclass(frozen=True)
-class Plan:
+class SequencePlan:
     """A scene, ready to be rendered."""
 
     scene: Scene
@@ -48,11 +48,11 @@ class Plan:
         return float((self.target.timestamps_ns[k] - self.target.timestamps_ns[0]) * 1e-9)
 
 
-def plan_sequence(scene: Scene, seed: int) -> Plan:
+def plan_sequence(scene: Scene, seed: int) -> SequencePlan:
     """Build the body and move it. Raises InputError for a scene that cannot be rendered."""
     body = build_body(scene.body, seed)
     mass = mass_distribution(scene.mass, body)
-    plan = Plan(
+    plan = SequencePlan(
         scene,
         seed,
         body,
@@ -61,15 +61,15 @@ def plan_sequence(scene: Scene, seed: int) -> Plan:
         target_motion(scene, mass, seed),
         inspector_motion(scene, seed),
         Sky(scene, seed),
-        frames_that_arrive(scene.sensor, scene.frames, seed),
+        received_frames(scene.sensor, scene.frames, seed),
     )
     frames = list(plan.frames)
     t_s = np.array([plan.time_s(k) for k in frames])
-    require_view(body, plan.cameras, plan.X_NC[frames], plan.target.X_NG[frames], t_s)
+    require_target_in_view(body, plan.cameras, plan.X_NC[frames], plan.target.X_NG[frames], t_s)
     return plan
 
 
-def frames_that_arrive(sensor: config.Sensor, count: int, seed: int) -> tuple[int, ...]:
+def received_frames(sensor: config.Sensor, count: int, seed: int) -> tuple[int, ...]:
     """Frames of ``count`` that are not dropped. Raises InputError when none is left."""
     lost = np.random.default_rng([seed, 0x3]).random(count) < sensor.drop_probability
     lost[list(sensor.dropped_frames)] = True
@@ -80,7 +80,7 @@ def frames_that_arrive(sensor: config.Sensor, count: int, seed: int) -> tuple[in
     return tuple(int(k) for k in np.flatnonzero(~lost))
 
 
-def truth_of(plan: Plan) -> Truth:
+def truth_of(plan: SequencePlan) -> Truth:
     """The truth at all frames, dropped ones too, and over the horizon."""
     target, mass = plan.target, plan.mass
     return Truth(

@@ -25,7 +25,7 @@ from polhode.simulation.rendering.render import Renderer
 
 T = TypeVar("T", bound=np.generic)
 
-CAST, AWAY = 1, 2
+CAST_SHADOW, FACING_AWAY = 1, 2
 """Values of the shadow mask: another part stands before the Sun; the surface is turned away from it."""
 
 
@@ -68,14 +68,14 @@ def render_products(
     if "shadow" in asked:
         shadow = _image(shape, hits.ray, _shadow(renderer.caster, hits, sun_G), 0)
     if "albedo" in asked:
-        surface = renderer.skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+        surface = renderer.appearance.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
         albedo = _image(shape, hits.ray, surface.albedo, np.nan)
     return Products(depth, normals, mask, shadow, albedo)
 
 
 def _shadow(caster: RayCaster, hits: Hits, sun_G: Array) -> NDArray[np.uint8]:
     away = hits.normal_G @ sun_G <= 0
-    return np.where(away, AWAY, np.where(caster.lit(hits, sun_G), 0, CAST)).astype(np.uint8)
+    return np.where(away, FACING_AWAY, np.where(caster.lit(hits, sun_G), 0, CAST_SHADOW)).astype(np.uint8)
 
 
 def _image(shape: tuple[int, int], pixel: Ints, values: NDArray[T], beside: float) -> NDArray[T]:

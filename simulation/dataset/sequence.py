@@ -18,12 +18,12 @@ from polhode.dataset_writer import (
 )
 from polhode.progress import Progress
 from polhode.simulation.camera.cameras import mount_pose
-from polhode.simulation.dataset.frame_renderer import paint
-from polhode.simulation.dataset.plan import Plan, plan_sequence, truth_of
-from polhode.simulation.dataset.staging import Draft, drafted, require_free
+from polhode.simulation.dataset.frame_renderer import render_frames
+from polhode.simulation.dataset.plan import SequencePlan, plan_sequence, truth_of
+from polhode.simulation.dataset.staging import StagedDataset, require_free, staged_dataset
 from polhode.simulation.motion import known_wrench, reported_inspector
 
-__all__ = ["Plan", "plan_sequence", "require_free", "simulate", "truth_of", "write_sequence"]
+__all__ = ["SequencePlan", "plan_sequence", "require_free", "simulate", "truth_of", "write_sequence"]
 
 SCENE_FILE = "scene.yaml"
 """The configuration that made the dataset, beside mav0/."""
@@ -32,7 +32,7 @@ MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".mtl", ".png", ".jpg", ".jpeg"
 
 def simulate(
     scene: Scene, seed: int, folder: Path, progress: Progress, workers: int = 1, overwrite: bool = False
-) -> Plan:
+) -> SequencePlan:
     """Render a scene into the dataset ``folder``, with truth. The bytes do not depend on ``workers``.
 
     Raises InputError: the folder is taken (``overwrite`` frees a dataset's), or the scene cannot be rendered.
@@ -44,23 +44,23 @@ def simulate(
 
 
 def write_sequence(
-    plan: Plan, folder: Path, progress: Progress, workers: int = 1, overwrite: bool = False
+    plan: SequencePlan, folder: Path, progress: Progress, workers: int = 1, overwrite: bool = False
 ) -> None:
     """Render a plan into the dataset ``folder``; goes on where the same plan was interrupted.
 
     Raises InputError as ``simulate``, RunFailure when a worker is killed, KeyboardInterrupt with a message.
     """
     description = describe_scene(plan.scene, plan.seed)
-    with drafted(folder, overwrite, _maker(plan, description)) as draft:
+    with staged_dataset(folder, overwrite, _fingerprint(plan, description)) as staged:
         try:
-            _render(plan, draft, progress, workers)
+            _render(plan, staged, progress, workers)
         except KeyboardInterrupt:
-            there = len(plan.frames) - len(draft.missing(plan.frames))
+            there = len(plan.frames) - len(staged.missing(plan.frames))
             kept = f"; {there} of {len(plan.frames)} pairs are kept, the same command goes on from there"
             raise KeyboardInterrupt("interrupted" + (kept if there else "")) from None
-        write_knowledge(plan, draft.mav0)
-        write_truth(draft.mav0, truth_of(plan))
-        (draft.path / SCENE_FILE).write_text(description, encoding="utf-8")
+        write_estimator_inputs(plan, staged.mav0)
+        write_truth(staged.mav0, truth_of(plan))
+        (staged.path / SCENE_FILE).write_text(description, encoding="utf-8")
 
 
 def describe_scene(scene: Scene, seed: int) -> str:
@@ -68,12 +68,12 @@ def describe_scene(scene: Scene, seed: int) -> str:
     return dump_config(Config(seed=seed, scene=scene), keys=("seed", "scene"))
 
 
-def _maker(plan: Plan, description: str) -> str:
+def _fingerprint(plan: SequencePlan, description: str) -> str:
     """What the images depend on, as a text: the scene, its mesh file, and the program itself."""
-    return f"{description}# program: {_program()}\n{_mesh_files(plan.scene.body.path)}"
+    return f"{description}# program: {_program_digest()}\n{_mesh_files(plan.scene.body.path)}"
 
 
-def _program() -> str:
+def _program_digest() -> str:
     """The sources that make the images, in short."""
     home = Path(polhode.__path__[0])
     sources = [*home.glob("*.py"), *(home / "config").rglob("*.py"), *(home / "simulation").rglob("*.py")]
@@ -92,15 +92,15 @@ def _mesh_files(path: str | None) -> str:
     return "".join(f"# {f.name}: {f.stat().st_size} {f.stat().st_mtime_ns}\n" for f in sorted(files))
 
 
-def _render(plan: Plan, draft: Draft, progress: Progress, workers: int) -> None:
-    missing = draft.missing(plan.frames)
+def _render(plan: SequencePlan, staged: StagedDataset, progress: Progress, workers: int) -> None:
+    missing = staged.missing(plan.frames)
     there = len(plan.frames) - len(missing)
     title = f"rendering ({there} of {len(plan.frames)} were there)" if there else "rendering"
     with progress.stage(title, len(missing)) as advance:
-        paint(plan, draft, missing, workers, advance)
+        render_frames(plan, staged, missing, workers, advance)
 
 
-def write_knowledge(plan: Plan, mav0: Path) -> None:
+def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
     """Write all that the estimator knows: calibration, times, the inspector's poses, known pushes."""
     scene, X_BC = plan.scene, mount_pose(plan.scene.rig)
     all_ns = plan.target.timestamps_ns[: scene.frames]

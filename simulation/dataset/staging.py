@@ -1,7 +1,7 @@
-"""A dataset in the making: rendered into a draft beside its place, which it takes when it is complete.
+"""Datasets are rendered into a staging folder, which replaces the destination when it is complete.
 
-The draft ``.SEQ.partial`` outlives an interruption: the same command goes on with the frames that miss.
-Each frame is written aside and moved in whole, so a frame is there or it is not.
+The staging folder ``.SEQ.partial`` survives an interruption; the same command renders the missing frames.
+The files of a frame are written to a temporary folder and then moved: a frame is complete or absent.
 """
 
 import contextlib
@@ -16,28 +16,28 @@ from pathlib import Path
 
 from polhode.errors import InputError
 
-_MAKER = ".made_by"
+_FINGERPRINT = ".made_by"
 _FRAMES = ".frames"
 
 
 @dataclass(frozen=True)
-class Draft:
-    """The draft's folder. It may be used from several processes, one frame in one of them."""
+class StagedDataset:
+    """A dataset in its staging folder. Several processes may write to it, each frame from one of them."""
 
     path: Path
 
     @property
     def mav0(self) -> Path:
-        """Where the dataset's files go."""
+        """Folder of the dataset's files."""
         return self.path / "mav0"
 
     def missing(self, frames: Iterable[int]) -> list[int]:
-        """Those of the frames that are not there yet."""
+        """The frames that are not complete yet."""
         return [k for k in frames if not self._has(k)]
 
     @contextmanager
     def frame(self, k: int) -> Iterator[Path]:
-        """A folder for frame k's files, in mav0's layout; they move into mav0 when the block ends well."""
+        """A temporary folder for frame k, laid out as mav0; its files move there if the block succeeds."""
         aside = self.path / _FRAMES / str(k)
         shutil.rmtree(aside, ignore_errors=True)
         aside.mkdir(parents=True)
@@ -56,7 +56,7 @@ class Draft:
         return self.path / _FRAMES / f"{k}.done"
 
     def _has(self, k: int) -> bool:
-        """Whether the frame's note is there, and every file that it names, of its length."""
+        """Whether the frame's record exists, and every file that it lists has the recorded length."""
         try:
             lines = self._note(k).read_text(encoding="utf-8").splitlines()
             sizes = (line.split(" ", 1) for line in lines)
@@ -66,7 +66,7 @@ class Draft:
 
 
 def require_free(folder: Path, overwrite: bool) -> None:
-    """Raise InputError unless a dataset may take the place ``folder``: free, empty, or one to be replaced."""
+    """Raise InputError unless ``folder`` is absent, empty, or a dataset that may be overwritten."""
     if not folder.exists():
         return
     if not folder.is_dir():
@@ -80,28 +80,28 @@ def require_free(folder: Path, overwrite: bool) -> None:
 
 
 @contextmanager
-def drafted(folder: Path, overwrite: bool, maker: str) -> Iterator[Draft]:
-    """The draft of ``folder``, begun or taken up again, which takes its place when the block ends well.
+def staged_dataset(folder: Path, overwrite: bool, fingerprint: str) -> Iterator[StagedDataset]:
+    """A new or resumed staged dataset that replaces ``folder`` if the block succeeds.
 
-    ``maker`` is a text that tells what makes the dataset: a draft of another one is begun anew. When the
-    block fails, the draft stays if it holds a frame; after an InputError it never does.
-    Raises InputError: the place is taken, cannot be written, or another process is at work on it.
+    ``fingerprint`` is a text that identifies what makes the dataset: a staging folder with
+    another one is cleared. If the block fails, the staging folder is kept when it holds a frame, but never after an InputError.
+    Raises InputError: the folder exists, cannot be written, or another process is writing it.
     """
     require_free(folder, overwrite)
     place = folder.resolve()
-    draft = Draft(place.with_name(f".{place.name}.partial"))
+    staged = StagedDataset(place.with_name(f".{place.name}.partial"))
     try:
-        with _locked(draft.path):
-            _take_up(draft, maker)
+        with _locked(staged.path):
+            _resume_or_clear(staged, fingerprint)
             try:
-                yield draft
+                yield staged
             except BaseException as error:
-                if isinstance(error, InputError) or not any((draft.path / _FRAMES).glob("*.done")):
-                    shutil.rmtree(draft.path, ignore_errors=True)
+                if isinstance(error, InputError) or not any((staged.path / _FRAMES).glob("*.done")):
+                    shutil.rmtree(staged.path, ignore_errors=True)
                 raise
-            shutil.rmtree(draft.path / _FRAMES, ignore_errors=True)
-            (draft.path / _MAKER).unlink()
-            _exchange(draft.path, place)
+            shutil.rmtree(staged.path / _FRAMES, ignore_errors=True)
+            (staged.path / _FINGERPRINT).unlink()
+            _exchange(staged.path, place)
     except OSError as error:
         if error.strerror is None:
             raise
@@ -110,11 +110,11 @@ def drafted(folder: Path, overwrite: bool, maker: str) -> Iterator[Draft]:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Make the folder and hold it against other processes; the lock ends with this process at the latest."""
+    """Create the folder and lock it against other processes, at most until this process ends."""
     path.mkdir(parents=True, exist_ok=True)
     handle = os.open(path, os.O_RDONLY)
     try:
-        # Some network file systems lock no folders: then two at once are the user's own doing.
+        # Some network file systems cannot lock folders; there, nothing prevents two processes at once.
         with contextlib.suppress(OSError):
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -125,22 +125,22 @@ def _locked(path: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _take_up(draft: Draft, maker: str) -> None:
-    """Leave a draft of the same maker as it is; empty any other."""
-    note = draft.path / _MAKER
-    if note.is_file() and note.read_text(encoding="utf-8") == maker:
+def _resume_or_clear(staged: StagedDataset, fingerprint: str) -> None:
+    """Keep a staged dataset with the same fingerprint; clear any other."""
+    note = staged.path / _FINGERPRINT
+    if note.is_file() and note.read_text(encoding="utf-8") == fingerprint:
         return
-    for path in draft.path.iterdir():
+    for path in staged.path.iterdir():
         shutil.rmtree(path) if path.is_dir() else path.unlink()
-    note.write_text(maker, encoding="utf-8")
+    note.write_text(fingerprint, encoding="utf-8")
 
 
-def _exchange(draft: Path, folder: Path) -> None:
-    """Put the draft in the folder's place; what stood there is deleted last, so one of them always stands."""
+def _exchange(staged: Path, folder: Path) -> None:
+    """Replace the folder; the old one is deleted last, so that one of the two always exists."""
     if not folder.exists():
-        draft.rename(folder)
+        staged.rename(folder)
         return
     aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
     folder.rename(aside / folder.name)
-    draft.rename(folder)
+    staged.rename(folder)
     shutil.rmtree(aside)

@@ -13,29 +13,31 @@ from polhode.simulation.camera.cameras import Camera
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.sampling import even_directions
 
-NEAREST_M = 5e-3
-NEAREST_SHARE = 1e-3
+MIN_DISTANCE_M = 5e-3
+MIN_DISTANCE_SHARE = 1e-3
 """A camera nearer to the surface than either, in metres or in the target's lengths, is too near."""
 ENCLOSED_SHARE = 0.9
 """A camera is inside when this share of all directions meets the target: real meshes have holes."""
-MOST_VERTICES = 4000
+MAX_SAMPLE_VERTICES = 4000
 """Vertices that are looked for in the image; rays find what they miss."""
 NAMES = ("left", "right")
 
 
-def require_view(body: Body, cameras: Sequence[Camera], X_NC: Array, X_NG: Array, t_s: Array) -> None:
+def require_target_in_view(
+    body: Body, cameras: Sequence[Camera], X_NC: Array, X_NG: Array, t_s: Array
+) -> None:
     """Raise InputError when a camera is inside the target or too near, or the target is never in view.
 
     X_NC, X_NG: (F, 4, 4) left camera and target at the times t_s (F,). The target may leave the view.
     """
-    eye = Eye(body)
+    check = ViewCheck(body)
     seen = ahead = False
     for X_NC_k, X_NG_k, t in zip(X_NC, X_NG, t_s, strict=True):
         for name, camera in zip(NAMES, cameras, strict=True):
             X_GK = inverse_pose(X_NG_k) @ X_NC_k @ camera.X_CK
-            eye.require_distance(X_GK[:3, 3], name, float(t))
-            seen = seen or eye.sees(camera, X_GK)
-            ahead = ahead or bool((transform_points(inverse_pose(X_GK), eye.corners_G)[:, 2] > 0).any())
+            check.require_distance(X_GK[:3, 3], name, float(t))
+            seen = seen or check.sees(camera, X_GK)
+            ahead = ahead or bool((transform_points(inverse_pose(X_GK), check.corners_G)[:, 2] > 0).any())
     if seen:
         return
     where = "beside the images" if ahead else "behind the cameras"
@@ -45,18 +47,18 @@ def require_view(body: Body, cameras: Sequence[Camera], X_NC: Array, X_NG: Array
     )
 
 
-class Eye:
+class ViewCheck:
     """A body as the cameras meet it."""
 
     def __init__(self, body: Body) -> None:
-        self._sample_G = np.asarray(body.mesh.vertices)[:: 1 + len(body.mesh.vertices) // MOST_VERTICES]
+        self._sample_G = np.asarray(body.mesh.vertices)[:: 1 + len(body.mesh.vertices) // MAX_SAMPLE_VERTICES]
         self._triangles = np.asarray(body.mesh.triangles)
         self._caster = RayCaster(body)
         low, high = np.asarray(body.mesh.bounds)
         self.corners_G = np.asarray(trimesh.bounds.corners(body.mesh.bounds))
         self._middle_G = 0.5 * (low + high)
         self._radius_m = float(np.linalg.norm(body.mesh.vertices - self._middle_G, axis=1).max())
-        self._nearest_m = max(NEAREST_M, NEAREST_SHARE * float((high - low).max()))
+        self._nearest_m = max(MIN_DISTANCE_M, MIN_DISTANCE_SHARE * float((high - low).max()))
         self._around = even_directions(256)
 
     def require_distance(self, p_G: Array, name: str, t_s: float) -> None:

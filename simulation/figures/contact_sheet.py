@@ -23,8 +23,8 @@ from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.lie import inverse_pose, transform_points
 from polhode.records import Bools
-from polhode.simulation.dataset.frame_renderer import Painter
-from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.dataset.frame_renderer import FrameRenderer
+from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.workers import in_processes
 
 Grey = NDArray[np.uint8]
@@ -87,20 +87,20 @@ def strips_of(files: Sequence[Path], workers: int, advance: Callable[[], None]) 
 
 
 def strip_of(file: Path) -> Strip:
-    """Plan the scene of a configuration and render its frames for the sheet."""
+    """SequencePlan the scene of a configuration and render its frames for the sheet."""
     loaded = load_config(file)
     if loaded.scene is None:
         raise InputError(f"{file}: no 'scene' to show; give configurations that have one")
     plan = plan_sequence(loaded.scene, loaded.seed)
     frames = frames_to_show(plan)
-    painter = Painter(plan)
-    images = [painter.image(k, 0)[0] for k in frames]
+    renderer = FrameRenderer(plan)
+    images = [renderer.render_image(k, 0)[0] for k in frames]
     boxes = boxes_around(plan, frames)
     tiles = [_tile(image, plan.scene, box) for image, box in zip(images, boxes, strict=True)]
     return Strip(file.stem, describe(plan.scene), tuple(tiles))
 
 
-def frames_to_show(plan: Plan) -> list[int]:
+def frames_to_show(plan: SequencePlan) -> list[int]:
     """Frames evenly over the sequence; of an eclipse: light, dusk, dark, dawn; or how the target leaves."""
     there, eclipse = np.array(plan.frames), plan.scene.light.eclipse
     gone = np.flatnonzero([_share_in_view(plan, k) == 0.0 for k in plan.frames])
@@ -118,14 +118,14 @@ def frames_to_show(plan: Plan) -> list[int]:
     return [int(there[place]) for place in places]
 
 
-def _share_in_view(plan: Plan, k: int) -> float:
+def _share_in_view(plan: SequencePlan, k: int) -> float:
     """Share of the target's vertices in the left image, of 200 of them."""
     vertices_G = plan.body.mesh.vertices[:: 1 + len(plan.body.mesh.vertices) // 200]
     p_C = transform_points(inverse_pose(plan.X_NC[k]) @ plan.target.X_NG[k], vertices_G)
     return len(plan.cameras[0].project_visible(p_C)[1]) / len(p_C)
 
 
-def boxes_around(plan: Plan, frames: Sequence[int], margin: float = 0.12) -> list[Box]:
+def boxes_around(plan: SequencePlan, frames: Sequence[int], margin: float = 0.12) -> list[Box]:
     """Parts of the left image (left, top, right, bottom) with the target, of one size and the tiles' shape.
 
     The whole image, where the target leaves it or the Earth stands behind.

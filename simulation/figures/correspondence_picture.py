@@ -25,14 +25,14 @@ from polhode.simulation.camera.sensor import Image as Grey
 from polhode.simulation.dataset.correspondence import (
     Correspondence,
     Reason,
-    angle_between,
+    angle_between_views,
     dense_correspondence,
     pixel_grid,
     view_of,
     write_correspondence,
 )
-from polhode.simulation.dataset.frame_renderer import Painter
-from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.dataset.frame_renderer import FrameRenderer
+from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 
 Rgb = NDArray[np.uint8]
@@ -78,14 +78,14 @@ def _execute(options: argparse.Namespace) -> str:
         ends = list(zip(options.frames, options.cameras, strict=True))
         draw_correspondence(plan, ends, found).save(options.picture, optimize=True)
     seen = int((found.reason != Reason.OFF_TARGET).sum())
-    degrees = np.rad2deg(angle_between(a, b))
+    degrees = np.rad2deg(angle_between_views(a, b))
     return (
         f"{found.visible.sum()} of {seen} points are visible in both; the views are {degrees:.1f} deg apart"
     )
 
 
 def draw_correspondence(
-    plan: Plan, ends: Sequence[tuple[int, int]], found: Correspondence, points: int = 160
+    plan: SequencePlan, ends: Sequence[tuple[int, int]], found: Correspondence, points: int = 160
 ) -> Image.Image:
     """Images of ``ends``, (frame, camera) twice, around the target, with about so many points of ``found``.
 
@@ -98,8 +98,8 @@ def draw_correspondence(
     chosen &= on_target
     uv_a, uv_b = pixel_grid(plan.cameras[ends[0][1]])[chosen], found.uv_b_px[chosen]
     colours, visible = _colours(uv_a), found.visible[chosen]
-    painter = Painter(plan)
-    images = [painter.image(*end) for end in ends]
+    renderer = FrameRenderer(plan)
+    images = [renderer.render_image(*end) for end in ends]
     corners_px, size_px = _boxes([picture.covered > 0 for _, picture in images])
     panels = []
     for k, (uv, shown) in enumerate([(uv_a, np.ones_like(visible)), (uv_b, visible)]):

@@ -49,7 +49,7 @@ CONES = {
     "retrograde": "The body cone rolls around the space cone",
     "none": "No cones: a steady spin",
 }
-DPI, SHARPER = 110, 2
+DPI, OVERSAMPLING = 110, 2
 RINGS = 16
 """Strips of a cone from its tip to its edge, for the sorting by depth."""
 
@@ -190,7 +190,7 @@ def motion_figure(scene: Scene, seed: int, name: str, pixels: int = 1000) -> Fig
     if not motion.w_P[0].any():
         raise InputError("scene.motion.spin_rpm is zero: a target at rest has neither cones nor polhode")
     geometry = poinsot(mass.moments, motion.w_P[0])
-    figure = Figure(figsize=(15.0, 6.4), dpi=DPI * SHARPER, facecolor="white")
+    figure = Figure(figsize=(15.0, 6.4), dpi=DPI * OVERSAMPLING, facecolor="white")
     grid = figure.add_gridspec(1, 3, left=0.01, right=0.985, bottom=0.085, top=0.755, wspace=0.06)
     draw_cones(figure.add_subplot(grid[0]), geometry, pixels)
     path_P = None if is_free(scene.motion) else _true_path(motion, geometry)
@@ -204,9 +204,9 @@ def motion_figure(scene: Scene, seed: int, name: str, pixels: int = 1000) -> Fig
 def headline(geometry: Poinsot, name: str) -> str:
     """What kind of motion it is, in words."""
     precession = geometry.precession
-    if precession.sense == "none":
+    if precession.direction == "none":
         return f"{name}: no precession"
-    return f"{name}: {precession.sense} precession about the axis of {precession.axis} inertia"
+    return f"{name}: {precession.direction} precession about the axis of {precession.axis} inertia"
 
 
 def numbers(geometry: Poinsot) -> str:
@@ -215,7 +215,7 @@ def numbers(geometry: Poinsot) -> str:
     rate_rpm = np.linalg.norm(geometry.polhode_P, axis=1) * 60.0 / (2.0 * np.pi)
     moments = " : ".join(f"{value:.3f}" for value in geometry.moments / geometry.moments[1])
     parts = [f"rate {_range(rate_rpm.min(), rate_rpm.max(), 2)} RPM"]
-    if precession.sense != "none":
+    if precession.direction != "none":
         parts += [
             f"wobble {_range(*precession.wobble_deg, 1)}°",
             f"precession period {precession.precession_period_s:.1f} s",
@@ -231,7 +231,7 @@ def draw_cones(axes: Axes, geometry: Poinsot, pixels: int) -> None:
     w_H = geometry.herpolhode_H[0]
     size = float(np.linalg.norm(geometry.herpolhode_H, axis=1).max())
     tips = [(1.3 * size * up, MOMENTUM, "h"), (w_H, RATE, "ω")]
-    if geometry.precession.sense != "none":
+    if geometry.precession.direction != "none":
         drawing.surface(_cone(geometry.around_H), SPACE, 0.72)
         drawing.surface(_cone(geometry.body_cone_H), BODY, 0.42)
         drawing.line(geometry.around_H, "#9a5c0e", 1.6)
@@ -247,7 +247,7 @@ def draw_cones(axes: Axes, geometry: Poinsot, pixels: int) -> None:
     entries = [("space cone, at rest", SPACE), ("body cone, at the first frame", BODY)]
     _caption(
         axes,
-        CONES[geometry.precession.sense],
+        CONES[geometry.precession.direction],
         entries,
         "h angular momentum   ω angular velocity   x, z axes of inertia",
     )
@@ -293,7 +293,7 @@ def draw_herpolhode(axes: Axes, geometry: Poinsot) -> None:
     radius = np.linalg.norm(plane, axis=1)
     axes.plot(plane[once - 1 :, 0], plane[once - 1 :, 1], color=SPACE, lw=0.7, alpha=0.75)
     axes.plot(plane[:once, 0], plane[:once, 1], color=RATE, lw=2.2)
-    if geometry.precession.sense != "none":
+    if geometry.precession.direction != "none":
         _heading(axes, plane, once // 8)
     axes.plot(plane[0, 0], plane[0, 1], "o", color=RATE, ms=7, mec="white", zorder=6)
     axes.plot(0, 0, "+", color=INK, ms=10, mew=1.6)
@@ -425,7 +425,7 @@ def save(figure: Figure, path: Path) -> None:
     large = BytesIO()
     figure.savefig(large, format="png")
     image = Image.open(large).convert("RGB")
-    size = (image.width // SHARPER, image.height // SHARPER)
+    size = (image.width // OVERSAMPLING, image.height // OVERSAMPLING)
     image.resize(size, Image.Resampling.LANCZOS).save(path, optimize=True)
 
 

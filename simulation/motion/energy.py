@@ -7,11 +7,11 @@ from scipy.optimize import brentq
 from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.simulation.motion.integrate import advance, body_rate, free_of_forces
+from polhode.simulation.motion.integrate import advance, body_rate, no_forces
 
-LARGEST_LAG = 1.0
+MAX_LAG = 1.0
 """Friction times the body's rate over the least moment: how far the ball may lag; beyond, the law is void."""
-SMALLEST_EXCESS = 1e-9
+MIN_EXCESS = 1e-9
 """Share of the energy below which a spin counts as one about a principal axis, where nothing rubs."""
 
 
@@ -27,7 +27,7 @@ def excess_energy(h_P: ArrayLike, moments: ArrayLike) -> Array:
     return np.asarray(0.5 * np.sum(np.square(h_P) * (1.0 / J - 1.0 / J[0]), axis=-1))
 
 
-def losses(motion: config.Motion, moments: Array, w_P: Array) -> tuple[float, float]:
+def loss_coefficients(motion: config.Motion, moments: Array, w_P: Array) -> tuple[float, float]:
     """Coefficients of drag [1/s] and friction [kg m^2 s] for the loss that the scene states.
 
     w_P (3,) [rad/s] at the first frame. Raises InputError when friction cannot do it, or the loss is total.
@@ -52,13 +52,13 @@ def friction_for_loss(share: float, duration_s: float, moments: Array, w_P: Arra
     Nothing else acts meanwhile. Raises InputError for a spin about a principal axis, and for a loss so quick
     that the ball inside would not follow the body.
     """
-    largest = LARGEST_LAG * moments[2] ** 2 / max(float(np.linalg.norm(moments * w_P)), 1e-300)
+    largest = MAX_LAG * moments[2] ** 2 / max(float(np.linalg.norm(moments * w_P)), 1e-300)
     _require_wobble(moments, w_P)
 
     def missing(log_friction: float) -> float:
         friction = float(np.exp(log_friction))
         h_P = momentum_of_rate(w_P, moments, friction)
-        forces = free_of_forces(moments)._replace(friction=friction)
+        forces = no_forces(moments)._replace(friction=friction)
         state = np.concatenate([np.zeros(6), [1.0, 0.0, 0.0, 0.0], h_P])
         left = excess_energy(advance(state, 0.0, duration_s, forces)[10:13], moments)
         return float(left / excess_energy(h_P, moments)) - (1.0 - share)
@@ -85,7 +85,7 @@ def _require_wobble(moments: Array, w_P: Array) -> None:
     h_P = moments * w_P
     energy = float(energy_of_momentum(h_P, moments))
     rest = np.sort(0.5 * h_P**2 / moments)[:-1].sum()
-    if rest <= SMALLEST_EXCESS * energy or excess_energy(h_P, moments) <= SMALLEST_EXCESS * energy:
+    if rest <= MIN_EXCESS * energy or excess_energy(h_P, moments) <= MIN_EXCESS * energy:
         raise InputError(
             "scene.motion.energy_loss: friction takes no energy from a spin about a principal axis; "
             "tilt spin_rpm or set energy_loss_by to drag"

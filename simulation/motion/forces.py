@@ -9,17 +9,17 @@ import numpy as np
 from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.records import Ints
-from polhode.simulation.motion.energy import losses
+from polhode.simulation.motion.energy import loss_coefficients
 from polhode.simulation.motion.integrate import Forces
 from polhode.simulation.motion.mass import MassDistribution
 
-LONGEST_CELL_S = 0.025
+MAX_CELL_S = 0.025
 """A white disturbance is constant for at most this long, and at most 1/20 of the frames' interval."""
 CELLS_PER_INTERVAL = 20
 _TAG = 0x30
 
 
-LONGEST_STEP_S = 0.05
+MAX_STEP_S = 0.05
 STEPS_PER_PERIOD = 200
 
 
@@ -32,19 +32,19 @@ def acting_forces(
     Raises InputError for a loss of energy that cannot be.
     """
     motion = scene.motion
-    drag_hz, friction = losses(motion, mass.moments, w_P)
+    drag_hz, friction = loss_coefficients(motion, mass.moments, w_P)
     cell_s = cell_length_s(scene)
     noisy = motion.accel_psd > 0 or motion.torque_psd > 0
     cells = int(np.ceil(stop_s / cell_s)) + 1 if noisy else 0
     white_accel_N, white_torque_P = _white(motion, mass, cells, cell_s, seed)
     steady = [push for push in motion.pushes if push.period_s is None]
-    edges_s = [edge for push in motion.pushes for edge in span_s(push)]
+    edges_s = [edge for push in motion.pushes for edge in push_interval_s(push)]
     knots_s = np.unique(np.concatenate([cell_s * np.arange(1, cells), edges_s]))
-    middles_s = _middles(knots_s)
+    middles_s = _midpoints(knots_s)
     cell = np.clip(np.floor(middles_s / cell_s).astype(int), 0, max(cells - 1, 0))
     accel_N, torque_P = white_accel_N[cell], white_torque_P[cell]
     for push in steady:
-        start_s, end_s = span_s(push)
+        start_s, end_s = push_interval_s(push)
         on = (start_s <= middles_s) & (middles_s < end_s)
         accel_N[on] += np.array(push.force_N) / mass.mass_kg
         torque_P[on] += push.torque_P
@@ -59,10 +59,10 @@ def is_free(motion: config.Motion) -> bool:
 
 def cell_length_s(scene: config.Scene) -> float:
     """How long a white disturbance keeps its value [s]."""
-    return float(min(LONGEST_CELL_S, scene.interval_s / CELLS_PER_INTERVAL))
+    return float(min(MAX_CELL_S, scene.interval_s / CELLS_PER_INTERVAL))
 
 
-def span_s(push: config.Push) -> tuple[float, float]:
+def push_interval_s(push: config.Push) -> tuple[float, float]:
     """First moment of a push and the first one after it [s]."""
     return push.start_s, push.start_s + push.duration_s
 
@@ -81,7 +81,7 @@ def _white(
     return accel_N, unit[:, 3:] * np.sqrt(motion.torque_psd / cell_s) * mass.moments[1]
 
 
-def _middles(knots_s: Array) -> Array:
+def _midpoints(knots_s: Array) -> Array:
     """A time inside each of the n + 1 segments that n knots bound [s]."""
     if len(knots_s) == 0:
         return np.zeros(1)
@@ -90,7 +90,7 @@ def _middles(knots_s: Array) -> Array:
 
 def _sine(push: config.Push, mass_kg: float) -> Array:
     assert push.period_s is not None
-    start_s, end_s = span_s(push)
+    start_s, end_s = push_interval_s(push)
     amplitudes = np.concatenate([np.array(push.force_N) / mass_kg, push.torque_P])
     return np.array([start_s, end_s, 2.0 * np.pi / push.period_s, *amplitudes])
 
@@ -119,21 +119,21 @@ def known_wrench(motion: config.Motion, timestamps_ns: Ints) -> tuple[Ints, Arra
 
 def _rows_ns(pushes: tuple[config.Push, ...], last_ns: int) -> Ints:
     """Times after the first frame, increasing, from zero to ``last_ns``."""
-    rows = [_evenly_ns(0, last_ns, LONGEST_STEP_S)]
+    rows = [_evenly_spaced_ns(0, last_ns, MAX_STEP_S)]
     for push in pushes:
         start_ns, end_ns = _span_ns(push)
         rows.append(np.array([start_ns - 1, start_ns, end_ns - 1, end_ns]))
         if push.period_s is not None and start_ns < last_ns:
-            rows.append(_evenly_ns(start_ns, min(end_ns, last_ns), push.period_s / STEPS_PER_PERIOD))
+            rows.append(_evenly_spaced_ns(start_ns, min(end_ns, last_ns), push.period_s / STEPS_PER_PERIOD))
     rows_ns = np.unique(np.concatenate(rows))
     return rows_ns[(rows_ns >= 0) & (rows_ns <= last_ns)]
 
 
-def _evenly_ns(start_ns: int, end_ns: int, longest_step_s: float) -> Ints:
+def _evenly_spaced_ns(start_ns: int, end_ns: int, longest_step_s: float) -> Ints:
     steps = int(np.ceil((end_ns - start_ns) * 1e-9 / longest_step_s))
     return np.linspace(start_ns, end_ns, steps + 1).round().astype(np.int64)
 
 
 def _span_ns(push: config.Push) -> tuple[int, int]:
-    start_s, end_s = span_s(push)
+    start_s, end_s = push_interval_s(push)
     return round(start_s * 1e9), round(end_s * 1e9)

@@ -22,7 +22,7 @@ BRAKE_S = 1.0
 
 
 _TAG = 0x31
-_BEYOND_S = 60.0
+_MARGIN_S = 60.0
 """The jitter goes on for this long after the last frame, for long exposures [s]."""
 
 
@@ -37,7 +37,7 @@ class CameraStates(NamedTuple):
     """(n, 3) angular velocity relative to N, in the camera's axes [rad/s]"""
 
 
-class Course(Protocol):
+class CameraPath(Protocol):
     """A motion of the camera."""
 
     def at(self, t_s: Array) -> CameraStates:
@@ -46,7 +46,7 @@ class Course(Protocol):
 
 
 @dataclass(frozen=True)
-class Drift:
+class DriftPath:
     """Constant velocity and constant angular velocity in the camera's axes; rest when both are zero."""
 
     X_NC0: Array
@@ -63,7 +63,7 @@ class Drift:
 
 
 @dataclass(frozen=True)
-class Circle:
+class CirclePath:
     """The first pose carried around an axis through a centre, at a constant rate."""
 
     X_NC0: Array
@@ -81,33 +81,33 @@ class Circle:
 
 
 @dataclass(frozen=True)
-class Approach:
+class ApproachPath:
     """Along a line at a constant speed, then braking evenly to a stop; the attitude stays."""
 
     X_NC0: Array
     """(4, 4) at the first frame"""
     direction_N: Array
     """(3,) unit"""
-    way_m: float
+    distance_m: float
     """Length of the line [m]"""
     speed_m_s: float
 
     def at(self, t_s: Array) -> CameraStates:
-        brake_s = min(BRAKE_S, 2.0 * self.way_m / self.speed_m_s)
-        cruise_s = self.way_m / self.speed_m_s - 0.5 * brake_s
+        brake_s = min(BRAKE_S, 2.0 * self.distance_m / self.speed_m_s)
+        cruise_s = self.distance_m / self.speed_m_s - 0.5 * brake_s
         braking_s = np.clip(t_s - cruise_s, 0.0, brake_s)
         slowed = braking_s / brake_s if brake_s > 0 else np.ones(len(t_s))
-        way_m = self.speed_m_s * (np.minimum(t_s, cruise_s) + braking_s * (1.0 - 0.5 * slowed))
+        distance_m = self.speed_m_s * (np.minimum(t_s, cruise_s) + braking_s * (1.0 - 0.5 * slowed))
         speed_m_s = self.speed_m_s * (1.0 - slowed)
         if brake_s == 0.0:
-            way_m = np.zeros(len(t_s))
-        p_N = self.X_NC0[:3, 3] + way_m[:, None] * self.direction_N
+            distance_m = np.zeros(len(t_s))
+        p_N = self.X_NC0[:3, 3] + distance_m[:, None] * self.direction_N
         X_NC = make_pose(np.tile(self.X_NC0[:3, :3], (len(t_s), 1, 1)), p_N)
         return CameraStates(X_NC, speed_m_s[:, None] * self.direction_N, np.zeros((len(t_s), 3)))
 
 
 @dataclass(frozen=True)
-class Through:
+class WaypointPath:
     """Splines through given poses, from rest to rest; the first and the last pose hold outside.
 
     Cubic in position; in attitude scipy's RotationSpline, whose angular velocity is continuous. A clock that
@@ -154,19 +154,21 @@ class Through:
         return clock, np.where(outside, 0.0, pace)
 
 
-def course_of(scene: config.Scene) -> Course:
-    """The course that the scene's inspector takes. Raises InputError for an approach without a direction."""
+def camera_path(scene: config.Scene) -> CameraPath:
+    """The path that the scene's inspector takes. Raises InputError for an approach without a direction."""
     inspector = scene.inspector
     X_NC0 = make_pose(exp_so3(np.deg2rad(inspector.attitude_deg)), inspector.position_m)
     target_N = np.array(scene.motion.position_m)
     match inspector.profile:
         case "rest":
-            return Drift(X_NC0, np.zeros(3), np.zeros(3))
+            return DriftPath(X_NC0, np.zeros(3), np.zeros(3))
         case "drift":
-            return Drift(X_NC0, np.array(inspector.velocity_mm_s) * 1e-3, np.deg2rad(inspector.rate_deg_s))
+            return DriftPath(
+                X_NC0, np.array(inspector.velocity_mm_s) * 1e-3, np.deg2rad(inspector.rate_deg_s)
+            )
         case "circle":
             axis_N = np.array(inspector.circle_axis) / np.linalg.norm(inspector.circle_axis)
-            return Circle(X_NC0, target_N, axis_N * (2 * np.pi / inspector.circle_period_s))
+            return CirclePath(X_NC0, target_N, axis_N * (2 * np.pi / inspector.circle_period_s))
         case "approach":
             line_N = target_N - X_NC0[:3, 3]
             distance_m = float(np.linalg.norm(line_N))
@@ -174,11 +176,11 @@ def course_of(scene: config.Scene) -> Course:
                 raise InputError(
                     "scene.inspector.position_m is the target's position: an approach must start away from it"
                 )
-            way_m = max(distance_m - inspector.approach_stop_m, 0.0)
-            return Approach(X_NC0, line_N / distance_m, way_m, inspector.approach_mm_s * 1e-3)
+            distance_m = max(distance_m - inspector.approach_stop_m, 0.0)
+            return ApproachPath(X_NC0, line_N / distance_m, distance_m, inspector.approach_mm_s * 1e-3)
         case "waypoints":
             points = inspector.waypoints
-            return Through(
+            return WaypointPath(
                 np.array([point.t_s for point in points]),
                 np.array([point.position_m for point in points]),
                 exp_so3(np.deg2rad([point.attitude_deg for point in points])),
@@ -197,14 +199,14 @@ class InspectorMotion:
     """(F, 3) angular velocity relative to N, in the camera's axes [rad/s]"""
     t_s: Array
     """(F,) time after the first frame [s]"""
-    course: Course
+    path: CameraPath
     jitter: tuple[LimitCycle, ...]
     """Position in N [m], then rotation vector in the camera's axes [rad]: x, y, z of each"""
 
     def poses_during(self, k: int, offsets_s: ArrayLike) -> Array:
         """X_NC (S, 4, 4) at times (S,) after, or before, frame k [s]."""
         t_s = self.t_s[k] + np.atleast_1d(np.asarray(offsets_s, dtype=np.float64))
-        return camera_states(self.course, self.jitter, t_s).X_NC
+        return camera_states(self.path, self.jitter, t_s).X_NC
 
 
 def inspector_motion(scene: config.Scene, seed: int) -> InspectorMotion:
@@ -215,14 +217,14 @@ def inspector_motion(scene: config.Scene, seed: int) -> InspectorMotion:
     """
     stamps = timestamps(scene)[: scene.frames]
     t_s = np.asarray((stamps - stamps[0]) / 1e9)
-    course, jitter = course_of(scene), _jitter(scene.inspector, float(t_s[-1]) + _BEYOND_S, seed)
-    states = camera_states(course, jitter, t_s)
-    return InspectorMotion(states.X_NC, states.v_N, states.w_C, t_s, course, jitter)
+    path, jitter = camera_path(scene), _jitter(scene.inspector, float(t_s[-1]) + _MARGIN_S, seed)
+    states = camera_states(path, jitter, t_s)
+    return InspectorMotion(states.X_NC, states.v_N, states.w_C, t_s, path, jitter)
 
 
-def camera_states(course: Course, jitter: tuple[LimitCycle, ...], t_s: Array) -> CameraStates:
-    """Course and jitter together at times (n,) [s]."""
-    X_NC, v_N, w_C = course.at(t_s)
+def camera_states(path: CameraPath, jitter: tuple[LimitCycle, ...], t_s: Array) -> CameraStates:
+    """CameraPath and jitter together at times (n,) [s]."""
+    X_NC, v_N, w_C = path.at(t_s)
     deviation = np.stack([cycle.value(t_s) for cycle in jitter], axis=1)
     rate = np.stack([cycle.slope(t_s) for cycle in jitter], axis=1)
     theta = deviation[:, 3:]

@@ -20,7 +20,7 @@ from polhode.lie import Array
 STAGES = DOP853.n_stages
 A, B, C = np.array(DOP853.A), np.array(DOP853.B), np.array(DOP853.C)
 """Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", 2nd ed., section II.5."""
-LARGEST_TURN = 0.1
+MAX_ROTATION_RAD = 0.1
 """Rotation within one step [rad]; the error of a step is then below rounding."""
 STEPS_PER_PERIOD = 60.0
 
@@ -89,7 +89,7 @@ def _within_segment(y: Array, start_s: float, end_s: float, segment: int, forces
             fastest = max(fastest, forces.sines[k, 2])
     rate = np.abs(body_rate(y[10:13], forces.moments, forces.friction)).sum()
     rate += torque * abs(duration) / forces.moments[2]
-    turn = max(rate / LARGEST_TURN, fastest * STEPS_PER_PERIOD / (2.0 * np.pi)) * abs(duration)
+    turn = max(rate / MAX_ROTATION_RAD, fastest * STEPS_PER_PERIOD / (2.0 * np.pi)) * abs(duration)
     steps = max(int(np.ceil(turn)), 1)
     for k in range(steps):
         y = _step(y, start_s + duration * k / steps, duration / steps, segment, active, forces)
@@ -138,7 +138,7 @@ def _slope(y: Array, time_s: float, segment: int, active: Array, forces: Forces,
     out[9] = 0.5 * (w * rate[2] + x * rate[1] - yq * rate[0])
 
 
-def free_of_forces(moments: Array) -> Forces:
+def no_forces(moments: Array) -> Forces:
     """Nothing acts on a body of the principal moments (3,) [kg m^2]."""
     none = np.zeros((1, 3))
     return Forces(np.asarray(moments, dtype=np.float64), np.zeros(0), none, none, np.zeros((0, 9)), 0.0, 0.0)

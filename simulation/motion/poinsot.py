@@ -18,14 +18,14 @@ from scipy.special import ellipk, elliprj
 
 from polhode.lie import Array
 from polhode.quaternion import matrix_from_wxyz
-from polhode.simulation.motion.integrate import Forces, advance, free_of_forces
+from polhode.simulation.motion.integrate import Forces, advance, no_forces
 
-Sense = Literal["prograde", "retrograde", "none"]
-SAME = 1e-9
+PrecessionDirection = Literal["prograde", "retrograde", "none"]
+RELATIVE_TOLERANCE = 1e-9
 """Relative difference below which moments are equal, and the spin is steady or on the separatrix."""
 
 
-POINTS = 361
+CURVE_POINTS = 361
 """Points of a closed curve."""
 STEADY_S = 10.0
 """How long a spin without precession is followed [s]."""
@@ -35,7 +35,7 @@ STEADY_S = 10.0
 class Precession:
     """Torque-free motion of a rigid body, averaged over one circuit of the polhode."""
 
-    sense: Sense
+    direction: PrecessionDirection
     """None for a steady spin, and on the separatrix"""
     axis: Literal["greatest", "least", "none"]
     """Principal axis that the rate circles"""
@@ -86,16 +86,18 @@ def precession_of(moments: Array, w_P: Array) -> Precession:
 def circulation_order(moments: Array, w_P: Array) -> list[int] | None:
     """Principal axes (0, 1, 2) with the one that the rate circles last; None where it circles none."""
     two_energy, h_squared = _energy_and_momentum(moments, w_P)
-    steady = np.linalg.norm(np.cross(moments * w_P, w_P)) <= SAME * np.sqrt(h_squared) * np.linalg.norm(w_P)
+    steady = np.linalg.norm(np.cross(moments * w_P, w_P)) <= RELATIVE_TOLERANCE * np.sqrt(
+        h_squared
+    ) * np.linalg.norm(w_P)
     if steady:
         return None
     # Of two equal moments neither axis is circled: the rate circles the third.
-    if moments[1] - moments[2] <= SAME * moments[0]:
+    if moments[1] - moments[2] <= RELATIVE_TOLERANCE * moments[0]:
         return [2, 1, 0]
-    if moments[0] - moments[1] <= SAME * moments[0]:
+    if moments[0] - moments[1] <= RELATIVE_TOLERANCE * moments[0]:
         return [0, 1, 2]
     excess = h_squared / two_energy / moments[1] - 1.0
-    if abs(excess) <= SAME:
+    if abs(excess) <= RELATIVE_TOLERANCE:
         return None
     return [2, 1, 0] if excess > 0.0 else [0, 1, 2]
 
@@ -139,15 +141,15 @@ class Poinsot:
 def poinsot(moments: Array, w_P: Array, circuits: int = 12) -> Poinsot:
     """The geometry of a free motion; moments (3,) sorted [kg m^2], w_P (3,) [rad/s], not zero."""
     precession = precession_of(moments, w_P)
-    steady = precession.sense == "none"
+    steady = precession.direction == "none"
     period_s = STEADY_S if steady else precession.spin_period_s
     once_s = STEADY_S if steady else precession.precession_period_s
     long_s = max(circuits * period_s, once_s)
-    around_t = np.linspace(0.0, once_s, POINTS)
-    later_t = np.linspace(once_s, long_s, int(np.clip((long_s - once_s) / around_t[1], 2, 40 * POINTS)))
+    around_t = np.linspace(0.0, once_s, CURVE_POINTS)
+    later_t = np.linspace(once_s, long_s, int(np.clip((long_s - once_s) / around_t[1], 2, 40 * CURVE_POINTS)))
     R_HP, rates_P = free_rotation(moments, w_P, np.concatenate([around_t, later_t[1:]]))
     herpolhode_H = (R_HP @ rates_P[..., None])[..., 0]
-    polhode_P = free_rotation(moments, w_P, np.linspace(0.0, period_s, POINTS))[1]
+    polhode_P = free_rotation(moments, w_P, np.linspace(0.0, period_s, CURVE_POINTS))[1]
     return Poinsot(
         moments,
         float(moments @ w_P**2),
@@ -156,13 +158,13 @@ def poinsot(moments: Array, w_P: Array, circuits: int = 12) -> Poinsot:
         R_HP[0],
         polhode_P,
         herpolhode_H,
-        herpolhode_H[:POINTS],
+        herpolhode_H[:CURVE_POINTS],
     )
 
 
 def free_rotation(moments: Array, w_P: Array, t_s: Array) -> tuple[Array, Array]:
     """R_HP (n, 3, 3) and w_P (n, 3) of a free body at times (n,), the first of them zero."""
-    quaternion, h_P = rotation_states(free_of_forces(moments), moments * w_P, t_s)
+    quaternion, h_P = rotation_states(no_forces(moments), moments * w_P, t_s)
     return _momentum_frame(moments * w_P, w_P) @ matrix_from_wxyz(quaternion), h_P / moments
 
 
@@ -199,7 +201,7 @@ def separatrix(moments: Array, two_energy: float) -> list[Array]:
     J1, J2, J3 = moments
     if J1 == J2 or J2 == J3:
         return []
-    turn = np.linspace(0.0, 2.0 * np.pi, POINTS)
+    turn = np.linspace(0.0, 2.0 * np.pi, CURVE_POINTS)
     first = np.sqrt(two_energy * (J2 - J3) / (J1 * (J1 - J3))) * np.sin(turn)
     second = np.sqrt(two_energy / J2) * np.cos(turn)
     third = np.sqrt(two_energy * (J1 - J2) / (J3 * (J1 - J3))) * np.sin(turn)
@@ -209,7 +211,7 @@ def separatrix(moments: Array, two_energy: float) -> list[Array]:
 def _polhode(J: Array, two_energy: float, h_squared: float) -> Array:
     """One polhode around the last of the axes, moments (3,) in their order -> (n, 3)."""
     d3 = two_energy * J[2] - h_squared
-    turn = np.linspace(0.0, 2.0 * np.pi, POINTS)
+    turn = np.linspace(0.0, 2.0 * np.pi, CURVE_POINTS)
     first = np.sqrt(d3 / (J[0] * (J[2] - J[0]))) * np.cos(turn)
     second = np.sqrt(d3 / (J[1] * (J[2] - J[1]))) * np.sin(turn)
     third = np.sqrt(np.maximum(two_energy - J[0] * first**2 - J[1] * second**2, 0.0) / J[2])

@@ -15,7 +15,7 @@ from polhode.simulation.surface.materials import MaterialTable, Surface
 
 
 @dataclass(frozen=True)
-class Drawn:
+class ChartSamples:
     """What the drawings say at n points."""
 
     reflectance: Array
@@ -39,10 +39,10 @@ class ChartAtlas:
         rows = [(c.origin_G, c.right_G / c.texel_m, c.down_G / c.texel_m) for c in charts]
         self._planes = np.array(rows, dtype=np.float64).reshape(-1, 3, 3)
 
-    def look_up(self, chart: Ints, p_G: Array) -> Drawn:
+    def look_up(self, chart: Ints, p_G: Array) -> ChartSamples:
         """Drawings at points (n, 3) of charts (n,); chart -1: none."""
         places = (self._start, self._shape, self._planes)
-        return Drawn(*_look_up(chart, p_G, *places, self._texels, self._slopes, self._layers))
+        return ChartSamples(*_look_up(chart, p_G, *places, self._texels, self._slopes, self._layers))
 
 
 def _slopes(chart: Chart) -> NDArray[np.int8]:
@@ -100,7 +100,7 @@ def _look_up(
     return reflectance, slope, layer
 
 
-class Skin:
+class SurfaceAppearance:
     """All that light meets on a body, looked up by face and position."""
 
     def __init__(self, body: Body, description: config.Body, seed: int) -> None:

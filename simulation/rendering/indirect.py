@@ -12,31 +12,36 @@ from numpy.typing import NDArray
 from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.simulation.bodies import Body
-from polhode.simulation.rendering.appearance import Skin
+from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.light import Lights, disc_irradiance
 from polhode.simulation.rendering.probes import DARK, DIRECTIONS, PROBES, SKY, place_probes
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.reflection import glossy, lobe_ray
-from polhode.simulation.rendering.sampling import Stratum, find, nearest_map, spiral
-from polhode.simulation.rendering.surface_interpolation import Near
+from polhode.simulation.rendering.sampling import (
+    Stratum,
+    nearest_direction,
+    nearest_direction_map,
+    spiral_points,
+)
+from polhode.simulation.rendering.surface_interpolation import Neighbours
 from polhode.simulation.surface.materials import Surface
 
 CELL_RAD = float(np.sqrt(4.0 / DIRECTIONS))
 """Radius of the patch of sky that one of the probes' directions stands for."""
-DULL_ALPHA2 = 0.2**2
+MIN_ALPHA2 = 0.2**2
 """Square of the least GGX alpha of highlights on other parts: the directions resolve no sharper ones."""
 STEP_RAD, STEP_SHARE = 1.0 / 256.0, 0.005
 """Steps of the lights' directions, and of the lamp's place relative to the body's size."""
-CLEAR = 0.1
+STRONG_REFLECTANCE = 0.1
 """Reflectance (F0) from which a surface mirrors much."""
-LOBE_RAYS, FAINT_RAYS = 48, 8
+STRONG_LOBE_RAYS, WEAK_LOBE_RAYS = 48, 8
 """Rays a pixel in the lobe of a surface that mirrors much, or little."""
-LEAST_SHARE = 0.05
+MIN_WEIGHT = 0.05
 """Weight from which a probe's view is looked up."""
 
 
 @dataclass(frozen=True)
-class Fill:
+class IndirectField:
     """Indirect light at one moment."""
 
     bounced: NDArray[np.float32]
@@ -50,11 +55,11 @@ class Fill:
 
 
 @dataclass(frozen=True)
-class Around:
+class IndirectAtHits:
     """Indirect light at n hits."""
 
-    fill: Fill
-    near: Near
+    fill: IndirectField
+    near: Neighbours
 
     def bounced(self, normal_G: Array) -> Array:
         """Irradiance (n,) of light that other parts reflect, on shading normals (n, 3)."""
@@ -73,45 +78,49 @@ class Around:
         fill, near, s = self.fill, self.near, surface
         probes = (near.index, near.weight, fill.views, fill.nearest)
         lobe = (s.normal_G, to_viewer_G, flat_normal_G, s.roughness**2, s.specular)
-        many, few = (_places(count, stratum) for count in (LOBE_RAYS, FAINT_RAYS))
+        many, few = (_lobe_samples(count, stratum) for count in (STRONG_LOBE_RAYS, WEAK_LOBE_RAYS))
         return np.asarray(_mirrored(*probes, *lobe, many, few))
 
 
 class IndirectLight:
     """A body's probes and their surface, ready for the lights of any moment."""
 
-    def __init__(self, body: Body, caster: RayCaster, skin: Skin, bounces: int, probes: int = PROBES) -> None:
+    def __init__(
+        self, body: Body, caster: RayCaster, appearance: SurfaceAppearance, bounces: int, probes: int = PROBES
+    ) -> None:
         self._caster, self._bounces = caster, bounces
         self._probes = place_probes(body.mesh, caster, probes)
         places = self._probes.points
         self._points = points = caster.hits_at(places.face, places.weights, places.normal_G)
-        self._surface = surface = skin.evaluate(points.face, points.weights, points.p_G, points.normal_G)
+        self._surface = surface = appearance.evaluate(
+            points.face, points.weights, points.p_G, points.normal_G
+        )
         self._reflectance = surface.albedo * (1.0 - surface.specular)
         mean = self._probes.mean
         self._albedo, self._specular = mean(self._reflectance), mean(surface.specular)
         upright = np.einsum("nk,nk->n", surface.normal_G, points.flat_normal_G)
         relief = 1.0 / np.clip(upright, 0.3, 1.0) ** 2 - 1.0
-        self._alpha2 = np.maximum(mean(surface.roughness**4 + relief), DULL_ALPHA2)
+        self._alpha2 = np.maximum(mean(surface.roughness**4 + relief), MIN_ALPHA2)
         self._radius_m = body.radius_m
-        self._known: dict[bytes, Fill] = {}
-        self._nearest = nearest_map(self._probes.directions_G)
+        self._known: dict[bytes, IndirectField] = {}
+        self._nearest = nearest_direction_map(self._probes.directions_G)
 
-    def at(self, hits: Hits, lights: Lights) -> Around:
+    def at(self, hits: Hits, lights: Lights) -> IndirectAtHits:
         """Indirect light at n hits."""
-        return Around(self.under(lights), self._probes.around.near(hits.p_G, hits.normal_G))
+        return IndirectAtHits(self.for_lights(lights), self._probes.around.near(hits.p_G, hits.normal_G))
 
-    def under(self, lights: Lights) -> Fill:
+    def for_lights(self, lights: Lights) -> IndirectField:
         """The indirect light under the lights of one moment.
 
         Lights are taken in small steps, and what was found last is kept: the two images of a pair, and the
         samples of a pixel that moves, share it. The answer depends on the lights alone.
         """
-        lights = lights.coarse(STEP_RAD, STEP_SHARE * self._radius_m)
+        lights = lights.quantized(STEP_RAD, STEP_SHARE * self._radius_m)
         if lights.key not in self._known:
             self._known = {lights.key: self._found(lights), **dict([*self._known.items()][:1])}
         return self._known[lights.key]
 
-    def _found(self, lights: Lights) -> Fill:
+    def _found(self, lights: Lights) -> IndirectField:
         probes = self._probes
         inside = self._inside_earth(lights)
         share = _open_share(probes.sees, probes.normal_G, probes.directions_G, inside)
@@ -121,7 +130,7 @@ class IndirectLight:
             cosine = probes.normal_G @ lights.earth_direction_G
             level += self._albedo * lights.earth * share * disc_irradiance(cosine, lights.earth_radius_rad)
             clear = np.where(self._specular > 0.0, lights.sun * sunlit, 0.0)
-        bounced, views = _look(
+        bounced, views = _gather(
             probes.sees,
             probes.directions_G,
             level,
@@ -132,7 +141,9 @@ class IndirectLight:
             self._alpha2,
             lights.sun_direction_G,
         )
-        return Fill(bounced.astype(np.float32), share[:, None].astype(np.float32), views, self._nearest)
+        return IndirectField(
+            bounced.astype(np.float32), share[:, None].astype(np.float32), views, self._nearest
+        )
 
     def _direct(self, lights: Lights) -> tuple[Array, Array]:
         """Share of the surface around each probe that is sunlit (P,), and its diffuse level (P,)."""
@@ -153,11 +164,11 @@ class IndirectLight:
         return np.clip(0.5 + (lights.earth_radius_rad - off_middle) / (2.0 * CELL_RAD), 0.0, 1.0)
 
 
-def _places(count: int, stratum: Stratum) -> Array:
+def _lobe_samples(count: int, stratum: Stratum) -> Array:
     """Places (rays, 2) in a lobe: the samples of a pixel share about ``count`` of them, on a spiral."""
     rays = max(count // stratum.samples, 1)
     index = np.arange(rays, dtype=np.float64) * stratum.samples + stratum.sample + 0.5
-    return spiral(index, rays * stratum.samples)
+    return spiral_points(index, rays * stratum.samples)
 
 
 @compiled
@@ -179,7 +190,7 @@ def _open_share(sees: NDArray[np.int16], normal: Array, directions: Array, insid
 
 
 @compiled
-def _look(
+def _gather(
     sees: NDArray[np.int16],
     directions: Array,
     level: Array,
@@ -244,15 +255,15 @@ def _mirrored(
     for i in range(len(index)):
         if f0[i] <= 0.0 or share[i, 0] <= 0.0:
             continue
-        places = many if f0[i] > CLEAR else few
+        places = many if f0[i] > STRONG_REFLECTANCE else few
         n, v, h = normal[i], to_viewer[i], horizon[i]
         for ray in range(len(places)):
             x, y, z, weight = lobe_ray(n, v, alpha[i], f0[i], places[ray, 0], places[ray, 1])
             below = 2.0 * min(x * h[0] + y * h[1] + z * h[2], 0.0)
-            d = find(x - below * h[0], y - below * h[1], z - below * h[2], nearest)
+            d = nearest_direction(x - below * h[0], y - below * h[1], z - below * h[2], nearest)
             seen, total = 0.0, 1e-9
             for k in range(index.shape[1]):
-                if share[i, k] > LEAST_SHARE and views[index[i, k], d] >= 0.0:
+                if share[i, k] > MIN_WEIGHT and views[index[i, k], d] >= 0.0:
                     seen += share[i, k] * views[index[i, k], d]
                     total += share[i, k]
             out[i] += weight * seen / total

@@ -30,7 +30,7 @@ class Lights:
     sun_radius_rad: float = 0.0
     earth_radius_rad: float = HALF_SKY_RAD
 
-    def coarse(self, step: float, step_m: float) -> "Lights":
+    def quantized(self, step: float, step_m: float) -> "Lights":
         """The same lights, directions in steps of ``step`` [rad] and the lamp in steps of ``step_m``."""
 
         def rounded(direction: Array) -> Array:

@@ -16,7 +16,7 @@ from polhode.lie import Array
 from polhode.records import Bools, Ints
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.sampling import even_directions
-from polhode.simulation.rendering.surface_interpolation import Neighbourhood
+from polhode.simulation.rendering.surface_interpolation import SurfaceInterpolation
 
 SKY, BELOW, DARK = -1, -2, -3
 """Entries of the table beside probes: open sky; under the probe's own horizon; a surface without light."""
@@ -30,7 +30,7 @@ LOWEST = 1e-3
 """Sine of the elevation below which nothing is looked at."""
 PACKING = 0.6
 """Probes on a square of their spacing."""
-TURN_COUNTS = 1.0
+NORMAL_FACTOR = 1.0
 """A turn of the normal by one radian separates probes as so many spacings would."""
 
 
@@ -67,7 +67,7 @@ class Probes:
     """(D, 3) unit, even over the sphere, the same for all probes"""
     sees: NDArray[np.int16]
     """(P, D) the probe that is seen, or SKY, BELOW, DARK"""
-    around: Neighbourhood
+    around: SurfaceInterpolation
 
     def mean(self, of_points: Array) -> Array:
         """Mean (P,) around each probe of a quantity (M,)."""
@@ -84,15 +84,15 @@ def place_probes(mesh: trimesh.Trimesh, caster: RayCaster, count: int = PROBES) 
     """
     rng = np.random.default_rng([0x9B0B35])
     scattered = _scatter(mesh, POINTS_A_PROBE * count, rng)
-    points = _reached(scattered, caster)
+    points = _reachable(scattered, caster)
     reached_m2 = 2.0 * mesh.area * len(points.face) / len(scattered.face)
     spacing_m = float(np.sqrt(PACKING * reached_m2 / count))
-    probes = points[_far_apart(points, spacing_m, rng)]
-    around = Neighbourhood(probes.p_G, probes.normal_G, 2.0 * spacing_m)
+    probes = points[_poisson_disc_sample(points, spacing_m, rng)]
+    around = SurfaceInterpolation(probes.p_G, probes.normal_G, 2.0 * spacing_m)
     owner = around.nearest(points.p_G, points.normal_G).astype(np.int64)
     points, owner = points[owner >= 0], owner[owner >= 0]
     directions = even_directions(DIRECTIONS)
-    sees = _look_around(probes, directions, mesh, caster, around)
+    sees = _seen_from(probes, directions, mesh, caster, around)
     return Probes(points, owner, probes.p_G, probes.normal_G, directions, sees, around)
 
 
@@ -108,7 +108,7 @@ def _scatter(mesh: trimesh.Trimesh, n: int, rng: np.random.Generator) -> Surface
     return SurfacePoints(both[0], both[1], both[2], np.concatenate([normal, -normal]))
 
 
-def _reached(points: SurfacePoints, caster: RayCaster) -> SurfacePoints:
+def _reachable(points: SurfacePoints, caster: RayCaster) -> SurfacePoints:
     """The points that see the sky; all of them where none does."""
     sky = np.zeros(len(points.face), np.bool_)
     for rays in _rays(points, even_directions(PILOT_DIRECTIONS), caster):
@@ -116,10 +116,10 @@ def _reached(points: SurfacePoints, caster: RayCaster) -> SurfacePoints:
     return points[sky] if sky.any() else points
 
 
-def _far_apart(points: SurfacePoints, spacing_m: float, rng: np.random.Generator) -> Ints:
+def _poisson_disc_sample(points: SurfacePoints, spacing_m: float, rng: np.random.Generator) -> Ints:
     """Indices of points that keep their distance: each in random order, unless one taken before is near."""
     order = rng.permutation(len(points.p_G))
-    features = np.hstack([points.p_G, TURN_COUNTS * spacing_m * points.normal_G])[order]
+    features = np.hstack([points.p_G, NORMAL_FACTOR * spacing_m * points.normal_G])[order]
     pairs = cKDTree(features).query_pairs(spacing_m, output_type="ndarray")
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     taken = _greedy(len(order), pairs)
@@ -136,8 +136,12 @@ def _greedy(count: int, pairs: Ints) -> Bools:
     return stays
 
 
-def _look_around(
-    points: SurfacePoints, directions: Array, mesh: trimesh.Trimesh, caster: RayCaster, around: Neighbourhood
+def _seen_from(
+    points: SurfacePoints,
+    directions: Array,
+    mesh: trimesh.Trimesh,
+    caster: RayCaster,
+    around: SurfaceInterpolation,
 ) -> NDArray[np.int16]:
     """What n points see in D directions (n, D): a point of ``around``, or SKY, BELOW, DARK."""
     sees = np.full((len(points.face), len(directions)), BELOW, np.int16)

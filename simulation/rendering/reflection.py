@@ -51,7 +51,7 @@ def reflected(
     return out
 
 
-def mirrored_share(surface: Surface, to_viewer_G: Array) -> Array:
+def specular_albedo(surface: Surface, to_viewer_G: Array) -> Array:
     """Share (n,) of an even surrounding that comes back towards the viewer.
 
     The fit of Karis, "Physically based shading on mobile", 2014, to the integral of the GGX reflection.
@@ -63,14 +63,14 @@ def mirrored_share(surface: Surface, to_viewer_G: Array) -> Array:
     return np.asarray(np.where(surface.specular > 0.0, share, 0.0))
 
 
-def mirrored_earth(surface: Surface, to_viewer_G: Array, lights: Lights) -> Array:
+def reflected_earth(surface: Surface, to_viewer_G: Array, lights: Lights) -> Array:
     """Share (n,) of the GGX lobe that the Earth's disc fills, nothing standing before it."""
     n = surface.normal_G
     mirror = 2.0 * np.einsum("nk,nk->n", n, to_viewer_G)[:, None] * n - to_viewer_G
-    return earth_seen(mirror, surface.roughness**2, lights)
+    return earth_share_of_lobe(mirror, surface.roughness**2, lights)
 
 
-def earth_seen(directions_G: Array, alpha: Array, lights: Lights) -> Array:
+def earth_share_of_lobe(directions_G: Array, alpha: Array, lights: Lights) -> Array:
     """Share (n,) that the Earth's disc has in GGX lobes around mirrored directions (n, 3).
 
     A lobe of visible slopes, cut by a straight edge: the disc is wide against the lobe.

@@ -10,12 +10,12 @@ from polhode.lie import Array, inverse_pose
 from polhode.records import Ints
 from polhode.simulation.bodies import Body
 from polhode.simulation.camera.cameras import Camera, sample_offsets
-from polhode.simulation.rendering.appearance import Skin
+from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.indirect import IndirectLight
 from polhode.simulation.rendering.light import Lights, lights_in_body
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.sampling import Stratum, rays_over_disc
-from polhode.simulation.rendering.shading import Arriving, Mirror, shade
+from polhode.simulation.rendering.shading import IncidentLight, SpecularTracer, shade
 from polhode.simulation.surface.materials import Surface
 
 PIXELS_A_PROBE = 60
@@ -25,7 +25,7 @@ PROBES = (2000, 8000)
 
 
 @dataclass(frozen=True)
-class Picture:
+class RenderedLight:
     """What the lens forms on the sensor."""
 
     level: Array
@@ -42,7 +42,7 @@ class Renderer:
         self._light = scene.light
         self._samples = scene.render.samples
         self._caster = RayCaster(body)
-        self._skin = Skin(body, scene.body, seed)
+        self._appearance = SurfaceAppearance(body, scene.body, seed)
         self._bounces = scene.render.bounces
         pixels = scene.rig.width_px * scene.rig.height_px
         self._probes = int(np.clip(pixels // PIXELS_A_PROBE, *PROBES))
@@ -53,9 +53,9 @@ class Renderer:
         return self._caster
 
     @property
-    def skin(self) -> Skin:
+    def appearance(self) -> SurfaceAppearance:
         """Its surface."""
-        return self._skin
+        return self._appearance
 
     @property
     def light(self) -> config.Light:
@@ -65,9 +65,9 @@ class Renderer:
     @cached_property
     def _indirect(self) -> IndirectLight:
         """Built when first needed: it takes a second."""
-        return IndirectLight(self._body, self._caster, self._skin, self._bounces, self._probes)
+        return IndirectLight(self._body, self._caster, self._appearance, self._bounces, self._probes)
 
-    def picture(self, camera: Camera, X_NK: Array, X_NG: Array, t_s: float = 0.0) -> Picture:
+    def picture(self, camera: Camera, X_NK: Array, X_NG: Array, t_s: float = 0.0) -> RenderedLight:
         """Render what a camera at X_NK sees of the target at X_NG, t_s after the first frame.
 
         Poses are (4, 4), or (S, 4, 4) with one pose per sample of a pixel: that blurs what moves.
@@ -82,26 +82,26 @@ class Renderer:
             pixels = self._pixels_near_body(camera, X_GK)
             rays_G = _directions(camera, pixels, offsets[i]) @ X_GK[:3, :3].T
             hits = self._caster.first_hits(X_GK[:3, 3], rays_G)
-            surface = self._skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+            surface = self._appearance.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
             to_viewer = -rays_G[hits.ray]
             stratum = Stratum(pixels[hits.ray], i, len(offsets))
             to_sun = rays_over_disc(lights.sun_direction_G, lights.sun_radius_rad, stratum)
-            arriving = self._arriving(hits, surface, to_viewer, lights, stratum)
-            level[stratum.pixel] += shade(hits, surface, to_viewer, lights, self._caster, to_sun, arriving)
+            incident = self._incident(hits, surface, to_viewer, lights, stratum)
+            level[stratum.pixel] += shade(hits, surface, to_viewer, lights, self._caster, to_sun, incident)
             covered[stratum.pixel] += 1.0
         shape = (camera.height_px, camera.width_px)
-        return Picture(level.reshape(shape) / len(offsets), covered.reshape(shape) / len(offsets))
+        return RenderedLight(level.reshape(shape) / len(offsets), covered.reshape(shape) / len(offsets))
 
-    def _arriving(
+    def _incident(
         self, hits: Hits, surface: Surface, to_viewer_G: Array, lights: Lights, stratum: Stratum
-    ) -> Arriving | None:
+    ) -> IncidentLight | None:
         """What n hits receive by way of the body itself."""
         if lights.earth == 0 and not self._bounces:
             return None
         around = self._indirect.at(hits, lights)
-        mirror = Mirror(self._caster, self._skin, self._indirect, self._bounces)
+        mirror = SpecularTracer(self._caster, self._appearance, self._indirect, self._bounces)
         mirrored = mirror.level(hits, surface, to_viewer_G, lights, around, stratum)
-        return Arriving(around.bounced(surface.normal_G), around.earth_share(), mirrored)
+        return IncidentLight(around.bounced(surface.normal_G), around.earth_share(), mirrored)
 
     def _pixels_near_body(self, camera: Camera, X_GK: Array) -> Ints:
         """Pixels whose ray passes the body's bounding sphere."""

@@ -23,7 +23,7 @@ def even_directions(count: int) -> Array:
     return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
 
 
-def nearest_map(directions: Array) -> NDArray[np.int32]:
+def nearest_direction_map(directions: Array) -> NDArray[np.int32]:
     """Index of the nearest of directions (D, 3) in every cell of an octahedron unfolded onto a square."""
     x, y = ((grid + 0.5) / MAP_CELLS * 2.0 - 1.0 for grid in np.mgrid[:MAP_CELLS, :MAP_CELLS])
     z = 1.0 - np.abs(x) - np.abs(y)
@@ -38,8 +38,8 @@ def nearest_map(directions: Array) -> NDArray[np.int32]:
 
 
 @compiled
-def find(x: float, y: float, z: float, nearest: NDArray[np.int32]) -> int:
-    """Index of the direction near (x, y, z), any length, by the map of ``nearest_map``."""
+def nearest_direction(x: float, y: float, z: float, nearest: NDArray[np.int32]) -> int:
+    """Index of the direction near (x, y, z), any length, by the map of ``nearest_direction_map``."""
     size = abs(x) + abs(y) + abs(z)
     u, v = x / size, y / size
     if z < 0.0:
@@ -70,10 +70,10 @@ class Stratum:
         spiral by its own hash, so that no bands are seen. Each use has hashes of its own.
         """
         turn, shift = _hash(self.pixel, use)
-        return spiral(self.sample + shift, self.samples, 2.0 * np.pi * turn)
+        return spiral_points(self.sample + shift, self.samples, 2.0 * np.pi * turn)
 
 
-def spiral(index: Array, count: int, turn_rad: Array | float = 0.0) -> Array:
+def spiral_points(index: Array, count: int, turn_rad: Array | float = 0.0) -> Array:
     """Places (n, 2) on the unit disc: those of index (n,) in [0, count) on a spiral of ``count`` places."""
     radius, angle = np.sqrt(index / count), np.floor(index) * GOLDEN_ANGLE + turn_rad
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)

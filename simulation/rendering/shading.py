@@ -11,34 +11,34 @@ import numpy as np
 
 from polhode.lie import Array
 from polhode.records import Bools, Ints
-from polhode.simulation.rendering.appearance import Skin
-from polhode.simulation.rendering.indirect import Around, IndirectLight
+from polhode.simulation.rendering.appearance import SurfaceAppearance
+from polhode.simulation.rendering.indirect import IndirectAtHits, IndirectLight
 from polhode.simulation.rendering.light import Lights, disc_irradiance
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.reflection import (
-    earth_seen,
+    earth_share_of_lobe,
     lobe_rays,
-    mirrored_earth,
-    mirrored_share,
     reflected,
+    reflected_earth,
+    specular_albedo,
 )
 from polhode.simulation.rendering.sampling import Stratum
 from polhode.simulation.surface.materials import Surface
 
-FAINT, CLEAR = 0.06, 0.12
+MIN_TRACED_SHARE, FULL_TRACED_SHARE = 0.06, 0.12
 """Share of mirrored light from which a sharp surface sends rays, and from which they are all it shows."""
 SHARP_ALPHA = 0.07
 """GGX alpha below which a surface is sharp: the probes' views resolve about as much."""
-DULLEST = 0.5
+MIN_TRACED_ROUGHNESS = 0.5
 """Least roughness of what such a ray meets: one ray cannot average sharper highlights."""
-CORE = 0.92
+LOBE_CORE = 0.92
 """Radius of the part of the lobe that is sent rays: a far tail that meets something bright makes specks."""
 EARTH_EDGE = 0.5
 """Width of the Earth's edge for one ray, relative to the lobe that the rays of a pixel are spread over."""
 
 
 @dataclass(frozen=True)
-class Arriving:
+class IncidentLight:
     """What n hits receive by way of the body itself."""
 
     bounced: Array | float = 0.0
@@ -56,14 +56,14 @@ def shade(
     lights: Lights,
     caster: RayCaster,
     to_sun_G: Array | None = None,
-    arriving: Arriving | None = None,
+    incident: IncidentLight | None = None,
 ) -> Array:
     """Level (n,) of light that leaves the hits towards the viewer.
 
     to_viewer_G (n, 3) unit; to_sun_G (n, 3) unit, to the point of the Sun's disc that the shadow ray tries,
-    its middle when absent; arriving: what the body itself adds and hides, nothing when absent.
+    its middle when absent; incident: what the body itself adds and hides, nothing when absent.
     """
-    level = _filled(surface, to_viewer_G, lights, arriving or Arriving())
+    level = _filled(surface, to_viewer_G, lights, incident or IncidentLight())
     n = len(level)
     if lights.sun > 0:
         visible = caster.lit(hits, lights.sun_direction_G if to_sun_G is None else to_sun_G)
@@ -79,15 +79,15 @@ def shade(
     return level
 
 
-def _filled(surface: Surface, to_viewer_G: Array, lights: Lights, arriving: Arriving) -> Array:
+def _filled(surface: Surface, to_viewer_G: Array, lights: Lights, incident: IncidentLight) -> Array:
     """Level (n,) of the Earth and of the body around, diffuse and mirrored."""
     cosine = surface.normal_G @ lights.earth_direction_G
-    earth = lights.earth * arriving.earth_share * disc_irradiance(cosine, lights.earth_radius_rad)
-    level = surface.albedo * (1.0 - surface.specular) * (earth + arriving.bounced)
-    if arriving.mirrored is not None:
-        return np.asarray(level + arriving.mirrored)
-    share = mirrored_share(surface, to_viewer_G) * mirrored_earth(surface, to_viewer_G, lights)
-    return np.asarray(level + lights.earth * arriving.earth_share * share)
+    earth = lights.earth * incident.earth_share * disc_irradiance(cosine, lights.earth_radius_rad)
+    level = surface.albedo * (1.0 - surface.specular) * (earth + incident.bounced)
+    if incident.mirrored is not None:
+        return np.asarray(level + incident.mirrored)
+    share = specular_albedo(surface, to_viewer_G) * reflected_earth(surface, to_viewer_G, lights)
+    return np.asarray(level + lights.earth * incident.earth_share * share)
 
 
 def _reflected(surface: Surface, toward_G: Array, to_viewer_G: Array, where: Bools) -> Array:
@@ -104,11 +104,13 @@ def _reflected(surface: Surface, toward_G: Array, to_viewer_G: Array, where: Boo
     )
 
 
-class Mirror:
+class SpecularTracer:
     """A body as its own surfaces show it."""
 
-    def __init__(self, caster: RayCaster, skin: Skin, indirect: IndirectLight, bounces: int) -> None:
-        self._caster, self._skin, self._indirect, self._bounces = caster, skin, indirect, bounces
+    def __init__(
+        self, caster: RayCaster, appearance: SurfaceAppearance, indirect: IndirectLight, bounces: int
+    ) -> None:
+        self._caster, self._appearance, self._indirect, self._bounces = caster, appearance, indirect, bounces
 
     def level(
         self,
@@ -116,18 +118,18 @@ class Mirror:
         surface: Surface,
         to_viewer_G: Array,
         lights: Lights,
-        around: Around,
+        around: IndirectAtHits,
         stratum: Stratum,
     ) -> Array:
         """Level (n,) of body and Earth as n hits mirror them towards the viewer, to_viewer_G (n, 3) unit."""
         level = around.mirrored(surface, to_viewer_G, hits.flat_normal_G, stratum)
-        share = mirrored_share(surface, to_viewer_G)
-        sharp = np.flatnonzero((surface.roughness**2 < SHARP_ALPHA) & (share > FAINT))
+        share = specular_albedo(surface, to_viewer_G)
+        sharp = np.flatnonzero((surface.roughness**2 < SHARP_ALPHA) & (share > MIN_TRACED_SHARE))
         if len(sharp) > 0:
             traced = self._traced(
                 hits[sharp], _part(surface, sharp), to_viewer_G[sharp], lights, stratum[sharp]
             )
-            fade = np.minimum((share[sharp] - FAINT) / (CLEAR - FAINT), 1.0)
+            fade = np.minimum((share[sharp] - MIN_TRACED_SHARE) / (FULL_TRACED_SHARE - MIN_TRACED_SHARE), 1.0)
             level[sharp] += fade * (traced - level[sharp])
         return level
 
@@ -137,18 +139,18 @@ class Mirror:
         """Level (n,) that one ray a hit brings."""
         alpha = np.maximum(surface.roughness**2, 1e-3)
         lobe = (surface.normal_G, to_viewer_G, alpha, surface.specular)
-        rays, weight = lobe_rays(*lobe, CORE * stratum.on_disc(use=1), hits.flat_normal_G)
+        rays, weight = lobe_rays(*lobe, LOBE_CORE * stratum.on_disc(use=1), hits.flat_normal_G)
         met = self._caster.next_hits(hits, rays)
-        seen = lights.earth * earth_seen(rays, EARTH_EDGE * alpha, lights)
-        seen[met.ray] = self._glow(met, -rays[met.ray], lights) if self._bounces else 0.0
+        seen = lights.earth * earth_share_of_lobe(rays, EARTH_EDGE * alpha, lights)
+        seen[met.ray] = self._radiance(met, -rays[met.ray], lights) if self._bounces else 0.0
         return weight * seen
 
-    def _glow(self, hits: Hits, to_viewer_G: Array, lights: Lights) -> Array:
+    def _radiance(self, hits: Hits, to_viewer_G: Array, lights: Lights) -> Array:
         """Level (n,) of hits in the mirror, under Sun, Earth and lamp."""
-        surface = self._skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
-        surface = replace(surface, roughness=np.maximum(surface.roughness, DULLEST))
-        arriving = Arriving(earth_share=self._indirect.at(hits, lights).earth_share())
-        return shade(hits, surface, to_viewer_G, lights, self._caster, arriving=arriving)
+        surface = self._appearance.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+        surface = replace(surface, roughness=np.maximum(surface.roughness, MIN_TRACED_ROUGHNESS))
+        incident = IncidentLight(earth_share=self._indirect.at(hits, lights).earth_share())
+        return shade(hits, surface, to_viewer_G, lights, self._caster, incident=incident)
 
 
 def _part(surface: Surface, which: Ints) -> Surface:

@@ -14,16 +14,16 @@ from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 
-LEAST_AGREEMENT = 0.3
+MIN_AGREEMENT = 0.3
 """Cosine between normals at which a neighbour stops to count."""
-STEPS_COUNT = 3.0
+OFF_PLANE_FACTOR = 3.0
 """Distances off the tangent plane count as so many times those within."""
-LONGEST_GRID = 128
-MOST_NEIGHBOURS = 12
+MAX_GRID_CELLS = 128
+MAX_NEIGHBOURS = 12
 
 
 @dataclass(frozen=True)
-class Near:
+class Neighbours:
     """Which points count at each of n places, and how much."""
 
     index: NDArray[np.int32]
@@ -31,21 +31,21 @@ class Near:
     weight: NDArray[np.float32]
     """(n, K) adds up to 1; 0 where unused, all of them where no point counts"""
 
-    def __getitem__(self, which: Ints) -> "Near":
-        return Near(self.index[which], self.weight[which])
+    def __getitem__(self, which: Ints) -> "Neighbours":
+        return Neighbours(self.index[which], self.weight[which])
 
     def mean(self, values: NDArray[np.float32]) -> Array:
         """Mean (n, C) of the points' values (N, C); zero where no point counts."""
         return np.asarray(_blend(self.index, self.weight, values))
 
 
-class Neighbourhood:
+class SurfaceInterpolation:
     """Points (N, 3) [m] with unit normals (N, 3), found by place: those within ``reach_m`` count."""
 
     def __init__(self, p_G: Array, normal_G: Array, reach_m: float) -> None:
         self._p, self._n, self._reach_m = np.ascontiguousarray(p_G), np.ascontiguousarray(normal_G), reach_m
         low, high = p_G.min(axis=0) - reach_m, p_G.max(axis=0) + reach_m
-        self._cell_m = max(0.5 * reach_m, float((high - low).max()) / LONGEST_GRID)
+        self._cell_m = max(0.5 * reach_m, float((high - low).max()) / MAX_GRID_CELLS)
         self._low = low
         shape = np.ceil((high - low) / self._cell_m).astype(np.int64)
         self._start, self._member = _fill_cells(self._p, low, self._cell_m, shape, reach_m)
@@ -55,9 +55,9 @@ class Neighbourhood:
         """The point (n,) that counts most at p_G (n, 3) with unit normals (n, 3); -1: none."""
         return np.asarray(_nearest(p_G, normal_G, *self._table()))
 
-    def near(self, p_G: Array, normal_G: Array) -> "Near":
+    def near(self, p_G: Array, normal_G: Array) -> "Neighbours":
         """The points that count at p_G (n, 3) with unit normals (n, 3)."""
-        return Near(*_near(p_G, normal_G, *self._table()))
+        return Neighbours(*_near(p_G, normal_G, *self._table()))
 
     def _table(self) -> tuple[Array, Array, float, Array, float, Ints, Ints, Ints]:
         reach_m, cell_m = self._reach_m, self._cell_m
@@ -115,13 +115,13 @@ def _weight(p: Array, n: Array, a: int, q: Array, m: Array, i: int, reach2: floa
     if square >= reach2:
         return 0.0
     agreement = n[a, 0] * m[i, 0] + n[a, 1] * m[i, 1] + n[a, 2] * m[i, 2]
-    if agreement <= LEAST_AGREEMENT:
+    if agreement <= MIN_AGREEMENT:
         return 0.0
     step = abs(dx * n[a, 0] + dy * n[a, 1] + dz * n[a, 2]) + abs(dx * m[i, 0] + dy * m[i, 1] + dz * m[i, 2])
-    square += 0.25 * (STEPS_COUNT * STEPS_COUNT - 1.0) * step * step
+    square += 0.25 * (OFF_PLANE_FACTOR * OFF_PLANE_FACTOR - 1.0) * step * step
     if square >= reach2:
         return 0.0
-    near, alike = 1.0 - square / reach2, (agreement - LEAST_AGREEMENT) / (1.0 - LEAST_AGREEMENT)
+    near, alike = 1.0 - square / reach2, (agreement - MIN_AGREEMENT) / (1.0 - MIN_AGREEMENT)
     return float(near * near * alike * alike)
 
 
@@ -165,8 +165,8 @@ def _near(
     start: Ints,
     member: Ints,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    index = np.zeros((len(p), MOST_NEIGHBOURS), np.int32)
-    weight = np.zeros((len(p), MOST_NEIGHBOURS), np.float32)
+    index = np.zeros((len(p), MAX_NEIGHBOURS), np.int32)
+    weight = np.zeros((len(p), MAX_NEIGHBOURS), np.float32)
     for a in range(len(p)):
         cell = _cell_of(p, a, low, cell_m, shape)
         if cell < 0:
@@ -177,9 +177,9 @@ def _near(
             if w <= 0.0:
                 continue
             slot = used
-            if used == MOST_NEIGHBOURS:
+            if used == MAX_NEIGHBOURS:
                 slot = 0
-                for k in range(1, MOST_NEIGHBOURS):
+                for k in range(1, MAX_NEIGHBOURS):
                     if weight[a, k] < weight[a, slot]:
                         slot = k
                 if weight[a, slot] >= w:
@@ -212,7 +212,7 @@ def _next_best(p: Array, n: Array, a: int, q: Array, m: Array, member: Ints) -> 
 def _blend(index: NDArray[np.int32], weight: NDArray[np.float32], values: NDArray[np.float32]) -> Array:
     out = np.zeros((len(index), values.shape[1]))
     for n in range(len(index)):
-        for k in range(MOST_NEIGHBOURS):
+        for k in range(MAX_NEIGHBOURS):
             if weight[n, k] > 0.0:
                 for c in range(values.shape[1]):
                     out[n, c] += weight[n, k] * values[index[n, k], c]

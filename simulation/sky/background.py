@@ -5,7 +5,7 @@ import numpy as np
 from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.simulation.camera.cameras import Camera
-from polhode.simulation.rendering.render import Picture
+from polhode.simulation.rendering.render import RenderedLight
 from polhode.simulation.sky.earth import Earth
 from polhode.simulation.sky.stars import image_of_stars, star_field
 
@@ -21,7 +21,9 @@ class Sky:
         self._star_level = asked.star_dn / scene.sensor.white_dn
         self._blur_px = scene.sensor.blur_px
 
-    def behind(self, picture: Picture, camera: Camera, X_NK: Array, t_s: float) -> tuple[Array, Array | None]:
+    def background(
+        self, picture: RenderedLight, camera: Camera, X_NK: Array, t_s: float
+    ) -> tuple[Array, Array | None]:
         """Levels (H, W) of the picture with the Earth behind the target; light (H, W) of the stars, if any.
 
         X_NK (4, 4), or (S, 4, 4) during the exposure; t_s after the first frame. The stars have passed the

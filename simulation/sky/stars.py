@@ -14,7 +14,7 @@ from polhode.lie import Array
 from polhode.simulation.camera.cameras import Camera
 
 SLOPE, AT_ZERO = 0.51, 0.64
-FAINTEST = 10.0
+MAX_MAGNITUDE = 10.0
 """The law holds no further, and nobody sees the rest."""
 
 
@@ -33,9 +33,9 @@ def star_field(faintest_magnitude: float, seed: int) -> Stars:
 
     Raises InputError: the limit is beyond magnitude 10.
     """
-    if faintest_magnitude > FAINTEST:
+    if faintest_magnitude > MAX_MAGNITUDE:
         raise InputError(
-            f"scene.background.faintest_magnitude: {faintest_magnitude:g} is fainter than {FAINTEST:g}, "
+            f"scene.background.faintest_magnitude: {faintest_magnitude:g} is fainter than {MAX_MAGNITUDE:g}, "
             "where star counts follow another law; give a smaller number"
         )
     # A Poisson process of the cumulative number: its n-th event is the n-th brightest star.

@@ -35,14 +35,14 @@ def hash_bits(i: int, j: int, k: int, seed: int) -> Bits:
 
 
 @compiled_inline
-def unit_of(bits: Bits, place: int) -> float:
+def unit_interval(bits: Bits, place: int) -> float:
     """The first, second or third 21 bits (place 0, 1, 2) as a number in [0, 1)."""
     # Signed numbers turn into floats in one instruction, unsigned ones do not.
     return np.int64((bits >> np.uint64(21 * place)) & np.uint64(0x1FFFFF)) / 2097152.0
 
 
 @compiled_inline
-def _stirred(bits: Bits) -> Bits:
+def _rehashed(bits: Bits) -> Bits:
     """Other random bits of the same cell."""
     h = bits * np.uint64(0x9E3779B97F4A7C15)
     return h ^ (h >> np.uint64(32))
@@ -66,7 +66,7 @@ def _value_noise(x: float, y: float, z: float, seed: int) -> tuple[float, float,
             wb, db = (v, dv) if b else (1.0 - v, -dv)
             for c in range(2):
                 wc, dc = (w, dw) if c else (1.0 - w, -dw)
-                corner = 2.0 * unit_of(hash_bits(i + a, j + b, k + c, seed), 0) - 1.0
+                corner = 2.0 * unit_interval(hash_bits(i + a, j + b, k + c, seed), 0) - 1.0
                 value += wa * wb * wc * corner
                 gx += da * wb * wc * corner
                 gy += wa * db * wc * corner
@@ -118,9 +118,9 @@ def nearest_cell_at(x: float, y: float, z: float, seed: int) -> Bits:
                 if reach_x * reach_x + reach_y * reach_y + reach_z * reach_z >= best:
                     break
                 bits = hash_bits(i + a, j + b, k + c, seed)
-                dx = a + unit_of(bits, 0) - u
-                dy = b + unit_of(bits, 1) - v
-                dz = c + unit_of(bits, 2) - w
+                dx = a + unit_interval(bits, 0) - u
+                dy = b + unit_interval(bits, 1) - v
+                dz = c + unit_interval(bits, 2) - w
                 distance = dx * dx + dy * dy + dz * dz
                 if distance < best:
                     best, answer = distance, bits
@@ -130,7 +130,7 @@ def nearest_cell_at(x: float, y: float, z: float, seed: int) -> Bits:
 @compiled
 def cell_at(x: float, y: float, z: float, seed: int) -> float:
     """One uniform value in [-1, 1] per random cell of size 1."""
-    return 2.0 * unit_of(_stirred(nearest_cell_at(x, y, z, seed)), 0) - 1.0
+    return 2.0 * unit_interval(_rehashed(nearest_cell_at(x, y, z, seed)), 0) - 1.0
 
 
 @compiled
@@ -140,11 +140,11 @@ def creases_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, f
     for level in range(3):
         s = 1.0 / CREASE_SCALES[level]
         bits = nearest_cell_at(x * s, y * s, z * s, seed + 7 * level)
-        own = _stirred(bits)
+        own = _rehashed(bits)
         amplitude = 2.0 * CREASE_TILTS[level]
-        tx += amplitude * (unit_of(own, 0) - 0.5)
-        ty += amplitude * (unit_of(own, 1) - 0.5)
-        tz += amplitude * (unit_of(own, 2) - 0.5)
+        tx += amplitude * (unit_interval(own, 0) - 0.5)
+        ty += amplitude * (unit_interval(own, 1) - 0.5)
+        tz += amplitude * (unit_interval(own, 2) - 0.5)
     return tx, ty, tz
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from polhode.cli.main import main
-from polhode.simulation.dataset.frame_renderer import Painter
+from polhode.simulation.dataset.frame_renderer import FrameRenderer
 
 SCENE = """
 seed: 4
@@ -43,15 +43,15 @@ def test_an_interrupt_is_one_line_and_the_same_command_goes_on(
     config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     command = ["simulate", str(config), "-o", str(tmp_path / "S")]
-    paint = Painter.pair
+    write_pair = FrameRenderer.write_pair
     with monkeypatch.context() as patch:
 
-        def interrupted(self: Painter, k: int, mav0: Path) -> None:
+        def interrupted(self: FrameRenderer, k: int, mav0: Path) -> None:
             if k == 3:
                 raise KeyboardInterrupt
-            paint(self, k, mav0)
+            write_pair(self, k, mav0)
 
-        patch.setattr(Painter, "pair", interrupted)
+        patch.setattr(FrameRenderer, "write_pair", interrupted)
         assert main(command) == 130
     error = capsys.readouterr().err
     assert (

@@ -16,7 +16,7 @@ from polhode.lie import Array
 from polhode.records import Bools
 from polhode.simulation.camera.sensor import expose
 from polhode.simulation.dataset.correspondence import Correspondence, dense_correspondence, view_of
-from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.render import Renderer
 
@@ -30,7 +30,7 @@ HALF_PX, STEP_PX = 6, 5
 SHARPEST_SIGMA_PX = 0.1
 
 
-def _plan(family: str, rig: dict[str, Any]) -> Plan:
+def _plan(family: str, rig: dict[str, Any]) -> SequencePlan:
     scene = {
         "frames": 1,
         "rig": rig,
@@ -43,7 +43,7 @@ def _plan(family: str, rig: dict[str, Any]) -> Plan:
     return plan_sequence(config.Scene.model_validate(scene), 4)
 
 
-def _image(plan: Plan, renderer: Renderer, index: int) -> Array:
+def _image(plan: SequencePlan, renderer: Renderer, index: int) -> Array:
     camera = plan.cameras[index]
     level = renderer.picture(camera, plan.X_NC[0] @ camera.X_CK, plan.target.X_NG[0]).level
     return expose(level, plan.scene.sensor, np.random.default_rng([7, index])).astype(np.float64)
@@ -80,7 +80,7 @@ def _bias_and_scatter(shifts: Array) -> tuple[Array, Array]:
     return median, 1.4826 * np.median(np.abs(shifts - median), axis=0)
 
 
-def _dense(plan: Plan) -> Correspondence:
+def _dense(plan: SequencePlan) -> Correspondence:
     left, right = (view_of(plan, 0, index) for index in (0, 1))
     return dense_correspondence(RayCaster(plan.body), left, right)
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from polhode.config.loader import load_config
 from polhode.lie import Array, log_so3
-from polhode.simulation.dataset.sequence import Plan, plan_sequence, truth_of
+from polhode.simulation.dataset.sequence import SequencePlan, plan_sequence, truth_of
 from polhode.simulation.motion import TargetMotion, target_motion
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -25,24 +25,24 @@ def _rigid(path: Path) -> bool:
 
 
 @pytest.fixture(scope="module", params=PATHS, ids=lambda path: path.stem)
-def plan(request: pytest.FixtureRequest) -> Plan:
+def plan(request: pytest.FixtureRequest) -> SequencePlan:
     config = load_config(request.param)
     assert config.scene is not None
     return plan_sequence(config.scene, config.seed)
 
 
-def _finely(plan: Plan, step_s: float) -> TargetMotion:
+def _finely(plan: SequencePlan, step_s: float) -> TargetMotion:
     fine = plan.scene.model_copy(update={"frames": 201, "interval_s": step_s, "truth_horizon_s": 0.0})
     return target_motion(fine, plan.mass, plan.seed)
 
 
-def test_velocity_is_the_derivative_of_position(plan: Plan) -> None:
+def test_velocity_is_the_derivative_of_position(plan: SequencePlan) -> None:
     motion = _finely(plan, 0.01)
     slope = (motion.r_N[2:] - motion.r_N[:-2]) / 0.02
     np.testing.assert_allclose(slope, motion.v_N[1:-1], atol=1e-11)
 
 
-def test_angular_velocity_is_the_derivative_of_attitude(plan: Plan) -> None:
+def test_angular_velocity_is_the_derivative_of_attitude(plan: SequencePlan) -> None:
     motion = _finely(plan, 0.002)
     turn = log_so3(np.swapaxes(motion.R_NP[:-2], 1, 2) @ motion.R_NP[2:]) / 0.004
     # Central difference: the error is of second order in the step, (w dt)^2 |w| / 6 at most.
@@ -52,7 +52,7 @@ def test_angular_velocity_is_the_derivative_of_attitude(plan: Plan) -> None:
 @pytest.mark.parametrize(
     "plan", [path for path in PATHS if _rigid(path)], ids=lambda p: p.stem, indirect=True
 )
-def test_attitude_agrees_with_scipys_integration_of_another_form(plan: Plan) -> None:
+def test_attitude_agrees_with_scipys_integration_of_another_form(plan: SequencePlan) -> None:
     """Angular momentum in N and the rotation matrix by LSODA: none of the simulator's equations."""
     truth = truth_of(plan)
     stop = plan.scene.frames - 1
@@ -80,7 +80,7 @@ def test_attitude_agrees_with_scipys_integration_of_another_form(plan: Plan) -> 
     assert error < 1e-5
 
 
-def test_truth_is_sorted_right_handed_and_continues_a_minute(plan: Plan) -> None:
+def test_truth_is_sorted_right_handed_and_continues_a_minute(plan: SequencePlan) -> None:
     truth = truth_of(plan)
     assert truth.moments[0] >= truth.moments[1] >= truth.moments[2] > 0
     assert truth.moments[0] <= truth.moments[1] + truth.moments[2]

@@ -4,7 +4,7 @@ import numpy as np
 
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import Revolved, ball, box, drum, pose, revolve, strut, tube
-from polhode.simulation.bodies.textures.part_builder import Studio
+from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,
@@ -15,17 +15,17 @@ from polhode.simulation.surface.materials import (
 )
 
 
-def patch(studio: Studio, size_m: float) -> list[Part]:
+def patch(builder: PartBuilder, size_m: float) -> list[Part]:
     """A flat square antenna: a ceramic tile on a plate, four screws."""
     plate = box([size_m, size_m, 0.12 * size_m], bevel=0.2)
     tile = box([0.72 * size_m, 0.72 * size_m, 0.12 * size_m], bevel=0.15)
     tile.apply_translation([0, 0, 0.1 * size_m])
     feed = drum(0.04 * size_m, 0.05 * size_m, 10)
     feed.apply_translation([0.1 * size_m, 0.06 * size_m, 0.14 * size_m])
-    base = float(studio.rng.choice([0.3, 0.7]))
+    base = float(builder.rng.choice([0.3, 0.7]))
     return [
         Part(plate, ANODISED, name="antenna"),
-        studio.faced(tile, PAINT_GREY, studio.artist.plain(base), "antenna"),
+        builder.flat_part(tile, PAINT_GREY, builder.textures.plain(base), "antenna"),
         Part(feed, BRUSHED_METAL, name="antenna"),
     ]
 
@@ -76,16 +76,16 @@ def paraboloid(diameter_m: float, focal_m: float, wall_m: float, sections: int, 
     return revolve(np.vstack([back, rim, front[::-1]]), sections)
 
 
-def small_dish(studio: Studio, diameter_m: float) -> list[Part]:
+def small_dish(builder: PartBuilder, diameter_m: float) -> list[Part]:
     """A high-gain antenna on a gimballed mast: reflector with gores, feed on three struts."""
-    rng = studio.rng
+    rng = builder.rng
     focal, mast = 0.38 * diameter_m, 0.32 * diameter_m
     steps = 6
     solid = paraboloid(diameter_m, focal, 0.012 * diameter_m, 40, steps)
     base = float(rng.choice([0.75, 0.75, 0.3]))
     last = len(solid.profile) - 1
-    draw = studio.artist.reflector(base, int(rng.integers(6, 13)))
-    reflector = studio.wrapped(solid, [(last - steps, last - 1, draw)], PAINT_WHITE, "dish")
+    draw = builder.textures.reflector(base, int(rng.integers(6, 13)))
+    reflector = builder.revolved_part(solid, [(last - steps, last - 1, draw)], PAINT_WHITE, "dish")
     parts = [reflector]
     for angle in np.arange(3) * 2 * np.pi / 3 + rng.uniform(0, 2):
         edge = 0.42 * diameter_m * np.array([np.cos(angle), np.sin(angle), 0.0])

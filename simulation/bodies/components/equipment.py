@@ -7,7 +7,7 @@ import numpy as np
 
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import ball, box, drum, pose, prism, revolve, strut, tube
-from polhode.simulation.bodies.textures.part_builder import Studio
+from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,
@@ -22,14 +22,14 @@ SINK = 0.08
 """Share of a thing's height that lies below the wall."""
 
 
-def electronics_box(studio: Studio, width_m: float, depth_m: float, height_m: float) -> list[Part]:
+def electronics_box(builder: PartBuilder, width_m: float, depth_m: float, height_m: float) -> list[Part]:
     """A box on a flange, its face labelled, a row of connectors on one side."""
-    rng = studio.rng
+    rng = builder.rng
     base = float(rng.choice([0.06, 0.2, 0.35, 0.6]))
     body = box([width_m, depth_m, height_m * (1 + SINK)], bevel=0.05)
     body.apply_translation([0, 0, 0.5 * height_m * (1 - SINK)])
-    draw = studio.artist.panel(base, 0.8) if rng.random() < 0.75 else studio.artist.machined_plate()
-    parts = [studio.faced(body, PAINT_GREY if base > 0.1 else PAINT_BLACK, draw, "equipment")]
+    draw = builder.textures.panel(base, 0.8) if rng.random() < 0.75 else builder.textures.machined_plate()
+    parts = [builder.flat_part(body, PAINT_GREY if base > 0.1 else PAINT_BLACK, draw, "equipment")]
     flange = box([1.14 * width_m, 1.14 * depth_m, 0.14 * height_m], bevel=0.1)
     parts.append(Part(flange, ANODISED, name="equipment"))
     count = int(rng.integers(2, 5))
@@ -42,12 +42,12 @@ def electronics_box(studio: Studio, width_m: float, depth_m: float, height_m: fl
     return parts
 
 
-def star_tracker(studio: Studio, size_m: float) -> list[Part]:
+def star_tracker(builder: PartBuilder, size_m: float) -> list[Part]:
     """A tilted, hollow baffle on a small box; size_m is the baffle's length."""
     s = size_m
     block = box([0.62 * s, 0.5 * s, 0.4 * s], bevel=0.08)
     block.apply_translation([0, 0, 0.15 * s])
-    lean = pose([studio.rng.uniform(-0.5, 0.5), studio.rng.uniform(-0.5, 0.5), 1.0], [0, 0, 0.28 * s])
+    lean = pose([builder.rng.uniform(-0.5, 0.5), builder.rng.uniform(-0.5, 0.5), 1.0], [0, 0, 0.28 * s])
     outer, wall = 0.34 * s, 0.025 * s
     profile = [(0, 0), (0.2 * s, 0), (0.2 * s, 0.15 * s), (outer, 0.75 * s), (outer, s),
                (outer - wall, s), (outer - wall, 0.74 * s), (0.15 * s, 0.2 * s), (0, 0.2 * s)]  # fmt: skip
@@ -58,7 +58,7 @@ def star_tracker(studio: Studio, size_m: float) -> list[Part]:
     lens = ball(0.13 * s, 16, 8)
     lens.apply_translation([0, 0, 0.13 * s])
     return [
-        studio.faced(block, PAINT_BLACK, studio.artist.panel(0.1, 0.5), "star_tracker"),
+        builder.flat_part(block, PAINT_BLACK, builder.textures.panel(0.1, 0.5), "star_tracker"),
         *(
             Part(mesh, material, name="star_tracker").moved(lean)
             for mesh, material in ((baffle, PAINT_WHITE), (inside, PAINT_BLACK), (lens, GLASS))
@@ -117,10 +117,10 @@ def grapple_pin(size_m: float) -> list[Part]:
     return [*parts, Part(pin, ANODISED, name="grapple"), Part(knob, PAINT_WHITE, name="grapple")]
 
 
-def umbilical(studio: Studio, size_m: float) -> list[Part]:
+def umbilical(builder: PartBuilder, size_m: float) -> list[Part]:
     """A plate with two round connectors and a few sockets."""
     plate = box([size_m, 0.7 * size_m, 0.12 * size_m], bevel=0.2)
-    parts = [studio.faced(plate, ANODISED, studio.artist.machined_plate(), "connector")]
+    parts = [builder.flat_part(plate, ANODISED, builder.textures.machined_plate(), "connector")]
     for x in (-0.24, 0.24):
         ring = revolve([(0.1 * size_m, 0.0), (0.17 * size_m, 0.0), (0.17 * size_m, 0.16 * size_m),
                         (0.1 * size_m, 0.16 * size_m)], 20, closed=True).mesh  # fmt: skip
@@ -141,17 +141,17 @@ def cable(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], radius_m: f
     return parts
 
 
-def hexagonal_can(studio: Studio, size_m: float) -> list[Part]:
+def hexagonal_can(builder: PartBuilder, size_m: float) -> list[Part]:
     """A six-sided canister with a lid."""
     angle = np.arange(6) * np.pi / 3
     outline = 0.5 * size_m * np.column_stack([np.cos(angle), np.sin(angle)])
-    height = size_m * float(studio.rng.uniform(0.4, 0.8))
+    height = size_m * float(builder.rng.uniform(0.4, 0.8))
     can = prism(outline, 1.06 * height, taper=0.92)
     can.apply_translation([0, 0, -0.06 * height])
     lid = drum(0.3 * size_m, 0.14 * size_m, 20)
     lid.apply_translation([0, 0, 0.96 * height])
-    base = float(studio.rng.choice([0.08, 0.4, 0.7]))
+    base = float(builder.rng.choice([0.08, 0.4, 0.7]))
     return [
-        studio.faced(can, PAINT_GREY, studio.artist.panel(base, 1.0), "equipment"),
+        builder.flat_part(can, PAINT_GREY, builder.textures.panel(base, 1.0), "equipment"),
         Part(lid, COMPOSITE if base > 0.3 else BRUSHED_METAL, name="equipment"),
     ]

@@ -4,7 +4,7 @@ import numpy as np
 
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import Revolved, ball, box, drum, pose, revolve, strut, tube
-from polhode.simulation.bodies.textures.part_builder import Studio
+from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (
     BRUSHED_METAL,
     COMPOSITE,
@@ -44,32 +44,34 @@ def thruster(size_m: float) -> list[Part]:
     return [Part(nozzle, DARK_METAL, name="thruster"), Part(valve, BRUSHED_METAL, name="thruster")]
 
 
-def thruster_block(studio: Studio, size_m: float) -> list[Part]:
+def thruster_block(builder: PartBuilder, size_m: float) -> list[Part]:
     """A block with thrusters on its sides and one on top; size_m is the block's width."""
     block = box([size_m, size_m, 0.85 * size_m], bevel=0.12)
     block.apply_translation([0, 0, 0.34 * size_m])
     parts = [
-        studio.faced(
-            block, PAINT_BLACK, studio.artist.panel(float(studio.rng.choice([0.1, 0.6])), 0.6), "thruster"
+        builder.flat_part(
+            block, PAINT_BLACK, builder.textures.panel(float(builder.rng.choice([0.1, 0.6])), 0.6), "thruster"
         )
     ]
     directions = [np.array([1.0, 0, 0.15]), np.array([-1.0, 0, 0.15]), np.array([0, 1.0, 0.15])]
-    for direction in directions[: int(studio.rng.integers(2, 4))]:
+    for direction in directions[: int(builder.rng.integers(2, 4))]:
         at = np.array([0, 0, 0.42 * size_m]) + 0.48 * size_m * direction
         parts += [part.moved(pose(direction, at)) for part in thruster(0.42 * size_m)]
     return parts
 
 
-def engine(studio: Studio, exit_m: float, length_m: float) -> list[Part]:
+def engine(builder: PartBuilder, exit_m: float, length_m: float) -> list[Part]:
     """A main engine with the throat at z = 0: bell, chamber, pumps, feed lines, gimbal struts.
 
     exit_m is the radius of the exit, length_m the length of the bell; all ends at z = -length_m / 2.
     """
-    rng = studio.rng
+    rng = builder.rng
     throat = 0.2 * exit_m
     solid = bell(throat, exit_m, length_m, 0.022 * exit_m, 56, 11)
     # Points 3 .. 13 of the profile are the outer skin from the throat down to the exit.
-    parts = [studio.wrapped(solid, [(3, 13, studio.artist.nozzle_wall())], DARK_METAL, "nozzle", 2.0)]
+    parts = [
+        builder.revolved_part(solid, [(3, 13, builder.textures.nozzle_wall())], DARK_METAL, "nozzle", 2.0)
+    ]
     t, ell = throat, length_m
     chamber = revolve([(0, -0.5 * ell), (1.3 * t, -0.5 * ell), (1.9 * t, -0.42 * ell), (1.9 * t, -0.22 * ell),
                        (1.1 * t, -0.04 * ell), (0, -0.04 * ell)], 32).mesh  # fmt: skip

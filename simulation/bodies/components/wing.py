@@ -6,15 +6,21 @@ from polhode.lie import Array
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import box, drum, pose, strut
 from polhode.simulation.bodies.textures.canvas import Draw
-from polhode.simulation.bodies.textures.part_builder import Studio
+from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import ANODISED, BRUSHED_METAL, COMPOSITE, PAINT_BLACK, SOLAR_CELL
 
 
 def solar_wing(
-    studio: Studio, length_m: float, width_m: float, thickness_m: float, panels: int, yoke_m: float, cell: int
+    builder: PartBuilder,
+    length_m: float,
+    width_m: float,
+    thickness_m: float,
+    panels: int,
+    yoke_m: float,
+    cell: int,
 ) -> list[Part]:
     """A wing of several panels, length_m long without the yoke; ``cell``: length of a cell in texels."""
-    rng = studio.rng
+    rng = builder.rng
     gap = 0.02 * length_m
     each = (length_m - (panels - 1) * gap) / panels
     parts = []
@@ -23,26 +29,30 @@ def solar_wing(
         # Hinges never open by quite the same angle.
         bend = pose([0, 0, 1.0], [middle, 0, 0])
         bend[:3, :3] = _turn_y(rng.normal(0, 0.012))
-        parts += [part.moved(bend) for part in _panel(studio, each, width_m, thickness_m, cell)]
+        parts += [part.moved(bend) for part in _panel(builder, each, width_m, thickness_m, cell)]
         if k > 0:
             for side in (-0.3, 0.3):
                 hinge = drum(1.4 * thickness_m, 0.12 * width_m, 12)
                 at = [middle - 0.5 * (each + gap), side * width_m - 0.06 * width_m, -0.5 * thickness_m]
                 hinge.apply_transform(pose([0, 1.0, 0], at))
                 parts.append(Part(hinge, BRUSHED_METAL, name="hinge"))
-    return parts + _yoke(studio, width_m, thickness_m, yoke_m)
+    return parts + _yoke(builder, width_m, thickness_m, yoke_m)
 
 
-def _panel(studio: Studio, length_m: float, width_m: float, thickness_m: float, cell: int) -> list[Part]:
+def _panel(
+    builder: PartBuilder, length_m: float, width_m: float, thickness_m: float, cell: int
+) -> list[Part]:
     board = box([length_m, width_m, thickness_m], bevel=0.15)
-    front, back, edge = studio.artist.cells(cell), _back(studio), 0.9
+    front, back, edge = builder.textures.cells(cell), _back(builder), 0.9
 
     def draw(normal: Array) -> Draw | None:
         if normal[2] > edge:
             return front
         return back if normal[2] < -edge else None
 
-    parts = [studio.faced_by(board, SOLAR_CELL, draw, "panel", 0.6, down_G=np.array([0.0, 1.0, 0.0]))]
+    parts = [
+        builder.flat_part_by_side(board, SOLAR_CELL, draw, "panel", 0.6, down_G=np.array([0.0, 1.0, 0.0]))
+    ]
     # Stiffeners and a harness on the back, so that it is no bare sheet.
     for y in (-0.32, 0.32):
         rib = box([0.94 * length_m, 0.035 * width_m, 1.2 * thickness_m], bevel=0.2)
@@ -53,12 +63,12 @@ def _panel(studio: Studio, length_m: float, width_m: float, thickness_m: float, 
     return [*parts, Part(lead, PAINT_BLACK, name="panel", density_factor=0.6)]
 
 
-def _back(studio: Studio) -> Draw:
-    rng = studio.rng
-    return studio.artist.panel(float(rng.choice([0.12, 0.25, 0.35, 0.6])), 0.45)
+def _back(builder: PartBuilder) -> Draw:
+    rng = builder.rng
+    return builder.textures.panel(float(rng.choice([0.12, 0.25, 0.35, 0.6])), 0.45)
 
 
-def _yoke(studio: Studio, width_m: float, thickness_m: float, yoke_m: float) -> list[Part]:
+def _yoke(builder: PartBuilder, width_m: float, thickness_m: float, yoke_m: float) -> list[Part]:
     """A V of two bars from the drive to the first panel's edge."""
     radius = max(0.6 * thickness_m, 0.012 * width_m)
     drive = drum(0.05 * width_m + radius, 0.2 * width_m, 20)
@@ -68,7 +78,7 @@ def _yoke(studio: Studio, width_m: float, thickness_m: float, yoke_m: float) -> 
         bar = strut(
             [0.0, 0.06 * np.sign(side) * width_m, 0], [yoke_m + 0.01 * width_m, side * width_m, 0], radius, 10
         )
-        parts.append(Part(bar, COMPOSITE if studio.rng.random() < 0.5 else BRUSHED_METAL, name="hinge"))
+        parts.append(Part(bar, COMPOSITE if builder.rng.random() < 0.5 else BRUSHED_METAL, name="hinge"))
     return parts
 
 

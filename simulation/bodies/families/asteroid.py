@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from polhode.lie import Array, exp_so3
 from polhode.records import Ints
 from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.textures.part_builder import Studio
+from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import REGOLITH
 from polhode.simulation.surface.noise import fractal
 
@@ -15,13 +15,13 @@ SUBDIVISIONS = 6
 """Of an icosahedron: 81,920 faces, 2 mm edges on a body of 0.3 m."""
 
 
-def asteroid_parts(size_m: float, studio: Studio, subdivisions: int = SUBDIVISIONS) -> list[Part]:
+def asteroid_parts(size_m: float, builder: PartBuilder, subdivisions: int = SUBDIVISIONS) -> list[Part]:
     """One part, as large as a sphere of diameter size_m [m]; G is not aligned with the longest axis.
 
     Seeds differ in shape (ellipsoid, two lobes, spinning top) and in cover, from smooth and cratered to a
     pile of boulders.
     """
-    rng = studio.rng
+    rng = builder.rng
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     direction = np.ascontiguousarray(sphere.vertices)
     tree = cKDTree(direction)

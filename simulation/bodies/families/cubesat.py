@@ -19,7 +19,7 @@ from polhode.simulation.bodies.components.propulsion import thruster
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import box, drum, pose, tube
 from polhode.simulation.bodies.textures.canvas import Draw
-from polhode.simulation.bodies.textures.part_builder import Studio, sheet_by_side
+from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,
@@ -42,34 +42,34 @@ class _Form:
     """(3,) outer size over the rails"""
 
 
-def cubesat_parts(size_m: float, studio: Studio) -> list[Part]:
+def cubesat_parts(size_m: float, builder: PartBuilder) -> list[Part]:
     """Parts of a cubesat size_m [m] long (z), without antennas and wings; G in the middle of the box."""
-    rng = studio.rng
+    rng = builder.rng
     across, deep, along = FORMS[int(rng.integers(len(FORMS)))]
     unit = size_m / along
     form = _Form(unit, unit * np.array([across, deep, along]))
-    parts = [_core(form, studio), *_rails(form)]
+    parts = [_core(form, builder), *_rails(form)]
     decks = decks_of_box(form.sides_m - 0.05 * unit, np.zeros(3))
-    parts += _ends(form, decks, studio)
-    parts += _tapes(form, studio)
-    parts += _wings(form, studio)
+    parts += _ends(form, decks, builder)
+    parts += _tapes(form, builder)
+    parts += _wings(form, builder)
     for name in ("+x", "-x", "+y", "-y"):
-        parts += _side(form, decks[name], studio)
+        parts += _side(form, decks[name], builder)
     return parts
 
 
-def _core(form: _Form, studio: Studio) -> Part:
+def _core(form: _Form, builder: PartBuilder) -> Part:
     """The box between the rails: cells on most sides, boards and plates on the others."""
-    rng, artist = studio.rng, studio.artist
-    cell = max(8, round(0.72 * form.unit_m / studio.texel_m))
-    cells = artist.cells(cell if rng.random() < 0.6 else cell // 2)
-    sheets: list[Draw] = [cells, cells, cells, artist.panel(float(rng.choice([0.06, 0.3, 0.6])), 1.2)]
+    rng, textures = builder.rng, builder.textures
+    cell = max(8, round(0.72 * form.unit_m / builder.texel_m))
+    cells = textures.cells(cell if rng.random() < 0.6 else cell // 2)
+    sheets: list[Draw] = [cells, cells, cells, textures.panel(float(rng.choice([0.06, 0.3, 0.6])), 1.2)]
     order = rng.permutation(4)
-    end = artist.machined_plate() if rng.random() < 0.5 else artist.panel(0.12, 1.3)
+    end = textures.machined_plate() if rng.random() < 0.5 else textures.panel(0.12, 1.3)
 
     core = box(form.sides_m - 0.05 * form.unit_m, bevel=0.01)
     sides = sheet_by_side([*(sheets[k] for k in order), end, end])
-    return studio.faced_by(core, SOLAR_CELL, sides, "core", down_G=np.array([0, 0, -1.0]))
+    return builder.flat_part_by_side(core, SOLAR_CELL, sides, "core", down_G=np.array([0, 0, -1.0]))
 
 
 def _rails(form: _Form) -> list[Part]:
@@ -94,9 +94,9 @@ def _rails(form: _Form) -> list[Part]:
     return parts
 
 
-def _ends(form: _Form, decks: dict[str, Deck], studio: Studio) -> list[Part]:
+def _ends(form: _Form, decks: dict[str, Deck], builder: PartBuilder) -> list[Part]:
     """A lens or an antenna at one end, thruster and plungers at the other."""
-    rng, u = studio.rng, form.unit_m
+    rng, u = builder.rng, form.unit_m
     top, bottom = decks["+z"], decks["-z"]
     x = 0.0 if form.sides_m[0] < 1.5 * u else -0.5 * u
     parts: list[Part] = []
@@ -106,7 +106,7 @@ def _ends(form: _Form, decks: dict[str, Deck], studio: Studio) -> list[Part]:
         parts += top.put(camera_lens(0.5 * u), x, 0)
     elif kind == 1:
         top.reserve(x, 0, 0.4 * u)
-        parts += top.put(patch(studio, 0.6 * u), x, 0)
+        parts += top.put(patch(builder, 0.6 * u), x, 0)
     else:
         top.reserve(x, 0, 0.3 * u)
         parts += top.put(camera_lens(0.34 * u), x + 0.14 * u, 0.1 * u)
@@ -115,12 +115,12 @@ def _ends(form: _Form, decks: dict[str, Deck], studio: Studio) -> list[Part]:
         parts += bottom.put(thruster(0.3 * u), 0, 0)
         bottom.reserve(0, 0, 0.2 * u)
     else:
-        parts += bottom.put(patch(studio, 0.5 * u), 0, 0)
+        parts += bottom.put(patch(builder, 0.5 * u), 0, 0)
         bottom.reserve(0, 0, 0.36 * u)
     for deck in (top, bottom):
-        parts += deck.place(partial(star_tracker, studio, 0.32 * u), 0.24 * u, rng)
+        parts += deck.place(partial(star_tracker, builder, 0.32 * u), 0.24 * u, rng)
         parts += deck.place(partial(sun_sensor, 0.13 * u), 0.09 * u, rng)
-        parts += deck.place(partial(electronics_box, studio, 0.26 * u, 0.18 * u, 0.07 * u), 0.18 * u, rng)
+        parts += deck.place(partial(electronics_box, builder, 0.26 * u, 0.18 * u, 0.07 * u), 0.18 * u, rng)
     plunger = drum(0.02 * u, 0.12 * u, 10)
     corner = 0.5 * (form.sides_m - 0.085 * u)
     for sign in (-1.0, 1.0):
@@ -129,26 +129,26 @@ def _ends(form: _Form, decks: dict[str, Deck], studio: Studio) -> list[Part]:
     return parts
 
 
-def _side(form: _Form, deck: Deck, studio: Studio) -> list[Part]:
+def _side(form: _Form, deck: Deck, builder: PartBuilder) -> list[Part]:
     """One or two small things on a long side."""
-    rng, u = studio.rng, form.unit_m
+    rng, u = builder.rng, form.unit_m
     parts: list[Part] = []
     for _ in range(int(rng.integers(0, 3))):
         kind = rng.integers(4)
         if kind == 0:
-            parts += deck.place(partial(umbilical, studio, 0.26 * u), 0.2 * u, rng)
+            parts += deck.place(partial(umbilical, builder, 0.26 * u), 0.2 * u, rng)
         elif kind == 1:
             parts += deck.place(partial(sun_sensor, 0.1 * u), 0.08 * u, rng)
         elif kind == 2:
-            parts += deck.place(partial(patch, studio, 0.3 * u), 0.22 * u, rng)
+            parts += deck.place(partial(patch, builder, 0.3 * u), 0.22 * u, rng)
         else:
             parts += deck.place(partial(camera_lens, 0.2 * u), 0.14 * u, rng)
     return parts
 
 
-def _tapes(form: _Form, studio: Studio) -> list[Part]:
+def _tapes(form: _Form, builder: PartBuilder) -> list[Part]:
     """Two or four antennas of spring tape that droop a little, out of a unit near one end."""
-    rng, u = studio.rng, form.unit_m
+    rng, u = builder.rng, form.unit_m
     z = 0.5 * form.sides_m[2] - 0.12 * u
     length = u * float(rng.uniform(1.4, 2.2))
     directions = [np.array(d, dtype=np.float64) for d in ([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0])]
@@ -171,15 +171,15 @@ def _tapes(form: _Form, studio: Studio) -> list[Part]:
     return parts
 
 
-def _wings(form: _Form, studio: Studio) -> list[Part]:
+def _wings(form: _Form, builder: PartBuilder) -> list[Part]:
     """None, two or four panels that fold out at one end, cells on one side."""
-    rng, u = studio.rng, form.unit_m
+    rng, u = builder.rng, form.unit_m
     count = int(rng.choice([0, 2, 2, 4]))
     if count == 0:
         return []
     opened = float(rng.choice([np.pi / 2, np.pi / 2, 2.2]))
-    cell = max(8, round(0.72 * u / studio.texel_m))
-    cells, back = studio.artist.cells(cell), studio.artist.panel(float(rng.choice([0.08, 0.2])), 0.8)
+    cell = max(8, round(0.72 * u / builder.texel_m))
+    cells, back = builder.textures.cells(cell), builder.textures.panel(float(rng.choice([0.08, 0.2])), 0.8)
     parts = []
     for out in ([1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0])[:count]:
         side = np.array(out)
@@ -192,7 +192,7 @@ def _wings(form: _Form, studio: Studio) -> list[Part]:
         def draw(normal: Array) -> Draw | None:
             return cells if normal[1] < -0.9 else back if normal[1] > 0.9 else None
 
-        sheet = studio.faced_by(board, COMPOSITE, draw, "wing", 0.6, down_G=np.array([0, 0, -1.0]))
+        sheet = builder.flat_part_by_side(board, COMPOSITE, draw, "wing", 0.6, down_G=np.array([0, 0, -1.0]))
         # The hinge lies at the lower end of the box; folded, the board stands along +z, its cells outward.
         fold = np.eye(4)
         fold[:3, 0], fold[:3, 1], fold[:3, 2] = wide, -side, [0, 0, 1.0]

@@ -8,7 +8,7 @@ from polhode.simulation.bodies.components.wing import solar_wing
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import box, drum, frame, pose, revolve, strut, tube
 from polhode.simulation.bodies.textures.canvas import Draw
-from polhode.simulation.bodies.textures.part_builder import Studio, sheet_by_side
+from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,
@@ -23,16 +23,16 @@ from polhode.simulation.surface.materials import (
 SECTIONS, STEPS = 72, 10
 
 
-def dish_parts(size_m: float, studio: Studio) -> list[Part]:
+def dish_parts(size_m: float, builder: PartBuilder) -> list[Part]:
     """Parts of a dish of diameter size_m [m] that opens towards +z, the bus behind it; G at the vertex."""
-    rng = studio.rng
+    rng = builder.rng
     focal = size_m * float(rng.uniform(0.32, 0.46))
     gores = int(rng.integers(8, 19))
-    parts = _reflector(studio, size_m, focal, gores)
-    parts += _feed(studio, size_m, focal)
+    parts = _reflector(builder, size_m, focal, gores)
+    parts += _feed(builder, size_m, focal)
     hub = 0.10 * size_m
     parts += _hub(size_m, hub)
-    parts += _bus(studio, size_m, hub)
+    parts += _bus(builder, size_m, hub)
     return parts
 
 
@@ -40,19 +40,23 @@ def _depth(r: float, focal: float) -> float:
     return r * r / (4.0 * focal)
 
 
-def _reflector(studio: Studio, size_m: float, focal: float, gores: int) -> list[Part]:
-    rng = studio.rng
+def _reflector(builder: PartBuilder, size_m: float, focal: float, gores: int) -> list[Part]:
+    rng = builder.rng
     wall_m = 0.006 * size_m
     solid = paraboloid(size_m, focal, wall_m, SECTIONS, STEPS)
     last = len(solid.profile) - 1
     base = float(rng.choice([0.78, 0.78, 0.6, 0.3]))
-    front = studio.artist.reflector(base, gores)
+    front = builder.textures.reflector(base, gores)
     back: Draw = (
-        studio.artist.blanket(FOIL_BLACK) if rng.random() < 0.4 else studio.artist.reflector(0.08, gores)
+        builder.textures.blanket(FOIL_BLACK)
+        if rng.random() < 0.4
+        else builder.textures.reflector(0.08, gores)
     )
     material = PAINT_WHITE if base > 0.2 else COMPOSITE
     parts = [
-        studio.wrapped(solid, [(last - STEPS, last - 1, front), (1, STEPS, back)], material, "reflector", 0.5)
+        builder.revolved_part(
+            solid, [(last - STEPS, last - 1, front), (1, STEPS, back)], material, "reflector", 0.5
+        )
     ]
     radii = np.linspace(0.13, 0.5, 7) * size_m
     for k in range(gores):
@@ -70,9 +74,9 @@ def _reflector(studio: Studio, size_m: float, focal: float, gores: int) -> list[
     return parts
 
 
-def _feed(studio: Studio, size_m: float, focal: float) -> list[Part]:
+def _feed(builder: PartBuilder, size_m: float, focal: float) -> list[Part]:
     """Struts that hold a horn at the focus, or a secondary mirror before a horn at the vertex."""
-    rng = studio.rng
+    rng = builder.rng
     legs = int(rng.integers(3, 5))
     start = float(rng.uniform(0, 2))
     foot = size_m * float(rng.uniform(0.26, 0.44))
@@ -95,12 +99,12 @@ def _feed(studio: Studio, size_m: float, focal: float) -> list[Part]:
         return [*parts, Part(mirror.mesh, PAINT_WHITE, name="feed"), Part(horn.mesh, ANODISED, name="feed")]
     can = box([0.1 * size_m, 0.1 * size_m, 0.09 * size_m], bevel=0.08)
     can.apply_translation([0, 0, top + 0.03 * size_m])
-    draw = studio.artist.panel(0.6, 0.8) if rng.random() < 0.5 else studio.artist.blanket(FOIL_GOLD)
+    draw = builder.textures.panel(0.6, 0.8) if rng.random() < 0.5 else builder.textures.blanket(FOIL_GOLD)
     horn = revolve([(0, top), (0.02 * size_m, top), (0.045 * size_m, top - 0.06 * size_m),
                     (0.04 * size_m, top - 0.06 * size_m), (0, top - 0.02 * size_m)], 28)  # fmt: skip
     return [
         *parts,
-        studio.faced(can, FOIL_GOLD, draw, "feed"),
+        builder.flat_part(can, FOIL_GOLD, draw, "feed"),
         Part(horn.mesh, ANODISED, name="feed"),
     ]
 
@@ -118,17 +122,17 @@ def _hub(size_m: float, depth_m: float) -> list[Part]:
     return parts
 
 
-def _bus(studio: Studio, size_m: float, hub: float) -> list[Part]:
+def _bus(builder: PartBuilder, size_m: float, hub: float) -> list[Part]:
     """The bus behind the hub with its wing and equipment."""
-    rng, artist = studio.rng, studio.artist
+    rng, textures = builder.rng, builder.textures
     sides = size_m * rng.uniform((0.24, 0.24, 0.2), (0.36, 0.36, 0.42))
     middle = np.array([0.0, 0.0, -hub - 0.5 * sides[2]])
     foil = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(3))]
-    sheets = [artist.blanket(foil), artist.panel(0.35, 0.8), artist.radiator(), artist.blanket(foil)]
+    sheets = [textures.blanket(foil), textures.panel(0.35, 0.8), textures.radiator(), textures.blanket(foil)]
     order = rng.permutation(6) % 4
     hull = box(sides, bevel=0.025)
     hull.apply_translation(middle)
-    parts = [studio.faced_by(hull, foil, sheet_by_side([sheets[k] for k in order]), "box", 1.5)]
+    parts = [builder.flat_part_by_side(hull, foil, sheet_by_side([sheets[k] for k in order]), "box", 1.5)]
     decks = decks_of_box(sides, middle)
     wings = [1.0] if rng.random() < 0.55 else [1.0, -1.0]
     tilt, cell = float(rng.uniform(-1.2, 1.2)), int(rng.integers(34, 56))
@@ -140,10 +144,10 @@ def _bus(studio: Studio, size_m: float, hub: float) -> list[Part]:
     for side in wings:
         root = middle + np.array([0.5 * side * sides[0], 0, -0.1 * sides[2]])
         X = frame([side, 0, 0], [0, np.sin(tilt), np.cos(tilt)], root)
-        wing = solar_wing(studio, length, width, 0.008 * size_m, panels, 0.1 * size_m, cell)
+        wing = solar_wing(builder, length, width, 0.008 * size_m, panels, 0.1 * size_m, cell)
         parts += [part.moved(X) for part in wing]
         decks["+x" if side > 0 else "-x"].reserve(0, 0, 0.1 * size_m)
     for name, deck in decks.items():
         if name != "+z":
-            parts += fit_out(deck, 0.5 * size_m, studio, 1, int(rng.integers(1, 5)))
+            parts += fit_out(deck, 0.5 * size_m, builder, 1, int(rng.integers(1, 5)))
     return parts

@@ -8,7 +8,7 @@ from polhode.simulation.bodies.parts.facets import flat_facets
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import ball, box, drum, hull, pose, revolve
 from polhode.simulation.bodies.textures.canvas import chart_of_facet
-from polhode.simulation.bodies.textures.part_builder import Studio
+from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,
@@ -22,24 +22,24 @@ PLAIN_FACES = 3
 """Faces of 18 that carry no sticker."""
 
 
-def free_flyer_parts(size_m: float, studio: Studio) -> list[Part]:
+def free_flyer_parts(size_m: float, builder: PartBuilder) -> list[Part]:
     """Parts of a free flyer, size_m [m] across flats, G at the middle of the shell, tank along -z."""
     scale = size_m / 0.22
-    parts = [_shell(size_m, studio)]
+    parts = [_shell(size_m, builder)]
     for position, direction in _thruster_places(size_m):
         parts += _thruster(position, direction, scale)
     return (
         parts
-        + _tank(size_m, scale, studio)
-        + _boxes(size_m, scale, studio)
-        + _sonar_buttons(size_m, scale, studio)
+        + _tank(size_m, scale, builder)
+        + _boxes(size_m, scale, builder)
+        + _sonar_buttons(size_m, scale, builder)
         + _window(size_m, scale)
     )
 
 
-def _shell(size_m: float, studio: Studio) -> Part:
+def _shell(size_m: float, builder: PartBuilder) -> Part:
     """A cube with chamfered edges: 6 + 12 faces."""
-    rng = studio.rng
+    rng = builder.rng
     axes = np.vstack([np.eye(3), -np.eye(3)])
     edges = np.array([[a, b, 0.0] for a in (-1, 1) for b in (-1, 1)]) / np.sqrt(2)
     edges = np.vstack([edges, np.roll(edges, 1, axis=1), np.roll(edges, 2, axis=1)])
@@ -53,8 +53,8 @@ def _shell(size_m: float, studio: Studio) -> Part:
     plain = rng.choice(len(facets), PLAIN_FACES, replace=False)
     for index, faces in enumerate(facets):
         base = float(rng.choice([0.26, 0.32, 0.4]))
-        draw = studio.artist.plain(base) if index in plain else studio.artist.panel(base, 1.5)
-        charts.append(chart_of_facet(mesh, faces, studio.texel_m, draw, studio.ink))
+        draw = builder.textures.plain(base) if index in plain else builder.textures.panel(base, 1.5)
+        charts.append(chart_of_facet(mesh, faces, builder.texel_m, draw, builder.texture_rng))
     return Part(mesh, PLASTIC, tuple(charts), name="shell")
 
 
@@ -83,7 +83,7 @@ def _thruster(position_G: Array, direction_G: Array, scale: float) -> list[Part]
     ]
 
 
-def _tank(size_m: float, scale: float, studio: Studio) -> list[Part]:
+def _tank(size_m: float, scale: float, builder: PartBuilder) -> list[Part]:
     """The gas tank under the shell in its collar, and the regulator knob above it."""
     radius, length = 0.034 * scale, 0.042 * scale
     angle = np.linspace(-np.pi / 2, 0, 13)
@@ -93,8 +93,8 @@ def _tank(size_m: float, scale: float, studio: Studio) -> list[Part]:
     profile[:, 1] += 0.6 * radius
     tank = revolve(profile, 56)
     # The wall above the dome carries a label of its own.
-    label = studio.artist.panel(0.36, 0.7)
-    wall = studio.wrapped(tank, [(12, 13, label)], PAINT_GREY, "tank", 2.0)
+    label = builder.textures.panel(0.36, 0.7)
+    wall = builder.revolved_part(tank, [(12, 13, label)], PAINT_GREY, "tank", 2.0)
     collar = revolve(
         np.array([[0.033, -0.004], [0.041, -0.004], [0.041, 0.006], [0.033, 0.008]]) * scale, 56, closed=True
     )
@@ -111,7 +111,7 @@ def _tank(size_m: float, scale: float, studio: Studio) -> list[Part]:
     ]
 
 
-def _boxes(size_m: float, scale: float, studio: Studio) -> list[Part]:
+def _boxes(size_m: float, scale: float, builder: PartBuilder) -> list[Part]:
     """Battery doors on +-x and an expansion port on +y, each with its own labels."""
     parts = []
     for normal, size_mm, offset_mm in [
@@ -123,14 +123,14 @@ def _boxes(size_m: float, scale: float, studio: Studio) -> list[Part]:
         mesh = box(np.array(size_mm) * 1e-3 * scale, bevel=0.1)
         place = 0.5 * size_m * n + np.array(offset_mm) * 1e-3 * scale * (1 - np.abs(n))
         mesh.apply_transform(pose(n, place))
-        draw = studio.artist.panel(float(studio.rng.uniform(0.12, 0.5)), 2.2)
-        parts.append(studio.faced(mesh, PAINT_GREY, draw, "box"))
+        draw = builder.textures.panel(float(builder.rng.uniform(0.12, 0.5)), 2.2)
+        parts.append(builder.flat_part(mesh, PAINT_GREY, draw, "box"))
     return parts
 
 
-def _sonar_buttons(size_m: float, scale: float, studio: Studio) -> list[Part]:
+def _sonar_buttons(size_m: float, scale: float, builder: PartBuilder) -> list[Part]:
     """Ultrasonic receivers: small discs on the faces, with a grille in the middle."""
-    rng = studio.rng
+    rng = builder.rng
     parts = []
     for axis in range(3):
         for sign in (-1.0, 1.0):

@@ -10,7 +10,7 @@ from polhode.simulation.bodies.components.propulsion import bottle
 from polhode.simulation.bodies.components.wing import solar_wing
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import ball, box, drum, frame, pose, strut
-from polhode.simulation.bodies.textures.part_builder import Studio, sheet_by_side
+from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,
@@ -24,9 +24,9 @@ from polhode.simulation.surface.materials import (
 )
 
 
-def truss_parts(size_m: float, studio: Studio) -> list[Part]:
+def truss_parts(size_m: float, builder: PartBuilder) -> list[Part]:
     """Parts of a truss size_m [m] long (x); G on its axis near the middle."""
-    rng = studio.rng
+    rng = builder.rng
     corners = int(rng.choice([3, 4, 4]))
     radius = size_m * float(rng.uniform(0.09, 0.13))
     angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
@@ -36,10 +36,10 @@ def truss_parts(size_m: float, studio: Studio) -> list[Part]:
     bays = max(4, round((end - start) / (1.25 * radius)))
     stations = np.linspace(start, end, bays + 1)
     tubes: Material = [PAINT_WHITE, COMPOSITE, ANODISED][int(rng.integers(3))]
-    parts = _lattice(stations, section, tubes, size_m, studio)
-    parts += _end_module(studio, start, module, radius, size_m)
-    parts += _far_end(studio, end, radius, size_m)
-    parts += _payloads(studio, stations, radius, size_m)
+    parts = _lattice(stations, section, tubes, size_m, builder)
+    parts += _end_module(builder, start, module, radius, size_m)
+    parts += _far_end(builder, end, radius, size_m)
+    parts += _payloads(builder, stations, radius, size_m)
     harness = np.column_stack([
         np.linspace(start, end, 2 * bays + 1),
         np.full(2 * bays + 1, 0.93 * section[0, 0]) + 0.004 * size_m * rng.normal(0, 1, 2 * bays + 1),
@@ -49,10 +49,10 @@ def truss_parts(size_m: float, studio: Studio) -> list[Part]:
 
 
 def _lattice(
-    stations: Array, section: Array, material: Material, size_m: float, studio: Studio
+    stations: Array, section: Array, material: Material, size_m: float, builder: PartBuilder
 ) -> list[Part]:
     """Longerons, battens and diagonals with a ball at each node."""
-    rng = studio.rng
+    rng = builder.rng
     thick, thin = 0.0085 * size_m, 0.0055 * size_m
     parts = []
     nodes = np.stack([np.column_stack([np.full(len(section), x), section]) for x in stations])
@@ -81,40 +81,46 @@ def _lattice(
     return parts
 
 
-def _end_module(studio: Studio, start: float, length: float, radius: float, size_m: float) -> list[Part]:
+def _end_module(
+    builder: PartBuilder, start: float, length: float, radius: float, size_m: float
+) -> list[Part]:
     """The service module at the end of the boom."""
-    rng, artist = studio.rng, studio.artist
+    rng, textures = builder.rng, builder.textures
     side = radius * float(rng.uniform(1.9, 2.5))
     sides = np.array([length, side, side])
     middle = np.array([start - 0.5 * length + 0.01 * size_m, 0, 0])
     hull = box(sides, bevel=0.04)
     hull.apply_translation(middle)
     foil = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(3))]
-    sheets = [artist.blanket(foil), artist.panel(float(rng.choice([0.3, 0.7])), 0.8), artist.machined_plate()]
+    sheets = [
+        textures.blanket(foil),
+        textures.panel(float(rng.choice([0.3, 0.7])), 0.8),
+        textures.machined_plate(),
+    ]
 
     chosen = [sheets[k] for k in rng.integers(3, size=6)]
-    parts = [studio.faced_by(hull, foil, sheet_by_side(chosen), "module", 1.5)]
+    parts = [builder.flat_part_by_side(hull, foil, sheet_by_side(chosen), "module", 1.5)]
     decks = decks_of_box(sides, middle)
     length, panels = size_m * float(rng.uniform(0.3, 0.45)), int(rng.integers(1, 4))
     cell = int(rng.integers(30, 50))
-    wing = solar_wing(studio, length, 0.22 * size_m, 0.007 * size_m, panels, 0.06 * size_m, cell)
+    wing = solar_wing(builder, length, 0.22 * size_m, 0.007 * size_m, panels, 0.06 * size_m, cell)
     tilt = float(rng.uniform(-0.8, 0.8))
     X = frame([0, 1.0, 0], [np.sin(tilt), 0, np.cos(tilt)], middle + np.array([0, 0.5 * side, 0]))
     parts += [part.moved(X) for part in wing]
     decks["+y"].reserve(0, 0, 0.06 * size_m)
     for name in ("-x", "-y", "+z", "-z"):
-        parts += fit_out(decks[name], 0.4 * size_m, studio, 1, int(rng.integers(1, 4)))
+        parts += fit_out(decks[name], 0.4 * size_m, builder, 1, int(rng.integers(1, 4)))
     return parts
 
 
-def _far_end(studio: Studio, end: float, radius: float, size_m: float) -> list[Part]:
+def _far_end(builder: PartBuilder, end: float, radius: float, size_m: float) -> list[Part]:
     """A plate with an antenna or a grapple fixture."""
-    rng = studio.rng
+    rng = builder.rng
     plate = box([0.03 * size_m, 2.2 * radius, 2.2 * radius], bevel=0.15)
     plate.apply_translation([end + 0.012 * size_m, 0, 0])
-    parts = [studio.faced(plate, ANODISED, studio.artist.machined_plate(), "plate")]
+    parts = [builder.flat_part(plate, ANODISED, builder.textures.machined_plate(), "plate")]
     X = pose([1.0, 0, 0], [end + 0.026 * size_m, 0, 0])
-    things = small_dish(studio, 0.3 * size_m) if rng.random() < 0.5 else grapple_pin(0.12 * size_m)
+    things = small_dish(builder, 0.3 * size_m) if rng.random() < 0.5 else grapple_pin(0.12 * size_m)
     parts += [part.moved(X) for part in things]
     for y in (-0.8, 0.8):
         foot = pose([1.0, 0.3 * y, 0.3], [end + 0.02 * size_m, y * radius, 0.6 * radius])
@@ -122,9 +128,9 @@ def _far_end(studio: Studio, end: float, radius: float, size_m: float) -> list[P
     return parts
 
 
-def _payloads(studio: Studio, stations: Array, radius: float, size_m: float) -> list[Part]:
+def _payloads(builder: PartBuilder, stations: Array, radius: float, size_m: float) -> list[Part]:
     """Boxes on the sides of the boom, bottles inside it, a radiator beside it."""
-    rng = studio.rng
+    rng = builder.rng
     parts: list[Part] = []
     free = list(rng.permutation(len(stations) - 1))
     for _ in range(min(4, len(free))):
@@ -136,7 +142,7 @@ def _payloads(studio: Studio, stations: Array, radius: float, size_m: float) -> 
         parts.append(Part(tray, ANODISED, name="tray").moved(X))
         X = pose(out, (radius * 0.78 + 0.006 * size_m) * out + [x, 0, 0], float(rng.integers(2)) * np.pi / 2)
         w, d, h = size_m * rng.uniform((0.07, 0.05, 0.03), (0.11, 0.09, 0.07))
-        parts += [part.moved(X) for part in electronics_box(studio, w, d, h)]
+        parts += [part.moved(X) for part in electronics_box(builder, w, d, h)]
     for bay in free[:2]:
         x = 0.5 * (stations[bay] + stations[bay + 1])
         parts += [part.moved(pose([0, 0, 1.0], [x, 0, 0])) for part in bottle(0.5 * radius, rng)]
@@ -145,19 +151,19 @@ def _payloads(studio: Studio, stations: Array, radius: float, size_m: float) -> 
             part.moved(pose([0, 0, 1.0], [stations[bay], 0, 0.78 * radius]))
             for part in handrail(0.1 * size_m, 0.004 * size_m)
         ]
-    return parts + _radiator(studio, stations, radius, size_m)
+    return parts + _radiator(builder, stations, radius, size_m)
 
 
-def _radiator(studio: Studio, stations: Array, radius: float, size_m: float) -> list[Part]:
+def _radiator(builder: PartBuilder, stations: Array, radius: float, size_m: float) -> list[Part]:
     """A thin panel on two arms along the -y side."""
-    rng = studio.rng
+    rng = builder.rng
     length, height = size_m * float(rng.uniform(0.25, 0.4)), size_m * float(rng.uniform(0.16, 0.26))
     sheet = box([length, 0.009 * size_m, height], bevel=0.2)
     x = float(rng.uniform(stations[0] + 0.6 * length, stations[-1] - 0.6 * length))
     aside = -radius - 0.05 * size_m
     lean = float(rng.normal(0, 0.15))
     X = frame([1.0, 0, 0], [0, -np.sin(lean), np.cos(lean)], [x, aside, 0.2 * height])
-    parts = [studio.faced(sheet, PAINT_WHITE, studio.artist.radiator(), "radiator", 0.6).moved(X)]
+    parts = [builder.flat_part(sheet, PAINT_WHITE, builder.textures.radiator(), "radiator", 0.6).moved(X)]
     for side in (-0.35, 0.35):
         arm = strut(
             [x + side * length, -0.6 * radius, 0], [x + side * length, aside, 0.1 * height], 0.006 * size_m

@@ -8,7 +8,7 @@ from polhode.simulation.bodies.components.equipment import cable, electronics_bo
 from polhode.simulation.bodies.components.propulsion import bottle, engine, thruster_block
 from polhode.simulation.bodies.parts.part import Part
 from polhode.simulation.bodies.parts.solids import ellipsoid_cap, frame, pose, prism, revolve, strut, tube
-from polhode.simulation.bodies.textures.part_builder import Studio
+from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (
     ANODISED,
     BRUSHED_METAL,
@@ -26,9 +26,9 @@ from polhode.simulation.surface.materials import (
 SECTIONS = 72
 
 
-def upper_stage_parts(size_m: float, studio: Studio) -> list[Part]:
+def upper_stage_parts(size_m: float, builder: PartBuilder) -> list[Part]:
     """Parts of a stage size_m [m] long from the nozzle's exit (-z) to the adapter's rim (+z)."""
-    rng = studio.rng
+    rng = builder.rng
     radius = size_m * float(rng.uniform(0.13, 0.22))
     nozzle = size_m * float(rng.uniform(0.14, 0.24))
     adapter = size_m * float(rng.uniform(0.05, 0.1))
@@ -38,34 +38,34 @@ def upper_stage_parts(size_m: float, studio: Studio) -> list[Part]:
     two_tanks = bool(rng.random() < 0.4)
     middle = bottom + (top - bottom) * float(rng.uniform(0.3, 0.42)) if two_tanks else bottom
     lower_radius = radius * (float(rng.uniform(0.62, 0.8)) if two_tanks else 1.0)
-    parts = _tank(studio, radius, middle, top)
+    parts = _tank(builder, radius, middle, top)
     if two_tanks:
-        parts += _second_tank(studio, lower_radius, radius, bottom, middle)
+        parts += _second_tank(builder, lower_radius, radius, bottom, middle)
     else:
-        parts += _aft_skirt(studio, radius, bottom)
-    parts += _thrust_section(studio, lower_radius, nozzle, throat, bottom)
-    parts += _front(studio, radius, top, adapter)
-    parts += _sides(studio, radius, middle, top)
+        parts += _aft_skirt(builder, radius, bottom)
+    parts += _thrust_section(builder, lower_radius, nozzle, throat, bottom)
+    parts += _front(builder, radius, top, adapter)
+    parts += _sides(builder, radius, middle, top)
     return parts
 
 
-def _tank(studio: Studio, radius: float, bottom: float, top: float) -> list[Part]:
+def _tank(builder: PartBuilder, radius: float, bottom: float, top: float) -> list[Part]:
     """The main tank: a wall with one drawing around it, a dome at either end."""
-    rng = studio.rng
+    rng = builder.rng
     length = top - bottom
     solid = revolve([(0, bottom), (radius, bottom), (radius, top), (0, top)], SECTIONS)
     look = rng.random()
     if look < 0.62:
         base, material = float(rng.choice([0.78, 0.78, 0.5, 0.3])), PAINT_WHITE
-        wall = studio.artist.tank_wall(base)
+        wall = builder.textures.tank_wall(base)
     elif look < 0.8:
         base, material = 0.12, BRUSHED_METAL
-        wall = studio.artist.tank_wall(base)
+        wall = builder.textures.tank_wall(base)
     else:
         material = FOIL_GOLD if rng.random() < 0.6 else FOIL_SILVER
-        wall = studio.artist.blanket(material)
-    parts = [studio.wrapped(solid, [(1, 2, wall)], material, "tank")]
-    parts += _dome(studio, radius, bottom, -0.4 * radius) + _dome(studio, radius, top, 0.36 * radius)
+        wall = builder.textures.blanket(material)
+    parts = [builder.revolved_part(solid, [(1, 2, wall)], material, "tank")]
+    parts += _dome(builder, radius, bottom, -0.4 * radius) + _dome(builder, radius, top, 0.36 * radius)
     # Raised rings at the welds of the domes.
     for z in (bottom + 0.03 * length, top - 0.03 * length):
         ring = revolve([(0.97 * radius, z - 0.012 * length), (1.015 * radius, z - 0.012 * length),
@@ -75,9 +75,9 @@ def _tank(studio: Studio, radius: float, bottom: float, top: float) -> list[Part
     return parts
 
 
-def _dome(studio: Studio, radius: float, z: float, height: float) -> list[Part]:
+def _dome(builder: PartBuilder, radius: float, z: float, height: float) -> list[Part]:
     """An elliptic dome of height [m] (downwards when negative) with a manhole and radial seams."""
-    rng = studio.rng
+    rng = builder.rng
     cap = ellipsoid_cap(0.985 * radius, abs(height))[::-1]
     solid = revolve(np.vstack([[(0, -0.1 * radius)], [(0.985 * radius, -0.1 * radius)], cap]), 48)
     material = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK, PAINT_GREY, BRUSHED_METAL][int(rng.integers(5))]
@@ -90,18 +90,20 @@ def _dome(studio: Studio, radius: float, z: float, height: float) -> list[Part]:
     ]
 
 
-def _second_tank(studio: Studio, radius: float, upper_radius: float, bottom: float, top: float) -> list[Part]:
+def _second_tank(
+    builder: PartBuilder, radius: float, upper_radius: float, bottom: float, top: float
+) -> list[Part]:
     """A smaller tank below the main one, hung in an open truss."""
-    rng = studio.rng
+    rng = builder.rng
     gap = 0.16 * (top - bottom) + 0.3 * upper_radius
     upper = top - gap
     solid = revolve([(0, bottom), (radius, bottom), (radius, upper), (0, upper)], SECTIONS)
     foil = FOIL_GOLD if rng.random() < 0.5 else FOIL_SILVER
-    wrapped, base = bool(rng.random() < 0.5), float(rng.choice([0.1, 0.6]))
-    wall = studio.artist.blanket(foil) if wrapped else studio.artist.tank_wall(base)
-    material = foil if wrapped else PAINT_WHITE
-    parts = [studio.wrapped(solid, [(1, 2, wall)], material, "tank")]
-    parts += _dome(studio, radius, bottom, -0.4 * radius) + _dome(studio, radius, upper, 0.4 * radius)
+    revolved_part, base = bool(rng.random() < 0.5), float(rng.choice([0.1, 0.6]))
+    wall = builder.textures.blanket(foil) if revolved_part else builder.textures.tank_wall(base)
+    material = foil if revolved_part else PAINT_WHITE
+    parts = [builder.revolved_part(solid, [(1, 2, wall)], material, "tank")]
+    parts += _dome(builder, radius, bottom, -0.4 * radius) + _dome(builder, radius, upper, 0.4 * radius)
     count = int(rng.integers(8, 13))
     for k in range(count):
         for step in (-0.5, 0.5):
@@ -112,19 +114,21 @@ def _second_tank(studio: Studio, radius: float, upper_radius: float, bottom: flo
     return parts
 
 
-def _aft_skirt(studio: Studio, radius: float, bottom: float) -> list[Part]:
+def _aft_skirt(builder: PartBuilder, radius: float, bottom: float) -> list[Part]:
     """A ring below the tank, open at its lower end, with stringers outside."""
     low = bottom - 0.32 * radius
     ring = revolve([(0.94 * radius, low), (1.005 * radius, low), (1.005 * radius, bottom + 0.06 * radius),
                     (0.94 * radius, bottom + 0.06 * radius)], SECTIONS, closed=True)  # fmt: skip
-    base = float(studio.rng.choice([0.08, 0.3, 0.6]))
-    wall = studio.artist.ring_wall(base)
-    return [studio.wrapped(ring, [(1, 2, wall)], PAINT_GREY, "skirt")]
+    base = float(builder.rng.choice([0.08, 0.3, 0.6]))
+    wall = builder.textures.ring_wall(base)
+    return [builder.revolved_part(ring, [(1, 2, wall)], PAINT_GREY, "skirt")]
 
 
-def _thrust_section(studio: Studio, radius: float, nozzle: float, throat: float, bottom: float) -> list[Part]:
+def _thrust_section(
+    builder: PartBuilder, radius: float, nozzle: float, throat: float, bottom: float
+) -> list[Part]:
     """Engines, the struts that carry them, bottles and pipes around."""
-    rng = studio.rng
+    rng = builder.rng
     exit_m = nozzle * float(rng.uniform(0.34, 0.48))
     pair = bool(rng.random() < 0.25 and exit_m < 0.48 * radius)
     places = [np.array([0.52 * radius, 0.0]), np.array([-0.52 * radius, 0.0])] if pair else [np.zeros(2)]
@@ -133,7 +137,7 @@ def _thrust_section(studio: Studio, radius: float, nozzle: float, throat: float,
     parts: list[Part] = []
     for place in places:
         X = pose([0.0, 0.0, -1.0], [*place, throat], float(rng.uniform(0, 6)))
-        parts += [part.moved(X) for part in engine(studio, exit_m, nozzle)]
+        parts += [part.moved(X) for part in engine(builder, exit_m, nozzle)]
     frame = throat + 0.5 * nozzle
     plate = revolve([(0, frame - 0.02 * radius), (0.42 * radius, frame - 0.02 * radius),
                      (0.86 * radius, bottom + 0.02 * radius), (0, bottom + 0.02 * radius)], 40)  # fmt: skip
@@ -156,9 +160,9 @@ def _thrust_section(studio: Studio, radius: float, nozzle: float, throat: float,
     return parts
 
 
-def _front(studio: Studio, radius: float, top: float, adapter: float) -> list[Part]:
+def _front(builder: PartBuilder, radius: float, top: float, adapter: float) -> list[Part]:
     """Forward ring with avionics inside, and the payload adapter: an open cone with a bright rim."""
-    rng = studio.rng
+    rng = builder.rng
     upper = radius * float(rng.uniform(0.55, 0.92))
     wall_m = 0.03 * radius
     foot, rim = top - 0.08 * radius, top + adapter
@@ -168,25 +172,25 @@ def _front(studio: Studio, radius: float, top: float, adapter: float) -> list[Pa
     cone = revolve(profile, SECTIONS, closed=True)
     base = float(rng.choice([0.05, 0.35, 0.7]))
     material = COMPOSITE if base < 0.1 else PAINT_GREY
-    parts = [studio.wrapped(cone, [(0, 2, studio.artist.ring_wall(base))], material, "adapter")]
+    parts = [builder.revolved_part(cone, [(0, 2, builder.textures.ring_wall(base))], material, "adapter")]
     inner, outer, foot = upper - 1.5 * wall_m, upper + 0.6 * wall_m, rim - 0.14 * adapter
     flange = revolve([(inner, foot), (outer, foot), (outer, rim), (inner, rim)], SECTIONS, closed=True)
     parts.append(Part(flange.mesh, BRUSHED_METAL, name="adapter"))
     for k in range(int(rng.integers(3, 6))):
         angle = 2 * np.pi * k / 6 + rng.uniform(0, 0.4)
         at = [0.5 * radius * np.cos(angle), 0.5 * radius * np.sin(angle), top + 0.2 * radius]
-        things = electronics_box(studio, 0.22 * radius, 0.16 * radius, 0.1 * radius)
+        things = electronics_box(builder, 0.22 * radius, 0.16 * radius, 0.1 * radius)
         parts += [part.moved(pose([0, 0, 1.0], at, angle)) for part in things]
     return parts
 
 
-def _sides(studio: Studio, radius: float, bottom: float, top: float) -> list[Part]:
+def _sides(builder: PartBuilder, radius: float, bottom: float, top: float) -> list[Part]:
     """What runs along the wall: cable tunnels, a feed line, thruster blocks, hatches, antennas."""
-    rng = studio.rng
+    rng = builder.rng
     length = top - bottom
     parts = []
     for angle in rng.uniform(0, 2 * np.pi) + np.array([0.0, np.pi])[: int(rng.integers(1, 3))]:
-        parts += _tunnel(studio, radius, bottom + 0.06 * length, top - 0.02 * length, float(angle))
+        parts += _tunnel(builder, radius, bottom + 0.06 * length, top - 0.02 * length, float(angle))
     if rng.random() < 0.6:
         angle = float(rng.uniform(0, 2 * np.pi))
         out = np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -195,25 +199,25 @@ def _sides(studio: Studio, radius: float, bottom: float, top: float) -> list[Par
         parts += cable(radius * offset[:, None] * out + z[:, None] * [0, 0, 1.0], 0.022 * radius)
     for angle in rng.uniform(0, 2 * np.pi) + np.arange(4) * np.pi / 2:
         at = _on_wall(radius, angle, bottom + 0.05 * length)
-        parts += [part.moved(at) for part in thruster_block(studio, 0.16 * radius)]
+        parts += [part.moved(at) for part in thruster_block(builder, 0.16 * radius)]
     for _ in range(5):
         at = _on_wall(
             radius, rng.uniform(0, 2 * np.pi), rng.uniform(bottom + 0.15 * length, top - 0.1 * length)
         )
         kind = rng.integers(3)
         if kind == 0:
-            things = patch(studio, 0.16 * radius)
+            things = patch(builder, 0.16 * radius)
         elif kind == 1:
-            things = umbilical(studio, 0.24 * radius)
+            things = umbilical(builder, 0.24 * radius)
         else:
-            things = electronics_box(studio, 0.3 * radius, 0.22 * radius, 0.08 * radius)
+            things = electronics_box(builder, 0.3 * radius, 0.22 * radius, 0.08 * radius)
         parts += [part.moved(at) for part in things]
     return parts
 
 
-def _tunnel(studio: Studio, radius: float, low: float, high: float, angle: float) -> list[Part]:
+def _tunnel(builder: PartBuilder, radius: float, low: float, high: float, angle: float) -> list[Part]:
     """A long cover with slanted ends along the wall."""
-    rng = studio.rng
+    rng = builder.rng
     wide, tall = 0.16 * radius, 0.09 * radius
     half = 0.5 * (high - low)
     outline = [(-0.5 * wide, -half), (0.5 * wide, -half), (0.5 * wide, half), (-0.5 * wide, half)]
@@ -221,7 +225,7 @@ def _tunnel(studio: Studio, radius: float, low: float, high: float, angle: float
     cover.apply_translation([0, 0, -0.6 * tall])
     base = float(rng.choice([0.08, 0.4, 0.75]))
     material: Material = PAINT_WHITE if base > 0.5 else PAINT_BLACK if base < 0.1 else PAINT_GREY
-    part = studio.faced(cover, material, studio.artist.panel(base, 0.4), "tunnel")
+    part = builder.flat_part(cover, material, builder.textures.panel(base, 0.4), "tunnel")
     return [part.moved(_on_wall(radius, angle, 0.5 * (low + high)))]
 
 

@@ -17,12 +17,12 @@ from polhode.simulation.bodies.imported.reading import FilePiece
 from polhode.simulation.bodies.parts.file_colours import FileColours
 
 REC_709 = np.array([0.2126, 0.7152, 0.0722])
-LARGEST_IMAGE = 4096
+MAX_IMAGE_PX = 4096
 """Images are reduced to this many pixels a side."""
 
 
 @dataclass(frozen=True)
-class Look:
+class FileAppearance:
     """What a file says of a piece's surface; None: nothing."""
 
     colours: FileColours | None = None
@@ -41,7 +41,7 @@ def linear_grey(rgb: Array, encoded: bool = True) -> Array:
     return np.asarray(colour @ REC_709)
 
 
-def look_of(piece: FilePiece, glb: bool) -> Look:
+def file_appearance(piece: FilePiece, glb: bool) -> FileAppearance:
     """What the file says of a piece; ``glb``: colours beside images are linear."""
     visual = piece.source.visual
     if isinstance(visual, TextureVisuals):
@@ -52,14 +52,14 @@ def look_of(piece: FilePiece, glb: bool) -> Look:
         else:
             values = _grey(visual.vertex_colors, not glb)[piece.corners]
         return _varying(values)
-    return Look()
+    return FileAppearance()
 
 
-def _varying(corners: Array) -> Look:
+def _varying(corners: Array) -> FileAppearance:
     if np.ptp(corners) < 1e-3:
-        return Look(reflectance=float(corners.mean()))
+        return FileAppearance(reflectance=float(corners.mean()))
     absent = FileColours.absent(len(corners))
-    return Look(colours=FileColours(corners, absent.face_image, absent.corner_uv))
+    return FileAppearance(colours=FileColours(corners, absent.face_image, absent.corner_uv))
 
 
 def _grey(colours: ArrayLike, encoded: bool) -> Array:
@@ -69,7 +69,7 @@ def _grey(colours: ArrayLike, encoded: bool) -> Array:
     return linear_grey(np.atleast_2d(values)[:, :3] / scale, encoded)
 
 
-def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> Look:
+def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> FileAppearance:
     material = visual.material
     if isinstance(material, PBRMaterial):
         image, factor = material.baseColorTexture, material.baseColorFactor
@@ -81,7 +81,7 @@ def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> Look:
         base = float(_grey(material.diffuse, True)[0]) if given else None
         roughness = _roughness_of_phong(material.kwargs.get("ns"))
     else:
-        return Look()
+        return FileAppearance()
     if image is not None and max(image.size) <= 2 and isinstance(material, SimpleMaterial):
         # trimesh fills in a tiny grey image where the file names none.
         image = None
@@ -90,7 +90,7 @@ def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> Look:
         vertex = visual.vertex_attributes.get("color") if hasattr(visual, "vertex_attributes") else None
         if vertex is not None and len(vertex) == len(piece.source.vertices):
             return _varying(_grey(vertex, not glb)[piece.corners])
-        return Look(None, base, metallic, roughness)
+        return FileAppearance(None, base, metallic, roughness)
     # A Kd of zero or none beside an image is an exporter's habit, not a black surface.
     factor_on_image = base if glb and base is not None else 1.0
     count = len(piece.faces)
@@ -100,14 +100,14 @@ def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> Look:
         uv[piece.corners],
         (_reflectance_of_image(image),),
     )
-    return Look(colours, None, metallic, roughness)
+    return FileAppearance(colours, None, metallic, roughness)
 
 
 def _reflectance_of_image(image: Image.Image) -> NDArray[np.float32]:
     reduced = image.convert("RGB")
-    reduced.thumbnail((LARGEST_IMAGE, LARGEST_IMAGE))
+    reduced.thumbnail((MAX_IMAGE_PX, MAX_IMAGE_PX))
     table = linear_grey(np.repeat(np.arange(256)[:, None] / 255.0, 3, axis=1))
-    # Decoding a byte is a look-up; the weights add up to 1.
+    # Decoding a byte is a appearance-up; the weights add up to 1.
     decoded = table[np.asarray(reduced)]
     return np.asarray(decoded @ REC_709, dtype=np.float32)
 

@@ -11,12 +11,12 @@ import numpy as np
 import trimesh
 
 from polhode.records import Ints
-from polhode.simulation.bodies.imported.colours import Look, look_of
+from polhode.simulation.bodies.imported.colours import FileAppearance, file_appearance
 from polhode.simulation.bodies.imported.reading import FilePiece, read_pieces
 from polhode.simulation.bodies.parts.facets import flat_regions
 from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.textures.by_material import dressed, texel_for
-from polhode.simulation.bodies.textures.part_builder import Studio
+from polhode.simulation.bodies.textures.by_material import charts_for_mesh, texel_size_for
+from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (
     BRUSHED_METAL,
     DARK_METAL,
@@ -52,7 +52,7 @@ CHOICES = (WORN_PANEL, WORN_PANEL, PAINT_WHITE, PAINT_GREY, BRUSHED_METAL)
 """Materials of separate pieces without a telling name; the largest is a worn panel, which has texture."""
 
 
-MOST_PIECES = 40
+MAX_PIECES = 40
 """Separate pieces with a material of their own; smaller ones are grey."""
 ROCK_FACES = 2000
 """A closed piece of more faces than this and no flat side is taken for a rock."""
@@ -66,72 +66,80 @@ def material_by_name(name: str) -> Material | None:
     return None
 
 
-def material_by_chance(largest: bool, rng: np.random.Generator) -> Material:
+def random_material(largest: bool, rng: np.random.Generator) -> Material:
     """One of ``CHOICES``."""
     return WORN_PANEL if largest else CHOICES[int(rng.integers(len(CHOICES)))]
 
 
-def material_with_look(material: Material, look: Look) -> Material:
+def material_with_appearance(material: Material, appearance: FileAppearance) -> Material:
     """The material with the file's own colour, metalness and roughness where it gives them.
 
     Metals reflect their colour at normal incidence and have little diffuse reflectance, as in glTF's model.
     """
-    if look.roughness is not None:
-        material = replace(material, roughness=float(np.clip(look.roughness, 0.1, 1.0)))
-    if look.metallic is not None:
-        metal = float(np.clip(look.metallic, 0.0, 1.0))
-        colour = 0.5 if look.reflectance is None else look.reflectance
+    if appearance.roughness is not None:
+        material = replace(material, roughness=float(np.clip(appearance.roughness, 0.1, 1.0)))
+    if appearance.metallic is not None:
+        metal = float(np.clip(appearance.metallic, 0.0, 1.0))
+        colour = 0.5 if appearance.reflectance is None else appearance.reflectance
         specular = 0.04 * (1.0 - metal) + colour * metal
         return replace(material, specular=specular, albedo=max(colour * (1.0 - metal), 0.01), patch=0.0)
-    if look.reflectance is None:
+    if appearance.reflectance is None:
         return material
     if material.specular > 0.2:
         # A shiny material by its name: the colour is that of its reflection.
-        return replace(material, specular=float(np.clip(look.reflectance, 0.2, 0.9)))
-    return replace(material, albedo=float(np.clip(look.reflectance, 0.01, 0.95)), patch=0.0)
+        return replace(material, specular=float(np.clip(appearance.reflectance, 0.2, 0.9)))
+    return replace(material, albedo=float(np.clip(appearance.reflectance, 0.01, 0.95)), patch=0.0)
 
 
-def mesh_file_parts(path: Path, metres_per_unit: float, studio: Studio) -> list[Part]:
+def mesh_file_parts(path: Path, metres_per_unit: float, builder: PartBuilder) -> list[Part]:
     """Parts of a mesh file. Raises InputError, one line, when it holds nothing usable."""
     pieces = read_pieces(path, metres_per_unit)
-    studio = replace(studio, texel_m=texel_for(sum(float(piece.mesh.area) for piece in pieces)))
+    builder = replace(builder, texel_m=texel_size_for(sum(float(piece.mesh.area) for piece in pieces)))
     glb = path.suffix.lower() in (".glb", ".gltf")
     parts: list[Part] = []
     for piece in sorted(pieces, key=lambda piece: -piece.mesh.area):
-        parts += _parts_of_piece(piece, look_of(piece, glb), path.stem, not parts, studio)
+        parts += _parts_of_piece(piece, file_appearance(piece, glb), path.stem, not parts, builder)
     return parts
 
 
-def _parts_of_piece(piece: FilePiece, look: Look, stem: str, first: bool, studio: Studio) -> list[Part]:
+def _parts_of_piece(
+    piece: FilePiece, appearance: FileAppearance, stem: str, first: bool, builder: PartBuilder
+) -> list[Part]:
     """A piece by its name, by its own colours, or torn into what hangs together."""
     named = material_by_name(piece.name) or material_by_name(stem)
-    if look.colours is not None:
+    if appearance.colours is not None:
         # The file's colours are the texture: none of ours on top.
         plain = replace(named or PAINT_GREY, grain=0.0, patch=0.0)
-        material = material_with_look(plain, look)
-        return [Part(piece.mesh, material, name=piece.label, colours=look.colours)]
+        material = material_with_appearance(plain, appearance)
+        return [Part(piece.mesh, material, name=piece.label, colours=appearance.colours)]
     if named is not None:
-        return [_dressed_part(piece.mesh, material_with_look(named, look), piece.label, studio)]
+        return [
+            _part_with_charts(piece.mesh, material_with_appearance(named, appearance), piece.label, builder)
+        ]
     parts = []
-    for order, faces in enumerate(_islands(piece.mesh)):
-        island = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces[faces], process=False)
-        island.remove_unreferenced_vertices()
-        if _is_rock(island):
+    for order, faces in enumerate(_connected_pieces(piece.mesh)):
+        piece_mesh = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces[faces], process=False)
+        piece_mesh.remove_unreferenced_vertices()
+        if _is_rock(piece_mesh):
             material = REGOLITH
-        elif order < MOST_PIECES:
-            material = material_by_chance(first and order == 0, studio.rng)
+        elif order < MAX_PIECES:
+            material = random_material(first and order == 0, builder.rng)
         else:
             material = PAINT_GREY
-        parts.append(_dressed_part(island, material_with_look(material, look), piece.label, studio))
+        parts.append(
+            _part_with_charts(
+                piece_mesh, material_with_appearance(material, appearance), piece.label, builder
+            )
+        )
     return parts
 
 
-def _dressed_part(mesh: trimesh.Trimesh, material: Material, name: str, studio: Studio) -> Part:
-    return Part(mesh, material, dressed(mesh, material, studio, studio.texel_m), name=name)
+def _part_with_charts(mesh: trimesh.Trimesh, material: Material, name: str, builder: PartBuilder) -> Part:
+    return Part(mesh, material, charts_for_mesh(mesh, material, builder, builder.texel_m), name=name)
 
 
-def _islands(mesh: trimesh.Trimesh) -> list[Ints]:
-    """Faces that hang together, one array an island, the largest first."""
+def _connected_pieces(mesh: trimesh.Trimesh) -> list[Ints]:
+    """Faces that hang together, one array an piece_mesh, the largest first."""
     labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     area = np.bincount(labels, weights=mesh.area_faces)
     order = np.argsort(labels, kind="stable")

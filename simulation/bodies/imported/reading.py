@@ -13,7 +13,7 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.records import Ints
 
-SMALLEST_M, LARGEST_M = 1e-3, 1e3
+MIN_RADIUS_M, MAX_RADIUS_M = 1e-3, 1e3
 """Radius of bodies that are believed."""
 
 
@@ -132,6 +132,6 @@ def _require_sensible_size(path: Path, pieces: list[FilePiece]) -> None:
     corners: Array = np.concatenate([np.asarray(piece.mesh.vertices) for piece in pieces])
     low, high = corners.min(axis=0), corners.max(axis=0)
     radius = 0.5 * float(np.linalg.norm(high - low))
-    if not SMALLEST_M <= radius <= LARGEST_M:
+    if not MIN_RADIUS_M <= radius <= MAX_RADIUS_M:
         size = " x ".join(f"{side:.3g}" for side in high - low)
         raise InputError(f"{path}: the body is {size} m large; check body.metres_per_unit")

@@ -88,12 +88,12 @@ def _sheet(name: str, mesh: trimesh.Trimesh, factor: float) -> PartMass:
 
 
 def _joined(name: str, masses: list[PartMass]) -> PartMass:
-    weight, com, inertia = together(masses, [mass.density_factor for mass in masses])
+    weight, com, inertia = combined_mass(masses, [mass.density_factor for mass in masses])
     factor = weight / sum(mass.volume_m3 for mass in masses)
     return PartMass(name, weight / factor, com, inertia / factor, factor)
 
 
-def together(masses: list[PartMass], factors: list[float]) -> tuple[float, Array, Array]:
+def combined_mass(masses: list[PartMass], factors: list[float]) -> tuple[float, Array, Array]:
     """Weighted volume [m^3], centre of mass (3,) [m] and inertia about it (3, 3) [m^5] of several masses."""
     weights = np.array([mass.volume_m3 * factor for mass, factor in zip(masses, factors, strict=True)])
     com = weights @ np.stack([mass.com_G for mass in masses]) / weights.sum()

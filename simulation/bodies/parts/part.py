@@ -10,7 +10,7 @@ from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.bodies.parts.facets import smooth_corner_normals
 from polhode.simulation.bodies.parts.file_colours import FileColours
-from polhode.simulation.bodies.parts.mass import PartMass, masses_by_name, together
+from polhode.simulation.bodies.parts.mass import PartMass, combined_mass, masses_by_name
 from polhode.simulation.surface.materials import Material
 
 SLOPE_STEP = 0.01
@@ -102,7 +102,7 @@ class Body:
 
 def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
     """Join parts into a body; the mass of overlapping parts is counted twice."""
-    parts = gathered(parts)
+    parts = merge_uniform_parts(parts)
     drawn = [(part, chart) for part in parts for chart, _ in part.charts]
     every = [part.material for part in parts] + [m for _, chart in drawn for m in chart.materials]
     materials = tuple(dict.fromkeys(every))
@@ -118,7 +118,7 @@ def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
             count += 1
         face_chart.append(of_part)
     masses = masses_by_name([(part.name, part.mesh, part.density_factor) for part in parts])
-    volume, com, inertia = together(masses, [mass.density_factor for mass in masses])
+    volume, com, inertia = combined_mass(masses, [mass.density_factor for mass in masses])
     coloured = any(part.colours is not None for part in parts)
     return Body(
         mesh=join([part.mesh for part in parts]),
@@ -139,7 +139,7 @@ def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
     )
 
 
-def gathered(parts: list[Part]) -> list[Part]:
+def merge_uniform_parts(parts: list[Part]) -> list[Part]:
     """The parts, with those that differ in their mesh alone made one: few large meshes are quick."""
     alike: dict[tuple[str, Material, float], list[Part]] = {}
     kept = []

@@ -16,12 +16,12 @@ from polhode.simulation.bodies.textures.canvas import Draw, chart_of_facet, char
 from polhode.simulation.surface.materials import Material
 
 
-def texture_generator(name: Literal["drawn", "collage"]) -> "Artist":
+def texture_generator(name: Literal["drawn", "collage"]) -> "TextureGenerator":
     """The texture generator that ``body.texture`` names."""
     return drawn if name == "drawn" else collage
 
 
-class Artist(Protocol):
+class TextureGenerator(Protocol):
     """A texture generator: the sheets that spacecraft show. A module with these functions will do."""
 
     def panel(self, base: float, richness: float = ...) -> Draw:
@@ -67,25 +67,25 @@ def sheet_by_side(sheets: Sequence[Draw]) -> Callable[[Array], Draw | None]:
 
 
 @dataclass(frozen=True)
-class Studio:
+class PartBuilder:
     """A texture generator at work on one body."""
 
-    artist: Artist
+    textures: TextureGenerator
     rng: np.random.Generator
     """For shapes and the choice of sheets: the same with either generator"""
-    ink: np.random.Generator
+    texture_rng: np.random.Generator
     """For the sheets themselves"""
     texel_m: float
     smallest_texels: int = 12
     """Faces narrower than this stay undrawn."""
 
-    def faced(
+    def flat_part(
         self, mesh: trimesh.Trimesh, material: Material, draw: Draw, name: str, density_factor: float = 1.0
     ) -> Part:
         """A part with a drawing on each flat face that is large enough."""
-        return self.faced_by(mesh, material, lambda _: draw, name, density_factor)
+        return self.flat_part_by_side(mesh, material, lambda _: draw, name, density_factor)
 
-    def faced_by(
+    def flat_part_by_side(
         self,
         mesh: trimesh.Trimesh,
         material: Material,
@@ -110,10 +110,10 @@ class Studio:
             down = None
             if down_G is not None and abs(normal @ down_G) < 0.7:
                 down = down_G - (down_G @ normal) * normal
-            charts.append(chart_of_facet(mesh, faces, self.texel_m, draw, self.ink, down))
+            charts.append(chart_of_facet(mesh, faces, self.texel_m, draw, self.texture_rng, down))
         return Part(mesh, material, tuple(charts), density_factor, name)
 
-    def wrapped(
+    def revolved_part(
         self,
         solid: Revolved,
         walls: list[tuple[int, int, Draw]],
@@ -125,6 +125,6 @@ class Studio:
         charts = [
             chart
             for first, last, draw in walls
-            for chart in charts_around(solid, first, last, self.texel_m, draw, self.ink)
+            for chart in charts_around(solid, first, last, self.texel_m, draw, self.texture_rng)
         ]
         return Part(solid.mesh, material, tuple(charts), density_factor, name)

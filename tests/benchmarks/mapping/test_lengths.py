@@ -7,13 +7,13 @@ import trimesh
 from benchmarks.mapping.lengths import LENGTHS, measure
 from polhode.errors import InputError
 from polhode.simulation.bodies.families.free_flyer import free_flyer_parts
-from polhode.simulation.bodies.textures.part_builder import Studio, texture_generator
+from polhode.simulation.bodies.textures.part_builder import PartBuilder, texture_generator
 
 
 @pytest.fixture(scope="module")
 def flyer() -> trimesh.Trimesh:
     rng = np.random.default_rng(0)
-    parts = free_flyer_parts(0.22, Studio(texture_generator("drawn"), rng, rng, 5e-3))
+    parts = free_flyer_parts(0.22, PartBuilder(texture_generator("drawn"), rng, rng, 5e-3))
     start = np.cumsum([0, *(len(part.mesh.vertices) for part in parts)])
     faces = [np.asarray(part.mesh.faces) + at for part, at in zip(parts, start[:-1], strict=True)]
     vertices = [np.asarray(part.mesh.vertices) for part in parts]

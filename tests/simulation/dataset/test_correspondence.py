@@ -12,15 +12,15 @@ from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.simulation.bodies.parts.part import Part, assemble
 from polhode.simulation.camera.cameras import Camera, build_cameras
 from polhode.simulation.dataset.correspondence import (
+    CameraView,
     Reason,
-    View,
-    angle_between,
+    angle_between_views,
     correspond,
     dense_correspondence,
     pixel_grid,
     view_of,
 )
-from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.surface.materials import Material
 
@@ -28,7 +28,7 @@ MATT = Material(0.4, specular=0.0)
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
+def plan() -> SequencePlan:
     """A free flyer that turns 27 degrees a frame before distorted, toed-in cameras."""
     rig = {
         "width_px": 160,
@@ -44,11 +44,11 @@ def plan() -> Plan:
 
 
 @pytest.fixture(scope="module")
-def caster(plan: Plan) -> RayCaster:
+def caster(plan: SequencePlan) -> RayCaster:
     return RayCaster(plan.body)
 
 
-def _projected(p_G: Array, view: View) -> Array:
+def _projected(p_G: Array, view: CameraView) -> Array:
     """OpenCV's own projection, pose included."""
     X_KG = inverse_pose(view.X_GK)
     uv, _ = cv2.projectPoints(p_G, log_so3(X_KG[:3, :3]), X_KG[:3, 3], view.camera.K, view.camera.dist)
@@ -57,7 +57,7 @@ def _projected(p_G: Array, view: View) -> Array:
 
 @pytest.mark.parametrize("end", [(1, 0), (1, 1), (0, 1), (2, 0)])
 def test_points_on_faces_go_where_opencv_projects_them(
-    plan: Plan, caster: RayCaster, end: tuple[int, int]
+    plan: SequencePlan, caster: RayCaster, end: tuple[int, int]
 ) -> None:
     a, b = view_of(plan, 1, 0), view_of(plan, *end)
     p_G = np.asarray(plan.body.mesh.triangles_center)
@@ -70,7 +70,7 @@ def test_points_on_faces_go_where_opencv_projects_them(
 
 @pytest.mark.parametrize("ends", [((1, 0), (1, 1)), ((0, 0), (1, 1)), ((3, 1), (2, 0))])
 def test_there_and_back_is_the_same_pixel(
-    plan: Plan, caster: RayCaster, ends: tuple[tuple[int, int], tuple[int, int]]
+    plan: SequencePlan, caster: RayCaster, ends: tuple[tuple[int, int], tuple[int, int]]
 ) -> None:
     a, b = (view_of(plan, *end) for end in ends)
     there = dense_correspondence(caster, a, b)
@@ -81,21 +81,21 @@ def test_there_and_back_is_the_same_pixel(
     np.testing.assert_allclose(back.angle_rad, there.angle_rad[there.visible], atol=1e-5)
 
 
-def test_what_b_sees_first_is_what_is_called_visible(plan: Plan, caster: RayCaster) -> None:
+def test_what_b_sees_first_is_what_is_called_visible(plan: SequencePlan, caster: RayCaster) -> None:
     """Visibility by the distance of b's own rays, not by the ray back to b."""
     a, b = view_of(plan, 0, 0), view_of(plan, 1, 1)
     there = dense_correspondence(caster, a, b)
-    tried = np.isin(there.reason, (Reason.VISIBLE, Reason.HIDDEN, Reason.TURNED_AWAY)) & np.isfinite(
+    tried = np.isin(there.reason, (Reason.VISIBLE, Reason.OCCLUDED, Reason.BACK_FACING)) & np.isfinite(
         there.uv_b_px
     ).all(axis=-1)
     seen_from_b = correspond(caster, b, a, there.uv_b_px[tried])
     same = np.linalg.norm(seen_from_b.p_G - there.p_G[tried], axis=1) < 1e-4 * plan.body.radius_m
     assert (same != there.visible[tried]).mean() < 1e-3
-    assert (there.reason == Reason.HIDDEN).sum() > 20
+    assert (there.reason == Reason.OCCLUDED).sum() > 20
 
 
-def _view(camera: Camera, X_NG: Array, X_NK: Array) -> View:
-    return View(camera, inverse_pose(X_NG) @ X_NK)
+def _view(camera: Camera, X_NG: Array, X_NK: Array) -> CameraView:
+    return CameraView(camera, inverse_pose(X_NG) @ X_NK)
 
 
 def test_a_plate_before_a_plate_hides_what_lies_on_the_line_to_it() -> None:
@@ -110,8 +110,13 @@ def test_a_plate_before_a_plate_hides_what_lies_on_the_line_to_it() -> None:
     X_NG = make_pose(np.eye(3), [0.0, 0.0, 0.5])
     a = _view(camera, X_NG, np.eye(4))
     b = _view(camera, X_NG, make_pose(np.eye(3), [0.5, 0.0, 0.0]))
-    expected = {-0.85: Reason.OFF_TARGET, -0.61: Reason.VISIBLE, -0.59: Reason.HIDDEN, -0.5: Reason.HIDDEN}
-    expected |= {-0.41: Reason.HIDDEN, -0.39: Reason.VISIBLE, 0.05: Reason.VISIBLE, 0.3: Reason.VISIBLE}
+    expected = {
+        -0.85: Reason.OFF_TARGET,
+        -0.61: Reason.VISIBLE,
+        -0.59: Reason.OCCLUDED,
+        -0.5: Reason.OCCLUDED,
+    }
+    expected |= {-0.41: Reason.OCCLUDED, -0.39: Reason.VISIBLE, 0.05: Reason.VISIBLE, 0.3: Reason.VISIBLE}
     x = np.array(list(expected))
     found = correspond(caster, a, b, np.stack([camera.K[0, 2] + 100.0 * x, np.full_like(x, 60.0)], axis=1))
     assert found.reason.tolist() == list(expected.values())
@@ -125,21 +130,21 @@ def test_the_back_of_a_plate_is_turned_away() -> None:
     plate = trimesh.creation.box([0.2, 0.2, 0.01])
     caster = RayCaster(assemble([Part(plate, MATT)]))
     camera, _ = build_cameras(config.Rig(width_px=64, height_px=48, focal_px=60.0))
-    front = View(camera, make_pose(np.eye(3), [0.0, 0.0, -0.5]))
-    behind = View(camera, make_pose(exp_so3([0.0, np.pi, 0.0]), [0.0, 0.0, 0.5]))
+    front = CameraView(camera, make_pose(np.eye(3), [0.0, 0.0, -0.5]))
+    behind = CameraView(camera, make_pose(exp_so3([0.0, np.pi, 0.0]), [0.0, 0.0, 0.5]))
     found = dense_correspondence(caster, front, behind)
     on_target = found.reason != Reason.OFF_TARGET
     assert on_target.sum() > 100
-    assert (found.reason[on_target] == Reason.TURNED_AWAY).all()
+    assert (found.reason[on_target] == Reason.BACK_FACING).all()
     assert not found.visible.any()
-    assert angle_between(front, behind) == pytest.approx(np.pi)
+    assert angle_between_views(front, behind) == pytest.approx(np.pi)
 
 
 def test_a_point_behind_the_camera_has_no_image() -> None:
     caster = RayCaster(assemble([Part(trimesh.creation.box([0.2, 0.2, 0.01]), MATT)]))
     camera, _ = build_cameras(config.Rig(width_px=64, height_px=48, focal_px=60.0))
-    front = View(camera, make_pose(np.eye(3), [0.0, 0.0, -0.5]))
-    looks_away = View(camera, make_pose(exp_so3([0.0, np.pi, 0.0]), [0.0, 0.0, -0.5]))
+    front = CameraView(camera, make_pose(np.eye(3), [0.0, 0.0, -0.5]))
+    looks_away = CameraView(camera, make_pose(exp_so3([0.0, np.pi, 0.0]), [0.0, 0.0, -0.5]))
     found = correspond(caster, front, looks_away, np.array([[31.5, 23.5]]))
     assert found.reason.tolist() == [Reason.OUTSIDE]
     assert np.isnan(found.uv_b_px).all()
@@ -154,14 +159,16 @@ def test_the_lens_does_not_fold_far_points_into_the_image() -> None:
         config.Rig(width_px=64, height_px=48, focal_px=60.0, distortion=(-0.35, 0.04, 0.0, 0.0))
     )
     X_GK = make_pose(np.eye(3), [0.0, 0.0, -1.0])
-    a, b = View(straight, X_GK), View(barrel, X_GK)
+    a, b = CameraView(straight, X_GK), CameraView(barrel, X_GK)
     uv = straight.project(np.array([[1.9, 0.0, 0.995], [0.2, 0.0, 0.995]]))
     folded = barrel.project(np.array([[1.9, 0.0, 0.995]]))
     assert 0 < folded[0, 0] < 63
     assert correspond(caster, a, b, uv).reason.tolist() == [Reason.OUTSIDE, Reason.VISIBLE]
 
 
-def test_a_hundred_thousand_points_take_less_than_half_a_second(plan: Plan, caster: RayCaster) -> None:
+def test_a_hundred_thousand_points_take_less_than_half_a_second(
+    plan: SequencePlan, caster: RayCaster
+) -> None:
     a, b = view_of(plan, 0, 0), view_of(plan, 1, 1)
     on_target = pixel_grid(a.camera)[dense_correspondence(caster, a, b).reason != Reason.OFF_TARGET]
     uv = np.resize(on_target, (100_000, 2))
@@ -173,9 +180,9 @@ def test_a_hundred_thousand_points_take_less_than_half_a_second(plan: Plan, cast
     assert min(seconds) < 0.5
 
 
-def test_the_angle_is_that_of_the_turn(plan: Plan) -> None:
+def test_the_angle_is_that_of_the_turn(plan: SequencePlan) -> None:
     """Between two frames of a camera at rest the views differ by how far the body has turned across them."""
     a, b = view_of(plan, 0, 0), view_of(plan, 1, 0)
     turn = log_so3(plan.target.X_NG[0, :3, :3].T @ plan.target.X_NG[1, :3, :3])
-    assert angle_between(a, b) <= np.linalg.norm(turn) + 0.01
-    assert angle_between(a, b) > 0.8 * np.linalg.norm(turn)
+    assert angle_between_views(a, b) <= np.linalg.norm(turn) + 0.01
+    assert angle_between_views(a, b) > 0.8 * np.linalg.norm(turn)

@@ -12,7 +12,7 @@ from polhode.config.scene import Scene
 from polhode.dataset import open_sequence
 from polhode.lie import Array
 from polhode.progress import Silent
-from polhode.simulation.dataset.sequence import Plan, plan_sequence, simulate
+from polhode.simulation.dataset.sequence import SequencePlan, plan_sequence, simulate
 from polhode.simulation.rendering.render import Renderer
 
 FRAMES = 3
@@ -97,7 +97,7 @@ def test_the_calibration_read_back_projects_the_mesh_onto_the_images(sequence_fo
         np.testing.assert_allclose(_centroid(share), _centroid(rendered), atol=0.02)
 
 
-def _silhouette(plan: Plan, K: Array, dist: Array, X_CG: Array, scale: int = 64) -> Array:
+def _silhouette(plan: SequencePlan, K: Array, dist: Array, X_CG: Array, scale: int = 64) -> Array:
     """Share (72, 96) of each pixel that the mesh covers, filled triangle by triangle on a finer grid."""
     rotation, _ = cv2.Rodrigues(X_CG[:3, :3])
     uv, _ = cv2.projectPoints(plan.body.mesh.vertices, rotation, X_CG[:3, 3], K, dist)

@@ -17,8 +17,8 @@ from polhode.simulation.bodies.parts.part import Body, Part, assemble
 from polhode.simulation.camera.cameras import Camera, build_cameras
 from polhode.simulation.dataset.plan import plan_sequence
 from polhode.simulation.dataset.products import (
-    AWAY,
-    CAST,
+    CAST_SHADOW,
+    FACING_AWAY,
     Products,
     products_path,
     read_products,
@@ -75,13 +75,13 @@ def test_the_shadow_mask_tells_a_cast_shadow_from_a_face_turned_away() -> None:
     X_NG = make_pose(np.eye(3), [0.0, 0.0, 1.0])
     truth = _products(body, camera, X_NG, np.array([1.0, 0.0, -1.0]))
     assert truth.shadow is not None
-    expected = {-0.24: CAST, -0.19: CAST, -0.14: CAST, -0.12: 0, 0.0: 0, 0.2: 0}
+    expected = {-0.24: CAST_SHADOW, -0.19: CAST_SHADOW, -0.14: CAST_SHADOW, -0.12: 0, 0.0: 0, 0.2: 0}
     uv = camera.project(np.array([[x, 0.01, 0.99] for x in expected]))
     column, row = np.rint(uv).astype(int).T
     assert truth.shadow[row, column].tolist() == list(expected.values())
     behind = _products(body, camera, X_NG, np.array([0.3, 0.0, 1.0]))
     assert behind.shadow is not None and behind.mask is not None
-    assert (behind.shadow[behind.mask] == AWAY).all()
+    assert (behind.shadow[behind.mask] == FACING_AWAY).all()
     assert (behind.shadow[~behind.mask] == 0).all()
 
 

@@ -11,8 +11,8 @@ from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Silent
-from polhode.simulation.dataset.frame_renderer import Painter
-from polhode.simulation.dataset.plan import frames_that_arrive, plan_sequence
+from polhode.simulation.dataset.frame_renderer import FrameRenderer
+from polhode.simulation.dataset.plan import plan_sequence, received_frames
 from polhode.simulation.dataset.sequence import simulate
 from polhode.truth import read_truth
 
@@ -150,12 +150,12 @@ def test_dropped_pairs_are_nowhere_but_in_the_truth(tmp_path: Path) -> None:
 
 def test_frames_are_lost_by_chance_as_often_as_the_scene_says() -> None:
     sensor = config.Sensor(drop_probability=0.2, dropped_frames=(7,))
-    frames = frames_that_arrive(sensor, 5000, 1)
+    frames = received_frames(sensor, 5000, 1)
     assert len(frames) == pytest.approx(4000, abs=120)
     assert 7 not in frames
-    assert frames == frames_that_arrive(sensor, 5000, 1) != frames_that_arrive(sensor, 5000, 2)
+    assert frames == received_frames(sensor, 5000, 1) != received_frames(sensor, 5000, 2)
     with pytest.raises(InputError, match="leave no frame"):
-        frames_that_arrive(config.Sensor(drop_probability=1.0), 10, 1)
+        received_frames(config.Sensor(drop_probability=1.0), 10, 1)
 
 
 def test_pushes_are_written_when_they_are_known_and_only_then(tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_motion_blurs_the_edges_as_the_exposure_grows() -> None:
         scene = _scene(
             rig=rig, motion=motion, sensor={"exposure_ms": exposure_ms}, render={"samples": 16, "bounces": 0}
         )
-        _, picture = Painter(plan_sequence(scene, 4)).image(1, 0)
+        _, picture = FrameRenderer(plan_sequence(scene, 4)).render_image(1, 0)
         partly.append(np.count_nonzero((picture.covered > 0) & (picture.covered < 1)))
         u = np.arange(160)
         middle.append((picture.covered.sum(axis=0) * u).sum() / picture.covered.sum())

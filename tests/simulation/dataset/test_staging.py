@@ -13,7 +13,7 @@ from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.progress import Advance, Silent
 from polhode.simulation.dataset.sequence import simulate
-from polhode.simulation.dataset.staging import drafted
+from polhode.simulation.dataset.staging import staged_dataset
 
 SCENE = Scene.model_validate(
     {
@@ -191,8 +191,8 @@ def test_a_file_in_the_way_is_never_replaced(tmp_path: Path) -> None:
 
 def test_two_simulations_of_one_dataset_do_not_mix(tmp_path: Path) -> None:
     with (
-        drafted(tmp_path / "S", False, "first"),
+        staged_dataset(tmp_path / "S", False, "first"),
         pytest.raises(InputError, match="another simulation is at work"),
-        drafted(tmp_path / "S", False, "second"),
+        staged_dataset(tmp_path / "S", False, "second"),
     ):
         pass

@@ -10,7 +10,7 @@ from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.plan import plan_sequence
-from polhode.simulation.dataset.view_check import Eye
+from polhode.simulation.dataset.view_check import ViewCheck
 
 
 def _plan(**changes: object) -> None:
@@ -78,9 +78,9 @@ def test_a_camera_in_a_shell_with_a_hole_is_inside_it(tmp_path: Path) -> None:
 
 def test_the_distance_to_the_surface_is_that_of_the_nearest_triangle(tmp_path: Path) -> None:
     cube = _mesh(tmp_path / "box.stl", trimesh.creation.box([1.0, 1.0, 1.0]))
-    eye = Eye(build_body(Scene.model_validate({"body": cube}).body, 1))
+    check = ViewCheck(build_body(Scene.model_validate({"body": cube}).body, 1))
     rng = np.random.default_rng(0)
     for p in rng.uniform(-1.5, 1.5, (50, 3)):
         outside = np.maximum(np.abs(p) - 0.5, 0)
         expected = np.linalg.norm(outside) if outside.any() else (0.5 - np.abs(p)).min()
-        assert eye.distance_m(p) == pytest.approx(expected, abs=1e-9)
+        assert check.distance_m(p) == pytest.approx(expected, abs=1e-9)

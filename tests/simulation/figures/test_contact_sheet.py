@@ -13,7 +13,7 @@ from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.lie import inverse_pose, transform_points
 from polhode.progress import Silent
-from polhode.simulation.dataset.plan import Plan, plan_sequence
+from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.dataset.sequence import simulate
 from polhode.simulation.figures.contact_sheet import (
     TILE_PX,
@@ -51,7 +51,7 @@ def test_every_tile_of_the_sheet_shows_the_target(tmp_path: Path) -> None:
     assert not np.array_equal(tiles[0], tiles[5])
 
 
-def _plan(**changes: object) -> Plan:
+def _plan(**changes: object) -> SequencePlan:
     motion = {"position_m": [0.04, 0.0, 0.6]}
     values = {"frames": 8, "truth_horizon_s": 0, "rig": RIG, "motion": motion, **changes}
     return plan_sequence(Scene.model_validate(values), 4)

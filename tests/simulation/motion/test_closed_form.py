@@ -11,7 +11,7 @@ from scipy.special import ellipj, ellipk, ellipkinc, elliprf, elliprj
 
 from polhode.lie import Array, exp_so3, log_so3
 from polhode.simulation.motion import target_motion
-from polhode.simulation.motion.integrate import advance, free_of_forces
+from polhode.simulation.motion.integrate import advance, no_forces
 from tests.simulation.motion.motion_scenes import mass_of, rpm, scene_of
 
 CASES = {
@@ -43,7 +43,7 @@ def test_attitude_agrees_with_the_elliptic_closed_form_after_a_minute(
 
 def test_the_integrator_under_forces_agrees_with_it_too() -> None:
     J, w = (np.array(values) for values in CASES["flip above the separatrix"])
-    y = advance(np.concatenate([np.zeros(6), [1, 0, 0, 0], J * w]), 0.0, 60.0, free_of_forces(J))
+    y = advance(np.concatenate([np.zeros(6), [1, 0, 0, 0], J * w]), 0.0, 60.0, no_forces(J))
     R_NP, w_P = closed_form(J, np.eye(3), w, 60.0)
     np.testing.assert_allclose(y[10:13] / J, w_P, atol=1e-10)
     # First column of the rotation matrix, written out of the quaternion.

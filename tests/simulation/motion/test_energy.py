@@ -15,7 +15,7 @@ from polhode.simulation.motion.energy import (
     energy_of_momentum,
     excess_energy,
     friction_for_loss,
-    losses,
+    loss_coefficients,
     momentum_of_rate,
 )
 from polhode.simulation.motion.integrate import body_rate
@@ -113,6 +113,6 @@ def test_the_rate_of_a_momentum_is_the_rate_it_was_made_from() -> None:
 def test_a_loss_that_cannot_be_is_refused(loss: dict[str, object], w_P: list[float], words: str) -> None:
     motion = config.Motion.model_validate(loss)
     with pytest.raises(InputError, match=words) as caught:
-        losses(motion, SLENDER, np.array(w_P, dtype=np.float64))
+        loss_coefficients(motion, SLENDER, np.array(w_P, dtype=np.float64))
     assert "\n" not in str(caught.value)
     assert "scene.motion.energy_loss" in str(caught.value)

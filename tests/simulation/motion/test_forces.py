@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from polhode.lie import Array
-from polhode.simulation.dataset.sequence import plan_sequence, write_knowledge
+from polhode.simulation.dataset.sequence import plan_sequence, write_estimator_inputs
 from polhode.simulation.motion import TargetMotion, known_wrench, target_motion, timestamps
 from polhode.simulation.motion.forces import cell_length_s
 from tests.simulation.motion.motion_scenes import MASS_KG, mass_of, scene_of
@@ -112,8 +112,8 @@ def test_position_wanders_within_an_interval_as_white_acceleration_makes_it(dist
     step_r = np.diff(disturbed.r_N, axis=0) - 0.1 * disturbed.v_N[:-1]
     np.testing.assert_allclose(step_r.var(axis=0), 4e-6 * 0.1**3 / 3, rtol=0.1)
     for axis in range(3):
-        together = np.corrcoef(step_r[:, axis], np.diff(disturbed.v_N[:, axis]))[0, 1]
-        assert together == pytest.approx(np.sqrt(3) / 2, abs=0.02)
+        combined_mass = np.corrcoef(step_r[:, axis], np.diff(disturbed.v_N[:, axis]))[0, 1]
+        assert combined_mass == pytest.approx(np.sqrt(3) / 2, abs=0.02)
 
 
 def test_unequal_moments_take_unequal_steps_of_rate() -> None:
@@ -193,7 +193,7 @@ def test_nothing_is_known_without_pushes_or_when_they_are_kept_back(motion: dict
 @pytest.mark.parametrize("known", [True, False])
 def test_a_sequence_tells_the_pushes_when_they_are_known(known: bool, tmp_path: Path) -> None:
     scene = scene_of(3, pushes=PUSHES, pushes_known=known, position_m=[0.0, 0.0, 0.8])
-    write_knowledge(plan_sequence(scene, 0), tmp_path)
+    write_estimator_inputs(plan_sequence(scene, 0), tmp_path)
     path = tmp_path / "wrench0" / "data.csv"
     assert path.exists() == known
     if known:

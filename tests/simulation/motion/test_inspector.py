@@ -1,4 +1,4 @@
-"""The inspector takes the course that the scene names; its velocities are derivatives of its poses."""
+"""The inspector takes the path that the scene names; its velocities are derivatives of its poses."""
 
 import pickle
 from typing import Any

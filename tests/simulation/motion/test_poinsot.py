@@ -8,7 +8,7 @@ import pytest
 
 from polhode.lie import Array
 from polhode.rigid_body import propagate
-from polhode.simulation.motion.integrate import free_of_forces
+from polhode.simulation.motion.integrate import no_forces
 from polhode.simulation.motion.poinsot import (
     Poinsot,
     circulation_order,
@@ -110,7 +110,7 @@ def test_the_separatrix_has_the_momentum_of_a_spin_about_the_middle_axis() -> No
 
 def test_a_steady_spin_stays_where_it_is() -> None:
     still = poinsot(TRIAXIAL, np.array([0.0, 0.0, 1.3]))
-    assert still.precession.sense == "none"
+    assert still.precession.direction == "none"
     np.testing.assert_allclose(
         still.herpolhode_H, np.tile([0, 0, 1.3], (len(still.herpolhode_H), 1)), atol=1e-12
     )
@@ -118,7 +118,7 @@ def test_a_steady_spin_stays_where_it_is() -> None:
 
 
 def test_states_under_drag_follow_its_forces() -> None:
-    forces = free_of_forces(TRIAXIAL)._replace(drag_hz=0.1)
+    forces = no_forces(TRIAXIAL)._replace(drag_hz=0.1)
     _, h_P = rotation_states(forces, np.array([0.0, 0.0, 1.0]), np.array([0.0, 2.0, 5.0]))
     np.testing.assert_allclose(h_P[:, 2], np.exp([0.0, -0.2, -0.5]), rtol=1e-12)
 
@@ -127,7 +127,7 @@ def test_states_under_drag_follow_its_forces() -> None:
 def test_a_disc_precesses_retrograde_and_a_rod_prograde(moments: Array, sense: str) -> None:
     for seed in range(20):
         w_P = np.random.default_rng(seed).normal(size=3)
-        assert precession_of(moments, w_P).sense == sense
+        assert precession_of(moments, w_P).direction == sense
 
 
 @pytest.mark.parametrize(("moments", "w_P"), SPINS.values(), ids=SPINS)
@@ -137,7 +137,7 @@ def test_sense_and_periods_are_those_of_the_motion(moments: Array, w_P: Array) -
     turned, spun, tilt = _euler_angles(moments, w_P, 3 * precession.spin_period_s)
     assert abs(turned) == pytest.approx(6 * np.pi * precession.spin_period_s / precession.precession_period_s)
     assert abs(spun) == pytest.approx(6 * np.pi, rel=1e-6)
-    assert precession.sense == ("prograde" if turned * spun > 0 else "retrograde")
+    assert precession.direction == ("prograde" if turned * spun > 0 else "retrograde")
     np.testing.assert_allclose(np.rad2deg([tilt.min(), tilt.max()]), precession.wobble_deg, atol=0.02)
 
 
@@ -199,13 +199,13 @@ def test_an_axisymmetric_body_has_the_textbook_periods() -> None:
     ],
 )
 def test_a_steady_spin_has_no_precession(moments: Array, w_P: list[float]) -> None:
-    assert precession_of(moments, np.array(w_P)).sense == "none"
+    assert precession_of(moments, np.array(w_P)).direction == "none"
 
 
 def test_on_the_separatrix_there_is_no_sense() -> None:
     """2 E J_middle = h^2: J_1 (J_1 - J_2) w_1^2 = J_3 (J_2 - J_3) w_3^2."""
     J = TRIAXIAL
     w_P = np.array([1.0, 0.7, np.sqrt(J[0] * (J[0] - J[1]) / (J[2] * (J[1] - J[2])))])
-    assert precession_of(J, w_P).sense == "none"
-    assert precession_of(J, w_P * [1.001, 1, 1]).sense == "retrograde"
-    assert precession_of(J, w_P * [0.999, 1, 1]).sense == "prograde"
+    assert precession_of(J, w_P).direction == "none"
+    assert precession_of(J, w_P * [1.001, 1, 1]).direction == "retrograde"
+    assert precession_of(J, w_P * [0.999, 1, 1]).direction == "prograde"

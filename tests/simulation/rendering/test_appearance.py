@@ -16,7 +16,7 @@ from polhode.simulation.bodies.parts.facets import flat_facets
 from polhode.simulation.bodies.parts.part import SLOPE_STEP, Chart, Part, assemble
 from polhode.simulation.bodies.parts.solids import box, revolve
 from polhode.simulation.bodies.textures.canvas import Canvas, chart_of_facet, charts_around, code
-from polhode.simulation.rendering.appearance import ChartAtlas, Skin
+from polhode.simulation.rendering.appearance import ChartAtlas, SurfaceAppearance
 from polhode.simulation.surface.materials import (
     FOIL_GOLD,
     FOIL_SILVER,
@@ -118,7 +118,7 @@ def _on_all_faces(body: Body, description: config.Body) -> Surface:
     face = np.arange(len(body.mesh.faces))
     weights = np.full((len(face), 3), 1 / 3)
     centres, normals = np.asarray(body.mesh.triangles_center), np.asarray(body.mesh.face_normals)
-    return Skin(body, description, 0).evaluate(face, weights, centres, normals)
+    return SurfaceAppearance(body, description, 0).evaluate(face, weights, centres, normals)
 
 
 def test_a_layer_of_a_drawing_brings_its_own_material_and_slope() -> None:
@@ -132,7 +132,7 @@ def test_a_layer_of_a_drawing_brings_its_own_material_and_slope() -> None:
     body = assemble([Part(mesh, PAINT_GREY, ((chart, top),))])
     points = np.array([[-0.3, 0.0, 0.5], [0.3, 0.0, 0.5]])
     up = np.tile([0.0, 0.0, 1.0], (2, 1))
-    surface = Skin(body, config.Body(contrast=0.0), 0).evaluate(
+    surface = SurfaceAppearance(body, config.Body(contrast=0.0), 0).evaluate(
         top[[0, 0]], np.full((2, 3), 1 / 3), points, up
     )
     np.testing.assert_allclose(surface.specular, [PAINT_GREY.specular, GLASS.specular])

@@ -9,7 +9,7 @@ import trimesh
 from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.simulation.bodies.parts.part import Part, assemble
-from polhode.simulation.rendering.appearance import Skin
+from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.indirect import IndirectLight
 from polhode.simulation.rendering.light import Lights
 from polhode.simulation.rendering.raycast import Hits, RayCaster
@@ -30,7 +30,9 @@ def _box(extents_m: list[float], centre_G: list[float]) -> trimesh.Trimesh:
 def _indirect(*meshes: trimesh.Trimesh, material: Material = MATT) -> tuple[IndirectLight, RayCaster]:
     body = assemble([Part(mesh, material) for mesh in meshes])
     caster = RayCaster(body)
-    return IndirectLight(body, caster, Skin(body, config.Body(contrast=0.0), 0), 1, probes=2500), caster
+    return IndirectLight(
+        body, caster, SurfaceAppearance(body, config.Body(contrast=0.0), 0), 1, probes=2500
+    ), caster
 
 
 def _irradiance(
@@ -90,7 +92,10 @@ def test_a_highlight_carries_the_light_of_a_metal_to_its_neighbour() -> None:
     ]
     body = assemble(parts)
     caster = RayCaster(body)
-    scene = IndirectLight(body, caster, Skin(body, config.Body(contrast=0.0), 0), 1, probes=2500), caster
+    scene = (
+        IndirectLight(body, caster, SurfaceAppearance(body, config.Body(contrast=0.0), 0), 1, probes=2500),
+        caster,
+    )
     sun = np.array([np.cos(1.0), 0.0, np.sin(1.0)])
     found = _irradiance(scene, replace(SUN, sun_direction_G=sun), [0.1, 0.0, 0.0], UP)
     assert 0.4 * np.sin(1.0) < found < np.sin(1.0)
@@ -122,6 +127,6 @@ def test_what_was_asked_before_does_not_change_the_answer() -> None:
     lights = [replace(SUN, sun_direction_G=np.array([np.cos(a), 0, np.sin(a)])) for a in (0.3, 0.3005, 0.8)]
     asked, fresh = _indirect(*meshes)[0], _indirect(*meshes)[0]
     for moment in lights:
-        asked.under(moment)
-    np.testing.assert_array_equal(asked.under(lights[0]).bounced, fresh.under(lights[0]).bounced)
-    assert asked.under(lights[0]) is asked.under(lights[0])
+        asked.for_lights(moment)
+    np.testing.assert_array_equal(asked.for_lights(lights[0]).bounced, fresh.for_lights(lights[0]).bounced)
+    assert asked.for_lights(lights[0]) is asked.for_lights(lights[0])

@@ -41,7 +41,7 @@ def test_coarse_lights_are_near_and_change_seldom() -> None:
     light = config.Light(lamp=0.3)
     turns = [make_pose(exp_so3([0.0, angle, 0.1]), [0.0, 0.0, 0.6]) for angle in np.linspace(0.0, 0.02, 41)]
     exact = [lights_in_body(light, inverse_pose(X), inverse_pose(X)) for X in turns]
-    coarse = [lights.coarse(1 / 256, 0.001) for lights in exact]
+    coarse = [lights.quantized(1 / 256, 0.001) for lights in exact]
     assert len({lights.key for lights in exact}) == 41
     assert len({lights.key for lights in coarse}) < 30
     for near, lights in zip(coarse, exact, strict=True):

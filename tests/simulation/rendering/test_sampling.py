@@ -7,8 +7,8 @@ from polhode.simulation.rendering.light import disc_irradiance
 from polhode.simulation.rendering.sampling import (
     Stratum,
     even_directions,
-    find,
-    nearest_map,
+    nearest_direction,
+    nearest_direction_map,
     rays_over_disc,
 )
 
@@ -62,12 +62,13 @@ def test_pixels_differ_and_a_pixel_is_always_the_same() -> None:
 
 def test_the_map_of_directions_finds_one_of_the_nearest() -> None:
     directions = even_directions(1024)
-    nearest = nearest_map(directions)
+    nearest = nearest_direction_map(directions)
     given = np.random.default_rng(0).normal(size=(500, 3))
-    found = directions[[find(vector[0], vector[1], vector[2], nearest) for vector in given]]
+    found = directions[[nearest_direction(vector[0], vector[1], vector[2], nearest) for vector in given]]
     cosine = np.einsum("nk,nk->n", found, given) / np.linalg.norm(given, axis=1)
     assert np.rad2deg(np.arccos(cosine)).max() < 7.0
     for index, direction in enumerate(directions[::97]):
         assert (
-            find(direction[0], direction[1], direction[2], nearest) in np.argsort(-directions @ direction)[:4]
+            nearest_direction(direction[0], direction[1], direction[2], nearest)
+            in np.argsort(-directions @ direction)[:4]
         ), index

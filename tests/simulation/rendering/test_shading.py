@@ -16,13 +16,13 @@ from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.records import Bools
 from polhode.simulation.bodies.parts.part import Part, assemble
-from polhode.simulation.rendering.appearance import Skin
+from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.indirect import IndirectLight
 from polhode.simulation.rendering.light import Lights
 from polhode.simulation.rendering.raycast import Hits, RayCaster
-from polhode.simulation.rendering.reflection import mirrored_earth, mirrored_share, reflected
+from polhode.simulation.rendering.reflection import reflected, reflected_earth, specular_albedo
 from polhode.simulation.rendering.sampling import Stratum, even_directions
-from polhode.simulation.rendering.shading import Arriving, Mirror, shade
+from polhode.simulation.rendering.shading import IncidentLight, SpecularTracer, shade
 from polhode.simulation.surface.materials import Material, MaterialTable, Surface
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -33,7 +33,7 @@ MATT = Material(0.6, specular=0.0)
 
 
 def _plate_levels(
-    material: Material, sun_G: Array, viewer_G: Array, arriving: Arriving | None = None, **lights: Any
+    material: Material, sun_G: Array, viewer_G: Array, incident: IncidentLight | None = None, **lights: Any
 ) -> Array:
     """Level of a plate in the xy plane, seen from directions viewer_G (n, 3)."""
     caster = RayCaster(assemble([Part(trimesh.creation.box([1.0, 1.0, 0.02]), material)]))
@@ -43,7 +43,7 @@ def _plate_levels(
     hits = Hits(np.arange(n), np.zeros(n, np.int64), corner, np.ones(n), p_G, up, up)
     surface = MaterialTable((material,), 0).evaluate(np.zeros(n, np.int64), p_G, up)
     bright = Lights(sun_G, 1.0, UP, 0.0, np.array([0.0, 0.0, 2.01]), 0.0)
-    return shade(hits, surface, viewer_G, replace(bright, **lights), caster, arriving=arriving)
+    return shade(hits, surface, viewer_G, replace(bright, **lights), caster, incident=incident)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0, 60.0, 85.0])
@@ -101,10 +101,15 @@ def test_a_plate_under_the_earth_has_the_level_of_its_disc() -> None:
 
 
 def test_what_arrives_by_way_of_the_body_adds_to_the_diffuse_level() -> None:
-    matt, arriving = Material(0.4, specular=0.0), Arriving(bounced=np.full(1, 0.3), mirrored=np.full(1, 0.02))
-    level = _plate_levels(matt, UP, UP[None], arriving, sun=0.0)
+    matt, incident = (
+        Material(0.4, specular=0.0),
+        IncidentLight(bounced=np.full(1, 0.3), mirrored=np.full(1, 0.02)),
+    )
+    level = _plate_levels(matt, UP, UP[None], incident, sun=0.0)
     assert level == pytest.approx(0.4 * 0.3 + 0.02)
-    hidden = _plate_levels(matt, UP, UP[None], Arriving(earth_share=np.full(1, 0.25)), sun=0.0, earth=0.15)
+    hidden = _plate_levels(
+        matt, UP, UP[None], IncidentLight(earth_share=np.full(1, 0.25)), sun=0.0, earth=0.15
+    )
     assert hidden == pytest.approx(0.25 * _plate_levels(matt, UP, UP[None], sun=0.0, earth=0.15))
 
 
@@ -113,14 +118,14 @@ def _levels(
 ) -> Array:
     """Level (n,) in the mirror at points at_G (n, 3), as seen from a point (3,); mean over the samples."""
     body = assemble(parts)
-    caster, skin = RayCaster(body), Skin(body, config.Body(contrast=0.0), 0)
-    indirect = IndirectLight(body, caster, skin, 1, probes=1500)
+    caster, appearance = RayCaster(body), SurfaceAppearance(body, config.Body(contrast=0.0), 0)
+    indirect = IndirectLight(body, caster, appearance, 1, probes=1500)
     rays = at_G - np.array(seen_from_G)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     hits = caster.first_hits(np.array(seen_from_G), rays)
     assert len(hits.ray) == len(at_G)
-    surface = skin.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
-    mirror, around = Mirror(caster, skin, indirect, 1), indirect.at(hits, lights)
+    surface = appearance.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+    mirror, around = SpecularTracer(caster, appearance, indirect, 1), indirect.at(hits, lights)
     pixel = np.arange(len(rays))
     strata = [Stratum(pixel, i, samples) for i in range(samples)]
     return np.asarray(
@@ -215,7 +220,7 @@ def test_the_closed_form_of_the_mirrored_earth_is_near_the_integral(
     for earth in (UP, np.array([-0.9, 0.0, 0.436]), np.array([0.9, 0.0, 0.436])):
         lights = replace(DARK, earth=1.0, earth_direction_G=earth, earth_radius_rad=1.1)
         exact = _integral(0.05, roughness, viewer, partial(_within, earth))
-        closed = mirrored_share(surface, viewer[None]) * mirrored_earth(surface, viewer[None], lights)
+        closed = specular_albedo(surface, viewer[None]) * reflected_earth(surface, viewer[None], lights)
         assert closed[0] == pytest.approx(exact, abs=0.012)
 
 

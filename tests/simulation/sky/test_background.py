@@ -9,7 +9,7 @@ from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.simulation.camera.cameras import Camera, build_cameras
 from polhode.simulation.camera.sensor import expose
-from polhode.simulation.rendering.render import Picture
+from polhode.simulation.rendering.render import RenderedLight
 from polhode.simulation.sky.background import Sky
 from polhode.simulation.sky.earth import Earth
 from polhode.simulation.sky.stars import Stars, image_of_stars, star_field
@@ -26,9 +26,9 @@ def _stars_at(camera: Camera, uv: Array, magnitude: float = 0.0) -> Stars:
     return Stars(camera.directions(uv), np.full(len(uv), magnitude))
 
 
-def _black(camera: Camera, covered: float = 0.0) -> Picture:
+def _black(camera: Camera, covered: float = 0.0) -> RenderedLight:
     shape = (camera.height_px, camera.width_px)
-    return Picture(np.zeros(shape), np.full(shape, covered))
+    return RenderedLight(np.zeros(shape), np.full(shape, covered))
 
 
 def test_star_counts_are_those_of_the_bright_star_catalogue() -> None:
@@ -150,8 +150,8 @@ def test_an_eclipse_darkens_the_earth_and_leaves_the_stars() -> None:
         }
     )
     camera, sky = _camera(), Sky(scene, 3)
-    day, _ = sky.behind(_black(camera), camera, np.eye(4), 0.0)
-    night, stars = sky.behind(_black(camera), camera, np.eye(4), 7.0)
+    day, _ = sky.background(_black(camera), camera, np.eye(4), 0.0)
+    night, stars = sky.background(_black(camera), camera, np.eye(4), 7.0)
     assert day.max() > 0.05
     assert night.max() == 0.0
     assert stars is not None
@@ -163,15 +163,15 @@ def test_an_eclipse_darkens_the_earth_and_leaves_the_stars() -> None:
 def test_the_target_stands_before_the_earth() -> None:
     scene = Scene.model_validate({"light": {"earth_direction_N": [0, 0, 1]}, "background": {"earth": True}})
     camera, sky = _camera(), Sky(scene, 3)
-    free, _ = sky.behind(_black(camera), camera, np.eye(4), 0.0)
-    half, _ = sky.behind(_black(camera, 0.5), camera, np.eye(4), 0.0)
+    free, _ = sky.background(_black(camera), camera, np.eye(4), 0.0)
+    half, _ = sky.background(_black(camera, 0.5), camera, np.eye(4), 0.0)
     np.testing.assert_allclose(half, 0.5 * free)
-    np.testing.assert_array_equal(sky.behind(_black(camera, 1.0), camera, np.eye(4), 0.0)[0], 0.0)
+    np.testing.assert_array_equal(sky.background(_black(camera, 1.0), camera, np.eye(4), 0.0)[0], 0.0)
 
 
 def test_a_sky_that_nobody_asked_for_changes_nothing() -> None:
     camera, picture = _camera(), _black(_camera())
-    level, stars = Sky(Scene(), 3).behind(picture, camera, np.eye(4), 0.0)
+    level, stars = Sky(Scene(), 3).background(picture, camera, np.eye(4), 0.0)
     assert level is picture.level
     assert stars is None
 

@@ -31,7 +31,7 @@ class Leaves:
     """Height of a leaf's edge [texels]."""
 
 
-def strew(
+def scatter_leaves(
     canvas: Canvas, base: float, kind: Leaves, rng: np.random.Generator, material: int | None = None
 ) -> None:
     """Lay leaves around the mean reflectance ``base`` onto the canvas."""

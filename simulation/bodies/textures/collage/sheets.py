@@ -5,7 +5,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.simulation.bodies.textures.canvas import Canvas, Draw, code
-from polhode.simulation.bodies.textures.collage.marks import Leaves, combs, inscriptions, strew, strokes
+from polhode.simulation.bodies.textures.collage.marks import (
+    Leaves,
+    combs,
+    inscriptions,
+    scatter_leaves,
+    strokes,
+)
 from polhode.simulation.surface.materials import (
     ANODISED,
     MIRROR,
@@ -23,7 +29,7 @@ def panel(base: float, richness: float = 1.0) -> Draw:
     def draw(canvas: Canvas, rng: np.random.Generator) -> None:
         canvas.code[:] = code(base)
         kind = Leaves(smallest=4.0 / np.sqrt(richness), spread=0.75, coverings=1.6 + 0.6 * min(richness, 2.5))
-        strew(canvas, 1.15 * base, kind, rng, canvas.layer_of(VINYL))
+        scatter_leaves(canvas, 1.15 * base, kind, rng, canvas.layer_of(VINYL))
         area = canvas.area
         inscriptions(canvas, int(rng.poisson(1.2e-4 * richness * area)), rng)
         strokes(canvas, int(rng.poisson(1.0e-4 * richness * area)), rng)
@@ -37,7 +43,9 @@ def plain(base: float) -> Draw:
 
     def draw(canvas: Canvas, rng: np.random.Generator) -> None:
         canvas.code[:] = code(base)
-        strew(canvas, base, Leaves(smallest=14.0, largest=120.0, spread=0.05, coverings=1.5, relief=0.0), rng)
+        scatter_leaves(
+            canvas, base, Leaves(smallest=14.0, largest=120.0, spread=0.05, coverings=1.5, relief=0.0), rng
+        )
 
     return draw
 
@@ -67,7 +75,7 @@ def blanket(foil: Material) -> Draw:
         canvas.code[:] = code(foil.albedo)
         canvas.layer[:] = canvas.layer_of(foil)
         few = Leaves(smallest=9.0, largest=60.0, spread=0.5, coverings=0.25, relief=0.8)
-        strew(canvas, 0.15, few, rng, canvas.layer_of(TAPE))
+        scatter_leaves(canvas, 0.15, few, rng, canvas.layer_of(TAPE))
         folds = np.zeros(canvas.shape, np.float32)
         i, j = np.mgrid[:height, :width].astype(np.float32)
         for _ in range(9):
@@ -88,7 +96,7 @@ def cells(cell: int = 60) -> Draw:
         canvas.code[:] = code(float(rng.uniform(0.1, 0.4)))
         canvas.layer[:] = canvas.layer_of(PAINT_WHITE)
         glass = canvas.layer_of(SOLAR_CELL)
-        strew(canvas, 0.2, Leaves(spread=0.4, coverings=0.6), rng)
+        scatter_leaves(canvas, 0.2, Leaves(spread=0.4, coverings=0.6), rng)
         row = int(rng.integers(2, 5))
         while row < height - 4:
             tall = int(cell * rng.uniform(0.4, 0.8))

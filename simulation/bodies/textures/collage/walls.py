@@ -9,7 +9,7 @@ from polhode.simulation.bodies.textures.collage.marks import (
     combs,
     inscription,
     inscriptions,
-    strew,
+    scatter_leaves,
     strokes,
 )
 from polhode.simulation.surface.materials import PAINT_WHITE, VINYL
@@ -22,8 +22,8 @@ def tank_wall(base: float) -> Draw:
         height, width = canvas.shape
         canvas.code[:] = code(base)
         large = Leaves(smallest=10.0, largest=0.3 * height, spread=0.3, coverings=1.2)
-        strew(canvas, base, large, rng, canvas.layer_of(PAINT_WHITE))
-        strew(
+        scatter_leaves(canvas, base, large, rng, canvas.layer_of(PAINT_WHITE))
+        scatter_leaves(
             canvas,
             base,
             Leaves(smallest=4.0, largest=30.0, spread=0.8, coverings=0.25),
@@ -50,7 +50,7 @@ def ring_wall(base: float) -> Draw:
     def draw(canvas: Canvas, rng: np.random.Generator) -> None:
         height, width = canvas.shape
         canvas.code[:] = code(base)
-        strew(canvas, base, Leaves(smallest=4.0, largest=24.0, spread=0.35, coverings=1.0), rng)
+        scatter_leaves(canvas, base, Leaves(smallest=4.0, largest=24.0, spread=0.35, coverings=1.0), rng)
         count = max(3, round(width / (1.2 * height + 8)))
         for k in range(count + 1):
             for a, b in (((k - 0.5), k), ((k + 0.5), k)):
@@ -70,7 +70,7 @@ def nozzle_wall() -> Draw:
         edges = np.sort(rng.uniform(0, height, 14)).astype(int)
         tone = np.repeat(rng.uniform(0.05, 0.22, 15), np.diff([0, *edges, height]))
         canvas.code[:] = (255.0 * np.sqrt(tone))[:, None].astype(np.uint8)
-        strew(canvas, 0.12, Leaves(smallest=3.0, largest=12.0, spread=0.5, coverings=0.3), rng)
+        scatter_leaves(canvas, 0.12, Leaves(smallest=3.0, largest=12.0, spread=0.5, coverings=0.3), rng)
         i, j = np.mgrid[:height, :width].astype(np.float32)
         phase = 2 * np.pi * (i / rng.uniform(9, 16) + 3.0 * j / width)
         canvas.height += (0.9 * np.maximum(np.sin(phase), 0.3)).astype(np.float32)
@@ -84,7 +84,9 @@ def reflector(base: float, gores: int) -> Draw:
     def draw(canvas: Canvas, rng: np.random.Generator) -> None:
         height, width = canvas.shape
         canvas.code[:] = code(base)
-        strew(canvas, base, Leaves(smallest=12.0, largest=90.0, spread=0.1, coverings=1.0, relief=0.0), rng)
+        scatter_leaves(
+            canvas, base, Leaves(smallest=12.0, largest=90.0, spread=0.1, coverings=1.0, relief=0.0), rng
+        )
         for k in range(-gores, 2 * gores):
             for lean in (-1, 1):
                 start = round(k * width / gores)

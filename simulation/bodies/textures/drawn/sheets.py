@@ -30,7 +30,7 @@ Tile = tuple[int, int, int, int]
 """Left, top, right, bottom in texels."""
 
 STICKERS_PER_TEXEL = 1.4e-4
-SMALLEST_TILE, LARGEST_TILE = 34, 150
+MIN_TILE, MAX_TILE = 34, 150
 
 
 CELL_TILT = 0.012
@@ -97,7 +97,7 @@ def _split(tile: Tile, rng: np.random.Generator) -> list[Tile]:
     left, top, right, bottom = tile
     w, h = right - left, bottom - top
     longest = max(w, h)
-    if longest < 2 * SMALLEST_TILE or (longest < LARGEST_TILE and rng.random() < 0.35):
+    if longest < 2 * MIN_TILE or (longest < MAX_TILE and rng.random() < 0.35):
         return [tile]
     share = float(rng.choice([0.33, 0.4, 0.5, 0.6, 0.67]))
     if w >= h:

@@ -77,7 +77,7 @@ def ring_wall(base: float) -> Draw:
 
 
 def nozzle_wall() -> Draw:
-    """A nozzle's skin: fine tubes, stiffening bands, colours of heat."""
+    """A nozzle's appearance: fine tubes, stiffening bands, colours of heat."""
 
     def draw(canvas: Canvas, rng: np.random.Generator) -> None:
         height, width = canvas.shape

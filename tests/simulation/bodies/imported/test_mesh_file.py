@@ -16,7 +16,7 @@ from polhode.records import Ints
 from polhode.simulation.bodies import Body, build_body, describe
 from polhode.simulation.bodies.imported.colours import linear_grey
 from polhode.simulation.bodies.imported.mesh_file import material_by_name
-from polhode.simulation.rendering.appearance import Skin
+from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.surface.materials import (
     BRUSHED_METAL,
     DARK_METAL,
@@ -41,7 +41,9 @@ def _surface(path: Path, face: Ints, weights: Array, **more: object) -> Surface:
     body = _body(path, **more)
     points = np.einsum("nc,nck->nk", weights, body.mesh.triangles[face])
     normals = np.asarray(body.mesh.face_normals)[face]
-    return Skin(body, _description(path, **more), 0).evaluate(np.asarray(face), weights, points, normals)
+    return SurfaceAppearance(body, _description(path, **more), 0).evaluate(
+        np.asarray(face), weights, points, normals
+    )
 
 
 def _box() -> trimesh.Trimesh:

@@ -10,22 +10,22 @@ import pytest
 from polhode.lie import Array
 from polhode.simulation.bodies.textures import collage, drawn
 from polhode.simulation.bodies.textures.canvas import Canvas, Code, Draw
-from polhode.simulation.bodies.textures.part_builder import Artist, texture_generator
+from polhode.simulation.bodies.textures.part_builder import TextureGenerator, texture_generator
 from polhode.simulation.surface import noise, spot_noise
 from polhode.simulation.surface.materials import FOIL_GOLD
 
 FOLDERS = {"drawn": Path(drawn.__path__[0]), "collage": Path(collage.__path__[0])}
-SHEETS: dict[str, Callable[[Artist], Draw]] = {
-    "panel": lambda artist: artist.panel(0.3),
-    "plain": lambda artist: artist.plain(0.3),
-    "machined_plate": lambda artist: artist.machined_plate(),
-    "cells": lambda artist: artist.cells(40),
-    "radiator": lambda artist: artist.radiator(),
-    "blanket": lambda artist: artist.blanket(FOIL_GOLD),
-    "tank_wall": lambda artist: artist.tank_wall(0.7),
-    "ring_wall": lambda artist: artist.ring_wall(0.4),
-    "nozzle_wall": lambda artist: artist.nozzle_wall(),
-    "reflector": lambda artist: artist.reflector(0.7, 12),
+SHEETS: dict[str, Callable[[TextureGenerator], Draw]] = {
+    "panel": lambda textures: textures.panel(0.3),
+    "plain": lambda textures: textures.plain(0.3),
+    "machined_plate": lambda textures: textures.machined_plate(),
+    "cells": lambda textures: textures.cells(40),
+    "radiator": lambda textures: textures.radiator(),
+    "blanket": lambda textures: textures.blanket(FOIL_GOLD),
+    "tank_wall": lambda textures: textures.tank_wall(0.7),
+    "ring_wall": lambda textures: textures.ring_wall(0.4),
+    "nozzle_wall": lambda textures: textures.nozzle_wall(),
+    "reflector": lambda textures: textures.reflector(0.7, 12),
 }
 
 
@@ -67,7 +67,7 @@ def _along_axes(code: Code) -> float:
 
 
 def test_drawn_panels_keep_to_rows_and_columns_and_collages_do_not() -> None:
-    def shares(texture: Artist) -> list[float]:
+    def shares(texture: TextureGenerator) -> list[float]:
         return [_along_axes(_canvas(texture.panel(0.3), seed, (300, 300)).code) for seed in range(4)]
 
     # Directions without preference have 0.22.
