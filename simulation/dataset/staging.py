@@ -83,9 +83,9 @@ def require_free(folder: Path, overwrite: bool) -> None:
 def staged_dataset(folder: Path, overwrite: bool, fingerprint: str) -> Iterator[StagedDataset]:
     """A new or resumed staged dataset that replaces ``folder`` if the block succeeds.
 
-    ``fingerprint`` is a text that identifies what makes the dataset: a staging folder with
-    another one is cleared. If the block fails, the staging folder is kept when it holds a frame, but never after an InputError.
-    Raises InputError: the folder exists, cannot be written, or another process is writing it.
+    ``fingerprint`` is a text that identifies what makes the dataset: a staging folder with another one is
+    cleared. If the block fails, the staging folder is kept when it holds a frame, but never after an
+    InputError. Raises InputError: the folder exists, cannot be written, or another process is writing it.
     """
     require_free(folder, overwrite)
     place = folder.resolve()
