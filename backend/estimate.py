@@ -22,12 +22,14 @@ from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.progress import Progress
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
+from polhode.threads import single_threaded
 
 MAX_PASSES = 4
 PASS_TOLERANCE = 1e-7
 """Relative change of the cost between passes that ends them."""
 
 
+@single_threaded
 def estimate_motion(
     tracks: StereoTracks, initial: InitialMotion, config: Backend, progress: Progress
 ) -> MotionEstimate:

@@ -2,39 +2,45 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from polhode.threads import limit_threads
+from polhode.processes import as_finished
 
 Case = dict[str, Any]
 """What names a case: its values are strings, numbers or booleans."""
+
+CASES_PER_PROCESS = 20
 
 
 def complete(path: Path, cases: Iterable[Case], measure: Callable[[Case], Case], workers: int) -> list[Case]:
     """Measure the cases that the file lacks, append them to it, and return the lines of all cases.
 
-    ``measure`` runs in a new process of one BLAS thread; its answer becomes a line, under "case" the case.
+    ``measure`` runs in another process; its answer becomes a line, with the case under "case".
     """
     wanted = list(cases)
     done = {_key(line["case"]): line for line in _lines(path)}
     missing = [case for case in wanted if _key(case) not in done]
     if missing:
         path.parent.mkdir(parents=True, exist_ok=True)
-        limit_threads(1)
-        # a process is renewed now and then: compiled kernels pile up
-        with get_context("spawn").Pool(workers, maxtasksperchild=20) as pool, path.open("a") as stream:
+        with path.open("a") as stream:
             if path.stat().st_size and not path.read_text().endswith("\n"):
                 # the rest of a line that was cut off
                 stream.write("\n")
-            for number, line in enumerate(pool.imap_unordered(_Joined(measure), missing), start=1):
+            for number, line in enumerate(_results(_Joined(measure), missing, workers), start=1):
                 done[_key(line["case"])] = line
                 stream.write(json.dumps(line) + "\n")
                 stream.flush()
                 print(f"\r{number} of {len(missing)}", end="", flush=True)
         print()
     return [done[_key(case)] for case in wanted]
+
+
+def _results(measure: Callable[[Case], Case], cases: list[Case], workers: int) -> Iterator[Case]:
+    """What comes of each case, in any order. Processes are replaced now and then: compiled code piles up."""
+    step = CASES_PER_PROCESS * workers
+    for start in range(0, len(cases), step):
+        yield from as_finished(measure, cases[start : start + step], workers)
 
 
 def forget(path: Path, unwanted: Callable[[Case], bool]) -> None:

@@ -10,7 +10,7 @@ from polhode.cli.console import choose_progress
 from polhode.cli.options import ConfigFile, ConfigValues, Flag
 from polhode.config import Config, Scene
 from polhode.errors import InputError
-from polhode.threads import processes
+from polhode.processes import worker_count
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class SimulateCommand:
         plan = plan_sequence(self.values.scene, self.values.seed)
         print(describe(plan.body), flush=True)
         write_sequence(
-            plan, self.output, choose_progress(), processes(self.values.runtime.workers), self.overwrite
+            plan, self.output, choose_progress(), worker_count(self.values.runtime.workers), self.overwrite
         )
         print(f"{len(plan.frames)} stereo pairs with truth: {self.output}")
         return 0

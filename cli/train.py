@@ -6,7 +6,7 @@ from polhode.cli.console import choose_progress
 from polhode.cli.options import ConfigFile, ConfigValues, Flag
 from polhode.config import Config, Train
 from polhode.errors import InputError
-from polhode.threads import processes
+from polhode.processes import worker_count
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class TrainCommand:
         from polhode.train.run import train
 
         trained = train(
-            self.values, self.values.train, choose_progress(), processes(self.values.runtime.workers)
+            self.values, self.values.train, choose_progress(), worker_count(self.values.runtime.workers)
         )
         for name, value in trained.outcome.scores.items():
             print(f"  {name}: {value:.4g}")

@@ -9,12 +9,22 @@ from polhode.frontend.disparity.depth import compute_depth
 from polhode.frontend.features.methods import extract_pair, feature_method, match_method
 from polhode.frontend.features.patch_size import with_patch_size
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.parallel import in_order
 from polhode.frontend.rectification.rectified_pair import rectified_pair
 from polhode.frontend.rectification.rectify import Rectifier
+from polhode.processes import in_order
 from polhode.records import DepthMap
 
 Tick = Callable[[], None]
+
+PRELOADED = (
+    "polhode.frontend.extract",
+    "polhode.frontend.matching.pairs",
+    "polhode.frontend.tracks.track_refinement",
+    "polhode.frontend.features.surface_features",
+    "polhode.frontend.matching.softmax_matcher",
+    "polhode.frontend.disparity.network",
+)
+"""What the work on frames imports: extraction is the first stage of a run that starts processes."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +61,8 @@ def extract_features(
     feature_method(config), match_method(config)
     config = with_patch_size(config, sequence, rectifier)
     features: list[StereoFeatures] = []
-    for found in in_order(_FeatureJob(sequence, rectifier, config), len(sequence), workers):
+    job = _FeatureJob(sequence, rectifier, config)
+    for found in in_order(job, range(len(sequence)), workers, PRELOADED):
         features.append(found)
         tick()
     return features
@@ -65,4 +76,5 @@ def extract_depth(
     workers: int,
 ) -> Iterator[DepthMap]:
     """Depth map of every pair, in order; disparity_ranges_px: per pair, what the sparse map predicts."""
-    return in_order(_DepthJob(sequence, rectifier, config, disparity_ranges_px), len(sequence), workers)
+    job = _DepthJob(sequence, rectifier, config, disparity_ranges_px)
+    return in_order(job, range(len(sequence)), workers)

@@ -1,7 +1,6 @@
 """What the frames show: features, and which of two frames belong together, blind or with a motion at hand."""
 
 import logging
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,6 +20,7 @@ from polhode.frontend.tracks.tracks import join_matches
 from polhode.lie import Array
 from polhode.pipeline.images import Images
 from polhode.pipeline.stopwatch import Stopwatch
+from polhode.processes import worker_count
 from polhode.progress import Progress
 from polhode.records import Ints, RelativePoses, StereoTracks
 
@@ -130,4 +130,4 @@ def _undisputed(images: Images, matches: Sequence[PairMatch], clock: Stopwatch) 
 
 def workers(config: Config) -> int:
     """Processes for parallel work."""
-    return config.runtime.workers or os.cpu_count() or 1
+    return worker_count(config.runtime.workers)

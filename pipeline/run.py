@@ -23,6 +23,7 @@ from polhode.pipeline.run_directory.summary import Summary, build_summary
 from polhode.pipeline.stopwatch import Stopwatch
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
+from polhode.threads import single_threaded
 
 _log = logging.getLogger(__name__)
 
@@ -38,6 +39,7 @@ class RunResult:
     """Why the status is "failed"; everything that was found is in the run directory all the same"""
 
 
+@single_threaded
 def run(
     config: Config, sequence_folder: Path, run_folder: Path, progress: Progress, overwrite: bool = False
 ) -> RunResult:

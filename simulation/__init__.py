@@ -9,7 +9,6 @@ motion/       target and inspector over time
 bodies/       the target's shape, textures and mass
 camera/       the stereo rig and its sensor
 surface/      materials and solid noise
-workers.py    work spread over processes
 """
 
 from polhode.simulation.dataset.sequence import simulate

@@ -2,7 +2,7 @@
 
 from polhode.threads import limit_threads
 
-limit_threads(1)  # before NumPy is imported
+limit_threads(1)  # of what is imported below, and of NumPy, which a plugin of pytest has imported
 
 # isort: split
 from pathlib import Path

@@ -17,9 +17,9 @@ import yaml
 from polhode.config.loader import load_config
 from polhode.config.train import Corpus, Train
 from polhode.errors import InputError
+from polhode.processes import in_order
 from polhode.progress import Progress, Silent
 from polhode.simulation.dataset.sequence import SCENE_FILE, simulate
-from polhode.simulation.workers import in_processes
 from polhode.train.scene import random_scene
 
 NOTE = "corpus.yaml"
@@ -64,12 +64,8 @@ def render_corpus(corpus: Corpus, progress: Progress, workers: int) -> None:
     with progress.stage(
         f"rendering scenes ({corpus.scenes - len(missing)} were there)", len(missing)
     ) as advance:
-        if workers == 1 or len(missing) == 1:
-            for index in missing:
-                _render((corpus, index))
-                advance()
-        else:
-            in_processes(_render, [(corpus, i) for i in missing], workers, lambda _: advance())
+        for _ in in_order(_render, [(corpus, i) for i in missing], workers):
+            advance()
 
 
 def _render(work: tuple[Corpus, int]) -> None:

@@ -13,8 +13,8 @@ from polhode.config.train import DepthTraining, Train
 from polhode.errors import InputError
 from polhode.frontend.disparity.network import Refined, refine
 from polhode.frontend.networks.disparity import DisparityNet
+from polhode.processes import in_order
 from polhode.progress import Progress
-from polhode.simulation.workers import in_processes
 from polhode.train.corpus import scene_folder, split
 from polhode.train.depth_batches import DepthBatch, random_batch
 from polhode.train.depth_loss import asked_pixels, depth_loss
@@ -119,7 +119,7 @@ def scores(samples: Sequence[HeldOut]) -> dict[str, float]:
 
 
 class _Builder:
-    """Samples of one scene, in another process."""
+    """Makes the samples of one scene."""
 
     def __init__(self, train: Train, seed: int) -> None:
         self.train, self.seed = train, seed
@@ -135,12 +135,9 @@ def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Dept
     scenes = sorted([*parts.training, *parts.validation])
     files: dict[int, list[Path]] = {}
     with progress.stage("matching pairs", len(scenes)) as advance:
-
-        def keep(made: tuple[int, list[Path]]) -> None:
-            files[made[0]] = made[1]
+        for scene, paths in in_order(_Builder(train, seed), scenes, workers):
+            files[scene] = paths
             advance()
-
-        in_processes(_Builder(train, seed), scenes, workers, keep)
     training = [path for scene in parts.training for path in files[scene]]
     held_out = [path for scene in parts.validation for path in files[scene]]
     return DepthTask(train.depth, training, held_out, seed)

@@ -24,6 +24,7 @@ from polhode.frontend.features.keypoints import KeyPoints, detect
 from polhode.frontend.rectification.target import target_crop
 from polhode.images import Grey
 from polhode.lie import Array, inverse_pose
+from polhode.processes import in_order
 from polhode.progress import Progress
 from polhode.records import Bools, Ints
 from polhode.simulation.dataset.correspondence import CameraView, correspond, view_of
@@ -38,7 +39,6 @@ from polhode.simulation.dataset.products import (
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.render import Renderer
-from polhode.simulation.workers import in_processes
 from polhode.train.corpus import scene_folder
 
 VERSION = 1
@@ -101,12 +101,8 @@ def prepare_points(
     if missing:
         with progress.stage("finding surface points", len(missing)) as advance:
             work = [(corpus, i) for i in missing]
-            if workers == 1 or len(missing) == 1:
-                for each in work:
-                    _make(each)
-                    advance()
-            else:
-                in_processes(_make, work, workers, lambda _: advance())
+            for _ in in_order(_make, work, workers):
+                advance()
     return {i: read_points(points_path(corpus, i)) for i in scenes}
 
 

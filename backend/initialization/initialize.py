@@ -15,6 +15,7 @@ from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import Bools, InitialMotion, Ints, RelativePoses, StereoTracks
+from polhode.threads import single_threaded
 
 MIN_CONNECTED = 3
 MIN_COMMON = 4
@@ -24,6 +25,7 @@ LEAST_AGREEMENT = 0.4
 BUNDLE_ITERATIONS = 12
 
 
+@single_threaded
 def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Backend) -> InitialMotion:
     """Poses of the target from relative poses and tracks, G's origin in the middle of its landmarks.
 

@@ -15,6 +15,7 @@ from polhode.config.backend import Backend
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks
+from polhode.threads import single_threaded
 
 ALIGNED_FRAMES = 10
 """Last frames by whose poses the causal G and the final one are laid on each other."""
@@ -22,6 +23,7 @@ ALIGNED_FRAMES = 10
 _log = logging.getLogger(__name__)
 
 
+@single_threaded
 def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -> OnlineEstimate:
     """Feed the frames in the order of time. A row depends on what its frame and earlier ones show."""
     window = SlidingWindow(tracks.rig, config, camera_noise_of(tracks))

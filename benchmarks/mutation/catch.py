@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 LEFT_OUT = (".git", ".venv", "runs", "data", ".mypy_cache", ".ruff_cache", ".pytest_cache")
 LONGEST_S = 1500.0
 """The tests of a fault that makes a loop endless are stopped."""
-_COMPILED = re.compile(r"^@compiled", re.MULTILINE)
+_COMPILED = re.compile(r"^@(njit|compiled|fused)", re.MULTILINE)
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", re.MULTILINE)
 
 

@@ -9,15 +9,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Frontend
 from polhode.frontend.features.methods import match_method
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.ransac import ransac_rigid
-from polhode.frontend.parallel import in_order
 from polhode.lie import Array
+from polhode.processes import in_order
 from polhode.records import Ints, RelativePoses
 
 Tick = Callable[[], None]
@@ -50,7 +49,7 @@ def match_pairs(
     result does not depend on the number of workers.
     """
     matches: list[PairMatch] = []
-    for found in in_order(_RowJob(frames, partners, rig, config, seed), len(frames), workers):
+    for found in in_order(_RowJob(frames, partners, rig, config, seed), range(len(frames)), workers):
         matches.extend(found)
         tick()
     return matches
@@ -67,7 +66,6 @@ class _RowJob:
     seed: int
 
     def __call__(self, i: int) -> list[PairMatch]:
-        torch.set_num_threads(1)
         later = self.partners[i].tolist()
         found = (_match_pair(i, j, self.frames, self.rig, self.config, self.seed) for j in later)
         return [match for match in found if match is not None]

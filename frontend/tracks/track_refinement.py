@@ -18,12 +18,12 @@ from polhode.frontend.features.feature_noise import feature_sigma
 from polhode.frontend.features.patches import PATCH_PX, Patches, axes_affines, cut_patches
 from polhode.frontend.features.stereo import StereoFeatures, refine_disparity
 from polhode.frontend.features.surface_features import patch_half_m
-from polhode.frontend.parallel import in_order
 from polhode.frontend.rectification.rectified_pair import rectified_pair
 from polhode.frontend.rectification.rectify import Rectifier
 from polhode.frontend.tracks.alignment import Alignment, align_patches, root_image
 from polhode.frontend.tracks.tracks import Association
 from polhode.lie import Array, inverse_pose
+from polhode.processes import in_order
 from polhode.records import InitialMotion, Ints
 
 SIZE = 2.0 / 3.0
@@ -94,10 +94,10 @@ def refine_tracks(
     # descriptors stay here: the workers need none, and of a long sequence they are gigabytes
     bare = tuple(replace(found, descriptors=found.descriptors[:, :0]) for found in frames)
     cut = _TemplateJob(sequence, rectifier, bare, references, half_m)
-    for k, patches in enumerate(in_order(cut, len(frames), workers)):
+    for k, patches in enumerate(in_order(cut, range(len(frames)), workers)):
         templates[references.frame == k] = np.round(patches)
     job = _AlignJob(cut, association, motion, templates, config)
-    refined = list(in_order(job, len(frames), workers))
+    refined = list(in_order(job, range(len(frames)), workers))
     described = [
         replace(found, descriptors=known.descriptors)
         for (found, _), known in zip(refined, frames, strict=True)

@@ -7,6 +7,7 @@ import numpy as np
 
 from polhode.dataset_writer import image_path, mask_path, write_png
 from polhode.lie import Array
+from polhode.processes import in_order
 from polhode.progress import Advance
 from polhode.simulation.camera.cameras import sample_times
 from polhode.simulation.camera.sensor import Image, expose
@@ -14,7 +15,6 @@ from polhode.simulation.dataset.plan import SequencePlan
 from polhode.simulation.dataset.products import products_path, render_products, write_products
 from polhode.simulation.dataset.staging import StagedDataset
 from polhode.simulation.rendering.render import RenderedLight, Renderer
-from polhode.simulation.workers import in_processes
 
 
 class FrameRenderer:
@@ -65,28 +65,19 @@ def render_frames(
 
     The bytes do not depend on the number of workers. Raises RunFailure when a worker is killed.
     """
-    if workers == 1 or len(frames) <= 1:
-        renderer = FrameRenderer(plan)
-        for k in frames:
-            _render_into(staged, renderer, k)
-            advance()
-        return
-    in_processes(_render_frame, frames, workers, lambda _: advance(), _prepare, (plan, staged))
+    for _ in in_order(_RenderFrame(plan, staged), frames, workers):
+        advance()
 
 
-def _render_into(staged: StagedDataset, renderer: FrameRenderer, k: int) -> None:
-    with staged.frame(k) as mav0:
-        renderer.write_pair(k, mav0)
+class _RenderFrame:
+    """Renders frames of a plan into its staged dataset; each process makes a renderer at its first frame."""
 
+    def __init__(self, plan: SequencePlan, staged: StagedDataset) -> None:
+        self._plan, self._staged = plan, staged
+        self._renderer: FrameRenderer | None = None
 
-_here: tuple[StagedDataset, FrameRenderer] | None = None
-
-
-def _prepare(plan: SequencePlan, staged: StagedDataset) -> None:
-    global _here
-    _here = staged, FrameRenderer(plan)
-
-
-def _render_frame(k: int) -> None:
-    assert _here is not None  # the process has been prepared
-    _render_into(*_here, k)
+    def __call__(self, k: int) -> None:
+        if self._renderer is None:
+            self._renderer = FrameRenderer(self._plan)
+        with self._staged.frame(k) as mav0:
+            self._renderer.write_pair(k, mav0)

@@ -22,10 +22,10 @@ from polhode.config.scene import Scene
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.lie import inverse_pose, transform_points
+from polhode.processes import in_order
 from polhode.records import Bools
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
-from polhode.simulation.workers import in_processes
 
 Grey = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
@@ -73,16 +73,9 @@ def scene_files(sources: Sequence[Path]) -> list[Path]:
 def strips_of(files: Sequence[Path], workers: int, advance: Callable[[], None]) -> list[Strip]:
     """Render the scenes, several at once; ``advance`` is called after each. Raises InputError."""
     strips: list[Strip] = []
-
-    def done(strip: Strip) -> None:
+    for strip in in_order(strip_of, files, workers):
         strips.append(strip)
         advance()
-
-    if workers == 1 or len(files) == 1:
-        for file in files:
-            done(strip_of(file))
-    else:
-        in_processes(strip_of, files, workers, done)
     return strips
 
 

@@ -1,0 +1,111 @@
+"""Work over processes: results in order for any number of workers, errors reach the caller."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic, sleep
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+from polhode.errors import RunFailure
+from polhode.processes import as_finished, in_order, worker_count
+
+
+@dataclass(frozen=True)
+class Square:
+    """Squares; fails at one number."""
+
+    bad: int = -1
+
+    def __call__(self, k: int) -> int:
+        if k == self.bad:
+            raise ValueError(f"frame {k}")
+        return k * k
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_results_come_in_order(workers: int) -> None:
+    assert list(in_order(Square(), range(20), workers)) == [k * k for k in range(20)]
+    assert list(in_order(Square(), [], workers)) == []
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_reaches_the_caller_after_the_results_before_it(workers: int) -> None:
+    results = in_order(Square(bad=5), range(9), workers)
+    assert [next(results) for _ in range(5)] == [0, 1, 4, 9, 16]
+    with pytest.raises(ValueError, match="frame 5"):
+        next(results)
+
+
+def test_results_as_finished_are_complete() -> None:
+    assert sorted(as_finished(Square(), range(20), 2)) == [k * k for k in range(20)]
+    assert list(as_finished(Square(), [], 2)) == []
+
+
+def test_zero_workers_stand_for_the_cores_that_may_be_used() -> None:
+    assert worker_count(0) == len(os.sched_getaffinity(0)) and worker_count(3) == 3
+
+
+def kill_itself(k: int) -> int:
+    if k == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return k
+
+
+def test_a_killed_process_is_reported() -> None:
+    with pytest.raises(RunFailure, match="a worker process was killed"):
+        list(in_order(kill_itself, range(4), 2))
+
+
+def threads_and_interrupts(k: int) -> tuple[int, int]:
+    """Most threads of a library, and the process, which Ctrl-C does not end."""
+    np.linalg.inv(np.eye(2))
+    os.kill(os.getpid(), signal.SIGINT)
+    return max(each["num_threads"] for each in threadpool_info()), os.getpid()
+
+
+def test_a_worker_uses_one_thread_and_leaves_interrupts_to_its_parent() -> None:
+    found = list(in_order(threads_and_interrupts, range(4), 2))
+    assert {threads for threads, _ in found} == {1}
+    assert os.getpid() not in {process for _, process in found}
+
+
+def test_processes_end_with_their_parent(tmp_path: Path) -> None:
+    (tmp_path / "endless.py").write_text(
+        "import os, sys, time\n"
+        "from pathlib import Path\n"
+        "from polhode.processes import in_order\n\n\n"
+        "def wait(k: int) -> None:\n"
+        "    Path(f'{k}.pid').write_text(str(os.getpid()))\n"
+        "    time.sleep(600)\n\n\n"
+        "if __name__ == '__main__':\n"
+        "    list(in_order(wait, range(2), 2))\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path.cwd())}
+    parent = subprocess.Popen([sys.executable, "endless.py"], cwd=tmp_path, env=environment)
+    try:
+        assert _eventually(lambda: len(_numbers(tmp_path)) == 2)
+    finally:
+        parent.kill()
+        parent.wait()
+    assert _eventually(lambda: not any(Path(f"/proc/{number}").exists() for number in _numbers(tmp_path)))
+
+
+def _numbers(folder: Path) -> list[int]:
+    texts = [path.read_text() for path in folder.glob("*.pid")]
+    return [int(text) for text in texts if text]
+
+
+def _eventually(holds: Callable[[], bool], limit_s: float = 60.0) -> bool:
+    end = monotonic() + limit_s
+    while not holds():
+        if monotonic() > end:
+            return False
+        sleep(0.05)
+    return True
