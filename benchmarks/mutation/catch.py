@@ -106,19 +106,23 @@ def try_one(fault: Fault, copy: Path, tree: Path) -> Outcome:
 
 
 def run_tests(copy: Path, tests: tuple[str, ...], cache: str | None) -> str:
-    """What pytest prints, until the first failure."""
+    """What pytest prints of one file or folder after the other, until the first failure."""
     environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
     if cache:
         environment["NUMBA_CACHE_DIR"] = cache
-    names = [f"tests/{test}" for test in tests]
     options = ["-p", "no:cacheprovider", "--exitfirst", "--quiet", "--numprocesses", "0", "-rfE"]
-    command = [sys.executable, "-m", "pytest", *options, *names]
-    try:
-        return subprocess.run(
-            command, cwd=copy, env=environment, capture_output=True, text=True, timeout=LONGEST_S
-        ).stdout
-    except subprocess.TimeoutExpired:
-        return f"FAILED {names[0]} (endless)"
+    said = ""
+    for test in tests:
+        command = [sys.executable, "-m", "pytest", *options, f"tests/{test}"]
+        try:
+            said = subprocess.run(
+                command, cwd=copy, env=environment, capture_output=True, text=True, timeout=LONGEST_S
+            ).stdout
+        except subprocess.TimeoutExpired:
+            return f"FAILED tests/{test} (endless)"
+        if _FAILED.search(said):
+            break
+    return said
 
 
 def table(outcomes: list[Outcome]) -> list[str]:

@@ -18,7 +18,7 @@ class Fault:
     old: str
     new: str
     tests: tuple[str, ...]
-    """Test files or folders, the closest first, relative to ``tests/``"""
+    """Test files or folders relative to ``tests/``, run in turn until one fails: the closest first"""
 
 
 BACKEND = (
@@ -27,21 +27,21 @@ BACKEND = (
         "backend/dynamics/propagation.py",
         "a -= w1 * m2 - w2 * m1",
         "a += w1 * m2 - w2 * m1",
-        ("backend/dynamics", "backend"),
+        ("backend/dynamics/test_propagation.py", "backend/dynamics", "backend"),
     ),
     Fault(
         "dropped term: the derivative of the rate without the change of the inertia",
         "backend/dynamics/propagation.py",
         "            a -= dJ[0, n] * w[k + 1, n]\n",
         "",
-        ("backend/dynamics", "backend"),
+        ("backend/dynamics/test_propagation.py", "backend/dynamics", "backend"),
     ),
     Fault(
         "wrong power in the derivative of the disparity",
         "backend/solvers/schur.py",
         "xz, yz, bz = fz * x / z, fz * y / z, fb / z**2",
         "xz, yz, bz = fz * x / z, fz * y / z, fb / z",
-        ("backend/solvers", "backend"),
+        ("backend/solvers/test_chain.py", "backend/solvers", "backend"),
     ),
     Fault(
         "off by one: the last observation of each landmark is not eliminated",
@@ -57,42 +57,42 @@ BACKEND = (
         "backend/solvers/gauss_newton.py",
         "return np.asarray(1.0 / (1.0 + s / scale**2))",
         "return np.asarray(1.0 / (1.0 + s / scale))",
-        ("backend/solvers", "backend"),
+        ("backend/solvers/test_kernel_scale.py", "backend/solvers", "backend"),
     ),
     Fault(
         "sign of a derivative of the principal axes",
         "backend/uncertainty/covariance.py",
         "axes[1, n] = -M[0, 2] / _gap",
         "axes[1, n] = M[0, 2] / _gap",
-        ("backend/uncertainty", "backend"),
+        ("backend/uncertainty/test_covariance.py", "backend"),
     ),
     Fault(
         "left-handed principal axes",
         "backend/problem/inertia.py",
         "R[:, 1] = np.cross(R[:, 2], R[:, 0])",
         "R[:, 1] = np.cross(R[:, 0], R[:, 2])",
-        ("backend/problem", "backend"),
+        ("backend/problem/test_inertia.py", "backend"),
     ),
     Fault(
         "noise corrected for the freedom of the landmarks, not for that of the poses",
         "backend/noise/measurement_noise.py",
         "    taken[:, :2] += min(3.0 * len(np.unique(data.frame)) / len(data.frame), 0.3)\n",
         "",
-        ("backend/noise", "backend"),
+        ("backend/noise", "backend/test_estimate.py", "backend"),
     ),
     Fault(
         "frames swapped: a rotation of the pose graph applied in the wrong frame",
         "backend/initialization/pose_graph.py",
         'error = np.einsum("eba,eb->ea", R[i], target)',
         'error = np.einsum("eab,eb->ea", R[i], target)',
-        ("backend/initialization", "backend"),
+        ("backend/initialization/test_pose_graph.py", "backend"),
     ),
     Fault(
         "the sliding window keeps the frame that is worth least and drops the best",
         "backend/window/marginalize.py",
         "return int(np.argmin(worth))",
         "return int(np.argmax(worth))",
-        ("backend/window", "backend"),
+        ("backend/window/test_marginalize.py", "backend/window", "backend"),
     ),
 )
 FRONTEND = (
@@ -101,14 +101,14 @@ FRONTEND = (
         "frontend/features/stereo.py",
         "distance = np.sqrt(np.maximum(2.0 - 2.0 * top, 0.0))",
         "distance = np.sqrt(np.maximum(1.0 - top, 0.0))",
-        ("frontend/features", "frontend"),
+        ("frontend/features/test_stereo.py", "frontend"),
     ),
     Fault(
         "the refined disparity does not follow the slant from the window's centre to the point",
         "frontend/features/stereo.py",
         "return np.sum(warp * arm, axis=1), sigma,",
         "return warp[:, 0], sigma,",
-        ("frontend/features", "frontend"),
+        ("frontend/features/test_stereo.py", "frontend"),
     ),
     Fault(
         "transposed rotation of a covariance between two frames",
@@ -122,7 +122,7 @@ FRONTEND = (
         "frontend/tracks/landmark_map.py",
         "towards = -p_R / np.linalg.norm(p_R, axis=1, keepdims=True)",
         "towards = p_R / np.linalg.norm(p_R, axis=1, keepdims=True)",
-        ("frontend/tracks", "frontend"),
+        ("frontend/tracks", "frontend/test_association.py", "frontend"),
     ),
     Fault(
         "offset of the principal points with the wrong sign",
@@ -136,7 +136,7 @@ FRONTEND = (
         "frontend/tracks/duplicates.py",
         '    if np.any(a.frames & b.frames):\n        return float("inf")\n',
         "",
-        ("frontend/tracks", "frontend"),
+        ("frontend/tracks/test_duplicates.py", "frontend"),
     ),
 )
 SIMULATION = (
@@ -152,35 +152,35 @@ SIMULATION = (
         "simulation/rendering/shading.py",
         "at_hit = lights.lamp / reach[visible] ** 2",
         "at_hit = lights.lamp / reach[visible]",
-        ("simulation/rendering", "simulation"),
+        ("simulation/rendering/test_shading.py", "simulation/rendering", "simulation"),
     ),
     Fault(
         "tangential distortion with its coefficients swapped",
         "simulation/camera/cameras.py",
         "off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y",
         "off_y = y * radial + p2 * (r2 + 2.0 * y * y) + 2.0 * p1 * x * y",
-        ("simulation/camera", "simulation"),
+        ("simulation/camera/test_cameras.py", "simulation"),
     ),
     Fault(
         "unit: noise drawn of grey values, not of electrons",
         "simulation/camera/sensor.py",
         "return digitise(charge / sensor.electrons_per_dn, sensor, rng)",
         "return digitise(charge / sensor.white_dn, sensor, rng)",
-        ("simulation/camera", "simulation"),
+        ("simulation/camera/test_sensor.py", "simulation"),
     ),
     Fault(
         "parallel axis theorem forgotten",
         "simulation/bodies/parts/mass.py",
         "inertia += factor * mass.inertia_per_density + weight * (d @ d * np.eye(3) - np.outer(d, d))",
         "inertia += factor * mass.inertia_per_density",
-        ("simulation/bodies", "simulation"),
+        ("simulation/bodies/parts/test_mass.py", "simulation/test_motion_mass.py", "simulation"),
     ),
     Fault(
         "pixel centres off by half a pixel",
         "simulation/camera/cameras.py",
         "return self.directions(np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64))",
         "return self.directions(np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64) + 0.5)",
-        ("simulation/camera", "simulation/test_depth.py", "simulation"),
+        ("simulation/camera/test_cameras.py", "simulation/test_depth.py", "simulation"),
     ),
 )
 MAPPING = (
@@ -189,14 +189,14 @@ MAPPING = (
         "mapping/fusion/integration.py",
         "pixel = v[hit] * w + u[hit]",
         "pixel = u[hit] * w + v[hit]",
-        ("mapping",),
+        ("mapping/test_field.py", "mapping"),
     ),
     Fault(
         "pose where its inverse is needed",
         "mapping/fusion/integration.py",
         "np.ascontiguousarray(inverse_pose(X_RG)),\n            grid.voxel_m,",
         "np.ascontiguousarray(X_RG),\n            grid.voxel_m,",
-        ("mapping",),
+        ("mapping/test_field.py", "mapping"),
     ),
     Fault(
         "sign of the rotation's derivative in the alignment of a frame",
@@ -219,21 +219,21 @@ PLANNING = (
         "planning/prediction/prediction.py",
         "out[:, i, i] = accel_psd * time_s[:, None] ** 3 / 3",
         "out[:, i, i] = accel_psd * time_s[:, None] ** 2 / 3",
-        ("planning/prediction", "planning"),
+        ("planning/prediction/test_prediction.py", "planning"),
     ),
     Fault(
         "transposed rotation in the swept volume",
         "planning/keep_out/swept_distance.py",
         "gx = A[0, 0] * dx + A[1, 0] * dy + A[2, 0] * dz",
         "gx = A[0, 0] * dx + A[0, 1] * dy + A[0, 2] * dz",
-        ("planning/keep_out", "planning"),
+        ("planning/keep_out/test_keepout.py", "planning"),
     ),
     Fault(
         "scalar part of an exported quaternion first instead of last",
         "planning/exports/ccsds.py",
         "rows = np.hstack([wxyz[:, [1, 2, 3, 0]], np.rad2deg(w_F)])",
         "rows = np.hstack([wxyz, np.rad2deg(w_F)])",
-        ("pipeline/products/test_export.py", "pipeline/test_export_programs.py", "planning"),
+        ("pipeline/products/test_export.py", "pipeline/test_export_programs.py"),
     ),
     Fault(
         "scale of shifts by the radius applied the wrong way round",
@@ -249,35 +249,35 @@ PIPELINE_AND_CLI = (
         "pipeline/run_directory/trajectory_file.py",
         "states = np.hstack([trajectory.r_N, trajectory.v_N, trajectory.q_NP_wxyz, trajectory.w_P])",
         "states = np.hstack([trajectory.v_N, trajectory.r_N, trajectory.q_NP_wxyz, trajectory.w_P])",
-        ("pipeline/run_directory", "pipeline"),
+        ("pipeline/run_directory/test_trajectory_file.py", "pipeline"),
     ),
     Fault(
         "what stood in the run directory is lost when a run ends with the user's mistake",
         "pipeline/run_directory/run_folder.py",
         "failed = isinstance(error, Exception) and not isinstance(error, InputError)",
         "failed = isinstance(error, Exception)",
-        ("pipeline/run_directory", "pipeline"),
+        ("pipeline/run_directory/test_run_folder.py", "pipeline"),
     ),
     Fault(
         "sign of the lever arm from the centre of mass to the origin of the mesh",
         "pipeline/evaluation/evaluate.py",
         "return make_pose(R_NG, states.r_N - R_NG @ com_G)",
         "return make_pose(R_NG, states.r_N + R_NG @ com_G)",
-        ("pipeline/evaluation", "pipeline"),
+        ("pipeline/evaluation/test_evaluate.py", "pipeline"),
     ),
     Fault(
         "bad input unhandled: a standard deviation of zero passes",
         "pipeline/run_directory/archives.py",
         "if np.any(sigma_px <= 0.0):",
         "if np.any(sigma_px < 0.0):",
-        ("pipeline/run_directory", "pipeline"),
+        ("pipeline/run_directory/test_archives.py", "pipeline"),
     ),
     Fault(
         "wrong exit code for the user's mistake",
         "cli/main.py",
         "return _fail(InputError.exit_code, str(error), debug)",
         "return _fail(RunFailure.exit_code, str(error), debug)",
-        ("cli",),
+        ("cli/test_main.py", "cli"),
     ),
 )
 COMPARE = (
@@ -286,14 +286,14 @@ COMPARE = (
         "compare/judging/dominance.py",
         "faster = (1.0 + NOISE) * row.wall_s < other.wall_s",
         "faster = (1.0 + NOISE) * row.wall_s > other.wall_s",
-        ("compare/judging", "compare"),
+        ("compare/judging/test_dominance.py", "compare"),
     ),
     Fault(
         "the judge forgets what the landmarks still promise",
         "compare/judging/judge.py",
         "gain = 0.5 * float(g @ cho_solve(factor, g)) + 0.5 * float(of_landmarks)",
         "gain = 0.5 * float(g @ cho_solve(factor, g))",
-        ("compare/judging", "compare"),
+        ("compare/judging", "compare/processes/test_isolate.py", "compare"),
     ),
 )
 POLHODE = (
@@ -302,14 +302,14 @@ POLHODE = (
         "polhode/camera.py",
         "z = self.focal_px * self.baseline_m / (uvd[..., 2] - self.disparity_offset_px)",
         "z = self.focal_px * self.baseline_m / uvd[..., 2]",
-        ("polhode",),
+        ("polhode/test_triangulation.py", "polhode", "frontend/features/test_stereo.py"),
     ),
     Fault(
         "not atomic: a file is written in its place",
         "polhode/atomic.py",
         "    with replaced(path) as partial:\n        partial.write_bytes(content)\n",
         "    path.write_bytes(content)\n",
-        ("polhode", "pipeline/run_directory"),
+        ("polhode/test_atomic.py", "polhode", "pipeline/run_directory"),
     ),
     Fault(
         "series of the Jacobian of rotations near zero",
