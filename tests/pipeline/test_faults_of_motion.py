@@ -30,6 +30,8 @@ FOUND = {
     "measurements.npz",
     "report.html",
 }
+NO_PICTURES = ("--pictures.animation", "false", "--pictures.views", "false")
+"""The sequence on disk shows nothing of the motion."""
 STOPPED_EARLY = {"summary.json", "measurements.npz", "report.html", "config.yaml", "log.txt"}
 Capture = pytest.CaptureFixture[str]
 
@@ -66,7 +68,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Capture) -> Run:
             "-o",
             str(tmp_path / "run"),
         ]
-        code = main([*words, "--runtime.workers", "1", *overrides])
+        code = main([*words, "--runtime.workers", "1", *NO_PICTURES, *overrides])
         return Outcome(code, tmp_path / "run", capfd)
 
     return execute

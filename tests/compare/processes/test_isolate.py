@@ -1,5 +1,6 @@
 """A solver that crashes, hangs, lies or is missing costs its own row."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -44,8 +45,16 @@ def test_a_process_that_ends_without_an_answer_is_a_failed_row(small_file: Path)
     assert "ended with 3" in found.message
 
 
-def test_one_that_hangs_is_ended_at_its_limit(small_file: Path) -> None:
-    found = row(small_file, "hangs", limit_s=12.0)
+@pytest.fixture(scope="module")
+def hanging(small_file: Path) -> dict[str, Row]:
+    """Two that hang, beside each other: what they cost is waiting."""
+    how = ("hangs", "hangs dumbly")
+    with ThreadPoolExecutor(len(how)) as pool:
+        return dict(zip(how, pool.map(lambda each: row(small_file, each, limit_s=12.0), how), strict=True))
+
+
+def test_one_that_hangs_is_ended_at_its_limit(small_file: Path, hanging: dict[str, Row]) -> None:
+    found = hanging["hangs"]
     assert found.status == "timeout"
     assert "12 s" in found.message and "the best point is kept" in found.message
     assert_start_is_kept(found, small_file)
@@ -54,8 +63,8 @@ def test_one_that_hangs_is_ended_at_its_limit(small_file: Path) -> None:
     assert found.memory_mb is not None and found.memory_mb > 50.0
 
 
-def test_of_one_that_notes_no_point_nothing_is_kept(small_file: Path) -> None:
-    found = row(small_file, "hangs dumbly", limit_s=12.0)
+def test_of_one_that_notes_no_point_nothing_is_kept(hanging: dict[str, Row]) -> None:
+    found = hanging["hangs dumbly"]
     assert (found.status, found.kept, found.cost) == ("timeout", "nothing", None)
     assert "3 of 20 frames were in; nothing is kept" in found.message
 
