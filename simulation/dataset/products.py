@@ -4,7 +4,6 @@ One ray through each pixel's centre, distortion included, at the moment of the t
 the lens blurs the truth. Beside the target, numbers are NaN.
 """
 
-import os
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -15,6 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from polhode.atomic import replaced
 from polhode.config.scene import Product
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose
@@ -99,12 +99,8 @@ def write_products(path: Path, products: Products) -> None:
         if values is not None
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.stem}.partial-{os.getpid()}.npz")
-    try:
+    with replaced(path) as partial:
         np.savez_compressed(partial, **narrow)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def read_products(path: Path) -> Products:

@@ -10,6 +10,7 @@ from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.bodies import Body
+from polhode.simulation.bodies.parts.file_colours import packed_images
 from polhode.simulation.bodies.parts.part import SLOPE_STEP, Chart
 from polhode.simulation.surface.materials import MaterialTable, Surface
 
@@ -30,10 +31,7 @@ class ChartAtlas:
     """The charts of a body, packed."""
 
     def __init__(self, charts: tuple[Chart, ...]) -> None:
-        sizes = np.array([chart.image.size for chart in charts], dtype=np.int64)
-        self._start = np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
-        self._shape = np.array([chart.image.shape for chart in charts], dtype=np.int64).reshape(-1, 2)
-        self._texels = np.concatenate([np.zeros(0, np.float32), *(chart.image.ravel() for chart in charts)])
+        self._start, self._shape, self._texels = packed_images([chart.image for chart in charts])
         self._slopes = np.concatenate([np.zeros((0, 2), np.int8), *(_slopes(chart) for chart in charts)])
         self._layers = np.concatenate([np.zeros(0, np.uint8), *(_layers(chart) for chart in charts)])
         rows = [(c.origin_G, c.right_G / c.texel_m, c.down_G / c.texel_m) for c in charts]

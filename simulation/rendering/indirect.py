@@ -151,9 +151,7 @@ class IndirectLight:
         lit = self._caster.lit(points, lights.sun_direction_G)
         irradiance = lights.sun * lit * np.maximum(normal @ lights.sun_direction_G, 0.0)
         if lights.lamp > 0:
-            offset = lights.lamp_G - points.p_G
-            reach = np.linalg.norm(offset, axis=1)
-            toward = offset / reach[:, None]
+            toward, reach = lights.lamp_from(points.p_G)
             cosine = np.maximum(np.einsum("nk,nk->n", normal, toward), 0.0)
             irradiance += lights.lamp / reach**2 * cosine * self._caster.lit(points, toward, reach)
         return mean(lit.astype(np.float64)), mean(self._reflectance * irradiance)

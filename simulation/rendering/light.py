@@ -44,6 +44,12 @@ class Lights:
             lamp_G=np.round(self.lamp_G / step_m) * step_m if self.lamp > 0 else np.zeros(3),
         )
 
+    def lamp_from(self, p_G: Array) -> tuple[Array, Array]:
+        """Unit directions (n, 3) from points (n, 3) to the lamp, and distances (n,) [m]."""
+        offset = self.lamp_G - p_G
+        distance_m = np.linalg.norm(offset, axis=1)
+        return offset / distance_m[:, None], distance_m
+
     @property
     def key(self) -> bytes:
         """The same for the same lights."""

@@ -70,9 +70,7 @@ def shade(
         toward = np.broadcast_to(lights.sun_direction_G, (n, 3))
         level[visible] += lights.sun * _reflected(surface, toward, to_viewer_G, visible)
     if lights.lamp > 0:
-        offset = lights.lamp_G - hits.p_G
-        reach = np.linalg.norm(offset, axis=1)
-        toward = offset / reach[:, None]
+        toward, reach = lights.lamp_from(hits.p_G)
         visible = caster.lit(hits, toward, reach)
         at_hit = lights.lamp / reach[visible] ** 2
         level[visible] += at_hit * _reflected(surface, toward, to_viewer_G, visible)

@@ -150,32 +150,13 @@ def creases_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, f
 
 @compiled
 def _fractal(p: Array, scale_m: Array, octaves: int, seed: Ints) -> Array:
-    out = np.empty((len(p), 4))
-    for n in range(len(p)):
-        s = 1.0 / scale_m[n]
-        out[n] = fractal_at(p[n, 0] * s, p[n, 1] * s, p[n, 2] * s, octaves, seed[n])
-    return out
-
-
-@compiled
-def _cells(p: Array, scale_m: Array, seed: Ints) -> Array:
     out = np.empty(len(p))
     for n in range(len(p)):
         s = 1.0 / scale_m[n]
-        out[n] = cell_at(p[n, 0] * s, p[n, 1] * s, p[n, 2] * s, seed[n])
+        out[n] = fractal_at(p[n, 0] * s, p[n, 1] * s, p[n, 2] * s, octaves, seed[n])[0]
     return out
 
 
 def fractal(p_G: Array, scale_m: Array, seed: Ints, octaves: int = 5) -> Array:
     """Fractal noise in [-1, 1] at points (n, 3) [m]; largest feature scale_m (n,) [m], integer seed (n,)."""
-    return np.asarray(_fractal(np.ascontiguousarray(p_G), scale_m, octaves, seed)[:, 0])
-
-
-def cells(p_G: Array, scale_m: Array, seed: Ints) -> Array:
-    """One uniform value in [-1, 1] per random cell of size scale_m (n,) [m]: patches with sharp edges."""
-    return np.asarray(_cells(np.ascontiguousarray(p_G), scale_m, seed))
-
-
-def fractal_gradient(p_G: Array, scale_m: Array, seed: Ints, octaves: int = 3) -> Array:
-    """Gradient of ``fractal`` times scale_m, (n, 3) dimensionless."""
-    return np.asarray(_fractal(np.ascontiguousarray(p_G), scale_m, octaves, seed)[:, 1:])
+    return np.asarray(_fractal(np.ascontiguousarray(p_G), scale_m, octaves, seed))

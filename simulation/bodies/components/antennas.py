@@ -3,7 +3,17 @@
 import numpy as np
 
 from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import Revolved, ball, box, drum, pose, revolve, strut, tube
+from polhode.simulation.bodies.parts.solids import (
+    Revolved,
+    ball,
+    box,
+    drum,
+    pose,
+    radial,
+    revolve,
+    strut,
+    tube,
+)
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (
     ANODISED,
@@ -18,10 +28,8 @@ from polhode.simulation.surface.materials import (
 def patch(builder: PartBuilder, size_m: float) -> list[Part]:
     """A flat square antenna: a ceramic tile on a plate, four screws."""
     plate = box([size_m, size_m, 0.12 * size_m], bevel=0.2)
-    tile = box([0.72 * size_m, 0.72 * size_m, 0.12 * size_m], bevel=0.15)
-    tile.apply_translation([0, 0, 0.1 * size_m])
-    feed = drum(0.04 * size_m, 0.05 * size_m, 10)
-    feed.apply_translation([0.1 * size_m, 0.06 * size_m, 0.14 * size_m])
+    tile = box([0.72 * size_m, 0.72 * size_m, 0.12 * size_m], bevel=0.15, at=[0, 0, 0.1 * size_m])
+    feed = drum(0.04 * size_m, 0.05 * size_m, 10, at=[0.1 * size_m, 0.06 * size_m, 0.14 * size_m])
     base = float(builder.rng.choice([0.3, 0.7]))
     return [
         Part(plate, ANODISED, name="antenna"),
@@ -36,8 +44,7 @@ def helix(length_m: float, radius_m: float) -> list[Part]:
     angle = np.linspace(0, 2 * np.pi * turns, 10 * turns)
     path = np.column_stack([radius_m * np.cos(angle), radius_m * np.sin(angle),
                             0.06 * length_m + 0.92 * length_m * angle / angle[-1]])  # fmt: skip
-    plate = drum(1.8 * radius_m, 0.14 * length_m, 28)
-    plate.apply_translation([0, 0, -0.1 * length_m])
+    plate = drum(1.8 * radius_m, 0.14 * length_m, 28, at=[0, 0, -0.1 * length_m])
     return [
         Part(plate, BRUSHED_METAL, name="antenna"),
         Part(tube(path, 0.1 * radius_m, 6), BRUSHED_METAL, name="antenna"),
@@ -47,8 +54,7 @@ def helix(length_m: float, radius_m: float) -> list[Part]:
 
 def whip(length_m: float, radius_m: float) -> list[Part]:
     """A rod on an insulator."""
-    foot = drum(4.0 * radius_m, 8.0 * radius_m, 12, bevel=0.2)
-    foot.apply_translation([0, 0, -2.0 * radius_m])
+    foot = drum(4.0 * radius_m, 8.0 * radius_m, 12, bevel=0.2, at=[0, 0, -2.0 * radius_m])
     return [
         Part(foot, PAINT_BLACK, name="antenna"),
         Part(strut([0, 0, -0.9 * radius_m], [0, 0, length_m], radius_m, 6), BRUSHED_METAL, name="antenna"),
@@ -88,13 +94,11 @@ def small_dish(builder: PartBuilder, diameter_m: float) -> list[Part]:
     reflector = builder.revolved_part(solid, [(last - steps, last - 1, draw)], PAINT_WHITE, "dish")
     parts = [reflector]
     for angle in np.arange(3) * 2 * np.pi / 3 + rng.uniform(0, 2):
-        edge = 0.42 * diameter_m * np.array([np.cos(angle), np.sin(angle), 0.0])
+        edge = 0.42 * diameter_m * radial(angle)
         edge[2] = 0.42**2 * diameter_m**2 / (4 * focal)
         parts.append(Part(strut(edge, [0, 0, focal], 0.008 * diameter_m), PAINT_WHITE, name="dish"))
-    feed = drum(0.05 * diameter_m, 0.12 * diameter_m, 16, bevel=0.2)
-    feed.apply_translation([0, 0, focal - 0.06 * diameter_m])
-    hub = ball(0.07 * diameter_m, 16, 8)
-    hub.apply_translation([0, 0, -0.07 * diameter_m])
+    feed = drum(0.05 * diameter_m, 0.12 * diameter_m, 16, bevel=0.2, at=[0, 0, focal - 0.06 * diameter_m])
+    hub = ball(0.07 * diameter_m, 16, 8, at=[0, 0, -0.07 * diameter_m])
     parts += [Part(feed, COMPOSITE, name="dish"), Part(hub, ANODISED, name="dish")]
     X = pose([rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), 1.0], [0, 0, mast + 0.07 * diameter_m])
     post = strut([0, 0, -0.04 * diameter_m], [0, 0, mast], 0.03 * diameter_m, 14)

@@ -6,7 +6,17 @@ Feet reach a little below z = 0, so that no two faces of a body lie in one plane
 import numpy as np
 
 from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import ball, box, drum, pose, prism, revolve, strut, tube
+from polhode.simulation.bodies.parts.solids import (
+    ball,
+    box,
+    drum,
+    pose,
+    prism,
+    revolve,
+    ring,
+    strut,
+    tube,
+)
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (
     ANODISED,
@@ -26,8 +36,7 @@ def electronics_box(builder: PartBuilder, width_m: float, depth_m: float, height
     """A box on a flange, its face labelled, a row of connectors on one side."""
     rng = builder.rng
     base = float(rng.choice([0.06, 0.2, 0.35, 0.6]))
-    body = box([width_m, depth_m, height_m * (1 + SINK)], bevel=0.05)
-    body.apply_translation([0, 0, 0.5 * height_m * (1 - SINK)])
+    body = box([width_m, depth_m, height_m * (1 + SINK)], bevel=0.05, at=[0, 0, 0.5 * height_m * (1 - SINK)])
     draw = builder.textures.panel(base, 0.8) if rng.random() < 0.75 else builder.textures.machined_plate()
     parts = [builder.flat_part(body, PAINT_GREY if base > 0.1 else PAINT_BLACK, draw, "equipment")]
     flange = box([1.14 * width_m, 1.14 * depth_m, 0.14 * height_m], bevel=0.1)
@@ -45,8 +54,7 @@ def electronics_box(builder: PartBuilder, width_m: float, depth_m: float, height
 def star_tracker(builder: PartBuilder, size_m: float) -> list[Part]:
     """A tilted, hollow baffle on a small box; size_m is the baffle's length."""
     s = size_m
-    block = box([0.62 * s, 0.5 * s, 0.4 * s], bevel=0.08)
-    block.apply_translation([0, 0, 0.15 * s])
+    block = box([0.62 * s, 0.5 * s, 0.4 * s], bevel=0.08, at=[0, 0, 0.15 * s])
     lean = pose([builder.rng.uniform(-0.5, 0.5), builder.rng.uniform(-0.5, 0.5), 1.0], [0, 0, 0.28 * s])
     outer, wall = 0.34 * s, 0.025 * s
     profile = [(0, 0), (0.2 * s, 0), (0.2 * s, 0.15 * s), (outer, 0.75 * s), (outer, s),
@@ -55,8 +63,7 @@ def star_tracker(builder: PartBuilder, size_m: float) -> list[Part]:
     inside = revolve([(0.149 * s, 0.21 * s), (outer - 1.2 * wall, 0.735 * s), (outer - 1.2 * wall, 0.97 * s),
                       (outer - 2 * wall, 0.97 * s), (outer - 2 * wall, 0.74 * s), (0.12 * s, 0.22 * s)],
                      24, closed=True).mesh  # fmt: skip
-    lens = ball(0.13 * s, 16, 8)
-    lens.apply_translation([0, 0, 0.13 * s])
+    lens = ball(0.13 * s, 16, 8, at=[0, 0, 0.13 * s])
     return [
         builder.flat_part(block, PAINT_BLACK, builder.textures.panel(0.1, 0.5), "star_tracker"),
         *(
@@ -68,10 +75,8 @@ def star_tracker(builder: PartBuilder, size_m: float) -> list[Part]:
 
 def sun_sensor(size_m: float) -> list[Part]:
     """A small box with a glass window."""
-    body = box([size_m, size_m, 0.5 * size_m], bevel=0.12)
-    body.apply_translation([0, 0, 0.2 * size_m])
-    window = drum(0.3 * size_m, 0.1 * size_m, 16)
-    window.apply_translation([0, 0, 0.4 * size_m])
+    body = box([size_m, size_m, 0.5 * size_m], bevel=0.12, at=[0, 0, 0.2 * size_m])
+    window = drum(0.3 * size_m, 0.1 * size_m, 16, at=[0, 0, 0.4 * size_m])
     return [Part(body, BRUSHED_METAL, name="sensor"), Part(window, GLASS, name="sensor")]
 
 
@@ -103,17 +108,14 @@ def handrail(length_m: float, radius_m: float) -> list[Part]:
 
 def grapple_pin(size_m: float) -> list[Part]:
     """A round base with a pin on three legs, the target that a robot arm takes hold of."""
-    base = drum(0.5 * size_m, 0.12 * size_m, 28, bevel=0.2)
-    base.apply_translation([0, 0, -0.03 * size_m])
+    base = drum(0.5 * size_m, 0.12 * size_m, 28, bevel=0.2, at=[0, 0, -0.03 * size_m])
     parts = [Part(base, BRUSHED_METAL, name="grapple")]
     top = np.array([0, 0, 0.45 * size_m])
     for angle in (0.3, 2.4, 4.5):
         foot = np.array([0.32 * np.cos(angle), 0.32 * np.sin(angle), 0.05]) * size_m
         parts.append(Part(strut(foot, top, 0.03 * size_m), ANODISED, name="grapple"))
-    pin = drum(0.06 * size_m, 0.35 * size_m, 14)
-    pin.apply_translation([0, 0, 0.4 * size_m])
-    knob = ball(0.09 * size_m, 14, 8)
-    knob.apply_translation([0, 0, 0.77 * size_m])
+    pin = drum(0.06 * size_m, 0.35 * size_m, 14, at=[0, 0, 0.4 * size_m])
+    knob = ball(0.09 * size_m, 14, 8, at=[0, 0, 0.77 * size_m])
     return [*parts, Part(pin, ANODISED, name="grapple"), Part(knob, PAINT_WHITE, name="grapple")]
 
 
@@ -122,10 +124,9 @@ def umbilical(builder: PartBuilder, size_m: float) -> list[Part]:
     plate = box([size_m, 0.7 * size_m, 0.12 * size_m], bevel=0.2)
     parts = [builder.flat_part(plate, ANODISED, builder.textures.machined_plate(), "connector")]
     for x in (-0.24, 0.24):
-        ring = revolve([(0.1 * size_m, 0.0), (0.17 * size_m, 0.0), (0.17 * size_m, 0.16 * size_m),
-                        (0.1 * size_m, 0.16 * size_m)], 20, closed=True).mesh  # fmt: skip
+        shell = ring(0.1 * size_m, 0.17 * size_m, 0.0, 0.16 * size_m, 20).mesh
         core = drum(0.09 * size_m, 0.12 * size_m, 16)
-        for mesh, material in ((ring, BRUSHED_METAL), (core, PAINT_BLACK)):
+        for mesh, material in ((shell, BRUSHED_METAL), (core, PAINT_BLACK)):
             mesh.apply_translation([x * size_m, 0, -0.01 * size_m])
             parts.append(Part(mesh, material, name="connector"))
     return parts
@@ -146,10 +147,8 @@ def hexagonal_can(builder: PartBuilder, size_m: float) -> list[Part]:
     angle = np.arange(6) * np.pi / 3
     outline = 0.5 * size_m * np.column_stack([np.cos(angle), np.sin(angle)])
     height = size_m * float(builder.rng.uniform(0.4, 0.8))
-    can = prism(outline, 1.06 * height, taper=0.92)
-    can.apply_translation([0, 0, -0.06 * height])
-    lid = drum(0.3 * size_m, 0.14 * size_m, 20)
-    lid.apply_translation([0, 0, 0.96 * height])
+    can = prism(outline, 1.06 * height, taper=0.92, at=[0, 0, -0.06 * height])
+    lid = drum(0.3 * size_m, 0.14 * size_m, 20, at=[0, 0, 0.96 * height])
     base = float(builder.rng.choice([0.08, 0.4, 0.7]))
     return [
         builder.flat_part(can, PAINT_GREY, builder.textures.panel(base, 1.0), "equipment"),

@@ -3,7 +3,18 @@
 import numpy as np
 
 from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import Revolved, ball, box, drum, pose, revolve, strut, tube
+from polhode.simulation.bodies.parts.solids import (
+    Revolved,
+    ball,
+    box,
+    drum,
+    pose,
+    radial,
+    revolve,
+    ring,
+    strut,
+    tube,
+)
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (
     BRUSHED_METAL,
@@ -39,15 +50,13 @@ def thruster(size_m: float) -> list[Part]:
     r = 0.5 * size_m
     nozzle = bell(0.3 * r, r, 2.2 * r, 0.12 * r, 20, 6).mesh
     nozzle.apply_translation([0, 0, 1.4 * r])
-    valve = drum(0.75 * r, 1.1 * r, 14, bevel=0.15)
-    valve.apply_translation([0, 0, -0.2 * r])
+    valve = drum(0.75 * r, 1.1 * r, 14, bevel=0.15, at=[0, 0, -0.2 * r])
     return [Part(nozzle, DARK_METAL, name="thruster"), Part(valve, BRUSHED_METAL, name="thruster")]
 
 
 def thruster_block(builder: PartBuilder, size_m: float) -> list[Part]:
     """A block with thrusters on its sides and one on top; size_m is the block's width."""
-    block = box([size_m, size_m, 0.85 * size_m], bevel=0.12)
-    block.apply_translation([0, 0, 0.34 * size_m])
+    block = box([size_m, size_m, 0.85 * size_m], bevel=0.12, at=[0, 0, 0.34 * size_m])
     parts = [
         builder.flat_part(
             block, PAINT_BLACK, builder.textures.panel(float(builder.rng.choice([0.1, 0.6])), 0.6), "thruster"
@@ -77,7 +86,7 @@ def engine(builder: PartBuilder, exit_m: float, length_m: float) -> list[Part]:
                        (1.1 * t, -0.04 * ell), (0, -0.04 * ell)], 32).mesh  # fmt: skip
     parts.append(Part(chamber, DARK_METAL, name="engine", density_factor=2.0))
     for angle in rng.uniform(0, 2 * np.pi) + np.array([0.0, 2.2, 4.0]):
-        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        out = radial(angle)
         pump = drum(0.9 * throat, 0.3 * length_m, 20, bevel=0.25)
         pump.apply_transform(pose([0, 0, 1.0], 2.6 * throat * out + [0, 0, -0.48 * length_m]))
         parts.append(Part(pump, BRUSHED_METAL if rng.random() < 0.6 else PAINT_BLACK, name="engine"))
@@ -92,11 +101,10 @@ def engine(builder: PartBuilder, exit_m: float, length_m: float) -> list[Part]:
                 name="engine",
             )
         )
-    ring = revolve([(1.12 * exit_m, 0.0), (1.17 * exit_m, 0.0), (1.17 * exit_m, 0.035 * exit_m),
-                    (1.12 * exit_m, 0.035 * exit_m)], 56, closed=True).mesh  # fmt: skip
-    ring.apply_scale([0.885, 0.885, 1.0])
-    ring.apply_translation([0, 0, length_m - 0.036 * exit_m])
-    parts.append(Part(ring, BRUSHED_METAL, name="nozzle", density_factor=2.0))
+    rim = ring(1.12 * exit_m, 1.17 * exit_m, 0.0, 0.035 * exit_m, 56).mesh
+    rim.apply_scale([0.885, 0.885, 1.0])
+    rim.apply_translation([0, 0, length_m - 0.036 * exit_m])
+    parts.append(Part(rim, BRUSHED_METAL, name="nozzle", density_factor=2.0))
     return parts
 
 
@@ -104,11 +112,8 @@ def bottle(radius_m: float, rng: np.random.Generator) -> list[Part]:
     """A pressure bottle around the origin with a band and two bosses."""
     material = [COMPOSITE, FOIL_GOLD, FOIL_BLACK, BRUSHED_METAL][int(rng.integers(4))]
     sphere = ball(radius_m, 28, 16)
-    band = revolve([(0.99 * radius_m, -0.08 * radius_m), (1.03 * radius_m, -0.08 * radius_m),
-                    (1.03 * radius_m, 0.08 * radius_m), (0.99 * radius_m, 0.08 * radius_m)],
-                   28, closed=True).mesh  # fmt: skip
-    boss = drum(0.16 * radius_m, 2.2 * radius_m, 12)
-    boss.apply_translation([0, 0, -1.1 * radius_m])
+    band = ring(0.99 * radius_m, 1.03 * radius_m, -0.08 * radius_m, 0.08 * radius_m, 28).mesh
+    boss = drum(0.16 * radius_m, 2.2 * radius_m, 12, at=[0, 0, -1.1 * radius_m])
     return [
         Part(sphere, material, name="bottle"),
         Part(band, BRUSHED_METAL, name="bottle"),

@@ -55,8 +55,11 @@ def _panel(
     ]
     # Stiffeners and a harness on the back, so that it is no bare sheet.
     for y in (-0.32, 0.32):
-        rib = box([0.94 * length_m, 0.035 * width_m, 1.2 * thickness_m], bevel=0.2)
-        rib.apply_translation([0, y * width_m, -0.9 * thickness_m])
+        rib = box(
+            [0.94 * length_m, 0.035 * width_m, 1.2 * thickness_m],
+            bevel=0.2,
+            at=[0, y * width_m, -0.9 * thickness_m],
+        )
         parts.append(Part(rib, COMPOSITE, name="panel", density_factor=0.6))
     lead = strut([-0.48 * length_m, 0.05 * width_m, -0.7 * thickness_m],
                  [0.48 * length_m, 0.02 * width_m, -0.7 * thickness_m], 0.35 * thickness_m)  # fmt: skip

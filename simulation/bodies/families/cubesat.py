@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from polhode.lie import Array
+from polhode.lie import Array, hat
 from polhode.simulation.bodies.components.antennas import patch
 from polhode.simulation.bodies.components.equipment import (
     camera_lens,
@@ -79,17 +79,24 @@ def _rails(form: _Form) -> list[Part]:
     parts = []
     for x in (-1, 1):
         for y in (-1, 1):
-            rail = box([wide, wide, sz + 0.13 * u], bevel=0.1)
-            rail.apply_translation([x * 0.5 * (sx - wide), y * 0.5 * (sy - wide), 0])
+            rail = box(
+                [wide, wide, sz + 0.13 * u], bevel=0.1, at=[x * 0.5 * (sx - wide), y * 0.5 * (sy - wide), 0]
+            )
             parts.append(Part(rail, ANODISED, name="rail"))
     for z in (-1, 1):
         for y in (-1, 1):
-            bar = box([sx - 1.4 * wide, 0.8 * wide, 0.6 * wide], bevel=0.1)
-            bar.apply_translation([0, y * 0.5 * (sy - 0.9 * wide), z * 0.5 * (sz - 0.7 * wide)])
+            bar = box(
+                [sx - 1.4 * wide, 0.8 * wide, 0.6 * wide],
+                bevel=0.1,
+                at=[0, y * 0.5 * (sy - 0.9 * wide), z * 0.5 * (sz - 0.7 * wide)],
+            )
             parts.append(Part(bar, ANODISED, name="rail"))
         for x in (-1, 1):
-            bar = box([0.8 * wide, sy - 1.4 * wide, 0.62 * wide], bevel=0.1)
-            bar.apply_translation([x * 0.5 * (sx - 0.94 * wide), 0, z * 0.5 * (sz - 0.72 * wide)])
+            bar = box(
+                [0.8 * wide, sy - 1.4 * wide, 0.62 * wide],
+                bevel=0.1,
+                at=[x * 0.5 * (sx - 0.94 * wide), 0, z * 0.5 * (sz - 0.72 * wide)],
+            )
             parts.append(Part(bar, ANODISED, name="rail"))
     return parts
 
@@ -165,8 +172,7 @@ def _tapes(form: _Form, builder: PartBuilder) -> list[Part]:
         offset = (np.asarray(tape.vertices) - start) @ wide
         tape.vertices = np.asarray(tape.vertices) + 1.2 * offset[:, None] * wide
         parts.append(Part(tape, BRUSHED_METAL, name="antenna"))
-        foot = box([0.1 * u, 0.1 * u, 0.1 * u], bevel=0.15)
-        foot.apply_translation(start + 0.01 * u * out)
+        foot = box([0.1 * u, 0.1 * u, 0.1 * u], bevel=0.15, at=start + 0.01 * u * out)
         parts.append(Part(foot, PAINT_BLACK, name="antenna"))
     return parts
 
@@ -199,7 +205,7 @@ def _wings(form: _Form, builder: PartBuilder) -> list[Part]:
         fold[:3, 3] = 0.5 * length * np.array([0, 0, 1.0])
         c, s = np.cos(opened), np.sin(opened)
         swing = np.eye(4)
-        swing[:3, :3] = np.outer(wide, wide) * (1 - c) + c * np.eye(3) + s * _cross(wide)
+        swing[:3, :3] = np.outer(wide, wide) * (1 - c) + c * np.eye(3) + s * hat(wide)
         swing[:3, 3] = (0.5 * float(np.abs(side) @ form.sides_m) + 0.05 * u) * side - [
             0,
             0,
@@ -212,7 +218,3 @@ def _wings(form: _Form, builder: PartBuilder) -> list[Part]:
             hinge.apply_transform(pose(wide, at - 0.08 * u * wide))
             parts.append(Part(hinge, PAINT_GREY, name="hinge"))
     return parts
-
-
-def _cross(v: Array) -> Array:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])

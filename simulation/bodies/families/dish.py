@@ -6,7 +6,7 @@ from polhode.simulation.bodies.components.antennas import paraboloid
 from polhode.simulation.bodies.components.layout import decks_of_box, fit_out
 from polhode.simulation.bodies.components.wing import solar_wing
 from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import box, drum, frame, pose, revolve, strut, tube
+from polhode.simulation.bodies.parts.solids import box, drum, frame, pose, radial, revolve, ring, strut, tube
 from polhode.simulation.bodies.textures.canvas import Draw
 from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
 from polhode.simulation.surface.materials import (
@@ -68,9 +68,8 @@ def _reflector(builder: PartBuilder, size_m: float, focal: float, gores: int) ->
     for share in (0.22, 0.36):
         r = share * size_m
         z = _depth(r, focal) - 1.8 * wall_m
-        ring = revolve([(r - wall_m, z - wall_m), (r + wall_m, z - wall_m), (r + wall_m, z + 0.6 * wall_m),
-                        (r - wall_m, z + 0.6 * wall_m)], SECTIONS, closed=True)  # fmt: skip
-        parts.append(Part(ring.mesh, COMPOSITE, name="rib"))
+        stiffener = ring(r - wall_m, r + wall_m, z - wall_m, z + 0.6 * wall_m, SECTIONS)
+        parts.append(Part(stiffener.mesh, COMPOSITE, name="rib"))
     return parts
 
 
@@ -84,7 +83,7 @@ def _feed(builder: PartBuilder, size_m: float, focal: float) -> list[Part]:
     parts = []
     for k in range(legs):
         angle = start + 2 * np.pi * k / legs
-        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        out = radial(angle)
         a, b = foot * out + [0, 0, _depth(foot, focal)], 0.05 * size_m * out + [0, 0, top]
         parts.append(Part(strut(a, b, 0.007 * size_m, 10), PAINT_WHITE, name="feed"))
         shoe = drum(0.016 * size_m, 0.02 * size_m, 12)
@@ -97,8 +96,7 @@ def _feed(builder: PartBuilder, size_m: float, focal: float) -> list[Part]:
         horn = revolve([(0, -0.02 * d), (0.04 * d, -0.02 * d), (0.045 * d, 0.1 * d), (0.065 * d, 0.17 * d),
                         (0.06 * d, 0.17 * d), (0.035 * d, 0.1 * d), (0, 0.1 * d)], 36)  # fmt: skip
         return [*parts, Part(mirror.mesh, PAINT_WHITE, name="feed"), Part(horn.mesh, ANODISED, name="feed")]
-    can = box([0.1 * size_m, 0.1 * size_m, 0.09 * size_m], bevel=0.08)
-    can.apply_translation([0, 0, top + 0.03 * size_m])
+    can = box([0.1 * size_m, 0.1 * size_m, 0.09 * size_m], bevel=0.08, at=[0, 0, top + 0.03 * size_m])
     draw = builder.textures.panel(0.6, 0.8) if rng.random() < 0.5 else builder.textures.blanket(FOIL_GOLD)
     horn = revolve([(0, top), (0.02 * size_m, top), (0.045 * size_m, top - 0.06 * size_m),
                     (0.04 * size_m, top - 0.06 * size_m), (0, top - 0.02 * size_m)], 28)  # fmt: skip
@@ -111,12 +109,11 @@ def _feed(builder: PartBuilder, size_m: float, focal: float) -> list[Part]:
 
 def _hub(size_m: float, depth_m: float) -> list[Part]:
     """A drum behind the vertex and six struts that carry the dish."""
-    can = drum(0.13 * size_m, depth_m, 40)
-    can.apply_translation([0, 0, -depth_m - 0.004 * size_m])
+    can = drum(0.13 * size_m, depth_m, 40, at=[0, 0, -depth_m - 0.004 * size_m])
     parts = [Part(can, PAINT_GREY, name="hub")]
     for k in range(6):
         angle = 2 * np.pi * (k + 0.25) / 6
-        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        out = radial(angle)
         a, b = 0.15 * size_m * out + [0, 0, -1.1 * depth_m], 0.3 * size_m * out + [0, 0, 0.03 * size_m]
         parts.append(Part(strut(a, b, 0.008 * size_m), COMPOSITE, name="hub"))
     return parts
@@ -130,8 +127,7 @@ def _bus(builder: PartBuilder, size_m: float, hub: float) -> list[Part]:
     foil = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(3))]
     sheets = [textures.blanket(foil), textures.panel(0.35, 0.8), textures.radiator(), textures.blanket(foil)]
     order = rng.permutation(6) % 4
-    hull = box(sides, bevel=0.025)
-    hull.apply_translation(middle)
+    hull = box(sides, bevel=0.025, at=middle)
     parts = [builder.flat_part_by_side(hull, foil, sheet_by_side([sheets[k] for k in order]), "box", 1.5)]
     decks = decks_of_box(sides, middle)
     wings = [1.0] if rng.random() < 0.55 else [1.0, -1.0]

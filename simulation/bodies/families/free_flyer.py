@@ -74,8 +74,7 @@ def _thruster(position_G: Array, direction_G: Array, scale: float) -> list[Part]
     """A nozzle: an open bell, narrow at the shell, on a hexagonal nut."""
     profile = np.array([[0.0, -2.0], [4.5, -2.0], [4.5, 1.5], [6.5, 7.0], [5.6, 7.0], [3.0, 1.5], [0.0, 1.5]])
     nozzle = revolve(profile * 1e-3 * scale, 20).mesh
-    nut = drum(8.5e-3 * scale, 3.2e-3 * scale, 6, bevel=0.15)
-    nut.apply_translation([0, 0, -1.6e-3 * scale])
+    nut = drum(8.5e-3 * scale, 3.2e-3 * scale, 6, bevel=0.15, at=[0, 0, -1.6e-3 * scale])
     X = pose(direction_G, position_G)
     return [
         Part(nozzle, BRUSHED_METAL, name="thruster").moved(X),
@@ -99,10 +98,8 @@ def _tank(size_m: float, scale: float, builder: PartBuilder) -> list[Part]:
         np.array([[0.033, -0.004], [0.041, -0.004], [0.041, 0.006], [0.033, 0.008]]) * scale, 56, closed=True
     )
     collar.mesh.apply_transform(pose([0, 0, -1.0], [0, 0, -0.5 * size_m]))
-    knob = drum(0.016 * scale, 0.021 * scale, 24)
-    knob.apply_translation([0.01 * scale, 0, 0.5 * size_m - 0.003 * scale])
-    cap = drum(0.010 * scale, 0.004 * scale, 20)
-    cap.apply_translation([0.01 * scale, 0, 0.5 * size_m + 0.0165 * scale])
+    knob = drum(0.016 * scale, 0.021 * scale, 24, at=[0.01 * scale, 0, 0.5 * size_m - 0.003 * scale])
+    cap = drum(0.010 * scale, 0.004 * scale, 20, at=[0.01 * scale, 0, 0.5 * size_m + 0.0165 * scale])
     return [
         wall.moved(pose([0, 0, 1.0], [0, 0, -0.5 * size_m])),
         Part(collar.mesh, PAINT_BLACK, name="collar"),
@@ -154,7 +151,6 @@ def _window(size_m: float, scale: float) -> list[Part]:
     """Two small lamps on the upper face that show its state."""
     parts = []
     for y in (-0.03, 0.03):
-        lamp = ball(0.005 * scale, 14, 8)
-        lamp.apply_translation([-0.03 * scale, y * scale, 0.5 * size_m])
+        lamp = ball(0.005 * scale, 14, 8, at=[-0.03 * scale, y * scale, 0.5 * size_m])
         parts.append(Part(lamp, GLASS, name="lamp"))
     return parts

@@ -62,8 +62,7 @@ def _lattice(
     for k, ring in enumerate(nodes):
         for c, node in enumerate(ring):
             n = (c + 1) % len(ring)
-            joint = ball(1.7 * thick, 10, 6)
-            joint.apply_translation(node)
+            joint = ball(1.7 * thick, 10, 6, at=node)
             parts.append(Part(joint, BRUSHED_METAL, name="truss"))
             parts.append(Part(strut(node, ring[n], thin), material, name="truss"))
             if k + 1 == len(nodes):
@@ -89,8 +88,7 @@ def _end_module(
     side = radius * float(rng.uniform(1.9, 2.5))
     sides = np.array([length, side, side])
     middle = np.array([start - 0.5 * length + 0.01 * size_m, 0, 0])
-    hull = box(sides, bevel=0.04)
-    hull.apply_translation(middle)
+    hull = box(sides, bevel=0.04, at=middle)
     foil = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(3))]
     sheets = [
         textures.blanket(foil),
@@ -116,8 +114,7 @@ def _end_module(
 def _far_end(builder: PartBuilder, end: float, radius: float, size_m: float) -> list[Part]:
     """A plate with an antenna or a grapple fixture."""
     rng = builder.rng
-    plate = box([0.03 * size_m, 2.2 * radius, 2.2 * radius], bevel=0.15)
-    plate.apply_translation([end + 0.012 * size_m, 0, 0])
+    plate = box([0.03 * size_m, 2.2 * radius, 2.2 * radius], bevel=0.15, at=[end + 0.012 * size_m, 0, 0])
     parts = [builder.flat_part(plate, ANODISED, builder.textures.machined_plate(), "plate")]
     X = pose([1.0, 0, 0], [end + 0.026 * size_m, 0, 0])
     things = small_dish(builder, 0.3 * size_m) if rng.random() < 0.5 else grapple_pin(0.12 * size_m)

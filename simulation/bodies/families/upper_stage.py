@@ -7,7 +7,17 @@ from polhode.simulation.bodies.components.antennas import patch
 from polhode.simulation.bodies.components.equipment import cable, electronics_box, umbilical
 from polhode.simulation.bodies.components.propulsion import bottle, engine, thruster_block
 from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import ellipsoid_cap, frame, pose, prism, revolve, strut, tube
+from polhode.simulation.bodies.parts.solids import (
+    ellipsoid_cap,
+    frame,
+    pose,
+    prism,
+    radial,
+    revolve,
+    ring,
+    strut,
+    tube,
+)
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (
     ANODISED,
@@ -68,10 +78,8 @@ def _tank(builder: PartBuilder, radius: float, bottom: float, top: float) -> lis
     parts += _dome(builder, radius, bottom, -0.4 * radius) + _dome(builder, radius, top, 0.36 * radius)
     # Raised rings at the welds of the domes.
     for z in (bottom + 0.03 * length, top - 0.03 * length):
-        ring = revolve([(0.97 * radius, z - 0.012 * length), (1.015 * radius, z - 0.012 * length),
-                        (1.015 * radius, z + 0.012 * length), (0.97 * radius, z + 0.012 * length)],
-                       SECTIONS, closed=True)  # fmt: skip
-        parts.append(Part(ring.mesh, BRUSHED_METAL, name="ring"))
+        weld = ring(0.97 * radius, 1.015 * radius, z - 0.012 * length, z + 0.012 * length, SECTIONS)
+        parts.append(Part(weld.mesh, BRUSHED_METAL, name="ring"))
     return parts
 
 
@@ -99,9 +107,9 @@ def _second_tank(
     upper = top - gap
     solid = revolve([(0, bottom), (radius, bottom), (radius, upper), (0, upper)], SECTIONS)
     foil = FOIL_GOLD if rng.random() < 0.5 else FOIL_SILVER
-    revolved_part, base = bool(rng.random() < 0.5), float(rng.choice([0.1, 0.6]))
-    wall = builder.textures.blanket(foil) if revolved_part else builder.textures.tank_wall(base)
-    material = foil if revolved_part else PAINT_WHITE
+    wrapped, base = bool(rng.random() < 0.5), float(rng.choice([0.1, 0.6]))
+    wall = builder.textures.blanket(foil) if wrapped else builder.textures.tank_wall(base)
+    material = foil if wrapped else PAINT_WHITE
     parts = [builder.revolved_part(solid, [(1, 2, wall)], material, "tank")]
     parts += _dome(builder, radius, bottom, -0.4 * radius) + _dome(builder, radius, upper, 0.4 * radius)
     count = int(rng.integers(8, 13))
@@ -117,11 +125,10 @@ def _second_tank(
 def _aft_skirt(builder: PartBuilder, radius: float, bottom: float) -> list[Part]:
     """A ring below the tank, open at its lower end, with stringers outside."""
     low = bottom - 0.32 * radius
-    ring = revolve([(0.94 * radius, low), (1.005 * radius, low), (1.005 * radius, bottom + 0.06 * radius),
-                    (0.94 * radius, bottom + 0.06 * radius)], SECTIONS, closed=True)  # fmt: skip
+    skirt = ring(0.94 * radius, 1.005 * radius, low, bottom + 0.06 * radius, SECTIONS)
     base = float(builder.rng.choice([0.08, 0.3, 0.6]))
     wall = builder.textures.ring_wall(base)
-    return [builder.revolved_part(ring, [(1, 2, wall)], PAINT_GREY, "skirt")]
+    return [builder.revolved_part(skirt, [(1, 2, wall)], PAINT_GREY, "skirt")]
 
 
 def _thrust_section(
@@ -144,7 +151,7 @@ def _thrust_section(
     parts.append(Part(plate.mesh, DARK_METAL, name="thrust_frame"))
     for k in range(10):
         angle = 2 * np.pi * k / 10
-        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        out = radial(angle)
         a, b = 0.43 * radius * out + [0, 0, frame], 0.93 * radius * out + [0, 0, bottom]
         parts.append(Part(strut(a, b, 0.02 * radius), BRUSHED_METAL, name="thrust_frame"))
     count = int(rng.integers(2, 6))
@@ -174,7 +181,7 @@ def _front(builder: PartBuilder, radius: float, top: float, adapter: float) -> l
     material = COMPOSITE if base < 0.1 else PAINT_GREY
     parts = [builder.revolved_part(cone, [(0, 2, builder.textures.ring_wall(base))], material, "adapter")]
     inner, outer, foot = upper - 1.5 * wall_m, upper + 0.6 * wall_m, rim - 0.14 * adapter
-    flange = revolve([(inner, foot), (outer, foot), (outer, rim), (inner, rim)], SECTIONS, closed=True)
+    flange = ring(inner, outer, foot, rim, SECTIONS)
     parts.append(Part(flange.mesh, BRUSHED_METAL, name="adapter"))
     for k in range(int(rng.integers(3, 6))):
         angle = 2 * np.pi * k / 6 + rng.uniform(0, 0.4)
@@ -193,7 +200,7 @@ def _sides(builder: PartBuilder, radius: float, bottom: float, top: float) -> li
         parts += _tunnel(builder, radius, bottom + 0.06 * length, top - 0.02 * length, float(angle))
     if rng.random() < 0.6:
         angle = float(rng.uniform(0, 2 * np.pi))
-        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        out = radial(angle)
         z = np.linspace(bottom - 0.05 * length, top - 0.12 * length, 9)
         offset = np.r_[0.92, np.full(7, 1.035), 0.98]
         parts += cable(radius * offset[:, None] * out + z[:, None] * [0, 0, 1.0], 0.022 * radius)
@@ -221,8 +228,7 @@ def _tunnel(builder: PartBuilder, radius: float, low: float, high: float, angle:
     wide, tall = 0.16 * radius, 0.09 * radius
     half = 0.5 * (high - low)
     outline = [(-0.5 * wide, -half), (0.5 * wide, -half), (0.5 * wide, half), (-0.5 * wide, half)]
-    cover = prism(outline, 1.6 * tall, taper=0.9)
-    cover.apply_translation([0, 0, -0.6 * tall])
+    cover = prism(outline, 1.6 * tall, taper=0.9, at=[0, 0, -0.6 * tall])
     base = float(rng.choice([0.08, 0.4, 0.75]))
     material: Material = PAINT_WHITE if base > 0.5 else PAINT_BLACK if base < 0.1 else PAINT_GREY
     part = builder.flat_part(cover, material, builder.textures.panel(base, 0.4), "tunnel")
@@ -231,5 +237,5 @@ def _tunnel(builder: PartBuilder, radius: float, low: float, high: float, angle:
 
 def _on_wall(radius: float, angle: float, z: float) -> Array:
     """Frame on a cylinder: z outward, y along the cylinder's axis."""
-    out = np.array([np.cos(angle), np.sin(angle), 0.0])
+    out = radial(angle)
     return frame([-np.sin(angle), np.cos(angle), 0.0], out, radius * out + np.array([0.0, 0.0, z]))

@@ -1,5 +1,6 @@
 """Colours that a mesh file holds, as reflectances: an image by texture coordinates, or corner values."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,12 +32,7 @@ class FileColours:
 
     @cached_property
     def _packed(self) -> tuple[Ints, Ints, NDArray[np.float32]]:
-        """Where each image starts in the buffer, the images' shapes, the buffer."""
-        sizes = np.array([image.size for image in self.images], dtype=np.int64)
-        start = np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
-        shape = np.array([image.shape for image in self.images], dtype=np.int64).reshape(-1, 2)
-        texels = [np.zeros(0, np.float32), *(image.ravel() for image in self.images)]
-        return start, shape, np.concatenate(texels)
+        return packed_images(self.images)
 
     @staticmethod
     def joined(pieces: "list[tuple[FileColours | None, int]]") -> "FileColours":
@@ -60,6 +56,13 @@ class FileColours:
         return FileColours(
             np.full((faces, 3), np.nan), np.full(faces, -1, dtype=np.int64), np.zeros((faces, 3, 2))
         )
+
+
+def packed_images(images: Sequence[NDArray[np.float32]]) -> tuple[Ints, Ints, NDArray[np.float32]]:
+    """Start of each image (n + 1,) in a common buffer, the images' shapes (n, 2), and the buffer."""
+    start = np.cumsum([0, *(image.size for image in images)], dtype=np.int64)
+    shape = np.array([image.shape for image in images], dtype=np.int64).reshape(-1, 2)
+    return start, shape, np.concatenate([np.zeros(0, np.float32), *(image.ravel() for image in images)])
 
 
 @compiled

@@ -11,6 +11,8 @@ from scipy.spatial import ConvexHull
 from polhode.lie import Array
 from polhode.records import Ints
 
+ORIGIN = (0.0, 0.0, 0.0)
+
 
 @dataclass(frozen=True)
 class Revolved:
@@ -37,15 +39,15 @@ def hull(points: ArrayLike) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def box(extents: ArrayLike, bevel: float = 0.06) -> trimesh.Trimesh:
-    """A box around the origin whose edges are cut at 45 degrees; bevel relative to its shortest side.
+def box(extents: ArrayLike, bevel: float = 0.06, at: ArrayLike = ORIGIN) -> trimesh.Trimesh:
+    """A box around a point (3,) whose edges are chamfered at 45 degrees; bevel relative to its shortest side.
 
-    Real edges catch the light: a box without bevels looks drawn.
+    Real edges catch the light: a box without bevels looks artificial.
     """
     half = 0.5 * np.asarray(extents, dtype=np.float64)
     cut = 2.0 * bevel * float(half.min())
     signs, inset = _box_corners()
-    return trimesh.Trimesh(signs * (half - cut * inset), _box_faces(), process=False)
+    return _moved_to(at, trimesh.Trimesh(signs * (half - cut * inset), _box_faces(), process=False))
 
 
 def _box_corners() -> tuple[Array, Array]:
@@ -62,12 +64,12 @@ def _box_faces() -> Ints:
     return np.asarray(shape.faces)
 
 
-def prism(outline: ArrayLike, height: float, taper: float = 1.0) -> trimesh.Trimesh:
-    """Convex outline (n, 2) at z = 0, scaled by ``taper`` at z = height [m]."""
+def prism(outline: ArrayLike, height: float, taper: float = 1.0, at: ArrayLike = ORIGIN) -> trimesh.Trimesh:
+    """Convex outline (n, 2) at z = 0, scaled by ``taper`` at z = height [m]; then moved by ``at``."""
     flat = np.asarray(outline, dtype=np.float64)
     lower = np.column_stack([flat, np.zeros(len(flat))])
     upper = np.column_stack([taper * flat, np.full(len(flat), height)])
-    return hull(np.vstack([lower, upper]))
+    return _moved_to(at, hull(np.vstack([lower, upper])))
 
 
 def revolve(profile: ArrayLike, sections: int, closed: bool = False) -> Revolved:
@@ -109,8 +111,13 @@ def revolve(profile: ArrayLike, sections: int, closed: bool = False) -> Revolved
     return Revolved(mesh, line, panels)
 
 
-def drum(radius: float, height: float, sections: int = 24, bevel: float = 0.08) -> trimesh.Trimesh:
-    """A cylinder along z from 0 to height [m] whose rims are cut; bevel relative to the smaller side."""
+def drum(
+    radius: float, height: float, sections: int = 24, bevel: float = 0.08, at: ArrayLike = ORIGIN
+) -> trimesh.Trimesh:
+    """A cylinder along z whose rims are chamfered; bevel relative to the smaller side.
+
+    The middle of its lower end lies at the point (3,).
+    """
     cut = bevel * min(radius, height)
     profile = [
         (0, 0),
@@ -120,7 +127,12 @@ def drum(radius: float, height: float, sections: int = 24, bevel: float = 0.08) 
         (radius - cut, height),
         (0, height),
     ]
-    return revolve(profile, sections).mesh
+    return _moved_to(at, revolve(profile, sections).mesh)
+
+
+def ring(inner: float, outer: float, low: float, high: float, sections: int) -> Revolved:
+    """A ring of rectangular section about z, from one radius to another and one height to another [m]."""
+    return revolve([(inner, low), (outer, low), (outer, high), (inner, high)], sections, closed=True)
 
 
 def ellipsoid_cap(radius: float, height: float, rings: int = 8) -> Array:
@@ -131,12 +143,12 @@ def ellipsoid_cap(radius: float, height: float, rings: int = 8) -> Array:
     return profile
 
 
-def ball(radius: float, sections: int = 20, rings: int = 10) -> trimesh.Trimesh:
-    """A ball around the origin [m]."""
+def ball(radius: float, sections: int = 20, rings: int = 10, at: ArrayLike = ORIGIN) -> trimesh.Trimesh:
+    """A ball around a point (3,) [m]."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
     profile = radius * np.column_stack([np.cos(angle), np.sin(angle)])
     profile[[0, -1], 0] = 0.0
-    return revolve(profile, sections).mesh
+    return _moved_to(at, revolve(profile, sections).mesh)
 
 
 def tube(path: ArrayLike, radius: float, sections: int = 8) -> trimesh.Trimesh:
@@ -172,6 +184,17 @@ def tube(path: ArrayLike, radius: float, sections: int = 8) -> trimesh.Trimesh:
 def strut(start: ArrayLike, end: ArrayLike, radius: float, sections: int = 8) -> trimesh.Trimesh:
     """A straight round bar between two points [m]."""
     return tube([np.asarray(start), np.asarray(end)], radius, sections)
+
+
+def _moved_to(at: ArrayLike, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    if at is not ORIGIN:
+        mesh.apply_translation(at)
+    return mesh
+
+
+def radial(angle: float) -> Array:
+    """Unit vector (3,) across z at an angle from x [rad]."""
+    return np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
 def frame(x_G: ArrayLike, z_G: ArrayLike, position_G: ArrayLike) -> Array:

@@ -123,10 +123,10 @@ def _glyph(
         cv2.ellipse(canvas.code, middle, (radius, radius), 0.0, start, start + 200, value, thick, cv2.LINE_AA)
 
 
-def strokes(canvas: Canvas, count: int, rng: np.random.Generator) -> None:
+def strokes(canvas: Canvas, per_texel: float, rng: np.random.Generator) -> None:
     """Curved lines of any length, light or dark."""
     height, width = canvas.shape
-    for _ in range(count):
+    for _ in range(int(rng.poisson(per_texel * canvas.area))):
         start = rng.uniform((0, 0), (width, height))
         heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.25, 8))
         steps = rng.uniform(3, 22) * np.column_stack([np.cos(heading), np.sin(heading)])
@@ -137,10 +137,10 @@ def strokes(canvas: Canvas, count: int, rng: np.random.Generator) -> None:
         )
 
 
-def combs(canvas: Canvas, count: int, rng: np.random.Generator) -> None:
+def combs(canvas: Canvas, per_texel: float, rng: np.random.Generator) -> None:
     """Fans of short parallel lines."""
     height, width = canvas.shape
-    for _ in range(count):
+    for _ in range(int(rng.poisson(per_texel * canvas.area))):
         at, angle = rng.uniform((0, 0), (width, height)), rng.uniform(0, np.pi)
         along, aside = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
         length, pitch = rng.uniform(8, 34), rng.uniform(3, 7)
@@ -151,10 +151,10 @@ def combs(canvas: Canvas, count: int, rng: np.random.Generator) -> None:
             cv2.polylines(canvas.code, [ends], False, tone, 1, cv2.LINE_AA, SHIFT)
 
 
-def inscriptions(canvas: Canvas, count: int, rng: np.random.Generator, tallest: float = 26.0) -> None:
+def inscriptions(canvas: Canvas, per_texel: float, rng: np.random.Generator, tallest: float = 26.0) -> None:
     """Lines of glyphs anywhere, of all sizes up to ``tallest`` texels."""
     height, width = canvas.shape
-    for _ in range(count):
+    for _ in range(int(rng.poisson(per_texel * canvas.area))):
         at = rng.uniform((0, 0), (width, height))
         size = float(np.exp(rng.uniform(np.log(7.0), np.log(tallest))))
         tone = float(rng.choice([0.03, 0.06, 0.6, 0.8]))

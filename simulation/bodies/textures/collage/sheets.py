@@ -30,10 +30,9 @@ def panel(base: float, richness: float = 1.0) -> Draw:
         canvas.code[:] = code(base)
         kind = Leaves(smallest=4.0 / np.sqrt(richness), spread=0.75, coverings=1.6 + 0.6 * min(richness, 2.5))
         scatter_leaves(canvas, 1.15 * base, kind, rng, canvas.layer_of(VINYL))
-        area = canvas.area
-        inscriptions(canvas, int(rng.poisson(1.2e-4 * richness * area)), rng)
-        strokes(canvas, int(rng.poisson(1.0e-4 * richness * area)), rng)
-        combs(canvas, int(rng.poisson(0.6e-4 * richness * area)), rng)
+        inscriptions(canvas, 1.2e-4 * richness, rng)
+        strokes(canvas, 1.0e-4 * richness, rng)
+        combs(canvas, 0.6e-4 * richness, rng)
 
     return draw
 
@@ -62,7 +61,7 @@ def machined_plate() -> Draw:
             radius = int(3.0 / np.sqrt(1.0 - 0.985 * rng.random()))
             cv2.circle(canvas.code, at, radius, code(float(rng.uniform(0.05, 0.3))), -1, cv2.LINE_AA)
             cv2.circle(canvas.height, at, radius, float(rng.uniform(-1.5, 1.0)), -1)
-        strokes(canvas, int(rng.poisson(4e-5 * canvas.area)), rng)
+        strokes(canvas, 4e-5, rng)
 
     return draw
 
@@ -83,7 +82,7 @@ def blanket(foil: Material) -> Draw:
             across = (j - where[0]) * np.float32(np.cos(angle)) + (i - where[1]) * np.float32(np.sin(angle))
             folds += np.float32(rng.normal(0, 0.06)) * np.abs(across)
         canvas.height += folds
-        inscriptions(canvas, int(rng.poisson(1e-5 * canvas.area)), rng)
+        inscriptions(canvas, 1e-5, rng)
 
     return draw
 
@@ -113,7 +112,7 @@ def cells(cell: int = 60) -> Draw:
                     canvas.tilt[window] = 0.011 * rng.standard_t(5, 2)
                 column += wide
             row += tall
-        inscriptions(canvas, int(rng.poisson(1.5e-5 * canvas.area)), rng)
+        inscriptions(canvas, 1.5e-5, rng)
 
     return draw
 
@@ -143,7 +142,7 @@ def radiator() -> Draw:
             np.diff(labels, axis=1, append=labels[:, -1:]) != 0
         )
         canvas.code[edge] = code(0.3)
-        inscriptions(canvas, int(rng.poisson(3e-5 * canvas.area)), rng)
+        inscriptions(canvas, 3e-5, rng)
 
     return draw
 

@@ -36,8 +36,8 @@ def tank_wall(base: float) -> Draw:
             count = max(2, int(0.7 * height / (0.8 * size)))
             start = np.array([column, 0.86 * height])
             inscription(canvas, start, size, count, tone, -0.5 * np.pi)
-        inscriptions(canvas, int(rng.poisson(4e-5 * canvas.area)), rng)
-        combs(canvas, int(rng.poisson(2e-5 * canvas.area)), rng)
+        inscriptions(canvas, 4e-5, rng)
+        combs(canvas, 2e-5, rng)
         fade = 1.0 - 0.5 * np.linspace(0, 1, height)[:, None] ** 6
         canvas.code[...] = (canvas.code * fade).astype(np.uint8)
 
@@ -57,7 +57,7 @@ def ring_wall(base: float) -> Draw:
                 top, bottom = (round(a * width / count), 0), (round(b * width / count), height - 1)
                 cv2.line(canvas.height, top, bottom, 1.5, 3)
                 cv2.line(canvas.code, top, bottom, code(0.7 * base), 2, cv2.LINE_AA)
-        inscriptions(canvas, int(rng.poisson(8e-5 * canvas.area)), rng, tallest=0.5 * height + 8)
+        inscriptions(canvas, 8e-5, rng, tallest=0.5 * height + 8)
 
     return draw
 
@@ -93,7 +93,7 @@ def reflector(base: float, gores: int) -> Draw:
                 end = (start + lean * width // gores, height - 1)
                 cv2.line(canvas.code, (start, 0), end, code(0.7 * base), 1, cv2.LINE_AA)
                 cv2.line(canvas.height, (start, 0), end, -0.8, 2)
-        strokes(canvas, int(rng.poisson(2e-5 * canvas.area)), rng)
-        inscriptions(canvas, int(rng.poisson(4e-5 * canvas.area)), rng)
+        strokes(canvas, 2e-5, rng)
+        inscriptions(canvas, 4e-5, rng)
 
     return draw

@@ -53,6 +53,12 @@ def random_text(rng: np.random.Generator) -> str:
     return f"{rng.choice(WORDS)} {rng.integers(1, 1000)}"
 
 
+def stickers(canvas: Canvas, per_texel: float, rng: np.random.Generator, askew_deg: float = 3.0) -> None:
+    """Labels anywhere on the canvas, of a mean density."""
+    for _ in range(int(rng.poisson(per_texel * canvas.area))):
+        sticker(canvas, rng, askew_deg)
+
+
 def sticker(canvas: Canvas, rng: np.random.Generator, askew_deg: float = 3.0) -> None:
     """One label anywhere on the canvas: text, bars, matrix code, hazard stripes, arrow, roundel or target."""
     height, width = canvas.shape
@@ -208,6 +214,13 @@ def fill(canvas: Canvas, corners: tuple[int, int, int, int], value: int, layer: 
         canvas.layer[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = layer
 
 
+def border(canvas: Canvas, width: int, value: int, layer: int) -> None:
+    """Fill a border of a width in texels along the edges of the canvas."""
+    h, w = canvas.shape
+    for corners in ((0, 0, w, width), (0, h - width, w, h), (0, 0, width, h), (w - width, 0, w, h)):
+        fill(canvas, corners, value, layer)
+
+
 def groove(canvas: Canvas, corners: tuple[int, int, int, int], depth: float, darker: float = 0.75) -> None:
     """A rectangular seam, one texel wide, dark and sunk."""
     left, top, right, bottom = corners
@@ -272,10 +285,10 @@ def rivets(canvas: Canvas, start: Array, end: Array, pitch: float, radius: float
             canvas.code[v, u] = min(255, int(canvas.code[v, u] * 1.06))
 
 
-def scratches(canvas: Canvas, count: int, rng: np.random.Generator, length: float = 14.0) -> None:
+def scratches(canvas: Canvas, per_texel: float, rng: np.random.Generator, length: float = 14.0) -> None:
     """Thin bright and dark lines in any direction."""
     height, width = canvas.shape
-    for _ in range(count):
+    for _ in range(int(rng.poisson(per_texel * canvas.area))):
         start = rng.uniform((0, 0), (width, height))
         end = start + rng.normal(0, length, 2)
         a, b = (tuple(p.astype(int).tolist()) for p in (start, end))

@@ -5,13 +5,14 @@ import numpy as np
 
 from polhode.simulation.bodies.textures.canvas import Canvas, Draw, code
 from polhode.simulation.bodies.textures.drawn.marks import (
+    border,
     fill,
     groove,
     rivets,
     scratches,
     screw,
     smudges,
-    sticker,
+    stickers,
     write,
 )
 from polhode.simulation.surface.materials import (
@@ -45,11 +46,10 @@ def panel(base: float, richness: float = 1.0) -> Draw:
         canvas.code[:] = code(base)
         for tile in _split((0, 0, width, height), rng):
             _plate(canvas, tile, base, rng)
-        for _ in range(int(rng.poisson(richness * STICKERS_PER_TEXEL * canvas.area))):
-            sticker(canvas, rng)
+        stickers(canvas, richness * STICKERS_PER_TEXEL, rng)
         _edge(canvas, rng)
         smudges(canvas, 0.02, rng)
-        scratches(canvas, int(rng.poisson(1.5e-4 * canvas.area)), rng)
+        scratches(canvas, 1.5e-4, rng)
 
     return draw
 
@@ -61,7 +61,7 @@ def plain(base: float) -> Draw:
         canvas.code[:] = code(base)
         smudges(canvas, 0.012, rng)
         _edge(canvas, rng)
-        scratches(canvas, int(rng.poisson(6e-5 * canvas.area)), rng)
+        scratches(canvas, 6e-5, rng)
 
     return draw
 
@@ -86,8 +86,7 @@ def machined_plate() -> Draw:
         for _ in range(int(rng.poisson(1.2e-4 * canvas.area))):
             at = rng.uniform((0, 0), (width, height)).astype(int).tolist()
             cv2.circle(canvas.code, tuple(at), int(rng.integers(1, 5)), code(0.01), -1, cv2.LINE_AA)
-        for _ in range(int(rng.poisson(2e-5 * canvas.area))):
-            sticker(canvas, rng)
+        stickers(canvas, 2e-5, rng)
 
     return draw
 
@@ -241,8 +240,7 @@ def cells(cell: int = 60) -> Draw:
                 if corners[2] - corners[0] > 3 and corners[3] - corners[1] > 3:
                     _cell(canvas, corners, corner, tone, (glass, metal), rng)
         _hold_downs(canvas, rng)
-        for _ in range(int(rng.poisson(1.2e-5 * canvas.area))):
-            sticker(canvas, rng)
+        stickers(canvas, 1.2e-5, rng)
 
     return draw
 
@@ -292,9 +290,7 @@ def _hold_downs(canvas: Canvas, rng: np.random.Generator) -> None:
             cv2.circle(canvas.code, at, radius, code(0.35), -1, cv2.LINE_AA)
             cv2.circle(canvas.code, at, max(2, radius // 2), code(0.03), -1, cv2.LINE_AA)
     edge = max(2, min(height, width) // 90)
-    for corners in ((0, 0, width, edge), (0, height - edge, width, height), (0, 0, edge, height),
-                    (width - edge, 0, width, height)):  # fmt: skip
-        fill(canvas, corners, code(0.25), metal)
+    border(canvas, edge, code(0.25), metal)
 
 
 def radiator() -> Draw:
@@ -337,8 +333,7 @@ def _white_paint(canvas: Canvas, rng: np.random.Generator) -> None:
         canvas.height += (2.5 * np.exp(-(((i - v) / 7.0) ** 2))).astype(np.float32)
         for side in (-11, 11):
             rivets(canvas, np.array([6.0, v + side]), np.array([width - 6.0, v + side]), 14.0, 1.6)
-    for _ in range(int(rng.poisson(4e-5 * canvas.area))):
-        sticker(canvas, rng)
+    stickers(canvas, 4e-5, rng)
 
 
 def blanket(foil: Material) -> Draw:
@@ -352,13 +347,10 @@ def blanket(foil: Material) -> Draw:
         _quilting(canvas, rng)
         _pull_lines(canvas, rng)
         _buttons(canvas, rng)
-        for _ in range(int(rng.poisson(2.2e-5 * canvas.area))):
-            sticker(canvas, rng, askew_deg=8.0)
+        stickers(canvas, 2.2e-5, rng, askew_deg=8.0)
         edge = max(3, min(height, width) // 60)
         tape = canvas.layer_of(TAPE)
-        for corners in ((0, 0, width, edge), (0, height - edge, width, height), (0, 0, edge, height),
-                        (width - edge, 0, width, height)):  # fmt: skip
-            fill(canvas, corners, code(0.12), tape)
+        border(canvas, edge, code(0.12), tape)
 
     return draw
 

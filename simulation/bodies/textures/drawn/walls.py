@@ -16,7 +16,7 @@ from polhode.simulation.bodies.textures.drawn.marks import (
     screw,
     smudges,
     stamp,
-    sticker,
+    stickers,
     write,
 )
 from polhode.simulation.surface.materials import BRUSHED_METAL, PAINT_WHITE
@@ -34,11 +34,10 @@ def tank_wall(base: float) -> Draw:
             _corrugation(canvas, rng)
         _livery(canvas, base, rng)
         _doors(canvas, rng)
-        for _ in range(int(rng.poisson(2.5e-5 * canvas.area))):
-            sticker(canvas, rng)
+        stickers(canvas, 2.5e-5, rng)
         smudges(canvas, 0.05, rng, streak=5)
         _scorch(canvas, float(rng.uniform(0.1, 0.3)), rng)
-        scratches(canvas, int(rng.poisson(6e-5 * canvas.area)), rng)
+        scratches(canvas, 6e-5, rng)
 
     return draw
 
@@ -69,8 +68,7 @@ def ring_wall(base: float) -> Draw:
                     np.array(at),
                     0.05 if base > 0.2 else 0.7,
                 )
-        for _ in range(int(rng.poisson(4e-5 * canvas.area))):
-            sticker(canvas, rng)
+        stickers(canvas, 4e-5, rng)
         smudges(canvas, 0.06, rng, streak=3)
 
     return draw
@@ -120,8 +118,7 @@ def reflector(base: float, gores: int) -> Draw:
                 cv2.circle(
                     canvas.code, (int(u), int(v)), 3, code(0.04 if base > 0.2 else 0.8), -1, cv2.LINE_AA
                 )
-        for _ in range(int(rng.poisson(1e-5 * canvas.area))):
-            sticker(canvas, rng)
+        stickers(canvas, 1e-5, rng)
         smudges(canvas, 0.008, rng)
 
     return draw
