@@ -8,15 +8,15 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from polhode.backend.fit import SUSPICIOUS, fit, times_stated
-from polhode.backend.initialization.hypotheses import N_HYPOTHESES
-from polhode.backend.initialization.multistart import renew_inertia
+from polhode.backend.initialization.multistart import N_HYPOTHESES, renew_inertia
 from polhode.backend.initialization.rotation_direction import OR_FAST
 from polhode.backend.noise.systematic import with_systematic
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import TIGHT_GAUGE, MotionData, hold, motion_data
+from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.result import assemble
 from polhode.backend.solvers.gauss_newton import GaussNewton, Solution
 from polhode.backend.solvers.ipopt import MotionProgram
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.backend.uncertainty.ambiguity import open_turns_deg, with_open_sense
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
@@ -154,9 +154,9 @@ def refine(
     before, total, end = np.inf, 0, perf_counter() + max_seconds
     for _ in range(MAX_PASSES):
         iterate = renew_inertia(data, iterate)
-        held = hold(data, iterate, TIGHT_GAUGE)
+        fixed = linearization_point(data, iterate, TIGHT_GAUGE)
         left = (max_iterations - total, end - perf_counter())
-        solution = solver.solve(held, iterate.vector(), *left)
+        solution = solver.solve(fixed, iterate.vector(), *left)
         iterate, total = iterate.moved_to(solution.x), total + solution.iterations
         if abs(before - solution.cost) <= PASS_TOLERANCE * max(solution.cost, 1.0):
             # nothing is left to gain, whatever ended the last solve

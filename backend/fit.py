@@ -1,38 +1,39 @@
-"""From guesses to a motion with its noise: hypotheses, pruning, pushes known and unknown, disturbances."""
+"""From initial guesses to a motion and its noise: hypotheses, pruning, known and unknown disturbances."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.disturbances.align_wrench_frame import attach_wrench
+from polhode.backend.disturbances.known_wrench import attach_wrench
 from polhode.backend.disturbances.unknown_wrench import find_pushes
-from polhode.backend.initialization.fewer_frames import from_fewer_frames
-from polhode.backend.initialization.initialize import robust_landmarks
+from polhode.backend.initialization.gaps import long_gaps
+from polhode.backend.initialization.initialize import frame_rates, robust_landmarks
 from polhode.backend.initialization.multistart import Start, Trial, first_starts, try_hypotheses
 from polhode.backend.noise.measurement_noise import NoiseScales
 from polhode.backend.noise.process_level import estimate_process_noise
 from polhode.backend.noise.prune import Kept, settle
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import MotionData
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.uncertainty.ambiguity import Choice, choose
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import inverse_pose, make_pose
 from polhode.progress import Advance
-from polhode.records import InitialMotion, StereoTracks
+from polhode.records import Bools, InitialMotion, Ints, StereoTracks
 
 SEARCHES = 3
 """For unknown pushes: with the strong ones freed the disturbances are weaker, and weak ones show."""
-
-
 MOST_AGREE, SUSPICIOUS = 0.65, 30.0
 """A smaller share of observations that agree, or estimated disturbances so many times those stated (power):
 frames may contradict one another."""
-
-
 MOST_PLACED, PLACINGS = 0.9, 2
 """When fewer landmarks are kept, wrong first poses may have put them astray: they are placed anew."""
+SHARE, LEAST = 0.3, 12
+"""Of what the richest tenth of the frames shows, and observations: less is little."""
+ENOUGH_FRAMES = 6
+MOST_STRETCHES = 2
+"""Between long gaps, those that show most first."""
 
 
 @dataclass(frozen=True)
@@ -141,3 +142,29 @@ def _fit(data: MotionData, starts: list[Start], config: Backend, advance: Advanc
         data = replace(data, accel_psd=level.data.accel_psd, torque_psd=level.data.torque_psd)
     advance()
     return Fit(data, kept, iterate, scales, trials, choice, runner_up)
+
+
+def from_fewer_frames(tracks: StereoTracks, initial: InitialMotion) -> list[InitialMotion]:
+    """First motions with fewer known poses: those of frames that show much, of stretches between gaps."""
+    seen = np.bincount(tracks.frame, minlength=tracks.n_frames)
+    out: list[Bools] = []
+    for known in (_strong(seen, initial.connected), *_stretches(tracks, initial, seen)):
+        told = known.sum() >= ENOUGH_FRAMES and not np.array_equal(known, initial.connected)
+        if told and not any(np.array_equal(known, other) for other in out):
+            out.append(known)
+    # the other poses stay where they were: in a first fit with loose steps their frames then pull at nothing
+    return [replace(initial, connected=known) for known in out]
+
+
+def _strong(seen: Ints, connected: Bools) -> Bools:
+    rich = float(np.quantile(seen[connected], 0.9))
+    return np.asarray(connected & (seen >= max(SHARE * rich, LEAST)))
+
+
+def _stretches(tracks: StereoTracks, initial: InitialMotion, seen: Ints) -> list[Bools]:
+    w_G = frame_rates(tracks.time_s, tracks.X_NR @ initial.X_RG, initial.connected)
+    starts = [gap.after for gap in long_gaps(tracks.time_s, initial.connected, w_G) if gap.after is not None]
+    stretch = np.searchsorted(starts, np.arange(tracks.n_frames), side="right")
+    shown = np.bincount(stretch, seen * initial.connected)
+    most = np.argsort(-shown, kind="stable")[:MOST_STRETCHES]
+    return [np.asarray(initial.connected & (stretch == n)) for n in most]

@@ -2,29 +2,33 @@
 
 import numpy as np
 
-from polhode.backend.disturbances.absolute_mass import with_absolute_scale
-from polhode.backend.disturbances.impulse_estimates import in_words, recovered_pushes
+from polhode.backend.disturbances.known_wrench import with_absolute_scale
+from polhode.backend.disturbances.unknown_wrench import in_words, recovered_pushes
 from polhode.backend.dynamics.residuals import States
 from polhode.backend.initialization.rotation_direction import OR_FAST
 from polhode.backend.noise.measurement_noise import NoiseScales
 from polhode.backend.noise.prune import Kept, whitened_residuals
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import MotionData, hold
-from polhode.backend.solvers.gauss_newton import GaussNewton, robust_weight
+from polhode.backend.problem.motion_data import MotionData
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.solvers.robust_kernel import robust_information, robust_weight
 from polhode.backend.uncertainty.covariance import (
-    AxesDerivative,
     Marginals,
-    axes_derivative,
     last_body_covariance,
     marginals,
     pose_covariances,
-    robust_information,
     state_covariances,
     state_jacobians,
     with_infinite,
 )
-from polhode.backend.uncertainty.equal_moments import of_free_turn, ratio_covariance
 from polhode.backend.uncertainty.identifiability import Determined, analyse, undetermined_states
+from polhode.backend.uncertainty.principal_axes import (
+    AxesDerivative,
+    axes_derivative,
+    of_free_turn,
+    ratio_covariance,
+)
 from polhode.lie import Array, make_pose
 from polhode.records import (
     Bools,
@@ -55,9 +59,9 @@ def assemble(
         kept.observations, robust_weight(np.sum(all_residuals**2, axis=1), data.robust_scale), 0.0
     )
     small = kept.restrict(iterate)
-    solver, held, x = GaussNewton(kept.data), hold(kept.data, small), small.vector()
+    solver, fixed, x = GaussNewton(kept.data), linearization_point(kept.data, small), small.vector()
     s = np.sum(all_residuals[kept.observations] ** 2, axis=1)
-    m = marginals(solver, held, x, robust_information(s, data.robust_scale))
+    m = marginals(solver, fixed, x, robust_information(s, data.robust_scale))
     derivative = axes_derivative(data.form, iterate)
     R_GP = derivative.R_GP
     w_P = iterate.w_G @ R_GP
@@ -67,7 +71,7 @@ def assemble(
     mass = _mass(iterate, m, derivative, determined)
     mass = with_absolute_scale(mass, iterate, data.form, m, derivative, data.impulses)
     pushes = recovered_pushes(
-        kept.data, held, small, m, derivative, mass.identifiable.axes_P, tracks.timestamps_ns
+        kept.data, fixed, small, m, derivative, mass.identifiable.axes_P, tracks.timestamps_ns
     )
     warnings = _warnings(tracks, weight, data, mass.identifiable, initial, iterate)
     if pushes is not None:
@@ -93,7 +97,7 @@ def assemble(
             0,
             0.0,
             False,
-            reduced_chi2(kept.data, s, solver.dynamics_cost(held, x) + solver.camera_cost(held, x)),
+            reduced_chi2(kept.data, s, solver.dynamics_cost(fixed, x) + solver.camera_cost(fixed, x)),
         ),
         warnings=tuple(warnings),
         pushes=pushes,

@@ -1,30 +1,34 @@
-"""Steps in which something unknown pushed the target: found where free motion is contradicted.
+"""Unknown disturbances: the steps in which free motion is contradicted, and the impulses that acted there.
 
-An unknown push is a node of a step (thesis 7.3): acceleration and angular acceleration of any course, zero
-on average, with a wide standard deviation. It touches its own step only, so it is integrated out exactly: it
-adds to the covariance of that step (``problem.hold``), and what it was follows from the states around it
-(``recovered.py``).
+An unknown disturbance is a node of a step (thesis 7.3): an acceleration and an angular acceleration of any
+time history within the step, zero-mean, with a large standard deviation. It affects its own step only, so it
+is integrated out exactly: it adds to the covariance of that step (``solvers.linearization_point``), and the
+impulse follows from the states on either side of the step.
 
-Which steps need one is told by their auxiliary residuals: the smoothed residual of a step weighed by its own
-covariance (Harvey and Koopman, "Diagnostic checking of unobserved-components time series models", 1992; de
-Jong and Penzer, "Diagnosing shocks in time series", 1998). A push smears over its neighbours, so the largest
-are freed first, the motion is fitted again, and the evidence decides whether nodes explain more than a
-stronger process noise does.
+The steps that need a node are found by their auxiliary residuals: the smoothed residual of a step weighted by
+its own covariance (Harvey and Koopman, "Diagnostic checking of unobserved-components time series models",
+1992; de Jong and Penzer, "Diagnosing shocks in time series", 1998). A disturbance smears over its neighbours,
+so the largest ones get nodes first, the motion is fitted again, and the evidence decides whether nodes
+explain more than a stronger process noise does.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from polhode.backend.dynamics.propagation import flow_derivatives, flows
 from polhode.backend.dynamics.residuals import dynamics_jacobians
 from polhode.backend.noise.process_level import INDIFFERENT, Level, estimate_process_noise, level_at
 from polhode.backend.problem.inertia import inertia_derivative
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import MotionData, hold
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.uncertainty.covariance import marginals, robust_information
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.backend.solvers.linearization_point import LinearizationPoint, linearization_point
+from polhode.backend.solvers.robust_kernel import robust_information
+from polhode.backend.uncertainty.covariance import Marginals, marginals
+from polhode.backend.uncertainty.principal_axes import AxesDerivative
+from polhode.lie import Array, hat
+from polhode.records import Bools, Ints, Push, UnknownPushes
 
 SUSPICIOUS = 24.0
 """Of a sum of six squares: 1 in 2,000 by chance. What is suspected must still gain evidence."""
@@ -43,6 +47,8 @@ ROUNDS = 8
 ITERATIONS = 4
 LEAST_VARIANCE = 1e-3
 """Of a whitened residual; below, the data say nothing of it."""
+SURE = 4.0
+"""Standard deviations of the largest change, beyond which something did push."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +116,9 @@ def _free_the_contradicted(data: MotionData, iterate: Iterate) -> tuple[Bools, I
     """Give nodes to the largest contradictions and fit, until none is left."""
     for turn in range(ROUNDS):
         if turn > 0:
-            solution = GaussNewton(data).solve(hold(data, iterate), iterate.vector(), ITERATIONS)
+            solution = GaussNewton(data).solve(
+                linearization_point(data, iterate), iterate.vector(), ITERATIONS
+            )
             iterate = iterate.moved_to(solution.x)
         size = contradictions(data, iterate)
         size[data.nodes] = 0.0
@@ -127,12 +135,12 @@ def contradictions(data: MotionData, iterate: Iterate) -> Array:
 
     Near 6 where the motion is as disturbed as ``data`` says; less where little of it is seen.
     """
-    solver, held, x = GaussNewton(data), hold(data, iterate), iterate.vector()
-    squares = np.sum(solver.residuals(held, x)[0] ** 2, axis=1)
-    dense = marginals(solver, held, x, robust_information(squares, data.robust_scale)).dense
-    states, at = solver.states(held, x)
+    solver, fixed, x = GaussNewton(data), linearization_point(data, iterate), iterate.vector()
+    squares = np.sum(solver.residuals(fixed, x)[0] ** 2, axis=1)
+    dense = marginals(solver, fixed, x, robust_information(squares, data.robust_scale)).dense
+    states, at = solver.states(fixed, x)
     dJ = inertia_derivative(data.form, at.xi, at.R_inertia)
-    residual, jacobian = dynamics_jacobians(states, held.steps, at.J_G(data.form), dJ)
+    residual, jacobian = dynamics_jacobians(states, fixed.steps, at.J_G(data.form), dJ)
     s, constants = iterate.n_state, np.arange(iterate.n_states, iterate.n_dense)
     out = np.zeros((len(residual), 2))
     for k, (r, D) in enumerate(zip(residual, jacobian, strict=True)):
@@ -143,3 +151,106 @@ def contradictions(data: MotionData, iterate: Iterate) -> Array:
             seen = variance > LEAST_VARIANCE
             out[k, n] = np.sum((axes.T @ r[rows])[seen] ** 2 / variance[seen])
     return out
+
+
+def recovered_pushes(
+    data: MotionData,
+    fixed: LinearizationPoint,
+    iterate: Iterate,
+    m: Marginals,
+    derivative: AxesDerivative,
+    axes_known: Bools,
+    timestamps_ns: Ints,
+) -> UnknownPushes | None:
+    """Changes over the steps that have a node, and over each run of such steps; None when none has.
+
+    A change is a step's error without its whitening: the state after it minus what free motion and known
+    pushes lead to; that of the rate is carried back to the middle of the step, where a push of unknown course
+    acts on the average. Those of neighbouring steps are strongly correlated, their sum is known better.
+    """
+    use = np.flatnonzero(data.nodes)
+    if len(use) == 0:
+        return None
+    change, T = _changes(data, fixed, iterate, derivative)
+    cov = np.stack([_covariance(T, m.dense, iterate, np.array([k])) for k in use])
+    # the disturbances of a step are in the change of the state, not in the push
+    quiet = np.repeat([data.accel_psd, data.torque_psd], 3)
+    mixed = _mixed(axes_known)
+    dt = data.dt_s[use, None]
+    sigma = _sigma(cov, quiet * dt, mixed) / dt
+    starts, ends = timestamps_ns[use], timestamps_ns[use + 1]
+    pushes = []
+    for steps in np.split(use, np.flatnonzero(np.diff(use) > 1) + 1):
+        span = timestamps_ns[steps[0]], timestamps_ns[steps[-1] + 1]
+        total = change[steps].sum(axis=0)
+        spread = _covariance(T, m.dense, iterate, steps)
+        of_total = _sigma(spread, quiet * data.dt_s[steps].sum(), mixed)
+        pushes.append(Push(int(span[0]), int(span[1]), total[:3], of_total[:3], total[3:], of_total[3:]))
+    accel = change[use] / dt
+    return UnknownPushes(starts, ends, accel[:, :3], sigma[:, :3], accel[:, 3:], sigma[:, 3:], tuple(pushes))
+
+
+def _changes(
+    data: MotionData, fixed: LinearizationPoint, iterate: Iterate, derivative: AxesDerivative
+) -> tuple[Array, Array]:
+    """Changes (F - 1, 6) of velocity (N) and rate (P), and their derivatives (F - 1, 6, 2 s + c)."""
+    plain = np.broadcast_to(np.eye(6), (len(data.dt_s), 6, 6))
+    steps = replace(fixed.steps, W_t=plain[:, :2, :2], W_r=plain)
+    states, at = GaussNewton(data).states(fixed, iterate.vector())
+    dJ = inertia_derivative(data.form, at.xi, at.R_inertia)
+    error, D = dynamics_jacobians(states, steps, at.J_G(data.form), dJ)
+    back, s = derivative.R_GP.T @ _to_the_middle(at, data, fixed), iterate.n_state
+    change = np.concatenate([error[:, 3:6], np.einsum("kij,kj->ki", back, error[:, 9:12])], axis=1)
+    T = np.concatenate([D[:, 3:6], back @ D[:, 9:12]], axis=1)
+    # the axes along which it is told are uncertain too
+    T[:, 3:, 2 * s + 3 : 2 * s + 8] += hat(change[:, 3:]) @ derivative.axes
+    return change, T
+
+
+def _to_the_middle(at: Iterate, data: MotionData, fixed: LinearizationPoint) -> Array:
+    """(F - 1, 3, 3) that carry a change of the rate at the end of a step back to its middle."""
+    J_G, half, series = at.J_G(data.form), 0.5 * data.dt_s, fixed.steps.series
+    middle = flows(at.w_G[:-1], J_G, half, series)[1]
+    rate = flow_derivatives(middle, J_G, np.zeros((0, 3, 3)), half, series)[3]
+    return np.asarray(np.linalg.inv(np.swapaxes(rate, 1, 2)))
+
+
+def _covariance(T: Array, dense: Array, iterate: Iterate, steps: Ints) -> Array:
+    """Of the sum of the changes over consecutive steps (6, 6)."""
+    s, n = iterate.n_state, iterate.n_states
+    first, last = s * int(steps[0]), s * (int(steps[-1]) + 2)
+    whole = np.zeros((6, last - first + iterate.n_constants))
+    for k in steps:
+        at = s * int(k) - first
+        whole[:, at : at + 2 * s] += T[k, :, : 2 * s]
+        whole[:, last - first :] += T[k, :, 2 * s :]
+    own = np.concatenate([np.arange(first, last), np.arange(n, iterate.n_dense)])
+    return np.asarray(whole @ dense[np.ix_(own, own)] @ whole.T)
+
+
+def _sigma(covariance: Array, quiet: Array, mixed: Bools) -> Array:
+    sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1) + quiet)
+    sigma[..., 3:][..., mixed] = np.inf
+    return np.asarray(sigma)
+
+
+def _mixed(axes_known: Bools) -> Bools:
+    """(3,) components that a turn about an undetermined axis mixes."""
+    lost = ~axes_known
+    return np.array([lost[1] | lost[2], lost[0] | lost[2], lost[0] | lost[1]])
+
+
+def in_words(pushes: UnknownPushes, first_ns: int) -> list[str]:
+    """One sentence for each push."""
+    return [_sentence(push, first_ns) for push in pushes.pushes]
+
+
+def _sentence(push: Push, first_ns: int) -> str:
+    start_s, end_s = ((t - first_ns) * 1e-9 for t in (push.start_ns, push.end_ns))
+    size = np.append(push.delta_v_N / push.sigma_delta_v_N, push.delta_w_P / push.sigma_delta_w_P)
+    pushed = "pushed" if np.abs(size).max() > SURE else "may have pushed"
+    velocity, rate = (float(np.linalg.norm(change)) for change in (push.delta_v_N, push.delta_w_P))
+    return (
+        f"something unknown {pushed} the target between {start_s:.1f} s and {end_s:.1f} s: its velocity "
+        f"changed by {1e3 * velocity:.2g} mm/s, its rate by {np.rad2deg(rate):.2g} deg/s"
+    )

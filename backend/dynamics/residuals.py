@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
+from polhode.compiled import compiled
 from polhode.backend.dynamics.propagation import flow_derivatives, flows
 from polhode.backend.dynamics.so3_exp import (
     inverse_right_jacobians,
@@ -20,8 +20,8 @@ from polhode.backend.dynamics.so3_exp import (
     turns_of_quaternions,
 )
 from polhode.backend.problem.inertia import N_INERTIA
+from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.backend.problem.wrench import FORCE_BIAS, LN_MASS, N_OF_ROTATION, N_WRENCH, torque_in_G
-from polhode.compiled import compiled
 from polhode.lie import Array, hat
 from polhode.records import Ints
 

@@ -9,8 +9,9 @@ from polhode.backend.initialization.attitude_outliers import jumping_frames
 from polhode.backend.initialization.pose_graph import connect
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import hold, motion_data
+from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import linearization_point
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
@@ -92,8 +93,8 @@ def bundle_adjust(tracks: StereoTracks, X_RG: Array, connected: Bools, config: B
     zero = np.zeros((tracks.n_frames, 3))
     xi, R_inertia = FORMS[config.inertia].coordinates(np.eye(3))
     start = Iterate(X_NG[:, :3, 3], X_NG[:, :3, :3], zero, zero, np.zeros(3), xi, R_inertia, p_G)
-    held = hold(data, start)
-    solution = GaussNewton(data, with_dynamics=False).solve(held, start.vector(), BUNDLE_ITERATIONS)
+    fixed = linearization_point(data, start)
+    solution = GaussNewton(data, with_dynamics=False).solve(fixed, start.vector(), BUNDLE_ITERATIONS)
     at = start.moved_to(solution.x)
     X_NG[connected] = make_pose(at.R_NG, at.p_NG)[connected]
     return np.asarray(inverse_pose(tracks.X_NR) @ X_NG)

@@ -1,14 +1,29 @@
-"""Compiled loops over links between frames: which of them agree with each other (``pose_graph.py``)."""
+"""Which links between frames agree with each other: by groups, by triangles, by one rate of rotation.
+
+Sides of a body that look alike (a truss after a half-turn, a drum after any rotation) give links that are
+wrong by that symmetry, many of them, and they close triangles among themselves. But no body jumps to another
+side and back: of the links between near frames those are right that agree on one rate of rotation.
+"""
 
 import numpy as np
 
 from polhode.compiled import compiled
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.lie import Array, exp_so3, log_so3
+from polhode.records import Bools, Ints, RelativePoses
 
 MOST_LINKS = 16
 """So many links between two islands are compared, those of the largest weight."""
 MOST_THIRDS = 40
+NEAR = 3
+"""Frames between the ends of a link that tells the rate: beyond it nutation bends the turn."""
+AROUND = 2.5
+"""Links whose middles are so many frames apart tell the same rate."""
+SAME_TURN_RAD = np.deg2rad(20.0)
+"""Links whose turns differ by less go on in each other; symmetries of bodies are wider."""
+LEAST_SHARE = 0.6
+"""Of the inliers around a link, in links that agree with it."""
+FEWEST = 2
+"""Links that agree with it."""
 
 
 @compiled
@@ -134,3 +149,26 @@ def closed_triangles(
             if seen[e] == MOST_THIRDS:
                 break
     return agree, seen
+
+
+def smooth_links(relative: RelativePoses, usable: Bools, time_s: Array, R_NR: Array) -> Bools:
+    """Which links (E,) go on in others; time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera."""
+    near = np.flatnonzero(usable & (np.abs(relative.j - relative.i) <= NEAR))
+    smooth = np.zeros(len(usable), dtype=np.bool_)
+    if len(near) <= FEWEST:
+        return smooth
+    i, j, inliers = relative.i[near], relative.j[near], relative.inliers[near].astype(np.float64)
+    # the turn of the target in N from frame j back to frame i
+    turn = R_NR[i] @ relative.X_RiRj[near, :3, :3] @ np.swapaxes(R_NR[j], 1, 2)
+    dt_s = time_s[j] - time_s[i]
+    rate = log_so3(turn) / dt_s[:, None]
+    middle = 0.5 * (i + j)
+    for n, link in enumerate(near):
+        others = np.flatnonzero(np.abs(middle - middle[n]) <= AROUND)
+        others = others[others != n]
+        expected = exp_so3(rate[n] * dt_s[others, None])
+        off = np.linalg.norm(log_so3(np.swapaxes(expected, 1, 2) @ turn[others]), axis=1)
+        agree = off < SAME_TURN_RAD
+        share = np.sum(inliers[others][agree]) / max(np.sum(inliers[others]), 1.0)
+        smooth[link] = agree.sum() >= FEWEST and share >= LEAST_SHARE
+    return smooth

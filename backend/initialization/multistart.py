@@ -1,7 +1,8 @@
-"""From the first poses to the right basin: brief solves from several guesses of the inertia and of the turns.
+"""From the initial poses into the right basin of attraction: brief solves from several initial guesses.
 
-A single start was seen to end, confident, in a wrong minimum. The guesses differ in the inertia; where the
-target turns far between frames also in the sense of the turn, which poses alone do not tell.
+A single start was observed to end, with small sigmas, in a wrong minimum. The guesses differ in the inertia;
+where the target rotates far between frames they also differ in the direction of rotation, which poses alone
+do not determine.
 """
 
 from dataclasses import dataclass, replace
@@ -9,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.dynamics.kernels import N_CAMERA
 from polhode.backend.initialization.gaps import (
     AMBIGUOUS_RAD,
     Gap,
@@ -19,15 +19,16 @@ from polhode.backend.initialization.gaps import (
     long_gaps,
     loose_steps,
 )
-from polhode.backend.initialization.hypotheses import inertia_hypotheses
 from polhode.backend.initialization.initialize import robust_landmarks
 from polhode.backend.initialization.rotation_direction import OR_FAST, THE_OTHER_WAY, rate_branches
 from polhode.backend.initialization.shooting import shoot
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import MotionData, hold
+from polhode.backend.problem.inertia import second_moments_from_inertia
+from polhode.backend.problem.iterate import N_CAMERA, Iterate
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import linearization_point
 from polhode.errors import RunFailure
-from polhode.lie import Array
+from polhode.lie import Array, hat
 from polhode.progress import Advance
 from polhode.records import InitialMotion, StereoTracks
 
@@ -36,6 +37,8 @@ PASSES = (3, 3, 3, 2)
 LONG_PASSES = (10, 10, 10)
 SAME_BASIN = 0.03
 """Two inertias (second moments of determinant 1) closer than this will end in the same minimum."""
+N_HYPOTHESES = 5
+"""Most guesses; more are tried where the sense of the turns is open."""
 
 
 @dataclass(frozen=True)
@@ -157,11 +160,11 @@ def solve_briefly(
     for iterations in passes:
         try:
             iterate = renew_inertia(data, iterate)
-            held = hold(data, iterate)
-            solution = solver.solve(held, iterate.vector(), iterations)
+            fixed = linearization_point(data, iterate)
+            solution = solver.solve(fixed, iterate.vector(), iterations)
         except LinAlgError:
             return None
-        iterate, cost = iterate.moved_to(solution.x), solution.cost + held.half_log_det
+        iterate, cost = iterate.moved_to(solution.x), solution.cost + fixed.half_log_det
         for other in found:
             if np.abs(iterate.J_G(data.form) - other.iterate.J_G(data.form)).max() < SAME_BASIN:
                 return other
@@ -172,3 +175,57 @@ def renew_inertia(data: MotionData, iterate: Iterate) -> Iterate:
     """The same inertia with its reference rotation moved to it."""
     xi, R_inertia = data.form.coordinates(iterate.second_moments(data.form))
     return replace(iterate, xi=xi, R_inertia=R_inertia)
+
+
+def inertia_hypotheses(R_NG: Array, w_G: Array) -> dict[str, Array]:
+    """Second moments (3, 3) in G by name, from attitudes (F, 3, 3) and body rates (F, 3) [rad/s]."""
+    guesses = {"sphere": np.eye(3)}
+    J = inertia_from_momentum(R_NG, w_G)
+    if J is not None:
+        guesses["momentum"] = second_moments_from_inertia(J)
+    axis = spin_axis(w_G)
+    along = np.outer(axis, axis)
+    # a stretched body has large second moments along its axis and a small moment of inertia about it
+    guesses["prolate"] = np.eye(3) + 1.5 * along
+    guesses["oblate"] = np.eye(3) - 0.6 * along
+    side = wobble_axis(w_G, axis)
+    guesses["flat across"] = np.eye(3) + 1.0 * along - 0.5 * np.outer(side, side)
+    return guesses
+
+
+def inertia_from_momentum(R_NG: Array, w_G: Array) -> Array | None:
+    """J (3, 3) for which R J w is most nearly constant, I + D with a unit prior on D; None when impossible.
+
+    The momentum itself is eliminated by its mean. The noise of the rates, from their second differences, sets
+    how much the data may say against the sphere.
+    """
+    if len(w_G) < 4:
+        return None
+    x, y, z = w_G[:, 0], w_G[:, 1], w_G[:, 2]
+    o = np.zeros_like(x)
+    columns = [[x, o, o, y, z, o], [o, y, o, x, o, z], [o, o, z, o, x, y]]
+    h = R_NG @ np.stack([np.stack(row, axis=-1) for row in columns], axis=1)
+    rows = (h - h.mean(axis=0)).reshape(-1, 6)
+    curvature = np.diff(w_G, 2, axis=0)
+    noise = np.median(np.abs(curvature)) / 0.6745 / np.sqrt(6.0) + 1e-6
+    sphere = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    normal = rows.T @ rows + noise**2 * np.eye(6)
+    a, b, c, d, e, f = sphere + np.linalg.solve(normal, -rows.T @ (rows @ sphere))
+    J = np.array([[a, d, e], [d, b, f], [e, f, c]])
+    values = np.linalg.eigvalsh(J)
+    return J if values[0] > 0.0 and values[0] + values[1] > values[2] else None
+
+
+def spin_axis(w_G: Array) -> Array:
+    """Principal direction (3,) of the rates."""
+    _, vectors = np.linalg.eigh(w_G.T @ w_G + 1e-12 * np.eye(3))
+    return np.asarray(vectors[:, -1])
+
+
+def wobble_axis(w_G: Array, axis: Array) -> Array:
+    """Direction (3,) across the spin in which the rates vary most."""
+    across = w_G @ (hat(axis) @ hat(axis))
+    _, vectors = np.linalg.eigh(
+        across.T @ across + 1e-12 * np.diag([1.0, 0.9, 0.8]) - 1e3 * np.outer(axis, axis)
+    )
+    return np.asarray(vectors[:, -1])

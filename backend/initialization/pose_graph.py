@@ -7,8 +7,7 @@ two links of seven inliers that agree are worth more than one of fifteen. Then a
 
 import numpy as np
 
-from polhode.backend.initialization.link_consensus import closed_triangles, renew_bonds
-from polhode.backend.initialization.smooth_links import smooth_links
+from polhode.backend.initialization.link_consensus import closed_triangles, renew_bonds, smooth_links
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, RelativePoses
 
@@ -144,7 +143,7 @@ def average_poses(
 
 
 def _laplacian_solve(i: Ints, j: Ints, weight: Array, error: Array, n: int, connected: Bools) -> Array:
-    """Least squares of x_i - x_j = error (E, 3), the largest piece's first frame held."""
+    """Least squares of x_i - x_j = error (E, 3), the largest piece's first frame fixed."""
     A = np.zeros((n, n))
     np.add.at(A, (i, i), weight)
     np.add.at(A, (j, j), weight)

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import MotionData, hold
-from polhode.backend.solvers.gauss_newton import GaussNewton, robust_weight
+from polhode.backend.problem.motion_data import MotionData
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.solvers.robust_kernel import robust_weight
 from polhode.lie import Array
 
 MAD_TO_SIGMA = 1.4826
@@ -39,7 +41,9 @@ def estimate_noise(data: MotionData, iterate: Iterate, robust: bool) -> NoiseSca
     ``robust``: median absolute deviation, for data with outliers; otherwise the root of the mean square.
     A landmark seen from several sides is fitted to its u and v; its disparities stay almost free.
     """
-    residuals, (A, p_NG, p_G) = GaussNewton(data).residuals(hold(data, iterate), iterate.vector())
+    residuals, (A, p_NG, p_G) = GaussNewton(data).residuals(
+        linearization_point(data, iterate), iterate.vector()
+    )
     repeated = np.diff(data.start)[data.landmark] >= 2
     if repeated.sum() < LEAST_OBSERVATIONS:
         return NoiseScales(1.0, 1.0)

@@ -17,8 +17,9 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky
 
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import MotionData, hold
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import linearization_point
 
 FLOOR_PSD, CEILING_PSD = 1e-10, 1e-2
 """Below the floor nothing changes within a minute; above the ceiling the body is not free."""
@@ -95,14 +96,14 @@ def level_at(
 ) -> Level:
     """Fit under a level and weigh it; infinite where the fit breaks down."""
     data = replace(data, accel_psd=accel_psd, torque_psd=torque_psd)
-    solver, held = GaussNewton(data), hold(data, iterate)
+    solver, fixed = GaussNewton(data), linearization_point(data, iterate)
     try:
-        solution = solver.solve(held, iterate.vector(), iterations)
-        system = solver.normal_equations(held, solution.x)
+        solution = solver.solve(fixed, iterate.vector(), iterations)
+        system = solver.normal_equations(fixed, solution.x)
         reduced, _, _ = solver.reduced(system)
         half_log_det_dense = float(np.log(np.diagonal(cholesky(reduced, lower=True))).sum())
     except LinAlgError:
         return Level(data, iterate, np.inf)
     half_log_det_marks = 0.5 * float(np.linalg.slogdet(system.C)[1].sum())
-    minus_log_evidence = system.cost + held.half_log_det + half_log_det_dense + half_log_det_marks
+    minus_log_evidence = system.cost + fixed.half_log_det + half_log_det_dense + half_log_det_marks
     return Level(data, iterate.moved_to(solution.x), minus_log_evidence)

@@ -11,9 +11,10 @@ import numpy as np
 from polhode.backend.initialization.rotation_direction import OR_FAST
 from polhode.backend.noise.measurement_noise import NoiseScales, estimate_noise
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import MotionData, hold
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.kernel_scale import widest_useful
+from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.solvers.robust_kernel import widest_useful
 from polhode.errors import RunFailure
 from polhode.lie import Array
 from polhode.records import Bools
@@ -63,7 +64,9 @@ def settle(data: MotionData, iterate: Iterate) -> tuple[MotionData, Kept, Iterat
     kept = prune(data, iterate)
     for _ in range(ROUNDS):
         small = kept.restrict(iterate)
-        solution = GaussNewton(kept.data).solve(hold(kept.data, small), small.vector(), ITERATIONS)
+        solution = GaussNewton(kept.data).solve(
+            linearization_point(kept.data, small), small.vector(), ITERATIONS
+        )
         iterate = kept.expand(small.moved_to(solution.x), iterate)
         kept = prune(data, iterate)
     last = estimate_noise(kept.data, kept.restrict(iterate), robust=False)
@@ -106,5 +109,5 @@ def prune(data: MotionData, iterate: Iterate) -> Kept:
 
 def whitened_residuals(data: MotionData, iterate: Iterate) -> Array:
     """Stereo residuals over their standard deviations (M, 3)."""
-    residuals, _ = GaussNewton(data).residuals(hold(data, iterate), iterate.vector())
+    residuals, _ = GaussNewton(data).residuals(linearization_point(data, iterate), iterate.vector())
     return residuals

@@ -2,8 +2,8 @@
 
 A camera matrix that is off by a hundredth of a pixel, or a matcher that reads every disparity a little short,
 moves the whole target. What such an offset of u, v and disparity does to a point at the target's place is
-added to the covariance of the position; attitude, rates and inertia hardly feel it. The frame G is held where
-the first pose was seen, not where it was: the centre of mass in G is off by the same shift.
+added to the covariance of the position; attitude, rates and inertia hardly feel it. The frame G is fixed
+where the first pose was seen, not where it was: the centre of mass in G is off by the same shift.
 """
 
 from dataclasses import replace

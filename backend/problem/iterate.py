@@ -4,10 +4,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_CAMERA, N_CONSTANTS, N_STATE
-from polhode.backend.problem.inertia import InertiaForm, inertia_from_second_moments
+from polhode.backend.problem.inertia import N_INERTIA, InertiaForm, inertia_from_second_moments
 from polhode.backend.problem.wrench import N_WRENCH
 from polhode.lie import Array, exp_so3
+
+N_POSE = 6
+"""Unknowns of a pose: p_NG [m], theta [rad] in R_NG = R_ref Exp(theta)."""
+N_STATE = 12
+"""Unknowns of a frame: pose, v_N [m/s] of the centre of mass, w_G [rad/s]."""
+N_CAMERA = 6
+"""Errors of the camera's stated pose: shift and rotation along N; unknowns if that pose is noisy."""
+N_CONSTANTS = 3 + N_INERTIA
+"""com_G (3) [m], xi (5) of the inertia."""
+POSE, POSITION, ROTATION = slice(0, 6), slice(0, 3), slice(3, 6)
+VELOCITY, RATE = slice(6, 9), slice(9, 12)
+CAMERA, CAMERA_SHIFT, CAMERA_ROTATION = slice(12, 18), slice(12, 15), slice(15, 18)
+"""Where they stand among the unknowns of a frame."""
+COM, XI = slice(0, 3), slice(3, 8)
+"""Where they stand among the constants."""
 
 
 @dataclass(frozen=True)

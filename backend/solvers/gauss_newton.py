@@ -6,14 +6,15 @@ from time import perf_counter
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.dynamics.kernels import N_CAMERA, N_CONSTANTS, N_STATE, kernel_bend, prior_kernel
+from polhode.backend.dynamics.kernels import prior_kernel
 from polhode.backend.dynamics.residuals import States, add_steps, dynamics_jacobians, dynamics_residuals
 from polhode.backend.problem.inertia import N_INERTIA, inertia_derivative
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import Held, MotionData
+from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE, Iterate
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import LN_MASS, LN_PRIOR, LN_SCALE, wrench_residual
 from polhode.backend.solvers.chain import POSE, eliminate_chain, solve_with_chain
-from polhode.backend.solvers.damping import CONSTANT_SCALE, Damping
+from polhode.backend.solvers.linearization_point import LinearizationPoint
+from polhode.backend.solvers.robust_kernel import kernel_bend, robust_cost, robust_weight
 from polhode.backend.solvers.schur import (
     back_substitute,
     stereo_normal_equations,
@@ -31,6 +32,36 @@ AT_REST, REST_ITERATIONS = 1e-6, 8
 which the data tell nothing."""
 SHORTER, ENOUGH = (0.5, 0.25, 0.125, 0.0625), 0.1
 """Parts of a step that are tried, and the share of the decrease by the slope that each must bring."""
+DAMPING_FLOOR = 1e-8
+MOST_DAMPED, MOST_FIRM = 1e8, 1e5
+CONSTANT_SCALE = np.repeat([0.01, 0.1], [3, N_INERTIA])
+"""Of com_G [m] and xi."""
+
+
+@dataclass(frozen=True)
+class Damping:
+    """What keeps a step short. Either grows when a step is refused, and both are tried.
+
+    Given the constants the states are stiff but almost linear: then only the constants need damping, and the
+    states follow them freely. Far from the solution everything may go too far.
+    """
+
+    of_all: float = DAMPING_FLOOR
+    """In units of the Hessian's diagonal (Marquardt)."""
+    of_constants: float = 0.0
+    """In units of ``CONSTANT_SCALE``."""
+
+    def more(self, times: int) -> "list[Damping]":
+        """What to try when steps were refused so many times; nothing when they cannot be made shorter."""
+        firm = max(self.of_constants, 1e-3) * 100.0**times
+        stiff = max(self.of_all, 1e-6) * 4.0**times * 2.0 ** (times * (times - 1) // 2)
+        firmer = [Damping(of_constants=firm)] if firm < MOST_FIRM else []
+        return firmer + ([Damping(of_all=stiff)] if stiff < MOST_DAMPED else [])
+
+    def less(self) -> "Damping":
+        """What to begin the next iteration with."""
+        of_constants = 0.01 * self.of_constants
+        return Damping(max(DAMPING_FLOOR, 0.1 * self.of_all), of_constants if of_constants > 0.01 else 0.0)
 
 
 @dataclass(frozen=True)
@@ -38,7 +69,7 @@ class Solution:
     """What a solver hands back; the grid of solvers shares it."""
 
     x: Array
-    """vector of the unknowns around the reference that was held"""
+    """vector of the unknowns around the reference that was fixed"""
     cost: float
     iterations: int
     converged: bool
@@ -81,14 +112,16 @@ class GaussNewton:
         self.line_search = line_search
         self._prior = prior_kernel(data.form)
 
-    def solve(self, held: Held, x: Array, max_iterations: int, max_seconds: float = np.inf) -> Solution:
+    def solve(
+        self, fixed: LinearizationPoint, x: Array, max_iterations: int, max_seconds: float = np.inf
+    ) -> Solution:
         """Minimise from x; each iteration one damped step."""
         begin = perf_counter()
         damping = Damping()
-        system = self.normal_equations(held, x)
+        system = self.normal_equations(fixed, x)
         converged, iteration, resting = False, 0, 0
         for iteration in range(1, max_iterations + 1):
-            found = self._descend(held, x, system, damping)
+            found = self._descend(fixed, x, system, damping)
             if found is None:
                 return Solution(x, system.cost, iteration, True, "no further decrease")
             x, cost, damping = found
@@ -101,11 +134,11 @@ class GaussNewton:
             if perf_counter() - begin > max_seconds:
                 return Solution(x, float(cost), iteration, False, TIME_LIMIT)
             if iteration < max_iterations:
-                system = self.normal_equations(held, x)
+                system = self.normal_equations(fixed, x)
         return Solution(x, float(cost), iteration, converged, "converged" if converged else ITERATION_LIMIT)
 
     def _descend(
-        self, held: Held, x: Array, system: NormalEquations, damping: Damping
+        self, fixed: LinearizationPoint, x: Array, system: NormalEquations, damping: Damping
     ) -> tuple[Array, float, Damping] | None:
         """A point of no higher cost, that cost and the damping that led there; None when there is none."""
         trials, refused = [damping], 0
@@ -113,85 +146,87 @@ class GaussNewton:
             best, least = None, system.cost * (1.0 + 1e-13)
             for trial in trials:
                 step = self._step(system, trial)
-                candidate, cost = x + step, self._cost_there(held, x + step)
+                candidate, cost = x + step, self._cost_there(fixed, x + step)
                 if self.line_search and refused == 0 and not cost <= least:
-                    candidate, cost = self._shorter(held, x, system, step)
+                    candidate, cost = self._shorter(fixed, x, system, step)
                 if np.isfinite(cost) and cost <= least:
                     best, least = (candidate, float(cost), trial), cost
             if best is not None:
                 return best
             refused += 1
             trials = damping.more(refused)
-            if held.reference.wrench is not None:
+            if fixed.reference.wrench is not None:
                 # a wrench's unknowns bend the valley too: firm states alone follow it
                 trials = [trial for trial in trials if trial.of_constants == 0.0]
         return None
 
-    def _shorter(self, held: Held, x: Array, system: NormalEquations, step: Array) -> tuple[Array, float]:
+    def _shorter(
+        self, fixed: LinearizationPoint, x: Array, system: NormalEquations, step: Array
+    ) -> tuple[Array, float]:
         """The longest of SHORTER parts of a step that decreases the cost enough (Armijo); else no cost."""
         slope = float(system.g @ step[: len(system.g)] + system.h.ravel() @ step[len(system.g) :])
         for length in SHORTER:
-            cost = self._cost_there(held, x + length * step)
+            cost = self._cost_there(fixed, x + length * step)
             if cost <= system.cost + ENOUGH * length * slope:
                 return x + length * step, cost
         return x, np.inf
 
-    def _cost_there(self, held: Held, x: Array) -> float:
+    def _cost_there(self, fixed: LinearizationPoint, x: Array) -> float:
         """The objective where a wild step may have left the range of the exponential: refused like any."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return self.cost(held, x)
+            return self.cost(fixed, x)
 
-    def cost(self, held: Held, x: Array) -> float:
+    def cost(self, fixed: LinearizationPoint, x: Array) -> float:
         """The objective."""
-        residuals, _ = self.residuals(held, x)
+        residuals, _ = self.residuals(fixed, x)
         total = robust_cost(np.sum(residuals**2, axis=1), self.data.robust_scale)
-        n = held.reference.n_states
-        total += self.dynamics_cost(held, x)
-        total += float(self._prior(x[n : n + 8], held.prior)[0])
-        total += self.camera_cost(held, x) + self.wrench_cost(held, x)
-        return total + 0.5 * float(np.sum(held.gauge_information * self._gauge_offset(held, x) ** 2))
+        n = fixed.reference.n_states
+        total += self.dynamics_cost(fixed, x)
+        total += float(self._prior(x[n : n + 8], fixed.prior)[0])
+        total += self.camera_cost(fixed, x) + self.wrench_cost(fixed, x)
+        return total + 0.5 * float(np.sum(fixed.gauge_information * self._gauge_offset(fixed, x) ** 2))
 
-    def dynamics_cost(self, held: Held, x: Array) -> float:
+    def dynamics_cost(self, fixed: LinearizationPoint, x: Array) -> float:
         """The part of the objective that the dynamics contribute."""
         if not self.with_dynamics:
             return 0.0
-        states, at = self.states(held, x)
-        residuals = dynamics_residuals(states, held.steps, at.J_G(self.data.form))
+        states, at = self.states(fixed, x)
+        residuals = dynamics_residuals(states, fixed.steps, at.J_G(self.data.form))
         return 0.5 * float(np.sum(residuals**2))
 
-    def camera_cost(self, held: Held, x: Array) -> float:
+    def camera_cost(self, fixed: LinearizationPoint, x: Array) -> float:
         """The part of the objective that the errors of the camera's pose contribute."""
-        return 0.5 * float(np.sum(held.camera_information * camera_errors(held, x) ** 2))
+        return 0.5 * float(np.sum(fixed.camera_information * camera_errors(fixed, x) ** 2))
 
-    def wrench_cost(self, held: Held, x: Array) -> float:
+    def wrench_cost(self, fixed: LinearizationPoint, x: Array) -> float:
         """The part of the objective that what is known of a wrench's unknowns contributes."""
-        return 0.5 * float(np.sum(self._wrench(held, x)[0] ** 2))
+        return 0.5 * float(np.sum(self._wrench(fixed, x)[0] ** 2))
 
-    def prior_information(self, held: Held, x: Array) -> Array:
+    def prior_information(self, fixed: LinearizationPoint, x: Array) -> Array:
         """Gauss-Newton Hessian (8, 8) of the weak prior on com_G and xi; (19, 19) with a known wrench."""
-        n, c = held.reference.n_states, held.reference.n_constants
+        n, c = fixed.reference.n_states, fixed.reference.n_constants
         cols, rows = np.tril_indices(N_CONSTANTS)
         block = np.zeros((c, c))
-        block[rows, cols] = block[cols, rows] = np.asarray(self._prior(x[n : n + 8], held.prior)[2]).ravel()
+        block[rows, cols] = block[cols, rows] = np.asarray(self._prior(x[n : n + 8], fixed.prior)[2]).ravel()
         logs = np.array([LN_SCALE, LN_MASS]) + N_CONSTANTS if c > N_CONSTANTS else np.zeros(0, dtype=int)
         block[logs, logs] = LN_PRIOR**-2
         return block
 
-    def residuals(self, held: Held, x: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+    def residuals(self, fixed: LinearizationPoint, x: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         """Whitened stereo residuals (M, 3), and A (F, 3, 3), p_NG (F, 3), p_G (L, 3) at x."""
         d = self.data
-        at = held.reference.moved_to(x)
+        at = fixed.reference.moved_to(x)
         A = d.R_RN @ at.R_NG
         p_NG, p_G = np.ascontiguousarray(at.p_NG), np.ascontiguousarray(at.p_G)
         r = stereo_residuals(d.frame, d.landmark, d.uvd_px, d.inv_sigma, d.rig, A, d.R_RN, d.t_R, p_NG, p_G)
         return r, (A, p_NG, p_G)
 
     def normal_equations(
-        self, held: Held, x: Array, weight: Array | None = None, prior: bool = True
+        self, fixed: LinearizationPoint, x: Array, weight: Array | None = None, prior: bool = True
     ) -> NormalEquations:
         """Linearise at x; robust weights unless given (M,). ``prior=False`` leaves prior and gauge out."""
-        d, s, n_states = self.data, held.reference.n_state, held.reference.n_states
-        r, (A, p_NG, p_G) = self.residuals(held, x)
+        d, s, n_states = self.data, fixed.reference.n_state, fixed.reference.n_states
+        r, (A, p_NG, p_G) = self.residuals(fixed, x)
         squares = np.sum(r**2, axis=1)
         # the kernel's curvature speeds up the solution; information given from outside has none
         w = robust_weight(squares, d.robust_scale) if weight is None else weight
@@ -212,16 +247,16 @@ class GaussNewton:
             w,
             bend,
         )
-        n = held.reference.n_dense
+        n = fixed.reference.n_dense
         H, g, total = np.zeros((n, n)), np.zeros(n), robust_cost(squares, d.robust_scale)
         for k in range(d.n_frames):
             H[s * k : s * k + 6, s * k : s * k + 6] += H6[k]
             g[s * k : s * k + 6] += g6[k]
-        total += self._add_dynamics(held, x, H, g)
-        total += self._add_camera(held, x, H, g)
-        total += self._add_wrench(held, x, H, g, prior)
+        total += self._add_dynamics(fixed, x, H, g)
+        total += self._add_camera(fixed, x, H, g)
+        total += self._add_wrench(fixed, x, H, g, prior)
         if prior:
-            total += self._add_prior(held, x, H, g)
+            total += self._add_prior(fixed, x, H, g)
         untouched = np.diagonal(H) == 0.0
         H[untouched, untouched] = 1.0
         return NormalEquations(H, g, C, h, E, total, s)
@@ -256,74 +291,64 @@ class GaussNewton:
         marks = back_substitute(step, d.frame, d.start, system.E, C_inv, -system.h, system.n_state)
         return np.concatenate([step, marks.ravel()])
 
-    def _add_dynamics(self, held: Held, x: Array, H: Array, g: Array) -> float:
+    def _add_dynamics(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array) -> float:
         if not self.with_dynamics:
             return 0.0
-        states, at = self.states(held, x)
+        states, at = self.states(fixed, x)
         form = self.data.form
         dJ = inertia_derivative(form, at.xi, at.R_inertia)
-        residual, jacobian = dynamics_jacobians(states, held.steps, at.J_G(form), dJ)
+        residual, jacobian = dynamics_jacobians(states, fixed.steps, at.J_G(form), dJ)
         add_steps(H, g, residual, jacobian, at.n_state)
         return 0.5 * float(np.sum(residual**2))
 
-    def states(self, held: Held, x: Array) -> tuple[States, Iterate]:
+    def states(self, fixed: LinearizationPoint, x: Array) -> tuple[States, Iterate]:
         """The states as the dynamics read them, and the iterate, at x."""
-        at = held.reference.moved_to(x)
+        at = fixed.reference.moved_to(x)
         of_frames = x[: at.n_states].reshape(-1, at.n_state)
         return States(of_frames, at.R_NG, self.data.camera_N, at.com_G, at.wrench, at.R_torque), at
 
-    def _add_camera(self, held: Held, x: Array, H: Array, g: Array) -> float:
-        error = camera_errors(held, x)
-        slots = np.arange(len(error))[:, None] * held.reference.n_state + N_STATE + np.arange(N_CAMERA)
+    def _add_camera(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array) -> float:
+        error = camera_errors(fixed, x)
+        slots = np.arange(len(error))[:, None] * fixed.reference.n_state + N_STATE + np.arange(N_CAMERA)
         if len(error):
-            H[slots, slots] += held.camera_information
-            g[slots] += held.camera_information * error
-        return self.camera_cost(held, x)
+            H[slots, slots] += fixed.camera_information
+            g[slots] += fixed.camera_information * error
+        return self.camera_cost(fixed, x)
 
-    def _wrench(self, held: Held, x: Array) -> tuple[Array, Array]:
-        at, form = held.reference.moved_to(x), self.data.form
+    def _wrench(self, fixed: LinearizationPoint, x: Array) -> tuple[Array, Array]:
+        at, form = fixed.reference.moved_to(x), self.data.form
         if at.wrench is None or at.R_torque is None:
             return np.zeros(0), np.zeros((0, N_INERTIA))
         dJ = inertia_derivative(form, at.xi, at.R_inertia)
-        return wrench_residual(at.J_G(form), dJ, at.wrench, at.R_torque, held.bias_sigma)
+        return wrench_residual(at.J_G(form), dJ, at.wrench, at.R_torque, fixed.bias_sigma)
 
-    def _add_wrench(self, held: Held, x: Array, H: Array, g: Array, prior: bool) -> float:
-        residual, jacobian = self._wrench(held, x)
+    def _add_wrench(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array, prior: bool) -> float:
+        residual, jacobian = self._wrench(fixed, x)
         if not prior:
             # the logarithms stand last
             residual, jacobian = residual[:-2], jacobian[:-2]
-        at = slice(held.reference.n_states + 3, held.reference.n_states + 3 + jacobian.shape[1])
+        at = slice(fixed.reference.n_states + 3, fixed.reference.n_states + 3 + jacobian.shape[1])
         H[at, at] += jacobian.T @ jacobian
         g[at] += jacobian.T @ residual
         return 0.5 * float(np.sum(residual**2))
 
-    def _add_prior(self, held: Held, x: Array, H: Array, g: Array) -> float:
-        n = held.reference.n_states
-        cost, gradient, _ = self._prior(x[n : n + 8], held.prior)
-        H[n : n + 8, n : n + 8] += self.prior_information(held, x)[:8, :8]
+    def _add_prior(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array) -> float:
+        n = fixed.reference.n_states
+        cost, gradient, _ = self._prior(x[n : n + 8], fixed.prior)
+        H[n : n + 8, n : n + 8] += self.prior_information(fixed, x)[:8, :8]
         g[n : n + 8] += np.asarray(gradient).ravel()
-        offset = self._gauge_offset(held, x)
-        H[np.arange(6), np.arange(6)] += held.gauge_information
-        g[:6] += held.gauge_information * offset
-        return float(cost) + 0.5 * float(np.sum(held.gauge_information * offset**2))
+        offset = self._gauge_offset(fixed, x)
+        H[np.arange(6), np.arange(6)] += fixed.gauge_information
+        g[:6] += fixed.gauge_information * offset
+        return float(cost) + 0.5 * float(np.sum(fixed.gauge_information * offset**2))
 
-    def _gauge_offset(self, held: Held, x: Array) -> Array:
-        return np.concatenate([x[:3] - held.reference.p_NG[0], x[3:6]])
+    def _gauge_offset(self, fixed: LinearizationPoint, x: Array) -> Array:
+        return np.concatenate([x[:3] - fixed.reference.p_NG[0], x[3:6]])
 
 
-def camera_errors(held: Held, x: Array) -> Array:
+def camera_errors(fixed: LinearizationPoint, x: Array) -> Array:
     """Errors (F, 6) of the camera's stated poses in the unknowns x; (0, 6) where these are exact."""
-    s = held.reference.n_state
+    s = fixed.reference.n_state
     if s == N_STATE:
         return np.zeros((0, N_CAMERA))
-    return np.asarray(x[: held.reference.n_states].reshape(-1, s)[:, N_STATE:])
-
-
-def robust_cost(s: Array, scale: float) -> float:
-    """Cauchy: sum of 0.5 c^2 ln(1 + s / c^2) over squared norms s (M,)."""
-    return float(0.5 * scale**2 * np.log1p(s / scale**2).sum())
-
-
-def robust_weight(s: Array, scale: float) -> Array:
-    """Derivative of the Cauchy kernel: 1 / (1 + s / c^2)."""
-    return np.asarray(1.0 / (1.0 + s / scale**2))
+    return np.asarray(x[: fixed.reference.n_states].reshape(-1, s)[:, N_STATE:])

@@ -7,19 +7,18 @@ import casadi as ca
 import numpy as np
 
 from polhode.backend.dynamics.kernels import (
-    N_CAMERA,
-    N_CONSTANTS,
-    N_STATE,
     Output,
-    hold_kernel,
+    StepLayout,
+    dynamics_kernel,
+    gaussian_prior_kernel,
     prior_kernel,
     wrench_kernel,
 )
-from polhode.backend.dynamics.step_kernels import StepLayout, dynamics_kernel
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import Held, MotionData, series_groups
-from polhode.backend.solvers.assembly import gather, scatter, upper_keys, upper_sparsity
+from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE, Iterate
+from polhode.backend.problem.motion_data import MotionData
+from polhode.backend.solvers.casadi_nlp import gather, scatter, upper_keys, upper_sparsity
 from polhode.backend.solvers.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, Solution
+from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.stereo_terms import FromOutside, StereoTerms
 from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix
@@ -66,7 +65,7 @@ class MotionProgram:
       + 1/2 sum_k || Lambda_k^-1/2 [ r_k+1 - r_k - dt v_k;  v_k+1 - v_k;                            dynamics
                                      Log(dR_k^T R_k^T R_k+1);  w_k+1 - w'_k ] ||^2
       + 1/2 || (com - middle) / s ||^2 + 1/2 || 3 Sigma(xi) / tr Sigma(xi) - I ||^2              weak prior
-      + 1/2 || (p_0 - p_ref,0, theta_0) / gauge ||^2                                           frame G held
+      + 1/2 || (p_0 - p_ref,0, theta_0) / gauge ||^2                                           frame G fixed
       + 1/2 sum_k || (b_k / sigma_p, alpha_k / sigma_theta) ||^2                              camera's poses
       + 1/2 || products of inertia in the torque's axes, biases, logarithms ||^2                known wrench
 
@@ -75,7 +74,7 @@ class MotionProgram:
     one; dR_k, w'_k solve Euler's equation J(xi) w' = -w x J(xi) w over dt from w_k (Taylor series),
     with a known torque over the scale added, and force over mass in the translation;
     rho(s) = c^2/2 ln(1 + s/c^2); Lambda_k solves the Lyapunov equation (4.58) at that rate.
-    R_ref, Lambda, middle and the gauge are parameters, renewed between solves (``problem.hold``).
+    R_ref, Lambda, middle and the gauge are parameters, renewed between solves (``linearization_point``).
 
     Each term of the dynamics and the priors is a small kernel that returns cost, gradient and Gauss-Newton
     Hessian; constant sparse matrices scatter the stacked blocks into the program's gradient and Hessian. The
@@ -91,14 +90,16 @@ class MotionProgram:
         # CasADi holds only a weak hand on them
         self._outside: list[FromOutside] = []
 
-    def solve(self, held: Held, x: Array, max_iterations: int, max_seconds: float = np.inf) -> Solution:
+    def solve(
+        self, fixed: LinearizationPoint, x: Array, max_iterations: int, max_seconds: float = np.inf
+    ) -> Solution:
         """Minimise from x. The program is built at the first call, and when a step needs more series."""
-        if self._solver is None or np.any(held.steps.series > self._series):
-            series = held.steps.series
+        if self._solver is None or np.any(fixed.steps.series > self._series):
+            series = fixed.steps.series
             self._series = np.maximum(series, self._series) if self._solver else series
-            layout = Layout(held.reference, int(self._series.max()))
+            layout = Layout(fixed.reference, int(self._series.max()))
             self._solver = self.build(layout, max_iterations, max_seconds)
-        result = self._solver(x0=x, p=program_parameters(self.data, held, self._series))
+        result = self._solver(x0=x, p=program_parameters(self.data, fixed, self._series))
         stats = self._solver.stats()
         status = str(stats["return_status"])
         good, message = status in GOOD, IN_WORDS.get(status, status)
@@ -165,7 +166,7 @@ class MotionProgram:
         }
 
     def terms(self, x: Any, p: Any, at: "Layout", output: Output) -> list[Term]:
-        """Kernels mapped over their data: dynamics by number of series, priors, what is held."""
+        """Kernels mapped over their data: dynamics by number of series, priors, what is fixed."""
         d, s, step = self.data, at.n_state, at.step
         of_constants = s * d.n_frames + np.arange(step.n_constants)
         terms = []
@@ -185,13 +186,15 @@ class MotionProgram:
         body = of_constants[None, :N_CONSTANTS]
         prior = prior_kernel(d.form, output)
         terms.append(Term(body, *prior.call([gather(x, body), p[at.prior : at.prior + 13]])))
-        hold = hold_kernel(output)
+        gaussian_prior = gaussian_prior_kernel(output)
         gauge = np.arange(6)[None]
-        terms.append(Term(gauge, *hold.call([gather(x, gauge), p[at.gauge : at.gauge + 12]])))
+        terms.append(Term(gauge, *gaussian_prior.call([gather(x, gauge), p[at.gauge : at.gauge + 12]])))
         if s > N_STATE:
             errors = s * np.arange(d.n_frames)[:, None] + N_STATE + np.arange(N_CAMERA)
-            held = ca.repmat(p[at.camera : at.camera + 12], 1, d.n_frames)
-            terms.append(Term(errors, *hold.map(d.n_frames).call([gather(x, errors), held])))
+            camera_prior = ca.repmat(p[at.camera : at.camera + 12], 1, d.n_frames)
+            terms.append(
+                Term(errors, *gaussian_prior.map(d.n_frames).call([gather(x, errors), camera_prior]))
+            )
         if step.pushed:
             unknowns, wrench = of_constants[None, 3:], wrench_kernel(d.form, output)
             terms.append(Term(unknowns, *wrench.call([gather(x, unknowns), p[at.wrench : at.wrench + 20]])))
@@ -214,39 +217,44 @@ class Layout:
         self.n_p = self.wrench + 20
 
 
-def program_parameters(data: MotionData, held: Held, series: Ints) -> Array:
+def program_parameters(data: MotionData, fixed: LinearizationPoint, series: Ints) -> Array:
     """Values of the parameters, as ``Layout`` orders them."""
-    reference = held.reference
+    reference = fixed.reference
     torque, wrench = np.zeros(0), np.zeros(20)
     if reference.wrench is not None and reference.R_torque is not None and data.impulses is not None:
         # by columns: each series has its six numbers together
         torque = data.impulses.torque(series).ravel()
         axes = [reference.R_inertia.T.ravel(), reference.R_torque.T.ravel()]
-        wrench = np.concatenate([*axes, held.bias_sigma])
+        wrench = np.concatenate([*axes, fixed.bias_sigma])
     return np.concatenate(
         [
-            np.swapaxes(held.A, 1, 2).ravel(),
-            dynamics_parameters(data, held).ravel(),
+            np.swapaxes(fixed.A, 1, 2).ravel(),
+            dynamics_parameters(data, fixed).ravel(),
             torque,
-            held.prior,
-            *(reference.p_NG[0], np.zeros(3), held.gauge_information),
-            *(np.zeros(N_CAMERA), held.camera_information),
+            fixed.prior,
+            *(reference.p_NG[0], np.zeros(3), fixed.gauge_information),
+            *(np.zeros(N_CAMERA), fixed.camera_information),
             wrench,
         ]
     )
 
 
-def dynamics_parameters(data: MotionData, held: Held) -> Array:
+def dynamics_parameters(data: MotionData, fixed: LinearizationPoint) -> Array:
     """Parameters (F - 1, n_p) of the steps, as ``step_kernels.StepLayout`` orders them."""
-    at, W_t, n = held.reference, held.steps.W_t, data.n_frames - 1
+    at, W_t, n = fixed.reference, fixed.steps.W_t, data.n_frames - 1
     by_columns = np.swapaxes(at.R_NG, 1, 2).reshape(-1, 9)
     inertia = np.broadcast_to(at.R_inertia.T.ravel(), (n, 9))
     q01 = wxyz_from_matrix(np.swapaxes(at.R_NG[:-1], 1, 2) @ at.R_NG[1:])
     lower = np.stack([W_t[:, 0, 0], W_t[:, 1, 0], W_t[:, 1, 1]], axis=1)
-    whiten = np.swapaxes(held.steps.W_r, 1, 2).reshape(-1, 36)
+    whiten = np.swapaxes(fixed.steps.W_r, 1, 2).reshape(-1, 36)
     columns = [by_columns[:-1], by_columns[1:], inertia, q01, data.dt_s[:, None], lower, whiten]
     if at.n_state > N_STATE:
         columns += [data.camera_N[:-1], data.camera_N[1:]]
-    if at.R_torque is not None and held.steps.of_force is not None:
-        columns += [np.broadcast_to(at.R_torque.T.ravel(), (n, 9)), held.steps.of_force.reshape(n, 6)]
+    if at.R_torque is not None and fixed.steps.of_force is not None:
+        columns += [np.broadcast_to(at.R_torque.T.ravel(), (n, 9)), fixed.steps.of_force.reshape(n, 6)]
     return np.concatenate(columns, axis=1)
+
+
+def series_groups(series: Ints) -> list[tuple[int, Ints]]:
+    """Intervals that share a number of Taylor series: (number, indices)."""
+    return [(int(n), np.flatnonzero(series == n)) for n in np.unique(series)]

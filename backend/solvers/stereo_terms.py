@@ -10,9 +10,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from polhode.backend.dynamics.kernels import kernel_bend
-from polhode.backend.problem.problem import MotionData
-from polhode.backend.solvers.gauss_newton import robust_cost, robust_weight
+from polhode.backend.problem.motion_data import MotionData
+from polhode.backend.solvers.robust_kernel import kernel_bend, robust_cost, robust_weight
 from polhode.backend.solvers.schur import stereo_normal_equations, stereo_residuals
 from polhode.lie import Array, exp_so3, right_jacobian_so3
 from polhode.records import Ints

@@ -1,31 +1,27 @@
 """Covariance of everything reported, from the Gauss-Newton information at the solution.
 
-The information is singular: G and its landmarks may move together. G is held at its true first pose.
+The information is singular: G and its landmarks may move together. G is fixed at its true first pose.
 What does not depend on that choice (r_N, v_N, the attitude of the principal axes, w_P) gets its absolute
-covariance: the camera's frame is known; with G held, the landmarks carry the uncertainty of the first pose.
+covariance: the camera's frame is known; with G fixed, the landmarks carry the uncertainty of the first pose.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
 from polhode.backend.dynamics.residuals import States, state_derivatives
-from polhode.backend.problem.inertia import InertiaForm, inertia_from_second_moments, principal_axes
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import Held
-from polhode.backend.problem.wrench import LN_MASS, LN_SCALE, TURN
+from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE, Iterate
+from polhode.backend.problem.wrench import LN_MASS, LN_SCALE
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.kernel_scale import efficiency
+from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.schur import landmark_covariances, mirror
+from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 from polhode.records import Bools
 
 N_GAUGE = 6
-SMALLEST_GAP = 1e-6
-"""Least difference of two moments (middle one 1) in the derivative of the axes."""
 
 
 @dataclass(frozen=True)
@@ -44,13 +40,13 @@ class Marginals:
     """(s F, 8) how the states follow when com_G and xi are changed and everything else is fitted again"""
 
 
-def marginals(solver: GaussNewton, held: Held, x: Array, weight: Array) -> Marginals:
+def marginals(solver: GaussNewton, fixed: LinearizationPoint, x: Array, weight: Array) -> Marginals:
     """Invert the information at x; weight (M,) is the information that each observation contributes."""
-    bare = solver.normal_equations(held, x, weight, prior=False)
+    bare = solver.normal_equations(fixed, x, weight, prior=False)
     S, _, C_inv = solver.reduced(bare)
     mirror(S)
-    n, n_states, first = len(S), held.reference.n_states, N_GAUGE
-    follow = _first_pose_follows(held.reference.moved_to(x), solver.data.camera_N)
+    n, n_states, first = len(S), fixed.reference.n_states, N_GAUGE
+    follow = _first_pose_follows(fixed.reference.moved_to(x), solver.data.camera_N)
     _substitute_first_pose(S, follow)
     of_states = np.asfortranarray(S[first:n_states, first:n_states])
     factor = cho_factor(of_states, lower=True, overwrite_a=True, check_finite=False)
@@ -58,7 +54,7 @@ def marginals(solver: GaussNewton, held: Held, x: Array, weight: Array) -> Margi
     response[first:] = -cho_solve(factor, S[first:n_states, n_states:], check_finite=False)
     information = S[n_states:, n_states:] + S[n_states:, first:n_states] @ response[first:]
     information = 0.5 * (information + information.T)
-    prior = solver.prior_information(held, x)
+    prior = solver.prior_information(fixed, x)
     constants = np.linalg.inv(information + prior)
     dense = np.zeros((n, n))
     dense[first:n_states, first:n_states] = _inverse(factor[0])
@@ -98,7 +94,7 @@ def _with_constants(
 
 
 def _first_pose_follows(iterate: Iterate, camera_N: Array) -> Array:
-    """How the first pose (6) moves with the errors (0 or 6) of the camera's, while the true one is held."""
+    """How the first pose (6) moves with the errors (0 or 6) of the camera's, while the true one is fixed."""
     if iterate.camera is None:
         return np.zeros((N_GAUGE, 0))
     alpha = iterate.camera[0, 3:]
@@ -121,57 +117,6 @@ def _inverse(cholesky: Array) -> Array:
     """Inverse, lower triangle, of a matrix from its lower factor by columns, which is overwritten."""
     inverse, _ = dpotri(cholesky, lower=1, overwrite_c=1)
     return np.asarray(inverse)
-
-
-@dataclass(frozen=True)
-class AxesDerivative:
-    """Moments and axes of J_G with their derivatives in xi (delta method)."""
-
-    moments: Array
-    R_GP: Array
-    ratios: Array
-    """(2, 5) d(k1, k2) / d xi"""
-    axes: Array
-    """(3, 5) d theta / d xi, theta in R_GP Exp(theta)"""
-    ln_middle: Array = field(default_factory=lambda: np.zeros(5))
-    """(5,) d ln(middle moment of J of unit second moments) / d xi"""
-
-
-def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
-    """First-order change of moments and axes; nearly equal moments give large, finite derivatives.
-
-    Where a known torque acts its axes set the half-turn of the principal ones.
-    """
-    J = iterate.J_G(form)
-    moments, R = principal_axes(J)
-    if iterate.wrench is not None and iterate.R_torque is not None:
-        R = R @ _nearest_half_turn(R.T @ iterate.R_torque @ exp_so3(iterate.wrench[TURN]))
-    values = np.diag(R.T @ J @ R)
-    ratios, axes, ln_middle = np.zeros((2, 5)), np.zeros((3, 5)), np.zeros(5)
-    step = 1e-6
-    for n in range(5):
-        change = np.zeros(5)
-        change[n] = step
-        after = inertia_from_second_moments(form.second_moments(iterate.xi + change, iterate.R_inertia))
-        before = inertia_from_second_moments(form.second_moments(iterate.xi - change, iterate.R_inertia))
-        M = R.T @ (after - before) @ R / (2.0 * step)
-        relative = np.diag(M) / values
-        ratios[:, n] = relative[0] - relative[1], relative[1] - relative[2]
-        ln_middle[n] = relative[1]
-        axes[0, n] = M[2, 1] / _gap(values[1] - values[2], values[1])
-        axes[1, n] = -M[0, 2] / _gap(values[0] - values[2], values[1])
-        axes[2, n] = M[1, 0] / _gap(values[0] - values[1], values[1])
-    return AxesDerivative(moments, R, ratios, axes, ln_middle)
-
-
-def _nearest_half_turn(R: Array) -> Array:
-    """Of the identity and the half-turns about x, y, z, as diagonal matrices, the one nearest to R (3, 3)."""
-    signs = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-    return np.diag(signs[np.argmax(signs @ np.diag(R))])
-
-
-def _gap(difference: float, middle: float) -> float:
-    return max(difference, SMALLEST_GAP * middle)
 
 
 def body_jacobians(iterate: Iterate, camera_N: Array | None = None) -> Array:
@@ -255,15 +200,6 @@ def last_body_covariance(iterate: Iterate, m: Marginals, camera_N: Array | None 
     Free of the principal axes, so it stays finite where they are undetermined; the prior bounds the rest.
     """
     return state_covariances(iterate, m, body_jacobians(iterate, camera_N))[1]
-
-
-def robust_information(s: Array, scale: float) -> Array:
-    """Information (M,) that each observation contributes under the Cauchy kernel, s its squared norm.
-
-    The kernel's efficiency, shared out in proportion to the weights.
-    """
-    w = 1.0 / (1.0 + s * (3.0 / max(float(np.mean(s)), 1e-12)) / scale**2)
-    return np.asarray(w / np.mean(w) * efficiency(s, scale))
 
 
 def with_infinite(covariance: Array, lost: Bools) -> Array:

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from polhode.backend.uncertainty.covariance import AxesDerivative
-from polhode.backend.uncertainty.equal_moments import of_free_turn, ratio_covariance
+from polhode.backend.uncertainty.principal_axes import AxesDerivative, of_free_turn, ratio_covariance
 from polhode.lie import Array
 from polhode.records import Bools, Identifiability
 

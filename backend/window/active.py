@@ -4,13 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
 from polhode.backend.problem.inertia import InertiaForm
-from polhode.backend.window.dense import add_block, others
+from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
 from polhode.backend.window.frame import Frame, states_of
 from polhode.backend.window.links import NO_LINKS, Links, link_jacobians
-from polhode.backend.window.quadratic import Quadratic, eliminate
-from polhode.backend.window.vision import N_POSE
+from polhode.backend.window.quadratic import Quadratic, add_block, eliminate, others
 from polhode.lie import Array
 from polhode.records import Ints
 

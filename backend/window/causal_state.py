@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
 from polhode.backend.problem.inertia import InertiaForm
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.uncertainty.covariance import axes_derivative, state_jacobian, with_infinite
-from polhode.backend.uncertainty.equal_moments import of_free_turn
+from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE, Iterate
+from polhode.backend.uncertainty.covariance import state_jacobian, with_infinite
 from polhode.backend.uncertainty.identifiability import analyse, undetermined_states
+from polhode.backend.uncertainty.principal_axes import axes_derivative, of_free_turn
 from polhode.backend.window.frame import Frame
 from polhode.lie import Array, make_pose
 from polhode.records import Bools

@@ -7,17 +7,15 @@ from scipy.linalg import LinAlgError
 
 from polhode.backend.window.add_frame import first_frame, next_frame
 from polhode.backend.window.causal_state import OnlineState, online_state, unknown_state
-from polhode.backend.window.disturbance_level import estimate_levels
 from polhode.backend.window.estimator_state import Belief, new_belief
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements
 from polhode.backend.window.history import History
 from polhode.backend.window.ipopt import IpoptSolver
 from polhode.backend.window.marginalize import release
-from polhode.backend.window.multistart import choose_basin
 from polhode.backend.window.newton import NewtonSolver
-from polhode.backend.window.pixel_noise import estimate_noise
+from polhode.backend.window.noise_levels import estimate_levels, estimate_noise
 from polhode.backend.window.problem import WindowSolver
-from polhode.backend.window.steps import expand_arrival, solve_whole, solve_window
+from polhode.backend.window.solve import choose_basin, expand_arrival, solve_whole, solve_window
 from polhode.camera import RectifiedRig
 from polhode.config.backend import Backend
 from polhode.lie import Array
@@ -107,7 +105,7 @@ class SlidingWindow:
         """From now on an arrival cost stands for the history."""
         expand_arrival(belief, history)
         for frame in (*belief.active.keys, belief.active.recent[0]):
-            frame.hold()
+            frame.fix_linearization()
         belief.history = None
 
     def _look_around(self, belief: Belief, history: History) -> None:

@@ -5,10 +5,11 @@ from operator import is_
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS
 from polhode.backend.dynamics.propagation import flows, series_steps
 from polhode.backend.problem.inertia import inertia_from_second_moments
-from polhode.backend.problem.problem import COM_PRIOR_M, geometric_median
+from polhode.backend.problem.iterate import N_CONSTANTS
+from polhode.backend.solvers.linearization_point import COM_PRIOR_M, geometric_median
+from polhode.backend.solvers.robust_kernel import robust_gain
 from polhode.backend.window.active import Active
 from polhode.backend.window.causal_state import LastInformation
 from polhode.backend.window.frame import CameraNoise
@@ -16,7 +17,7 @@ from polhode.backend.window.history import History
 from polhode.backend.window.landmarks import LandmarkSlots
 from polhode.backend.window.links import Disturbances, make_links
 from polhode.backend.window.problem import Shape
-from polhode.backend.window.vision import Condensed, Sight, condense, poses_of, robust_gain, sight_of
+from polhode.backend.window.vision import Condensed, Sight, condense, poses_of, sight_of
 from polhode.camera import RectifiedRig
 from polhode.config.backend import Backend
 from polhode.lie import Array

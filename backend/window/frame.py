@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_STATE
 from polhode.backend.dynamics.so3_exp import turns
+from polhode.backend.problem.iterate import N_STATE
 from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, StereoTracks
 
@@ -104,7 +104,7 @@ class Frame:
     """(6, 6) of the seen pose minus the true one; None: the camera's own pose is exact"""
     seen: Array = field(init=False)
     """(6,) p_NG, theta as the camera sees it from where it is said to be; without noise a part of x"""
-    held: Array | None = None
+    linearized_at: Array | None = None
     """(6,) the seen pose at which vision is linearised, once the arrival cost depends on it"""
 
     def __post_init__(self) -> None:
@@ -122,16 +122,16 @@ class Frame:
 
     def settle(self) -> None:
         """Make the present attitude the reference, as long as nothing else depends on the reference."""
-        if self.held is None and np.any(self.x[3:6]):
+        if self.linearized_at is None and np.any(self.x[3:6]):
             R_NG, R_seen = self.R_NG, self.X_NG_seen[:3, :3]
             self.R_ref, self.x[3:6] = R_NG, 0.0
             if self.camera_information is not None:
                 self.seen[3:6] = log_so3(R_NG.T @ R_seen)
 
-    def hold(self) -> None:
+    def fix_linearization(self) -> None:
         """From now on vision is linearised at the present pose (first-estimate Jacobians)."""
-        if self.held is None:
-            self.held = self.seen.copy()
+        if self.linearized_at is None:
+            self.linearized_at = self.seen.copy()
 
     def keep(self, chosen: Bools) -> None:
         """Leave out the observations that are not ``chosen`` (m,)."""

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
 from polhode.backend.problem.inertia import InertiaForm
+from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
 from polhode.backend.window.active import Active, add_parts, camera_part
-from polhode.backend.window.dense import add_block, others
 from polhode.backend.window.frame import Frame
 from polhode.backend.window.links import NO_LINKS, Disturbances, Links, add_links, link_jacobians, make_links
-from polhode.backend.window.quadratic import Elimination, Quadratic, eliminate
-from polhode.backend.window.vision import N_POSE, Condensed
+from polhode.backend.window.quadratic import Elimination, Quadratic, add_block, eliminate, others
+from polhode.backend.window.vision import Condensed
 from polhode.lie import Array
 from polhode.records import Ints
 

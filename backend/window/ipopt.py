@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE, Output, prior_kernel
-from polhode.backend.dynamics.step_kernels import dynamics_kernel
+from polhode.backend.dynamics.kernels import Output, dynamics_kernel, prior_kernel
 from polhode.backend.problem.inertia import InertiaForm
+from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.backend.solvers.gauss_newton import Solution
 from polhode.backend.solvers.ipopt import GOOD
 from polhode.backend.window.problem import WindowProblem

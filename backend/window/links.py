@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE
 from polhode.backend.dynamics.process_noise import whitening
 from polhode.backend.dynamics.propagation import series_steps
 from polhode.backend.dynamics.residuals import States, Steps, dynamics_jacobians, dynamics_residuals
 from polhode.backend.dynamics.so3_exp import turns
 from polhode.backend.problem.inertia import InertiaForm, inertia_derivative, inertia_from_second_moments
+from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -20,7 +20,7 @@ class Links:
 
     steps: Steps
     half_log_det: float
-    """Normalisation of the process noise, as ``problem.Held`` has it; of all steps that were made at once"""
+    """Normalization of the process noise, as in ``LinearizationPoint``; of all steps made at once"""
 
     def __len__(self) -> int:
         return len(self.steps.dt_s)

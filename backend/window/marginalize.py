@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from polhode.backend.problem.iterate import N_POSE
 from polhode.backend.window.estimator_state import Belief
-from polhode.backend.window.vision import GATE, N_POSE, Poses, Sight, information_of, poses_of, residuals
+from polhode.backend.window.vision import GATE, Poses, Sight, information_of, poses_of, residuals
 from polhode.lie import Array
 
 
@@ -50,7 +51,7 @@ def _marginalize(belief: Belief, dropped: int | None) -> None:
     active.shift()
     active.links = active.links.part(slice(1, None))
     for frame in (active.keys[-1], active.recent[0]):
-        frame.hold()
+        frame.fix_linearization()
 
 
 def _condense(belief: Belief, k: int) -> tuple[Array, Array]:
@@ -61,7 +62,7 @@ def _condense(belief: Belief, k: int) -> tuple[Array, Array]:
     p_G = belief.landmarks.p_G[sight.slot]
     H, g = information_of(k, sight, poses, belief.rig_vector, p_G, belief.robust_scale, belief.gain)
     for frame in frames:
-        frame.hold()
+        frame.fix_linearization()
     return H, g
 
 

@@ -5,9 +5,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS, N_STATE, prior_kernel
+from polhode.backend.dynamics.kernels import prior_kernel
 from polhode.backend.dynamics.residuals import add_steps
 from polhode.backend.problem.inertia import FORMS, InertiaForm
+from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.backend.solvers.gauss_newton import Solution
 from polhode.backend.window.links import Links, link_jacobians, link_residuals
 from polhode.backend.window.quadratic import Quadratic

@@ -1,11 +1,11 @@
-"""Gaussian information about a vector, and what is left of it when a part of the vector is eliminated."""
+"""Gaussian information about a vector, its marginals, and blocks of dense symmetric matrices."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from polhode.backend.window.dense import block_of
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -67,3 +67,39 @@ def eliminate(H: Array, g: Array, gone: Ints, kept: Ints) -> Elimination:
     from_kept, from_force = np.ascontiguousarray(across[:, :-1]), across[:, -1]
     left -= from_kept.T @ from_kept
     return Elimination(left, force - from_kept.T @ from_force, factor, across)
+
+
+@compiled
+def add_block(H: Array, entries: Ints, block: Array) -> None:
+    """H[entries, entries] += block (n, n), in place."""
+    n = len(entries)
+    for a in range(n):
+        row = entries[a]
+        for b in range(n):
+            H[row, entries[b]] += block[a, b]
+
+
+@compiled
+def block_of(H: Array, rows: Ints, columns: Ints) -> Array:
+    """H[rows, columns] (n, m)."""
+    out = np.empty((len(rows), len(columns)))
+    for a in range(len(rows)):
+        row = rows[a]
+        for b in range(len(columns)):
+            out[a, b] = H[row, columns[b]]
+    return out
+
+
+@compiled
+def mirror_lower(S: Array) -> None:
+    """Copy the lower triangle to the upper one, in place."""
+    for a in range(len(S)):
+        for b in range(a):
+            S[b, a] = S[a, b]
+
+
+def others(entries: Ints, size: int) -> Ints:
+    """The numbers below ``size`` that are not among the entries."""
+    rest = np.ones(size, bool)
+    rest[entries] = False
+    return np.flatnonzero(rest)

@@ -4,17 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polhode.compiled import compiled
 from polhode.backend.dynamics.so3_exp import right_jacobians, turns
-from polhode.backend.solvers.gauss_newton import robust_weight
+from polhode.backend.solvers.robust_kernel import robust_weight
 from polhode.backend.solvers.schur import (
     back_substitute,
     stereo_normal_equations,
     stereo_residuals,
     subtract_landmarks,
 )
-from polhode.backend.window.dense import mirror_lower
 from polhode.backend.window.frame import Frame
-from polhode.compiled import compiled
+from polhode.backend.window.quadratic import mirror_lower
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 
@@ -85,8 +85,8 @@ class Poses:
     p_NG: Array
     A: Array
     """(F, 3, 3) R_RN R_NG"""
-    p_held: Array
-    A_held: Array
+    p_linearized: Array
+    A_linearized: Array
     Jr: Array
     """(F, 3, 3) right Jacobian at the held theta"""
 
@@ -95,15 +95,15 @@ def poses_of(frames: list[Frame]) -> Poses:
     """Stack the frames' poses."""
     R_RN, R_ref = np.stack([f.R_RN for f in frames]), np.stack([f.R_ref for f in frames])
     now = np.stack([f.seen for f in frames])
-    held = np.stack([f.seen if f.held is None else f.held for f in frames])
+    linearized = np.stack([f.seen if f.linearized_at is None else f.linearized_at for f in frames])
     return Poses(
         R_RN=R_RN,
         t_R=np.stack([f.t_R for f in frames]),
         p_NG=np.ascontiguousarray(now[:, :3]),
         A=R_RN @ R_ref @ turns(now[:, 3:]),
-        p_held=np.ascontiguousarray(held[:, :3]),
-        A_held=R_RN @ R_ref @ turns(held[:, 3:]),
-        Jr=right_jacobians(held[:, 3:]),
+        p_linearized=np.ascontiguousarray(linearized[:, :3]),
+        A_linearized=R_RN @ R_ref @ turns(linearized[:, 3:]),
+        Jr=right_jacobians(linearized[:, 3:]),
     )
 
 
@@ -139,20 +139,6 @@ def residuals(sight: Sight, poses: Poses, rig: Array, p_G: Array) -> Array:
     )  # fmt: skip
 
 
-def robust_gain(scale: float) -> float:
-    """What makes the Cauchy kernel's weights the information of the observations, if these are Gaussian.
-
-    Huber's sandwich for an M-estimator, a^2 / b with a = E psi', b = E psi^2, over the mean weight; three
-    dimensions, by quadrature.
-    """
-    s = (np.arange(4000) + 0.5) * 0.01
-    density = np.sqrt(s) * np.exp(-0.5 * s)
-    w = 1.0 / (1.0 + s / scale**2)
-    slope = np.average(w - (2.0 / 3.0) * s * w**2 / scale**2, weights=density)
-    spread = np.average(w**2 * s, weights=density) / 3.0
-    return float(slope**2 / spread / np.average(w, weights=density))
-
-
 def condense(
     sight: Sight, poses: Poses, rig: Array, p_G: Array, robust_scale: float, gain: float = 1.0
 ) -> Condensed:
@@ -161,7 +147,7 @@ def condense(
     s = np.sum(r**2, axis=1)
     H6, g6, C, h, E = stereo_normal_equations(
         sight.frame, sight.landmark, sight.inv_sigma, rig,
-        poses.A_held, poses.R_RN, poses.t_R, poses.p_held, p_G, poses.Jr,
+        poses.A_linearized, poses.R_RN, poses.t_R, poses.p_linearized, p_G, poses.Jr,
         r, gain * robust_weight(s, robust_scale), np.zeros_like(s),
     )  # fmt: skip
     n = len(H6)

@@ -13,14 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS
 from polhode.backend.dynamics.residuals import States
 from polhode.backend.problem.inertia import FORMS, InertiaForm, second_moments_from_inertia
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import TIGHT_GAUGE, hold, motion_data
+from polhode.backend.problem.iterate import N_CONSTANTS, Iterate
+from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.uncertainty.covariance import axes_derivative, marginals, state_jacobians
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
+from polhode.backend.uncertainty.covariance import marginals, state_jacobians
 from polhode.backend.uncertainty.identifiability import analyse
+from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.config.backend import Backend
 from polhode.lie import Array, hat, inverse_pose, log_so3
 from polhode.metrics import HALF_TURNS, best_half_turn
@@ -62,7 +63,7 @@ def cramer_rao_bound(sequence: SyntheticSequence, config: Backend, frames: slice
     data, truth = motion_data(sequence.tracks, config), true_iterate(sequence, config)
     # next to nothing, so that a landmark of outliers alone can still be eliminated
     weight = np.where(sequence.outlier[data.order], 1e-6, 1.0)
-    m = marginals(GaussNewton(data), hold(data, truth, TIGHT_GAUGE), truth.vector(), weight)
+    m = marginals(GaussNewton(data), linearization_point(data, truth, TIGHT_GAUGE), truth.vector(), weight)
     joint = joint_of_states(truth, data.form, m.dense, data.camera_N)
     F, n = truth.n_frames, truth.n_states
     joint = joint.reshape(F, 12, F, 12)[frames, :, frames]
@@ -234,7 +235,7 @@ def determined_at_truth(sequence: SyntheticSequence, config: Backend) -> list[bo
     """What the information at the truth determines (8): com along x, y, z of P, k1, k2, axes about them."""
     data, truth = motion_data(sequence.tracks, config), true_iterate(sequence, config)
     weight = np.where(sequence.outlier[data.order], 1e-6, 1.0)
-    m = marginals(GaussNewton(data), hold(data, truth, TIGHT_GAUGE), truth.vector(), weight)
+    m = marginals(GaussNewton(data), linearization_point(data, truth, TIGHT_GAUGE), truth.vector(), weight)
     derivative = axes_derivative(data.form, truth)
     record = analyse(m.constants_information, derivative, truth.w_G @ derivative.R_GP).record
     return [*map(bool, record.com_P), record.k1, record.k2, *map(bool, record.axes_P)]

@@ -51,7 +51,7 @@ def measure(case: Case) -> Case:
     from benchmarks.monte_carlo.bound import true_iterate
     from polhode.backend import estimate_motion, initialize_motion
     from polhode.backend.estimate import refine
-    from polhode.backend.problem.problem import motion_data
+    from polhode.backend.problem.motion_data import motion_data
     from polhode.backend.solvers.gauss_newton import GaussNewton
     from polhode.backend.solvers.ipopt import MotionProgram
     from polhode.progress import Silent

@@ -92,7 +92,7 @@ def smoothed(sequence: SyntheticSequence, k: int, config: Backend) -> list[float
     from benchmarks.monte_carlo.bound import true_iterate
     from polhode.backend.estimate import refine
     from polhode.backend.problem.inertia import principal_axes
-    from polhode.backend.problem.problem import motion_data
+    from polhode.backend.problem.motion_data import motion_data
     from polhode.backend.solvers.gauss_newton import GaussNewton
 
     part = first_frames(sequence, k + 1)

@@ -23,9 +23,10 @@ from polhode.backend import initialize_motion
 from polhode.backend.estimate import Solved, refine, solve
 from polhode.backend.fit import fit
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import TIGHT_GAUGE, MotionData, hold, motion_data
+from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.config.backend import Backend
 from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
@@ -137,8 +138,8 @@ def _stopped(data: MotionData, ended: Solved, seconds: float) -> Stopped:
 
 def to_gain(data: MotionData, at: Iterate) -> float:
     """Decrease that the quadratic model promises for one step, over the cost; NaN where it has none."""
-    solver, held = GaussNewton(data), hold(data, at, TIGHT_GAUGE)
-    system = solver.normal_equations(held, at.vector())
+    solver, fixed = GaussNewton(data), linearization_point(data, at, TIGHT_GAUGE)
+    system = solver.normal_equations(fixed, at.vector())
     S, gradient, C_inv = solver.reduced(system)
     try:
         dense = 0.5 * gradient @ cho_solve(cho_factor(S, lower=True), gradient)

@@ -16,16 +16,17 @@ import numpy as np
 
 from benchmarks.monte_carlo.bound import true_iterate
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import TIGHT_GAUGE, MotionData, hold, motion_data
+from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.backend.uncertainty.covariance import (
-    axes_derivative,
     last_body_covariance,
     marginals,
     state_covariances,
     state_jacobians,
 )
+from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
@@ -62,14 +63,14 @@ def measure(scene: SyntheticScene) -> Times:
     sequence, config = generate(scene, 0), Backend(solver="gauss_newton")
     data = motion_data(sequence.tracks, config)
     start = disturbed_start(sequence, data, config)
-    held, x = hold(data, start, TIGHT_GAUGE), start.vector()
+    fixed, x = linearization_point(data, start, TIGHT_GAUGE), start.vector()
     newton, program = GaussNewton(data), MotionProgram(data)
-    gauss_newton_s = least(lambda: newton.solve(held, x, ITERATIONS))
-    by_newton = newton.solve(held, x, ITERATIONS)
-    ipopt_s = least(lambda: program.solve(held, x, ITERATIONS))
+    gauss_newton_s = least(lambda: newton.solve(fixed, x, ITERATIONS))
+    by_newton = newton.solve(fixed, x, ITERATIONS)
+    ipopt_s = least(lambda: program.solve(fixed, x, ITERATIONS))
     # no iteration: all that it takes is the building
-    build_s = least(lambda: MotionProgram(data).solve(held, x, 0))
-    by_ipopt = program.solve(held, x, ITERATIONS)
+    build_s = least(lambda: MotionProgram(data).solve(fixed, x, 0))
+    by_ipopt = program.solve(fixed, x, ITERATIONS)
     end = start.moved_to(by_newton.x)
     weight = np.ones(len(data.frame))
     return Times(
@@ -109,7 +110,7 @@ def disturbed_start(sequence: SyntheticSequence, data: MotionData, config: Backe
 
 def covariances(solver: GaussNewton, data: MotionData, at: Iterate, weight: Array) -> None:
     """What a run does for its covariances."""
-    m = marginals(solver, hold(data, at), at.vector(), weight)
+    m = marginals(solver, linearization_point(data, at), at.vector(), weight)
     state_covariances(at, m, state_jacobians(at, axes_derivative(data.form, at)))
     last_body_covariance(at, m)
 

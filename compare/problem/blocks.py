@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from polhode.backend.dynamics.kernels import N_CAMERA, N_CONSTANTS, N_STATE, prior_kernel
+from polhode.backend.dynamics.kernels import prior_kernel
 from polhode.backend.dynamics.residuals import dynamics_jacobians
 from polhode.backend.problem.inertia import inertia_derivative
-from polhode.backend.problem.problem import Held, MotionData
+from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import wrench_residual
-from polhode.backend.solvers.gauss_newton import GaussNewton, camera_errors, robust_weight
+from polhode.backend.solvers.gauss_newton import GaussNewton, camera_errors
+from polhode.backend.solvers.linearization_point import LinearizationPoint
+from polhode.backend.solvers.robust_kernel import robust_weight
 from polhode.lie import Array, hat, right_jacobian_so3
 from polhode.records import Ints
 
@@ -36,7 +39,7 @@ class Block:
 class Blocks:
     """The common cost of a frozen problem, as blocks."""
 
-    def __init__(self, data: MotionData, held: Held) -> None:
+    def __init__(self, data: MotionData, held: LinearizationPoint) -> None:
         self.data, self.held = data, held
         self._newton = GaussNewton(data)
         self._prior = prior_kernel(data.form, "jacobian")

@@ -22,9 +22,10 @@ from polhode.backend.initialization.multistart import first_starts
 from polhode.backend.noise.prune import Kept
 from polhode.backend.problem.inertia import unit_determinant
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import Held, MotionData, hold, motion_data
+from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.uncertainty.covariance import axes_derivative
+from polhode.backend.solvers.linearization_point import LinearizationPoint, linearization_point
+from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.config.backend import Backend
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array, log_so3
@@ -54,7 +55,7 @@ class MeasuredProblem:
     name: str
     """Of the measurements"""
     data: MotionData
-    held: Held
+    held: LinearizationPoint
     cold: Array
     """(n,) the cold start, around ``held.reference``"""
     solution: Array
@@ -125,7 +126,7 @@ def aligned(at: Iterate, target: Iterate, data: MotionData) -> Iterate:
     )
 
 
-def coordinates(at: Iterate, held: Held, data: MotionData) -> Array:
+def coordinates(at: Iterate, held: LinearizationPoint, data: MotionData) -> Array:
     """The vector (n,) around the held reference that stands for an iterate in the same G."""
     reference = held.reference
     x = at.vector()
@@ -199,10 +200,10 @@ def freeze(
     return MeasuredProblem(name, kept.data, held, start.vector(), x, relative, truth, perf_counter() - begin)
 
 
-def _hold_around(kept: Kept, start: Iterate, end: Iterate) -> Held:
+def _hold_around(kept: Kept, start: Iterate, end: Iterate) -> LinearizationPoint:
     """Whitening at the rates of ``end``; references, gauge and prior around ``start``."""
     in_start = aligned(end, start, kept.data)
-    at_end = hold(kept.data, in_start, GAUGE)
+    at_end = linearization_point(kept.data, in_start, GAUGE)
     xi, R_inertia = kept.data.form.coordinates(np.eye(3))
     reference = replace(start, xi=xi, R_inertia=R_inertia)
     return replace(

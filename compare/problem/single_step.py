@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS
 from polhode.backend.dynamics.residuals import States, Steps, dynamics_jacobians, dynamics_residuals
 from polhode.backend.problem.inertia import inertia_derivative
+from polhode.backend.problem.iterate import N_CONSTANTS
 from polhode.compare.problem.blocks import Blocks
 from polhode.lie import Array, exp_so3
 

@@ -14,7 +14,8 @@ from polhode.backend.dynamics.process_noise import whitening
 from polhode.backend.dynamics.residuals import Steps
 from polhode.backend.problem.inertia import inertia_from_second_moments, second_moments_from_inertia
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import Held, MotionData
+from polhode.backend.problem.motion_data import MotionData
+from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import Claim, Outcome, Watch
 from polhode.compare.solvers.dynamic_isam import wide_prior
@@ -105,7 +106,7 @@ def _log_ratios(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
     return Outcome(end, found.converged, total, f"{found.message}; {words}")
 
 
-def _around(held: Held, data: MotionData, at: Iterate) -> Held:
+def _around(held: LinearizationPoint, data: MotionData, at: Iterate) -> LinearizationPoint:
     return replace(held, reference=at, A=data.R_RN @ at.R_NG)
 
 

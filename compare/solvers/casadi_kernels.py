@@ -8,10 +8,12 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from polhode.backend.dynamics.kernels import MOST_BEND, N_CONSTANTS, prior_kernel, upper
-from polhode.backend.dynamics.step_kernels import StepLayout, dynamics_kernel
+from polhode.backend.dynamics.kernels import StepLayout, dynamics_kernel, prior_kernel, upper
 from polhode.backend.problem.inertia import InertiaForm, rotation_sx
-from polhode.backend.problem.problem import Held, MotionData
+from polhode.backend.problem.iterate import N_CONSTANTS
+from polhode.backend.problem.motion_data import MotionData
+from polhode.backend.solvers.linearization_point import LinearizationPoint
+from polhode.backend.solvers.robust_kernel import MOST_BEND
 from polhode.lie import Array
 
 Hessian = Literal["gauss_newton", "exact"]
@@ -63,7 +65,7 @@ def compile_kernels(kernels: dict[str, Any], folder: Path) -> dict[str, Any]:
     return {name: ca.external(kernel.name(), str(library)) for name, kernel in kernels.items()}
 
 
-def stereo_parameters(data: MotionData, held: Held) -> Array:
+def stereo_parameters(data: MotionData, held: LinearizationPoint) -> Array:
     """(32, M) one column a measurement."""
     d, k = data, data.frame
     by_columns = [np.swapaxes(R, 1, 2).reshape(-1, 9)[k] for R in (held.A, d.R_RN)]

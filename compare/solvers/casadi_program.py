@@ -12,11 +12,9 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from polhode.backend.dynamics.kernels import Output
-from polhode.backend.dynamics.step_kernels import dynamics_kernel
-from polhode.backend.problem.problem import series_groups
-from polhode.backend.solvers.assembly import gather, scatter, upper_keys, upper_sparsity
-from polhode.backend.solvers.ipopt import Layout, MotionProgram, Term, program_parameters
+from polhode.backend.dynamics.kernels import Output, dynamics_kernel
+from polhode.backend.solvers.casadi_nlp import gather, scatter, upper_keys, upper_sparsity
+from polhode.backend.solvers.ipopt import Layout, MotionProgram, Term, program_parameters, series_groups
 from polhode.compare.problem.blocks import Blocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solvers.casadi_kernels import (

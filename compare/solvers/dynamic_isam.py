@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend.dynamics.kernels import N_CONSTANTS
 from polhode.backend.dynamics.propagation import flows, series_steps
 from polhode.backend.dynamics.so3_exp import turns_of_quaternions
 from polhode.backend.problem.inertia import inertia_from_second_moments, second_moments_from_inertia
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import Held, MotionData
+from polhode.backend.problem.iterate import N_CONSTANTS, Iterate
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import NormalEquations
+from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.problem.single_step import first_steps
 from polhode.compare.solver import Claim, Outcome, Watch
@@ -91,13 +91,13 @@ class _Locked(Timed):
         self._mark, self._lock = mark, lock
         self._prior = wide_prior
 
-    def cost(self, held: Held, x: Array) -> float:
+    def cost(self, held: LinearizationPoint, x: Array) -> float:
         """With the lock's."""
         offset = self._offset(held, x)
         return super().cost(held, x) + 0.5 * float(offset @ offset) / LOCK_M**2
 
     def normal_equations(
-        self, held: Held, x: Array, weight: Array | None = None, prior: bool = True
+        self, held: LinearizationPoint, x: Array, weight: Array | None = None, prior: bool = True
     ) -> NormalEquations:
         """With the lock's."""
         system = super().normal_equations(held, x, weight, prior)
@@ -106,7 +106,7 @@ class _Locked(Timed):
         system.h[self._mark] += offset / LOCK_M**2
         return replace(system, cost=system.cost + 0.5 * float(offset @ offset) / LOCK_M**2)
 
-    def _offset(self, held: Held, x: Array) -> Array:
+    def _offset(self, held: LinearizationPoint, x: Array) -> Array:
         at = held.reference.n_dense + 3 * self._mark
         return x[at : at + 3] - self._lock
 
@@ -175,7 +175,7 @@ def _first_frames(data: MotionData, n: int) -> tuple[MotionData, Ints]:
     return small, marks
 
 
-def _held(held: Held, reference: Iterate, R_RN: Array) -> Held:
+def _held(held: LinearizationPoint, reference: Iterate, R_RN: Array) -> LinearizationPoint:
     information = np.repeat([FIRST_POSE[0] ** -2.0, FIRST_POSE[1] ** -2.0], 3)
     return replace(
         held,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend.initialization.hypotheses import inertia_from_momentum
+from polhode.backend.initialization.multistart import inertia_from_momentum
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import Iterate
 from polhode.compare.problem.measured_problem import MeasuredProblem

@@ -7,8 +7,9 @@ from functools import partial
 import numpy as np
 
 from polhode.backend.estimate import PASS_TOLERANCE
-from polhode.backend.problem.problem import Held, MotionData
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import TIME_LIMIT, GaussNewton, NormalEquations, Solution
+from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.judging.judge import reference_covariance
 from polhode.compare.problem.measured_problem import MeasuredProblem, inertia_around, with_form
 from polhode.compare.solver import Claim, Outcome, OutOfTime, Watch
@@ -31,7 +32,7 @@ class Timed(GaussNewton):
         self.watch = watch
 
     def normal_equations(
-        self, held: Held, x: Array, weight: Array | None = None, prior: bool = True
+        self, held: LinearizationPoint, x: Array, weight: Array | None = None, prior: bool = True
     ) -> NormalEquations:
         """Timed; ends the solution at its limit."""
         with self.watch.part("evaluation"):
@@ -43,7 +44,7 @@ class Timed(GaussNewton):
     def note(self, cost: float, x: Array) -> None:
         """Nothing is noted."""
 
-    def cost(self, held: Held, x: Array) -> float:
+    def cost(self, held: LinearizationPoint, x: Array) -> float:
         """Timed."""
         with self.watch.part("evaluation"):
             return super().cost(held, x)
@@ -107,7 +108,7 @@ class Ours:
         return Outcome(x, found.converged, total, found.message, cov)
 
 
-def _solved(solver: Watched, held: Held, x: Array, iterations: int) -> Solution:
+def _solved(solver: Watched, held: LinearizationPoint, x: Array, iterations: int) -> Solution:
     found = solver.solve(held, x, iterations, max(solver.watch.left(), 0.0))
     solver.note(found.cost, found.x)
     if found.message == TIME_LIMIT:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polhode.backend.problem.inertia import second_moments_from_inertia
-from polhode.backend.problem.problem import MotionData
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.window import CameraNoise, FrameMeasurements, OnlineState, SlidingWindow
 from polhode.camera import RectifiedRig
 from polhode.compare.problem.measured_problem import MeasuredProblem

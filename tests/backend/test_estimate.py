@@ -8,7 +8,7 @@ import pytest
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.estimate import refine
 from polhode.backend.initialization.multistart import first_starts, try_hypothesis
-from polhode.backend.problem.problem import motion_data
+from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.config.backend import Backend

@@ -8,17 +8,18 @@ from polhode.backend import initialize_motion
 from polhode.backend.estimate import estimate_motion, refine, solve
 from polhode.backend.initialization.multistart import first_starts
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import TIGHT_GAUGE, MotionData, hold, motion_data
-from polhode.backend.solvers.damping import Damping
+from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import (
     ENOUGH,
     ITERATION_LIMIT,
     SHORTER,
     TIME_LIMIT,
+    Damping,
     GaussNewton,
     Solution,
 )
 from polhode.backend.solvers.ipopt import MotionProgram
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.config.backend import Backend
 from polhode.progress import Silent
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
@@ -62,8 +63,8 @@ def test_when_neither_comes_to_an_end_the_better_one_is_kept_and_the_limit_named
     found = solve(data, start, Backend(max_iterations=2))
     assert not found.solution.converged and ITERATION_LIMIT in found.solution.message
     alone, _, _ = refine(GaussNewton(data, line_search=True), data, start, 1)
-    reference, held = GaussNewton(data), hold(data, alone, TIGHT_GAUGE)
-    assert found.solution.cost <= reference.cost(held, alone.vector())
+    reference, fixed = GaussNewton(data), linearization_point(data, alone, TIGHT_GAUGE)
+    assert found.solution.cost <= reference.cost(fixed, alone.vector())
 
 
 def test_without_time_nothing_more_is_tried(cold: tuple[MotionData, Iterate]) -> None:
@@ -96,9 +97,9 @@ def test_the_estimate_names_the_solver_that_found_it() -> None:
 
 def test_a_line_search_ends_no_higher_in_fewer_iterations(cold: tuple[MotionData, Iterate]) -> None:
     data, start = cold
-    held = hold(data, start)
+    fixed = linearization_point(data, start)
     plain, found = (
-        GaussNewton(data, line_search=on).solve(held, start.vector(), 200) for on in (False, True)
+        GaussNewton(data, line_search=on).solve(fixed, start.vector(), 200) for on in (False, True)
     )
     assert plain.converged and found.converged
     assert found.cost <= plain.cost * (1.0 + 1e-8)
@@ -109,18 +110,18 @@ def test_a_step_that_goes_too_far_is_made_shorter_until_it_brings_enough(
     cold: tuple[MotionData, Iterate],
 ) -> None:
     data, start = cold
-    held, x = hold(data, start), start.vector()
+    fixed, x = linearization_point(data, start), start.vector()
     solver = GaussNewton(data, line_search=True)
-    system = solver.normal_equations(held, x)
+    system = solver.normal_equations(fixed, x)
     step = solver._step(system, Damping())
     slope = float(np.concatenate([system.g, system.h.ravel()]) @ step)
-    ahead, behind = (solver.cost(held, x + d * step) for d in (1e-6, -1e-6))
+    ahead, behind = (solver.cost(fixed, x + d * step) for d in (1e-6, -1e-6))
     assert slope == pytest.approx((ahead - behind) / 2e-6, rel=1e-4) and slope < 0.0
     # five times too far: an eighth of it is the first that brings enough, or a shorter one
-    candidate, cost = solver._shorter(held, x, system, 5.0 * step)
+    candidate, cost = solver._shorter(fixed, x, system, 5.0 * step)
     length = float(np.linalg.norm(candidate - x) / np.linalg.norm(5.0 * step))
     assert min(abs(length - part) for part in SHORTER) < 1e-9
     assert cost <= system.cost + ENOUGH * length * 5.0 * slope
-    assert cost == solver.cost(held, candidate)
+    assert cost == solver.cost(fixed, candidate)
     # up the hill nothing is enough
-    assert solver._shorter(held, x, system, -step)[1] == np.inf
+    assert solver._shorter(fixed, x, system, -step)[1] == np.inf

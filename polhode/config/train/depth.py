@@ -17,6 +17,6 @@ class DepthTraining(Section):
     crop_px: int = Field(192, ge=32, multiple_of=16)
     """Side of a crop [px]."""
     validation_samples: int = Field(24, ge=1)
-    """Held-out pairs that are scored."""
+    """LinearizationPoint-out pairs that are scored."""
     half_on_cpu: bool = False
     """Compute in bfloat16 on a CPU; several times faster where the CPU has instructions for it (AMX)."""

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from polhode.backend.dynamics.kernels import prior_kernel
-from polhode.backend.dynamics.step_kernels import dynamics_kernel
+from polhode.backend.dynamics.kernels import dynamics_kernel, prior_kernel
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
 from polhode.lie import Array, exp_so3, log_so3
 from polhode.quaternion import wxyz_from_matrix

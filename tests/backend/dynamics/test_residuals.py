@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from polhode.backend.dynamics.kernels import StepLayout, dynamics_kernel
 from polhode.backend.dynamics.residuals import (
     States,
     Steps,
@@ -13,7 +14,6 @@ from polhode.backend.dynamics.residuals import (
     dynamics_jacobians,
     dynamics_residuals,
 )
-from polhode.backend.dynamics.step_kernels import StepLayout, dynamics_kernel
 from polhode.backend.problem.inertia import FORMS, inertia_derivative, inertia_from_second_moments
 from polhode.lie import Array, exp_so3
 from polhode.quaternion import wxyz_from_matrix

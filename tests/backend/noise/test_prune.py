@@ -9,7 +9,7 @@ from polhode.backend.noise.measurement_noise import estimate_noise
 from polhode.backend.noise.prune import prune, settle, whitened_residuals
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import MotionData, motion_data
+from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.records import Bools

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend.dynamics.kernels import kernel_bend
 from polhode.backend.estimate import refine
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import LOOSE_GAUGE, TIGHT_GAUGE, hold, motion_data
+from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
+from polhode.backend.solvers.linearization_point import LOOSE_GAUGE, TIGHT_GAUGE, linearization_point
+from polhode.backend.solvers.robust_kernel import kernel_bend
 from polhode.config.backend import Backend
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 
@@ -56,10 +57,10 @@ def start(form: str, scene: SyntheticScene) -> tuple[GaussNewton, MotionProgram,
 @pytest.mark.parametrize(("form", "scene"), CASES, ids=NAMES)
 def test_both_solvers_see_the_same_cost(form: str, scene: SyntheticScene) -> None:
     solver, program, iterate = start(form, scene)
-    held = hold(solver.data, iterate)
+    fixed = linearization_point(solver.data, iterate)
     # no iteration: the program returns the cost at the start
-    solution = program.solve(held, iterate.vector(), 0)
-    assert solution.cost == pytest.approx(solver.cost(held, iterate.vector()), rel=1e-12)
+    solution = program.solve(fixed, iterate.vector(), 0)
+    assert solution.cost == pytest.approx(solver.cost(fixed, iterate.vector()), rel=1e-12)
     assert not solution.converged
 
 
@@ -68,13 +69,13 @@ def test_gradient_of_the_normal_equations_matches_finite_differences(
     form: str, scene: SyntheticScene
 ) -> None:
     solver, _, iterate = start(form, scene)
-    held, x = hold(solver.data, iterate), iterate.vector()
-    system = solver.normal_equations(held, x)
+    fixed, x = linearization_point(solver.data, iterate), iterate.vector()
+    system = solver.normal_equations(fixed, x)
     gradient = np.concatenate([system.g, system.h.ravel()])
     rng, step = np.random.default_rng(2), 1e-6
     for _ in range(12):
         along = rng.normal(size=len(x))
-        slope = (solver.cost(held, x + step * along) - solver.cost(held, x - step * along)) / (2.0 * step)
+        slope = (solver.cost(fixed, x + step * along) - solver.cost(fixed, x - step * along)) / (2.0 * step)
         assert gradient @ along == pytest.approx(slope, rel=1e-5, abs=1e-4 * np.abs(gradient).max())
 
 
@@ -82,8 +83,8 @@ def test_gradient_of_the_normal_equations_matches_finite_differences(
 def test_both_solvers_end_in_the_same_point(form: str, scene: SyntheticScene) -> None:
     solver, program, iterate = start(form, scene)
     # the torque's axes make a curved valley, along which a loose G may take either solver elsewhere
-    held = hold(solver.data, iterate, TIGHT_GAUGE if scene.pushes else LOOSE_GAUGE)
-    a, b = solver.solve(held, iterate.vector(), 100), program.solve(held, iterate.vector(), 100)
+    fixed = linearization_point(solver.data, iterate, TIGHT_GAUGE if scene.pushes else LOOSE_GAUGE)
+    a, b = solver.solve(fixed, iterate.vector(), 100), program.solve(fixed, iterate.vector(), 100)
     assert a.converged and b.converged
     assert a.cost == pytest.approx(b.cost, rel=1e-7)
 
@@ -112,6 +113,8 @@ def test_a_solver_that_meets_a_limit_says_which_and_hands_back_the_best(
     data = solver.data
     at, solution, iterations = refine(solver, data, iterate, *limits)
     assert not solution.converged and words in solution.message and iterations <= 1
-    reference, held = GaussNewton(data), hold(data, iterate, TIGHT_GAUGE)
+    reference, fixed = GaussNewton(data), linearization_point(data, iterate, TIGHT_GAUGE)
     # not worse than where it began
-    assert reference.cost(hold(data, at, TIGHT_GAUGE), at.vector()) <= reference.cost(held, iterate.vector())
+    assert reference.cost(linearization_point(data, at, TIGHT_GAUGE), at.vector()) <= reference.cost(
+        fixed, iterate.vector()
+    )

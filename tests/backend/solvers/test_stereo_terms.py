@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import MotionData, motion_data
+from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.stereo_terms import FromOutside, StereoTerms
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
@@ -17,7 +17,7 @@ SCENE = SyntheticScene(frames=4, landmarks=25, detection=0.7, camera_moves=True)
 
 
 def start(exact: bool = False) -> tuple[StereoTracks, MotionData, StereoTerms, Array, Array]:
-    """Tracks, their data and terms, unknowns off their references, and the attitudes that are held."""
+    """Tracks, their data and terms, unknowns off their references, and the attitudes that are fixed."""
     sequence, rng = generate(SCENE, 0), np.random.default_rng(1)
     tracks, X_NG, p_G = sequence.tracks, sequence.X_NG, sequence.p_G
     theta = 0.2 * rng.normal(size=(SCENE.frames, 3))

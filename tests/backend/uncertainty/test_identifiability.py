@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.backend.uncertainty.covariance import AxesDerivative
 from polhode.backend.uncertainty.identifiability import NAMES, analyse, determined_words
+from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.config.backend import Backend
 from polhode.progress import Silent
 from polhode.records import Identifiability, MotionEstimate

@@ -8,7 +8,7 @@ import pytest
 from polhode.backend.estimate import refine
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import motion_data
+from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.window.causal_state import HALF_TURNS, OnlineState
 from polhode.backend.window.estimator import SlidingWindow

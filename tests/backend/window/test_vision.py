@@ -5,18 +5,12 @@ import pytest
 
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import hold, motion_data
+from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.solvers.robust_kernel import robust_gain
 from polhode.backend.window.frame import Frame, camera_of, frames_of
-from polhode.backend.window.vision import (
-    condense,
-    information_of,
-    inverted,
-    poses_of,
-    residuals,
-    robust_gain,
-    sight_of,
-)
+from polhode.backend.window.vision import condense, information_of, inverted, poses_of, residuals, sight_of
 from polhode.config.backend import Backend
 from polhode.lie import Array
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
@@ -65,10 +59,10 @@ def test_condensed_vision_is_the_batch_solvers_reduced_system(
     )
     x = reference.vector()
     x[: 12 * len(frames)].reshape(-1, 12)[:, 3:6] = [frame.x[3:6] for frame in frames]
-    solver, held = GaussNewton(data, with_dynamics=False), hold(data, reference)
-    s = np.sum(solver.residuals(held, x)[0] ** 2, axis=1)
+    solver, fixed = GaussNewton(data, with_dynamics=False), linearization_point(data, reference)
+    s = np.sum(solver.residuals(fixed, x)[0] ** 2, axis=1)
     # the weights without the kernel's curvature, as the window has them
-    S, g, _ = solver.reduced(solver.normal_equations(held, x, 1.0 / (1.0 + s / 9.0), prior=False))
+    S, g, _ = solver.reduced(solver.normal_equations(fixed, x, 1.0 / (1.0 + s / 9.0), prior=False))
     at = (12 * np.arange(len(frames))[:, None] + np.arange(6)).ravel()
     S = np.tril(S) + np.tril(S, -1).T
     sight = sight_of(frames, tracks.n_landmarks)
@@ -118,11 +112,11 @@ def test_held_poses_keep_their_jacobian_but_not_their_residual(
     rig, sight = rig_vector(sequence), sight_of(frames, sequence.tracks.n_landmarks)
     p_G = sequence.p_G[sight.slot]
     before = poses_of(frames)
-    frames[2].hold()
+    frames[2].fix_linearization()
     frames[2].x[:6] += 1e-3
     after = poses_of(frames)
     frames[2].x[:6] -= 1e-3
-    frames[2].held = None
+    frames[2].linearized_at = None
     np.testing.assert_array_equal(after.A_held[2], before.A_held[2])
     assert np.abs(residuals(sight, after, rig, p_G) - residuals(sight, before, rig, p_G)).max() > 0.1
 

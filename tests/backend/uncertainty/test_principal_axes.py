@@ -5,8 +5,13 @@ import pytest
 
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments, second_moments_from_inertia
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.uncertainty.covariance import AxesDerivative, axes_derivative
-from polhode.backend.uncertainty.equal_moments import of_free_turn, ratio_covariance, ratios_after
+from polhode.backend.uncertainty.principal_axes import (
+    AxesDerivative,
+    axes_derivative,
+    of_free_turn,
+    ratio_covariance,
+    ratios_after,
+)
 from polhode.lie import Array, exp_so3
 
 FORM = FORMS["second_moments"]

@@ -1,6 +1,9 @@
-"""How strongly the target is disturbed: the evidence of ``process_level.py``, on the history alone.
+"""Noise levels as the window estimates them: of the pixels, and of the disturbances.
 
-The landmarks are condensed in it, and their part of the evidence does not depend on the level.
+The standard deviations of the pixels follow from the residuals of the active frames (as in
+``noise/measurement_noise.py``). The level of the disturbances maximizes the evidence of
+``noise/process_level.py`` on the history alone; the landmarks are eliminated there, and their part of the
+evidence does not depend on the level.
 """
 
 from collections.abc import Callable
@@ -9,20 +12,23 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
 
+from polhode.backend.noise.measurement_noise import LEAST_OBSERVATIONS, LIMITS, MAD_TO_SIGMA
 from polhode.backend.noise.process_level import CEILING_PSD, FLOOR_PSD, INDIFFERENT
 from polhode.backend.window.estimator_state import Belief
 from polhode.backend.window.history import History
 from polhode.backend.window.newton import NewtonSolver
 from polhode.backend.window.problem import WindowProblem
+from polhode.backend.window.vision import Sight, poses_of, residuals
+from polhode.lie import Array
 
 ITERATIONS = 3
 DECADE = 0.5
 """Finest step of the search: finer than the data tell."""
 STARTS = (0, -4, -8)
 """In these steps below the stated levels: a noise taken too strong can keep itself strong."""
-
 Grid = tuple[int, int]
 """Levels of acceleration and torque in steps from the stated ones."""
+MOST_TAKEN_BY_POSES = 0.3
 
 
 def estimate_levels(belief: Belief, history: History, stated: tuple[float, float]) -> None:
@@ -82,3 +88,43 @@ def _walk(cost: Callable[[Grid], float], best: Grid, axis: int, step: int) -> Gr
 
 def _moved(at: Grid, axis: int, step: int) -> Grid:
     return (at[0] + step, at[1]) if axis == 0 else (at[0], at[1] + step)
+
+
+def estimate_noise(belief: Belief) -> None:
+    """Rescale the standard deviations of u, v and of the disparity by the median absolute residual."""
+    sight = belief.sight()
+    if len(sight.frame) < LEAST_OBSERVATIONS:
+        return
+    p_G = belief.landmarks.p_G[sight.slot]
+    r = residuals(sight, poses_of(belief.active.frames), belief.rig_vector, p_G)
+    free = np.maximum(1.0 - taken_by_fit(belief, sight, p_G), 0.05)
+    whitened = np.abs(r) / np.sqrt(free)
+    uv, disparity = np.clip(
+        MAD_TO_SIGMA * np.array([np.median(whitened[:, :2]), np.median(whitened[:, 2])]), *LIMITS
+    )
+    factors = np.array([uv, uv, disparity])
+    belief.noise = belief.noise * factors
+    for frame in belief.active.frames:
+        frame.inv_sigma = frame.inv_sigma / factors
+
+
+def taken_by_fit(belief: Belief, sight: Sight, p_G: Array) -> Array:
+    """Share (M, 3) of each residual's freedom that landmarks and poses take."""
+    frames = belief.active.frames
+    poses = poses_of(frames)
+    A, k = poses.A[sight.frame], sight.frame
+    p_R = (
+        np.einsum("mij,mj->mi", A, p_G[sight.landmark])
+        + (np.einsum("fij,fj->fi", poses.R_RN, poses.p_NG) + poses.t_R)[k]
+    )
+    f, b = belief.rig.focal_px, belief.rig.baseline_m
+    x, y, z = p_R.T
+    D = np.zeros((len(k), 3, 3))
+    D[:, 0, 0] = D[:, 1, 1] = f / z
+    D[:, 0, 2], D[:, 1, 2], D[:, 2, 2] = -f * x / z**2, -f * y / z**2, -f * b / z**2
+    J = sight.inv_sigma[:, :, None] * (D @ A)
+    information = np.add.reduceat(np.swapaxes(J, 1, 2) @ J, sight.start[:-1], axis=0)
+    taken = np.einsum("mij,mjk,mik->mi", J, np.linalg.inv(information)[sight.landmark], J)
+    # the poses are fitted to u and v: six numbers for the two of each observation
+    taken[:, :2] += min(3.0 * len(frames) / len(k), MOST_TAKEN_BY_POSES)
+    return np.asarray(taken)

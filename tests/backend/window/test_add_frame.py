@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.backend.window.locate import Known, locate
+from polhode.backend.window.add_frame import Known, locate
 from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
 from polhode.records import Bools
 from polhode.simulation.monte_carlo.measurements import RIG

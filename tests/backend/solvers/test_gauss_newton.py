@@ -1,6 +1,6 @@
 """The order in which steps are made shorter, and how that is taken back."""
 
-from polhode.backend.solvers.damping import Damping
+from polhode.backend.solvers.gauss_newton import Damping
 
 
 def test_both_ways_grow_apart_and_end() -> None:

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from polhode.backend.uncertainty.lie_rank import (
+from benchmarks.solvers.lie_rank import (
     System,
     evaluate,
     measured_poses,

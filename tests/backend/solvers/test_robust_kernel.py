@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.backend.solvers.kernel_scale import WIDER, efficiency, widest_useful
-from polhode.backend.uncertainty.covariance import robust_information
+from polhode.backend.solvers.robust_kernel import WIDER, efficiency, robust_information, widest_useful
 from polhode.lie import Array
 
 

@@ -1,7 +1,8 @@
-"""From a motion fitted without its known wrench to one fitted with it.
+"""Fit of a motion with a known wrench, starting from one fitted without it; absolute mass and inertia.
 
-The wrench is given along the principal axes, whose half-turns are a convention: four fits, the best is kept.
-Where two moments may be equal their axes may also be exchanged, which adds as many.
+The wrench is given along the principal axes, whose half-turns are a convention: up to four fits are tried and
+the best is kept. Where two moments may be equal, their axes may also be exchanged, which doubles the
+candidates. Known forces and torques make mass and inertia observable in kilograms, not only up to scale.
 """
 
 from dataclasses import dataclass, replace
@@ -10,13 +11,17 @@ from itertools import permutations, product
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.problem.inertia import principal_axes
+from polhode.backend.problem.inertia import InertiaForm, principal_axes
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import MotionData, hold
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import LN_MASS, LN_SCALE, N_WRENCH, Impulses
 from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.uncertainty.covariance import Marginals
+from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.errors import RunFailure
 from polhode.lie import Array, exp_so3
+from polhode.records import MassProperties
 
 MAYBE_EQUAL = 0.1
 """Logarithm of two moments' ratio below which their axes may be exchanged."""
@@ -25,6 +30,8 @@ MOST_TRIALS = 4
 PASSES = (4, 4, 4)
 LARGEST_LN = 14.0
 """Of mass [kg] and scale, where the motion shows nothing of the push."""
+MOST_SIGMA = 0.3
+"""Of the logarithms: more is called undetermined."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +50,15 @@ class Guess:
     R_torque: Array
     wrench: Array
     misfit: float
+
+
+@dataclass(frozen=True)
+class Logarithm:
+    """A positive number by its logarithm, and how well that is known."""
+
+    value: float
+    sigma: float
+    determined: bool
 
 
 def attach_wrench(data: MotionData, iterate: Iterate) -> Attached:
@@ -69,11 +85,11 @@ def _fit(data: MotionData, iterate: Iterate) -> tuple[Iterate, float] | None:
     solver, cost = GaussNewton(data), np.inf
     for iterations in PASSES:
         try:
-            held = hold(data, iterate)
-            solution = solver.solve(held, iterate.vector(), iterations)
+            fixed = linearization_point(data, iterate)
+            solution = solver.solve(fixed, iterate.vector(), iterations)
         except LinAlgError:
             return None
-        iterate, cost = iterate.moved_to(solution.x), solution.cost + held.half_log_det
+        iterate, cost = iterate.moved_to(solution.x), solution.cost + fixed.half_log_det
     return (iterate, float(cost)) if np.isfinite(cost) else None
 
 
@@ -136,3 +152,64 @@ def _directions(moments: Array) -> list[tuple[str, Array]]:
                 )
                 out.append((f"torque along {name}", turn))
     return out
+
+
+def with_absolute_scale(
+    mass: MassProperties,
+    iterate: Iterate,
+    form: InertiaForm,
+    m: Marginals,
+    derivative: AxesDerivative,
+    known: Impulses | None,
+) -> MassProperties:
+    """The mass and the middle moment beside what is known up to scale; unchanged without a known wrench."""
+    if iterate.wrench is None or m.wrench_information is None or known is None:
+        return mass
+    scale, kilograms = _logarithms(iterate, form, m, derivative)
+    force, torque = (size > 0.0 for size in known.largest)
+    detail = {
+        **mass.identifiable.detail,
+        "mass": _words(kilograms, force, "force"),
+        "inertia_scale": _words(scale, torque, "torque"),
+    }
+    return replace(
+        mass,
+        mass_kg=float(np.exp(kilograms.value)),
+        sigma_mass_kg=_sigma(kilograms),
+        inertia_scale_kg_m2=float(np.exp(scale.value)),
+        sigma_inertia_scale_kg_m2=_sigma(scale),
+        identifiable=replace(mass.identifiable, detail=detail),
+    )
+
+
+def _logarithms(
+    iterate: Iterate, form: InertiaForm, m: Marginals, derivative: AxesDerivative
+) -> tuple[Logarithm, Logarithm]:
+    """Of the middle moment [kg m^2] and of the mass [kg]."""
+    assert iterate.wrench is not None and m.wrench_information is not None
+    n = iterate.n_states
+    at = np.r_[n + 3 : n + 8, n + 8 + LN_SCALE]
+    along: Array = np.append(derivative.ln_middle, 1.0)
+    middle = float(np.linalg.eigvalsh(iterate.J_G(form))[1])
+    # without the prior: what the data alone say of each
+    alone = 1.0 / np.sqrt(np.maximum(np.diag(m.wrench_information), 1e-12))
+    ln_scale = Logarithm(
+        float(iterate.wrench[LN_SCALE] + np.log(middle)),
+        float(np.sqrt(along @ m.dense[np.ix_(at, at)] @ along)),
+        bool(alone[0] < MOST_SIGMA),
+    )
+    of_mass = n + 8 + LN_MASS
+    sigma = float(np.sqrt(m.dense[of_mass, of_mass]))
+    return ln_scale, Logarithm(float(iterate.wrench[LN_MASS]), sigma, bool(alone[1] < MOST_SIGMA))
+
+
+def _sigma(logarithm: Logarithm) -> float:
+    return float(np.exp(logarithm.value) * logarithm.sigma) if logarithm.determined else np.inf
+
+
+def _words(logarithm: Logarithm, acts: bool, what: str) -> str:
+    if logarithm.determined:
+        return f"determined, standard deviation about {100.0 * logarithm.sigma:.2g} %"
+    if not acts:
+        return f"not determined: no known {what} acts"
+    return f"not determined: the known {what} moves the target too little beside the disturbances"

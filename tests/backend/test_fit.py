@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion
-from polhode.backend.initialization.fewer_frames import from_fewer_frames
+from polhode.backend.fit import from_fewer_frames
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.progress import Silent

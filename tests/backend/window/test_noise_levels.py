@@ -1,11 +1,12 @@
-"""The search for the level of disturbances, and what it finds in a history."""
+"""Noise levels from the frames of the window: of the pixels, and of the disturbances."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from polhode.backend.window.disturbance_level import Grid, estimate_levels, most_likely
+from polhode.backend.window.noise_levels import Grid, estimate_levels, estimate_noise, most_likely
 from polhode.simulation.monte_carlo.measurements import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
@@ -35,3 +36,15 @@ def test_disturbances_of_a_simulated_tumble_are_recovered(feed: Feed) -> None:
     assert 1e-9 < found.accel_psd < 1e-7
     assert 1e-8 < found.torque_psd < 1e-6
     assert np.isfinite(window.belief.active.constants).all()
+
+
+def test_pixel_and_disparity_noise_are_recovered_among_outliers(feed: Feed) -> None:
+    sequence = generate(
+        replace(TUMBLE, frames=24, landmarks=1500, sigma_uv_px=0.4, sigma_d_px=0.2, outliers=0.05), 2
+    )
+    tracks = replace(sequence.tracks, sigma_px=np.ones_like(sequence.tracks.sigma_px))
+    window, _ = feed(replace(sequence, tracks=tracks))
+    estimate_noise(window.belief)
+    assert window.belief.noise == pytest.approx([0.4, 0.4, 0.2], rel=0.1)
+    for frame in window.belief.active.frames:
+        np.testing.assert_allclose(frame.inv_sigma, np.tile(1.0 / window.belief.noise, (len(frame.slot), 1)))

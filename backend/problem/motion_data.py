@@ -1,0 +1,117 @@
+"""The data of the estimation problem: measurements, camera poses and noise, prepared for the solvers."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polhode.backend.problem.inertia import FORMS, InertiaForm
+from polhode.backend.problem.wrench import Impulses, impulses_of
+from polhode.config.backend import Backend
+from polhode.lie import Array, inverse_pose
+from polhode.records import Bools, Ints, StereoTracks
+
+TINY = 1e-12
+"""[N, N m] bias of a force or a torque where there is none."""
+
+
+@dataclass(frozen=True)
+class MotionData:
+    """Measurements sorted by landmark, the camera's poses and the noise: what does not change in a run."""
+
+    frame: Ints
+    """(M,)"""
+    landmark: Ints
+    """(M,) ascending"""
+    start: Ints
+    """(L + 1,) the observations of landmark l are start[l]:start[l + 1]"""
+    uvd_px: Array
+    """(M, 3)"""
+    inv_sigma: Array
+    """(M, 3) [1/px]"""
+    rig: Array
+    """(5,) f, cx, cy [px], baseline [m], disparity offset [px]"""
+    R_RN: Array
+    """(F, 3, 3)"""
+    t_R: Array
+    """(F, 3) origin of N in R [m]"""
+    camera_N: Array
+    """(F, 3) stated position of the body whose pose is stated, with the camera on it [m]"""
+    dt_s: Array
+    """(F - 1,)"""
+    camera_sigma: tuple[float, float]
+    """[m, rad] of the camera's stated poses, independent from frame to frame; zeros: they are exact"""
+    accel_psd: float
+    torque_psd: float
+    robust_scale: float
+    form: InertiaForm
+    impulses: Impulses | None
+    """Of the known wrench; None: none acts"""
+    bias_sigma: tuple[float, float]
+    """[N, N m] of the constant biases of the known force and torque"""
+    order: Ints
+    """(M,) sorted observation -> observation of the tracks"""
+    nodes: Bools
+    """(F - 1,) steps in which something unknown may push"""
+    node_sigma: tuple[float, float]
+    """[m/s^2, rad/s^2] of such a push, zero on average"""
+    loose: Bools | None = None
+    """(F - 1,) steps whose dynamics tell nothing; None: all tell"""
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.R_RN)
+
+    @property
+    def camera_is_noisy(self) -> bool:
+        """Whether the errors of the camera's pose are unknowns."""
+        return max(self.camera_sigma) > 0.0
+
+    @property
+    def n_landmarks(self) -> int:
+        return len(self.start) - 1
+
+    def rescaled(self, factors: Array) -> "MotionData":
+        """The same measurements, the standard deviations of u, v and disparity times factors (3,)."""
+        return replace(self, inv_sigma=self.inv_sigma / factors)
+
+
+def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
+    """Prepare the tracks for the solvers."""
+    order = np.lexsort((tracks.frame, tracks.landmark))
+    landmark = tracks.landmark[order]
+    X_RN, rig = inverse_pose(tracks.X_NR), tracks.rig
+    impulses = impulses_of(tracks.wrench, tracks.timestamps_ns) if tracks.wrench is not None else None
+    force_N, torque_Nm = impulses.largest if impulses is not None else (0.0, 0.0)
+    return MotionData(
+        frame=np.ascontiguousarray(tracks.frame[order], dtype=np.int64),
+        landmark=np.ascontiguousarray(landmark, dtype=np.int64),
+        start=np.searchsorted(landmark, np.arange(tracks.n_landmarks + 1)).astype(np.int64),
+        uvd_px=np.ascontiguousarray(tracks.uvd_px[order], dtype=np.float64),
+        inv_sigma=1.0 / np.array(tracks.sigma_px, dtype=np.float64)[order],
+        camera_sigma=(tracks.sigma_camera_p_m, tracks.sigma_camera_theta_rad),
+        rig=np.array([rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px]),
+        R_RN=np.ascontiguousarray(X_RN[:, :3, :3]),
+        t_R=np.ascontiguousarray(X_RN[:, :3, 3]),
+        camera_N=(tracks.X_NR @ inverse_pose(tracks.X_BR))[:, :3, 3],
+        dt_s=np.diff(tracks.time_s),
+        accel_psd=config.accel_psd,
+        torque_psd=config.torque_psd,
+        robust_scale=config.robust_scale,
+        form=FORMS[config.inertia],
+        impulses=impulses,
+        bias_sigma=(max(config.wrench_bias * force_N, TINY), max(config.wrench_bias * torque_Nm, TINY)),
+        order=order,
+        nodes=nodes_of(
+            config.unknown_wrench_s, config.unknown_wrench == "everywhere", np.diff(tracks.time_s)
+        ),
+        node_sigma=(config.unknown_acceleration, config.unknown_angular_acceleration),
+    )
+
+
+def nodes_of(windows_s: tuple[tuple[float, float], ...], everywhere: bool, dt_s: Array) -> Bools:
+    """(F - 1,) steps in which a push is stated to be possible."""
+    ends = np.concatenate([[0.0], np.cumsum(dt_s)])
+    nodes = np.full(len(dt_s), everywhere)
+    for start, end in windows_s:
+        nodes |= (ends[:-1] < end) & (ends[1:] > start)
+    return nodes

@@ -1,0 +1,100 @@
+"""What stays fixed during one solve: reference attitudes, whitening, priors and gauge."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.backend.dynamics.process_noise import whitening
+from polhode.backend.dynamics.propagation import series_steps
+from polhode.backend.dynamics.residuals import Steps
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.motion_data import MotionData
+from polhode.lie import Array
+from polhode.records import Ints
+
+LOOSE_GAUGE, TIGHT_GAUGE = 0.1, 1e-3
+"""How firmly G is fixed at the first frame [rad, body radii]. A cold start must be free to move it; near the
+solution a step along it would leave the curved valley in which G may move."""
+COM_PRIOR_M = 0.1
+"""Least standard deviation of the prior on the centre of mass; a larger body's own radius is taken."""
+UNKNOWN_PUSH_PSD = 1.0
+"""[(m/s^2)^2/Hz], [(rad/s^2)^2/Hz] so strong that a step tells nothing of the body."""
+LEAST_CAMERA_SIGMA = 1e-7
+"""[m, rad] where only the other half of the camera's pose is noisy."""
+
+
+@dataclass(frozen=True)
+class LinearizationPoint:
+    """What is fixed during one solve: reference attitudes, whitening at the current rate, priors, gauge.
+
+    The free frame G is kept near the reference by a soft hold on the first pose: it costs nothing at the
+    solution, because every motion of G with its landmarks leaves the other terms unchanged.
+    """
+
+    reference: Iterate
+    A: Array
+    """(F, 3, 3) R_RN R_ref"""
+    steps: Steps
+    """Lengths, numbers of series and whitening of the steps between frames"""
+    prior: Array
+    """(13,) parameters of the prior kernel"""
+    gauge_information: Array
+    """(6,) diagonal of the hold on p_NG, theta of the first frame"""
+    camera_information: Array
+    """(6,) diagonal of the prior on the errors of the camera's pose, for each frame"""
+    bias_sigma: tuple[float, float]
+    """[N, N m] of the constant biases of a known wrench"""
+    half_log_det: float
+    """Normalisation of the dynamics term: makes the costs of different inertias comparable"""
+
+
+def linearization_point(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> LinearizationPoint:
+    """Freeze references and whitening at an iterate; gauge is the standard deviation of the first pose."""
+    w, J_G = iterate.w_G[:-1], iterate.J_G(data.form)
+    accel_psd, torque_psd = _levels(data, iterate)
+    # an unknown push of any course within its step, integrated out: white, and as strong over the whole step
+    accel_node, torque_node = np.square(data.node_sigma)[:, None] * data.nodes * data.dt_s
+    W_t, W_r, half_log = whitening(w, J_G, data.dt_s, accel_psd + accel_node, torque_psd + torque_node)
+    middle = geometric_median(iterate.p_G)
+    radius = float(np.sqrt(np.median(np.sum((iterate.p_G - middle) ** 2, axis=1))))
+    com_sigma = max(COM_PRIOR_M, radius)
+    return LinearizationPoint(
+        reference=iterate,
+        A=data.R_RN @ iterate.R_NG,
+        steps=_steps(data, iterate, series_steps(w, J_G, data.dt_s, torque_psd), W_t, W_r),
+        prior=np.concatenate([middle, [com_sigma], iterate.R_inertia.T.ravel()]),
+        gauge_information=np.repeat([(gauge * com_sigma) ** -2, gauge**-2], 3),
+        camera_information=np.repeat(
+            [max(sigma, LEAST_CAMERA_SIGMA) ** -2 for sigma in data.camera_sigma], 3
+        ),
+        bias_sigma=data.bias_sigma,
+        half_log_det=half_log,
+    )
+
+
+def _levels(data: MotionData, iterate: Iterate) -> tuple[Array, Array]:
+    """Disturbances in each step (F - 1,); in loose ones any, and where a known wrench acts that the iterate
+    does not have."""
+    unknown = np.zeros_like(data.dt_s)
+    if data.loose is not None:
+        unknown[data.loose] = UNKNOWN_PUSH_PSD
+    if data.impulses is not None and iterate.wrench is None:
+        unknown[data.impulses.acting] = UNKNOWN_PUSH_PSD
+    return np.maximum(data.accel_psd, unknown), np.maximum(data.torque_psd, unknown)
+
+
+def _steps(data: MotionData, iterate: Iterate, series: Ints, W_t: Array, W_r: Array) -> Steps:
+    known = data.impulses
+    if known is None or iterate.wrench is None:
+        return Steps(data.dt_s, series, W_t, W_r)
+    series = known.finer(series, iterate.w_G[:-1], data.dt_s)
+    return Steps(data.dt_s, series, W_t, W_r, known.of_force, known.torque(series))
+
+
+def geometric_median(points: Array) -> Array:
+    """Middle (3,) of points (n, 3): robust, and the same whichever way the axes lie (Weiszfeld 1937)."""
+    middle = points.mean(axis=0)
+    for _ in range(10):
+        weight = 1.0 / np.maximum(np.linalg.norm(points - middle, axis=1), 1e-6)
+        middle = weight @ points / weight.sum()
+    return np.asarray(middle)
