@@ -1,4 +1,16 @@
-"""Measurements to motion, mass properties and covariance."""
+"""The back end: feature tracks in; motion, mass properties and their covariances out.
+
+- ``estimate``: full smoothing over the sequence; ``fit``: noise levels and disturbances; ``result``: what is
+  reported of a solution.
+- ``window``: the causal estimate by a sliding window.
+- ``disturbances``: known and unknown forces and torques.
+- ``noise``: noise levels and outliers, from the data.
+- ``uncertainty``: covariances, and what the motion determines.
+- ``initialization``: initial poses, rates and inertias.
+- ``solvers``: Gauss-Newton and IPOPT.
+- ``dynamics``: the rigid body between frames.
+- ``problem``: measurements and unknowns.
+"""
 
 from polhode.backend.estimate import estimate_motion
 from polhode.backend.initialization.initialize import initialize_motion, undisputed_links

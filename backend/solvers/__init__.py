@@ -1,0 +1,11 @@
+"""Solvers of the weighted nonlinear least-squares problem: data and a start in, an optimum out.
+
+- ``gauss_newton``: the default solver, with damping and line search; also the source of covariances.
+- ``ipopt``: the whole problem stated as one nonlinear program, solved by IPOPT.
+- ``linearization_point``: what stays fixed during one solve.
+- ``robust_kernel``: the Cauchy kernel of the stereo residuals.
+- ``schur``: normal equations of the stereo measurements, elimination of the landmarks.
+- ``chain``: elimination of velocities and rates, which couple neighbouring frames only.
+- ``stereo_terms``: the stereo terms as CasADi reads them.
+- ``casadi_nlp``: assembly of CasADi programs from blocks, and the set-up of IPOPT.
+"""

@@ -1,4 +1,23 @@
-"""The sliding window: the causal estimate, frame by frame."""
+"""The sliding window: frames in, one by one, and the causal estimate at each frame out, in bounded time.
+
+- ``online``: the window over a whole sequence.
+- ``estimator``: the sliding window, frame by frame.
+- ``frame``: measurements of a frame, and a frame while the window keeps it.
+- ``add_frame``: pose and landmarks of a new frame.
+- ``solve``: the solves of one frame's update; the choice among several inertias.
+- ``marginalize``: key frames are chosen, other frames leave the window.
+- ``noise_levels``: noise of the pixels and level of the disturbances.
+- ``causal_state``: the state that is reported, with its covariance.
+- ``estimator_state``: frames, landmarks, constants and noise levels of the window.
+- ``history``: the first frames as a whole, until the inertia is known.
+- ``active``: the unknowns of the window and the arrival cost about them.
+- ``newton``, ``ipopt``: solvers of the window's program.
+- ``problem``: the nonlinear program of one update.
+- ``dynamics_factors``: the dynamics between consecutive states.
+- ``vision``: the observations, condensed to information on the poses.
+- ``landmarks``: landmark positions in a bounded set of slots.
+- ``quadratic``: Gaussian information and its marginals.
+"""
 
 from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.estimator import SlidingWindow
