@@ -13,14 +13,14 @@
 """
 
 from polhode.backend.estimate import estimate_motion
-from polhode.backend.initialization.initialize import initialize_motion, undisputed_links
-from polhode.backend.window.online import estimate_online, in_words_of, window_warnings
+from polhode.backend.initialization.initialize import consistent_links, initialize_motion
+from polhode.backend.window.online import align_online_estimate, estimate_online, window_warnings
 
 __all__ = [
+    "align_online_estimate",
+    "consistent_links",
     "estimate_motion",
     "estimate_online",
-    "in_words_of",
     "initialize_motion",
-    "undisputed_links",
     "window_warnings",
 ]

@@ -7,9 +7,9 @@ from time import perf_counter
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.fit import SUSPICIOUS, fit, times_stated
-from polhode.backend.initialization.multistart import N_HYPOTHESES, renew_inertia
-from polhode.backend.initialization.rotation_direction import OR_FAST
+from polhode.backend.fit import SUSPICIOUS, disturbance_ratio, fit
+from polhode.backend.initialization.multistart import N_HYPOTHESES, recenter_inertia
+from polhode.backend.initialization.rotation_direction import FAST_HINT
 from polhode.backend.noise.systematic import with_systematic
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
@@ -17,7 +17,7 @@ from polhode.backend.result import assemble
 from polhode.backend.solvers.gauss_newton import GaussNewton, Solution
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
-from polhode.backend.uncertainty.ambiguity import open_turns_deg, with_open_sense
+from polhode.backend.uncertainty.ambiguity import ambiguous_turns_deg, with_ambiguous_rotation
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.progress import Progress
@@ -45,7 +45,7 @@ def estimate_motion(
         # numpy's own words say nothing of the target
         reason = error if "bounds" in str(error) else "its equations have no solution"
         raise RunFailure(
-            f"no consistent motion: what fits best is no motion of a body ({reason}; {OR_FAST})"
+            f"no consistent motion: what fits best is no motion of a body ({reason}; {FAST_HINT})"
         ) from error
 
 
@@ -74,13 +74,13 @@ def _estimate(
         runner_up=runner_up,
     )
     estimate = with_systematic(estimate, tracks, config.systematic_px)
-    stronger = times_stated(data, config.accel_psd, config.torque_psd)
-    turns_deg = open_turns_deg(found.choice, trials[best], data.dt_s, stronger >= SUSPICIOUS)
+    stronger = disturbance_ratio(data, config.accel_psd, config.torque_psd)
+    turns_deg = ambiguous_turns_deg(found.choice, trials[best], data.dt_s, stronger >= SUSPICIOUS)
     if turns_deg is not None:
-        estimate = with_open_sense(estimate, turns_deg)
+        estimate = with_ambiguous_rotation(estimate, turns_deg)
     warnings = [*estimate.warnings, *_warnings_of_disturbances(data, config, stronger)]
     if not solution.converged:
-        warnings.append(f"the solver stopped before convergence: {solution.message} ({OR_FAST})")
+        warnings.append(f"the solver stopped before convergence: {solution.message} ({FAST_HINT})")
     return replace(estimate, solver=outcome, warnings=tuple(warnings))
 
 
@@ -101,7 +101,7 @@ def _warnings_of_disturbances(data: MotionData, config: Backend, stronger: float
 
 
 @dataclass(frozen=True)
-class Solved:
+class SolverResult:
     """Where the last step of the back end ended."""
 
     solver: str
@@ -111,7 +111,7 @@ class Solved:
     iterations: int
 
 
-def solve(data: MotionData, iterate: Iterate, config: Backend) -> Solved:
+def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolverResult:
     """The optimum. Where Gauss-Newton comes to no end IPOPT goes on from its best.
 
     IPOPT gets along valleys in which Gauss-Newton creeps, but takes several times as long. Gauss-Newton has
@@ -120,11 +120,13 @@ def solve(data: MotionData, iterate: Iterate, config: Backend) -> Solved:
     """
     limits = (config.max_iterations, config.max_seconds)
     if config.solver == "ipopt":
-        return Solved(MotionProgram.name, *refine(MotionProgram(data), data, iterate, *limits))
+        return SolverResult(MotionProgram.name, *refine(MotionProgram(data), data, iterate, *limits))
     begin, newton = perf_counter(), None
     half = (max(config.max_iterations // 2, 1), 0.5 * config.max_seconds)
     with suppress(LinAlgError):
-        newton = Solved(GaussNewton.name, *refine(GaussNewton(data, line_search=True), data, iterate, *half))
+        newton = SolverResult(
+            GaussNewton.name, *refine(GaussNewton(data, line_search=True), data, iterate, *half)
+        )
     if newton is not None and newton.solution.converged:
         return newton
     done, start = (0, iterate) if newton is None else (newton.iterations, newton.iterate)
@@ -140,7 +142,7 @@ def solve(data: MotionData, iterate: Iterate, config: Backend) -> Solved:
     if newton is not None and not solution.converged and newton.solution.cost <= solution.cost:
         return newton
     words = f"{solution.message}, after {done} iterations of {GaussNewton.name} without an end"
-    return Solved(MotionProgram.name, at, replace(solution, message=words), done + more)
+    return SolverResult(MotionProgram.name, at, replace(solution, message=words), done + more)
 
 
 def refine(
@@ -153,7 +155,7 @@ def refine(
     """Solve, renew references and whitening, until the cost rests or a limit is met."""
     before, total, end = np.inf, 0, perf_counter() + max_seconds
     for _ in range(MAX_PASSES):
-        iterate = renew_inertia(data, iterate)
+        iterate = recenter_inertia(data, iterate)
         fixed = linearization_point(data, iterate, TIGHT_GAUGE)
         left = (max_iterations - total, end - perf_counter())
         solution = solver.solve(fixed, iterate.vector(), *left)

@@ -5,34 +5,39 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.disturbances.known_wrench import attach_wrench
-from polhode.backend.disturbances.unknown_wrench import find_pushes
+from polhode.backend.disturbances.known_wrench import fit_known_wrench
+from polhode.backend.disturbances.unknown_wrench import find_disturbed_steps
 from polhode.backend.initialization.gaps import long_gaps
 from polhode.backend.initialization.initialize import frame_rates, robust_landmarks
-from polhode.backend.initialization.multistart import Start, Trial, first_starts, try_hypotheses
+from polhode.backend.initialization.multistart import (
+    HypothesisFit,
+    InitialGuess,
+    initial_guesses,
+    try_hypotheses,
+)
 from polhode.backend.noise.measurement_noise import NoiseScales
 from polhode.backend.noise.process_level import estimate_process_noise
-from polhode.backend.noise.prune import Kept, settle
+from polhode.backend.noise.prune import PrunedProblem, remove_outliers
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
-from polhode.backend.uncertainty.ambiguity import Choice, choose
+from polhode.backend.uncertainty.ambiguity import HypothesisChoice, choose_hypothesis
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import inverse_pose, make_pose
 from polhode.progress import Advance
 from polhode.records import Bools, InitialMotion, Ints, StereoTracks
 
-SEARCHES = 3
+MAX_SEARCHES = 3
 """For unknown pushes: with the strong ones freed the disturbances are weaker, and weak ones show."""
-MOST_AGREE, SUSPICIOUS = 0.65, 30.0
+MIN_AGREEMENT, SUSPICIOUS = 0.65, 30.0
 """A smaller share of observations that agree, or estimated disturbances so many times those stated (power):
 frames may contradict one another."""
-MOST_PLACED, PLACINGS = 0.9, 2
+MIN_KEPT_LANDMARKS, MAX_REPLACEMENTS = 0.9, 2
 """When fewer landmarks are kept, wrong first poses may have put them astray: they are placed anew."""
 SHARE, LEAST = 0.3, 12
 """Of what the richest tenth of the frames shows, and observations: less is little."""
 ENOUGH_FRAMES = 6
-MOST_STRETCHES = 2
+MAX_STRETCHES = 2
 """Between long gaps, those that show most first."""
 
 
@@ -41,13 +46,13 @@ class Fit:
     """A motion near the optimum, and the problem with its noise as it was told from the data."""
 
     data: MotionData
-    kept: Kept
+    kept: PrunedProblem
     iterate: Iterate
     """Of the whole data"""
     scales: NoiseScales
-    trials: dict[str, Trial]
+    trials: dict[str, HypothesisFit]
     """Of the hypotheses, by name"""
-    choice: Choice
+    choice: HypothesisChoice
     """Among them"""
     wrench_runner_up: dict[str, float]
     """Cost of the other directions of a known torque's axes, by name"""
@@ -61,80 +66,84 @@ def fit(
     Raises RunFailure or LinAlgError when no guess leads to a motion that most observations agree with.
     """
     failure: RunFailure | LinAlgError | None = None
-    found: list[tuple[Fit, list[Start]]] = []
-    for first in (initial, *from_fewer_frames(tracks, initial)):
-        starts = first_starts(tracks, first, data)
+    found: list[tuple[Fit, list[InitialGuess]]] = []
+    for first in (initial, *motions_from_fewer_frames(tracks, initial)):
+        starts = initial_guesses(tracks, first, data)
         try:
             found.append((_fit(data, starts, config, advance), starts))
         except (RunFailure, LinAlgError) as error:
             failure = failure if failure is not None else error
             continue
         if not _doubtful(found[-1][0], data):
-            return _with_pushes(data, *found[-1], config)
-        advance = _silent
+            return _with_disturbances(data, *found[-1], config)
+        advance = _no_progress
     if not found:
         assert failure is not None
         raise failure
     # what looks like a contradiction may be a push
-    return _with_pushes(data, *max(found, key=lambda one: _agreeing(one[0])), config)
+    return _with_disturbances(data, *max(found, key=lambda one: _agreement(one[0])), config)
 
 
 def _doubtful(found: Fit, stated: MotionData) -> bool:
     """Whether many observations disagree, or the motion seems much disturbed."""
-    stronger = times_stated(found.data, stated.accel_psd, stated.torque_psd)
-    return _agreeing(found) < MOST_AGREE or stronger > SUSPICIOUS
+    stronger = disturbance_ratio(found.data, stated.accel_psd, stated.torque_psd)
+    return _agreement(found) < MIN_AGREEMENT or stronger > SUSPICIOUS
 
 
-def times_stated(found: MotionData, accel_psd: float, torque_psd: float) -> float:
+def disturbance_ratio(found: MotionData, accel_psd: float, torque_psd: float) -> float:
     """How many times the stated disturbances the found ones are (power), of force or torque the larger."""
     return max(found.accel_psd / accel_psd, found.torque_psd / torque_psd)
 
 
-def _agreeing(found: Fit) -> float:
+def _agreement(found: Fit) -> float:
     """Share of the observations that agree with the motion."""
     return float(np.mean(found.kept.observations))
 
 
-def _placed_anew(tracks: StereoTracks, kept: Kept, iterate: Iterate) -> Iterate:
+def _replace_landmarks(tracks: StereoTracks, kept: PrunedProblem, iterate: Iterate) -> Iterate:
     """Landmarks that left, where the poses found since then see them."""
     X_RG = inverse_pose(tracks.X_NR) @ make_pose(iterate.R_NG, iterate.p_NG)
     p_G, known = robust_landmarks(tracks, X_RG, np.ones(tracks.n_frames, dtype=np.bool_))
     return replace(iterate, p_G=np.where((known & ~kept.landmarks)[:, None], p_G, iterate.p_G))
 
 
-def _silent() -> None:
+def _no_progress() -> None:
     return None
 
 
-def _with_pushes(data: MotionData, found: Fit, starts: list[Start], config: Backend) -> Fit:
+def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess], config: Backend) -> Fit:
     """The fit; where free motion is contradicted by pushes, made again with nodes for them."""
-    for _ in range(SEARCHES if config.unknown_wrench == "found" else 0):
+    for _ in range(MAX_SEARCHES if config.unknown_wrench == "found" else 0):
         small = found.kept.restrict(found.iterate)
         try:
-            pushes = find_pushes(found.kept.data, small, data.node_sigma, config.process_noise == "given")
+            pushes = find_disturbed_steps(
+                found.kept.data, small, data.node_sigma, config.process_noise == "given"
+            )
             if pushes is None:
                 break
             with_nodes = replace(data, nodes=pushes.nodes, node_sigma=pushes.sigma)
-            found = _fit(with_nodes, starts, config, _silent)
+            found = _fit(with_nodes, starts, config, _no_progress)
         except (RunFailure, LinAlgError):
             # what was found without them stays
             break
     return found
 
 
-def _fit(data: MotionData, starts: list[Start], config: Backend, advance: Advance) -> Fit:
+def _fit(data: MotionData, starts: list[InitialGuess], config: Backend, advance: Advance) -> Fit:
     trials = try_hypotheses(data, starts, advance)
-    choice = choose(trials, data.dt_s)
+    choice = choose_hypothesis(trials, data.dt_s)
     stated = data
-    data, kept, iterate, scales = settle(stated, trials[choice.name].iterate)
-    for _ in range(PLACINGS):
-        if np.mean(kept.landmarks) >= MOST_PLACED:
+    data, kept, iterate, scales = remove_outliers(stated, trials[choice.name].iterate)
+    for _ in range(MAX_REPLACEMENTS):
+        if np.mean(kept.landmarks) >= MIN_KEPT_LANDMARKS:
             break
-        data, kept, iterate, scales = settle(stated, _placed_anew(starts[0].tracks, kept, iterate))
+        data, kept, iterate, scales = remove_outliers(
+            stated, _replace_landmarks(starts[0].tracks, kept, iterate)
+        )
     advance()
     runner_up: dict[str, float] = {}
     if data.impulses is not None and data.impulses.acting.any():
-        attached = attach_wrench(kept.data, kept.restrict(iterate))
+        attached = fit_known_wrench(kept.data, kept.restrict(iterate))
         iterate, runner_up = kept.expand(attached.iterate, iterate), attached.runner_up
     if config.process_noise == "estimated":
         level = estimate_process_noise(kept.data, kept.restrict(iterate))
@@ -144,7 +153,7 @@ def _fit(data: MotionData, starts: list[Start], config: Backend, advance: Advanc
     return Fit(data, kept, iterate, scales, trials, choice, runner_up)
 
 
-def from_fewer_frames(tracks: StereoTracks, initial: InitialMotion) -> list[InitialMotion]:
+def motions_from_fewer_frames(tracks: StereoTracks, initial: InitialMotion) -> list[InitialMotion]:
     """First motions with fewer known poses: those of frames that show much, of stretches between gaps."""
     seen = np.bincount(tracks.frame, minlength=tracks.n_frames)
     out: list[Bools] = []
@@ -166,5 +175,5 @@ def _stretches(tracks: StereoTracks, initial: InitialMotion, seen: Ints) -> list
     starts = [gap.after for gap in long_gaps(tracks.time_s, initial.connected, w_G) if gap.after is not None]
     stretch = np.searchsorted(starts, np.arange(tracks.n_frames), side="right")
     shown = np.bincount(stretch, seen * initial.connected)
-    most = np.argsort(-shown, kind="stable")[:MOST_STRETCHES]
+    most = np.argsort(-shown, kind="stable")[:MAX_STRETCHES]
     return [np.asarray(initial.connected & (stretch == n)) for n in most]

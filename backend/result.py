@@ -3,11 +3,11 @@
 import numpy as np
 
 from polhode.backend.disturbances.known_wrench import with_absolute_scale
-from polhode.backend.disturbances.unknown_wrench import in_words, recovered_pushes
-from polhode.backend.dynamics.residuals import States
-from polhode.backend.initialization.rotation_direction import OR_FAST
+from polhode.backend.disturbances.unknown_wrench import describe_impulses, estimate_impulses
+from polhode.backend.dynamics.residuals import FrameStates
+from polhode.backend.initialization.rotation_direction import FAST_HINT
 from polhode.backend.noise.measurement_noise import NoiseScales
-from polhode.backend.noise.prune import Kept, whitened_residuals
+from polhode.backend.noise.prune import PrunedProblem, whitened_residuals
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
@@ -22,11 +22,11 @@ from polhode.backend.uncertainty.covariance import (
     state_jacobians,
     with_infinite,
 )
-from polhode.backend.uncertainty.identifiability import Determined, analyse, undetermined_states
+from polhode.backend.uncertainty.identifiability import IdentifiabilityAnalysis, analyse, undetermined_states
 from polhode.backend.uncertainty.principal_axes import (
     AxesDerivative,
     axes_derivative,
-    of_free_turn,
+    free_axis_covariance,
     ratio_covariance,
 )
 from polhode.lie import Array, make_pose
@@ -42,13 +42,13 @@ from polhode.records import (
     StereoTracks,
 )
 
-MANY_OUTLIERS = 0.3
+OUTLIER_WARNING_SHARE = 0.3
 
 
 def assemble(
     tracks: StereoTracks,
     data: MotionData,
-    kept: Kept,
+    kept: PrunedProblem,
     iterate: Iterate,
     scales: NoiseScales,
     initial: InitialMotion,
@@ -67,15 +67,15 @@ def assemble(
     w_P = iterate.w_G @ R_GP
     determined = analyse(m.constants_information, derivative, w_P)
     covariance, joint = _state_covariances(data, iterate, m, derivative, determined, w_P)
-    true = States(_numbers(iterate), iterate.R_NG, data.camera_N, iterate.com_G)
+    true = FrameStates(_numbers(iterate), iterate.R_NG, data.camera_N, iterate.com_G)
     mass = _mass(iterate, m, derivative, determined)
     mass = with_absolute_scale(mass, iterate, data.form, m, derivative, data.impulses)
-    pushes = recovered_pushes(
+    pushes = estimate_impulses(
         kept.data, fixed, small, m, derivative, mass.identifiable.axes_P, tracks.timestamps_ns
     )
     warnings = _warnings(tracks, weight, data, mass.identifiable, initial, iterate)
     if pushes is not None:
-        warnings += in_words(pushes, int(tracks.timestamps_ns[0]))
+        warnings += describe_impulses(pushes, int(tracks.timestamps_ns[0]))
     return MotionEstimate(
         timestamps_ns=tracks.timestamps_ns,
         r_N=true.centres(),
@@ -109,14 +109,14 @@ def _state_covariances(
     iterate: Iterate,
     m: Marginals,
     derivative: AxesDerivative,
-    determined: Determined,
+    determined: IdentifiabilityAnalysis,
     w_P: Array,
 ) -> tuple[Array, Array]:
     jacobians = state_jacobians(iterate, derivative, data.camera_N)
     covariance, joint = state_covariances(iterate, m, jacobians)
     axes_lost = ~determined.record.axes_P
-    covariance[:, 6:9, 6:9] = of_free_turn(covariance[:, 6:9, 6:9], axes_lost)
-    joint[6:9, 6:9] = of_free_turn(joint[6:9, 6:9], axes_lost)
+    covariance[:, 6:9, 6:9] = free_axis_covariance(covariance[:, 6:9, 6:9], axes_lost)
+    joint[6:9, 6:9] = free_axis_covariance(joint[6:9, 6:9], axes_lost)
     lost = undetermined_states(determined, jacobians, m.response, w_P)
     for k in range(iterate.n_frames):
         covariance[k] = with_infinite(covariance[k], lost[k])
@@ -130,7 +130,7 @@ def _numbers(iterate: Iterate) -> Array:
 
 
 def _mass(
-    iterate: Iterate, m: Marginals, derivative: AxesDerivative, determined: Determined
+    iterate: Iterate, m: Marginals, derivative: AxesDerivative, determined: IdentifiabilityAnalysis
 ) -> MassProperties:
     known = determined.record
     n = iterate.n_states
@@ -146,7 +146,7 @@ def _mass(
         cov_J=with_infinite(cov_J, determined.lost_constants[3:]),
         R_GP=R_GP,
         cov_R_GP=with_infinite(
-            of_free_turn(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P), ~known.axes_P
+            free_axis_covariance(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P), ~known.axes_P
         ),
         com_G=iterate.com_G,
         cov_com_G=with_infinite(cov_com, com_lost),
@@ -199,8 +199,10 @@ def _warnings(
     if lost:
         out.append(f"the motion does not determine: {', '.join(lost)}")
     outliers = float(np.mean(weight == 0.0))
-    if outliers > MANY_OUTLIERS:
-        out.append(f"{outliers:.0%} of the observations contradict the motion and were left out ({OR_FAST})")
+    if outliers > OUTLIER_WARNING_SHARE:
+        out.append(
+            f"{outliers:.0%} of the observations contradict the motion and were left out ({FAST_HINT})"
+        )
     empty = np.setdiff1d(np.arange(tracks.n_frames), tracks.frame)
     if len(empty):
         bridged = (

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.backend import undisputed_links
+from polhode.backend import consistent_links
 from polhode.config import Config
 from polhode.config.frontend import Frontend
 from polhode.errors import RunFailure
@@ -123,7 +123,7 @@ def _match(
 
 def _undisputed(images: Images, matches: Sequence[PairMatch], clock: Stopwatch) -> list[PairMatch]:
     with clock("initialization"):
-        good = undisputed_links(relative_poses(matches), images.time_s, images.X_NR[:, :3, :3])
+        good = consistent_links(relative_poses(matches), images.time_s, images.X_NR[:, :3, :3])
     _log.info("%d of %d links are contradicted by others", np.sum(~good), len(matches))
     return [match for match, kept in zip(matches, good, strict=True) if kept]
 

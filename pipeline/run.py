@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from polhode.backend import estimate_online, in_words_of, window_warnings
+from polhode.backend import align_online_estimate, estimate_online, window_warnings
 from polhode.config import Config
 from polhode.frontend.extract import extract_depth
 from polhode.lie import transform_points
@@ -91,7 +91,7 @@ def _replay(
 ) -> OnlineEstimate:
     """What a sliding window knew when each frame came, in the words of the final estimate."""
     with clock("backend"):
-        return in_words_of(estimate_online(tracks, config.backend, progress), estimate)
+        return align_online_estimate(estimate_online(tracks, config.backend, progress), estimate)
 
 
 def _build_surface(

@@ -25,17 +25,17 @@ from polhode.records import MassProperties
 
 MAYBE_EQUAL = 0.1
 """Logarithm of two moments' ratio below which their axes may be exchanged."""
-MOST_TRIALS = 4
+MAX_FITS = 4
 """Fits, of the orders and half-turns that fit the change of momentum best."""
 PASSES = (4, 4, 4)
-LARGEST_LN = 14.0
+MAX_LN = 14.0
 """Of mass [kg] and scale, where the motion shows nothing of the push."""
-MOST_SIGMA = 0.3
+MAX_SIGMA = 0.3
 """Of the logarithms: more is called undetermined."""
 
 
 @dataclass(frozen=True)
-class Attached:
+class KnownWrenchFit:
     """A motion with its wrench, and how much worse the other directions of the axes fit."""
 
     iterate: Iterate
@@ -43,7 +43,7 @@ class Attached:
 
 
 @dataclass(frozen=True)
-class Guess:
+class WrenchGuess:
     """Axes of the torque in G, the unknowns that go with them, and what they leave of the momentum."""
 
     name: str
@@ -53,7 +53,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Logarithm:
+class LogEstimate:
     """A positive number by its logarithm, and how well that is known."""
 
     value: float
@@ -61,7 +61,7 @@ class Logarithm:
     determined: bool
 
 
-def attach_wrench(data: MotionData, iterate: Iterate) -> Attached:
+def fit_known_wrench(data: MotionData, iterate: Iterate) -> KnownWrenchFit:
     """Fit the wrench of ``data`` too, from a motion that was fitted with its steps left loose.
 
     Raises RunFailure when no direction of the axes leads to a solution.
@@ -69,7 +69,7 @@ def attach_wrench(data: MotionData, iterate: Iterate) -> Attached:
     assert data.impulses is not None
     guesses = _guesses(data, iterate, data.impulses)
     found: dict[str, tuple[Iterate, float]] = {}
-    for guess in sorted(guesses, key=lambda guess: guess.misfit)[:MOST_TRIALS]:
+    for guess in sorted(guesses, key=lambda guess: guess.misfit)[:MAX_FITS]:
         at = replace(iterate, wrench=guess.wrench, R_torque=guess.R_torque)
         fitted = _fit(data, at)
         if fitted is not None:
@@ -78,7 +78,7 @@ def attach_wrench(data: MotionData, iterate: Iterate) -> Attached:
         raise RunFailure("no motion is consistent with the known forces and torques of wrench0")
     best = min(found, key=lambda name: found[name][1])
     costs = {name: cost - found[best][1] for name, (_, cost) in found.items() if name != best}
-    return Attached(found[best][0], costs)
+    return KnownWrenchFit(found[best][0], costs)
 
 
 def _fit(data: MotionData, iterate: Iterate) -> tuple[Iterate, float] | None:
@@ -93,9 +93,9 @@ def _fit(data: MotionData, iterate: Iterate) -> tuple[Iterate, float] | None:
     return (iterate, float(cost)) if np.isfinite(cost) else None
 
 
-def _guesses(data: MotionData, iterate: Iterate, known: Impulses) -> list[Guess]:
+def _guesses(data: MotionData, iterate: Iterate, known: Impulses) -> list[WrenchGuess]:
     moments, R_GP = principal_axes(iterate.J_G(data.form))
-    ln_mass = _ln_inverse(_slope(iterate.v_N, known.so_far[:, :3])[0])
+    ln_mass = _ln_inverse(_slope(iterate.v_N, known.cumulative[:, :3])[0])
     if known.largest[1] == 0.0:
         return [_guess("no torque", R_GP, 0.0, ln_mass, 0.0)]
     guesses = []
@@ -110,17 +110,17 @@ def _guesses(data: MotionData, iterate: Iterate, known: Impulses) -> list[Guess]
     return guesses
 
 
-def _guess(name: str, R_torque: Array, ln_scale: float, ln_mass: float, misfit: float) -> Guess:
+def _guess(name: str, R_torque: Array, ln_scale: float, ln_mass: float, misfit: float) -> WrenchGuess:
     wrench = np.zeros(N_WRENCH)
     wrench[LN_SCALE], wrench[LN_MASS] = ln_scale, ln_mass
-    return Guess(name, R_torque, wrench, misfit)
+    return WrenchGuess(name, R_torque, wrench, misfit)
 
 
 def _impulses_N(data: MotionData, iterate: Iterate, known: Impulses, R_torque: Array) -> Array:
     """Impulse of the torque in each step (F - 1, 3), turned to N in its middle [N m s]."""
     half = exp_so3(0.5 * data.dt_s[:, None] * iterate.w_G[:-1])
     R_N = iterate.R_NG[:-1] @ half @ R_torque
-    return np.asarray(np.einsum("kij,kj->ki", R_N, np.diff(known.so_far[:, 3:], axis=0)))
+    return np.asarray(np.einsum("kij,kj->ki", R_N, np.diff(known.cumulative[:, 3:], axis=0)))
 
 
 def _slope(series: Array, impulse: Array) -> tuple[float, float]:
@@ -133,7 +133,7 @@ def _slope(series: Array, impulse: Array) -> tuple[float, float]:
 
 
 def _ln_inverse(factor: float) -> float:
-    return float(-np.log(max(factor, np.exp(-LARGEST_LN))))
+    return float(-np.log(max(factor, np.exp(-MAX_LN))))
 
 
 def _directions(moments: Array) -> list[tuple[str, Array]]:
@@ -169,8 +169,8 @@ def with_absolute_scale(
     force, torque = (size > 0.0 for size in known.largest)
     detail = {
         **mass.identifiable.detail,
-        "mass": _words(kilograms, force, "force"),
-        "inertia_scale": _words(scale, torque, "torque"),
+        "mass": _description(kilograms, force, "force"),
+        "inertia_scale": _description(scale, torque, "torque"),
     }
     return replace(
         mass,
@@ -184,7 +184,7 @@ def with_absolute_scale(
 
 def _logarithms(
     iterate: Iterate, form: InertiaForm, m: Marginals, derivative: AxesDerivative
-) -> tuple[Logarithm, Logarithm]:
+) -> tuple[LogEstimate, LogEstimate]:
     """Of the middle moment [kg m^2] and of the mass [kg]."""
     assert iterate.wrench is not None and m.wrench_information is not None
     n = iterate.n_states
@@ -193,21 +193,21 @@ def _logarithms(
     middle = float(np.linalg.eigvalsh(iterate.J_G(form))[1])
     # without the prior: what the data alone say of each
     alone = 1.0 / np.sqrt(np.maximum(np.diag(m.wrench_information), 1e-12))
-    ln_scale = Logarithm(
+    ln_scale = LogEstimate(
         float(iterate.wrench[LN_SCALE] + np.log(middle)),
         float(np.sqrt(along @ m.dense[np.ix_(at, at)] @ along)),
-        bool(alone[0] < MOST_SIGMA),
+        bool(alone[0] < MAX_SIGMA),
     )
     of_mass = n + 8 + LN_MASS
     sigma = float(np.sqrt(m.dense[of_mass, of_mass]))
-    return ln_scale, Logarithm(float(iterate.wrench[LN_MASS]), sigma, bool(alone[1] < MOST_SIGMA))
+    return ln_scale, LogEstimate(float(iterate.wrench[LN_MASS]), sigma, bool(alone[1] < MAX_SIGMA))
 
 
-def _sigma(logarithm: Logarithm) -> float:
+def _sigma(logarithm: LogEstimate) -> float:
     return float(np.exp(logarithm.value) * logarithm.sigma) if logarithm.determined else np.inf
 
 
-def _words(logarithm: Logarithm, acts: bool, what: str) -> str:
+def _description(logarithm: LogEstimate, acts: bool, what: str) -> str:
     if logarithm.determined:
         return f"determined, standard deviation about {100.0 * logarithm.sigma:.2g} %"
     if not acts:

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend.dynamics.propagation import flow_derivatives, flows
+from polhode.backend.dynamics.propagation import propagate_derivatives, propagate_rotations
 from polhode.backend.dynamics.residuals import dynamics_jacobians
-from polhode.backend.noise.process_level import INDIFFERENT, Level, estimate_process_noise, level_at
+from polhode.backend.noise.process_level import INDIFFERENT, LevelFit, estimate_process_noise, fit_level
 from polhode.backend.problem.inertia import inertia_derivative
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
@@ -32,20 +32,20 @@ from polhode.records import Bools, Ints, Push, UnknownPushes
 
 SUSPICIOUS = 24.0
 """Of a sum of six squares: 1 in 2,000 by chance. What is suspected must still gain evidence."""
-STANDING_OUT, LEAST_SUSPICIOUS = 5.5, 8.0
+STANDING_OUT, MIN_SUSPICIOUS = 5.5, 8.0
 """Times the median, and at least so much: suspicious too, as pushes make the process noise seem stronger."""
 SHARE_OF_LARGEST = 0.5
-LEAST_GAIN = 15.0
+MIN_EVIDENCE_GAIN = 15.0
 """Of log-evidence, for all nodes together: odds of three million, far above the number of places to look."""
-MOST_NODES = 0.4
+MAX_NODE_SHARE = 0.4
 """Share of the steps; a target that is pushed more often is disturbed."""
-WEAKER, MOST_WEAKER = 10.0**0.5, 10
+WEAKER, MAX_WEAKER_STEPS = 10.0**0.5, 10
 """Steps of the search for the strength of the pushes, downwards from the widest."""
 LEVELS = 3
 """Of the process noise: with the largest pushes freed it is weaker, and the others stand out."""
 ROUNDS = 8
 ITERATIONS = 4
-LEAST_VARIANCE = 1e-3
+MIN_VARIANCE = 1e-3
 """Of a whitened residual; below, the data say nothing of it."""
 SURE = 4.0
 """Standard deviations of the largest change, beyond which something did push."""
@@ -61,7 +61,7 @@ class Found:
     """[m/s^2, rad/s^2]"""
 
 
-def find_pushes(
+def find_disturbed_steps(
     data: MotionData, iterate: Iterate, widest: tuple[float, float], level_is_given: bool
 ) -> Found | None:
     """Steps that need a node, those of ``data`` among them; None when no further one does.
@@ -70,29 +70,29 @@ def find_pushes(
     is tried. A push that is found may have begun a step earlier, or ended one later: these steps have a node
     too.
     """
-    level = Level(data, iterate, np.inf)
+    level = LevelFit(data, iterate, np.inf)
     for _ in range(LEVELS):
-        found, at = _free_the_contradicted(level.data, level.iterate)
-        if np.array_equal(found, level.data.nodes) or found.mean() > MOST_NODES:
+        found, at = _add_nodes(level.data, level.iterate)
+        if np.array_equal(found, level.data.nodes) or found.mean() > MAX_NODE_SHARE:
             break
-        level = _weigh(replace(level.data, nodes=found, node_sigma=widest), at, level_is_given)
-        level = _weaker(_weaker(level, 0), 1)
+        level = _fit(replace(level.data, nodes=found, node_sigma=widest), at, level_is_given)
+        level = _reduce_sigma(_reduce_sigma(level, 0), 1)
     if np.array_equal(level.data.nodes, data.nodes):
         return None
-    gain = _weigh(data, iterate, level_is_given).minus_log_evidence - level.minus_log_evidence
-    if not gain > LEAST_GAIN:
+    gain = _fit(data, iterate, level_is_given).minus_log_evidence - level.minus_log_evidence
+    if not gain > MIN_EVIDENCE_GAIN:
         return None
     return Found(data.nodes | _with_neighbours(level.data.nodes & ~data.nodes), level.data.node_sigma)
 
 
-def _weaker(best: Level, which: int) -> Level:
+def _reduce_sigma(best: LevelFit, which: int) -> LevelFit:
     """Lower one of the standard deviations as long as the evidence rises; the largest of those as likely."""
     tried = [best]
-    for _ in range(MOST_WEAKER):
+    for _ in range(MAX_WEAKER_STEPS):
         sigma = list(tried[-1].data.node_sigma)
         sigma[which] /= WEAKER
         data = replace(tried[-1].data, node_sigma=(sigma[0], sigma[1]))
-        tried.append(level_at(data, tried[-1].iterate, data.accel_psd, data.torque_psd))
+        tried.append(fit_level(data, tried[-1].iterate, data.accel_psd, data.torque_psd))
         if not tried[-1].minus_log_evidence < tried[-2].minus_log_evidence:
             break
     least = min(level.minus_log_evidence for level in tried)
@@ -106,13 +106,13 @@ def _with_neighbours(steps: Bools) -> Bools:
     return out
 
 
-def _weigh(data: MotionData, iterate: Iterate, level_is_given: bool) -> Level:
+def _fit(data: MotionData, iterate: Iterate, level_is_given: bool) -> LevelFit:
     if level_is_given:
-        return level_at(data, iterate, data.accel_psd, data.torque_psd)
+        return fit_level(data, iterate, data.accel_psd, data.torque_psd)
     return estimate_process_noise(data, iterate)
 
 
-def _free_the_contradicted(data: MotionData, iterate: Iterate) -> tuple[Bools, Iterate]:
+def _add_nodes(data: MotionData, iterate: Iterate) -> tuple[Bools, Iterate]:
     """Give nodes to the largest contradictions and fit, until none is left."""
     for turn in range(ROUNDS):
         if turn > 0:
@@ -120,9 +120,9 @@ def _free_the_contradicted(data: MotionData, iterate: Iterate) -> tuple[Bools, I
                 linearization_point(data, iterate), iterate.vector(), ITERATIONS
             )
             iterate = iterate.moved_to(solution.x)
-        size = contradictions(data, iterate)
+        size = auxiliary_residuals(data, iterate)
         size[data.nodes] = 0.0
-        limit = np.maximum(STANDING_OUT * np.median(size[~data.nodes], axis=0), LEAST_SUSPICIOUS)
+        limit = np.maximum(STANDING_OUT * np.median(size[~data.nodes], axis=0), MIN_SUSPICIOUS)
         suspects = (size > np.minimum(limit, SUSPICIOUS)) & (size >= SHARE_OF_LARGEST * size.max(axis=0))
         if not suspects.any():
             break
@@ -130,7 +130,7 @@ def _free_the_contradicted(data: MotionData, iterate: Iterate) -> tuple[Bools, I
     return data.nodes, iterate
 
 
-def contradictions(data: MotionData, iterate: Iterate) -> Array:
+def auxiliary_residuals(data: MotionData, iterate: Iterate) -> Array:
     """Auxiliary residuals of translation and rotation, squared: (F - 1, 2), of six numbers each.
 
     Near 6 where the motion is as disturbed as ``data`` says; less where little of it is seen.
@@ -148,12 +148,12 @@ def contradictions(data: MotionData, iterate: Iterate) -> Array:
         S = np.eye(12) - D @ dense[np.ix_(own, own)] @ D.T
         for n, rows in enumerate((slice(0, 6), slice(6, 12))):
             variance, axes = np.linalg.eigh(S[rows, rows])
-            seen = variance > LEAST_VARIANCE
+            seen = variance > MIN_VARIANCE
             out[k, n] = np.sum((axes.T @ r[rows])[seen] ** 2 / variance[seen])
     return out
 
 
-def recovered_pushes(
+def estimate_impulses(
     data: MotionData,
     fixed: LinearizationPoint,
     iterate: Iterate,
@@ -175,7 +175,7 @@ def recovered_pushes(
     cov = np.stack([_covariance(T, m.dense, iterate, np.array([k])) for k in use])
     # the disturbances of a step are in the change of the state, not in the push
     quiet = np.repeat([data.accel_psd, data.torque_psd], 3)
-    mixed = _mixed(axes_known)
+    mixed = _mixed_components(axes_known)
     dt = data.dt_s[use, None]
     sigma = _sigma(cov, quiet * dt, mixed) / dt
     starts, ends = timestamps_ns[use], timestamps_ns[use + 1]
@@ -210,8 +210,8 @@ def _changes(
 def _to_the_middle(at: Iterate, data: MotionData, fixed: LinearizationPoint) -> Array:
     """(F - 1, 3, 3) that carry a change of the rate at the end of a step back to its middle."""
     J_G, half, series = at.J_G(data.form), 0.5 * data.dt_s, fixed.steps.series
-    middle = flows(at.w_G[:-1], J_G, half, series)[1]
-    rate = flow_derivatives(middle, J_G, np.zeros((0, 3, 3)), half, series)[3]
+    middle = propagate_rotations(at.w_G[:-1], J_G, half, series)[1]
+    rate = propagate_derivatives(middle, J_G, np.zeros((0, 3, 3)), half, series)[3]
     return np.asarray(np.linalg.inv(np.swapaxes(rate, 1, 2)))
 
 
@@ -234,13 +234,13 @@ def _sigma(covariance: Array, quiet: Array, mixed: Bools) -> Array:
     return np.asarray(sigma)
 
 
-def _mixed(axes_known: Bools) -> Bools:
+def _mixed_components(axes_known: Bools) -> Bools:
     """(3,) components that a turn about an undetermined axis mixes."""
     lost = ~axes_known
     return np.array([lost[1] | lost[2], lost[0] | lost[2], lost[0] | lost[1]])
 
 
-def in_words(pushes: UnknownPushes, first_ns: int) -> list[str]:
+def describe_impulses(pushes: UnknownPushes, first_ns: int) -> list[str]:
     """One sentence for each push."""
     return [_sentence(push, first_ns) for push in pushes.pushes]
 

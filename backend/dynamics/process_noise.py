@@ -8,13 +8,13 @@ error on the right. The equation is integrated along the motion itself, in scale
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.dynamics.propagation import flow_derivatives, flows
+from polhode.backend.dynamics.propagation import propagate_derivatives, propagate_rotations
 from polhode.lie import Array
 from polhode.quaternion import matrix_from_wxyz
 
 PART_RAD = 0.7
 """Largest turn of a part of an interval: its variances are right to 1e-4."""
-MOST_TURN_RAD = 1e4
+MAX_TURN_RAD = 1e4
 """Within one interval: no rate of a body, but one of a solution that has gone astray."""
 _ABSCISSAS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 NODES, WEIGHTS = 0.5 * (_ABSCISSAS + 1.0), 0.5 * _WEIGHTS
@@ -53,7 +53,7 @@ def _integrated(w_G: Array, J_G: Array, dt_s: Array) -> Array:
     n = len(dt_s)
     turn = np.linalg.norm(w_G, axis=1) * dt_s
     # not a number is refused too
-    if not np.all(turn < MOST_TURN_RAD):
+    if not np.all(turn < MAX_TURN_RAD):
         raise LinAlgError("a rate beyond all bounds")
     cov, w, done = np.zeros((n, 6, 6)), w_G.copy(), np.zeros(n)
     left = np.arange(n)
@@ -64,7 +64,7 @@ def _integrated(w_G: Array, J_G: Array, dt_s: Array) -> Array:
         F, w[left] = _transition(at, J_G, t, part)
         cov[left] = F @ cov[left] @ np.swapaxes(F, 1, 2)
         for node, weight in zip(NODES, WEIGHTS, strict=True):
-            between = flows(at, J_G, t * part * node, one)[1]
+            between = propagate_rotations(at, J_G, t * part * node, one)[1]
             K = _transition(between, J_G, t, part * (1.0 - node))[0][:, :, 3:] @ np.linalg.inv(J_G)
             cov[left] += weight * part[:, None, None] * (K @ np.swapaxes(K, 1, 2))
         done[left] += part
@@ -74,7 +74,7 @@ def _integrated(w_G: Array, J_G: Array, dt_s: Array) -> Array:
 
 def _transition(w_G: Array, J_G: Array, t: Array, part: Array) -> tuple[Array, Array]:
     """Transition (n, 6, 6) of (theta / t, w) over a part (n,) of t (n,) seconds, and the rate after it."""
-    q, w_end, turn, rate = flow_derivatives(
+    q, w_end, turn, rate = propagate_derivatives(
         w_G, J_G, np.zeros((0, 3, 3)), t * part, np.ones(len(t), dtype=np.int64)
     )
     # a series that diverges leaves no unit quaternion, or none at all

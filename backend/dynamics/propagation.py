@@ -21,8 +21,8 @@ from polhode.lie import Array
 from polhode.records import Ints
 
 ORDER = 8
-MOST_STEPS = 1024
-MOST_RATIO = 0.7
+MAX_SERIES = 1024
+MAX_RATIO = 0.7
 """Of neighbouring terms; a series that falls slower says nothing of its remainder."""
 SHARE_OF_NOISE = 1e-3
 """Largest error of the integration, in standard deviations of the step's process noise."""
@@ -73,7 +73,7 @@ def _remainder(terms: Array) -> float:
         last += terms[ORDER, n] ** 2
         before += terms[ORDER - 2, n] ** 2
     ratio = (last / before) ** 0.25 if before > 0.0 else 0.0
-    return float(np.sqrt(last) * ratio / (1.0 - ratio)) if ratio < MOST_RATIO else np.inf
+    return float(np.sqrt(last) * ratio / (1.0 - ratio)) if ratio < MAX_RATIO else np.inf
 
 
 @compiled
@@ -184,7 +184,7 @@ def _flow_derivatives(
     return out_q, out_w, out_turn, out_rate
 
 
-def flows(
+def propagate_rotations(
     w_G: Array, J_G: Array, dt_s: Array, steps: Ints, torque: Array | None = None
 ) -> tuple[Array, Array, Array, Array]:
     """Attitudes (n, 4) relative to the start, rates (n, 3) after dt_s (n,), and bounds (n,) of their errors.
@@ -198,7 +198,7 @@ def flows(
     return _flows(np.ascontiguousarray(w_G), J, J_inv, dt_s, torque, steps)
 
 
-def flow_derivatives(
+def propagate_derivatives(
     w_G: Array,
     J_G: Array,
     dJ: Array,
@@ -207,7 +207,7 @@ def flow_derivatives(
     torque: Array | None = None,
     dtorque: Array | None = None,
 ) -> tuple[Array, Array, Array, Array]:
-    """Attitudes and rates as ``flows``; derivatives (n, 3 + m, 3) of attitude error (right) and rate.
+    """Attitudes and rates as above, and derivatives (n, 3 + m, 3) of attitude error (right) and rate.
 
     The 3 + m rows: in w_G, and in m parameters on which J depends by dJ (m, 3, 3) and the torque by dtorque
     (n, steps or more, m, 2, 3).
@@ -236,8 +236,8 @@ def series_steps(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float | Array)
     t, steps = np.asarray(dt_s, dtype=np.float64), np.ones(len(dt_s), dtype=np.int64)
     most_rate = 0.25 * SHARE_OF_NOISE / np.linalg.eigvalsh(J)[2] * np.sqrt(torque_psd * t)
     left = np.arange(len(t))
-    while len(left) and steps[left[0]] < MOST_STEPS:
-        _, _, error_q, error_w = flows(w_G[left], J, t[left], steps[left])
+    while len(left) and steps[left[0]] < MAX_SERIES:
+        _, _, error_q, error_w = propagate_rotations(w_G[left], J, t[left], steps[left])
         # a series that diverges has no number
         good = (error_q <= most_rate[left] * t[left] / np.sqrt(3.0)) & (error_w <= most_rate[left])
         left = left[~good]

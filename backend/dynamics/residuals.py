@@ -10,18 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.compiled import compiled
-from polhode.backend.dynamics.propagation import flow_derivatives, flows
+from polhode.backend.dynamics.propagation import propagate_derivatives, propagate_rotations
 from polhode.backend.dynamics.so3_exp import (
     inverse_right_jacobians,
+    matrices_from_quaternions,
     right_jacobians,
     rotation_vectors,
     turns,
-    turns_of_quaternions,
 )
 from polhode.backend.problem.inertia import N_INERTIA
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.backend.problem.wrench import FORCE_BIAS, LN_MASS, N_OF_ROTATION, N_WRENCH, torque_in_G
+from polhode.compiled import compiled
 from polhode.lie import Array, hat
 from polhode.records import Ints
 
@@ -31,7 +31,7 @@ N_OF_FORCE = N_WRENCH - N_OF_ROTATION
 
 
 @dataclass(frozen=True)
-class States:
+class FrameStates:
     """Unknowns of the frames at a point, s = 12 or 18 numbers each."""
 
     x: Array
@@ -77,7 +77,7 @@ class Steps:
     """(F - 1, 2, 2) lower, whitens the translation"""
     W_r: Array
     """(F - 1, 6, 6) lower, whitens the rotation"""
-    of_force: Array | None = None
+    force_increments: Array | None = None
     """(F - 1, 2, 3) what a known force does to position [N s^2] and velocity [N s] of 1 kg"""
     torque_P: Array | None = None
     """(F - 1, S, 2, 3) known torque over each series [N m]"""
@@ -92,17 +92,17 @@ class Steps:
         return np.asarray(W @ errors)
 
 
-def dynamics_residuals(states: States, steps: Steps, J_G: Array) -> Array:
+def dynamics_residuals(states: FrameStates, steps: Steps, J_G: Array) -> Array:
     """Whitened residuals (F - 1, 12); J_G (3, 3) any scale. Infinite where rates are beyond reason."""
     torque, _ = _torque(states, steps)
-    q, w_end, _, _ = flows(states.x[:-1, 9:12], J_G, steps.dt_s, steps.series, torque)
+    q, w_end, _, _ = propagate_rotations(states.x[:-1, 9:12], J_G, steps.dt_s, steps.series, torque)
     if not (np.isfinite(q).all() and (np.linalg.norm(q, axis=1) > 0.5).all()):
         return np.full((len(q), RESIDUALS), np.inf)
-    errors, _ = _errors(states, steps, turns_of_quaternions(q), w_end)
+    errors, _ = _errors(states, steps, matrices_from_quaternions(q), w_end)
     return steps.whiten(errors[:, :, None])[:, :, 0]
 
 
-def _errors(states: States, steps: Steps, R_step: Array, w_end: Array) -> tuple[Array, Array]:
+def _errors(states: FrameStates, steps: Steps, R_step: Array, w_end: Array) -> tuple[Array, Array]:
     """State after minus predicted state (F - 1, 12), and the true attitudes (F, 3, 3)."""
     x, R, r_N = states.x, states.true_attitudes(), states.centres()
     by_force = _by_force(states, steps)
@@ -112,15 +112,15 @@ def _errors(states: States, steps: Steps, R_step: Array, w_end: Array) -> tuple[
     return np.hstack([dr, dv, dtheta, x[1:, 9:12] - w_end]), R
 
 
-def _by_force(states: States, steps: Steps) -> Array:
+def _by_force(states: FrameStates, steps: Steps) -> Array:
     """What a known force and its bias do to position and velocity, (F - 1, 2, 3)."""
-    if states.wrench is None or steps.of_force is None:
+    if states.wrench is None or steps.force_increments is None:
         return np.zeros((len(steps.dt_s), 2, 3))
     of_bias = np.stack([0.5 * steps.dt_s**2, steps.dt_s], axis=1)[:, :, None] * states.wrench[FORCE_BIAS]
-    return np.asarray(np.exp(-states.wrench[LN_MASS]) * (steps.of_force + of_bias))
+    return np.asarray(np.exp(-states.wrench[LN_MASS]) * (steps.force_increments + of_bias))
 
 
-def _torque(states: States, steps: Steps) -> tuple[Array | None, Array | None]:
+def _torque(states: FrameStates, steps: Steps) -> tuple[Array | None, Array | None]:
     """A known torque in G, and its derivatives in (xi, ln scale, turn, bias): (F - 1, S, 12, 2, 3)."""
     if states.wrench is None or states.R_torque is None or steps.torque_P is None:
         return None, None
@@ -129,7 +129,7 @@ def _torque(states: States, steps: Steps) -> tuple[Array | None, Array | None]:
     return torque, np.concatenate([of_xi, of_unknowns], axis=2)
 
 
-def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> tuple[Array, Array]:
+def dynamics_jacobians(states: FrameStates, steps: Steps, J_G: Array, dJ: Array) -> tuple[Array, Array]:
     """Whitened residuals (F - 1, 12) and Jacobians (F - 1, 12, 2 s + c); dJ (5, 3, 3) in xi.
 
     c = 8 constants com_G, xi, or 19 with the unknowns of a known wrench.
@@ -138,19 +138,19 @@ def dynamics_jacobians(states: States, steps: Steps, J_G: Array, dJ: Array) -> t
     torque, dtorque = _torque(states, steps)
     if dtorque is not None:
         dJ = np.concatenate([dJ, np.zeros((N_OF_ROTATION, 3, 3))])
-    flow = flow_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series, torque, dtorque)
-    return jacobians_of_flow(states, steps, *flow)
+    flow = propagate_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series, torque, dtorque)
+    return jacobians_of_propagation(states, steps, *flow)
 
 
-def jacobians_of_flow(
-    states: States, steps: Steps, q: Array, w_end: Array, turn: Array, rate: Array
+def jacobians_of_propagation(
+    states: FrameStates, steps: Steps, q: Array, w_end: Array, turn: Array, rate: Array
 ) -> tuple[Array, Array]:
-    """The same of a rotation over the steps that is known with its derivatives, as ``flow_derivatives`` says.
+    """As above, from a rotation that is known with its derivatives (see ``propagate_derivatives``).
 
     Its parameters stand after com_G.
     """
     n, s = len(steps.dt_s), states.x.shape[1]
-    turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), turns_of_quaternions(q)
+    turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), matrices_from_quaternions(q)
     errors, R = _errors(states, steps, R_step, w_end)
     of_centre, of_turn = state_derivatives(states)
     n_parameters = turn.shape[2] - 3
@@ -175,7 +175,7 @@ def jacobians_of_flow(
     return steps.whiten(errors[:, :, None])[:, :, 0], steps.whiten(D)
 
 
-def _add_force(D: Array, states: States, steps: Steps) -> None:
+def _add_force(D: Array, states: FrameStates, steps: Steps) -> None:
     """Derivatives in the logarithm of the mass and in the force's bias: the last four columns."""
     assert states.wrench is not None
     D[:, 0:6, -4] = _by_force(states, steps).reshape(-1, 6)
@@ -183,7 +183,7 @@ def _add_force(D: Array, states: States, steps: Steps) -> None:
     D[:, 3:6, -3:] = -np.exp(-states.wrench[LN_MASS]) * steps.dt_s[:, None, None] * np.eye(3)
 
 
-def state_derivatives(states: States) -> tuple[Array, Array]:
+def state_derivatives(states: FrameStates) -> tuple[Array, Array]:
     """Of the true centre of mass, and of the turn of the true attitude on the right: (F, 3, s) each."""
     x, s, R = states.x, states.x.shape[1], states.true_attitudes()
     Jr = right_jacobians(x[:, 3:6])

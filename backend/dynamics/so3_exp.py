@@ -36,7 +36,7 @@ def turns(theta: Array) -> Array:
 
 
 @compiled
-def turns_of_quaternions(q: Array) -> Array:
+def matrices_from_quaternions(q: Array) -> Array:
     """Quaternions (n, 4), scalar first, of any length -> matrices (n, 3, 3)."""
     out = np.empty((len(q), 3, 3))
     for n in range(len(q)):

@@ -31,7 +31,7 @@ def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
     local = _local_rates(time_s[index], R_NG[index])
     if np.median(np.linalg.norm(local[0], axis=1)) * np.median(np.diff(time_s[index])) > FAR_RAD:
         return odd
-    strays = [_stray(time_s, R_NG, a, b, local) for a, b in pairwise(index)]
+    strays = [_prediction_error_rad(time_s, R_NG, a, b, local) for a, b in pairwise(index)]
     stretches: list[Ints] = list(np.split(index, np.flatnonzero(np.array(strays) > JUMP_RAD) + 1))
     limit = LARGEST_SHARE * len(index)
     while len(stretches) > 1:
@@ -53,7 +53,7 @@ def _odd_one(time_s: Array, R_NG: Array, stretches: list[Ints], local: tuple[Arr
     joining = [
         n
         for n in range(1, len(stretches) - 1)
-        if _stray(time_s, R_NG, stretches[n - 1][-1], stretches[n + 1][0], local) < JUMP_RAD
+        if _prediction_error_rad(time_s, R_NG, stretches[n - 1][-1], stretches[n + 1][0], local) < JUMP_RAD
     ]
     if joining:
         return min(joining, key=lambda n: len(stretches[n]))
@@ -69,7 +69,7 @@ def _local_rates(time_s: Array, R_NG: Array) -> tuple[Array, Array]:
     return np.stack([np.median(window, axis=0) for window in windows]), 0.5 * (time_s[:-1] + time_s[1:])
 
 
-def _stray(time_s: Array, R_NG: Array, a: int, b: int, local: tuple[Array, Array]) -> float:
+def _prediction_error_rad(time_s: Array, R_NG: Array, a: int, b: int, local: tuple[Array, Array]) -> float:
     """Angle [rad] between where the local rate leads from frame a and the attitude of frame b."""
     rate, centre = local
     middle = 0.5 * (time_s[a] + time_s[b])

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from polhode.backend.dynamics.propagation import flows, series_steps
+from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.initialization.initialize import robust_landmarks
 from polhode.backend.problem.iterate import Iterate
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
@@ -64,7 +64,9 @@ def loose_steps(n_frames: int, gaps: list[Gap]) -> Bools:
     return loose
 
 
-def carried(iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Gap], other_way: bool = False) -> Iterate:
+def propagate_through_gaps(
+    iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Gap], other_way: bool = False
+) -> Iterate:
     """The iterate with the states inside the gaps carried from one edge to the other.
 
     J_G (3, 3) any scale. other_way: where the carried attitude is far from the known one behind the gap, what
@@ -84,7 +86,7 @@ def carried(iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Gap], other_
         attitude, velocity = R[start] @ turn, v[start]
         if gap.before is not None and gap.after is not None:
             share = (dt / dt[-1])[:, None]
-            left = _way(log_so3(attitude[-1].T @ R[gap.after]), other_way)
+            left = _remaining_rotation(log_so3(attitude[-1].T @ R[gap.after]), other_way)
             attitude = attitude @ exp_so3(share * left)
             rate = rate + share * (w[gap.after] - rate[-1])
             velocity = (r_N[gap.after] - r_N[start]) / dt[-1]
@@ -94,7 +96,7 @@ def carried(iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Gap], other_
     return replace(iterate, R_NG=R, w_G=w, v_N=v, p_NG=r_N - R @ iterate.com_G)
 
 
-def arrival_rad(iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Gap]) -> float:
+def closing_error_rad(iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Gap]) -> float:
     """Largest angle between the carried attitude behind a gap and the known one [rad]."""
     worst = 0.0
     for gap in gaps:
@@ -112,18 +114,18 @@ def _carry(w_G: Array, J_G: Array, dt_s: Array) -> tuple[Array, Array]:
     # back in time a body turns as one with the opposite rate turns forward
     sign = 1.0 if dt_s[0] > 0.0 else -1.0
     t, rates = np.abs(dt_s), np.tile(sign * w_G, (len(dt_s), 1))
-    q, w, _, _ = flows(rates, J_G, t, series_steps(rates, J_G, t, CARRY_PSD))
+    q, w, _, _ = propagate_rotations(rates, J_G, t, series_steps(rates, J_G, t, CARRY_PSD))
     return matrix_from_wxyz(q), sign * w
 
 
-def _way(turn: Array, other_way: bool) -> Array:
+def _remaining_rotation(turn: Array, other_way: bool) -> Array:
     angle = float(np.linalg.norm(turn))
     if not other_way or angle < AMBIGUOUS_RAD:
         return turn
     return np.asarray(turn * (1.0 - 2.0 * np.pi / angle))
 
 
-def landmarks_of_gaps(tracks: StereoTracks, iterate: Iterate, initial: InitialMotion) -> Array:
+def gap_landmarks(tracks: StereoTracks, iterate: Iterate, initial: InitialMotion) -> Array:
     """Landmarks (L, 3) of the iterate, those that only frames without a known pose show placed anew."""
     lost = ~initial.connected
     only_lost = np.bincount(tracks.landmark, initial.connected[tracks.frame], tracks.n_landmarks) == 0.0

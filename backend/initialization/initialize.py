@@ -21,7 +21,7 @@ from polhode.threads import single_threaded
 MIN_CONNECTED = 3
 MIN_COMMON = 4
 """Landmarks that a frame must share with the map to be placed in it."""
-LEAST_AGREEMENT = 0.4
+MIN_AGREEMENT = 0.4
 """Share of a frame's observations that must fit the map; a frame below it was placed wrongly."""
 BUNDLE_ITERATIONS = 12
 
@@ -41,7 +41,7 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
     X_RG, connected = relocalize(tracks, X_RG, connected, p_G, known)
     X_RG = bundle_adjust(tracks, X_RG, connected, config)
     p_G, known = robust_landmarks(tracks, X_RG, connected)
-    agree = connected & (agreement(tracks, X_RG, p_G) >= LEAST_AGREEMENT)
+    agree = connected & (agreement(tracks, X_RG, p_G) >= MIN_AGREEMENT)
     if agree.sum() >= MIN_CONNECTED and not np.array_equal(agree, connected):
         p_G, known = robust_landmarks(tracks, X_RG, agree)
         X_RG, connected = relocalize(tracks, X_RG, agree, p_G, known)
@@ -55,7 +55,7 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
     return InitialMotion(inverse_pose(tracks.X_NR) @ X_NG, connected)
 
 
-def undisputed_links(relative: RelativePoses, time_s: Array, R_NR: Array) -> Bools:
+def consistent_links(relative: RelativePoses, time_s: Array, R_NR: Array) -> Bools:
     """Which links (E,) the pose graph does not contradict: a track through a wrong one joins two places.
 
     time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera. Links of frames that nothing connects stay.

@@ -11,25 +11,25 @@ from polhode.compiled import compiled
 from polhode.lie import Array, exp_so3, log_so3
 from polhode.records import Bools, Ints, RelativePoses
 
-MOST_LINKS = 16
+MAX_LINKS = 16
 """So many links between two islands are compared, those of the largest weight."""
-MOST_THIRDS = 40
+MAX_TRIANGLES = 40
 NEAR = 3
 """Frames between the ends of a link that tells the rate: beyond it nutation bends the turn."""
 AROUND = 2.5
 """Links whose middles are so many frames apart tell the same rate."""
 SAME_TURN_RAD = np.deg2rad(20.0)
 """Links whose turns differ by less go on in each other; symmetries of bodies are wider."""
-LEAST_SHARE = 0.6
+MIN_SHARE = 0.6
 """Of the inliers around a link, in links that agree with it."""
-FEWEST = 2
+MIN_LINKS = 2
 """Links that agree with it."""
 
 
 @compiled
-def renew_bonds(
-    a: int, order: Ints, i: Ints, j: Ints, X_ij: Array, inliers: Ints, weight: Array, X: Array, island: Ints,
-    bound_rad: float, bound_shift: float, agreeing: float, score: Array, T: Array,
+def update_link_consensus(
+    a: int, order: Ints, i: Ints, j: Ints, X_ij: Array, inliers: Ints, weight: Array, X: Array,
+    component: Ints, bound_rad: float, bound_shift: float, agreeing: float, score: Array, T: Array,
 ) -> None:  # fmt: skip
     """What the links of island a say of every other one b, in place; the largest group that agrees.
 
@@ -38,16 +38,16 @@ def renew_bonds(
     group, the weight of a single link, -inf without links; T (F, F, 4, 4) with p_Gmin = T p_Gmax.
     """
     n = len(score)
-    count, member = np.zeros(n, dtype=np.int64), np.empty((n, MOST_LINKS), dtype=np.int64)
+    count, member = np.zeros(n, dtype=np.int64), np.empty((n, MAX_LINKS), dtype=np.int64)
     for e in order:
-        p, q = island[i[e]], island[j[e]]
+        p, q = component[i[e]], component[j[e]]
         if (p == a) != (q == a):
             other = q if p == a else p
-            if count[other] < MOST_LINKS:
+            if count[other] < MAX_LINKS:
                 member[other, count[other]] = e
                 count[other] += 1
-    R, t = np.empty((MOST_LINKS, 3, 3)), np.empty((MOST_LINKS, 3))
-    centre, distance = np.empty((MOST_LINKS, 3)), np.empty(MOST_LINKS)
+    R, t = np.empty((MAX_LINKS, 3, 3)), np.empty((MAX_LINKS, 3))
+    centre, distance = np.empty((MAX_LINKS, 3)), np.empty(MAX_LINKS)
     for other in range(n):
         low, high, size = min(a, other), max(a, other), count[other]
         if size == 0:
@@ -56,7 +56,7 @@ def renew_bonds(
             continue
         for m in range(size):
             e = member[other, m]
-            ahead = island[i[e]] == low
+            ahead = component[i[e]] == low
             A, B = (X[i[e]], X[j[e]]) if ahead else (X[j[e]], X[i[e]])
             distance[m] = _between(A, X_ij[e], B, ahead, R[m], t[m], centre[m])
         scale = 0.3 * np.median(distance[:size])
@@ -123,7 +123,7 @@ def _agree(
 def closed_triangles(
     i: Ints, j: Ints, X_ij: Array, linked: Array, X: Array, bound_rad: float, bound_shift: float
 ) -> tuple[Array, Array]:
-    """Triangles on each link i, j (E,), X_ij (E, 4, 4), the first ``MOST_THIRDS``; how many agree with it.
+    """Triangles on each link i, j (E,), X_ij (E, 4, 4), the first ``MAX_TRIANGLES``; how many agree with it.
 
     linked (F, F) of frames, X (F, F, 4, 4) their relative poses, of two links one; bound_shift as a share of
     the distance.
@@ -146,7 +146,7 @@ def closed_triangles(
             seen[e] += 1.0
             if _agree(R, t, direct[:3, :3], p, zero, bound_rad, allowed):
                 agree[e] += 1.0
-            if seen[e] == MOST_THIRDS:
+            if seen[e] == MAX_TRIANGLES:
                 break
     return agree, seen
 
@@ -155,7 +155,7 @@ def smooth_links(relative: RelativePoses, usable: Bools, time_s: Array, R_NR: Ar
     """Which links (E,) go on in others; time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera."""
     near = np.flatnonzero(usable & (np.abs(relative.j - relative.i) <= NEAR))
     smooth = np.zeros(len(usable), dtype=np.bool_)
-    if len(near) <= FEWEST:
+    if len(near) <= MIN_LINKS:
         return smooth
     i, j, inliers = relative.i[near], relative.j[near], relative.inliers[near].astype(np.float64)
     # the turn of the target in N from frame j back to frame i
@@ -170,5 +170,5 @@ def smooth_links(relative: RelativePoses, usable: Bools, time_s: Array, R_NR: Ar
         off = np.linalg.norm(log_so3(np.swapaxes(expected, 1, 2) @ turn[others]), axis=1)
         agree = off < SAME_TURN_RAD
         share = np.sum(inliers[others][agree]) / max(np.sum(inliers[others]), 1.0)
-        smooth[link] = agree.sum() >= FEWEST and share >= LEAST_SHARE
+        smooth[link] = agree.sum() >= MIN_LINKS and share >= MIN_SHARE
     return smooth

@@ -13,14 +13,18 @@ from scipy.linalg import LinAlgError
 from polhode.backend.initialization.gaps import (
     AMBIGUOUS_RAD,
     Gap,
-    arrival_rad,
-    carried,
-    landmarks_of_gaps,
+    closing_error_rad,
+    gap_landmarks,
     long_gaps,
     loose_steps,
+    propagate_through_gaps,
 )
 from polhode.backend.initialization.initialize import robust_landmarks
-from polhode.backend.initialization.rotation_direction import OR_FAST, THE_OTHER_WAY, rate_branches
+from polhode.backend.initialization.rotation_direction import (
+    FAST_HINT,
+    OPPOSITE_DIRECTION,
+    rate_branches,
+)
 from polhode.backend.initialization.shooting import shoot
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CAMERA, Iterate
@@ -35,14 +39,14 @@ from polhode.records import InitialMotion, StereoTracks
 PASSES = (3, 3, 3, 2)
 """Iterations of the solves of one hypothesis; references and whitening are renewed between them."""
 LONG_PASSES = (10, 10, 10)
-SAME_BASIN = 0.03
+SAME_INERTIA = 0.03
 """Two inertias (second moments of determinant 1) closer than this will end in the same minimum."""
 N_HYPOTHESES = 5
 """Most guesses; more are tried where the sense of the turns is open."""
 
 
 @dataclass(frozen=True)
-class Start:
+class InitialGuess:
     """First unknowns, guesses of the inertia by name, and what no measurement spans."""
 
     iterate: Iterate
@@ -54,7 +58,7 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Trial:
+class HypothesisFit:
     """Where one hypothesis led; the cost includes the normalisation of the process noise."""
 
     iterate: Iterate
@@ -63,14 +67,14 @@ class Trial:
     """The cost without that normalisation."""
 
 
-def first_starts(tracks: StereoTracks, initial: InitialMotion, data: MotionData) -> list[Start]:
+def initial_guesses(tracks: StereoTracks, initial: InitialMotion, data: MotionData) -> list[InitialGuess]:
     """Unknowns from the first guess of the poses, one start for each sense in which the target may turn."""
     X_NG = tracks.X_NR @ initial.X_RG
     R_NG, p_NG = X_NG[:, :3, :3], X_NG[:, :3, 3]
     p_G, known = robust_landmarks(tracks, initial.X_RG, initial.connected)
     if not known.any():
         raise RunFailure(
-            f"no consistent motion: no landmark is seen in a frame that could be placed ({OR_FAST})"
+            f"no consistent motion: no landmark is seen in a frame that could be placed ({FAST_HINT})"
         )
     com_G = np.median(p_G, axis=0)
     use = np.flatnonzero(initial.connected)
@@ -83,18 +87,20 @@ def first_starts(tracks: StereoTracks, initial: InitialMotion, data: MotionData)
         guesses = {name + suffix: guess for name, guess in inertia_hypotheses(R_NG[use], w_G[use]).items()}
         iterate = Iterate(p_NG, R_NG, v_N, w_G, com_G, xi, R_inertia, p_G, camera)
         gaps = long_gaps(tracks.time_s, initial.connected, w_G)
-        starts.append(Start(iterate, guesses, tracks.time_s, gaps, tracks, initial))
+        starts.append(InitialGuess(iterate, guesses, tracks.time_s, gaps, tracks, initial))
     for suffix, shot in shoot(tracks.time_s, R_NG, initial.connected).items():
         iterate = replace(starts[0].iterate, w_G=shot.w_G)
         starts.append(replace(starts[0], iterate=iterate, guesses={"shooting" + suffix: shot.second}))
     return starts
 
 
-def try_hypotheses(data: MotionData, starts: list[Start], advance: Advance) -> dict[str, Trial]:
+def try_hypotheses(
+    data: MotionData, starts: list[InitialGuess], advance: Advance
+) -> dict[str, HypothesisFit]:
     """A brief solve from each guess that does not diverge; RunFailure when all do."""
-    trials: dict[str, Trial] = {}
+    trials: dict[str, HypothesisFit] = {}
     for start in starts:
-        of_start: dict[str, Trial] = {}
+        of_start: dict[str, HypothesisFit] = {}
         at = start.iterate
         for name, second in start.guesses.items():
             trial = try_hypothesis(data, start, at, second, list(of_start.values()))
@@ -106,13 +112,15 @@ def try_hypotheses(data: MotionData, starts: list[Start], advance: Advance) -> d
             at = min(of_start.values(), key=lambda t: t.cost).iterate
         trials |= of_start
     if not trials:
-        raise RunFailure(f"no consistent motion: every hypothesis of the inertia diverged ({OR_FAST})")
-    return _with_senses_settled(data, trials)
+        raise RunFailure(f"no consistent motion: every hypothesis of the inertia diverged ({FAST_HINT})")
+    return _with_directions_refined(data, trials)
 
 
-def _with_senses_settled(data: MotionData, trials: dict[str, Trial]) -> dict[str, Trial]:
+def _with_directions_refined(data: MotionData, trials: dict[str, HypothesisFit]) -> dict[str, HypothesisFit]:
     """The trials, the best of each sense solved further where there are two: what decides is a few units."""
-    senses = [[name for name in trials if name.endswith(THE_OTHER_WAY) == other] for other in (False, True)]
+    senses = [
+        [name for name in trials if name.endswith(OPPOSITE_DIRECTION) == other] for other in (False, True)
+    ]
     if not all(senses):
         return trials
     out = dict(trials)
@@ -125,8 +133,8 @@ def _with_senses_settled(data: MotionData, trials: dict[str, Trial]) -> dict[str
 
 
 def try_hypothesis(
-    data: MotionData, start: Start, at: Iterate, second: Array, found: list[Trial]
-) -> Trial | None:
+    data: MotionData, start: InitialGuess, at: Iterate, second: Array, found: list[HypothesisFit]
+) -> HypothesisFit | None:
     """Brief solves from one guess of the inertia; None when it diverges."""
     xi, R_inertia = data.form.coordinates(second)
     iterate = replace(at, xi=xi, R_inertia=R_inertia)
@@ -139,39 +147,41 @@ def try_hypothesis(
     return _solve_across(data, start, apart.iterate, found)
 
 
-def _solve_across(data: MotionData, start: Start, apart: Iterate, found: list[Trial]) -> Trial | None:
+def _solve_across(
+    data: MotionData, start: InitialGuess, apart: Iterate, found: list[HypothesisFit]
+) -> HypothesisFit | None:
     """Carry the states through the gaps, then solve with every step counted."""
     J_G = apart.J_G(data.form)
-    ambiguous = arrival_rad(apart, J_G, start.time_s, start.gaps) > AMBIGUOUS_RAD
+    ambiguous = closing_error_rad(apart, J_G, start.time_s, start.gaps) > AMBIGUOUS_RAD
     trials = []
     for other_way in (False, True) if ambiguous else (False,):
-        iterate = carried(apart, J_G, start.time_s, start.gaps, other_way)
-        iterate = replace(iterate, p_G=landmarks_of_gaps(start.tracks, iterate, start.initial))
+        iterate = propagate_through_gaps(apart, J_G, start.time_s, start.gaps, other_way)
+        iterate = replace(iterate, p_G=gap_landmarks(start.tracks, iterate, start.initial))
         trial = solve_briefly(data, iterate, [] if ambiguous else found)
         trials += [trial] if trial is not None else []
     return min(trials, key=lambda trial: trial.cost, default=None)
 
 
 def solve_briefly(
-    data: MotionData, iterate: Iterate, found: list[Trial], passes: tuple[int, ...] = PASSES
-) -> Trial | None:
+    data: MotionData, iterate: Iterate, found: list[HypothesisFit], passes: tuple[int, ...] = PASSES
+) -> HypothesisFit | None:
     """A few iterations; the trial found before whose basin they enter, as its cost is known already."""
     solver, cost = GaussNewton(data), np.inf
     for iterations in passes:
         try:
-            iterate = renew_inertia(data, iterate)
+            iterate = recenter_inertia(data, iterate)
             fixed = linearization_point(data, iterate)
             solution = solver.solve(fixed, iterate.vector(), iterations)
         except LinAlgError:
             return None
         iterate, cost = iterate.moved_to(solution.x), solution.cost + fixed.half_log_det
         for other in found:
-            if np.abs(iterate.J_G(data.form) - other.iterate.J_G(data.form)).max() < SAME_BASIN:
+            if np.abs(iterate.J_G(data.form) - other.iterate.J_G(data.form)).max() < SAME_INERTIA:
                 return other
-    return Trial(iterate, float(cost), float(solution.cost)) if np.isfinite(cost) else None
+    return HypothesisFit(iterate, float(cost), float(solution.cost)) if np.isfinite(cost) else None
 
 
-def renew_inertia(data: MotionData, iterate: Iterate) -> Iterate:
+def recenter_inertia(data: MotionData, iterate: Iterate) -> Iterate:
     """The same inertia with its reference rotation moved to it."""
     xi, R_inertia = data.form.coordinates(iterate.second_moments(data.form))
     return replace(iterate, xi=xi, R_inertia=R_inertia)

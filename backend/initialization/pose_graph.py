@@ -7,16 +7,20 @@ two links of seven inliers that agree are worth more than one of fifteen. Then a
 
 import numpy as np
 
-from polhode.backend.initialization.link_consensus import closed_triangles, renew_bonds, smooth_links
+from polhode.backend.initialization.link_consensus import (
+    closed_triangles,
+    smooth_links,
+    update_link_consensus,
+)
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, RelativePoses
 
 MIN_INLIERS = 5
 AGREEING = 100.0
 """Worth of a link that agrees with another one, in inliers."""
-LEAST_SCORE = 2.5
+MIN_SCORE = 2.5
 """A single link needs this many inliers times the share of its triangles that close (without any: 1/2)."""
-WORTH_AVERAGING = 4
+MIN_AVERAGED_FRAMES = 4
 """Islands of this size are averaged when they meet."""
 REJECT_RAD = np.deg2rad(10.0)
 REJECT_SHIFT = 0.1
@@ -32,10 +36,10 @@ def connect(relative: RelativePoses, time_s: Array, R_NR: Array) -> tuple[Array,
     n_frames = len(time_s)
     usable = relative.inliers >= MIN_INLIERS
     support = triangle_support(relative, usable, n_frames)
-    X, island = np.tile(np.eye(4), (n_frames, 1, 1)), np.arange(n_frames)
+    X, component = np.tile(np.eye(4), (n_frames, 1, 1)), np.arange(n_frames)
     for links in (smooth_links(relative, usable, time_s, R_NR), usable):
-        join_islands(relative, links, support, X, island)
-    connected = island == np.argmax(np.bincount(island))
+        join_components(relative, links, support, X, component)
+    connected = component == np.argmax(np.bincount(component))
     if connected.sum() < 2:
         return X, np.zeros(n_frames, bool), np.zeros(len(usable), bool)
     inside = usable & connected[relative.i] & connected[relative.j]
@@ -81,9 +85,11 @@ def triangle_support(relative: RelativePoses, usable: Bools, n_frames: int) -> A
     return support
 
 
-def join_islands(relative: RelativePoses, usable: Bools, support: Array, X: Array, island: Ints) -> None:
+def join_components(
+    relative: RelativePoses, usable: Bools, support: Array, X: Array, component: Ints
+) -> None:
     """Merge islands, the best bond first, in place: poses X_RG (F, 4, 4) in the island's G; island (F,)."""
-    n_frames = len(island)
+    n_frames = len(component)
     i, j = relative.i[usable], relative.j[usable]
     links = RelativePoses(i, j, np.ascontiguousarray(relative.X_RiRj[usable]), relative.inliers[usable])
     weight = links.inliers * support[usable]
@@ -92,21 +98,21 @@ def join_islands(relative: RelativePoses, usable: Bools, support: Array, X: Arra
 
     def renew(a: int) -> None:
         facts = (order, i, j, links.X_RiRj, links.inliers, weight)
-        renew_bonds(a, *facts, X, island, REJECT_RAD, REJECT_SHIFT, AGREEING, score, T)
+        update_link_consensus(a, *facts, X, component, REJECT_RAD, REJECT_SHIFT, AGREEING, score, T)
 
-    for a in np.unique(island).tolist():
+    for a in np.unique(component).tolist():
         renew(a)
     while True:
         # of equal scores the last one
         a, b = divmod(score.size - 1 - int(np.argmax(score.ravel()[::-1])), n_frames)
-        if score[a, b] < LEAST_SCORE:
+        if score[a, b] < MIN_SCORE:
             break
-        small = min(np.sum(island == a), np.sum(island == b))
-        moved = island == b
+        small = min(np.sum(component == a), np.sum(component == b))
+        moved = component == b
         X[moved] = X[moved] @ inverse_pose(T[a, b])
-        island[moved] = a
-        if small >= WORTH_AVERAGING:
-            member = island == a
+        component[moved] = a
+        if small >= MIN_AVERAGED_FRAMES:
+            member = component == a
             within = member[links.i] & member[links.j] & (edge_errors(X, links) < 1.5)
             X[:] = average_poses(X, member, links, within)
         score[b], score[:, b] = -np.inf, -np.inf

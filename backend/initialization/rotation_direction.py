@@ -10,12 +10,12 @@ from polhode.backend.initialization.initialize import frame_rates
 from polhode.lie import Array, log_so3
 from polhode.records import Bools, Ints
 
-OPEN_RAD = np.deg2rad(90.0)
+AMBIGUOUS_TURN_RAD = np.deg2rad(90.0)
 """Median turn between neighbouring frames from which both senses are tried."""
-THE_OTHER_WAY = ", the other way round"
+OPPOSITE_DIRECTION = ", the other way round"
 """Ends the name of a hypothesis with the longer turns."""
-LEAST_INTERVALS = 3
-OR_FAST = "so it looks, too, when the target turns by more than half a revolution between pairs"
+MIN_INTERVALS = 3
+FAST_HINT = "so it looks, too, when the target turns by more than half a revolution between pairs"
 """Beyond the turns that are tried both ways, poses show the short way round, and no body moves like that."""
 
 
@@ -26,11 +26,11 @@ def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Arr
     """
     short = frame_rates(time_s, X_NG, connected)
     index: Ints = np.flatnonzero(connected[:-1] & connected[1:])
-    if len(index) < LEAST_INTERVALS:
+    if len(index) < MIN_INTERVALS:
         return {"": short}
     R, dt = X_NG[:, :3, :3], np.diff(time_s)[index]
     turn = log_so3(np.swapaxes(R[index], 1, 2) @ R[index + 1])
-    if np.median(np.linalg.norm(turn, axis=1)) < OPEN_RAD:
+    if np.median(np.linalg.norm(turn, axis=1)) < AMBIGUOUS_TURN_RAD:
         return {"": short}
     centre = 0.5 * (time_s[index] + time_s[index + 1])
     both = {}
@@ -39,7 +39,7 @@ def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Arr
         both[float(np.median(np.linalg.norm(rate, axis=1)))] = np.stack(
             [np.interp(time_s, centre, rate[:, n]) for n in range(3)], axis=1
         )
-    return {"": both[min(both)], THE_OTHER_WAY: both[max(both)]}
+    return {"": both[min(both)], OPPOSITE_DIRECTION: both[max(both)]}
 
 
 def _axis(turn: Array) -> Array:

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from polhode.backend.dynamics.propagation import flows
-from polhode.backend.initialization.rotation_direction import OPEN_RAD, THE_OTHER_WAY
+from polhode.backend.dynamics.propagation import propagate_rotations
+from polhode.backend.initialization.rotation_direction import AMBIGUOUS_TURN_RAD, OPPOSITE_DIRECTION
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
 from polhode.lie import Array, log_so3
 from polhode.quaternion import matrix_from_wxyz
@@ -27,7 +27,7 @@ SPREAD = 0.7
 """Standard deviation of the logarithms of the second moments that are tried."""
 SIGMA_RAD = 0.01
 """Of an attitude, with what disturbances add."""
-MOST_MISSES = 200
+MAX_EVALUATIONS = 200
 """Evaluations for one shot at one stage."""
 SERIES_RAD = 1.0
 """Turn that one Taylor series carries."""
@@ -57,8 +57,8 @@ def shoot(time_s: Array, R_NG: Array, connected: Bools) -> dict[str, Shot]:
         return {}
     angle = float(np.linalg.norm(turn[0]))
     senses = {"": turn[0]}
-    if np.median(np.linalg.norm(turn, axis=1)) > OPEN_RAD:
-        senses[THE_OTHER_WAY] = turn[0] * (1.0 - 2.0 * np.pi / max(angle, 1e-6))
+    if np.median(np.linalg.norm(turn, axis=1)) > AMBIGUOUS_TURN_RAD:
+        senses[OPPOSITE_DIRECTION] = turn[0] * (1.0 - 2.0 * np.pi / max(angle, 1e-6))
     shots = {}
     for suffix, first in senses.items():
         x, misfit = _best(t, R, first / t[1])
@@ -77,11 +77,11 @@ def _longest_run(connected: Bools) -> Ints:
 def _best(t: Array, R: Array, w_G: Array) -> tuple[Array, float]:
     """Rate at the first frame and inertia (8,), and the misfit, of the shot that fits the attitudes best."""
     rng = np.random.default_rng(0)
-    shots = [np.concatenate([w_G, _any_inertia(rng) if n else np.zeros(5)]) for n in range(STAGES[0][1])]
+    shots = [np.concatenate([w_G, _random_inertia(rng) if n else np.zeros(5)]) for n in range(STAGES[0][1])]
     for frames, most in STAGES:
         n = min(frames, len(t))
         fits = [
-            least_squares(_misses, x, args=(t[1:n], R[:n]), method="lm", max_nfev=MOST_MISSES)
+            least_squares(_attitude_residuals, x, args=(t[1:n], R[:n]), method="lm", max_nfev=MAX_EVALUATIONS)
             for x in shots[:most]
         ]
         fits.sort(key=lambda fit: float(fit.cost))
@@ -91,7 +91,7 @@ def _best(t: Array, R: Array, w_G: Array) -> tuple[Array, float]:
     return shots[0], float(fits[0].cost) / n
 
 
-def _any_inertia(rng: np.random.Generator) -> Array:
+def _random_inertia(rng: np.random.Generator) -> Array:
     axes = Rotation.random(rng=rng).as_matrix()
     second = axes @ np.diag(np.exp(rng.normal(0.0, SPREAD, 3))) @ axes.T
     xi, R_inertia = FORM.coordinates(second / np.cbrt(np.linalg.det(second)))
@@ -99,7 +99,7 @@ def _any_inertia(rng: np.random.Generator) -> Array:
     return xi
 
 
-def _misses(x: Array, t: Array, R: Array) -> Array:
+def _attitude_residuals(x: Array, t: Array, R: Array) -> Array:
     """Rotations from predicted to known attitudes over their sigma, with a weak prior on the inertia."""
     J = inertia_from_second_moments(FORM.second_moments(np.clip(x[3:], -4.0, 4.0), np.eye(3)))
     turn, _ = _carry(x[:3], J, t)
@@ -110,7 +110,7 @@ def _misses(x: Array, t: Array, R: Array) -> Array:
 def _carry(w_G: Array, J_G: Array, t: Array) -> tuple[Array, Array]:
     turns = np.linalg.norm(w_G) * np.abs(t) / SERIES_RAD
     steps = np.clip(np.ceil(2.0 * turns), 1, 512).astype(np.int64)
-    q, w, _, _ = flows(np.tile(w_G, (len(t), 1)), J_G, np.asarray(t), steps)
+    q, w, _, _ = propagate_rotations(np.tile(w_G, (len(t), 1)), J_G, np.asarray(t), steps)
     # a search may ask for rates at which the series overflows: such a shot leads nowhere
     lost = ~(np.linalg.norm(q, axis=1) > 1e-6) | ~np.isfinite(q).all(axis=1) | ~np.isfinite(w).all(axis=1)
     q[lost], w[lost] = (1.0, 0.0, 0.0, 0.0), 0.0
@@ -120,24 +120,24 @@ def _carry(w_G: Array, J_G: Array, t: Array) -> tuple[Array, Array]:
 def _rates(time_s: Array, R_NG: Array, connected: Bools, first: int, w_G: Array, J_G: Array) -> Array:
     """Rates (F, 3) that lead from each frame to the next, from the one at frame ``first`` both ways."""
     out = np.tile(w_G, (len(time_s), 1))
-    out[first:] = _march(time_s[first:], R_NG[first:], connected[first:], w_G, J_G)
+    out[first:] = _rates_along(time_s[first:], R_NG[first:], connected[first:], w_G, J_G)
     # back in time a body turns as one with the opposite rate turns forward
     back = slice(first, None, -1)
-    out[back] = -_march(-time_s[back], R_NG[back], connected[back], -out[first], J_G)
+    out[back] = -_rates_along(-time_s[back], R_NG[back], connected[back], -out[first], J_G)
     return out
 
 
-def _march(time_s: Array, R_NG: Array, connected: Bools, w_G: Array, J_G: Array) -> Array:
+def _rates_along(time_s: Array, R_NG: Array, connected: Bools, w_G: Array, J_G: Array) -> Array:
     out = np.tile(w_G, (len(time_s), 1))
     for k in range(len(time_s) - 1):
         dt = time_s[k + 1 : k + 2] - time_s[k]
         if connected[k] and connected[k + 1]:
-            fit = least_squares(_miss_of_step, out[k], args=(dt, R_NG[k].T @ R_NG[k + 1], J_G), method="lm")
+            fit = least_squares(_step_residuals, out[k], args=(dt, R_NG[k].T @ R_NG[k + 1], J_G), method="lm")
             if fit.cost < 0.5 * SIGMA_RAD**2:
                 out[k] = fit.x
         out[k + 1] = _carry(out[k], J_G, dt)[1][0]
     return out
 
 
-def _miss_of_step(w_G: Array, dt: Array, turn: Array, J_G: Array) -> Array:
+def _step_residuals(w_G: Array, dt: Array, turn: Array, J_G: Array) -> Array:
     return np.asarray(log_so3(_carry(w_G, J_G, dt)[0][0].T @ turn))

@@ -14,7 +14,7 @@ from polhode.lie import Array
 MAD_TO_SIGMA = 1.4826
 LIMITS = (0.05, 6.0)
 """Beyond, the measurements do not fit the motion: their noise is not what was found."""
-LEAST_OBSERVATIONS = 30
+MIN_OBSERVATIONS = 30
 """Fewer repeated observations say nothing reliable about their noise."""
 
 
@@ -45,7 +45,7 @@ def estimate_noise(data: MotionData, iterate: Iterate, robust: bool) -> NoiseSca
         linearization_point(data, iterate), iterate.vector()
     )
     repeated = np.diff(data.start)[data.landmark] >= 2
-    if repeated.sum() < LEAST_OBSERVATIONS:
+    if repeated.sum() < MIN_OBSERVATIONS:
         return NoiseScales(1.0, 1.0)
     weight = robust_weight(np.sum(residuals**2, axis=1), data.robust_scale)
     taken = landmark_leverage(data, A, p_NG, p_G, weight)

@@ -34,7 +34,7 @@ ITERATIONS = 3
 
 
 @dataclass(frozen=True)
-class Level:
+class LevelFit:
     """A process noise, the motion fitted under it, and minus the logarithm of its evidence."""
 
     data: MotionData
@@ -42,10 +42,10 @@ class Level:
     minus_log_evidence: float
 
 
-def estimate_process_noise(data: MotionData, iterate: Iterate) -> Level:
+def estimate_process_noise(data: MotionData, iterate: Iterate) -> LevelFit:
     """Most likely accel_psd and torque_psd between floor and ceiling, from those of ``data``."""
     starts = ((data.accel_psd * factor, data.torque_psd * factor) for factor in START_FACTORS)
-    trials = [level_at(data, iterate, *levels, START_ITERATIONS) for levels in starts]
+    trials = [fit_level(data, iterate, *levels, START_ITERATIONS) for levels in starts]
     best = min(trials, key=lambda trial: trial.minus_log_evidence)
     step = FIRST_STEP
     while step >= LAST_STEP:
@@ -57,20 +57,20 @@ def estimate_process_noise(data: MotionData, iterate: Iterate) -> Level:
     return best
 
 
-def _climb(best: Level, torque: bool, stated: float, least: float) -> Level:
+def _climb(best: LevelFit, torque: bool, stated: float, least: float) -> LevelFit:
     """Raise one of the levels towards the stated one, as long as the evidence hardly falls."""
     accel_psd, torque_psd = best.data.accel_psd, best.data.torque_psd
     while (torque_psd if torque else accel_psd) < 0.99 * stated:
         there = min((torque_psd if torque else accel_psd) * 10.0**LAST_STEP, stated)
         accel_psd, torque_psd = (accel_psd, there) if torque else (there, torque_psd)
-        trial = level_at(best.data, best.iterate, accel_psd, torque_psd)
+        trial = fit_level(best.data, best.iterate, accel_psd, torque_psd)
         if not trial.minus_log_evidence < least + INDIFFERENT:
             break
         best = trial
     return best
 
 
-def _descend(start: Level, torque: bool, step: float) -> Level:
+def _descend(start: LevelFit, torque: bool, step: float) -> LevelFit:
     """Walk along one of the two levels, in the direction that the evidence rises, until it falls."""
     for sign in (-1.0, 1.0):
         best, found = start, False
@@ -82,7 +82,7 @@ def _descend(start: Level, torque: bool, step: float) -> Level:
             if there == here:
                 break
             levels = (accel_psd, there) if torque else (there, torque_psd)
-            trial = level_at(best.data, best.iterate, *levels)
+            trial = fit_level(best.data, best.iterate, *levels)
             if not trial.minus_log_evidence < best.minus_log_evidence:
                 break
             best, found = trial, True
@@ -91,9 +91,9 @@ def _descend(start: Level, torque: bool, step: float) -> Level:
     return start
 
 
-def level_at(
+def fit_level(
     data: MotionData, iterate: Iterate, accel_psd: float, torque_psd: float, iterations: int = ITERATIONS
-) -> Level:
+) -> LevelFit:
     """Fit under a level and weigh it; infinite where the fit breaks down."""
     data = replace(data, accel_psd=accel_psd, torque_psd=torque_psd)
     solver, fixed = GaussNewton(data), linearization_point(data, iterate)
@@ -103,7 +103,7 @@ def level_at(
         reduced, _, _ = solver.reduced(system)
         half_log_det_dense = float(np.log(np.diagonal(cholesky(reduced, lower=True))).sum())
     except LinAlgError:
-        return Level(data, iterate, np.inf)
+        return LevelFit(data, iterate, np.inf)
     half_log_det_marks = 0.5 * float(np.linalg.slogdet(system.C)[1].sum())
     minus_log_evidence = system.cost + fixed.half_log_det + half_log_det_dense + half_log_det_marks
-    return Level(data, iterate.moved_to(solution.x), minus_log_evidence)
+    return LevelFit(data, iterate.moved_to(solution.x), minus_log_evidence)

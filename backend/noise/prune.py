@@ -8,31 +8,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend.initialization.rotation_direction import OR_FAST
+from polhode.backend.initialization.rotation_direction import FAST_HINT
 from polhode.backend.noise.measurement_noise import NoiseScales, estimate_noise
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import linearization_point
-from polhode.backend.solvers.robust_kernel import widest_useful
+from polhode.backend.solvers.robust_kernel import most_efficient_scale
 from polhode.errors import RunFailure
 from polhode.lie import Array
 from polhode.records import Bools
 
 GATE = 4.5
 """Largest norm of a whitened stereo residual that stays; of Gaussian ones 1 in 5700 is larger."""
-ENOUGH_LEFT = 3
+MIN_LEFT = 3
 """A landmark that lost observations stays with so many, or with two that are half of them."""
 
 ROUNDS = 2
 ITERATIONS = 3
 """Of Gauss-Newton after each pruning."""
-LEAST_SHARE = 0.3
+MIN_SHARE = 0.3
 """Share of observations that must agree with the motion."""
 
 
 @dataclass(frozen=True)
-class Kept:
+class PrunedProblem:
     """A problem made smaller, and how its unknowns sit in the whole one."""
 
     data: MotionData
@@ -52,7 +52,9 @@ class Kept:
         return replace(small, p_G=p_G)
 
 
-def settle(data: MotionData, iterate: Iterate) -> tuple[MotionData, Kept, Iterate, NoiseScales]:
+def remove_outliers(
+    data: MotionData, iterate: Iterate
+) -> tuple[MotionData, PrunedProblem, Iterate, NoiseScales]:
     """Tell noise from contradictions: data with its own noise, what is kept of it, motion, noise factors.
 
     The median absolute deviation sets the first gate; in the end the noise is the scatter of what is kept,
@@ -72,12 +74,12 @@ def settle(data: MotionData, iterate: Iterate) -> tuple[MotionData, Kept, Iterat
     last = estimate_noise(kept.data, kept.restrict(iterate), robust=False)
     data = data.rescaled(last.factors)
     s = np.sum(whitened_residuals(data, iterate)[kept.observations] ** 2, axis=1)
-    scale = widest_useful(s, data.robust_scale)
+    scale = most_efficient_scale(s, data.robust_scale)
     kept = replace(kept, data=replace(kept.data.rescaled(last.factors), robust_scale=scale))
     return replace(data, robust_scale=scale), kept, iterate, first.times(last)
 
 
-def prune(data: MotionData, iterate: Iterate) -> Kept:
+def prune(data: MotionData, iterate: Iterate) -> PrunedProblem:
     """The problem without the observations whose residual at the iterate is beyond the gate.
 
     Raises RunFailure when most of them are.
@@ -85,13 +87,13 @@ def prune(data: MotionData, iterate: Iterate) -> Kept:
     residuals = whitened_residuals(data, iterate)
     agree = np.sum(residuals**2, axis=1) < GATE**2
     seen, left = np.diff(data.start), np.bincount(data.landmark[agree], minlength=data.n_landmarks)
-    landmarks = (left == seen) | (left >= ENOUGH_LEFT) | ((left == 2) & (seen <= 4))
+    landmarks = (left == seen) | (left >= MIN_LEFT) | ((left == 2) & (seen <= 4))
     observations = agree & landmarks[data.landmark]
     share = float(np.mean(observations))
-    if not share >= LEAST_SHARE:
+    if not share >= MIN_SHARE:
         raise RunFailure(
             f"no consistent motion: only {share:.0%} of the observations agree with the best one found "
-            f"({OR_FAST})"
+            f"({FAST_HINT})"
         )
     number = np.cumsum(landmarks) - 1
     landmark = number[data.landmark[observations]]
@@ -104,7 +106,7 @@ def prune(data: MotionData, iterate: Iterate) -> Kept:
         inv_sigma=data.inv_sigma[observations],
         order=data.order[observations],
     )
-    return Kept(smaller, observations, landmarks)
+    return PrunedProblem(smaller, observations, landmarks)
 
 
 def whitened_residuals(data: MotionData, iterate: Iterate) -> Array:

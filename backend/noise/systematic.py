@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from polhode.backend.uncertainty.identifiability import NAMES, determined_words
+from polhode.backend.uncertainty.identifiability import NAMES, determined_description
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Identifiability, MassProperties, MotionEstimate, OnlineEstimate, StereoTracks
@@ -34,19 +34,21 @@ def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Si
     body, mass = estimate.covariance_last_body, estimate.mass
     return replace(
         estimate,
-        covariance=np.stack([_grown(c, s) for c, s in zip(estimate.covariance, spread, strict=True)]),
-        covariance_last_joint=_grown(estimate.covariance_last_joint, joint),
-        covariance_last_body=None if body is None else _grown(body, joint),
-        mass=replace(mass, cov_com_G=_grown(mass.cov_com_G, in_G), identifiable=_grown_verdict(mass, in_G)),
+        covariance=np.stack([_inflated(c, s) for c, s in zip(estimate.covariance, spread, strict=True)]),
+        covariance_last_joint=_inflated(estimate.covariance_last_joint, joint),
+        covariance_last_body=None if body is None else _inflated(body, joint),
+        mass=replace(
+            mass, cov_com_G=_inflated(mass.cov_com_G, in_G), identifiable=_inflated_verdict(mass, in_G)
+        ),
     )
 
 
-def _grown_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
+def _inflated_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
     """The verdict with the sigmas, and the words, of a centre of mass that is spread by in_G (3, 3) too."""
     known = mass.identifiable
     sigma, detail = known.sigma.copy(), dict(known.detail)
     sigma[:3] = np.hypot(sigma[:3], np.linalg.norm(mass.R_GP.T @ in_G, axis=1))
-    detail |= {NAMES[n]: determined_words(n, sigma[n]) for n in range(3) if np.isfinite(sigma[n])}
+    detail |= {NAMES[n]: determined_description(n, sigma[n]) for n in range(3) if np.isfinite(sigma[n])}
     return replace(known, sigma=sigma, detail=detail)
 
 
@@ -58,12 +60,12 @@ def online_with_systematic(online: OnlineEstimate, tracks: StereoTracks, sigma_p
     in_G = online.X_NG[first, :3, :3].T @ spread[first]
     return replace(
         online,
-        covariance=np.stack([_grown(c, s) for c, s in zip(online.covariance, spread, strict=True)]),
-        cov_com_G=np.stack([_grown(c, in_G) for c in online.cov_com_G]),
+        covariance=np.stack([_inflated(c, s) for c, s in zip(online.covariance, spread, strict=True)]),
+        cov_com_G=np.stack([_inflated(c, in_G) for c in online.cov_com_G]),
     )
 
 
-def _grown(covariance: Array, spread: Array) -> Array:
+def _inflated(covariance: Array, spread: Array) -> Array:
     """Covariance (n, n) with spread (m, 3) of its first m components; what is unknown stays so."""
     m = len(spread)
     spread = spread * np.isfinite(np.diagonal(covariance)[:m, None])

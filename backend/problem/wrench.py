@@ -50,13 +50,13 @@ class Impulses:
         return once, self.twice[row] + self.once[row] * t + 0.5 * self.rows[row] * t**2
 
     @property
-    def so_far(self) -> Array:
+    def cumulative(self) -> Array:
         """(F, 6) integral of force and torque from the first frame to each [N s, N m s]."""
         once, _ = self.integrals(self.frame_s)
         return np.asarray(once - once[0])
 
     @property
-    def of_force(self) -> Array:
+    def force_increments(self) -> Array:
         """(F - 1, 2, 3) of each step: what the force does to position [N s^2] and velocity [N s] of 1 kg."""
         once, twice = (whole[:, :3] for whole in self.integrals(self.frame_s))
         dt = np.diff(self.frame_s)[:, None]
@@ -94,7 +94,7 @@ class Impulses:
         out[np.arange(most) >= series[:, None]] = 0.0
         return np.asarray(out).reshape(n, most, 2, 3)
 
-    def finer(self, series: Ints, w_G: Array, dt_s: Array) -> Ints:
+    def refine_series(self, series: Ints, w_G: Array, dt_s: Array) -> Ints:
         """Series (F - 1,), more where a torque acts; w_G (F - 1, 3) [rad/s]."""
         turns = np.linalg.norm(w_G, axis=1) * dt_s / FINEST_TURN_RAD
         needed = (2 ** np.ceil(np.log2(np.maximum(turns, 2.0)))).astype(np.int64)

@@ -19,7 +19,7 @@ PANEL = 96
 
 
 @dataclass(frozen=True)
-class Chain:
+class ChainFactor:
     """Factor of the chain's block, and the chain's coupling with poses and constants behind it."""
 
     diagonal: Array
@@ -36,7 +36,7 @@ class Chain:
     """(6 F + c,)"""
 
 
-def eliminate_chain(H: Array, g: Array, n_frames: int, n_state: int, damping: float = 0.0) -> Chain:
+def eliminate_chain(H: Array, g: Array, n_frames: int, n_state: int, damping: float = 0.0) -> ChainFactor:
     """Split H (n, n), g (n,), constants last, into chain and rest; the diagonal grows by the damping.
 
     Raises LinAlgError when the chain's block is not positive definite.
@@ -58,10 +58,10 @@ def eliminate_chain(H: Array, g: Array, n_frames: int, n_state: int, damping: fl
             dense[start:end, :end] -= X[first:, start:end].T @ X[first:, :end]
         dense[n_poses:] -= X[:, n_poses:].T @ X
         dense_gradient -= X.T @ y
-    return Chain(diagonal, below, X, y, dense, dense_gradient)
+    return ChainFactor(diagonal, below, X, y, dense, dense_gradient)
 
 
-def solve_with_chain(chain: Chain, n_state: int) -> Array:
+def solve_with_chain(chain: ChainFactor, n_state: int) -> Array:
     """Solution (n,) of ``H step = -g``, after whatever else was eliminated from the dense part.
 
     Raises LinAlgError when that is not positive definite. Overwrites ``chain.dense``.
@@ -96,7 +96,7 @@ def _gather(
 def _factor(
     H: Array, g: Array, n_frames: int, s: int, grow: float, diagonal: Array, below: Array, X: Array, y: Array
 ) -> bool:
-    """Fill the fields of ``Chain``; false when a pivot is not positive."""
+    """Fill the fields of ``ChainFactor``; false when a pivot is not positive."""
     d, n_poses, n_states = s - POSE, POSE * n_frames, s * n_frames
     constants = len(g) - n_states
     for k in range(n_frames):

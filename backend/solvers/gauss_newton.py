@@ -7,14 +7,14 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from polhode.backend.dynamics.kernels import prior_kernel
-from polhode.backend.dynamics.residuals import States, add_steps, dynamics_jacobians, dynamics_residuals
+from polhode.backend.dynamics.residuals import FrameStates, add_steps, dynamics_jacobians, dynamics_residuals
 from polhode.backend.problem.inertia import N_INERTIA, inertia_derivative
 from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import LN_MASS, LN_PRIOR, LN_SCALE, wrench_residual
 from polhode.backend.solvers.chain import POSE, eliminate_chain, solve_with_chain
 from polhode.backend.solvers.linearization_point import LinearizationPoint
-from polhode.backend.solvers.robust_kernel import kernel_bend, robust_cost, robust_weight
+from polhode.backend.solvers.robust_kernel import kernel_curvature, robust_cost, robust_weight
 from polhode.backend.solvers.schur import (
     back_substitute,
     stereo_normal_equations,
@@ -30,10 +30,10 @@ TOLERANCE = 1e-8
 AT_REST, REST_ITERATIONS = 1e-6, 8
 """So many iterations in a row with a smaller relative decrease end them too: what is left is a valley along
 which the data tell nothing."""
-SHORTER, ENOUGH = (0.5, 0.25, 0.125, 0.0625), 0.1
+STEP_FRACTIONS, ENOUGH = (0.5, 0.25, 0.125, 0.0625), 0.1
 """Parts of a step that are tried, and the share of the decrease by the slope that each must bring."""
 DAMPING_FLOOR = 1e-8
-MOST_DAMPED, MOST_FIRM = 1e8, 1e5
+MAX_DAMPING, MAX_CONSTANTS_DAMPING = 1e8, 1e5
 CONSTANT_SCALE = np.repeat([0.01, 0.1], [3, N_INERTIA])
 """Of com_G [m] and xi."""
 
@@ -55,8 +55,8 @@ class Damping:
         """What to try when steps were refused so many times; nothing when they cannot be made shorter."""
         firm = max(self.of_constants, 1e-3) * 100.0**times
         stiff = max(self.of_all, 1e-6) * 4.0**times * 2.0 ** (times * (times - 1) // 2)
-        firmer = [Damping(of_constants=firm)] if firm < MOST_FIRM else []
-        return firmer + ([Damping(of_all=stiff)] if stiff < MOST_DAMPED else [])
+        firmer = [Damping(of_constants=firm)] if firm < MAX_CONSTANTS_DAMPING else []
+        return firmer + ([Damping(of_all=stiff)] if stiff < MAX_DAMPING else [])
 
     def less(self) -> "Damping":
         """What to begin the next iteration with."""
@@ -148,7 +148,7 @@ class GaussNewton:
                 step = self._step(system, trial)
                 candidate, cost = x + step, self._cost_there(fixed, x + step)
                 if self.line_search and refused == 0 and not cost <= least:
-                    candidate, cost = self._shorter(fixed, x, system, step)
+                    candidate, cost = self._search_along(fixed, x, system, step)
                 if np.isfinite(cost) and cost <= least:
                     best, least = (candidate, float(cost), trial), cost
             if best is not None:
@@ -160,12 +160,12 @@ class GaussNewton:
                 trials = [trial for trial in trials if trial.of_constants == 0.0]
         return None
 
-    def _shorter(
+    def _search_along(
         self, fixed: LinearizationPoint, x: Array, system: NormalEquations, step: Array
     ) -> tuple[Array, float]:
         """The longest of SHORTER parts of a step that decreases the cost enough (Armijo); else no cost."""
         slope = float(system.g @ step[: len(system.g)] + system.h.ravel() @ step[len(system.g) :])
-        for length in SHORTER:
+        for length in STEP_FRACTIONS:
             cost = self._cost_there(fixed, x + length * step)
             if cost <= system.cost + ENOUGH * length * slope:
                 return x + length * step, cost
@@ -230,7 +230,7 @@ class GaussNewton:
         squares = np.sum(r**2, axis=1)
         # the kernel's curvature speeds up the solution; information given from outside has none
         w = robust_weight(squares, d.robust_scale) if weight is None else weight
-        bend = kernel_bend(squares, d.robust_scale) if weight is None else np.zeros_like(squares)
+        bend = kernel_curvature(squares, d.robust_scale) if weight is None else np.zeros_like(squares)
         theta = x[:n_states].reshape(-1, s)[:, 3:6]
         H6, g6, C, h, E = stereo_normal_equations(
             d.frame,
@@ -301,11 +301,11 @@ class GaussNewton:
         add_steps(H, g, residual, jacobian, at.n_state)
         return 0.5 * float(np.sum(residual**2))
 
-    def states(self, fixed: LinearizationPoint, x: Array) -> tuple[States, Iterate]:
+    def states(self, fixed: LinearizationPoint, x: Array) -> tuple[FrameStates, Iterate]:
         """The states as the dynamics read them, and the iterate, at x."""
         at = fixed.reference.moved_to(x)
         of_frames = x[: at.n_states].reshape(-1, at.n_state)
-        return States(of_frames, at.R_NG, self.data.camera_N, at.com_G, at.wrench, at.R_torque), at
+        return FrameStates(of_frames, at.R_NG, self.data.camera_N, at.com_G, at.wrench, at.R_torque), at
 
     def _add_camera(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array) -> float:
         error = camera_errors(fixed, x)

@@ -19,14 +19,14 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.casadi_nlp import gather, scatter, upper_keys, upper_sparsity
 from polhode.backend.solvers.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, Solution
 from polhode.backend.solvers.linearization_point import LinearizationPoint
-from polhode.backend.solvers.stereo_terms import FromOutside, StereoTerms
+from polhode.backend.solvers.stereo_terms import ExternalFunction, StereoTerms
 from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints
 
-GOOD = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
+OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
 """What IPOPT calls an optimum."""
-IN_WORDS = {
+MESSAGES = {
     "Solve_Succeeded": "converged",
     "Solved_To_Acceptable_Level": "converged to the acceptable tolerance",
     "Search_Direction_Becomes_Too_Small": "converged: no further decrease",
@@ -40,7 +40,7 @@ COST_AT_REST = 1e-7
 
 
 @dataclass(frozen=True)
-class Term:
+class ProgramTerm:
     """Expressions of one kernel over its data, and the unknowns (n, width) that each application reads."""
 
     slots: Ints
@@ -88,7 +88,7 @@ class MotionProgram:
         self._series: Ints = np.zeros(0, dtype=np.int64)
         self._solver: Any = None
         # CasADi holds only a weak hand on them
-        self._outside: list[FromOutside] = []
+        self._outside: list[ExternalFunction] = []
 
     def solve(
         self, fixed: LinearizationPoint, x: Array, max_iterations: int, max_seconds: float = np.inf
@@ -97,17 +97,17 @@ class MotionProgram:
         if self._solver is None or np.any(fixed.steps.series > self._series):
             series = fixed.steps.series
             self._series = np.maximum(series, self._series) if self._solver else series
-            layout = Layout(fixed.reference, int(self._series.max()))
+            layout = ProgramLayout(fixed.reference, int(self._series.max()))
             self._solver = self.build(layout, max_iterations, max_seconds)
         result = self._solver(x0=x, p=program_parameters(self.data, fixed, self._series))
         stats = self._solver.stats()
         status = str(stats["return_status"])
-        good, message = status in GOOD, IN_WORDS.get(status, status)
+        good, message = status in OPTIMAL, MESSAGES.get(status, status)
         return Solution(
             np.asarray(result["x"]).ravel(), float(result["f"]), int(stats["iter_count"]), good, message
         )
 
-    def build(self, layout: "Layout", max_iterations: int, max_seconds: float) -> Any:
+    def build(self, layout: "ProgramLayout", max_iterations: int, max_seconds: float) -> Any:
         """The solver, ready to be called with start and parameters."""
         stereo = StereoTerms(self.data, layout.n_state, layout.n_dense)
         n_x, n_attitudes = stereo.n_x, 9 * self.data.n_frames
@@ -115,7 +115,7 @@ class MotionProgram:
         keys = stereo.keys()
         sizes = (n_x, n_attitudes)
         functions = ((stereo.cost, 1), (stereo.gradient, n_x), (stereo.hessian, len(keys)))
-        self._outside = [FromOutside(f.__name__, f, sizes, n_out) for f, n_out in functions]
+        self._outside = [ExternalFunction(f.__name__, f, sizes, n_out) for f, n_out in functions]
         of_stereo = [outside(x, p[:n_attitudes]) for outside in self._outside]
         cost = of_stereo[0] + sum(ca.sum2(term.cost) for term in self.terms(x, p, layout, "cost"))
 
@@ -165,7 +165,7 @@ class MotionProgram:
             },
         }
 
-    def terms(self, x: Any, p: Any, at: "Layout", output: Output) -> list[Term]:
+    def terms(self, x: Any, p: Any, at: "ProgramLayout", output: Output) -> list[ProgramTerm]:
         """Kernels mapped over their data: dynamics by number of series, priors, what is fixed."""
         d, s, step = self.data, at.n_state, at.step
         of_constants = s * d.n_frames + np.arange(step.n_constants)
@@ -182,26 +182,30 @@ class MotionProgram:
                 torque = gather(p, at.torque + at.n_torque * index[:, None] + np.arange(6 * series))
                 arguments.append(ca.reshape(torque, 6, series * len(index)))
             kernel = dynamics_kernel(d.form, series, output, step).map(len(index))
-            terms.append(Term(slots, *kernel.call(arguments)))
+            terms.append(ProgramTerm(slots, *kernel.call(arguments)))
         body = of_constants[None, :N_CONSTANTS]
         prior = prior_kernel(d.form, output)
-        terms.append(Term(body, *prior.call([gather(x, body), p[at.prior : at.prior + 13]])))
+        terms.append(ProgramTerm(body, *prior.call([gather(x, body), p[at.prior : at.prior + 13]])))
         gaussian_prior = gaussian_prior_kernel(output)
         gauge = np.arange(6)[None]
-        terms.append(Term(gauge, *gaussian_prior.call([gather(x, gauge), p[at.gauge : at.gauge + 12]])))
+        terms.append(
+            ProgramTerm(gauge, *gaussian_prior.call([gather(x, gauge), p[at.gauge : at.gauge + 12]]))
+        )
         if s > N_STATE:
             errors = s * np.arange(d.n_frames)[:, None] + N_STATE + np.arange(N_CAMERA)
             camera_prior = ca.repmat(p[at.camera : at.camera + 12], 1, d.n_frames)
             terms.append(
-                Term(errors, *gaussian_prior.map(d.n_frames).call([gather(x, errors), camera_prior]))
+                ProgramTerm(errors, *gaussian_prior.map(d.n_frames).call([gather(x, errors), camera_prior]))
             )
         if step.pushed:
             unknowns, wrench = of_constants[None, 3:], wrench_kernel(d.form, output)
-            terms.append(Term(unknowns, *wrench.call([gather(x, unknowns), p[at.wrench : at.wrench + 20]])))
+            terms.append(
+                ProgramTerm(unknowns, *wrench.call([gather(x, unknowns), p[at.wrench : at.wrench + 20]]))
+            )
         return terms
 
 
-class Layout:
+class ProgramLayout:
     """Where each kind of unknown and of parameter begins in the program's vectors; attitudes A are first."""
 
     def __init__(self, reference: Iterate, most_series: int) -> None:
@@ -218,7 +222,7 @@ class Layout:
 
 
 def program_parameters(data: MotionData, fixed: LinearizationPoint, series: Ints) -> Array:
-    """Values of the parameters, as ``Layout`` orders them."""
+    """Values of the parameters, as ``ProgramLayout`` orders them."""
     reference = fixed.reference
     torque, wrench = np.zeros(0), np.zeros(20)
     if reference.wrench is not None and reference.R_torque is not None and data.impulses is not None:
@@ -250,8 +254,11 @@ def dynamics_parameters(data: MotionData, fixed: LinearizationPoint) -> Array:
     columns = [by_columns[:-1], by_columns[1:], inertia, q01, data.dt_s[:, None], lower, whiten]
     if at.n_state > N_STATE:
         columns += [data.camera_N[:-1], data.camera_N[1:]]
-    if at.R_torque is not None and fixed.steps.of_force is not None:
-        columns += [np.broadcast_to(at.R_torque.T.ravel(), (n, 9)), fixed.steps.of_force.reshape(n, 6)]
+    if at.R_torque is not None and fixed.steps.force_increments is not None:
+        columns += [
+            np.broadcast_to(at.R_torque.T.ravel(), (n, 9)),
+            fixed.steps.force_increments.reshape(n, 6),
+        ]
     return np.concatenate(columns, axis=1)
 
 

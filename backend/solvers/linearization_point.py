@@ -17,9 +17,9 @@ LOOSE_GAUGE, TIGHT_GAUGE = 0.1, 1e-3
 solution a step along it would leave the curved valley in which G may move."""
 COM_PRIOR_M = 0.1
 """Least standard deviation of the prior on the centre of mass; a larger body's own radius is taken."""
-UNKNOWN_PUSH_PSD = 1.0
+LOOSE_PSD = 1.0
 """[(m/s^2)^2/Hz], [(rad/s^2)^2/Hz] so strong that a step tells nothing of the body."""
-LEAST_CAMERA_SIGMA = 1e-7
+MIN_CAMERA_SIGMA = 1e-7
 """[m, rad] where only the other half of the camera's pose is noisy."""
 
 
@@ -64,9 +64,7 @@ def linearization_point(data: MotionData, iterate: Iterate, gauge: float = LOOSE
         steps=_steps(data, iterate, series_steps(w, J_G, data.dt_s, torque_psd), W_t, W_r),
         prior=np.concatenate([middle, [com_sigma], iterate.R_inertia.T.ravel()]),
         gauge_information=np.repeat([(gauge * com_sigma) ** -2, gauge**-2], 3),
-        camera_information=np.repeat(
-            [max(sigma, LEAST_CAMERA_SIGMA) ** -2 for sigma in data.camera_sigma], 3
-        ),
+        camera_information=np.repeat([max(sigma, MIN_CAMERA_SIGMA) ** -2 for sigma in data.camera_sigma], 3),
         bias_sigma=data.bias_sigma,
         half_log_det=half_log,
     )
@@ -77,9 +75,9 @@ def _levels(data: MotionData, iterate: Iterate) -> tuple[Array, Array]:
     does not have."""
     unknown = np.zeros_like(data.dt_s)
     if data.loose is not None:
-        unknown[data.loose] = UNKNOWN_PUSH_PSD
+        unknown[data.loose] = LOOSE_PSD
     if data.impulses is not None and iterate.wrench is None:
-        unknown[data.impulses.acting] = UNKNOWN_PUSH_PSD
+        unknown[data.impulses.acting] = LOOSE_PSD
     return np.maximum(data.accel_psd, unknown), np.maximum(data.torque_psd, unknown)
 
 
@@ -87,8 +85,8 @@ def _steps(data: MotionData, iterate: Iterate, series: Ints, W_t: Array, W_r: Ar
     known = data.impulses
     if known is None or iterate.wrench is None:
         return Steps(data.dt_s, series, W_t, W_r)
-    series = known.finer(series, iterate.w_G[:-1], data.dt_s)
-    return Steps(data.dt_s, series, W_t, W_r, known.of_force, known.torque(series))
+    series = known.refine_series(series, iterate.w_G[:-1], data.dt_s)
+    return Steps(data.dt_s, series, W_t, W_r, known.force_increments, known.torque(series))
 
 
 def geometric_median(points: Array) -> Array:

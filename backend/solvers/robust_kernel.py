@@ -10,15 +10,15 @@ import numpy as np
 
 from polhode.lie import Array
 
-MOST_BEND = 0.6
+MAX_CURVATURE = 0.6
 """Measured on a cold start and near the end: less converges slower there, more slower here."""
-WIDER = (1.0, 1.5, 2.0, 3.0, 5.0)
+RELATIVE_SCALES = (1.0, 1.5, 2.0, 3.0, 5.0)
 """Candidate scales, over the one in the configuration."""
 
 
-def widest_useful(s: Array, scale: float) -> float:
+def most_efficient_scale(s: Array, scale: float) -> float:
     """Of ``scale`` and wider kernels the most efficient for residuals of squared norms s (M,), whitened."""
-    candidates = [scale * factor for factor in WIDER]
+    candidates = [scale * factor for factor in RELATIVE_SCALES]
     return candidates[int(np.argmax([efficiency(s, candidate) for candidate in candidates]))]
 
 
@@ -46,14 +46,14 @@ def robust_weight(s: Array, scale: float) -> Array:
     return np.asarray(1.0 / (1.0 + s / scale**2))
 
 
-def kernel_bend(s: Array, robust_scale: float) -> Array:
+def kernel_curvature(s: Array, robust_scale: float) -> Array:
     """How much of the Jacobian along the residual r the curvature of the Cauchy kernel takes, s = r.r (M,).
 
     The kernel's exact second derivative makes the Hessian w J^T (I - 2 w r r^T / c^2) J, with w the weight.
     As w B^T B with B = J - bend r r^T J (Triggs et al., "Bundle adjustment", 2000, eq. 11) it stays positive;
     beyond MOST_BEND it is limited.
     """
-    limited = np.minimum(2.0 / (robust_scale**2 + s), MOST_BEND / (s + 1e-12))
+    limited = np.minimum(2.0 / (robust_scale**2 + s), MAX_CURVATURE / (s + 1e-12))
     return np.asarray(limited / (1.0 + np.sqrt(1.0 - limited * s)))
 
 

@@ -38,7 +38,7 @@ def stereo_normal_equations(
     """Blocks of the Gauss-Newton system of the weighted residuals.
 
     Jr (F, 3, 3) right Jacobian at the current theta: the attitude variable is theta itself; bend (M,) of the
-    robust kernel (``kernels.kernel_bend``). Returns
+    robust kernel (``kernels.kernel_curvature``). Returns
     H (F, 6, 6), g (F, 6) of the poses; C (L, 3, 3), h (L, 3) of the landmarks; E (M, 6, 3) coupling.
     """
     n_frames, n_landmarks, n = len(p_NG), len(p_G), len(frame)

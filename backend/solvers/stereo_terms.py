@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from polhode.backend.problem.motion_data import MotionData
-from polhode.backend.solvers.robust_kernel import kernel_bend, robust_cost, robust_weight
+from polhode.backend.solvers.robust_kernel import kernel_curvature, robust_cost, robust_weight
 from polhode.backend.solvers.schur import stereo_normal_equations, stereo_residuals
 from polhode.lie import Array, exp_so3, right_jacobian_so3
 from polhode.records import Ints
@@ -83,11 +83,11 @@ class StereoTerms:
         fixed = (d.frame, d.landmark, d.inv_sigma, d.rig)
         point = (now, d.R_RN, d.t_R, p_NG, p_G, right_jacobian_so3(theta), residuals)
         return stereo_normal_equations(
-            *fixed, *point, robust_weight(s, d.robust_scale), kernel_bend(s, d.robust_scale)
+            *fixed, *point, robust_weight(s, d.robust_scale), kernel_curvature(s, d.robust_scale)
         )
 
 
-class FromOutside(ca.Callback):
+class ExternalFunction(ca.Callback):
     """A function of vectors to one vector that CasADi can call. It must live as long as its callers."""
 
     def __init__(

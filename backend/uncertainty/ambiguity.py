@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend.initialization.multistart import Trial
-from polhode.backend.initialization.rotation_direction import THE_OTHER_WAY
+from polhode.backend.initialization.multistart import HypothesisFit
+from polhode.backend.initialization.rotation_direction import OPPOSITE_DIRECTION
 from polhode.backend.uncertainty.covariance import with_infinite
 from polhode.lie import Array
 from polhode.records import MotionEstimate
@@ -28,34 +28,34 @@ OF_JOINT = np.r_[OF_STATE, np.ones(5, dtype=np.bool_), np.zeros(3, dtype=np.bool
 
 
 @dataclass(frozen=True)
-class Choice:
+class HypothesisChoice:
     """The hypothesis that was taken, and median turns [deg] of it and of one that fits alike."""
 
     name: str
     turns_deg: tuple[float, float] | None
 
 
-def choose(trials: dict[str, Trial], dt_s: Array) -> Choice:
+def choose_hypothesis(trials: dict[str, HypothesisFit], dt_s: Array) -> HypothesisChoice:
     """The best hypothesis; of two senses that fit alike, the one with the shorter turns. dt_s (F - 1,)."""
     bests = []
     for other in (False, True):
-        names = [name for name in trials if name.endswith(THE_OTHER_WAY) == other]
+        names = [name for name in trials if name.endswith(OPPOSITE_DIRECTION) == other]
         bests += [min(names, key=lambda name: trials[name].cost)] if names else []
     # the normalisation differs with the rate: it may not decide between two
     bests.sort(key=lambda name: trials[name].misfit)
     if len(bests) < 2 or trials[bests[1]].misfit > (1.0 + AS_GOOD) * trials[bests[0]].misfit:
-        return Choice(bests[0], None)
+        return HypothesisChoice(bests[0], None)
     turns = {name: _turn_deg(trials[name], dt_s) for name in bests}
     short, far = sorted(bests, key=lambda name: turns[name])
-    return Choice(short, (turns[short], turns[far]))
+    return HypothesisChoice(short, (turns[short], turns[far]))
 
 
-def _turn_deg(trial: Trial, dt_s: Array) -> float:
+def _turn_deg(trial: HypothesisFit, dt_s: Array) -> float:
     return float(np.rad2deg(np.median(np.linalg.norm(trial.iterate.w_G[:-1], axis=1) * dt_s)))
 
 
-def open_turns_deg(
-    choice: Choice, trial: Trial, dt_s: Array, much_disturbed: bool
+def ambiguous_turns_deg(
+    choice: HypothesisChoice, trial: HypothesisFit, dt_s: Array, much_disturbed: bool
 ) -> tuple[float, float] | None:
     """Median turns [deg] of the motion and of the one that it is not told from; None: it is told."""
     turn = _turn_deg(trial, dt_s)
@@ -64,7 +64,7 @@ def open_turns_deg(
     return choice.turns_deg
 
 
-def with_open_sense(estimate: MotionEstimate, turns_deg: tuple[float, float]) -> MotionEstimate:
+def with_ambiguous_rotation(estimate: MotionEstimate, turns_deg: tuple[float, float]) -> MotionEstimate:
     """The estimate with what hangs on the sense of the turns called undetermined, and a warning."""
     known, mass = estimate.mass.identifiable, estimate.mass
     detail = {

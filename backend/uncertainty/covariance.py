@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
 
-from polhode.backend.dynamics.residuals import States, state_derivatives
+from polhode.backend.dynamics.residuals import FrameStates, state_derivatives
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE, Iterate
 from polhode.backend.problem.wrench import LN_MASS, LN_SCALE
 from polhode.backend.solvers.gauss_newton import GaussNewton
@@ -126,7 +126,9 @@ def body_jacobians(iterate: Iterate, camera_N: Array | None = None) -> Array:
     """
     n, s = iterate.n_frames, iterate.n_state
     numbers = iterate.vector()[: iterate.n_states].reshape(n, s)
-    states = States(numbers, iterate.R_NG, np.zeros((n, 3)) if camera_N is None else camera_N, iterate.com_G)
+    states = FrameStates(
+        numbers, iterate.R_NG, np.zeros((n, 3)) if camera_N is None else camera_N, iterate.com_G
+    )
     out = np.zeros((n, 12, s + N_CONSTANTS))
     out[:, 0:3, :s], out[:, 6:9, :s] = state_derivatives(states)
     out[:, 0:3, s : s + 3] = states.true_attitudes()

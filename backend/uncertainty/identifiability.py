@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from polhode.backend.uncertainty.principal_axes import AxesDerivative, of_free_turn, ratio_covariance
+from polhode.backend.uncertainty.principal_axes import AxesDerivative, free_axis_covariance, ratio_covariance
 from polhode.lie import Array
 from polhode.records import Bools, Identifiability
 
@@ -25,7 +25,7 @@ NAMES = ("com_x", "com_y", "com_z", "k1", "k2", "axes_x", "axes_y", "axes_z")
 
 
 @dataclass(frozen=True)
-class Determined:
+class IdentifiabilityAnalysis:
     """The verdict, and the directions that are lost."""
 
     record: Identifiability
@@ -40,7 +40,7 @@ class Determined:
         return np.asarray(np.abs(self.lost).max(axis=1, initial=0.0) > 0.1 * CONSTANT_SCALE)
 
 
-def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Determined:
+def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> IdentifiabilityAnalysis:
     """information (8, 8) of (com_G, xi) without prior; w_P (F, 3) the motion, for the reason in words."""
     # d(com_G, xi) / d(com_P, k1, k2, theta), scaled
     to_solver = block_diag(derivative.R_GP, np.linalg.inv(np.vstack([derivative.ratios, derivative.axes])))
@@ -64,9 +64,9 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Deter
     # Without both ratios the order of the moments is open, and with it which axis is which. A spin about any
     # axis of a nearly round body looks like one about a principal axis of another: seen, 60 degrees off.
     good[5:] &= good[3:5].all()
-    total[5:] = np.sqrt(np.diag(of_free_turn(covariance[5:, 5:], ~good[5:])))
+    total[5:] = np.sqrt(np.diag(free_axis_covariance(covariance[5:, 5:], ~good[5:])))
     good[5:] &= total[5:] <= LIMIT * SCALE[5:]
-    detail = {name: _words(n, good, total, w_P) for n, name in enumerate(NAMES)}
+    detail = {name: _description(n, good, total, w_P) for n, name in enumerate(NAMES)}
     record = Identifiability(
         k1=bool(good[3]),
         k2=bool(good[4]),
@@ -77,19 +77,19 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Deter
         axes_P=good[5:],
         sigma=np.where(good, total, np.inf),
     )
-    return Determined(record, to_solver @ vectors[:, lost], to_solver[:, 5:][:, ~good[5:]])
+    return IdentifiabilityAnalysis(record, to_solver @ vectors[:, lost], to_solver[:, 5:][:, ~good[5:]])
 
 
-def determined_words(n: int, sigma: float) -> str:
+def determined_description(n: int, sigma: float) -> str:
     """What is said of quantity n of NAMES when its standard deviation is sigma [m, 1, rad]."""
     unit = "mm" if n < 3 else "" if n < 5 else "deg"
     number = sigma * (1e3 if n < 3 else 1.0 if n < 5 else np.rad2deg(1.0))
     return f"determined, standard deviation about {number:.2g} {unit}".strip()
 
 
-def _words(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
+def _description(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
     if good[n]:
-        return determined_words(n, sigma[n])
+        return determined_description(n, sigma[n])
     mean_square = np.mean(w_P**2, axis=0)
     rate = np.sqrt(mean_square.sum())
     if rate < 0.01:
@@ -106,7 +106,9 @@ def _words(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
     return "not determined: the motion is too short, or two moments too nearly equal, to tell"
 
 
-def undetermined_states(determined: Determined, jacobians: Array, response: Array, w_P: Array) -> Bools:
+def undetermined_states(
+    determined: IdentifiabilityAnalysis, jacobians: Array, response: Array, w_P: Array
+) -> Bools:
     """Components (F, 12) of the states that move with a lost direction.
 
     jacobians (F, 12, s + 8) of the states in their own s variables and the constants; response (s F, 8).

@@ -101,7 +101,7 @@ def ratios_after(derivative: AxesDerivative, change: Array) -> Array:
     return np.asarray(np.log(moments[:, :2] / moments[:, 1:]))
 
 
-def of_free_turn(covariance: Array, lost: Bools) -> Array:
+def free_axis_covariance(covariance: Array, lost: Bools) -> Array:
     """Covariance (..., 3, 3) of rotations about P when only the turn about one axis is lost (3,).
 
     The tilt of that axis may lie in any direction across it: the worse one counts for both.

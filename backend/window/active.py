@@ -6,8 +6,8 @@ import numpy as np
 
 from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
+from polhode.backend.window.dynamics_factors import NO_FACTORS, DynamicsFactors, factor_jacobians
 from polhode.backend.window.frame import Frame, states_of
-from polhode.backend.window.links import NO_LINKS, Links, link_jacobians
 from polhode.backend.window.quadratic import Quadratic, add_block, eliminate, others
 from polhode.lie import Array
 from polhode.records import Ints
@@ -19,7 +19,7 @@ Part = tuple[Ints, Array, Array]
 
 
 @dataclass
-class Active:
+class ActiveWindow:
     """The unknowns as one vector: seen poses, recent states, com_G, xi.
 
     Six of each key pose (p_NG, theta), the same of each recent one if the camera's own pose is noisy; 12 of
@@ -29,7 +29,7 @@ class Active:
     noisy_camera: bool = False
     keys: list[Frame] = field(default_factory=list)
     recent: list[Frame] = field(default_factory=list)
-    links: Links = NO_LINKS
+    factors: DynamicsFactors = NO_FACTORS
     """between the recent states; the history has its own"""
     constants: Array = field(default_factory=lambda: np.zeros(N_CONSTANTS))
     """(8,) com_G, xi"""
@@ -79,7 +79,7 @@ class Active:
             frame.x[:] = x[start : start + N_STATE]
         self.constants = x[-N_CONSTANTS:].copy()
 
-    def make_room(self) -> None:
+    def extend_arrival(self) -> None:
         """A frame was added, of which the arrival cost knows nothing."""
         x, last = self.vector(), len(self.recent) - 1
         new = np.arange(N_STATE) + self.n_seen + N_STATE * last
@@ -107,8 +107,8 @@ class Active:
         """The dynamics from the oldest recent state to the next."""
         x, start = self.vector(), self.n_seen
         both = np.r_[start : start + 2 * N_STATE, len(x) - N_CONSTANTS : len(x)]
-        first = self.links.part(slice(0, 1))
-        r, D = link_jacobians(x[both], self.R_ref[:2], first, form, R_inertia)
+        first = self.factors.part(slice(0, 1))
+        r, D = factor_jacobians(x[both], self.R_ref[:2], first, form, R_inertia)
         return both, D[0].T @ D[0], D[0].T @ r[0]
 
     def camera_parts(self, n_frames: int | None = None) -> list[Part]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.backend.initialization.initialize import ransac_orientation
-from polhode.backend.window.estimator_state import Belief
+from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.frame import Frame, FrameMeasurements, camera_of
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, transform_points
@@ -24,14 +24,14 @@ ARRIVAL_GATE = 5.0
 """Largest norm of a residual, whitened by its own noise and the landmark's, of what is let in."""
 ENOUGH = 0.6
 """Share of the observations of known landmarks that must agree with a pose."""
-LEAST_ENOUGH = 0.4
+ENOUGH_BY_MAP = 0.4
 """The same for a pose found by the map: 30 % gross errors, and landmarks that are wrong themselves."""
-LEAST_COMMON = 5
+MIN_COMMON = 5
 REFINEMENTS = 3
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownLandmarks:
     """Observations of landmarks whose position is known."""
 
     uvd_px: Array
@@ -45,7 +45,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Located:
+class LocatedFrame:
     """The pose of a frame and which of its observations of known landmarks agree."""
 
     X_RG: Array
@@ -56,79 +56,83 @@ class Located:
     """prediction, map, or nothing"""
 
 
-def first_frame(belief: Belief, m: FrameMeasurements, number: int, time_s: float) -> Frame:
+def first_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s: float) -> Frame:
     """The frame that defines G: its axes those of N, its origin in the middle of what is seen."""
-    p_R = belief.rig.triangulate(m.uvd_px)
+    p_R = state.rig.triangulate(m.uvd_px)
     R_NG, p_NG = m.X_NR[:3, :3], (m.X_NR @ np.append(np.median(p_R, axis=0), 1.0))[:3]
-    frame = _frame(belief, m, number, time_s, R_NG, np.concatenate([p_NG, np.zeros(9)]))
+    frame = _frame(state, m, number, time_s, R_NG, np.concatenate([p_NG, np.zeros(9)]))
     frame.fix_linearization()
-    _see(belief, frame, m, np.ones(len(m.landmark), bool))
+    _set_observations(state, frame, m, np.ones(len(m.landmark), bool))
     return frame
 
 
-def next_frame(belief: Belief, m: FrameMeasurements, number: int, time_s: float) -> Frame | None:
+def next_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s: float) -> Frame | None:
     """The frame with its first state; None when it cannot be placed. Lets its observations enter."""
-    before = belief.active.recent[-1]
-    n_located = len(belief.active.frames)
-    slot = belief.landmarks.find(m.landmark)
+    before = state.active.recent[-1]
+    n_located = len(state.active.frames)
+    slot = state.landmarks.find(m.landmark)
     index = np.flatnonzero(slot >= 0)
-    inv_sigma = 1.0 / (m.sigma_px * belief.noise)
-    known = Known(
+    inv_sigma = 1.0 / (m.sigma_px * state.noise)
+    known = KnownLandmarks(
         m.uvd_px[index],
         inv_sigma[index],
-        belief.landmarks.p_G[slot[index]],
-        belief.landmarks.covariance[slot[index]],
+        state.landmarks.p_G[slot[index]],
+        state.landmarks.covariance[slot[index]],
     )
-    x, R_NG = belief.predict(time_s)
+    x, R_NG = state.predict(time_s)
     guess = inverse_pose(m.X_NR) @ make_pose(R_NG, x[:3]) if n_located >= 2 else None
-    found = locate(belief.rig, known, guess, number)
+    found = locate(state.rig, known, guess, number)
     if found.by == "nothing" and n_located < STEADY_FRAMES:
         return None
     if found.by != "nothing":
         X_NG = m.X_NR @ found.X_RG
         R_NG, x[:3] = X_NG[:3, :3], X_NG[:3, 3]
         if n_located < STEADY_FRAMES:
-            _difference(belief, before, x, R_NG, time_s - before.time_s, whole=n_located == 1)
-    frame = _frame(belief, m, number, time_s, R_NG, x)
-    if found.by == "nothing" and (len(index) >= LEAST_COMMON or _predicted_sigma(belief, time_s) > LOST_RAD):
+            _difference(state, before, x, R_NG, time_s - before.time_s, whole=n_located == 1)
+    frame = _frame(state, m, number, time_s, R_NG, x)
+    if found.by == "nothing" and (len(index) >= MIN_COMMON or _predicted_sigma(state, time_s) > LOST_RAD):
         # it contradicts the map, or nobody knows where it is: what it sees would only do harm
         return frame
-    _see(belief, frame, m, _let_in(belief, slot, index, found))
+    _set_observations(state, frame, m, _accepted(state, slot, index, found))
     return frame
 
 
-def _frame(belief: Belief, m: FrameMeasurements, number: int, time_s: float, R_NG: Array, x: Array) -> Frame:
+def _frame(
+    state: EstimatorState, m: FrameMeasurements, number: int, time_s: float, R_NG: Array, x: Array
+) -> Frame:
     R_RN, t_R = camera_of(m.X_NR)
     nothing, none = np.zeros(0, np.int64), np.zeros((0, 3))
-    information = belief.camera.information(m.X_NR, R_NG, x[:3])
+    information = state.camera.information(m.X_NR, R_NG, x[:3])
     return Frame(number, time_s, R_RN, t_R, nothing, none, none, R_NG, x, information)
 
 
-def _difference(belief: Belief, before: Frame, x: Array, R_NG: Array, dt_s: float, whole: bool) -> None:
+def _difference(
+    state: EstimatorState, before: Frame, x: Array, R_NG: Array, dt_s: float, whole: bool
+) -> None:
     """Velocities by the difference of two poses; ``whole``: of both frames."""
-    com_G = belief.active.constants[:3]
+    com_G = state.active.constants[:3]
     shift = x[:3] + R_NG @ com_G - before.x[:3] - before.R_NG @ com_G
     x[6:9], x[9:12] = shift / dt_s, log_so3(before.R_NG.T @ R_NG) / dt_s
     if whole:
         before.x[6:12] = x[6:12]
 
 
-def _predicted_sigma(belief: Belief, time_s: float) -> float:
+def _predicted_sigma(state: EstimatorState, time_s: float) -> float:
     """Largest standard deviation [rad] of the predicted attitude, about."""
-    if belief.last is None:
+    if state.last is None:
         return np.inf
-    covariance = np.linalg.inv(belief.last.joint)
-    dt = time_s - belief.active.recent[-1].time_s
+    covariance = np.linalg.inv(state.last.joint)
+    dt = time_s - state.active.recent[-1].time_s
     turn = covariance[3:6, 3:6] + dt**2 * covariance[9:12, 9:12]
-    return float(np.sqrt(np.linalg.eigvalsh(turn)[-1] + belief.disturbances.torque_psd * dt**3 / 3.0))
+    return float(np.sqrt(np.linalg.eigvalsh(turn)[-1] + state.disturbances.torque_psd * dt**3 / 3.0))
 
 
-def _let_in(belief: Belief, slot: Ints, index: Ints, found: Located) -> Bools:
+def _accepted(state: EstimatorState, slot: Ints, index: Ints, found: LocatedFrame) -> Bools:
     """Observations (m,) that enter: of new landmarks, of known ones when they agree.
 
     A landmark that is contradicted again and again starts anew with the latest observation of it.
     """
-    marks, enter = belief.landmarks, np.ones(len(slot), bool)
+    marks, enter = state.landmarks, np.ones(len(slot), bool)
     agreeing, other = slot[index[found.agree]], index[~found.agree]
     marks.refused[agreeing] = 0
     marks.refused[slot[other]] += 1
@@ -139,7 +143,7 @@ def _let_in(belief: Belief, slot: Ints, index: Ints, found: Located) -> Bools:
         return enter
     anew = np.zeros(len(marks), bool)
     anew[restart] = True
-    for frame in belief.active.frames:
+    for frame in state.active.frames:
         stays: Bools = ~anew[frame.slot]
         if not stays.all():
             marks.leave(frame.slot[~stays])
@@ -147,50 +151,50 @@ def _let_in(belief: Belief, slot: Ints, index: Ints, found: Located) -> Bools:
     return enter
 
 
-def _see(belief: Belief, frame: Frame, m: FrameMeasurements, enter: Bools) -> None:
+def _set_observations(state: EstimatorState, frame: Frame, m: FrameMeasurements, enter: Bools) -> None:
     """Give the frame its observations; place the landmarks that are new by its pose."""
-    marks, names = belief.landmarks, m.landmark[enter]
-    uvd, inv_sigma = m.uvd_px[enter], 1.0 / (m.sigma_px[enter] * belief.noise)
+    marks, names = state.landmarks, m.landmark[enter]
+    uvd, inv_sigma = m.uvd_px[enter], 1.0 / (m.sigma_px[enter] * state.noise)
     slot = marks.find(names)
     new = slot < 0
     slot[new] = marks.take(names[new])
     X_GR = inverse_pose(frame.X_NG_seen) @ m.X_NR
-    p_R = belief.rig.triangulate(uvd[new])
+    p_R = state.rig.triangulate(uvd[new])
     marks.p_G[slot[new]] = transform_points(X_GR, p_R)
-    spread = X_GR[:3, :3] @ belief.rig.triangulation_jacobian(p_R) / inv_sigma[new][:, None, :]
+    spread = X_GR[:3, :3] @ state.rig.triangulation_jacobian(p_R) / inv_sigma[new][:, None, :]
     marks.covariance[slot[new]] = spread @ np.swapaxes(spread, 1, 2)
     marks.views[slot] += 1
     order = np.argsort(slot)
     frame.slot, frame.uvd_px, frame.inv_sigma = slot[order], uvd[order], inv_sigma[order]
 
 
-def locate(rig: RectifiedRig, known: Known, guess: Array | None, seed: int) -> Located:
+def locate(rig: RectifiedRig, known: KnownLandmarks, guess: Array | None, seed: int) -> LocatedFrame:
     """Pose X_RG from a guess (None: there is none) and the observations of known landmarks."""
     m = len(known.p_G)
     if guess is not None:
         X = guess
         agree = agreement(rig, known, X)
-        if agree.sum() >= max(LEAST_COMMON, ENOUGH * m):
-            return Located(X, agree, "prediction")
-        if agree.sum() >= max(LEAST_COMMON, 0.3 * m):
+        if agree.sum() >= max(MIN_COMMON, ENOUGH * m):
+            return LocatedFrame(X, agree, "prediction")
+        if agree.sum() >= max(MIN_COMMON, 0.3 * m):
             X, agree = refine(rig, known, X, agree)
-            if agree.sum() >= max(LEAST_COMMON, ENOUGH * m):
-                return Located(X, agree, "prediction")
-    if m >= LEAST_COMMON:
+            if agree.sum() >= max(MIN_COMMON, ENOUGH * m):
+                return LocatedFrame(X, agree, "prediction")
+    if m >= MIN_COMMON:
         p_R = rig.triangulate(known.uvd_px)
         spread = rig.triangulation_jacobian(p_R) @ (1.0 / known.inv_sigma)[:, :, None]
         own = np.sum(spread[..., 0] ** 2, axis=1)
         gate_m = 4.0 * np.sqrt(own + np.trace(known.covariance, axis1=1, axis2=2))
         X, _ = ransac_orientation(p_R, known.p_G, gate_m, np.random.default_rng([seed, m]))
         X, agree = refine(rig, known, X, agreement(rig, known, X))
-        if agree.sum() >= max(LEAST_COMMON, LEAST_ENOUGH * m):
-            return Located(X, agree, "map")
+        if agree.sum() >= max(MIN_COMMON, ENOUGH_BY_MAP * m):
+            return LocatedFrame(X, agree, "map")
     if guess is None:
-        return Located(np.eye(4), np.zeros(m, bool), "nothing")
-    return Located(guess, agreement(rig, known, guess), "nothing")
+        return LocatedFrame(np.eye(4), np.zeros(m, bool), "nothing")
+    return LocatedFrame(guess, agreement(rig, known, guess), "nothing")
 
 
-def agreement(rig: RectifiedRig, known: Known, X_RG: Array) -> Bools:
+def agreement(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array) -> Bools:
     """(m,) which observations lie within the gate."""
     r, J = whitened(rig, known, X_RG)
     spread = np.eye(3) + J @ known.covariance @ np.swapaxes(J, 1, 2)
@@ -198,7 +202,7 @@ def agreement(rig: RectifiedRig, known: Known, X_RG: Array) -> Bools:
     return np.asarray(squared < ARRIVAL_GATE**2)
 
 
-def whitened(rig: RectifiedRig, known: Known, X_RG: Array) -> tuple[Array, Array]:
+def whitened(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array) -> tuple[Array, Array]:
     """Residuals (m, 3) over their sigma, and their derivative (m, 3, 3) in the landmark's position in G."""
     R, p = X_RG[:3, :3], X_RG[:3, 3]
     p_R = known.p_G @ R.T + p
@@ -213,13 +217,15 @@ def whitened(rig: RectifiedRig, known: Known, X_RG: Array) -> tuple[Array, Array
     return r, known.inv_sigma[:, :, None] * (D @ R)
 
 
-def refine(rig: RectifiedRig, known: Known, X_RG: Array, agree: Bools) -> tuple[Array, Bools]:
+def refine(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array, agree: Bools) -> tuple[Array, Bools]:
     """Least squares of the pose on the observations that agree, which are chosen again each time."""
     X = X_RG.copy()
     for _ in range(REFINEMENTS):
-        if agree.sum() < LEAST_COMMON:
+        if agree.sum() < MIN_COMMON:
             return X, agree
-        part = Known(*(a[agree] for a in (known.uvd_px, known.inv_sigma, known.p_G, known.covariance)))
+        part = KnownLandmarks(
+            *(a[agree] for a in (known.uvd_px, known.inv_sigma, known.p_G, known.covariance))
+        )
         r, J = whitened(rig, part, X)
         # X_RG Exp(shift, theta): the landmark moves by shift - p_G x theta
         J6 = np.concatenate([J, -J @ hat(part.p_G)], axis=2)

@@ -9,7 +9,7 @@ from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE, Iterate
 from polhode.backend.uncertainty.covariance import state_jacobian, with_infinite
 from polhode.backend.uncertainty.identifiability import analyse, undetermined_states
-from polhode.backend.uncertainty.principal_axes import axes_derivative, of_free_turn
+from polhode.backend.uncertainty.principal_axes import axes_derivative, free_axis_covariance
 from polhode.backend.window.frame import Frame
 from polhode.lie import Array, make_pose
 from polhode.records import Bools
@@ -118,7 +118,7 @@ def online_state(
     ratios = known.k1 and known.k2
     cov_com, cov_J = dense[12:15, 12:15], dense[15:, 15:]
     com_lost: Bools = np.abs(derivative.R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
-    cov_axes = of_free_turn(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P)
+    cov_axes = free_axis_covariance(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P)
     moments = derivative.moments
     return OnlineState(
         timestamp_ns,

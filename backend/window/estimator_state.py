@@ -5,19 +5,25 @@ from operator import is_
 
 import numpy as np
 
-from polhode.backend.dynamics.propagation import flows, series_steps
+from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import N_CONSTANTS
 from polhode.backend.solvers.linearization_point import COM_PRIOR_M, geometric_median
 from polhode.backend.solvers.robust_kernel import robust_gain
-from polhode.backend.window.active import Active
+from polhode.backend.window.active import ActiveWindow
 from polhode.backend.window.causal_state import LastInformation
+from polhode.backend.window.dynamics_factors import DisturbanceLevels, make_factors
 from polhode.backend.window.frame import CameraNoise
 from polhode.backend.window.history import History
 from polhode.backend.window.landmarks import LandmarkSlots
-from polhode.backend.window.links import Disturbances, make_links
-from polhode.backend.window.problem import Shape
-from polhode.backend.window.vision import Condensed, Sight, condense, poses_of, sight_of
+from polhode.backend.window.problem import InertiaModel
+from polhode.backend.window.vision import (
+    CondensedVision,
+    Observations,
+    condense,
+    gather_observations,
+    poses_of,
+)
 from polhode.camera import RectifiedRig
 from polhode.config.backend import Backend
 from polhode.lie import Array
@@ -28,15 +34,15 @@ GAUGE_SIGMA = 1e-5
 
 
 @dataclass
-class Belief:
+class EstimatorState:
     """Frames, landmarks, constants, and the levels of noise they are weighed with."""
 
     rig: RectifiedRig
     robust_scale: float
-    shape: Shape
-    disturbances: Disturbances
+    shape: InertiaModel
+    disturbances: DisturbanceLevels
     landmarks: LandmarkSlots = field(default_factory=LandmarkSlots)
-    active: Active = field(default_factory=Active)
+    active: ActiveWindow = field(default_factory=ActiveWindow)
     history: History | None = None
     """until the number of frames outgrows it"""
     R_inertia: Array = field(default_factory=lambda: np.eye(3))
@@ -56,7 +62,7 @@ class Belief:
         r = self.rig
         self.rig_vector = np.array([r.focal_px, r.cx_px, r.cy_px, r.baseline_m, r.disparity_offset_px])
         self.gain = robust_gain(self.robust_scale)
-        self._sight: Sight | None = None
+        self._observations: Observations | None = None
         self._gathered: list[Array] = []
 
     @property
@@ -77,33 +83,36 @@ class Belief:
         """
         return self.J_G if self.inertia_known else np.eye(3)
 
-    def sight(self) -> Sight:
+    def observations(self) -> Observations:
         """What the frames see of landmarks that are seen again."""
         # whatever changes what a frame sees gives it another array of these
         now = [frame.inv_sigma for frame in self.active.frames]
         same = len(now) == len(self._gathered) and all(map(is_, now, self._gathered))
-        if self._sight is None or not same:
-            self._sight, self._gathered = sight_of(self.active.frames, len(self.landmarks)), now
-        return self._sight
+        if self._observations is None or not same:
+            self._observations, self._gathered = (
+                gather_observations(self.active.frames, len(self.landmarks)),
+                now,
+            )
+        return self._observations
 
-    def condensed(self, sight: Sight) -> Condensed:
+    def condensed(self, observations: Observations) -> CondensedVision:
         """Vision at the present unknowns, landmarks eliminated."""
-        p_G = self.landmarks.p_G[sight.slot]
+        p_G = self.landmarks.p_G[observations.slot]
         return condense(
-            sight, poses_of(self.active.frames), self.rig_vector, p_G, self.robust_scale, self.gain
+            observations, poses_of(self.active.frames), self.rig_vector, p_G, self.robust_scale, self.gain
         )
 
-    def move_landmarks(self, condensed: Condensed, step: Array, n_fixed: int = 0) -> None:
+    def move_landmarks(self, condensed: CondensedVision, step: Array, n_fixed: int = 0) -> None:
         """They follow the step (6 F,) of the poses; those seen once follow their frame.
 
         The first ``n_fixed`` frames keep their reference attitudes: an arrival cost depends on them.
         """
-        slot = condensed.sight.slot
+        slot = condensed.observations.slot
         self.landmarks.p_G[slot] += condensed.landmark_steps(step)
         self.landmarks.covariance[slot] = condensed.C_inv
         frames = self.active.frames
         for frame in frames[n_fixed:]:
-            frame.settle()
+            frame.recenter()
         slot = np.concatenate([frame.slot for frame in frames])
         once = self.landmarks.views[slot] == 1
         of = np.repeat(np.arange(len(frames)), [len(frame.slot) for frame in frames])[once]
@@ -112,7 +121,7 @@ class Belief:
         p_N = p_R - poses.t_R[of] - np.einsum("mij,mj->mi", poses.R_RN[of], poses.p_NG[of])
         self.landmarks.p_G[slot[once]] = np.einsum("mji,mj->mi", poses.A[of], p_N)
 
-    def renew_weak_prior(self) -> float:
+    def update_weak_prior(self) -> float:
         """The centre of mass is expected in the middle of the landmarks. Returns their radius [m]."""
         p_G = self.landmarks.p_G[self.landmarks.used]
         middle = geometric_median(p_G)
@@ -121,7 +130,7 @@ class Belief:
         self.weak_prior = np.concatenate([middle, [sigma], self.R_inertia.T.ravel()])
         return radius
 
-    def renew_inertia(self) -> None:
+    def recenter_inertia(self) -> None:
         """The same inertia about a reference of its own; only while nothing else depends on the reference."""
         xi, R_inertia = self.shape.form.coordinates(self.shape.form.second_moments(self.xi, self.R_inertia))
         self.set_inertia(xi, R_inertia)
@@ -143,24 +152,26 @@ class Belief:
         w_G = last.x[9:12]
         J_G, dt_s = self.J_G, np.array([dt])
         series = series_steps(w_G[None], J_G, dt_s, self.disturbances.torque_psd)
-        q, w_after, _, _ = flows(w_G[None], J_G, dt_s, series)
+        q, w_after, _, _ = propagate_rotations(w_G[None], J_G, dt_s, series)
         R_NG = last.R_NG @ matrix_from_wxyz(q[0])
         r_N = last.x[:3] + last.R_NG @ com_G + dt * last.x[6:9]
         return np.concatenate([r_N - R_NG @ com_G, np.zeros(3), last.x[6:9], w_after[0]]), R_NG
 
-    def link_newest(self) -> None:
+    def add_newest_factor(self) -> None:
         """The step to the newest state, whitened at the present rates."""
         before, frame = self.active.recent[-2:]
         dt_s = np.array([frame.time_s - before.time_s])
-        link = make_links(before.x[None, 9:12], self.J_G, self.J_noise, dt_s, self.disturbances)
-        self.active.links = self.active.links.and_then(link)
+        factor = make_factors(before.x[None, 9:12], self.J_G, self.J_noise, dt_s, self.disturbances)
+        self.active.factors = self.active.factors.and_then(factor)
 
 
-def new_belief(rig: RectifiedRig, config: Backend, camera: CameraNoise) -> Belief:
+def initial_estimator_state(rig: RectifiedRig, config: Backend, camera: CameraNoise) -> EstimatorState:
     """Nothing seen yet: the inertia of a sphere."""
-    shape = Shape(config.inertia)
-    belief = Belief(rig, config.robust_scale, shape, Disturbances(config.accel_psd, config.torque_psd))
-    belief.camera, belief.active.noisy_camera = camera, not camera.exact
-    xi, belief.R_inertia = shape.form.coordinates(np.eye(3))
-    belief.active.constants = np.concatenate([np.zeros(N_CONSTANTS - len(xi)), xi])
-    return belief
+    shape = InertiaModel(config.inertia)
+    state = EstimatorState(
+        rig, config.robust_scale, shape, DisturbanceLevels(config.accel_psd, config.torque_psd)
+    )
+    state.camera, state.active.noisy_camera = camera, not camera.exact
+    xi, state.R_inertia = shape.form.coordinates(np.eye(3))
+    state.active.constants = np.concatenate([np.zeros(N_CONSTANTS - len(xi)), xi])
+    return state

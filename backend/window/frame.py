@@ -120,7 +120,7 @@ class Frame:
         """(4, 4)"""
         return make_pose(self.R_ref @ turns(self.seen[None, 3:6])[0], self.seen[:3])
 
-    def settle(self) -> None:
+    def recenter(self) -> None:
         """Make the present attitude the reference, as long as nothing else depends on the reference."""
         if self.linearized_at is None and np.any(self.x[3:6]):
             R_NG, R_seen = self.R_NG, self.X_NG_seen[:3, :3]

@@ -13,11 +13,18 @@ import numpy as np
 
 from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
-from polhode.backend.window.active import Active, add_parts, camera_part
+from polhode.backend.window.active import ActiveWindow, add_parts, camera_part
+from polhode.backend.window.dynamics_factors import (
+    NO_FACTORS,
+    DisturbanceLevels,
+    DynamicsFactors,
+    add_factors,
+    factor_jacobians,
+    make_factors,
+)
 from polhode.backend.window.frame import Frame
-from polhode.backend.window.links import NO_LINKS, Disturbances, Links, add_links, link_jacobians, make_links
 from polhode.backend.window.quadratic import Elimination, Quadratic, add_block, eliminate, others
-from polhode.backend.window.vision import Condensed
+from polhode.backend.window.vision import CondensedVision
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -26,7 +33,7 @@ OPEN = 1e-9
 
 
 @dataclass(frozen=True)
-class WholeVision:
+class HistoryVision:
     """What all vision says about the true states, and how the seen poses follow them."""
 
     quadratic: Quadratic
@@ -48,11 +55,11 @@ class History:
     def __init__(self, first: Frame, gauge_information: Array) -> None:
         """gauge_information (6,): how firmly G is held at the first frame's true pose."""
         self.frames: list[Frame] = [first]
-        self.came = 1
+        self.n_added = 1
         """frames so far, those that went included"""
         self._gauge, self._first = gauge_information, first.x[:N_POSE].copy()
         self._H, self._b = np.zeros((N_POSE, N_POSE)), np.zeros(N_POSE)
-        self.steps: Links = NO_LINKS
+        self.steps: DynamicsFactors = NO_FACTORS
         """between all frames, as they were solved for last"""
 
     @property
@@ -66,9 +73,9 @@ class History:
         H[:n, :n] = self._H
         self._H, self._b = H, np.concatenate([self._b, np.zeros(N_POSE)])
         self.frames.append(frame)
-        self.came += 1
+        self.n_added += 1
 
-    def thin(self, active: Active, most: int) -> None:
+    def thin(self, active: ActiveWindow, most: int) -> None:
         """Leave out states until ``most`` are left; never the first one, nor those that are active."""
         stay = {self.frames[0].number, *(frame.number for frame in active.frames)}
         while len(self.frames) > most:
@@ -114,7 +121,7 @@ class History:
         """States of all frames and the constants (12 N + 8,)."""
         return np.concatenate([*(frame.x for frame in self.frames), constants])
 
-    def take(self, x: Array, vision: WholeVision) -> Array:
+    def take(self, x: Array, vision: HistoryVision) -> Array:
         """Take the states from a vector, not the constants. Returns the steps of the seen poses (6 N,)."""
         step = vision.seen_steps(x - vision.quadratic.x0)
         for n, frame in enumerate(self.frames):
@@ -127,7 +134,7 @@ class History:
         """Information (6 N, 6 N) on the seen poses by vision that left, and its gradient."""
         return self._H.copy(), self._H @ np.concatenate([frame.seen for frame in self.frames]) + self._b
 
-    def vision(self, active: Active, condensed: Condensed) -> WholeVision:
+    def vision(self, active: ActiveWindow, condensed: CondensedVision) -> HistoryVision:
         """All vision, what left and what is active, about the present states."""
         x, n = self.vector(active.constants), N_POSE * len(self.frames)
         H, g = np.zeros((len(x), len(x))), np.zeros(len(x))
@@ -145,7 +152,7 @@ class History:
             of_seen, slope = elimination.H, elimination.g
         H[np.ix_(poses, poses)], g[poses] = of_seen, slope
         self._hold_gauge(H, g, poses)
-        return WholeVision(Quadratic(H, g, x), poses, elimination)
+        return HistoryVision(Quadratic(H, g, x), poses, elimination)
 
     def _hold_gauge(self, H: Array, g: Array, true: Ints) -> None:
         first = true[:N_POSE]
@@ -156,12 +163,14 @@ class History:
         pairs = zip(self.frames[:n_frames], seen.reshape(-1, N_POSE), true.reshape(-1, N_POSE), strict=False)
         add_parts(H, g, [camera_part(frame, a, b) for frame, a, b in pairs])
 
-    def links(self, x: Array, J_G: Array, J_noise: Array, disturbances: Disturbances) -> Links:
-        """The steps between all frames, whitened at the rates in x (``make_links``)."""
+    def factors(
+        self, x: Array, J_G: Array, J_noise: Array, disturbances: DisturbanceLevels
+    ) -> DynamicsFactors:
+        """The steps between all frames, whitened at the rates in x (``make_factors``)."""
         w_G = x[:-N_CONSTANTS].reshape(-1, N_STATE)[:-1, 9:12]
-        return make_links(w_G, J_G, J_noise, np.diff([frame.time_s for frame in self.frames]), disturbances)
+        return make_factors(w_G, J_G, J_noise, np.diff([frame.time_s for frame in self.frames]), disturbances)
 
-    def arrival(self, active: Active, form: InertiaForm, R_inertia: Array) -> Quadratic:
+    def arrival(self, active: ActiveWindow, form: InertiaForm, R_inertia: Array) -> Quadratic:
         """The arrival cost about the window's unknowns: everything but its own vision and dynamics."""
         x, n = self.vector(active.constants), N_POSE * len(self.frames)
         n_seen = n if self.noisy_camera else 0
@@ -175,8 +184,8 @@ class History:
         if self.noisy_camera:
             self._add_cameras(H, g, seen, true, n_old)
         if n_old > 0:
-            r, D = link_jacobians(x, self.R_ref, self.steps, form, R_inertia)
-            add_links(H, g, r[:n_old], D[:n_old], n_seen + N_STATE * np.arange(n_old))
+            r, D = factor_jacobians(x, self.R_ref, self.steps, form, R_inertia)
+            add_factors(H, g, r[:n_old], D[:n_old], n_seen + N_STATE * np.arange(n_old))
         frames = active.frames if self.noisy_camera else active.keys
         of_frames = self.entries(frames, N_POSE if self.noisy_camera else N_STATE)
         kept = np.concatenate([of_frames, np.arange(n_seen + N_STATE * n_old, size)])

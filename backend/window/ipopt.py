@@ -15,7 +15,7 @@ from polhode.backend.dynamics.kernels import Output, dynamics_kernel, prior_kern
 from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.backend.solvers.gauss_newton import Solution
-from polhode.backend.solvers.ipopt import GOOD
+from polhode.backend.solvers.ipopt import OPTIMAL
 from polhode.backend.window.problem import WindowProblem
 from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix
@@ -26,7 +26,7 @@ TOLERANCE = 1e-3
 COST_AT_REST = 1e-4
 """Change of the cost that nobody would notice, three times in a row."""
 MAX_ITERATIONS = 40
-N_LINK, N_PRIOR = 71, 13
+N_FACTOR, N_PRIOR = 71, 13
 
 
 class IpoptSolver:
@@ -43,7 +43,7 @@ class IpoptSolver:
     def solve(self, problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
         """Minimise from x (12 W + 8,). The program's own limit of iterations stands."""
         del max_iterations
-        series = int(problem.links.steps.series.max(initial=1))
+        series = int(problem.factors.steps.series.max(initial=1))
         if self._program is None or series > self._series:
             self._series = series
             self._program = _build(_Layout(self.n_frames), problem.shape.form, series)
@@ -60,7 +60,7 @@ class IpoptSolver:
         cost = problem.cost(found) if np.isfinite(found).all() else np.inf
         if not cost <= before + COST_AT_REST:
             return Solution(x, before, int(stats["iter_count"]), False, f"no decrease: {status}")
-        return Solution(found, cost, int(stats["iter_count"]), status in GOOD, status)
+        return Solution(found, cost, int(stats["iter_count"]), status in OPTIMAL, status)
 
 
 @dataclass(frozen=True)
@@ -93,43 +93,43 @@ class _Layout:
 
 
 def _build(layout: _Layout, form: InertiaForm, series: int) -> Any:
-    """Unknowns z (n), x = start + size z. Parameters: start, size, q (n each), Q (n, n), links, weak prior.
+    """Unknowns z (n), x = start + size z. Parameters: start, size, q (n each), Q (n, n), factors, weak prior.
 
     Every kernel returns its cost, gradient and Hessian blocks; constant sparse matrices add them up.
     """
     n, slots = layout.size, layout.slots()
     z, start, size, q = ca.MX.sym("z", n), ca.MX.sym("start", n), ca.MX.sym("size", n), ca.MX.sym("q", n)
-    Q, links = ca.MX.sym("Q", n, n), ca.MX.sym("links", N_LINK, len(slots))
+    Q, factors = ca.MX.sym("Q", n, n), ca.MX.sym("factors", N_FACTOR, len(slots))
     weak = ca.MX.sym("weak", N_PRIOR)
     x = start + size * z
-    at_links = ca.reshape(x[slots.ravel().tolist()], slots.shape[1], slots.shape[0])
+    at_factors = ca.reshape(x[slots.ravel().tolist()], slots.shape[1], slots.shape[0])
 
     def terms(output: Output) -> list[Any]:
-        dynamics = dynamics_kernel(form, series, output).map(len(slots)).call([at_links, links])
+        dynamics = dynamics_kernel(form, series, output).map(len(slots)).call([at_factors, factors])
         prior = prior_kernel(form, output).call([x[n - N_CONSTANTS :], weak])
         return list(zip(dynamics, prior, strict=True))
 
     along = ca.mtimes(Q, z)
     quadratic = ca.dot(z, q + 0.5 * along)
-    (of_links, of_prior), *_ = terms("cost")
-    cost = quadratic + ca.sum2(of_links) + of_prior
-    (of_links, of_prior), (g_links, g_prior) = terms("gradient")
+    (of_factors, of_prior), *_ = terms("cost")
+    cost = quadratic + ca.sum2(of_factors) + of_prior
+    (of_factors, of_prior), (g_factors, g_prior) = terms("gradient")
     where = np.concatenate([slots.ravel(), np.arange(n - N_CONSTANTS, n)])
-    slope = _adder(where, n) @ ca.vertcat(ca.vec(g_links), g_prior)
+    slope = _adder(where, n) @ ca.vertcat(ca.vec(g_factors), g_prior)
     gradient = q + along + size * slope
-    _, _, (h_links, h_prior) = terms("quadratic")
+    _, _, (h_factors, h_prior) = terms("quadratic")
     rows, cols = layout.upper
     all_slots = [slots, np.arange(n - N_CONSTANTS, n)[None]]
     where = np.concatenate([_upper_cells(each) for each in all_slots])
-    bend = _adder(where, len(rows)) @ ca.vertcat(ca.vec(h_links), h_prior)
+    bend = _adder(where, len(rows)) @ ca.vertcat(ca.vec(h_factors), h_prior)
     scale = size[rows.tolist()] * size[cols.tolist()]
     values = ca.vec(Q)[(rows + n * cols).tolist()] + scale * bend
     sparsity = ca.Sparsity.upper(n)
-    p = ca.vertcat(start, size, q, ca.vec(Q), ca.vec(links), weak)
+    p = ca.vertcat(start, size, q, ca.vec(Q), ca.vec(factors), weak)
     symbols = ca.MX.sym("p", p.numel())
-    parts = ca.vertsplit(symbols, np.cumsum([0, n, n, n, n * n, N_LINK * len(slots), N_PRIOR]).tolist())
-    parts[3], parts[4] = ca.reshape(parts[3], n, n), ca.reshape(parts[4], N_LINK, len(slots))
-    old = [start, size, q, Q, links, weak]
+    parts = ca.vertsplit(symbols, np.cumsum([0, n, n, n, n * n, N_FACTOR * len(slots), N_PRIOR]).tolist())
+    parts[3], parts[4] = ca.reshape(parts[3], n, n), ca.reshape(parts[4], N_FACTOR, len(slots))
+    old = [start, size, q, Q, factors, weak]
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
     cost, gradient, values = ca.graph_substitute([cost, gradient, values], old, parts)
     grad_f = ca.Function("nlp_grad_f", [z, symbols], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
@@ -166,23 +166,27 @@ def _build(layout: _Layout, form: InertiaForm, series: int) -> Any:
 
 
 def _parameters(problem: WindowProblem, x: Array, at: Ints, size: Array, n_frames: int) -> Array:
-    n, n_links = len(size), n_frames - 1
+    n, n_factors = len(size), n_frames - 1
     start, q, Q = np.zeros(n), np.zeros(n), np.eye(n)
     start[at] = x
     q[at] = problem.vision.gradient(x)
     Q[np.ix_(at, at)] = problem.vision.H
-    links = np.zeros((n_links, N_LINK))
-    links[:, [0, 4, 8, 9, 13, 17, 27, 31]] = 1.0
-    links[:, 18:27] = problem.weak_prior[4:13]
-    steps, R, m = problem.links.steps, problem.R_ref, len(problem.links)
+    factors = np.zeros((n_factors, N_FACTOR))
+    factors[:, [0, 4, 8, 9, 13, 17, 27, 31]] = 1.0
+    factors[:, 18:27] = problem.weak_prior[4:13]
+    steps, R, m = problem.factors.steps, problem.R_ref, len(problem.factors)
     by_columns = np.swapaxes(R, 1, 2).reshape(-1, 9)
-    links[:m, 0:9], links[:m, 9:18] = by_columns[:-1], by_columns[1:]
-    links[:m, 27:31] = wxyz_from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:])
-    links[:m, 31] = steps.dt_s
-    links[:m, 32], links[:m, 33], links[:m, 34] = steps.W_t[:, 0, 0], steps.W_t[:, 1, 0], steps.W_t[:, 1, 1]
-    links[:m, 35:71] = np.swapaxes(steps.W_r, 1, 2).reshape(-1, 36)
+    factors[:m, 0:9], factors[:m, 9:18] = by_columns[:-1], by_columns[1:]
+    factors[:m, 27:31] = wxyz_from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+    factors[:m, 31] = steps.dt_s
+    factors[:m, 32], factors[:m, 33], factors[:m, 34] = (
+        steps.W_t[:, 0, 0],
+        steps.W_t[:, 1, 0],
+        steps.W_t[:, 1, 1],
+    )
+    factors[:m, 35:71] = np.swapaxes(steps.W_r, 1, 2).reshape(-1, 36)
     scaled = (size[:, None] * Q * size).ravel()
-    return np.concatenate([start, size, size * q, scaled, links.ravel(), problem.weak_prior])
+    return np.concatenate([start, size, size * q, scaled, factors.ravel(), problem.weak_prior])
 
 
 def _adder(target: Ints, size: int) -> Any:

@@ -12,13 +12,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
 
-from polhode.backend.noise.measurement_noise import LEAST_OBSERVATIONS, LIMITS, MAD_TO_SIGMA
+from polhode.backend.noise.measurement_noise import LIMITS, MAD_TO_SIGMA, MIN_OBSERVATIONS
 from polhode.backend.noise.process_level import CEILING_PSD, FLOOR_PSD, INDIFFERENT
-from polhode.backend.window.estimator_state import Belief
+from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.history import History
 from polhode.backend.window.newton import NewtonSolver
 from polhode.backend.window.problem import WindowProblem
-from polhode.backend.window.vision import Sight, poses_of, residuals
+from polhode.backend.window.vision import Observations, poses_of, residuals
 from polhode.lie import Array
 
 ITERATIONS = 3
@@ -28,31 +28,31 @@ STARTS = (0, -4, -8)
 """In these steps below the stated levels: a noise taken too strong can keep itself strong."""
 Grid = tuple[int, int]
 """Levels of acceleration and torque in steps from the stated ones."""
-MOST_TAKEN_BY_POSES = 0.3
+MAX_TAKEN_BY_POSES = 0.3
 
 
-def estimate_levels(belief: Belief, history: History, stated: tuple[float, float]) -> None:
+def estimate_levels(state: EstimatorState, history: History, stated: tuple[float, float]) -> None:
     """Take the most likely accel_psd and torque_psd, from those stated."""
-    vision = history.vision(belief.active, belief.condensed(belief.sight())).quadratic
-    x = history.vector(belief.active.constants)
+    vision = history.vision(state.active, state.condensed(state.observations())).quadratic
+    x = history.vector(state.active.constants)
 
     def minus_log_evidence(at: Grid) -> float:
         levels = [value * 10.0 ** (DECADE * n) for value, n in zip(stated, at, strict=True)]
         if min(levels) < FLOOR_PSD or max(levels) > CEILING_PSD:
             return np.inf
-        noise = replace(belief.disturbances, accel_psd=levels[0], torque_psd=levels[1])
-        links = history.links(x, belief.J_G, belief.J_noise, noise)
-        problem = WindowProblem(vision, history.R_ref, links, belief.weak_prior, belief.shape)
+        noise = replace(state.disturbances, accel_psd=levels[0], torque_psd=levels[1])
+        factors = history.factors(x, state.J_G, state.J_noise, noise)
+        problem = WindowProblem(vision, history.R_ref, factors, state.weak_prior, state.shape)
         try:
             solution = NewtonSolver().solve(problem, x, ITERATIONS)
             factor = cholesky(problem.normal_equations(solution.x)[1], lower=True, check_finite=False)
         except LinAlgError:
             return np.inf
-        return solution.cost + links.half_log_det + float(np.log(np.diagonal(factor)).sum())
+        return solution.cost + factors.half_log_det + float(np.log(np.diagonal(factor)).sum())
 
     best = most_likely(minus_log_evidence)
     accel_psd, torque_psd = (value * 10.0 ** (DECADE * n) for value, n in zip(stated, best, strict=True))
-    belief.disturbances = replace(belief.disturbances, accel_psd=accel_psd, torque_psd=torque_psd)
+    state.disturbances = replace(state.disturbances, accel_psd=accel_psd, torque_psd=torque_psd)
 
 
 def most_likely(minus_log_evidence: Callable[[Grid], float]) -> Grid:
@@ -90,41 +90,41 @@ def _moved(at: Grid, axis: int, step: int) -> Grid:
     return (at[0] + step, at[1]) if axis == 0 else (at[0], at[1] + step)
 
 
-def estimate_noise(belief: Belief) -> None:
+def estimate_noise(state: EstimatorState) -> None:
     """Rescale the standard deviations of u, v and of the disparity by the median absolute residual."""
-    sight = belief.sight()
-    if len(sight.frame) < LEAST_OBSERVATIONS:
+    observations = state.observations()
+    if len(observations.frame) < MIN_OBSERVATIONS:
         return
-    p_G = belief.landmarks.p_G[sight.slot]
-    r = residuals(sight, poses_of(belief.active.frames), belief.rig_vector, p_G)
-    free = np.maximum(1.0 - taken_by_fit(belief, sight, p_G), 0.05)
+    p_G = state.landmarks.p_G[observations.slot]
+    r = residuals(observations, poses_of(state.active.frames), state.rig_vector, p_G)
+    free = np.maximum(1.0 - taken_by_fit(state, observations, p_G), 0.05)
     whitened = np.abs(r) / np.sqrt(free)
     uv, disparity = np.clip(
         MAD_TO_SIGMA * np.array([np.median(whitened[:, :2]), np.median(whitened[:, 2])]), *LIMITS
     )
     factors = np.array([uv, uv, disparity])
-    belief.noise = belief.noise * factors
-    for frame in belief.active.frames:
+    state.noise = state.noise * factors
+    for frame in state.active.frames:
         frame.inv_sigma = frame.inv_sigma / factors
 
 
-def taken_by_fit(belief: Belief, sight: Sight, p_G: Array) -> Array:
+def taken_by_fit(state: EstimatorState, observations: Observations, p_G: Array) -> Array:
     """Share (M, 3) of each residual's freedom that landmarks and poses take."""
-    frames = belief.active.frames
+    frames = state.active.frames
     poses = poses_of(frames)
-    A, k = poses.A[sight.frame], sight.frame
+    A, k = poses.A[observations.frame], observations.frame
     p_R = (
-        np.einsum("mij,mj->mi", A, p_G[sight.landmark])
+        np.einsum("mij,mj->mi", A, p_G[observations.landmark])
         + (np.einsum("fij,fj->fi", poses.R_RN, poses.p_NG) + poses.t_R)[k]
     )
-    f, b = belief.rig.focal_px, belief.rig.baseline_m
+    f, b = state.rig.focal_px, state.rig.baseline_m
     x, y, z = p_R.T
     D = np.zeros((len(k), 3, 3))
     D[:, 0, 0] = D[:, 1, 1] = f / z
     D[:, 0, 2], D[:, 1, 2], D[:, 2, 2] = -f * x / z**2, -f * y / z**2, -f * b / z**2
-    J = sight.inv_sigma[:, :, None] * (D @ A)
-    information = np.add.reduceat(np.swapaxes(J, 1, 2) @ J, sight.start[:-1], axis=0)
-    taken = np.einsum("mij,mjk,mik->mi", J, np.linalg.inv(information)[sight.landmark], J)
+    J = observations.inv_sigma[:, :, None] * (D @ A)
+    information = np.add.reduceat(np.swapaxes(J, 1, 2) @ J, observations.start[:-1], axis=0)
+    taken = np.einsum("mij,mjk,mik->mi", J, np.linalg.inv(information)[observations.landmark], J)
     # the poses are fitted to u and v: six numbers for the two of each observation
-    taken[:, :2] += min(3.0 * len(frames) / len(k), MOST_TAKEN_BY_POSES)
+    taken[:, :2] += min(3.0 * len(frames) / len(k), MAX_TAKEN_BY_POSES)
     return np.asarray(taken)

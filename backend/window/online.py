@@ -35,7 +35,7 @@ def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -
             seconds.append(perf_counter() - begin)
             advance()
     _log.info("window: median %.0f ms a frame, %.1f s in all", 1e3 * np.median(seconds), sum(seconds))
-    return online_with_systematic(stacked(states), tracks, config.systematic_px)
+    return online_with_systematic(stack_states(states), tracks, config.systematic_px)
 
 
 def window_warnings(n_frames: int, config: Backend) -> list[str]:
@@ -49,7 +49,7 @@ def window_warnings(n_frames: int, config: Backend) -> list[str]:
     ]
 
 
-def stacked(states: list[OnlineState]) -> OnlineEstimate:
+def stack_states(states: list[OnlineState]) -> OnlineEstimate:
     """One record of all rows."""
     return OnlineEstimate(
         timestamps_ns=np.array([s.timestamp_ns for s in states], dtype=np.int64),
@@ -69,7 +69,7 @@ def stacked(states: list[OnlineState]) -> OnlineEstimate:
     )
 
 
-def in_words_of(online: OnlineEstimate, final: MotionEstimate) -> OnlineEstimate:
+def align_online_estimate(online: OnlineEstimate, final: MotionEstimate) -> OnlineEstimate:
     """The same estimate in the frame G and with the half-turns of the final one: names only, no number gains.
 
     Each row takes the half-turn of the axes that lies nearest to the final attitude at its frame. The two

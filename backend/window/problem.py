@@ -10,12 +10,12 @@ from polhode.backend.dynamics.residuals import add_steps
 from polhode.backend.problem.inertia import FORMS, InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.backend.solvers.gauss_newton import Solution
-from polhode.backend.window.links import Links, link_jacobians, link_residuals
+from polhode.backend.window.dynamics_factors import DynamicsFactors, factor_jacobians, factor_residuals
 from polhode.backend.window.quadratic import Quadratic
 from polhode.lie import Array
 
 
-class Shape:
+class InertiaModel:
     """A form of the inertia and the weak prior about it; built once."""
 
     def __init__(self, name: str) -> None:
@@ -55,10 +55,10 @@ class WindowProblem:
     vision: Quadratic
     R_ref: Array
     """(W, 3, 3) the states' theta turn these"""
-    links: Links
+    factors: DynamicsFactors
     weak_prior: Array
     """(13,) parameters of ``kernels.prior_kernel``"""
-    shape: Shape
+    shape: InertiaModel
 
     @property
     def n_frames(self) -> int:
@@ -74,7 +74,7 @@ class WindowProblem:
         # a wild step may leave the range of the exponential: it is refused like any other
         with np.errstate(over="ignore", invalid="ignore"):
             try:
-                r = link_residuals(x, self.R_ref, self.links, self.shape.form, self.R_inertia)
+                r = factor_residuals(x, self.R_ref, self.factors, self.shape.form, self.R_inertia)
             except ValueError:
                 return np.inf
             weak, _, _ = self.shape.weak_prior(x, self.weak_prior)
@@ -85,8 +85,8 @@ class WindowProblem:
         H, d = self.vision.H.copy(), x - self.vision.x0
         along = self.vision.H @ d
         g, cost = self.vision.g + along, float(d @ (self.vision.g + 0.5 * along))
-        if len(self.links):
-            r, D = link_jacobians(x, self.R_ref, self.links, self.shape.form, self.R_inertia)
+        if len(self.factors):
+            r, D = factor_jacobians(x, self.R_ref, self.factors, self.shape.form, self.R_inertia)
             add_steps(H, g, r, D, N_STATE)
             cost += 0.5 * float(np.sum(r**2))
         weak, gradient, hessian = self.shape.weak_prior(x, self.weak_prior)

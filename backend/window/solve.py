@@ -15,16 +15,16 @@ from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
 from polhode.backend.solvers.gauss_newton import Solution
 from polhode.backend.window.active import add_parts
 from polhode.backend.window.causal_state import last_information
-from polhode.backend.window.estimator_state import Belief
-from polhode.backend.window.history import History, WholeVision
+from polhode.backend.window.estimator_state import EstimatorState
+from polhode.backend.window.history import History, HistoryVision
 from polhode.backend.window.newton import NewtonSolver
 from polhode.backend.window.problem import WindowProblem, WindowSolver
 from polhode.backend.window.quadratic import Quadratic, eliminate
-from polhode.backend.window.vision import GATE, Condensed
+from polhode.backend.window.vision import GATE, CondensedVision
 from polhode.lie import Array
 
 INNER_ITERATIONS = 10
-MOST_ROUNDS = 8
+MAX_ROUNDS = 8
 """Of linearising vision anew."""
 LONG_HISTORY = 32
 """Frames of a history beyond which one frame's work on it is limited; the next one goes on."""
@@ -34,14 +34,14 @@ SMALL_TURN_RAD = 2e-3
 """A step of the attitudes after which vision need not be linearised again."""
 PASSES = (3, 3, 3, 2)
 """Iterations of the solves of one hypothesis; the whitening is renewed between them."""
-SAME_BASIN = 0.03
+SAME_INERTIA = 0.03
 """Two inertias (second moments of determinant 1) closer than this will end in the same minimum."""
 CLEARLY_BETTER = 1.0
 """What another basin must save in cost: below that the data do not tell, and the present one stays."""
 
 
 @dataclass(frozen=True)
-class Basin:
+class InertiaCandidate:
     """Where one guess led; the cost includes the normalisation of the process noise."""
 
     x: Array
@@ -49,88 +49,90 @@ class Basin:
     cost: float
 
 
-def solve_whole(belief: Belief, history: History) -> None:
+def solve_history(state: EstimatorState, history: History) -> None:
     """All states so far, with the vision that is active linearised at the solution."""
-    sight, active = belief.sight(), belief.active
-    left = LONG_ITERATIONS if len(history.frames) > LONG_HISTORY else MOST_ROUNDS * INNER_ITERATIONS
-    for _ in range(MOST_ROUNDS):
-        belief.renew_inertia()
-        condensed = belief.condensed(sight)
+    observations, active = state.observations(), state.active
+    left = LONG_ITERATIONS if len(history.frames) > LONG_HISTORY else MAX_ROUNDS * INNER_ITERATIONS
+    for _ in range(MAX_ROUNDS):
+        state.recenter_inertia()
+        condensed = state.condensed(observations)
         x = history.vector(active.constants)
-        links = history.links(x, belief.J_G, belief.J_noise, belief.disturbances)
+        factors = history.factors(x, state.J_G, state.J_noise, state.disturbances)
         vision = history.vision(active, condensed)
-        problem = WindowProblem(vision.quadratic, history.R_ref, links, belief.weak_prior, belief.shape)
+        problem = WindowProblem(vision.quadratic, history.R_ref, factors, state.weak_prior, state.shape)
         solution = NewtonSolver().solve(problem, x, min(left, INNER_ITERATIONS))
         left -= solution.iterations
-        step = take_whole(belief, history, vision, condensed, solution.x)
+        step = set_history(state, history, vision, condensed, solution.x)
         if _small(step) or left <= 0:
             break
-    history.steps = links
-    _remember(belief, problem, solution, condensed)
+    history.steps = factors
+    _remember(state, problem, solution, condensed)
 
 
-def take_whole(
-    belief: Belief, history: History, vision: WholeVision, condensed: Condensed, x: Array
+def set_history(
+    state: EstimatorState, history: History, vision: HistoryVision, condensed: CondensedVision, x: Array
 ) -> Array:
     """Take a solution of the whole history. Returns the steps of its seen poses (6 N,)."""
     step = history.take(x, vision)
-    belief.active.constants = x[-N_CONSTANTS:].copy()
-    belief.move_landmarks(condensed, step[history.entries(belief.active.frames, N_POSE)])
+    state.active.constants = x[-N_CONSTANTS:].copy()
+    state.move_landmarks(condensed, step[history.entries(state.active.frames, N_POSE)])
     return step
 
 
-def expand_arrival(belief: Belief, history: History) -> None:
+def expand_arrival(state: EstimatorState, history: History) -> None:
     """Make the arrival cost from the history, about the present solution."""
-    active = belief.active
-    active.arrival = history.arrival(active, belief.shape.form, belief.R_inertia)
-    active.links = history.steps.part(slice(len(history.frames) - len(active.recent), None))
+    active = state.active
+    active.arrival = history.arrival(active, state.shape.form, state.R_inertia)
+    active.factors = history.steps.part(slice(len(history.frames) - len(active.recent), None))
 
 
-def solve_window(belief: Belief, solver: WindowSolver) -> None:
+def solve_window(state: EstimatorState, solver: WindowSolver) -> None:
     """The recent states, the seen poses and the constants under the arrival cost."""
-    sight, active = belief.sight(), belief.active
+    observations, active = state.observations(), state.active
     n = active.n_seen
-    for _ in range(MOST_ROUNDS):
-        condensed = belief.condensed(sight)
+    for _ in range(MAX_ROUNDS):
+        condensed = state.condensed(observations)
         x, at = active.vector(), active.seen_entries
         H, g = active.arrival.H.copy(), active.arrival.gradient(x)
         add_parts(H, g, [(at, condensed.S, condensed.g), *active.camera_parts()])
         left = eliminate(H, g, np.arange(n), np.arange(n, len(x)))
         vision = Quadratic(left.H, left.g, x[n:])
-        problem = WindowProblem(vision, active.R_ref, active.links, belief.weak_prior, belief.shape)
+        problem = WindowProblem(vision, active.R_ref, active.factors, state.weak_prior, state.shape)
         solution = solver.solve(problem, x[n:], INNER_ITERATIONS)
         step = solution.x - x[n:]
         step = np.concatenate([left.follow(step), step])
         active.take(x + step)
-        belief.move_landmarks(condensed, step[at], n_fixed=len(active.keys) + 1)
+        state.move_landmarks(condensed, step[at], n_fixed=len(active.keys) + 1)
         if _small(step[at]):
             break
-    _remember(belief, problem, solution, condensed)
+    _remember(state, problem, solution, condensed)
 
 
 def _small(poses: Array) -> bool:
     return bool(np.abs(poses.reshape(-1, N_POSE)[:, 3:]).max() < SMALL_TURN_RAD)
 
 
-def _remember(belief: Belief, problem: WindowProblem, solution: Solution, condensed: Condensed) -> None:
+def _remember(
+    state: EstimatorState, problem: WindowProblem, solution: Solution, condensed: CondensedVision
+) -> None:
     _, H, _ = problem.normal_equations(solution.x)
-    belief.contradicted = float(np.mean(condensed.squared > GATE**2)) if len(condensed.squared) else 0.0
-    belief.last = last_information(H, problem.shape.weak_prior(solution.x, problem.weak_prior)[2])
+    state.contradicted = float(np.mean(condensed.squared > GATE**2)) if len(condensed.squared) else 0.0
+    state.last = last_information(H, problem.shape.weak_prior(solution.x, problem.weak_prior)[2])
 
 
-def choose_basin(belief: Belief, history: History) -> str:
+def choose_inertia(state: EstimatorState, history: History) -> str:
     """Move the history to the best inertia found, when it is clearly better. Returns its name."""
-    sight = belief.sight()
-    condensed = belief.condensed(sight)
-    vision = history.vision(belief.active, condensed)
-    before = history.vector(belief.active.constants)
-    second = belief.shape.form.second_moments(belief.xi, belief.R_inertia)
-    present = _descend(belief, history, vision.quadratic, before, second, [])
+    observations = state.observations()
+    condensed = state.condensed(observations)
+    vision = history.vision(state.active, condensed)
+    before = history.vector(state.active.constants)
+    second = state.shape.form.second_moments(state.xi, state.R_inertia)
+    present = _descend(state, history, vision.quadratic, before, second, [])
     found = [] if present is None else [present]
     best, name = present, "present"
-    start, R_NG, w_G = _fresh_rates(history, before)
+    start, R_NG, w_G = _differenced_rates(history, before)
     for guess, second in inertia_hypotheses(R_NG, w_G).items():
-        basin = _descend(belief, history, vision.quadratic, start, second, found)
+        basin = _descend(state, history, vision.quadratic, start, second, found)
         if basin is None or any(basin is other for other in found):
             continue
         found.append(basin)
@@ -138,12 +140,12 @@ def choose_basin(belief: Belief, history: History) -> str:
             best, name = basin, guess
     if best is None:
         return "none"
-    take_whole(belief, history, vision, condensed, best.x)
-    belief.set_inertia(*belief.shape.form.coordinates(best.second))
+    set_history(state, history, vision, condensed, best.x)
+    state.set_inertia(*state.shape.form.coordinates(best.second))
     return name
 
 
-def _fresh_rates(history: History, x: Array) -> tuple[Array, Array, Array]:
+def _differenced_rates(history: History, x: Array) -> tuple[Array, Array, Array]:
     """The unknowns with the rates by differences of the attitudes; attitudes (N, 3, 3) and rates (N, 3)."""
     R_NG = np.stack([frame.R_NG for frame in history.frames])
     time_s = np.array([frame.time_s for frame in history.frames])
@@ -155,26 +157,31 @@ def _fresh_rates(history: History, x: Array) -> tuple[Array, Array, Array]:
 
 
 def _descend(
-    belief: Belief, history: History, vision: Quadratic, x: Array, second: Array, found: list[Basin]
-) -> Basin | None:
+    state: EstimatorState,
+    history: History,
+    vision: Quadratic,
+    x: Array,
+    second: Array,
+    found: list[InertiaCandidate],
+) -> InertiaCandidate | None:
     """A brief solve from one inertia; one of those found when it leads there, None when it diverges."""
-    form, cost = belief.shape.form, np.inf
+    form, cost = state.shape.form, np.inf
     x = x.copy()
     for iterations in PASSES:
         xi, R_inertia = form.coordinates(second)
         x[-len(xi) :] = xi
-        weak = belief.weak_prior.copy()
+        weak = state.weak_prior.copy()
         weak[4:] = R_inertia.T.ravel()
         J_G = inertia_from_second_moments(second)
-        links = history.links(x, J_G, belief.J_noise, belief.disturbances)
-        problem = WindowProblem(vision, history.R_ref, links, weak, belief.shape)
+        factors = history.factors(x, J_G, state.J_noise, state.disturbances)
+        problem = WindowProblem(vision, history.R_ref, factors, weak, state.shape)
         try:
             solution = NewtonSolver().solve(problem, x, iterations)
         except LinAlgError:
             return None
-        x, cost = solution.x, solution.cost + links.half_log_det
+        x, cost = solution.x, solution.cost + factors.half_log_det
         second = form.second_moments(x[-len(xi) :], R_inertia)
         for other in found:
-            if np.abs(second - other.second).max() < SAME_BASIN:
+            if np.abs(second - other.second).max() < SAME_INERTIA:
                 return other
-    return Basin(x, second, float(cost)) if np.isfinite(cost) else None
+    return InertiaCandidate(x, second, float(cost)) if np.isfinite(cost) else None

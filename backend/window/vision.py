@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.compiled import compiled
 from polhode.backend.dynamics.so3_exp import right_jacobians, turns
 from polhode.backend.solvers.robust_kernel import robust_weight
 from polhode.backend.solvers.schur import (
@@ -15,6 +14,7 @@ from polhode.backend.solvers.schur import (
 )
 from polhode.backend.window.frame import Frame
 from polhode.backend.window.quadratic import mirror_lower
+from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 
@@ -24,7 +24,7 @@ GATE = 4.5
 
 
 @dataclass(frozen=True)
-class Sight:
+class Observations:
     """Observations of F frames sorted by landmark; landmarks that are seen once are left out."""
 
     frame: Ints
@@ -38,24 +38,24 @@ class Sight:
     slot: Ints
     """(L,) where the window keeps the landmark"""
 
-    def of(self, landmarks: Bools, without_frame: int = -1) -> "Sight":
+    def of(self, landmarks: Bools, without_frame: int = -1) -> "Observations":
         """Observations of the chosen landmarks (L,), without those in one frame."""
         use = landmarks[self.landmark] & (self.frame != without_frame)
         number = np.cumsum(landmarks) - 1
         landmark = number[self.landmark[use]]
         start = np.searchsorted(landmark, np.arange(int(landmarks.sum()) + 1))
-        return Sight(
+        return Observations(
             self.frame[use], landmark, start, self.uvd_px[use], self.inv_sigma[use], self.slot[landmarks]
         )
 
-    def common_with(self, frame: int) -> "Sight":
+    def common_with(self, frame: int) -> "Observations":
         """Observations of the landmarks that one frame sees."""
         seen = np.zeros(len(self.slot), bool)
         seen[self.landmark[self.frame == frame]] = True
         return self.of(seen)
 
 
-def sight_of(frames: list[Frame], n_slots: int) -> Sight:
+def gather_observations(frames: list[Frame], n_slots: int) -> Observations:
     """Gather what the frames see."""
     count = np.array([len(frame.slot) for frame in frames])
     slot = np.concatenate([frame.slot for frame in frames])
@@ -66,7 +66,7 @@ def sight_of(frames: list[Frame], n_slots: int) -> Sight:
     order = use[np.argsort(slot[use].astype(np.uint16 if n_slots < 2**16 else np.int64), kind="stable")]
     landmark = number[slot[order]]
     kept = np.flatnonzero(seen >= 2)
-    return Sight(
+    return Observations(
         frame=np.repeat(np.arange(len(frames)), count)[order],
         landmark=landmark,
         start=np.concatenate([[0], np.cumsum(seen[kept])]),
@@ -77,7 +77,7 @@ def sight_of(frames: list[Frame], n_slots: int) -> Sight:
 
 
 @dataclass(frozen=True)
-class Poses:
+class FramePoses:
     """Poses of F frames, where vision is evaluated and where it is linearised."""
 
     R_RN: Array
@@ -91,12 +91,12 @@ class Poses:
     """(F, 3, 3) right Jacobian at the held theta"""
 
 
-def poses_of(frames: list[Frame]) -> Poses:
+def poses_of(frames: list[Frame]) -> FramePoses:
     """Stack the frames' poses."""
     R_RN, R_ref = np.stack([f.R_RN for f in frames]), np.stack([f.R_ref for f in frames])
     now = np.stack([f.seen for f in frames])
     linearized = np.stack([f.seen if f.linearized_at is None else f.linearized_at for f in frames])
-    return Poses(
+    return FramePoses(
         R_RN=R_RN,
         t_R=np.stack([f.t_R for f in frames]),
         p_NG=np.ascontiguousarray(now[:, :3]),
@@ -108,14 +108,14 @@ def poses_of(frames: list[Frame]) -> Poses:
 
 
 @dataclass(frozen=True)
-class Condensed:
+class CondensedVision:
     """Information on the poses, and what the landmarks' own step needs."""
 
     S: Array
     """(6 F, 6 F)"""
     g: Array
     """(6 F,)"""
-    sight: Sight
+    observations: Observations
     E: Array
     """(M, 6, 3)"""
     C_inv: Array
@@ -127,26 +127,31 @@ class Condensed:
 
     def landmark_steps(self, step: Array) -> Array:
         """(L, 3) that follow from the step (6 F,) of the poses."""
-        s = self.sight
+        s = self.observations
         return back_substitute(step, s.frame, s.start, self.E, self.C_inv, -self.h, N_POSE)
 
 
-def residuals(sight: Sight, poses: Poses, rig: Array, p_G: Array) -> Array:
+def residuals(observations: Observations, poses: FramePoses, rig: Array, p_G: Array) -> Array:
     """Whitened (M, 3) at the present poses; p_G (L, 3)."""
     return stereo_residuals(
-        sight.frame, sight.landmark, sight.uvd_px, sight.inv_sigma, rig,
+        observations.frame, observations.landmark, observations.uvd_px, observations.inv_sigma, rig,
         poses.A, poses.R_RN, poses.t_R, poses.p_NG, p_G,
     )  # fmt: skip
 
 
 def condense(
-    sight: Sight, poses: Poses, rig: Array, p_G: Array, robust_scale: float, gain: float = 1.0
-) -> Condensed:
+    observations: Observations,
+    poses: FramePoses,
+    rig: Array,
+    p_G: Array,
+    robust_scale: float,
+    gain: float = 1.0,
+) -> CondensedVision:
     """Linearise the observations, ``gain`` times the Cauchy kernel; eliminate their landmarks p_G (L, 3)."""
-    r = residuals(sight, poses, rig, p_G)
+    r = residuals(observations, poses, rig, p_G)
     s = np.sum(r**2, axis=1)
     H6, g6, C, h, E = stereo_normal_equations(
-        sight.frame, sight.landmark, sight.inv_sigma, rig,
+        observations.frame, observations.landmark, observations.inv_sigma, rig,
         poses.A_linearized, poses.R_RN, poses.t_R, poses.p_linearized, p_G, poses.Jr,
         r, gain * robust_weight(s, robust_scale), np.zeros_like(s),
     )  # fmt: skip
@@ -155,9 +160,9 @@ def condense(
     blocks[np.arange(n), :, np.arange(n), :] = H6
     S = blocks.reshape(N_POSE * n, N_POSE * n)
     C_inv = inverted(C)
-    subtract_landmarks(S, g, sight.frame, sight.start, E, C_inv, h, N_POSE)
+    subtract_landmarks(S, g, observations.frame, observations.start, E, C_inv, h, N_POSE)
     mirror_lower(S)
-    return Condensed(S, g, sight, E, C_inv, h, s)
+    return CondensedVision(S, g, observations, E, C_inv, h, s)
 
 
 @compiled
@@ -177,18 +182,24 @@ def inverted(C: Array) -> Array:
 
 
 def information_of(
-    leaving: int, sight: Sight, poses: Poses, rig: Array, p_G: Array, robust_scale: float, gain: float = 1.0
+    leaving: int,
+    observations: Observations,
+    poses: FramePoses,
+    rig: Array,
+    p_G: Array,
+    robust_scale: float,
+    gain: float = 1.0,
 ) -> tuple[Array, Array]:
     """What the observations of frame ``leaving`` say about the poses, given all the others: H and gradient.
 
-    ``sight`` holds all observations of the landmarks that it sees.
+    ``observations`` holds all observations of the landmarks that it sees.
 
     With this in the arrival cost instead of them nothing is lost at that moment, and nothing counts twice
     later: the likelihood is p(leaving | rest) p(rest), and only the second factor goes on to change.
     """
-    every = np.ones(len(sight.slot), bool)
+    every = np.ones(len(observations.slot), bool)
     whole, rest = (
         condense(part, poses, rig, p_G, robust_scale, gain)
-        for part in (sight, sight.of(every, without_frame=leaving))
+        for part in (observations, observations.of(every, without_frame=leaving))
     )
     return whole.S - rest.S, whole.g - rest.g

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend.dynamics.residuals import States
+from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.problem.inertia import FORMS, InertiaForm, second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CONSTANTS, Iterate
 from polhode.backend.problem.motion_data import motion_data
@@ -103,7 +103,7 @@ def joint_of_states(
     """Covariance (12 F, 12 F) of (r_N, v_N, theta_P, w_N) of all frames from that of the unknowns."""
     derivative, n, s = axes_derivative(form, iterate), iterate.n_states, iterate.n_state
     numbers = iterate.vector()[:n].reshape(-1, s)
-    R_NG = States(numbers, iterate.R_NG, np.zeros((len(numbers), 3)), iterate.com_G).true_attitudes()
+    R_NG = FrameStates(numbers, iterate.R_NG, np.zeros((len(numbers), 3)), iterate.com_G).true_attitudes()
     R_NP, w_P = R_NG @ derivative.R_GP, iterate.w_G @ derivative.R_GP
     jacobians, parts = state_jacobians(iterate, derivative, camera_N), []
     for k in range(iterate.n_frames):

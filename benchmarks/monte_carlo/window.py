@@ -183,7 +183,7 @@ def measure_growth(case: Case) -> Case:
         wall_ms.append(round(1e3 * (time.perf_counter() - wall), 2))
         cpu_ms.append(round(1e3 * (time.process_time() - cpu), 2))
         if k in {end for _, end in PARTS} | {case["frames"]}:
-            active, marks = window.belief.active, window.belief.landmarks
+            active, marks = window.state.active, window.state.landmarks
             resident = Path("/proc/self/statm").read_text().split()[1]
             held[str(k)] = {
                 "frames": len(active.frames),

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from polhode.backend import initialize_motion
-from polhode.backend.estimate import Solved, refine, solve
+from polhode.backend.estimate import SolverResult, refine, solve
 from polhode.backend.fit import fit
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
@@ -121,7 +121,7 @@ def solve_run(run: Path) -> tuple[MotionData, list[Stopped]]:
             begin = time.process_time()
             solver = make(data)
             at, solution, iterations = refine(solver, data, start, config.max_iterations, config.max_seconds)
-            ended = Solved(solver.name, at, solution, iterations)
+            ended = SolverResult(solver.name, at, solution, iterations)
             out.append(_stopped(data, ended, time.process_time() - begin))
         begin = time.process_time()
         ended = solve(data, start, config.model_copy(update={"solver": Backend().solver}))
@@ -129,7 +129,7 @@ def solve_run(run: Path) -> tuple[MotionData, list[Stopped]]:
     return data, out
 
 
-def _stopped(data: MotionData, ended: Solved, seconds: float) -> Stopped:
+def _stopped(data: MotionData, ended: SolverResult, seconds: float) -> Stopped:
     at, solution = ended.iterate, ended.solution
     told = (solution.cost, solution.converged, solution.message)
     r_N = at.p_NG + at.R_NG @ at.com_G

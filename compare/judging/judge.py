@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
-from polhode.backend.dynamics.residuals import States
+from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.schur import mirror
@@ -83,7 +83,7 @@ def errors_of(at: Iterate, problem: MeasuredProblem) -> Errors | None:
     truth = problem.truth
     assert truth is not None
     numbers = at.vector()[: at.n_states].reshape(-1, at.n_state)
-    states = States(numbers, at.R_NG, problem.data.camera_N, at.com_G)
+    states = FrameStates(numbers, at.R_NG, problem.data.camera_N, at.com_G)
     r_N, R_NG = states.centres(), states.true_attitudes()
     D = np.swapaxes(R_NG, 1, 2) @ truth.R_NP
     best = Rotation.from_matrix(D).mean().as_matrix()

@@ -18,8 +18,8 @@ from polhode.atomic import write_bytes
 from polhode.backend import initialize_motion
 from polhode.backend.estimate import MAX_PASSES, refine
 from polhode.backend.fit import fit
-from polhode.backend.initialization.multistart import first_starts
-from polhode.backend.noise.prune import Kept
+from polhode.backend.initialization.multistart import initial_guesses
+from polhode.backend.noise.prune import PrunedProblem
 from polhode.backend.problem.inertia import unit_determinant
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
@@ -184,7 +184,7 @@ def freeze(
         initial = initialize_motion(tracks, relative, config)
         data = motion_data(tracks, config)
         found = fit(data, tracks, initial, config, lambda: None)
-        start = first_starts(tracks, initial, data)[0].iterate
+        start = initial_guesses(tracks, initial, data)[0].iterate
         kept = found.kept
         end, _, _ = refine(GaussNewton(kept.data), kept.data, kept.restrict(found.iterate), 200)
     # unknowns of a known wrench have no cold start of their own
@@ -200,7 +200,7 @@ def freeze(
     return MeasuredProblem(name, kept.data, held, start.vector(), x, relative, truth, perf_counter() - begin)
 
 
-def _hold_around(kept: Kept, start: Iterate, end: Iterate) -> LinearizationPoint:
+def _hold_around(kept: PrunedProblem, start: Iterate, end: Iterate) -> LinearizationPoint:
     """Whitening at the rates of ``end``; references, gauge and prior around ``start``."""
     in_start = aligned(end, start, kept.data)
     at_end = linearization_point(kept.data, in_start, GAUGE)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from polhode.backend.dynamics.residuals import States, Steps, dynamics_jacobians, dynamics_residuals
+from polhode.backend.dynamics.residuals import FrameStates, Steps, dynamics_jacobians, dynamics_residuals
 from polhode.backend.problem.inertia import inertia_derivative
 from polhode.backend.problem.iterate import N_CONSTANTS
 from polhode.compare.problem.blocks import Blocks
@@ -31,12 +31,12 @@ class SingleSteps:
         residual, jacobian = dynamics_jacobians(states, self._steps[k], J_G, dJ)
         return np.asarray(residual[0]), np.asarray(jacobian[0])
 
-    def _at(self, k: int, x: Array) -> tuple[States, Array, Array]:
+    def _at(self, k: int, x: Array) -> tuple[FrameStates, Array, Array]:
         at, s = self.reference, self.reference.n_state
         numbers, constants = x[: 2 * s].reshape(2, s), x[2 * s :]
         R_NG = at.R_NG[k : k + 2] @ exp_so3(numbers[:, 3:6])
         wrench = None if at.wrench is None else constants[N_CONSTANTS:]
-        states = States(numbers, R_NG, self.data.camera_N[k : k + 2], constants[:3], wrench, at.R_torque)
+        states = FrameStates(numbers, R_NG, self.data.camera_N[k : k + 2], constants[:3], wrench, at.R_torque)
         second = self.data.form.second_moments(constants[3:N_CONSTANTS], at.R_inertia)
         return states, np.trace(second) * np.eye(3) - second, constants
 
@@ -57,6 +57,6 @@ def _part(steps: Steps, only: slice) -> Steps:
         series=steps.series[only],
         W_t=steps.W_t[only],
         W_r=steps.W_r[only],
-        of_force=None if steps.of_force is None else steps.of_force[only],
+        force_increments=None if steps.force_increments is None else steps.force_increments[only],
         torque_P=None if steps.torque_P is None else steps.torque_P[only],
     )

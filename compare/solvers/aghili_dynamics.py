@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.backend.dynamics.propagation import ORDER
-from polhode.backend.dynamics.residuals import States, jacobians_of_flow
-from polhode.backend.dynamics.so3_exp import turns_of_quaternions
+from polhode.backend.dynamics.residuals import FrameStates, jacobians_of_propagation
+from polhode.backend.dynamics.so3_exp import matrices_from_quaternions
 from polhode.compare.problem.blocks import Block, Blocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solvers.changed_inertia import ChangedInertia
@@ -39,12 +39,12 @@ class AghiliDynamics:
         at, steps = self.problem.held.reference, self.problem.held.steps
         n, s = at.n_states, at.n_state
         of_frames = z[:n].reshape(-1, s)
-        states = States(
+        states = FrameStates(
             of_frames, at.R_NG @ exp_so3(of_frames[:, 3:6]), self.problem.data.camera_N, z[n : n + 3]
         )
         p, eta = z[self.inertia.of_u], z[self.inertia.of_eta]
         flow = flow_in_G(of_frames[:-1, 9:12], p, self.inertia.R_ref, eta, steps.dt_s, steps.series)
-        residual, jacobian = jacobians_of_flow(states, steps, *flow)
+        residual, jacobian = jacobians_of_propagation(states, steps, *flow)
         first = self._blocks.step_slots()[:, : 2 * s]
         constants = np.arange(n, n + 3 + 2 * N_P)
         slots = np.hstack([first, np.broadcast_to(constants, (len(first), len(constants)))])
@@ -68,7 +68,7 @@ def flow_in_G(
     R = R_ref @ exp_so3(eta)
     w_P = w_G @ R
     q, w_end, turn, rate = flow_in_P(w_P, p, dt_s, series)
-    R_step = turns_of_quaternions(q)
+    R_step = matrices_from_quaternions(q)
     # rows are parameters: what a turn of the axes by phi does to w_P is w_P x phi
     of_w = np.swapaxes(hat(w_P), 1, 2)
     own_turn, own_rate = R_step - np.eye(3), np.swapaxes(-hat(w_end), 1, 2)

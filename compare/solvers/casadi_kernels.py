@@ -13,7 +13,7 @@ from polhode.backend.problem.inertia import InertiaForm, rotation_sx
 from polhode.backend.problem.iterate import N_CONSTANTS
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.linearization_point import LinearizationPoint
-from polhode.backend.solvers.robust_kernel import MOST_BEND
+from polhode.backend.solvers.robust_kernel import MAX_CURVATURE
 from polhode.lie import Array
 
 Hessian = Literal["gauss_newton", "exact"]
@@ -38,7 +38,7 @@ def stereo_kernels(scale: float, hessian: Hessian) -> dict[str, Any]:
     else:
         # as kernels.kernel_bend: the kernel's curvature as far as the block stays positive
         J, weight = ca.jacobian(r, x), 1.0 / (1.0 + s / scale**2)
-        limited = ca.fmin(2.0 / (scale**2 + s), MOST_BEND / (s + 1e-12))
+        limited = ca.fmin(2.0 / (scale**2 + s), MAX_CURVATURE / (s + 1e-12))
         bend = limited / (1.0 + ca.sqrt(1.0 - limited * s))
         B = J - bend * r @ (r.T @ J)
         second = weight * B.T @ B

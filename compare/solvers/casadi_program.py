@@ -14,7 +14,13 @@ import numpy as np
 
 from polhode.backend.dynamics.kernels import Output, dynamics_kernel
 from polhode.backend.solvers.casadi_nlp import gather, scatter, upper_keys, upper_sparsity
-from polhode.backend.solvers.ipopt import Layout, MotionProgram, Term, program_parameters, series_groups
+from polhode.backend.solvers.ipopt import (
+    MotionProgram,
+    ProgramLayout,
+    ProgramTerm,
+    program_parameters,
+    series_groups,
+)
 from polhode.compare.problem.blocks import Blocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solvers.casadi_kernels import (
@@ -50,7 +56,7 @@ class VariantProgram(MotionProgram):
         self.problem, self.formulation = problem, formulation
         held, data = problem.held, problem.data
         self._series = held.steps.series
-        self.layout = Layout(held.reference, int(held.steps.series.max()))
+        self.layout = ProgramLayout(held.reference, int(held.steps.series.max()))
         self.blocks = Blocks(data, held)
         self.n_x = self.blocks.n_x
         self.n_slack = 12 * (data.n_frames - 1) if formulation.dynamics == "slack" else 0
@@ -63,7 +69,7 @@ class VariantProgram(MotionProgram):
         """Unknowns with slack, zero: the constraints do not hold yet."""
         return np.concatenate([x, np.zeros(self.n_slack)])
 
-    def terms(self, x: Any, p: Any, at: Layout, output: Output) -> list[Term]:
+    def terms(self, x: Any, p: Any, at: ProgramLayout, output: Output) -> list[ProgramTerm]:
         """Those of the back end's program, exact second derivatives where asked for; slack for dynamics."""
         terms = super().terms(x, p, at, output)
         steps = len(series_groups(self._series))
@@ -72,22 +78,24 @@ class VariantProgram(MotionProgram):
             terms = terms[steps:]
         elif exact:
             terms[:steps] = [
-                Term(slots, *exact_step_kernel(self.data.form, n, at.step).map(len(slots)).call(arguments))
+                ProgramTerm(
+                    slots, *exact_step_kernel(self.data.form, n, at.step).map(len(slots)).call(arguments)
+                )
                 for n, slots, arguments in self._steps(x, p, at)
             ]
         if exact:
             prior = 0 if self.formulation.dynamics == "slack" else steps
             body = terms[prior].slots
             arguments = [gather(x, body), p[at.prior : at.prior + 13]]
-            terms[prior] = Term(body, *exact_prior_kernel(self.data.form).call(arguments))
+            terms[prior] = ProgramTerm(body, *exact_prior_kernel(self.data.form).call(arguments))
         return [self._stereo_term(x, output), *terms]
 
-    def _stereo_term(self, x: Any, output: Output) -> Term:
+    def _stereo_term(self, x: Any, output: Output) -> ProgramTerm:
         slots = self.blocks.stereo_slots()
         kernel = self._stereo[output].map(len(slots))
-        return Term(slots, *kernel.call([gather(x, slots), self._measurements]))
+        return ProgramTerm(slots, *kernel.call([gather(x, slots), self._measurements]))
 
-    def _steps(self, x: Any, p: Any, at: Layout) -> list[tuple[int, Ints, list[Any]]]:
+    def _steps(self, x: Any, p: Any, at: ProgramLayout) -> list[tuple[int, Ints, list[Any]]]:
         """Of each number of series: the unknowns of its steps, and the arguments of a kernel."""
         out, all_slots = [], self.blocks.step_slots()
         for n, index in series_groups(self._series):

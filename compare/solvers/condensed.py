@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 
 from polhode.backend.solvers.gauss_newton import GaussNewton, NormalEquations
-from polhode.backend.solvers.ipopt import GOOD, IN_WORDS, MotionProgram
-from polhode.backend.solvers.stereo_terms import FromOutside
+from polhode.backend.solvers.ipopt import MESSAGES, OPTIMAL, MotionProgram
+from polhode.backend.solvers.stereo_terms import ExternalFunction
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import Claim, Outcome, Watch
 from polhode.compare.solvers.ipopt import MAX_ITERATIONS, Iterations
@@ -119,7 +119,7 @@ class Condensed:
             n = reduced.n
             y = ca.MX.sym("y", n)
             kinds = ((reduced.cost, 1), (reduced.gradient, n), (reduced.hessian, n * (n + 1) // 2))
-            outside = [FromOutside(f.__name__, f, (n,), size) for f, size in kinds]
+            outside = [ExternalFunction(f.__name__, f, (n,), size) for f, size in kinds]
             cost, gradient, second = (function(y) for function in outside)
             p, lam_f, lam_g = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
             base = MotionProgram(problem.data)
@@ -142,4 +142,4 @@ class Condensed:
         status = str(stats["return_status"])
         found = reduced.whole(np.asarray(result["x"]).ravel())
         watch.check()
-        return Outcome(found, status in GOOD, int(stats["iter_count"]), IN_WORDS.get(status, status))
+        return Outcome(found, status in OPTIMAL, int(stats["iter_count"]), MESSAGES.get(status, status))

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend.dynamics.propagation import flows, series_steps
-from polhode.backend.dynamics.so3_exp import turns_of_quaternions
+from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
+from polhode.backend.dynamics.so3_exp import matrices_from_quaternions
 from polhode.backend.problem.inertia import inertia_from_second_moments, second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CONSTANTS, Iterate
 from polhode.backend.problem.motion_data import MotionData
@@ -126,8 +126,10 @@ def _grown(at: Iterate | None, first: Iterate, n: int, data: MotionData) -> Iter
         return replace(cut, w_G=np.tile(turn, (n, 1)))
     dt_s = data.dt_s[n - 2 : n - 1]
     J_G = at.J_G(data.form)
-    q, w_end, _, _ = flows(at.w_G[-1:], J_G, dt_s, series_steps(at.w_G[-1:], J_G, dt_s, data.torque_psd))
-    R_NG = at.R_NG[-1] @ turns_of_quaternions(q)[0]
+    q, w_end, _, _ = propagate_rotations(
+        at.w_G[-1:], J_G, dt_s, series_steps(at.w_G[-1:], J_G, dt_s, data.torque_psd)
+    )
+    R_NG = at.R_NG[-1] @ matrices_from_quaternions(q)[0]
     r_N = at.p_NG[-1] + at.R_NG[-1] @ at.com_G + dt_s * at.v_N[-1]
     if not (np.isfinite(R_NG).all() and np.isfinite(w_end).all()):
         R_NG, w_end = at.R_NG[-1], at.w_G[-1:]

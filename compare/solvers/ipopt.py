@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from polhode.backend.solvers.ipopt import GOOD, IN_WORDS, Layout, MotionProgram
+from polhode.backend.solvers.ipopt import MESSAGES, OPTIMAL, MotionProgram, ProgramLayout
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import Claim, Outcome, Watch
 from polhode.compare.solvers.casadi_kernels import Hessian
@@ -90,7 +90,7 @@ class _WatchedProgram(MotionProgram):
             "iteration_callback": self._listener,
         }
 
-    def build(self, layout: Layout, max_iterations: int, max_seconds: float) -> Any:
+    def build(self, layout: ProgramLayout, max_iterations: int, max_seconds: float) -> Any:
         """Timed."""
         self.n_p = layout.n_p
         with self.watch.part("build"):
@@ -151,7 +151,7 @@ class Variant:
         watch.check()
         status = str(stats["return_status"])
         x = np.asarray(result["x"]).ravel()[: program.n_x]
-        return Outcome(x, status in GOOD, int(stats["iter_count"]), IN_WORDS.get(status, status))
+        return Outcome(x, status in OPTIMAL, int(stats["iter_count"]), MESSAGES.get(status, status))
 
 
 def evaluation_s(stats: dict[str, Any]) -> float:

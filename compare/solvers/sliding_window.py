@@ -50,14 +50,14 @@ class WindowLength:
         )
         states = np.concatenate([start.p_NG, np.zeros_like(start.p_NG), start.v_N, start.w_G], axis=1)
         R_NG, centres = start.R_NG.copy(), start.p_NG + start.R_NG @ start.com_G
-        placed, anew, belief, last = np.zeros(data.n_frames, dtype=bool), 0, window.belief, None
+        placed, restarts, state, last = np.zeros(data.n_frames, dtype=bool), 0, window.state, None
         for k, measured in enumerate(frames_of_data(data)):
             last = window.add(measured)
-            anew, belief = anew + (window.belief is not belief), window.belief
-            for frame in belief.active.recent:
+            restarts, state = restarts + (window.state is not state), window.state
+            for frame in state.active.recent:
                 n = frame.number - 1
                 states[n], R_NG[n], placed[n] = frame.x, frame.R_NG, True
-                centres[n] = frame.x[:3] + frame.R_NG @ belief.active.constants[:3]
+                centres[n] = frame.x[:3] + frame.R_NG @ state.active.constants[:3]
             watch.tell(f"{k + 1} of {data.n_frames} frames were in")
             watch.check()
         watch.tell("")
@@ -76,7 +76,7 @@ class WindowLength:
         )
         end = problem.vector(at)
         end[start.n_dense :] = x[start.n_dense :]
-        words = f"{np.sum(~placed)} frames were not placed, begun anew {anew} times"
+        words = f"{np.sum(~placed)} frames were not placed, the window restarted {restarts} times"
         return Outcome(with_landmarks(problem, end), True, data.n_frames, words)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.estimate import refine
-from polhode.backend.initialization.multistart import first_starts, try_hypothesis
+from polhode.backend.initialization.multistart import initial_guesses, try_hypothesis
 from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
@@ -88,7 +88,7 @@ def test_both_inertia_forms_and_both_solvers_reach_the_same_optimum() -> None:
         ("second_moments", GaussNewton),
     ):
         data = motion_data(sequence.tracks, Backend.model_validate({"inertia": form}))
-        start = first_starts(sequence.tracks, initial, data)[0]
+        start = initial_guesses(sequence.tracks, initial, data)[0]
         trial = try_hypothesis(data, start, start.iterate, np.diag([1.0, 1.3, 1.6]), [])
         assert trial is not None
         # the whitening follows the rate: a second round lets it come to rest

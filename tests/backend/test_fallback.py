@@ -6,13 +6,13 @@ from scipy.linalg import LinAlgError
 
 from polhode.backend import initialize_motion
 from polhode.backend.estimate import estimate_motion, refine, solve
-from polhode.backend.initialization.multistart import first_starts
+from polhode.backend.initialization.multistart import initial_guesses
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import (
     ENOUGH,
     ITERATION_LIMIT,
-    SHORTER,
+    STEP_FRACTIONS,
     TIME_LIMIT,
     Damping,
     GaussNewton,
@@ -35,7 +35,7 @@ def cold() -> tuple[MotionData, Iterate]:
     sequence, config = generate(SCENE, 3), Backend()
     initial = initialize_motion(sequence.tracks, sequence.relative, config)
     data = motion_data(sequence.tracks, config)
-    return data, first_starts(sequence.tracks, initial, data)[0].iterate
+    return data, initial_guesses(sequence.tracks, initial, data)[0].iterate
 
 
 def test_the_default_is_gauss_newton_and_ends_where_ipopt_ends(cold: tuple[MotionData, Iterate]) -> None:
@@ -118,10 +118,10 @@ def test_a_step_that_goes_too_far_is_made_shorter_until_it_brings_enough(
     ahead, behind = (solver.cost(fixed, x + d * step) for d in (1e-6, -1e-6))
     assert slope == pytest.approx((ahead - behind) / 2e-6, rel=1e-4) and slope < 0.0
     # five times too far: an eighth of it is the first that brings enough, or a shorter one
-    candidate, cost = solver._shorter(fixed, x, system, 5.0 * step)
+    candidate, cost = solver._search_along(fixed, x, system, 5.0 * step)
     length = float(np.linalg.norm(candidate - x) / np.linalg.norm(5.0 * step))
-    assert min(abs(length - part) for part in SHORTER) < 1e-9
+    assert min(abs(length - part) for part in STEP_FRACTIONS) < 1e-9
     assert cost <= system.cost + ENOUGH * length * 5.0 * slope
     assert cost == solver.cost(fixed, candidate)
     # up the hill nothing is enough
-    assert solver._shorter(fixed, x, system, -step)[1] == np.inf
+    assert solver._search_along(fixed, x, system, -step)[1] == np.inf

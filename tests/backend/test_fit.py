@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion
-from polhode.backend.fit import from_fewer_frames
+from polhode.backend.fit import motions_from_fewer_frames
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.progress import Silent
@@ -73,7 +73,7 @@ def test_first_motions_of_rich_frames_and_of_stretches(sequence: SyntheticSequen
         sigma_px=tracks.sigma_px[~poor],
     )
     frames = np.arange(SCENE.frames)
-    known = [first.connected for first in from_fewer_frames(thinned, initial)]
+    known = [first.connected for first in motions_from_fewer_frames(thinned, initial)]
     assert len(known) == 3
     np.testing.assert_array_equal(known[0], initial.connected & ~np.isin(frames, [2, 3, 50]))
     first, last = sorted(known[1:], key=lambda k: int(np.argmax(k)))
@@ -81,4 +81,4 @@ def test_first_motions_of_rich_frames_and_of_stretches(sequence: SyntheticSequen
     np.testing.assert_array_equal(last, frames >= GAP.stop)
     # nothing to leave out where there is no gap and every frame is rich
     whole = replace(initial, connected=frames < GAP.start)
-    assert from_fewer_frames(tracks, whole) == []
+    assert motions_from_fewer_frames(tracks, whole) == []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.backend.dynamics.propagation import flow_derivatives
+from polhode.backend.dynamics.propagation import propagate_derivatives
 from polhode.compare.judging.judge import AGREED, judge
 from polhode.compare.problem.blocks import stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
@@ -86,7 +86,7 @@ def test_aghilis_numbers_of_a_body_turn_it_as_eulers_equation_does() -> None:
     axes = R_ref @ exp_so3(eta)
     J_G = axes @ np.diag(second.sum() - second) @ axes.T
     dt_s, series = np.array([0.1, 0.2, 0.3, 0.4, 0.5]), np.array([1, 1, 2, 2, 4])
-    q, w_end, turn, rate = flow_derivatives(w_G, J_G, np.zeros((0, 3, 3)), dt_s, series)
+    q, w_end, turn, rate = propagate_derivatives(w_G, J_G, np.zeros((0, 3, 3)), dt_s, series)
     found = flow_in_G(w_G, aghili_of(second), R_ref, eta, dt_s, series)
     assert np.allclose(found[0], q, atol=1e-12) and np.allclose(found[1], w_end, atol=1e-12)
     assert np.allclose(found[2][:, :3], turn, atol=1e-10) and np.allclose(found[3][:, :3], rate, atol=1e-10)

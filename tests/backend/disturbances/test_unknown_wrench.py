@@ -7,7 +7,7 @@ import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.estimate import refine
-from polhode.backend.initialization.multistart import first_starts, try_hypotheses
+from polhode.backend.initialization.multistart import initial_guesses, try_hypotheses
 from polhode.backend.problem.motion_data import motion_data, nodes_of
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
@@ -131,7 +131,7 @@ def test_both_solvers_reach_the_same_cost_with_nodes() -> None:
     initial = initialize_motion(sequence.tracks, sequence.relative, config)
     data = motion_data(sequence.tracks, config)
     assert data.nodes.sum() == 1
-    trials = try_hypotheses(data, first_starts(sequence.tracks, initial, data), lambda: None)
+    trials = try_hypotheses(data, initial_guesses(sequence.tracks, initial, data), lambda: None)
     start = min(trials.values(), key=lambda trial: trial.cost).iterate
     costs = []
     for solver in (GaussNewton(data), MotionProgram(data)):

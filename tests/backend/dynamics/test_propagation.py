@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from polhode.backend.dynamics.process_noise import rotation_covariance_scaled
-from polhode.backend.dynamics.propagation import SHARE_OF_NOISE, flow_derivatives, flows, series_steps
+from polhode.backend.dynamics.propagation import (
+    SHARE_OF_NOISE,
+    propagate_derivatives,
+    propagate_rotations,
+    series_steps,
+)
 from polhode.lie import Array, log_so3
 from polhode.quaternion import matrix_from_wxyz
 from polhode.rigid_body import propagate
@@ -29,7 +34,7 @@ def test_the_error_stays_below_a_thousandth_of_the_process_noise(body: str, dt_s
     dt = np.full(len(rates), dt_s)
     steps = series_steps(rates, J, dt, psd)
     cov, scale = rotation_covariance_scaled(rates, J, dt, psd)
-    q, w_end, _, _ = flows(rates, J, dt, steps)
+    q, w_end, _, _ = propagate_rotations(rates, J, dt, steps)
     for k, w in enumerate(rates):
         _, _, R, w_true = propagate([0.0, dt_s], np.zeros(3), np.zeros(3), np.eye(3), w, J)
         error = np.concatenate([log_so3(R[1].T @ matrix_from_wxyz(q[k])), w_end[k] - w_true[1]]) / scale[k]
@@ -52,7 +57,7 @@ def test_derivatives_match_finite_differences() -> None:
     dJ += np.swapaxes(dJ, 1, 2)
     w, steps, step, dt = np.array([[0.4, 1.0, -0.3]]), np.array([8]), 1e-6, np.array([0.7])
     torque, dtorque = rng.normal(size=(1, 8, 2, 3)), rng.normal(size=(1, 8, 2, 2, 3))
-    q, w_end, turn, rate = flow_derivatives(w, J, dJ, dt, steps, torque, dtorque)
+    q, w_end, turn, rate = propagate_derivatives(w, J, dJ, dt, steps, torque, dtorque)
     R = matrix_from_wxyz(q)[0]
     for row in range(5):
         ends = []
@@ -62,11 +67,11 @@ def test_derivatives_match_finite_differences() -> None:
                 w_moved[0, row] += sign
             else:
                 J_moved, torque_moved = J + sign * dJ[row - 3], torque + sign * dtorque[:, :, row - 3]
-            at = flows(w_moved, J_moved, dt, steps, torque_moved)
+            at = propagate_rotations(w_moved, J_moved, dt, steps, torque_moved)
             ends.append((log_so3(R.T @ matrix_from_wxyz(at[0][0])), at[1][0]))
         np.testing.assert_allclose(turn[0, row], (ends[1][0] - ends[0][0]) / (2 * step), rtol=1e-6, atol=1e-7)
         np.testing.assert_allclose(rate[0, row], (ends[1][1] - ends[0][1]) / (2 * step), rtol=1e-6, atol=1e-7)
-    np.testing.assert_allclose(w_end, flows(w, J, dt, steps, torque)[1], rtol=1e-12)
+    np.testing.assert_allclose(w_end, propagate_rotations(w, J, dt, steps, torque)[1], rtol=1e-12)
 
 
 def test_a_torque_that_changes_linearly_is_integrated_as_such() -> None:
@@ -79,6 +84,6 @@ def test_a_torque_that_changes_linearly_is_integrated_as_such() -> None:
     _, _, R, w_true = propagate([0.0, dt], np.zeros(3), np.zeros(3), np.eye(3), w, J, wrench)
     # value at the start of each of two series, and the change over it
     torque = np.array([[[start, 0.4 * slope], [start + 0.4 * slope, 0.4 * slope]]])
-    q, w_end, _, _ = flows(w[None], J, np.array([dt]), np.array([2]), torque)
+    q, w_end, _, _ = propagate_rotations(w[None], J, np.array([dt]), np.array([2]), torque)
     np.testing.assert_allclose(w_end[0], w_true[1], atol=1e-9)
     np.testing.assert_allclose(matrix_from_wxyz(q[0]), R[1], atol=1e-9)

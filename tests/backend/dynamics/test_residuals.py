@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from polhode.backend.dynamics.kernels import StepLayout, dynamics_kernel
 from polhode.backend.dynamics.residuals import (
-    States,
+    FrameStates,
     Steps,
     add_steps,
     dynamics_jacobians,
@@ -41,7 +41,7 @@ class Case:
         self.R_torque: Array | None = None
         if pushed:
             known = rng.normal(size=(1, 2, 3)), rng.normal(size=(1, 8, 2, 3))
-            self.steps = replace(self.steps, of_force=known[0], torque_P=known[1])
+            self.steps = replace(self.steps, force_increments=known[0], torque_P=known[1])
             self.R_torque = Rotation.random(rng=rng).as_matrix()
             self.x = np.concatenate([self.x, 0.3 * rng.normal(size=11)])
 
@@ -58,11 +58,11 @@ class Case:
         )
         return residual[0], jacobian[0]
 
-    def _unpack(self, x: Array) -> tuple[States, Array]:
+    def _unpack(self, x: Array) -> tuple[FrameStates, Array]:
         numbers, constants = x[: 2 * self.size].reshape(2, self.size), x[2 * self.size :]
         R_NG = self.R @ exp_so3(numbers[:, 3:6])
         wrench = None if self.R_torque is None else constants[8:]
-        states = States(numbers, R_NG, self.camera_N, constants[:3], wrench, self.R_torque)
+        states = FrameStates(numbers, R_NG, self.camera_N, constants[:3], wrench, self.R_torque)
         return states, constants[3:8]
 
 
@@ -86,8 +86,12 @@ def test_it_is_the_residual_that_the_nonlinear_program_holds(form: str, size: in
     whiten = [W_T[0, 0, 0], W_T[0, 1, 0], W_T[0, 1, 1], *W_R[0].ravel(order="F")]
     parts = [*by_columns, q01, case.steps.dt_s, whiten, *(case.camera_N if size > 12 else [])]
     arguments = [case.x]
-    if case.R_torque is not None and case.steps.of_force is not None and case.steps.torque_P is not None:
-        parts += [case.R_torque.ravel(order="F"), case.steps.of_force.ravel()]
+    if (
+        case.R_torque is not None
+        and case.steps.force_increments is not None
+        and case.steps.torque_P is not None
+    ):
+        parts += [case.R_torque.ravel(order="F"), case.steps.force_increments.ravel()]
         arguments.append(case.steps.torque_P.reshape(8, 6).T)
     arguments.insert(1, np.concatenate(parts))
     kernel = dynamics_kernel(case.form, 8, "jacobian", StepLayout(size, pushed))

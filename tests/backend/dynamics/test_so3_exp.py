@@ -5,10 +5,10 @@ import pytest
 
 from polhode.backend.dynamics.so3_exp import (
     inverse_right_jacobians,
+    matrices_from_quaternions,
     right_jacobians,
     rotation_vectors,
     turns,
-    turns_of_quaternions,
 )
 from polhode.lie import Array, exp_so3, inverse_right_jacobian_so3, log_so3, right_jacobian_so3
 from polhode.quaternion import wxyz_from_matrix
@@ -28,7 +28,7 @@ def test_exponential_and_logarithm(theta: Array) -> None:
     np.testing.assert_allclose(R, exp_so3(theta), atol=1e-14)
     np.testing.assert_allclose(rotation_vectors(R), theta, atol=1e-7 if np.abs(theta).max() > 3 else 1e-14)
     np.testing.assert_allclose(rotation_vectors(R), log_so3(R), atol=1e-12)
-    np.testing.assert_allclose(turns_of_quaternions(3.0 * wxyz_from_matrix(R)), R, atol=1e-14)
+    np.testing.assert_allclose(matrices_from_quaternions(3.0 * wxyz_from_matrix(R)), R, atol=1e-14)
 
 
 def test_jacobians(theta: Array) -> None:

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from polhode.backend.initialization.gaps import Gap, arrival_rad, carried, long_gaps, loose_steps
+from polhode.backend.initialization.gaps import (
+    Gap,
+    closing_error_rad,
+    long_gaps,
+    loose_steps,
+    propagate_through_gaps,
+)
 from polhode.backend.problem.iterate import Iterate
 from polhode.lie import Array, exp_so3, log_so3
 from polhode.rigid_body import propagate
@@ -36,7 +42,7 @@ def test_the_true_inertia_carries_the_state_through(inside: range) -> None:
     truth = _truth()
     before = inside.start - 1 if inside.start > 0 else None
     after = inside.stop if inside.stop < len(TIME_S) else None
-    at = carried(_with_hole(truth, inside), J_G, TIME_S, [Gap(before, after)])
+    at = propagate_through_gaps(_with_hole(truth, inside), J_G, TIME_S, [Gap(before, after)])
     assert np.linalg.norm(log_so3(np.swapaxes(at.R_NG, 1, 2) @ truth.R_NG), axis=1).max() < 1e-6
     np.testing.assert_allclose(at.p_NG, truth.p_NG, atol=1e-8)
     np.testing.assert_allclose(at.w_G, truth.w_G, atol=1e-6)
@@ -46,15 +52,15 @@ def test_the_true_inertia_carries_the_state_through(inside: range) -> None:
 def test_a_wrong_inertia_still_arrives_at_the_known_pose_one_way_or_the_other() -> None:
     truth, gaps = _truth(), [Gap(19, 45)]
     wrong = np.diag([1.4, 1.25, 0.95])
-    left = arrival_rad(truth, wrong, TIME_S, gaps)
+    left = closing_error_rad(truth, wrong, TIME_S, gaps)
     assert 0.05 < left < np.pi
     for other_way in (False, True):
-        at = carried(_with_hole(truth, INSIDE), wrong, TIME_S, gaps, other_way)
+        at = propagate_through_gaps(_with_hole(truth, INSIDE), wrong, TIME_S, gaps, other_way)
         ends = at.R_NG[[19, 45]], truth.R_NG[[19, 45]]
         np.testing.assert_allclose(*ends, atol=1e-12)
         # it enters the known pose behind the gap without a jump of more than a step's turn
         assert np.linalg.norm(log_so3(at.R_NG[44].T @ at.R_NG[45])) < 0.5
-    assert arrival_rad(truth, J_G, TIME_S, gaps) < 1e-6
+    assert closing_error_rad(truth, J_G, TIME_S, gaps) < 1e-6
 
 
 def test_short_gaps_are_none_and_the_steps_of_long_ones_are_loose() -> None:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from polhode.backend.initialization.initialize import undisputed_links
+from polhode.backend.initialization.initialize import consistent_links
 from polhode.backend.initialization.link_consensus import smooth_links
-from polhode.backend.initialization.pose_graph import connect, join_islands, triangle_support
+from polhode.backend.initialization.pose_graph import connect, join_components, triangle_support
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.records import Bools, Ints, RelativePoses
 
@@ -38,9 +38,9 @@ def test_every_frame_of_a_chain_of_perfect_links_is_joined_in_one_frame_G() -> N
     X_RG = poses(8, 0)
     # some of the links point backwards
     relative = links(X_RG, [(k, k + 1) if k % 2 else (k + 1, k) for k in range(7)])
-    X, island = alone(8)
-    join_islands(relative, usable(relative), np.ones(7), X, island)
-    assert np.all(island == island[0])
+    X, component = alone(8)
+    join_components(relative, usable(relative), np.ones(7), X, component)
+    assert np.all(component == component[0])
     G = inverse_pose(X) @ X_RG
     np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-12)
 
@@ -51,9 +51,9 @@ def test_two_links_that_agree_outvote_a_stronger_one() -> None:
     X_ij, inliers = relative.X_RiRj.copy(), np.array([40, 40, 7, 7, 15])
     X_ij[4] = X_ij[4] @ make_pose(exp_so3([0.0, 0.7, 0.0]), [0.0, 0.0, 0.0])
     relative = RelativePoses(relative.i, relative.j, X_ij, inliers)
-    X, island = alone(4)
-    join_islands(relative, usable(relative), np.ones(5), X, island)
-    assert np.all(island == island[0])
+    X, component = alone(4)
+    join_components(relative, usable(relative), np.ones(5), X, component)
+    assert np.all(component == component[0])
     G = inverse_pose(X) @ X_RG
     np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-12)
 
@@ -99,7 +99,7 @@ def test_sides_that_look_alike_do_not_alias(turn_deg: float) -> None:
     np.testing.assert_array_equal(accepted, np.arange(len(relative.i)) < len(near.i))
     G = inverse_pose(X) @ X_RG
     np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-9)
-    undisputed = undisputed_links(relative, *still(24))
+    undisputed = consistent_links(relative, *still(24))
     np.testing.assert_array_equal(undisputed, accepted)
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from polhode.backend.initialization.multistart import Trial
-from polhode.backend.initialization.rotation_direction import THE_OTHER_WAY, rate_branches
+from polhode.backend.initialization.multistart import HypothesisFit
+from polhode.backend.initialization.rotation_direction import OPPOSITE_DIRECTION, rate_branches
 from polhode.backend.initialization.shooting import _carry, shoot
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.uncertainty.ambiguity import Choice, choose, open_turns_deg
+from polhode.backend.uncertainty.ambiguity import HypothesisChoice, ambiguous_turns_deg, choose
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.rigid_body import propagate
 
@@ -25,7 +25,7 @@ def _motion(turn_deg: float, axis: Array = AXIS) -> tuple[Array, Array]:
     return R_NG @ exp_so3(np.random.default_rng(3).normal(0.0, 0.002, (30, 3))), w
 
 
-@pytest.mark.parametrize(("turn_deg", "suffix"), [(75.0, ""), (150.0, ""), (220.0, THE_OTHER_WAY)])
+@pytest.mark.parametrize(("turn_deg", "suffix"), [(75.0, ""), (150.0, ""), (220.0, OPPOSITE_DIRECTION)])
 def test_a_shot_finds_the_inertia_and_the_rates(turn_deg: float, suffix: str) -> None:
     R_NG, w_G = _motion(turn_deg)
     connected = EVERY.copy()
@@ -49,26 +49,26 @@ def test_short_turns_need_no_shots_and_have_one_sense() -> None:
 def test_of_far_turns_both_senses_are_tried(turn_deg: float) -> None:
     R_NG, _ = _motion(turn_deg, np.array([0.0, 0.0, 1.0]))
     branches = rate_branches(TIME_S, make_pose(R_NG, np.zeros((30, 3))), EVERY)
-    short, far = (float(np.median(w @ [0.0, 0.0, 1.0])) for w in (branches[""], branches[THE_OTHER_WAY]))
+    short, far = (float(np.median(w @ [0.0, 0.0, 1.0])) for w in (branches[""], branches[OPPOSITE_DIRECTION]))
     near, away = sorted([turn_deg, turn_deg - 360.0], key=abs)
     assert np.rad2deg(0.5 * np.array([short, far])) == pytest.approx([near, away], abs=0.5)
 
 
-def _trial(turn_deg: float, misfit: float, cost: float) -> Trial:
+def _trial(turn_deg: float, misfit: float, cost: float) -> HypothesisFit:
     w_G = np.tile([0.0, 0.0, 2.0 * np.deg2rad(turn_deg)], (30, 1))
     zero = np.zeros((30, 3))
     R_NG = np.tile(np.eye(3), (30, 1, 1))
-    return Trial(Iterate(zero, R_NG, zero, w_G, zero[0], np.zeros(5), np.eye(3), zero), cost, misfit)
+    return HypothesisFit(Iterate(zero, R_NG, zero, w_G, zero[0], np.zeros(5), np.eye(3), zero), cost, misfit)
 
 
 def test_a_sense_is_chosen_by_the_misfit_and_the_shorter_one_when_both_fit() -> None:
     dt_s = np.diff(TIME_S)
-    alike = {"sphere": _trial(150.0, 1000.0, 50.0), "sphere" + THE_OTHER_WAY: _trial(210.0, 999.0, 10.0)}
+    alike = {"sphere": _trial(150.0, 1000.0, 50.0), "sphere" + OPPOSITE_DIRECTION: _trial(210.0, 999.0, 10.0)}
     choice = choose(alike, dt_s)
     assert choice.name == "sphere"
     assert choice.turns_deg == pytest.approx((150.0, 210.0))
-    told = {"sphere": _trial(150.0, 3000.0, 1.0), "sphere" + THE_OTHER_WAY: _trial(210.0, 1000.0, 10.0)}
-    assert choose(told, dt_s).name == "sphere" + THE_OTHER_WAY
+    told = {"sphere": _trial(150.0, 3000.0, 1.0), "sphere" + OPPOSITE_DIRECTION: _trial(210.0, 1000.0, 10.0)}
+    assert choose(told, dt_s).name == "sphere" + OPPOSITE_DIRECTION
     assert choose(told, dt_s).turns_deg is None
     assert choose({"sphere": _trial(30.0, 5.0, 5.0)}, dt_s).turns_deg is None
 
@@ -81,9 +81,12 @@ def test_a_shot_at_a_rate_beyond_the_series_leads_nowhere() -> None:
 def test_turns_beyond_what_two_senses_tell_are_open() -> None:
     dt_s = np.diff(TIME_S)
     far, near, small = (_trial(turn, 100.0, 1.0) for turn in (466.0, 180.0, 60.0))
-    chosen = Choice("sphere", None)
-    assert open_turns_deg(chosen, far, dt_s, False) == pytest.approx((466.0, 106.0))
-    assert open_turns_deg(chosen, near, dt_s, False) is None
-    assert open_turns_deg(chosen, near, dt_s, True) == pytest.approx((180.0, 180.0))
-    assert open_turns_deg(chosen, small, dt_s, True) is None
-    assert open_turns_deg(Choice("sphere", (150.0, 210.0)), small, dt_s, False) == (150.0, 210.0)
+    chosen = HypothesisChoice("sphere", None)
+    assert ambiguous_turns_deg(chosen, far, dt_s, False) == pytest.approx((466.0, 106.0))
+    assert ambiguous_turns_deg(chosen, near, dt_s, False) is None
+    assert ambiguous_turns_deg(chosen, near, dt_s, True) == pytest.approx((180.0, 180.0))
+    assert ambiguous_turns_deg(chosen, small, dt_s, True) is None
+    assert ambiguous_turns_deg(HypothesisChoice("sphere", (150.0, 210.0)), small, dt_s, False) == (
+        150.0,
+        210.0,
+    )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.noise.measurement_noise import estimate_noise
-from polhode.backend.noise.prune import prune, settle, whitened_residuals
+from polhode.backend.noise.prune import prune, remove_outliers, whitened_residuals
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
@@ -79,7 +79,7 @@ def test_the_noise_is_found_whatever_was_stated_and_in_spite_of_outliers() -> No
     data, iterate = at_truth(sequence)
     stated = data.rescaled(np.array([0.6, 0.6, 2.0]))
     robust = estimate_noise(stated, iterate, robust=True)
-    _, kept, _, scales = settle(stated, iterate)
+    _, kept, _, scales = remove_outliers(stated, iterate)
     assert scales.uv == pytest.approx(1 / 0.6, rel=0.05)
     assert scales.disparity == pytest.approx(0.5, rel=0.05)
     # without a fit the residuals are the noise itself: the correction for freedom makes them too large

@@ -25,7 +25,7 @@ def at(wrench: Wrench, time_s: Array) -> Array:
 
 def test_the_force_moves_a_kilogram_as_its_rows_say() -> None:
     wrench = pushes()
-    moved = impulses_of(wrench, STAMPS).of_force
+    moved = impulses_of(wrench, STAMPS).force_increments
     for k in range(4):
         t = 0.5 * k + np.linspace(0.0, 0.5, 200_001)[:-1] + 1.25e-6
         force = at(wrench, t)[:, :3]
@@ -62,14 +62,14 @@ def test_pushes_that_cancel_within_a_step_act_all_the_same() -> None:
     force = np.array([[0.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0], [0.0, 0, 0]])
     impulses = impulses_of(Wrench(time_ns, force, np.zeros((4, 3))), STAMPS)
     np.testing.assert_array_equal(impulses.acting, [True, False, False, False])
-    np.testing.assert_allclose(impulses.of_force[0, 1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(impulses.force_increments[0, 1], 0.0, atol=1e-12)
 
 
 def test_more_series_where_a_torque_acts() -> None:
-    finer = impulses_of(pushes(), STAMPS).finer(
+    refine_series = impulses_of(pushes(), STAMPS).refine_series(
         np.ones(4, dtype=np.int64), np.tile([0.0, 2.0, 0.0], (4, 1)), np.full(4, 0.5)
     )
-    np.testing.assert_array_equal(finer, [1, 4, 4, 4])
+    np.testing.assert_array_equal(refine_series, [1, 4, 4, 4])
 
 
 def some_unknowns() -> tuple[Array, Array, Array, Array]:

@@ -12,7 +12,7 @@ from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import LOOSE_GAUGE, TIGHT_GAUGE, linearization_point
-from polhode.backend.solvers.robust_kernel import kernel_bend
+from polhode.backend.solvers.robust_kernel import kernel_curvature
 from polhode.config.backend import Backend
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 
@@ -91,13 +91,13 @@ def test_both_solvers_end_in_the_same_point(form: str, scene: SyntheticScene) ->
 
 def test_the_bent_jacobian_is_the_second_derivative_of_the_kernel_near_zero() -> None:
     c, s = 3.0, np.array([0.0, 0.1, 1.0, 2.0])
-    bend = kernel_bend(s, c)
+    bend = kernel_curvature(s, c)
     weight = 1.0 / (1.0 + s / c**2)
     # along the residual: rho''(r) of 0.5 c^2 ln(1 + r^2 / c^2)
     exact = (1.0 - s / c**2) / (1.0 + s / c**2) ** 2
     np.testing.assert_allclose(weight * (1.0 - bend * s) ** 2, exact, atol=1e-9)
     # and far from zero it stays positive
-    assert np.all((1.0 - kernel_bend(np.array([50.0, 1e6]), c) * np.array([50.0, 1e6])) ** 2 > 0.3)
+    assert np.all((1.0 - kernel_curvature(np.array([50.0, 1e6]), c) * np.array([50.0, 1e6])) ** 2 > 0.3)
 
 
 @pytest.mark.parametrize("which", [0, 1], ids=["gauss_newton", "ipopt"])

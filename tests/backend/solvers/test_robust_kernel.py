@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from polhode.backend.solvers.robust_kernel import WIDER, efficiency, robust_information, widest_useful
+from polhode.backend.solvers.robust_kernel import (
+    RELATIVE_SCALES,
+    efficiency,
+    most_efficient_scale,
+    robust_information,
+)
 from polhode.lie import Array
 
 
@@ -17,14 +22,14 @@ def squares(tail: float, n: int = 40_000) -> Array:
 
 def test_gaussian_noise_gets_the_widest_kernel_and_loses_nothing() -> None:
     s = squares(0.0)
-    scale = widest_useful(s, 3.0)
-    assert scale == 3.0 * max(WIDER)
+    scale = most_efficient_scale(s, 3.0)
+    assert scale == 3.0 * max(RELATIVE_SCALES)
     assert efficiency(s, scale) == pytest.approx(1.0, abs=0.005)
 
 
 def test_the_heavier_the_tails_the_narrower_the_kernel() -> None:
     tails = [squares(share) for share in (0.0, 0.1, 0.3, 0.5)]
-    scales = [widest_useful(s, 3.0) for s in tails]
+    scales = [most_efficient_scale(s, 3.0) for s in tails]
     assert scales == sorted(scales, reverse=True)
     assert scales[-1] == 3.0
     assert efficiency(tails[-1], 3.0) > 1.05 * efficiency(tails[-1], 15.0)

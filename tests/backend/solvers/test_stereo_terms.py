@@ -7,7 +7,7 @@ import pytest
 
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
-from polhode.backend.solvers.stereo_terms import FromOutside, StereoTerms
+from polhode.backend.solvers.stereo_terms import ExternalFunction, StereoTerms
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.records import StereoTracks
@@ -70,6 +70,6 @@ def test_the_hessian_is_the_second_derivative_where_the_residuals_vanish() -> No
 
 
 def test_casadi_calls_it_with_its_own_numbers() -> None:
-    outside = FromOutside("twice", lambda x, y: 2.0 * x + y, (3, 3), 3)
+    outside = ExternalFunction("twice", lambda x, y: 2.0 * x + y, (3, 3), 3)
     found = np.asarray(outside(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.0, 0.0]))).ravel()
     np.testing.assert_array_equal(found, [2.5, 4.0, 6.0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.backend.uncertainty.identifiability import NAMES, analyse, determined_words
+from polhode.backend.uncertainty.identifiability import NAMES, analyse, determined_description
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.config.backend import Backend
 from polhode.progress import Silent
@@ -96,5 +96,5 @@ def test_the_numbers_of_the_verdict_are_those_of_its_words() -> None:
     np.testing.assert_allclose(record.sigma[known], sigma[known], rtol=0.05)
     assert np.isinf(record.sigma[1]) and record.detail["com_y"].startswith("not")
     for n in np.flatnonzero(known):
-        assert record.detail[NAMES[n]] == determined_words(int(n), float(record.sigma[n]))
+        assert record.detail[NAMES[n]] == determined_description(int(n), float(record.sigma[n]))
     assert "0.31 mm" in record.detail["com_x"] and "1.1 deg" in record.detail["axes_y"]

@@ -8,7 +8,7 @@ from polhode.backend.problem.iterate import Iterate
 from polhode.backend.uncertainty.principal_axes import (
     AxesDerivative,
     axes_derivative,
-    of_free_turn,
+    free_axis_covariance,
     ratio_covariance,
     ratios_after,
 )
@@ -76,8 +76,8 @@ def test_changes_are_exact_in_the_eigenvalues() -> None:
 
 def test_a_free_turn_leaves_the_worse_tilt_in_both_directions() -> None:
     covariance = np.array([[4.0, 0.5, 0.2], [0.5, 1.0, 0.3], [0.2, 0.3, 9.0]])
-    mixed = of_free_turn(covariance, np.array([True, False, False]))
+    mixed = free_axis_covariance(covariance, np.array([True, False, False]))
     worst = np.linalg.eigvalsh(covariance[1:, 1:])[-1]
     np.testing.assert_allclose(mixed, np.diag([4.0, worst, worst]))
-    np.testing.assert_array_equal(of_free_turn(covariance, np.array([False] * 3)), covariance)
-    np.testing.assert_array_equal(of_free_turn(covariance, np.array([True, True, False])), covariance)
+    np.testing.assert_array_equal(free_axis_covariance(covariance, np.array([False] * 3)), covariance)
+    np.testing.assert_array_equal(free_axis_covariance(covariance, np.array([True, True, False])), covariance)

@@ -49,8 +49,8 @@ def feed() -> Feed:
 
 def problem_of(window: SlidingWindow) -> tuple[WindowProblem, Array]:
     """The program of the whole history as it stands, and where the window is."""
-    belief, history = window.belief, window.belief.history
+    state, history = window.state, window.state.history
     assert history is not None
-    x = history.vector(belief.active.constants)
-    vision = history.vision(belief.active, belief.condensed(belief.sight())).quadratic
-    return WindowProblem(vision, history.R_ref, history.steps, belief.weak_prior, belief.shape), x
+    x = history.vector(state.active.constants)
+    vision = history.vision(state.active, state.condensed(state.observations())).quadratic
+    return WindowProblem(vision, history.R_ref, history.steps, state.weak_prior, state.shape), x

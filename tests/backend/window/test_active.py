@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polhode.backend.window.active import Active, Part, add_parts
+from polhode.backend.window.active import ActiveWindow, Part, add_parts
 from polhode.backend.window.frame import Frame
 from polhode.backend.window.quadratic import Quadratic
 from polhode.lie import Array
@@ -24,8 +24,10 @@ def random_information(n: int, seed: int) -> tuple[Array, Array]:
     return A @ A.T, rng.normal(size=n)
 
 
-def filled(noisy: bool) -> tuple[Active, list[Part]]:
-    active = Active(noisy_camera=noisy, keys=[frame(0, noisy)], recent=[frame(1, noisy), frame(2, noisy)])
+def filled(noisy: bool) -> tuple[ActiveWindow, list[Part]]:
+    active = ActiveWindow(
+        noisy_camera=noisy, keys=[frame(0, noisy)], recent=[frame(1, noisy), frame(2, noisy)]
+    )
     n = len(active.vector())
     active.arrival = Quadratic(*random_information(n, 1), active.vector() + 0.1)
     parts: list[Part] = [
@@ -56,7 +58,7 @@ def test_a_new_frame_is_unknown_to_the_arrival_cost_and_the_rest_stays() -> None
         active, _ = filled(noisy)
         before, x = active.arrival, active.vector()
         active.recent.append(frame(3, noisy))
-        active.make_room()
+        active.extend_arrival()
         after = active.arrival
         assert len(after.g) == len(active.vector()) == len(before.g) + (18 if noisy else 12)
         new = np.flatnonzero(np.all(after.H == 0.0, axis=0))

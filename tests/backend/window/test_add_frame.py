@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.backend.window.add_frame import Known, locate
+from polhode.backend.window.add_frame import KnownLandmarks, locate
 from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
 from polhode.records import Bools
 from polhode.simulation.monte_carlo.measurements import RIG
@@ -12,13 +12,13 @@ RNG = np.random.default_rng(3)
 X_RG = make_pose(exp_so3([0.3, -0.8, 0.2]), [0.02, -0.01, 0.6])
 
 
-def known(n: int, outliers: float) -> tuple[Known, Bools]:
+def known(n: int, outliers: float) -> tuple[KnownLandmarks, Bools]:
     p_G = RNG.normal(0.0, 0.06, (n, 3))
     wrong = RNG.random(n) < outliers
     uvd = RIG.project(transform_points(X_RG, p_G)) + RNG.normal(size=(n, 3))
     uvd[wrong] += RNG.uniform(10.0, 30.0, (int(wrong.sum()), 3))
     covariance = np.tile(1e-6 * np.eye(3), (n, 1, 1))
-    return Known(uvd, np.ones((n, 3)), p_G, covariance), wrong
+    return KnownLandmarks(uvd, np.ones((n, 3)), p_G, covariance), wrong
 
 
 def turned(angle_rad: float) -> Array:

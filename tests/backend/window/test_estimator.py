@@ -103,12 +103,12 @@ def test_memory_is_bounded_by_the_frames_that_are_held(feed: Feed) -> None:
     for k, m in enumerate(frames_of(sequence.tracks)):
         # every landmark is a new one when it comes back after 20 frames
         window.add(replace(m, landmark=m.landmark + 1000 * (k // 20)))
-        active, marks = window.belief.active, window.belief.landmarks
+        active, marks = window.state.active, window.state.landmarks
         sizes.append(
             (len(active.keys), len(active.recent), len(active.arrival.g), len(marks.used), len(marks))
         )
         assert len(marks.used) <= sum(len(frame.slot) for frame in active.frames)
-    assert window.belief.history is None
+    assert window.state.history is None
     keys, recent, arrival, _, slots = np.array(sizes[45:]).T
     assert (
         set(keys) == {10}
@@ -125,7 +125,7 @@ def test_both_solvers_agree_in_both_forms_of_the_inertia(
     reference = feed(tumble, 36, inertia, **SMALL)[1][-1]
     window, states = feed(tumble, 36, inertia, solver="ipopt", **SMALL)
     state = states[-1]
-    assert window.belief.history is None
+    assert window.state.history is None
     sigma = np.sqrt(np.diag(reference.covariance))
     assert np.all(np.abs(state.r_N - reference.r_N) < 0.05 * sigma[:3])
     assert np.all(np.abs(state.v_N - reference.v_N) < 0.05 * sigma[3:6])

@@ -14,7 +14,7 @@ def test_key_frames_spread_over_the_attitudes_and_are_seen_again_after_a_revolut
     # a slow start: most of the first frames look alike; then all sides
     sequence = generate(replace(TUMBLE, frames=60, dt_s=0.3, w_G=(0.05, 0.7, 0.05)), 1)
     window, _ = feed(sequence, frames=5, key_frames=8, history=12)
-    active = window.belief.active
+    active = window.state.active
     keys = active.keys
     turns = np.array([[np.linalg.norm(log_so3(a.R_NG.T @ b.R_NG)) for b in keys] for a in keys])
     # 60 frames of 12 degrees turn twice: eight keys could all lie within 96 degrees
@@ -27,6 +27,6 @@ def test_key_frames_spread_over_the_attitudes_and_are_seen_again_after_a_revolut
 def test_a_frame_that_nobody_needs_leaves_first(feed: Feed) -> None:
     sequence = generate(replace(TUMBLE, frames=20, dropped=(8,)), 1)
     window, _ = feed(sequence, frames=5, key_frames=16, history=40)
-    keys = window.belief.active.keys
+    keys = window.state.active.keys
     empty = [n for n, key in enumerate(keys) if len(key.slot) == 0]
-    assert empty == [8] and least_valuable(window.belief) == 8
+    assert empty == [8] and least_valuable(window.state) == 8

@@ -51,9 +51,9 @@ def test_a_wrong_inertia_is_corrected(solved: tuple[WindowProblem, Array]) -> No
 def test_rates_far_off_do_not_stop_it_where_frames_follow_fast(solved: tuple[WindowProblem, Array]) -> None:
     problem, x = solved
     # as after 10 ms: steps so stiff that only the states may follow
-    as_it_is = problem.links.steps
+    as_it_is = problem.factors.steps
     steps = replace(as_it_is, W_t=30.0 * as_it_is.W_t, W_r=30.0 * as_it_is.W_r)
-    stiff = replace(problem, links=replace(problem.links, steps=steps))
+    stiff = replace(problem, factors=replace(problem.factors, steps=steps))
     wrong = x.copy()
     wrong[:-8].reshape(-1, 12)[:, 9:] += np.random.default_rng(1).normal(0.0, 0.05, (14, 3))
     best = NewtonSolver().solve(stiff, x, 40)

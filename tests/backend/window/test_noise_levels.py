@@ -30,12 +30,12 @@ def test_levels_that_the_data_do_not_tell_apart_are_as_large_as_stated() -> None
 def test_disturbances_of_a_simulated_tumble_are_recovered(feed: Feed) -> None:
     scene = replace(TUMBLE, accel_psd=1e-8, torque_psd=1e-7)
     window, _ = feed(generate(scene, 2))
-    assert window.belief.history is not None
-    estimate_levels(window.belief, window.belief.history, (1e-6, 1e-6))
-    found = window.belief.disturbances
+    assert window.state.history is not None
+    estimate_levels(window.state, window.state.history, (1e-6, 1e-6))
+    found = window.state.disturbances
     assert 1e-9 < found.accel_psd < 1e-7
     assert 1e-8 < found.torque_psd < 1e-6
-    assert np.isfinite(window.belief.active.constants).all()
+    assert np.isfinite(window.state.active.constants).all()
 
 
 def test_pixel_and_disparity_noise_are_recovered_among_outliers(feed: Feed) -> None:
@@ -44,7 +44,7 @@ def test_pixel_and_disparity_noise_are_recovered_among_outliers(feed: Feed) -> N
     )
     tracks = replace(sequence.tracks, sigma_px=np.ones_like(sequence.tracks.sigma_px))
     window, _ = feed(replace(sequence, tracks=tracks))
-    estimate_noise(window.belief)
-    assert window.belief.noise == pytest.approx([0.4, 0.4, 0.2], rel=0.1)
-    for frame in window.belief.active.frames:
-        np.testing.assert_allclose(frame.inv_sigma, np.tile(1.0 / window.belief.noise, (len(frame.slot), 1)))
+    estimate_noise(window.state)
+    assert window.state.noise == pytest.approx([0.4, 0.4, 0.2], rel=0.1)
+    for frame in window.state.active.frames:
+        np.testing.assert_allclose(frame.inv_sigma, np.tile(1.0 / window.state.noise, (len(frame.slot), 1)))

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from benchmarks.monte_carlo.window import first_frames
-from polhode.backend import estimate_motion, estimate_online, in_words_of, initialize_motion, window_warnings
+from polhode.backend import (
+    align_online_estimate,
+    estimate_motion,
+    estimate_online,
+    initialize_motion,
+    window_warnings,
+)
 from polhode.config.backend import Backend
 from polhode.lie import inverse_pose, transform_points
 from polhode.progress import Silent
@@ -44,7 +50,7 @@ def test_half_turns_and_frame_G_are_those_of_the_final_estimate(
         R_GP=online.R_GP * np.array([-1.0, 1.0, -1.0]),
     )
     for estimate in (online, flipped):
-        told = in_words_of(estimate, final)
+        told = align_online_estimate(estimate, final)
         apart = np.einsum("fij,fij->f", told.R_NP[-15:], final.R_NP[-15:])
         assert np.all(apart > 2.9)
         assert np.all(np.abs(told.w_P[-15:] - final.w_P[-15:]) < 0.05)
@@ -58,7 +64,7 @@ def test_half_turns_and_frame_G_are_those_of_the_final_estimate(
 
 def test_names_change_and_sigmas_with_them(both: tuple[OnlineEstimate, MotionEstimate]) -> None:
     online, final = both
-    told = in_words_of(online, final)
+    told = align_online_estimate(online, final)
     before, after = (np.diagonal(e.covariance, axis1=1, axis2=2) for e in (online, told))
     np.testing.assert_array_equal(before, after)
     known = np.isfinite(online.cov_com_G).all(axis=(1, 2))

@@ -10,7 +10,14 @@ from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import linearization_point
 from polhode.backend.solvers.robust_kernel import robust_gain
 from polhode.backend.window.frame import Frame, camera_of, frames_of
-from polhode.backend.window.vision import condense, information_of, inverted, poses_of, residuals, sight_of
+from polhode.backend.window.vision import (
+    condense,
+    gather_observations,
+    information_of,
+    inverted,
+    poses_of,
+    residuals,
+)
 from polhode.config.backend import Backend
 from polhode.lie import Array
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
@@ -65,8 +72,8 @@ def test_condensed_vision_is_the_batch_solvers_reduced_system(
     S, g, _ = solver.reduced(solver.normal_equations(fixed, x, 1.0 / (1.0 + s / 9.0), prior=False))
     at = (12 * np.arange(len(frames))[:, None] + np.arange(6)).ravel()
     S = np.tril(S) + np.tril(S, -1).T
-    sight = sight_of(frames, tracks.n_landmarks)
-    condensed = condense(sight, poses_of(frames), data.rig, sequence.p_G[sight.slot], 3.0)
+    observations = gather_observations(frames, tracks.n_landmarks)
+    condensed = condense(observations, poses_of(frames), data.rig, sequence.p_G[observations.slot], 3.0)
     np.testing.assert_allclose(condensed.S, S[np.ix_(at, at)], rtol=1e-6, atol=1e-8 * S[at, at].max())
     np.testing.assert_allclose(condensed.g, g[at], rtol=1e-6, atol=1e-8 * np.abs(g).max())
 
@@ -75,12 +82,12 @@ def test_what_a_frame_says_given_the_others_completes_what_they_say(
     sequence: SyntheticSequence, frames: list[Frame]
 ) -> None:
     rig, n = rig_vector(sequence), sequence.tracks.n_landmarks
-    sight, poses = sight_of(frames, n), poses_of(frames)
+    observations, poses = gather_observations(frames, n), poses_of(frames)
     p_G = sequence.p_G
-    whole = condense(sight, poses, rig, p_G[sight.slot], 3.0)
-    common = sight.common_with(3)
+    whole = condense(observations, poses, rig, p_G[observations.slot], 3.0)
+    common = observations.common_with(3)
     H, g = information_of(3, common, poses, rig, p_G[common.slot], 3.0)
-    others = sight_of([f if f.number != 3 else blind(f) for f in frames], n)
+    others = gather_observations([f if f.number != 3 else blind(f) for f in frames], n)
     rest = condense(others, poses, rig, p_G[others.slot], 3.0)
     np.testing.assert_allclose(rest.S + H, whole.S, atol=1e-9 * whole.S.max())
     np.testing.assert_allclose(rest.g + g, whole.g, atol=1e-9 * np.abs(whole.g).max())
@@ -95,9 +102,9 @@ def blind(frame: Frame) -> Frame:
 def test_vision_says_nothing_about_a_motion_of_G_with_all_that_is_in_it(
     sequence: SyntheticSequence, frames: list[Frame]
 ) -> None:
-    sight = sight_of(frames, sequence.tracks.n_landmarks)
+    observations = gather_observations(frames, sequence.tracks.n_landmarks)
     poses = poses_of(frames)
-    S = condense(sight, poses, rig_vector(sequence), sequence.p_G[sight.slot], 3.0).S
+    S = condense(observations, poses, rig_vector(sequence), sequence.p_G[observations.slot], 3.0).S
     # X_NG Exp(shift, turn): p moves by R shift, theta by Jr^-1 turn
     moves = np.zeros((len(frames), 6, 6))
     moves[:, :3, :3] = np.stack([f.R_NG for f in frames])
@@ -109,8 +116,8 @@ def test_vision_says_nothing_about_a_motion_of_G_with_all_that_is_in_it(
 def test_held_poses_keep_their_jacobian_but_not_their_residual(
     sequence: SyntheticSequence, frames: list[Frame]
 ) -> None:
-    rig, sight = rig_vector(sequence), sight_of(frames, sequence.tracks.n_landmarks)
-    p_G = sequence.p_G[sight.slot]
+    rig, observations = rig_vector(sequence), gather_observations(frames, sequence.tracks.n_landmarks)
+    p_G = sequence.p_G[observations.slot]
     before = poses_of(frames)
     frames[2].fix_linearization()
     frames[2].x[:6] += 1e-3
@@ -118,17 +125,22 @@ def test_held_poses_keep_their_jacobian_but_not_their_residual(
     frames[2].x[:6] -= 1e-3
     frames[2].linearized_at = None
     np.testing.assert_array_equal(after.A_held[2], before.A_held[2])
-    assert np.abs(residuals(sight, after, rig, p_G) - residuals(sight, before, rig, p_G)).max() > 0.1
+    assert (
+        np.abs(residuals(observations, after, rig, p_G) - residuals(observations, before, rig, p_G)).max()
+        > 0.1
+    )
 
 
 def test_landmark_steps_lead_to_the_joint_optimum(sequence: SyntheticSequence, frames: list[Frame]) -> None:
-    sight = sight_of(frames, sequence.tracks.n_landmarks)
-    c = condense(sight, poses_of(frames), rig_vector(sequence), sequence.p_G[sight.slot], 3.0)
+    observations = gather_observations(frames, sequence.tracks.n_landmarks)
+    c = condense(observations, poses_of(frames), rig_vector(sequence), sequence.p_G[observations.slot], 3.0)
     step = RNG.normal(0.0, 1e-4, 6 * len(frames))
     marks = c.landmark_steps(step)
     # at the optimum of a landmark its own gradient vanishes: C step + E^T pose + h = 0
     along = np.einsum("lij,lj->li", np.linalg.inv(c.C_inv), marks) + c.h
-    np.add.at(along, sight.landmark, np.einsum("mij,mi->mj", c.E, step.reshape(-1, 6)[sight.frame]))
+    np.add.at(
+        along, observations.landmark, np.einsum("mij,mi->mj", c.E, step.reshape(-1, 6)[observations.frame])
+    )
     assert np.abs(along).max() < 1e-8 * np.abs(c.h).max()
 
 

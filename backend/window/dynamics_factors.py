@@ -6,7 +6,7 @@ import numpy as np
 
 from polhode.backend.dynamics.process_noise import whitening
 from polhode.backend.dynamics.propagation import series_steps
-from polhode.backend.dynamics.residuals import States, Steps, dynamics_jacobians, dynamics_residuals
+from polhode.backend.dynamics.residuals import FrameStates, Steps, dynamics_jacobians, dynamics_residuals
 from polhode.backend.dynamics.so3_exp import turns
 from polhode.backend.problem.inertia import InertiaForm, inertia_derivative, inertia_from_second_moments
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
@@ -15,7 +15,7 @@ from polhode.records import Ints
 
 
 @dataclass(frozen=True)
-class Links:
+class DynamicsFactors:
     """n steps between n + 1 states: what is held while they are solved for."""
 
     steps: Steps
@@ -25,12 +25,12 @@ class Links:
     def __len__(self) -> int:
         return len(self.steps.dt_s)
 
-    def part(self, chosen: slice) -> "Links":
+    def part(self, chosen: slice) -> "DynamicsFactors":
         """Some of the steps."""
         s = self.steps
-        return Links(Steps(s.dt_s[chosen], s.series[chosen], s.W_t[chosen], s.W_r[chosen]), 0.0)
+        return DynamicsFactors(Steps(s.dt_s[chosen], s.series[chosen], s.W_t[chosen], s.W_r[chosen]), 0.0)
 
-    def and_then(self, other: "Links") -> "Links":
+    def and_then(self, other: "DynamicsFactors") -> "DynamicsFactors":
         """These steps, then the others."""
         a, b = self.steps, other.steps
         joined = Steps(
@@ -39,51 +39,57 @@ class Links:
             np.concatenate([a.W_t, b.W_t]),
             np.concatenate([a.W_r, b.W_r]),
         )
-        return Links(joined, self.half_log_det + other.half_log_det)
+        return DynamicsFactors(joined, self.half_log_det + other.half_log_det)
 
 
-NO_LINKS = Links(Steps(np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 2, 2)), np.zeros((0, 6, 6))), 0.0)
+NO_FACTORS = DynamicsFactors(
+    Steps(np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 2, 2)), np.zeros((0, 6, 6))), 0.0
+)
 
 
 @dataclass(frozen=True)
-class Disturbances:
+class DisturbanceLevels:
     """How strongly the target is disturbed."""
 
     accel_psd: float
     torque_psd: float
 
 
-def make_links(w_G: Array, J_G: Array, J_noise: Array, dt_s: Array, noise: Disturbances) -> Links:
+def make_factors(
+    w_G: Array, J_G: Array, J_noise: Array, dt_s: Array, noise: DisturbanceLevels
+) -> DynamicsFactors:
     """n steps from the rates (n, 3) at their starts; J_noise (3, 3) is what the disturbances act on."""
     if len(dt_s) == 0:
-        return NO_LINKS
+        return NO_FACTORS
     W_t, W_r, half_log = whitening(w_G, J_noise, dt_s, noise.accel_psd, noise.torque_psd)
-    return Links(Steps(dt_s, series_steps(w_G, J_G, dt_s, noise.torque_psd), W_t, W_r), half_log)
+    return DynamicsFactors(Steps(dt_s, series_steps(w_G, J_G, dt_s, noise.torque_psd), W_t, W_r), half_log)
 
 
-def _states(x: Array, R_ref: Array) -> States:
+def _states(x: Array, R_ref: Array) -> FrameStates:
     of_frames = x[:-N_CONSTANTS].reshape(-1, N_STATE)
-    return States(of_frames, R_ref @ turns(of_frames[:, 3:6]), np.zeros((len(R_ref), 3)), x[-8:-5])
+    return FrameStates(of_frames, R_ref @ turns(of_frames[:, 3:6]), np.zeros((len(R_ref), 3)), x[-8:-5])
 
 
 def _inertia(x: Array, form: InertiaForm, R_inertia: Array) -> Array:
     return inertia_from_second_moments(form.second_moments(x[-5:], R_inertia))
 
 
-def link_residuals(x: Array, R_ref: Array, links: Links, form: InertiaForm, R_inertia: Array) -> Array:
+def factor_residuals(
+    x: Array, R_ref: Array, factors: DynamicsFactors, form: InertiaForm, R_inertia: Array
+) -> Array:
     """Whitened residuals (n, 12) of the steps between n + 1 states, x (12 (n + 1) + 8,) around R_ref."""
-    return dynamics_residuals(_states(x, R_ref), links.steps, _inertia(x, form, R_inertia))
+    return dynamics_residuals(_states(x, R_ref), factors.steps, _inertia(x, form, R_inertia))
 
 
-def link_jacobians(
-    x: Array, R_ref: Array, links: Links, form: InertiaForm, R_inertia: Array
+def factor_jacobians(
+    x: Array, R_ref: Array, factors: DynamicsFactors, form: InertiaForm, R_inertia: Array
 ) -> tuple[Array, Array]:
     """Whitened residuals (n, 12) and Jacobians (n, 12, 32) in state before, state after, com_G, xi."""
     J_G, dJ = _inertia(x, form, R_inertia), inertia_derivative(form, x[-5:], R_inertia)
-    return dynamics_jacobians(_states(x, R_ref), links.steps, J_G, dJ)
+    return dynamics_jacobians(_states(x, R_ref), factors.steps, J_G, dJ)
 
 
-def add_links(H: Array, g: Array, r: Array, D: Array, at: Ints) -> None:
+def add_factors(H: Array, g: Array, r: Array, D: Array, at: Ints) -> None:
     """Add D^T D and D^T r of each step to H and g in place; step e joins the states at at[e], at[e] + 12."""
     if len(r) == 0:
         return

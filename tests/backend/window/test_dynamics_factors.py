@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from polhode.backend.problem.inertia import FORMS
-from polhode.backend.window.links import (
-    NO_LINKS,
-    Disturbances,
-    add_links,
-    link_jacobians,
-    link_residuals,
-    make_links,
+from polhode.backend.window.dynamics_factors import (
+    NO_FACTORS,
+    DisturbanceLevels,
+    add_factors,
+    factor_jacobians,
+    factor_residuals,
+    make_factors,
 )
 from polhode.lie import Array, exp_so3
 
@@ -33,15 +33,17 @@ def test_gradient_of_the_steps_cost(name: str) -> None:
     x, R_ref = unknowns()
     xi, R_inertia = form.coordinates(np.diag([1.0, 1.4, 2.0]))
     x[-5:] += xi
-    links = make_links(x[:-8].reshape(-1, 12)[:-1, 9:], np.eye(3), np.eye(3), DT_S, Disturbances(1e-6, 1e-6))
-    r, D = link_jacobians(x, R_ref, links, form, R_inertia)
-    np.testing.assert_allclose(link_residuals(x, R_ref, links, form, R_inertia), r)
+    factors = make_factors(
+        x[:-8].reshape(-1, 12)[:-1, 9:], np.eye(3), np.eye(3), DT_S, DisturbanceLevels(1e-6, 1e-6)
+    )
+    r, D = factor_jacobians(x, R_ref, factors, form, R_inertia)
+    np.testing.assert_allclose(factor_residuals(x, R_ref, factors, form, R_inertia), r)
     H, g = np.zeros((56, 56)), np.zeros(56)
-    add_links(H, g, r, D, 12 * np.arange(3))
+    add_factors(H, g, r, D, 12 * np.arange(3))
     step = 1e-6
 
     def cost(x: Array) -> float:
-        return 0.5 * float(np.sum(link_residuals(x, R_ref, links, form, R_inertia) ** 2))
+        return 0.5 * float(np.sum(factor_residuals(x, R_ref, factors, form, R_inertia) ** 2))
 
     slope = [(cost(x + step * e) - cost(x - step * e)) / (2 * step) for e in np.eye(56)]
     np.testing.assert_allclose(g, slope, rtol=1e-5, atol=1e-5 * np.abs(g).max())
@@ -50,7 +52,7 @@ def test_gradient_of_the_steps_cost(name: str) -> None:
 
 def test_links_are_split_and_joined() -> None:
     w_G = np.tile([0.3, 0.5, -0.2], (3, 1))
-    links = make_links(w_G, np.eye(3), np.eye(3), DT_S, Disturbances(1e-6, 1e-6))
-    again = NO_LINKS.and_then(links.part(slice(0, 1))).and_then(links.part(slice(1, None)))
+    factors = make_factors(w_G, np.eye(3), np.eye(3), DT_S, DisturbanceLevels(1e-6, 1e-6))
+    again = NO_FACTORS.and_then(factors.part(slice(0, 1))).and_then(factors.part(slice(1, None)))
     assert len(again) == 3
-    np.testing.assert_array_equal(again.steps.W_r, links.steps.W_r)
+    np.testing.assert_array_equal(again.steps.W_r, factors.steps.W_r)
