@@ -141,7 +141,7 @@ class SlidingWindow:
     def _restart(self, m: FrameMeasurements, time_s: float, why: str) -> OnlineState:
         """Forget all: from here on the frame G is another one."""
         level = logging.WARNING if self.state.inertia_known else logging.INFO
-        _log.log(level, "sliding window: begun anew at %.2f s, %s", time_s, why)
+        _log.log(level, "sliding window: restarted at %.2f s, %s", time_s, why)
         self._missed, self.state = 0, initial_estimator_state(self._rig, self._config, self._camera)
         return self._begin(m, time_s)
 

@@ -156,7 +156,7 @@ def test_a_longer_window_comes_nearer_to_full_smoothing(small: MeasuredProblem) 
     for frames in ("6", "48"):
         found = entries((f"window_{frames}",))[0].load().solve(small, small.cold, Watch(120.0))
         assert found.iterations == small.data.n_frames
-        assert found.message == "0 frames were not placed, begun anew 0 times"
+        assert found.message == "0 frames were not placed, the window restarted 0 times"
         errors = judge(small, found.x).errors
         assert errors is not None
         position[frames] = errors.position_mm
