@@ -60,3 +60,13 @@ class RectifiedRig:
             np.stack([zero, zero, dz], axis=-1),
         ]
         return np.stack(rows, axis=-2)
+
+
+def stereo_jacobian(p_R: Array, focal_px: float, baseline_m: float) -> Array:
+    """d uvd / d p_R (n, 3, 3) [px/m] at points (n, 3) [m] in the rectified left camera."""
+    x, y, z = p_R.T
+    f = focal_px
+    out = np.zeros((len(p_R), 3, 3))
+    out[:, 0, 0] = out[:, 1, 1] = f / z
+    out[:, 0, 2], out[:, 1, 2], out[:, 2, 2] = -f * x / z**2, -f * y / z**2, -f * baseline_m / z**2
+    return out

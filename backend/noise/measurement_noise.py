@@ -9,11 +9,14 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import linearization_point
 from polhode.backend.solvers.robust_kernel import robust_weight
+from polhode.camera import stereo_jacobian
 from polhode.lie import Array
 
 MAD_TO_SIGMA = 1.4826
 LIMITS = (0.05, 6.0)
 """Beyond, the measurements do not fit the motion: their noise is not what was found."""
+MAX_TAKEN_BY_POSES = 0.3
+"""Largest share of the freedom of u and v that the poses are taken to use up."""
 MIN_OBSERVATIONS = 30
 """Fewer repeated observations say nothing reliable about their noise."""
 
@@ -50,14 +53,21 @@ def estimate_noise(data: MotionData, iterate: Iterate, robust: bool) -> NoiseSca
     weight = robust_weight(np.sum(residuals**2, axis=1), data.robust_scale)
     taken = landmark_leverage(data, A, p_NG, p_G, weight)
     # the poses are fitted to u and v too: six numbers for the two of each observation
-    taken[:, :2] += min(3.0 * len(np.unique(data.frame)) / len(data.frame), 0.3)
+    taken[:, :2] += min(3.0 * len(np.unique(data.frame)) / len(data.frame), MAX_TAKEN_BY_POSES)
     free = np.maximum(1.0 - taken[repeated], 0.05)
     if robust:
-        whitened = np.abs(residuals[repeated]) / np.sqrt(free)
-        scales = MAD_TO_SIGMA * np.array([np.median(whitened[:, :2]), np.median(whitened[:, 2])])
-    else:
-        squares, freedom = np.sum(residuals[repeated] ** 2, axis=0), np.sum(free, axis=0)
-        scales = np.sqrt([squares[:2].sum() / freedom[:2].sum(), squares[2] / freedom[2]])
+        return scales_by_median(residuals[repeated], free)
+    squares, freedom = np.sum(residuals[repeated] ** 2, axis=0), np.sum(free, axis=0)
+    return _limited(np.sqrt([squares[:2].sum() / freedom[:2].sum(), squares[2] / freedom[2]]))
+
+
+def scales_by_median(residuals: Array, free: Array) -> NoiseScales:
+    """Scales by the median absolute deviation; residuals (M, 3), ``free`` (M, 3) their share of freedom."""
+    whitened = np.abs(residuals) / np.sqrt(free)
+    return _limited(MAD_TO_SIGMA * np.array([np.median(whitened[:, :2]), np.median(whitened[:, 2])]))
+
+
+def _limited(scales: Array) -> NoiseScales:
     uv, disparity = np.clip(scales, *LIMITS)
     return NoiseScales(float(uv), float(disparity))
 
@@ -73,12 +83,7 @@ def landmark_leverage(data: MotionData, A: Array, p_NG: Array, p_G: Array, weigh
         + np.einsum("mij,mj->mi", data.R_RN[k], p_NG[k])
         + data.t_R[k]
     )
-    f, b = data.rig[0], data.rig[3]
-    x, y, z = p_R.T
-    D = np.zeros((len(k), 3, 3))
-    D[:, 0, 0] = D[:, 1, 1] = f / z
-    D[:, 0, 2], D[:, 1, 2], D[:, 2, 2] = -f * x / z**2, -f * y / z**2, -f * b / z**2
-    J = data.inv_sigma[:, :, None] * (D @ A[k])
+    J = data.inv_sigma[:, :, None] * (stereo_jacobian(p_R, data.rig[0], data.rig[3]) @ A[k])
     information = np.zeros((data.n_landmarks, 3, 3))
     np.add.at(information, mark, weight[:, None, None] * (np.swapaxes(J, 1, 2) @ J))
     # a landmark that contradicts all its observations has next to no information

@@ -1,17 +1,21 @@
-"""How strongly the target is disturbed, from the data: the process noise that makes them most likely.
+"""Level of the disturbances: the process noise that makes the measurements most likely.
 
-The evidence of a level q = (acceleration, torque) is Laplace's: states, landmarks and constants are fitted
-under q and integrated out as a Gaussian (Bishop, "Pattern Recognition and Machine Learning", 2006, 4.4)::
+The evidence of a level q = (acceleration, torque) is Laplace's approximation: states, landmarks and constants
+are fitted under q and integrated out as a Gaussian (Bishop, "Pattern Recognition and Machine Learning", 2006,
+4.4)::
 
     -ln p(data | q) = cost(x_q) + 1/2 ln det Lambda(q) + 1/2 ln det H(x_q) + constant
 
 Lambda is the covariance of the process noise over all steps and H the Gauss-Newton Hessian. Both levels are
-searched in turn, in logarithmic steps. A short sequence hardly tells levels apart that are below what it can
-see; then the most likely one is far too small as often as not, and every sigma with it. So the answer is the
+searched in turn, in logarithmic steps. A short sequence hardly distinguishes levels below what it can
+resolve; then the most likely level is often far too low, and every sigma with it. The result is therefore the
 largest level, up to the stated one, that is nearly as likely as the best.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
@@ -21,14 +25,18 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import linearization_point
 
+T = TypeVar("T")
+"""A level and what was found under it."""
 FLOOR_PSD, CEILING_PSD = 1e-10, 1e-2
 """Below the floor nothing changes within a minute; above the ceiling the body is not free."""
 FIRST_STEP, LAST_STEP = 1.0, 0.5
-"""Steps of the search [decades]: finer than the data tell."""
+"""Steps of the search [decades]: finer than the data can resolve."""
 START_FACTORS, START_ITERATIONS = (1.0, 1e-2, 1e-4), 10
-"""Of the stated levels: a noise taken too strong can hide in wrong constants, and so keep itself strong."""
+"""Of the stated levels: too high a level can hide in wrong constants and so remain high."""
 INDIFFERENT = 2.0
-"""Difference of log-evidence that tells nothing."""
+"""Difference of log-evidence that is not significant."""
+ACCELERATION, TORQUE = 0, 1
+"""Indices of the two levels."""
 ITERATIONS = 3
 """Gauss-Newton steps at each level, from the solution at its neighbour."""
 
@@ -43,58 +51,70 @@ class LevelFit:
 
 
 def estimate_process_noise(data: MotionData, iterate: Iterate) -> LevelFit:
-    """Most likely accel_psd and torque_psd between floor and ceiling, from those of ``data``."""
-    starts = ((data.accel_psd * factor, data.torque_psd * factor) for factor in START_FACTORS)
-    trials = [fit_level(data, iterate, *levels, START_ITERATIONS) for levels in starts]
-    best = min(trials, key=lambda trial: trial.minus_log_evidence)
+    """Most likely accel_psd and torque_psd between floor and ceiling, starting from those of ``data``."""
+    stated = (data.accel_psd, data.torque_psd)
+    starts = ((stated[0] * factor, stated[1] * factor) for factor in START_FACTORS)
+    fits = [fit_level(data, iterate, *levels, START_ITERATIONS) for levels in starts]
+    best = min(fits, key=_minus_log_evidence)
     step = FIRST_STEP
     while step >= LAST_STEP:
-        for torque in (True, False):
-            best = _descend(best, torque, step)
+        for axis in (TORQUE, ACCELERATION):
+            best = walk(best, partial(_neighbour, axis=axis, step=step), _minus_log_evidence)
         step *= 0.5
-    for torque in (True, False):
-        best = _climb(best, torque, data.torque_psd if torque else data.accel_psd, best.minus_log_evidence)
+    for axis in (TORQUE, ACCELERATION):
+        limit = best.minus_log_evidence + INDIFFERENT
+        best = climb(best, partial(_raised, axis=axis, stated=stated[axis]), _minus_log_evidence, limit)
     return best
 
 
-def _climb(best: LevelFit, torque: bool, stated: float, least: float) -> LevelFit:
-    """Raise one of the levels towards the stated one, as long as the evidence hardly falls."""
-    accel_psd, torque_psd = best.data.accel_psd, best.data.torque_psd
-    while (torque_psd if torque else accel_psd) < 0.99 * stated:
-        there = min((torque_psd if torque else accel_psd) * 10.0**LAST_STEP, stated)
-        accel_psd, torque_psd = (accel_psd, there) if torque else (there, torque_psd)
-        trial = fit_level(best.data, best.iterate, accel_psd, torque_psd)
-        if not trial.minus_log_evidence < least + INDIFFERENT:
-            break
+def walk(start: T, neighbour: Callable[[T, int], T | None], cost: Callable[[T], float]) -> T:
+    """Walk along one level while the cost falls: downwards, or upwards if the first step down raises it.
+
+    neighbour(at, sign) is the next level downwards or upwards, None beyond the bounds.
+    """
+    for sign in (-1, 1):
+        best = start
+        while (trial := neighbour(best, sign)) is not None and cost(trial) < cost(best):
+            best = trial
+        if best is not start:
+            return best
+    return start
+
+
+def climb(best: T, raised: Callable[[T], T | None], cost: Callable[[T], float], limit: float) -> T:
+    """Raise one level towards the stated one (there ``raised`` is None) while the cost is below the limit."""
+    while (trial := raised(best)) is not None and cost(trial) < limit:
         best = trial
     return best
 
 
-def _descend(start: LevelFit, torque: bool, step: float) -> LevelFit:
-    """Walk along one of the two levels, in the direction that the evidence rises, until it falls."""
-    for sign in (-1.0, 1.0):
-        best, found = start, False
-        while True:
-            accel_psd, torque_psd = best.data.accel_psd, best.data.torque_psd
-            factor = 10.0 ** (sign * step)
-            here = torque_psd if torque else accel_psd
-            there = float(np.clip(here * factor, FLOOR_PSD, CEILING_PSD))
-            if there == here:
-                break
-            levels = (accel_psd, there) if torque else (there, torque_psd)
-            trial = fit_level(best.data, best.iterate, *levels)
-            if not trial.minus_log_evidence < best.minus_log_evidence:
-                break
-            best, found = trial, True
-        if found:
-            return best
-    return start
+def _minus_log_evidence(fit: LevelFit) -> float:
+    return fit.minus_log_evidence
+
+
+def _neighbour(fit: LevelFit, sign: int, axis: int, step: float) -> LevelFit | None:
+    """The fit with one level changed by a step [decades]; None at the floor or the ceiling."""
+    levels = [fit.data.accel_psd, fit.data.torque_psd]
+    changed = float(np.clip(levels[axis] * 10.0 ** (sign * step), FLOOR_PSD, CEILING_PSD))
+    if changed == levels[axis]:
+        return None
+    levels[axis] = changed
+    return fit_level(fit.data, fit.iterate, *levels)
+
+
+def _raised(fit: LevelFit, axis: int, stated: float) -> LevelFit | None:
+    """The fit with one level raised towards the stated one; None when it is there."""
+    levels = [fit.data.accel_psd, fit.data.torque_psd]
+    if not levels[axis] < 0.99 * stated:
+        return None
+    levels[axis] = min(levels[axis] * 10.0**LAST_STEP, stated)
+    return fit_level(fit.data, fit.iterate, *levels)
 
 
 def fit_level(
     data: MotionData, iterate: Iterate, accel_psd: float, torque_psd: float, iterations: int = ITERATIONS
 ) -> LevelFit:
-    """Fit under a level and weigh it; infinite where the fit breaks down."""
+    """Fit under a level, with its evidence; infinitely unlikely where the fit fails."""
     data = replace(data, accel_psd=accel_psd, torque_psd=torque_psd)
     solver, fixed = GaussNewton(data), linearization_point(data, iterate)
     try:

@@ -1,11 +1,106 @@
-"""Gathering unknowns for kernels, scattering their blocks: the constant parts of a CasADi program."""
+"""Nonlinear programs in CasADi: assembly from blocks, functions from outside, and the set-up of IPOPT.
 
+A program is assembled from the cost, gradient and Hessian blocks of many kernels: ``gather`` reads their
+unknowns from the program's vector, constant sparse matrices (``scatter``) add up their blocks.
+"""
+
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from polhode.lie import Array
 from polhode.records import Ints
+
+OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
+"""Return statuses of IPOPT that count as an optimum."""
+
+
+class ExternalFunction(ca.Callback):
+    """A NumPy function of vectors, with one vector as its result, that CasADi can call.
+
+    CasADi holds only a weak reference: the object must live as long as the programs that call it.
+    """
+
+    def __init__(
+        self, name: str, function: Callable[..., Array | float], sizes: tuple[int, ...], n_out: int
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._function, self._sizes, self._n_out = function, sizes, n_out
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self._sizes)
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, index: int) -> Any:
+        return ca.Sparsity.dense(self._sizes[index], 1)
+
+    def get_sparsity_out(self, _: int) -> Any:
+        return ca.Sparsity.dense(self._n_out, 1)
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arguments: Any, results: Any) -> int:
+        """Evaluate the function in place; 0 means success."""
+        vectors = [np.array(np.frombuffer(argument, dtype=np.float64)) for argument in arguments]
+        np.frombuffer(results[0], dtype=np.float64)[:] = self._function(*vectors)
+        return 0
+
+
+def ipopt_solver(
+    name: str, x: Any, p: Any, cost: Any, gradient: Any, hessian: tuple[Any, Any], options: dict[str, Any]
+) -> Any:
+    """IPOPT on an unconstrained program: minimize ``cost`` over x, with its derivatives given.
+
+    hessian: the sparsity of its upper triangle and the values of these entries.
+    """
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
+    grad_f = ca.Function("nlp_grad_f", [x, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
+    sparsity, values = hessian
+    hess = ca.Function(
+        "nlp_hess_l",
+        [x, p, lam_f, lam_g],
+        [ca.MX(sparsity, lam_f * values)],
+        ["x", "p", "lam_f", "lam_g"],
+        ["triu_hess_gamma_x_x"],
+    )
+    problem: Any = {"x": x, "p": p, "f": cost}
+    return ca.nlpsol(name, "ipopt", problem, {**options, "grad_f": grad_f, "hess_lag": hess})
+
+
+def ipopt_options(
+    tolerance: float, stationary_cost_change: float, max_iterations: int, **more: Any
+) -> dict[str, Any]:
+    """Options of CasADi and IPOPT, apart from the derivatives.
+
+    The iterations end at a gradient below the tolerance, or when the relative change of the cost stays below
+    ``stationary_cost_change`` three times in a row: in the flat valley of a quantity that the motion does not
+    determine, gradients stay large while the cost no longer changes. ``more`` are further options of IPOPT.
+    """
+    return {
+        "no_nlp_grad": True,
+        "calc_lam_p": False,
+        "print_time": False,
+        "error_on_fail": False,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "linear_solver": "mumps",
+            "max_iter": max_iterations,
+            "tol": tolerance,
+            "dual_inf_tol": tolerance,
+            "acceptable_tol": 1e8,
+            "acceptable_iter": 3,
+            "acceptable_obj_change_tol": stationary_cost_change,
+            "nlp_scaling_method": "none",
+            **more,
+        },
+    }
 
 
 def gather(vector: Any, slots: Ints) -> Any:

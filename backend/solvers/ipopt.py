@@ -16,16 +16,23 @@ from polhode.backend.dynamics.kernels import (
 )
 from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE, Iterate
 from polhode.backend.problem.motion_data import MotionData
-from polhode.backend.solvers.casadi_nlp import gather, scatter, upper_keys, upper_sparsity
+from polhode.backend.solvers.casadi_nlp import (
+    OPTIMAL,
+    ExternalFunction,
+    gather,
+    ipopt_options,
+    ipopt_solver,
+    scatter,
+    upper_keys,
+    upper_sparsity,
+)
 from polhode.backend.solvers.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, Solution
 from polhode.backend.solvers.linearization_point import LinearizationPoint
-from polhode.backend.solvers.stereo_terms import ExternalFunction, StereoTerms
+from polhode.backend.solvers.stereo_terms import StereoTerms
 from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints
 
-OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
-"""What IPOPT calls an optimum."""
 MESSAGES = {
     "Solve_Succeeded": "converged",
     "Solved_To_Acceptable_Level": "converged to the acceptable tolerance",
@@ -35,7 +42,7 @@ MESSAGES = {
 }
 TOLERANCE = 1e-3
 """Largest gradient at the end, where whitened residuals are of order one."""
-COST_AT_REST = 1e-7
+STATIONARY_COST_CHANGE = 1e-7
 """Relative change of the cost that ends the iterations when it is not exceeded three times in a row."""
 
 
@@ -129,41 +136,13 @@ class MotionProgram:
         blocks = ca.vertcat(of_stereo[2], *[ca.vec(term.hessian) for term in terms])
         values = scatter(position, len(cells)) @ blocks
         sparsity = upper_sparsity(cells, n_x)
-        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
-        grad_f = ca.Function("nlp_grad_f", [x, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
-        hess = ca.Function(
-            "nlp_hess_l",
-            [x, p, lam_f, lam_g],
-            [ca.MX(sparsity, lam_f * values)],
-            ["x", "p", "lam_f", "lam_g"],
-            ["triu_hess_gamma_x_x"],
-        )
-        options = {**self.options(max_iterations, max_seconds), "grad_f": grad_f, "hess_lag": hess}
-        problem: Any = {"x": x, "p": p, "f": cost}
-        return ca.nlpsol("motion", "ipopt", problem, options)
+        options = self.options(max_iterations, max_seconds)
+        return ipopt_solver("motion", x, p, cost, gradient, (sparsity, values), options)
 
     def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
         """Of CasADi and IPOPT, without the derivatives."""
-        return {
-            "no_nlp_grad": True,
-            "calc_lam_p": False,
-            "print_time": False,
-            "error_on_fail": False,
-            "ipopt": {
-                "print_level": 0,
-                "sb": "yes",
-                "linear_solver": "mumps",
-                "max_iter": max_iterations,
-                "max_wall_time": float(np.clip(max_seconds, 1e-6, 1e6)),
-                "tol": TOLERANCE,
-                "dual_inf_tol": TOLERANCE,
-                # In the flat valley of an undetermined motion gradients stay large while the cost rests.
-                "acceptable_tol": 1e8,
-                "acceptable_iter": 3,
-                "acceptable_obj_change_tol": COST_AT_REST,
-                "nlp_scaling_method": "none",
-            },
-        }
+        limit = float(np.clip(max_seconds, 1e-6, 1e6))
+        return ipopt_options(TOLERANCE, STATIONARY_COST_CHANGE, max_iterations, max_wall_time=limit)
 
     def terms(self, x: Any, p: Any, at: "ProgramLayout", output: Output) -> list[ProgramTerm]:
         """Kernels mapped over their data: dynamics by number of series, priors, what is fixed."""

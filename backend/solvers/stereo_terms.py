@@ -4,10 +4,6 @@ Nearly all of a program is stereo measurements. On CasADi's virtual machine they
 time, and building their expressions more than solving; here they are functions from outside.
 """
 
-from collections.abc import Callable
-from typing import Any
-
-import casadi as ca
 import numpy as np
 
 from polhode.backend.problem.motion_data import MotionData
@@ -85,35 +81,3 @@ class StereoTerms:
         return stereo_normal_equations(
             *fixed, *point, robust_weight(s, d.robust_scale), kernel_curvature(s, d.robust_scale)
         )
-
-
-class ExternalFunction(ca.Callback):
-    """A function of vectors to one vector that CasADi can call. It must live as long as its callers."""
-
-    def __init__(
-        self, name: str, function: Callable[..., Array | float], sizes: tuple[int, ...], n_out: int
-    ) -> None:
-        ca.Callback.__init__(self)
-        self._function, self._sizes, self._n_out = function, sizes, n_out
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return len(self._sizes)
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, index: int) -> Any:
-        return ca.Sparsity.dense(self._sizes[index], 1)
-
-    def get_sparsity_out(self, _: int) -> Any:
-        return ca.Sparsity.dense(self._n_out, 1)
-
-    def has_eval_buffer(self) -> bool:
-        return True
-
-    def eval_buffer(self, arguments: Any, results: Any) -> int:
-        """Zero: it went well."""
-        vectors = [np.array(np.frombuffer(argument, dtype=np.float64)) for argument in arguments]
-        np.frombuffer(results[0], dtype=np.float64)[:] = self._function(*vectors)
-        return 0

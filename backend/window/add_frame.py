@@ -10,7 +10,7 @@ import numpy as np
 from polhode.backend.initialization.initialize import ransac_orientation
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.frame import Frame, FrameMeasurements, camera_of
-from polhode.camera import RectifiedRig
+from polhode.camera import RectifiedRig, stereo_jacobian
 from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import Bools, Ints
 
@@ -208,11 +208,7 @@ def whitened(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array) -> tuple[Arr
     p_R = known.p_G @ R.T + p
     # behind the camera nothing agrees
     p_R[:, 2] = np.maximum(p_R[:, 2], 1e-3)
-    f, b = rig.focal_px, rig.baseline_m
-    x, y, z = p_R.T
-    D = np.zeros((len(p_R), 3, 3))
-    D[:, 0, 0] = D[:, 1, 1] = -f / z
-    D[:, 0, 2], D[:, 1, 2], D[:, 2, 2] = f * x / z**2, f * y / z**2, f * b / z**2
+    D = -stereo_jacobian(p_R, rig.focal_px, rig.baseline_m)
     r = (known.uvd_px - rig.project(p_R)) * known.inv_sigma
     return r, known.inv_sigma[:, :, None] * (D @ R)
 

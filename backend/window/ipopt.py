@@ -9,13 +9,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import csc_matrix
 
 from polhode.backend.dynamics.kernels import Output, dynamics_kernel, prior_kernel
 from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
+from polhode.backend.solvers.casadi_nlp import OPTIMAL, gather, ipopt_options, ipopt_solver, scatter
 from polhode.backend.solvers.gauss_newton import Solution
-from polhode.backend.solvers.ipopt import OPTIMAL
 from polhode.backend.window.problem import WindowProblem
 from polhode.lie import Array
 from polhode.quaternion import wxyz_from_matrix
@@ -23,7 +22,7 @@ from polhode.records import Ints
 
 TOLERANCE = 1e-3
 """Largest gradient at the end: a thousandth of a standard deviation."""
-COST_AT_REST = 1e-4
+STATIONARY_COST_CHANGE = 1e-4
 """Change of the cost that nobody would notice, three times in a row."""
 MAX_ITERATIONS = 40
 N_FACTOR, N_PRIOR = 71, 13
@@ -58,7 +57,7 @@ class IpoptSolver:
         found = x + (size * np.asarray(result["x"]).ravel())[at]
         # counted by the reference: a step into nowhere is not taken
         cost = problem.cost(found) if np.isfinite(found).all() else np.inf
-        if not cost <= before + COST_AT_REST:
+        if not cost <= before + STATIONARY_COST_CHANGE:
             return Solution(x, before, int(stats["iter_count"]), False, f"no decrease: {status}")
         return Solution(found, cost, int(stats["iter_count"]), status in OPTIMAL, status)
 
@@ -102,7 +101,7 @@ def _build(layout: _Layout, form: InertiaForm, series: int) -> Any:
     Q, factors = ca.MX.sym("Q", n, n), ca.MX.sym("factors", N_FACTOR, len(slots))
     weak = ca.MX.sym("weak", N_PRIOR)
     x = start + size * z
-    at_factors = ca.reshape(x[slots.ravel().tolist()], slots.shape[1], slots.shape[0])
+    at_factors = gather(x, slots)
 
     def terms(output: Output) -> list[Any]:
         dynamics = dynamics_kernel(form, series, output).map(len(slots)).call([at_factors, factors])
@@ -115,54 +114,24 @@ def _build(layout: _Layout, form: InertiaForm, series: int) -> Any:
     cost = quadratic + ca.sum2(of_factors) + of_prior
     (of_factors, of_prior), (g_factors, g_prior) = terms("gradient")
     where = np.concatenate([slots.ravel(), np.arange(n - N_CONSTANTS, n)])
-    slope = _adder(where, n) @ ca.vertcat(ca.vec(g_factors), g_prior)
+    slope = scatter(where, n) @ ca.vertcat(ca.vec(g_factors), g_prior)
     gradient = q + along + size * slope
     _, _, (h_factors, h_prior) = terms("quadratic")
     rows, cols = layout.upper
     all_slots = [slots, np.arange(n - N_CONSTANTS, n)[None]]
     where = np.concatenate([_upper_cells(each) for each in all_slots])
-    bend = _adder(where, len(rows)) @ ca.vertcat(ca.vec(h_factors), h_prior)
+    bend = scatter(where, len(rows)) @ ca.vertcat(ca.vec(h_factors), h_prior)
     scale = size[rows.tolist()] * size[cols.tolist()]
     values = ca.vec(Q)[(rows + n * cols).tolist()] + scale * bend
-    sparsity = ca.Sparsity.upper(n)
     p = ca.vertcat(start, size, q, ca.vec(Q), ca.vec(factors), weak)
     symbols = ca.MX.sym("p", p.numel())
     parts = ca.vertsplit(symbols, np.cumsum([0, n, n, n, n * n, N_FACTOR * len(slots), N_PRIOR]).tolist())
     parts[3], parts[4] = ca.reshape(parts[3], n, n), ca.reshape(parts[4], N_FACTOR, len(slots))
     old = [start, size, q, Q, factors, weak]
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
     cost, gradient, values = ca.graph_substitute([cost, gradient, values], old, parts)
-    grad_f = ca.Function("nlp_grad_f", [z, symbols], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
-    hess = ca.Function(
-        "nlp_hess_l",
-        [z, symbols, lam_f, lam_g],
-        [ca.MX(sparsity, lam_f * values)],
-        ["x", "p", "lam_f", "lam_g"],
-        ["triu_hess_gamma_x_x"],
-    )
-    options: Any = {
-        "grad_f": grad_f,
-        "hess_lag": hess,
-        "no_nlp_grad": True,
-        "calc_lam_p": False,
-        "print_time": False,
-        "error_on_fail": False,
-        "show_eval_warnings": False,
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "linear_solver": "mumps",
-            "max_iter": MAX_ITERATIONS,
-            "tol": TOLERANCE,
-            "dual_inf_tol": TOLERANCE,
-            # In the flat valley of what the first frames leave open, the cost rests before the gradient does.
-            "acceptable_tol": 1e8,
-            "acceptable_iter": 3,
-            "acceptable_obj_change_tol": COST_AT_REST,
-            "nlp_scaling_method": "none",
-        },
-    }
-    return ca.nlpsol("window", "ipopt", {"x": z, "p": symbols, "f": cost}, options)
+    options = ipopt_options(TOLERANCE, STATIONARY_COST_CHANGE, MAX_ITERATIONS)
+    options["show_eval_warnings"] = False
+    return ipopt_solver("window", z, symbols, cost, gradient, (ca.Sparsity.upper(n), values), options)
 
 
 def _parameters(problem: WindowProblem, x: Array, at: Ints, size: Array, n_frames: int) -> Array:
@@ -187,12 +156,6 @@ def _parameters(problem: WindowProblem, x: Array, at: Ints, size: Array, n_frame
     factors[:m, 35:71] = np.swapaxes(steps.W_r, 1, 2).reshape(-1, 36)
     scaled = (size[:, None] * Q * size).ravel()
     return np.concatenate([start, size, size * q, scaled, factors.ravel(), problem.weak_prior])
-
-
-def _adder(target: Ints, size: int) -> Any:
-    """Constant matrix (size, n) that adds entry e of a vector to ``target[e]``."""
-    n = len(target)
-    return ca.DM(csc_matrix((np.ones(n), (target, np.arange(n))), shape=(size, n)))
 
 
 def _upper_cells(slots: Ints) -> Ints:

@@ -8,27 +8,36 @@ evidence does not depend on the level.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
 
-from polhode.backend.noise.measurement_noise import LIMITS, MAD_TO_SIGMA, MIN_OBSERVATIONS
-from polhode.backend.noise.process_level import CEILING_PSD, FLOOR_PSD, INDIFFERENT
+from polhode.backend.noise.measurement_noise import MAX_TAKEN_BY_POSES, MIN_OBSERVATIONS, scales_by_median
+from polhode.backend.noise.process_level import (
+    ACCELERATION,
+    CEILING_PSD,
+    FLOOR_PSD,
+    INDIFFERENT,
+    TORQUE,
+    climb,
+    walk,
+)
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.history import History
 from polhode.backend.window.newton import NewtonSolver
 from polhode.backend.window.problem import WindowProblem
 from polhode.backend.window.vision import Observations, poses_of, residuals
+from polhode.camera import stereo_jacobian
 from polhode.lie import Array
 
 ITERATIONS = 3
 DECADE = 0.5
-"""Finest step of the search: finer than the data tell."""
+"""Finest step of the search: finer than the data can resolve."""
 STARTS = (0, -4, -8)
-"""In these steps below the stated levels: a noise taken too strong can keep itself strong."""
+"""In these steps below the stated levels: too high a level can hide in wrong constants and so remain high."""
 Grid = tuple[int, int]
 """Levels of acceleration and torque in steps from the stated ones."""
-MAX_TAKEN_BY_POSES = 0.3
 
 
 def estimate_levels(state: EstimatorState, history: History, stated: tuple[float, float]) -> None:
@@ -66,28 +75,21 @@ def most_likely(minus_log_evidence: Callable[[Grid], float]) -> Grid:
 
     best = min(((n, n) for n in STARTS), key=cost)
     for step in (2, 1):
-        for axis in (1, 0):
-            best = _walk(cost, best, axis, step)
-    least = cost(best)
-    for axis in (1, 0):
-        while best[axis] < 0 and cost(_moved(best, axis, 1)) < least + INDIFFERENT:
-            best = _moved(best, axis, 1)
+        for axis in (TORQUE, ACCELERATION):
+            best = walk(best, partial(_moved, axis=axis, step=step), cost)
+    limit = cost(best) + INDIFFERENT
+    for axis in (TORQUE, ACCELERATION):
+        best = climb(best, partial(_raised, axis=axis), cost, limit)
     return best
 
 
-def _walk(cost: Callable[[Grid], float], best: Grid, axis: int, step: int) -> Grid:
-    """Along one of the levels, in the direction that the evidence rises, until it falls."""
-    for sign in (-step, step):
-        start = best
-        while cost(_moved(best, axis, sign)) < cost(best):
-            best = _moved(best, axis, sign)
-        if best != start:
-            break
-    return best
+def _moved(at: Grid, sign: int, axis: int, step: int) -> Grid:
+    change = sign * step
+    return (at[0] + change, at[1]) if axis == ACCELERATION else (at[0], at[1] + change)
 
 
-def _moved(at: Grid, axis: int, step: int) -> Grid:
-    return (at[0] + step, at[1]) if axis == 0 else (at[0], at[1] + step)
+def _raised(at: Grid, axis: int) -> Grid | None:
+    return _moved(at, 1, axis, 1) if at[axis] < 0 else None
 
 
 def estimate_noise(state: EstimatorState) -> None:
@@ -98,11 +100,7 @@ def estimate_noise(state: EstimatorState) -> None:
     p_G = state.landmarks.p_G[observations.slot]
     r = residuals(observations, poses_of(state.active.frames), state.rig_vector, p_G)
     free = np.maximum(1.0 - taken_by_fit(state, observations, p_G), 0.05)
-    whitened = np.abs(r) / np.sqrt(free)
-    uv, disparity = np.clip(
-        MAD_TO_SIGMA * np.array([np.median(whitened[:, :2]), np.median(whitened[:, 2])]), *LIMITS
-    )
-    factors = np.array([uv, uv, disparity])
+    factors = scales_by_median(r, free).factors
     state.noise = state.noise * factors
     for frame in state.active.frames:
         frame.inv_sigma = frame.inv_sigma / factors
@@ -117,11 +115,7 @@ def taken_by_fit(state: EstimatorState, observations: Observations, p_G: Array) 
         np.einsum("mij,mj->mi", A, p_G[observations.landmark])
         + (np.einsum("fij,fj->fi", poses.R_RN, poses.p_NG) + poses.t_R)[k]
     )
-    f, b = state.rig.focal_px, state.rig.baseline_m
-    x, y, z = p_R.T
-    D = np.zeros((len(k), 3, 3))
-    D[:, 0, 0] = D[:, 1, 1] = f / z
-    D[:, 0, 2], D[:, 1, 2], D[:, 2, 2] = -f * x / z**2, -f * y / z**2, -f * b / z**2
+    D = stereo_jacobian(p_R, state.rig.focal_px, state.rig.baseline_m)
     J = observations.inv_sigma[:, :, None] * (D @ A)
     information = np.add.reduceat(np.swapaxes(J, 1, 2) @ J, observations.start[:-1], axis=0)
     taken = np.einsum("mij,mjk,mik->mi", J, np.linalg.inv(information)[observations.landmark], J)

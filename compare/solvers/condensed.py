@@ -10,9 +10,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from polhode.backend.solvers.casadi_nlp import OPTIMAL, ExternalFunction
 from polhode.backend.solvers.gauss_newton import GaussNewton, NormalEquations
-from polhode.backend.solvers.ipopt import MESSAGES, OPTIMAL, MotionProgram
-from polhode.backend.solvers.stereo_terms import ExternalFunction
+from polhode.backend.solvers.ipopt import MESSAGES, MotionProgram
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import Claim, Outcome, Watch
 from polhode.compare.solvers.ipopt import MAX_ITERATIONS, Iterations

@@ -9,7 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from polhode.backend.solvers.ipopt import MESSAGES, OPTIMAL, MotionProgram, ProgramLayout
+from polhode.backend.solvers.casadi_nlp import OPTIMAL
+from polhode.backend.solvers.ipopt import MESSAGES, MotionProgram, ProgramLayout
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import Claim, Outcome, Watch
 from polhode.compare.solvers.casadi_kernels import Hessian
