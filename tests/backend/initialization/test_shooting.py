@@ -8,7 +8,7 @@ from polhode.backend.initialization.rotation_direction import OPPOSITE_DIRECTION
 from polhode.backend.initialization.shooting import _carry, shoot
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.uncertainty.ambiguity import HypothesisChoice, ambiguous_turns_deg, choose
+from polhode.backend.uncertainty.ambiguity import HypothesisChoice, ambiguous_turns_deg, choose_hypothesis
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.rigid_body import propagate
 
@@ -64,13 +64,13 @@ def _trial(turn_deg: float, misfit: float, cost: float) -> HypothesisFit:
 def test_a_sense_is_chosen_by_the_misfit_and_the_shorter_one_when_both_fit() -> None:
     dt_s = np.diff(TIME_S)
     alike = {"sphere": _trial(150.0, 1000.0, 50.0), "sphere" + OPPOSITE_DIRECTION: _trial(210.0, 999.0, 10.0)}
-    choice = choose(alike, dt_s)
+    choice = choose_hypothesis(alike, dt_s)
     assert choice.name == "sphere"
     assert choice.turns_deg == pytest.approx((150.0, 210.0))
     told = {"sphere": _trial(150.0, 3000.0, 1.0), "sphere" + OPPOSITE_DIRECTION: _trial(210.0, 1000.0, 10.0)}
-    assert choose(told, dt_s).name == "sphere" + OPPOSITE_DIRECTION
-    assert choose(told, dt_s).turns_deg is None
-    assert choose({"sphere": _trial(30.0, 5.0, 5.0)}, dt_s).turns_deg is None
+    assert choose_hypothesis(told, dt_s).name == "sphere" + OPPOSITE_DIRECTION
+    assert choose_hypothesis(told, dt_s).turns_deg is None
+    assert choose_hypothesis({"sphere": _trial(30.0, 5.0, 5.0)}, dt_s).turns_deg is None
 
 
 def test_a_shot_at_a_rate_beyond_the_series_leads_nowhere() -> None:
