@@ -6,6 +6,7 @@ their own take the nearest one.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,29 +40,42 @@ class Neighbours:
         return np.asarray(_blend(self.index, self.weight, values))
 
 
+class _Grid(NamedTuple):
+    """Points with normals, and for each cell of a regular grid the points within reach of it."""
+
+    p_G: Array
+    """(N, 3) [m]"""
+    normal_G: Array
+    """(N, 3) unit"""
+    reach_m: float
+    low: Array
+    """(3,) lower corner of the grid [m]"""
+    cell_m: float
+    shape: Ints
+    """(3,) cells along each axis"""
+    start: Ints
+    """(cells + 1,) the points of a cell are member[start[cell]:start[cell + 1]]"""
+    member: Ints
+
+
 class SurfaceInterpolation:
     """Points (N, 3) [m] with unit normals (N, 3), found by place: those within ``reach_m`` count."""
 
     def __init__(self, p_G: Array, normal_G: Array, reach_m: float) -> None:
-        self._p, self._n, self._reach_m = np.ascontiguousarray(p_G), np.ascontiguousarray(normal_G), reach_m
+        p, n = np.ascontiguousarray(p_G), np.ascontiguousarray(normal_G)
         low, high = p_G.min(axis=0) - reach_m, p_G.max(axis=0) + reach_m
-        self._cell_m = max(0.5 * reach_m, float((high - low).max()) / MAX_GRID_CELLS)
-        self._low = low
-        shape = np.ceil((high - low) / self._cell_m).astype(np.int64)
-        self._start, self._member = _fill_cells(self._p, low, self._cell_m, shape, reach_m)
-        self._shape = shape
+        cell_m = max(0.5 * reach_m, float((high - low).max()) / MAX_GRID_CELLS)
+        shape = np.ceil((high - low) / cell_m).astype(np.int64)
+        cells = _fill_cells(p, low, cell_m, shape, reach_m)
+        self._grid = _Grid(p, n, reach_m, low, cell_m, shape, *cells)
 
     def nearest(self, p_G: Array, normal_G: Array) -> NDArray[np.int32]:
         """The point (n,) that counts most at p_G (n, 3) with unit normals (n, 3); -1: none."""
-        return np.asarray(_nearest(p_G, normal_G, *self._table()))
+        return np.asarray(_nearest(p_G, normal_G, self._grid))
 
     def near(self, p_G: Array, normal_G: Array) -> "Neighbours":
         """The points that count at p_G (n, 3) with unit normals (n, 3)."""
-        return Neighbours(*_near(p_G, normal_G, *self._table()))
-
-    def _table(self) -> tuple[Array, Array, float, Array, float, Ints, Ints, Ints]:
-        reach_m, cell_m = self._reach_m, self._cell_m
-        return self._p, self._n, reach_m, self._low, cell_m, self._shape, self._start, self._member
+        return Neighbours(*_near(p_G, normal_G, self._grid))
 
 
 @compiled
@@ -96,20 +110,21 @@ def _fill_cells(p: Array, low: Array, cell_m: float, shape: Ints, reach_m: float
 
 
 @compiled
-def _cell_of(p: Array, a: int, low: Array, cell_m: float, shape: Ints) -> int:
+def _cell_of(p: Array, a: int, grid: _Grid) -> int:
     """The cell that holds p[a]; -1: outside of the grid."""
     cell = 0
     for k in range(3):
-        along = (p[a, k] - low[k]) / cell_m
-        if along < 0.0 or along >= shape[k]:
+        along = (p[a, k] - grid.low[k]) / grid.cell_m
+        if along < 0.0 or along >= grid.shape[k]:
             return -1
-        cell = cell * shape[k] + int(along)
+        cell = cell * grid.shape[k] + int(along)
     return cell
 
 
 @compiled
-def _weight(p: Array, n: Array, a: int, q: Array, m: Array, i: int, reach2: float) -> float:
-    """What the neighbour at q[i] with normal m[i] counts at p[a] with normal n[a]."""
+def _weight(p: Array, n: Array, a: int, grid: _Grid, i: int) -> float:
+    """Weight of the grid's point i at p[a] with normal n[a]."""
+    q, m, reach2 = grid.p_G, grid.normal_G, grid.reach_m * grid.reach_m
     dx, dy, dz = p[a, 0] - q[i, 0], p[a, 1] - q[i, 1], p[a, 2] - q[i, 2]
     square = dx * dx + dy * dy + dz * dz
     if square >= reach2:
@@ -126,54 +141,32 @@ def _weight(p: Array, n: Array, a: int, q: Array, m: Array, i: int, reach2: floa
 
 
 @compiled
-def _nearest(
-    p: Array,
-    n: Array,
-    q: Array,
-    m: Array,
-    reach_m: float,
-    low: Array,
-    cell_m: float,
-    shape: Ints,
-    start: Ints,
-    member: Ints,
-) -> NDArray[np.int32]:
+def _nearest(p: Array, n: Array, grid: _Grid) -> NDArray[np.int32]:
     out = np.full(len(p), -1, np.int32)
     for a in range(len(p)):
-        cell = _cell_of(p, a, low, cell_m, shape)
+        cell = _cell_of(p, a, grid)
         if cell < 0:
             continue
         best = 0.0
-        for at in range(start[cell], start[cell + 1]):
-            w = _weight(p, n, a, q, m, member[at], reach_m * reach_m)
+        for at in range(grid.start[cell], grid.start[cell + 1]):
+            w = _weight(p, n, a, grid, grid.member[at])
             if w > best:
                 best = w
-                out[a] = member[at]
+                out[a] = grid.member[at]
     return out
 
 
 @compiled
-def _near(
-    p: Array,
-    n: Array,
-    q: Array,
-    m: Array,
-    reach_m: float,
-    low: Array,
-    cell_m: float,
-    shape: Ints,
-    start: Ints,
-    member: Ints,
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _near(p: Array, n: Array, grid: _Grid) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     index = np.zeros((len(p), MAX_NEIGHBOURS), np.int32)
     weight = np.zeros((len(p), MAX_NEIGHBOURS), np.float32)
     for a in range(len(p)):
-        cell = _cell_of(p, a, low, cell_m, shape)
+        cell = _cell_of(p, a, grid)
         if cell < 0:
             continue
         total, used = 0.0, 0
-        for at in range(start[cell], start[cell + 1]):
-            w = _weight(p, n, a, q, m, member[at], reach_m * reach_m)
+        for at in range(grid.start[cell], grid.start[cell + 1]):
+            w = _weight(p, n, a, grid, grid.member[at])
             if w <= 0.0:
                 continue
             slot = used
@@ -187,20 +180,21 @@ def _near(
                 total -= weight[a, slot]
             else:
                 used += 1
-            index[a, slot], weight[a, slot] = member[at], w
+            index[a, slot], weight[a, slot] = grid.member[at], w
             total += w
         for k in range(used):
             weight[a, k] /= total
         if used == 0:
-            index[a, 0], weight[a, 0] = _next_best(p, n, a, q, m, member[start[cell] : start[cell + 1]])
+            index[a, 0], weight[a, 0] = _next_best(p, n, a, grid, cell)
     return index, weight
 
 
 @compiled
-def _next_best(p: Array, n: Array, a: int, q: Array, m: Array, member: Ints) -> tuple[int, float]:
+def _next_best(p: Array, n: Array, a: int, grid: _Grid, cell: int) -> tuple[int, float]:
     """Where no point counts: the nearest that faces the same half of space, and 1; 0 if there is none."""
+    q, m = grid.p_G, grid.normal_G
     nearest, found, share = np.inf, 0, 0.0
-    for i in member:
+    for i in grid.member[grid.start[cell] : grid.start[cell + 1]]:
         square = (p[a, 0] - q[i, 0]) ** 2 + (p[a, 1] - q[i, 1]) ** 2 + (p[a, 2] - q[i, 2]) ** 2
         facing = n[a, 0] * m[i, 0] + n[a, 1] * m[i, 1] + n[a, 2] * m[i, 2]
         if facing > 0.0 and square < nearest:
