@@ -1,4 +1,4 @@
-"""Where the point seen at a pixel of one image lies in another: any two frames, any two cameras.
+"""Correspondences between two views, of any frames and cameras, by ray casting.
 
 Rays go through the pixels of view a to the body in G, and from there to camera b. A file of
 correspondences holds one row for each pixel of image a that shows the target: ``uv_a_px`` and the fields of
@@ -20,28 +20,30 @@ from polhode.simulation.dataset.plan import SequencePlan
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 
 MIN_DISTANCE_M = 1e-6
-"""Points closer to the camera's plane than this, or behind it, have no image [m]."""
+"""Points nearer to the camera's plane than this, or behind it, have no image [m]."""
 RAY_TOLERANCE = 1e-6
-"""Largest distance of unit rays that are one: a distorted lens maps far points into the image again."""
+"""Maximum distance of unit rays that count as equal: a distorting lens folds far points back into the
+image.
+"""
 
 
 class Reason(IntEnum):
-    """Why a point is not visible in view b: the first of these that holds."""
+    """Why a point is not visible in view b: the first reason that applies."""
 
     VISIBLE = 0
     OFF_TARGET = 1
     """The pixel of view a does not show the target."""
     BACK_FACING = 2
-    """The surface that view a sees is turned away from camera b."""
+    """The surface seen in view a faces away from camera b."""
     OUTSIDE = 3
-    """Beside image b, or behind the camera."""
+    """Outside image b, or behind the camera."""
     OCCLUDED = 4
-    """Another part of the body stands before camera b."""
+    """Another part of the body occludes the point from camera b."""
 
 
 @dataclass(frozen=True)
 class CameraView:
-    """A camera and where it is relative to the body."""
+    """A camera and its pose relative to the body."""
 
     camera: Camera
     X_GK: Array
@@ -50,10 +52,10 @@ class CameraView:
 
 @dataclass(frozen=True)
 class Correspondence:
-    """Pixels of view a in view b; leading dimensions as the pixels had them."""
+    """Pixels of view a in view b; leading dimensions are those of the pixels."""
 
     uv_b_px: Array
-    """(..., 2) distorted; NaN without an image of the point, given also where it is hidden or outside"""
+    """(..., 2) distorted; NaN where the point has no image; also given where it is occluded or outside"""
     visible: Bools
     """(...)"""
     reason: NDArray[np.uint8]
@@ -65,7 +67,7 @@ class Correspondence:
 
 
 def view_of(plan: SequencePlan, frame: int, camera: int) -> CameraView:
-    """CameraView of one camera (0: left, 1: right) at one frame. Raises InputError: there is none."""
+    """CameraView of one camera (0: left, 1: right) at one frame. Raises InputError if there is none."""
     frames, cameras = plan.scene.frames, len(plan.cameras)
     if not 0 <= frame < frames:
         raise InputError(f"there is no frame {frame}: the scene has frames 0 to {frames - 1}")
@@ -76,12 +78,14 @@ def view_of(plan: SequencePlan, frame: int, camera: int) -> CameraView:
 
 
 def angle_between_views(a: CameraView, b: CameraView) -> float:
-    """Angle at the body's origin between the directions to two cameras [rad]: how far apart the views are."""
+    """Angle at the body's origin between the directions to two cameras [rad]."""
     return float(_angles(np.zeros((1, 3)), a, b)[0])
 
 
 def dense_correspondence(caster: RayCaster, a: CameraView, b: CameraView) -> Correspondence:
-    """All pixels of view a: fields (H, W, ...). ``uv_b_px - pixel_grid(a.camera)`` is the flow."""
+    """Correspondences of all pixels of view a: fields (H, W, ...). ``uv_b_px - pixel_grid(a.camera)`` is
+    the flow.
+    """
     return correspond(caster, a, b, pixel_grid(a.camera))
 
 
@@ -92,7 +96,7 @@ def pixel_grid(camera: Camera) -> Array:
 
 
 def correspond(caster: RayCaster, a: CameraView, b: CameraView, uv_a_px: Array) -> Correspondence:
-    """Follow pixels (..., 2) of view a, distorted, to view b."""
+    """Correspondences of distorted pixels (..., 2) of view a in view b."""
     shape = uv_a_px.shape[:-1]
     rays_K = a.camera.directions(uv_a_px.reshape(-1, 2))
     hits = caster.first_hits(a.X_GK[:3, 3], rays_K @ a.X_GK[:3, :3].T)
@@ -114,7 +118,7 @@ def correspond(caster: RayCaster, a: CameraView, b: CameraView, uv_a_px: Array) 
 
 
 def _image_of(view: CameraView, p_G: Array) -> Array:
-    """Pixels (n, 2) of points (n, 3), inside the image or not; NaN where the lens forms no image."""
+    """Pixels (n, 2) of points (n, 3), inside the image or outside; NaN where the lens forms no image."""
     p_K = transform_points(inverse_pose(view.X_GK), p_G)
     uv = np.full((len(p_K), 2), np.nan)
     before = p_K[:, 2] > MIN_DISTANCE_M
@@ -130,7 +134,7 @@ def _image_of(view: CameraView, p_G: Array) -> Array:
 
 
 def _inside(camera: Camera, uv_px: Array) -> Bools:
-    """True (n,) within the image's outermost pixels; false for NaN."""
+    """True (n,) within the borders of the image; false for NaN."""
     return np.asarray(
         ((uv_px >= -0.5) & (uv_px < [camera.width_px - 0.5, camera.height_px - 0.5])).all(axis=1)
     )

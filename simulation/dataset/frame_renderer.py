@@ -18,7 +18,7 @@ from polhode.simulation.rendering.render import RenderedLight, Renderer
 
 
 class FrameRenderer:
-    """Renders single images and pairs of a plan."""
+    """Renders images and stereo pairs of a plan."""
 
     def __init__(self, plan: SequencePlan) -> None:
         self._plan = plan
@@ -35,7 +35,7 @@ class FrameRenderer:
         return expose(level, plan.scene.sensor, noise, stars), picture
 
     def write_pair(self, k: int, mav0: Path) -> None:
-        """Write frame k into a folder of mav0's layout: both images, masks and products on request."""
+        """Write frame k into a folder laid out as mav0: both images; masks and products on request."""
         plan, asked = self._plan, self._plan.scene.render
         stamp = int(plan.target.timestamps_ns[k])
         for index, camera in enumerate(plan.cameras):
@@ -49,7 +49,7 @@ class FrameRenderer:
                 write_products(products_path(mav0, index, stamp), products)
 
     def _poses(self, k: int) -> tuple[Array, Array]:
-        """X_NC and X_NG at frame k: (S, 4, 4), for each sample of a pixel, when the shutter takes time."""
+        """X_NC and X_NG at frame k; with an exposure time (S, 4, 4), one for each sample of a pixel."""
         plan = self._plan
         exposure_s = 1e-3 * plan.scene.sensor.exposure_ms
         if exposure_s == 0:

@@ -1,4 +1,4 @@
-"""All that is decided before the first ray: body, mass, cameras, where everything is when, what is lost."""
+"""All that is decided before rendering: body, mass, cameras, motion, and which frames are dropped."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ class SequencePlan:
     inspector: InspectorMotion
     sky: Sky
     frames: tuple[int, ...]
-    """Frames that reach the disk, counted from 0"""
+    """Frames that are not dropped, counted from 0"""
 
     @property
     def X_NC(self) -> Array:
@@ -49,7 +49,7 @@ class SequencePlan:
 
 
 def plan_sequence(scene: Scene, seed: int) -> SequencePlan:
-    """Build the body and move it. Raises InputError for a scene that cannot be rendered."""
+    """Build the body and its motion. Raises InputError for a scene that cannot be rendered."""
     body = build_body(scene.body, seed)
     mass = mass_distribution(scene.mass, body)
     plan = SequencePlan(
@@ -81,7 +81,7 @@ def received_frames(sensor: config.Sensor, count: int, seed: int) -> tuple[int, 
 
 
 def truth_of(plan: SequencePlan) -> Truth:
-    """The truth at all frames, dropped ones too, and over the horizon."""
+    """The truth at all frames, including dropped ones, and over the horizon."""
     target, mass = plan.target, plan.mass
     return Truth(
         timestamps_ns=target.timestamps_ns,

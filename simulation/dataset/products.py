@@ -1,7 +1,7 @@
 """Truth of every pixel, on request: depth, normals, target mask, shadow mask, albedo.
 
-One ray through each pixel's centre, distortion included, at the moment of the timestamp: neither motion nor
-the lens blurs the truth. Beside the target, numbers are NaN.
+One ray is cast through the centre of each pixel, distortion included, at the time of the timestamp: neither
+motion nor the lens blurs the truth. Off the target, numbers are NaN.
 """
 
 import zlib
@@ -26,22 +26,24 @@ from polhode.simulation.rendering.render import Renderer
 T = TypeVar("T", bound=np.generic)
 
 CAST_SHADOW, FACING_AWAY = 1, 2
-"""Values of the shadow mask: another part stands before the Sun; the surface is turned away from it."""
+"""Values of the shadow mask: another part blocks the Sun; the surface faces away from it."""
 
 
 @dataclass(frozen=True)
 class Products:
-    """Truth of one image (H, W); what was not asked for is None."""
+    """Truth of one image (H, W); what was not requested is None."""
 
     depth: Array | None = None
     """(H, W) along the optical axis [m]"""
     normals: Array | None = None
-    """(H, W, 3) unit, in the camera's axes, towards the camera: of the mesh's faces, as the depth has them"""
+    """(H, W, 3) unit, in the camera's axes, towards the camera: of the mesh's faces, consistent with the
+    depth
+    """
     mask: Bools | None = None
     """(H, W) the target"""
     shadow: NDArray[np.uint8] | None = None
-    """(H, W) 1: another part stands before the Sun's centre; 2: turned away from it; 0: lit, or no target.
-    The body's own doing: an eclipse changes nothing here"""
+    """(H, W) 1: another part blocks the Sun's centre; 2: facing away from it; 0: lit, or off the target.
+    Only shadows of the body itself: independent of eclipses"""
     albedo: Array | None = None
     """(H, W) diffuse reflectance"""
 
@@ -49,7 +51,7 @@ class Products:
 def render_products(
     renderer: Renderer, camera: Camera, X_NK: Array, X_NG: Array, names: Iterable[Product]
 ) -> Products:
-    """The truth that ``names`` ask for, of a camera at X_NK (4, 4) and the target at X_NG (4, 4)."""
+    """The products ``names`` of a camera at X_NK (4, 4) and the target at X_NG (4, 4)."""
     asked = set(names)
     X_GN = inverse_pose(X_NG)
     X_GK = X_GN @ X_NK
@@ -79,7 +81,7 @@ def _shadow(caster: RayCaster, hits: Hits, sun_G: Array) -> NDArray[np.uint8]:
 
 
 def _image(shape: tuple[int, int], pixel: Ints, values: NDArray[T], beside: float) -> NDArray[T]:
-    """Values (n, ...) at pixels (n,), counted row by row -> (H, W, ...)."""
+    """Values (n, ...) at pixels (n,), indexed row by row -> (H, W, ...)."""
     image = np.full((shape[0] * shape[1], *values.shape[1:]), beside, values.dtype)
     image[pixel] = values
     return image.reshape(*shape, *values.shape[1:])
@@ -91,7 +93,7 @@ def products_path(mav0: Path, camera_index: int, timestamp_ns: int) -> Path:
 
 
 def write_products(path: Path, products: Products) -> None:
-    """Write what there is, compressed, numbers as float32; the whole file or nothing."""
+    """Write the products compressed, numbers as float32; the file is complete or absent."""
     arrays = {f.name: getattr(products, f.name) for f in fields(Products)}
     narrow = {
         name: values.astype(np.float32) if values.dtype == np.float64 else values
@@ -104,7 +106,7 @@ def write_products(path: Path, products: Products) -> None:
 
 
 def read_products(path: Path) -> Products:
-    """Read what ``write_products`` has written. Raises InputError: the file is missing or damaged."""
+    """Read a file of ``write_products``. Raises InputError if it is missing or damaged."""
     try:
         with np.load(path) as archive:
             arrays = {f.name: archive[f.name] for f in fields(Products) if f.name in archive.files}

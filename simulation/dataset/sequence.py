@@ -1,4 +1,4 @@
-"""A simulated sequence, from the scene's description to the dataset on disk (CONTRACT.md)."""
+"""A simulated sequence, from the description of a scene to the dataset on disk."""
 
 from hashlib import sha256
 from pathlib import Path
@@ -35,7 +35,8 @@ def simulate(
 ) -> SequencePlan:
     """Render a scene into the dataset ``folder``, with truth. The bytes do not depend on ``workers``.
 
-    Raises InputError: the folder is taken (``overwrite`` frees a dataset's), or the scene cannot be rendered.
+    Raises InputError if the folder exists (``overwrite`` replaces a dataset), or the scene cannot be
+    rendered.
     """
     require_free(folder, overwrite)
     plan = plan_sequence(scene, seed)
@@ -46,9 +47,9 @@ def simulate(
 def write_sequence(
     plan: SequencePlan, folder: Path, progress: Progress, workers: int = 1, overwrite: bool = False
 ) -> None:
-    """Render a plan into the dataset ``folder``; goes on where the same plan was interrupted.
+    """Render a plan into the dataset ``folder``, resuming where the same plan was interrupted.
 
-    Raises InputError as ``simulate``, RunFailure when a worker is killed, KeyboardInterrupt with a message.
+    Raises InputError like ``simulate``, RunFailure if a worker is killed, KeyboardInterrupt with a message.
     """
     description = describe_scene(plan.scene, plan.seed)
     with staged_dataset(folder, overwrite, _fingerprint(plan, description)) as staged:
@@ -64,17 +65,17 @@ def write_sequence(
 
 
 def describe_scene(scene: Scene, seed: int) -> str:
-    """The configuration that makes the dataset, every default of the scene written out, as YAML."""
+    """The configuration that makes the dataset as YAML, with every default of the scene written out."""
     return dump_config(Config(seed=seed, scene=scene), keys=("seed", "scene"))
 
 
 def _fingerprint(plan: SequencePlan, description: str) -> str:
-    """What the images depend on, as a text: the scene, its mesh file, and the program itself."""
+    """A text that identifies what the images depend on: scene, mesh file, and the program's sources."""
     return f"{description}# program: {_program_digest()}\n{_mesh_files(plan.scene.body.path)}"
 
 
 def _program_digest() -> str:
-    """The sources that make the images, in short."""
+    """Digest of the sources that the images depend on."""
     home = Path(polhode.__path__[0])
     sources = [*home.glob("*.py"), *(home / "config").rglob("*.py"), *(home / "simulation").rglob("*.py")]
     digest = sha256()
@@ -84,7 +85,7 @@ def _program_digest() -> str:
 
 
 def _mesh_files(path: str | None) -> str:
-    """The mesh file and what may colour it, by size and date."""
+    """The mesh file and files that may give its colours, by size and date."""
     if path is None:
         return ""
     beside = Path(path).resolve().parent.iterdir()
@@ -101,7 +102,9 @@ def _render(plan: SequencePlan, staged: StagedDataset, progress: Progress, worke
 
 
 def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
-    """Write all that the estimator knows: calibration, times, the inspector's poses, known pushes."""
+    """Write what the estimator may read: calibration, times, poses of the inspector, known forces and
+    torques.
+    """
     scene, X_BC = plan.scene, mount_pose(plan.scene.rig)
     all_ns = plan.target.timestamps_ns[: scene.frames]
     for index, camera in enumerate(plan.cameras):

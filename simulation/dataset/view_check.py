@@ -1,4 +1,4 @@
-"""Whether a scene can be seen: the target comes into view, and no camera comes into the target."""
+"""Refuses scenes in which the target is never in view, or a camera comes too near to it."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -15,18 +15,20 @@ from polhode.simulation.rendering.sampling import even_directions
 
 MIN_DISTANCE_M = 5e-3
 MIN_DISTANCE_SHARE = 1e-3
-"""A camera nearer to the surface than either, in metres or in the target's lengths, is too near."""
+"""A camera is too near if its distance is less than either, in metres or relative to the target's length."""
 ENCLOSED_SHARE = 0.9
-"""A camera is inside when this share of all directions meets the target: real meshes have holes."""
+"""A camera is inside if this share of all directions hits the target; less than 1, as real meshes have
+holes.
+"""
 MAX_SAMPLE_VERTICES = 4000
-"""Vertices that are looked for in the image; rays find what they miss."""
+"""Vertices that are projected into the image; rays find what these miss."""
 NAMES = ("left", "right")
 
 
 def require_target_in_view(
     body: Body, cameras: Sequence[Camera], X_NC: Array, X_NG: Array, t_s: Array
 ) -> None:
-    """Raise InputError when a camera is inside the target or too near, or the target is never in view.
+    """Raise InputError if a camera is inside the target or too near, or the target is never in view.
 
     X_NC, X_NG: (F, 4, 4) left camera and target at the times t_s (F,). The target may leave the view.
     """
@@ -48,7 +50,7 @@ def require_target_in_view(
 
 
 class ViewCheck:
-    """A body as the cameras meet it."""
+    """Distances of cameras from a body, and whether they see it."""
 
     def __init__(self, body: Body) -> None:
         self._sample_G = np.asarray(body.mesh.vertices)[:: 1 + len(body.mesh.vertices) // MAX_SAMPLE_VERTICES]
@@ -62,7 +64,7 @@ class ViewCheck:
         self._around = even_directions(256)
 
     def require_distance(self, p_G: Array, name: str, t_s: float) -> None:
-        """Raise InputError when the point (3,) is inside the body or too near its surface."""
+        """Raise InputError if the point (3,) is inside the body or too near its surface."""
         if np.linalg.norm(p_G - self._middle_G) > self._radius_m + self._nearest_m:
             return
         hint = "move scene.motion.position_m away, or check scene.body.size_m and metres_per_unit"
@@ -77,7 +79,7 @@ class ViewCheck:
             )
 
     def distance_m(self, p_G: Array) -> float:
-        """Distance from a point (3,) to the surface: exact on the triangles that can be nearest."""
+        """Distance from a point (3,) to the surface: exact, on the triangles that can be the nearest."""
         centres, reach = self._spheres
         to_centre = np.linalg.norm(centres - p_G, axis=1)
         candidates = self._triangles[to_centre - reach <= to_centre.min()]
@@ -91,7 +93,9 @@ class ViewCheck:
         return centres, np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
 
     def sees(self, camera: Camera, X_GK: Array) -> bool:
-        """Whether a vertex or, of faces larger than the view, a ray of a coarse grid meets the image."""
+        """Whether a vertex projects into the image or, for faces larger than the view, a ray of a coarse
+        grid hits.
+        """
         p_K = transform_points(inverse_pose(X_GK), self._sample_G)
         if len(camera.project_visible(p_K)[1]) > 0:
             return True

@@ -60,7 +60,7 @@ class Strip:
 
 
 def scene_files(sources: Sequence[Path]) -> list[Path]:
-    """Configurations named one by one or by their folder, in order. Raises InputError where there is none."""
+    """Configurations, given one by one or by their folder, in order. Raises InputError if there are none."""
     files: list[Path] = []
     for source in sources:
         found = sorted(source.glob("*.yaml")) if source.is_dir() else [source]
@@ -94,7 +94,9 @@ def strip_of(file: Path) -> Strip:
 
 
 def frames_to_show(plan: SequencePlan) -> list[int]:
-    """Frames evenly over the sequence; of an eclipse: light, dusk, dark, dawn; or how the target leaves."""
+    """Frames evenly over the sequence; or through an eclipse; or as the target leaves the view and
+    returns.
+    """
     there, eclipse = np.array(plan.frames), plan.scene.light.eclipse
     gone = np.flatnonzero([_share_in_view(plan, k) == 0.0 for k in plan.frames])
     if eclipse.duration_s > 0:
@@ -121,7 +123,7 @@ def _share_in_view(plan: SequencePlan, k: int) -> float:
 def boxes_around(plan: SequencePlan, frames: Sequence[int], margin: float = 0.12) -> list[Box]:
     """Parts of the left image (left, top, right, bottom) with the target, of one size and the tiles' shape.
 
-    The whole image, where the target leaves it or the Earth stands behind.
+    The whole image, if the target leaves it or the Earth is in the background.
     """
     camera, vertices_G = plan.cameras[0], plan.body.mesh.vertices
     size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
@@ -142,7 +144,7 @@ def boxes_around(plan: SequencePlan, frames: Sequence[int], margin: float = 0.12
 
 
 def describe(scene: Scene) -> tuple[str, ...]:
-    """The target, its spin, and what else is special about a scene, in a few words each."""
+    """Short labels: the target, its spin, and special features of the scene."""
     body, motion, light = scene.body, scene.motion, scene.light
     family = "mesh" if body.path is None else Path(body.path).stem
     words = [f"{body.family.replace('_', ' ')} {body.size_m:g} m" if body.family != "mesh" else family]
@@ -166,7 +168,7 @@ def describe(scene: Scene) -> tuple[str, ...]:
 
 
 def draw_sheet(strips: Sequence[Strip]) -> Image.Image:
-    """All scenes on dark paper, two in a row, each with its caption above its frames."""
+    """All scenes on a dark sheet, two per row, each with a caption above its frames."""
     wide = TILES * TILE_PX[0] + (TILES - 1) * GAP_PX
     tall = CAPTION_PX + TILE_PX[1] + BELOW_PX
     rows = -(-len(strips) // COLUMNS)
@@ -183,7 +185,7 @@ def draw_sheet(strips: Sequence[Strip]) -> Image.Image:
 
 
 def _write_caption(draw: ImageDraw.ImageDraw, strip: Strip, left: int, top: int, wide: int) -> None:
-    """The name, and as many of the words beside it as there is room for."""
+    """The name, and beside it as many of the labels as fit."""
     bold, plain = _font("DejaVuSans-Bold.ttf", 16), _font("DejaVuSans.ttf", 13)
     baseline = top + 17
     draw.text((left, baseline), strip.name, fill=NAME, font=bold, anchor="ls")
@@ -204,7 +206,7 @@ def _tile(image: NDArray[np.uint8] | NDArray[np.uint16], scene: Scene, box: Box)
 
 
 def contact_sheet(folder: Path, columns: int = 4, rows: int = 2, width_px: int = 240) -> Grey:
-    """Left images evenly over the sequence, cropped to where anything is seen, row by row (h, w).
+    """Left images evenly over the sequence, cropped to the lit part, row by row (h, w).
 
     Raises InputError: the folder is no sequence.
     """
@@ -221,7 +223,7 @@ def contact_sheet(folder: Path, columns: int = 4, rows: int = 2, width_px: int =
 
 
 def _lit_box(images: Grey, above_dn: int = 20, margin_px: int = 8) -> tuple[int, int, int, int]:
-    """Rows and columns (top, bottom, left, right) that hold all lit pixels of all images (n, h, w)."""
+    """Rows and columns (top, bottom, left, right) that contain all lit pixels of all images (n, h, w)."""
     lit: Bools = np.max(images, axis=0) > above_dn
     height, width = lit.shape
     rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
@@ -236,7 +238,7 @@ def _lit_box(images: Grey, above_dn: int = 20, margin_px: int = 8) -> tuple[int,
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Write the sheet that the command line asks for; 2 for a mistake in it."""
+    """Write the sheet of the command line; returns 2 if its arguments are wrong."""
     parser = argparse.ArgumentParser(
         prog="python -m polhode.simulation.figures.contact_sheet", description=__doc__
     )
@@ -246,7 +248,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="parallel processes")
     arguments = parser.parse_args(words)
     try:
-        # Before the work, so that none is lost.
+        # Before rendering, so that no work is lost.
         arguments.output.parent.mkdir(parents=True, exist_ok=True)
         draw(arguments.sources, arguments.workers).save(arguments.output, optimize=True)
     except InputError as error:

@@ -39,11 +39,11 @@ Rgb = NDArray[np.uint8]
 UNSEEN = (110, 110, 110)
 ENLARGED, MARGIN_PX = 2, 8
 SHIFT = 4
-"""Circles are drawn at 1/2^SHIFT of a pixel."""
+"""Circles are positioned to 1/2^SHIFT of a pixel."""
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Write what the command line asks for, and say how many points both views see."""
+    """Write the files of the command line, and print how many points are visible in both views."""
     parser = argparse.ArgumentParser(
         prog="python -m polhode.simulation.figures.correspondence_picture",
         description=__doc__,
@@ -87,7 +87,7 @@ def _execute(options: argparse.Namespace) -> str:
 def draw_correspondence(
     plan: SequencePlan, ends: Sequence[tuple[int, int]], found: Correspondence, points: int = 160
 ) -> Image.Image:
-    """Images of ``ends``, (frame, camera) twice, around the target, with about so many points of ``found``.
+    """Images of ``ends``, (frame, camera) twice, around the target, with about that many points of ``found``.
 
     ``found`` is the dense field. Coloured: visible in both; grey rings: seen in the first only.
     """
@@ -113,7 +113,9 @@ def draw_correspondence(
 
 
 def _boxes(covered: list[Bools]) -> tuple[list[Ints], tuple[int, int]]:
-    """Left upper corners (u, v) and the one size (w, h) of boxes around the target in each image (H, W)."""
+    """Upper left corners (u, v) and the common size (w, h) of boxes around the target in each image (H,
+    W).
+    """
     height, width = covered[0].shape
     sides = [[np.flatnonzero(mask.any(axis=axis)) for axis in (0, 1)] for mask in covered]
     spans = [[(int(s[0]), int(s[-1])) if len(s) else (0, 0) for s in side] for side in sides]
@@ -134,7 +136,7 @@ def _panel(image: Grey, bits: int, corner_px: Ints, size_px: tuple[int, int]) ->
 
 
 def _colours(uv_px: Array) -> list[tuple[int, int, int]]:
-    """Hue by the direction from the middle of the points (n, 2), paler towards it."""
+    """Hue by the direction from the centre of the points (n, 2), paler towards it."""
     offset = uv_px - uv_px.mean(axis=0)
     hue = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) % 1.0
     reach = np.linalg.norm(offset, axis=1)

@@ -33,12 +33,12 @@ from polhode.simulation.motion.forces import is_free
 from polhode.simulation.motion.poinsot import Poinsot, poinsot, polhodes, rotation_states, separatrix
 
 LIGHT = np.array([-0.5, 0.62, 0.6])
-"""Towards the light: right, up, towards the viewer."""
+"""Direction to the light: right, up, towards the viewer."""
 AMBIENT, DIFFUSE, GLOSS, SHININESS = 0.62, 0.42, 0.16, 30.0
 HEADROOM = 0.07
-"""Above the highest point, for its name; relative to the largest side."""
+"""Margin above the highest point for its label, relative to the largest side."""
 LAYERS = 8
-"""Surfaces one behind the other that shine through."""
+"""Number of translucent surfaces one behind the other that are drawn."""
 
 
 INK, FAINT = "#1c2530", "#8a96a3"
@@ -51,7 +51,7 @@ CONES = {
 }
 DPI, OVERSAMPLING = 110, 2
 RINGS = 16
-"""Strips of a cone from its tip to its edge, for the sorting by depth."""
+"""Strips of a cone from its tip to its edge."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,10 @@ class _Line:
 
 
 class Drawing:
-    """Surfaces and lines in space, seen from far away."""
+    """Surfaces and lines in space in parallel projection."""
 
     def __init__(self, towards_viewer: Array, up: Array) -> None:
-        """Directions (3,) in the drawn frame, of any length, not parallel."""
+        """Directions (3,) in the frame of the drawing, of any length, not parallel."""
         near = np.asarray(towards_viewer, dtype=np.float64) / np.linalg.norm(towards_viewer)
         right = np.cross(up, near)
         right /= np.linalg.norm(right)
@@ -78,7 +78,7 @@ class Drawing:
         self._lines: list[_Line] = []
 
     def seen(self, points: Array) -> Array:
-        """Points (..., 3) as the viewer has them: right, up, nearness."""
+        """Points (..., 3) in the viewer's axes: right, up, towards the viewer."""
         return np.asarray(np.asarray(points) @ self._R.T)
 
     def surface(self, grid: Array, color: str, opacity: float) -> None:
@@ -92,7 +92,7 @@ class Drawing:
         self._paints.append(np.tile([*to_rgb(color), opacity], (len(triangles), 1)))
 
     def line(self, points: Array, color: str, width_pt: float, hidden: float = 0.3) -> None:
-        """A line through points (n, 3); where a surface is before it, it has the opacity ``hidden``."""
+        """A line through points (n, 3); behind a surface it has the opacity ``hidden``."""
         self._lines.append(_Line(self.seen(points), to_rgb(color), width_pt, hidden))
 
     def paint(self, axes: Axes, pixels: int = 1000) -> None:
@@ -124,7 +124,7 @@ class Drawing:
     def _paint_line(self, axes: Axes, scene: EmbreeScene, line: _Line, lift: float) -> None:
         middles = 0.5 * (line.points[:-1] + line.points[1:]) + np.array([0.0, 0.0, lift])
         behind = _covered(scene, middles) if self._triangles else np.zeros(len(middles), dtype=bool)
-        # Whole stretches: pieces that overlap would show where they are translucent.
+        # Each stretch is one line: overlapping translucent pieces would be visible.
         cuts = np.flatnonzero(np.diff(behind)) + 1
         for start, end in pairwise([0, *cuts.tolist(), len(behind)]):
             opacity = line.hidden if behind[start] else 1.0
@@ -162,7 +162,7 @@ def _shaded(normals: Array, paints: Array) -> Array:
     light = LIGHT / np.linalg.norm(LIGHT)
     half = light + np.array([0.0, 0.0, 1.0])
     half /= np.linalg.norm(half)
-    # Light that reaches around: no face is black.
+    # Wrapped diffuse light: no face is black.
     diffuse = (0.35 + 0.65 * normals @ light)[:, None]
     gloss = np.maximum(normals @ half, 0.0)[:, None] ** SHININESS
     return np.asarray(paints[:, :3] * (AMBIENT + DIFFUSE * diffuse) + GLOSS * gloss)
@@ -182,8 +182,8 @@ def motion_figure(scene: Scene, seed: int, name: str, pixels: int = 1000) -> Fig
     """Three panels: the cones in space, the polhode on the energy ellipsoid, the herpolhode.
 
     The cones and curves are those of the free motion from the first frame's state; where something acts, the
-    true path is drawn beside the polhode. ``pixels``: larger side of the drawings' surfaces. Raises
-    InputError when the target does not turn.
+    true path is drawn as well. ``pixels``: larger side of the drawings' surfaces. Raises
+    InputError if the target does not rotate.
     """
     mass = mass_distribution(scene.mass, build_body(scene.body, seed))
     motion = target_motion(scene, mass, seed)
@@ -202,7 +202,7 @@ def motion_figure(scene: Scene, seed: int, name: str, pixels: int = 1000) -> Fig
 
 
 def headline(geometry: Poinsot, name: str) -> str:
-    """What kind of motion it is, in words."""
+    """Headline with the kind of motion."""
     precession = geometry.precession
     if precession.direction == "none":
         return f"{name}: no precession"
@@ -287,7 +287,7 @@ def draw_polhode(axes: Axes, geometry: Poinsot, path_P: Array | None, pixels: in
 
 
 def draw_herpolhode(axes: Axes, geometry: Poinsot) -> None:
-    """Where the rate goes in the invariable plane, across the angular momentum."""
+    """Path of the rate in the invariable plane, perpendicular to the angular momentum."""
     plane = np.rad2deg(geometry.herpolhode_H[:, :2])
     once = len(geometry.around_H)
     radius = np.linalg.norm(plane, axis=1)
@@ -336,7 +336,7 @@ def _look_at(geometry: Poinsot) -> Array:
 
 
 def _true_path(motion: TargetMotion, geometry: Poinsot) -> Array:
-    """Rate (n, 3) over the frames and the horizon, brought along its direction onto the ellipsoid."""
+    """Rate (n, 3) over the frames and the horizon, scaled onto the ellipsoid."""
     t_s = np.linspace(0.0, motion.t_s[-1], 3000)
     _, h_P = rotation_states(motion.forces, motion.h_P[0], t_s)
     w_P = h_P / geometry.moments
@@ -348,7 +348,7 @@ def _tip(axes: Axes, drawing: Drawing, tip: Array, color: str, label: str) -> No
     end, before = drawing.seen(tip)[:2], drawing.seen(0.97 * tip)[:2]
     _head(axes, before, end, color)
     way = end / max(float(np.linalg.norm(end)), 1e-12)
-    # The rate is the short arrow between the others: its name goes beside it.
+    # The rate is the short arrow between the others: its label goes beside it.
     offset_pt = (9.0, 1.0) if color == RATE else (11 * way[0], 11 * way[1])
     side = "center" if abs(way[0]) < 0.3 and color != RATE else ""
     _label(axes, label, end, offset_pt, side, color)
@@ -366,7 +366,7 @@ def _head(axes: Axes, before: Array, end: Array, color: str) -> None:
 
 
 def _axis_names(moments: Array) -> tuple[str, str, str]:
-    """Of two equal moments neither axis is the middle one."""
+    """Names of the axes; with two equal moments there is no middle axis."""
     if moments[0] == moments[1] or moments[1] == moments[2]:
         return ("x greatest", "y", "z") if moments[1] == moments[2] else ("x", "y", "z least")
     return "x greatest", "y middle", "z least"
@@ -421,7 +421,7 @@ def _range(low: float, high: float, digits: int) -> str:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG; drawn larger and made smaller, which smooths the surfaces' edges."""
+    """Write a figure as PNG; it is drawn larger and reduced, which smooths the edges of surfaces."""
     large = BytesIO()
     figure.savefig(large, format="png")
     image = Image.open(large).convert("RGB")
@@ -430,7 +430,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def main() -> None:
-    """Write the picture that the command line asks for."""
+    """Write the figure of the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m polhode.simulation.figures.motion_plot", description=__doc__
     )

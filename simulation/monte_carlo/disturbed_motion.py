@@ -1,4 +1,4 @@
-"""A rigid body under white disturbances that hold over small steps, by a fourth-order method."""
+"""A rigid body under white disturbances, constant over small steps, by a fourth-order method."""
 
 import numpy as np
 

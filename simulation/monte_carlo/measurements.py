@@ -1,6 +1,6 @@
 """Monte Carlo measurements without images: a rigid body tumbles, a stereo camera sees its landmarks.
 
-Deterministic by seed. For tests and benchmarks of the back end: same records as the front end gives.
+Deterministic by seed. For tests and benchmarks of the back end: the records are those of the front end.
 """
 
 from dataclasses import dataclass, replace
@@ -54,16 +54,18 @@ class SyntheticScene:
     torque_psd: float = 1e-6
     """Process noise as in the back end's config; 0: none."""
     loop_closure: bool = True
-    """False: a landmark that comes back into view is a new one."""
+    """False: a landmark that returns into view is a new one."""
     camera_moves: bool = False
     station_keeping: bool = False
-    """The camera follows the target's drift, so that as much is seen at the end as at the start."""
+    """The camera follows the target's drift, so that the view stays the same throughout."""
     deadband_m: tuple[float, float] = (0.0, 0.0)
-    """The camera jitters within a dead band along each axis of N: half width [m], drift [m/s]; zeros: not."""
+    """The camera jitters within a dead band along each axis of N: half width [m], drift [m/s]; zeros: no
+    jitter.
+    """
     deadband_rad: tuple[float, float] = (0.0, 0.0)
     """The same of its attitude about its own axes: half width [rad], drift [rad/s]."""
     sigma_camera_p_m: float = 0.0
-    """Noise of the stated camera position, independent from frame to frame [m]."""
+    """Noise of the reported camera position, independent from frame to frame [m]."""
     sigma_camera_theta_rad: float = 0.0
     """The same of its attitude [rad]."""
     mass_kg: float = 4.487
@@ -90,7 +92,7 @@ class SyntheticSequence:
     outlier: Bools
     """(M,)"""
     X_NR: Array
-    """(F, 4, 4) true poses of the camera; those of the tracks are what the inspector states"""
+    """(F, 4, 4) true poses of the camera; those of the tracks are as reported by the inspector"""
 
 
 def random_scene(seed: int, **changes: Any) -> SyntheticScene:
@@ -130,7 +132,7 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
     tracks = StereoTracks(
         RIG,
         np.round(time_s * 1e9).astype(np.int64),
-        _stated(scene, X_NR, seed),
+        _reported_poses(scene, X_NR, seed),
         frame,
         landmark.astype(np.int64),
         measured,
@@ -159,8 +161,8 @@ def _motion(scene: SyntheticScene, J: Array, rng: np.random.Generator) -> tuple[
     return r[::steps], v[::steps], R_all[::steps], w[::steps]
 
 
-def _stated(scene: SyntheticScene, X_NR: Array, seed: int) -> Array:
-    """The camera's poses (F, 4, 4) as the inspector states them."""
+def _reported_poses(scene: SyntheticScene, X_NR: Array, seed: int) -> Array:
+    """The camera's poses (F, 4, 4) as the inspector reports them."""
     noise = np.random.default_rng([seed, 78]).normal(size=(2, len(X_NR), 3))
     R = X_NR[:, :3, :3] @ exp_so3(scene.sigma_camera_theta_rad * noise[0])
     return make_pose(R, X_NR[:, :3, 3] + scene.sigma_camera_p_m * noise[1])
@@ -182,7 +184,7 @@ def _camera_path(scene: SyntheticScene, time_s: Array, r_N: Array) -> Array:
 
 
 def _jittered(scene: SyntheticScene, X_NR: Array, time_s: Array, seed: int) -> Array:
-    """The path with the limit cycles of the inspector's control; draws of its own, whatever else is drawn."""
+    """The path with the limit cycles of the inspector's control, from random numbers of its own."""
     bands = [scene.deadband_m] * 3 + [scene.deadband_rad] * 3
     if not np.any(bands):
         return X_NR
@@ -273,7 +275,7 @@ def _push(pushes: tuple[tuple[float, float, Vector, Vector], ...], time_s: float
 
 
 def _wrench(scene: SyntheticScene) -> Wrench | None:
-    """The known pushes as rows that hold; None without any."""
+    """The known pushes as rows, each constant until the next; None without any."""
     if not scene.pushes:
         return None
     edges_s = {0.0, *(edge for start, length, _, _ in scene.pushes for edge in (start, start + length))}

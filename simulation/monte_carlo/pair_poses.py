@@ -10,10 +10,11 @@ from polhode.records import Ints
 def pair_poses(
     frame: Ints, point: Ints, p_R: Array, X_RG: Array, gate_m: float, least: int
 ) -> tuple[Ints, Ints, Array, Ints]:
-    """i, j (E,), X_RiRj (E, 4, 4), landmarks used (E,): of all pairs with at least that many landmarks.
+    """i, j (E,), X_RiRj (E, 4, 4), landmarks used (E,): of all pairs with at least ``least`` landmarks.
 
-    Observations (M,) of points p_R (M, 3) [m], at most one of a point in a frame; X_RG (F, 4, 4) the true
-    poses: what is farther than the gate from where they put it is left out. X of least squares (Kabsch 1976).
+    Observations (M,) of points p_R (M, 3) [m], at most one of each point per frame; X_RG (F, 4, 4) true
+    poses. Observations farther than the gate from their true position are left out. X by least squares
+    (Kabsch 1976).
     """
     index = np.full((len(X_RG), int(point.max(initial=0)) + 1), -1, dtype=np.int64)
     index[frame, point] = np.arange(len(frame))

@@ -17,10 +17,10 @@ from polhode.simulation.surface.materials import MaterialTable, Surface
 
 @dataclass(frozen=True)
 class ChartSamples:
-    """What the drawings say at n points."""
+    """Values of the charts at n points."""
 
     reflectance: Array
-    """(n,), NaN where there is no drawing"""
+    """(n,), NaN without a chart"""
     slope_G: Array
     """(n, 3) gradient of the relief, along the surface"""
     layer: Ints
@@ -28,7 +28,7 @@ class ChartSamples:
 
 
 class ChartAtlas:
-    """The charts of a body, packed."""
+    """The charts of a body, packed into common buffers."""
 
     def __init__(self, charts: tuple[Chart, ...]) -> None:
         self._start, self._shape, self._texels = packed_images([chart.image for chart in charts])
@@ -38,7 +38,7 @@ class ChartAtlas:
         self._planes = np.array(rows, dtype=np.float64).reshape(-1, 3, 3)
 
     def look_up(self, chart: Ints, p_G: Array) -> ChartSamples:
-        """Drawings at points (n, 3) of charts (n,); chart -1: none."""
+        """Bilinear samples at points (n, 3) of charts (n,); chart -1: none."""
         places = (self._start, self._shape, self._planes)
         return ChartSamples(*_look_up(chart, p_G, *places, self._texels, self._slopes, self._layers))
 
@@ -91,7 +91,7 @@ def _look_up(
         reflectance[n] = value
         layer[n] = layers[places[(2 if a > 0.5 else 0) + (1 if b > 0.5 else 0)]]
         if right != 0.0 or down != 0.0:
-            # The planes' axes are divided by the texel: their length gives it back.
+            # The axes of the planes are divided by the size of a texel, so their length gives it back.
             texel = 1.0 / np.sqrt(planes[c, 1, 0] ** 2 + planes[c, 1, 1] ** 2 + planes[c, 1, 2] ** 2)
             for k in range(3):
                 slope[n, k] = SLOPE_STEP * texel * (right * planes[c, 1, k] + down * planes[c, 2, k])
@@ -99,10 +99,10 @@ def _look_up(
 
 
 class SurfaceAppearance:
-    """All that light meets on a body, looked up by face and position."""
+    """The surface of a body, evaluated by face and position."""
 
     def __init__(self, body: Body, description: config.Body, seed: int) -> None:
-        """``seed`` serves where the description has none."""
+        """``seed`` is used if the description has none."""
         self._body = body
         self._atlas = ChartAtlas(body.charts)
         surface_seed = seed if description.seed is None else description.seed

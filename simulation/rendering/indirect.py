@@ -1,7 +1,8 @@
-"""Light that comes by way of the body itself, and what the body hides of the Earth.
+"""Indirect light: reflected by other parts of the body, and the part of the Earth's light that they block.
 
-Gathered at probes (probes.py) and spread between them, so that it carries no noise: one reflection from part
-to part, the Earth's disc behind the body's own outline, and what rough clear surfaces mirror of both.
+It is gathered at probes (probes.py) and interpolated between them, so that it is free of noise: one
+reflection from part to part, the Earth's disc as the body occludes it, and the reflection of both in glossy
+surfaces.
 """
 
 from dataclasses import dataclass
@@ -27,17 +28,17 @@ from polhode.simulation.rendering.surface_interpolation import Neighbours
 from polhode.simulation.surface.materials import Surface
 
 CELL_RAD = float(np.sqrt(4.0 / DIRECTIONS))
-"""Radius of the patch of sky that one of the probes' directions stands for."""
+"""Radius of the patch of sky that one direction of the probes represents."""
 MIN_ALPHA2 = 0.2**2
-"""Square of the least GGX alpha of highlights on other parts: the directions resolve no sharper ones."""
+"""Square of the smallest GGX alpha of highlights on other parts: the directions resolve no sharper ones."""
 STEP_RAD, STEP_SHARE = 1.0 / 256.0, 0.005
-"""Steps of the lights' directions, and of the lamp's place relative to the body's size."""
+"""Steps to which directions of lights are rounded, and position of the lamp relative to the body's size."""
 STRONG_REFLECTANCE = 0.1
-"""Reflectance (F0) from which a surface mirrors much."""
+"""Reflectance at normal incidence (F0) above which a surface is a strong reflector."""
 STRONG_LOBE_RAYS, WEAK_LOBE_RAYS = 48, 8
-"""Rays a pixel in the lobe of a surface that mirrors much, or little."""
+"""Rays per pixel in the lobe of a strong and of a weak reflector."""
 MIN_WEIGHT = 0.05
-"""Weight from which a probe's view is looked up."""
+"""Probes with a smaller weight are ignored."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,9 @@ class IndirectField:
     """Indirect light at one moment."""
 
     bounced: NDArray[np.float32]
-    """(P, 3) light that other parts throw onto each probe, as an irradiance vector in G"""
+    """(P, 3) irradiance vector in G of the light that other parts reflect onto each probe"""
     earth_share: NDArray[np.float32]
-    """(P, 1) share of the Earth's light that no part hides"""
+    """(P, 1) share of the Earth's light that no part blocks"""
     views: NDArray[np.float32]
     """(P, D) radiance of body and Earth that each probe sees in each direction, negative below its horizon"""
     nearest: NDArray[np.int32]
@@ -66,12 +67,12 @@ class IndirectAtHits:
         return np.asarray(np.maximum(np.einsum("nk,nk->n", self.near.mean(self.fill.bounced), normal_G), 0.0))
 
     def earth_share(self) -> Array:
-        """Share (n,) of the Earth's light that no part hides."""
+        """Share (n,) of the Earth's light that no part blocks."""
         alone = self.near.weight[:, 0] == 0
         return np.where(alone, 1.0, self.near.mean(self.fill.earth_share)[:, 0])
 
     def mirrored(self, surface: Surface, to_viewer_G: Array, flat_normal_G: Array, stratum: Stratum) -> Array:
-        """Level (n,) of body and Earth in the surface's lobe, as the probes see them.
+        """Level (n,) of the body and the Earth, as the probes see them, in the specular lobe of the surface.
 
         to_viewer_G (n, 3) unit; flat_normal_G (n, 3) of the faces.
         """
@@ -83,7 +84,7 @@ class IndirectAtHits:
 
 
 class IndirectLight:
-    """A body's probes and their surface, ready for the lights of any moment."""
+    """The probes of a body and the surface around them, for the lights of any moment."""
 
     def __init__(
         self, body: Body, caster: RayCaster, appearance: SurfaceAppearance, bounces: int, probes: int = PROBES
@@ -112,8 +113,8 @@ class IndirectLight:
     def for_lights(self, lights: Lights) -> IndirectField:
         """The indirect light under the lights of one moment.
 
-        Lights are taken in small steps, and what was found last is kept: the two images of a pair, and the
-        samples of a pixel that moves, share it. The answer depends on the lights alone.
+        Lights are rounded to small steps, and the last two results are cached: both images of a pair, and the
+        samples of a pixel under motion blur, share them. The result depends on the lights alone.
         """
         lights = lights.quantized(STEP_RAD, STEP_SHARE * self._radius_m)
         if lights.key not in self._known:
@@ -146,7 +147,7 @@ class IndirectLight:
         )
 
     def _direct(self, lights: Lights) -> tuple[Array, Array]:
-        """Share of the surface around each probe that is sunlit (P,), and its diffuse level (P,)."""
+        """Share (P,) of the surface around each probe that is sunlit, and its diffuse level (P,)."""
         points, normal, mean = self._points, self._surface.normal_G, self._probes.mean
         lit = self._caster.lit(points, lights.sun_direction_G)
         irradiance = lights.sun * lit * np.maximum(normal @ lights.sun_direction_G, 0.0)
@@ -163,7 +164,7 @@ class IndirectLight:
 
 
 def _lobe_samples(count: int, stratum: Stratum) -> Array:
-    """Places (rays, 2) in a lobe: the samples of a pixel share about ``count`` of them, on a spiral."""
+    """Points (rays, 2) in a lobe: the samples of a pixel share about ``count`` of them, on a spiral."""
     rays = max(count // stratum.samples, 1)
     index = np.arange(rays, dtype=np.float64) * stratum.samples + stratum.sample + 0.5
     return spiral_points(index, rays * stratum.samples)
@@ -199,9 +200,9 @@ def _gather(
     alpha2: Array,
     sun: Array,
 ) -> tuple[Array, NDArray[np.float32]]:
-    """Irradiance vector (P, 3) of the light that parts throw onto each probe, and the views (P, D).
+    """Irradiance vector (P, 3) of the light that parts reflect onto each probe, and the views (P, D).
 
-    Parts shine with a diffuse ``level`` (P,), and with the Sun's highlights where they are ``clear`` (P,).
+    Parts reflect a diffuse ``level`` (P,), and highlights of the Sun from the sunlit share ``clear`` (P,).
     """
     bounced = np.zeros((len(sees), 3))
     views = np.full(sees.shape, -1.0, np.float32)
@@ -224,7 +225,7 @@ def _gather(
 
 @compiled
 def _highlight(n: Array, from_viewer: Array, sun: Array, alpha2: float, f0: float) -> float:
-    """Level of the Sun's mirror image on a surface of normal n (3,), seen along a direction (3,)."""
+    """Level of the Sun's highlight on a surface of normal n (3,), seen along a direction (3,)."""
     n_l = n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2]
     n_v = -(n[0] * from_viewer[0] + n[1] * from_viewer[1] + n[2] * from_viewer[2])
     if n_l <= 0.0 or n_v <= 0.0:
@@ -248,7 +249,7 @@ def _mirrored(
     many: Array,
     few: Array,
 ) -> Array:
-    """Level (n,), by rays at ``many`` (rays, 2) places of the lobe, or at few where the surface is faint."""
+    """Level (n,) by rays at points ``many`` (rays, 2) of the lobe, or ``few`` for weak reflectors."""
     out = np.zeros(len(index))
     for i in range(len(index)):
         if f0[i] <= 0.0 or share[i, 0] <= 0.0:

@@ -8,7 +8,7 @@ from polhode.config import scene as config
 from polhode.lie import Array
 
 HALF_SKY_RAD = 0.5 * float(np.pi)
-"""Radius of the largest disc: no sphere that one is outside of covers more."""
+"""Radius of the largest disc: a sphere seen from outside covers less than half of the sky."""
 
 
 @dataclass(frozen=True)
@@ -16,11 +16,11 @@ class Lights:
     """The lights in G at one moment."""
 
     sun_direction_G: Array
-    """(3,) unit, towards the Sun's middle"""
+    """(3,) unit, towards the Sun's centre"""
     sun: float
     """level of a white surface that faces it"""
     earth_direction_G: Array
-    """(3,) unit, towards the Earth's middle"""
+    """(3,) unit, towards the Earth's centre"""
     earth: float
     """radiance of its disc"""
     lamp_G: Array
@@ -31,7 +31,7 @@ class Lights:
     earth_radius_rad: float = HALF_SKY_RAD
 
     def quantized(self, step: float, step_m: float) -> "Lights":
-        """The same lights, directions in steps of ``step`` [rad] and the lamp in steps of ``step_m``."""
+        """The same lights, directions rounded to ``step`` [rad] and the lamp's position to ``step_m``."""
 
         def rounded(direction: Array) -> Array:
             d = np.round(direction / step)
@@ -52,13 +52,13 @@ class Lights:
 
     @property
     def key(self) -> bytes:
-        """The same for the same lights."""
+        """Equal for equal lights."""
         numbers = (self.sun, self.earth, self.lamp, self.sun_radius_rad, self.earth_radius_rad)
         return np.concatenate([self.sun_direction_G, self.earth_direction_G, self.lamp_G, numbers]).tobytes()
 
 
 def lights_in_body(light: config.Light, X_GN: Array, X_GC: Array, t_s: float = 0.0) -> Lights:
-    """Turn the scene's lights into G, t_s after the first frame; poses (4, 4), C the left camera."""
+    """The scene's lights in G, t_s after the first frame; poses (4, 4), C the left camera."""
 
     def direction(vector_N: tuple[float, float, float]) -> Array:
         d = X_GN[:3, :3] @ np.array(vector_N)
@@ -98,10 +98,10 @@ def sunlight(light: config.Light, t_s: float) -> float:
 
 
 def disc_irradiance(cosine: Array, radius_rad: float) -> Array:
-    """Irradiance (n,) of a disc of radiance 1, relative to that of a whole sky; nothing stands before it.
+    """Irradiance (n,) of a disc of radiance 1, relative to that of a whole sky, without occlusion.
 
-    cosine (n,): between the normal and the disc's middle; radius_rad at most pi/2. Where the horizon cuts
-    the disc, the form factor of a sphere (Howell, "Radiation configuration factors", B-43).
+    cosine (n,): between the normal and the centre of the disc; radius_rad at most pi/2. Where the horizon
+    cuts the disc, the form factor of a sphere (Howell, "Radiation configuration factors", B-43).
     """
     sine = np.sqrt(np.clip(1.0 - cosine**2, 1e-12, 1.0))
     s, c = np.sin(radius_rad), np.cos(radius_rad)

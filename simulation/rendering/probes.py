@@ -1,6 +1,6 @@
 """Probes spread over the body's surface, and what each of them sees in every direction.
 
-Built once per body. The light of a frame is then a matter of table look-ups, free of noise.
+They are built once per body. The light of a frame then comes from table look-ups, free of noise.
 """
 
 from collections.abc import Iterator
@@ -19,19 +19,19 @@ from polhode.simulation.rendering.sampling import even_directions
 from polhode.simulation.rendering.surface_interpolation import SurfaceInterpolation
 
 SKY, BELOW, DARK = -1, -2, -3
-"""Entries of the table beside probes: open sky; under the probe's own horizon; a surface without light."""
+"""Entries of the table apart from probes: open sky; below the probe's own horizon; an unlit surface."""
 PROBES = 5000
 POINTS_A_PROBE = 6
-"""Points of the whole surface, inside and out, for one probe of the surface that light reaches."""
+"""Points on the whole surface, inside and out, for each probe on the surface that light reaches."""
 DIRECTIONS = 1024
 PILOT_DIRECTIONS = 64
 RAYS_AT_ONCE = 1 << 18
 LOWEST = 1e-3
-"""Sine of the elevation below which nothing is looked at."""
+"""Directions with a smaller sine of the elevation are ignored."""
 PACKING = 0.6
-"""Probes on a square of their spacing."""
+"""Number of probes on a square with their spacing as side."""
 NORMAL_FACTOR = 1.0
-"""A turn of the normal by one radian separates probes as so many spacings would."""
+"""A difference of one radian between normals separates probes like this many spacings."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Probes:
     """P probes, D directions."""
 
     points: SurfacePoints
-    """(M) many points on the surface, for means around the probes"""
+    """(M,) points on the surface, for means around the probes"""
     owner: Ints
     """(M,) the probe that a point belongs to"""
     p_G: Array
@@ -64,7 +64,7 @@ class Probes:
     normal_G: Array
     """(P, 3)"""
     directions_G: Array
-    """(D, 3) unit, even over the sphere, the same for all probes"""
+    """(D, 3) unit, evenly over the sphere, the same for all probes"""
     sees: NDArray[np.int16]
     """(P, D) the probe that is seen, or SKY, BELOW, DARK"""
     around: SurfaceInterpolation
@@ -79,8 +79,8 @@ class Probes:
 def place_probes(mesh: trimesh.Trimesh, caster: RayCaster, count: int = PROBES) -> Probes:
     """Spread about ``count`` probes over all of the surface that light can reach, on both sides of faces.
 
-    Real meshes are open, or wound both ways: a place counts as reached when it sees the sky. What lies within
-    other parts falls out.
+    Real meshes are open, or have inconsistent winding: light reaches a point if it sees the sky. Points
+    inside other parts are dropped.
     """
     rng = np.random.default_rng([0x9B0B35])
     scattered = _scatter(mesh, POINTS_A_PROBE * count, rng)
@@ -97,7 +97,7 @@ def place_probes(mesh: trimesh.Trimesh, caster: RayCaster, count: int = PROBES) 
 
 
 def _scatter(mesh: trimesh.Trimesh, n: int, rng: np.random.Generator) -> SurfacePoints:
-    """Points on both sides of all faces, n on each, even per area."""
+    """Points on both sides of all faces, n on each side, evenly over the area."""
     area = np.cumsum(mesh.area_faces)
     face = np.searchsorted(area, area[-1] * (np.arange(n) + rng.random(n)) / n)
     root, share = np.sqrt(rng.random(n)), rng.random(n)
@@ -109,7 +109,7 @@ def _scatter(mesh: trimesh.Trimesh, n: int, rng: np.random.Generator) -> Surface
 
 
 def _reachable(points: SurfacePoints, caster: RayCaster) -> SurfacePoints:
-    """The points that see the sky; all of them where none does."""
+    """The points that see the sky; all of them if none does."""
     sky = np.zeros(len(points.face), np.bool_)
     for rays in _rays(points, even_directions(PILOT_DIRECTIONS), caster):
         sky[rays.point[rays.face < 0]] = True
@@ -117,7 +117,7 @@ def _reachable(points: SurfacePoints, caster: RayCaster) -> SurfacePoints:
 
 
 def _poisson_disc_sample(points: SurfacePoints, spacing_m: float, rng: np.random.Generator) -> Ints:
-    """Indices of points that keep their distance: each in random order, unless one taken before is near."""
+    """Indices of a Poisson-disc sample: points in random order, without those near an earlier one."""
     order = rng.permutation(len(points.p_G))
     features = np.hstack([points.p_G, NORMAL_FACTOR * spacing_m * points.normal_G])[order]
     pairs = cKDTree(features).query_pairs(spacing_m, output_type="ndarray")
@@ -128,7 +128,7 @@ def _poisson_disc_sample(points: SurfacePoints, spacing_m: float, rng: np.random
 
 @compiled
 def _greedy(count: int, pairs: Ints) -> Bools:
-    """Which of ``count`` points stay; pairs (m, 2) of near ones, i < j, sorted by i."""
+    """Which of ``count`` points are kept; pairs (m, 2) of near ones, i < j, sorted by i."""
     stays = np.ones(count, np.bool_)
     for m in range(len(pairs)):
         if stays[pairs[m, 0]]:
@@ -159,10 +159,10 @@ def _seen_from(
 
 @dataclass(frozen=True)
 class _Rays:
-    """What m rays have met."""
+    """First hits of m rays."""
 
     point: Ints
-    """(m,) where each starts"""
+    """(m,) index of the point where each starts"""
     direction: Ints
     """(m,)"""
     face: Ints
@@ -172,7 +172,7 @@ class _Rays:
 
 
 def _rays(points: SurfacePoints, directions: Array, caster: RayCaster) -> Iterator[_Rays]:
-    """All rays from points in directions above their horizons, some at a time."""
+    """All rays from points in directions above their horizons, in batches."""
     rows = max(RAYS_AT_ONCE // len(directions), 1)
     for first in range(0, len(points.face), rows):
         point, direction = np.nonzero(points.normal_G[first : first + rows] @ directions.T > LOWEST)

@@ -14,7 +14,7 @@ from polhode.simulation.bodies import Body
 
 @dataclass(frozen=True)
 class Hits:
-    """Where n rays of many met the body."""
+    """Hits of n rays, out of many, on the body."""
 
     ray: Ints
     """(n,) index of the ray"""
@@ -36,7 +36,7 @@ class Hits:
 
 
 class RayCaster:
-    """The body in embree's hierarchy. Distances reach 1e-7 of the distance to the camera."""
+    """The body in embree's bounding volume hierarchy; distances are accurate to 1e-7 of their length."""
 
     def __init__(self, body: Body) -> None:
         self._triangles = np.asarray(body.mesh.triangles)
@@ -61,7 +61,7 @@ class RayCaster:
         return self._hits(ray, face, weights, distance, origin + distance[:, None] * d, d)
 
     def hits_at(self, face: Ints, weights: Array, seen_from_G: Array) -> Hits:
-        """Hits at places of faces (n,), weights (n, 3) of their corners, seen from directions (n, 3)."""
+        """Hits at points of faces (n,), given weights (n, 3) of the corners, seen from directions (n, 3)."""
         p_G = np.einsum("nc,nck->nk", weights, self._triangles[face])
         n = len(face)
         return self._hits(np.arange(n), face, weights, np.zeros(n), p_G, -seen_from_G)
@@ -84,15 +84,15 @@ class RayCaster:
         return np.where(np.abs((exact - coarse_m) * slope) < 1e-6 * coarse_m, exact, coarse_m)
 
     def lit(self, hits: Hits, direction_G: Array, reach_m: Array | None = None) -> Bools:
-        """True where nothing stands between a hit and the light.
+        """True where nothing blocks the light at a hit.
 
-        direction_G: (3,) or (n, 3) unit, towards the light; reach_m (n,) its distance, endless when absent.
+        direction_G: (3,) or (n, 3) unit, towards the light; reach_m (n,) its distance, infinite if absent.
         The interpolated normal decides which side of the terminator a hit is on.
         """
         directions = np.broadcast_to(direction_G, hits.p_G.shape)
         lit = np.einsum("nk,nk->n", hits.normal_G, directions) > 0
         start = hits.p_G[lit] + self._lift_m * hits.flat_normal_G[lit]
-        # Faces of a round part that turn away before the surface that they stand for does.
+        # Facets of a curved part that face away from the light before the curved surface itself does.
         early = np.einsum("nk,nk->n", hits.flat_normal_G[lit], directions[lit]) <= 0
         start[early] += self._bulge(hits, np.flatnonzero(lit)[early])
         reach = np.full(len(start), 1e6) if reach_m is None else reach_m[lit]
@@ -100,23 +100,23 @@ class RayCaster:
         return np.asarray(lit)
 
     def clear(self, hits: Hits, directions_G: Array, reach_m: Array) -> Bools:
-        """True where nothing, the hit's own flat face included, stands in the way along directions (n, 3)."""
+        """True where nothing, including the hit's own flat face, blocks the directions (n, 3)."""
         clear = np.einsum("nk,nk->n", hits.flat_normal_G, directions_G) > 0
         start = hits.p_G[clear] + self._lift_m * hits.flat_normal_G[clear]
         clear[clear] = ~self.blocked(start, directions_G[clear], reach_m[clear])
         return np.asarray(clear)
 
     def blocked(self, start_G: Array, directions_G: Array, reach_m: Array) -> Bools:
-        """Whether the body stands in the way of rays (n, 3) within reach_m (n,)."""
+        """Whether the body blocks rays (n, 3) within reach_m (n,)."""
         found = self._scene.run(_floats(start_G), _floats(directions_G), _floats(reach_m), query="OCCLUDED")
         return np.asarray(found >= 0)
 
     def next_hits(self, hits: Hits, directions_G: Array) -> Hits:
-        """What rays that leave n hits along unit directions (n, 3) meet next; ``ray`` counts the hits."""
+        """Next hits of rays that leave n hits along unit directions (n, 3); ``ray`` indexes the hits."""
         return self.first_hits(hits.p_G + self._lift_m * hits.flat_normal_G, directions_G)
 
     def meets(self, p_G: Array, normal_G: Array, directions_G: Array) -> tuple[Ints, Array]:
-        """Face that rays meet which leave the surface at p_G (n, 3), on the side of normal_G (n, 3).
+        """Faces hit by rays that leave the surface at p_G (n, 3), on the side of normal_G (n, 3).
 
         Returns face (n,), -1: none, and the distance (n,) [m], both in single precision.
         """
@@ -125,7 +125,7 @@ class RayCaster:
         return np.asarray(answer["primID"]), np.asarray(answer["tfar"], dtype=np.float64)
 
     def _bulge(self, hits: Hits, which: Ints) -> Array:
-        """From hits (m,) of n to the round surface that the flat faces stand for (m, 3) [m].
+        """Offset (m, 3) from hits (m,) to the curved surface that the flat faces approximate [m].
 
         Hanika, "Hacking the shadow terminator", Ray Tracing Gems II, 2021.
         """

@@ -1,4 +1,4 @@
-"""How a surface reflects: a diffuse term, and the GGX lobe that mirrors its surroundings; two-sided.
+"""Reflection at a surface: a diffuse term and a GGX lobe, two-sided.
 
 GGX: Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007; joint Smith
 shadowing; Schlick's Fresnel. Levels are relative to a white diffuse surface in the same light.
@@ -14,9 +14,9 @@ from polhode.simulation.surface.materials import Surface
 
 @compiled
 def glossy(n_l: float, n_v: float, n_h: float, v_h: float, alpha2: float, f0: float) -> float:
-    """Level of the mirror term times n_l, from cosines between normal, light, viewer and half vector.
+    """Level of the specular term times n_l, from cosines between normal, light, viewer and half vector.
 
-    alpha2: square of alpha = roughness^2. Without a clear surface (f0 = 0) there is no mirror term at grazing
+    alpha2: square of alpha = roughness^2. With f0 = 0 there is no specular term, at grazing
     angles either.
     """
     if f0 <= 0.0 or n_l <= 0.0:
@@ -52,7 +52,7 @@ def reflected(
 
 
 def specular_albedo(surface: Surface, to_viewer_G: Array) -> Array:
-    """Share (n,) of an even surrounding that comes back towards the viewer.
+    """Share (n,) of uniform surroundings that is reflected towards the viewer (directional albedo).
 
     The fit of Karis, "Physically based shading on mobile", 2014, to the integral of the GGX reflection.
     """
@@ -64,16 +64,16 @@ def specular_albedo(surface: Surface, to_viewer_G: Array) -> Array:
 
 
 def reflected_earth(surface: Surface, to_viewer_G: Array, lights: Lights) -> Array:
-    """Share (n,) of the GGX lobe that the Earth's disc fills, nothing standing before it."""
+    """Share (n,) of the GGX lobe that the Earth's disc fills, without occlusion."""
     n = surface.normal_G
     mirror = 2.0 * np.einsum("nk,nk->n", n, to_viewer_G)[:, None] * n - to_viewer_G
     return earth_share_of_lobe(mirror, surface.roughness**2, lights)
 
 
 def earth_share_of_lobe(directions_G: Array, alpha: Array, lights: Lights) -> Array:
-    """Share (n,) that the Earth's disc has in GGX lobes around mirrored directions (n, 3).
+    """Share (n,) of GGX lobes around mirrored directions (n, 3) that the Earth's disc fills.
 
-    A lobe of visible slopes, cut by a straight edge: the disc is wide against the lobe.
+    The edge of the disc is taken as straight: the disc is wide compared with the lobe.
     """
     off_middle = np.arccos(np.clip(directions_G @ lights.earth_direction_G, -1.0, 1.0))
     tilt = np.tan(0.5 * (lights.earth_radius_rad - off_middle))
@@ -86,7 +86,7 @@ def lobe_ray(
 ) -> tuple[float, float, float, float]:
     """A mirrored direction (x, y, z) from the lobe of normal n and viewer v (3,), and its weight, at most 1.
 
-    right and up: the place in the lobe, on the unit disc. Heitz, "Sampling the GGX distribution of visible
+    right and up: position in the lobe, on the unit disc. Heitz, "Sampling the GGX distribution of visible
     normals", JCGT 2018, in the frame of the normal and the viewer: x towards the viewer, z along n.
     """
     vz = min(max(n[0] * v[0] + n[1] * v[1] + n[2] * v[2], 1e-3), 1.0)
@@ -110,7 +110,7 @@ def lobe_ray(
         weight = fresnel * lz * (vz + to_v) / (vz * to_l + lz * to_v)
     x0, x1, x2 = v[0] - vz * n[0], v[1] - vz * n[1], v[2] - vz * n[2]
     if vx < 1e-4:
-        # Seen from right above: any direction across n.
+        # Viewed along n: any direction across n will do.
         x0, x1, x2 = (0.0, n[2], -n[1]) if abs(n[0]) < 0.7 else (-n[2], 0.0, n[0])
     length = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
     x0, x1, x2 = x0 / length, x1 / length, x2 / length
@@ -122,9 +122,9 @@ def lobe_ray(
 def lobe_rays(
     normal: Array, to_viewer: Array, alpha: Array, f0: Array, place: Array, horizon: Array
 ) -> tuple[Array, Array]:
-    """One ``lobe_ray`` a hit, at places (n, 2): directions (n, 3), weights (n,).
+    """One ``lobe_ray`` per hit, at points (n, 2) of the disc: directions (n, 3), weights (n,).
 
-    What would go below the surface, of normals ``horizon`` (n, 3), is mirrored up: bent normals do that.
+    Bent normals can send a ray below the surface, of normals ``horizon`` (n, 3); it is mirrored upwards.
     """
     out, weight = np.empty((len(normal), 3)), np.empty(len(normal))
     for i in range(len(normal)):

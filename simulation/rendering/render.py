@@ -19,14 +19,14 @@ from polhode.simulation.rendering.shading import IncidentLight, SpecularTracer, 
 from polhode.simulation.surface.materials import Surface
 
 PIXELS_A_PROBE = 60
-"""Probes of indirect light are as fine as the image asks for,"""
+"""Pixels of the image per probe of indirect light;"""
 PROBES = (2000, 8000)
-"""within these numbers."""
+"""bounds on the number of probes."""
 
 
 @dataclass(frozen=True)
 class RenderedLight:
-    """What the lens forms on the sensor."""
+    """Light that the lens focuses on the sensor."""
 
     level: Array
     """(H, W) light, 1 for a white surface that faces the Sun"""
@@ -35,7 +35,7 @@ class RenderedLight:
 
 
 class Renderer:
-    """A body and its light, ready to be seen from anywhere."""
+    """Renders a body in its light from any pose."""
 
     def __init__(self, body: Body, scene: config.Scene, seed: int) -> None:
         self._body = body
@@ -49,12 +49,12 @@ class Renderer:
 
     @property
     def caster(self) -> RayCaster:
-        """The body, ready for rays."""
+        """Ray caster against the body."""
         return self._caster
 
     @property
     def appearance(self) -> SurfaceAppearance:
-        """Its surface."""
+        """Surface of the body."""
         return self._appearance
 
     @property
@@ -64,13 +64,13 @@ class Renderer:
 
     @cached_property
     def _indirect(self) -> IndirectLight:
-        """Built when first needed: it takes a second."""
+        """Built when first needed, which takes about a second."""
         return IndirectLight(self._body, self._caster, self._appearance, self._bounces, self._probes)
 
     def picture(self, camera: Camera, X_NK: Array, X_NG: Array, t_s: float = 0.0) -> RenderedLight:
         """Render what a camera at X_NK sees of the target at X_NG, t_s after the first frame.
 
-        Poses are (4, 4), or (S, 4, 4) with one pose per sample of a pixel: that blurs what moves.
+        Poses are (4, 4), or (S, 4, 4) with one pose per sample of a pixel, which gives motion blur.
         """
         offsets = sample_offsets(self._samples)
         poses_NK, poses_NG = (np.broadcast_to(X, (len(offsets), 4, 4)) for X in (X_NK, X_NG))
@@ -95,7 +95,7 @@ class Renderer:
     def _incident(
         self, hits: Hits, surface: Surface, to_viewer_G: Array, lights: Lights, stratum: Stratum
     ) -> IncidentLight | None:
-        """What n hits receive by way of the body itself."""
+        """Indirect light on n hits."""
         if lights.earth == 0 and not self._bounces:
             return None
         around = self._indirect.at(hits, lights)
@@ -104,7 +104,7 @@ class Renderer:
         return IncidentLight(around.bounced(surface.normal_G), around.earth_share(), mirrored)
 
     def _pixels_near_body(self, camera: Camera, X_GK: Array) -> Ints:
-        """Pixels whose ray passes the body's bounding sphere."""
+        """Pixels whose ray intersects the body's bounding sphere."""
         centre_K = inverse_pose(X_GK)[:3, 3]
         distance = float(np.linalg.norm(centre_K))
         margin_rad = 2.0 / camera.K[0, 0]

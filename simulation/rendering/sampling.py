@@ -1,4 +1,6 @@
-"""Sampling patterns: directions spread evenly over the sphere with the way back, and points on discs."""
+"""Sampling patterns: directions evenly over the sphere with a look-up of the nearest one, and points on
+discs.
+"""
 
 from dataclasses import dataclass
 
@@ -16,7 +18,7 @@ MAP_CELLS = 96
 
 
 def even_directions(count: int) -> Array:
-    """Unit directions (count, 3) on a spiral of Fibonacci."""
+    """Unit directions (count, 3) on a Fibonacci spiral."""
     index = np.arange(count)
     z = 1.0 - (2.0 * index + 1.0) / count
     angle, flat = index * GOLDEN_ANGLE, np.sqrt(1.0 - z * z)
@@ -52,7 +54,7 @@ def nearest_direction(x: float, y: float, z: float, nearest: NDArray[np.int32]) 
 
 @dataclass(frozen=True)
 class Stratum:
-    """Which of its pixel's samples each of n rays is: what is spread over the samples is spread by it."""
+    """The sample of its pixel that each of n rays is, for stratified sampling over the samples of a pixel."""
 
     pixel: Ints
     """(n,)"""
@@ -64,17 +66,17 @@ class Stratum:
         return Stratum(self.pixel[which], self.sample, self.samples)
 
     def on_disc(self, use: int) -> Array:
-        """A place (n, 2) on the unit disc for each ray.
+        """A point (n, 2) on the unit disc for each ray.
 
-        The samples of a pixel lie on a spiral that covers the disc evenly; each pixel turns and shifts the
-        spiral by its own hash, so that no bands are seen. Each use has hashes of its own.
+        The samples of a pixel lie on a spiral that covers the disc evenly; a hash of the
+        pixel rotates and shifts the spiral, so that no bands are visible. Each use has its own hashes.
         """
         turn, shift = _hash(self.pixel, use)
         return spiral_points(self.sample + shift, self.samples, 2.0 * np.pi * turn)
 
 
 def spiral_points(index: Array, count: int, turn_rad: Array | float = 0.0) -> Array:
-    """Places (n, 2) on the unit disc: those of index (n,) in [0, count) on a spiral of ``count`` places."""
+    """Points (n, 2) on the unit disc: those of index (n,) in [0, count) on a spiral of ``count`` points."""
     radius, angle = np.sqrt(index / count), np.floor(index) * GOLDEN_ANGLE + turn_rad
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
 
@@ -87,7 +89,7 @@ def rays_over_disc(direction_G: Array, radius_rad: float, stratum: Stratum) -> A
 
 
 def _across(direction: Array) -> Array:
-    """Two unit vectors (2, 3) at right angles to a unit direction (3,) and to each other."""
+    """Two unit vectors (2, 3) perpendicular to a unit direction (3,) and to each other."""
     right = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(direction, right)])

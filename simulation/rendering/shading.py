@@ -26,27 +26,29 @@ from polhode.simulation.rendering.sampling import Stratum
 from polhode.simulation.surface.materials import Surface
 
 MIN_TRACED_SHARE, FULL_TRACED_SHARE = 0.06, 0.12
-"""Share of mirrored light from which a sharp surface sends rays, and from which they are all it shows."""
+"""Specular albedo above which rays of a sharp surface are traced, and above which they replace the probes."""
 SHARP_ALPHA = 0.07
-"""GGX alpha below which a surface is sharp: the probes' views resolve about as much."""
+"""GGX alpha below which a surface is sharp: this is about the resolution of the probes' views."""
 MIN_TRACED_ROUGHNESS = 0.5
-"""Least roughness of what such a ray meets: one ray cannot average sharper highlights."""
+"""Minimum roughness of surfaces that a traced ray hits: one ray cannot average sharper highlights."""
 LOBE_CORE = 0.92
-"""Radius of the part of the lobe that is sent rays: a far tail that meets something bright makes specks."""
+"""Radius of the part of the lobe that is traced: rays in its tail that hit something bright make speckles."""
 EARTH_EDGE = 0.5
 """Width of the Earth's edge for one ray, relative to the lobe that the rays of a pixel are spread over."""
 
 
 @dataclass(frozen=True)
 class IncidentLight:
-    """What n hits receive by way of the body itself."""
+    """Indirect light on n hits."""
 
     bounced: Array | float = 0.0
     """(n,) irradiance of light that other parts reflect"""
     earth_share: Array | float = 1.0
-    """(n,) share of the Earth's light that no part hides"""
+    """(n,) share of the Earth's light that no part blocks"""
     mirrored: Array | None = None
-    """(n,) level of body and Earth in the mirror; None: the Earth alone, less what is hidden of it"""
+    """(n,) level of specular reflections of body and Earth; None: of the Earth alone, as far as it is not
+    blocked
+    """
 
 
 def shade(
@@ -60,8 +62,8 @@ def shade(
 ) -> Array:
     """Level (n,) of light that leaves the hits towards the viewer.
 
-    to_viewer_G (n, 3) unit; to_sun_G (n, 3) unit, to the point of the Sun's disc that the shadow ray tries,
-    its middle when absent; incident: what the body itself adds and hides, nothing when absent.
+    to_viewer_G (n, 3) unit; to_sun_G (n, 3) unit, to the point of the Sun's disc that the shadow ray
+    aims at, its centre if absent; incident: indirect light, none if absent.
     """
     level = _filled(surface, to_viewer_G, lights, incident or IncidentLight())
     n = len(level)
@@ -78,7 +80,7 @@ def shade(
 
 
 def _filled(surface: Surface, to_viewer_G: Array, lights: Lights, incident: IncidentLight) -> Array:
-    """Level (n,) of the Earth and of the body around, diffuse and mirrored."""
+    """Level (n,) of the Earth and of other parts, diffuse and specular."""
     cosine = surface.normal_G @ lights.earth_direction_G
     earth = lights.earth * incident.earth_share * disc_irradiance(cosine, lights.earth_radius_rad)
     level = surface.albedo * (1.0 - surface.specular) * (earth + incident.bounced)
@@ -103,7 +105,7 @@ def _reflected(surface: Surface, toward_G: Array, to_viewer_G: Array, where: Boo
 
 
 class SpecularTracer:
-    """A body as its own surfaces show it."""
+    """Specular reflections of the body and the Earth in the body's own surfaces."""
 
     def __init__(
         self, caster: RayCaster, appearance: SurfaceAppearance, indirect: IndirectLight, bounces: int
@@ -119,7 +121,7 @@ class SpecularTracer:
         around: IndirectAtHits,
         stratum: Stratum,
     ) -> Array:
-        """Level (n,) of body and Earth as n hits mirror them towards the viewer, to_viewer_G (n, 3) unit."""
+        """Level (n,) of body and Earth that n hits reflect towards the viewer, to_viewer_G (n, 3) unit."""
         level = around.mirrored(surface, to_viewer_G, hits.flat_normal_G, stratum)
         share = specular_albedo(surface, to_viewer_G)
         sharp = np.flatnonzero((surface.roughness**2 < SHARP_ALPHA) & (share > MIN_TRACED_SHARE))
@@ -134,7 +136,7 @@ class SpecularTracer:
     def _traced(
         self, hits: Hits, surface: Surface, to_viewer_G: Array, lights: Lights, stratum: Stratum
     ) -> Array:
-        """Level (n,) that one ray a hit brings."""
+        """Level (n,) from one traced ray per hit."""
         alpha = np.maximum(surface.roughness**2, 1e-3)
         lobe = (surface.normal_G, to_viewer_G, alpha, surface.specular)
         rays, weight = lobe_rays(*lobe, LOBE_CORE * stratum.on_disc(use=1), hits.flat_normal_G)
@@ -144,7 +146,7 @@ class SpecularTracer:
         return weight * seen
 
     def _radiance(self, hits: Hits, to_viewer_G: Array, lights: Lights) -> Array:
-        """Level (n,) of hits in the mirror, under Sun, Earth and lamp."""
+        """Level (n,) of hits of traced rays, under Sun, Earth and lamp."""
         surface = self._appearance.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
         surface = replace(surface, roughness=np.maximum(surface.roughness, MIN_TRACED_ROUGHNESS))
         incident = IncidentLight(earth_share=self._indirect.at(hits, lights).earth_share())

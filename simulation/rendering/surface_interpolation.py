@@ -1,8 +1,8 @@
 """Smooth interpolation over a surface between scattered points, without leaking around edges.
 
-A point counts where it is near, faces the same way, and lies in the same plane. All within reach share in
-the mean, with weights that fade to zero at its end, so that nothing jumps. Small parts that have no points of
-their own take the nearest one.
+A point contributes if it is near, faces the same way, and lies in the same plane. All points within reach
+contribute to the mean, with weights that fall to zero at the limit, so that the result is continuous. Small
+parts without points of their own take the value of the nearest one.
 """
 
 from dataclasses import dataclass
@@ -16,27 +16,27 @@ from polhode.lie import Array
 from polhode.records import Ints
 
 MIN_AGREEMENT = 0.3
-"""Cosine between normals at which a neighbour stops to count."""
+"""Neighbours whose normals have a smaller cosine do not contribute."""
 OFF_PLANE_FACTOR = 3.0
-"""Distances off the tangent plane count as so many times those within."""
+"""Factor on distances off the tangent plane, relative to distances within it."""
 MAX_GRID_CELLS = 128
 MAX_NEIGHBOURS = 12
 
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Which points count at each of n places, and how much."""
+    """The points that contribute at each of n positions, and their weights."""
 
     index: NDArray[np.int32]
     """(n, K) of N points"""
     weight: NDArray[np.float32]
-    """(n, K) adds up to 1; 0 where unused, all of them where no point counts"""
+    """(n, K) adds up to 1; 0 where unused; all 0 where no point contributes"""
 
     def __getitem__(self, which: Ints) -> "Neighbours":
         return Neighbours(self.index[which], self.weight[which])
 
     def mean(self, values: NDArray[np.float32]) -> Array:
-        """Mean (n, C) of the points' values (N, C); zero where no point counts."""
+        """Mean (n, C) of the points' values (N, C); zero where no point contributes."""
         return np.asarray(_blend(self.index, self.weight, values))
 
 
@@ -59,7 +59,7 @@ class _Grid(NamedTuple):
 
 
 class SurfaceInterpolation:
-    """Points (N, 3) [m] with unit normals (N, 3), found by place: those within ``reach_m`` count."""
+    """Interpolation between points (N, 3) [m] with unit normals (N, 3) within a distance ``reach_m``."""
 
     def __init__(self, p_G: Array, normal_G: Array, reach_m: float) -> None:
         p, n = np.ascontiguousarray(p_G), np.ascontiguousarray(normal_G)
@@ -70,11 +70,11 @@ class SurfaceInterpolation:
         self._grid = _Grid(p, n, reach_m, low, cell_m, shape, *cells)
 
     def nearest(self, p_G: Array, normal_G: Array) -> NDArray[np.int32]:
-        """The point (n,) that counts most at p_G (n, 3) with unit normals (n, 3); -1: none."""
+        """The point (n,) of the largest weight at p_G (n, 3) with unit normals (n, 3); -1: none."""
         return np.asarray(_nearest(p_G, normal_G, self._grid))
 
     def near(self, p_G: Array, normal_G: Array) -> "Neighbours":
-        """The points that count at p_G (n, 3) with unit normals (n, 3)."""
+        """The points that contribute at p_G (n, 3) with unit normals (n, 3)."""
         return Neighbours(*_near(p_G, normal_G, self._grid))
 
 
@@ -111,7 +111,7 @@ def _fill_cells(p: Array, low: Array, cell_m: float, shape: Ints, reach_m: float
 
 @compiled
 def _cell_of(p: Array, a: int, grid: _Grid) -> int:
-    """The cell that holds p[a]; -1: outside of the grid."""
+    """The cell that contains p[a]; -1: outside the grid."""
     cell = 0
     for k in range(3):
         along = (p[a, k] - grid.low[k]) / grid.cell_m
@@ -191,7 +191,7 @@ def _near(p: Array, n: Array, grid: _Grid) -> tuple[NDArray[np.int32], NDArray[n
 
 @compiled
 def _next_best(p: Array, n: Array, a: int, grid: _Grid, cell: int) -> tuple[int, float]:
-    """Where no point counts: the nearest that faces the same half of space, and 1; 0 if there is none."""
+    """Where no point contributes: the nearest one that faces the same half space, with weight 1; 0: none."""
     q, m = grid.p_G, grid.normal_G
     nearest, found, share = np.inf, 0, 0.0
     for i in grid.member[grid.start[cell] : grid.start[cell + 1]]:

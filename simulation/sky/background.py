@@ -1,4 +1,4 @@
-"""What stands behind the target: the Earth and stars, when the scene asks for them."""
+"""The background of the target: Earth and stars, as far as the scene has them."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from polhode.simulation.sky.stars import image_of_stars, star_field
 
 
 class Sky:
-    """The background of a scene; black, and free, where nothing is asked for."""
+    """The background of a scene; black, at no cost, if the scene has none."""
 
     def __init__(self, scene: config.Scene, seed: int) -> None:
         """Raises InputError: a disc of the Earth or a magnitude that cannot be drawn."""
@@ -26,8 +26,9 @@ class Sky:
     ) -> tuple[Array, Array | None]:
         """Levels (H, W) of the picture with the Earth behind the target; light (H, W) of the stars, if any.
 
-        X_NK (4, 4), or (S, 4, 4) during the exposure; t_s after the first frame. The stars have passed the
-        lens blur: they are points, finer than the pixels. The Earth is seen from one pose, it hardly smears.
+        X_NK (4, 4), or (S, 4, 4) during the exposure; t_s after the first frame. The light of the stars
+        includes the lens blur, because stars are points, finer than the pixels. The Earth is rendered from
+        one pose: motion hardly blurs it.
         """
         poses = X_NK.reshape(-1, 4, 4)
         level, covered = picture.level, picture.covered

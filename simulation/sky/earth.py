@@ -2,8 +2,8 @@
 
 The ball has radius 1. Its air scatters as one layer: light along the view grows with the air mass as
 1 - exp(-depth), and falls off above the ground with a scale height of 8 km. The air mass is Rozenberg's
-("Twilight", 1966), 1 / (c + 0.025 exp(-11 c)) at cosine c from the zenith. Clouds and coasts are noise, its
-finest grain some 5 km. Patterns stand still: neither the orbit nor the Earth's rotation moves them.
+("Twilight", 1966), 1 / (c + 0.025 exp(-11 c)) at cosine c from the zenith. Clouds and coasts are noise with
+details down to about 5 km. Patterns are static: neither the orbit nor the Earth's rotation moves them.
 """
 
 import math
@@ -27,7 +27,7 @@ SKY = 0.42
 """Reflectance of an endlessly deep sky."""
 LIMB_AIR_MASS = 40.0
 TOP = 12.0
-"""Height above which nothing scatters, in scale heights."""
+"""Height of the top of the atmosphere, in scale heights."""
 
 
 class Earth:
@@ -44,7 +44,7 @@ class Earth:
         self._seed = seed
         self._middle_N = _unit(light.earth_direction_N)
         self._sun_N = _unit(light.sun_direction_N)
-        # The noise has a grain along its axes, which must not lie along those of an image.
+        # The noise is anisotropic along its axes, which must not be parallel to those of an image.
         self._turn = exp_so3(np.random.default_rng([seed, 0x5]).normal(size=3))
         self._distance = 1.0 / np.sin(np.deg2rad(light.earth_radius_deg))
         self._known: dict[bytes, Array] = {}
@@ -57,18 +57,18 @@ class Earth:
         return factor * self._light.earth / FULL_DISC * self._reflectance(camera, X_NK[:3, :3])
 
     def hides(self, direction_N: Array) -> Array:
-        """Whether the Earth stands before directions (n, 3)."""
+        """Whether the Earth covers directions (n, 3)."""
         return np.asarray(direction_N @ self._middle_N > np.sqrt(1.0 - self._distance**-2))
 
     def _reflectance(self, camera: Camera, R_NK: Array) -> Array:
-        """Light (H, W) relative to a white surface in sunlight; remembered while the camera does not turn."""
+        """Light (H, W) relative to a sunlit white surface; cached while the camera does not rotate."""
         key = R_NK.tobytes() + camera.X_CK.tobytes()
         known = self._known.get(key)
         if known is None:
             rays_N = camera.pixel_directions @ R_NK.T
             directions = (rays_N @ self._turn, self._middle_N @ self._turn, self._sun_N @ self._turn)
             flat = _reflectance(*directions, self._distance, 1.0 / camera.K[0, 0], self._seed)
-            # Two cameras: more poses than these two means that they turn, and none comes back.
+            # There are two cameras: a third pose means that they rotate, and that none of the poses will recur.
             if len(self._known) >= 2:
                 self._known.clear()
             known = np.asarray(flat).reshape(camera.height_px, camera.width_px)
@@ -84,7 +84,7 @@ def _unit(vector: tuple[float, float, float]) -> Array:
 def _reflectance(
     rays: Array, middle: Array, sun: Array, distance: float, pixel_rad: float, seed: int
 ) -> Array:
-    """Light (n,) along unit rays (n, 3), of a ball of radius 1 at a distance; a white surface sends 1."""
+    """Light (n,) along unit rays (n, 3) from a ball of radius 1, relative to a white surface."""
     out = np.zeros(len(rays))
     for i in range(len(rays)):
         ray = rays[i]
@@ -108,7 +108,7 @@ def _reflectance(
 
 @compiled
 def _disc(place: Array, up: float, ray: Array, sun: Array, footprint: float, seed: int) -> float:
-    """Light from a place on the ball (3,), seen along a ray at cosine ``up`` from its zenith."""
+    """Light from a point (3,) on the ball, seen along a ray at cosine ``up`` from its zenith."""
     sun_up = float(place @ sun)
     day = _daylight(sun_up)
     if day == 0.0:
@@ -125,11 +125,11 @@ def _disc(place: Array, up: float, ray: Array, sun: Array, footprint: float, see
 
 @compiled
 def _surface(place: Array, footprint: float, seed: int) -> tuple[float, float]:
-    """Reflectance of the ground at a place, and share of it under clouds; no grain below the footprint."""
+    """Reflectance of the ground at a point, and cloud cover; without details smaller than the footprint."""
     x, y, z = place
     finest = max(int(math.log2(0.25 / footprint)), 2)
     region, gx, gy, gz = fractal_at(2.5 * x, 2.5 * y, 2.5 * z, 2, seed + 11)
-    # Along the lines of equal pressure: the gradient turned about the vertical.
+    # Clouds are drawn out along lines of equal pressure: the gradient rotated about the vertical.
     x, y, z = x + 0.03 * (y * gz - z * gy), y + 0.03 * (z * gx - x * gz), z + 0.03 * (x * gy - y * gx)
     wisps, _, _, _ = fractal_at(8.0 * x, 8.0 * y, 8.0 * z, 4, seed + 22)
     thick = wisps + 0.8 * region

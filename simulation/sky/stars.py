@@ -1,4 +1,4 @@
-"""A field of stars, fixed in N, and its image: points through the lens, at sub-pixel places.
+"""A field of stars, fixed in N, and its image: points blurred by the lens, at sub-pixel positions.
 
 Numbers follow the counts over the whole sky, log10 N(< m) = 0.51 m + 0.64: 4 stars to magnitude 0, 1550 to 5,
 9000 to 6.5 (Bright Star Catalogue, Hoffleit and Warren 1991: 9096). Directions are uniform: no Milky Way.
@@ -15,7 +15,7 @@ from polhode.simulation.camera.cameras import Camera
 
 SLOPE, AT_ZERO = 0.51, 0.64
 MAX_MAGNITUDE = 10.0
-"""The law holds no further, and nobody sees the rest."""
+"""The law of star counts is valid up to this magnitude, and fainter stars are invisible."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Stars:
 
 
 def star_field(faintest_magnitude: float, seed: int) -> Stars:
-    """The stars down to a magnitude; a fainter limit adds stars and changes none.
+    """The stars down to a magnitude; a fainter limit adds stars without changing the others.
 
     Raises InputError: the limit is beyond magnitude 10.
     """
