@@ -68,7 +68,7 @@ class Earth:
             rays_N = camera.pixel_directions @ R_NK.T
             directions = (rays_N @ self._turn, self._middle_N @ self._turn, self._sun_N @ self._turn)
             flat = _reflectance(*directions, self._distance, 1.0 / camera.K[0, 0], self._seed)
-            # There are two cameras: a third pose means that they rotate, and that none of the poses will recur.
+            # There are two cameras: a third pose means that they rotate, and no pose will recur.
             if len(self._known) >= 2:
                 self._known.clear()
             known = np.asarray(flat).reshape(camera.height_px, camera.width_px)
