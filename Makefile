@@ -84,7 +84,7 @@ bench: setup $(MATCHERS) $(SOLVERS)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.end_to_end.scenes)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.end_to_end.prediction_error runs/ts38 data/ts38 -o runs/prediction.png)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.planning.keepout runs/ts38 runs/asteroid runs/pure_spin)
-	$(BIN)/python -m benchmarks.frontend.frontend $(SHORT)
+	$(BIN)/python -m benchmarks.frontend.matching $(SHORT)
 	$(BIN)/python -m benchmarks.frontend.disparity $(SHORT)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.mapping.mesh_quality data/ts38 data/asteroid data/major_axis data/specular_mli)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.mapping.lengths)
@@ -94,7 +94,7 @@ bench: setup $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m benchmarks.solvers.lie_rank
 	$(BIN)/python -m benchmarks.edges.observability_speed $(SHORT)
 	$(if $(SHORT),,$(BIN)/python -m benchmarks.edges.observability_of_run runs/ts38:data/ts38 runs/major_axis:data/major_axis runs/fast_20rpm:data/fast_20rpm runs/asteroid:data/asteroid)
-	$(BIN)/python -m benchmarks.edges.observability_planar -o runs/observability_planar.png
+	$(BIN)/python -m benchmarks.edges.planar -o runs/observability_planar.png
 	$(BIN)/python -m benchmarks.solvers.conditioning -o runs/conditioning.png
 	$(BIN)/python -m benchmarks.monte_carlo.bound
 	$(BIN)/python -m benchmarks.solvers.backend_size $(SHORT) -o runs/backend_growth.png

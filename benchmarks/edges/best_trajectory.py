@@ -20,8 +20,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 
+from benchmarks.edges.bodies import edge_body
+from benchmarks.edges.trajectory.camera_path import camera_poses, middles, sun_in_G
+from benchmarks.edges.views import edge_rig
 from benchmarks.record import Case, complete
+from polhode.planning.edges.metric.contributions import contributions
+from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
+from polhode.planning.edges.metric.information import feature_information
+from polhode.planning.edges.metric.pictures import painted, picture
+from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.prediction.ensemble import nominal
 
 RECORD = Path("runs/best_trajectory.jsonl")
 BODIES = ("steps", "satellite")
@@ -53,8 +65,6 @@ def main() -> None:
     print()
     print(table(lines, "sets", "edges"))
     if options.pictures:
-        from benchmarks.edges.best_trajectory_pictures import pictures
-
         options.pictures.mkdir(parents=True, exist_ok=True)
         for line in lines:
             pictures(line, options.pictures)
@@ -64,10 +74,10 @@ def measure(case: Case) -> dict[str, Any]:
     """One body."""
     from dataclasses import replace
 
-    from benchmarks.edges.edge_bodies import edge_body
-    from benchmarks.edges.edge_views import edge_rig
+    from benchmarks.edges.bodies import edge_body
     from benchmarks.edges.trajectory.camera_path import judge
     from benchmarks.edges.trajectory.trajectory_optimization import best_trajectory, table_for
+    from benchmarks.edges.views import edge_rig
     from polhode.planning.edges.model.edge_model import edge_model
 
     target, rig = edge_body(case["body"]), edge_rig()
@@ -138,7 +148,7 @@ class Trial:
 
     def __init__(self, target: Any, rig: Any, seen: Any, images: int) -> None:
         """At even times, with independent noise."""
-        from benchmarks.edges.edge_views import EdgeViews, ViewOptions
+        from benchmarks.edges.views import EdgeViews, ViewOptions
 
         self.rig = rig
         rows = np.linspace(0, len(seen.time_s) - 1, images).round().astype(int)
@@ -147,8 +157,8 @@ class Trial:
 
     def errors(self, model: Any) -> dict[str, Any]:
         """Root mean squares (6,) [m, rad] of the poses that came home, and the share of those."""
-        from benchmarks.edges.edge_views import perturbed
         from benchmarks.edges.tracking.tracker import track
+        from benchmarks.edges.views import perturbed
         from polhode.planning.edges.metric.edge_motion import pose_error
 
         start = perturbed(self.X_RG, model.middle_G, seed=4)
@@ -234,6 +244,52 @@ def table(lines: list[Case], key: str, what: str) -> str:
             cells += [f"{1e3 * value:.2f}" for value in one["rms"]]
             rows.append(f"| {line['case']['body']} | {name} | " + " | ".join(cells) + " |")
     return "\n".join(rows)
+
+
+UP_N = np.array([0.0, -1.0, 0.0])
+
+
+def pictures(line: Case, folder: Path) -> None:
+    """BODY_ways.png, BODY_contributions.png, and a coloured mesh for each degree of freedom."""
+    name = line["case"]["body"]
+    mesh, rig = edge_body(name).mesh, edge_rig()
+    model, ahead = edge_model(mesh), tumbling(mesh)[0]
+    places = {way: np.asarray(p) for way, p in line["places_N"].items()}
+    time = np.linspace(0.0, DURATION_S, len(places["straight"]))
+    motion = nominal(ahead, time)
+    o_N, sun_G = middles(model, motion), sun_in_G(motion, SUN_N)
+    figure = Figure(figsize=(11.5, 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    space = figure.add_subplot(1, 2, 1)
+    over_time = figure.add_subplot(1, 2, 2)
+    scale = np.array([model.radius_m] * 3 + [1.0] * 3)
+    for n, (way, p_N) in enumerate(places.items()):
+        X_RG = camera_poses(p_N, o_N, motion, UP_N)
+        C = feature_information(model, rig, X_RG, sun_G, clear=True).total * np.outer(scale, scale)
+        trace = np.trace(np.linalg.inv(C + np.eye(6)), axis1=1, axis2=2)
+        space.plot(*p_N[:, [0, 2]].T, color=f"C{n}", label=way)
+        space.plot(*p_N[-1, [0, 2]], "o", color=f"C{n}")
+        over_time.semilogy(time, 1e3 * np.sqrt(trace), color=f"C{n}", label=way)
+    corners = np.asarray(mesh.vertices) @ motion.R_NG[-1].T + motion.p_NG[-1]
+    shadows = list(corners[np.asarray(mesh.faces)][:, :, [0, 2]])
+    space.add_collection(PolyCollection(shadows, facecolor="0.75", edgecolor="none"))
+    sun = SUN_N[[0, 2]] / np.linalg.norm(SUN_N)
+    space.annotate("Sun", 1.6 * sun, 0.9 * sun, arrowprops={"arrowstyle": "->", "color": "orange"})
+    space.set(xlabel="x in N [m]", ylabel="z in N [m]", aspect="equal", title=f"{name}, seen along -y")
+    space.grid(alpha=0.3)
+    over_time.set(xlabel="time [s]", ylabel="root of tr (I + C)^-1, thousandths for one pixel")
+    over_time.legend(fontsize=8)
+    over_time.grid(alpha=0.3)
+    figure.savefig(folder / f"{name}_ways.png", dpi=90)
+    k = len(time) // 2
+    X_RG = camera_poses(places["straight"], o_N, motion, UP_N)[k : k + 1]
+    found = contributions(feature_information(model, rig, X_RG))
+    picture(model, rig, X_RG[0], found.share).savefig(folder / f"{name}_contributions.png", dpi=70)
+    for d, degree in enumerate(DEGREES_OF_FREEDOM):
+        body, legend = painted(model, found.share[:, d])
+        path = folder / f"{name}_{degree.replace(' ', '_')}.ply"
+        body.export(path)
+        print(f"{path.name}: shares of the variance from 0 to {legend.values[-1]:.3f}")
 
 
 if __name__ == "__main__":

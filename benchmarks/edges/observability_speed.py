@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from benchmarks.edges.edge_bodies import KINDS, edge_body
+from benchmarks.edges.bodies import KINDS, edge_body
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.metric.information import look_along

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.edges.edge_views import middle, pose_errors
+from benchmarks.edges.views import middle, pose_errors
 from benchmarks.edges.visp_tracker import (
     FAR_DEG,
     FAR_M,

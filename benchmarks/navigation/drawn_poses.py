@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.edges.tracking.calibrated_covariance import NoiseParts
+from benchmarks.navigation.flights import Flight, sun_R
 from benchmarks.navigation.found_pose import FoundPose, spread
-from benchmarks.navigation.navigation_scene import Flight, sun_R
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved

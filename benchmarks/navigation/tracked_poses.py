@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.edges.edge_bodies import edge_body
-from benchmarks.edges.edge_views import EdgeViews, ViewOptions
-from benchmarks.edges.observability_cases import LENS
+from benchmarks.edges.bodies import edge_body
+from benchmarks.edges.observability import LENS
 from benchmarks.edges.tracking.against_sky import polarity
 from benchmarks.edges.tracking.calibrated_covariance import NoiseParts
 from benchmarks.edges.tracking.residual import probability, support
 from benchmarks.edges.tracking.tracker import Tracked, Tracking, track
+from benchmarks.edges.views import EdgeViews, ViewOptions
+from benchmarks.navigation.flights import Flight, sun_R
 from benchmarks.navigation.found_pose import FoundPose, spread
-from benchmarks.navigation.navigation_scene import Flight, sun_R
 from polhode.camera import RectifiedRig
 from polhode.dataset_writer import write_png
 from polhode.images import Grey, read_raw

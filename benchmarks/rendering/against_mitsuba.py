@@ -17,8 +17,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from benchmarks.rendering.mitsuba_deck import deck
-from benchmarks.rendering.mitsuba_scene import PeerLights, render
+from benchmarks.rendering.mitsuba_scene import PeerLights, deck, render
 from polhode.config import scene as config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.records import Bools

@@ -14,33 +14,43 @@ rate that would include the rotation of the axes, which the comparison takes out
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.solvers.solver_times import (
-    FRAMES,
-    LANDMARKS,
-    THESIS,
-    draw_growth,
-    growth,
-    measure,
-    print_growth,
-    print_solvers,
-)
+from benchmarks.monte_carlo.bound import true_iterate
 from polhode.backend import estimate_motion, initialize_motion
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.problem import TIGHT_GAUGE, MotionData, hold, motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.ipopt import MotionProgram
+from polhode.backend.uncertainty.covariance import (
+    axes_derivative,
+    last_body_covariance,
+    marginals,
+    state_covariances,
+    state_jacobians,
+)
 from polhode.config.backend import Backend
-from polhode.lie import Array, inverse_pose, log_so3, transform_points
+from polhode.lie import Array, exp_so3, inverse_pose, log_so3, transform_points
 from polhode.progress import Advance
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 from polhode.threads import limit_threads
 
+THESIS = SyntheticScene(detection=0.35, station_keeping=True, min_inliers=20)
+FRAMES = (29, 58, 115, 230, 345)
+LANDMARKS = (600, 1200, 2430, 4860, 9720)
+REPETITIONS = 3
+ITERATIONS = 60
+LIMITS = {"IPOPT over Gauss-Newton": 3.0, "IPOPT with building [s]": 3.0, "covariance [s]": 0.3}
+COLORS = ("#0072b2", "#d55e00", "#009e73")
 SCENES = {
     "spin of 10 RPM near the middle axis, 1 px": THESIS,
     "clear flip, 1 px": replace(THESIS, w_G=(0.16, 1.04, 0.16)),
@@ -177,6 +187,176 @@ def main() -> None:
     limit_threads(1)
     with get_context("spawn").Pool(1) as pool:
         pool.apply(run, (options.seeds, options.short, options.output))
+
+
+@dataclass(frozen=True)
+class Times:
+    """Seconds, numbers of iterations, and the size of the problem."""
+
+    frames: int
+    landmarks: int
+    observations: int
+    gauss_newton_s: float
+    gauss_newton_iterations: int
+    ipopt_s: float
+    ipopt_iterations: int
+    build_s: float
+    covariance_s: float
+    """All marginals, and the joint ones of the last state with inertia and centre of mass"""
+    costs: tuple[float, float]
+    """Where Gauss-Newton and IPOPT end"""
+
+
+def measure(scene: SyntheticScene) -> Times:
+    """Time the parts on the measurements of a scene."""
+    sequence, config = generate(scene, 0), Backend(solver="gauss_newton")
+    data = motion_data(sequence.tracks, config)
+    start = disturbed_start(sequence, data, config)
+    held, x = hold(data, start, TIGHT_GAUGE), start.vector()
+    newton, program = GaussNewton(data), MotionProgram(data)
+    gauss_newton_s = least(lambda: newton.solve(held, x, ITERATIONS))
+    by_newton = newton.solve(held, x, ITERATIONS)
+    ipopt_s = least(lambda: program.solve(held, x, ITERATIONS))
+    # no iteration: all that it takes is the building
+    build_s = least(lambda: MotionProgram(data).solve(held, x, 0))
+    by_ipopt = program.solve(held, x, ITERATIONS)
+    end = start.moved_to(by_newton.x)
+    weight = np.ones(len(data.frame))
+    return Times(
+        scene.frames,
+        data.n_landmarks,
+        len(data.frame),
+        gauss_newton_s,
+        by_newton.iterations,
+        ipopt_s,
+        by_ipopt.iterations,
+        build_s,
+        least(lambda: covariances(newton, data, end, weight)),
+        (by_newton.cost, by_ipopt.cost),
+    )
+
+
+def disturbed_start(sequence: SyntheticSequence, data: MotionData, config: Backend) -> Iterate:
+    """Off the truth, the inertia that of a sphere."""
+    truth, rng = true_iterate(sequence, config), np.random.default_rng([0, 61])
+    xi, R_inertia = data.form.coordinates(np.eye(3))
+
+    def off(values: Array) -> Array:
+        return values + 1e-3 * rng.normal(size=values.shape)
+
+    turn = exp_so3(1e-3 * rng.normal(size=(truth.n_frames, 3)))
+    return replace(
+        truth,
+        p_NG=off(truth.p_NG),
+        R_NG=truth.R_NG @ turn,
+        v_N=off(truth.v_N),
+        w_G=off(truth.w_G),
+        xi=xi,
+        R_inertia=R_inertia,
+        p_G=off(truth.p_G),
+    )
+
+
+def covariances(solver: GaussNewton, data: MotionData, at: Iterate, weight: Array) -> None:
+    """What a run does for its covariances."""
+    m = marginals(solver, hold(data, at), at.vector(), weight)
+    state_covariances(at, m, state_jacobians(at, axes_derivative(data.form, at)))
+    last_body_covariance(at, m)
+
+
+def least(work: Callable[[], object]) -> float:
+    """Seconds that it takes at best."""
+    seconds = []
+    for _ in range(REPETITIONS):
+        start = time.process_time()
+        work()
+        seconds.append(time.process_time() - start)
+    return min(seconds)
+
+
+def exponent(sizes: Array, seconds: Array) -> float:
+    """Slope of ln(seconds) over ln(size)."""
+    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
+
+
+def print_solvers(times: Times) -> None:
+    """The table of one problem, and how it compares with what was asked for."""
+    print(f"\n{times.frames} frames, {times.landmarks} landmarks, {times.observations} observations\n")
+    print("| | iterations | seconds | ms per iteration |\n|---|---|---|---|")
+    for name, seconds, iterations in (
+        ("Gauss-Newton", times.gauss_newton_s, times.gauss_newton_iterations),
+        ("IPOPT, solving", times.ipopt_s, times.ipopt_iterations),
+    ):
+        print(f"| {name} | {iterations} | {seconds:.2f} | {1e3 * seconds / iterations:.0f} |")
+    print(f"| IPOPT, building | | {times.build_s:.2f} | |")
+    print(f"| all marginals and the joint covariance | | {times.covariance_s:.3f} | |")
+    a, b = times.costs
+    print(f"\nThe costs differ by {abs(a - b) / a:.1e} of them.")
+    found = (times.ipopt_s / times.gauss_newton_s, times.ipopt_s + times.build_s, times.covariance_s)
+    for (name, limit), value in zip(LIMITS.items(), found, strict=True):
+        print(f"{name}: {value:.2f}, wanted at most {limit:g}{'' if value <= limit else ' *'}")
+
+
+def growth(frames: tuple[int, ...], landmarks: tuple[int, ...]) -> tuple[list[Times], list[Times]]:
+    """Times along both sizes, the other one that of the thesis."""
+    return (
+        [measure(replace(THESIS, frames=n)) for n in frames],
+        [measure(replace(THESIS, landmarks=n)) for n in landmarks],
+    )
+
+
+def print_growth(over_frames: list[Times], over_landmarks: list[Times]) -> None:
+    """Rows of times, and the exponents."""
+    print("\n| frames | landmarks | observations | Gauss-Newton ms/step | IPOPT ms/step | covariance s |")
+    print("|" + "---|" * 6)
+    for t in [*over_frames, *over_landmarks]:
+        newton, ipopt, covariance = curves([t])[:, 0]
+        print(
+            f"| {t.frames} | {t.landmarks} | {t.observations} | {1e3 * newton:.0f} | {1e3 * ipopt:.0f} "
+            f"| {covariance:.3f} |"
+        )
+    for name, times, sizes in _axes(over_frames, over_landmarks):
+        found = ", ".join(f"{exponent(sizes, c):.2f}" for c in curves(times))
+        print(f"exponents over {name}: {found}")
+
+
+def curves(times: list[Times]) -> Array:
+    """(3, n) seconds: an iteration of Gauss-Newton, one of IPOPT, the covariance."""
+    rows = [
+        (t.gauss_newton_s / t.gauss_newton_iterations, t.ipopt_s / t.ipopt_iterations, t.covariance_s)
+        for t in times
+    ]
+    return np.array(rows).T
+
+
+def draw_growth(path: Path, over_frames: list[Times], over_landmarks: list[Times]) -> None:
+    """Both curves, with the exponents in the legend."""
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, panels = plt.subplots(1, 2, figsize=(11.0, 4.4), sharey=True)
+    names = ("Gauss-Newton, an iteration", "IPOPT, an iteration", "all covariances")
+    for axes, (title, times, sizes) in zip(panels, _axes(over_frames, over_landmarks), strict=True):
+        for seconds, name, color in zip(curves(times), names, COLORS, strict=True):
+            label = f"{name}: n^{exponent(sizes, seconds):.2f}"
+            axes.loglog(sizes, seconds, "o-", color=color, linewidth=2.0, markersize=5, label=label)
+        axes.set(xlabel=title, title=f"growth with {title}")
+        axes.set_xticks(sizes, [f"{size:.0f}" for size in sizes])
+        axes.minorticks_off()
+        axes.grid(color="#e8ecf0")
+        axes.legend(frameon=False, fontsize=9)
+    panels[0].set_ylabel("seconds")
+    figure.tight_layout()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def _axes(over_frames: list[Times], over_landmarks: list[Times]) -> list[tuple[str, list[Times], Array]]:
+    return [
+        ("frames", over_frames, np.array([t.frames for t in over_frames], dtype=np.float64)),
+        ("landmarks", over_landmarks, np.array([t.landmarks for t in over_landmarks], dtype=np.float64)),
+    ]
 
 
 if __name__ == "__main__":

@@ -11,12 +11,15 @@ the tables of what FOLDER holds are printed. ``--short``: every solver once on a
 """
 
 import argparse
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks.solvers.compare_tables import markdown
 from polhode.cli.console import choose_progress
 from polhode.compare.comparison import FILE, compare
-from polhode.compare.tables.rows import read_comparison
+from polhode.compare.judging.dominance import standing_lines, standings
+from polhode.compare.judging.profiles import curve, front, growths
+from polhode.compare.tables.rows import Comparison, ProblemWords, Row, read_comparison
+from polhode.compare.tables.table import ERROR_COLUMNS, cells, error_cells, not_separable, told, verdict
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.threads import limit_threads
@@ -61,6 +64,137 @@ def tables(name: str, folder: Path, options: argparse.Namespace) -> str:
     truth = options.sequence if run and (options.sequence / "mav0" / "target0").is_dir() else None
     found = compare(config, folder, choose_progress(), run=run, truth=truth)
     return markdown(found, config.backend.solver)
+
+
+WITHIN = (1.0, 2.0, 5.0, 10.0)
+"""Factors of the fastest solver's time whose shares are printed."""
+SHOWN = ("solver", "status", "over least", "iter", "time s", "build", "eval", "linear", "Python s", "MB",
+         "MB before", "sigma k1", "sigma k2")  # fmt: skip
+
+
+def markdown(found: Comparison, default: str) -> str:
+    """All tables that a comparison gives, and where ``backend.solver`` stands."""
+    parts = [solver_table(found, problem) for problem in found.problems] if len(found.problems) == 1 else []
+    tables: Sequence[Callable[[Comparison], str]] = (
+        motions_table, growth_table, starts_table, profile_table, errors_table,
+    )  # fmt: skip
+    parts += [table(found) for table in tables]
+    parts.append("\n".join(front_words(found, problem) for problem in found.problems))
+    parts.append("\n".join(standing_lines(standings(found, default), default)))
+    return "\n\n".join(part for part in parts if part)
+
+
+def solver_table(found: Comparison, problem: ProblemWords) -> str:
+    """One problem from the cold start, all that is known of a row's price."""
+    rows = _cold(found, problem.name)
+    if not rows:
+        return ""
+    lines = []
+    for row in rows:
+        told = cells(row, problem.least_cost)
+        callback = "" if row.callback_s is None else f"{row.callback_s:.2f}"
+        before = "" if row.memory_before_mb is None else f"{row.memory_before_mb:.0f}"
+        lines.append([told[0], *told[2:9], callback, told[9], before, *told[10:]])
+    below = [*not_separable(rows), verdict(rows, problem.least_cost)]
+    return _headed(problem, _table(SHOWN, lines)) + "".join(f"\n\n{line}" for line in below)
+
+
+def motions_table(found: Comparison) -> str:
+    """Iterations and seconds from the cold start, of problems that differ in their motion."""
+    if len(found.problems) < 2:
+        return ""
+    solvers = list(dict.fromkeys(row.solver for row in found.rows if row.start == "cold"))
+    lines = [[solver, *(_outcome(found, solver, each) for each in found.problems)] for solver in solvers]
+    if not lines:
+        return ""
+    head = ["iterations / seconds", *(each.name for each in found.problems)]
+    return _table(head, lines)
+
+
+def growth_table(found: Comparison) -> str:
+    """Seconds at each size and the exponent, of solvers that solved three sizes or more."""
+    grown = growths(found)
+    if not grown:
+        return ""
+    sizes = sorted({int(n) for each in grown for n in each.size})
+    lines = []
+    for each in grown:
+        seconds = dict(zip(each.size.astype(int).tolist(), each.seconds.tolist(), strict=True))
+        told = [f"{seconds[n]:.2f}" if n in seconds else "" for n in sizes]
+        lines.append([each.solver, *told, f"{each.exponent:.2f}"])
+    return _table(["seconds at observations", *map(str, sizes), "exponent"], lines)
+
+
+def starts_table(found: Comparison) -> str:
+    """Cases solved of those that were run, by kind of start."""
+    kinds = list(dict.fromkeys(row.start for row in found.rows))
+    if len({(row.start, row.seed) for row in found.rows}) < 2:
+        return ""
+    lines = [
+        [each.solver, *(told(each.starts[kind]) if kind in each.starts else "" for kind in kinds)]
+        for each in found.profiles
+    ]
+    return _table(["solved", *(f"{kind} starts" for kind in kinds)], lines)
+
+
+def profile_table(found: Comparison) -> str:
+    """Share of the cases that a solver ran and solved within a factor of the fastest one's time."""
+    if len({(row.problem, row.start, row.seed) for row in found.rows}) < 2:
+        return ""
+    lines = []
+    for each in found.profiles:
+        factor, share = curve(each)
+        within = [f"{max(share[factor <= limit], default=0.0):.0%}" for limit in WITHIN]
+        shares = [*within, f"{share[-1]:.0%}"] if each.ran else [""] * (len(WITHIN) + 1)
+        lines.append([each.solver, str(each.ran), str(each.not_run), *shares])
+    head = ["profile", "cases run", "not run", *(f"within {limit:g}x" for limit in WITHIN), "solved"]
+    return _table(head, lines)
+
+
+def errors_table(found: Comparison) -> str:
+    """Errors against the truth from the cold start, same ones together; nothing without it."""
+    lines = []
+    for problem in found.problems:
+        same: dict[tuple[str, ...], list[str]] = {}
+        for row in _cold(found, problem.name):
+            if row.errors is not None and row.status in ("ok", "baseline"):
+                same.setdefault(tuple(error_cells(row.errors)), []).append(row.solver)
+        lines += [[problem.name, ", ".join(who), *numbers] for numbers, who in same.items()]
+    if not lines:
+        return ""
+    head = ["problem", "solvers", *ERROR_COLUMNS]
+    return _table(head, lines)
+
+
+def front_words(found: Comparison, problem: ProblemWords) -> str:
+    """Who is on the Pareto front of time against accuracy."""
+    rows = _cold(found, problem.name)
+    names = [row.solver for row in front(rows, problem.least_cost)]
+    return f"{problem.name}: on the front: {', '.join(names)}" if names else ""
+
+
+def _outcome(found: Comparison, solver: str, problem: ProblemWords) -> str:
+    row = next((each for each in _cold(found, problem.name) if each.solver == solver), None)
+    if row is None:
+        return ""
+    if not row.ran or row.wall_s is None:
+        return "not run"
+    out = f"{row.iterations} / {row.wall_s:.1f}"
+    return out if row.status == "ok" else f"{out}, {row.status}, cost +{cells(row, problem.least_cost)[3]}"
+
+
+def _cold(found: Comparison, problem: str) -> list[Row]:
+    return [row for row in found.rows if row.problem == problem and row.start == "cold"]
+
+
+def _headed(problem: ProblemWords, table: str) -> str:
+    size = f"{problem.frames} frames, {problem.landmarks} landmarks, {problem.observations} observations"
+    return f"{problem.name}: {size}, {problem.unknowns} unknowns\n\n{table}"
+
+
+def _table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    rows = [head, ["---"] * len(head), *lines]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 if __name__ == "__main__":

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edges.edge_bodies import NAMES, edge_body
-from benchmarks.edges.edge_solids import SOLIDS, extruded
-from benchmarks.edges.edge_views import (
+from benchmarks.edges.bodies import NAMES, SOLIDS, edge_body, extruded
+from benchmarks.edges.views import (
     EdgeViews,
     ViewOptions,
     edge_rig,

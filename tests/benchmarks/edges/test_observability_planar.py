@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.edges.observability_planar import (
+from benchmarks.edges.planar import (
     CASES,
     HALF_HEIGHT_M,
     MEAN_OVER_RMS,
@@ -65,7 +65,7 @@ def test_the_command_prints_its_tables_and_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("MANY", "REPEATS"):
-        monkeypatch.setattr(f"benchmarks.edges.observability_planar.{name}", 20)
+        monkeypatch.setattr(f"benchmarks.edges.planar.{name}", 20)
     path = tmp_path / "new" / "planar.png"
     monkeypatch.setattr(sys, "argv", ["observability_planar", "-o", str(path)])
     main()

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.edges.edge_bodies import edge_body
-from benchmarks.edges.observability_cases import LEVELS, levels
+from benchmarks.edges.bodies import edge_body
+from benchmarks.edges.observability import LEVELS, levels
 from benchmarks.edges.observability_tables import (
     Spot,
     by_model,

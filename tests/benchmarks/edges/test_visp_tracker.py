@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edges.edge_solids import SOLIDS
-from benchmarks.edges.edge_views import middle, perturbed, pose_errors, random_poses
-from benchmarks.edges.visp_model import cao_text, polygons_of
+from benchmarks.edges.bodies import SOLIDS
+from benchmarks.edges.views import middle, perturbed, pose_errors, random_poses
 from benchmarks.edges.visp_tracker import (
     Answer,
     NoVispError,
     Options,
     Trial,
     about_camera_axes,
+    cao_text,
     nees,
     our_answer,
+    polygons_of,
     program,
     row,
     trial_of,

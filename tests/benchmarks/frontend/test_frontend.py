@@ -5,8 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.frontend.frontend import METHODS, correct, loosened, normalised_squares, settings
-from benchmarks.frontend.guided import guided_error_deg
+from benchmarks.frontend.matching import (
+    METHODS,
+    correct,
+    guided_error_deg,
+    loosened,
+    normalised_squares,
+    settings,
+)
 from benchmarks.frontend.scenes import BRIGHT_DN, CONFIGS, UnseenScene, scene_names, scene_of
 from benchmarks.frontend.tables import (
     correct_at,

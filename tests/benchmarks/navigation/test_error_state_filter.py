@@ -15,9 +15,9 @@ from benchmarks.navigation.error_state_filter import (
     predict,
     predicted_pose,
     told_directions,
+    turn_freely,
     update,
 )
-from benchmarks.navigation.free_rotation import turn_freely
 from benchmarks.navigation.pose_weights import (
     Calibrated,
     Fixed,

@@ -10,12 +10,9 @@ from scipy.stats import chi2
 
 from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, noise_parts
 from benchmarks.navigation import navigation_runs
+from benchmarks.navigation.compare_filters import errors_table, plot, ratio, wrong_table
 from benchmarks.navigation.drawn_poses import EdgeErrors, drawn_pose
-from benchmarks.navigation.found_pose import from_line, spread
-from benchmarks.navigation.navigation_filter import errors_table, ratio, wrong_table
-from benchmarks.navigation.navigation_plot import plot
-from benchmarks.navigation.navigation_runs import Belief, Run, constant_covariance, fly, runs_of
-from benchmarks.navigation.navigation_scene import (
+from benchmarks.navigation.flights import (
     RIG,
     SCENARIOS,
     body_mesh,
@@ -24,7 +21,9 @@ from benchmarks.navigation.navigation_scene import (
     instants,
     sun_R,
 )
+from benchmarks.navigation.found_pose import from_line, spread
 from benchmarks.navigation.pose_weights import Calibrated, Fixed, ResidualChecked, TrackedPose
+from benchmarks.navigation.recorded_flights import Belief, Run, constant_covariance, fly, runs_of
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.model.visible_edges import control_points

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.solvers import compare
-from benchmarks.solvers.compare_tables import (
+from benchmarks.solvers.compare import (
     errors_table,
     growth_table,
     markdown,

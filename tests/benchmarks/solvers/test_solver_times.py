@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.solvers.solver_times import THESIS, Times, draw_growth, exponent, measure
+from benchmarks.solvers.backend_size import THESIS, Times, draw_growth, exponent, measure
 
 SMALL = replace(THESIS, frames=10, landmarks=150)
 

@@ -1,6 +1,6 @@
 """The simplified problem of Eaton and Naasz (2012): does (H^T H)^-1 foretell the errors of a pose?
 
-    python -m benchmarks.edges.observability_planar [-o docs/images/observability_planar.png]
+    python -m benchmarks.edges.planar [-o docs/images/observability_planar.png]
 
 Three edges on a flat model; the middle one slides from the top edge (nearly there in model 1) to the centre
 (model 6, the most spread out). For each model so many cases with their own noise and a priori, solved by the
@@ -13,7 +13,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from scipy.stats import linregress
 
 from benchmarks.edges.planar_metric import (
@@ -131,8 +133,6 @@ def main() -> None:
     print_folds(arguments.seed)
     print_misprints(arguments.seed)
     if arguments.output is not None:
-        from benchmarks.edges.observability_planar_figure import draw
-
         draw(arguments.output, arguments.seed)
 
 
@@ -272,6 +272,62 @@ def print_misprints(seed: int) -> None:
             rows.append([label, what, *(f"{x:+.3f}" for x in r), *(f"{x:.3g}" for x in change)])
     head = ["models", "diagonal of", *NAMES, *(f"{name}: last over first model" for name in NAMES)]
     _table(head, rows)
+
+
+TITLES = ("range $p_1$", "offset $p_2$", r"attitude $\theta$")
+ERRORS = ("mean error of $p_1$ [mm]", "mean error of $p_2$ [mm]", r"mean error of $\theta$ [deg]")
+ROOT_UNITS, SQUARE_UNITS = ("m/rad", "m/rad", "rad/rad"), ("m²/rad²", "m²/rad²", "1")
+THEORY, POINTS, FIT = "#33556e", "#b3261e", "#d58f00"
+
+
+def draw(path: Path, seed: int) -> None:
+    """The figure of 100 cases a model, with what theory foretells."""
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    diagonal, errors = six_models(CASES, seed)
+    means = mean_errors(errors) * UNITS
+    figure, panels = plt.subplots(3, 3, figsize=(12.0, 10.2), layout="constrained")
+    for i in range(3):
+        _proof(panels[0, i], i, means[:, i])
+        _trend(panels[1, i], i, diagonal[:, i], means[:, i], root=True)
+        _trend(panels[2, i], i, diagonal[:, i], means[:, i], root=False)
+    for axes in panels.flat:
+        axes.grid(color="#e8ecf0")
+        axes.legend(frameon=False, fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _proof(axes: Axes, i: int, means: Array) -> None:
+    """Errors of the six models, along the whole way of the middle edge."""
+    way = HALF_HEIGHT_M * np.linspace(-0.9, 0.9, 181)
+    root = np.array([np.sqrt(metric(TRUTH, model(middle))[i, i]) for middle in way])
+    axes.plot(way, MEAN_OVER_RMS * SIGMA_RAD * root * UNITS[i], color=THEORY, label="from the geometry alone")
+    axes.plot(middles(), means, "o", color=POINTS, label=f"mean of {CASES} cases")
+    for k, (middle, mean) in enumerate(zip(middles(), means, strict=True)):
+        axes.annotate(f"{k + 1}", (middle, mean), xytext=(0, 7), textcoords="offset points", ha="center")
+    axes.set_xlim(HALF_HEIGHT_M, -HALF_HEIGHT_M)
+    axes.set_ylim(0.0, 1.35 * means.max())
+    axes.set(title=TITLES[i], ylabel=ERRORS[i], xlabel="place of the middle edge [m]")
+
+
+def _trend(axes: Axes, i: int, diagonal: Array, means: Array, root: bool) -> None:
+    """Errors against the root of the metric, or against the metric, with straight line and theory."""
+    x = np.sqrt(diagonal) if root else diagonal
+    along = np.linspace(0.0, 1.05 * x.max(), 200)
+    line = linregress(x, means)
+    foretold = MEAN_OVER_RMS * SIGMA_RAD * UNITS[i] * (along if root else np.sqrt(along))
+    axes.plot(along, foretold, color=THEORY, label=r"$\sigma\,\sqrt{2/\pi}\,\sqrt{(H^TH)^{-1}_{ii}}$")
+    fit = f"straight line, correlation {line.rvalue:.3f}, at 0: {line.intercept:.2f}"
+    axes.plot(along, line.intercept + line.slope * along, "--", color=FIT, label=fit)
+    axes.plot(x, means, "o", color=POINTS)
+    axes.set_xlim(0.0, along[-1])
+    axes.set_ylim(0.0, 1.35 * means.max())
+    unit = ROOT_UNITS[i] if root else SQUARE_UNITS[i]
+    name = r"$\sqrt{(H^TH)^{-1}_{ii}}$" if root else r"$(H^TH)^{-1}_{ii}$"
+    axes.set(xlabel=f"{name} [{unit}]", ylabel=ERRORS[i])
 
 
 if __name__ == "__main__":

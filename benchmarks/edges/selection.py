@@ -1,6 +1,6 @@
 """Sets of edges along a few views: how good greedy is, and how few edges do.
 
-    python -m benchmarks.edges.edge_selection [BODY ...] [--views 8] [--budget 8]
+    python -m benchmarks.edges.selection [BODY ...] [--views 8] [--budget 8]
 
 First table: ``budget`` edges chosen from the views by log det and by the trace: greedy, after exchanges, the
 best choice where branch and bound ends, and the upper bound. For the trace what remains of 6 is shown, in
@@ -14,10 +14,10 @@ import argparse
 
 import numpy as np
 
-from benchmarks.edges.edge_bodies import edge_body
-from benchmarks.edges.edge_views import edge_rig, random_poses
+from benchmarks.edges.bodies import edge_body
 from benchmarks.edges.trajectory.camera_path import least_range
 from benchmarks.edges.trajectory.view_table import looking, view_table
+from benchmarks.edges.views import edge_rig, random_poses
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import make_pose

@@ -15,8 +15,8 @@ from scipy.stats import rankdata
 
 from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, NoiseParts, fitted, nees
 from benchmarks.navigation.error_state_filter import predict, update
+from benchmarks.navigation.flights import STEP_S, Flight, flight
 from benchmarks.navigation.found_pose import from_line
-from benchmarks.navigation.navigation_scene import STEP_S, Flight, flight
 from benchmarks.navigation.pose_weights import (
     Calibrated,
     Fixed,

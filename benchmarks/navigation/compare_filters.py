@@ -1,6 +1,6 @@
 """Does a filter that weighs tracked poses by the metric follow a tumbling target better than others.
 
-    python -m benchmarks.navigation.navigation_filter [--source drawn tracked] [--short] [--plot FILE]
+    python -m benchmarks.navigation.compare_filters [--source drawn tracked] [--short] [--plot FILE]
                                                       [--record FILE]
 
 Three filters, alike but for how they weigh a pose: all alike; all alike if enough edges were found; by the
@@ -15,10 +15,22 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter
 
-from benchmarks.navigation.navigation_runs import FILTERS, PARTS, UNITS, believed, fly, runs_of, tune
-from benchmarks.navigation.navigation_scene import RIG, SCENARIOS, body_mesh, flight
+from benchmarks.navigation.flights import RIG, SCENARIOS, body_mesh, flight, instants
+from benchmarks.navigation.recorded_flights import (
+    FILTERS,
+    PARTS,
+    SETTLED_S,
+    UNITS,
+    believed,
+    fly,
+    runs_of,
+    tune,
+)
 from benchmarks.record import Case, complete
 from polhode.lie import Array
 
@@ -67,8 +79,6 @@ def main() -> None:
     print(tuning_table(lines))
     print(belief_table(lines))
     if options.plot:
-        from benchmarks.navigation.navigation_plot import plot
-
         plot(lines, options.plot)
 
 
@@ -242,6 +252,63 @@ def belief_table(lines: Iterable[Case]) -> str:
         )
         rows.append(f"| {case['source']} | {case['scenario']} | {floor} | {slope} | {shares} | {areas} |")
     return "\n".join(rows) + "\n"
+
+
+COLOURS = {"fixed": "#8a8f94", "gated": "#d58f00", "calibrated": "#33556e"}
+WIDTHS = {"fixed": 4.0, "gated": 1.6, "calibrated": 1.6}
+SHOWN = (0, 2)
+"""Parts of the state: position, attitude."""
+
+
+def plot(lines: list[Case], path: Path) -> None:
+    """A row for each kind of poses and scenario, written to a PNG."""
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    gated = [line for line in lines if line["case"]["gate"] < 1.0]
+    settings = list(dict.fromkeys(_setting(line) for line in gated))
+    figure, panels = plt.subplots(
+        len(settings), len(SHOWN), figsize=(11.0, 2.7 * len(settings)), layout="constrained", squeeze=False
+    )
+    for row, setting in zip(panels, settings, strict=True):
+        for axes, part in zip(row, SHOWN, strict=True):
+            for line in gated:
+                if _setting(line) == setting:
+                    _draw(axes, line, part)
+            axes.set_yscale("log")
+            axes.yaxis.set_major_formatter(FuncFormatter(_plain))
+            axes.yaxis.set_minor_formatter(FuncFormatter(_plain))
+            axes.tick_params(axis="y", which="minor", labelsize=7)
+            axes.axvspan(0.0, SETTLED_S, color="#f2f4f6", zorder=0)
+            axes.grid(color="#e8ecf0", which="both")
+            axes.set_xlim(0.0, instants()[-1])
+            axes.set_ylabel(f"rms {PARTS[part]}")
+            axes.set_title(f"{setting[0]} poses, {setting[1]}", fontsize=10)
+    for axes in panels[-1]:
+        axes.set_xlabel("time [s]; errors count after the shaded part")
+    panels[0, 0].legend(frameon=False, fontsize=8, ncols=2)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _plain(value: float, _: int) -> str:
+    """1, 2 and 5 of each power of ten."""
+    return f"{value:g}" if f"{value:e}"[0] in "125" else ""
+
+
+def _draw(axes: Axes, line: Case, part: int) -> None:
+    wrong = line["case"]["wrong"]
+    for name in FILTERS:
+        axes.plot(
+            instants(),
+            UNITS[part] * np.array(line[name]["rms"])[:, part],
+            color=COLOURS[name],
+            linestyle="--" if wrong else "-",
+            # where no threshold is the best one, gated lies on fixed
+            linewidth=(0.5 if wrong else 1.0) * WIDTHS[name],
+            label=f"{name}, {wrong:.0%} bad" if wrong else name,
+        )
 
 
 if __name__ == "__main__":

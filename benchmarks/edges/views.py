@@ -1,6 +1,6 @@
 """Single views of a body for trials of edge trackers: random poses, sunlight, the sensor's noise.
 
-    python -m benchmarks.edges.edge_views [BODY ...] [--rich] [--views 3] -o DIR  PNGs; prints seconds a view
+    python -m benchmarks.edges.views [BODY ...] [--rich] [--views 3] -o DIR  PNGs; prints seconds a view
 
 What a trial needs, in this order:
 
@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from benchmarks.edges.edge_bodies import NAMES, EdgeBody, edge_body
+from benchmarks.edges.bodies import NAMES, EdgeBody, edge_body
 from polhode.camera import RectifiedRig
 from polhode.config import scene as config
 from polhode.dataset_writer import write_png

@@ -1,6 +1,6 @@
 """Features and matches of every method on scenes that no method was made with, beside their time.
 
-    python -m benchmarks.frontend.frontend [--methods METHOD ...] [--short] [--again METHOD ...] [--by-scene]
+    python -m benchmarks.frontend.matching [--methods METHOD ...] [--short] [--again METHOD ...] [--by-scene]
                                   [--picture docs/images/frontend_pareto.png] [--record FILE]
 
 A method is written features-zoom+matcher: ``disk-1x+lightglue`` is DISK on the crop as it is, matched by
@@ -14,7 +14,7 @@ equal precision: matches in order of confidence, over all pairs, as many as keep
 has at its own threshold. Motion: the same RANSAC for all (frontend/matching/ransac.py); a pair without motion
 counts as wrong; shares are over pairs with 30 stereo features in both frames. Times: of one core, in its own
 seconds. Lit pairs: at least 3,000 px of the body are seen and lit in both frames, whatever the method finds.
-Guided: the same from a prediction that is 5 degrees off (benchmarks/frontend/guided.py).
+Guided: the same from a prediction that is 5 degrees off (benchmarks/frontend/matching.py).
 Normalised residuals: mean squares of what correct matches are off by, over their variance.
 """
 
@@ -28,7 +28,6 @@ import numpy as np
 import torch
 
 from benchmarks.end_to_end.scenes import ROOT
-from benchmarks.frontend.guided import guided_error_deg
 from benchmarks.frontend.scenes import CONFIGS, UnseenScene, open_scene, render, scene_names
 from benchmarks.frontend.tables import lit_pairs, print_by_scene, print_table
 from benchmarks.record import Case, complete, forget
@@ -38,8 +37,10 @@ from polhode.frontend.features.methods import Matches, extract_pair, feature_met
 from polhode.frontend.features.patch_size import with_patch_size
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.ransac import ransac_rigid
-from polhode.lie import Array, log_so3
-from polhode.records import Bools, Ints
+from polhode.frontend.tracks.guided import reconnect
+from polhode.frontend.tracks.tracks import Association
+from polhode.lie import Array, exp_so3, inverse_pose, log_so3
+from polhode.records import Bools, InitialMotion, Ints
 
 RECORD = ROOT / "runs" / "frontend.jsonl"
 REFERENCE = "rootsift-2x"
@@ -85,7 +86,7 @@ def main() -> None:
         for gap in GAPS:
             print_by_scene(lines, methods, names, gap)
     if options.picture is not None:
-        from benchmarks.frontend.plot import draw_pareto
+        from benchmarks.frontend.tables import draw_pareto
 
         draw_pareto(lines, methods, REFERENCE, options.picture)
 
@@ -254,6 +255,41 @@ def normalised_squares(
     )
     variance = a.sigma_px[left] ** 2 + np.einsum("nab,nb->na", J**2, b.sigma_px[right] ** 2)
     return [*np.sum(residual**2 / variance, axis=0).tolist(), len(left)]
+
+
+PREDICTED_DEG = 3.0
+"""Error of the prediction about each axis, standard deviation [deg]: 5 degrees in all."""
+PREDICTED_SHARE = 0.01
+"""Error of its distance, and half of it sideways, as shares of the distance."""
+VIEW_DEG = 75.0
+"""``frontend.guided.max_view_angle_deg`` here: a single view is compared with, 60 degrees away."""
+
+
+def guided_error_deg(
+    scene: UnseenScene, frames: list[StereoFeatures], i: int, j: int, config: Frontend
+) -> float | None:
+    """Error of the rotation between frames i and j found from a prediction, None where it is not found."""
+    a, b = frames[i], frames[j]
+    X_RG = np.stack([inverse_pose(scene.X_GR[i]), _predicted(scene, i, j)])
+    guided = config.guided.model_copy(update={"max_view_angle_deg": VIEW_DEG})
+    known = Association((np.arange(len(a)), np.full(len(b), -1, dtype=np.int64)))
+    found = reconnect(
+        [a, b], known, InitialMotion(X_RG, np.array([True, False])), scene.rig, guided, 0
+    ).motion
+    if not found.connected[1]:
+        return None
+    turn = found.X_RG[1, :3, :3].T @ inverse_pose(scene.X_GR[j])[:3, :3]
+    return float(np.rad2deg(np.linalg.norm(log_so3(turn))))
+
+
+def _predicted(scene: UnseenScene, i: int, j: int) -> Array:
+    """True pose of frame j, off by the errors above."""
+    rng = np.random.default_rng([i, j])
+    X_RG = inverse_pose(scene.X_GR[j])
+    X_RG[:3, :3] = X_RG[:3, :3] @ exp_so3(np.deg2rad(PREDICTED_DEG) * rng.normal(size=3))
+    X_RG[:3, 3] *= 1.0 + PREDICTED_SHARE * rng.normal()
+    X_RG[:3, 3] += 0.5 * PREDICTED_SHARE * X_RG[2, 3] * rng.normal(size=3)
+    return np.asarray(X_RG)
 
 
 if __name__ == "__main__":

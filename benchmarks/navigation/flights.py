@@ -1,4 +1,4 @@
-"""The scenes of benchmarks/navigation/navigation_filter.py: a tumbling target, an inspector, a first state.
+"""The scenes of benchmarks/navigation/compare_filters.py: a tumbling target, an inspector, a first state.
 
 The inspector flies straight from 4 m to 2 m, or half around the target at 3 m, looking at where the target
 was planned to be. The target turns once in a minute, near its middle axis, and is disturbed by white noise of
@@ -11,8 +11,8 @@ from functools import cache
 import numpy as np
 import trimesh
 
-from benchmarks.edges.edge_bodies import edge_body
-from benchmarks.edges.edge_views import edge_rig
+from benchmarks.edges.bodies import edge_body
+from benchmarks.edges.views import edge_rig
 from benchmarks.navigation.error_state_filter import State, Target, predict, predicted_pose
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.planning.prediction.prediction import process_noise
