@@ -5,8 +5,9 @@
 # make check   style, types, import rules
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/mapping/fusion_peers.py; without them its rows say so
-# make bench   accuracy and time, from images on every scene and of the back end alone: hours. What was measured
-#              before is read from its record, so it can be interrupted. make bench SHORT=--short: a few minutes
+# make bench   every benchmark, hours. What was measured before is read from its record, so that it can be
+#              interrupted. make bench SHORT=--short: small versions, minutes. make bench-TOPIC: those of a topic
+#              or of a name; python -m benchmarks --list shows them
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -81,30 +82,7 @@ check: setup
 	$(BIN)/lint-imports --no-logo
 
 bench: setup $(MATCHERS) $(SOLVERS)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.end_to_end.scenes)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.end_to_end.prediction_error runs/ts38 data/ts38 -o runs/prediction.png)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.planning.keepout runs/ts38 runs/asteroid runs/pure_spin)
-	$(BIN)/python -m benchmarks.frontend.matching $(SHORT)
-	$(BIN)/python -m benchmarks.frontend.disparity $(SHORT)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.mapping.mesh_quality data/ts38 data/asteroid data/major_axis data/specular_mli)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.mapping.lengths)
-	$(BIN)/python -m benchmarks.mapping.fusion_peers $(SHORT)
-	$(BIN)/python -m benchmarks.mapping.fusion_scale $(SHORT)
-	$(BIN)/python -m benchmarks.mapping.frame_time $(SHORT)
-	$(BIN)/python -m benchmarks.solvers.lie_rank
-	$(BIN)/python -m benchmarks.edges.observability_speed $(SHORT)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.edges.observability_of_run runs/ts38:data/ts38 runs/major_axis:data/major_axis runs/fast_20rpm:data/fast_20rpm runs/asteroid:data/asteroid)
-	$(BIN)/python -m benchmarks.edges.planar -o runs/observability_planar.png
-	$(BIN)/python -m benchmarks.solvers.conditioning -o runs/conditioning.png
-	$(BIN)/python -m benchmarks.monte_carlo.bound
-	$(BIN)/python -m benchmarks.solvers.backend_size $(SHORT) -o runs/backend_growth.png
-	$(BIN)/python -m benchmarks.monte_carlo.same_answer $(SHORT)
-	$(if $(SHORT),,$(BIN)/python -m benchmarks.solvers.runs_by_solver runs/ts38 runs/asteroid runs/hard_light runs/specular_mli runs/pure_spin)
-	$(BIN)/python -m benchmarks.solvers.compare $(SHORT)
-	$(BIN)/python -m benchmarks.monte_carlo.window $(SHORT)
-	$(BIN)/python -m benchmarks.monte_carlo.window --seeds 3 --estimated $(SHORT)
-	$(BIN)/python -m benchmarks.monte_carlo.disturbances $(SHORT)
-	$(BIN)/python -m benchmarks.monte_carlo.robustness $(SHORT)
-	$(BIN)/python -m benchmarks.monte_carlo.convergence $(SHORT)
-	$(BIN)/python -m benchmarks.monte_carlo.accuracy --motions 6 --seeds 20 --estimated $(SHORT)
-	$(BIN)/python -m benchmarks.monte_carlo.accuracy --motions 6 $(SHORT)
+	$(BIN)/python -m benchmarks $(SHORT)
+
+bench-%: setup $(MATCHERS) $(SOLVERS)
+	$(BIN)/python -m benchmarks $* $(SHORT)

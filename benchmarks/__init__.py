@@ -1,0 +1,12 @@
+"""Benchmarks: what is measured to choose between methods, and to show how good the results are.
+
+In: simulated sequences and runs of them. Out: tables in Markdown, figures, records of long measurements. They
+are not installed with the package. Each folder is a topic; ``python -m benchmarks --list`` shows the commands.
+
+    registry       every benchmark: its arguments, the page that quotes it, how long it takes
+    __main__       ``python -m benchmarks``: runs them, stores what they print
+    record         long measurements that can be interrupted, one JSON line per case
+    provenance     which commit and configuration made a stored result, and whether it is old
+    command        the command line of a benchmark
+    presentation   tables in Markdown, figures
+"""

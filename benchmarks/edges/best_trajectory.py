@@ -15,15 +15,16 @@ and its median, beside root mean square and median of the measured errors, in th
 millirad. What was measured before is read from the record.
 """
 
-import argparse
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from tyro.conf import Positional, arg
 
+from benchmarks.command import Record, Short, Workers, command
 from benchmarks.edges.bodies import edge_body
 from benchmarks.edges.trajectory.camera_path import camera_poses, middles, sun_in_G
 from benchmarks.edges.views import edge_rig
@@ -48,26 +49,27 @@ BUDGET = 0.35
 """Share of the edges that are ever seen"""
 
 
-def main() -> None:
+def main(
+    bodies: Positional[tuple[str, ...]] = BODIES,
+    images: Annotated[int, arg(help="Images along each trajectory.")] = 24,
+    short: Short = False,
+    workers: Workers = 1,
+    record: Record = RECORD,
+    pictures: Annotated[
+        Path | None, arg(help="Folder for pictures of the trajectories and of what edges contribute.")
+    ] = None,
+) -> None:
     """Measure what the record lacks, print the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("bodies", nargs="*", default=list(BODIES))
-    parser.add_argument("--images", type=int, default=24, help="along each way")
-    parser.add_argument("--short", action="store_true", help="12 images along each way")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--pictures", type=Path, help="a folder for the ways and what edges contribute")
-    options = parser.parse_args()
-    images = 12 if options.short else options.images
-    cases: list[Case] = [{"body": body, "images": images} for body in options.bodies]
-    lines = complete(options.record, cases, measure, options.workers)
+    count = 12 if short else images
+    cases: list[Case] = [{"body": body, "images": count} for body in bodies]
+    lines = complete(record, cases, measure, workers)
     print(table(lines, "ways", "way"))
     print()
     print(table(lines, "sets", "edges"))
-    if options.pictures:
-        options.pictures.mkdir(parents=True, exist_ok=True)
+    if pictures:
+        pictures.mkdir(parents=True, exist_ok=True)
         for line in lines:
-            pictures(line, options.pictures)
+            draw_pictures(line, pictures)
 
 
 def measure(case: Case) -> dict[str, Any]:
@@ -249,7 +251,7 @@ def table(lines: list[Case], key: str, what: str) -> str:
 UP_N = np.array([0.0, -1.0, 0.0])
 
 
-def pictures(line: Case, folder: Path) -> None:
+def draw_pictures(line: Case, folder: Path) -> None:
     """BODY_ways.png, BODY_contributions.png, and a coloured mesh for each degree of freedom."""
     name = line["case"]["body"]
     mesh, rig = edge_body(name).mesh, edge_rig()
@@ -293,4 +295,4 @@ def pictures(line: Case, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

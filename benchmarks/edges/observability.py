@@ -3,14 +3,15 @@
 python -m benchmarks.edges.observability [--short] [--workers 1] [--record FILE] [--stored]
 """
 
-import argparse
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from tyro.conf import arg
 
+from benchmarks.command import Png, Record, Short, Workers, command
 from benchmarks.edges.bodies import NAMES, SOLIDS, edge_body
 from benchmarks.edges.observability_tables import (
     Spot,
@@ -73,20 +74,16 @@ def cases(short: bool) -> list[Case]:
     return out
 
 
-def main() -> None:
+def main(
+    short: Short = False,
+    workers: Workers = 1,
+    record: Record = RECORD,
+    stored: Annotated[bool, arg(help="Only print what was measured before.")] = False,
+    output: Png = None,
+) -> None:
     """Measure what the record lacks; print the tables; draw the trends."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--short", action="store_true", help="two bodies, few poses")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--stored", action="store_true", help="only what was measured before")
-    parser.add_argument("-o", "--output", type=Path, help="the picture")
-    options = parser.parse_args()
-    wanted = cases(options.short)
-    if options.stored:
-        lines = measured(options.record, wanted)
-    else:
-        lines = complete(options.record, wanted, measure, options.workers)
+    wanted = cases(short)
+    lines = measured(record, wanted) if stored else complete(record, wanted, measure, workers)
     groups = {
         "three models of steps, 4 to 2 m": _spots(lines, "approach", ["steps"]),
         "three models of satellite, 4 to 2 m": _spots(lines, "approach", ["satellite"]),
@@ -107,8 +104,8 @@ def main() -> None:
     wrong = [line for line in lines if line["case"]["part"] == "wrong"]
     if len(wrong) > 1:
         print("\n# Right and wrong poses\n\n" + wrong_table(wrong))
-    if options.output:
-        plot(groups, options.output)
+    if output:
+        plot(groups, output)
 
 
 def _spots(lines: list[Case], part: str, bodies: Sequence[str]) -> list[Spot]:
@@ -289,4 +286,4 @@ def _told(values: Any) -> Any:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

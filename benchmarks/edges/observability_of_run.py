@@ -8,11 +8,13 @@ each degree of freedom: median, and the range that holds 90 %; and the correlati
 tells whether the run's mesh ranks the places rightly.
 """
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from tyro.conf import Positional, arg
 
+from benchmarks.command import command
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, make_pose
 from polhode.metrics import truth_at
@@ -24,17 +26,16 @@ from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 from polhode.truth import read_truth
 
 
-def main() -> None:
+def main(
+    pairs: Positional[Annotated[tuple[str, ...], arg(metavar="RUN:SEQ")]],
+    every: Annotated[int, arg(help="So many pairs of images apart.")] = 5,
+) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("pairs", nargs="+", metavar="RUN:SEQ")
-    parser.add_argument("--every", type=int, default=5, help="so many pairs apart")
-    options = parser.parse_args()
     print("| run | edges, run and true |", " | ".join(DEGREES_OF_FREEDOM), "|")
     print("|---|---|" + "---|" * 6)
-    for pair in options.pairs:
+    for pair in pairs:
         run, _, sequence = pair.partition(":")
-        print(row(Path(run), Path(sequence), options.every), flush=True)
+        print(row(Path(run), Path(sequence), every), flush=True)
 
 
 def row(run: Path, sequence: Path, every: int) -> str:
@@ -65,4 +66,4 @@ def sigmas(model: EdgeModel, rig: RectifiedRig, X_RG: Array, o_G: Array) -> Arra
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

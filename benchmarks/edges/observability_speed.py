@@ -7,13 +7,15 @@ around. A view is: hidden lines removed, control points, their motion, C and its
 core, the least of three rounds; the model of edges is made once. Issue: at most 50 ms for 10,000 faces.
 """
 
-import argparse
 from time import process_time
+from typing import Annotated
 
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
+from tyro.conf import arg
 
+from benchmarks.command import Short, command
 from benchmarks.edges.bodies import KINDS, edge_body
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, make_pose
@@ -25,19 +27,18 @@ DIAMETERS_AWAY = 2.0
 ROUNDS = 3
 
 
-def main() -> None:
+def main(
+    faces: Annotated[int, arg(help="Fewest faces of a body.")] = 10_000,
+    short: Short = False,
+) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--faces", type=int, default=10_000)
-    parser.add_argument("--short", action="store_true", help="two bodies, five views")
-    options = parser.parse_args()
-    count = 5 if options.short else 40
-    bodies = {name: edge_body(name).mesh for name in (list(KINDS)[:1] if options.short else KINDS)}
+    count = 5 if short else 40
+    bodies = {name: edge_body(name).mesh for name in (list(KINDS)[:1] if short else KINDS)}
     bodies["torus"] = trimesh.creation.torus(0.5, 0.15, 120, 60)
     print("| body | faces | edges | model [ms] | points a view | view, median [ms] | slowest [ms] |")
     print("|---|---|---|---|---|---|---|")
     for name, mesh in bodies.items():
-        print(row(name, finer(mesh, options.faces), count), flush=True)
+        print(row(name, finer(mesh, faces), count), flush=True)
 
 
 def row(name: str, mesh: trimesh.Trimesh, count: int) -> str:
@@ -76,4 +77,4 @@ def finer(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

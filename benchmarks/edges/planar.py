@@ -8,7 +8,6 @@ slides' one linear step and by Gauss-Newton to the end. Then: which power of the
 what one step costs, how arccos fails, and the misprints in numbers. Some 20 s of one core.
 """
 
-import argparse
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.stats import linregress
 
+from benchmarks.command import Png, command
 from benchmarks.edges.planar_metric import (
     bearings,
     folded_bearings,
@@ -121,19 +121,15 @@ def _rms(values: Array) -> Array:
     return np.asarray(np.sqrt((values**2).mean(axis=0)))
 
 
-def main() -> None:
+def main(output: Png = None, seed: int = 0) -> None:
     """Print the tables, draw the figure where one is asked for."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, help="PNG file")
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    print_models(arguments.seed)
-    print_trends(arguments.seed)
-    print_one_step(arguments.seed)
-    print_folds(arguments.seed)
-    print_misprints(arguments.seed)
-    if arguments.output is not None:
-        draw(arguments.output, arguments.seed)
+    print_models(seed)
+    print_trends(seed)
+    print_one_step(seed)
+    print_folds(seed)
+    print_misprints(seed)
+    if output is not None:
+        draw(output, seed)
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
@@ -331,4 +327,4 @@ def _trend(axes: Axes, i: int, diagonal: Array, means: Array, root: bool) -> Non
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

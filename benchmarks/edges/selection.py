@@ -10,10 +10,12 @@ can be tried. Third, for bodies of few edges: the smooth table of `view_table.py
 between its own. Edges count where they stand clear of others (`visible_edges.clear_points`).
 """
 
-import argparse
+from typing import Annotated
 
 import numpy as np
+from tyro.conf import Positional, arg
 
+from benchmarks.command import command
 from benchmarks.edges.bodies import edge_body
 from benchmarks.edges.trajectory.camera_path import least_range
 from benchmarks.edges.trajectory.view_table import looking, view_table
@@ -33,25 +35,22 @@ BETWEEN = 100
 SUN_G = np.array([[0.3, 0.8, 0.5]])
 
 
-def main() -> None:
+def main(
+    bodies: Positional[tuple[str, ...]] = BODIES,
+    views: Annotated[int, arg(help="Views that the edges serve.")] = 8,
+    budget: Annotated[int, arg(help="Edges to choose.")] = 8,
+) -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("bodies", nargs="*", default=list(BODIES))
-    parser.add_argument("--views", type=int, default=8)
-    parser.add_argument("--budget", type=int, default=8)
-    options = parser.parse_args()
     rig = edge_rig()
-    models = {name: edge_model(edge_body(name).mesh) for name in options.bodies}
+    models = {name: edge_model(edge_body(name).mesh) for name in bodies}
     told = {
-        name: feature_information(
-            model, rig, random_poses(model.surface, rig, options.views, seed=1), clear=True
-        )
+        name: feature_information(model, rig, random_poses(model.surface, rig, views, seed=1), clear=True)
         for name, model in models.items()
     }
     print("| body | edges seen | value | greedy | exchanged | best | bound | computed |")
     print("|---|---:|---|---:|---:|---:|---:|---:|")
     for name, information in told.items():
-        for row in choices(information, options.budget):
+        for row in choices(information, budget):
             print(f"| {name} | {row}")
     print("\n| body | edges seen | within 10 % | at least | exact | largest sigma |")
     print("|---|---:|---:|---:|---:|---:|")
@@ -128,4 +127,4 @@ def between(model: EdgeModel, rig: RectifiedRig) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -23,14 +23,16 @@ given in C, from the target to the Sun. The Earth fills the shadows, from the ot
 Everything is determined by the seeds, an image by its number, too: views can be made in any order.
 """
 
-import argparse
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import trimesh
+from tyro.conf import Positional, arg
 
+from benchmarks.command import command
 from benchmarks.edges.bodies import NAMES, EdgeBody, edge_body
 from polhode.camera import RectifiedRig
 from polhode.config import scene as config
@@ -206,32 +208,31 @@ def _triple(v: Array) -> tuple[float, float, float]:
     return float(v[0]), float(v[1]), float(v[2])
 
 
-def main() -> None:
+def main(
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR", help="Folder of the images.")],
+    bodies: Positional[tuple[str, ...]] = (),
+    rich: Annotated[bool, arg(help="The surfaces of the bodies themselves.")] = False,
+    views: Annotated[int, arg(help="Views of each body.")] = 3,
+    samples: Annotated[int, arg(help="Rays a pixel: 1, 4, 9 or 16.")] = 4,
+) -> None:
     """Write PNGs of every body."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("bodies", nargs="*", help=f"of {', '.join(NAMES)}")
-    parser.add_argument("--rich", action="store_true", help="the bodies' own surfaces")
-    parser.add_argument("--views", type=int, default=3)
-    parser.add_argument("--samples", type=int, default=4)
-    parser.add_argument("-o", "--output", type=Path, required=True)
-    options = parser.parse_args()
     rig = edge_rig()
-    options.output.mkdir(parents=True, exist_ok=True)
+    output.mkdir(parents=True, exist_ok=True)
     print("| body | faces | length [m] | s to prepare | s a view |\n|---|---:|---:|---:|---:|")
-    for name in options.bodies or NAMES:
+    for name in bodies or NAMES:
         start = time.process_time()
-        target = edge_body(name, plain=not options.rich)
-        views = EdgeViews(target, rig, 0, ViewOptions(samples=options.samples))
-        poses = random_poses(target.mesh, rig, options.views + 1, seed=1)
+        target = edge_body(name, plain=not rich)
+        scene = EdgeViews(target, rig, 0, ViewOptions(samples=samples))
+        poses = random_poses(target.mesh, rig, views + 1, seed=1)
         suns = random_suns(len(poses), seed=2)
-        views.image(poses[-1], suns[-1], options.views)
+        scene.image(poses[-1], suns[-1], views)
         ready = time.process_time()
-        images = views.images(poses[:-1], suns[:-1])
-        each_s = (time.process_time() - ready) / options.views
+        images = scene.images(poses[:-1], suns[:-1])
+        each_s = (time.process_time() - ready) / views
         length = float(np.ptp(target.mesh.vertices, axis=0).max())
         print(f"| {name} | {len(target.mesh.faces):,} | {length:.2f} | {ready - start:.1f} | {each_s:.2f} |")
-        write_png(options.output / f"{name}{'_rich' if options.rich else ''}.png", np.hstack(images))
+        write_png(output / f"{name}{'_rich' if rich else ''}.png", np.hstack(images))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

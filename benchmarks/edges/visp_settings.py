@@ -6,13 +6,14 @@ Not the views of ``benchmarks.visp_tracker``, whose seed is another. ``failed``:
 ``FAR_M`` or ``FAR_DEG``. Medians are of all views. NEES: the median, 1 is honest (0.89 for a median).
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from tyro.conf import Positional
 
+from benchmarks.command import command
 from benchmarks.edges.views import middle, pose_errors
 from benchmarks.edges.visp_tracker import (
     FAR_DEG,
@@ -65,15 +66,10 @@ def row(label: str, settings: Settings, trials: Sequence[tuple[Trial, Array]]) -
     )
 
 
-def main() -> None:
+def main(bodies: Positional[tuple[str, ...]] = BODIES, views: int = 40, seed: int = 100) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("bodies", nargs="*", default=list(BODIES))
-    parser.add_argument("--views", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=100)
-    given = parser.parse_args()
     try:
-        trials = [trial_of(name, Options(views=given.views, seed=given.seed)) for name in given.bodies]
+        trials = [trial_of(name, Options(views=views, seed=seed)) for name in bodies]
         print("| settings | failed | median [mm] | median [deg] | NEES / 6 | ms a view |")
         print("|---|" + "---:|" * 5)
         for label, settings in CHANGES.items():
@@ -84,4 +80,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -21,7 +21,6 @@ Ours (benchmarks/edges/tracking/tracker.py) gets the same images and starts; its
 one. ``kept``: as ours, but a pose that its residual statistic does not trust is lost, too.
 """
 
-import argparse
 import os
 import subprocess
 import sys
@@ -31,11 +30,14 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Annotated
 
 import numpy as np
 import trimesh
 from PIL import Image
+from tyro.conf import Positional, arg
 
+from benchmarks.command import command
 from benchmarks.edges.bodies import SOLIDS, edge_body
 from benchmarks.edges.tracking.calibrated_covariance import LEVELS, parts_of
 from benchmarks.edges.tracking.residual import TRUSTED, probability, support
@@ -313,22 +315,21 @@ def nees(errors: Array, covariance: Array) -> Array:
     return np.asarray(np.einsum("vk,vk->v", errors, solved))
 
 
-def main() -> None:
+def main(
+    bodies: Positional[tuple[str, ...]] = tuple(SOLIDS),
+    views: int = Options.views,
+    angle: Annotated[float, arg(help="Sigma of the start [deg].")] = Options.angle_deg,
+    shift: Annotated[float, arg(help="Sigma of the start [m].")] = Options.shift_m,
+    seed: int = Options.seed,
+    rich: Annotated[bool, arg(help="The surfaces of the bodies themselves.")] = False,
+    primed: Annotated[bool, arg(help="An image at the pose of the start to learn from.")] = False,
+) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("bodies", nargs="*", default=list(SOLIDS))
-    parser.add_argument("--views", type=int, default=Options.views)
-    parser.add_argument("--angle", type=float, default=Options.angle_deg, help="sigma of the start [deg]")
-    parser.add_argument("--shift", type=float, default=Options.shift_m, help="sigma of the start [m]")
-    parser.add_argument("--seed", type=int, default=Options.seed)
-    parser.add_argument("--rich", action="store_true", help="the bodies' own surfaces")
-    parser.add_argument("--primed", action="store_true", help="an image at the start's pose to learn from")
-    given = parser.parse_args()
-    options = Options(given.views, given.angle, given.shift, given.rich, given.primed, given.seed)
+    options = Options(views, angle, shift, rich, primed, seed)
     try:
         program()
         print(HEAD + "\n|---|---|" + "---:|" * 11)
-        for name in given.bodies:
+        for name in bodies:
             trial, X_CG = trial_of(name, options)
             about_G = middle(trial.mesh)
             print(row(name, "the start", Answer(trial.X_start, *_nothing(len(X_CG))), X_CG, about_G))
@@ -418,4 +419,4 @@ def cao_text(polygons: Sequence[Array]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

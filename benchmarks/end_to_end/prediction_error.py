@@ -8,13 +8,15 @@ after the constant rotation between estimated and true axes; the place is that o
 estimated centre of mass. Prints errors and sigmas at 10, 30 and 60 s, and the share inside three sigma.
 """
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import matplotlib as mpl
 import numpy as np
+from tyro.conf import Positional, arg
 
+from benchmarks.command import command
 from polhode.lie import Array, log_so3
 from polhode.metrics import States, constant_body_rotation, motion_errors, truth_at, turned
 from polhode.pipeline.products.predict import predict_run
@@ -46,16 +48,15 @@ class Comparison:
     """(T, 3)"""
 
 
-def main() -> None:
+def main(
+    run: Positional[Path],
+    sequence: Positional[Path],
+    output: Annotated[Path, arg(aliases=["-o"], metavar="PNG", help="Figure.")],
+    horizon: Annotated[float, arg(help="Seconds ahead.")] = 60.0,
+) -> None:
     """Draw the figure and print its numbers."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path)
-    parser.add_argument("sequence", type=Path)
-    parser.add_argument("-o", "--output", type=Path, required=True, help="PNG file")
-    parser.add_argument("--horizon", type=float, default=60.0, help="seconds")
-    options = parser.parse_args()
-    found = compare(options.run, options.sequence, options.horizon)
-    draw(found, options.output)
+    found = compare(run, sequence, horizon)
+    draw(found, output)
     for name, unit, error, sigma in (
         ("attitude", "deg", found.attitude_deg, found.sigma_attitude_deg),
         ("place", "mm", found.place_mm, found.sigma_place_mm),
@@ -130,4 +131,4 @@ def draw(found: Comparison, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -7,9 +7,9 @@ estimated motion has carried them. Middle: RUN/mesh.ply seen by the same camera 
 Right: the path of the angular velocity on the ellipsoid of equal energy; fine lines: other angular momenta.
 """
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 from trimesh.triangles import points_to_barycentric
+from tyro.conf import Positional, arg
 
+from benchmarks.command import command
 from polhode.camera import RectifiedRig
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
@@ -40,20 +42,21 @@ INLIER_WEIGHT = 0.5
 Picture = NDArray[np.uint8]
 
 
-def main(words: Sequence[str] | None = None) -> None:
+def main(
+    run: Positional[Path],
+    sequence: Positional[Path],
+    output: Annotated[Path, arg(aliases=["-o"], metavar="PNG", help="Picture.")] = Path(
+        "docs/images/overview.png"
+    ),
+    frame: Annotated[
+        int | None, arg(help="Frame to show; without it the one with the most measurements.")
+    ] = None,
+) -> None:
     """Read a run and its sequence, draw, write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("run", type=Path)
-    parser.add_argument("sequence", type=Path)
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/images/overview.png"))
-    parser.add_argument("--frame", type=int, help="frame to show; default: the one with most measurements")
-    options = parser.parse_args(words)
-    content = read_content(options.run, options.run.name)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    overview(content, options.sequence, options.frame).save(options.output, optimize=True)
-    print(f"{options.output}: {options.output.stat().st_size / 1e3:.0f} kB")
+    content = read_content(run, run.name)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    overview(content, sequence, frame).save(output, optimize=True)
+    print(f"{output}: {output.stat().st_size / 1e3:.0f} kB")
 
 
 def overview(content: Content, sequence: Path, frame: int | None) -> Image.Image:
@@ -256,4 +259,4 @@ def _time_colors(share: Array) -> list[list[int]]:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

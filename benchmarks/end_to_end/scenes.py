@@ -11,15 +11,17 @@ First table: errors. Second: whether the sigmas are honest (normalised squared e
 share of the states' components within three sigma), the prediction 30 s ahead, and what limits the answer.
 """
 
-import argparse
 import json
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-ROOT = Path(__file__).resolve().parents[2]
+from tyro.conf import Positional, arg
+
+from benchmarks.command import ROOT, command
+
 HEAD = (
     "scene | position [mm] | velocity [mm/s] | w [deg/s] | attitude [deg] | error k1 (sigma) | "
     "error k2 (sigma) | com [mm] | chamfer [mm] (within 3 mm) | pairs | seconds"
@@ -38,18 +40,19 @@ FEATURES = {
 NEES = {"position": 3, "velocity": 3, "attitude": 3, "angular_velocity": 3, "inertia": 5, "com": 3}
 
 
-def main() -> None:
+def main(
+    configs: Positional[Annotated[tuple[Path, ...], arg(help="Configurations of scenes.")]] = (),
+    again: Annotated[bool, arg(help="Repeat runs that exist.")] = False,
+    features: Annotated[
+        Literal["both", "rootsift", "polhode", "always"], arg(help="Methods of the front end.")
+    ] = "both",
+) -> None:
     """Make what is missing and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("configs", nargs="*", type=Path, help="scene configurations")
-    parser.add_argument("--again", action="store_true", help="repeat runs that exist")
-    parser.add_argument("--features", choices=list(FEATURES), default="both", help="methods that look")
-    options = parser.parse_args()
-    configs = options.configs or [
+    chosen = configs or [
         ROOT / "configs/ts38.yaml",
         *sorted((ROOT / "configs/scenes").glob("*.yaml")),
     ]
-    results = [(config.stem, *measure(config, options.again, options.features)) for config in configs]
+    results = [(config.stem, *measure(config, again, features)) for config in chosen]
     for head, row in ((HEAD, row_of), (HONESTY, honesty_row)):
         print(f"\n| {head} |")
         print("|" + "---|" * (head.count("|") + 1))
@@ -161,4 +164,4 @@ def ratio(error: float, variance: float | None, known: bool) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -1,0 +1,9 @@
+"""Methods of the front end on scenes that no training has seen.
+
+In: configs/frontend_test/ and configs/depth_test/. Out: correct matches, motions, errors of disparity, times.
+
+    matching    features and matches of every method
+    disparity   dense disparity
+    scenes      the scenes, and what the simulator knows of their features
+    tables      the tables and the figure of ``matching``
+"""

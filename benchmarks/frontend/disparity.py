@@ -11,19 +11,21 @@ Columns: density [%]; share of the found disparities off by more than 1 px [%], 
 sgbm (the surest ones); median error [px]; share of errors within one and two sigma [%]; seconds of a core.
 """
 
-import argparse
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
+from typing import Annotated
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from tyro.conf import arg
 
+from benchmarks.command import ROOT, Short, command
 from polhode.config.depth import Depth
 from polhode.dataset import open_sequence
 from polhode.frontend.disparity.crop import Crop, cut_crop
@@ -33,7 +35,6 @@ from polhode.frontend.rectification.rectify import make_rectifier
 from polhode.frontend.rectification.target import target_mask
 from polhode.train.depth_truth import TrueDisparity, true_disparities
 
-ROOT = Path(__file__).resolve().parents[2]
 Floats = NDArray[np.float32]
 Method = Callable[[Crop], tuple[Floats, Floats | None]]
 HEAD = "scene | method | density | bad 1 px | at equal density | median px | in 1 sigma | in 2 sigma | s"
@@ -50,7 +51,7 @@ class Errors:
     """of one core, a pair"""
 
 
-def methods(weights: Path | None) -> dict[str, Method]:
+def all_methods(weights: Path | None) -> dict[str, Method]:
     """What is compared; each gives disparity and sigma (h, w) of a crop."""
     peer = Depth(block_px=5)
     ours = {name: Depth(method=kind) for name, kind in (("classical", "sgbm"), ("network", "network"))}
@@ -127,25 +128,24 @@ def test_sequences() -> list[Path]:
     return folders
 
 
-def main() -> None:
+def main(
+    short: Short = False,
+    sequences: Annotated[
+        tuple[Path, ...], arg(help="Sequences instead of those of configs/depth_test/.")
+    ] = (),
+    methods: Annotated[tuple[str, ...], arg(help="Only these methods.")] = (),
+    weights: Annotated[Path | None, arg(help="Weights of the network; without it the shipped ones.")] = None,
+) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--short", action="store_true", help="one pair of each scene")
-    parser.add_argument("--sequences", nargs="+", type=Path, help="instead of configs/depth_test/")
-    parser.add_argument("--methods", nargs="+", help="only these")
-    parser.add_argument("--weights", type=Path, help="of the network; the shipped ones when absent")
-    options = parser.parse_args()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    compared = methods(options.weights)
-    chosen = [name for name in compared if not options.methods or name in options.methods]
+    compared = all_methods(weights)
+    chosen = [name for name in compared if not methods or name in methods]
     print(f"| {HEAD} |")
     print("|" + "---|" * (HEAD.count("|") + 1))
     totals: dict[str, list[list[float]]] = {name: [] for name in chosen}
-    for folder in options.sequences or test_sequences():
-        pairs = 1 if options.short else None
+    for folder in sequences or test_sequences():
+        pairs = 1 if short else None
         peer = measure(folder, compared["sgbm"], pairs)
         density = float(np.isfinite(peer.error).mean())
         for name in chosen:
@@ -158,4 +158,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

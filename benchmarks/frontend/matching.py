@@ -18,16 +18,17 @@ Guided: the same from a prediction that is 5 degrees off (benchmarks/frontend/ma
 Normalised residuals: mean squares of what correct matches are off by, over their variance.
 """
 
-import argparse
 import hashlib
 import re
 from pathlib import Path
 from time import process_time
+from typing import Annotated
 
 import numpy as np
 import torch
+from tyro.conf import arg
 
-from benchmarks.end_to_end.scenes import ROOT
+from benchmarks.command import ROOT, Record, Short, command
 from benchmarks.frontend.scenes import CONFIGS, UnseenScene, open_scene, render, scene_names
 from benchmarks.frontend.tables import lit_pairs, print_by_scene, print_table
 from benchmarks.record import Case, complete, forget
@@ -61,34 +62,33 @@ GAPS = (1, 2)
 """Frames between the two of a pair: 30 degrees each."""
 
 
-def main() -> None:
+def main(
+    methods: Annotated[tuple[str, ...], arg(help="Methods to compare.")] = METHODS,
+    short: Short = False,
+    again: Annotated[tuple[str, ...], arg(help="Methods that are measured again.")] = (),
+    by_scene: Annotated[bool, arg(help="Also print each scene by itself.")] = False,
+    picture: Annotated[Path | None, arg(help="PNG of correct matches against time.")] = None,
+    record: Record = RECORD,
+    workers: Annotated[int, arg(help="Processes; more than one disturb the times.")] = 1,
+) -> None:
     """Measure what the record lacks, print the tables, draw the picture."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--methods", nargs="+", default=METHODS, help=f"of {', '.join(METHODS)}, or others")
-    parser.add_argument("--short", action="store_true", help="three scenes")
-    parser.add_argument("--again", nargs="+", default=(), help="methods that are measured anew")
-    parser.add_argument("--by-scene", action="store_true", help="also each scene by itself")
-    parser.add_argument("--picture", type=Path, help="correct matches against time, PNG")
-    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
-    parser.add_argument("--workers", type=int, default=1, help="processes; more than one disturb the times")
-    options = parser.parse_args()
-    methods = usable(dict.fromkeys((REFERENCE, *options.methods)))
-    names = scene_names(options.short)
+    compared = usable(dict.fromkeys((REFERENCE, *methods)))
+    names = scene_names(short)
     for name in names:
         render(name)
-    forget(options.record, lambda case: case.get("method") in options.again)
-    cases = [case_of(method, name) for name in names for method in methods]
-    lines = complete(options.record, cases, measure, options.workers)
-    light = complete(options.record, [light_case(name) for name in names], measure_light, options.workers)
+    forget(record, lambda case: case.get("method") in again)
+    cases = [case_of(method, name) for name in names for method in compared]
+    lines = complete(record, cases, measure, workers)
+    light = complete(record, [light_case(name) for name in names], measure_light, workers)
     for gap in GAPS:
-        print_table(lines, methods, REFERENCE, gap, lit_pairs(light))
-    if options.by_scene:
+        print_table(lines, compared, REFERENCE, gap, lit_pairs(light))
+    if by_scene:
         for gap in GAPS:
-            print_by_scene(lines, methods, names, gap)
-    if options.picture is not None:
+            print_by_scene(lines, compared, names, gap)
+    if picture is not None:
         from benchmarks.frontend.tables import draw_pareto
 
-        draw_pareto(lines, methods, REFERENCE, options.picture)
+        draw_pareto(lines, compared, REFERENCE, picture)
 
 
 def usable(methods: "dict[str, None]") -> list[str]:
@@ -293,4 +293,4 @@ def _predicted(scene: UnseenScene, i: int, j: int) -> Array:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

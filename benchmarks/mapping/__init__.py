@@ -1,0 +1,11 @@
+"""Depth and fusion alone, with true poses or those of runs.
+
+In: sequences with truth. Out: distances to the true surface, time, memory.
+
+    mesh_quality    distances and cost on several sequences
+    lengths         eight lengths of the free flyer
+    fusion_peers    our fusion against Open3D and COLMAP
+    colmap_fusion   depth maps as COLMAP reads them, its fusion and mesher
+    fusion_scale    memory and time of small and large bodies
+    frame_time      seconds a frame, by what is done
+"""

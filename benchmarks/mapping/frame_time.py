@@ -15,14 +15,16 @@ One process, one core, true poses, images as they are on the disk. Columns, in s
 A few frames go through everything first, so that what is compiled or loaded does not count.
 """
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
+from typing import Annotated
 
 import numpy as np
 import torch
+from tyro.conf import arg
 
+from benchmarks.command import Sequences, Short, command
 from benchmarks.mapping.mesh_quality import depth_maps, true_poses
 from polhode.config import Config
 from polhode.config.loader import load_config
@@ -101,34 +103,31 @@ def measure(folder: Path, config: Config, voxel_m: float, most: int | None = Non
     return Times(count, size, wall_s, core_s, len(finished.mesh.faces))
 
 
-def main() -> None:
+def main(
+    sequences: Sequences = (),
+    short: Short = False,
+    voxel_mm: Annotated[float, arg(help="Edge of a voxel [mm].")] = 1.0,
+    config: Annotated[Path, arg(help="Configuration.")] = Path("configs/default.yaml"),
+) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("sequences", nargs="*", type=Path)
-    parser.add_argument("--short", action="store_true", help="the shipped sample")
-    parser.add_argument("--voxel-mm", type=float, default=1.0)
-    parser.add_argument("--config", type=Path, default=Path("configs/default.yaml"))
-    options = parser.parse_args()
     torch.set_num_threads(1)
-    config = load_config(options.config)
-    sequences = options.sequences or ([Path("sample")] if options.short else SEQUENCES)
-    voxel_m = options.voxel_mm * 1e-3
-    measure(sequences[0], config, voxel_m, WARM)
+    settings = load_config(config)
+    folders = sequences or ([Path("sample")] if short else SEQUENCES)
+    voxel_m = voxel_mm * 1e-3
+    measure(folders[0], settings, voxel_m, WARM)
     print(
         f"{'sequence':<14}{'frames':>7}{'size':>10}{'voxel mm':>10}{'faces':>9}{'depth':>9}{'fusion':>9}"
         f"{'meshing':>9}{'finishing':>11}{'in all':>9}{'of a core':>11}   limit {LIMIT_S} s"
     )
-    for folder in sequences:
-        t = measure(folder, config, voxel_m)
+    for folder in folders:
+        t = measure(folder, settings, voxel_m)
         parts, in_all, core = (
             t.wall_s / t.frames,
             t.wall_s[1:].sum() / t.frames,
             t.core_s[1:].sum() / t.frames,
         )
         print(
-            f"{folder.name:<14}{t.frames:>7}{t.size:>10}{options.voxel_mm:>10.2f}{t.faces:>9}"
+            f"{folder.name:<14}{t.frames:>7}{t.size:>10}{voxel_mm:>10.2f}{t.faces:>9}"
             f"{parts[0]:>9.3f}{parts[1]:>9.3f}{parts[2]:>9.3f}{parts[3]:>11.3f}{in_all:>9.3f}{core:>11.3f}"
             f"   {'met' if in_all <= LIMIT_S else 'missed'}",
             flush=True,
@@ -136,4 +135,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -18,7 +18,6 @@ MiB: by how much the process's peak exceeds what it held before. Distances are t
 Open3D and pycolmap: ``pip install polhode[mapping-peers]``; a peer that is missing is a row that says so.
 """
 
-import argparse
 import gc
 import os
 import pickle
@@ -28,12 +27,14 @@ from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 import trimesh
+from tyro.conf import arg
 
+from benchmarks.command import Sequences, Short, command
 from benchmarks.mapping.colmap_fusion import fuse_and_mesh, write_workspace
 from benchmarks.mapping.mesh_quality import depth_maps, true_poses
 from polhode.camera import RectifiedRig
@@ -141,7 +142,7 @@ METHODS: dict[str, Method] = {
 }
 
 
-def worker(method: str, inputs: Path, output: Path) -> None:
+def run_method(method: str, inputs: Path, output: Path) -> None:
     """One method in a process of its own: mesh and figures to ``output``."""
     torch.set_num_threads(1)
     frames, rig, config, voxel_m = pickle.loads(inputs.read_bytes())
@@ -248,29 +249,29 @@ def print_rows(rows: list[dict[str, Any]]) -> None:
         )
 
 
-def main() -> None:
+def main(
+    sequences: Sequences = (),
+    short: Short = False,
+    config: Annotated[Path, arg(help="Configuration.")] = Path("configs/default.yaml"),
+    worker: Annotated[
+        tuple[str, str, str] | None,
+        arg(metavar="METHOD IN OUT", help="One method; for the process of its own."),
+    ] = None,
+) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("sequences", nargs="*", type=Path)
-    parser.add_argument("--short", action="store_true", help="the shipped sample")
-    parser.add_argument("--config", type=Path, default=Path("configs/default.yaml"))
-    parser.add_argument("--worker", nargs=3, metavar=("METHOD", "IN", "OUT"), help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.worker:
-        worker(options.worker[0], Path(options.worker[1]), Path(options.worker[2]))
+    if worker:
+        run_method(worker[0], Path(worker[1]), Path(worker[2]))
         return
     torch.set_num_threads(1)
-    config = load_config(options.config)
-    sequences = options.sequences or ([Path("sample")] if options.short else SEQUENCES)
+    settings = load_config(config)
+    folders = sequences or ([Path("sample")] if short else SEQUENCES)
     print(
         f"{'sequence':<16}{'frames':>7}{'voxel mm':>10}  {'method':<12}{'chamfer':>9}{'accuracy':>10}"
         f"{'completion':>12}{'3 mm':>9}{'faces':>10}{'s a frame':>12}{'MiB':>8}"
     )
-    for folder in sequences:
-        print_rows(measure(folder, config))
+    for folder in folders:
+        print_rows(measure(folder, settings))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -9,17 +9,19 @@ process of its own. Field: the blocks of voxels; peak: by how much the process's
 wait, the mesh and what makes it, exceeds what it held before.
 """
 
-import argparse
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
+from typing import Annotated
 
 import numpy as np
 import torch
 import trimesh
+from tyro.conf import arg
 
+from benchmarks.command import command
 from benchmarks.mapping.fusion_peers import memory_mib
 from polhode.camera import RectifiedRig
 from polhode.config.mapping import Mapping
@@ -119,17 +121,16 @@ def measure(name: str, frames: int) -> str:
     )
 
 
-def main() -> None:
+def main(
+    short: Annotated[bool, arg(help="The small one, 20 frames.")] = False,
+    worker: Annotated[
+        tuple[str, int] | None, arg(metavar="NAME FRAMES", help="One body; for the process of its own.")
+    ] = None,
+) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--short", action="store_true", help="the small one, 20 frames")
-    parser.add_argument("--worker", nargs=2, metavar=("NAME", "FRAMES"), help=argparse.SUPPRESS)
-    options = parser.parse_args()
     torch.set_num_threads(1)
-    if options.worker:
-        print(measure(options.worker[0], int(options.worker[1])), flush=True)
+    if worker:
+        print(measure(*worker), flush=True)
         return
     print(
         f"{'body':<8}{'voxel mm':>9}{'frames':>8}{'field MiB':>11}{'peak MiB':>10}{'faces':>11}"
@@ -137,12 +138,12 @@ def main() -> None:
         flush=True,
     )
     for name, case in CASES.items():
-        if options.short and name != "0.3 m":
+        if short and name != "0.3 m":
             continue
-        frames = 20 if options.short else case.frames
+        frames = 20 if short else case.frames
         command = [sys.executable, "-m", "benchmarks.mapping.fusion_scale", "--worker", name, str(frames)]
         subprocess.run(command, check=True)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -9,13 +9,15 @@ true frame, a plane is fitted to where rays onto that face meet the surface; the
 two planes at the middle of the faces.
 """
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import trimesh
+from tyro.conf import Positional, arg
 
+from benchmarks.command import command
 from benchmarks.mapping.mesh_quality import run_poses, true_poses
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
@@ -169,23 +171,20 @@ def print_table(rows: list[Measured]) -> None:
         )
 
 
-def main() -> None:
+def main(
+    run: Positional[Path] = Path("runs/ts38"),
+    sequence: Positional[Path] = Path("data/ts38"),
+    mesh: Annotated[Path | None, arg(help="A mesh in the true frame G instead of a run.")] = None,
+) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("run", nargs="?", type=Path, default=Path("runs/ts38"))
-    parser.add_argument("sequence", nargs="?", type=Path, default=Path("data/ts38"))
-    parser.add_argument("--mesh", type=Path, help="a mesh in the true frame G instead of a run")
-    options = parser.parse_args()
-    if options.mesh is not None:
-        truth = read_truth(options.sequence).mesh
+    if mesh is not None:
+        truth = read_truth(sequence).mesh
         if truth is None:
-            raise SystemExit(f"{options.sequence}: this sequence has no true surface")
-        print_table(measure(read_ply(options.mesh).mesh, truth))
+            raise SystemExit(f"{sequence}: this sequence has no true surface")
+        print_table(measure(read_ply(mesh).mesh, truth))
         return
-    print_table(measure(*in_true_frame(options.run, options.sequence)))
+    print_table(measure(*in_true_frame(run, sequence)))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -15,16 +15,18 @@ and seconds of one core a frame for depth and for fusion. ``--save FOLDER`` keep
 frame G.
 """
 
-import argparse
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
+from typing import Annotated
 
 import numpy as np
 import torch
 import trimesh
+from tyro.conf import arg
 
+from benchmarks.command import Sequences, command
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
@@ -228,26 +230,24 @@ def print_table(outcomes: Iterable[Outcome]) -> None:
             print(o.poses, flush=True)
 
 
-def main() -> None:
+def main(
+    sequences: Sequences,
+    runs: Annotated[tuple[Path, ...], arg(help="Runs whose poses are used, one for each sequence.")] = (),
+    doubtful: Annotated[
+        tuple[float, float] | None, arg(metavar="MM DEG", help="Errors of every third pose.")
+    ] = None,
+    config: Annotated[Path, arg(help="Configuration.")] = Path("configs/default.yaml"),
+    save: Annotated[Path | None, arg(help="Folder for the meshes.")] = None,
+) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("sequences", nargs="+", type=Path)
-    parser.add_argument("--runs", nargs="*", type=Path, default=[], help="runs whose poses are used")
-    parser.add_argument("--doubtful", nargs=2, type=float, metavar=("MM", "DEG"), help="errors of poses")
-    parser.add_argument("--config", type=Path, default=Path("configs/default.yaml"))
-    parser.add_argument("--save", type=Path, help="folder for the meshes")
-    options = parser.parse_args()
-    if options.runs and len(options.runs) != len(options.sequences):
-        parser.error("--runs needs one run for each sequence")
+    if runs and len(runs) != len(sequences):
+        raise SystemExit("--runs needs one run for each sequence")
     torch.set_num_threads(1)
-    config = load_config(options.config)
-    runs = options.runs or [None] * len(options.sequences)
-    jobs = list(zip(options.sequences, runs, strict=True))
+    settings = load_config(config)
+    jobs = list(zip(sequences, runs or [None] * len(sequences), strict=True))
     doubts: list[Doubts | None] = [None]
-    if options.doubtful:
-        mm, deg = options.doubtful
+    if doubtful:
+        mm, deg = doubtful
         wrong = mm * 1e-3, np.deg2rad(deg)
         doubts = [
             Doubts(*wrong, False),
@@ -255,10 +255,8 @@ def main() -> None:
             Doubts(*wrong, True, True),
             Doubts(0.0, 0.0, False),
         ]
-    print_table(
-        measure(sequence, run, config, options.save, each) for sequence, run in jobs for each in doubts
-    )
+    print_table(measure(sequence, run, settings, save, each) for sequence, run in jobs for each in doubts)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -13,19 +13,20 @@ its 95 % band is that of the chi-square with as many degrees of freedom as the c
 marks what lies outside. "all": every sequence with its own bound.
 """
 
-import argparse
 import time
 from dataclasses import replace
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.stats import chi2
+from tyro.conf import arg
 
+from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.record import Case, complete, measured
 from polhode.lie import Array
 from polhode.simulation.monte_carlo.measurements import SyntheticScene
 
-RECORD = Path(__file__).resolve().parents[1] / "records" / "accuracy.jsonl"
+RECORD = RECORDS / "accuracy.jsonl"
 """Kept in the repository: a thousand sequences take an hour, and any machine can go on with them."""
 BOX = np.diag([1.5, 1.2, 0.9])
 THESIS = SyntheticScene(detection=0.35, station_keeping=True, min_inliers=20)
@@ -46,31 +47,30 @@ SHORT_MOTIONS, SHORT_SEEDS = 3, 2
 HEAD = ("motion", "noise [px]", "seeds", "r", "v", "attitude", "w", "com", "inertia")
 
 
-def main() -> None:
+def main(
+    seeds: Annotated[int, arg(help="Sequences per cell.")] = 100,
+    motions: Annotated[int, arg(help="So many of the motions.")] = len(MOTIONS),
+    workers: Workers = 2,
+    short: Short = False,
+    estimated: Annotated[bool, arg(help="Estimate the process noise too; else it is given.")] = False,
+    record: Record = RECORD,
+) -> None:
     """Measure what the record lacks, print the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=100, help="sequences per cell")
-    parser.add_argument("--motions", type=int, default=len(MOTIONS), help="so many of the motions")
-    parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--short", action="store_true", help="a few motions and seeds")
-    parser.add_argument("--estimated", action="store_true", help="process noise estimated, not given")
-    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
-    options = parser.parse_args()
-    motions = list(MOTIONS)[: SHORT_MOTIONS if options.short else options.motions]
-    seeds = range(SHORT_SEEDS if options.short else options.seeds)
-    mode = "estimated" if options.estimated else "given"
+    names = list(MOTIONS)[: SHORT_MOTIONS if short else motions]
+    draws = range(SHORT_SEEDS if short else seeds)
+    mode = "estimated" if estimated else "given"
     # seeds outermost: an interrupted benchmark has as many of each cell
     cases = [
         {"motion": motion, "noise_px": noise, "process_noise": mode, "seed": seed}
-        for seed in seeds
-        for motion in motions
+        for seed in draws
+        for motion in names
         for noise in NOISES_PX
     ]
-    lines = complete(options.record, cases, measure, options.workers)
-    cells = [(motion, noise) for motion in motions for noise in NOISES_PX]
+    lines = complete(record, cases, measure, workers)
+    cells = [(motion, noise) for motion in names for noise in NOISES_PX]
     print_tables([(cell, [line for line in lines if _cell(line) == cell]) for cell in cells])
-    if options.estimated:
-        given = measured(options.record, [{**case, "process_noise": "given"} for case in cases])
+    if estimated:
+        given = measured(record, [{**case, "process_noise": "given"} for case in cases])
         print_cost_of_estimating(lines, given)
 
 
@@ -223,4 +223,4 @@ def _rule(columns: int) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.command import command
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.problem.inertia import FORMS, InertiaForm, second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CONSTANTS, Iterate
@@ -276,4 +277,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

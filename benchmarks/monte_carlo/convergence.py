@@ -11,20 +11,21 @@ A quantity is wrong when its error exceeds five of the standard deviations that 
 every quantity, those in which none is wrong. "falsely": quantities called determined, and wrong.
 """
 
-import argparse
 import time
 from dataclasses import replace
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from tyro.conf import arg
 
+from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.record import Case, complete
 from polhode.lie import Array
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo.measurements import RPM, SyntheticScene, random_scene
 
-RECORD = Path(__file__).resolve().parents[1] / "records" / "convergence.jsonl"
+RECORD = RECORDS / "convergence.jsonl"
 KINDS = (*["any"] * 8, "spin", "equal moments", "slow", "short")
 NAMES = ("com_x", "com_y", "com_z", "k1", "k2", "axes_x", "axes_y", "axes_z")
 TOLERANCE = np.array([1e-3, 1e-3, 1e-3, 0.02, 0.02, *[np.deg2rad(2.0)] * 3])
@@ -32,16 +33,15 @@ SIGMAS = 5.0
 SHORT_SCENES = 12
 
 
-def main() -> None:
+def main(
+    scenes: Annotated[int, arg(help="Random scenes.")] = 480,
+    workers: Workers = 2,
+    short: Short = False,
+    record: Record = RECORD,
+) -> None:
     """Measure what the record lacks, print the table and the seeds that went wrong."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=480, help="random scenes")
-    parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--short", action="store_true", help="a few scenes")
-    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
-    options = parser.parse_args()
-    seeds = range(SHORT_SCENES if options.short else options.scenes)
-    print_table(complete(options.record, [{"seed": seed} for seed in seeds], measure, options.workers))
+    seeds = range(SHORT_SCENES if short else scenes)
+    print_table(complete(record, [{"seed": seed} for seed in seeds], measure, workers))
 
 
 def scene_of(seed: int) -> tuple[str, SyntheticScene]:
@@ -161,4 +161,4 @@ def print_table(lines: list[Case]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

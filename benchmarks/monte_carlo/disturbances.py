@@ -7,13 +7,13 @@ squared error, 1 is expected; coverage: share of the states' components within t
 was measured before is read from the record.
 """
 
-import argparse
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from tyro.conf import arg
 
+from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.record import Case, complete
 from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
@@ -22,7 +22,7 @@ from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, Vector, generate
 
-RECORD = Path(__file__).resolve().parents[1] / "records" / "pushes.jsonl"
+RECORD = RECORDS / "pushes.jsonl"
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 FREE = SyntheticScene(
     frames=60, landmarks=300, detection=0.4, w_G=(0.3, 0.5, 0.35), J_G=np.diag(MOMENTS),
@@ -40,24 +40,23 @@ UNKNOWN: dict[str, tuple[tuple[float, float, Vector, Vector], ...]] = {
 }
 
 
-def main() -> None:
+def main(
+    seeds: Annotated[int, arg(help="Sequences per row.")] = 20,
+    workers: Workers = 1,
+    short: Short = False,
+    record: Record = RECORD,
+) -> None:
     """Measure what the record lacks, print the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=20, help="sequences per row")
-    parser.add_argument("--short", action="store_true", help="one sequence per row")
-    parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
-    options = parser.parse_args()
-    seeds = range(1 if options.short else options.seeds)
-    known: list[Case] = [{"push": "known", "search": "found", "seed": seed} for seed in seeds]
+    draws = range(1 if short else seeds)
+    known: list[Case] = [{"push": "known", "search": "found", "seed": seed} for seed in draws]
     unknown: list[Case] = [
         {"push": push, "search": search, "seed": seed}
         for push in UNKNOWN
         for search in ("none", "found")
-        for seed in seeds
+        for seed in draws
     ]
-    print_known(complete(options.record, known, measure, options.workers))
-    print_unknown(complete(options.record, unknown, measure, options.workers))
+    print_known(complete(record, known, measure, workers))
+    print_unknown(complete(record, unknown, measure, workers))
 
 
 def measure(case: Case) -> Case:
@@ -156,4 +155,4 @@ def print_unknown(lines: list[Case]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

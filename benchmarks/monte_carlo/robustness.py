@@ -15,15 +15,16 @@ those of ``benchmarks/monte_carlo/accuracy.py``. What the information at the tru
 count.
 """
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.stats import t as student
+from tyro.conf import arg
 
+from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.monte_carlo.accuracy import MOTIONS, consistency
 from benchmarks.monte_carlo.convergence import NAMES, missed, stated_sigma, wrong
 from benchmarks.monte_carlo.disturbances import state_errors
@@ -32,7 +33,7 @@ from polhode.lie import Array, inverse_pose, log_so3
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence
 
-RECORD = Path(__file__).resolve().parents[1] / "records" / "robustness.jsonl"
+RECORD = RECORDS / "robustness.jsonl"
 """Kept in the repository, like that of the accuracy."""
 CHOSEN = (
     "spin of 10 RPM near the middle axis (TS38)",
@@ -58,24 +59,23 @@ PLACED_M, PLACED_RAD = 5e-3, float(np.deg2rad(2.0))
 SHORT_MOTIONS, SHORT_SEEDS = 2, 2
 
 
-def main() -> None:
+def main(
+    seeds: Annotated[int, arg(help="Sequences per motion and row.")] = 12,
+    workers: Workers = 1,
+    short: Short = False,
+    record: Record = RECORD,
+) -> None:
     """Measure what the record lacks, print the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=12, help="sequences per motion and row")
-    parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--short", action="store_true", help="a few motions and seeds")
-    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
-    options = parser.parse_args()
-    motions = CHOSEN[:SHORT_MOTIONS] if options.short else CHOSEN
-    seeds = range(SHORT_SEEDS if options.short else options.seeds)
+    motions = CHOSEN[:SHORT_MOTIONS] if short else CHOSEN
+    draws = range(SHORT_SEEDS if short else seeds)
     # seeds outermost: an interrupted benchmark has as many of each row
     cases: list[Case] = [
         {"condition": condition, "motion": motion, "seed": seed}
-        for seed in seeds
+        for seed in draws
         for motion in motions
         for condition in CONDITIONS
     ]
-    print_table(complete(options.record, cases, measure, options.workers))
+    print_table(complete(record, cases, measure, workers))
 
 
 def gap_of(scene: SyntheticScene) -> slice:
@@ -339,4 +339,4 @@ def _tell(line: Case) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -10,40 +10,40 @@ own noise of the pixels and observations left out; observations left out otherwi
 of a state, k1 or k2 over its standard deviation. What was measured before is read from the record.
 """
 
-import argparse
 from dataclasses import replace
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from tyro.conf import arg
 
+from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.monte_carlo.accuracy import MOTIONS, NOISES_PX
 from benchmarks.record import Case, complete
 from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
 from polhode.records import MotionEstimate
 
-RECORD = Path(__file__).resolve().parents[1] / "records" / "same_answer.jsonl"
+RECORD = RECORDS / "same_answer.jsonl"
 N_MOTIONS = 6
 SOLVERS, FORMS = ("gauss_newton", "ipopt"), ("second_moments", "ratios_axes")
 WANTED = 1e-6
 """Relative difference of the costs."""
 
 
-def main() -> None:
+def main(
+    seeds: Annotated[int, arg(help="Sequences per motion and noise.")] = 1,
+    workers: Workers = 2,
+    short: Short = False,
+    record: Record = RECORD,
+) -> None:
     """Measure what the record lacks, print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=1, help="sequences per motion and noise")
-    parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--short", action="store_true", help="one motion, one sequence")
-    parser.add_argument("--record", type=Path, default=RECORD, help="file of what was measured")
-    options = parser.parse_args()
     cases: list[Case] = [
         {"motion": motion, "noise_px": noise, "seed": seed}
-        for seed in range(1 if options.short else options.seeds)
-        for motion in list(MOTIONS)[: 1 if options.short else N_MOTIONS]
-        for noise in NOISES_PX[: 1 if options.short else None]
+        for seed in range(1 if short else seeds)
+        for motion in list(MOTIONS)[: 1 if short else N_MOTIONS]
+        for noise in NOISES_PX[: 1 if short else None]
     ]
-    print_table(complete(options.record, cases, measure, options.workers))
+    print_table(complete(record, cases, measure, workers))
 
 
 def measure(case: Case) -> Case:
@@ -134,4 +134,4 @@ def print_table(lines: list[Case]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -12,22 +12,24 @@ Growth: one sequence of 1,000 frames by each solver; ms on the clock, and of one
 which does not count what else the machine does. What was measured before is read from the record.
 """
 
-import argparse
 import os
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from tyro.conf import arg
 
+from benchmarks.command import RECORDS, ROOT, Record, Short, Workers, command
 from benchmarks.monte_carlo.accuracy import MOTIONS
 from benchmarks.record import Case, complete
 from polhode.config.backend import Backend
 from polhode.lie import Array
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 
-RECORD = Path(__file__).resolve().parents[1] / "records" / "window.jsonl"
-TIMES = Path(__file__).resolve().parents[2] / "runs" / "window_times.jsonl"
+RECORD = RECORDS / "window.jsonl"
+TIMES = ROOT / "runs" / "window_times.jsonl"
 """Not kept in the repository: times are those of a machine."""
 SCENES = (
     "spin of 10 RPM near the middle axis (TS38)",
@@ -43,29 +45,28 @@ PARTS = ((10, 90), (100, 200), (450, 550), (900, 1000))
 SOLVERS = ("gauss_newton", "ipopt")
 
 
-def main() -> None:
+def main(
+    seeds: Annotated[int, arg(help="Sequences per motion.")] = 5,
+    workers: Workers = 1,
+    short: Short = False,
+    estimated: Annotated[bool, arg(help="The window estimates both noises; else they are given.")] = False,
+    record: Record = RECORD,
+    times: Annotated[Path, arg(help="File of the times that were measured.")] = TIMES,
+) -> None:
     """Measure what the record lacks, print the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=5, help="sequences per motion")
-    parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--short", action="store_true", help="one motion, one seed, 200 frames")
-    parser.add_argument("--estimated", action="store_true", help="noise estimated by the window, not given")
-    parser.add_argument("--record", type=Path, default=RECORD, help="file of the errors that were measured")
-    parser.add_argument("--times", type=Path, default=TIMES, help="file of the times that were measured")
-    options = parser.parse_args()
-    mode = "estimated" if options.estimated else "given"
-    scenes = SCENES[: 1 if options.short else None]
+    mode = "estimated" if estimated else "given"
+    scenes = SCENES[: 1 if short else None]
     cases: list[Case] = [
         {"motion": motion, "process_noise": mode, "seed": seed}
-        for seed in range(1 if options.short else options.seeds)
+        for seed in range(1 if short else seeds)
         for motion in scenes
     ]
-    lines = complete(options.record, cases, measure_accuracy, options.workers)
+    lines = complete(record, cases, measure_accuracy, workers)
     print_accuracy({name: [line for line in lines if line["case"]["motion"] == name] for name in scenes})
-    n_frames = 200 if options.short else GROWTH.frames
+    n_frames = 200 if short else GROWTH.frames
     growth: list[Case] = [{"solver": solver, "frames": n_frames} for solver in SOLVERS]
     # one after the other: they are timed
-    print_growth(complete(options.times, growth, measure_growth, 1))
+    print_growth(complete(times, growth, measure_growth, 1))
 
 
 def measure_accuracy(case: Case) -> Case:
@@ -242,4 +243,4 @@ def print_growth(lines: list[Case]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

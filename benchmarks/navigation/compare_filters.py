@@ -10,16 +10,17 @@ on training runs of other seeds. Intervals: 95 %, bootstrap over runs. NEES is o
 What was measured before is read from the record.
 """
 
-import argparse
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter
+from tyro.conf import arg
 
+from benchmarks.command import Record, Workers, command
 from benchmarks.navigation.flights import RIG, SCENARIOS, body_mesh, flight, instants
 from benchmarks.navigation.recorded_flights import (
     FILTERS,
@@ -44,42 +45,42 @@ TRAINING = 1000
 DRAWS = 4000
 
 
-def main() -> None:
+def main(
+    source: Annotated[tuple[Literal["drawn", "tracked"], ...], arg(help="Where the poses come from.")] = (
+        "drawn",
+        "tracked",
+    ),
+    scenario: Annotated[tuple[str, ...], arg(help="Of the flight.")] = SCENARIOS,
+    body: str = BODY,
+    runs: int = 30,
+    training: Annotated[int, arg(help="Runs that the filters are tuned on.")] = 6,
+    workers: Workers = 1,
+    short: Annotated[bool, arg(help="Three runs of the approach, two for training, drawn poses.")] = False,
+    plot: Annotated[Path | None, arg(help="PNG of the errors of all runs.")] = None,
+    record: Record = RECORD,
+) -> None:
     """Measure what the record lacks, print the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--source", nargs="+", choices=("drawn", "tracked"), default=["drawn", "tracked"])
-    parser.add_argument("--scenario", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
-    parser.add_argument("--body", default=BODY)
-    parser.add_argument("--runs", type=int, default=30)
-    parser.add_argument("--training", type=int, default=6)
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--short", action="store_true", help="3 runs, 2 for training, the approach, drawn")
-    parser.add_argument("--plot", type=Path, help="PNG of the errors of all runs")
-    parser.add_argument("--record", type=Path, default=RECORD)
-    options = parser.parse_args()
-    if options.short:
-        options.runs, options.training, options.source, options.scenario = 3, 2, ["drawn"], SCENARIOS[:1]
+    if short:
+        runs, training, source, scenario = 3, 2, ("drawn",), SCENARIOS[:1]
     settings: list[Case] = [
-        {"source": source, "scenario": scenario, "body": options.body}
-        for source in options.source
-        for scenario in options.scenario
+        {"source": source, "scenario": scenario, "body": body} for source in source for scenario in scenario
     ]
-    poses = [case for setting in settings for case in seeds(setting, options.runs, options.training)]
-    complete(options.record, poses, Poses(options.record.with_suffix(".images")), options.workers)
-    sizes = {"runs": options.runs, "training": options.training}
+    poses = [case for setting in settings for case in seeds(setting, runs, training)]
+    complete(record, poses, Poses(record.with_suffix(".images")), workers)
+    sizes = {"runs": runs, "training": training}
     cases = [
         {**setting, **sizes, "wrong": wrong, "gate": gate}
         for setting in settings
         for wrong, gate in ((0.0, GATE), (WRONG, GATE), (WRONG, 1.0))
     ]
-    compared = options.record.with_suffix(".filters.jsonl")
-    lines = complete(compared, cases, Compare(options.record), options.workers)
+    compared = record.with_suffix(".filters.jsonl")
+    lines = complete(compared, cases, Compare(record), workers)
     print(errors_table(lines))
     print(wrong_table(lines))
     print(tuning_table(lines))
     print(belief_table(lines))
-    if options.plot:
-        plot(lines, options.plot)
+    if plot:
+        draw(lines, plot)
 
 
 def seeds(setting: Case, runs: int, training: int) -> list[Case]:
@@ -260,7 +261,7 @@ SHOWN = (0, 2)
 """Parts of the state: position, attitude."""
 
 
-def plot(lines: list[Case], path: Path) -> None:
+def draw(lines: list[Case], path: Path) -> None:
     """A row for each kind of poses and scenario, written to a PNG."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt
@@ -312,4 +313,4 @@ def _draw(axes: Axes, line: Case, part: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -8,15 +8,16 @@ they are and, "grown", after the step that gives ours their containment. "Mesh o
 mesh's area that lies outside all pieces by more than rounding, and how far at most.
 """
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull
+from tyro.conf import arg
 
+from benchmarks.command import Runs, command
 from polhode.lie import Array
 from polhode.pipeline.products.plan import surface_of
 from polhode.planning.exports.convex_pieces import (
@@ -34,35 +35,34 @@ from polhode.planning.exports.records import Shape, frame_G, shape_of_surface
 SAMPLES = 50_000
 
 
-def main() -> None:
+def main(
+    runs: Runs,
+    pieces: Annotated[tuple[int, ...], arg(help="Limits on the number of pieces.")] = (32, 128, 512),
+    peer: Annotated[Literal["coacd"] | None, arg(help="Also the pieces of CoACD.")] = None,
+) -> None:
     """A row for each run, number and method."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("runs", type=Path, nargs="+")
-    parser.add_argument("--pieces", type=int, nargs="+", default=[32, 128, 512])
-    parser.add_argument("--peer", choices=["coacd"])
-    options = parser.parse_args()
     methods: dict[str, Callable[[Shape, int], Sequence[trimesh.Trimesh]]] = {"ours": _ours}
-    if options.peer:
+    if peer:
         methods |= {"CoACD": _coacd, "CoACD, grown": _coacd_grown}
     print(
         "| run | method | at most | pieces | 95 % of the area within [mm] | farthest [mm] | of the diameter "
         f"| area beyond {WITHIN:.0%} | mesh outside | farthest [mm] | CPU [s] |\n"
         "|---|---|---|---|---|---|---|---|---|---|---|"
     )
-    for run in options.runs:
+    for run in runs:
         shape = shape_of_surface(surface_of(run), frame_G())
         reach = Reach(shape.mesh())
         corners = shape.mesh().convex_hull.vertices
         diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))
-        for most in options.pieces:
+        for most in pieces:
             for name, method in methods.items():
                 start = time.process_time()
-                pieces = tuple(method(shape, most))
+                found = tuple(method(shape, most))
                 spent = time.process_time() - start
-                beyond = _beyond(pieces, reach)
-                lost = _outside_all(shape, pieces)
+                beyond = _beyond(found, reach)
+                lost = _outside_all(shape, found)
                 print(
-                    f"| {run.name} | {name} | {most} | {len(pieces)} | {1e3 * np.quantile(beyond, 0.95):.2f} "
+                    f"| {run.name} | {name} | {most} | {len(found)} | {1e3 * np.quantile(beyond, 0.95):.2f} "
                     f"| {1e3 * beyond.max():.2f} | {beyond.max() / diameter:.2%} "
                     f"| {np.mean(beyond > WITHIN * diameter):.3%} "
                     f"| {np.mean(lost > 1e-6 * diameter):.2%} | {1e3 * lost.max():.2f} | {spent:.0f} |",
@@ -99,4 +99,4 @@ def _outside_all(shape: Shape, pieces: Sequence[trimesh.Trimesh]) -> Array:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

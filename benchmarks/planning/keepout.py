@@ -17,17 +17,19 @@ A point's sigma is that which planning takes, no larger than a neighbour's and t
 before is read from the record.
 """
 
-import argparse
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from tyro.conf import arg
 
+from benchmarks.command import Record, Runs, Workers, command
 from benchmarks.record import Case, complete
 
+Cover = Literal["auto", "surface", "hull"]
 RECORD = Path("runs/keepout.jsonl")
 BARE_SIGMA_M = 1e-9
 NEEDED_DRAWS, NEEDED_CELLS = 200, 40
@@ -35,27 +37,26 @@ POINTS_APART_M = 0.5
 """Of a cell of the volume: points of the surface that are looked at."""
 
 
-def main() -> None:
+def main(
+    runs: Runs,
+    horizon: Annotated[tuple[float, ...], arg(help="Seconds ahead.")] = (60.0,),
+    confidence: float = 0.99,
+    draws: Annotated[int, arg(help="Truths that are drawn.")] = 400,
+    cover: Cover = "auto",
+    workers: Workers = 1,
+    short: Annotated[bool, arg(help="10 s ahead, 200 draws.")] = False,
+    record: Record = RECORD,
+) -> None:
     """Measure what the record lacks, print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("runs", type=Path, nargs="+")
-    parser.add_argument("--horizon", type=float, nargs="+", default=[60.0], help="seconds")
-    parser.add_argument("--confidence", type=float, default=0.99)
-    parser.add_argument("--draws", type=int, default=400)
-    parser.add_argument("--cover", choices=("auto", "surface", "hull"), default="auto")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--short", action="store_true", help="10 s ahead, 200 draws")
-    parser.add_argument("--record", type=Path, default=RECORD)
-    options = parser.parse_args()
-    horizons, draws = ([10.0], 200) if options.short else (options.horizon, options.draws)
+    horizons, count = ((10.0,), 200) if short else (horizon, draws)
     cases: list[Case] = [
-        {"run": os.fspath(run), "horizon_s": h, "confidence": options.confidence, "draws": draws}
-        for run in options.runs
+        {"run": os.fspath(run), "horizon_s": h, "confidence": confidence, "draws": count}
+        for run in runs
         for h in horizons
     ]
-    if options.cover != "auto":
-        cases = [{**case, "cover": options.cover} for case in cases]
-    print(table(complete(options.record, cases, measure, options.workers)))
+    if cover != "auto":
+        cases = [{**case, "cover": cover} for case in cases]
+    print(table(complete(record, cases, measure, workers)))
 
 
 def measure(case: Case) -> dict[str, Any]:
@@ -195,4 +196,4 @@ def table(lines: list[Case]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -8,13 +8,15 @@ promise is for what was measured and what it encloses. One sequence is one draw:
 surface and of the motion that the covariances do not know, not a frequency.
 """
 
-import argparse
 import os
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from tyro.conf import arg
 
+from benchmarks.command import Record, Runs, Workers, command
+from benchmarks.planning.keepout import Cover
 from benchmarks.record import Case, complete
 
 RECORD = Path("runs/keepout_truth.jsonl")
@@ -23,31 +25,30 @@ FEW_POINTS, FEW_INSTANTS = 4_000, 20
 """For the volume at each instant, whose distances take longer."""
 
 
-def main() -> None:
+def main(
+    runs: Runs,
+    data: Annotated[tuple[Path, ...], arg(help="Sequences, one for each run.")] = (),
+    horizon: Annotated[float, arg(help="Seconds ahead.")] = 60.0,
+    confidence: float = 0.99,
+    cover: Cover = "auto",
+    workers: Workers = 1,
+    record: Record = RECORD,
+) -> None:
     """Measure what the record lacks, print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("runs", type=Path, nargs="+")
-    parser.add_argument("--data", type=Path, nargs="+", help="one for each run")
-    parser.add_argument("--horizon", type=float, default=60.0, help="seconds")
-    parser.add_argument("--confidence", type=float, default=0.99)
-    parser.add_argument("--cover", choices=("auto", "surface", "hull"), default="auto")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    options = parser.parse_args()
-    data = options.data or [Path("data") / run.name for run in options.runs]
-    if len(data) != len(options.runs):
-        parser.error(f"--data: {len(data)} for {len(options.runs)} runs")
+    folders = data or [Path("data") / run.name for run in runs]
+    if len(folders) != len(runs):
+        raise SystemExit(f"--data: {len(folders)} for {len(runs)} runs")
     cases: list[Case] = [
         {
             "run": os.fspath(run),
             "data": os.fspath(folder),
-            "horizon_s": options.horizon,
-            "confidence": options.confidence,
-            "cover": options.cover,
+            "horizon_s": horizon,
+            "confidence": confidence,
+            "cover": cover,
         }
-        for run, folder in zip(options.runs, data, strict=True)
+        for run, folder in zip(runs, folders, strict=True)
     ]
-    print(table(complete(options.record, cases, measure, options.workers)))
+    print(table(complete(record, cases, measure, workers)))
 
 
 def measure(case: Case) -> dict[str, Any]:
@@ -136,4 +137,4 @@ def table(lines: list[Case]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -7,16 +7,16 @@ Prints one row for each light; draws ours, Mitsuba's and ten times the differenc
 the extra ``peers``. Full scale is the level that the default sensor brings to 255.
 """
 
-import argparse
 from dataclasses import dataclass
-from pathlib import Path
 from time import perf_counter
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from PIL import Image
 from scipy.ndimage import maximum_filter, minimum_filter
+from tyro.conf import arg
 
+from benchmarks.command import Png, command
 from benchmarks.rendering.mitsuba_scene import PeerLights, deck, render
 from polhode.config import scene as config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
@@ -135,27 +135,22 @@ def picture(comparison: Comparison) -> Image.Image:
     return Image.fromarray(np.rint(255 * row).astype(np.uint8))
 
 
-def main() -> None:
+def main(
+    output: Png = None,
+    width: Annotated[int, arg(help="Width of the image [px]; the height is 3/4 of it.")] = 320,
+    samples: Annotated[int, arg(help="Samples a pixel of Mitsuba; fewer for direct light.")] = 1600,
+) -> None:
     """Print the table; draw the last case when asked."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE.png")
-    parser.add_argument("--width", type=int, default=320, help="image width [px]; the height is 3/4 of it")
-    parser.add_argument(
-        "--samples", type=int, default=1600, help="Mitsuba's samples a pixel; fewer if direct"
-    )
-    options = parser.parse_args()
     print(f"| light | {HEAD} | seconds |\n|{'---|' * (HEAD.count('|') + 3)}")
     for case in CASES:
         start = perf_counter()
         # Direct light is almost free of noise; light by way of a mirror is not.
-        samples = options.samples if case.bounces else min(options.samples, 144)
-        comparison = compare(case, options.width, samples)
+        rays = samples if case.bounces else min(samples, 144)
+        comparison = compare(case, width, rays)
         print(f"| {case.name} | {comparison.row()} | {perf_counter() - start:.0f} |", flush=True)
-        if options.output and case == CASES[-1]:
-            picture(comparison).save(options.output, optimize=True)
+        if output and case == CASES[-1]:
+            picture(comparison).save(output, optimize=True)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

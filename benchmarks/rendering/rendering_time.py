@@ -14,13 +14,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 
+from benchmarks.command import ROOT, Short, command, single_threaded
 from polhode.config.loader import load_config
 from polhode.config.scene import Render, Scene
 from polhode.dataset_writer import image_path
@@ -31,9 +31,8 @@ from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.surface.materials import REGOLITH
 from polhode.simulation.surface.noise import fractal
-from polhode.threads import limit_threads
 
-CONFIG = Path(__file__).resolve().parents[2] / "configs" / "ts38.yaml"
+CONFIG = ROOT / "configs" / "ts38.yaml"
 SAMPLES = (1, 4, 9, 16)
 SUBDIVISIONS = (3, 5, 6, 7)
 FRAMES = 5
@@ -60,7 +59,12 @@ class Timing:
         )
 
 
-def main(short: bool) -> None:
+def main(short: Short = False) -> None:
+    """In a new process, which reads the limit of threads before it loads NumPy."""
+    single_threaded(print_tables, short)
+
+
+def print_tables(short: bool) -> None:
     """Print both tables."""
     loaded = load_config(CONFIG)
     assert loaded.scene is not None
@@ -151,7 +155,4 @@ def _stopwatch() -> Iterator[_Casting]:
 
 
 if __name__ == "__main__":
-    limit_threads(1)
-    # in a new process, which reads the limit before it loads NumPy
-    with get_context("spawn").Pool(1) as pool:
-        pool.apply(main, ("--short" in sys.argv,))
+    command(main)

@@ -12,37 +12,38 @@ Attitude and angular velocity are compared in N after the one constant body rota
 rate that would include the rotation of the axes, which the comparison takes out, so it is not printed.
 """
 
-import argparse
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
+from typing import Annotated
 
 import matplotlib as mpl
 import numpy as np
 from scipy.spatial.transform import Rotation
+from tyro.conf import arg
 
+from benchmarks.command import Png, Short, command, single_threaded
 from benchmarks.monte_carlo.bound import true_iterate
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.problem import TIGHT_GAUGE, MotionData, hold, motion_data
+from polhode.backend.problem.motion_data import MotionData, motion_data
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.uncertainty.covariance import (
-    axes_derivative,
     last_body_covariance,
     marginals,
     state_covariances,
     state_jacobians,
 )
+from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, transform_points
 from polhode.progress import Advance
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
-from polhode.threads import limit_threads
 
 THESIS = SyntheticScene(detection=0.35, station_keeping=True, min_inliers=20)
 FRAMES = (29, 58, 115, 230, 345)
@@ -177,16 +178,13 @@ def run(seeds: int, short: bool, png: Path | None) -> None:
         draw_growth(png, *grown)
 
 
-def main() -> None:
+def main(
+    seeds: Annotated[int, arg(help="Sequences per scene.")] = 1,
+    short: Short = False,
+    output: Png = None,
+) -> None:
     """In a new process, which reads the limit of threads before it loads NumPy."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=1, help="sequences per scene")
-    parser.add_argument("--short", action="store_true", help="one scene, small sizes")
-    parser.add_argument("-o", "--output", type=Path, help="PNG of the growth")
-    options = parser.parse_args()
-    limit_threads(1)
-    with get_context("spawn").Pool(1) as pool:
-        pool.apply(run, (options.seeds, options.short, options.output))
+    single_threaded(run, seeds, short, output)
 
 
 @dataclass(frozen=True)
@@ -212,14 +210,14 @@ def measure(scene: SyntheticScene) -> Times:
     sequence, config = generate(scene, 0), Backend(solver="gauss_newton")
     data = motion_data(sequence.tracks, config)
     start = disturbed_start(sequence, data, config)
-    held, x = hold(data, start, TIGHT_GAUGE), start.vector()
+    fixed, x = linearization_point(data, start, TIGHT_GAUGE), start.vector()
     newton, program = GaussNewton(data), MotionProgram(data)
-    gauss_newton_s = least(lambda: newton.solve(held, x, ITERATIONS))
-    by_newton = newton.solve(held, x, ITERATIONS)
-    ipopt_s = least(lambda: program.solve(held, x, ITERATIONS))
+    gauss_newton_s = least(lambda: newton.solve(fixed, x, ITERATIONS))
+    by_newton = newton.solve(fixed, x, ITERATIONS)
+    ipopt_s = least(lambda: program.solve(fixed, x, ITERATIONS))
     # no iteration: all that it takes is the building
-    build_s = least(lambda: MotionProgram(data).solve(held, x, 0))
-    by_ipopt = program.solve(held, x, ITERATIONS)
+    build_s = least(lambda: MotionProgram(data).solve(fixed, x, 0))
+    by_ipopt = program.solve(fixed, x, ITERATIONS)
     end = start.moved_to(by_newton.x)
     weight = np.ones(len(data.frame))
     return Times(
@@ -259,7 +257,7 @@ def disturbed_start(sequence: SyntheticSequence, data: MotionData, config: Backe
 
 def covariances(solver: GaussNewton, data: MotionData, at: Iterate, weight: Array) -> None:
     """What a run does for its covariances."""
-    m = marginals(solver, hold(data, at), at.vector(), weight)
+    m = marginals(solver, linearization_point(data, at), at.vector(), weight)
     state_covariances(at, m, state_jacobians(at, axes_derivative(data.form, at)))
     last_body_covariance(at, m)
 
@@ -360,4 +358,4 @@ def _axes(over_frames: list[Times], over_landmarks: list[Times]) -> list[tuple[s
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

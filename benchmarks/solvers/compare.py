@@ -10,10 +10,13 @@ read from there, so that an interrupted benchmark goes on where it stopped. ``--
 the tables of what FOLDER holds are printed. ``--short``: every solver once on a small problem.
 """
 
-import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Annotated, Literal
 
+from tyro.conf import Positional, arg
+
+from benchmarks.command import ROOT, Short, command
 from polhode.cli.console import choose_progress
 from polhode.compare.comparison import FILE, compare
 from polhode.compare.judging.dominance import standing_lines, standings
@@ -24,46 +27,41 @@ from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.threads import limit_threads
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 LONG = ("run", "profiles", "seeds", "growth", "ablations")
+Name = Literal["short", "run", "profiles", "seeds", "growth", "ablations"]
 
 
-def main() -> None:
-    """Compare, print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("names", nargs="*", choices=["short", *LONG, []], help="which comparisons")
-    parser.add_argument("--short", action="store_true", help="one small problem")
-    parser.add_argument("--stored", action="store_true", help="print what is there")
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path("runs/compare"), help="folder of the results"
-    )
-    parser.add_argument("--run", type=Path, default=Path("runs/ts38"), help="stored run to compare on")
-    parser.add_argument(
-        "--sequence", type=Path, default=Path("data/ts38"), help="sequence of that run, for its truth"
-    )
-    options = parser.parse_args()
+def main(
+    names: Positional[tuple[Name, ...]] = LONG,
+    short: Short = False,
+    stored: Annotated[bool, arg(help="Only print what was measured before.")] = False,
+    output: Annotated[Path, arg(aliases=["-o"], help="Folder of the results.")] = Path("runs/compare"),
+    run: Annotated[Path, arg(help="Stored run to compare on.")] = Path("runs/ts38"),
+    sequence: Annotated[Path, arg(help="Sequence of that run, for its truth.")] = Path("data/ts38"),
+) -> None:
+    """Compare the solvers and print the tables."""
     limit_threads(1)
-    for name in ("short",) if options.short else options.names or LONG:
-        folder = options.output / name
-        if options.stored and not (folder / FILE).is_file():
+    for name in ("short",) if short else names:
+        folder = output / name
+        if stored and not (folder / FILE).is_file():
             print(f"{name}: nothing stored in {folder}\n")
             continue
-        print(
-            f"## {name}\n\n{tables(name, folder, options)}\n\nPage: {folder / 'compare.html'}\n", flush=True
+        config = load_config(
+            ROOT / "configs" / ("default.yaml" if name == "run" else f"compare/{name}.yaml"), {}
         )
+        found = read_comparison(folder / FILE) if stored else _compared(name, folder, config, run, sequence)
+        text = found if isinstance(found, str) else markdown(found, config.backend.solver)
+        print(f"## {name}\n\n{text}\n\nPage: {folder / 'compare.html'}\n", flush=True)
 
 
-def tables(name: str, folder: Path, options: argparse.Namespace) -> str:
-    """Of one comparison, measured as far as it is not there."""
-    config: Config = load_config(CONFIGS / ("default.yaml" if name == "run" else f"compare/{name}.yaml"), {})
-    if options.stored:
-        return markdown(read_comparison(folder / FILE), config.backend.solver)
-    if name == "run" and not options.run.is_dir():
-        return f"{options.run} is not there: python -m benchmarks.end_to_end.scenes makes it"
-    run = options.run if name == "run" else None
-    truth = options.sequence if run and (options.sequence / "mav0" / "target0").is_dir() else None
-    found = compare(config, folder, choose_progress(), run=run, truth=truth)
-    return markdown(found, config.backend.solver)
+def _compared(name: str, folder: Path, config: Config, run: Path, sequence: Path) -> Comparison | str:
+    """One comparison, measured as far as it is not there; or why it cannot be made."""
+    if name != "run":
+        return compare(config, folder, choose_progress())
+    if not run.is_dir():
+        return f"{run} is not there: python -m benchmarks.end_to_end.scenes makes it"
+    truth = sequence if (sequence / "mav0" / "target0").is_dir() else None
+    return compare(config, folder, choose_progress(), run=run, truth=truth)
 
 
 WITHIN = (1.0, 2.0, 5.0, 10.0)
@@ -198,4 +196,4 @@ def _table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

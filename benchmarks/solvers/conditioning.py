@@ -6,12 +6,14 @@ follow the step. Right: rotation of a box that flips, as it is and as the back e
 best step is sqrt(3) / alpha; the thesis's text says alpha sqrt(3).
 """
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
 import matplotlib as mpl
 import numpy as np
+from tyro.conf import arg
 
+from benchmarks.command import command
 from polhode.backend.dynamics.process_noise import rotation_covariance_scaled, translation_covariance
 from polhode.lie import Array
 
@@ -23,11 +25,9 @@ FLIP = np.array([0.1, 0.99, 0.1])
 """Direction of the rate: near the middle axis, where errors grow."""
 
 
-def main() -> None:
+def main(output: Annotated[Path, arg(aliases=["-o"], metavar="PNG", help="Figure.")]) -> None:
     """Draw the figure and print the numbers that it shows."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, required=True, help="PNG file")
-    draw(parser.parse_args().output)
+    draw(output)
     for dt_s in (1e-3, 0.5, 10.0):
         dt = np.array([dt_s])
         plain, scaled = rotation_conditions(dt, 20.0)
@@ -88,4 +88,4 @@ def draw(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

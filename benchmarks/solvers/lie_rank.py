@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from benchmarks.command import command
 from polhode.backend.dynamics.kernels import quaternion_product_sx
 from polhode.lie import Array
 
@@ -151,4 +152,4 @@ def evaluate(function: Any, x: Array) -> Array:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -9,16 +9,16 @@ default (Gauss-Newton; where that comes to no end, IPOPT). "to gain" is what one
 promises where a solver stopped, over the cost. Seconds are those of the processor, on one thread.
 """
 
-import argparse
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+from benchmarks.command import Runs, command, single_threaded
 from polhode.backend import initialize_motion
 from polhode.backend.estimate import SolverResult, refine, solve
 from polhode.backend.fit import fit
@@ -32,7 +32,6 @@ from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array
 from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses
-from polhode.threads import limit_threads
 
 SOLVERS = (partial(GaussNewton, line_search=True), MotionProgram)
 """As ``backend.estimate.solve`` makes them."""
@@ -61,16 +60,12 @@ class Stopped:
     """(F, 3) path of the centre of mass [m]"""
 
 
-def main() -> None:
+def main(runs: Runs) -> None:
     """In a new process, which reads the limit of threads before it loads NumPy."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("runs", type=Path, nargs="+", help="folders of runs")
-    limit_threads(1)
-    with get_context("spawn").Pool(1) as pool:
-        pool.apply(print_runs, (parser.parse_args().runs,))
+    single_threaded(print_runs, runs)
 
 
-def print_runs(runs: list[Path]) -> None:
+def print_runs(runs: Sequence[Path]) -> None:
     """One row a run, and what is to be said of it."""
     print(f"| {' | '.join(COLUMNS)} |\n|" + "---|" * len(COLUMNS))
     apart: list[float] = []
@@ -150,4 +145,4 @@ def to_gain(data: MotionData, at: Iterate) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -1,6 +1,5 @@
 """The study of the simplified problem: the slides' findings, and the figure."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -67,8 +66,7 @@ def test_the_command_prints_its_tables_and_draws(
     for name in ("MANY", "REPEATS"):
         monkeypatch.setattr(f"benchmarks.edges.planar.{name}", 20)
     path = tmp_path / "new" / "planar.png"
-    monkeypatch.setattr(sys, "argv", ["observability_planar", "-o", str(path)])
-    main()
+    main(output=path)
     out = capsys.readouterr().out
     assert sum(line.startswith("|---") for line in out.splitlines()) == 6
     assert "All 600 cases converged: True" in out and not {"nan", "inf"} & set(out.split())

@@ -1,6 +1,5 @@
 """Tables of docs/compare.md are those of the rows, printed by one command."""
 
-import sys
 from pathlib import Path
 
 import pytest
@@ -89,8 +88,7 @@ def test_what_is_stored_is_printed_and_nothing_is_measured(
     (tmp_path / "growth").mkdir()
     write_comparison(three, tmp_path / "growth" / "compare.json")
     monkeypatch.setattr(compare, "compare", lambda *_: pytest.fail("measured"))
-    monkeypatch.setattr(sys, "argv", ["compare", "--stored", "-o", str(tmp_path)])
-    compare.main()
+    compare.main(stored=True, output=tmp_path)
     told = capsys.readouterr().out
     assert markdown(three, "gauss_newton") in told
     assert "a: on the front: fast\n" in told

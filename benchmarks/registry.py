@@ -1,0 +1,166 @@
+"""The registry of benchmarks: what ``python -m benchmarks`` and ``make bench`` can run, in this order.
+
+What a benchmark prints is said by the first sentence of its module; ``python -m benchmarks --list`` shows it.
+"""
+
+import ast
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+from benchmarks.command import ROOT
+
+ALL = ("backend", "compare", "frontend", "mapping", "pipeline", "planning", "simulation", "train", "polhode")
+CODE: dict[str, tuple[str, ...]] = {
+    "end_to_end": ("backend", "frontend", "mapping", "pipeline", "simulation", "polhode"),
+    "frontend": ("frontend", "simulation", "polhode"),
+    "mapping": ("frontend", "mapping", "simulation", "polhode"),
+    "monte_carlo": ("backend", "simulation/monte_carlo", "polhode"),
+    "solvers": ("backend", "compare", "simulation/monte_carlo", "polhode"),
+    "edges": ("planning/edges", "simulation", "polhode"),
+    "navigation": ("planning/edges", "planning/prediction", "benchmarks/edges", "simulation", "polhode"),
+    "planning": ("planning", "simulation", "polhode"),
+    "rendering": ("simulation", "polhode"),
+    "mutation": (*ALL, "cli", "tests"),
+}
+"""By topic: the folders whose changes make a stored result old. The folder of the topic itself is one too."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """One command with the arguments that the project gives it."""
+
+    name: str
+    module: str
+    """Within ``benchmarks``"""
+    page: str
+    """That quotes what it prints; empty: none does"""
+    minutes: float
+    """Roughly, of one core, in full"""
+    full: str = ""
+    """Arguments"""
+    short: str | None = "--short"
+    """Arguments of the small version; None: there is none"""
+    needs: tuple[str, ...] = ()
+    """Folders (with a slash) and Python packages without which it is left out"""
+
+    @property
+    def topic(self) -> str:
+        """The folder of the module."""
+        return self.module.partition(".")[0]
+
+    @property
+    def prints(self) -> str:
+        """The first sentence of the module's docstring."""
+        path = ROOT / "benchmarks" / f"{self.module.replace('.', '/')}.py"
+        text = ast.get_docstring(ast.parse(path.read_text())) or ""
+        return " ".join(text.split("\n\n")[0].split())
+
+    def arguments(self, short: bool) -> list[str] | None:
+        """Of the command line; None: it has no small version."""
+        if not short:
+            return self.full.split()
+        return None if self.short is None else self.short.split()
+
+    def missing(self, short: bool) -> str:
+        """The first thing that it needs and that is missing; empty: nothing. Small versions need no runs."""
+        for need in self.needs:
+            if short and need.startswith(("runs/", "data/")):
+                continue
+            if not ((ROOT / need).exists() if "/" in need else find_spec(need)):
+                return need
+        return ""
+
+
+_THREE = "runs/ts38 runs/asteroid runs/pure_spin"
+_SURFACES = "data/ts38 data/asteroid data/major_axis data/specular_mli"
+_BY_SOLVER = "runs/ts38 runs/asteroid runs/hard_light runs/specular_mli runs/pure_spin"
+_WITH_TRUTH = " ".join(
+    f"runs/{each}:data/{each}" for each in ("ts38", "major_axis", "fast_20rpm", "asteroid")
+)
+_TS38 = ("runs/ts38", "data/ts38")
+_VISP = ("/usr/include/visp3",)
+
+
+def _of_runs(name: str, module: str, page: str, minutes: float, runs: str, more: str = "") -> Benchmark:
+    """A benchmark of stored runs or sequences, which has no small version."""
+    needs = tuple(word for pair in runs.split() for word in pair.split(":"))
+    return Benchmark(name, module, page, minutes, f"{runs} {more}", None, needs)
+
+
+BENCHMARKS = (
+    Benchmark("scenes", "end_to_end.scenes", "docs/scenes.md", 240, short=None),
+    _of_runs("prediction_error", "end_to_end.prediction_error", "docs/prediction.md", 1,
+             "runs/ts38 data/ts38", "-o runs/prediction.png"),
+    _of_runs("readme_picture", "end_to_end.readme_picture", "README.md", 1,
+             "runs/ts38 data/ts38", "-o runs/overview.png"),
+    _of_runs("keepout", "planning.keepout", "docs/planning.md", 60, _THREE),
+    _of_runs("keepout_truth", "planning.keepout_truth", "docs/planning.md", 20, _THREE),
+    _of_runs("collision_pieces", "planning.collision_pieces", "docs/exports.md", 30, "runs/ts38"),
+    Benchmark("matching", "frontend.matching", "docs/frontend.md", 120),
+    Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),
+    _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20, _SURFACES),
+    Benchmark("lengths", "mapping.lengths", "docs/mapping.md", 1, short=None, needs=_TS38),
+    Benchmark("fusion_peers", "mapping.fusion_peers", "docs/mapping.md", 40, needs=tuple(_SURFACES.split())),
+    Benchmark("fusion_scale", "mapping.fusion_scale", "docs/mapping.md", 10),
+    Benchmark("frame_time", "mapping.frame_time", "docs/mapping.md", 5, needs=("data/ts38", "data/asteroid")),
+    Benchmark("lie_rank", "solvers.lie_rank", "docs/backend.md", 1, short=""),
+    Benchmark("conditioning", "solvers.conditioning", "docs/backend.md", 1, "-o runs/conditioning.png",
+              "-o runs/conditioning.png"),
+    Benchmark("backend_size", "solvers.backend_size", "docs/accuracy.md", 15, "-o runs/backend_growth.png",
+              "--short -o runs/backend_growth.png"),
+    _of_runs("runs_by_solver", "solvers.runs_by_solver", "docs/backend.md", 10, _BY_SOLVER),
+    Benchmark("compare", "solvers.compare", "docs/compare.md", 180),
+    Benchmark("bound", "monte_carlo.bound", "docs/accuracy.md", 2, short=""),
+    Benchmark("same_answer", "monte_carlo.same_answer", "docs/accuracy.md", 10),
+    Benchmark("window", "monte_carlo.window", "docs/window.md", 30),
+    Benchmark("window_estimated", "monte_carlo.window", "docs/window.md", 20, "--seeds 3 --estimated",
+              "--estimated --short"),
+    Benchmark("disturbances", "monte_carlo.disturbances", "docs/forces.md", 15),
+    Benchmark("robustness", "monte_carlo.robustness", "docs/accuracy.md", 60),
+    Benchmark("convergence", "monte_carlo.convergence", "docs/accuracy.md", 40),
+    Benchmark("accuracy_estimated", "monte_carlo.accuracy", "docs/accuracy.md", 30,
+              "--motions 6 --seeds 20 --estimated", "--estimated --short"),
+    Benchmark("accuracy", "monte_carlo.accuracy", "docs/accuracy.md", 120, "--motions 6"),
+    Benchmark("observability_speed", "edges.observability_speed", "docs/observability.md", 5),
+    _of_runs("observability_of_run", "edges.observability_of_run", "docs/observability.md", 5, _WITH_TRUTH),
+    Benchmark("planar", "edges.planar", "docs/observability_planar.md", 1, "-o runs/observability_planar.png",
+              "-o runs/observability_planar.png"),
+    Benchmark("edge_views", "edges.views", "", 1, "-o runs/edge_views", "block --views 1 -o runs/edge_views"),
+    Benchmark("edge_selection", "edges.selection", "docs/observability_planning.md", 10,
+              short="block --views 3 --budget 6"),
+    Benchmark("best_trajectory", "edges.best_trajectory", "docs/observability_planning.md", 120,
+              "steps satellite --pictures runs/best_trajectory", "steps --short"),
+    Benchmark("observability", "edges.observability", "docs/observability_tracking.md", 240,
+              "-o runs/observability_trends.png"),
+    Benchmark("visp_tracker", "edges.visp_tracker", "docs/observability_tracking.md", 20, "--views 20",
+              "block --views 2", _VISP),
+    Benchmark("visp_settings", "edges.visp_settings", "", 30, short="block --views 2", needs=_VISP),
+    Benchmark("navigation", "navigation.compare_filters", "docs/observability_navigation.md", 240,
+              "--plot runs/navigation_filter.png"),
+    Benchmark("against_mitsuba", "rendering.against_mitsuba", "docs/simulation.md", 20, "-o runs/mitsuba.png",
+              "--width 64 --samples 64", ("mitsuba",)),
+    Benchmark("rendering_time", "rendering.rendering_time", "docs/simulation.md", 20),
+    Benchmark("mutation", "mutation.catch", "", 30, short=None),
+)  # fmt: skip
+"""The scenes come first: they make the runs that others need."""
+
+
+def chosen(words: tuple[str, ...]) -> list[Benchmark]:
+    """Those of the topics and names, in the order of the registry; all without a word.
+
+    Raises SystemExit for a word that is neither.
+    """
+    known = {word for each in BENCHMARKS for word in (each.name, each.topic)}
+    for word in words:
+        if word not in known:
+            topics = ", ".join(dict.fromkeys(each.topic for each in BENCHMARKS))
+            raise SystemExit(f"{word}: no such benchmark; the topics are {topics}; --list shows the names")
+    return [each for each in BENCHMARKS if not words or {each.name, each.topic} & set(words)]
+
+
+def code_of(module: str) -> tuple[str, ...]:
+    """The folders that a result of a module depends on."""
+    parts = module.split(".")
+    if parts[0] != "benchmarks" or len(parts) < 3:
+        return ALL
+    return (*CODE[parts[1]], f"benchmarks/{parts[1]}")
