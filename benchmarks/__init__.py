@@ -1,7 +1,7 @@
 """Benchmarks: what is measured to choose between methods, and to show how good the results are.
 
 In: simulated sequences and runs of them. Out: tables in Markdown, figures, records of long measurements. They
-are not installed with the package. Each folder is a topic; ``python -m benchmarks --list`` shows the commands.
+are not installed with the package. Each folder is a topic. ``python -m benchmarks --list`` shows commands.
 
     registry       every benchmark: its arguments, the page that quotes it, how long it takes
     __main__       ``python -m benchmarks``: runs them, stores what they print

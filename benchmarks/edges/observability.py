@@ -38,6 +38,7 @@ from benchmarks.edges.views import (
 from benchmarks.record import Case, complete, measured
 from polhode.camera import RectifiedRig
 from polhode.config.scene import Sensor
+from polhode.images import Grey
 from polhode.lie import Array, make_pose, transform_points
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
 from polhode.planning.edges.metric.metric import Observability, observability
@@ -212,7 +213,7 @@ def _jittered(X_RG: Array, o_G: Array, rng: np.random.Generator) -> Array:
     return moved(X_RG, step, o_G)
 
 
-def _trial(tracked: Tracked, true: Array, o_G: Array, image: Array) -> dict[str, Any]:
+def _trial(tracked: Tracked, true: Array, o_G: Array, image: Grey) -> dict[str, Any]:
     """One fit: its error, what it tells of itself, and what moved it off."""
     complete = tracked.converged and len(tracked.information.unseen) == 0
     shown = support(tracked, image)

@@ -1,7 +1,7 @@
 """What benchmarks.observability measured: trends, honesty of covariances, wrong poses."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -118,7 +118,7 @@ def by_model(spots: Sequence[Spot], keep: Any) -> tuple[Array, Array]:
     return np.array(rms).reshape(-1, 6), np.array(sigma).reshape(-1, 6)
 
 
-def trend_table(groups: dict[str, Sequence[Spot]]) -> str:
+def trend_table(groups: Mapping[str, Sequence[Spot]]) -> str:
     """Correlation of measured error with the metric, per degree of freedom."""
     rows = [
         "| group | poses kept by | models x poses | | " + " | ".join(DEGREES_OF_FREEDOM) + " |",
@@ -184,7 +184,10 @@ def good_and_bad_table(spots: Sequence[Spot]) -> str:
 def joined(spots: Sequence[Spot], keep: Any) -> tuple[NoiseParts, Array, Array]:
     """Noise parts, errors (n, 6) and C (n, 6, 6) of all trials that are kept."""
     chosen = [keep(spot) for spot in spots]
-    take = lambda name: np.concatenate([getattr(s, name)[c] for s, c in zip(spots, chosen, strict=True)])  # noqa: E731
+
+    def take(name: str) -> Array:
+        return np.concatenate([getattr(s, name)[c] for s, c in zip(spots, chosen, strict=True)])
+
     return NoiseParts(take("parts"), take("sigma_px")), take("errors"), take("C")
 
 
@@ -231,7 +234,7 @@ def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, NoiseLevel
 def _first(spot: Spot) -> Spot:
     """One trial of a spot: what is common to a pose makes its trials no witnesses of their own."""
     names = ("errors", "off_px", "support", "sigma_px", "C", "parts")
-    return Spot(spot.body, spot.level, spot.sigma, *(getattr(spot, n)[:1] for n in names), trials=1)
+    return replace(spot, trials=1, **{name: getattr(spot, name)[:1] for name in names})
 
 
 def wrong_table(lines: Sequence[Case]) -> str:
@@ -315,7 +318,7 @@ def _area(right: Array, wrong: Array) -> float:
     return float(mannwhitneyu(right, wrong).statistic / (len(right) * len(wrong)))
 
 
-def plot(groups: dict[str, Sequence[Spot]], path: Path) -> None:
+def plot(groups: Mapping[str, Sequence[Spot]], path: Path) -> None:
     """Measured error against the metric, one panel per degree of freedom and group."""
     import matplotlib
 

@@ -1,6 +1,6 @@
 """From images to results: the whole program on simulated scenes.
 
-In: configurations of scenes. Out: errors, consistency of the covariances, predictions, the picture of README.md.
+In: configurations of scenes. Out: errors, consistency of covariances, predictions, the picture of README.md.
 
     scenes             simulate, run and evaluate every scene
     prediction_error   a prediction against what came after it

@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Annotated
@@ -59,7 +60,7 @@ def all_methods(weights: Path | None) -> dict[str, Method]:
         ours["network"] = ours["network"].model_copy(update={"weights": str(weights)})
     found: dict[str, Method] = {"sgbm": lambda crop: (match_checked(crop, peer), None)}
     for name, config in ours.items():
-        found[name] = lambda crop, config=config: disparity_of(crop, config)
+        found[name] = partial(disparity_of, config=config)
     return found
 
 
@@ -153,8 +154,8 @@ def main(
             text, numbers = row(folder.name, name, errors, density)
             totals[name].append(numbers)
             print(text, flush=True)
-    for name, numbers in totals.items():
-        print(_line("mean", name, [float(x) for x in np.mean(numbers, axis=0)]))
+    for name, rows in totals.items():
+        print(_line("mean", name, [float(x) for x in np.mean(rows, axis=0)]))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.end_to_end.scenes import ROOT, polhode
+from benchmarks.command import ROOT
+from benchmarks.end_to_end.scenes import polhode
 from polhode.camera import RectifiedRig
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence

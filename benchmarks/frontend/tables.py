@@ -48,7 +48,7 @@ def pairs_of(lines: Iterable[Case], gap: int) -> list[Case]:
 
 def precision_of(pairs: Sequence[Case]) -> float:
     """Correct matches over all, at the method's own threshold."""
-    return sum(pair["correct"] for pair in pairs) / max(1, sum(pair["matches"] for pair in pairs))
+    return float(sum(pair["correct"] for pair in pairs) / max(1, sum(pair["matches"] for pair in pairs)))
 
 
 def correct_at(pairs: Sequence[Case], precision: float) -> float:
@@ -73,7 +73,7 @@ def success(
 ) -> float:
     """Share of the pairs with enough features whose rotation is right."""
     errors = [pair.get(key) for pair in pairs if pair["features"] >= least_features]
-    return sum(e is not None and e < limit_deg for e in errors) / max(1, len(errors))
+    return float(sum(e is not None and e < limit_deg for e in errors) / max(1, len(errors)))
 
 
 def lit_pairs(light: Iterable[Case]) -> Lit:

@@ -90,8 +90,9 @@ def runs_of(record: Path, cases: Sequence[Case], wrong: float, belief: Belief) -
         poses: list[TrackedPose | None] = []
         for usual, bad in zip(line["poses"], line["bad"], strict=True):
             chosen = bad if rng.random() < wrong else usual
-            found = chosen and from_line(chosen)
-            poses.append(found and found.tracked(belief.levels, belief.doubt, course.target.radius_m))
+            found = from_line(chosen) if chosen else None
+            radius_m = course.target.radius_m
+            poses.append(found.tracked(belief.levels, belief.doubt, radius_m) if found else None)
         runs.append(Run(course, poses))
     return runs
 
@@ -218,7 +219,7 @@ class Tuned:
 
 def tune(runs: Sequence[Run], gate: float | None) -> Tuned:
     """Choose factors and thresholds by `cost`."""
-    information = np.linalg.inv(constant_covariance(runs))
+    information = np.asarray(np.linalg.inv(constant_covariance(runs)), dtype=np.float64)
     poses = [pose for run in runs for pose in run.poses if pose is not None]
     found = np.quantile([pose.found_share for pose in poses], QUANTILES)
     residuals = np.quantile([pose.residual for pose in poses], 1.0 - np.array(QUANTILES))

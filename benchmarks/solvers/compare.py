@@ -27,8 +27,8 @@ from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.threads import limit_threads
 
-LONG = ("run", "profiles", "seeds", "growth", "ablations")
 Name = Literal["short", "run", "profiles", "seeds", "growth", "ablations"]
+LONG: tuple[Name, ...] = ("run", "profiles", "seeds", "growth", "ablations")
 
 
 def main(

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from benchmarks.mapping.colmap_fusion import normals_of
-from benchmarks.mapping.fusion_peers import METHODS, print_rows, worker
+from benchmarks.mapping.fusion_peers import METHODS, print_rows, run_method
 from polhode.config import Config
 from tests.mapping.analytic_depth import RIG, views_of
 
@@ -24,7 +24,7 @@ def inputs(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("method", ["ours", "ours again"])
 def test_ours_makes_the_surface(method: str, inputs: Path, tmp_path: Path) -> None:
-    worker(method, inputs, tmp_path / "output")
+    run_method(method, inputs, tmp_path / "output")
     found = pickle.loads((tmp_path / "output").read_bytes())
     assert np.linalg.norm(found["vertices"], axis=1) == pytest.approx(0.08, abs=6e-3)
     assert found["seconds"] > 0.0
@@ -32,7 +32,7 @@ def test_ours_makes_the_surface(method: str, inputs: Path, tmp_path: Path) -> No
 
 def test_colmap_fuses_and_meshes_without_cuda(inputs: Path, tmp_path: Path) -> None:
     pytest.importorskip("pycolmap")
-    worker("colmap", inputs, tmp_path / "output")
+    run_method("colmap", inputs, tmp_path / "output")
     found = pickle.loads((tmp_path / "output").read_bytes())
     assert np.median(np.linalg.norm(found["vertices"], axis=1)) == pytest.approx(0.08, abs=3e-3)
 
@@ -55,7 +55,7 @@ def test_a_peer_that_is_not_installed_is_a_row(
 ) -> None:
     for package in ("open3d", "pycolmap"):
         monkeypatch.setitem(sys.modules, package, None)
-    worker(method, inputs, tmp_path / "output")
+    run_method(method, inputs, tmp_path / "output")
     found = pickle.loads((tmp_path / "output").read_bytes())
     print_rows([{"sequence": "ball", "frames": 10, "voxel_mm": 3.0, "method": method, **found}])
     assert "pip install polhode[mapping-peers]" in capsys.readouterr().out

@@ -9,8 +9,8 @@ from PIL import Image
 from scipy.stats import chi2
 
 from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, noise_parts
-from benchmarks.navigation import navigation_runs
-from benchmarks.navigation.compare_filters import errors_table, plot, ratio, wrong_table
+from benchmarks.navigation import recorded_flights
+from benchmarks.navigation.compare_filters import draw, errors_table, ratio, wrong_table
 from benchmarks.navigation.drawn_poses import EdgeErrors, drawn_pose
 from benchmarks.navigation.flights import (
     RIG,
@@ -125,7 +125,7 @@ def test_runs_take_bad_poses_by_share_and_filters_use_what_they_believe(
 
     assert min(shares(0.0)) > 0.0 and max(shares(1.0)) == -1.0
     (run,) = runs_of(record, [case], 0.0, belief)
-    monkeypatch.setattr(navigation_runs, "SETTLED_S", 4.0)
+    monkeypatch.setattr(recorded_flights, "SETTLED_S", 4.0)
     flown = fly(run, Calibrated(), 0.999)
     assert flown.taken == 1.0 and 0.1 < flown.nees < 3.0
     assert np.sqrt(flown.squares[0]) < 0.02 < np.linalg.norm(flown.errors[0, :3]) + 0.02
@@ -184,5 +184,5 @@ def test_tables_and_picture(tmp_path: Path) -> None:
     assert "| 2e+03 | 2e+03 | 1e+03 | 0.50 (0.50 to 0.50) |" in errors_table(lines)
     assert wrong_table(lines).count("1.00") == 12
     assert ratio(np.ones(3), np.full(3, 4.0)) == "0.50 (0.50 to 0.50)"
-    plot(lines, tmp_path / "errors.png")
+    draw(lines, tmp_path / "errors.png")
     assert Image.open(tmp_path / "errors.png").size[0] > 500
