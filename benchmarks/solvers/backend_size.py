@@ -29,9 +29,9 @@ from benchmarks.monte_carlo.bound import true_iterate
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
-from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.backend.uncertainty.covariance import (
     last_body_covariance,
     marginals,
