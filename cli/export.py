@@ -72,7 +72,7 @@ class ExportCommand:
         _require("--cad-unit", self.cad_unit, ["m", "mm"])
         if self.frame is not None:
             _require("--frame", self.frame, ["G", "P", "cad"])
-        from polhode.pipeline.products.export.flow import export_run
+        from polhode.pipeline.products.export.export_run import export_run
         from polhode.pipeline.products.export.options import Options
 
         values = {each.name: getattr(self, each.name) for each in fields(Options)}

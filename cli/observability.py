@@ -68,8 +68,8 @@ class ObservabilityCommand:
         import numpy as np
 
         from polhode.cli.console import choose_progress
-        from polhode.pipeline.products.observability.document import format_assessment
-        from polhode.pipeline.products.observability.flow import assess, write
+        from polhode.pipeline.products.observability.assess import assess
+        from polhode.pipeline.products.observability.files import format_assessment, write_assessment
         from polhode.pipeline.products.observability.subject import CameraOptions, subject_of
 
         if self.output.exists() and not self.output.is_dir():
@@ -102,8 +102,10 @@ class ObservabilityCommand:
             self.crease_deg,
             {"m": 1.0, "mm": 1e-3}[self.unit],
         )
-        found = assess(subject, self.spacing_px, self.sigma_px, self.edges, self.fewest, choose_progress())
-        names = write(found, self.output)
-        print(format_assessment(found))
+        assessment = assess(
+            subject, self.spacing_px, self.sigma_px, self.edges, self.fewest, choose_progress()
+        )
+        names = write_assessment(assessment, self.output)
+        print(format_assessment(assessment))
         print(f"{', '.join(names)}: {self.output}")
         return 0

@@ -9,4 +9,5 @@ mesh in G [m] with colour, sigma, views and coverage per vertex.
     mesh_viewer    depth images of a mesh with values of its vertices
     mesh_geometry  connected pieces, neighbours, moments: compiled loops over faces
     mesh_files     the mesh as PLY
+    uniform_solid  the body that a mesh encloses, at uniform density
 """

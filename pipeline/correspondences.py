@@ -1,4 +1,4 @@
-"""What the frames show: features, and which of two frames belong together, blind or with a motion at hand."""
+"""Features of every frame, and the frames that match: without knowledge of the motion, or guided by it."""
 
 import logging
 from collections.abc import Sequence
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.backend import consistent_links
-from polhode.config import Config
 from polhode.config.frontend import Frontend
 from polhode.errors import RunFailure
 from polhode.frontend.extract import extract_features
@@ -18,116 +17,100 @@ from polhode.frontend.matching.pairs import PairMatch, match_pairs, relative_pos
 from polhode.frontend.matching.retrieval import pairs_in_view, pairs_to_match
 from polhode.frontend.tracks.tracks import join_matches
 from polhode.lie import Array
-from polhode.pipeline.images import Images
-from polhode.pipeline.stopwatch import Stopwatch
-from polhode.processes import worker_count
-from polhode.progress import Progress
+from polhode.pipeline.context import RunContext
 from polhode.records import Ints, RelativePoses, StereoTracks
 
 _log = logging.getLogger(__name__)
-FEWEST_MEASURED_FRAMES = 3
+MIN_MEASURED_FRAMES = 3
 
 
 @dataclass(frozen=True)
-class Sight:
-    """Features of each frame, and matches between frames that no others contradict."""
+class Correspondences:
+    """Features of each frame, and those matches between frames that no others contradict."""
 
     features: Sequence[StereoFeatures]
     matches: Sequence[PairMatch]
 
     @property
     def links(self) -> RelativePoses:
-        """The geometry of the matches."""
+        """The relative poses of the matched frames."""
         return relative_poses(self.matches)
 
-    def require_features(self, fewest: int) -> None:
-        """Raises RunFailure: hardly any frame has as many features."""
-        measured = sum(len(features) >= fewest for features in self.features)
-        if measured < FEWEST_MEASURED_FRAMES:
+    def require_features(self, least: int) -> None:
+        """Raise RunFailure if fewer than three frames have at least so many features."""
+        measured = sum(len(features) >= least for features in self.features)
+        if measured < MIN_MEASURED_FRAMES:
             raise RunFailure(
                 f"only {measured} of {len(self.features)} frames show enough stereo features on the target; "
                 "check exposure, focus and the calibration"
             )
 
-    def tracks(self, images: Images, config: Config) -> StereoTracks:
-        """Whatever the matches join, without any knowledge of the motion."""
-        return images.tracks(self.features, join_matches(self.features, self.matches), config)
+    def tracks(self, context: RunContext) -> StereoTracks:
+        """The tracks that follow from the matches alone, without knowledge of the motion."""
+        return context.tracks(self.features, join_matches(self.features, self.matches))
 
 
-def look(images: Images, config: Config, progress: Progress, clock: Stopwatch) -> Sight:
-    """Every frame against every frame, or against those that look like it, blind.
+def match_frames(context: RunContext) -> Correspondences:
+    """Match every frame with every other, or with those of similar appearance, without a motion estimate.
 
-    Raises InputError: weights of a method are missing.
+    Raises InputError when the weights of a feature method are missing.
     """
+    config = context.config
     second = config.frontend.second_method
     if second is not None:
-        # a file that is missing ends the command now, not after the first method's work
+        # A missing file of weights ends the command now, not after the work of the first method.
         feature_method(second), match_method(second)
-    features = _extract(images, config.frontend, config, progress, clock)
+    features = _extract(context, config.frontend)
     partners = pairs_to_match(features, config.frontend.pairs, config.seed)
-    matches = _match(images, features, partners, config.frontend, config, progress, clock)
-    return Sight(features, _undisputed(images, matches, clock))
+    matches = _match(context, features, partners, config.frontend)
+    return Correspondences(features, _without_contradictions(context, matches))
 
 
-def look_again(
-    images: Images,
-    first: Sight,
-    second: Frontend,
-    X_RG: Array | None,
-    config: Config,
-    progress: Progress,
-    clock: Stopwatch,
-) -> Sight:
-    """What a second method sees beside the first one.
+def add_second_method(
+    context: RunContext, first: Correspondences, second: Frontend, X_RG: Array | None
+) -> Correspondences:
+    """The correspondences of a second feature method together with those of the first.
 
-    X_RG (F, 4, 4), where it is known, tells which frames see the same side; without it all are tried.
+    X_RG (F, 4, 4): poses of the target, which select the frames that see the same side; None: unknown, so
+    that frames are paired by appearance.
     """
-    features = _extract(images, second, config, progress, clock)
+    features = _extract(context, second)
     partners = (
-        pairs_to_match(features, second.pairs, config.seed)
+        pairs_to_match(features, second.pairs, context.config.seed)
         if X_RG is None
         else pairs_in_view(X_RG, second.pairs)
     )
-    matches = _match(images, features, partners, second, config, progress, clock)
+    matches = _match(context, features, partners, second)
     both = side_by_side(first.features, features)
     together = [*first.matches, *shifted(matches, first.features)]
-    return Sight(both, _undisputed(images, sorted(together, key=lambda m: (m.i, m.j)), clock))
+    return Correspondences(both, _without_contradictions(context, sorted(together, key=lambda m: (m.i, m.j))))
 
 
-def _extract(
-    images: Images, frontend: Frontend, config: Config, progress: Progress, clock: Stopwatch
-) -> list[StereoFeatures]:
-    method = frontend.features.method
-    with clock("frontend"), progress.stage(f"features ({method})", len(images.sequence)) as advance:
-        features = extract_features(images.sequence, images.rectifier, frontend, workers(config), advance)
+def _extract(context: RunContext, frontend: Frontend) -> list[StereoFeatures]:
+    method, sequence = frontend.features.method, context.sequence
+    with (
+        context.clock("frontend"),
+        context.progress.stage(f"features ({method})", len(sequence)) as advance,
+    ):
+        features = extract_features(sequence, context.rectifier, frontend, context.workers, advance)
     median = int(np.median([len(f) for f in features]))
-    _log.info("stereo features (%s) in a frame: median %d", method, median)
+    _log.info("stereo features (%s) per frame: median %d", method, median)
     return features
 
 
 def _match(
-    images: Images,
-    features: Sequence[StereoFeatures],
-    partners: Sequence[Ints],
-    frontend: Frontend,
-    config: Config,
-    progress: Progress,
-    clock: Stopwatch,
+    context: RunContext, features: Sequence[StereoFeatures], partners: Sequence[Ints], frontend: Frontend
 ) -> list[PairMatch]:
-    rig = images.rectifier.rig
-    with clock("frontend"), progress.stage("matching frames", len(features)) as advance:
-        matches = match_pairs(features, partners, rig, frontend, config.seed, workers(config), advance)
-    _log.info("%d links between frames, of %d tried", len(matches), sum(map(len, partners)))
+    seed, workers = context.config.seed, context.workers
+    with context.clock("frontend"), context.progress.stage("matching frames", len(features)) as advance:
+        matches = match_pairs(features, partners, context.rig, frontend, seed, workers, advance)
+    _log.info("%d of %d pairs of frames matched", len(matches), sum(map(len, partners)))
     return matches
 
 
-def _undisputed(images: Images, matches: Sequence[PairMatch], clock: Stopwatch) -> list[PairMatch]:
-    with clock("initialization"):
-        good = consistent_links(relative_poses(matches), images.time_s, images.X_NR[:, :3, :3])
-    _log.info("%d of %d links are contradicted by others", np.sum(~good), len(matches))
+def _without_contradictions(context: RunContext, matches: Sequence[PairMatch]) -> list[PairMatch]:
+    """Without the matches that contradict others."""
+    with context.clock("initialization"):
+        good = consistent_links(relative_poses(matches), context.time_s, context.X_NR[:, :3, :3])
+    _log.info("%d of %d matched pairs contradict others and are dropped", np.sum(~good), len(matches))
     return [match for match, kept in zip(matches, good, strict=True) if kept]
-
-
-def workers(config: Config) -> int:
-    """Processes for parallel work."""
-    return worker_count(config.runtime.workers)

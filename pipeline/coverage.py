@@ -15,8 +15,7 @@ from polhode.camera import RectifiedRig
 from polhode.lie import Array
 from polhode.mapping.visibility import LEAST_COSINE, Caster, FrameView, pixels_of, towards_G
 from polhode.mesh_metrics import sample_surface
-from polhode.pipeline.direction_words import axis_words
-from polhode.pipeline.run_directory.shape_parts import Coverage
+from polhode.pipeline.run_directory.summary_schema import Coverage
 from polhode.records import Bools, SurfaceModel
 from polhode.surface_records import SEEN_LIT, SEEN_UNLIT, UNSEEN
 
@@ -106,3 +105,14 @@ def _words(
             where = f", mostly around {axis_words(np.array(around))} of G" if around is not None else ""
             parts.append(f"{part:.0%} {'' if parts else f'of the {of} '}was {what}{where}")
     return "; ".join(parts) if parts else f"all of the {of} was seen in light"
+
+
+_PART = 0.5
+"""Share of its length that a direction must have along an axis for the axis to be named."""
+
+
+def axis_words(direction: Array) -> str:
+    """``+x``, or ``+x and -z`` where the direction (3,) lies between axes; the largest part first."""
+    unit = np.asarray(direction) / max(float(np.linalg.norm(direction)), 1e-300)
+    named = [k for k in np.argsort(-np.abs(unit), kind="stable") if abs(unit[k]) >= _PART]
+    return " and ".join(f"{'+' if unit[k] > 0 else '-'}{'xyz'[k]}" for k in named)

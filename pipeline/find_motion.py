@@ -1,4 +1,4 @@
-"""From what the frames show to the motion: solve, look again where it leads, keep what fits better."""
+"""From correspondences to the motion: solve, match again with the motion found, keep what fits better."""
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.config import Config
 from polhode.config.frontend import Frontend
 from polhode.errors import RunFailure
 from polhode.frontend.features.stereo import StereoFeatures
@@ -17,26 +16,24 @@ from polhode.frontend.tracks.guided import consistent_matches, reconnect
 from polhode.frontend.tracks.track_refinement import refine_tracks
 from polhode.frontend.tracks.tracks import Association, join_matches
 from polhode.lie import Array, inverse_pose
-from polhode.pipeline.consistency_check import contradicts, revises
-from polhode.pipeline.correspondences import Sight, look_again, workers
-from polhode.pipeline.images import Images
-from polhode.pipeline.stopwatch import Stopwatch
-from polhode.progress import Progress
+from polhode.pipeline.consistency_check import contradicts_first_method, fits_worse
+from polhode.pipeline.context import RunContext
+from polhode.pipeline.correspondences import Correspondences, add_second_method
 from polhode.records import InitialMotion, MotionEstimate, RelativePoses, StereoTracks
 
 _log = logging.getLogger(__name__)
-MANY_LOST = 0.05
-"""Share of the frames that show the target but are lost, above which another look is worth its time."""
+MAX_LOST_SHARE = 0.05
+"""Share of the frames that show the target but have no pose; above it the second method is tried."""
 
 
 @dataclass(frozen=True)
-class Found:
-    """A motion with what it was found from."""
+class MotionSolution:
+    """An estimate of the motion with the data that it was made from."""
 
     features: Sequence[StereoFeatures]
     association: Association
     motion: InitialMotion
-    """Solved poses, and which frames are measured"""
+    """Solved poses, and which frames are connected by measurements"""
     tracks: StereoTracks
     estimate: MotionEstimate
     links: RelativePoses
@@ -47,172 +44,177 @@ def pose_RG(tracks: StereoTracks, estimate: MotionEstimate) -> Array:
     return inverse_pose(tracks.X_NR) @ estimate.X_NG
 
 
-def find_motion(
-    images: Images, sight: Sight, config: Config, progress: Progress, clock: Stopwatch
-) -> Iterator[Found]:
-    """Ever better motions; the last one counts, the others stand should a later step fail.
+def find_motion(context: RunContext, correspondences: Correspondences) -> Iterator[MotionSolution]:
+    """Successively better solutions; the last one counts, the earlier ones stand should a later step fail.
 
-    Where the first method of the front end leaves frames short, the second one looks too; what both see is
-    solved, and taken unless it fits worse. Raises RunFailure: no consistent motion.
+    Where the first feature method leaves frames with too few observations, the second one is added. The
+    solution from both is taken unless it fits worse. Raises RunFailure when no consistent motion is found.
     """
-    plain, failure = None, None
-    second = config.frontend.second_method
+    first, failure = None, None
+    second_method = context.config.frontend.second_method
     try:
-        for plain in solved(images, sight, config, progress, clock):
-            yield plain
+        for first in solve_repeatedly(context, correspondences):
+            yield first
     except RunFailure as error:
-        if plain is not None or second is None:
+        if first is not None or second_method is None:
             raise
-        _log.info("%s; the second method of the front end looks for one", error)
+        _log.info("%s; the second feature method is tried", error)
         failure = error
-    if second is not None and (plain is None or _leaves_short(plain, sight, config)):
+    if second_method is not None and (
+        first is None or _has_too_few_observations(context, first, correspondences)
+    ):
         try:
-            better = _better(plain, images, sight, second, config, progress, clock)
+            both = _solve_with_second_method(context, first, correspondences, second_method)
         except Exception:
-            # another look is worth its while, but not the motion that is found already
-            if plain is None:
+            # The second method may fail; the motion that is already found must not be lost with it.
+            if first is None:
                 raise
-            _log.warning("the second method of the front end failed", exc_info=True)
-            better = None
-        if better is not None:
-            yield better
+            _log.warning("the second feature method failed", exc_info=True)
+            both = None
+        if both is not None:
+            yield both
             return
-        _log.info("what the second method of the front end adds is not used")
-    if plain is None:
-        assert failure is not None  # else there is a motion
+        _log.info("the second feature method brings no improvement and is not used")
+    if first is None:
+        assert failure is not None
         raise failure
-    yield polished(plain, images, config, progress, clock)
+    yield refine(context, first)
 
 
-def _leaves_short(found: Found, sight: Sight, config: Config) -> bool:
-    """Whether the frames that show something have few observations, or many of them are lost, or the solver
-    came to no end."""
-    if not found.estimate.solver.converged:
+def _has_too_few_observations(
+    context: RunContext, solution: MotionSolution, correspondences: Correspondences
+) -> bool:
+    """Whether frames with features have few observations, or many of them no pose, or the solver did not
+    converge."""
+    if not solution.estimate.solver.converged:
         return True
-    shows = np.array([len(features) > 0 for features in sight.features])
-    observations = np.bincount(found.tracks.frame, minlength=len(shows))[shows]
-    lost = np.sum(shows & ~found.motion.connected)
+    has_features = np.array([len(features) > 0 for features in correspondences.features])
+    observations = np.bincount(solution.tracks.frame, minlength=len(has_features))[has_features]
+    lost = np.sum(has_features & ~solution.motion.connected)
     return bool(
-        np.median(observations) < config.frontend.features.second_below or lost > MANY_LOST * np.sum(shows)
+        np.median(observations) < context.config.frontend.features.second_below
+        or lost > MAX_LOST_SHARE * np.sum(has_features)
     )
 
 
-def _better(
-    plain: Found | None,
-    images: Images,
-    sight: Sight,
-    second: Frontend,
-    config: Config,
-    progress: Progress,
-    clock: Stopwatch,
-) -> Found | None:
-    """The motion from what both methods see, unless it fits worse or finds fewer frames."""
-    X_RG = None if plain is None else plain.motion.X_RG
-    both = look_again(images, sight, second, X_RG, config, progress, clock)
-    if not any(of_second(match, sight.features) for match in both.matches):
+def _solve_with_second_method(
+    context: RunContext, first: MotionSolution | None, correspondences: Correspondences, second: Frontend
+) -> MotionSolution | None:
+    """The solution from both methods; None if it fits worse or connects fewer frames than the first one's."""
+    X_RG = None if first is None else first.motion.X_RG
+    both = add_second_method(context, correspondences, second, X_RG)
+    if not any(of_second(match, correspondences.features) for match in both.matches):
         return None
     try:
-        found = _last(solved(images, both, config, progress, clock))
-        found = polished(found, images, config, progress, clock)
+        solution = refine(context, _last(solve_repeatedly(context, both)))
     except RunFailure as failure:
-        _log.info("with the second method of the front end: %s", failure)
+        _log.info("with the second feature method: %s", failure)
         return None
-    if plain is None:
-        return found
-    measured = plain.motion.connected
-    fewer = np.sum(found.motion.connected) < np.sum(measured)
-    revised = revises((found.tracks, found.estimate), (plain.tracks, plain.estimate), measured)
-    return None if fewer or revised else found
+    if first is None:
+        return solution
+    connected = first.motion.connected
+    fewer = np.sum(solution.motion.connected) < np.sum(connected)
+    contradicts = contradicts_first_method(
+        (solution.tracks, solution.estimate), (first.tracks, first.estimate), connected
+    )
+    return None if fewer or contradicts else solution
 
 
-def _last(motions: Iterator[Found]) -> Found:
-    """The last of them; a failure after the first one ends them."""
-    found = next(motions)
+def _last(solutions: Iterator[MotionSolution]) -> MotionSolution:
+    """The last solution; a failure after the first one ends the iteration."""
+    solution = next(solutions)
     try:
-        for better in motions:
-            found = better
+        for better in solutions:
+            solution = better
     except RunFailure as failure:
-        _log.info("what was found before stands: %s", failure)
-    return found
+        _log.info("the solution of the round before is kept: %s", failure)
+    return solution
 
 
-def solved(
-    images: Images, sight: Sight, config: Config, progress: Progress, clock: Stopwatch
-) -> Iterator[Found]:
-    """Solve, and again as long as the solved motion finds frames that were lost before; the last counts."""
-    rig, guided = images.rectifier.rig, config.frontend.guided
-    features, links = sight.features, sight.links
-    sight.require_features(config.frontend.pairs.min_inliers)
-    with clock("initialization"), progress.stage("first motion", 1) as advance:
-        motion = initialize_motion(sight.tracks(images, config), links, config.backend)
+def solve_repeatedly(context: RunContext, correspondences: Correspondences) -> Iterator[MotionSolution]:
+    """Solve, match again with the solved motion, and repeat while lost frames are recovered."""
+    config, guided = context.config, context.config.frontend.guided
+    features, links = correspondences.features, correspondences.links
+    correspondences.require_features(config.frontend.pairs.min_inliers)
+    with context.clock("initialization"), context.progress.stage("first motion", 1) as advance:
+        motion = initialize_motion(correspondences.tracks(context), links, config.backend)
         advance()
-    matches = consistent_matches(sight.matches, features, motion, rig, guided.consistency_px)
+    matches = consistent_matches(
+        correspondences.matches, features, motion, context.rig, guided.consistency_px
+    )
     association = join_matches(features, matches)
     for turn in range(guided.rounds):
         before = motion.connected
-        with clock("frontend"):
-            relocated = reconnect(features, association, motion, rig, guided, config.seed)
+        with context.clock("frontend"):
+            relocated = reconnect(features, association, motion, context.rig, guided, config.seed)
             association, motion = relocated.association, relocated.motion
-            tracks = images.tracks(features, association, config)
+            tracks = context.tracks(features, association)
         _log.info("round %d: %d of %d frames connected", turn + 1, motion.connected.sum(), len(before))
         if turn > 0 and np.array_equal(motion.connected, before):
             break
-        with clock("backend"):
-            estimate = estimate_motion(tracks, motion, config.backend, progress)
+        with context.clock("backend"):
+            estimate = estimate_motion(tracks, motion, config.backend, context.progress)
         motion = InitialMotion(pose_RG(tracks, estimate), motion.connected)
-        yield Found(features, association, motion, tracks, estimate, links)
+        yield MotionSolution(features, association, motion, tracks, estimate, links)
 
 
-def polished(found: Found, images: Images, config: Config, progress: Progress, clock: Stopwatch) -> Found:
-    """Landmarks joined, then put to the same place in every view: each step as long as it fits no worse."""
-    for step in (_join_duplicates, _refine_places):
-        with clock("frontend"):
-            changed = step(found, images, config)
+def refine(context: RunContext, solution: MotionSolution) -> MotionSolution:
+    """Merge duplicate landmarks, then refine the tracks' positions; a step that fits worse is undone."""
+    for step in (_merge_duplicate_landmarks, _refine_track_positions):
+        with context.clock("frontend"):
+            changed = step(context, solution)
             if changed is None:
                 continue
-            tracks = images.tracks(*changed, config)
+            features, association = changed
+            tracks = context.tracks(features, association)
         try:
-            with clock("backend"):
-                again = estimate_motion(tracks, found.motion, config.backend, progress)
+            with context.clock("backend"):
+                estimate = estimate_motion(tracks, solution.motion, context.config.backend, context.progress)
         except RunFailure as failure:
-            _log.info("that leads to no motion and is not used: %s", failure)
+            _log.info("no motion is found with these tracks, which are not used: %s", failure)
             continue
-        if contradicts(again, found.estimate):
-            _log.info("that fits worse and is not used")
+        if fits_worse(estimate, solution.estimate):
+            _log.info("these tracks fit worse and are not used")
             continue
-        motion = InitialMotion(pose_RG(tracks, again), found.motion.connected)
-        found = replace(
-            found,
-            features=changed[0],
-            association=changed[1],
+        motion = InitialMotion(pose_RG(tracks, estimate), solution.motion.connected)
+        solution = replace(
+            solution,
+            features=features,
+            association=association,
             motion=motion,
             tracks=tracks,
-            estimate=again,
+            estimate=estimate,
         )
-    return found
+    return solution
 
 
-Changed = tuple[Sequence[StereoFeatures], Association]
-Step = Callable[[Found, Images, Config], Changed | None]
+ChangedTracks = tuple[Sequence[StereoFeatures], Association]
+RefinementStep = Callable[[RunContext, MotionSolution], ChangedTracks | None]
 
 
-def _join_duplicates(found: Found, images: Images, config: Config) -> Changed | None:
-    """Landmarks that the motion shows to be one become one; None: there are none."""
-    guided = config.frontend.guided
+def _merge_duplicate_landmarks(context: RunContext, solution: MotionSolution) -> ChangedTracks | None:
+    """Merge landmarks that the motion shows to be the same point; None: there are none."""
+    guided = context.config.frontend.guided
     if not guided.merge:
         return None
-    known = found.association
-    merged = merge_duplicates(found.features, known, found.motion, images.rectifier.rig, guided)
-    joined = known.n_landmarks - merged.n_landmarks
-    _log.info("%d of %d landmarks joined to others", joined, known.n_landmarks)
-    return (found.features, merged) if joined else None
+    before = solution.association
+    merged = merge_duplicates(solution.features, before, solution.motion, context.rig, guided)
+    n_merged = before.n_landmarks - merged.n_landmarks
+    _log.info("%d of %d landmarks are duplicates and merged", n_merged, before.n_landmarks)
+    return (solution.features, merged) if n_merged else None
 
 
-def _refine_places(found: Found, images: Images, config: Config) -> Changed | None:
-    """Each landmark is put to the same point of the surface in every view; None: surfaces are not known."""
-    if not config.frontend.tracks.refine or not any(seen.on_surface.any() for seen in found.features):
+def _refine_track_positions(context: RunContext, solution: MotionSolution) -> ChangedTracks | None:
+    """Align each landmark to the same surface point in every view; None: the surface is not known there."""
+    frontend = context.config.frontend
+    if not frontend.tracks.refine or not any(seen.on_surface.any() for seen in solution.features):
         return None
     return refine_tracks(
-        *(images.sequence, images.rectifier, found.features, found.association, found.motion),
-        *(config.frontend, workers(config)),
+        context.sequence,
+        context.rectifier,
+        solution.features,
+        solution.association,
+        solution.motion,
+        frontend,
+        context.workers,
     )

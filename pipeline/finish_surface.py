@@ -1,6 +1,6 @@
 """The fused surface made ready for use: holes, colours, coverage, lighter meshes, mass against volume.
 
-Each step is optional: one that fails costs only itself, and is told of.
+Every step is optional: if one fails, its result is left out with a warning, and the others go on.
 """
 
 import logging
@@ -12,51 +12,44 @@ from typing import TypeVar
 import numpy as np
 
 from polhode.camera import RectifiedRig
-from polhode.config import Config
-from polhode.dataset import StereoSequence
 from polhode.frontend.rectification.rectified_pair import rectified_left
-from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import Array, transform_points
 from polhode.mapping.finishing.albedo import Colouring, divide_shading
 from polhode.mapping.finishing.detail_levels import Level, levels_of
 from polhode.mapping.finishing.hole_closing import ClosedHoles, close_small_holes
 from polhode.mapping.visibility import Caster, FrameView
-from polhode.pipeline.assumed_density import assumed_properties
+from polhode.pipeline.context import RunContext
 from polhode.pipeline.coverage import coverage_of, warnings_of, with_classes
 from polhode.pipeline.evaluation.seen_surface import light_level
-from polhode.pipeline.physics_check import check_physics
-from polhode.pipeline.run_directory.shape_parts import Mesh, MeshLevel, ShapeFindings, Sun
+from polhode.pipeline.run_directory.summary_schema import Mesh, MeshLevel, ShapeFindings, Sun
+from polhode.pipeline.uniform_density import assumed_properties, check_physics
 from polhode.records import MassProperties, SurfaceModel
 
 _log = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
-MOST_FRAMES = 60
-MOST_PIXELS = 40e6
-"""Of the frames looked at, together."""
+MAX_FRAMES = 60
+MAX_PIXELS = 40e6
+"""Of all frames that are used, together."""
 _MARGIN_PX = 6
 
 
 def finish_surface(
-    surface: SurfaceModel,
-    sequence: StereoSequence,
-    rectifier: Rectifier,
-    X_RG: Array,
-    mass: MassProperties,
-    config: Config,
+    context: RunContext, surface: SurfaceModel, X_RG: Array, mass: MassProperties
 ) -> tuple[SurfaceModel, list[Level], ShapeFindings]:
-    """X_RG (F, 4, 4): the target in the rectified left camera at the sequence's pairs."""
+    """The finished surface, its lighter levels, and the findings about the shape.
+
+    X_RG (F, 4, 4): pose of the target in the rectified left camera.
+    """
+    config = context.config
     if len(surface.mesh.faces) == 0:
         assumed, doubts = assumed_properties(mass, surface, config.backend)
         return surface, [], ShapeFindings(assumed=assumed, warnings=tuple(doubts))
-    steps, rig, mapping = _Steps(), rectifier.rig, config.mapping
-    R_NR = (sequence.X_NC @ rectifier.X_CR)[:, :3, :3]
+    steps, rig, mapping = _OptionalSteps(), context.rig, config.mapping
     views: list[FrameView] = []
-    views = steps.attempt(
-        "looking at the images again", lambda: _views(surface, sequence, rectifier, X_RG, R_NR), views
-    )
+    views = steps.attempt("reading the images again", lambda: _views(context, surface, X_RG), views)
     seen_by = cache(lambda: Caster(surface.mesh))
-    # What is across is measured on the surface alone: the same in every unit.
+    # Relative to the surface itself: the same in every unit.
     largest_m = mapping.hole_share * float(np.linalg.norm(surface.mesh.extents))
     holes = steps.attempt(
         "closing small holes",
@@ -83,19 +76,21 @@ def finish_surface(
     levels = steps.attempt("lighter meshes", lambda: levels_of(finished, mapping.levels, config.seed), levels)
     physics = steps.attempt("mass against volume", lambda: check_physics(mass, finished, caster()), None)
     assumed, doubts = assumed_properties(mass, finished, config.backend)
-    told = [*doubts, *steps.warnings, *(warnings_of(coverage) if coverage is not None else ())]
-    described = _described(finished, holes, colours, levels)
+    warnings = [*doubts, *steps.warnings, *(warnings_of(coverage) if coverage is not None else ())]
+    described = _describe(finished, holes, colours, levels)
     for sentence in physics.words if physics is not None else ():
         _log.info(sentence)
-    return finished, levels, ShapeFindings(described, coverage, physics, assumed, tuple(told))
+    return finished, levels, ShapeFindings(described, coverage, physics, assumed, tuple(warnings))
 
 
-class _Steps:
+class _OptionalSteps:
+    """Runs steps that may fail, and collects the warnings of those that did."""
+
     def __init__(self) -> None:
         self.warnings: list[str] = []
 
     def attempt(self, what: str, step: Callable[[], Result], otherwise: Result) -> Result:
-        """The step's result; ``otherwise``, and a warning, when it fails."""
+        """The step's result; ``otherwise``, with a warning, if it fails."""
         try:
             return step()
         except (ValueError, ArithmeticError, LookupError, RuntimeError, TypeError, MemoryError) as error:
@@ -104,12 +99,10 @@ class _Steps:
             return otherwise
 
 
-def _views(
-    surface: SurfaceModel, sequence: StereoSequence, rectifier: Rectifier, X_RG: Array, R_NR: Array
-) -> list[FrameView]:
-    """Frames evenly spread over the run, each cut to the target."""
-    rig = rectifier.rig
-    most = int(np.clip(MOST_PIXELS // (rig.width_px * rig.height_px), 8, MOST_FRAMES))
+def _views(context: RunContext, surface: SurfaceModel, X_RG: Array) -> list[FrameView]:
+    """Frames evenly spread over the run, each cropped to the target."""
+    rig, R_NR = context.rig, context.X_NR[:, :3, :3]
+    most = int(np.clip(MAX_PIXELS // (rig.width_px * rig.height_px), 8, MAX_FRAMES))
     usable = np.flatnonzero(np.isfinite(X_RG).all(axis=(1, 2)))
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), most)).round().astype(int))]
     low, high = surface.mesh.bounds
@@ -121,7 +114,7 @@ def _views(
         box = _box(transform_points(X_RG[k], corners), rig)
         if box is None:
             continue
-        left, mask = rectified_left(sequence, rectifier, k)
+        left, mask = rectified_left(context.sequence, context.rectifier, k)
         u0, u1, v0, v1 = box
         views.append(
             FrameView(
@@ -138,7 +131,7 @@ def _views(
 
 
 def _box(corners_R: Array, rig: RectifiedRig) -> tuple[int, int, int, int] | None:
-    """Columns u0..u1 and rows v0..v1 that the body's box covers; None: out of view, or not all in front."""
+    """Columns u0..u1 and rows v0..v1 of the body's bounding box; None: out of view, or not all in front."""
     if corners_R[:, 2].min() <= 1e-3:
         return None
     uv = rig.project(corners_R)[:, :2]
@@ -147,14 +140,12 @@ def _box(corners_R: Array, rig: RectifiedRig) -> tuple[int, int, int, int] | Non
     return (int(u0), int(u1), int(v0), int(v1)) if u1 - u0 > 2 and v1 - v0 > 2 else None
 
 
-def _described(
-    surface: SurfaceModel, holes: ClosedHoles, colours: Colouring, levels: Sequence[Level]
-) -> Mesh:
+def _describe(surface: SurfaceModel, holes: ClosedHoles, colours: Colouring, levels: Sequence[Level]) -> Mesh:
     mesh, invented, light = surface.mesh, surface.is_invented, colours.sun
     sun = None
     if light is not None:
         x, y, z = (float(part) for part in light.direction_N)
-        # a law that does not hold has no sigma that does
+        # Where the reflection law does not fit, its sigma is meaningless.
         sigma = float(np.rad2deg(light.sigma_rad)) if colours.divided else None
         sun = Sun(
             direction_N=(x, y, z),

@@ -12,15 +12,17 @@ from polhode.config import Config
 from polhode.frontend.extract import extract_depth
 from polhode.lie import transform_points
 from polhode.mapping.fusion.fuse import fuse
-from polhode.pipeline.correspondences import look, workers
+from polhode.pipeline.context import RunContext, open_context
+from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
-from polhode.pipeline.images import Images, open_images
 from polhode.pipeline.pictures import make_pictures
+from polhode.pipeline.report import finish_run, write_report
 from polhode.pipeline.run_directory import outputs
+from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.run_folder import RunFolder
-from polhode.pipeline.run_directory.summary import Summary, build_summary
-from polhode.pipeline.stopwatch import Stopwatch
+from polhode.pipeline.run_directory.summary import build_summary
+from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
 from polhode.threads import single_threaded
@@ -30,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class RunResult:
-    """What the command line says at the end."""
+    """What the command line reports at the end."""
 
     status: Literal["ok", "degraded", "failed"]
     report_path: Path
@@ -43,77 +45,74 @@ class RunResult:
 def run(
     config: Config, sequence_folder: Path, run_folder: Path, progress: Progress, overwrite: bool = False
 ) -> RunResult:
-    """A stereo sequence on disk to a run directory (CONTRACT.md).
+    """A stereo sequence on disk to a run directory (docs/run_directory.md).
 
     Raises InputError for bad input and then writes nothing; RunFailure when no consistent motion is found,
-    and then what was found by then is in the run directory.
+    and then the run directory contains what was found before.
     """
-    with RunFolder(run_folder, overwrite) as folder:
-        clock = Stopwatch()
-        images = open_images(sequence_folder)
+    with RunFolder(run_folder, overwrite, write_report) as folder:
+        context = open_context(sequence_folder, config, progress)
+        clock = context.clock
         outputs.write_config(folder, config)
 
-        sight = look(images, config, progress, clock)
-        outputs.write_measurements(sight.tracks(images, config), folder / "measurements.npz", sight.links)
+        correspondences = match_frames(context)
+        links = correspondences.links
+        write_measurements(correspondences.tracks(context), folder / "measurements.npz", links)
 
-        for found in find_motion(images, sight, config, progress, clock):
-            # what is known by now stands, should a later step fail
-            outputs.write_estimate(folder, found.tracks, found.estimate, found.links)
-        tracks, estimate = found.tracks, found.estimate
+        for solution in find_motion(context, correspondences):
+            # Each solution is written, so that it stands should a later step fail.
+            outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
+        tracks, estimate = solution.tracks, solution.estimate
         if config.backend.window.enabled:
-            outputs.write_online_estimate(folder, _replay(tracks, estimate, config, progress, clock))
+            outputs.write_online_estimate(folder, _replay(context, tracks, estimate))
 
-        fused = _build_surface(images, tracks, estimate, config, progress, clock)
-        seen = images.sequence, images.rectifier
+        fused = _build_surface(context, tracks, estimate)
         with clock("fusion"):
             X_RG = pose_RG(tracks, estimate)
             if fused.aligned is not None:
                 X_RG = fused.aligned.put_into(X_RG)
-            surface, levels, shape = finish_surface(fused, *seen, X_RG, estimate.mass, config)
+            surface, levels, shape = finish_surface(context, fused, X_RG, estimate.mass)
         outputs.write_surface(folder, surface, levels)
 
         with clock("report"):
-            make_pictures(folder, *seen, tracks, estimate, surface, config.pictures, progress)
+            make_pictures(context, folder, tracks, estimate, surface)
         clock.add_total()
-        warnings = [*images.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
+        warnings = [*context.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
         warnings += fused.warnings
         summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, shape=shape)
         with progress.stage("report", 1) as advance:
-            summary = outputs.finish_run(folder, summary)
+            summary = finish_run(folder, summary)
             advance()
     failure = summary.warnings[0] if summary.status == "failed" else None
     report = run_folder / "report.html"
     return RunResult(summary.status, report, _sentence(summary, estimate), failure)
 
 
-def _replay(
-    tracks: StereoTracks, estimate: MotionEstimate, config: Config, progress: Progress, clock: Stopwatch
-) -> OnlineEstimate:
-    """What a sliding window knew when each frame came, in the words of the final estimate."""
-    with clock("backend"):
-        return align_online_estimate(estimate_online(tracks, config.backend, progress), estimate)
+def _replay(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> OnlineEstimate:
+    """The estimate of a sliding window as each frame arrived, in the frames of the final estimate."""
+    with context.clock("backend"):
+        return align_online_estimate(
+            estimate_online(tracks, context.config.backend, context.progress), estimate
+        )
 
 
-def _build_surface(
-    images: Images,
-    tracks: StereoTracks,
-    estimate: MotionEstimate,
-    config: Config,
-    progress: Progress,
-    clock: Stopwatch,
-) -> SurfaceModel:
+def _build_surface(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> SurfaceModel:
     """Depth of every pair, moved into G by the motion, fused."""
-    rig = images.rectifier.rig
+    config, clock, rig = context.config, context.clock, context.rig
     X_RG = pose_RG(tracks, estimate)
-    # What the frame's own landmarks span bounds the search for its disparities.
-    spans: list[tuple[float, float] | None] = []
+    # The disparities of a frame's own landmarks bound the search for its disparities.
+    ranges: list[tuple[float, float] | None] = []
     for X in X_RG:
         disparity = rig.project(transform_points(X, estimate.landmarks.p_G))[:, 2]
-        spans.append((float(disparity.min()), float(disparity.max())) if len(disparity) else None)
-    maps = extract_depth(images.sequence, images.rectifier, config.frontend, spans, workers(config))
+        ranges.append((float(disparity.min()), float(disparity.max())) if len(disparity) else None)
+    maps = extract_depth(context.sequence, context.rectifier, config.frontend, ranges, context.workers)
     with clock("fusion"):
         surface = fuse(
-            *(zip(clock.waiting("depth", maps), X_RG, strict=True), rig, config.mapping, progress, len(X_RG)),
+            zip(clock.waiting("depth", maps), X_RG, strict=True),
+            rig,
+            config.mapping,
+            context.progress,
+            len(X_RG),
             covariance_G=estimate.covariance_X_NG,
         )
     for warning in surface.warnings:
@@ -128,15 +127,15 @@ def _build_surface(
 
 
 def _sentence(summary: Summary, estimate: MotionEstimate) -> str:
-    """What was found, in a line."""
+    """The result in one line."""
     rate_rpm = float(np.median(np.linalg.norm(estimate.w_P, axis=1))) * 30.0 / np.pi
     known = estimate.mass.identifiable
     ratios = []
-    for name, value, variance, sure in (
+    for name, value, variance, determined in (
         ("k1", estimate.mass.k1, estimate.mass.cov_k[0, 0], known.k1),
         ("k2", estimate.mass.k2, estimate.mass.cov_k[1, 1], known.k2),
     ):
-        spread = f"{value:.4f} +- {np.sqrt(variance):.4f}" if sure else "not determined by this motion"
+        spread = f"{value:.4f} +- {np.sqrt(variance):.4f}" if determined else "not determined by this motion"
         ratios.append(f"{name} {spread}")
     return (
         f"{summary.frames_used} of {summary.frames} frames: the target turns at {rate_rpm:.2f} RPM; "

@@ -27,11 +27,11 @@ from polhode.frontend.rectification.rectified_pair import rectified_pair
 from polhode.frontend.rectification.rectify import make_rectifier
 from polhode.frontend.rectification.target import Crop, target_crop
 from polhode.lie import Array, exp_so3, inverse_pose, transform_points
-from polhode.pipeline.report.content import Content, Motion, read_content
 from polhode.pipeline.report.plot import TIME_SCALE
 from polhode.pipeline.report.rotation import look_at, torque_free_path
 from polhode.pipeline.report.shape import stretched, vertex_rgb
-from polhode.pipeline.report.wording import finding
+from polhode.pipeline.report.tables import finding
+from polhode.pipeline.run_directory.stored_run import Motion, StoredRun, read_stored_run
 
 SIDE_PX, GAP_PX, CAPTION_PX, FINE = 520, 18, 64, 2
 """Panel, space, text below; panels are drawn FINE times larger and shrunk, which smooths every edge."""
@@ -53,13 +53,13 @@ def main(
     ] = None,
 ) -> None:
     """Read a run and its sequence, draw, write."""
-    content = read_content(run, run.name)
+    content = read_stored_run(run, run.name)
     output.parent.mkdir(parents=True, exist_ok=True)
     overview(content, sequence, frame).save(output, optimize=True)
     print(f"{output}: {output.stat().st_size / 1e3:.0f} kB")
 
 
-def overview(content: Content, sequence: Path, frame: int | None) -> Image.Image:
+def overview(content: StoredRun, sequence: Path, frame: int | None) -> Image.Image:
     """The three panels with their captions. Raises InputError when the run has no estimate or no surface."""
     if content.motion is None or content.tracks is None or content.surface is None:
         raise InputError(f"{content.name}: the picture needs a run with an estimate and a surface")
@@ -78,7 +78,7 @@ def overview(content: Content, sequence: Path, frame: int | None) -> Image.Image
     return _sheet(panels, content)
 
 
-def _sheet(panels: Sequence[Picture], content: Content) -> Image.Image:
+def _sheet(panels: Sequence[Picture], content: StoredRun) -> Image.Image:
     assert content.motion is not None and content.surface is not None
     titles = ("stereo measurements", "reconstructed surface, same view", "polhode")
     summary, time_s = content.summary, content.motion.trajectory.time_s
@@ -110,7 +110,7 @@ def _square(crop: Crop) -> Crop:
     return Crop(u0, v0, u0 + side, v0 + side)
 
 
-def _tracks(content: Content, k: int, left: Picture, crop: Crop) -> Picture:
+def _tracks(content: StoredRun, k: int, left: Picture, crop: Crop) -> Picture:
     """The crop of the left image with its inliers and their streaks."""
     assert content.motion is not None and content.tracks is not None
     tracks, zoom = content.tracks, FINE * SIDE_PX / crop.width_px
@@ -143,13 +143,13 @@ def _carried(motion: Motion, k: int, p_N: Array, dt_s: float) -> Array:
     return np.asarray(path.r_N[k] + path.v_N[k] * dt_s + turned)
 
 
-def _pixels(p_N: Array, content: Content, k: int, crop: Crop, zoom: float) -> NDArray[np.int64]:
+def _pixels(p_N: Array, content: StoredRun, k: int, crop: Crop, zoom: float) -> NDArray[np.int64]:
     assert content.tracks is not None
     uv = content.tracks.rig.project(transform_points(inverse_pose(content.tracks.X_NR[k]), p_N))[:, :2]
     return np.asarray(np.round((uv - [crop.u0, crop.v0] + 0.5) * zoom - 0.5), dtype=np.int64)
 
 
-def _surface(content: Content, k: int, rig: RectifiedRig, crop: Crop) -> Picture:
+def _surface(content: StoredRun, k: int, rig: RectifiedRig, crop: Crop) -> Picture:
     """The mesh in its colours, lit a little from the camera, by one ray per fine pixel."""
     assert content.motion is not None and content.tracks is not None and content.surface is not None
     mesh, side = content.surface.mesh, FINE * SIDE_PX

@@ -32,7 +32,9 @@ from polhode.dataset import open_sequence
 from polhode.frontend.rectification.rectify import make_rectifier
 from polhode.lie import Array, inverse_pose
 from polhode.mapping.fusion.field import Field
+from polhode.pipeline.context import RunContext
 from polhode.pipeline.finish_surface import finish_surface
+from polhode.progress import Silent
 from polhode.records import Identifiability, MassProperties
 from polhode.truth import read_truth
 
@@ -83,6 +85,7 @@ def measure(folder: Path, config: Config, voxel_m: float, most: int | None = Non
     if truth.mesh is None:
         raise SystemExit(f"{folder}: this sequence has no true surface")
     rectifier = make_rectifier(sequence.calibration)
+    context = RunContext(sequence, rectifier, config, Silent())
     X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ true_poses(sequence, truth)
     count = len(sequence) if most is None else min(most, len(sequence))
     maps = depth_maps(sequence, rectifier, X_RG, np.asarray(truth.mesh.vertices), config)
@@ -97,7 +100,7 @@ def measure(folder: Path, config: Config, voxel_m: float, most: int | None = Non
     begin = now()
     surface = field.surface()
     meshed = now()
-    finished, _, _ = finish_surface(surface, sequence, rectifier, X_RG, mass_of_nothing(), config)
+    finished, _, _ = finish_surface(context, surface, X_RG, mass_of_nothing())
     wall_s, core_s = np.stack([depth, fusion, meshed - begin, now() - meshed]).T
     size = f"{rectifier.rig.width_px}x{rectifier.rig.height_px}"
     return Times(count, size, wall_s, core_s, len(finished.mesh.faces))

@@ -12,16 +12,15 @@ from polhode.atomic import write_text
 from polhode.compare.processes.fingerprint import BASE, code_of, versions
 from polhode.config import Config
 from polhode.config.loader import dump_config
-from polhode.pipeline.correspondences import look
+from polhode.pipeline.context import open_context
+from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.find_motion import find_motion
-from polhode.pipeline.images import open_images
 from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses, write_measurements
-from polhode.pipeline.stopwatch import Stopwatch
 from polhode.progress import Progress
 from polhode.records import RelativePoses, StereoTracks
 
 CODE = ("polhode", "polhode.frontend", "polhode.backend", "polhode.pipeline.find_motion",
-        "polhode.pipeline.images",
+        "polhode.pipeline.context",
         "polhode.pipeline.consistency_check", "polhode.pipeline.correspondences")  # fmt: skip
 DISTRIBUTIONS = (*BASE, "torch", "opencv-python-headless", "kornia")
 
@@ -38,11 +37,10 @@ def measure(
     if file.is_file() and stamp_file.is_file() and json.loads(stamp_file.read_text()) == stamp:
         return read_measurements(file), read_relative_poses(file)
     stamp_file.unlink(missing_ok=True)
-    images, clock = open_images(sequence), Stopwatch()
-    sight = look(images, config, progress, clock)
-    # the last motion has the best measurements
-    for found in find_motion(images, sight, config, progress, clock):
-        tracks, links = found.tracks, found.links
+    context = open_context(sequence, config, progress)
+    # The last solution has the best measurements.
+    for solution in find_motion(context, match_frames(context)):
+        tracks, links = solution.tracks, solution.links
     write_measurements(tracks, file, links)
     write_text(stamp_file, json.dumps(stamp) + "\n")
     return read_measurements(file), read_relative_poses(file)

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError
 
 from polhode.atomic import write_text
 from polhode.errors import InputError
-from polhode.pipeline.run_directory.summary_parts import Finite, Part
+from polhode.pipeline.run_directory.summary_schema import Finite, Part
 
 Status = Literal["ok", "baseline", "failed", "timeout", "missing"]
 Kept = Literal["answer", "best", "last", "nothing"]

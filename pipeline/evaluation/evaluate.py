@@ -40,7 +40,8 @@ from polhode.metrics import (
 )
 from polhode.pipeline.evaluation.seen_surface import seen_and_lit
 from polhode.pipeline.run_directory.archives import Covariance, read_covariance
-from polhode.pipeline.run_directory.summary import Summary, read_summary
+from polhode.pipeline.run_directory.summary import read_summary
+from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.records import Ints, Truth
 from polhode.rigid_body import propagate

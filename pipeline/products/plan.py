@@ -11,7 +11,7 @@ from polhode.mapping.mesh_files import read_ply
 from polhode.mesh_metrics import distance_to_surface
 from polhode.pipeline.products.predict import last_body
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
-from polhode.pipeline.run_directory.summary import Summary
+from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.approach.corridor import Corridor, corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
 from polhode.planning.keep_out.volumes import KeepOut, Wanted, keep_out, member_times

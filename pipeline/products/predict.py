@@ -18,7 +18,8 @@ from polhode.pipeline.run_directory.archives import (
     undetermined_as_inf,
     write_arrays,
 )
-from polhode.pipeline.run_directory.summary import Summary, read_summary
+from polhode.pipeline.run_directory.summary import read_summary
+from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import (
     Trajectory,
     read_trajectory,

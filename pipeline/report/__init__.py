@@ -1,7 +1,17 @@
-"""report.html: one self-contained page, made from what a run stored; and one page for several runs."""
+"""The report: one self-contained HTML page, made from what a run stored; or one page for several runs.
+
+In: a run directory. Out: report.html.
+
+- page: fills the template with tables and figures; finish_run writes the summary and the report of a run
+- comparison: the page about several runs
+- tables: the finding in a sentence, and the rows of every table
+- motion, rotation, convergence, residuals, shape: the figures by topic
+- plot: axes, traces and colours that the figures share, as plain data for plotly.js
+- templates/: the pages, Jinja
+"""
 
 from polhode.pipeline.report.comparison import write_comparison
-from polhode.pipeline.report.page import refresh_report, write_report
-from polhode.pipeline.report.wording import finding
+from polhode.pipeline.report.page import finish_run, write_report
+from polhode.pipeline.report.tables import finding
 
-__all__ = ["finding", "refresh_report", "write_comparison", "write_report"]
+__all__ = ["finding", "finish_run", "write_comparison", "write_report"]

@@ -8,11 +8,11 @@ import numpy as np
 
 from polhode.atomic import write_text
 from polhode.lie import Array
-from polhode.pipeline.report import wording as words
-from polhode.pipeline.report.content import Content, read_content
+from polhode.pipeline.report import tables
 from polhode.pipeline.report.page import fill, run_name
 from polhode.pipeline.report.plot import Figure, Trace, axis, layout, line, translucent
 from polhode.pipeline.report.rotation import confidence_ellipse, possible_bodies
+from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 
 RUN_COLORS: tuple[str, ...] = (
     "#5b3f8c",
@@ -37,12 +37,12 @@ def write_comparison(folders: Sequence[Path], path: Path) -> None:
     names = [
         name if names.count(name) == 1 else str(folder) for name, folder in zip(names, folders, strict=True)
     ]
-    contents = [read_content(folder, name) for folder, name in zip(folders, names, strict=True)]
+    contents = [read_stored_run(folder, name) for folder, name in zip(folders, names, strict=True)]
     runs = [
         {
             "name": content.name,
             "status": content.summary.status,
-            "finding": words.finding(content.summary, content.motion.trajectory if content.motion else None),
+            "finding": tables.finding(content.summary, content.motion.trajectory if content.motion else None),
         }
         for content in contents
     ]
@@ -53,28 +53,30 @@ def write_comparison(folders: Sequence[Path], path: Path) -> None:
     write_text(path, page)
 
 
-def side_by_side(contents: Sequence[Content]) -> list[tuple[str, list[str]]]:
+def side_by_side(contents: Sequence[StoredRun]) -> list[tuple[str, list[str]]]:
     """(quantity, one cell per run) of every number that any of the runs holds, in the order of the report."""
     columns = [_cells(content) for content in contents]
     names = list(dict.fromkeys(name for column in columns for name in column))
     return [(name, [column.get(name, NO_VALUE) for column in columns]) for name in names]
 
 
-def _cells(content: Content) -> dict[str, str]:
-    inertia = [row for row in words.inertia_rows(content.summary) if not row.name.startswith(OWN_FRAME)]
-    rows = [*inertia, *words.motion_rows(content.motion), *words.run_rows(content)]
+def _cells(content: StoredRun) -> dict[str, str]:
+    inertia = [row for row in tables.inertia_rows(content.summary) if not row.name.startswith(OWN_FRAME)]
+    rows = [*inertia, *tables.motion_rows(content.motion), *tables.run_rows(content)]
     cells = {row.name: f"{row.value} {row.unit}".strip() for row in rows}
     cells |= {
-        f"time, {stage}": f"{seconds:.1f} s" for stage, seconds, _ in words.timing_rows(content.summary)
+        f"time, {stage}": f"{seconds:.1f} s" for stage, seconds, _ in tables.timing_rows(content.summary)
     }
-    return cells | {f"against the truth: {row.name}": row.value for row in words.metric_rows(content.metrics)}
+    return cells | {
+        f"against the truth: {row.name}": row.value for row in tables.metric_rows(content.metrics)
+    }
 
 
 def _color(k: int) -> str:
     return RUN_COLORS[k % len(RUN_COLORS)]
 
 
-def _ratios(contents: Sequence[Content]) -> list[Figure]:
+def _ratios(contents: Sequence[StoredRun]) -> list[Figure]:
     """k1 and k2 of the runs that have them, with ellipses where they are determined."""
     data: list[Trace] = []
     points: list[Array] = []
@@ -115,7 +117,7 @@ def _ratios(contents: Sequence[Content]) -> list[Figure]:
     ]
 
 
-def _rates(contents: Sequence[Content]) -> list[Figure]:
+def _rates(contents: Sequence[StoredRun]) -> list[Figure]:
     """The magnitude of the angular velocity: the same in every frame, so that runs can be laid together."""
     data: list[Trace] = []
     for k, content in enumerate(contents):

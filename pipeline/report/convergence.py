@@ -3,8 +3,8 @@
 import numpy as np
 
 from polhode.lie import Array, log_so3, transform_points
-from polhode.pipeline.report.content import Content, Motion
 from polhode.pipeline.report.plot import AXIS_COLORS, FAINT, INK, Figure, Layout, Trace, band, line, panels
+from polhode.pipeline.run_directory.stored_run import Motion, StoredRun
 from polhode.pipeline.run_directory.trajectory_file import standard_deviations
 from polhode.records import Bools, OnlineEstimate
 
@@ -20,7 +20,7 @@ WIDEST = 8.0
 """A panel shows so many final standard deviations around the final value, or half of what was determined."""
 
 
-def convergence_figures(content: Content) -> list[Figure]:
+def convergence_figures(content: StoredRun) -> list[Figure]:
     """Mass properties and states against the number of frames; nothing without online.npz."""
     if content.online is None or content.motion is None or len(content.online.timestamps_ns) < 2:
         return []
@@ -28,7 +28,7 @@ def convergence_figures(content: Content) -> list[Figure]:
     return [_mass(content, online), _states(motion, online), _differences(motion, online)]
 
 
-def _mass(content: Content, online: OnlineEstimate) -> Figure:
+def _mass(content: StoredRun, online: OnlineEstimate) -> Figure:
     """Ratios, centre of mass and axes with their bands, above; their standard deviations, below."""
     inertia = content.summary.inertia
     assert inertia is not None and content.motion is not None

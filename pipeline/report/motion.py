@@ -3,11 +3,11 @@
 import numpy as np
 
 from polhode.lie import Array
-from polhode.pipeline.report.content import Content, Motion
 from polhode.pipeline.report.plot import AXIS_COLORS, Figure, Layout, band, gap_shapes, line, panels
+from polhode.pipeline.run_directory.stored_run import Motion, StoredRun
 
 
-def motion_figures(content: Content) -> list[Figure]:
+def motion_figures(content: StoredRun) -> list[Figure]:
     """Position and velocity, attitude, angular velocity; nothing without an estimate."""
     if content.motion is None:
         return []
@@ -31,7 +31,7 @@ def straight_line_residual(time_s: Array, p: Array, sigma: Array) -> Array:
     return out
 
 
-def _bridged(content: Content, columns: int = 1) -> list[Layout]:
+def _bridged(content: StoredRun, columns: int = 1) -> list[Layout]:
     if content.tracks is None or content.motion is None:
         return []
     seen = np.zeros(content.tracks.n_frames, dtype=np.bool_)

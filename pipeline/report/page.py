@@ -1,12 +1,14 @@
-"""Puts words and figures into one HTML file that needs nothing else: no network, no other file."""
+"""The report of a run: one HTML file that needs no network and no other file."""
 
 import base64
 import contextlib
 import io
 import json
+import logging
 import re
 from functools import cache
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -15,45 +17,60 @@ from PIL import Image
 from plotly.offline import get_plotlyjs
 
 from polhode.atomic import write_text
-from polhode.pipeline.report import wording as words
-from polhode.pipeline.report.conserved import conserved_figures
-from polhode.pipeline.report.content import Content, Picture, read_content
+from polhode.errors import InputError
+from polhode.pipeline.report import tables
 from polhode.pipeline.report.convergence import convergence_figures
-from polhode.pipeline.report.mesh_wording import mesh_rows, mesh_sentences
 from polhode.pipeline.report.motion import motion_figures
 from polhode.pipeline.report.plot import Figure
 from polhode.pipeline.report.residuals import measurement_figures
 from polhode.pipeline.report.rotation import rotation_figures
 from polhode.pipeline.report.shape import shape_figures
-from polhode.pipeline.report.sigmas import sigma_rows
+from polhode.pipeline.run_directory.stored_run import Picture, StoredRun, read_stored_run
+from polhode.pipeline.run_directory.summary import write_summary
+from polhode.pipeline.run_directory.summary_schema import Summary
+
+_log = logging.getLogger(__name__)
 
 SHEETS = ("landmarks.png", "mesh.png")
-"""Pictures of the whole width; the file in RUN/pictures is sharper."""
+"""Pictures over the full width of the page; the files in RUN/pictures are sharper."""
 
 
 def write_report(folder: Path, path: Path | None = None, name: str | None = None) -> None:
     """Write the report of the run in ``folder`` to ``path``, RUN/report.html unless given.
 
-    Made from the stored files alone, so it can be written again at any time. ``name`` is what the page calls
-    the run, the folder's name unless given. Raises InputError when the folder holds no run.
+    Made from the stored files alone, so it can be written again at any time. ``name`` is the run's name on
+    the page, by default the folder's. Raises InputError when the folder is not a run.
     """
-    content = read_content(folder, name or run_name(folder))
+    content = read_stored_run(folder, name or run_name(folder))
     write_text(path or folder / "report.html", render(content))
 
 
-def refresh_report(folder: Path) -> None:
-    """Write RUN/report.html again, after metrics.json came to a run."""
-    write_report(folder)
+def finish_run(folder: Path, summary: Summary) -> Summary:
+    """Write summary.json and report.html. Returns the summary, with the time that the report took."""
+    write_summary(summary, folder / "summary.json")
+    start = perf_counter()
+    try:
+        write_report(folder)
+    except InputError as error:
+        # The results stand even without their page.
+        _log.warning("no report: %s", error)
+        summary = summary.model_copy(update={"warnings": [*summary.warnings, f"no report: {error}"]})
+    seconds = perf_counter() - start
+    times = summary.timing_s
+    timing = times.model_copy(update={"report": times.report + seconds, "total": times.total + seconds})
+    timed = summary.model_copy(update={"timing_s": timing})
+    write_summary(timed, folder / "summary.json")
+    return timed
 
 
-def render(content: Content) -> str:
+def render(content: StoredRun) -> str:
     """The whole page."""
     summary, motion = content.summary, content.motion
     sections = [
         ("Motion", motion_figures(content), "The run did not reach an estimate of the motion."),
         (
             "Rotation and inertia",
-            [*rotation_figures(content), *conserved_figures(content)],
+            rotation_figures(content),
             "The run did not reach an estimate of the inertia.",
         ),
         ("Convergence", convergence_figures(content), "The run holds no causal estimate."),
@@ -64,30 +81,30 @@ def render(content: Content) -> str:
         "report.html.j2",
         title=content.name,
         name=content.name,
-        finding=words.finding(summary, motion.trajectory if motion else None),
+        finding=tables.finding(summary, motion.trajectory if motion else None),
         summary=summary,
-        inertia_rows=words.inertia_rows(summary),
-        absolute_rows=words.absolute_rows(summary),
-        push_rows=words.push_rows(summary),
-        assumed_rows=words.assumed_rows(summary.assumed),
-        mesh_rows=mesh_rows(summary),
-        mesh_sentences=mesh_sentences(summary),
-        motion_rows=words.motion_rows(motion),
-        sigma_rows=sigma_rows(content),
-        run_rows=words.run_rows(content),
-        timing_rows=words.timing_rows(summary),
-        metric_rows=words.metric_rows(content.metrics),
+        inertia_rows=tables.inertia_rows(summary),
+        absolute_rows=tables.absolute_rows(summary),
+        push_rows=tables.push_rows(summary),
+        assumed_rows=tables.assumed_rows(summary.assumed),
+        mesh_rows=tables.mesh_rows(summary),
+        mesh_sentences=tables.mesh_sentences(summary),
+        motion_rows=tables.motion_rows(motion),
+        sigma_rows=tables.sigma_rows(content),
+        run_rows=tables.run_rows(content),
+        timing_rows=tables.timing_rows(summary),
+        metric_rows=tables.metric_rows(content.metrics),
         sections=sections,
         has_surface=content.surface is not None,
-        sheets=[_shown(each) for each in content.pictures if each.name in SHEETS],
-        stills=[_shown(each) for each in content.pictures if each.name.startswith("model")],
-        pictures=[_shown(each) for each in content.pictures if each.name[0].isdigit()],
+        sheets=[_embedded(each) for each in content.pictures if each.name in SHEETS],
+        stills=[_embedded(each) for each in content.pictures if each.name.startswith("model")],
+        pictures=[_embedded(each) for each in content.pictures if each.name[0].isdigit()],
         config_text=content.config_text,
     )
 
 
 def fill(template: str, **values: Any) -> str:
-    """A template of this package with its values, the drawing library and the writer of figures."""
+    """A template of this package, filled with values; it also gets plotly.js and the encoder of figures."""
     return (
         _environment()
         .get_template(template)
@@ -96,7 +113,7 @@ def fill(template: str, **values: Any) -> str:
 
 
 def run_name(folder: Path) -> str:
-    """The run's name, also while it is being written in a hidden folder beside its place."""
+    """The run's name, also while it is being written into a hidden folder beside its final one."""
     return re.sub(r"^\.(.+)\.partial-\w+$", r"\1", folder.resolve().name)
 
 
@@ -120,18 +137,18 @@ def _figure_json(figure: Figure) -> Markup:
 
 @cache
 def _plotly_js() -> Markup:
-    """The library; the addresses in its own links (maps, its logo) are respelt so that no scanner takes them
-    for something that this page loads. To JavaScript the strings are the same.
+    """The library. The addresses of its own links (maps, its logo) are escaped, so that no scanner takes them
+    for something that this page loads; to JavaScript the strings are the same.
     """
     return Markup(re.sub(r"((?:src|href)\s*=\s*.?)h(ttps?:)", r"\1\\u0068\2", get_plotlyjs()))
 
 
-def _shown(picture: Picture) -> tuple[str, str]:
+def _embedded(picture: Picture) -> tuple[str, str]:
     """Caption and content; sheets as JPEG, which is a quarter of the size."""
     content = picture.content
     if picture.name in SHEETS:
         stream = io.BytesIO()
-        # A file that is no picture is shown as the browser shows such a thing.
+        # A file that is not an image is left to the browser.
         with contextlib.suppress(OSError):
             Image.open(io.BytesIO(content)).convert("RGB").save(stream, "JPEG", quality=86)
             content = stream.getvalue()

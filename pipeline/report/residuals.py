@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from polhode.pipeline.report.content import Content
 from polhode.pipeline.report.plot import (
     ACCENT,
     AXIS_COLORS,
@@ -18,6 +17,7 @@ from polhode.pipeline.report.plot import (
     panels,
 )
 from polhode.pipeline.run_directory.archives import Residuals
+from polhode.pipeline.run_directory.stored_run import StoredRun
 from polhode.records import StereoTracks
 
 NAMES = ("u", "v", "disparity")
@@ -25,7 +25,7 @@ INLIER_WEIGHT = 0.5
 """A measurement with less weight in the robust kernel counts as an outlier here."""
 
 
-def measurement_figures(content: Content) -> list[Figure]:
+def measurement_figures(content: StoredRun) -> list[Figure]:
     """Residuals (histogram, history), observations per frame, landmarks over time: those that exist."""
     if content.tracks is None or len(content.tracks.frame) == 0:
         return []
@@ -50,7 +50,7 @@ def rms_per_frame(
         return np.stack([np.sqrt(s / np.where(count > 0, count, np.nan)) for s in sums], axis=1)
 
 
-def _histogram(content: Content, tracks: StereoTracks, residuals: Residuals) -> Figure:
+def _histogram(content: StoredRun, tracks: StereoTracks, residuals: Residuals) -> Figure:
     normalised = residuals.residuals_px / tracks.sigma_px
     edges = np.linspace(-5, 5, 1 + int(np.clip(np.sqrt(len(normalised)), 20, 80)))
     centres, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]

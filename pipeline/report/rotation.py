@@ -1,11 +1,10 @@
-"""Figures of the rotation: the polhode and the inertia ratios."""
+"""Figures of the rotation: the polhode, the inertia ratios, and what a free body conserves."""
 
 from typing import Any
 
 import numpy as np
 
 from polhode.lie import Array
-from polhode.pipeline.report.content import Content, Motion
 from polhode.pipeline.report.plot import (
     ACCENT,
     FAINT,
@@ -14,25 +13,28 @@ from polhode.pipeline.report.plot import (
     Figure,
     Trace,
     axis,
+    band,
     color_bar,
     layout,
     line,
     note,
     on,
     packed,
+    panels,
     scene,
 )
-from polhode.rigid_body import angular_acceleration, rotational_energy
+from polhode.pipeline.run_directory.stored_run import Motion, StoredRun
+from polhode.rigid_body import angular_acceleration, angular_momentum_N, rotational_energy
 
 FLAT_LIMIT = float(np.log(2.0))
 """k1 of a thin disc that is symmetric about its axis, Jxx = 2 Jyy: no body with k2 = 0 lies beyond."""
 
 
-def rotation_figures(content: Content) -> list[Figure]:
-    """Polhode, inertia ratios; nothing without an estimate."""
+def rotation_figures(content: StoredRun) -> list[Figure]:
+    """Polhode, inertia ratios, conserved quantities; nothing without an estimate."""
     if content.motion is None:
         return []
-    return [_polhode(content.motion), _ratios(content)]
+    return [_polhode(content.motion), _ratios(content), _conserved(content.motion)]
 
 
 def torque_free_path(time_s: Array, w_P: Array, moments: Array) -> Array:
@@ -170,7 +172,7 @@ def _wires(semi_axes: Array, name: str) -> Trace:
     }
 
 
-def _ratios(content: Content) -> Figure:
+def _ratios(content: StoredRun) -> Figure:
     inertia, known = content.summary.inertia, content.summary.identifiable
     assert inertia is not None and known is not None
     mean = np.array([inertia.k1, inertia.k2])
@@ -250,3 +252,56 @@ def _truth(metrics: dict[str, Any], mean: Array) -> Array | None:
 
 def _xyz(points: Array) -> dict[str, Any]:
     return {name: packed(points[:, k]) for k, name in enumerate("xyz")}
+
+
+def _conserved(motion: Motion) -> Figure:
+    path, moments = motion.trajectory, motion.moments
+    cov_v = motion.covariance.covariance[:, 3:6, 3:6]
+    cov_w = motion.covariance.covariance[:, 9:12, 9:12]
+    h_P = path.w_P * moments
+    energy, momentum = rotational_energy(np.diag(moments), path.w_P), np.linalg.norm(h_P, axis=1)
+    h_N = angular_momentum_N(np.diag(moments), path.R_NP, path.w_P)
+    mean_h = np.mean(h_N, axis=0)
+    # The arctangent keeps its digits at small angles, where the arccosine has none.
+    tilt = np.arctan2(np.linalg.norm(np.cross(h_N, mean_h), axis=1), h_N @ mean_h)
+    translation = 0.5e6 * np.sum(path.v_N**2, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope_h = h_P * moments / momentum[:, None]
+        curves = (
+            (100 * (energy / energy.mean() - 1), 100 * _sigma(h_P, cov_w) / energy.mean(), 0.0),
+            (translation, 1e6 * _sigma(path.v_N, cov_v), float(np.mean(translation))),
+            (100 * (momentum / momentum.mean() - 1), 100 * _sigma(slope_h, cov_w) / momentum.mean(), 0.0),
+        )
+    figure = panels(
+        [
+            ("rotation [%]", "½ v² [mm²/s²]"),
+            ("momentum [%]", "direction [deg]"),
+        ],
+        "time since the first frame [s]",
+        showlegend=False,
+    )
+    ends = path.time_s[[0, -1]]
+    dashes = {"mode": "lines", "line": {"color": FAINT, "width": 1.2, "dash": "dash"}}
+    data = []
+    for panel, (value, sigma, mean) in enumerate(curves, start=1):
+        data += band(path.time_s, value, 3 * sigma, ACCENT, panel)
+        data.append(line(ends, [mean, mean], "mean", FAINT, panel, **dashes))
+        data.append(line(path.time_s, value, "", ACCENT, panel))
+    data.append(line(path.time_s, np.rad2deg(tilt), "", ACCENT, 4))
+    figure["yaxis4"]["rangemode"] = "tozero"
+    return Figure(
+        "energy-momentum",
+        "Energy and angular momentum",
+        "Kinetic energy of the rotation relative to its mean, and of the translation per mass; angular "
+        "momentum relative to its mean, and the angle between it in N and its mean direction. Bands: three "
+        "standard deviations, from the velocities alone. Without force and torque all are constant: a drift "
+        "beyond the bands speaks of one, or of a wrong inertia.",
+        data,
+        figure,
+        height_px=480,
+    )
+
+
+def _sigma(gradient: Array, covariance: Array) -> Array:
+    """Root of g C g per row: gradient (F, 3), covariance (F, 3, 3) -> (F,)."""
+    return np.asarray(np.sqrt(np.einsum("fi,fij,fj->f", gradient, covariance, gradient)))

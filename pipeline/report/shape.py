@@ -7,7 +7,6 @@ import trimesh
 from trimesh.visual.color import ColorVisuals
 
 from polhode.lie import Array, inverse_pose
-from polhode.pipeline.report.content import Content
 from polhode.pipeline.report.plot import (
     INK,
     SIGMA_SCALE,
@@ -20,13 +19,14 @@ from polhode.pipeline.report.plot import (
     packed,
     scene,
 )
+from polhode.pipeline.run_directory.stored_run import StoredRun
 from polhode.records import Ints, Landmarks
 
 MAX_FACES = 60_000
 """A denser mesh is thinned for the page; mesh.ply keeps everything."""
 
 
-def shape_figures(content: Content) -> list[Figure]:
+def shape_figures(content: StoredRun) -> list[Figure]:
     """Map and mesh: those that exist."""
     figures = []
     if content.landmarks is not None and len(content.landmarks.p_G):
@@ -66,7 +66,7 @@ def thinned(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
     return centres, merged[np.sort(keep)], first
 
 
-def cameras_in_target(content: Content) -> Array | None:
+def cameras_in_target(content: StoredRun) -> Array | None:
     """Positions of the left camera in G (F, 3) [m], one per frame."""
     if content.motion is None or content.tracks is None:
         return None
@@ -74,7 +74,7 @@ def cameras_in_target(content: Content) -> Array | None:
     return np.asarray((X_GN @ content.tracks.X_NR)[:, :3, 3])
 
 
-def _map(content: Content, landmarks: Landmarks) -> Figure:
+def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
     p_mm, sigma_mm = 1e3 * landmarks.p_G, 1e3 * landmarks.sigma_m
     known = np.isfinite(sigma_mm)
     top = float(np.quantile(sigma_mm[known], 0.95)) if np.any(known) else 1.0
@@ -111,7 +111,7 @@ def _map(content: Content, landmarks: Landmarks) -> Figure:
     )
 
 
-def _mesh(content: Content, mesh: trimesh.Trimesh) -> Figure:
+def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
     vertices, faces, source = thinned(mesh, MAX_FACES)
     p_mm = 1e3 * vertices
     rgb = stretched(vertex_rgb(mesh))[source]
@@ -163,7 +163,7 @@ def stretched(rgb: "np.ndarray[Any, np.dtype[np.uint8]]") -> "np.ndarray[Any, np
     return np.asarray(np.round(255.0 * share ** (1 / 1.4)), dtype=np.uint8)
 
 
-def _body_axes(content: Content, p_mm: Array) -> list[Trace]:
+def _body_axes(content: StoredRun, p_mm: Array) -> list[Trace]:
     if content.motion is None:
         return []
     com_mm = 1e3 * content.motion.com_G
@@ -178,7 +178,7 @@ def _body_axes(content: Content, p_mm: Array) -> list[Trace]:
     return [centre, *axis_arrows(com_mm, content.motion.R_GP, length, "xyz")]
 
 
-def _cameras(content: Content, p_mm: Array) -> list[Trace]:
+def _cameras(content: StoredRun, p_mm: Array) -> list[Trace]:
     positions = cameras_in_target(content)
     if positions is None or content.motion is None:
         return []
@@ -201,7 +201,7 @@ def _points(p_mm: Array, name: str, marker: dict[str, Any], **more: Any) -> Trac
     return {"type": "scatter3d", "mode": "markers", **xyz, "name": name, "marker": marker, **more}
 
 
-def _body_layout(content: Content) -> dict[str, Any]:
+def _body_layout(content: StoredRun) -> dict[str, Any]:
     """Seen from where the left camera stood at the first frame, so that a side that was seen is in front."""
     positions = cameras_in_target(content)
     away = positions[0] - content.motion.com_G if positions is not None and content.motion else np.zeros(3)

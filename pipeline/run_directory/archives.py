@@ -1,20 +1,27 @@
-"""covariance.npz and measurements.npz: arrays under names, the same bytes for the same content.
+"""covariance.npz, measurements.npz and online.npz: named arrays, the same bytes for the same content.
 
-NumPy stamps every member of an archive with 1980-01-01, so no clock enters the file.
+NumPy stamps every member of an archive with 1980-01-01, so no clock enters the file. On reading, every array
+must have its shape and no NaN; what is wrong raises InputError, one line that names file, array and row.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+from zlib import error as ZlibError
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polhode.atomic import replaced
 from polhode.camera import RectifiedRig
+from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.pipeline.run_directory.archive_file import Archive, Arrays, load_archive
-from polhode.records import Ints, MotionEstimate, RelativePoses, StereoTracks, Wrench
+from polhode.records import Ints, MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks, Wrench
+
+Arrays = dict[str, NDArray[np.generic]]
+REMEDY = "run 'polhode run' again"
 
 STATE_ORDER: tuple[str, ...] = tuple(
     f"{name}_{axis}" for name in ("r_N", "v_N", "theta_P", "w_P") for axis in "xyz"
@@ -27,7 +34,7 @@ JOINT_ORDER: tuple[str, ...] = (
 )
 """Rows and columns of the 20x20 joint covariance: last state, the solver's inertia parameters, com_G."""
 BODY_ORDER: tuple[str, ...] = tuple(name.replace("_P_", "_G_") for name in JOINT_ORDER)
-"""The same with attitude and rate of the body itself, along G."""
+"""The same with attitude and angular velocity of the body itself, along G."""
 POSE_ORDER: tuple[str, ...] = tuple(f"{name}_G_{axis}" for name in ("shift", "turn") for axis in "xyz")
 """Rows and columns of the 6x6 covariance of X_NG."""
 
@@ -36,7 +43,7 @@ _TRACKS = tuple(f.name for f in fields(StereoTracks) if f.name not in ("rig", "w
 
 @dataclass(frozen=True)
 class Covariance:
-    """What covariance.npz holds: SI units, ``inf`` on the diagonal where undetermined, never NaN."""
+    """StoredRun of covariance.npz: SI units, ``inf`` on the diagonal where undetermined, never NaN."""
 
     timestamps_ns: Ints
     """(F,)"""
@@ -47,18 +54,76 @@ class Covariance:
     last_body: Array | None = None
     """(20, 20) always finite; None in a run of an earlier version"""
     covariance_X_NG: Array | None = None
-    """(F, 6, 6) as in ``MotionEstimate``: the weight of each frame's depth; None: not known, or an earlier
-    version"""
+    """(F, 6, 6) as in ``MotionEstimate``: it weights each frame's depth; None: not stored"""
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """What the back end left of each measurement."""
+    """Residual and weight of each measurement after the estimate."""
 
     residuals_px: Array
     """(M, 3) measured minus predicted uvd [px]"""
     inlier_weight: Array
     """(M,) weight of the robust kernel"""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """An .npz file with its arrays, each checked when it is taken out."""
+
+    file: Path
+    arrays: Arrays
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.arrays
+
+    def numbers(self, name: str, *shape: int | None, infinite: bool = False) -> Array:
+        """An array of floats, all finite, or with ``infinite`` none NaN. A shape of None is any length."""
+        values = self._shaped(name, shape, "fiu").astype(np.float64)
+        bad = np.isnan(values) if infinite else ~np.isfinite(values)
+        if bad.any():
+            row = f" in row {np.argwhere(bad)[0][0]}" if shape else ""
+            raise self.wrong(f"{name} holds {'NaN' if infinite else 'NaN or infinity'}{row}")
+        return values
+
+    def whole(self, name: str, *shape: int | None, below: int | None = None) -> Ints:
+        """An array of integers; with ``below`` they are indices, 0 <= i < below."""
+        values = self._shaped(name, shape, "iu").astype(np.int64)
+        if below is not None and values.size and (values.min() < 0 or values.max() >= below):
+            raise self.wrong(f"{name} points outside the run")
+        return values
+
+    def number(self, name: str) -> float:
+        """A single finite number."""
+        return float(self.numbers(name))
+
+    def times(self, name: str, count: int | None = None) -> Ints:
+        """(n,) strictly increasing [ns]"""
+        stamps = self.whole(name, count)
+        later = np.diff(stamps) > 0
+        if not later.all():
+            raise self.wrong(f"{name} does not increase in row {int(np.argmin(later)) + 1}")
+        return stamps
+
+    def wrong(self, what: str) -> InputError:
+        """The error to raise."""
+        return InputError(f"{self.file}: {what}; {REMEDY}")
+
+    def _shaped(self, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[np.generic]:
+        if name not in self.arrays:
+            raise self.wrong(f"the array {name} is missing")
+        values = self.arrays[name]
+        if values.dtype.kind not in kinds:
+            kind = "numbers" if "f" in kinds else "whole numbers"
+            raise self.wrong(f"{name} holds {values.dtype}, expected {kind}")
+        fits = len(values.shape) == len(shape) and all(
+            wanted in (None, size) for wanted, size in zip(shape, values.shape, strict=True)
+        )
+        if not fits:
+            wanted = " x ".join("n" if size is None else str(size) for size in shape) or "one number"
+            given = " x ".join(map(str, values.shape)) or "one number"
+            raise self.wrong(f"{name} is {given}, expected {wanted}")
+        return values
 
 
 def undetermined_as_inf(covariance: Array) -> Array:
@@ -207,3 +272,41 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
     """An .npz archive: the same bytes for the same content."""
     with replaced(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
+
+
+def load_archive(path: Path, name: str) -> Archive:
+    """Read the file, or that of this name in the folder of a run."""
+    file = path / name if path.is_dir() else path
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; give the folder of a run")
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            return Archive(file, {key: archive[key] for key in archive.files})
+    except (BadZipFile, ZlibError, ValueError, OSError, EOFError, AttributeError) as error:
+        raise InputError(f"{file}: not a readable archive of arrays ({error})") from error
+
+
+def write_online(online: OnlineEstimate, path: Path) -> None:
+    """Keys: the fields of OnlineEstimate. The same bytes for the same content."""
+    write_arrays(path, {f.name: np.asarray(getattr(online, f.name)) for f in fields(online)})
+
+
+def read_online(path: Path) -> OnlineEstimate | None:
+    """Read online.npz (the file, or the run folder that holds it); None when the run has none.
+
+    Raises InputError, one line, when it cannot be read.
+    """
+    file = path / "online.npz" if path.is_dir() else path
+    if not file.is_file():
+        return None
+    archive = load_archive(file, "online.npz")
+    count = len(archive.times("timestamps_ns"))
+    found: dict[str, Any] = {}
+    for name in (field.name for field in fields(OnlineEstimate)):
+        values = archive.arrays.get(name)
+        if values is None or values.shape[:1] != (count,):
+            raise archive.wrong(f"{name} has not one row for each of {count} frames")
+        found[name] = (
+            archive.numbers(name, *values.shape, infinite=True) if values.dtype.kind == "f" else values
+        )
+    return OnlineEstimate(**found)

@@ -1,26 +1,26 @@
 """The run directory as a whole: it appears complete under its name, or not at all.
 
 Everything is written into a hidden folder beside RUN, which is renamed to RUN at the end:
-- the block ends well: the new run takes the place (with ``overwrite``, the old one goes only now);
-- the run fails: summary.json gets the status ``failed`` and what was found takes the place all the same,
-  unless nothing was found and a run stands there already: that one is kept;
-- the user's mistake (InputError) or an interrupt: nothing is left, and what stood there stays.
+- success: the new run is published (with ``overwrite``, the old one is removed only now);
+- failure of the run: summary.json gets the status ``failed`` and the results so far are published, unless
+  there are none and a run exists already, which is then kept;
+- the user's mistake (InputError) or an interrupt: nothing is left behind, and an existing run stays.
 """
 
 import logging
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
 from polhode.errors import InputError
-from polhode.pipeline.report import write_report
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.summary import build_summary, read_summary, write_summary
 
 RESULTS: tuple[str, ...] = ("measurements.npz", "trajectory.csv", "landmarks.ply", "mesh.ply")
-"""A failed run that holds one of these has found something."""
+"""A failed run is worth publishing if it contains one of these."""
 PACKAGES: tuple[str, ...] = ("polhode",)
 """Loggers whose messages go to log.txt."""
 
@@ -28,16 +28,20 @@ _log = logging.getLogger(__name__)
 
 
 class RunFolder:
-    """``with RunFolder(path, overwrite) as folder:`` write into ``folder``; it becomes ``path`` at the end.
+    """``with RunFolder(path, ...) as folder:`` write into ``folder``; it becomes ``path`` at the end.
 
-    The constructor raises InputError at once when ``path`` is a file, or a folder that holds anything, unless
-    it holds a run and ``overwrite`` is set. Log messages of our packages go to ``folder/log.txt``.
+    The constructor raises InputError at once when ``path`` is a file, or a folder that is not empty, unless
+    it is a run and ``overwrite`` is set. ``write_report`` makes the report of a failed run from its files.
+    Log messages of the program go to ``folder/log.txt``.
     """
 
-    def __init__(self, path: Path, overwrite: bool = False) -> None:
+    def __init__(
+        self, path: Path, overwrite: bool = False, write_report: Callable[[Path], None] | None = None
+    ) -> None:
         self.path = path.absolute()
         self.overwrite = overwrite
-        _refuse(self.path, path, overwrite)
+        self.write_report = write_report
+        _require_usable(self.path, path, overwrite)
         self.folder: Path | None = None
         self._handler: logging.Handler | None = None
         self._levels: dict[str, int] = {}
@@ -62,7 +66,7 @@ class RunFolder:
         folder = self.folder
         assert folder is not None
         failed = isinstance(error, Exception) and not isinstance(error, InputError)
-        if error is not None and not (failed and self._worth_keeping(folder)):
+        if error is not None and not (failed and self._worth_publishing(folder)):
             self._close_log()
             shutil.rmtree(folder, ignore_errors=True)
             return
@@ -70,21 +74,23 @@ class RunFolder:
             if error is not None:
                 _log.error("the run failed: %s", error, exc_info=error)
                 record_failure(folder, _one_line(error))
+                if self.write_report is not None:
+                    self.write_report(folder)
         finally:
-            # Whatever broke the run may break its report too: the files that stand are published even so.
+            # The cause of the failure may break the report too: the files are published even then.
             self._close_log()
             self._publish(folder)
 
-    def _worth_keeping(self, folder: Path) -> bool:
-        return any((folder / name).exists() for name in RESULTS) or not _holds_anything(self.path)
+    def _worth_publishing(self, folder: Path) -> bool:
+        return any((folder / name).exists() for name in RESULTS) or not _is_not_empty(self.path)
 
     def _publish(self, folder: Path) -> None:
-        if not _holds_anything(self.path):
+        if not _is_not_empty(self.path):
             folder.rename(self.path)
             return
         if not self.overwrite:
             raise InputError(
-                f"{self.path}: another run was written here meanwhile; this one is kept in {folder}"
+                f"{self.path}: another run was written here in the meantime; this one is kept in {folder}"
             )
         old = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.old-", dir=self.path.parent))
         self.path.rename(old)
@@ -115,7 +121,7 @@ class RunFolder:
 
 
 def record_failure(folder: Path, message: str) -> None:
-    """Turn what stands in the folder into a failed run: summary.json and report.html say why."""
+    """Turn the files in the folder into a failed run, whose summary.json says why."""
     if (folder / "summary.json").exists():
         summary = read_summary(folder)
         warnings = list(dict.fromkeys([message, *summary.warnings]))
@@ -124,22 +130,21 @@ def record_failure(folder: Path, message: str) -> None:
         tracks = read_measurements(folder) if (folder / "measurements.npz").exists() else None
         summary = build_summary(tracks, None, None, {}, failure=message)
     write_summary(summary, folder / "summary.json")
-    write_report(folder)
 
 
-def _refuse(path: Path, shown: Path, overwrite: bool) -> None:
+def _require_usable(path: Path, shown: Path, overwrite: bool) -> None:
     if path.exists() and not path.is_dir():
-        raise InputError(f"{shown}: a file stands here; choose another folder for -o")
-    if not _holds_anything(path):
+        raise InputError(f"{shown}: this is a file; choose another folder for -o")
+    if not _is_not_empty(path):
         return
     is_run = (path / "summary.json").is_file()
     if is_run and not overwrite:
         raise InputError(
-            f"{shown}: already holds a run; choose another folder, or replace it with --overwrite"
+            f"{shown}: already contains a run; choose another folder, or replace it with --overwrite"
         )
     if not is_run:
         raise InputError(
-            f"{shown}: holds files that are not a run; choose another folder (it is never deleted)"
+            f"{shown}: contains files that are not a run and are never deleted; choose another folder"
         )
 
 
@@ -147,7 +152,7 @@ def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def _holds_anything(path: Path) -> bool:
+def _is_not_empty(path: Path) -> bool:
     return path.is_dir() and any(path.iterdir())
 
 

@@ -10,79 +10,26 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
 from polhode.atomic import write_text
 from polhode.errors import InputError
 from polhode.pipeline.run_directory.archives import undetermined_as_inf
-from polhode.pipeline.run_directory.shape_parts import Coverage, Mesh, Physics, ShapeFindings
-from polhode.pipeline.run_directory.summary_parts import (
-    Assumed,
-    Finite,
-    Identifiable,
-    IdentifiableComponents,
-    Inertia,
-    Matrix,
+from polhode.pipeline.run_directory.summary_schema import (
     Noise,
-    Part,
-    Solver,
+    ShapeFindings,
     Status,
-    Timing,
-    UnknownPush,
-    VarianceMatrix,
-    Vector,
+    Summary,
 )
 from polhode.records import MassProperties, MotionEstimate, StereoTracks, SurfaceModel
 
 STAGES: tuple[str, ...] = ("frontend", "initialization", "backend", "depth", "fusion", "report", "total")
 MANY_CONTRADICTED = 0.4
 """Share of the observations without weight that makes an answer doubtful."""
-SCHEMA_FILE = Path(__file__).with_name("summary.schema.json")
-
-
-class Summary(Part):
-    """What a run found. Parts that a failed run did not reach are null."""
-
-    schema_: Literal["polhode-summary/1"] = Field("polhode-summary/1", alias="schema")
-    status: Status
-    warnings: list[str]
-    frames: int = Field(ge=0)
-    """Stereo pairs, each a row of trajectory.csv; a frame that was dropped on reading has a warning."""
-    frames_used: int = Field(ge=0)
-    """Pairs with measurements; the others are bridged by the dynamics."""
-    landmarks: int = Field(ge=0)
-    observations: int = Field(ge=0)
-    duration_s: Finite
-    """Of the data."""
-    timing_s: Timing
-    inertia: Inertia | None
-    identifiable: Identifiable | None
-    identifiable_detail: dict[str, str]
-    """Per direction, the reason in words."""
-    identifiable_components: IdentifiableComponents | None
-    com_G: Vector | None
-    """[m]"""
-    cov_com_G: VarianceMatrix | None
-    """[m^2]"""
-    R_GP: Matrix | None
-    cov_R_GP: VarianceMatrix | None
-    """Of theta in R_GP Exp(theta) [rad^2]."""
-    solver: Solver | None
-    noise: Noise | None
-    unknown_pushes: tuple[UnknownPush, ...] = ()
-    """Of unknown forces and torques, in time."""
-    assumed: Assumed | None = None
-    """From uniform density of the mesh, where the user gave a mass or a density; null: neither."""
-    mesh: Mesh | None = None
-    """null: there is none."""
-    coverage: Coverage | None = None
-    """null: there is no mesh."""
-    physics: Physics | None = None
-    """null: the mesh tells no volume."""
 
 
 def build_summary(
@@ -195,12 +142,6 @@ def read_summary(path: Path) -> Summary:
         raise InputError(f"{file}: {where}: {first['msg']}; not a summary that polhode wrote") from error
 
 
-def summary_schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of summary.json."""
-    schema = Summary.model_json_schema(by_alias=True, mode="serialization")
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
-
-
 _OF_THE_ESTIMATE = (
     "inertia",
     "identifiable",
@@ -285,7 +226,3 @@ def _nullable(covariance: NDArray[np.float64]) -> list[list[float | None]]:
         [None if hide else float(value) for value, hide in zip(row, hide_row, strict=True)]
         for row, hide_row in zip(covariance, hidden, strict=True)
     ]
-
-
-if __name__ == "__main__":
-    write_text(SCHEMA_FILE, json.dumps(summary_schema(), indent=2) + "\n")

@@ -1,4 +1,4 @@
-"""trajectory.csv, trajectory_online.csv: one row per stereo pair, 26 numeric columns (CONTRACT.md).
+"""trajectory.csv, trajectory_online.csv: one row per stereo pair, 26 numeric columns (docs/run_directory.md).
 
 Numbers are written with the shortest text that reads back to the same float64, so the file is exact
 and its bytes depend on the estimate alone. Undetermined quantities have sigma ``inf``.
@@ -28,7 +28,7 @@ TRAJECTORY_COLUMNS: tuple[str, ...] = (
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What trajectory.csv holds, batch first."""
+    """StoredRun of trajectory.csv, batch first."""
 
     timestamps_ns: Ints
     """(F,)"""
@@ -68,7 +68,7 @@ def standard_deviations(covariance: Array) -> Array:
 
 
 def trajectory_of(estimate: MotionEstimate | OnlineEstimate) -> Trajectory:
-    """The smoothed estimate, or the causal one, as the table has it."""
+    """The table of the smoothed estimate, or of the causal one."""
     sigma = standard_deviations(estimate.covariance)
     return Trajectory(
         timestamps_ns=estimate.timestamps_ns,

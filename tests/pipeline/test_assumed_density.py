@@ -8,8 +8,9 @@ import pytest
 import trimesh
 
 from polhode.config.backend import Backend
+from polhode.mapping.uniform_solid import coverage, solid_of
 from polhode.mapping.visibility import Caster
-from polhode.pipeline.assumed_density import assumed_properties, coverage, solid_of
+from polhode.pipeline.uniform_density import assumed_properties
 from polhode.records import MassProperties, SurfaceModel
 
 BOX_M = (0.12, 0.20, 0.24)

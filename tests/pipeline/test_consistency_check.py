@@ -9,7 +9,7 @@ import pytest
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.config.backend import Backend
 from polhode.lie import exp_so3, make_pose
-from polhode.pipeline.consistency_check import attitudes_apart_deg, contradicts, revises
+from polhode.pipeline.consistency_check import attitude_difference_deg, contradicts_first_method, fits_worse
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
@@ -28,12 +28,12 @@ def solved(wrong: float = 0.0, noise_px: float = 1.0) -> MotionEstimate:
 
 @pytest.mark.parametrize(("wrong", "noise_px"), [(0.15, 1.0), (0.0, 1.4)])
 def test_a_worse_fit_is_seen(wrong: float, noise_px: float) -> None:
-    assert contradicts(solved(wrong, noise_px), solved())
+    assert fits_worse(solved(wrong, noise_px), solved())
 
 
 def test_as_good_a_fit_is_kept() -> None:
-    assert not contradicts(solved(0.0, 1.04), solved())
-    assert not contradicts(solved(), solved(0.15))
+    assert not fits_worse(solved(0.0, 1.04), solved())
+    assert not fits_worse(solved(), solved(0.15))
 
 
 def test_what_does_not_converge_is_refused_unless_nothing_did() -> None:
@@ -41,8 +41,8 @@ def test_what_does_not_converge_is_refused_unless_nothing_did() -> None:
         return replace(solved(), solver=replace(solved().solver, converged=False))
 
     assert solved().solver.converged
-    assert contradicts(unfinished(), solved())
-    assert not contradicts(unfinished(), unfinished())
+    assert fits_worse(unfinished(), solved())
+    assert not fits_worse(unfinished(), unfinished())
 
 
 def _turned(
@@ -59,21 +59,23 @@ def test_another_motion_is_a_revision_and_another_body_frame_is_none() -> None:
     tracks = generate(replace(SCENE, outliers=0.0, sigma_uv_px=1.0), 2).tracks
     every = np.ones(SCENE.frames, dtype=np.bool_)
     same = _turned(solved(), np.arange(0), 0.0)
-    assert attitudes_apart_deg(same, solved(), every) < 1e-6
-    assert not revises((tracks, same), (tracks, solved()), every)
+    assert attitude_difference_deg(same, solved(), every) < 1e-6
+    assert not contradicts_first_method((tracks, same), (tracks, solved()), every)
     # half of the frames turned by 8 degrees against the others: by 4 against the turn that fits best
     other = _turned(solved(), np.arange(SCENE.frames // 2), 8.0)
-    np.testing.assert_allclose(attitudes_apart_deg(other, solved(), every), 4.0, atol=1e-2)
-    assert revises((tracks, other), (tracks, solved()), every)
+    np.testing.assert_allclose(attitude_difference_deg(other, solved(), every), 4.0, atol=1e-2)
+    assert contradicts_first_method((tracks, other), (tracks, solved()), every)
     # frames that the first method did not see are the second one's own affair
-    assert not revises((tracks, other), (tracks, solved()), np.arange(SCENE.frames) >= SCENE.frames // 2)
+    assert not contradicts_first_method(
+        (tracks, other), (tracks, solved()), np.arange(SCENE.frames) >= SCENE.frames // 2
+    )
 
 
 def test_places_of_the_first_method_must_fit_as_well() -> None:
     tracks = generate(replace(SCENE, outliers=0.0, sigma_uv_px=1.0), 2).tracks
     every = np.ones(SCENE.frames, dtype=np.bool_)
     worse = replace(solved(), residuals_px=1.2 * solved().residuals_px)
-    assert revises((tracks, worse), (tracks, solved()), every)
+    assert contradicts_first_method((tracks, worse), (tracks, solved()), every)
     # what only the second method sees has no place with the first one
     elsewhere = replace(tracks, uvd_px=tracks.uvd_px + 3.0)
-    assert not revises((elsewhere, worse), (tracks, solved()), every)
+    assert not contradicts_first_method((elsewhere, worse), (tracks, solved()), every)

@@ -9,8 +9,7 @@ from scipy.optimize import brentq
 
 from polhode.lie import exp_so3, make_pose
 from polhode.mapping.visibility import LEAST_COSINE, Caster
-from polhode.pipeline.coverage import coverage_of, warnings_of, with_classes
-from polhode.pipeline.direction_words import axis_words
+from polhode.pipeline.coverage import axis_words, coverage_of, warnings_of, with_classes
 from polhode.records import SurfaceModel
 from polhode.surface_records import SEEN_LIT, SEEN_UNLIT, UNSEEN
 from tests.mapping.rendered_views import DISTANCE_M, RIG, rendered

@@ -10,9 +10,10 @@ import pytest
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.dataset_writer import write_inspector, write_truth, write_wrench
-from polhode.pipeline.run_directory.outputs import write_online_estimate, write_run
+from polhode.pipeline.run_directory.outputs import write_online_estimate
 from polhode.records import OnlineEstimate, Truth
 from tests.pipeline.conftest import Example
+from tests.pipeline.stored_run import write_run
 
 Capture = pytest.CaptureFixture[str]
 Damage = Callable[[Path], None]

@@ -111,7 +111,7 @@ def test_a_landmark_seen_once_is_mapped_with_a_warning(run: Run, monkeypatch: py
             tracks, **{n: getattr(tracks, n)[kept] for n in ("frame", "landmark", "uvd_px", "sigma_px")}
         )
 
-    monkeypatch.setattr("polhode.pipeline.images.to_tracks", with_singles)
+    monkeypatch.setattr("polhode.pipeline.context.to_tracks", with_singles)
     outcome = run(SCENE, 1)
     assert_done(outcome)
     assert outcome.says("3 landmarks were seen only once: each is where that one stereo pair puts it")
@@ -160,7 +160,7 @@ def test_nothing_but_outliers_fails_and_leaves_the_measurements(
         tracks = to_tracks(*arguments, **more)
         return replace(tracks, uvd_px=np.random.default_rng(0).uniform(20.0, 400.0, tracks.uvd_px.shape))
 
-    monkeypatch.setattr("polhode.pipeline.images.to_tracks", scattered)
+    monkeypatch.setattr("polhode.pipeline.context.to_tracks", scattered)
     outcome = run(SCENE, 1)
     assert "no consistent motion" in assert_failed(outcome, STOPPED_EARLY)
     assert outcome.summary["frames"] == FRAMES and outcome.summary["observations"] > 0

@@ -14,15 +14,13 @@ from polhode.config.mapping import Mapping
 from polhode.mapping.finishing.detail_levels import Level
 from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline import finish_surface as module
+from polhode.pipeline.context import RunContext
 from polhode.pipeline.finish_surface import finish_surface
-from polhode.pipeline.run_directory.outputs import (
-    build_summary,
-    finish_run,
-    write_config,
-    write_estimate,
-    write_surface,
-)
-from polhode.pipeline.run_directory.shape_parts import ShapeFindings
+from polhode.pipeline.report import finish_run
+from polhode.pipeline.run_directory.outputs import write_config, write_estimate, write_surface
+from polhode.pipeline.run_directory.summary import build_summary
+from polhode.pipeline.run_directory.summary_schema import ShapeFindings
+from polhode.progress import Silent
 from polhode.records import SurfaceModel
 from tests.mapping.rendered_views import RIG, rendered, tumbling
 
@@ -33,7 +31,8 @@ def finished(
     surface: SurfaceModel, seen: Any, example: Any, config: Config = CONFIG
 ) -> tuple[SurfaceModel, list[Level], ShapeFindings]:
     sequence, rectifier, X_RG = seen
-    return finish_surface(surface, sequence, rectifier, X_RG, example.estimate.mass, config)
+    context = RunContext(sequence, rectifier, config, Silent())
+    return finish_surface(context, surface, X_RG, example.estimate.mass)
 
 
 @pytest.fixture
@@ -98,7 +97,7 @@ def test_the_same_input_gives_the_same_answer(
         ("coverage_of", "coverage"),
         ("levels_of", "lighter meshes"),
         ("check_physics", "mass against volume"),
-        ("_views", "looking at the images again"),
+        ("_views", "reading the images again"),
     ],
 )
 def test_a_step_that_fails_costs_only_itself(

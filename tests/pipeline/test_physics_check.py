@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from polhode.lie import exp_so3
-from polhode.pipeline.physics_check import check_physics
+from polhode.pipeline.uniform_density import check_physics
 from polhode.records import Identifiability, MassProperties, SurfaceModel
 
 BOX_M = (0.12, 0.20, 0.24)

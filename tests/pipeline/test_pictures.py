@@ -21,16 +21,29 @@ from polhode.dataset import StereoImages, StereoSequence
 from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import inverse_pose
 from polhode.mapping.mesh_viewer import MeshViewer
-from polhode.pipeline import pictures
-from polhode.pipeline.pictures.animation import MOST_GIF_BYTES, film
+from polhode.pipeline.context import RunContext
+from polhode.pipeline.pictures import run_pictures as pictures
+from polhode.pipeline.pictures.animation import (
+    GROUND,
+    MOST_GIF_BYTES,
+    SIZE_PX,
+    draw_frame,
+    film,
+    signed_colours,
+)
 from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, body_frame, round_length_mm
-from polhode.pipeline.pictures.frame_drawing import GROUND, SIZE_PX, draw_frame, signed_colours
 from polhode.pipeline.pictures.landmarks import draw_landmarks
-from polhode.pipeline.pictures.model import Comparison, chosen_frames, compare_frames, fit_brightness
+from polhode.pipeline.pictures.model_comparison import (
+    Comparison,
+    chosen_frames,
+    compare_frames,
+    fit_brightness,
+)
+from polhode.pipeline.report import write_report
 from polhode.pipeline.report.shape import vertex_rgb
-from polhode.pipeline.run_directory.outputs import refresh_report, write_run
 from polhode.progress import Silent
 from polhode.records import Landmarks
+from tests.pipeline.stored_run import write_run
 
 FRAMES = 5
 EMPTY = trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), process=False)
@@ -88,11 +101,8 @@ def run(example: Any) -> Any:
 def make(run: Any, folder: Path, config: Pictures, **changed: Any) -> set[str]:
     """Names of the pictures that come out."""
     given = {"estimate": run.estimate, "surface": run.surface} | changed
-    pictures.make_pictures(
-        folder,
-        *(run.sequence, run.rectifier, run.tracks, given["estimate"], given["surface"]),
-        *(config, Silent()),
-    )
+    context = RunContext(run.sequence, run.rectifier, Config(pictures=config), Silent())
+    pictures.make_pictures(context, folder, run.tracks, given["estimate"], given["surface"])
     place = folder / "pictures"
     return {file.name for file in place.iterdir() if not file.name[0].isdigit()}
 
@@ -268,14 +278,14 @@ def test_the_report_shows_sheets_and_stills_and_loads_nothing(run: Any, tmp_path
     )
     before = (folder / "report.html").stat().st_size
     make(run, folder, Pictures())
-    refresh_report(folder)
+    write_report(folder)
     page = (folder / "report.html").read_text()
     assert "Landmarks from six sides. Principal axes" in page and "Mesh from eight sides." in page
     assert page.count('<div class="card strips">') == 1 and "pictures/model.mp4" in page
     assert len(re.findall(r'<img src="data:image/jpeg;base64,', page)) == 2 + 4 + FRAMES
     assert len(page) - before < 2_000_000
     (folder / "pictures" / "mesh.png").write_bytes(b"not a picture")
-    refresh_report(folder)
+    write_report(folder)
 
 
 def test_frames_are_spread_evenly_and_never_too_many() -> None:

@@ -15,17 +15,19 @@ from scipy.integrate import solve_ivp
 
 from polhode.config import Config
 from polhode.errors import InputError
-from polhode.pipeline.report import finding, refresh_report
-from polhode.pipeline.report.content import read_content
+from polhode.pipeline.report import finding, finish_run, write_report
 from polhode.pipeline.report.motion import straight_line_residual
 from polhode.pipeline.report.plot import band, packed
 from polhode.pipeline.report.residuals import rms_per_frame
 from polhode.pipeline.report.rotation import confidence_ellipse, largest_k1, torque_free_path
 from polhode.pipeline.report.shape import MAX_FACES, cameras_in_target, thinned
-from polhode.pipeline.report.wording import metric_rows, with_sigma
-from polhode.pipeline.run_directory.outputs import build_summary, finish_run, write_measurements, write_run
+from polhode.pipeline.report.tables import metric_rows, with_sigma
+from polhode.pipeline.run_directory.archives import write_measurements
+from polhode.pipeline.run_directory.stored_run import read_stored_run
+from polhode.pipeline.run_directory.summary import build_summary
 from polhode.pipeline.run_directory.trajectory_file import trajectory_of
 from polhode.records import SurfaceModel
+from tests.pipeline.stored_run import write_run
 
 FIGURES = [
     "centre-of-mass", "angular-velocity", "attitude", "polhode", "inertia-ratios", "energy-momentum",
@@ -189,7 +191,7 @@ def test_metrics_enter_when_the_report_is_made_again(example: Any, tmp_path: Pat
     assert "Against the truth" not in _page(folder).words
     metrics = {"rmse_position_m": 1.25e-4, "error_k1": 0.002, "error_k2": -0.004, "nees": {"inertia": None}}
     (folder / "metrics.json").write_text(json.dumps(metrics))
-    refresh_report(folder)
+    write_report(folder)
     page = _page(folder)
     assert "Against the truth" in page.words and "RMSE position [mm]" in page.words
     truth = [trace for trace in page.figures["inertia-ratios"]["data"] if trace.get("name") == "truth"]
@@ -199,7 +201,7 @@ def test_metrics_enter_when_the_report_is_made_again(example: Any, tmp_path: Pat
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        refresh_report(tmp_path)
+        write_report(tmp_path)
 
 
 def test_the_finding_names_rate_axis_and_ratios(example: Any) -> None:
@@ -290,7 +292,7 @@ def test_a_straight_line_leaves_no_residual() -> None:
 
 
 def test_rms_counts_inliers_only_and_bridged_frames_are_gaps(run_folder: Path, example: Any) -> None:
-    content = read_content(run_folder, "tumbler")
+    content = read_stored_run(run_folder, "tumbler")
     assert content.tracks is not None and content.residuals is not None
     rms = rms_per_frame(content.tracks, content.residuals)
     here = (example.tracks.frame == 4) & (example.estimate.inlier_weight >= 0.5)
@@ -299,7 +301,7 @@ def test_rms_counts_inliers_only_and_bridged_frames_are_gaps(run_folder: Path, e
 
 
 def test_cameras_stand_where_the_target_sees_them(run_folder: Path, example: Any) -> None:
-    positions = cameras_in_target(read_content(run_folder, "tumbler"))
+    positions = cameras_in_target(read_stored_run(run_folder, "tumbler"))
     assert positions is not None
     X_NG = example.estimate.X_NG
     expected = -np.einsum("fji,fj->fi", X_NG[:, :3, :3], X_NG[:, :3, 3])

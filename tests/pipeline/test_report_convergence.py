@@ -9,12 +9,12 @@ import pytest
 
 from polhode.config import Config
 from polhode.lie import make_pose
-from polhode.pipeline.report.content import Content, read_content
 from polhode.pipeline.report.convergence import convergence_figures
-from polhode.pipeline.report.sigmas import sigma_rows
-from polhode.pipeline.report.wording import run_rows
-from polhode.pipeline.run_directory.outputs import write_online_estimate, write_run
+from polhode.pipeline.report.tables import run_rows, sigma_rows
+from polhode.pipeline.run_directory.outputs import write_online_estimate
+from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 from polhode.records import MotionEstimate, OnlineEstimate
+from tests.pipeline.stored_run import write_run
 from tests.pipeline.test_report import _unpacked
 
 UNKNOWN_UNTIL = 9
@@ -49,18 +49,18 @@ def online_of(motion: MotionEstimate) -> OnlineEstimate:
 
 
 @pytest.fixture(scope="module")
-def content(example: Any, tmp_path_factory: pytest.TempPathFactory) -> Content:
+def content(example: Any, tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
     return _content(example, example.estimate, tmp_path_factory.mktemp("convergence") / "run")
 
 
-def _content(example: Any, estimate: MotionEstimate, folder: Path) -> Content:
+def _content(example: Any, estimate: MotionEstimate, folder: Path) -> StoredRun:
     folder.mkdir()
     write_run(folder, config=Config(), tracks=example.tracks, estimate=estimate, surface=None, timing_s={})
     write_online_estimate(folder, online_of(example.estimate))
-    return read_content(folder, "run")
+    return read_stored_run(folder, "run")
 
 
-def test_what_was_not_determined_yet_is_a_gap(content: Content) -> None:
+def test_what_was_not_determined_yet_is_a_gap(content: StoredRun) -> None:
     mass, states, differences = convergence_figures(content)
     keys = [figure.key for figure in (mass, states, differences)]
     assert keys == ["convergence-mass", "convergence-states", "convergence-differences"]
@@ -71,7 +71,7 @@ def test_what_was_not_determined_yet_is_a_gap(content: Content) -> None:
     assert "the centre of mass from frame 1 on" in mass.caption and "the axes never" in mass.caption
 
 
-def test_the_centre_of_mass_is_compared_in_the_final_frame_G(content: Content) -> None:
+def test_the_centre_of_mass_is_compared_in_the_final_frame_G(content: StoredRun) -> None:
     mass, *_ = convergence_figures(content)
     curves = [
         trace for trace in mass.data if trace.get("yaxis") == "y3" and trace.get("name") in ("x", "y", "z")
@@ -81,7 +81,7 @@ def test_the_centre_of_mass_is_compared_in_the_final_frame_G(content: Content) -
         np.testing.assert_allclose(_unpacked(curve["y"]), 0.0, atol=1e-5)
 
 
-def test_the_axes_are_small_turns_from_the_final_ones(content: Content) -> None:
+def test_the_axes_are_small_turns_from_the_final_ones(content: StoredRun) -> None:
     mass, *_ = convergence_figures(content)
     curves = {t["name"]: _unpacked(t["y"]) for t in mass.data if t.get("yaxis") == "y4" and "name" in t}
     np.testing.assert_allclose(curves["x"], 0.0, atol=1e-5)
@@ -90,7 +90,7 @@ def test_the_axes_are_small_turns_from_the_final_ones(content: Content) -> None:
     np.testing.assert_allclose(_unpacked(sigma["y"]), np.rad2deg(1e-3), rtol=1e-5)
 
 
-def test_the_causal_state_is_drawn_against_the_smoothed_one(content: Content) -> None:
+def test_the_causal_state_is_drawn_against_the_smoothed_one(content: StoredRun) -> None:
     *_, differences = convergence_figures(content)
     for panel in ("y", "y2", "y3", "y4"):
         curves = [
@@ -101,7 +101,7 @@ def test_the_causal_state_is_drawn_against_the_smoothed_one(content: Content) ->
             np.testing.assert_allclose(_unpacked(curve["y"]), 0.0, atol=1e-5)
 
 
-def test_smoothing_is_drawn_beside_the_causal_state(content: Content) -> None:
+def test_smoothing_is_drawn_beside_the_causal_state(content: StoredRun) -> None:
     _, states, _ = convergence_figures(content)
     causal, smooth = (
         _unpacked(next(t for t in states.data if t.get("name") == name)["y"])
@@ -110,11 +110,11 @@ def test_smoothing_is_drawn_beside_the_causal_state(content: Content) -> None:
     np.testing.assert_allclose(causal, 2.0 * smooth, rtol=1e-5)
 
 
-def test_a_run_without_a_causal_estimate_has_no_such_figures(content: Content) -> None:
+def test_a_run_without_a_causal_estimate_has_no_such_figures(content: StoredRun) -> None:
     assert convergence_figures(replace(content, online=None)) == []
 
 
-def test_final_sigmas_are_listed_with_their_units(content: Content) -> None:
+def test_final_sigmas_are_listed_with_their_units(content: StoredRun) -> None:
     rows = {row.name.split(",")[0]: row for row in sigma_rows(content)}
     assert rows["position"].cells == ("0.3", "0.3", "0.3") and rows["position"].unit == "mm"
     assert rows["inertia ratios k1"].cells == ("0.002", "0.006", "")

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from polhode.config.backend import Backend
-from polhode.pipeline.assumed_density import assumed_properties
-from polhode.pipeline.report.wording import inertia_rows
-from polhode.pipeline.run_directory.outputs import build_summary, finish_run, write_estimate
-from polhode.pipeline.run_directory.shape_parts import ShapeFindings
+from polhode.pipeline.report import finish_run
+from polhode.pipeline.report.tables import inertia_rows
+from polhode.pipeline.run_directory.outputs import write_estimate
+from polhode.pipeline.run_directory.summary import build_summary
+from polhode.pipeline.run_directory.summary_schema import ShapeFindings
+from polhode.pipeline.uniform_density import assumed_properties
 from polhode.records import Push, UnknownPushes
 
 

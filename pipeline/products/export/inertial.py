@@ -8,8 +8,8 @@ of the mesh, at the mass as given or found; else the numbers are relative, and t
 import numpy as np
 
 from polhode.lie import transform_points
-from polhode.pipeline.assumed_density import Solid, principal_axes
-from polhode.pipeline.run_directory.summary import Summary
+from polhode.mapping.uniform_solid import Solid, principal_axes
+from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.exports.records import Inertial, Placement
 
 UNIT_MASS_KG = 1.0

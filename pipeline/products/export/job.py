@@ -1,17 +1,175 @@
-"""One export: what it is made from, and what is left out on the way."""
+"""What a run holds that can leave it; what it lacks is named, with the reason."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from polhode.config.loader import load_config
+from polhode.config.mapping import Mapping
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.pipeline.assumed_density import Solid, solid_of
+from polhode.mapping.finishing.detail_levels import levels_of
+from polhode.mapping.mesh_files import read_ply
+from polhode.mapping.uniform_solid import Solid, solid_of
 from polhode.pipeline.products.export.inertial import inertial_of
 from polhode.pipeline.products.export.options import Options
-from polhode.pipeline.products.export.run_contents import Found, at_level, motion_ahead
-from polhode.planning.exports.records import Inertial, Motion, Placement, Shape, poses_of, shape_of_surface
+from polhode.pipeline.products.predict import (
+    NoCovariance,
+    predict_run,
+    prediction_times,
+    step_or_own,
+    undetermined_names,
+)
+from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
+from polhode.pipeline.run_directory.summary import read_summary
+from polhode.pipeline.run_directory.summary_schema import Summary
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.planning.exports.records import (
+    Inertial,
+    Motion,
+    Placement,
+    Shape,
+    State,
+    poses_of,
+    shape_of_surface,
+)
+from polhode.records import Landmarks, SurfaceModel
+from polhode.rigid_body import propagate
+
+
+@dataclass(frozen=True)
+class Found:
+    """A run as far as it got."""
+
+    folder: Path
+    summary: Summary
+    surface: SurfaceModel | None
+    """None: there is none"""
+    landmarks: Landmarks | None
+    """None: there are none"""
+    no_motion: str
+    """Why there is no last state; empty: there is one"""
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether there is a last state."""
+        return not self.no_motion
+
+    @property
+    def words(self) -> str:
+        """Why there is no motion, to end an error's line with; empty: there is one."""
+        return f" ({self.no_motion})" if self.no_motion else ""
+
+
+def read_run(folder: Path) -> Found:
+    """Raises InputError, one line."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give the folder of a run")
+    summary = read_summary(folder)
+    mesh, points = folder / "mesh.ply", folder / "landmarks.ply"
+    surface = read_ply(mesh) if mesh.is_file() else None
+    if surface is not None and len(surface.mesh.faces) == 0:
+        surface = None
+    landmarks = read_landmarks(points) if points.is_file() else None
+    if landmarks is not None and len(landmarks.p_G) == 0:
+        landmarks = None
+    return Found(folder, summary, surface, landmarks, _why_no_motion(folder, summary))
+
+
+def _why_no_motion(folder: Path, summary: Summary) -> str:
+    if summary.R_GP is None or summary.com_G is None or summary.inertia is None:
+        reason = summary.warnings[0] if summary.warnings else "no reason is known"
+        return f"this run failed before it had a motion ({reason})"
+    try:
+        read_trajectory(folder)
+    except InputError as error:
+        return f"this run's motion cannot be read ({error})"
+    return ""
+
+
+def at_level(found: Found, level: int | None, lightest: int) -> Found:
+    """With the mesh at a ``level`` of detail: 0 the full one, 1, 2, ... lighter; None: up to ``lightest``.
+
+    Raises InputError when there is no such level.
+    """
+    if found.surface is None or level == 0 or (level is None and lightest == 0):
+        return found
+    shares = _shares(found.folder)
+    levels = levels_of(found.surface, shares if level is not None else shares[:lightest])
+    if level is None:
+        level = len(levels)
+    if level > len(levels):
+        raise InputError(f"--level {level}: this run's mesh has levels 0 to {len(levels)}; 0 is the full one")
+    return found if level == 0 else replace(found, surface=levels[level - 1].surface)
+
+
+def _shares(folder: Path) -> tuple[float, ...]:
+    try:
+        return load_config(folder / "config.yaml").mapping.levels
+    except InputError:
+        # a run that failed early, or of another version
+        return Mapping().levels
+
+
+def last_state(found: Found, at: Placement) -> State:
+    """Of the run; needs ``found.has_motion``."""
+    summary, table = found.summary, read_trajectory(found.folder)
+    R_GP, com_G = np.array(summary.R_GP), np.array(summary.com_G)
+    X_NF = poses_of(table.r_N[-1:], table.R_NP[-1:], R_GP, com_G, at)[0]
+    w_N = table.R_NP[-1] @ table.w_P[-1]
+    return State(
+        timestamp_ns=int(table.timestamps_ns[-1]),
+        X_NF=X_NF,
+        v_N=table.v_N[-1] + np.cross(w_N, X_NF[:3, 3] - table.r_N[-1]),
+        w_F=X_NF[:3, :3].T @ w_N,
+    )
+
+
+def motion_ahead(folder: Path, horizon_s: float, step_s: float | None) -> tuple[Motion, str]:
+    """The last state and those after it, and why they have no covariances; empty: they have.
+
+    Raises InputError when the run has no estimate.
+    """
+    try:
+        prediction = predict_run(folder, horizon_s, step_s, from_last=True)
+    except NoCovariance as error:
+        return _bare_motion(folder, horizon_s, step_s), str(error)
+    states = prediction.states
+    motion = Motion(
+        timestamps_ns=prediction.timestamps_ns,
+        r_N=states.r_N,
+        v_N=states.v_N,
+        R_NP=states.R_NP,
+        w_P=states.w_P,
+        covariance=prediction.covariance,
+        covariance_of_marks=states.covariance_of_marks,
+        undetermined=prediction.undetermined,
+    )
+    return motion, ""
+
+
+def _bare_motion(folder: Path, horizon_s: float, step_s: float | None) -> Motion:
+    """The same motion from the summary and the last row of the trajectory."""
+    summary, table = read_summary(folder), read_trajectory(folder)
+    assert summary.inertia is not None
+    time_s = np.concatenate([[0.0], prediction_times(horizon_s, step_or_own(table, step_s))])
+    R_GP, J_G = np.array(summary.R_GP), np.array(summary.inertia.J_G)
+    r_N, v_N, R_NG, w_G = propagate(
+        time_s, table.r_N[-1], table.v_N[-1], table.R_NP[-1] @ R_GP.T, R_GP @ table.w_P[-1], J_G
+    )
+    nothing = np.full((len(time_s), 12, 12), np.inf)
+    return Motion(
+        timestamps_ns=table.timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64),
+        r_N=r_N,
+        v_N=v_N,
+        R_NP=R_NG @ R_GP,
+        w_P=w_G @ R_GP,
+        covariance=nothing,
+        covariance_of_marks=nothing,
+        undetermined=undetermined_names(summary),
+    )
+
 
 Files = dict[Path, bytes]
 """Contents by path; the file that the user named stands last."""

@@ -16,10 +16,10 @@ from polhode.dataset_writer import image_path, write_camera_csv, write_png, writ
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.pipeline.evaluation.evaluate import evaluate, format_table, inertia_parameter_error
-from polhode.pipeline.run_directory.outputs import write_run
 from polhode.records import MotionEstimate, Truth
 from polhode.rigid_body import propagate
 from tests.pipeline.conftest import Example
+from tests.pipeline.stored_run import write_run
 
 WIDTH, HEIGHT, FOCAL_PX = 160, 120, 120.0
 X_TRUE_G_G = make_pose(exp_so3([0.4, 1.0, -0.7]), [0.05, -0.02, 0.03])

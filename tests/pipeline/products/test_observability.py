@@ -11,10 +11,10 @@ import trimesh
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.pipeline.run_directory.outputs import write_run
 from polhode.planning.exports.ccsds import tum
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
+from tests.pipeline.stored_run import write_run
 
 Capture = pytest.CaptureFixture[str]
 FILES = {

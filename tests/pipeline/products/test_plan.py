@@ -11,9 +11,9 @@ from matplotlib.image import imread
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.pipeline.products.plan_files import CORRIDOR_COLUMNS
-from polhode.pipeline.run_directory.outputs import write_run
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
+from tests.pipeline.stored_run import write_run
 
 Capture = pytest.CaptureFixture[str]
 DOCK = ["--dock-point", "0.06", "0", "0", "--dock-axis", "1", "0", "0", "--stand-off", "0.3"]

@@ -15,13 +15,13 @@ from polhode.errors import InputError
 from polhode.lie import exp_so3, log_so3
 from polhode.metrics import HALF_TURNS, best_half_turn, mean_rotation
 from polhode.pipeline.products.predict import inertia_by_parameters, prediction_times
-from polhode.pipeline.run_directory.outputs import write_run
 from polhode.pipeline.run_directory.trajectory_file import TRAJECTORY_COLUMNS, read_trajectory
 from polhode.progress import Silent
 from polhode.records import Truth
 from polhode.rigid_body import propagate
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 from tests.pipeline.conftest import Example
+from tests.pipeline.stored_run import write_run
 
 Capture = pytest.CaptureFixture[str]
 BOX = np.diag([1.5, 1.2, 0.9])

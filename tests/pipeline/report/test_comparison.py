@@ -10,10 +10,11 @@ import pytest
 import polhode.pipeline.evaluation.evaluate
 from polhode.cli.main import main
 from polhode.config import Config
-from polhode.pipeline.report import write_comparison
+from polhode.pipeline.report import finish_run, write_comparison
 from polhode.pipeline.report.comparison import NO_VALUE, side_by_side
-from polhode.pipeline.report.content import read_content
-from polhode.pipeline.run_directory.outputs import build_summary, finish_run, write_run
+from polhode.pipeline.run_directory.stored_run import read_stored_run
+from polhode.pipeline.run_directory.summary import build_summary
+from tests.pipeline.stored_run import write_run
 
 Capture = pytest.CaptureFixture[str]
 
@@ -64,7 +65,7 @@ def test_several_runs_share_one_page(runs: list[Path], tmp_path: Path, capsys: C
 
 
 def test_a_number_that_a_run_does_not_hold_is_a_dash(runs: list[Path]) -> None:
-    table = dict(side_by_side([read_content(run, run.name) for run in runs]))
+    table = dict(side_by_side([read_stored_run(run, run.name) for run in runs]))
     assert table["solver"] == ["ipopt, 7 iterations"] * 2 + [NO_VALUE]
     assert all(len(cells) == len(runs) for cells in table.values())
     # The frame G is each run's own.

@@ -11,8 +11,10 @@ import yaml
 
 from polhode.config import Config
 from polhode.errors import InputError
-from polhode.pipeline.run_directory.outputs import read_summary, write_run
-from polhode.records import SurfaceModel
+from polhode.pipeline.run_directory.outputs import PUSHES_COLUMNS, write_pushes
+from polhode.pipeline.run_directory.summary import read_summary
+from polhode.records import Push, SurfaceModel, UnknownPushes
+from tests.pipeline.stored_run import write_run
 
 STATED = {
     "config.yaml", "summary.json", "trajectory.csv", "covariance.npz", "measurements.npz", "landmarks.ply",
@@ -82,10 +84,28 @@ def test_a_report_that_cannot_be_made_costs_only_itself(
     def refuse(folder: Path) -> None:
         raise InputError(f"{folder}/online.npz: covariance holds NaN")
 
-    monkeypatch.setattr("polhode.pipeline.run_directory.outputs.write_report", refuse)
+    monkeypatch.setattr("polhode.pipeline.report.page.write_report", refuse)
     summary = write_run(
         tmp_path, config=Config(), tracks=example.tracks, estimate=example.estimate, surface=None, timing_s={}
     )
     assert any("no report" in text and "holds NaN" in text for text in summary.warnings)
     assert read_summary(tmp_path).warnings == summary.warnings
     assert (tmp_path / "trajectory.csv").is_file() and not (tmp_path / "report.html").exists()
+
+
+def test_pushes_read_back_exactly_and_are_numbered(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    start = 1_600_000_000_000_000_000 + 500_000_000 * np.array([3, 4, 9], dtype=np.int64)
+    accel, sigma = rng.normal(size=(2, 3, 3)), rng.uniform(0.1, 1.0, (2, 3, 3))
+    sigma[1, 2] = np.inf
+    one = Push(int(start[0]), int(start[1]) + 500_000_000, *rng.normal(size=(4, 3)))
+    two = Push(int(start[2]), int(start[2]) + 500_000_000, *rng.normal(size=(4, 3)))
+    pushes = UnknownPushes(start, start + 500_000_000, accel[0], sigma[0], accel[1], sigma[1], (one, two))
+    write_pushes(pushes, tmp_path / "pushes.csv")
+    header, *rows = (tmp_path / "pushes.csv").read_text().splitlines()
+    assert tuple(header.split(",")) == PUSHES_COLUMNS and len(PUSHES_COLUMNS) == 15
+    cells = [row.split(",") for row in rows]
+    assert [int(row[0]) for row in cells] == [1, 1, 2]
+    assert [int(row[1]) for row in cells] == start.tolist()
+    values = np.array([[float(cell) for cell in row[3:]] for row in cells])
+    np.testing.assert_array_equal(values, np.hstack([accel[0], sigma[0], accel[1], sigma[1]]))

@@ -9,12 +9,9 @@ import pytest
 
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
-from polhode.pipeline.run_directory.outputs import (
-    finish_run,
-    write_config,
-    write_estimate,
-    write_measurements,
-)
+from polhode.pipeline.report import finish_run, write_report
+from polhode.pipeline.run_directory.archives import write_measurements
+from polhode.pipeline.run_directory.outputs import write_config, write_estimate
 from polhode.pipeline.run_directory.run_folder import RunFolder
 from polhode.pipeline.run_directory.summary import build_summary, read_summary
 
@@ -73,7 +70,7 @@ def test_a_folder_in_use_is_refused_at_once_in_one_line(
 
 def test_a_file_in_the_way_is_refused_even_with_overwrite(tmp_path: Path) -> None:
     (tmp_path / "run").write_text("mine")
-    with pytest.raises(InputError, match="a file stands here"):
+    with pytest.raises(InputError, match="this is a file"):
         RunFolder(tmp_path / "run", overwrite=True)
     assert (tmp_path / "run").read_text() == "mine"
 
@@ -91,8 +88,14 @@ def test_overwriting_replaces_the_whole_run_and_only_at_the_end(example: Any, tm
     assert _leftovers(tmp_path) == []
 
 
-def _run(target: Path, work: Callable[[Path], None], error: BaseException, overwrite: bool = False) -> None:
-    with RunFolder(target, overwrite) as folder:
+def _run(
+    target: Path,
+    work: Callable[[Path], None],
+    error: BaseException,
+    overwrite: bool = False,
+    write_report: Callable[[Path], None] = write_report,
+) -> None:
+    with RunFolder(target, overwrite, write_report) as folder:
         work(folder)
         raise error
 
@@ -153,18 +156,15 @@ def test_bad_input_and_an_interrupt_leave_nothing(error: BaseException, example:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_report_that_breaks_does_not_cost_what_was_found(
-    example: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_report_that_breaks_does_not_cost_what_was_found(example: Any, tmp_path: Path) -> None:
     def solve(folder: Path) -> None:
         write_estimate(folder, example.tracks, example.estimate)
 
     def broken(folder: Path) -> None:
         raise KeyError(folder.name)
 
-    monkeypatch.setattr("polhode.pipeline.run_directory.run_folder.write_report", broken)
     with pytest.raises(KeyError):
-        _run(tmp_path / "run", solve, RunFailure("no surface"))
+        _run(tmp_path / "run", solve, RunFailure("no surface"), write_report=broken)
     assert (tmp_path / "run" / "trajectory.csv").is_file()
     assert read_summary(tmp_path / "run").status == "failed"
 
@@ -178,7 +178,7 @@ def test_a_run_that_came_meanwhile_is_not_touched(example: Any, tmp_path: Path) 
             target.mkdir()
             _finish(target, example, "theirs")
 
-    with pytest.raises(InputError, match="meanwhile") as caught:
+    with pytest.raises(InputError, match="in the meantime") as caught:
         race()
     assert read_summary(target).warnings == ["theirs"]
     kept = next(tmp_path.glob(".run.partial-*"))

@@ -10,15 +10,8 @@ import pytest
 from jsonschema import Draft202012Validator, ValidationError
 
 from polhode.errors import InputError
-from polhode.pipeline.run_directory.summary import (
-    SCHEMA_FILE,
-    STAGES,
-    Summary,
-    build_summary,
-    read_summary,
-    summary_schema,
-    write_summary,
-)
+from polhode.pipeline.run_directory.summary import STAGES, build_summary, read_summary, write_summary
+from polhode.pipeline.run_directory.summary_schema import SCHEMA_FILE, Summary, summary_schema
 
 CONTRACT_KEYS = {
     "schema",

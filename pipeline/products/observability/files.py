@@ -2,19 +2,68 @@
 
 import csv
 import io
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from polhode.atomic import write_bytes
+from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.pipeline.products.observability.assessment import Assessment
-from polhode.pipeline.products.observability.choice import Choice
+from polhode.pipeline.products.observability import pictures
+from polhode.pipeline.products.observability.assess import Assessment, Choice
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
-from polhode.planning.edges.metric.pictures import Legend
+from polhode.planning.edges.metric.pictures import Legend, painted
 from polhode.planning.edges.model.edge_model import Kind
 
 SCHEMA = "polhode-observability/1"
+FILES = (
+    "observability.json",
+    "observability.csv",
+    "edges.csv",
+    "metric.png",
+    "views.png",
+    "contributions.png",
+    "edges.ply",
+    "edges.glb",
+)
+"""Files that the command writes; those of an earlier call that this one does not write are removed."""
 NAMES = ("x_m", "y_m", "z_m", "about_x_rad", "about_y_rad", "about_z_rad")
+
+
+def write_assessment(found: Assessment, folder: Path) -> list[str]:
+    """All files into the folder, whole or not at all; their names."""
+    model, shares = found.subject.model, found.edges.share
+    files: dict[str, bytes] = {
+        "observability.csv": table(found).encode(),
+        "edges.csv": edge_table(found).encode(),
+    }
+    best = max(range(len(found.views)), key=lambda k: len(found.views[k].points))
+    files["metric.png"] = pictures.draw_metric(found)
+    if len(found.views[best].points):
+        files["views.png"] = pictures.draw_views(found)
+        files["contributions.png"] = pictures.draw_contributions(found, best)
+        overall = np.nan_to_num(shares).max(axis=1)
+        coloured, legend = painted(model, overall)
+        for suffix in "ply", "glb":
+            content = coloured.export(file_type=suffix)
+            assert isinstance(content, bytes)
+            files[f"edges.{suffix}"] = content
+    else:
+        legend = None
+    files["observability.json"] = (
+        json.dumps(document(found, legend), indent=1, allow_nan=False) + "\n"
+    ).encode()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in files.items():
+            write_bytes(folder / name, content)
+        for name in set(FILES) - set(files):
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); choose another -o") from error
+    return list(files)
 
 
 def table(found: Assessment) -> str:

@@ -14,11 +14,12 @@ from polhode.pipeline.run_directory.archives import (
     Residuals,
     read_covariance,
     read_measurements,
+    read_online,
     read_residuals,
 )
-from polhode.pipeline.run_directory.online_file import read_online
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
-from polhode.pipeline.run_directory.summary import Summary, read_summary
+from polhode.pipeline.run_directory.summary import read_summary
+from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory
 from polhode.records import Landmarks, OnlineEstimate, StereoTracks, SurfaceModel
 
@@ -53,7 +54,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Content:
+class StoredRun:
     """A run as stored; None or empty where the run holds no such file."""
 
     name: str
@@ -69,11 +70,11 @@ class Content:
     config_text: str
 
 
-def read_content(folder: Path, name: str) -> Content:
+def read_stored_run(folder: Path, name: str) -> StoredRun:
     """Read a run. Raises InputError when summary.json is missing or a file is damaged."""
     summary = read_summary(folder)
     has_tracks = (folder / "measurements.npz").is_file()
-    return Content(
+    return StoredRun(
         name=name,
         summary=summary,
         motion=_motion(folder, summary),

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from polhode.lie import Array
-from polhode.pipeline.report.content import Content, Motion
-from polhode.pipeline.run_directory.summary import Summary
-from polhode.pipeline.run_directory.summary_parts import Assumed
+from polhode.pipeline.run_directory.stored_run import Motion, StoredRun
+from polhode.pipeline.run_directory.summary_schema import Assumed, Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory
 
 SAME_COST, AMBIGUOUS_COST = 0.01, 6.0
@@ -159,7 +158,7 @@ def assumed_rows(assumed: Assumed | None) -> list[Row]:
     return rows
 
 
-def run_rows(content: Content) -> list[Row]:
+def run_rows(content: StoredRun) -> list[Row]:
     """Size of the data, noise and solver."""
     summary = content.summary
     rows = [
@@ -292,3 +291,81 @@ def _plain(key: str) -> str:
         if key.endswith(suffix):
             return f"{key.removesuffix(suffix).replace('_', ' ')} [{unit}]"
     return key.replace("_", " ")
+
+
+def mesh_rows(summary: Summary) -> list[Row]:
+    """Empty where there is no mesh."""
+    rows = []
+    if (mesh := summary.mesh) is not None:
+        invented = f"{mesh.invented_faces} ({mesh.invented_share:.2%} of the area)"
+        rows += [
+            Row("faces", f"{mesh.faces}, {'closed' if mesh.closed else 'open'}"),
+            Row("small holes closed, left open", f"{mesh.holes_closed}, {mesh.holes_left_open}"),
+            Row("faces invented for them", invented),
+            Row("colours", "the Sun's shading divided out" if mesh.colour == "albedo" else "as the images"),
+        ]
+        if (sun := mesh.sun) is not None:
+            direction = ", ".join(f"{part:.3f}" for part in sun.direction_N)
+            sure = "" if sun.sigma_deg is None else f" ± {sun.sigma_deg:.1f} deg"
+            used = "" if mesh.colour == "albedo" else ", not used"
+            rows.append(Row("direction of the Sun in N", f"{direction}{sure}"))
+            rows.append(Row("changes of brightness it explains", f"{sun.explained:.0%}{used}"))
+        for level in mesh.levels:
+            mean_mm, most_mm = 1e3 * level.mean_distance_m, 1e3 * level.largest_distance_m
+            away = f"off by {mean_mm:.2g} mm in the mean, {most_mm:.2g} mm at most"
+            rows.append(Row(level.file, f"{level.faces} faces, {away}"))
+    if (coverage := summary.coverage) is not None:
+        of = "surface" if coverage.of == "mesh" else "convex hull"
+        rows.append(
+            Row(
+                f"share of the {of} seen lit, seen unlit, unseen",
+                ", ".join(f"{part:.1%}" for part in (coverage.seen, coverage.seen_unlit, coverage.unseen)),
+            )
+        )
+    return rows
+
+
+def mesh_sentences(summary: Summary) -> list[str]:
+    """What was not seen, and how the mass lies in the volume."""
+    sentences = [] if summary.coverage is None else [summary.coverage.words]
+    return [*sentences, *(summary.physics.words if summary.physics is not None else ())]
+
+
+@dataclass(frozen=True)
+class SigmaRow:
+    """Standard deviations along three axes, as text."""
+
+    name: str
+    unit: str
+    cells: tuple[str, str, str]
+
+
+def sigma_rows(content: StoredRun) -> list[SigmaRow]:
+    """States averaged over all frames, then the constants; nothing without an estimate."""
+    motion, summary = content.motion, content.summary
+    if motion is None or summary.inertia is None:
+        return []
+    path, deg = motion.trajectory, np.rad2deg(1.0)
+    cov_com = np.array(summary.cov_com_G, dtype=np.float64)
+    cov_axes = np.array(summary.cov_R_GP, dtype=np.float64)
+    ratios = np.array(summary.inertia.cov, dtype=np.float64)
+    return [
+        SigmaRow("position, along N, mean over the frames", "mm", _cells(1e3 * path.sigma_r.mean(axis=0))),
+        SigmaRow("velocity, along N, mean", "mm/s", _cells(1e3 * path.sigma_v.mean(axis=0))),
+        SigmaRow("attitude, about P, mean", "deg", _cells(deg * path.sigma_theta.mean(axis=0))),
+        SigmaRow("angular velocity, along P, mean", "deg/s", _cells(deg * path.sigma_w.mean(axis=0))),
+        SigmaRow("centre of mass, along G", "mm", _cells(1e3 * _roots(cov_com))),
+        SigmaRow("principal axes, about P", "deg", _cells(deg * _roots(cov_axes))),
+        SigmaRow("inertia ratios k1, k2", "", (*_cells(_roots(ratios))[:2], "")),
+    ]
+
+
+def _roots(covariance: Array) -> Array:
+    """Standard deviations; infinite where a variance is not a number (null in summary.json)."""
+    variance = np.diag(covariance)
+    return np.where(np.isfinite(variance), np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), np.inf)
+
+
+def _cells(sigma: Array) -> tuple[str, str, str]:
+    shown = [f"{value:.3g}" if np.isfinite(value) else "no bound" for value in sigma]
+    return (shown[0], shown[1], shown[2] if len(shown) > 2 else "")

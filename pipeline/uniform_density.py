@@ -1,7 +1,7 @@
-"""The mesh at uniform density against the mass properties that the motion tells (thesis 3.3), in words.
+"""What uniform density says of what the motion does not tell (thesis 3.3): assumed, and marked as assumed.
 
-Where they differ the mass is not spread evenly through the volume, or the volume is not known well. Neither
-is corrected by the other. Nothing is said about what the motion does not determine.
+The user gives the mass or a density. The volume and the uniform inertia are those of the mesh, or of its
+convex hull where the mesh is open. The inertia that the motion determines up to scale is scaled by them.
 """
 
 from dataclasses import dataclass
@@ -9,14 +9,71 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
 from polhode.mapping.finishing.hole_closing import boundary_loops
+from polhode.mapping.uniform_solid import Solid, principal_axes, solid_body, solid_of
 from polhode.mapping.visibility import Caster
 from polhode.metrics import HALF_TURNS
-from polhode.pipeline.assumed_density import Solid, principal_axes, solid_body, solid_of
-from polhode.pipeline.direction_words import axis_words
-from polhode.pipeline.run_directory.shape_parts import Physics
+from polhode.pipeline.coverage import axis_words
+from polhode.pipeline.run_directory.summary_schema import Assumed, Physics
 from polhode.records import Bools, MassProperties, SurfaceModel
+
+
+def assumed_properties(
+    mass: MassProperties, surface: SurfaceModel, config: Backend
+) -> tuple[Assumed | None, list[str]]:
+    """The assumed part of the summary, and warnings; (None, []) when neither mass nor density is given."""
+    if config.mass_kg is None and config.density_kg_m3 is None:
+        return None, []
+    solid, reason = solid_of(surface.mesh)
+    if solid is None:
+        return None, [f"nothing is assumed from the given mass or density: {reason}"]
+    if config.mass_kg is not None:
+        kilograms, density = config.mass_kg, config.mass_kg / solid.volume_m3
+        source = f"mass {kilograms:.6g} kg as given (backend.mass_kg)"
+    else:
+        assert config.density_kg_m3 is not None
+        density, kilograms = config.density_kg_m3, config.density_kg_m3 * solid.volume_m3
+        source = f"mass {kilograms:.4g} kg: density {density:.6g} kg/m^3 as given (backend.density_kg_m3)"
+    known, uniform = mass.identifiable, density * solid.inertia
+    shape_known = known.k1 and known.k2 and known.axes
+    # the same trace: the sum of the mean square distances does not depend on the axes
+    scale = np.trace(uniform) / np.trace(mass.J_G)
+    inertia = scale * mass.J_G if shape_known else uniform
+    words = [solid.words, source]
+    words.append(
+        "inertia: ratios and axes as the motion determines them, scaled to the trace of uniform density"
+        if shape_known
+        else "inertia: uniform density, as the motion does not determine all ratios and axes"
+    )
+    moments, R_GP = principal_axes(uniform)
+    com_G = None if known.com else _completed_com(mass, solid)
+    for name, determined in (("k1", known.k1), ("k2", known.k2), ("axes", known.axes), ("com", known.com)):
+        if not determined:
+            words.append(f"{name}: uniform density, as the motion does not determine it")
+    return Assumed(
+        words=words,
+        volume_m3=solid.volume_m3,
+        density_kg_m3=density,
+        mass_kg=kilograms,
+        inertia_kg_m2=_matrix(inertia),
+        com_G=None if com_G is None else (com_G[0], com_G[1], com_G[2]),
+        k1=None if known.k1 else float(np.log(moments[0] / moments[1])),
+        k2=None if known.k2 else float(np.log(moments[1] / moments[2])),
+        R_GP=None if known.axes else _matrix(R_GP),
+    ), []
+
+
+def _completed_com(mass: MassProperties, solid: Solid) -> Array:
+    """The estimate, its undetermined components along the principal axes taken from the solid."""
+    lost = mass.R_GP[:, ~mass.identifiable.com_P]
+    return np.asarray(mass.com_G + lost @ (lost.T @ (solid.com_G - mass.com_G)))
+
+
+def _matrix(values: Array) -> tuple[tuple[float, float, float], ...]:
+    return tuple((float(a), float(b), float(c)) for a, b, c in values)
+
 
 CLEAR = 3.0
 """Standard deviations from which on a difference is one."""

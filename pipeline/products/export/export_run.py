@@ -12,7 +12,7 @@ import numpy as np
 
 from polhode.atomic import write_bytes
 from polhode.errors import InputError
-from polhode.pipeline.products.export.job import Files, Job
+from polhode.pipeline.products.export.job import Files, Job, last_state, read_run
 from polhode.pipeline.products.export.options import (
     MESHES,
     METRES,
@@ -22,9 +22,8 @@ from polhode.pipeline.products.export.options import (
     check,
     creation_date,
 )
-from polhode.pipeline.products.export.placing import placement
-from polhode.pipeline.products.export.robot import remove_old_pieces, robot_files
-from polhode.pipeline.products.export.run_contents import last_state, read_run
+from polhode.pipeline.products.export.placement import placement
+from polhode.pipeline.products.export.robot_files import remove_old_pieces, robot_files
 from polhode.planning.exports import ccsds, glb, mesh_files
 from polhode.planning.exports.json_document import (
     Document,

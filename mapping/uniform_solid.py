@@ -1,0 +1,82 @@
+"""The body that a mesh encloses, at uniform density 1: volume, centre of mass and inertia.
+
+The mesh itself where it is closed, else its convex hull, if the mesh surrounds its centre.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from polhode.lie import Array
+from polhode.mapping.mesh_geometry import volume_moments
+from polhode.mapping.visibility import Caster
+
+LEAST_COVERAGE = 0.6
+"""Share of the directions from the middle in which there is a surface; below, no volume is told."""
+DIRECTIONS = 400
+NEARLY_CLOSED = 0.97
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A body of density 1."""
+
+    volume_m3: float
+    com_G: Array
+    """(3,) [m]"""
+    inertia: Array
+    """(3, 3) about com_G, axes of G, for a density of 1 kg/m^3 [m^5]"""
+    words: str
+
+
+def solid_of(mesh: trimesh.Trimesh, caster: Caster | None = None) -> tuple[Solid | None, str]:
+    """The mesh as a solid body, or why it is none.
+
+    A closed mesh as it is; an open one by its convex hull, if it surrounds its middle. ``caster``: of the
+    mesh, if there is one already.
+    """
+    if len(mesh.faces) < 4:
+        return None, "there is no surface"
+    if mesh.is_volume:
+        return solid_body(mesh, "volume of the mesh, which is closed"), ""
+    hull = mesh.convex_hull
+    share = coverage(caster or Caster(mesh), np.asarray(hull.center_mass))
+    if share < LEAST_COVERAGE:
+        return None, f"the surface is open and covers only {share:.0%} of the directions from its middle"
+    filled = "" if share > NEARLY_CLOSED else f" (it covers {share:.0%} of the directions from its middle)"
+    return solid_body(
+        hull, f"volume of the mesh's convex hull, as the mesh is open{filled}: an upper bound of that volume"
+    ), ""
+
+
+def solid_body(mesh: trimesh.Trimesh, words: str) -> Solid:
+    """What a mesh encloses."""
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    # about a point within: far from the origin the products would cancel
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    sums = volume_moments(vertices - middle, np.asarray(mesh.faces, dtype=np.int64))
+    # faces that are wound inwards give a negative volume
+    volume, first, second = np.sign(sums[0]) * sums[0], np.sign(sums[0]) * sums[1:4], np.zeros((3, 3))
+    second[np.triu_indices(3)] = np.sign(sums[0]) * sums[4:]
+    second += np.triu(second, 1).T
+    centre = first / volume
+    about = second - volume * np.outer(centre, centre)
+    return Solid(float(volume), middle + centre, np.trace(about) * np.eye(3) - about, words)
+
+
+def principal_axes(inertia: Array) -> tuple[Array, Array]:
+    """Moments (3,) descending, and R_GP (3, 3), right-handed."""
+    values, vectors = np.linalg.eigh(inertia)
+    R_GP = vectors[:, ::-1].copy()
+    R_GP[:, 2] *= np.sign(np.linalg.det(R_GP))
+    return values[::-1], R_GP
+
+
+def coverage(caster: Caster, middle_G: Array) -> float:
+    """Share of the directions from a point in which the mesh stands."""
+    n = np.arange(DIRECTIONS) + 0.5
+    polar, turn = np.arccos(1.0 - 2.0 * n / DIRECTIONS), np.pi * (1.0 + 5.0**0.5) * n
+    direction = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
+    _, face = caster.first(middle_G, direction)
+    return float(np.mean(face >= 0))

@@ -1,0 +1,111 @@
+"""What every step of a run works with: the images, the configuration, progress for the user, stage times."""
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from typing import TypeVar
+
+import numpy as np
+
+from polhode.camera import RectifiedRig
+from polhode.config import Config
+from polhode.dataset import StereoSequence, open_sequence
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.frontend.tracks.tracks import Association, to_tracks
+from polhode.lie import Array
+from polhode.processes import worker_count
+from polhode.progress import Progress
+from polhode.records import StereoTracks
+
+_log = logging.getLogger(__name__)
+Item = TypeVar("Item")
+
+
+@dataclass
+class Stopwatch:
+    """Seconds spent in each stage: ``with clock("fusion"): ...``."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    start: float = field(default_factory=perf_counter)
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        begin = perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + perf_counter() - begin
+
+    def waiting(self, stage: str, items: Iterator[Item]) -> Iterator[Item]:
+        """Pass the items on; the time until each one arrives counts for the stage."""
+        while True:
+            with self(stage):
+                item = next(items, None)
+            if item is None:
+                return
+            yield item
+
+    def add_total(self) -> None:
+        """Record the time since the start, which includes what belongs to no stage."""
+        self.seconds["total"] = perf_counter() - self.start
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """The inputs of a run, opened, and its services."""
+
+    sequence: StereoSequence
+    rectifier: Rectifier
+    config: Config
+    progress: Progress
+    clock: Stopwatch = field(default_factory=Stopwatch)
+
+    @property
+    def rig(self) -> RectifiedRig:
+        """The rectified stereo camera."""
+        return self.rectifier.rig
+
+    @property
+    def time_s(self) -> Array:
+        """(F,) since the first pair [s]"""
+        return np.asarray((self.sequence.timestamps_ns - self.sequence.timestamps_ns[0]) * 1e-9)
+
+    @property
+    def X_NR(self) -> Array:
+        """(F, 4, 4) pose of the rectified left camera"""
+        return np.asarray(self.sequence.X_NC @ self.rectifier.X_CR)
+
+    @property
+    def workers(self) -> int:
+        """Number of processes for parallel work."""
+        return worker_count(self.config.runtime.workers)
+
+    def tracks(self, features: Sequence[StereoFeatures], association: Association) -> StereoTracks:
+        """The measurements of associated features, as the back end takes them."""
+        sequence = self.sequence
+        tracks = to_tracks(
+            features,
+            association,
+            self.rig,
+            sequence.timestamps_ns,
+            self.X_NR,
+            self.config.frontend.tracks,
+            (sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad),
+        )
+        return replace(tracks, X_BR=sequence.calibration.X_BC0 @ self.rectifier.X_CR, wrench=sequence.wrench)
+
+
+def open_context(sequence_folder: Path, config: Config, progress: Progress) -> RunContext:
+    """Start the clock and open the sequence. Anomalies are logged.
+
+    Raises InputError for what is missing or wrong in the folder.
+    """
+    clock = Stopwatch()
+    sequence = open_sequence(sequence_folder)
+    for warning in sequence.warnings:
+        _log.warning(warning)
+    return RunContext(sequence, make_rectifier(sequence.calibration), config, progress, clock)

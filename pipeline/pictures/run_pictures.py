@@ -1,0 +1,152 @@
+"""RUN/pictures: tracks on the images, map and mesh from all sides, the model beside the images.
+
+None of them is a result: if one cannot be made, it is left out with a warning.
+"""
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from polhode.atomic import write_text
+from polhode.dataset import StereoSequence
+from polhode.frontend.rectification.rectified_pair import rectified_left
+from polhode.frontend.rectification.rectify import Rectifier
+from polhode.frontend.rectification.target import Crop, target_crop
+from polhode.lie import Array
+from polhode.mapping.mesh_viewer import MeshViewer
+from polhode.pipeline.context import RunContext
+from polhode.pipeline.pictures.animation import Rgb, caption, draw_frame, film
+from polhode.pipeline.pictures.body_views import body_frame
+from polhode.pipeline.pictures.landmarks import draw_landmarks
+from polhode.pipeline.pictures.mesh_sheet import draw_mesh
+from polhode.pipeline.pictures.model_comparison import Comparison, chosen_frames, compare_frames
+from polhode.pipeline.run_directory.outputs import write_picture
+from polhode.progress import Advance
+from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
+
+STILLS = 4
+"""Frames of the animation that the report shows."""
+MODEL_COLUMNS = ("frame", "timestamp_ns", "measured", "iou", "covered", "rms_grey", "gain", "offset_grey")
+"""Header line of model.csv; a missing value is nan."""
+
+INLIER_BGR = (120, 220, 60)
+OUTLIER_BGR = (70, 80, 240)
+SIDE_PX = 360
+
+_log = logging.getLogger(__name__)
+
+
+def make_pictures(
+    context: RunContext,
+    folder: Path,
+    tracks: StereoTracks,
+    estimate: MotionEstimate,
+    surface: SurfaceModel,
+) -> None:
+    """Write the pictures that the configuration asks for into ``folder``/pictures."""
+    sequence, rectifier, config = context.sequence, context.rectifier, context.config.pictures
+    viewer = None
+    with _optional("the mesh"):
+        viewer = MeshViewer(surface.mesh) if len(surface.mesh.faces) else None
+    frames = chosen_frames(tracks.n_frames, config.frames) if config.animation and viewer else []
+    with context.progress.stage("pictures", 1 + 2 * config.views + len(frames)) as advance:
+        with _optional("tracks on the images"):
+            drawn = track_pictures(sequence, rectifier, tracks, estimate)
+            for number, (words, content) in enumerate(drawn.items()):
+                write_picture(folder, f"{number:02d}.jpg", content, words)
+        advance()
+        frame = body_frame(estimate.mass)
+        if config.views:
+            with _optional("landmarks.png"):
+                if len(estimate.landmarks.p_G):
+                    words = f"Landmarks from six sides. {frame.words}"
+                    write_picture(folder, "landmarks.png", draw_landmarks(estimate.landmarks, frame), words)
+            advance()
+            with _optional("mesh.png"):
+                if viewer is not None:
+                    words = f"Mesh from eight sides. {frame.words}"
+                    write_picture(folder, "mesh.png", draw_mesh(surface, viewer, frame), words)
+            advance()
+        if viewer is not None and frames:
+            with _optional("model.mp4"):
+                compared = compare_frames(sequence, rectifier, tracks, estimate, surface.mesh, viewer, frames)
+                _animate(folder, compared, tracks, len(frames), advance)
+
+
+def _animate(
+    folder: Path, compared: Iterator[Comparison], tracks: StereoTracks, count: int, advance: Advance
+) -> None:
+    """model.mp4, model.gif, model.csv, and some of the frames as separate pictures."""
+    target = folder / "pictures"
+    target.mkdir(exist_ok=True)
+    still = set(((np.arange(STILLS) + 0.5) * count / STILLS).astype(int).tolist())
+    stills: dict[str, tuple[Rgb, str]] = {}
+    rows: list[Comparison] = []
+    with film(target / "model.mp4", target / "model.gif") as add:
+        for number, comparison in enumerate(compared):
+            picture = draw_frame(comparison, tracks.n_frames)
+            add(picture)
+            rows.append(comparison)
+            if number in still:
+                stills[f"model_{comparison.frame:04d}.jpg"] = picture, caption(comparison)
+            advance()
+    write_text(target / "model.csv", _table(rows, tracks))
+    for name, (picture, words) in stills.items():
+        encoded = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1]
+        write_picture(folder, name, encoded.tobytes(), words)
+    overlap = [each.overlap for each in rows if np.isfinite(each.overlap)]
+    if overlap:
+        _log.info("silhouettes of model and image overlap by %.2f (median)", float(np.median(overlap)))
+
+
+def _table(rows: Sequence[Comparison], tracks: StereoTracks) -> str:
+    lines = [",".join(MODEL_COLUMNS)]
+    for each in rows:
+        numbers = (each.overlap, each.covered, each.rms_grey, each.gain, each.offset)
+        start = f"{each.frame},{tracks.timestamps_ns[each.frame]},{int(each.measured)}"
+        lines.append(",".join([start, *(f"{number:.4f}" for number in numbers)]))
+    return "\n".join(lines) + "\n"
+
+
+@contextmanager
+def _optional(name: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # noqa: BLE001  pictures are optional: the run goes on without it
+        _log.warning("no picture: %s (%s: %s)", name, type(error).__name__, error)
+
+
+def track_pictures(
+    sequence: StereoSequence,
+    rectifier: Rectifier,
+    tracks: StereoTracks,
+    estimate: MotionEstimate,
+    count: int = 6,
+) -> dict[str, bytes]:
+    """Caption -> JPEG of the left image's crop with its measurements: inliers green, outliers red."""
+    pictures = {}
+    for k in np.unique(np.linspace(0, tracks.n_frames - 1, count).round().astype(int)).tolist():
+        left, mask = rectified_left(sequence, rectifier, k)
+        crop = target_crop(mask, margin_px=16) or Crop(0, 0, left.shape[1], left.shape[0])
+        here = tracks.frame == k
+        inlier = estimate.inlier_weight[here] > 0.5
+        picture = _draw(left, crop, tracks.uvd_px[here, :2], inlier)
+        seconds = float(tracks.time_s[k])
+        caption = f"frame {k}, {seconds:.1f} s: {int(inlier.sum())} inliers, {int((~inlier).sum())} outliers"
+        pictures[caption] = picture
+    return pictures
+
+
+def _draw(image: np.ndarray, crop: Crop, uv_px: Array, inlier: np.ndarray) -> bytes:
+    patch = image[crop.v0 : crop.v1, crop.u0 : crop.u1]
+    zoom = SIDE_PX / max(patch.shape)
+    size = (round(patch.shape[1] * zoom), round(patch.shape[0] * zoom))
+    canvas = cv2.cvtColor(cv2.resize(patch, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
+    places = ((uv_px - [crop.u0, crop.v0] + 0.5) * zoom).round().astype(int)
+    for place, good in zip(places.tolist(), inlier.tolist(), strict=True):
+        cv2.circle(canvas, place, 2, INLIER_BGR if good else OUTLIER_BGR, -1, cv2.LINE_AA)
+    return cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()

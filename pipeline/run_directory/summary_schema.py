@@ -1,0 +1,297 @@
+"""summary.json: its content as frozen pydantic models, a part for each topic, and its JSON Schema.
+
+The models are the only definition. ``summary.schema.json``, beside this file, is generated from them
+(``python -m polhode.pipeline.run_directory.summary_schema``) and shipped. Standard deviations and variances
+of undetermined quantities are ``null``; there is no NaN or infinity.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from polhode.atomic import write_text
+
+SCHEMA_FILE = Path(__file__).with_name("summary.schema.json")
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Variance = Finite | None
+"""null: undetermined."""
+Vector = tuple[Finite, Finite, Finite]
+Matrix = tuple[Vector, Vector, Vector]
+VarianceRow = tuple[Variance, Variance, Variance]
+VarianceMatrix = tuple[VarianceRow, VarianceRow, VarianceRow]
+Flags = tuple[bool, bool, bool]
+Status = Literal["ok", "degraded", "failed"]
+
+
+class Part(BaseModel):
+    """Refuses keys that it does not know."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, use_attribute_docstrings=True, populate_by_name=True
+    )
+
+
+class Timing(Part):
+    """Wall-clock seconds of each stage; 0 where a stage was not reached."""
+
+    frontend: Finite = 0.0
+    initialization: Finite = 0.0
+    backend: Finite = 0.0
+    depth: Finite = 0.0
+    fusion: Finite = 0.0
+    report: Finite = 0.0
+    total: Finite = 0.0
+
+
+class Inertia(Part):
+    """Mass distribution up to scale; moments sorted Jxx >= Jyy >= Jzz, the middle one 1."""
+
+    k1: Finite
+    """ln(Jxx / Jyy)"""
+    k2: Finite
+    """ln(Jyy / Jzz)"""
+    cov: tuple[tuple[Variance, Variance], tuple[Variance, Variance]]
+    """Covariance of (k1, k2)."""
+    J_G: Matrix
+    """About the centre of mass, axes of G."""
+    cov_J: tuple[tuple[Variance, Variance, Variance, Variance, Variance], ...] = Field(
+        min_length=5, max_length=5
+    )
+    """In the solver's five parameters."""
+    moments: Vector
+    sigma_moments: VarianceRow = (None, 0.0, None)
+    """null: undetermined; the middle one is the unit."""
+    mass_kg: Finite | None = None
+    """From known forces; null: none are known."""
+    sigma_mass_kg: Variance = None
+    """null: undetermined, or no force is known."""
+    scale_kg_m2: Finite | None = None
+    """From known torques, the middle moment: times J_G it is the inertia in kg m^2; null: none are known."""
+    sigma_scale_kg_m2: Variance = None
+    """null: undetermined, or no torque is known."""
+
+
+class Identifiable(Part):
+    """com and axes are true only when every component is determined."""
+
+    k1: bool
+    k2: bool
+    com: bool
+    axes: bool
+
+
+class IdentifiableComponents(Part):
+    """Each component by itself, along (about) the principal axes x, y, z of P."""
+
+    com_P: Flags
+    axes_P: Flags
+
+
+class Solver(Part):
+    """How the optimisation ended."""
+
+    name: str
+    iterations: int
+    cost: Finite
+    converged: bool
+    reduced_chi2: Finite | None
+    message: str = ""
+    runner_up: dict[str, Variance] = {}
+    """Cost of the other hypotheses, by name, minus that of the one chosen; null: did not end."""
+
+
+class Noise(Part):
+    """Noise that the estimate was made with."""
+
+    pixel_sigma_px: Finite
+    disparity_sigma_px: Finite
+    accel_psd: Finite
+    """[(m/s^2)^2/Hz]"""
+    torque_psd: Finite
+    """[(rad/s^2)^2/Hz], torque over the middle moment."""
+
+
+class UnknownPush(Part):
+    """What unknown forces and torques did over steps that follow each other; pushes.csv has each step."""
+
+    start_s: Finite
+    """Seconds since the first pair."""
+    end_s: Finite
+    delta_v_N: Vector
+    """Change of velocity [m/s]."""
+    sigma_delta_v_N: VarianceRow
+    delta_w_P: Vector
+    """Changes of angular velocity, added up along the principal axes [rad/s]."""
+    sigma_delta_w_P: VarianceRow
+    """null: the axes are undetermined."""
+
+
+class Assumed(Part):
+    """What uniform density says; never mixed with the estimates. null: determined by the motion."""
+
+    words: list[str]
+    """What was assumed, and where each number comes from."""
+    volume_m3: Finite
+    density_kg_m3: Finite
+    mass_kg: Finite
+    inertia_kg_m2: Matrix
+    """About the centre of mass, axes of G."""
+    com_G: Vector | None
+    """[m]; the components that the motion determines are its own."""
+    k1: Finite | None
+    k2: Finite | None
+    R_GP: Matrix | None
+
+
+class MeshLevel(Part):
+    """A lighter mesh for planners and viewers."""
+
+    file: str
+    faces: int
+    largest_distance_m: Finite
+    """Largest distance between points of either mesh and the other, of those looked at."""
+    mean_distance_m: Finite
+
+
+class Sun(Part):
+    """The Sun, from how the turning surface brightens and darkens."""
+
+    direction_N: Vector
+    """Unit vector from the target towards the Sun."""
+    sigma_deg: Variance
+    """Standard deviation along each of two axes across it; null: the direction was not used."""
+    explained: Finite
+    """Share of the vertices' changes of brightness that Lambert's law explains."""
+    frames_in_light: int
+    """Of the frames looked at, those in which the Sun shone."""
+
+
+class Mesh(Part):
+    """mesh.ply."""
+
+    vertices: int
+    faces: int
+    closed: bool
+    """Whether it encloses a volume."""
+    holes_closed: int
+    """Small holes that were closed; their faces are flagged as invented."""
+    holes_left_open: int
+    """Small holes that frames looked through, or that no sound surface closes."""
+    invented_faces: int
+    invented_share: Finite
+    """Of the area."""
+    colour: Literal["albedo", "intensity"]
+    """albedo: the Sun's shading was divided out; intensity: averages of the images."""
+    grey_per_albedo: Finite
+    """Grey of a vertex over the grey that it would show facing the Sun; 1 for intensity."""
+    sun: Sun | None
+    """The light that fits best, used or not; null: nothing can be told."""
+    levels: tuple[MeshLevel, ...]
+    frames_doubtful: int = Field(0, ge=0)
+    """Frames whose poses the motion knows poorly against what their depth tells."""
+    frames_aligned: int = Field(0, ge=0)
+    """Of these, those that were aligned to the surface of the other frames."""
+
+
+class Coverage(Part):
+    """How much of the body was seen: shares of the mesh's area, or of its convex hull's where it is open."""
+
+    seen: Finite = Field(ge=0, le=1)
+    """Seen in light."""
+    seen_unlit: Finite = Field(ge=0, le=1)
+    """Seen, but never in light."""
+    unseen: Finite = Field(ge=0, le=1)
+    of: Literal["mesh", "hull"]
+    """What the shares are of."""
+    unseen_direction_G: Vector | None
+    """Unit vector around which the unseen part faces; null: none, or all around."""
+    words: str
+
+
+class Physics(Part):
+    """The mesh at uniform density against the motion's mass properties; null: not determined."""
+
+    words: list[str]
+    """What agrees and what differs; nothing is said about what the motion does not determine."""
+    volume_m3: Finite
+    com_uniform_G: Vector
+    """[m]"""
+    com_offset_G: Vector | None
+    """Estimate minus uniform density, of the components that are determined [m]."""
+    com_offset_sigma_m: Variance
+    """Of the estimate, along the offset."""
+    R_GP_uniform: Matrix
+    axes_angle_deg: Finite | None
+    """Smallest rotation between the axes that are determined; half-turns are none."""
+    axes_angle_sigma_deg: Variance
+    k1_uniform: Finite
+    k2_uniform: Finite
+    k1_difference: Finite | None
+    """Estimate minus uniform density."""
+    k2_difference: Finite | None
+
+
+class Summary(Part):
+    """What a run found. Parts that a failed run did not reach are null."""
+
+    schema_: Literal["polhode-summary/1"] = Field("polhode-summary/1", alias="schema")
+    status: Status
+    warnings: list[str]
+    frames: int = Field(ge=0)
+    """Stereo pairs, each a row of trajectory.csv; a frame that was dropped on reading has a warning."""
+    frames_used: int = Field(ge=0)
+    """Pairs with measurements; the others are bridged by the dynamics."""
+    landmarks: int = Field(ge=0)
+    observations: int = Field(ge=0)
+    duration_s: Finite
+    """Of the data."""
+    timing_s: Timing
+    inertia: Inertia | None
+    identifiable: Identifiable | None
+    identifiable_detail: dict[str, str]
+    """Per direction, the reason in words."""
+    identifiable_components: IdentifiableComponents | None
+    com_G: Vector | None
+    """[m]"""
+    cov_com_G: VarianceMatrix | None
+    """[m^2]"""
+    R_GP: Matrix | None
+    cov_R_GP: VarianceMatrix | None
+    """Of theta in R_GP Exp(theta) [rad^2]."""
+    solver: Solver | None
+    noise: Noise | None
+    unknown_pushes: tuple[UnknownPush, ...] = ()
+    """Of unknown forces and torques, in time."""
+    assumed: Assumed | None = None
+    """From uniform density of the mesh, where the user gave a mass or a density; null: neither."""
+    mesh: Mesh | None = None
+    """null: there is none."""
+    coverage: Coverage | None = None
+    """null: there is no mesh."""
+    physics: Physics | None = None
+    """null: the mesh tells no volume."""
+
+
+@dataclass(frozen=True)
+class ShapeFindings:
+    """All of these; None where a step failed or had no surface."""
+
+    mesh: Mesh | None = None
+    coverage: Coverage | None = None
+    physics: Physics | None = None
+    assumed: Assumed | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def summary_schema() -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of summary.json."""
+    schema = Summary.model_json_schema(by_alias=True, mode="serialization")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+if __name__ == "__main__":
+    write_text(SCHEMA_FILE, json.dumps(summary_schema(), indent=2) + "\n")

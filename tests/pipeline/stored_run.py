@@ -1,0 +1,35 @@
+"""A finished run on disk, from its parts and without the front end."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from polhode.config import Config
+from polhode.pipeline.report import finish_run
+from polhode.pipeline.run_directory.outputs import write_config, write_estimate, write_picture, write_surface
+from polhode.pipeline.run_directory.summary import build_summary
+from polhode.pipeline.run_directory.summary_schema import Summary
+from polhode.records import MotionEstimate, RelativePoses, StereoTracks, SurfaceModel
+
+
+def write_run(
+    folder: Path,
+    *,
+    config: Config,
+    tracks: StereoTracks,
+    estimate: MotionEstimate,
+    surface: SurfaceModel | None,
+    timing_s: Mapping[str, float],
+    relative: RelativePoses | None = None,
+    warnings: Sequence[str] = (),
+    degraded: Sequence[str] = (),
+    pictures: Mapping[str, bytes] | None = None,
+) -> Summary:
+    """Write what a run writes, stage by stage; ``pictures``: PNG or JPEG by caption."""
+    write_config(folder, config)
+    write_estimate(folder, tracks, estimate, relative)
+    if surface is not None:
+        write_surface(folder, surface)
+    for number, (caption, content) in enumerate((pictures or {}).items()):
+        suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
+        write_picture(folder, f"{number:02d}{suffix}", content, caption)
+    return finish_run(folder, build_summary(tracks, estimate, surface, timing_s, warnings, degraded))
