@@ -17,7 +17,7 @@ from polhode.config.mapping import Mapping
 from polhode.frontend.extract import extract_depth
 from polhode.lie import Array, make_pose
 from polhode.mapping.fusion.fuse import Frame, fuse
-from polhode.pipeline.correspondences import look
+from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.find_motion import find_motion
 from polhode.progress import Progress, Silent
 from polhode.records import DepthMap, SurfaceModel
@@ -126,7 +126,7 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
 
         return kept
 
-    for name, work in (("look", look), ("find_motion", find_motion)):
+    for name, work in (("match_frames", match_frames), ("find_motion", find_motion)):
         monkeypatch.setattr(f"polhode.pipeline.run.{name}", once(name, work))
     monkeypatch.setattr("polhode.pipeline.run.extract_depth", maps)
     monkeypatch.setattr("polhode.pipeline.run.fuse", fused)
