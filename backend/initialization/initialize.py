@@ -23,6 +23,8 @@ MIN_COMMON = 4
 """Landmarks that a frame must share with the map to be placed in it."""
 MIN_AGREEMENT = 0.4
 """Share of a frame's observations that must fit the map; a frame below it was placed wrongly."""
+MIN_CONSISTENT = 0.1
+"""The same before bundle adjustment, when good frames may still be off by some degrees."""
 BUNDLE_ITERATIONS = 12
 
 
@@ -38,6 +40,12 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
             f"no consistent motion: only {connected.sum()} of {tracks.n_frames} frames could be connected"
         )
     p_G, known = robust_landmarks(tracks, X_RG, connected)
+    # Bundle adjustment would carry a frame whose landmarks are all elsewhere far away from the target, and
+    # landmarks with it; where it then ends is decided by rounding.
+    consistent = connected & (agreement(tracks, X_RG, p_G) >= MIN_CONSISTENT)
+    if consistent.sum() >= MIN_CONNECTED and not np.array_equal(consistent, connected):
+        connected = consistent
+        p_G, known = robust_landmarks(tracks, X_RG, connected)
     X_RG, connected = relocalize(tracks, X_RG, connected, p_G, known)
     X_RG = bundle_adjust(tracks, X_RG, connected, config)
     p_G, known = robust_landmarks(tracks, X_RG, connected)
@@ -140,9 +148,10 @@ def agreement(tracks: StereoTracks, X_RG: Array, p_G: Array) -> Array:
     p_R = tracks.rig.triangulate(tracks.uvd_px)
     expected = np.einsum("mij,mj->mi", X_RG[tracks.frame, :3, :3], p_G[tracks.landmark])
     expected += X_RG[tracks.frame, :3, 3]
-    near = np.linalg.norm(p_R - expected, axis=1) < triangulation_gate_m(
-        tracks, np.arange(len(p_R)), expected
-    )
+    # the depth of one of the two may be absurd, and its gate with it
+    everything = np.arange(len(p_R))
+    gate = np.minimum(*(triangulation_gate_m(tracks, everything, p) for p in (p_R, expected)))
+    near = np.linalg.norm(p_R - expected, axis=1) < gate
     total = np.bincount(tracks.frame, minlength=tracks.n_frames)
     return np.asarray(np.bincount(tracks.frame, near, tracks.n_frames) / np.maximum(total, 1))
 
