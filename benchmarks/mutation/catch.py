@@ -64,7 +64,8 @@ def try_all(faults: list[Fault], tree: Path, folder: Path, jobs: int) -> list[Ou
     free: SimpleQueue[Path] = SimpleQueue()
     for job in range(jobs):
         copy = folder / str(job)
-        shutil.copytree(tree, copy, symlinks=True, ignore=shutil.ignore_patterns(*LEFT_OUT))
+        # of the repository itself only: the sample has folders of the name data, too
+        shutil.copytree(tree, copy, symlinks=True, ignore=lambda at, _: LEFT_OUT if Path(at) == tree else ())
         free.put(copy)
 
     def attempt(fault: Fault) -> Outcome:
