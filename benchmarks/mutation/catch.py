@@ -6,7 +6,6 @@ Each fault goes alone into a copy of the repository, and the tests that it names
 fails. That test must pass without the fault, else it counts for nothing.
 """
 
-import argparse
 import os
 import re
 import shutil
@@ -18,11 +17,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from time import perf_counter
+from typing import Annotated
 
+from tyro.conf import arg
+
+from benchmarks.command import ROOT, command
 from benchmarks.mutation.faults import FAULTS, Fault
 
-ROOT = Path(__file__).resolve().parents[2]
 LEFT_OUT = (".git", ".venv", "runs", "data", ".mypy_cache", ".ruff_cache", ".pytest_cache")
+FAULTY = ("backend", "cli", "compare", "frontend", "mapping", "pipeline", "planning", "polhode", "simulation")
 LONGEST_S = 1500.0
 """The tests of a fault that makes a loop endless are stopped."""
 _COMPILED = re.compile(r"^@(njit|compiled|fused)", re.MULTILINE)
@@ -41,21 +44,22 @@ class Outcome:
     """Why the fault could not be tried"""
 
 
-def main() -> None:
-    """Try the faults and print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--tree", type=Path, default=ROOT, help="the repository whose tests are tried")
-    parser.add_argument("--only", default="", help="faults whose file or kind contains this text")
-    parser.add_argument("--jobs", type=int, default=1, help="copies of the repository to test at a time")
-    parser.add_argument("-o", "--output", type=Path, help="a file for the table as well")
-    options = parser.parse_args()
-    chosen = [fault for fault in FAULTS if options.only in fault.file or options.only in fault.kind]
+def main(
+    *,
+    tree: Path = ROOT,
+    only: str = "",
+    jobs: int = 1,
+    output: Annotated[Path | None, arg(aliases=["-o"], metavar="MD")] = None,
+) -> None:
+    """tree: the repository whose tests are tried; only: faults whose file or kind contains this text; jobs:
+    copies of the repository that are tested at a time; output: a file for the table as well."""
+    chosen = [fault for fault in FAULTS if only in fault.file or only in fault.kind]
     with tempfile.TemporaryDirectory(prefix="polhode-faults-") as folder:
-        outcomes = try_all(chosen, options.tree.resolve(), Path(folder), options.jobs)
+        outcomes = try_all(chosen, tree.resolve(), Path(folder), jobs)
     lines = table(outcomes)
     print("\n".join(lines))
-    if options.output:
-        options.output.write_text("\n".join(lines) + "\n")
+    if output:
+        output.write_text("\n".join(lines) + "\n")
     sys.exit(any(not outcome.caught_by for outcome in outcomes))
 
 
@@ -84,9 +88,9 @@ def try_all(faults: list[Fault], tree: Path, folder: Path, jobs: int) -> list[Ou
 
 def try_one(fault: Fault, copy: Path, tree: Path) -> Outcome:
     """Put the fault into the copy, run its tests, and take it out again."""
-    begin, file = perf_counter(), copy / fault.file
-    if not file.is_file() or file.read_text().count(fault.old) != 1:
-        return Outcome(fault, "", 0.0, "the piece of code does not occur once in this file: renew the fault")
+    begin, file = perf_counter(), place_of(fault, copy)
+    if file is None:
+        return Outcome(fault, "", 0.0, "the piece of code does not occur exactly once: renew the fault")
     code = file.read_text().replace(fault.old, fault.new)
     file.write_text(code)
     # callers elsewhere keep compiled code of the function in the cache: they are compiled anew
@@ -94,7 +98,7 @@ def try_one(fault: Fault, copy: Path, tree: Path) -> Outcome:
     try:
         said = run_tests(copy, fault.tests, cache)
     finally:
-        shutil.copy2(tree / fault.file, file)
+        shutil.copy2(tree / file.relative_to(copy), file)
         if cache:
             shutil.rmtree(cache)
     failed = _FAILED.search(said)
@@ -104,6 +108,18 @@ def try_one(fault: Fault, copy: Path, tree: Path) -> Outcome:
     if " passed" not in run_tests(copy, (name.removeprefix("tests/"),), None):
         return Outcome(fault, "", perf_counter() - begin, f"{name} fails without the fault too")
     return Outcome(fault, name, perf_counter() - begin)
+
+
+def place_of(fault: Fault, tree: Path) -> Path | None:
+    """The file that holds the code of the fault: the one that it names, or the only other one."""
+    named = tree / fault.file
+    if named.is_file() and fault.old in named.read_text():
+        found = [named]
+    else:
+        folders = [tree / part for part in FAULTY if (tree / part).is_dir()]
+        files = [file for folder in folders for file in folder.rglob("*.py") if not file.is_symlink()]
+        found = [file for file in files if fault.old in file.read_text()]
+    return found[0] if len(found) == 1 and found[0].read_text().count(fault.old) == 1 else None
 
 
 def run_tests(copy: Path, tests: tuple[str, ...], cache: str | None) -> str:
@@ -137,4 +153,4 @@ def table(outcomes: list[Outcome]) -> list[str]:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -1,7 +1,8 @@
 """Forty deliberate faults, each of a kind that a person could commit: what the test suite must notice.
 
-A fault is one piece of code, and what replaces it. The piece must occur exactly once in its file, so that a
-change of the code that removes it is noticed: then the fault is written anew for the new code.
+A fault is one piece of code, and what replaces it. The piece is looked for in its file and, where it has
+moved, in the others; it must occur exactly once, so that a change of the code that removes it is noticed:
+then the fault is written anew for the new code.
 """
 
 from dataclasses import dataclass
@@ -54,14 +55,14 @@ BACKEND = (
     ),
     Fault(
         "scale of the kernel not squared in the robust weight",
-        "backend/solvers/gauss_newton.py",
+        "backend/solvers/robust_kernel.py",
         "return np.asarray(1.0 / (1.0 + s / scale**2))",
         "return np.asarray(1.0 / (1.0 + s / scale))",
         ("backend/solvers/test_ipopt.py",),
     ),
     Fault(
         "sign of a derivative of the principal axes",
-        "backend/uncertainty/covariance.py",
+        "backend/uncertainty/principal_axes.py",
         "axes[1, n] = -M[0, 2] / _gap",
         "axes[1, n] = M[0, 2] / _gap",
         ("backend/test_camera_noise.py",),
@@ -76,8 +77,8 @@ BACKEND = (
     Fault(
         "variance instead of standard deviation: the noise of the pixels",
         "backend/noise/measurement_noise.py",
-        "scales = np.sqrt([squares[:2].sum() / freedom[:2].sum(), squares[2] / freedom[2]])",
-        "scales = np.array([squares[:2].sum() / freedom[:2].sum(), squares[2] / freedom[2]])",
+        "np.sqrt([squares[:2].sum() / freedom[:2].sum(), squares[2] / freedom[2]])",
+        "np.array([squares[:2].sum() / freedom[:2].sum(), squares[2] / freedom[2]])",
         ("backend/noise", "backend/test_estimate.py::test_pixel_and_disparity_noise_are_recovered"),
     ),
     Fault(
@@ -145,7 +146,7 @@ SIMULATION = (
         "simulation/motion/integrate.py",
         "out[8] = 0.5 * (w * rate[1] + z * rate[0] - x * rate[2])",
         "out[8] = 0.5 * (w * rate[1] - z * rate[0] + x * rate[2])",
-        ("simulation/test_motion_forces.py",),
+        ("simulation/motion/test_forces.py",),
     ),
     Fault(
         "the lamp's light falls with the distance, not with its square",
@@ -173,7 +174,7 @@ SIMULATION = (
         "simulation/bodies/parts/mass.py",
         "inertia += factor * mass.inertia_per_density + weight * (d @ d * np.eye(3) - np.outer(d, d))",
         "inertia += factor * mass.inertia_per_density",
-        ("simulation/bodies/parts/test_mass.py", "simulation/test_motion_mass.py"),
+        ("simulation/bodies/parts/test_mass.py", "simulation/motion/test_mass.py"),
     ),
     Fault(
         "pixel centres off by half a pixel",
@@ -189,28 +190,28 @@ MAPPING = (
         "mapping/fusion/integration.py",
         "pixel = v[hit] * w + u[hit]",
         "pixel = u[hit] * w + v[hit]",
-        ("mapping/test_field.py", "mapping"),
+        ("mapping/fusion/test_field.py", "mapping"),
     ),
     Fault(
         "pose where its inverse is needed",
         "mapping/fusion/integration.py",
         "np.ascontiguousarray(inverse_pose(X_RG)),\n            grid.voxel_m,",
         "np.ascontiguousarray(X_RG),\n            grid.voxel_m,",
-        ("mapping/test_field.py", "mapping"),
+        ("mapping/fusion/test_field.py", "mapping"),
     ),
     Fault(
         "sign of the rotation's derivative in the alignment of a frame",
         "mapping/fusion/frame_alignment.py",
         "by_turn = np.cross(along, away)",
         "by_turn = np.cross(away, along)",
-        ("mapping/test_align.py", "mapping"),
+        ("mapping/fusion/test_frame_alignment.py", "mapping"),
     ),
     Fault(
         "missing check: holes that a frame looked through are closed",
         "mapping/finishing/hole_closing.py",
         "    if patches and views and rig is not None:\n",
         "    if False and patches and views and rig is not None:\n",
-        ("mapping/test_holes.py", "mapping"),
+        ("mapping/finishing/test_hole_closing.py", "mapping"),
     ),
 )
 PLANNING = (
@@ -226,7 +227,7 @@ PLANNING = (
         "planning/keep_out/swept_distance.py",
         "gx = A[0, 0] * dx + A[1, 0] * dy + A[2, 0] * dz",
         "gx = A[0, 0] * dx + A[0, 1] * dy + A[0, 2] * dz",
-        ("planning/keep_out/test_keepout.py", "planning"),
+        ("planning/keep_out/test_volumes.py", "planning"),
     ),
     Fault(
         "scalar part of an exported quaternion first instead of last",
