@@ -15,6 +15,8 @@ from polhode.config import Config
 from polhode.config import keys as config_keys
 from polhode.errors import InputError
 
+DEFAULT_CONFIG = Path(__file__).with_name("default.yaml")
+"""Fits any calibrated stereo sequence; part of the installed package."""
 EXTENDS = "extends"
 COMMAND_LINE = "command line"
 
@@ -52,14 +54,13 @@ class _Layered:
 
 
 def load_config(path: Path | None, overrides: Mapping[str, Any] | None = None) -> Config:
-    """Read ``path`` and what it extends, lay ``overrides`` (dotted key -> value) over it, and validate.
+    """Read ``path`` (None: the default) and what it extends, lay ``overrides`` (dotted key -> value) over it.
 
-    Without a path the overrides are laid over the defaults of the program, which are those of the types.
     Raises InputError: a missing file, a YAML syntax error with its line, a circle of ``extends``, an
     unknown key, a wrong type, a value out of range.
     """
     layered = _Layered()
-    for source, values in _chain(path, ()) if path is not None else ():
+    for source, values in _chain(path or DEFAULT_CONFIG, ()):
         layered.merge(values, str(source))
     for key, value in (overrides or {}).items():
         layered.merge(_nested(key.split("."), value), COMMAND_LINE)
