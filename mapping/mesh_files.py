@@ -8,64 +8,32 @@ from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
 from polhode.errors import InputError
+from polhode.ply import surface_ply
 from polhode.records import SurfaceModel
-
-_VERTEX = np.dtype(
-    [
-        ("x", "<f4"),
-        ("y", "<f4"),
-        ("z", "<f4"),
-        ("nx", "<f4"),
-        ("ny", "<f4"),
-        ("nz", "<f4"),
-        ("red", "u1"),
-        ("green", "u1"),
-        ("blue", "u1"),
-        ("alpha", "u1"),
-        ("sigma_m", "<f4"),
-        ("views", "<i4"),
-        ("coverage", "u1"),
-    ]
-)
-_FACE = np.dtype([("count", "u1"), ("index", "<i4", (3,)), ("invented", "u1")])
-_PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
 
 
 def write_ply(surface: SurfaceModel, path: Path) -> None:
     """Binary PLY: x y z [m in G], normal, colour, sigma_m [m], views, coverage; triangles, ``invented``."""
     mesh = surface.mesh
-    vertices = np.zeros(len(mesh.vertices), dtype=_VERTEX)
-    if len(vertices):
-        for axis, name in enumerate("xyz"):
-            vertices[name] = mesh.vertices[:, axis]
-            vertices[f"n{name}"] = mesh.vertex_normals[:, axis]
-        for channel, name in enumerate(("red", "green", "blue", "alpha")):
-            vertices[name] = _colours(mesh)[:, channel]
-        vertices["sigma_m"], vertices["views"] = surface.sigma_m, surface.views
-        vertices["coverage"] = surface.coverage_classes
-    faces = np.zeros(len(mesh.faces), dtype=_FACE)
-    faces["count"], faces["index"], faces["invented"] = 3, mesh.faces, surface.is_invented
-    path.write_bytes(_header(len(vertices), len(faces)) + vertices.tobytes() + faces.tobytes())
+    content = surface_ply(
+        vertices=np.asarray(mesh.vertices),
+        normals=np.asarray(mesh.vertex_normals) if len(mesh.vertices) else np.zeros((0, 3)),
+        rgba=_colours(mesh) if len(mesh.vertices) else np.zeros((0, 4), np.uint8),
+        sigma=surface.sigma_m,
+        views=surface.views,
+        coverage=surface.coverage_classes,
+        faces=mesh.faces,
+        invented=surface.is_invented,
+        comments=["frame G, metres"],
+        more_comments=["invented 1: the face closes a small hole"],
+    )
+    path.write_bytes(content)
 
 
 def _colours(mesh: trimesh.Trimesh) -> NDArray[np.uint8]:
     """(V, 4)"""
     colours = mesh.visual.vertex_colors if isinstance(mesh.visual, ColorVisuals) else np.full((1, 4), 128)
     return np.broadcast_to(np.asarray(colours, dtype=np.uint8), (len(mesh.vertices), 4))
-
-
-def _header(n_vertices: int, n_faces: int) -> bytes:
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment frame G, metres",
-        "comment sigma_m inf, views 0: not measured; coverage 0 unseen, 1 seen but never lit, 2 seen lit",
-        "comment invented 1: the face closes a small hole",
-        f"element vertex {n_vertices}",
-    ]
-    lines += [f"property {_PLY_TYPES[_VERTEX[name].str]} {name}" for name in _VERTEX.names or ()]
-    lines += [f"element face {n_faces}", "property list uchar int vertex_indices", "property uchar invented"]
-    return ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
 
 
 def read_ply(path: Path) -> SurfaceModel:

@@ -10,8 +10,8 @@ import logging
 import numpy as np
 
 from polhode.lie import log_so3
-from polhode.metrics import mean_rotation
 from polhode.records import Bools, MotionEstimate, StereoTracks
+from polhode.rigid_fit import mean_rotation
 
 OUTLIER_SIGMAS = 4.5
 """An observation is an outlier if its residual exceeds so many standard deviations of the earlier

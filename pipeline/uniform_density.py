@@ -10,11 +10,11 @@ import numpy as np
 import trimesh
 
 from polhode.config.backend import Backend
+from polhode.half_turns import HALF_TURNS
 from polhode.lie import Array, log_so3
 from polhode.mapping.finishing.hole_closing import boundary_loops
 from polhode.mapping.uniform_solid import Solid, principal_axes, solid_body, solid_of
 from polhode.mapping.visibility import Caster
-from polhode.metrics import HALF_TURNS
 from polhode.pipeline.coverage import axis_words
 from polhode.pipeline.run_directory.summary_schema import Assumed, Physics
 from polhode.records import Bools, MassProperties, SurfaceModel

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.errors import InputError
+from polhode.half_turns import HALF_TURNS, best_half_turn
 from polhode.lie import Array, log_so3
 from polhode.records import Ints, Truth
 from polhode.rigid_body import propagate
+from polhode.rigid_fit import mean_rotation
 
-HALF_TURNS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-"""Diagonals of the four rotations that keep the principal axes: none, and half-turns about x, y, z."""
-HALF_TURN_NAMES = ("none", "x", "y", "z")
 _SAME_INSTANT_NS = 1_000
 
 
@@ -62,23 +61,10 @@ def truth_at(truth: Truth, timestamps_ns: Ints) -> States:
     return States(timestamps_ns, r_N, v_N, R_NP, w_P)
 
 
-def best_half_turn(R_NP: Array, R_NP_true: Array) -> int:
-    """Index into HALF_TURNS of the S that brings R_NP diag(S) nearest to the truth, over frames (F, 3, 3)."""
-    between = np.swapaxes(R_NP, -1, -2) @ R_NP_true
-    agreement = np.einsum("sk,fkk->s", HALF_TURNS, between)
-    return int(np.argmax(agreement))
-
-
 def turned(states: States, half_turn: int) -> States:
     """The same motion with the principal axes named otherwise."""
     s = HALF_TURNS[half_turn]
     return States(states.timestamps_ns, states.r_N, states.v_N, states.R_NP * s, states.w_P * s)
-
-
-def mean_rotation(R: Array) -> Array:
-    """Chordal mean of rotations (F, 3, 3) -> (3, 3)."""
-    U, _, Vt = np.linalg.svd(np.mean(R, axis=0))
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
 def constant_body_rotation(states: States, truth: States) -> Array:

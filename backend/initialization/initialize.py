@@ -16,6 +16,7 @@ from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import Bools, InitialMotion, Ints, RelativePoses, StereoTracks
+from polhode.rigid_fit import fit_rigid
 from polhode.threads import single_threaded
 
 MIN_CONNECTED = 3
@@ -161,21 +162,13 @@ def ransac_orientation(p_R: Array, p_G: Array, gate_m: Array, rng: np.random.Gen
     best, count = np.ones(len(p_R), bool), 0
     for _ in range(100):
         pick = rng.choice(len(p_R), 3, replace=False)
-        X = absolute_orientation(p_R[pick], p_G[pick])
+        X = fit_rigid(p_R[pick], p_G[pick])
         agree = np.linalg.norm(transform_points(X, p_G) - p_R, axis=1) < gate_m
         if agree.sum() > count:
             best, count = agree, int(agree.sum())
     if count < 3:
         return np.eye(4), count
-    return absolute_orientation(p_R[best], p_G[best]), count
-
-
-def absolute_orientation(p_A: Array, p_B: Array) -> Array:
-    """X_AB of least squares with p_A ~ X_AB p_B, both (n, 3), n >= 3 (Kabsch 1976)."""
-    c_A, c_B = p_A.mean(axis=0), p_B.mean(axis=0)
-    U, _, V_T = np.linalg.svd((p_A - c_A).T @ (p_B - c_B))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V_T)]) @ V_T
-    return make_pose(R, c_A - R @ c_B)
+    return fit_rigid(p_R[best], p_G[best]), count
 
 
 def bridge(time_s: Array, X_NG: Array, connected: Bools) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 from polhode.backend.problem.inertia import InertiaForm, inertia_from_second_moments, principal_axes
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.wrench import TURN
+from polhode.half_turns import nearest_half_turn
 from polhode.lie import Array, exp_so3
 from polhode.records import Bools
 
@@ -44,7 +45,7 @@ def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
     J = iterate.J_G(form)
     moments, R = principal_axes(J)
     if iterate.wrench is not None and iterate.R_torque is not None:
-        R = R @ _nearest_half_turn(R.T @ iterate.R_torque @ exp_so3(iterate.wrench[TURN]))
+        R = R @ nearest_half_turn(R, iterate.R_torque @ exp_so3(iterate.wrench[TURN]))
     values = np.diag(R.T @ J @ R)
     ratios, axes, ln_middle = np.zeros((2, 5)), np.zeros((3, 5)), np.zeros(5)
     step = 1e-6
@@ -61,12 +62,6 @@ def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
         axes[1, n] = -M[0, 2] / _gap(values[0] - values[2], values[1])
         axes[2, n] = M[1, 0] / _gap(values[0] - values[1], values[1])
     return AxesDerivative(moments, R, ratios, axes, ln_middle)
-
-
-def _nearest_half_turn(R: Array) -> Array:
-    """Of the identity and the half-turns about x, y, z, as diagonal matrices, the one nearest to R (3, 3)."""
-    signs = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-    return np.diag(signs[np.argmax(signs @ np.diag(R))])
 
 
 def _gap(difference: float, middle: float) -> float:

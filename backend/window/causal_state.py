@@ -11,14 +11,13 @@ from polhode.backend.uncertainty.covariance import state_jacobian, with_infinite
 from polhode.backend.uncertainty.identifiability import analyse, undetermined_states
 from polhode.backend.uncertainty.principal_axes import axes_derivative, free_axis_covariance
 from polhode.backend.window.frame import Frame
+from polhode.half_turns import nearest_half_turn
 from polhode.lie import Array, make_pose
 from polhode.records import Bools
 
 N_JOINT = N_STATE + N_CONSTANTS
 ROUNDING = 1e-7
 """Share of the diagonal of a Hessian that does no harm to what is known."""
-HALF_TURNS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=np.float64)
-"""Diagonals of no turn and of the half-turns about x, y, z."""
 
 
 @dataclass(frozen=True)
@@ -166,9 +165,3 @@ def unknown_state(
         np.diag(np.full(5, np.inf)),
         np.zeros(4, bool),
     )
-
-
-def nearest_half_turn(R_GP: Array, wanted: Array) -> Array:
-    """The half-turn (3, 3), or none, after which the axes R_GP lie nearest to the wanted ones."""
-    along = np.einsum("ij,ij->j", R_GP, wanted)
-    return np.diag(HALF_TURNS[int(np.argmax(HALF_TURNS @ along))])

@@ -8,10 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from polhode.backend.noise.systematic import online_with_systematic
-from polhode.backend.window.causal_state import HALF_TURNS, OnlineState
+from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.estimator import SlidingWindow
 from polhode.backend.window.frame import camera_noise_of, frames_of
 from polhode.config.backend import Backend
+from polhode.half_turns import HALF_TURNS
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks

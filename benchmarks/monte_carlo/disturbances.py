@@ -16,8 +16,8 @@ from tyro.conf import arg
 from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.record import Case, complete
 from polhode.config.backend import Backend
+from polhode.half_turns import HALF_TURNS
 from polhode.lie import Array, log_so3
-from polhode.metrics import HALF_TURNS
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, Vector, generate

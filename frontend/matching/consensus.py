@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.frontend.matching.ransac import fit_rigid
 from polhode.lie import Array, transform_points
 from polhode.records import Bools, Ints
+from polhode.rigid_fit import fit_rigid
 
 AXES_DEG = 25.0
 """Axes of right matches are off by 5 to 15 degrees; two proposals agree within this [deg]."""

@@ -7,6 +7,7 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.records import Bools
+from polhode.rigid_fit import fit_rigid
 
 NOISE_PX = np.array([0.7, 0.7, 0.25])
 """Noise of places and disparities of features, whose ratio weighs [px]."""
@@ -22,17 +23,6 @@ class RigidFit:
     """(4, 4) p_Ri = X_RiRj @ p_Rj"""
     inlier: Bools
     """(n,)"""
-
-
-def fit_rigid(p_A: Array, p_B: Array, weight: Array | None = None) -> Array:
-    """X_AB (4, 4) that minimises sum w |p_A - X_AB p_B|^2 over points (n, 3), n >= 3."""
-    w = np.ones(len(p_A)) if weight is None else weight
-    w = w / w.sum()
-    mean_A, mean_B = w @ p_A, w @ p_B
-    U, _, Vt = np.linalg.svd((p_A - mean_A).T @ ((p_B - mean_B) * w[:, None]))
-    # A reflection fits noise on flat scenes better than a rotation: forbid it.
-    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-    return make_pose(R, mean_A - R @ mean_B)
 
 
 def ransac_rigid(

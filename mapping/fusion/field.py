@@ -20,8 +20,8 @@ from polhode.mapping.fusion.frame_alignment import Alignment, align, depth_point
 from polhode.mapping.fusion.integration import allocate, integrate
 from polhode.mapping.fusion.interpolation import FieldLookup
 from polhode.mapping.fusion.surface_extraction import Shares, Support, empty_surface, extract_surface
-from polhode.metrics import mean_rotation
 from polhode.records import AlignedPoses, DepthMap, SurfaceModel
+from polhode.rigid_fit import mean_rotation
 
 _log = logging.getLogger(__name__)
 _ROUNDS = 5

@@ -6,20 +6,11 @@ import numpy as np
 
 from polhode.atomic import write_bytes
 from polhode.errors import InputError
+from polhode.ply import binary_ply
 from polhode.records import Landmarks
 
 _VERTEX = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("sigma_m", "<f8"), ("observations", "<i4")])
-_HEADER = """ply
-format binary_little_endian 1.0
-comment landmarks in the geometric frame G [m]; sigma_m is one standard deviation [m]
-element vertex {count}
-property double x
-property double y
-property double z
-property double sigma_m
-property int observations
-end_header
-"""
+_COMMENT = "landmarks in the geometric frame G [m]; sigma_m is one standard deviation [m]"
 
 
 def write_landmarks(landmarks: Landmarks, path: Path) -> None:
@@ -29,7 +20,7 @@ def write_landmarks(landmarks: Landmarks, path: Path) -> None:
         vertices[name] = landmarks.p_G[:, column]
     vertices["sigma_m"] = np.nan_to_num(landmarks.sigma_m, nan=np.inf, posinf=np.inf)
     vertices["observations"] = landmarks.observations
-    write_bytes(path, _HEADER.format(count=len(vertices)).encode("ascii") + vertices.tobytes())
+    write_bytes(path, binary_ply(vertices, [_COMMENT]))
 
 
 def read_landmarks(path: Path) -> Landmarks:
@@ -38,17 +29,10 @@ def read_landmarks(path: Path) -> Landmarks:
     if not file.is_file():
         raise InputError(f"{file}: no such file; give the folder of a run that reached an estimate")
     content = file.read_bytes()
-    head, mark, body = content.partition(b"end_header\n")
-    header = _HEADER.encode("ascii").split(b"{count}")
-    count = head.removeprefix(header[0]).split(b"\n")[0]
-    if (
-        not mark
-        or not head.startswith(header[0])
-        or not count.isdigit()
-        or len(body) != int(count) * _VERTEX.itemsize
-    ):
+    body = content.partition(b"end_header\n")[2]
+    vertices = np.frombuffer(body[: len(body) - len(body) % _VERTEX.itemsize], dtype=_VERTEX)
+    if content != binary_ply(vertices, [_COMMENT]):
         raise InputError(f"{file}: not a point cloud that polhode wrote; run 'polhode run' again")
-    vertices = np.frombuffer(body, dtype=_VERTEX)
     p_G = np.stack([vertices["x"], vertices["y"], vertices["z"]], axis=1)
     bad = ~np.isfinite(p_G).all(axis=1) | np.isnan(vertices["sigma_m"])
     if bad.any():

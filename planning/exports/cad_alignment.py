@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
+from polhode.rigid_fit import fit_rigid
 
 KEPT = 0.9
 """Share of the points that a step looks at: the scan may hold what the model does not."""
@@ -48,16 +49,12 @@ def align_points(p_G: Array, p_cad: Array) -> Alignment:
     if len(p_G) < 3:
         raise ValueError(f"{len(p_G)} pairs of points; give three or more")
     middle_G, middle_cad = p_G.mean(axis=0), p_cad.mean(axis=0)
-    U, spread, Vt = np.linalg.svd((p_cad - middle_cad).T @ (p_G - middle_G))
+    spread = np.linalg.svd((p_cad - middle_cad).T @ (p_G - middle_G), compute_uv=False)
     if spread[1] < 1e-6 * spread[0]:
         raise ValueError("the points lie on a line; give one beside it")
-    hand = float(np.sign(np.linalg.det(U @ Vt)))
-    poses = []
-    for sign in (hand, -hand):
-        R = U @ np.diag([1.0, 1.0, sign]) @ Vt
-        poses.append(make_pose(R, middle_cad - R @ middle_G))
-    X, mirrored = poses
-    rms, other = (_rms(transform_points(each, p_G) - p_cad) for each in (X, mirrored))
+    X, X_mirrored = fit_rigid(p_cad, p_G), fit_rigid(p_cad, -p_G)
+    rms = _rms(transform_points(X, p_G) - p_cad)
+    other = _rms(transform_points(X_mirrored, -p_G) - p_cad)
     if rms > POOR * _rms(p_cad - middle_cad) and rms > MIRRORED * other:
         raise ValueError(
             f"the points are mirrored: {1e3 * rms:.3g} mm rms are left by any rotation, {1e3 * other:.3g} mm "

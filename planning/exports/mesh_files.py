@@ -6,9 +6,8 @@ import numpy as np
 
 from polhode.lie import Array
 from polhode.planning.exports.records import Shape
+from polhode.ply import surface_ply
 from polhode.records import Ints
-
-_PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
 
 
 def ply(shape: Shape, comments: Sequence[str], per_m: float, unit: str) -> bytes:
@@ -16,35 +15,18 @@ def ply(shape: Shape, comments: Sequence[str], per_m: float, unit: str) -> bytes
 
     The property of sigma is ``sigma_m`` or ``sigma_mm``: its unit is in its name.
     """
-    sigma = f"sigma_{unit}"
-    floats = ["x", "y", "z", "nx", "ny", "nz"]
-    bytes_ = ["red", "green", "blue", "alpha"]
-    vertex = np.dtype(
-        [(name, "<f4") for name in floats]
-        + [(name, "u1") for name in bytes_]
-        + [(sigma, "<f4"), ("views", "<i4"), ("coverage", "u1")]
+    return surface_ply(
+        vertices=per_m * shape.vertices,
+        normals=shape.normals,
+        rgba=shape.rgba,
+        sigma=per_m * shape.sigma_m,
+        views=shape.views,
+        coverage=shape.coverage,
+        faces=shape.faces,
+        invented=shape.invented,
+        comments=[ascii_line(text) for text in comments],
+        unit=unit,
     )
-    vertices = np.zeros(len(shape.vertices), dtype=vertex)
-    for axis, name in enumerate("xyz"):
-        vertices[name] = per_m * shape.vertices[:, axis]
-        vertices[f"n{name}"] = shape.normals[:, axis]
-    for channel, name in enumerate(bytes_):
-        vertices[name] = shape.rgba[:, channel]
-    vertices[sigma], vertices["views"] = per_m * shape.sigma_m, shape.views
-    vertices["coverage"] = shape.coverage
-    faces = np.zeros(len(shape.faces), dtype=[("count", "u1"), ("index", "<i4", (3,)), ("invented", "u1")])
-    faces["count"], faces["index"], faces["invented"] = 3, shape.faces, shape.invented
-    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {ascii_line(text)}" for text in comments)]
-    lines += [
-        f"comment {sigma} inf, views 0: not measured; coverage 0 unseen, 1 seen but never lit, 2 seen lit",
-        f"element vertex {len(vertices)}",
-        *(f"property {_PLY_TYPES[vertex[name].str]} {name}" for name in vertex.names or ()),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "property uchar invented",
-        "end_header",
-    ]
-    return ("\n".join(lines) + "\n").encode("ascii") + vertices.tobytes() + faces.tobytes()
 
 
 def stl(shape: Shape, comment: str, per_m: float) -> bytes:

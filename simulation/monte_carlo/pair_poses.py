@@ -5,6 +5,7 @@ import numpy as np
 from polhode.compiled import compiled
 from polhode.lie import Array, make_pose
 from polhode.records import Ints
+from polhode.rigid_fit import nearest_rotation
 
 
 def pair_poses(
@@ -22,9 +23,7 @@ def pair_poses(
     centres, spread, count = _sums(index, i, j, np.ascontiguousarray(p_R), X_RG, gate_m)
     use = count >= least
     i, j, centres, count = i[use], j[use], centres[use], count[use]
-    U, _, V_T = np.linalg.svd(spread[use])
-    U[:, :, 2] *= np.linalg.det(U @ V_T)[:, None]
-    R = U @ V_T
+    R = nearest_rotation(spread[use])
     return i, j, make_pose(R, centres[:, 0] - np.einsum("eab,eb->ea", R, centres[:, 1])), count
 
 

@@ -8,7 +8,7 @@ import torch
 
 from polhode.config.frontend import Frontend, GuidedMatching, Tracks
 from polhode.frontend.matching.pairs import PairMatch, match_pairs, relative_poses
-from polhode.frontend.matching.ransac import fit_noisy, fit_rigid, ransac_rigid
+from polhode.frontend.matching.ransac import fit_noisy, ransac_rigid
 from polhode.frontend.matching.retrieval import pairs_to_match
 from polhode.frontend.matching.soft_assignment import DualSoftmax
 from polhode.frontend.tracks.guided import consistent_matches, improbability, reconnect
@@ -16,26 +16,13 @@ from polhode.frontend.tracks.landmark_map import LandmarkMap, descriptor_distanc
 from polhode.frontend.tracks.tracks import Association, join_matches, to_tracks
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import InitialMotion
+from polhode.rigid_fit import fit_rigid
 from tests.frontend.feature_world import RIG, World, make_world, purity
 
 
 @pytest.fixture(scope="module")
 def world() -> World:
     return make_world()
-
-
-def test_absolute_orientation_recovers_an_exact_motion() -> None:
-    rng = np.random.default_rng(0)
-    X_AB = make_pose(exp_so3([0.3, -2.0, 0.4]), [0.1, 0.2, 0.5])
-    p_B = rng.normal(size=(6, 3))
-    np.testing.assert_allclose(fit_rigid(transform_points(X_AB, p_B), p_B), X_AB, atol=1e-12)
-
-
-def test_absolute_orientation_of_a_plane_is_no_reflection() -> None:
-    rng = np.random.default_rng(1)
-    p_B = rng.normal(size=(20, 3)) * [1.0, 1.0, 0.0]
-    p_A = p_B + rng.normal(size=(20, 3)) * 1e-3
-    assert np.linalg.det(fit_rigid(p_A, p_B)[:3, :3]) == pytest.approx(1.0)
 
 
 def test_ransac_finds_the_motion_among_half_outliers() -> None:

@@ -4,18 +4,9 @@ import numpy as np
 import pytest
 
 from polhode.errors import InputError
+from polhode.half_turns import HALF_TURNS, best_half_turn
 from polhode.lie import exp_so3
-from polhode.metrics import (
-    HALF_TURNS,
-    States,
-    best_half_turn,
-    motion_errors,
-    nees,
-    state_coverage,
-    state_nees,
-    truth_at,
-    turned,
-)
+from polhode.metrics import States, motion_errors, nees, state_coverage, state_nees, truth_at, turned
 from polhode.records import Truth
 from polhode.rigid_body import propagate
 

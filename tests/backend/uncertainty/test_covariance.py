@@ -5,9 +5,9 @@ import numpy as np
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.config.backend import Backend
 from polhode.lie import Array, hat, inverse_pose, log_so3
-from polhode.metrics import mean_rotation
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
+from polhode.rigid_fit import mean_rotation
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 
 BOX = np.diag([1.5, 1.2, 0.9])

@@ -10,10 +10,11 @@ from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.window.causal_state import HALF_TURNS, OnlineState
+from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.estimator import SlidingWindow
 from polhode.backend.window.frame import FrameMeasurements, frames_of
 from polhode.config.backend import Backend
+from polhode.half_turns import HALF_TURNS
 from polhode.lie import Array, log_so3
 from polhode.simulation.monte_carlo.measurements import SyntheticSequence, generate
 from tests.backend.window.conftest import TUMBLE, Feed

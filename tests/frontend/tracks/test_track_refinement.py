@@ -12,7 +12,7 @@ from polhode.frontend.features.patches import cut_patches, turned, upright_affin
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import SurfaceFeatureMethod
 from polhode.frontend.matching.pairs import PairMatch
-from polhode.frontend.matching.ransac import fit_rigid, ransac_rigid
+from polhode.frontend.matching.ransac import ransac_rigid
 from polhode.frontend.matching.softmax_matcher import SoftmaxMatcher
 from polhode.frontend.rectification.rectified_pair import rectified_pair
 from polhode.frontend.rectification.rectify import make_rectifier
@@ -21,6 +21,7 @@ from polhode.frontend.tracks.track_refinement import disparity_slopes, refine_tr
 from polhode.frontend.tracks.tracks import Association, join_matches
 from polhode.lie import inverse_pose, transform_points
 from polhode.records import InitialMotion
+from polhode.rigid_fit import fit_rigid
 from tests.frontend.feature_world import RIG
 
 SAMPLE = Path(__file__).parents[3] / "sample"
