@@ -5,13 +5,12 @@ from functools import cached_property
 
 import numpy as np
 import trimesh
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
+from polhode.rays import RayScene
 from polhode.records import Bools, Ints
 
 Floats = NDArray[np.float32]
@@ -62,9 +61,7 @@ class Caster:
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         self.middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self.radius_m = float(np.linalg.norm(vertices - self.middle, axis=1).max())
-        self._scene = EmbreeScene()
-        indices = np.ascontiguousarray(mesh.faces, dtype=np.int32)
-        TriangleMesh(scene=self._scene, vertices=(vertices - self.middle).astype(np.float32), indices=indices)
+        self._scene = RayScene((vertices - self.middle)[mesh.faces], robust=False)
 
     def first(self, origin: Array, direction: Array) -> tuple[Array, Ints]:
         """Distance to the first hit (n,) [m], inf where there is none, and its face (n,), -1 where none.
@@ -77,10 +74,8 @@ class Caster:
         # Start near the body: single precision is then enough at any range.
         skipped = np.maximum(np.linalg.norm(start, axis=1) - 1.5 * self.radius_m, 0.0)
         start = start + direction * skipped[:, None]
-        hit = self._scene.run(start.astype(np.float32), direction.astype(np.float32), output=1)
-        face = np.asarray(hit["primID"], dtype=np.int64)
-        distance = np.where(face >= 0, np.asarray(hit["tfar"], dtype=np.float64) + skipped, np.inf)
-        return distance, face
+        hits = self._scene.first_hits(start, direction)
+        return np.where(hits.face >= 0, hits.distance + skipped, np.inf), hits.face
 
     def sees(self, eye_G: Array, p_G: Array, normal_G: Array, clearance_m: float | None = None) -> Bools:
         """(n,) true where nothing stands between the eye and a point, and it is not seen edge-on.

@@ -12,20 +12,18 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 from PIL import Image
 
 from polhode.config.loader import load_config
 from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.lie import Array
+from polhode.rays import RayScene
 from polhode.records import Bools
 from polhode.simulation.bodies import build_body
 from polhode.simulation.motion import TargetMotion, mass_distribution, target_motion
@@ -103,9 +101,8 @@ class Drawing:
         low, high = corners.min(axis=0), corners.max(axis=0)
         size = float((high - low).max())
         triangles = np.concatenate([np.zeros((0, 3, 3)), *self._triangles])
-        scene = EmbreeScene(robust=True)
+        scene = RayScene(triangles)
         if len(triangles):
-            TriangleMesh(scene, _floats(triangles))
             step = float((high - low)[:2].max()) / pixels
             x, y = (np.arange(low[k] - step, high[k] + 2 * step, step) for k in (0, 1))
             rays = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), high[2] + size)], axis=-1)
@@ -121,7 +118,7 @@ class Drawing:
         axes.set_aspect("equal")
         axes.axis("off")
 
-    def _paint_line(self, axes: Axes, scene: EmbreeScene, line: _Line, lift: float) -> None:
+    def _paint_line(self, axes: Axes, scene: RayScene, line: _Line, lift: float) -> None:
         middles = 0.5 * (line.points[:-1] + line.points[1:]) + np.array([0.0, 0.0, lift])
         behind = _covered(scene, middles) if self._triangles else np.zeros(len(middles), dtype=bool)
         # Each stretch is one line: overlapping translucent pieces would be visible.
@@ -134,7 +131,7 @@ class Drawing:
             )
 
 
-def _composed(scene: EmbreeScene, rays: Array, triangles: Array, paints: Array, skip: float) -> Array:
+def _composed(scene: RayScene, rays: Array, triangles: Array, paints: Array, skip: float) -> Array:
     """Colours (n, 4) of rays that come down from (n, 3), surface behind surface."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
@@ -144,13 +141,13 @@ def _composed(scene: EmbreeScene, rays: Array, triangles: Array, paints: Array, 
     origins, alive = rays.copy(), np.arange(len(rays))
     for _ in range(LAYERS):
         down = np.tile([0.0, 0.0, -1.0], (len(alive), 1))
-        answer = scene.run(_floats(origins[alive]), _floats(down), output=True)
-        met = answer["primID"] >= 0
-        face, alive = answer["primID"][met], alive[met]
+        hits = scene.first_hits(origins[alive], down)
+        met = hits.face >= 0
+        face, alive = hits.face[met], alive[met]
         opacity = paints[face, 3]
         color[alive] += (passing[alive] * opacity)[:, None] * shades[face]
         passing[alive] *= 1.0 - opacity
-        origins[alive, 2] -= answer["tfar"][met] + skip
+        origins[alive, 2] -= hits.distance[met] + skip
         if len(alive) == 0:
             break
     covered = 1.0 - passing
@@ -168,14 +165,10 @@ def _shaded(normals: Array, paints: Array) -> Array:
     return np.asarray(paints[:, :3] * (AMBIENT + DIFFUSE * diffuse) + GLOSS * gloss)
 
 
-def _covered(scene: EmbreeScene, points: Array) -> Bools:
+def _covered(scene: RayScene, points: Array) -> Bools:
     """Whether a surface lies between points (n, 3) and the viewer."""
     towards = np.tile([0.0, 0.0, 1.0], (len(points), 1))
-    return np.asarray(scene.run(_floats(points), _floats(towards), query="OCCLUDED") >= 0)
-
-
-def _floats(values: Array) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, dtype=np.float32)
+    return scene.blocked(points, towards)
 
 
 def motion_figure(scene: Scene, seed: int, name: str, pixels: int = 1000) -> Figure:

@@ -3,11 +3,9 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
-from numpy.typing import NDArray
 
 from polhode.lie import Array
+from polhode.rays import RayScene
 from polhode.records import Bools, Ints
 from polhode.simulation.bodies import Body
 
@@ -42,21 +40,17 @@ class RayCaster:
         self._triangles = np.asarray(body.mesh.triangles)
         self._face_normals = np.asarray(body.mesh.face_normals)
         self._corner_normals = body.corner_normals
-        self._scene = EmbreeScene(robust=True)
-        TriangleMesh(self._scene, self._triangles.astype(np.float32))
+        self._scene = RayScene(self._triangles)
         self._lift_m = 2e-5 * body.radius_m
 
     def first_hits(self, origin_G: Array, directions_G: Array) -> Hits:
         """Nearest hit of rays along unit directions (n, 3), from one point (3,) or a point each (n, 3)."""
-        answer = self._scene.run(
-            _floats(np.broadcast_to(origin_G, directions_G.shape)), _floats(directions_G), output=True
-        )
-        ray = np.flatnonzero(answer["primID"] >= 0)
-        face = answer["primID"][ray].astype(np.int64)
-        d = directions_G[ray]
-        origin = np.broadcast_to(origin_G, directions_G.shape)[ray]
-        distance = self._exact_distance(origin, d, face, answer["tfar"][ray].astype(np.float64))
-        u, v = (answer[name][ray, None].astype(np.float64) for name in ("u", "v"))
+        origins = np.broadcast_to(origin_G, directions_G.shape)
+        met = self._scene.first_hits(origins, directions_G)
+        ray = np.flatnonzero(met.face >= 0)
+        face, d, origin = met.face[ray], directions_G[ray], origins[ray]
+        distance = self._exact_distance(origin, d, face, met.distance[ray])
+        u, v = met.u[ray, None], met.v[ray, None]
         weights = np.hstack([1 - u - v, u, v])
         return self._hits(ray, face, weights, distance, origin + distance[:, None] * d, d)
 
@@ -108,8 +102,7 @@ class RayCaster:
 
     def blocked(self, start_G: Array, directions_G: Array, reach_m: Array) -> Bools:
         """Whether the body blocks rays (n, 3) within reach_m (n,)."""
-        found = self._scene.run(_floats(start_G), _floats(directions_G), _floats(reach_m), query="OCCLUDED")
-        return np.asarray(found >= 0)
+        return self._scene.blocked(start_G, directions_G, reach_m)
 
     def next_hits(self, hits: Hits, directions_G: Array) -> Hits:
         """Next hits of rays that leave n hits along unit directions (n, 3); ``ray`` indexes the hits."""
@@ -121,8 +114,8 @@ class RayCaster:
         Returns face (n,), -1: none, and the distance (n,) [m], both in single precision.
         """
         start = p_G + self._lift_m * normal_G
-        answer = self._scene.run(_floats(start), _floats(directions_G), output=True)
-        return np.asarray(answer["primID"]), np.asarray(answer["tfar"], dtype=np.float64)
+        met = self._scene.first_hits(start, directions_G)
+        return met.face, met.distance
 
     def _bulge(self, hits: Hits, which: Ints) -> Array:
         """Offset (m, 3) from hits (m,) to the curved surface that the flat faces approximate [m].
@@ -134,7 +127,3 @@ class RayCaster:
         side = np.sign(np.einsum("nck,nk->nc", normals, hits.normal_G[which]))[..., None] * normals
         height = np.einsum("nck,nck->nc", self._triangles[face] - hits.p_G[which, None], side)
         return np.asarray(np.einsum("nc,nc,nck->nk", hits.weights[which], np.maximum(height, 0.0), side))
-
-
-def _floats(values: Array) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, dtype=np.float32)

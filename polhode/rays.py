@@ -1,0 +1,51 @@
+"""Rays against triangles, by embree: in single precision, so that the origin should be near the triangles."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import ArrayLike, NDArray
+
+from polhode.lie import Array
+from polhode.records import Bools, Ints
+
+
+@dataclass(frozen=True)
+class FirstHits:
+    """What each of n rays meets first."""
+
+    face: Ints
+    """(n,) -1 where it meets nothing; the other values mean nothing there"""
+    distance: Array
+    """(n,) along the ray, in single precision"""
+    u: Array
+    """(n,) weight of the face's second corner"""
+    v: Array
+    """(n,) weight of the face's third corner"""
+
+
+class RayScene:
+    """Triangles (T, 3, 3) in embree's hierarchy; ``robust``: no ray slips through between two triangles."""
+
+    def __init__(self, triangles: ArrayLike, robust: bool = True) -> None:
+        self._scene = EmbreeScene(robust=robust)
+        corners = _floats(triangles)
+        if len(corners):
+            TriangleMesh(self._scene, corners)
+
+    def first_hits(self, start: Array, direction: Array) -> FirstHits:
+        """The nearest hits of rays from points (n, 3) along unit directions (n, 3)."""
+        answer = self._scene.run(_floats(start), _floats(direction), output=True)
+        floats = (np.asarray(answer[name], dtype=np.float64) for name in ("tfar", "u", "v"))
+        return FirstHits(np.asarray(answer["primID"], dtype=np.int64), *floats)
+
+    def blocked(self, start: Array, direction: Array, reach: Array | None = None) -> Bools:
+        """(n,) whether rays (n, 3) meet anything within ``reach`` (n,); None: at any distance."""
+        limits = () if reach is None else (_floats(reach),)
+        found = self._scene.run(_floats(start), _floats(direction), *limits, query="OCCLUDED")
+        return np.asarray(found >= 0)
+
+
+def _floats(values: ArrayLike) -> NDArray[np.float32]:
+    return np.ascontiguousarray(values, dtype=np.float32)
