@@ -1,6 +1,6 @@
 """The stereo rig: intrinsics, poses, and the ray of every sample of every pixel.
 
-Pixel centres are integers. Distortion is inverted numerically, so images carry the true distortion.
+Pixel centres are integers. Distortion is inverted numerically, so that images have the exact distortion.
 """
 
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.records import Ints
 
-# Chosen by search: uncorrelated with the position across and down the pixel (0.4 at most for 4 samples, which
-# no order of four can better), and far apart in the pixel from one moment to the next.
+# Chosen by search: uncorrelated with the position across and down the pixel (0.4 at most for 4 samples, the
+# optimum for four), and with successive samples far apart in the pixel.
 _TIME_ORDER = {
     1: (0,),
     4: (0, 2, 3, 1),
@@ -59,9 +59,9 @@ class Camera:
         return float(np.arccos(self.directions(corners)[:, 2].min()))
 
     def project_visible(self, p_K: Array, margin_px: float = 0.0) -> tuple[Array, Ints]:
-        """Points (n, 3) -> pixels (m, 2) of those in the image or within a margin of it, and which they are.
+        """Points (n, 3) -> pixels (m, 2) of those in the image or within a margin of it, and their indices.
 
-        The distortion folds directions far outside the image back into it: those are left out.
+        Directions far outside the image, which the distortion folds back into it, are left out.
         """
         wide = min(self.half_angle_rad + margin_px / self.K[0, 0], np.pi / 2 - 1e-3)
         ahead = np.flatnonzero(p_K[:, 2] > np.cos(wide) * np.linalg.norm(p_K, axis=1))
@@ -81,7 +81,7 @@ class Camera:
 def _undistort(distorted: Array, dist: Array) -> Array:
     """Invert the radial-tangential model for normalised points (n, 2).
 
-    Raises InputError where the lens folds the image: it maps no direction, or two, to a point.
+    Raises InputError where the distortion is not invertible: no direction, or two, map to a point.
     """
     if not dist.any():
         return np.asarray(distorted)
@@ -95,7 +95,7 @@ def _undistort(distorted: Array, dist: Array) -> Array:
 
 @compiled
 def _inverted(distorted: Array, k1: float, k2: float, p1: float, p2: float) -> tuple[Array, bool]:
-    """Newton's iteration from the distorted points; true when the Jacobian's determinant reaches zero."""
+    """Newton's iteration from the distorted points; true if the Jacobian's determinant reaches zero."""
     points = distorted.copy()
     for n in range(len(points)):
         x, y = distorted[n]
@@ -121,7 +121,9 @@ def _inverted(distorted: Array, k1: float, k2: float, p1: float, p2: float) -> t
 
 
 def sample_offsets(samples: int) -> Array:
-    """Positions of the samples in a pixel (samples, 2) [px]: a rotated grid, each row and column once."""
+    """Positions of the samples in a pixel (samples, 2) [px]: a rotated grid with one sample per row and
+    column.
+    """
     side = round(np.sqrt(samples))
     i, j = (index.ravel() for index in np.mgrid[:side, :side])
     u, v = (i + (j + 0.5) / side) / side - 0.5, (j + (side - i - 0.5) / side) / side - 0.5
@@ -129,7 +131,7 @@ def sample_offsets(samples: int) -> Array:
 
 
 def sample_times(samples: int) -> Array:
-    """Moment of each of ``sample_offsets`` (samples,) as a share of the exposure, in (-1/2, 1/2)."""
+    """Time of each of ``sample_offsets`` (samples,) as a share of the exposure, in (-1/2, 1/2)."""
     return (np.array(_TIME_ORDER[samples]) + 0.5) / samples - 0.5
 
 

@@ -1,4 +1,5 @@
-"""From light to grey values: lens blur, glare, vignetting, photon noise, full wells, read noise, bits.
+"""From light to grey values: lens blur, glare, vignetting, photon noise, saturation, read noise,
+quantization.
 
 Grey values are in DN, 1/255 of full scale, whatever the number of bits.
 """
@@ -14,7 +15,7 @@ from polhode.lie import Array
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 MAX_MEAN_ELECTRONS = 1e12
-"""Mean number of electrons [-] beyond which a pixel's count is no longer drawn higher: far past any well."""
+"""Upper limit of the mean number of electrons [-] per pixel: far above any full well."""
 
 
 def expose(
@@ -22,7 +23,7 @@ def expose(
 ) -> Image:
     """Levels (H, W), 1 for a white surface that faces the Sun -> image (H, W), 16-bit for more than 8 bits.
 
-    ``points`` (H, W) is light that has passed the lens blur already: stars.
+    ``points`` (H, W) is light that includes the lens blur already: stars.
     """
     light = through_lens(level, sensor, points)
     electrons = np.minimum(light * sensor.white_dn * sensor.electrons_per_dn, MAX_MEAN_ELECTRONS)
@@ -32,7 +33,9 @@ def expose(
 
 
 def through_lens(level: Array, sensor: config.Sensor, points: Array | None = None) -> Array:
-    """Light (H, W) on the sensor, of levels (H, W) before the lens and of points that are blurred already."""
+    """Light (H, W) on the sensor, from levels (H, W) before the lens and from points that are already
+    blurred.
+    """
     light = _blurred(level, sensor.blur_px) if sensor.blur_px > 0 else np.asarray(level)
     if points is not None:
         light = light + points
@@ -51,10 +54,10 @@ def vignette(height_px: int, width_px: int, corner_loss: float) -> Array:
 
 
 def spill(charge: Array, full_well: float, share: float) -> Array:
-    """Charge (H, W) in the wells, none above ``full_well``; the excess blooms along its column.
+    """Charge (H, W) in the wells, limited to ``full_well``; the excess blooms along its column.
 
-    ``share`` of the excess leaves the pixel, half of it up and half down, and fills the next wells that have
-    room; the rest of the excess, and what runs off the column's ends, is drained.
+    ``share`` of the excess leaves the pixel, half of it up and half down, and fills the next wells that are
+    not full; the rest of the excess, and what leaves the ends of the column, is drained.
     """
     excess = np.maximum(charge - full_well, 0.0)
     kept = charge - excess
@@ -92,7 +95,7 @@ def _count(mean: Array, rng: np.random.Generator) -> Array:
 
 
 def _blurred(light: Array, sigma_px: float) -> Array:
-    """Convolution with the discrete Gaussian, whose variance is sigma_px^2 also for the narrowest blur.
+    """Convolution with the discrete Gaussian, whose variance is exactly sigma_px^2, also for a narrow blur.
 
     A sampled Gaussian of 0.4 px has the variance of 0.28 px. Lindeberg, "Scale-space for discrete signals",
     IEEE PAMI 12(3), 1990.

@@ -1,7 +1,7 @@
 """Limit cycle of a dead-band control: slow drift inside the band, a short thruster pulse at its edge.
 
-The thesis's inspector moves like this (figures 6-9 to 6-12): nothing acts inside the band; at its edge the
-smallest pulse of the thrusters turns the drift around, with a rate that is a little different each time.
+The inspector of the thesis moves like this (figures 6-9 to 6-12): nothing acts inside the band; at its edge a
+minimum impulse of the thrusters reverses the drift, with a slightly different rate each time.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from polhode.lie import Array
 
 PULSE_S = 0.1
-"""How long a pulse lasts [s]; shorter where the band is crossed as quickly."""
+"""Duration of a pulse [s]; shorter if the band is crossed as quickly."""
 RATE_VARIATION = 0.25
 """Largest relative difference of a drift rate from the nominal one."""
 
@@ -23,7 +23,7 @@ class LimitCycle:
     corner_s: Array
     """(n,) middle of each pulse [s]"""
     corner_value: Array
-    """(n,) where the lines meet: the band's edges"""
+    """(n,) value at each pulse: the edge of the band"""
     rate: Array
     """(n + 1,) drift before, between and after the pulses"""
     pulse_s: float
@@ -33,7 +33,7 @@ class LimitCycle:
         if len(self.corner_s) == 0:
             return np.zeros(len(t_s))
         index = np.searchsorted(self.corner_s, t_s, side="right")
-        # The first line is told from its start, so that it is exactly zero there.
+        # The first line is evaluated from its start, so that it is exactly zero there.
         start_s, start = np.append(0.0, self.corner_s)[index], np.append(0.0, self.corner_value)[index]
         line = start + self.rate[index] * (t_s - start_s)
         since, turn = self._pulse(t_s)
@@ -49,7 +49,7 @@ class LimitCycle:
         return np.asarray(self.rate[index] + side * turn * (0.5 * self.pulse_s - abs(since)) / self.pulse_s)
 
     def _pulse(self, t_s: Array) -> tuple[Array, Array]:
-        """Time since the nearest pulse, clipped to the pulse [s], and how much that pulse turns the rate."""
+        """Time since the nearest pulse, clipped to the pulse [s], and the change of rate by that pulse."""
         after = np.clip(np.searchsorted(self.corner_s, t_s), 0, len(self.corner_s) - 1)
         before = np.maximum(after - 1, 0)
         closer = abs(t_s - self.corner_s[before]) < abs(t_s - self.corner_s[after])
@@ -59,9 +59,9 @@ class LimitCycle:
 
 
 def limit_cycle(half_width: float, rate: float, stop_s: float, rng: np.random.Generator) -> LimitCycle:
-    """A cycle in the band [-half_width, half_width], from its middle at time zero until ``stop_s`` [s].
+    """A cycle in the band [-half_width, half_width], from its centre at time zero until ``stop_s`` [s].
 
-    ``rate`` is the nominal drift per second. What happens up to any time does not depend on ``stop_s``.
+    ``rate`` is the nominal drift per second. The cycle up to any time does not depend on ``stop_s``.
     """
     if half_width == 0.0 or rate == 0.0:
         return LimitCycle(np.zeros(0), np.zeros(0), np.zeros(1), PULSE_S)

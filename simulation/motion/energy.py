@@ -1,4 +1,4 @@
-"""How fast the target loses the energy of its rotation: by drag, or by friction inside."""
+"""Loss of the target's rotational energy, by drag or by friction inside."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,9 +10,11 @@ from polhode.lie import Array
 from polhode.simulation.motion.integrate import advance, body_rate, no_forces
 
 MAX_LAG = 1.0
-"""Friction times the body's rate over the least moment: how far the ball may lag; beyond, the law is void."""
+"""Maximum of friction times body rate over the smallest moment, the lag of the ball; beyond, the law is
+invalid.
+"""
 MIN_EXCESS = 1e-9
-"""Share of the energy below which a spin counts as one about a principal axis, where nothing rubs."""
+"""A spin with a smaller share of excess energy counts as one about a principal axis, without friction."""
 
 
 def energy_of_momentum(h_P: ArrayLike, moments: ArrayLike) -> Array:
@@ -23,14 +25,14 @@ def energy_of_momentum(h_P: ArrayLike, moments: ArrayLike) -> Array:
 def excess_energy(h_P: ArrayLike, moments: ArrayLike) -> Array:
     """Energy above that of a spin about the greatest axis with the same momentum: (..., 3) -> (...) [J]."""
     J = np.asarray(moments, dtype=np.float64)
-    # Each term is small by itself near that spin; the difference of the two energies would lose its digits.
+    # Each term is small near that spin; the difference of the two energies would suffer from cancellation.
     return np.asarray(0.5 * np.sum(np.square(h_P) * (1.0 / J - 1.0 / J[0]), axis=-1))
 
 
 def loss_coefficients(motion: config.Motion, moments: Array, w_P: Array) -> tuple[float, float]:
-    """Coefficients of drag [1/s] and friction [kg m^2 s] for the loss that the scene states.
+    """Coefficients of drag [1/s] and friction [kg m^2 s] for the energy loss of the scene.
 
-    w_P (3,) [rad/s] at the first frame. Raises InputError when friction cannot do it, or the loss is total.
+    w_P (3,) [rad/s] at the first frame. Raises InputError if friction cannot cause it, or the loss is total.
     """
     if motion.energy_loss == 0.0:
         return 0.0, 0.0
@@ -49,8 +51,8 @@ def drag_for_loss(share: float, duration_s: float) -> float:
 def friction_for_loss(share: float, duration_s: float, moments: Array, w_P: Array) -> float:
     """Coefficient [kg m^2 s] with which ``share`` of the excess energy is gone after ``duration_s``.
 
-    Nothing else acts meanwhile. Raises InputError for a spin about a principal axis, and for a loss so quick
-    that the ball inside would not follow the body.
+    Nothing else acts. Raises InputError for a spin about a principal axis, and for a loss so fast that the
+    ball inside would not follow the body.
     """
     largest = MAX_LAG * moments[2] ** 2 / max(float(np.linalg.norm(moments * w_P)), 1e-300)
     _require_wobble(moments, w_P)
@@ -74,7 +76,7 @@ def friction_for_loss(share: float, duration_s: float, moments: Array, w_P: Arra
 
 
 def momentum_of_rate(w_P: Array, moments: Array, friction: float) -> Array:
-    """Angular momentum h_P (3,) [N m s] of a body that turns at w_P (3,) [rad/s] with friction inside."""
+    """Angular momentum h_P (3,) [N m s] of a body with friction inside at the rate w_P (3,) [rad/s]."""
     h_P = moments * w_P
     for _ in range(100):
         h_P = h_P + moments * (w_P - body_rate(h_P, moments, friction))

@@ -1,4 +1,4 @@
-"""What acts on the target: known forces and torques, white disturbances, loss of energy.
+"""Forces and torques on the target: known ones, white disturbances, loss of energy.
 
 Known forces and torques are also written to ``wrench0/``, in rows so dense that it matters little whether a
 reader interpolates between them or holds them.
@@ -26,10 +26,11 @@ STEPS_PER_PERIOD = 200
 def acting_forces(
     scene: config.Scene, mass: MassDistribution, w_P: Array, stop_s: float, seed: int
 ) -> Forces:
-    """All that acts until ``stop_s`` after the first frame, on a target with w_P (3,) [rad/s] there.
+    """All forces and torques until ``stop_s`` after the first frame, for a target with w_P (3,) [rad/s]
+    there.
 
-    The disturbances up to any moment depend on the seed and the interval between frames only.
-    Raises InputError for a loss of energy that cannot be.
+    The disturbances up to any time depend on the seed and the interval between frames only.
+    Raises InputError for an impossible loss of energy.
     """
     motion = scene.motion
     drag_hz, friction = loss_coefficients(motion, mass.moments, w_P)
@@ -53,17 +54,17 @@ def acting_forces(
 
 
 def is_free(motion: config.Motion) -> bool:
-    """Whether nothing acts on the target."""
+    """Whether no force or torque acts on the target."""
     return not (motion.pushes or motion.accel_psd or motion.torque_psd or motion.energy_loss)
 
 
 def cell_length_s(scene: config.Scene) -> float:
-    """How long a white disturbance keeps its value [s]."""
+    """Duration for which a white disturbance is constant [s]."""
     return float(min(MAX_CELL_S, scene.interval_s / CELLS_PER_INTERVAL))
 
 
 def push_interval_s(push: config.Push) -> tuple[float, float]:
-    """First moment of a push and the first one after it [s]."""
+    """Start of a push and its end, which is exclusive [s]."""
     return push.start_s, push.start_s + push.duration_s
 
 
@@ -82,7 +83,7 @@ def _white(
 
 
 def _midpoints(knots_s: Array) -> Array:
-    """A time inside each of the n + 1 segments that n knots bound [s]."""
+    """A time inside each of the n + 1 segments between n knots [s]."""
     if len(knots_s) == 0:
         return np.zeros(1)
     return np.concatenate([knots_s[:1] - 1.0, 0.5 * (knots_s[1:] + knots_s[:-1]), knots_s[-1:] + 1.0])
@@ -96,7 +97,7 @@ def _sine(push: config.Push, mass_kg: float) -> Array:
 
 
 def known_wrench(motion: config.Motion, timestamps_ns: Ints) -> tuple[Ints, Array, Array] | None:
-    """Times (n,) [ns], forces (n, 3) in N [N], torques (n, 3) in P [N m]; None where nothing is known.
+    """Times (n,) [ns], forces (n, 3) in N [N], torques (n, 3) in P [N m]; None without any.
 
     ``timestamps_ns`` are those of the frames and of the truth beyond them. The rows go from the
     first to the last of them at 20 Hz or more, with 200 rows in a period of a sine, and with two rows 1 ns

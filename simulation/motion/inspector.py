@@ -18,12 +18,12 @@ from polhode.simulation.motion.deadband import LimitCycle, limit_cycle
 from polhode.simulation.motion.target import timestamps
 
 BRAKE_S = 1.0
-"""How long the approach takes to come to a stop [s]."""
+"""Duration of the braking at the end of an approach [s]."""
 
 
 _TAG = 0x31
 _MARGIN_S = 60.0
-"""The jitter goes on for this long after the last frame, for long exposures [s]."""
+"""The jitter continues for this long after the last frame, for long exposures [s]."""
 
 
 class CameraStates(NamedTuple):
@@ -64,7 +64,7 @@ class DriftPath:
 
 @dataclass(frozen=True)
 class CirclePath:
-    """The first pose carried around an axis through a centre, at a constant rate."""
+    """The first pose rotated about an axis through a centre, at a constant rate."""
 
     X_NC0: Array
     """(4, 4) at the first frame"""
@@ -82,7 +82,7 @@ class CirclePath:
 
 @dataclass(frozen=True)
 class ApproachPath:
-    """Along a line at a constant speed, then braking evenly to a stop; the attitude stays."""
+    """Along a line at a constant speed, then uniform braking to a stop; constant attitude."""
 
     X_NC0: Array
     """(4, 4) at the first frame"""
@@ -108,10 +108,10 @@ class ApproachPath:
 
 @dataclass(frozen=True)
 class WaypointPath:
-    """Splines through given poses, from rest to rest; the first and the last pose hold outside.
+    """Splines through given poses, from rest to rest, constant before the first and after the last pose.
 
-    Cubic in position; in attitude scipy's RotationSpline, whose angular velocity is continuous. A clock that
-    starts and stops gently makes the camera set off and arrive without a jump of velocity.
+    Cubic in position; in attitude scipy's RotationSpline, whose angular velocity is continuous. Time on the
+    splines starts and stops smoothly, so that the velocity is continuous at departure and arrival.
     """
 
     knots_s: Array
@@ -133,12 +133,12 @@ class WaypointPath:
         clock_s, pace = self._clock(t_s)
         X_NC = make_pose(self._attitude(clock_s).as_matrix(), self._position(clock_s))
         v_N = self._position(clock_s, 1) * pace[:, None]
-        # scipy gives the angular velocity in the axes that turn, which are the camera's.
+        # scipy gives the angular velocity in the rotating axes, which are the camera's.
         w_C = self._attitude(clock_s, 1) * pace[:, None]
         return CameraStates(X_NC, v_N, w_C)
 
     def _clock(self, t_s: Array) -> tuple[Array, Array]:
-        """Time on the splines and its pace: true time at every knot, at rest at the first and the last."""
+        """Time on the splines and its rate: true time at every knot, at rest at the first and the last."""
         first, last = float(self.knots_s[0]), float(self.knots_s[-1])
         t = np.clip(t_s, first, last)
         outside = (t_s <= first) | (t_s >= last)
@@ -155,7 +155,7 @@ class WaypointPath:
 
 
 def camera_path(scene: config.Scene) -> CameraPath:
-    """The path that the scene's inspector takes. Raises InputError for an approach without a direction."""
+    """The path of the scene's inspector. Raises InputError for an approach without a direction."""
     inspector = scene.inspector
     X_NC0 = make_pose(exp_so3(np.deg2rad(inspector.attitude_deg)), inspector.position_m)
     target_N = np.array(scene.motion.position_m)
@@ -212,8 +212,8 @@ class InspectorMotion:
 def inspector_motion(scene: config.Scene, seed: int) -> InspectorMotion:
     """The inspector's motion over the frames; the seed is that of its limit cycles.
 
-    The first pose is the scene's, exactly: the jitter starts in the middle of its band. Raises InputError for
-    an approach that starts at the target.
+    The first pose is exactly the scene's, because the jitter starts at the centre of its band. Raises
+    InputError for an approach that starts at the target.
     """
     stamps = timestamps(scene)[: scene.frames]
     t_s = np.asarray((stamps - stamps[0]) / 1e9)

@@ -1,12 +1,15 @@
-"""The rigid body under forces that jump, with friction inside: integrated from jump to jump.
+"""Integration of a rigid body under piecewise continuous forces, with internal friction.
+
+Unlike polhode.rigid_body, whose motion is free, this integrates from one discontinuity of the forces to the
+next.
 
 State y (13,): r_N [m], v_N [m/s], quaternion of R_NP (w, x, y, z), angular momentum h_P [N m s].
 
-Friction is that of a body with a ball inside, in a thin layer of viscous fluid, that lags a little behind:
+Friction is that of a body with a ball inside that lags slightly behind in a thin layer of viscous fluid:
 with the ball's moment I and the layer's coefficient c its momentum relative to the body is -f dw/dt,
 f = I^2/c [kg m^2 s] (quasi-static, as Chernous'ko, "Motion of a rigid body with cavities containing a viscous
-fluid", NASA TT F-665, 1972). The whole has h = J w - f dw/dt and turns at w = J^-1 h + f J^-2 (h x J^-1 h).
-Its momentum in N stays exactly; its energy h.J^-1 h / 2 falls by f |J^-1 (h x J^-1 h)|^2 a second.
+fluid", NASA TT F-665, 1972). The whole has h = J w - f dw/dt and the rate w = J^-1 h + f J^-2 (h x J^-1 h).
+Its momentum in N is constant exactly; its energy h.J^-1 h / 2 decreases at f |J^-1 (h x J^-1 h)|^2.
 """
 
 from typing import NamedTuple
@@ -26,12 +29,12 @@ STEPS_PER_PERIOD = 60.0
 
 
 class Forces(NamedTuple):
-    """What acts on the target after the first frame, and its inertia. n knots, m sines."""
+    """Forces and torques on the target after the first frame, and its inertia. n knots, m sines."""
 
     moments: Array
     """(3,) [kg m^2]"""
     knots_s: Array
-    """(n,) where something jumps, increasing; segment i ends at knot i [s]"""
+    """(n,) times of discontinuities, increasing; segment i ends at knot i [s]"""
     accel_N: Array
     """(n + 1, 3) constant within a segment [m/s^2]"""
     torque_P: Array
@@ -76,7 +79,7 @@ def advance(y: Array, start_s: float, stop_s: float, forces: Forces) -> Array:
 
 @compiled
 def _within_segment(y: Array, start_s: float, end_s: float, segment: int, forces: Forces) -> Array:
-    """Equal steps over a span in which nothing jumps."""
+    """Equal steps over a span without discontinuities."""
     duration = end_s - start_s
     middle = 0.5 * (start_s + end_s)
     torque = np.abs(forces.torque_P[segment]).sum()
@@ -139,6 +142,6 @@ def _slope(y: Array, time_s: float, segment: int, active: Array, forces: Forces,
 
 
 def no_forces(moments: Array) -> Forces:
-    """Nothing acts on a body of the principal moments (3,) [kg m^2]."""
+    """No forces on a body of the principal moments (3,) [kg m^2]."""
     none = np.zeros((1, 3))
     return Forces(np.asarray(moments, dtype=np.float64), np.zeros(0), none, none, np.zeros((0, 9)), 0.0, 0.0)

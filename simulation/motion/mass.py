@@ -1,4 +1,4 @@
-"""Mass properties of the target: by the densities of its parts, or by hand."""
+"""Mass properties of the target: from the densities of its parts, or as given."""
 
 from dataclasses import dataclass
 
@@ -27,9 +27,9 @@ class MassDistribution:
 
 
 def mass_distribution(mass: config.Mass, body: Body) -> MassDistribution:
-    """Mass properties of a body: what is not set by hand comes from the densities of its parts.
+    """Mass properties of a body: what the scene does not give follows from the densities of its parts.
 
-    A density by name is that of the part; the others have ``density_kg_m3`` times the part's own factor.
+    Parts without a density by name have ``density_kg_m3`` times their own factor.
     ``mass_kg`` scales all densities alike. Raises InputError for an unknown part or an impossible inertia.
     """
     masses_kg = _part_masses(mass, body)
@@ -46,7 +46,7 @@ def mass_distribution(mass: config.Mass, body: Body) -> MassDistribution:
 def principal_axes(J: ArrayLike) -> tuple[Array, Array]:
     """Inertia (3, 3) -> moments (3,) sorted from the greatest, R_GP (3, 3) right-handed.
 
-    Of the four choices of half-turn, the one whose axes lie closest to those of G.
+    Of the four equivalent triads, which differ by half-turns, the one closest to the axes of G.
     """
     values, vectors = np.linalg.eigh(np.asarray(J, dtype=np.float64))
     R = vectors[:, ::-1] * np.sign(np.linalg.det(vectors[:, ::-1]))

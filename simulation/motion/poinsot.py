@@ -28,23 +28,23 @@ RELATIVE_TOLERANCE = 1e-9
 CURVE_POINTS = 361
 """Points of a closed curve."""
 STEADY_S = 10.0
-"""How long a spin without precession is followed [s]."""
+"""Duration of the curves for a spin without precession [s]."""
 
 
 @dataclass(frozen=True)
 class Precession:
-    """Torque-free motion of a rigid body, averaged over one circuit of the polhode."""
+    """Torque-free motion of a rigid body, averaged over one period of the polhode."""
 
     direction: PrecessionDirection
     """None for a steady spin, and on the separatrix"""
     axis: Literal["greatest", "least", "none"]
-    """Principal axis that the rate circles"""
+    """Principal axis about which the rate moves"""
     wobble_deg: tuple[float, float]
     """Least and greatest angle between that axis and the angular momentum"""
     precession_period_s: float
-    """Mean time in which the axis goes around the momentum once"""
+    """Mean period of that axis around the angular momentum"""
     spin_period_s: float
-    """Time in which the rate goes around the axis once, in the body: the polhode's period"""
+    """Period of the rate around that axis in the body: the period of the polhode"""
 
 
 NO_PRECESSION = Precession("none", "none", (0.0, 0.0), np.inf, np.inf)
@@ -53,8 +53,8 @@ NO_PRECESSION = Precession("none", "none", (0.0, 0.0), np.inf, np.inf)
 def precession_of(moments: Array, w_P: Array) -> Precession:
     """Precession of a free body; moments (3,) sorted from the greatest, w_P (3,) [rad/s] at any time.
 
-    Closed form: Landau and Lifshitz, "Mechanics", section 37; the angle of a circuit by the complete elliptic
-    integral of the third kind in Carlson's form (DLMF 19.25.2).
+    Closed form: Landau and Lifshitz, "Mechanics", section 37; the angle of one period by the complete
+    elliptic integral of the third kind in Carlson's form (DLMF 19.25.2).
     """
     order = circulation_order(moments, w_P)
     if order is None:
@@ -84,14 +84,14 @@ def precession_of(moments: Array, w_P: Array) -> Precession:
 
 
 def circulation_order(moments: Array, w_P: Array) -> list[int] | None:
-    """Principal axes (0, 1, 2) with the one that the rate circles last; None where it circles none."""
+    """Principal axes (0, 1, 2), last the one that the rate circles; None if it circles none."""
     two_energy, h_squared = _energy_and_momentum(moments, w_P)
     steady = np.linalg.norm(np.cross(moments * w_P, w_P)) <= RELATIVE_TOLERANCE * np.sqrt(
         h_squared
     ) * np.linalg.norm(w_P)
     if steady:
         return None
-    # Of two equal moments neither axis is circled: the rate circles the third.
+    # With two equal moments the rate circles the third axis.
     if moments[1] - moments[2] <= RELATIVE_TOLERANCE * moments[0]:
         return [2, 1, 0]
     if moments[0] - moments[1] <= RELATIVE_TOLERANCE * moments[0]:
@@ -109,7 +109,7 @@ def _energy_and_momentum(moments: Array, w_P: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Poinsot:
-    """The free motion that starts with a state, as geometry. Rates in rad/s."""
+    """Geometry of the free motion from an initial state. Rates in rad/s."""
 
     moments: Array
     """(3,) sorted, greatest first [kg m^2]"""
@@ -117,15 +117,17 @@ class Poinsot:
     """[J]"""
     precession: Precession
     axis_P: Array
-    """(3,) unit: the principal axis that the rate circles, on its side; a steady rate itself"""
+    """(3,) unit: the principal axis that the rate circles, on the side of the rate; the direction of a
+    steady rate
+    """
     R_HP: Array
     """(3, 3) at the first frame"""
     polhode_P: Array
-    """(n, 3) rate in the body over one circuit"""
+    """(n, 3) rate in the body over one period"""
     herpolhode_H: Array
-    """(m, 3) rate in H over many circuits, from the first frame on"""
+    """(m, 3) rate in H over many periods, from the first frame on"""
     around_H: Array
-    """(k, 3) its beginning: the axis goes around the momentum once"""
+    """(k, 3) its beginning: one revolution of the axis about the momentum"""
 
     @property
     def body_cone_H(self) -> Array:
@@ -178,7 +180,7 @@ def rotation_states(forces: Forces, h_P: Array, t_s: Array) -> tuple[Array, Arra
 
 
 def polhodes(moments: Array, two_energy: float, count: int) -> list[Array]:
-    """Closed polhodes (n, 3) of one energy, all over the ellipsoid: ``count`` around each end of two axes."""
+    """Closed polhodes (n, 3) of one energy all over the ellipsoid, ``count`` around each end of two axes."""
     curves = []
     for order in ([2, 1, 0], [0, 1, 2]):
         middle, last = moments[order[1]], moments[order[2]]

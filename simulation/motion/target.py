@@ -36,7 +36,7 @@ class TargetMotion:
     X_NG: Array
     """(T, 4, 4)"""
     h_P: Array
-    """(T, 3) angular momentum; with friction, what rubs inside has a share in it [N m s]"""
+    """(T, 3) angular momentum, with friction including that of the ball inside [N m s]"""
     mass: MassDistribution
     forces: Forces
 
@@ -46,7 +46,7 @@ class TargetMotion:
         return np.asarray((self.timestamps_ns - self.timestamps_ns[0]) / 1e9)
 
     def poses_during(self, k: int, offsets_s: ArrayLike) -> Array:
-        """X_NG (S, 4, 4) at times (S,) after, or before, time k [s]; everything acts as it does between."""
+        """X_NG (S, 4, 4) at times (S,) after, or before, time k [s], under the same forces."""
         start_s = float(self.t_s[k])
         state = _state(self.r_N[k], self.v_N[k], self.R_NP[k], self.h_P[k])
         offsets = np.atleast_1d(np.asarray(offsets_s, dtype=np.float64))
@@ -56,9 +56,9 @@ class TargetMotion:
 
 
 def target_motion(scene: config.Scene, mass: MassDistribution, seed: int) -> TargetMotion:
-    """Integrate the target over the frames and the horizon, with all that acts on it.
+    """Integrate the target over the frames and the horizon, under all forces and torques.
 
-    The seed is that of the disturbances. Raises InputError for a loss of energy that cannot be.
+    The seed is that of the disturbances. Raises InputError for an impossible loss of energy.
     """
     start = scene.motion
     spin = np.array(start.spin_rpm) * RPM

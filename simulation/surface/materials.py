@@ -1,10 +1,10 @@
-"""Surface materials and what they make of a point: reflectance, roughness, a bent normal.
+"""Surface materials, and their evaluation at points: reflectance, roughness, perturbed normal.
 
 Paint, foil and cells follow the solar absorptances of spacecraft materials in Gilmore, "Spacecraft Thermal
 Control Handbook", 2002, appendix A (absorptance + reflectance = 1; white silicate paint 0.15-0.2, black Z306
-0.95, aluminised Kapton 0.35-0.4, aluminium foil 0.1-0.15, cells under glass 0.85-0.92). The metals follow
-their Fresnel reflectance at normal incidence, less what an oxide and dirt take. The diffuse part that light
-meets is ``albedo * (1 - specular)``. Lengths of the textures hold for a body of 0.3 m and grow with it.
+0.95, aluminised Kapton 0.35-0.4, aluminium foil 0.1-0.15, cells under glass 0.85-0.92). The metals have
+their Fresnel reflectance at normal incidence, less the loss by oxide and dirt. The diffuse reflectance is
+``albedo * (1 - specular)``. Lengths of the textures are those of a body of 0.3 m and scale with it.
 """
 
 from dataclasses import dataclass, fields
@@ -42,7 +42,7 @@ class Material:
     patch_m: float = 0.02
     """Their size."""
     bump: float = 0.0
-    """Slope of the relief that bends the normals."""
+    """Slope of the relief that perturbs the normals."""
     bump_m: float = 0.01
     """Size of the relief's largest feature."""
     crease: float = 0.0
@@ -77,7 +77,7 @@ WORN_PANEL = Material(0.42, 0.05, 0.45, grain=0.15, grain_m=0.02, patch=0.45, pa
 
 @dataclass(frozen=True)
 class Surface:
-    """What the light meets at n points."""
+    """Properties of a surface at n points."""
 
     albedo: Array
     """(n,) diffuse reflectance"""
@@ -100,10 +100,10 @@ class MaterialTable:
         scale: float = 1.0,
         collage: bool = False,
     ) -> None:
-        """``scale`` multiplies all lengths; ``collage`` takes the second generator's noise."""
+        """``scale`` multiplies all lengths; ``collage`` selects the noise of the second generator."""
         rows = [[getattr(material, field.name) for field in fields(Material)] for material in materials]
         self._rows = np.array(rows, dtype=np.float64).reshape(-1, len(fields(Material)))
-        # Each material draws from its own noise, so that two of them never share a pattern.
+        # Each material has its own noise, so that no two share a pattern.
         self._seeds = np.arange(len(materials), dtype=np.int64) * 101 + seed % 1_000_003
         self._contrast = contrast
         self._scale = scale
@@ -120,7 +120,7 @@ class MaterialTable:
     ) -> Surface:
         """Material index (n,), points and normals (n, 3) -> Surface.
 
-        drawn_albedo (n,) replaces the material's mean reflectance where it is not NaN (stickers); slope_G
+        drawn_albedo (n,) replaces the material's mean reflectance where it is not NaN; slope_G
         (n, 3) is the gradient of a drawn relief; ``ground`` (n,) is the material whose mean reflectance shows
         where the contrast is below 1.
         """
@@ -161,7 +161,7 @@ def _evaluate(
             mean += contrast * (drawn[n] - mean)
         elif contrast > 0.0:
             mean += contrast * (rows[m, ALBEDO] - mean)
-        # A drawing takes the place of the patches, not of the grain.
+        # A chart replaces the patches, not the grain.
         patched = not np.isfinite(drawn[n])
         variation = _variation(rows[m], p[n], seeds[m], scale, collage, patched) if contrast > 0.0 else 0.0
         albedo[n] = min(max(mean * (1.0 + contrast * variation), 0.01), 0.95)

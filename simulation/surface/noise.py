@@ -1,4 +1,4 @@
-"""Solid (three-dimensional) noise: textures that need no unwrapping and never repeat between faces.
+"""Solid (three-dimensional) noise: textures without unwrapping that do not repeat between faces.
 
 Lattice values come from an integer hash, so a seed gives the same texture on every machine. Value noise with
 quintic interpolation; cells after Worley, "A cellular texture basis function", SIGGRAPH 1996.
@@ -13,7 +13,7 @@ from polhode.lie import Array
 from polhode.records import Ints
 
 LACUNARITY, PERSISTENCE = 2.03, 0.6
-"""Each octave of the fractal: so many times finer, so many times weaker."""
+"""Factors on frequency and amplitude from one octave of the fractal to the next."""
 Bits = np.uint64
 
 CREASE_SCALES = (1.0, 0.37, 0.15)
@@ -36,8 +36,8 @@ def hash_bits(i: int, j: int, k: int, seed: int) -> Bits:
 
 @compiled_inline
 def unit_interval(bits: Bits, place: int) -> float:
-    """The first, second or third 21 bits (place 0, 1, 2) as a number in [0, 1)."""
-    # Signed numbers turn into floats in one instruction, unsigned ones do not.
+    """The first, second or third 21 bits (0, 1, 2) as a number in [0, 1)."""
+    # Signed integers are converted to floats by one instruction, unsigned ones are not.
     return np.int64((bits >> np.uint64(21 * place)) & np.uint64(0x1FFFFF)) / 2097152.0
 
 
@@ -96,11 +96,11 @@ def fractal_at(x: float, y: float, z: float, octaves: int, seed: int) -> tuple[f
 
 @compiled
 def nearest_cell_at(x: float, y: float, z: float, seed: int) -> Bits:
-    """Random bits of the nearest of the points that are strewn one to a unit cube."""
+    """Random bits of the nearest of random points, one in each unit cube."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     u, v, w = x - i, y - j, z - k
     best, answer = 1e9, np.uint64(0)
-    # The near side comes first: a close point spares most of the far cubes.
+    # The near side comes first: a close point makes most of the far cubes unnecessary.
     side_x, side_y, side_z = (1 if u > 0.5 else -1), (1 if v > 0.5 else -1), (1 if w > 0.5 else -1)
     for at_x in range(3):
         a = (0, side_x, -side_x)[at_x]
@@ -135,7 +135,7 @@ def cell_at(x: float, y: float, z: float, seed: int) -> float:
 
 @compiled
 def creases_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, float]:
-    """Tilt of crumpled foil, largest flat piece of size 1: constant on each piece, cells within cells."""
+    """Tilt of crumpled foil with flat pieces up to size 1: constant on each piece, cells within cells."""
     tx, ty, tz = 0.0, 0.0, 0.0
     for level in range(3):
         s = 1.0 / CREASE_SCALES[level]

@@ -1,8 +1,9 @@
-"""The second generator's solid textures: noise of random spots, and foil folded along straight lines.
+"""Solid textures of the second generator: noise of random spots, and foil with straight folds.
 
-It shares nothing with ``simulation.noise``, so that one can train what the other tests. Spots: sparse
+It shares nothing with noise.py, so that one can serve for training and the other for testing. Spots: sparse
 convolution, after Lewis, "Algorithms for solid noise synthesis", SIGGRAPH 1989. Folds: a sum of functions
-that are piecewise linear along random directions, so every crease is straight and the sheet stays whole.
+that are piecewise linear along random directions, so that every crease is straight and the sheet is
+continuous.
 """
 
 import numpy as np
@@ -12,7 +13,7 @@ from polhode.compiled import compiled, compiled_inline
 State = np.uint64
 
 SPOT_SLOPE = 0.21
-"""Brings the slopes of layered spots to those of the other generator's fractal."""
+"""Scales the slopes of layered spots to those of the other generator's fractal."""
 
 SPOTS_PER_CELL = 2
 FOLDS = 7
@@ -44,7 +45,7 @@ def _start(i: int, j: int, k: int, seed: int) -> State:
 @compiled
 def spots_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, float, float]:
     """Noise of about [-1, 1] and its gradient: soft spots of random sign, feature size 1."""
-    # Spots reach half a cell: the eight cells around the nearest corner hold all that matter.
+    # Spots extend half a cell: the eight cells around the nearest corner contain all that contribute.
     i, j, k = int(np.floor(x - 0.5)), int(np.floor(y - 0.5)), int(np.floor(z - 0.5))
     value, gx, gy, gz = 0.0, 0.0, 0.0, 0.0
     for cell in range(8):
@@ -86,7 +87,7 @@ def layered_spots_at(x: float, y: float, z: float, seed: int) -> tuple[float, fl
 
 @compiled
 def discs_at(x: float, y: float, z: float, seed: int) -> float:
-    """Hard-edged balls of all sizes up to 1, each of one value in [-1, 1]; the last one lies on top."""
+    """Hard-edged balls of all sizes up to 1, each with one value in [-1, 1]; the last one is on top."""
     i, j, k = int(np.floor(x - 0.5)), int(np.floor(y - 0.5)), int(np.floor(z - 0.5))
     value, top = 0.0, -1.0
     for cell in range(8):
@@ -113,7 +114,7 @@ def discs_at(x: float, y: float, z: float, seed: int) -> float:
 
 @compiled
 def folds_at(x: float, y: float, z: float, seed: int) -> tuple[float, float, float]:
-    """Tilt of folded foil: the sum of slopes that jump at random places along random directions."""
+    """Tilt of folded foil: the sum of slopes that jump at random positions along random directions."""
     tx, ty, tz = 0.0, 0.0, 0.0
     for fold in range(FOLDS):
         state = _next(_start(fold, 5, 9, seed))
