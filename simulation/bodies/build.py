@@ -1,4 +1,4 @@
-"""From a scene's description to a body."""
+"""Builds the body that a scene describes."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,22 +30,22 @@ FAMILIES: dict[str, Callable[[float, PartBuilder], list[Part]]] = {
 }
 """Parts by size [m] and texture generator."""
 TEXELS = {"upper_stage": 950.0, "dish": 700.0, "truss": 900.0}
-"""Texels along ``size_m``, else 440: about two to a pixel where the whole body fills an image of 640x480."""
+"""Texels along ``size_m``, otherwise 440: about two per pixel if the body fills an image of 640x480."""
 GRAIN_M = {"free_flyer": 0.22, "upper_stage": 0.5, "dish": 0.5, "truss": 0.7}
-"""Size for which the materials' textures are made, else 0.3 m; they grow with the body."""
+"""Size for which the materials' textures are made, otherwise 0.3 m; they scale with the body."""
 MESH_GRAIN_M = 0.25
-"""The same for mesh files: the side of a cube of the same surface."""
+"""The same for mesh files: the side of a cube of the same surface area."""
 
 
 def build_body(body: config.Body, seed: int) -> Body:
-    """Build the target; ``seed`` serves where the description has none. Raises InputError (mesh files)."""
+    """Build the target; ``seed`` is used if the description has none. Raises InputError (mesh files)."""
     own = seed if body.seed is None else body.seed
     rng, texture_rng = np.random.default_rng([0xB0D1, own]), np.random.default_rng([0x1A4C, own])
     builder = PartBuilder(
         texture_generator(body.texture), rng, texture_rng, body.size_m / TEXELS.get(body.family, 440.0)
     )
     if body.family == "mesh":
-        # The section has validated both.
+        # Validated by the configuration.
         assert body.path is not None
         assert body.metres_per_unit is not None
         parts = mesh_file_parts(Path(body.path), body.metres_per_unit, builder)

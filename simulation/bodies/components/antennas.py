@@ -1,4 +1,4 @@
-"""Antennas. Each stands on z = 0 of its own frame, z away from the wall."""
+"""Antennas. Each is mounted on z = 0 of its own frame, z away from the wall."""
 
 import numpy as np
 
@@ -71,7 +71,7 @@ def horn(size_m: float) -> list[Part]:
 
 
 def paraboloid(diameter_m: float, focal_m: float, wall_m: float, sections: int, steps: int) -> Revolved:
-    """A dish around z that opens towards +z, its front's vertex at the origin, its rim turned back.
+    """A dish about z that opens towards +z, the vertex of its front at the origin, its rim folded back.
 
     Points 0 .. steps of the profile are the back from the axis to the rim, the last steps + 1 the front.
     """

@@ -1,6 +1,6 @@
-"""Things that are bolted onto spacecraft. Each stands on z = 0 of its own frame, z away from the wall.
+"""Equipment bolted onto spacecraft. Each item is mounted on z = 0 of its own frame, z away from the wall.
 
-Feet reach a little below z = 0, so that no two faces of a body lie in one plane.
+Feet extend slightly below z = 0, so that no two faces of a body are coplanar.
 """
 
 import numpy as np
@@ -29,11 +29,11 @@ from polhode.simulation.surface.materials import (
 )
 
 SINK = 0.08
-"""Share of a thing's height that lies below the wall."""
+"""Share of an item's height that lies below the wall."""
 
 
 def electronics_box(builder: PartBuilder, width_m: float, depth_m: float, height_m: float) -> list[Part]:
-    """A box on a flange, its face labelled, a row of connectors on one side."""
+    """A box on a flange, with a labelled face and a row of connectors on one side."""
     rng = builder.rng
     base = float(rng.choice([0.06, 0.2, 0.35, 0.6]))
     body = box([width_m, depth_m, height_m * (1 + SINK)], bevel=0.05, at=[0, 0, 0.5 * height_m * (1 - SINK)])
@@ -107,7 +107,7 @@ def handrail(length_m: float, radius_m: float) -> list[Part]:
 
 
 def grapple_pin(size_m: float) -> list[Part]:
-    """A round base with a pin on three legs, the target that a robot arm takes hold of."""
+    """A grapple fixture for a robot arm: a round base with a pin on three legs."""
     base = drum(0.5 * size_m, 0.12 * size_m, 28, bevel=0.2, at=[0, 0, -0.03 * size_m])
     parts = [Part(base, BRUSHED_METAL, name="grapple")]
     top = np.array([0, 0, 0.45 * size_m])

@@ -1,6 +1,6 @@
-"""Equipment on flat walls: places that do not overlap, and a wall fitted out.
+"""Equipment on flat walls: positions that do not overlap, and a fully equipped wall.
 
-Electronics boxes come first, then smaller things wherever there is room.
+Electronics boxes are placed first, then smaller items wherever there is room.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ from polhode.simulation.surface.materials import BRUSHED_METAL
 
 @dataclass
 class Deck:
-    """A rectangular wall in the frame X_G (4, 4): origin in its middle, z outward."""
+    """A rectangular wall in the frame X_G (4, 4): origin at its centre, z outward."""
 
     X_G: Array
     width_m: float
@@ -37,11 +37,11 @@ class Deck:
     _taken: list[tuple[float, float, float]] = field(default_factory=list)
 
     def reserve(self, x_m: float, y_m: float, radius_m: float) -> None:
-        """Keep a disc free of other things."""
+        """Reserve a disc."""
         self._taken.append((x_m, y_m, radius_m))
 
     def find(self, radius_m: float, rng: np.random.Generator, tries: int = 24) -> tuple[float, float] | None:
-        """A place (x, y) for a thing of a radius [m], or none; it is taken from then on."""
+        """A free position (x, y) for an item of a radius [m], now reserved; or None."""
         reach = 0.5 * np.array([self.width_m, self.height_m]) - radius_m
         if (reach <= 0).any():
             return None
@@ -53,12 +53,14 @@ class Deck:
         return None
 
     def put(self, parts: list[Part], x_m: float, y_m: float, turn: float = 0.0) -> list[Part]:
-        """The parts at a place on the wall, turned about its normal [rad]."""
+        """The parts at a position on the wall, rotated about its normal [rad]."""
         X = self.X_G @ pose([0, 0, 1.0], [x_m, y_m, 0.0], turn)
         return [part.moved(X) for part in parts]
 
     def place(self, make: Callable[[], list[Part]], radius_m: float, rng: np.random.Generator) -> list[Part]:
-        """What ``make`` gives, wherever there is room, turned by 0 to 270 degrees; else nothing."""
+        """The parts that ``make`` returns, at a free position, rotated by 0 to 270 degrees; none if there
+        is no room.
+        """
         at = self.find(radius_m, rng)
         return [] if at is None else self.put(make(), *at, turn=float(rng.integers(4)) * np.pi / 2)
 
@@ -77,7 +79,9 @@ def decks_of_box(size_m: Array, centre_G: Array) -> dict[str, Deck]:
 
 
 def fit_out(deck: Deck, size_m: float, builder: PartBuilder, boxes: int, small: int) -> list[Part]:
-    """At most so many boxes and small things on a wall; size_m [m] is the body's, which sets theirs."""
+    """At most that many boxes and small items on a wall; their sizes follow from that of the body, size_m
+    [m].
+    """
     rng, s = builder.rng, size_m
     parts = []
     for _ in range(boxes):
@@ -93,7 +97,7 @@ def fit_out(deck: Deck, size_m: float, builder: PartBuilder, boxes: int, small: 
 
 
 def _small_thing(s: float, builder: PartBuilder) -> tuple[Callable[[], list[Part]], float]:
-    """How to make one, and the radius [m] that it takes."""
+    """A function that makes a random small item, and the radius [m] that it needs."""
     catalogue: list[tuple[Callable[[], list[Part]], float]] = [
         (partial(star_tracker, builder, 0.17 * s), 0.12 * s),
         (partial(thruster_block, builder, 0.08 * s), 0.1 * s),

@@ -26,7 +26,7 @@ def solar_wing(
     parts = []
     for k in range(panels):
         middle = yoke_m + k * (each + gap) + 0.5 * each
-        # Hinges never open by quite the same angle.
+        # Hinges do not all open by exactly the same angle.
         bend = pose([0, 0, 1.0], [middle, 0, 0])
         bend[:3, :3] = _turn_y(rng.normal(0, 0.012))
         parts += [part.moved(bend) for part in _panel(builder, each, width_m, thickness_m, cell)]
@@ -53,7 +53,7 @@ def _panel(
     parts = [
         builder.flat_part_by_side(board, SOLAR_CELL, draw, "panel", 0.6, down_G=np.array([0.0, 1.0, 0.0]))
     ]
-    # Stiffeners and a harness on the back, so that it is no bare sheet.
+    # Stiffeners and a harness on the back, so that it is not a bare sheet.
     for y in (-0.32, 0.32):
         rib = box(
             [0.94 * length_m, 0.035 * width_m, 1.2 * thickness_m],

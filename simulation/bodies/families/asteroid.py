@@ -39,20 +39,20 @@ def asteroid_parts(size_m: float, builder: PartBuilder, subdivisions: int = SUBD
 
 
 def _shape(direction: Array, rng: np.random.Generator) -> Array:
-    """Distance from the middle (n,) of the large-scale shape in each direction."""
+    """Distance from the centre (n,) of the large-scale shape in each direction."""
     kind = rng.integers(3)
     axes = np.array([1.25, 0.98, 0.83]) * rng.uniform(0.93, 1.07, 3)
     if kind == 0:
         return np.asarray(1.0 / np.linalg.norm(direction / axes, axis=1))
     if kind == 1:
-        # A ridge around the waist and cones towards the poles.
+        # A ridge around the equator and cones towards the poles.
         z = np.abs(direction[:, 2])
         return np.asarray((1.06 - 0.26 * z + 0.1 * z**2) * (1.0 + 0.04 * direction[:, 0]))
     lobes = []
     for x, radius in ((0.62, rng.uniform(0.62, 0.72)), (-0.55, rng.uniform(0.72, 0.85))):
         along = direction[:, 0] * x + direction[:, 2] * rng.uniform(-0.08, 0.08)
         lobes.append(along + np.sqrt(np.maximum(along**2 - x * x + radius**2, 0.05)))
-    # A soft maximum fills the neck a little.
+    # A smooth maximum fills the neck slightly.
     return np.asarray(np.log(np.exp(9.0 * lobes[0]) + np.exp(9.0 * lobes[1])) / 9.0)
 
 
@@ -67,7 +67,7 @@ def _scattered(rng: np.random.Generator) -> Array:
 
 
 def _craters(direction: Array, tree: cKDTree, rng: np.random.Generator, count: int) -> Array:
-    """Height (n,) of bowls with raised rims, worn to different degrees, many small and few large."""
+    """Height (n,) of bowls with raised rims, eroded to different degrees, many small and few large."""
     height = np.zeros(len(direction))
     for _ in range(count):
         centre = _scattered(rng)
@@ -97,7 +97,9 @@ def _boulders(direction: Array, tree: cKDTree, rng: np.random.Generator, count: 
 
 
 def _block(direction: Array, near: Ints, centre: Array, radius: float, rng: np.random.Generator) -> Array:
-    """Height of one boulder over its radius: the lowest of a lid and some steep planes, a convex block."""
+    """Height of one boulder over its radius: the minimum of a top plane and steep side planes, a convex
+    block.
+    """
     east = np.cross(centre, np.eye(3)[int(np.argmin(np.abs(centre)))])
     east /= np.linalg.norm(east)
     flat = direction[near] @ np.stack([east, np.cross(centre, east)], axis=1) / radius

@@ -137,7 +137,7 @@ def _ends(form: _Form, decks: dict[str, Deck], builder: PartBuilder) -> list[Par
 
 
 def _side(form: _Form, deck: Deck, builder: PartBuilder) -> list[Part]:
-    """One or two small things on a long side."""
+    """Up to two small items on a long side."""
     rng, u = builder.rng, form.unit_m
     parts: list[Part] = []
     for _ in range(int(rng.integers(0, 3))):
@@ -154,7 +154,7 @@ def _side(form: _Form, deck: Deck, builder: PartBuilder) -> list[Part]:
 
 
 def _tapes(form: _Form, builder: PartBuilder) -> list[Part]:
-    """Two or four antennas of spring tape that droop a little, out of a unit near one end."""
+    """Two or four tape antennas that bend slightly, near one end."""
     rng, u = builder.rng, form.unit_m
     z = 0.5 * form.sides_m[2] - 0.12 * u
     length = u * float(rng.uniform(1.4, 2.2))
@@ -168,7 +168,7 @@ def _tapes(form: _Form, builder: PartBuilder) -> list[Part]:
         path = start + length * t * out + [0, 0, 1.0] * (droop * length * t**2)
         wide = np.cross(out, [0, 0, 1.0])
         tape = tube(path, 0.012 * u, 6)
-        # A tape is flat: its round section is squeezed across and widened along.
+        # A tape is flat: its round section is widened along one direction.
         offset = (np.asarray(tape.vertices) - start) @ wide
         tape.vertices = np.asarray(tape.vertices) + 1.2 * offset[:, None] * wide
         parts.append(Part(tape, BRUSHED_METAL, name="antenna"))

@@ -1,4 +1,4 @@
-"""A free flyer in the manner of SPHERES: 18 faces, 12 thrusters, a gas tank, stickers (thesis 6.1)."""
+"""A free flyer similar to SPHERES: 18 faces, 12 thrusters, a gas tank, stickers (thesis 6.1)."""
 
 import numpy as np
 from scipy.spatial import HalfspaceIntersection
@@ -19,7 +19,7 @@ from polhode.simulation.surface.materials import (
 )
 
 PLAIN_FACES = 3
-"""Faces of 18 that carry no sticker."""
+"""Number of the 18 faces without stickers."""
 
 
 def free_flyer_parts(size_m: float, builder: PartBuilder) -> list[Part]:
@@ -59,7 +59,7 @@ def _shell(size_m: float, builder: PartBuilder) -> Part:
 
 
 def _thruster_places(size_m: float) -> list[tuple[Array, Array]]:
-    """Twelve nozzles: four on each pair of opposite faces, off the axes so that they make couples."""
+    """Twelve nozzles: four on each pair of opposite faces, off the axes so that they form couples."""
     places = []
     for axis in range(3):
         for sign in (-1.0, 1.0):

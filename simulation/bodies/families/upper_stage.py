@@ -60,7 +60,7 @@ def upper_stage_parts(size_m: float, builder: PartBuilder) -> list[Part]:
 
 
 def _tank(builder: PartBuilder, radius: float, bottom: float, top: float) -> list[Part]:
-    """The main tank: a wall with one drawing around it, a dome at either end."""
+    """The main tank: a wall with one chart around it, a dome at either end."""
     rng = builder.rng
     length = top - bottom
     solid = revolve([(0, bottom), (radius, bottom), (radius, top), (0, top)], SECTIONS)
@@ -192,7 +192,7 @@ def _front(builder: PartBuilder, radius: float, top: float, adapter: float) -> l
 
 
 def _sides(builder: PartBuilder, radius: float, bottom: float, top: float) -> list[Part]:
-    """What runs along the wall: cable tunnels, a feed line, thruster blocks, hatches, antennas."""
+    """Equipment along the wall: cable tunnels, a feed line, thruster blocks, hatches, antennas."""
     rng = builder.rng
     length = top - bottom
     parts = []

@@ -1,4 +1,4 @@
-"""Colours and gloss that a mesh file gives: images, base colours, colours of vertices and faces.
+"""Colours and gloss in a mesh file: images, base colours, colours of vertices and faces.
 
 Reflectance is linear grey: sRGB is decoded (IEC 61966-2-1) and weighted as in Rec. ITU-R BT.709. Factors and
 vertex colours of GLB are linear as its specification says; those of the other formats are taken as sRGB.
@@ -18,7 +18,7 @@ from polhode.simulation.bodies.parts.file_colours import FileColours
 
 REC_709 = np.array([0.2126, 0.7152, 0.0722])
 MAX_IMAGE_PX = 4096
-"""Images are reduced to this many pixels a side."""
+"""Images are reduced to at most this many pixels per side."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> FileAppe
     else:
         return FileAppearance()
     if image is not None and max(image.size) <= 2 and isinstance(material, SimpleMaterial):
-        # trimesh fills in a tiny grey image where the file names none.
+        # trimesh supplies a tiny grey image if the file names none.
         image = None
     uv = None if visual.uv is None else np.asarray(visual.uv, dtype=np.float64)
     if image is None or uv is None or len(uv) != len(piece.source.vertices) or not np.isfinite(uv).all():
@@ -91,7 +91,7 @@ def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> FileAppe
         if vertex is not None and len(vertex) == len(piece.source.vertices):
             return _varying(_grey(vertex, not glb)[piece.corners])
         return FileAppearance(None, base, metallic, roughness)
-    # A Kd of zero or none beside an image is an exporter's habit, not a black surface.
+    # A Kd that is zero or absent beside an image is an artefact of exporters, not a black surface.
     factor_on_image = base if glb and base is not None else 1.0
     count = len(piece.faces)
     colours = FileColours(

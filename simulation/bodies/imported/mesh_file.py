@@ -47,19 +47,21 @@ NAMES: tuple[tuple[str, Material], ...] = (
     (r"gr[ae]y|paint", PAINT_GREY),
     (r"metal|alumin|steel|titan|strut|truss|boom|mast|hinge|rail|bolt", BRUSHED_METAL),
 )
-"""The first pattern that is found in a piece's name, in any case of letters, decides."""
+"""The first pattern found in a piece's name, regardless of case, decides."""
 CHOICES = (WORN_PANEL, WORN_PANEL, PAINT_WHITE, PAINT_GREY, BRUSHED_METAL)
-"""Materials of separate pieces without a telling name; the largest is a worn panel, which has texture."""
+"""Materials of separate pieces whose names match no pattern; the largest is a worn panel, which has
+texture.
+"""
 
 
 MAX_PIECES = 40
-"""Separate pieces with a material of their own; smaller ones are grey."""
+"""Maximum number of connected pieces with a material of their own; smaller ones are grey."""
 ROCK_FACES = 2000
-"""A closed piece of more faces than this and no flat side is taken for a rock."""
+"""A closed piece with more faces than this and no flat side is taken for a rock."""
 
 
 def material_by_name(name: str) -> Material | None:
-    """The material that a name tells of, or none."""
+    """The material that a name indicates, or None."""
     for pattern, material in NAMES:
         if re.search(pattern, name, re.IGNORECASE):
             return material
@@ -72,7 +74,7 @@ def random_material(largest: bool, rng: np.random.Generator) -> Material:
 
 
 def material_with_appearance(material: Material, appearance: FileAppearance) -> Material:
-    """The material with the file's own colour, metalness and roughness where it gives them.
+    """The material with the colour, metalness and roughness of the file, as far as given.
 
     Metals reflect their colour at normal incidence and have little diffuse reflectance, as in glTF's model.
     """
@@ -86,13 +88,13 @@ def material_with_appearance(material: Material, appearance: FileAppearance) -> 
     if appearance.reflectance is None:
         return material
     if material.specular > 0.2:
-        # A shiny material by its name: the colour is that of its reflection.
+        # A shiny material according to its name: the colour is that of its specular reflection.
         return replace(material, specular=float(np.clip(appearance.reflectance, 0.2, 0.9)))
     return replace(material, albedo=float(np.clip(appearance.reflectance, 0.01, 0.95)), patch=0.0)
 
 
 def mesh_file_parts(path: Path, metres_per_unit: float, builder: PartBuilder) -> list[Part]:
-    """Parts of a mesh file. Raises InputError, one line, when it holds nothing usable."""
+    """Parts of a mesh file. Raises InputError with one line if it contains nothing usable."""
     pieces = read_pieces(path, metres_per_unit)
     builder = replace(builder, texel_m=texel_size_for(sum(float(piece.mesh.area) for piece in pieces)))
     glb = path.suffix.lower() in (".glb", ".gltf")
@@ -105,10 +107,10 @@ def mesh_file_parts(path: Path, metres_per_unit: float, builder: PartBuilder) ->
 def _parts_of_piece(
     piece: FilePiece, appearance: FileAppearance, stem: str, first: bool, builder: PartBuilder
 ) -> list[Part]:
-    """A piece by its name, by its own colours, or torn into what hangs together."""
+    """Parts of a piece: by its colours or its name, otherwise one for each connected component."""
     named = material_by_name(piece.name) or material_by_name(stem)
     if appearance.colours is not None:
-        # The file's colours are the texture: none of ours on top.
+        # The colours of the file are the texture; none is added.
         plain = replace(named or PAINT_GREY, grain=0.0, patch=0.0)
         material = material_with_appearance(plain, appearance)
         return [Part(piece.mesh, material, name=piece.label, colours=appearance.colours)]
@@ -139,7 +141,7 @@ def _part_with_charts(mesh: trimesh.Trimesh, material: Material, name: str, buil
 
 
 def _connected_pieces(mesh: trimesh.Trimesh) -> list[Ints]:
-    """Faces that hang together, one array an piece_mesh, the largest first."""
+    """Faces of each connected component, the largest first."""
     labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     area = np.bincount(labels, weights=mesh.area_faces)
     order = np.argsort(labels, kind="stable")

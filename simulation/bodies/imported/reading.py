@@ -1,4 +1,4 @@
-"""Reading mesh files (OBJ, STL, PLY, GLB): named pieces in one frame, or one clear line of what is wrong."""
+"""Reading mesh files (OBJ, STL, PLY, GLB): named pieces in one frame, or an error of one line."""
 
 import re
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from polhode.lie import Array
 from polhode.records import Ints
 
 MIN_RADIUS_M, MAX_RADIUS_M = 1e-3, 1e3
-"""Radius of bodies that are believed."""
+"""Range of plausible radii of a body."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class FilePiece:
     label: str
     """Name of the geometry in the file"""
     name: str
-    """All names in the file that tell of its surface: node, geometry, group and material"""
+    """All names in the file that indicate its surface: node, geometry, group and material"""
     mesh: trimesh.Trimesh
     """Vertices merged where they coincide, no colours"""
     source: trimesh.Trimesh
@@ -36,7 +36,9 @@ class FilePiece:
 
 
 def read_pieces(path: Path, metres_per_unit: float) -> list[FilePiece]:
-    """Pieces of a mesh file, scaled to metres. Raises InputError, one line, when it holds nothing usable."""
+    """Pieces of a mesh file, scaled to metres. Raises InputError with one line if it contains nothing
+    usable.
+    """
     found = _geometries(path)
     if not found:
         raise InputError(f"{path}: the mesh has no faces; export it as triangles")
@@ -51,7 +53,7 @@ def read_pieces(path: Path, metres_per_unit: float) -> list[FilePiece]:
 
 
 def _geometries(path: Path) -> list[tuple[str, str, trimesh.Trimesh]]:
-    """All meshes of a file with their names, moved to where the file's scene puts them."""
+    """All meshes of a file with their names, in the frame of the file's scene."""
     if not path.exists():
         raise InputError(f"{path}: no such mesh file; give body.path relative to the working directory")
     if not path.is_file():
@@ -71,7 +73,7 @@ def _geometries(path: Path) -> list[tuple[str, str, trimesh.Trimesh]]:
                 moved.remove_unreferenced_vertices()
                 found.append((str(geometry), name, moved.apply_transform(X)))
         return found
-    # Parsers of other people's files fail in ways that no list of exceptions covers.
+    # Parsers of arbitrary files raise exceptions of any type.
     except Exception as error:
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"{path}: cannot be read as a mesh ({reason}); give OBJ, STL, PLY or GLB") from error
@@ -98,7 +100,7 @@ def _load(path: Path) -> trimesh.Scene:
 
 
 class _MaterialNames(FilePathResolver):
-    """Files beside an OBJ; where its material library is absent, one with the names that the OBJ uses."""
+    """Files beside an OBJ; if its material library is absent, one with the names that the OBJ uses."""
 
     def __init__(self, path: Path, names: list[bytes]) -> None:
         super().__init__(str(path))
@@ -120,7 +122,7 @@ class _MaterialNames(FilePathResolver):
 def _piece(label: str, name: str, source: trimesh.Trimesh, metres_per_unit: float) -> FilePiece:
     source.apply_scale(metres_per_unit)
     mesh = trimesh.Trimesh(source.vertices, source.faces, process=False)
-    # Exporters split vertices at seams of normals and textures; a piece is what hangs together in space.
+    # Exporters split vertices at seams of normals and textures; coincident vertices are merged again.
     mesh.merge_vertices()
     whole = np.flatnonzero(mesh.nondegenerate_faces())
     mesh.update_faces(whole)

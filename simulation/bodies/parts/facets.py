@@ -1,4 +1,8 @@
-"""Faces of a mesh seen as surfaces: which lie in one plane, and which look smooth together."""
+"""Faces of a mesh as surfaces: which are coplanar, and which form a smooth surface.
+
+trimesh's own facets leave out single faces and faces that are not adjacent, and its vertex normals round off
+sharp edges.
+"""
 
 import numpy as np
 import trimesh
@@ -16,7 +20,7 @@ CURVED_BELOW_DEG = 30.0
 def smooth_corner_normals(mesh: trimesh.Trimesh) -> Array:
     """Normals per corner (F, 3, 3): mean of the neighbouring faces less than 40 degrees away.
 
-    Faces wound the wrong way count with their sign turned: real meshes mix windings.
+    Faces of opposite winding count with the opposite sign: real meshes have inconsistent windings.
     """
     faces = np.ascontiguousarray(mesh.faces)
     order = np.argsort(faces.ravel(), kind="stable")
@@ -54,7 +58,7 @@ def _smooth(faces: Ints, face_at: Ints, start: Ints, normals: Array, area: Array
 
 
 def flat_facets(mesh: trimesh.Trimesh) -> list[Ints]:
-    """Faces of the same plane, one array per plane, in order of the first face."""
+    """Coplanar faces, one array per plane, in order of the first face."""
     extent = float(np.ptp(mesh.vertices, axis=0).max())
     offset = np.einsum("fk,fk->f", mesh.face_normals, mesh.triangles[:, 0]) / extent
     key = np.round(np.column_stack([mesh.face_normals, offset]), 5)
@@ -66,9 +70,9 @@ def flat_facets(mesh: trimesh.Trimesh) -> list[Ints]:
 
 
 def flat_regions(mesh: trimesh.Trimesh, smallest_m2: float) -> list[Ints]:
-    """Flat sides: faces that hang together in one plane, at least smallest_m2 [m^2] large, the largest first.
+    """Flat sides: connected coplanar faces of at least smallest_m2 [m^2], the largest first.
 
-    A facet of a curved wall is no side: more than half of its rim goes smoothly over into the next.
+    Facets of a curved wall are left out: more than half of their boundary is a smooth transition to the next.
     """
     if len(mesh.faces) < 2:
         return []
@@ -93,7 +97,9 @@ def flat_regions(mesh: trimesh.Trimesh, smallest_m2: float) -> list[Ints]:
 
 
 def _rims(mesh: trimesh.Trimesh, labels: Ints, same: Bools, smooth: Bools) -> tuple[Array, Array]:
-    """Length of each region's rim, and of that part of it over which it goes smoothly into another."""
+    """Length of each region's boundary, and of the part of it that is a smooth transition to another
+    region.
+    """
     a, b, c = (mesh.triangles[:, k] for k in range(3))
     around = np.linalg.norm(b - a, axis=1) + np.linalg.norm(c - b, axis=1) + np.linalg.norm(a - c, axis=1)
     rim = np.bincount(labels, weights=around)

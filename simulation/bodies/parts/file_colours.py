@@ -1,4 +1,4 @@
-"""Colours that a mesh file holds, as reflectances: an image by texture coordinates, or corner values."""
+"""Colours of a mesh file as reflectances: an image with texture coordinates, or values at corners."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class FileColours:
     """Reflectances of F faces. A face has an image, or values at its corners, or nothing (NaN)."""
 
     corner_reflectance: Array
-    """(F, 3) at the corners; beside an image a factor on it; NaN: no colour"""
+    """(F, 3) at the corners; with an image, a factor on it; NaN: no colour"""
     face_image: Ints
     """(F,) index into images, -1: none"""
     corner_uv: Array
@@ -26,7 +26,7 @@ class FileColours:
     """(h, w) reflectance each"""
 
     def look_up(self, face: Ints, weights: Array) -> Array:
-        """Reflectance (n,) at faces (n,) with weights (n, 3) of the corners; NaN where there is no colour."""
+        """Reflectance (n,) at faces (n,) with weights (n, 3) of the corners; NaN without a colour."""
         tables = (self.corner_reflectance, self.face_image, self.corner_uv)
         return np.asarray(_look_up(face, np.ascontiguousarray(weights), *tables, *self._packed))
 
@@ -36,7 +36,7 @@ class FileColours:
 
     @staticmethod
     def joined(pieces: "list[tuple[FileColours | None, int]]") -> "FileColours":
-        """Those of several parts, each with its number of faces; without colours where a part has none."""
+        """Colours of several parts, given with their numbers of faces; None: a part without colours."""
         images: list[NDArray[np.float32]] = []
         corners, face_image, uv = [], [], []
         for colours, count in pieces:
@@ -89,7 +89,7 @@ def _look_up(
             for c in range(3):
                 u += weights[n, c] * corner_uv[f, c, 0]
                 v += weights[n, c] * corner_uv[f, c, 1]
-            # Texel centres lie at half numbers; rows run down, v runs up; the image repeats.
+            # Texel centres are at half integers; rows increase downwards, v upwards; the image repeats.
             column, row = u * width - 0.5, (1.0 - v) * height - 0.5
             j, i = int(np.floor(column)), int(np.floor(row))
             b, a = column - j, row - i

@@ -1,4 +1,4 @@
-"""Mass properties of closed, open and flat meshes at unit density, gathered by name."""
+"""Mass properties of closed, open and flat meshes at unit density, combined by name."""
 
 from dataclasses import dataclass
 
@@ -35,7 +35,7 @@ def masses_by_name(parts: list[tuple[str, trimesh.Trimesh, float]]) -> list[Part
 
 
 def _pieces(name: str, mesh: trimesh.Trimesh, factor: float) -> list[PartMass]:
-    """A closed mesh is itself; an open one falls into pieces: closed ones, hulls of open ones, sheets."""
+    """A closed mesh as a whole; an open one by pieces: closed ones, convex hulls of open ones, sheets."""
     if _is_solid(mesh):
         return [_solid(name, mesh, factor)]
     pieces = mesh.split(only_watertight=False)
@@ -54,7 +54,7 @@ def _piece(name: str, piece: trimesh.Trimesh, factor: float) -> PartMass:
 
 
 def _is_solid(mesh: trimesh.Trimesh) -> bool:
-    """Closed, wound one way, and no folded sheet that holds nothing."""
+    """Closed, of consistent winding, and not a folded sheet without volume."""
     if not (mesh.is_watertight and mesh.is_winding_consistent):
         return False
     return bool(abs(mesh.volume) > 1e-9 * mesh.area**1.5)
@@ -62,7 +62,7 @@ def _is_solid(mesh: trimesh.Trimesh) -> bool:
 
 def _solid(name: str, mesh: trimesh.Trimesh, factor: float) -> PartMass:
     own = mesh.mass_properties
-    # A closed piece that is wound inside out has its volume and inertia with the sign turned.
+    # A closed piece with inverted winding has volume and inertia of the opposite sign.
     sign = -1.0 if own.volume < 0 else 1.0
     return PartMass(
         name, sign * float(own.volume), np.asarray(own.center_mass), sign * np.asarray(own.inertia), factor
@@ -70,7 +70,7 @@ def _solid(name: str, mesh: trimesh.Trimesh, factor: float) -> PartMass:
 
 
 def _sheet(name: str, mesh: trimesh.Trimesh, factor: float) -> PartMass:
-    """A sheet of little thickness: each face counts by its area."""
+    """A thin sheet: each face is weighted by its area."""
     area = np.asarray(mesh.area_faces)
     thickness = SHEET_THICKNESS * np.sqrt(area.sum())
     com = area @ mesh.triangles_center / area.sum()

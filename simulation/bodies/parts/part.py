@@ -1,4 +1,4 @@
-"""What a body is made of: parts with a material each, and charts drawn onto flat faces."""
+"""Bodies: parts with a material each, and charts on their flat faces."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ SLOPE_STEP = 0.01
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawing on a flat face: ``image[row, column]`` is the reflectance at
+    """A texture on a flat face: ``image[row, column]`` is the reflectance at
     ``origin_G + column * texel_m * right_G + row * texel_m * down_G``."""
 
     origin_G: Array
@@ -47,7 +47,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Part:
-    """A closed mesh of one material; ``charts`` maps a chart to the faces that it covers."""
+    """A closed mesh of one material; ``charts`` lists charts with the faces that each covers."""
 
     mesh: trimesh.Trimesh
     material: Material
@@ -55,9 +55,9 @@ class Part:
     density_factor: float = 1.0
     """Density relative to the scene's."""
     name: str = "body"
-    """What a scene calls it when it gives a density; parts of one name are one thing."""
+    """Name by which a scene gives its density; parts of one name are one item."""
     colours: FileColours | None = None
-    """Colours that a mesh file holds."""
+    """Colours of a mesh file."""
 
     def moved(self, X: Array) -> "Part":
         """The part after the rigid transform (4, 4)."""
@@ -96,7 +96,7 @@ class Body:
 
     @property
     def radius_m(self) -> float:
-        """Radius around G's origin that holds the whole body [m]."""
+        """Radius around G's origin that contains the whole body [m]."""
         return float(np.linalg.norm(self.mesh.vertices, axis=1).max())
 
 
@@ -140,7 +140,7 @@ def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
 
 
 def merge_uniform_parts(parts: list[Part]) -> list[Part]:
-    """The parts, with those that differ in their mesh alone made one: few large meshes are quick."""
+    """The parts, with those that differ only in their meshes merged: few large meshes are fast."""
     alike: dict[tuple[str, Material, float], list[Part]] = {}
     kept = []
     for part in parts:
@@ -162,7 +162,7 @@ def join(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
 
 
 def describe(body: Body) -> str:
-    """One line: extents [m], faces, drawings, materials, and the parts by volume [m^3]."""
+    """Description in one line: extents [m], faces, charts, materials, and the parts by volume [m^3]."""
     sides = " x ".join(f"{side:.3g}" for side in np.ptp(np.asarray(body.mesh.vertices), axis=0))
     ordered = sorted(body.parts, key=lambda part: -part.volume_m3)
     listed = [f"{part.name} {part.volume_m3:.3g} m^3" for part in ordered[:6]]

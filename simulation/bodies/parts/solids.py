@@ -1,4 +1,7 @@
-"""Closed meshes that spacecraft are built of: bevelled boxes, solids of revolution, tubes, tapered prisms."""
+"""Closed meshes for spacecraft: bevelled boxes, solids of revolution, tubes, tapered prisms.
+
+trimesh.creation has none with bevels, nor does it tell which faces make up a panel of a solid of revolution.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,7 +19,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Revolved:
-    """A solid of revolution about z, and which faces make up each of its planar panels."""
+    """A solid of revolution about z, and the faces of each of its planar panels."""
 
     mesh: trimesh.Trimesh
     profile: Array
@@ -60,7 +63,7 @@ def _box_corners() -> tuple[Array, Array]:
 def _box_faces() -> Ints:
     signs, inset = _box_corners()
     shape = hull(signs * (1.0 - 0.1 * inset))
-    # The hull sorts nothing: its vertices are all the corners in their order.
+    # The hull keeps the order: its vertices are all the corners.
     return np.asarray(shape.faces)
 
 
@@ -73,7 +76,7 @@ def prism(outline: ArrayLike, height: float, taper: float = 1.0, at: ArrayLike =
 
 
 def revolve(profile: ArrayLike, sections: int, closed: bool = False) -> Revolved:
-    """Turn a profile (n, 2) of radius and height [m] about z.
+    """Revolve a profile (n, 2) of radius and height [m] about z.
 
     Open profiles start and end on the axis; closed ones (rings) return to their first point.
     """
@@ -162,7 +165,7 @@ def tube(path: ArrayLike, radius: float, sections: int = 8) -> trimesh.Trimesh:
     angle = 2.0 * np.pi * np.arange(sections) / sections
     rings = []
     for point, direction in zip(points, tangent, strict=True):
-        # Each ring's axis is the last one's, laid into the new plane: the bar does not twist.
+        # Each ring's axis is that of the last one, projected onto the new plane: the bar does not twist.
         side = side - (side @ direction) * direction
         side /= np.linalg.norm(side)
         other = np.cross(direction, side)
@@ -198,7 +201,7 @@ def radial(angle: float) -> Array:
 
 
 def frame(x_G: ArrayLike, z_G: ArrayLike, position_G: ArrayLike) -> Array:
-    """Pose (4, 4) of a frame with these x and z axes (3,), unit and square to each other."""
+    """Pose (4, 4) of a frame with these x and z axes (3,), unit and perpendicular."""
     x, z = np.asarray(x_G, dtype=np.float64), np.asarray(z_G, dtype=np.float64)
     X = np.eye(4)
     X[:3, 0], X[:3, 1], X[:3, 2], X[:3, 3] = x, np.cross(z, x), z, position_G
@@ -206,10 +209,10 @@ def frame(x_G: ArrayLike, z_G: ArrayLike, position_G: ArrayLike) -> Array:
 
 
 def pose(direction_G: ArrayLike, position_G: ArrayLike, turn: float = 0.0) -> Array:
-    """Pose (4, 4): a turn about z [rad], then z turned to a direction, then the origin moved."""
+    """Pose (4, 4): rotation about z [rad], then of z to a direction, then translation of the origin."""
     z = np.array(direction_G, dtype=np.float64)
     z /= np.sqrt(z @ z)
-    # Any x square to z will do; this one is smooth over the upper half sphere.
+    # Any x perpendicular to z will do; this one is smooth over the upper hemisphere.
     reference = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     x = reference - (reference @ z) * z
     x /= np.sqrt(x @ x)

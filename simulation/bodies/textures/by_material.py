@@ -1,4 +1,4 @@
-"""Charts for parts of which only the material is known: pieces of a mesh file, bodies in one material."""
+"""Charts for parts of which only the material is known: pieces of mesh files, bodies in one material."""
 
 from dataclasses import replace
 from typing import Literal
@@ -22,7 +22,7 @@ from polhode.simulation.surface.materials import (
 )
 
 MIN_SIDE_TEXELS = 24
-"""Sides that are smaller than the square of this keep the solid texture."""
+"""Sides smaller than the square of this have no chart, only the solid texture."""
 TEXELS = 1.3e6
 """On the whole surface of a body."""
 CELL_TEXELS = 46
@@ -37,11 +37,11 @@ MATERIALS = {
     "regolith": REGOLITH,
 }
 KEPT = (SOLAR_CELL, GLASS)
-"""Nobody wraps solar cells and lenses: parts of these materials stay as they are, but under regolith."""
+"""Parts of these materials keep them, except under regolith."""
 
 
 def sheet_for_material(material: Material, textures: TextureGenerator) -> Draw | None:
-    """The sheet that fits a material, or none."""
+    """The sheet that suits a material, or None."""
     if material.specular == REGOLITH.specular and material.roughness == REGOLITH.roughness:
         return None
     if material.crease > 0:
@@ -75,7 +75,7 @@ def texel_size_for(area_m2: float) -> float:
 
 
 def override_material(parts: list[Part], name: Name, builder: PartBuilder) -> list[Part]:
-    """The parts with their surfaces replaced, and sheets of the new material on their large flat sides."""
+    """The parts with their material replaced, and charts that suit it on their large flat sides."""
     material = MATERIALS[name]
     kept = [part for part in parts if part.material in KEPT and name != "regolith"]
     bare = [replace(part, material=material, charts=(), colours=None) for part in parts if part not in kept]

@@ -1,4 +1,4 @@
-"""Sheets to draw on, and how they are laid onto flat faces and around solids of revolution."""
+"""Sheets to draw on, and their mapping onto flat faces and around solids of revolution."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,24 +19,24 @@ Code = NDArray[np.uint8]
 
 
 MARGIN = 4
-"""Texels that an unrolled drawing repeats beyond its ends."""
+"""Texels that an unrolled texture repeats beyond its ends."""
 
 
 @dataclass
 class Canvas:
-    """A drawing in the making; all lengths in texels."""
+    """A texture that is being drawn; all lengths in texels."""
 
     code: Code
-    """(h, w) 255 times the root of the reflectance: fine steps in the dark; OpenCV smooths 8 bits only"""
+    """(h, w) 255 times the root of the reflectance: fine steps in the dark; OpenCV antialiases 8 bits only"""
     layer: NDArray[np.uint8]
     """(h, w) 0: the part's material; k: materials[k - 1]"""
     height: NDArray[np.float32]
     """(h, w) relief"""
     tilt: NDArray[np.float32]
-    """(h, w, 2) slope to the right and down, beside the relief's: tiles that lie askew"""
+    """(h, w, 2) slope to the right and down, in addition to the relief: tilted tiles"""
     materials: list[Material] = field(default_factory=list)
     taken: list[tuple[float, float, float]] = field(default_factory=list)
-    """Discs (column, row, radius) that marks lie on"""
+    """Discs (column, row, radius) that are occupied by marks"""
 
     @staticmethod
     def blank(height: int, width: int) -> "Canvas":
@@ -65,7 +65,7 @@ class Canvas:
         return self.materials.index(material) + 1
 
     def free_place(self, radius: float, rng: np.random.Generator, tries: int = 8) -> Array | None:
-        """Column and row (2,) for a mark of a radius that lies on no other; taken from then on."""
+        """Column and row (2,) of a free position for a mark of a radius, now occupied; or None."""
         size = np.array([self.code.shape[1], self.code.shape[0]])
         for _ in range(tries):
             at = rng.uniform(0.04 * size, 0.96 * size)
@@ -85,7 +85,7 @@ Draw = Callable[[Canvas, np.random.Generator], None]
 
 
 def code(reflectance: float) -> int:
-    """Reflectance -> code of the canvas."""
+    """Code of a reflectance on the canvas."""
     return int(np.clip(round(255.0 * np.sqrt(max(reflectance, 0.0))), 0, 255))
 
 
@@ -97,7 +97,7 @@ def chart_of_facet(
     rng: np.random.Generator,
     down_G: Array | None = None,
 ) -> tuple[Chart, Ints]:
-    """Draw a picture on a plane facet of a mesh; its rows run along ``down_G`` (3,) where that is given."""
+    """Draw a chart for a plane facet of a mesh; its rows run along ``down_G`` (3,) if given."""
     normal = np.asarray(mesh.face_normals[faces[0]])
     right, down = _in_plane_axes(normal, down_G)
     corners = mesh.triangles[faces].reshape(-1, 3)
@@ -114,19 +114,19 @@ def chart_of_facet(
 def charts_around(
     solid: Revolved, first: int, last: int, texel_m: float, draw: Draw, rng: np.random.Generator
 ) -> tuple[tuple[Chart, Ints], ...]:
-    """One drawing around the wall between two profile points, cut into a slice for each planar panel.
+    """One texture around the wall between two profile points, cut into a chart for each planar panel.
 
-    The drawing's top is the end of the profile (``last``); its columns run with the angle about z.
+    The top of the texture is the end of the profile (``last``); its columns run with the angle about z.
     """
     profile = solid.profile[first : last + 1]
     lengths = np.linalg.norm(np.diff(profile, axis=0), axis=1)
     sections = solid.panels.shape[1]
-    # Whole texels on each panel, so that slices differ in their content alone.
+    # An integer number of texels per panel, so that slices differ only in content.
     across = max(2, round(2.0 * profile[:, 0].max() * np.sin(np.pi / sections) / texel_m))
     canvas = Canvas.blank(max(2, round(float(lengths.sum()) / texel_m)), across * sections)
     draw(canvas, rng)
     image, slope, layer = _finished(canvas)
-    # OpenCV remaps no signed bytes.
+    # OpenCV cannot remap signed bytes.
     painted, steep = _wrapped(image), None if slope is None else _wrapped(slope.astype(np.float32))
     layers = None if layer is None else _wrapped(layer)
     materials = tuple(canvas.materials)
@@ -160,14 +160,14 @@ def _in_plane_axes(normal: Array, down_G: Array | None) -> tuple[Array, Array]:
     else:
         right = np.cross(normal, down_G)
     right /= np.linalg.norm(right)
-    # Down is such that the drawing reads the right way round from outside.
+    # Down is such that the texture is not mirrored as seen from outside.
     return right, np.cross(right, normal)
 
 
 def _finished(
     canvas: Canvas,
 ) -> tuple[NDArray[np.float32], NDArray[np.int8] | None, NDArray[np.uint8] | None]:
-    """Reflectance, slope and layer of a drawing; what is empty is left out."""
+    """Reflectance, slope and layer of a canvas; None where empty."""
     smooth = cv2.GaussianBlur(canvas.code, (3, 3), 0.5).astype(np.float32) / np.float32(255)
     image = np.clip(smooth * smooth, 0.01, 0.95).astype(np.float32)
     steps = np.clip(np.rint(canvas.slope() / SLOPE_STEP), -127, 127).astype(np.int8)
@@ -175,7 +175,7 @@ def _finished(
 
 
 def _wrapped(sheet: NDArray[Any]) -> NDArray[Any]:
-    """The sheet with some of its other end on either side."""
+    """The sheet extended on either side by columns of its other end."""
     return np.concatenate([sheet[:, -MARGIN:], sheet, sheet[:, :MARGIN]], axis=1)
 
 
@@ -192,7 +192,7 @@ def _unrolled(
     sections: int,
     texel_m: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], tuple[int, int]]:
-    """Where the texels of a panel lie in the unrolled drawing (columns, rows) for the panel at angle zero."""
+    """Positions (columns, rows) of a panel's texels in the unrolled texture, for the panel at angle zero."""
     length = float(np.linalg.norm(upper - lower))
     chords = 2.0 * np.sin(np.pi / sections) * np.array([upper[0], lower[0]])
     height, width = int(np.ceil(length / texel_m)) + 2, int(np.ceil(chords.max() / texel_m)) + 2
@@ -207,7 +207,7 @@ def _unrolled(
 
 
 def _panel_axes(lower: Array, upper: Array, k: int, sections: int) -> tuple[Array, Array, Array]:
-    """Middle of a panel's upper edge [m], and its axes to the right and down as seen from outside."""
+    """Centre of a panel's upper edge [m], and its axes to the right and down as seen from outside."""
     angle = 2.0 * np.pi * (k + 0.5) / sections
     outward = np.array([np.cos(angle), np.sin(angle), 0.0])
     flat = np.cos(np.pi / sections)

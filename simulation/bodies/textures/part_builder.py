@@ -1,4 +1,4 @@
-"""What every family builds with: a texture generator, its random numbers, the size of a texel."""
+"""Parts with charts, as families build them: texture generator, random numbers, size of a texel."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,13 +22,13 @@ def texture_generator(name: Literal["drawn", "collage"]) -> "TextureGenerator":
 
 
 class TextureGenerator(Protocol):
-    """A texture generator: the sheets that spacecraft show. A module with these functions will do."""
+    """A texture generator for the surfaces of spacecraft: a module with these functions."""
 
     def panel(self, base: float, richness: float = ...) -> Draw:
         """An equipment panel of mean reflectance ``base``; richness scales the number of marks."""
 
     def plain(self, base: float) -> Draw:
-        """A painted panel with next to nothing on it."""
+        """A painted panel with few marks."""
 
     def machined_plate(self) -> Draw:
         """Bare metal."""
@@ -68,21 +68,21 @@ def sheet_by_side(sheets: Sequence[Draw]) -> Callable[[Array], Draw | None]:
 
 @dataclass(frozen=True)
 class PartBuilder:
-    """A texture generator at work on one body."""
+    """Makes parts with charts for one body."""
 
     textures: TextureGenerator
     rng: np.random.Generator
-    """For shapes and the choice of sheets: the same with either generator"""
+    """For shapes and the choice of sheets: independent of the generator"""
     texture_rng: np.random.Generator
     """For the sheets themselves"""
     texel_m: float
     smallest_texels: int = 12
-    """Faces narrower than this stay undrawn."""
+    """Narrower faces have no chart."""
 
     def flat_part(
         self, mesh: trimesh.Trimesh, material: Material, draw: Draw, name: str, density_factor: float = 1.0
     ) -> Part:
-        """A part with a drawing on each flat face that is large enough."""
+        """A part with a chart on each flat face that is large enough."""
         return self.flat_part_by_side(mesh, material, lambda _: draw, name, density_factor)
 
     def flat_part_by_side(
@@ -94,9 +94,9 @@ class PartBuilder:
         density_factor: float = 1.0,
         down_G: Array | None = None,
     ) -> Part:
-        """The same with a drawing for each outward normal (3,), or none.
+        """The same with the sheet chosen by the outward normal (3,) of each face, or none.
 
-        Rows of the drawings run along down_G (3,) where a face is not square to it.
+        Rows of the charts run along down_G (3,) unless a face is perpendicular to it.
         """
         charts = []
         smallest_m = self.smallest_texels * self.texel_m
@@ -121,7 +121,7 @@ class PartBuilder:
         name: str,
         density_factor: float = 1.0,
     ) -> Part:
-        """A solid of revolution with drawings around its walls (first and last profile point, drawing)."""
+        """A solid of revolution with charts around its walls (first and last profile point, sheet)."""
         charts = [
             chart
             for first, last, draw in walls
