@@ -57,7 +57,10 @@ def _is_solid(mesh: trimesh.Trimesh) -> bool:
     """Closed, of consistent winding, and not a folded sheet without volume."""
     if not (mesh.is_watertight and mesh.is_winding_consistent):
         return False
-    return bool(abs(mesh.volume) > 1e-9 * mesh.area**1.5)
+    # trimesh's volume divides by zero on a folded sheet.
+    a, b, c = (mesh.triangles[:, k] for k in range(3))
+    volume = float(np.einsum("fk,fk->", np.cross(a, b), c)) / 6.0
+    return bool(abs(volume) > 1e-9 * mesh.area**1.5)
 
 
 def _solid(name: str, mesh: trimesh.Trimesh, factor: float) -> PartMass:

@@ -124,7 +124,7 @@ def test_a_draft_of_another_scene_or_program_is_begun_anew(
     other = SCENE.model_copy(update={"interval_s": 0.25}) if change == "scene" else SCENE
     with monkeypatch.context() as patch:
         if change == "program":
-            patch.setattr(sequence, "_program", lambda: "an older one")
+            patch.setattr(sequence, "_program_digest", lambda: "an older one")
         with pytest.raises(KeyboardInterrupt):
             simulate(other, 5 if change == "seed" else 4, tmp_path / "S", _Listener(2))
     anew = _Listener()
