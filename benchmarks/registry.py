@@ -110,6 +110,8 @@ BENCHMARKS = (
               "--short -o runs/backend_growth.png"),
     _of_runs("runs_by_solver", "solvers.runs_by_solver", "docs/backend.md", 10, _BY_SOLVER),
     Benchmark("compare", "solvers.compare", "docs/compare.md", 180),
+    Benchmark("pose_graph", "solvers.pose_graph", "docs/architecture.md", 2, needs=("gtsam",)),
+    Benchmark("rounding", "monte_carlo.rounding", "docs/backend.md", 20),
     Benchmark("bound", "monte_carlo.bound", "docs/accuracy.md", 2, short=""),
     Benchmark("same_answer", "monte_carlo.same_answer", "docs/accuracy.md", 10),
     Benchmark("window", "monte_carlo.window", "docs/window.md", 30),
