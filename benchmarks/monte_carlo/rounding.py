@@ -15,7 +15,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import product
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import arg
@@ -64,7 +64,7 @@ def main(
     print(markdown_table(head, rows, right_from=2))
 
 
-def _in_a_process(seed: int, core: str, threads: int) -> dict[str, object]:
+def _in_a_process(seed: int, core: str, threads: int) -> dict[str, Any]:
     setting = {"OPENBLAS_CORETYPE": core, "OPENBLAS_NUM_THREADS": str(threads)}
     words = [sys.executable, "-m", "benchmarks.monte_carlo.rounding", "--seed", str(seed)]
     done = subprocess.run(words, env={**os.environ, **setting}, capture_output=True, text=True, check=False)
@@ -73,7 +73,7 @@ def _in_a_process(seed: int, core: str, threads: int) -> dict[str, object]:
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def _estimate(seed: int) -> dict[str, object]:
+def _estimate(seed: int) -> dict[str, Any]:
     from polhode.backend import estimate_motion, initialize_motion
     from polhode.config.backend import Backend
     from polhode.progress import Silent

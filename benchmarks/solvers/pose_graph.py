@@ -80,7 +80,7 @@ def _spanning_tree_poses(links: RelativePoses, n_frames: int) -> Array:
     weight = 1.0 / links.inliers
     tree = minimum_spanning_tree(coo_matrix((weight, (links.i, links.j)), shape=(n_frames, n_frames)))
     order, parent = breadth_first_order(tree, 0, directed=False)
-    of_pair = {pair: X for pair, X in zip(zip(links.i, links.j, strict=True), links.X_RiRj, strict=True)}
+    of_pair = dict(zip(zip(links.i, links.j, strict=True), links.X_RiRj, strict=True))
     X = np.tile(np.eye(4), (n_frames, 1, 1))
     for frame in order[1:]:
         pair = (parent[frame], frame)
