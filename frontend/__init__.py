@@ -1,0 +1,15 @@
+"""The front end: a stereo sequence to features, tracks and depth maps.
+
+In: images, masks and calibration of a ``polhode.dataset.StereoSequence``. Out: ``StereoTracks`` and relative
+poses for the back end, and depth maps for the mapping.
+
+extract.py          features and depth maps of every pair, in parallel processes
+rectification/      images of any rig as those of an ideal one; the target's mask
+networks/           the networks trained here, and their weights
+disparity/          dense disparity and depth of a pair
+features/           key points, descriptors and stereo measurements of a pair
+matching/           matches and relative poses of frame pairs
+peers/              published feature and match methods
+tracks/             landmarks over the whole sequence
+weights/            the shipped weights
+"""

@@ -1,16 +1,18 @@
-"""Images to stereo features and depth maps: every pair of the sequence, in parallel processes."""
+"""Stereo features and depth maps of every pair of a sequence, computed in parallel processes."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from polhode.camera import RectifiedRig
 from polhode.config.frontend import Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import compute_depth
-from polhode.frontend.features.methods import extract_pair, feature_method, match_method
-from polhode.frontend.features.patch_size import with_patch_size
-from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.rectification.rectified_pair import rectified_pair
-from polhode.frontend.rectification.rectify import Rectifier
+from polhode.frontend.features.methods import feature_method
+from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
+from polhode.frontend.features.surface_features import with_patch_size
+from polhode.frontend.matching.methods import READS_IMAGES, match_method
+from polhode.frontend.rectification.rectify import RectifiedPair, Rectifier, rectified_pair
+from polhode.frontend.rectification.target import target_crop
 from polhode.processes import in_order
 from polhode.records import DepthMap
 
@@ -21,10 +23,52 @@ PRELOADED = (
     "polhode.frontend.matching.pairs",
     "polhode.frontend.tracks.track_refinement",
     "polhode.frontend.features.surface_features",
-    "polhode.frontend.matching.softmax_matcher",
-    "polhode.frontend.disparity.network",
+    "polhode.frontend.matching.matchers",
+    "polhode.frontend.disparity.learned",
 )
-"""What the work on frames imports: extraction is the first stage of a run that starts processes."""
+"""Modules that the jobs on frames import: extraction is the first stage of a run that starts processes."""
+
+
+def extract_features(
+    sequence: StereoSequence, rectifier: Rectifier, config: Frontend, workers: int, tick: Tick
+) -> list[StereoFeatures]:
+    """Stereo features of every pair, in the order of the sequence; ``tick`` is called once per pair.
+
+    Raises InputError at once: weights that extraction or matching needs are missing.
+    """
+    feature_method(config), match_method(config)
+    config = with_patch_size(config, sequence, rectifier)
+    features: list[StereoFeatures] = []
+    job = _FeatureJob(sequence, rectifier, config)
+    for extracted in in_order(job, range(len(sequence)), workers, PRELOADED):
+        features.append(extracted)
+        tick()
+    return features
+
+
+def extract_depth(
+    sequence: StereoSequence,
+    rectifier: Rectifier,
+    config: Frontend,
+    disparity_ranges_px: Sequence[tuple[float, float] | None],
+    workers: int,
+) -> Iterator[DepthMap]:
+    """Depth map of every pair, in order.
+
+    disparity_ranges_px: for each pair, the range of the target's disparity that the sparse map predicts, if
+    any.
+    """
+    job = _DepthJob(sequence, rectifier, config, disparity_ranges_px)
+    return in_order(job, range(len(sequence)), workers)
+
+
+def extract_pair(pair: RectifiedPair, rig: RectifiedRig, config: Frontend) -> StereoFeatures:
+    """Features of one pair, with the left image of the target if the matcher reads images."""
+    features, crop = feature_method(config)(pair, rig), target_crop(pair.mask_left)
+    if crop is None or config.matcher not in READS_IMAGES:
+        return features
+    part = pair.left[crop.v0 : crop.v1, crop.u0 : crop.u1].copy()
+    return replace(features, picture=ImageCrop(part, (crop.u0, crop.v0)))
 
 
 @dataclass(frozen=True)
@@ -49,32 +93,3 @@ class _DepthJob:
         pair = rectified_pair(self.sequence, self.rectifier, k)
         rig, span = self.rectifier.rig, self.disparity_ranges_px[k]
         return compute_depth(pair.left, pair.right, pair.mask_left, rig, self.config.depth, span)
-
-
-def extract_features(
-    sequence: StereoSequence, rectifier: Rectifier, config: Frontend, workers: int, tick: Tick
-) -> list[StereoFeatures]:
-    """Stereo features of every pair, in the order of the sequence. ``tick`` is called once per pair.
-
-    Raises InputError before any work: weights that extraction or matching needs are missing.
-    """
-    feature_method(config), match_method(config)
-    config = with_patch_size(config, sequence, rectifier)
-    features: list[StereoFeatures] = []
-    job = _FeatureJob(sequence, rectifier, config)
-    for found in in_order(job, range(len(sequence)), workers, PRELOADED):
-        features.append(found)
-        tick()
-    return features
-
-
-def extract_depth(
-    sequence: StereoSequence,
-    rectifier: Rectifier,
-    config: Frontend,
-    disparity_ranges_px: Sequence[tuple[float, float] | None],
-    workers: int,
-) -> Iterator[DepthMap]:
-    """Depth map of every pair, in order; disparity_ranges_px: per pair, what the sparse map predicts."""
-    job = _DepthJob(sequence, rectifier, config, disparity_ranges_px)
-    return in_order(job, range(len(sequence)), workers)

@@ -10,9 +10,10 @@ from polhode.backend import consistent_links
 from polhode.config.frontend import Frontend
 from polhode.errors import RunFailure
 from polhode.frontend.extract import extract_features
-from polhode.frontend.features.methods import feature_method, match_method
+from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.combined import shifted, side_by_side
+from polhode.frontend.matching.combined import combine_features, offset_matches
+from polhode.frontend.matching.methods import match_method
 from polhode.frontend.matching.pairs import PairMatch, match_pairs, relative_poses
 from polhode.frontend.matching.retrieval import pairs_in_view, pairs_to_match
 from polhode.frontend.tracks.tracks import join_matches
@@ -81,8 +82,8 @@ def add_second_method(
         else pairs_in_view(X_RG, second.pairs)
     )
     matches = _match(context, features, partners, second)
-    both = side_by_side(first.features, features)
-    together = [*first.matches, *shifted(matches, first.features)]
+    both = combine_features(first.features, features)
+    together = [*first.matches, *offset_matches(matches, first.features)]
     return Correspondences(both, _without_contradictions(context, sorted(together, key=lambda m: (m.i, m.j))))
 
 

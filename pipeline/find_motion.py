@@ -10,7 +10,7 @@ from polhode.backend import estimate_motion, initialize_motion
 from polhode.config.frontend import Frontend
 from polhode.errors import RunFailure
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.combined import of_second
+from polhode.frontend.matching.combined import is_from_second
 from polhode.frontend.tracks.duplicates import merge_duplicates
 from polhode.frontend.tracks.guided import consistent_matches, reconnect
 from polhode.frontend.tracks.track_refinement import refine_tracks
@@ -103,7 +103,7 @@ def _solve_with_second_method(
     """The solution from both methods; None if it fits worse or connects fewer frames than the first one's."""
     X_RG = None if first is None else first.motion.X_RG
     both = add_second_method(context, correspondences, second, X_RG)
-    if not any(of_second(match, correspondences.features) for match in both.matches):
+    if not any(is_from_second(match, correspondences.features) for match in both.matches):
         return None
     try:
         solution = refine(context, _last(solve_repeatedly(context, both)))

@@ -1,9 +1,10 @@
-"""The corpus: many short simulated sequences with the truth of their pixels, on disk as any other sequence.
+"""The training corpus: many short simulated sequences with ground truth for each pixel, stored like any
+sequence.
 
     python -m polhode.train.corpus CONFIG [--workers N]
 
-renders what is missing in the folder of ``train.corpus``; ``polhode train`` does the same before it begins.
-A folder ``0007`` is scene 7. ``corpus.yaml`` beside them tells what the scenes were drawn from.
+renders the missing scenes in the folder of ``train.corpus``; ``polhode train`` does the same before training.
+Folder ``0007`` is scene 7. ``corpus.yaml`` contains the settings from which the scenes were drawn.
 """
 
 import argparse
@@ -14,29 +15,30 @@ from pathlib import Path
 
 import yaml
 
+from polhode.atomic import write_text
 from polhode.config.loader import load_config
 from polhode.config.train import Corpus, Train
 from polhode.errors import InputError
 from polhode.processes import in_order
 from polhode.progress import Progress, Silent
 from polhode.simulation.dataset.sequence import SCENE_FILE, simulate
-from polhode.train.scene import random_scene
+from polhode.train.random_scene import random_scene
 
 NOTE = "corpus.yaml"
 FREE_KEYS = {"folder", "scenes", "validation_every"}
-"""Settings that no scene depends on: they may change while the scenes stay."""
+"""Settings on which no scene depends: they may change without rendering the scenes again."""
 
 
 @dataclass(frozen=True)
 class Split:
-    """Numbers of the scenes, those of one body all on one side."""
+    """Numbers of the scenes; all scenes of one body are in the same part."""
 
     training: tuple[int, ...]
     validation: tuple[int, ...]
 
 
 def split(corpus: Corpus) -> Split:
-    """Training and held-out scenes. Raises InputError: one side is empty."""
+    """Training and held-out scenes. Raises InputError: no scene is held out."""
     held_out = tuple(i for i in range(corpus.scenes) if corpus.is_validation(i))
     if not held_out:
         raise InputError(
@@ -47,14 +49,14 @@ def split(corpus: Corpus) -> Split:
 
 
 def scene_folder(corpus: Corpus, index: int) -> Path:
-    """Where scene ``index`` is, or will be."""
+    """Folder of scene ``index``."""
     return Path(corpus.folder) / f"{index:04d}"
 
 
 def render_corpus(corpus: Corpus, progress: Progress, workers: int) -> None:
-    """Render the scenes that are missing; an interrupted scene goes on where it was.
+    """Render the missing scenes; an interrupted scene is continued.
 
-    Raises InputError: the folder holds scenes drawn from other ranges; RunFailure: a process was killed.
+    Raises InputError: the folder contains scenes drawn from other settings; RunFailure: a process was killed.
     """
     folder = Path(corpus.folder)
     _claim(folder, corpus)
@@ -79,7 +81,7 @@ def _seed(corpus: Corpus, index: int) -> int:
 
 
 def _claim(folder: Path, corpus: Corpus) -> None:
-    """Note what the folder's scenes are drawn from; refuse a folder of others."""
+    """Record the settings from which the folder's scenes are drawn; refuse a folder with other settings."""
     drawn = {key: value for key, value in corpus.model_dump(mode="json").items() if key not in FREE_KEYS}
     note = folder / NOTE
     if note.is_file():
@@ -88,15 +90,13 @@ def _claim(folder: Path, corpus: Corpus) -> None:
         other = [key for key, value in drawn.items() if there.get(key) != value]
         if other:
             raise InputError(
-                f"{folder} holds a corpus with another {', '.join(other)}: set train.corpus.folder to a new "
-                "folder, or remove this one"
+                f"{folder} contains a corpus with another {', '.join(other)}: set train.corpus.folder to a "
+                "new folder, or remove this one"
             )
         return
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        partial = note.with_suffix(f".partial-{os.getpid()}")
-        partial.write_text(yaml.safe_dump(drawn, sort_keys=False), encoding="utf-8")
-        partial.replace(note)
+        write_text(note, yaml.safe_dump(drawn, sort_keys=False))
     except OSError as error:
         raise InputError(
             f"train.corpus.folder: {folder} cannot be written ({error.strerror}): choose another"
@@ -104,7 +104,7 @@ def _claim(folder: Path, corpus: Corpus) -> None:
 
 
 def required_train(train: Train | None, config: Path) -> Train:
-    """The section, where there is one. Raises InputError: the configuration trains nothing."""
+    """The ``train`` section. Raises InputError: the configuration has none."""
     if train is None:
         raise InputError(f"{config}: no 'train' section; see configs/train/ for examples")
     return train

@@ -1,8 +1,8 @@
-"""Curves of a training, in TensorBoard's format: ``tensorboard --logdir OUTPUT`` shows them.
+"""Training curves in TensorBoard's format, which ``tensorboard --logdir OUTPUT`` shows.
 
     python -m polhode.train.curves OUTPUT... -o FILE.png
 
-draws them from the event files.
+plots them from the event files.
 """
 
 import argparse
@@ -18,11 +18,11 @@ from polhode.errors import InputError
 from polhode.lie import Array
 
 FOLDER = "curves"
-MISSING = "tensorboard is not installed, which reads and writes the curves: pip install 'polhode[train]'"
+MISSING = "tensorboard, which reads and writes the curves, is not installed: pip install 'polhode[train]'"
 
 
 class Curves:
-    """Writes scalars; points at or after ``first_step`` that an interrupted training left are dropped."""
+    """Writes scalars; points after ``first_step`` from an interrupted training are dropped."""
 
     def __init__(self, output: Path, first_step: int) -> None:
         try:
@@ -38,12 +38,12 @@ class Curves:
                 self._writer.add_scalar(f"{group}/{name}", value, step)
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write all remaining points."""
         self._writer.close()
 
 
 def read_curves(output: Path) -> dict[str, Array]:
-    """Curves of a training: name -> (n, 2) step and value. Raises InputError: there are none."""
+    """Curves of a training: name -> (n, 2) steps and values. Raises InputError: there are none."""
     try:
         from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
     except ImportError:
@@ -52,12 +52,12 @@ def read_curves(output: Path) -> dict[str, Array]:
     events.Reload()
     names = events.Tags().get("scalars", [])
     if not names:
-        raise InputError(f"{output} holds no curves: give the folder of a training")
+        raise InputError(f"{output} contains no curves: give the folder of a training")
     return {name: np.array([(point.step, point.value) for point in events.Scalars(name)]) for name in names}
 
 
 def draw_curves(outputs: Sequence[Path], path: Path) -> None:
-    """One row of plots a training: what was made small, and the scores on held-out bodies."""
+    """One row of plots for each training: the losses, and the scores on held-out bodies."""
     figure = Figure(figsize=(12, 4.0 * len(outputs)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(outputs), 2, squeeze=False)
@@ -87,7 +87,7 @@ def _draw(axes: Axes, curves: Mapping[str, Array], smooth: int = 1) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Draw the curves of trainings."""
+    """Plot training curves."""
     parser = argparse.ArgumentParser(prog="python -m polhode.train.curves", description=main.__doc__)
     parser.add_argument("outputs", type=Path, nargs="+", metavar="OUTPUT")
     parser.add_argument("-o", "--picture", type=Path, required=True)

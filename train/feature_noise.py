@@ -1,9 +1,10 @@
-"""The constants of ``frontend.feature_noise``, from simulated scenes, and whether they hold elsewhere.
+"""Estimation of the constants of ``frontend.features.feature_noise`` from simulated scenes, and their
+validation.
 
     python -m polhode.train.feature_noise configs/train/features.yaml [--scenes 24] [--check SEQUENCE ...]
 
-SEQUENCE: folders that ``polhode simulate`` made. Neighbouring frames are matched as a run matches them. What
-passes the geometric check is compared with the true motion.
+SEQUENCE: folders of ``polhode simulate``. Neighbouring frames are matched as in a run. The matches that pass
+the geometric check are compared with the true motion.
 """
 
 import argparse
@@ -19,13 +20,11 @@ from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.frontend.features.feature_noise import confidence_logit, match_sigma
-from polhode.frontend.features.patch_size import with_patch_size
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.features.surface_features import SurfaceFeatureMethod
+from polhode.frontend.features.surface_features import SurfaceFeatureMethod, with_patch_size
+from polhode.frontend.matching.matchers import SoftmaxMatcher
 from polhode.frontend.matching.ransac import ransac_rigid
-from polhode.frontend.matching.softmax_matcher import SoftmaxMatcher
-from polhode.frontend.rectification.rectified_pair import rectified_pair
-from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.frontend.rectification.rectify import Rectifier, make_rectifier, rectified_pair
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Ints
 from polhode.simulation.dataset.plan import plan_sequence
@@ -33,26 +32,27 @@ from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.train.corpus import scene_folder, split
 
 CONFIG = Frontend(features=Features(method="polhode"))
-WRONG_DEG = 2.0
-"""Pairs of frames whose motion is further off are left out: their matches are wrong, not inaccurate [deg]."""
+MAX_MOTION_ERROR_DEG = 2.0
+"""Frame pairs with a larger error of the motion are omitted: their matches are wrong, not inaccurate
+[deg]."""
 
 
 @dataclass(frozen=True)
-class Residuals:
-    """Matches of one scene that passed the geometric check."""
+class MatchResiduals:
+    """Errors of the matches of one scene that passed the geometric check."""
 
     residual_px: Array
-    """(m, 3) u, v, disparity: b's point, moved by the truth, less a's measurement"""
+    """(m, 3) u, v, disparity: b's point, transformed by the true motion, minus a's measurement"""
     sigma_px: Array
-    """(m, 3) as ``match_sigma`` has it now"""
-    sharp_px: Array
+    """(m, 3) by ``match_sigma`` with its present constants"""
+    sigma_ls_px: Array
     """(m, 2) sigma of the least squares of both features"""
     logit: Array
     """(m,) of the confidence"""
 
 
-def scene_residuals(folder: Path) -> Residuals | None:
-    """Residuals of a simulated sequence; None when no two frames are matched."""
+def scene_residuals(folder: Path) -> MatchResiduals | None:
+    """Errors of the matches of a simulated sequence; None when no two frames are matched."""
     sequence = open_sequence(folder)
     rectifier = make_rectifier(sequence.calibration)
     X_RG = true_poses(folder, rectifier)
@@ -66,30 +66,32 @@ def scene_residuals(folder: Path) -> Residuals | None:
         found = match(a, b)
         if len(found.features) < config.pairs.min_inliers:
             continue
-        agreed = _checked(a, b, found.features, rectifier, config, X_RG[k] @ inverse_pose(X_RG[k + 1]), k)
+        agreed = _true_residuals(
+            a, b, found.features, rectifier, config, X_RG[k] @ inverse_pose(X_RG[k + 1]), k
+        )
         if agreed is None:
             continue
         part, passed = agreed
         chosen, confidence = found.features[passed], found.confidence[passed]
-        sharp = np.column_stack([_sharp(a)[chosen[:, 0]], _sharp(b)[chosen[:, 1]]])
-        parts.append((part, match_sigma(a, b, chosen, confidence), sharp, confidence_logit(confidence)))
-    return Residuals(*(np.concatenate(each) for each in zip(*parts, strict=True))) if parts else None
+        sigma_ls = np.column_stack([_sigma_ls(a)[chosen[:, 0]], _sigma_ls(b)[chosen[:, 1]]])
+        parts.append((part, match_sigma(a, b, chosen, confidence), sigma_ls, confidence_logit(confidence)))
+    return MatchResiduals(*(np.concatenate(each) for each in zip(*parts, strict=True))) if parts else None
 
 
 def true_poses(folder: Path, rectifier: Rectifier) -> list[Array]:
     """X_RG (4, 4) of each frame."""
     path = folder / SCENE_FILE
     if not path.is_file():
-        raise InputError(f"{path} is missing: give a folder that polhode simulate made")
+        raise InputError(f"{path} is missing: give a folder of polhode simulate")
     config = load_config(path)
     assert config.scene is not None  # the file that ``simulate`` wrote
     plan = plan_sequence(config.scene, config.seed)
     X_NR = [X_NC @ rectifier.X_CR for X_NC in plan.X_NC]
-    # The truth of the motion goes on after the last image.
+    # The true motion extends beyond the last image.
     return [inverse_pose(X) @ plan.target.X_NG[k] for k, X in enumerate(X_NR)]
 
 
-def _checked(
+def _true_residuals(
     a: StereoFeatures,
     b: StereoFeatures,
     pairs: Ints,
@@ -98,25 +100,25 @@ def _checked(
     X_AB: Array,
     seed: int,
 ) -> tuple[Array, Ints] | None:
-    """True residuals (m, 3) of the matches that the geometric check passes, and their positions (m,)."""
+    """Errors (m, 3) of the matches that pass the geometric check, and their indices (m,)."""
     i, j = pairs.T
-    rig, how = rectifier.rig, config.pairs
+    rig, pairing = rectifier.rig, config.pairs
     rng = np.random.default_rng(seed)
-    fit = ransac_rigid(a.uvd_px[i], a.p_R[i], b.p_R[j], rig, how.hypotheses, how.gate_px, rng)
+    fit = ransac_rigid(a.uvd_px[i], a.p_R[i], b.p_R[j], rig, pairing.hypotheses, pairing.gate_px, rng)
     turn = (np.trace(fit.X_RiRj[:3, :3].T @ X_AB[:3, :3]) - 1.0) / 2.0
-    if fit.inlier.sum() < how.min_inliers or turn < np.cos(np.deg2rad(WRONG_DEG)):
+    if fit.inlier.sum() < pairing.min_inliers or turn < np.cos(np.deg2rad(MAX_MOTION_ERROR_DEG)):
         return None
     residual = rig.project(transform_points(X_AB, b.p_R[j])) - a.uvd_px[i]
     return residual[fit.inlier], np.flatnonzero(fit.inlier)
 
 
-def _sharp(features: StereoFeatures) -> Array:
+def _sigma_ls(features: StereoFeatures) -> Array:
     assert features.sigma_ls_px is not None
     return features.sigma_ls_px
 
 
 @dataclass(frozen=True)
-class Fitted:
+class NoiseConstants:
     """Constants of one of the components."""
 
     floor_px: float
@@ -124,15 +126,15 @@ class Fitted:
     confidence: tuple[float, float]
 
 
-def fit_noise(scenes: Sequence[Residuals], columns: Sequence[int]) -> Fitted:
+def fit_noise(scenes: Sequence[MatchResiduals], columns: Sequence[int]) -> NoiseConstants:
     """Maximum likelihood of zero-mean Gaussian residuals, each scene with the same weight."""
     square = np.concatenate([np.mean(s.residual_px[:, columns] ** 2, axis=1) for s in scenes])
     share = np.concatenate([np.full(len(s.logit), 1.0 / len(s.logit)) for s in scenes])
-    sharp = np.sum(np.concatenate([s.sharp_px for s in scenes]), axis=1)
+    sigma_ls = np.sum(np.concatenate([s.sigma_ls_px for s in scenes]), axis=1)
     logit = np.concatenate([s.logit for s in scenes])
 
     def features_alone(b: Array) -> Array:
-        return np.asarray(np.log(2.0 * np.exp(2.0 * b[0]) + np.exp(b[1]) * sharp))
+        return np.asarray(np.log(2.0 * np.exp(2.0 * b[0]) + np.exp(b[1]) * sigma_ls))
 
     def cost(log_variance: Array) -> float:
         return float(np.sum(share * (log_variance + square * np.exp(-log_variance))))
@@ -140,22 +142,22 @@ def fit_noise(scenes: Sequence[Residuals], columns: Sequence[int]) -> Fitted:
     alone = minimize(lambda b: cost(features_alone(b)), np.array([-2.0, 0.0]), method="Nelder-Mead").x
     base = features_alone(alone)
     more = minimize(lambda c: cost(base + c[0] + c[1] * logit), np.zeros(2), method="Nelder-Mead").x
-    return Fitted(float(np.exp(alone[0])), float(np.exp(alone[1])), (float(more[0]), float(more[1])))
+    return NoiseConstants(float(np.exp(alone[0])), float(np.exp(alone[1])), (float(more[0]), float(more[1])))
 
 
-def normalised_variance(scene: Residuals) -> tuple[float, float]:
-    """Mean square of the residuals over the sigmas in use: of u and v, of disparity; 1 when they are true."""
+def normalised_variance(scene: MatchResiduals) -> tuple[float, float]:
+    """Mean squared ratio of errors to sigmas, for u and v and for disparity; 1 for consistent sigmas."""
     square = (scene.residual_px / scene.sigma_px) ** 2
     return float(np.mean(square[:, :2])), float(np.mean(square[:, 2]))
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    """Print the constants, and how the present ones fit the scenes that are named."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the constants, and the normalised variance of the named scenes with the present ones."""
     parser = argparse.ArgumentParser(prog="python -m polhode.train.feature_noise", description=__doc__)
     parser.add_argument("config", type=Path, metavar="CONFIG", help="configuration with the corpus, YAML")
-    parser.add_argument("--scenes", type=int, default=24, help="training scenes that are used")
+    parser.add_argument("--scenes", type=int, default=24, help="number of training scenes")
     parser.add_argument("--check", type=Path, nargs="*", default=[], metavar="SEQUENCE")
-    options = parser.parse_args(words)
+    options = parser.parse_args(arguments)
     try:
         _execute(options.config, options.scenes, options.check)
     except InputError as error:
@@ -177,16 +179,16 @@ def _execute(config: Path, count: int, checked: Sequence[Path]) -> None:
             first, slope = fitted.confidence
             print(f"{name}: floor {fitted.floor_px:.4f} px, gain {fitted.gain_px:.3f} px", end=", ")
             print(f"confidence {first:.3f} {slope:.3f}")
-        _print_check("training", scenes)
+        _print_normalised_variance("training", scenes)
     named = [(folder.name, scene_residuals(folder)) for folder in checked]
     tested = [(name, scene) for name, scene in named if scene is not None]
     for name, scene in tested:
-        _print_check(name, [scene])
+        _print_normalised_variance(name, [scene])
     if tested:
-        _print_check("all of these", [scene for _, scene in tested])
+        _print_normalised_variance("all of these", [scene for _, scene in tested])
 
 
-def _print_check(name: str, scenes: Sequence[Residuals]) -> None:
+def _print_normalised_variance(name: str, scenes: Sequence[MatchResiduals]) -> None:
     count = [len(scene.logit) for scene in scenes]
     variance = np.array([normalised_variance(scene) for scene in scenes])
     pooled = np.average(variance, axis=0, weights=count)

@@ -1,15 +1,16 @@
-"""The loop: AdamW, a warm-up and a cosine; checkpoints, curves, validation; goes on where it was interrupted.
+"""The training loop: AdamW with warm-up and cosine decay; validation, curves and checkpoints.
 
-A step depends on the seed, its number and the state before it alone, so an interrupted training ends with the
+A step depends only on the seed, its number and the state before it, so a resumed training ends with the
 weights of an uninterrupted one. AdamW: Loshchilov and Hutter, "Decoupled weight decay regularization", 2019;
-cosine: the same, "SGDR", 2017.
+cosine decay: the same authors, "SGDR", 2017. Checkpoints are written atomically; one of another training is
+refused.
 """
 
 import math
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -17,30 +18,31 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from polhode.atomic import replaced
 from polhode.config.train import Schedule
 from polhode.errors import InputError, RunFailure
 from polhode.progress import Progress
-from polhode.train.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from polhode.train.curves import Curves
 from polhode.train.task import Batch, Task
 
-AHEAD = 4
-"""Batches that are made while a GPU is busy."""
+CHECKPOINT = "checkpoint.pt"
+PREFETCHED = 4
+"""Batches that are prepared while a GPU is busy."""
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """How a training ended."""
+class TrainingOutcome:
+    """State and scores at the end of a training."""
 
     step: int
     finished: bool
-    """False: the time was up; the same command goes on"""
+    """False if the time limit was reached; the same command resumes"""
     elapsed_s: float
-    """Of all calls [s]"""
+    """Training time of all calls [s]"""
     scores: Mapping[str, float]
 
 
-class Loop:
+class TrainingLoop:
     """One training in the folder ``output``."""
 
     def __init__(self, task: Task, schedule: Schedule, output: Path, seed: int) -> None:
@@ -58,14 +60,14 @@ class Loop:
         wanted = schedule.precision
         self._mixed = wanted == "mixed" or (wanted == "automatic" and on_gpu)
         self._half = torch.float16 if on_gpu and not torch.cuda.is_bf16_supported() else torch.bfloat16
-        # Gradients underflow in float16 alone.
+        # Gradients underflow only in float16.
         scaled = self._mixed and self._half is torch.float16
         self._scaler = torch.amp.GradScaler(self._device.type, enabled=scaled)
 
-    def run(self, setting: Mapping[str, Any], progress: Progress) -> Outcome:
-        """Train to the last step, or until the time is up. ``setting``: what the weights depend on.
+    def run(self, setting: Mapping[str, Any], progress: Progress) -> TrainingOutcome:
+        """Train to the last step or to the time limit. ``setting``: settings on which the weights depend.
 
-        Raises InputError: the output folder holds another training; RunFailure: the loss is no number.
+        Raises InputError: the output folder contains another training; RunFailure: the loss is not finite.
         """
         step, before_s = self._resume(setting)
         start = perf_counter()
@@ -81,26 +83,28 @@ class Loop:
                     if step % self._schedule.log_every == 0 or step == last:
                         curves.add(step, {"train": _numbers(self._task.name, step, terms)})
                     elapsed_s = before_s + perf_counter() - start
-                    late = self._is_late(perf_counter() - start)
-                    if step % self._schedule.validate_every == 0 or step == last or late:
+                    time_is_up = self._time_is_up(perf_counter() - start)
+                    if step % self._schedule.validate_every == 0 or step == last or time_is_up:
                         scores = self._validate()
                         curves.add(step, {"validation": scores})
-                    if step % self._schedule.checkpoint_every == 0 or step == last or late:
+                    if step % self._schedule.checkpoint_every == 0 or step == last or time_is_up:
                         self._save(step, elapsed_s, setting)
-                    if late:
+                    if time_is_up:
                         break
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(
-                    f"interrupted at step {step}; the same command goes on from the last checkpoint"
+                    f"interrupted at step {step}; the same command resumes from the last checkpoint"
                 ) from None
-        return Outcome(step, step == last, before_s + perf_counter() - start, scores or self._validate())
+        return TrainingOutcome(
+            step, step == last, before_s + perf_counter() - start, scores or self._validate()
+        )
 
-    def _is_late(self, seconds: float) -> bool:
+    def _time_is_up(self, seconds: float) -> bool:
         limit = self._schedule.time_limit_s
         return limit is not None and seconds >= limit
 
     def _resume(self, setting: Mapping[str, Any]) -> tuple[int, float]:
-        """Take up the checkpoint, if there is one: steps done, seconds used."""
+        """Load the checkpoint, if there is one. Returns the steps done and the seconds used."""
         checkpoint = read_checkpoint(self._output, setting)
         if checkpoint is None:
             return 0, 0.0
@@ -115,17 +119,17 @@ class Loop:
         write_checkpoint(self._output, Checkpoint(step, model, optimizer, scaler, elapsed_s, dict(setting)))
 
     def _batches(self, start: int, stop: int) -> Iterator[Batch]:
-        """The batches of the steps; on a GPU a thread makes them ahead."""
+        """The batches of the steps; for a GPU a thread prepares them in advance."""
         if self._device.type != "cuda":
             yield from (self._task.batch(step) for step in range(start, stop))
             return
         with ThreadPoolExecutor(1) as pool:
-            coming = [pool.submit(self._task.batch, s) for s in range(start, min(start + AHEAD, stop))]
+            coming = [pool.submit(self._task.batch, s) for s in range(start, min(start + PREFETCHED, stop))]
             try:
                 for step in range(start, stop):
                     batch = coming.pop(0).result()
-                    if step + AHEAD < stop:
-                        coming.append(pool.submit(self._task.batch, step + AHEAD))
+                    if step + PREFETCHED < stop:
+                        coming.append(pool.submit(self._task.batch, step + PREFETCHED))
                     yield batch
             finally:
                 for each in coming:
@@ -148,7 +152,7 @@ class Loop:
         self._scaler.scale(loss).backward()
         self._scaler.unscale_(self._optimizer)
         norm = nn.utils.clip_grad_norm_(self._task.model.parameters(), self._schedule.clip_norm)
-        # The gradient of a fit to points on a line is no number: such a step is left out.
+        # The gradient of a fit to collinear points is not finite: such a step is skipped.
         if torch.isfinite(norm) or self._scaler.is_enabled():
             self._scaler.step(self._optimizer)
         self._scaler.update()
@@ -181,3 +185,44 @@ def _device(schedule: Schedule) -> torch.device:
     if schedule.device == "cuda" and not there:
         raise InputError("train.schedule.device is cuda, but torch finds no GPU: set cpu or automatic")
     return torch.device("cuda" if there and schedule.device != "cpu" else "cpu")
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """State after ``step`` steps."""
+
+    step: int
+    model: dict[str, Any]
+    optimizer: dict[str, Any]
+    scaler: dict[str, Any]
+    elapsed_s: float
+    """Training time of all calls so far [s]"""
+    setting: dict[str, Any]
+    """Settings on which the weights depend: dotted key -> value"""
+
+
+def write_checkpoint(output: Path, checkpoint: Checkpoint) -> None:
+    """Replace the folder's checkpoint."""
+    with replaced(output / CHECKPOINT) as partial:
+        torch.save(asdict(checkpoint), partial)
+
+
+def read_checkpoint(output: Path, setting: Mapping[str, Any]) -> Checkpoint | None:
+    """The folder's checkpoint, if there is one. Raises InputError: it is damaged, or has other settings."""
+    path = output / CHECKPOINT
+    if not path.is_file():
+        return None
+    try:
+        checkpoint = Checkpoint(**torch.load(path, map_location="cpu", weights_only=True))
+    except Exception as error:  # noqa: BLE001  torch.load raises whatever the damage leads to
+        raise InputError(
+            f"{path} cannot be read ({' '.join(str(error).split())[:80]}): remove it to start again"
+        ) from None
+    keys = [*setting, *(key for key in checkpoint.setting if key not in setting)]
+    other = [key for key in keys if checkpoint.setting.get(key) != setting.get(key)]
+    if other:
+        raise InputError(
+            f"{output} contains a training with another {', '.join(other[:3])}: choose another "
+            f"train.output, or remove {CHECKPOINT} there"
+        )
+    return checkpoint

@@ -1,22 +1,24 @@
-"""``polhode train``: corpus, task, loop, weights, scores."""
+"""``polhode train``: render the corpus, prepare the task, train, write weights and scores."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 from pydantic import BaseModel
+from safetensors.torch import save_file
+from torch import nn
 
-from polhode.atomic import replaced
+from polhode.atomic import replaced, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.config.train import Train
 from polhode.errors import InputError
 from polhode.progress import Progress
-from polhode.train.checkpoint import write_weights
 from polhode.train.corpus import render_corpus
-from polhode.train.loop import Loop, Outcome
+from polhode.train.loop import TrainingLoop, TrainingOutcome
 from polhode.train.task import Task, make_task
 
 FREE_KEYS = (
@@ -27,42 +29,45 @@ FREE_KEYS = (
     "schedule.validate_every",
     "schedule.log_every",
 )
-"""Settings on which the weights do not depend: they may differ when a training goes on."""
+"""Settings on which the weights do not depend: they may change when a training is resumed."""
 
 
 @dataclass(frozen=True)
 class Trained:
-    """What a training has left."""
+    """Result of a training."""
 
     weights: Path
-    outcome: Outcome
+    outcome: TrainingOutcome
 
 
 def train(config: Config, train: Train, progress: Progress, workers: int) -> Trained:
-    """Render what is missing of the corpus, train, write weights and scores. Goes on where it was.
+    """Render missing scenes of the corpus, train, write weights and scores. An interrupted training is
+    resumed.
 
-    Raises InputError: a folder holds something else or cannot be written; RunFailure: the training failed.
+    Raises InputError: a folder contains something else or cannot be written; RunFailure: the training failed.
     """
     output = Path(train.output)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"train.output: {output} cannot be made ({error.strerror}): choose another"
+            f"train.output: {output} cannot be created ({error.strerror}): choose another"
         ) from None
     render_corpus(train.corpus, progress, workers)
-    _write(output / "config.yaml", dump_config(config, keys=("seed", "train")))
+    write_text(output / "config.yaml", dump_config(config, keys=("seed", "train")))
     torch.manual_seed(config.seed)
     task = make_task(train, config.seed, progress, workers)
-    outcome = Loop(task, train.schedule, output, config.seed).run(setting_of(train, config.seed), progress)
+    outcome = TrainingLoop(task, train.schedule, output, config.seed).run(
+        setting_of(train, config.seed), progress
+    )
     weights = output / f"{task.name}.safetensors"
     write_weights(weights, task.network, _about(config.seed, train, outcome))
-    _write(output / "scores.json", json.dumps(_scores(task, outcome), indent=2) + "\n")
+    write_text(output / "scores.json", json.dumps(_scores(task, outcome), indent=2) + "\n")
     return Trained(weights, outcome)
 
 
 def setting_of(train: Train, seed: int) -> dict[str, Any]:
-    """What the weights depend on: dotted key -> value."""
+    """The settings on which the weights depend: dotted key -> value."""
     setting = {"seed": seed, **_flat(train, "")}
     others = {"descriptor", "depth"} - {train.task}
     return {
@@ -83,7 +88,17 @@ def _flat(section: BaseModel, prefix: str) -> dict[str, Any]:
     return values
 
 
-def _about(seed: int, train: Train, outcome: Outcome) -> dict[str, Any]:
+def write_weights(path: Path, network: nn.Module, about: Mapping[str, Any]) -> None:
+    """Write the weights as safetensors, with ``about`` as JSON under the key ``training`` of the header.
+
+    There is only one key because safetensors writes several in arbitrary order.
+    """
+    weights = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
+    with replaced(path) as partial:
+        save_file(weights, partial, metadata={"training": json.dumps(about)})
+
+
+def _about(seed: int, train: Train, outcome: TrainingOutcome) -> dict[str, Any]:
     """The header of the weights' file."""
     return {
         "task": train.task,
@@ -93,7 +108,7 @@ def _about(seed: int, train: Train, outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _scores(task: Task, outcome: Outcome) -> dict[str, Any]:
+def _scores(task: Task, outcome: TrainingOutcome) -> dict[str, Any]:
     return {
         "task": task.name,
         "step": outcome.step,
@@ -102,8 +117,3 @@ def _scores(task: Task, outcome: Outcome) -> dict[str, Any]:
         "parameters": sum(p.numel() for p in task.network.parameters()),
         "scores": dict(outcome.scores),
     }
-
-
-def _write(path: Path, text: str) -> None:
-    with replaced(path) as partial:
-        partial.write_text(text, encoding="utf-8")

@@ -1,6 +1,7 @@
-"""What the loop trains: a model, its batches, its loss, and how good it is on held-out bodies.
+"""The interface of training tasks: a model, its batches, its loss, and its scores on held-out bodies.
 
-A task's module has ``make_task(train, seed, progress, workers) -> Task``, and is named in ``TASKS``.
+The module of a task defines ``make_task(train, seed, progress, workers) -> Task`` and is registered in
+``TASKS``.
 """
 
 from collections.abc import Mapping
@@ -13,12 +14,12 @@ from polhode.config.train import Train
 from polhode.progress import Progress
 
 Batch = dict[str, Tensor]
-TASKS = {"descriptor": "polhode.train.descriptor_task", "depth": "polhode.train.depth_task"}
-"""Module of each ``train.task``; imported when it is asked for."""
+TASKS = {"descriptor": "polhode.train.descriptor.task", "depth": "polhode.train.disparity.task"}
+"""Module of each ``train.task``; imported when it is used."""
 
 
 class Task(Protocol):
-    """One network and what it learns."""
+    """A network and its training objective."""
 
     @property
     def name(self) -> str:
@@ -27,31 +28,32 @@ class Task(Protocol):
 
     @property
     def model(self) -> nn.Module:
-        """Everything that learns, on the CPU when it is made; the loop moves it to its device."""
+        """All parameters that are trained, initially on the CPU; the loop moves them to its device."""
         ...
 
     @property
     def network(self) -> nn.Module:
-        """The part of ``model`` that is shipped; often all of it."""
+        """The part of ``model`` whose weights are written; often all of it."""
         ...
 
     def batch(self, step: int) -> Batch:
-        """The batch of a step, on the CPU: a function of seed and step alone, so that training resumes."""
+        """The batch of a step, on the CPU. It depends only on seed and step, so that training can be
+        resumed."""
         ...
 
     def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
-        """What is made small (a scalar), and its parts or other scalars for the curves.
+        """The loss (a scalar), and its terms or other scalars for the curves.
 
         The batch is on the model's device; in mixed precision this runs under autocast.
         """
         ...
 
     def validate(self) -> Mapping[str, float]:
-        """Scores on the held-out bodies, of the model as it is (in evaluation mode, without gradients)."""
+        """Scores on the held-out bodies, in evaluation mode and without gradients."""
         ...
 
 
 def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Task:
-    """The task that the configuration names; its data are prepared. Weights start by ``seed``."""
+    """The configured task with its data prepared; ``seed`` determines the initial weights."""
     module = import_module(TASKS[train.task])
     return cast(Task, module.make_task(train, seed, progress, workers))

@@ -29,15 +29,15 @@ from tyro.conf import arg
 from benchmarks.command import ROOT, Short, command
 from polhode.config.depth import Depth
 from polhode.dataset import open_sequence
-from polhode.frontend.disparity.crop import Crop, cut_crop
-from polhode.frontend.disparity.depth import disparity_of
+from polhode.frontend.disparity.crop import StereoCrop, cut_crop
+from polhode.frontend.disparity.depth import crop_disparity
 from polhode.frontend.disparity.sgbm import match_checked
 from polhode.frontend.rectification.rectify import make_rectifier
 from polhode.frontend.rectification.target import target_mask
-from polhode.train.depth_truth import TrueDisparity, true_disparities
+from polhode.train.disparity.truth import TrueDisparity, true_disparities
 
 Floats = NDArray[np.float32]
-Method = Callable[[Crop], tuple[Floats, Floats | None]]
+Method = Callable[[StereoCrop], tuple[Floats, Floats | None]]
 HEAD = "scene | method | density | bad 1 px | at equal density | median px | in 1 sigma | in 2 sigma | s"
 
 
@@ -60,7 +60,7 @@ def all_methods(weights: Path | None) -> dict[str, Method]:
         ours["network"] = ours["network"].model_copy(update={"weights": str(weights)})
     found: dict[str, Method] = {"sgbm": lambda crop: (match_checked(crop, peer), None)}
     for name, config in ours.items():
-        found[name] = partial(disparity_of, config=config)
+        found[name] = partial(crop_disparity, config=config)
     return found
 
 

@@ -34,9 +34,11 @@ from benchmarks.frontend.tables import lit_pairs, print_by_scene, print_table
 from benchmarks.record import Case, complete, forget
 from polhode.config.frontend import Frontend
 from polhode.errors import InputError
-from polhode.frontend.features.methods import Matches, extract_pair, feature_method, match_method
-from polhode.frontend.features.patch_size import with_patch_size
+from polhode.frontend.extract import extract_pair
+from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.features.surface_features import with_patch_size
+from polhode.frontend.matching.methods import Matches, match_method
 from polhode.frontend.matching.ransac import ransac_rigid
 from polhode.frontend.tracks.guided import reconnect
 from polhode.frontend.tracks.tracks import Association

@@ -1,4 +1,4 @@
-"""The target's part of a rectified pair, cut so that disparities start at zero."""
+"""The part of a rectified pair that shows the target, shifted so that disparities start at zero."""
 
 from dataclasses import dataclass
 
@@ -7,29 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.config.depth import Depth
+from polhode.frontend.rectification.target import Image
 from polhode.records import Bools
 
-Image = NDArray[np.uint8]
+Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Crop:
-    """Images around the target; the right one is shifted by ``shift_px``, so disparities start at 0."""
+class StereoCrop:
+    """Images around the target; the right one is shifted by ``shift_px``, so that disparities start at 0."""
 
     left: Image
-    """(h, w + 2 search) with the margins of the search on both sides"""
+    """(h, w + 2 search) with a margin of the search range on both sides"""
     right: Image
     """(h, w + 2 search)"""
     lit: Bools
-    """(h, w) of the target, brighter than the sky"""
+    """(h, w) pixels of the target that are brighter than the sky"""
     target: Bools
     """(h, w)"""
     v0: int
-    """Row of the image in which the crop begins."""
+    """First row of the crop in the image."""
     u0: int
-    """Column of the image in which ``lit`` and ``target`` begin."""
+    """First column of ``lit`` and ``target`` in the image."""
     shift_px: int
-    """A disparity of the image is one of the crop and this."""
+    """Disparity in the image minus disparity in the crop."""
     search_px: int
     """Number of disparities; a multiple of 16."""
     sky: float
@@ -37,20 +38,22 @@ class Crop:
 
     @property
     def image(self) -> Image:
-        """(h, w) the left image without the margins of the search."""
+        """(h, w) the left image without the margins."""
         return self.left[:, self.search_px : self.search_px + self.lit.shape[1]]
 
     @property
     def inner(self) -> tuple[slice, slice]:
-        """Where ``target`` lies in the whole image."""
+        """Rows and columns of ``target`` in the whole image."""
         h, w = self.target.shape
         return slice(self.v0, self.v0 + h), slice(self.u0, self.u0 + w)
 
 
-def cut_crop(left: Image, right: Image, mask: Bools, range_px: tuple[float, float], config: Depth) -> Crop:
-    """Cut out the target, mask (H, W) not empty; outside the image the border is repeated.
+def cut_crop(
+    left: Image, right: Image, mask: Bools, range_px: tuple[float, float], config: Depth
+) -> StereoCrop:
+    """Cut out the target, whose mask (H, W) is not empty; beyond the image its border is repeated.
 
-    range_px: least and largest disparity of the target.
+    range_px: smallest and largest disparity of the target.
     """
     margin = max(config.block_px, config.window_px) + 2
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -66,11 +69,11 @@ def cut_crop(left: Image, right: Image, mask: Bools, range_px: tuple[float, floa
     smooth = cv2.blur(left[v0:v1, u0:u1].astype(np.float32), (config.block_px, config.block_px))
     sky = float(np.percentile(left, 5))
     lit = target & (smooth > sky + config.min_intensity)
-    return Crop(cut_left, cut_right, lit, target, v0, u0, shift, search, sky)
+    return StereoCrop(cut_left, cut_right, lit, target, v0, u0, shift, search, sky)
 
 
 def _columns(image: Image, start: int, stop: int) -> Image:
-    """Columns start..stop of an image; those outside it repeat its border."""
+    """Columns start..stop of an image; those beyond it repeat its border."""
     inside = image[:, max(start, 0) : max(min(stop, image.shape[1]), 1)]
     before, after = max(-start, 0), max(stop - image.shape[1], 0)
     padded = cv2.copyMakeBorder(inside, 0, 0, before, after, cv2.BORDER_REPLICATE)

@@ -1,20 +1,49 @@
-"""Smoothing of disparities by local planes: a flat facet of the target is a plane in disparity, exactly.
+"""Piecewise planar smoothing: a flat facet of the target is exactly a plane in disparity.
 
-Around every pixel the plane is fitted in several windows, centred and shifted; the one with the least
-scatter is used (Kuwahara's idea), so edges between facets are not rounded. Where even that plane leaves more
-than the noise, the surface is rough at this size and windows of half the size are used.
+``fit_planes``: around every pixel a plane is fitted in several windows, centred and shifted; the one with the
+smallest scatter is used (as in Kuwahara's filter), so edges between facets are not rounded. Where even that
+plane leaves residuals above the noise, the surface is rough at this scale and windows of half the size are
+used.
+
+``fit_facets``: inside a uniformly lit panel without texture no window determines the disparity, but the
+panel's outline and the marks on it do. Each textureless patch of the image gets the plane on which its
+surroundings agree (iteratively reweighted least squares); the plane's covariance limits how far it is
+extrapolated.
 """
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import find_objects
 
-Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
-_LEAST_SHARE = 0.3
-_OUTLIER = 3.0
-_ROUGH = 2.0
-"""Mean squared distance from the plane, in variances: above it the surface is no plane at this size."""
+from polhode.frontend.disparity.crop import Floats
+from polhode.frontend.rectification.target import Image
+from polhode.lie import Array
+from polhode.records import Bools
+
+_MIN_AREA_PX = 40
+_MAX_BRIGHTNESS_RANGE = 0.15
+"""Largest spread of the intensity over a facet, as a share of the intensity."""
+_EDGE_PX = 4
+"""Pixels within this distance of a textureless patch still belong to its facet."""
+_MAX_TEXTURE_SLOPE = 0.025
+"""Largest slope of the intensity of a textureless pixel, as a share of the intensity [1/px]."""
+_MAX_NOISE_SLOPE = 2.0
+"""Largest slope that is attributed to noise [8-bit levels/px]."""
+_SCALES_PX = (2.0, 1.0, 0.5, 0.3)
+"""Scale of the robust kernel in each round."""
+_MIN_AGREEMENT = 0.6
+"""Share of the information around a patch that must agree with its plane."""
+_AGREEMENT_PX = 0.3
+"""Windows along an edge mix two facets: their disparities may deviate by this in addition to their noise."""
+_MODEL_PX = 0.12
+"""Deviation of a facet from a plane."""
+_MIN_FILLED_SHARE = 0.3
+_OUTLIER_SIGMAS = 3.0
+_ROUGH_CHI2 = 2.0
+"""Mean squared distance from the plane, in variances, above which the surface is not planar at this scale."""
 
 
 def fit_planes(
@@ -22,17 +51,17 @@ def fit_planes(
 ) -> tuple[Floats, Floats]:
     """Smoothed disparity and its sigma (h, w) [px] from noisy ones; NaN stays NaN.
 
-    correlated_px2: area over which the errors of neighbours are the same, so that averaging gains nothing.
+    correlated_px2: area over which the errors of neighbours are equal, so that averaging does not reduce
+    them.
     """
     known = np.isfinite(disparity) & np.isfinite(sigma)
     d = np.where(known, disparity, 0.0).astype(np.float64)
     weight = np.where(known, 1.0 / (np.square(np.where(known, sigma, 1.0), dtype=np.float64) + 0.05**2), 0.0)
     plane, _, _ = _best_plane(d, weight, radius_px, correlated_px2)
-    scatter = np.abs(d - plane)
-    limit = _OUTLIER * np.hypot(np.where(known, sigma, 1.0), 0.1)
-    robust = np.where(scatter < limit, weight, 0.01 * weight)
+    limit = _OUTLIER_SIGMAS * np.hypot(np.where(known, sigma, 1.0), 0.1)
+    robust = np.where(np.abs(d - plane) < limit, weight, 0.01 * weight)
     plane, variance, good = _best_plane(d, robust, radius_px, correlated_px2)
-    rough = cv2.blur(np.square(d - plane) * weight, (5, 5)) > _ROUGH
+    rough = cv2.blur(np.square(d - plane) * weight, (5, 5)) > _ROUGH_CHI2
     if rough.any():
         near, near_variance, near_good = _best_plane(d, robust, max(radius_px // 2, 1), correlated_px2)
         rough &= near_good
@@ -46,13 +75,13 @@ def fit_planes(
 
 
 def _best_plane(
-    d: Doubles, weight: Doubles, radius_px: int, correlated_px2: float
-) -> tuple[Doubles, Doubles, NDArray[np.bool_]]:
-    """Value of the best window's plane at each pixel, its variance, and whether there is one."""
+    d: Array, weight: Array, radius_px: int, correlated_px2: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Value of the best window's plane at each pixel, its variance, and whether there is such a window."""
     h, w = d.shape
     v, u = np.mgrid[:h, :w].astype(np.float64)
     a, b, value, scatter, variance, share = _plane_per_window(d, weight, u, v, radius_px, correlated_px2)
-    usable = share > _LEAST_SHARE
+    usable = share > _MIN_FILLED_SHARE
     score = np.where(usable, scatter, np.inf)
     best, best_value, best_variance = score.copy(), value.copy(), variance.copy()
     r = max(1, round(0.7 * radius_px))
@@ -71,12 +100,12 @@ def _best_plane(
 
 
 def _plane_per_window(
-    d: Doubles, weight: Doubles, u: Doubles, v: Doubles, radius_px: int, correlated_px2: float
-) -> tuple[Doubles, Doubles, Doubles, Doubles, Doubles, Doubles]:
+    d: Array, weight: Array, u: Array, v: Array, radius_px: int, correlated_px2: float
+) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Slopes a, b, value at the centre, mean squared scatter, the value's variance, filled share; (h, w)."""
     size = 2 * radius_px + 1
 
-    def total(image: Doubles) -> Doubles:
+    def total(image: Array) -> Array:
         return np.asarray(cv2.boxFilter(image, cv2.CV_64F, (size, size), normalize=False, borderType=0))
 
     s, su, sv = total(weight), total(weight * u), total(weight * v)
@@ -94,13 +123,13 @@ def _plane_per_window(
     value = md + a * (u - mu) + b * (v - mv)
     scatter = np.maximum(dd - a * ud - b * vd, 0.0) + 1e-4
     count = total((weight > 0).astype(np.float64))
-    # Neighbouring disparities share a window of pixels: far fewer are independent.
+    # Disparities of neighbours come from overlapping windows: far fewer are independent.
     independent = np.maximum(count / correlated_px2, 1.0)
     variance = np.maximum(scatter, 0.0) / independent + correlated_px2 / np.maximum(s, 1e-9)
     return a, b, value, scatter, variance, count / size**2
 
 
-def _shift(image: Doubles, du: int, dv: int, outside: float) -> Doubles:
+def _shift(image: Array, du: int, dv: int, outside: float) -> Array:
     """out[v, u] = image[v + dv, u + du]; ``outside`` where that is not in the image."""
     out = np.full_like(image, outside)
     h, w = image.shape
@@ -108,3 +137,105 @@ def _shift(image: Doubles, du: int, dv: int, outside: float) -> Doubles:
     source = (slice(max(0, dv), min(h, h + dv)), slice(max(0, du), min(w, w + du)))
     out[rows, columns] = image[source]
     return out
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """d = value + a (u - u0) + b (v - v0), with the covariance of (value, a, b)."""
+
+    theta: Array
+    covariance: Array
+    centre: tuple[float, float]
+
+    def at(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Disparity and sigma (n,) [px] at pixels."""
+        basis = np.stack([np.ones_like(u), u - self.centre[0], v - self.centre[1]], axis=1)
+        variance = np.einsum("ni,ij,nj->n", basis, self.covariance, basis)
+        return basis @ self.theta, np.sqrt(variance + _MODEL_PX**2)
+
+
+def textureless_patches(image: Image, inside: Bools) -> tuple[NDArray[np.int32], int]:
+    """Labels (h, w) of connected patches of nearly constant intensity, 0 elsewhere; and their number."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
+    slope_u = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3) / 8.0
+    slope_v = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3) / 8.0
+    slope = np.hypot(slope_u, slope_v)
+    # The smallest slopes show the sensor's noise, unless there is texture everywhere.
+    noise = float(np.percentile(slope[inside], 20)) if inside.any() else 0.0
+    even = inside & (slope < np.maximum(min(2.5 * noise, _MAX_NOISE_SLOPE), _MAX_TEXTURE_SLOPE * smooth))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(even.astype(np.uint8), connectivity=4)
+    small = np.flatnonzero(np.asarray(stats)[:, cv2.CC_STAT_AREA] < _MIN_AREA_PX)
+    labels = np.asarray(labels, dtype=np.int32)
+    labels[np.isin(labels, small)] = 0
+    return labels, count
+
+
+def fit_facets(
+    image: Image,
+    inside: Bools,
+    disparity: Floats,
+    sigma: Floats,
+    correlated_px2: float,
+    darkest: float,
+) -> tuple[Floats, Floats]:
+    """Disparity and sigma (h, w) [px] on textureless planar patches of the image; NaN elsewhere.
+
+    inside (h, w): lit pixels of the target; disparity, sigma (h, w): of every pixel by its own window, NaN
+    where there is none; correlated_px2: as for ``fit_planes``; darkest: intensity below which facets are
+    omitted.
+    """
+    labels, count = textureless_patches(image, inside)
+    value = np.full(disparity.shape, np.nan, dtype=np.float32)
+    value_sigma = np.full(disparity.shape, np.nan, dtype=np.float32)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _EDGE_PX + 1, 2 * _EDGE_PX + 1))
+    known = np.isfinite(disparity) & np.isfinite(sigma)
+    for label, bounds in enumerate(find_objects(labels, max_label=count - 1), start=1):
+        if bounds is None:
+            continue
+        rows, columns = np.nonzero(labels[bounds] == label)
+        rows, columns = rows + bounds[0].start, columns + bounds[1].start
+        box = (
+            slice(max(rows.min() - _EDGE_PX, 0), rows.max() + _EDGE_PX + 1),
+            slice(max(columns.min() - _EDGE_PX, 0), columns.max() + _EDGE_PX + 1),
+        )
+        if not _uniformly_lit(image[rows, columns], darkest):
+            continue
+        patch = cv2.dilate((labels[box] == label).astype(np.uint8), kernel) > 0
+        v, u = np.nonzero(patch & known[box])
+        v, u = v + box[0].start, u + box[1].start
+        plane = _fit(u, v, disparity[v, u], sigma[v, u], correlated_px2)
+        if plane is not None:
+            at = plane.at(columns.astype(np.float64), rows.astype(np.float64))
+            value[rows, columns], value_sigma[rows, columns] = at
+    return value, value_sigma
+
+
+def _uniformly_lit(intensity: Image, darkest: float) -> bool:
+    """A flat facet in sunlight has one brightness, a curved one is shaded; dark pixels show nothing."""
+    low, middle, high = np.percentile(intensity, [5.0, 50.0, 95.0])
+    return bool(middle > darkest and high - low < _MAX_BRIGHTNESS_RANGE * middle + 4.0)
+
+
+def _fit(
+    u: NDArray[np.int64], v: NDArray[np.int64], d: Floats, sigma: Floats, correlated_px2: float
+) -> _Plane | None:
+    """The plane on which most of the information agrees, or None."""
+    if len(u) < _MIN_AREA_PX:
+        return None
+    centre = (float(u.mean()), float(v.mean()))
+    basis = np.stack([np.ones(len(u)), u - centre[0], v - centre[1]], axis=1).astype(np.float64)
+    information = 1.0 / (sigma.astype(np.float64) ** 2 + 0.05**2)
+    weight = information
+    values = d.astype(np.float64)
+    for scale in _SCALES_PX:
+        normal = (basis * weight[:, None]).T @ basis + 1e-9 * np.eye(3)
+        theta = np.asarray(np.linalg.solve(normal, basis.T @ (weight * values)), dtype=np.float64)
+        residual = values - basis @ theta
+        weight = information / (1.0 + (residual / scale) ** 2) ** 2
+    agrees = np.abs(residual) < 2.5 * np.hypot(sigma, _AGREEMENT_PX)
+    if information[agrees].sum() < _MIN_AGREEMENT * information.sum():
+        return None
+    normal = (basis * weight[:, None]).T @ basis + 1e-9 * np.eye(3)
+    scatter = float(np.sum(weight * residual**2) / max(len(u) - 3, 1))
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64) * correlated_px2 * max(1.0, scatter)
+    return _Plane(theta, covariance, centre)

@@ -1,4 +1,4 @@
-"""Whole-pixel disparities by semi-global matching, checked left against right.
+"""Whole-pixel disparities by semi-global matching with a left-right consistency check.
 
 Hirschmueller, "Stereo processing by semiglobal matching and mutual information", 2008, by OpenCV.
 """
@@ -7,32 +7,30 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from polhode.config.depth import Depth
-from polhode.frontend.disparity.crop import Crop, Image
+from polhode.frontend.disparity.crop import Floats, StereoCrop
+from polhode.frontend.rectification.target import Image
 from polhode.records import Bools
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Matched:
-    """Disparities of the left image (h, w) [px], of a crop."""
+class SgbmDisparity:
+    """Disparities of the left image (h, w) [px] of a crop."""
 
     checked: Floats
-    """NaN where the right image disagrees, where the target is dark, and in specks"""
+    """NaN where the right image disagrees, where the target is dark, and in speckles"""
     unchecked: Floats
-    """What the left image says alone; NaN where nothing"""
+    """Before the left-right check; NaN where there is no match"""
 
 
-def match_checked(crop: Crop, config: Depth) -> Floats:
-    """Semi-global disparities of the target (h, w) [px] after the left-right check, NaN where none."""
-    return match_both_ways(crop, config).checked
+def match_checked(crop: StereoCrop, config: Depth) -> Floats:
+    """Semi-global disparities of the target (h, w) [px] after the left-right check, otherwise NaN."""
+    return match_left_right(crop, config).checked
 
 
-def match_both_ways(crop: Crop, config: Depth) -> Matched:
-    """Semi-global matching from left to right and back."""
+def match_left_right(crop: StereoCrop, config: Depth) -> SgbmDisparity:
+    """Semi-global matching from left to right and from right to left."""
     n = crop.search_px
     left = _match(crop.left, crop.right, n, config.block_px)
     # The right image's disparities come from the mirrored pair.
@@ -43,27 +41,27 @@ def match_both_ways(crop: Crop, config: Depth) -> Matched:
     disparity = np.where(agrees & crop.lit, left, -1.0).astype(np.float32)
     speckled = np.round(disparity * 16).astype(np.int16)
     cv2.filterSpeckles(speckled, -16, config.speckle_px, 16)
-    return Matched(
+    return SgbmDisparity(
         np.where(speckled > 0, disparity, np.nan).astype(np.float32),
         np.where(left > 0, left, np.nan).astype(np.float32),
     )
 
 
-def match_coarse(crop: Crop, config: Depth) -> Floats:
-    """Disparities (h, w) [px] from images of half the size, unchecked; NaN where none."""
+def match_coarse(crop: StereoCrop, config: Depth) -> Floats:
+    """Disparities (h, w) [px] from images of half the size, without the check; NaN where there are none."""
     n = crop.search_px
     height, width = crop.left.shape
     size = ((width + 1) // 2, (height + 1) // 2)
     left, right = (
         np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA)) for image in (crop.left, crop.right)
     )
-    least = 16 * -(-n // 32)
-    # The matcher leaves the first columns out.
+    search = 16 * -(-n // 32)
+    # The matcher omits the first ``search`` columns.
     left, right = (
-        np.asarray(cv2.copyMakeBorder(image, 0, 0, least, 0, cv2.BORDER_REPLICATE), dtype=np.uint8)
+        np.asarray(cv2.copyMakeBorder(image, 0, 0, search, 0, cv2.BORDER_REPLICATE), dtype=np.uint8)
         for image in (left, right)
     )
-    found = _match(left, right, least, config.block_px + 2, 0)[:, least:]
+    found = _match(left, right, search, config.block_px + 2, 0)[:, search:]
     whole = cv2.resize(
         np.where(found > 0, 2.0 * found, np.nan), (width, height), interpolation=cv2.INTER_LINEAR
     )
@@ -71,7 +69,7 @@ def match_coarse(crop: Crop, config: Depth) -> Floats:
 
 
 def _match(image: Image, other: Image, disparities: int, block: int, uniqueness: int = 4) -> Floats:
-    """Disparities of ``image`` (H, W) [px], below zero where none."""
+    """Disparities of ``image`` (H, W) [px], below zero where there is no match."""
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=disparities,
@@ -91,7 +89,7 @@ def _mirrored(image: Image) -> Image:
 
 
 def _agree(left: Floats, right: Floats, margin_px: int, tolerance_px: float) -> Bools:
-    """Where the disparity at the matched pixel of the right image (H, w + 2 margin) is the same."""
+    """Pixels whose match in the right image (H, w + 2 margin) has the same disparity."""
     w = left.shape[1]
     columns = np.arange(w)[None, :] + margin_px - np.round(left).astype(np.int64)
     back = np.take_along_axis(right, np.clip(columns, 0, right.shape[1] - 1), axis=1)

@@ -1,11 +1,11 @@
-"""Patches of the image as the surface has them: cut in its tangent plane, at a known size in metres.
+"""Image patches resampled in the tangent plane of the surface, at a known size in metres.
 
-Stereo tells at each point how far the surface is and how it leans. A patch that is cut along the surface
-looks the same from every side and distance but for a turn in its own plane (Wu et al., "3D model matching
+Stereo measures the distance and the normal of the surface at each point. A patch in the tangent plane looks
+the same from every viewpoint and distance, except for a rotation in its plane (Wu et al., "3D model matching
 with viewpoint-invariant patches", 2008), so a descriptor need not learn perspective.
 
-A patch's coordinates (x, y) run from -1 to 1, x right and y down where the surface faces the camera. Its
-affine map A (2, 2) [px] says where they are in the image: (u, v) = uv + A (x, y).
+A patch's coordinates (x, y) run from -1 to 1, x right and y down on a surface that faces the camera. Its
+affine map A (2, 2) [px] gives their position in the image: (u, v) = uv + A (x, y).
 """
 
 import cv2
@@ -20,9 +20,10 @@ Patches = NDArray[np.float32]
 PATCH_PX = 32
 """Side of a patch [px]."""
 MAX_TILT_DEG = 70.0
-"""Surfaces that lean more are cut as if they leaned by this: one pixel would fill the patch [deg]."""
+"""Surfaces with a larger inclination are treated as if they had this one [deg]: otherwise one pixel would
+fill the patch."""
 _BLUR_STEPS = np.sqrt(2.0) ** np.arange(9)
-"""Pixels of the image for one of the patch, for which smoothed images are kept."""
+"""Pixels of the image per pixel of the patch for which the image is smoothed."""
 _ROWS_AT_ONCE = 1000
 """Patches in one call of OpenCV's remap, whose images have at most 32,767 rows."""
 
@@ -30,13 +31,13 @@ _ROWS_AT_ONCE = 1000
 def surface_normals(uv_px: Array, plane: Array, rig: RectifiedRig) -> Array:
     """Unit normals (n, 3) in R, towards the camera, of surfaces whose disparity is a plane in the image.
 
-    plane (n, 3): disparity at uv [px], its slopes along u and v. A plane in space is one in disparity too:
-    f b / z is linear in u and v.
+    plane (n, 3): disparity at uv [px] and its slopes along u and v. A plane in space is also a plane in
+    disparity, since f b / z is linear in u and v.
     """
     d0 = plane[:, 0] - rig.disparity_offset_px
     offset = uv_px - [rig.cx_px, rig.cy_px]
     n = np.column_stack([plane[:, 1:], (d0 - np.sum(plane[:, 1:] * offset, axis=1)) / rig.focal_px])
-    # Towards the camera: against the ray, whose product with n is d0 / f > 0.
+    # The normal points against the ray, whose product with n is d0 / f > 0.
     return np.asarray(-n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-12))
 
 
@@ -44,14 +45,14 @@ def tangent_affines(p_R: Array, normal_R: Array, rig: RectifiedRig, half_m: Arra
     """Maps (n, 2, 2) [px] of upright patches in the tangent planes at p_R (n, 3) [m], unit normals (n, 3).
 
     half_m (n,): half the side of a patch on the surface [m]. Upright: the map is symmetric, so it stretches
-    and does not turn. For a turn by an angle see ``turned``.
+    but does not rotate. For a rotation see ``rotate_affines``.
     """
-    P = _projection(p_R, rig)
+    P = image_jacobian(p_R, rig)
     along = np.eye(3) - normal_R[:, :, None] * normal_R[:, None, :]
-    # Any basis of the tangent plane gives this product; its symmetric root is the map that does not turn.
+    # Any basis of the tangent plane gives this product; its symmetric root is the map without rotation.
     square, axes = np.linalg.eigh(P @ along @ np.swapaxes(P, 1, 2))
-    least = square[:, 1:] * np.cos(np.deg2rad(MAX_TILT_DEG)) ** 2
-    stretch = np.sqrt(np.maximum(square, least))
+    floor = square[:, 1:] * np.cos(np.deg2rad(MAX_TILT_DEG)) ** 2
+    stretch = np.sqrt(np.maximum(square, floor))
     return np.asarray((axes * stretch[:, None, :]) @ np.swapaxes(axes, 1, 2) * half_m[:, None, None])
 
 
@@ -60,49 +61,51 @@ def surface_frames(p_R: Array, normal_R: Array, affine_px: Array, rig: Rectified
 
     The same point in two frames gives the motion between them: R_AB = R_AS R_BS^T.
     """
-    # The direction in the tangent plane that the image shows along the patch's x.
-    rows = np.concatenate([_projection(p_R, rig), rig.focal_px * normal_R[:, None, :]], axis=1)
-    x_px = np.concatenate([affine_px[:, :, 0], np.zeros((len(p_R), 1))], axis=1)
-    x = np.linalg.solve(rows, x_px[..., None])[..., 0]
+    x = tangent_vectors(p_R, normal_R, affine_px[:, :, 0], rig)
     x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
     return np.stack([x, np.cross(normal_R, x), normal_R], axis=-1)
 
 
-def axes_affines(p_R: Array, R_RS: Array, rig: RectifiedRig, half_m: float) -> Array:
-    """Maps (n, 2, 2) [px] of patches along the surface's axes (n, 3, 3) at points (n, 3)."""
-    return np.asarray(_projection(p_R, rig) @ R_RS[:, :, :2] * half_m)
+def tangent_vectors(p_R: Array, normal_R: Array, step_px: Array, rig: RectifiedRig) -> Array:
+    """Vectors (n, 3) [m] in the tangent planes at points (n, 3) whose images are the steps (n, 2) [px]."""
+    # The normals are scaled like the projection, so that the system is well conditioned.
+    system = np.concatenate([image_jacobian(p_R, rig), rig.focal_px * normal_R[:, None, :]], axis=1)
+    rhs = np.concatenate([step_px, np.zeros((len(p_R), 1))], axis=1)
+    return np.asarray(np.linalg.solve(system, rhs[..., None])[..., 0])
 
 
-def _projection(p_R: Array, rig: RectifiedRig) -> Array:
+def image_jacobian(p_R: Array, rig: RectifiedRig) -> Array:
     """d uv / d p_R (n, 2, 3) [px/m] at points (n, 3)."""
     x, y, z = p_R.T
-    zero = np.zeros_like(z)
-    f = rig.focal_px
+    zero, f = np.zeros_like(z), rig.focal_px
     return np.stack([f / z, zero, -f * x / z**2, zero, f / z, -f * y / z**2], axis=-1).reshape(-1, 2, 3)
 
 
+def axes_affines(p_R: Array, R_RS: Array, rig: RectifiedRig, half_m: float) -> Array:
+    """Maps (n, 2, 2) [px] of patches along the surface's axes (n, 3, 3) at points (n, 3)."""
+    return np.asarray(image_jacobian(p_R, rig) @ R_RS[:, :, :2] * half_m)
+
+
 def upright_affines(half_px: Array) -> Array:
-    """Maps (n, 2, 2) [px] of plain square patches, for surfaces that are not known."""
+    """Maps (n, 2, 2) [px] of square patches in the image, for surfaces of unknown orientation."""
     return np.asarray(half_px[:, None, None] * np.eye(2))
 
 
-def turned(affine_px: Array, angle_rad: Array) -> Array:
-    """Maps (n, 2, 2) of patches turned in their own planes, so that direction ``angle`` becomes their x."""
+def rotate_affines(affine_px: Array, angle_rad: Array) -> Array:
+    """Maps (n, 2, 2) of patches rotated in their own planes, so that direction ``angle`` becomes their x."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.asarray(affine_px @ np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2))
 
 
-def angle_on_surface(affine_px: Array, angle_rad: Array) -> Array:
-    """Directions (n,) of the image as they are in upright patches [rad]."""
-    direction = np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=-1)[..., None]
-    x, y = np.linalg.solve(affine_px, direction)[..., 0].T
-    return np.asarray(np.arctan2(y, x))
+def root_image(image: Image) -> Image:
+    """Square roots of the grey values: shot noise becomes uniform, and dark regions keep their contrast."""
+    return np.asarray(np.round(16.0 * np.sqrt(image.astype(np.float32))), dtype=np.uint8)
 
 
 def cut_patches(image: Image, uv_px: Array, affine_px: Array, size_px: int = PATCH_PX) -> Patches:
-    """Patches (n, 1, size, size) of grey values 0..255, smoothed where they hold more pixels than they have.
+    """Patches (n, 1, size, size) of grey values 0..255, smoothed where they are subsampled.
 
-    Beside the image its border is repeated.
+    Beyond the image its border is repeated.
     """
     n = len(uv_px)
     patches = np.zeros((n, 1, size_px, size_px), dtype=np.float32)
@@ -110,7 +113,7 @@ def cut_patches(image: Image, uv_px: Array, affine_px: Array, size_px: int = PAT
         return patches
     side = (2.0 * np.arange(size_px) + 1.0) / size_px - 1.0
     grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    # The mean of both directions: more would blur the short one, less would leave the long one aliased.
+    # The geometric mean of both directions: more would blur the short one, less would alias the long one.
     step = np.sqrt(np.abs(np.linalg.det(affine_px))) * 2.0 / size_px
     level = np.abs(np.log(np.maximum(step, 1e-6))[:, None] - np.log(_BLUR_STEPS)).argmin(axis=1)
     grey = image.astype(np.float32)
@@ -127,7 +130,7 @@ def cut_patches(image: Image, uv_px: Array, affine_px: Array, size_px: int = PAT
 
 
 def _smoothed(grey: NDArray[np.float32], step_px: float) -> NDArray[np.float32]:
-    """The image for samples ``step_px`` apart: what lies between two of them is averaged."""
+    """The image smoothed for a sampling distance of ``step_px``."""
     if step_px <= 1.0:
         return grey
     sigma = 0.5 * float(np.sqrt(step_px**2 - 1.0))
@@ -150,9 +153,9 @@ def dominant_angles(patches: Patches) -> Array:
     window = np.exp(-(side[:, None] ** 2 + side[None, :] ** 2) / (2.0 * 0.45**2))
     magnitude = np.hypot(gx, gy) * window
     bins = 36
-    place = np.arctan2(gy, gx) * (bins / (2.0 * np.pi))
-    low = np.floor(place)
-    share = place - low
+    position = np.arctan2(gy, gx) * (bins / (2.0 * np.pi))
+    low = np.floor(position)
+    share = position - low
     row = np.arange(n)[:, None, None] * bins
     histogram = np.zeros(n * bins)
     for offset, weight in ((0, 1.0 - share), (1, share)):
@@ -162,11 +165,11 @@ def dominant_angles(patches: Patches) -> Array:
 
 
 def _peak(histogram: Array) -> Array:
-    """Place (n,) of the highest bin of circular histograms (n, bins), between the bins by a parabola."""
+    """Position (n,) of the highest bin of circular histograms (n, bins), interpolated by a parabola."""
     smooth = histogram
     for _ in range(2):
         smooth = 0.25 * np.roll(smooth, 1, axis=1) + 0.5 * smooth + 0.25 * np.roll(smooth, -1, axis=1)
     rows, best = np.arange(len(smooth)), smooth.argmax(axis=1)
     before, here, after = (smooth[rows, (best + k) % smooth.shape[1]] for k in (-1, 0, 1))
-    bend = np.maximum(2.0 * here - before - after, 1e-9)
-    return np.asarray(best + 0.5 * (after - before) / bend)
+    curvature = np.maximum(2.0 * here - before - after, 1e-9)
+    return np.asarray(best + 0.5 * (after - before) / curvature)

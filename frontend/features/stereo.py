@@ -1,8 +1,8 @@
-"""Left to right on epipolar lines, with sub-pixel disparity: one stereo measurement per key point.
+"""Stereo features: key points matched from left to right on epipolar lines, with sub-pixel disparity.
 
-The disparity of a match is refined by least squares over a window of the left image, with gain, offset
-and an affine disparity free (a slanted surface with exposure differences); the key points' own columns
-scatter several times more. Lucas and Kanade 1981; Gruen, "Adaptive least squares correlation", 1985.
+The disparity of a match is refined by least squares over a window of the left image. Gain, offset and an
+affine disparity (a slanted surface) are estimated too; the columns of the key points themselves scatter
+several times more. Lucas and Kanade 1981; Gruen, "Adaptive least squares correlation", 1985.
 """
 
 from dataclasses import dataclass
@@ -12,26 +12,27 @@ from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import StereoMatching
-from polhode.frontend.features.keypoints import Descriptors, KeyPoints
-from polhode.frontend.rectification.target import Image
+from polhode.config.frontend import Frontend, StereoMatching
+from polhode.frontend.features.keypoints import Descriptors, KeyPoints, detect, no_key_points
+from polhode.frontend.rectification.rectify import RectifiedPair
+from polhode.frontend.rectification.target import Image, target_crop
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 
 SIGMA_UV_PX = 0.30
 """Scatter of a key point between views of the target, before the back end estimates it [px]."""
 MIN_SIGMA_DISPARITY_PX = 0.10
-"""Floor of a refined disparity's sigma: textures are never as sharp as the noise alone says [px]."""
+"""Floor of a refined disparity's sigma, since the noise is not the only error [px]."""
 
 
 @dataclass(frozen=True)
-class Picture:
+class ImageCrop:
     """A part of a rectified left image."""
 
     image: Image
     """(H, W)"""
     corner_px: tuple[int, int]
-    """(u, v) in the whole image of the part's first pixel"""
+    """(u, v) of the part's first pixel in the whole image"""
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class StereoFeatures:
     """Stereo measurements of one frame with their descriptors."""
 
     uvd_px: Array
-    """(n, 3) u left, v, disparity in the rectified pair"""
+    """(n, 3) u and v in the left image, and disparity, in the rectified pair"""
     sigma_px: Array
     """(n, 3)"""
     p_R: Array
@@ -50,26 +51,41 @@ class StereoFeatures:
     """(n, d) of the left image, unit length"""
     angle_rad: Array | None = None
     """(n,) orientation in the left image, where the method has one"""
-    picture: Picture | None = None
-    """The left image around the target, where the matcher reads images"""
+    picture: ImageCrop | None = None
+    """The left image of the target, if the matcher reads images"""
     R_RS: Array | None = None
-    """(n, 3, 3) axes of the surface at the feature: z its normal, x a direction that its texture gives"""
+    """(n, 3, 3) axes of the surface at the feature: z is its normal, x a direction given by its texture"""
     metres_per_px: Array | None = None
-    """(n, 2) how far the point moves for one pixel across the image, and for one of disparity [m/px]"""
+    """(n, 2) displacement of the point for one pixel in the image, and for one pixel of disparity [m/px]"""
     sigma_ls_px: Array | None = None
-    """(n,) what the least squares alone say of the disparity's standard deviation"""
-    reliability: Array | None = None
-    """(n,) probability that the feature is found again, where the method knows it"""
+    """(n,) standard deviation of the disparity according to the least squares alone"""
 
     def __len__(self) -> int:
         return len(self.uvd_px)
 
     @property
     def on_surface(self) -> Bools:
-        """(n,) which features know their surface's axes"""
+        """(n,) whether the axes of the surface are known"""
         if self.R_RS is None:
             return np.zeros(len(self), dtype=np.bool_)
         return np.asarray(np.isfinite(self.R_RS[:, 0, 0]), dtype=np.bool_)
+
+
+class RootSift:
+    """``FeatureMethod``: RootSIFT key points in both images, matched along the rows; the classical method."""
+
+    def __init__(self, config: Frontend) -> None:
+        self._config = config
+
+    def __call__(self, pair: RectifiedPair, rig: RectifiedRig) -> StereoFeatures:
+        """Stereo measurements of one rectified pair; none when the target is out of view."""
+        left = self._key_points(pair.left, pair.mask_left)
+        right = self._key_points(pair.right, pair.mask_right)
+        return match_stereo(pair.left, pair.right, left, right, rig, self._config.stereo)
+
+    def _key_points(self, image: Image, mask: Bools) -> KeyPoints:
+        crop = target_crop(mask)
+        return no_key_points() if crop is None else detect(image, mask, crop, self._config.features)
 
 
 def match_stereo(
@@ -102,7 +118,8 @@ def match_stereo(
 def _match_on_lines(
     left: KeyPoints, right: KeyPoints, rig: RectifiedRig, config: StereoMatching
 ) -> tuple[NDArray[np.intp], Array]:
-    """Mutual best descriptors among the candidates on the epipolar line: left index (m,), disparity (m,)."""
+    """Mutually best descriptors among the candidates on the epipolar line: left index (m,), disparity
+    (m,)."""
     if len(left) == 0 or len(right) == 0:
         return np.zeros(0, dtype=np.intp), np.zeros(0)
     allowed = _candidates(left, right, rig, config)
@@ -119,7 +136,7 @@ def _match_on_lines(
 
 
 def _candidates(left: KeyPoints, right: KeyPoints, rig: RectifiedRig, config: StereoMatching) -> Bools:
-    """(n_left, n_right): near the same row, in front of the cameras, of like scale and orientation."""
+    """(n_left, n_right): close rows, positive disparity, similar scale and orientation."""
     row = np.abs(left.uv_px[:, None, 1] - right.uv_px[None, :, 1])
     gate = config.row_gate_px * np.maximum(1.0, 0.4 * left.scale_px)[:, None]
     disparity = left.uv_px[:, None, 0] - right.uv_px[None, :, 0] - rig.disparity_offset_px
@@ -138,7 +155,7 @@ def refine_disparity(
     iterations: int = 8,
     slope: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Least-squares disparity at points uv (n, 2) from start values (n,), and slopes (n, 2) where known.
+    """Least-squares disparity at points uv (n, 2) from initial values (n,), and slopes (n, 2) if known.
 
     Model: left(u + x, v + y) = gain * right(u + x - d - a x - b y, v + y) + offset over a square window.
     Returns disparity (n,) [px], its sigma from the residuals (n,) [px], normalised correlation (n,).
@@ -149,7 +166,8 @@ def refine_disparity(
     half = window_px // 2
     y, x = (a.ravel() for a in np.mgrid[-half : half + 1, -half : half + 1])
     weight = np.exp(-(x**2 + y**2) / (2 * (0.6 * half) ** 2))
-    # Windows centred on whole pixels: the left image is read, not interpolated, and rows stay rows.
+    # Windows are centred on whole pixels, so that the left image is not interpolated, and the right one only
+    # along its rows.
     centre = np.round(uv_px).astype(np.int64)
     columns, rows = centre[:, :1] + x, np.clip(centre[:, 1:] + y, 0, left.shape[0] - 1)
     target = left[rows, np.clip(columns, 0, left.shape[1] - 1)].astype(np.float64)
@@ -172,14 +190,14 @@ def refine_disparity(
     residual = target - (A @ np.linalg.solve(normal, rhs))[..., 0]
     variance = np.sum(weight * residual**2, axis=1) / max(np.sum(weight) - 5.0, 1.0)
     covariance = np.linalg.inv(normal)
-    # The whole-pixel centre is up to half a pixel from the key point: follow the slant.
+    # The whole-pixel centre is up to half a pixel from the key point: extrapolate along the slope.
     arm = np.column_stack([np.ones(n), uv_px - centre])
     sigma = np.sqrt(variance * np.einsum("na,nab,nb->n", arm, covariance[:, :3, :3], arm))
     return np.sum(warp * arm, axis=1), sigma, _correlation(target, source, weight)
 
 
 def _sample_rows(spline: Array, rows: Ints, u: Array) -> tuple[Array, Array]:
-    """Value and slope along the row of a cubic B-spline (H, W) at whole rows and any columns (n, k)."""
+    """Value and slope along the row of a cubic B-spline (H, W) at integer rows and any columns (n, k)."""
     u = np.clip(u, 1.0, spline.shape[1] - 3.001)
     first = np.floor(u).astype(np.int64)
     t = u - first
@@ -196,7 +214,7 @@ def _linearise(
 ) -> tuple[Array, Array]:
     """Jacobian (n, k, 5) for steps of (d, a, b) and for gain and offset; the right window (n, k).
 
-    Gain and offset are solved for whole, the warp as an increment, so the right-hand side is the target.
+    Gain and offset are estimated directly and the warp as an increment, so the right-hand side is the target.
     """
     u = columns - warp[:, :1] - warp[:, 1:2] * x - warp[:, 2:3] * y
     source, slope = _sample_rows(spline, rows, u)
@@ -215,7 +233,7 @@ def _gain(source: Array, target: Array) -> Array:
 def _normal_equations(A: Array, b: Array, weight: Array) -> tuple[Array, Array]:
     Aw = A * weight[:, None]
     normal = np.swapaxes(Aw, 1, 2) @ A
-    # A textureless window leaves the warp undetermined: the floor keeps it where it started.
+    # A textureless window leaves the warp undetermined: the regularisation keeps the initial value.
     normal += np.diag([1e-2, 1e-1, 1e-1, 1e-6, 1e-6])
     return normal, np.swapaxes(Aw, 1, 2) @ b[..., None]
 

@@ -1,79 +1,111 @@
-"""Features of the surface, from the left image and dense disparity: the method ``polhode``.
+"""Surface features, from the left image and dense disparity: the method ``polhode``.
 
-Candidates are sought in the left image alone; the dense disparity tells each one's distance and how the
-surface leans there, and least squares make the distance sharp. Nothing needs to be found twice, so there are
-about twice the features of left-to-right matching. Each is described by a patch in its tangent plane, of one
-size in metres for the whole sequence, so the surface's axes at the feature are known: matching uses them.
+Candidates are detected in the left image alone. Dense disparity gives the distance and the normal of the
+surface at each, and least squares refine the distance. No feature needs to be detected in both images, so
+there are about twice as many as from left-to-right matching. Each is described by a patch in its tangent
+plane, so the axes of the surface at the feature are known; matching uses them.
+
+The normal comes from a plane through the disparity around the feature: a plane in space is a plane in
+disparity, so a weighted least-squares fit over a window is exact on facets. Pixels beyond a jump of depth
+belong to another surface and are left out.
+
+Patches have one size in metres for the whole sequence. If the size followed each frame's median distance,
+solar panels that swing to and fro would change it by a fifth, and a spacecraft with panels would lose half
+its matches; patches tolerate a tenth.
 """
 
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
 from polhode.config.depth import Depth
 from polhode.config.frontend import Frontend
-from polhode.frontend.disparity.crop import cut_crop
+from polhode.dataset import StereoSequence
+from polhode.frontend.disparity.crop import Floats, cut_crop
 from polhode.frontend.disparity.depth import find_disparity_range
 from polhode.frontend.disparity.sgbm import match_checked
-from polhode.frontend.features.candidates import Candidates, find_candidates
 from polhode.frontend.features.feature_noise import feature_sigma
-from polhode.frontend.features.patches import surface_frames, surface_normals, tangent_affines, turned
+from polhode.frontend.features.keypoints import Candidates, find_candidates
+from polhode.frontend.features.patch_descriptors import SurfaceDescriptor, make_descriptor
+from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals, tangent_affines
 from polhode.frontend.features.stereo import StereoFeatures, refine_disparity
-from polhode.frontend.features.surface_descriptor import SurfaceDescriptor, make_descriptor
-from polhode.frontend.features.surface_planes import Floats, local_planes
-from polhode.frontend.rectification.rectified_pair import RectifiedPair
+from polhode.frontend.rectification.rectify import RectifiedPair, Rectifier, rectified_pair
 from polhode.lie import Array
 
 PLANE_RADIUS_PX = 12
-"""Half side of the windows whose disparities tell how the surface leans [px]."""
+"""Half side of the windows whose disparities give the normal of the surface [px]."""
 PATCH_HALF_PX = 12.0
-"""Half side of a patch at the target's median distance, where its size in metres is not set [px]."""
+"""Half side of a patch at the target's median distance, if its size in metres is not set [px]."""
+_SIZE_SAMPLES = 6
+"""Pairs of the sequence from which the size of patches is computed."""
 _REFINEMENTS = 4
-_LARGEST_CHANGE_PX = 1.5
-"""Refinement that moves a disparity further has left the surface it began on [px]."""
+_JUMP_PX = 1.5
+"""Pixels whose disparity differs from a local plane by more belong to another surface."""
+_MIN_SUPPORT = 0.15
+"""Smallest share of the window's weight that lies on a plane."""
+_MAX_DISPARITY_CHANGE_PX = 1.5
+"""A refined disparity that differs by more belongs to another surface [px]."""
 
 
 class SurfaceFeatureMethod:
-    """``FeatureMethod``: one stereo measurement for each candidate whose surface is known."""
+    """``FeatureMethod``: one stereo measurement for each candidate with a known surface."""
 
     def __init__(self, config: Frontend) -> None:
         self._config = config
         self._describe: SurfaceDescriptor = make_descriptor(config)
 
     def __call__(self, pair: RectifiedPair, rig: RectifiedRig) -> StereoFeatures:
-        """Features of the left image; none when the target is out of sight."""
+        """Features of the left image; none when the target is out of view."""
         config = self._config
         candidates = find_candidates(pair.left, pair.mask_left, config.features)
         disparity = matched_disparity(pair, rig, config.depth)
-        measured, plane = _measure(pair, candidates, disparity, rig, config)
+        measured, planes = _measure(pair, candidates, disparity, rig, config)
         if len(measured) == 0:
             return measured
         half_m = config.features.patch_half_m
         if half_m is None:
             half_m = patch_half_m(float(np.median(measured.p_R[:, 2])), rig)
         uv = measured.uvd_px[:, :2]
-        normals = surface_normals(uv, plane, rig)
+        normals = surface_normals(uv, planes, rig)
         affine = tangent_affines(measured.p_R, normals, rig, np.full(len(measured), half_m))
         described = self._describe(pair.left, uv, affine)
-        frames = surface_frames(measured.p_R, normals, turned(affine, described.angle_rad), rig)
+        frames = surface_frames(measured.p_R, normals, rotate_affines(affine, described.angle_rad), rig)
         z = measured.p_R[:, 2]
         return replace(
             measured,
             descriptors=described.descriptors,
-            reliability=described.reliability,
             R_RS=frames,
             metres_per_px=np.column_stack([z / rig.focal_px, z**2 / (rig.focal_px * rig.baseline_m)]),
         )
 
 
+def with_patch_size(config: Frontend, sequence: StereoSequence, rectifier: Rectifier) -> Frontend:
+    """The configuration with ``features.patch_half_m`` set, if its method needs it and the user did not set
+    it.
+
+    The size follows from the median distance over pairs throughout the sequence. It remains unset when none
+    of them shows the target.
+    """
+    if config.features.method != "polhode" or config.features.patch_half_m is not None:
+        return config
+    frames = np.unique(np.round(np.linspace(0, len(sequence) - 1, _SIZE_SAMPLES)).astype(int))
+    distance = np.array([_distance_m(config, sequence, rectifier, int(k)) for k in frames])
+    if not np.isfinite(distance).any():
+        return config
+    half_m = patch_half_m(float(np.nanmedian(distance)), rectifier.rig)
+    features = config.features.model_copy(update={"patch_half_m": half_m})
+    return config.model_copy(update={"features": features})
+
+
 def patch_half_m(distance_m: float, rig: RectifiedRig) -> float:
-    """Half a patch's side on the surface [m] for a target at a distance [m]."""
+    """Half the side of a patch on the surface [m] for a target at a distance [m]."""
     return PATCH_HALF_PX * distance_m / rig.focal_px
 
 
 def matched_disparity(pair: RectifiedPair, rig: RectifiedRig, config: Depth) -> Floats:
-    """Disparity of the left image (H, W) [px] by semi-global matching, NaN where it is not known."""
+    """Disparity of the left image (H, W) [px] by semi-global matching, NaN where it is unknown."""
     disparity = np.full(pair.left.shape, np.nan, dtype=np.float32)
     if not pair.mask_left.any():
         return disparity
@@ -85,19 +117,28 @@ def matched_disparity(pair: RectifiedPair, rig: RectifiedRig, config: Depth) -> 
     return disparity
 
 
+def _distance_m(config: Frontend, sequence: StereoSequence, rectifier: Rectifier, k: int) -> float:
+    """Median distance of the target in pair k [m]; NaN when the target is out of view."""
+    rig = rectifier.rig
+    disparity = matched_disparity(rectified_pair(sequence, rectifier, k), rig, config.depth)
+    offset = disparity - np.float32(rig.disparity_offset_px)
+    known = offset[np.isfinite(offset) & (offset > 0.5)]
+    return rig.focal_px * rig.baseline_m / float(np.median(known)) if len(known) else float("nan")
+
+
 def _measure(
     pair: RectifiedPair, candidates: Candidates, disparity: Floats, rig: RectifiedRig, config: Frontend
 ) -> tuple[StereoFeatures, Array]:
-    """Candidates with a sharp disparity, not described yet, and the planes (n, 3) of their surfaces."""
-    found = local_planes(disparity, candidates.uv_px, PLANE_RADIUS_PX)
-    known = np.flatnonzero(np.isfinite(found.plane[:, 0]))
-    uv, plane = candidates.uv_px[known], found.plane[known]
+    """Candidates with a refined disparity, without descriptors, and the planes (n, 3) of their surfaces."""
+    planes = local_planes(disparity, candidates.uv_px)
+    known = np.flatnonzero(np.isfinite(planes[:, 0]))
+    uv, plane = candidates.uv_px[known], planes[known]
     refined, sigma_d, correlation = refine_disparity(
         pair.left, pair.right, uv, plane[:, 0], config.stereo.window_px, _REFINEMENTS, plane[:, 1:]
     )
     good = (
         (correlation > config.stereo.min_correlation)
-        & (np.abs(refined - plane[:, 0]) < _LARGEST_CHANGE_PX)
+        & (np.abs(refined - plane[:, 0]) < _MAX_DISPARITY_CHANGE_PX)
         & (refined - rig.disparity_offset_px > 0.5)
     )
     uvd = np.column_stack([uv, refined])[good]
@@ -114,3 +155,60 @@ def _measure(
         ),
         plane[good],
     )
+
+
+def local_planes(disparity: Floats, uv_px: Array) -> Array:
+    """Planes (n, 3) of a disparity map (H, W) at points uv (n, 2): value [px] and slopes along u and v.
+
+    NaN where too little is known. The first plane is the median level of the window with a tolerance for
+    slant; each further round uses the pixels within ``_JUMP_PX`` of the previous plane.
+    """
+    n = len(uv_px)
+    r = PLANE_RADIUS_PX
+    # Every second pixel is enough: disparities of neighbours come from overlapping windows.
+    y, x = (a.ravel() for a in np.mgrid[-r : r + 1 : 2, -r : r + 1 : 2])
+    centre = np.round(uv_px).astype(np.int64)
+    rows, columns = centre[:, 1:] + y, centre[:, :1] + x
+    h, w = disparity.shape
+    inside = (rows >= 0) & (rows < h) & (columns >= 0) & (columns < w)
+    d = disparity[np.clip(rows, 0, h - 1), np.clip(columns, 0, w - 1)].astype(np.float64)
+    known = inside & np.isfinite(d)
+    du, dv = columns - uv_px[:, :1], rows - uv_px[:, 1:]
+    window = np.exp(-(du**2 + dv**2) / (2.0 * (0.6 * r) ** 2))
+    weight = np.where(known, window, 0.0)
+    filled = np.where(known, d, 0.0)
+    reference = _level(filled, known, du**2 + dv**2)
+    # The gate opens away from the centre: 0.35 px per px is the slope of a very inclined surface.
+    gate = _JUMP_PX + 0.35 * np.hypot(du, dv)
+    keep = np.abs(filled - reference[:, None]) < gate
+    solution = np.zeros((n, 3))
+    for _ in range(3):
+        solution = _fit_planes(du, dv, filled, weight * keep, reference)
+        predicted = solution[:, :1] + solution[:, 1:2] * du + solution[:, 2:] * dv
+        keep = np.abs(filled - predicted) < _JUMP_PX
+    support = (weight * keep).sum(axis=1) / window.sum(axis=1)
+    enough = (support >= _MIN_SUPPORT) & np.isfinite(reference)
+    return np.where(enough[:, None], solution, np.nan)
+
+
+def _level(d: Array, known: NDArray[np.bool_], distance2: Array) -> Array:
+    """Median (n,) of the nearest known disparities of each window; NaN where there are none."""
+    nearest = np.argsort(np.where(known, distance2, np.inf), axis=1, kind="stable")[:, :9]
+    values = np.where(
+        np.take_along_axis(known, nearest, axis=1), np.take_along_axis(d, nearest, axis=1), np.nan
+    )
+    some = np.isfinite(values).any(axis=1)
+    level = np.full(len(d), np.nan)
+    if some.any():
+        level[some] = np.nanmedian(values[some], axis=1)
+    return level
+
+
+def _fit_planes(du: Array, dv: Array, d: Array, weight: Array, reference: Array) -> Array:
+    """Weighted planes (n, 3); a window with little weight keeps its reference level without slope."""
+    A = np.stack([np.ones_like(du), du, dv], axis=-1)
+    Aw = A * weight[..., None]
+    normal = np.swapaxes(Aw, 1, 2) @ A + np.diag([1e-6, 1e-1, 1e-1])
+    level = np.where(np.isfinite(reference), reference, 0.0)[:, None]
+    step = np.linalg.solve(normal, np.swapaxes(Aw, 1, 2) @ (d - level)[..., None])[..., 0]
+    return np.asarray(step + np.column_stack([level, np.zeros((len(d), 2))]))

@@ -1,8 +1,9 @@
-"""Frame against frame, blind: relative poses and matches (thesis algorithm 2, lines 9-13).
+"""Matching of frame pairs without prior motion: relative poses and inlier matches (thesis algorithm 2, lines
+9-13).
 
-All pairs, not neighbours only: a landmark that comes back after a revolution must be recognised, since
-the inertia depends on it, and a link that fails between neighbours is bridged by others. Of long sequences
-the pairs that retrieval proposes (``retrieval.py``).
+Not only neighbours are matched: landmarks must be recognised after a revolution, since the inertia depends on
+it, and other pairs bridge neighbours that cannot be matched. For long sequences ``retrieval`` proposes the
+pairs.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,8 +13,8 @@ import numpy as np
 
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Frontend
-from polhode.frontend.features.methods import match_method
 from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.methods import match_method
 from polhode.frontend.matching.ransac import ransac_rigid
 from polhode.lie import Array
 from polhode.processes import in_order
@@ -24,7 +25,7 @@ Tick = Callable[[], None]
 
 @dataclass(frozen=True)
 class PairMatch:
-    """Frames i < j joined by a motion and the features that agree with it."""
+    """The motion between frames i < j, and the matches that agree with it."""
 
     i: int
     j: int
@@ -43,10 +44,11 @@ def match_pairs(
     workers: int,
     tick: Tick,
 ) -> list[PairMatch]:
-    """Matches that pass the geometric check, sorted by (i, j); partners: per frame i the frames j > i to try.
+    """Matches that pass the geometric check, sorted by (i, j).
 
-    ``tick`` is called once per frame i. The random numbers of a pair depend on (seed, i, j) alone, so the
-    result does not depend on the number of workers.
+    partners: for each frame i, the frames j > i to match it with. ``tick`` is called once per frame i. The
+    random numbers of a pair depend on (seed, i, j) only, so the result does not depend on the number of
+    workers.
     """
     matches: list[PairMatch] = []
     for found in in_order(_RowJob(frames, partners, rig, config, seed), range(len(frames)), workers):
@@ -57,7 +59,7 @@ def match_pairs(
 
 @dataclass(frozen=True)
 class _RowJob:
-    """Frame i against its partners."""
+    """Matches frame i with its partners."""
 
     frames: Sequence[StereoFeatures]
     partners: Sequence[Ints]
@@ -100,7 +102,7 @@ def _match_pair(
 
 
 def relative_poses(matches: Sequence[PairMatch]) -> RelativePoses:
-    """The links' geometry, for the back end."""
+    """The relative poses of the matched pairs, for the back end."""
     return RelativePoses(
         i=np.array([m.i for m in matches], dtype=np.int64),
         j=np.array([m.j for m in matches], dtype=np.int64),

@@ -10,14 +10,14 @@ from polhode.records import Bools
 from polhode.rigid_fit import fit_rigid
 
 NOISE_PX = np.array([0.7, 0.7, 0.25])
-"""Noise of places and disparities of features, whose ratio weighs [px]."""
+"""Noise of u, v and disparity of features [px]; only the ratios matter."""
 ROBUST = 9.0
-"""Squared error over variance at which a point counts a quarter."""
+"""Squared error over variance at which the weight of a point is a quarter."""
 
 
 @dataclass(frozen=True)
 class RigidFit:
-    """The best motion found and who agrees with it."""
+    """The best motion, and its inliers."""
 
     X_RiRj: Array
     """(4, 4) p_Ri = X_RiRj @ p_Rj"""
@@ -34,10 +34,11 @@ def ransac_rigid(
     gate_px: float,
     rng: np.random.Generator,
 ) -> RigidFit:
-    """Most consistent motion among matches (n, 3) of frames i and j, n >= 3.
+    """The motion with most inliers among matches (n, 3) of frames i and j, n >= 3.
 
-    An inlier's point of frame j, moved, projects within gate_px of (u, v) and of the disparity in
-    frame i: the gate is in pixels, so it holds at every distance. ``uvd_i`` are the measurements of frame i.
+    The point of an inlier in frame j, transformed to frame i, projects within gate_px of the measured (u, v)
+    and of the disparity: the gate is in pixels, so it is valid at every distance. ``uvd_i``: measurements of
+    frame i.
     """
     triples = _sample_triples(len(uvd_i), hypotheses, rng)
     R, t = _triads(p_Ri[triples], p_Rj[triples])
@@ -48,7 +49,7 @@ def ransac_rigid(
     for _ in range(4):
         if inlier.sum() < 3:
             break
-        # Depth is the weak direction of stereo and grows with the square of the range.
+        # The error of stereo is largest along the ray, and proportional to the square of the range.
         X = fit_rigid(p_Ri[inlier], p_Rj[inlier], 1.0 / np.maximum(p_Ri[inlier, 2], 1e-6) ** 4)
         update = _inliers(transform_points(X, p_Rj), uvd_i, rig, gate_px)
         if np.array_equal(update, inlier):
@@ -63,10 +64,10 @@ def ransac_rigid(
 
 
 def fit_noisy(X_AB: Array, p_A: Array, p_B: Array, rig: RectifiedRig, rounds: int = 4) -> Array:
-    """X_AB (4, 4) by robust least squares from a start, for points p_A, p_B (n, 3), n >= 4.
+    """X_AB (4, 4) by robust least squares from an initial value, for points p_A, p_B (n, 3), n >= 4.
 
-    Each difference is weighted by what both measurements know of it: stereo is surer across the ray than
-    along it, and the rays have turned.
+    Each difference is weighted by the covariances of both points: stereo is more accurate across the ray than
+    along it, and the rays of the two frames differ in the body.
     """
     C_A, C_B = _covariance(p_A, rig), _covariance(p_B, rig)
     for _ in range(rounds):
@@ -94,7 +95,7 @@ def _covariance(p_R: Array, rig: RectifiedRig) -> Array:
 
 
 def reprojection_error_px(p_R: Array, uvd_px: Array, rig: RectifiedRig) -> Array:
-    """Larger of the image distance and the disparity's error (...) [px]; infinite behind the camera."""
+    """The larger of image distance and disparity error (...) [px]; infinite behind the camera."""
     in_front = p_R[..., 2] > 1e-6
     safe = np.where(in_front[..., None], p_R, [0.0, 0.0, 1.0])
     error = rig.project(safe) - uvd_px
@@ -109,7 +110,7 @@ def _inliers(p_Ri: Array, uvd_i: Array, rig: RectifiedRig, gate_px: float) -> Bo
 def _sample_triples(
     n: int, hypotheses: int, rng: np.random.Generator
 ) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
-    """Minimal samples (hypotheses, 3) without repetition inside a triple."""
+    """Minimal samples (hypotheses, 3) without repetition within a triple."""
     first = rng.integers(0, n, hypotheses)
     second = (first + rng.integers(1, max(n, 2), hypotheses)) % n
     low, high = np.minimum(first, second), np.maximum(first, second)

@@ -1,10 +1,10 @@
-"""Which pairs of frames are worth matching when a sequence is too long to try them all.
+"""Selection of the frame pairs to match when a sequence is too long to match all of them.
 
-Every frame is summed up in one vector (VLAD: Jegou et al., "Aggregating local descriptors into a compact
-image representation", 2010) over words learned from the sequence itself. A frame is matched with its
-neighbours in time, where little has changed, and with the frames that look most like it, wherever they are:
-the side that comes back after a revolution is recognised among thousands of frames, at a cost that grows
-linearly.
+Every frame is represented by one vector (VLAD: Jegou et al., "Aggregating local descriptors into a compact
+image representation", 2010) over a vocabulary of visual words learned from the sequence itself. A frame is
+matched with its neighbours in time, where little has changed, and with the most similar frames of the whole
+sequence: a side that is visible again after a revolution is recognised among thousands of frames, at a cost
+that grows linearly.
 """
 
 from collections.abc import Sequence
@@ -19,22 +19,22 @@ from polhode.lie import Array, inverse_pose
 from polhode.records import Ints
 
 Floats = NDArray[np.float32]
-LEARNED_FROM = 20_000
-"""Descriptors of the whole sequence that the words are learned from."""
-WORDS = 48
-SAME_SIDE_DEG = 70.0
-"""Frames whose directions of view in the body differ by more have little in common."""
-CLOSE = 4
-"""Frames so many apart are tried whatever the motion says."""
-BLOCK = 512
-"""Frames compared at a time."""
+VOCABULARY_SAMPLE = 20_000
+"""Number of descriptors of the whole sequence from which the visual words are learned."""
+VOCABULARY_SIZE = 48
+MAX_VIEW_ANGLE_DEG = 70.0
+"""Frames whose viewing directions in the body differ by more have little in common."""
+MAX_NEIGHBOUR_STEPS = 4
+"""Frames up to this many steps apart are matched even if the motion predicts different views."""
+BLOCK_FRAMES = 512
+"""Frames that are compared at a time."""
 
 
 def pairs_to_match(frames: Sequence[StereoFeatures], config: PairMatching, seed: int) -> list[Ints]:
-    """Per frame i the later frames j > i to match it with, ascending.
+    """For each frame i, the later frames j > i to match it with, ascending.
 
-    All of them up to ``config.exhaustive_frames`` frames; of longer sequences the neighbours and those most
-    alike.
+    All of them up to ``config.exhaustive_frames`` frames; in longer sequences, the neighbours and the most
+    similar frames.
     """
     n = len(frames)
     if n <= config.exhaustive_frames:
@@ -42,24 +42,27 @@ def pairs_to_match(frames: Sequence[StereoFeatures], config: PairMatching, seed:
     wanted = np.zeros((n, n), dtype=bool)
     for step in range(1, min(config.neighbours, n - 1) + 1):
         wanted[np.arange(n - step), np.arange(step, n)] = True
-    for i, alike in enumerate(most_alike(frame_vectors(frames, seed), config.neighbours, config.retrieved)):
-        wanted[np.minimum(i, alike), np.maximum(i, alike)] = True
+    for i, similar in enumerate(
+        most_similar(frame_vectors(frames, seed), config.neighbours, config.retrieved)
+    ):
+        wanted[np.minimum(i, similar), np.maximum(i, similar)] = True
     return [np.flatnonzero(wanted[i]).astype(np.int64) for i in range(n)]
 
 
 def pairs_in_view(X_RG: Array, config: PairMatching) -> list[Ints]:
-    """Per frame i the later frames j > i that see much the same side by the motion X_RG (F, 4, 4), ascending.
+    """For each frame i, the later frames j > i with similar views by the motion X_RG (F, 4, 4), ascending.
 
-    All of them up to ``config.exhaustive_frames`` frames; of longer sequences the neighbours, and of the
-    others those that see most of the same. Neighbours in time are tried even if the motion says otherwise.
+    All of them up to ``config.exhaustive_frames`` frames; in longer sequences, the neighbours and the frames
+    with the most similar viewing directions. Neighbours in time are included even if the motion predicts
+    other views.
     """
     n = len(X_RG)
-    towards_G = inverse_pose(X_RG)[:, :3, 3]
-    towards_G /= np.maximum(np.linalg.norm(towards_G, axis=1, keepdims=True), 1e-12)
-    cosine = towards_G @ towards_G.T
-    apart = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :])
-    near = apart <= (CLOSE if n <= config.exhaustive_frames else config.neighbours)
-    wanted = cosine > np.cos(np.deg2rad(SAME_SIDE_DEG))
+    view_G = inverse_pose(X_RG)[:, :3, 3]
+    view_G /= np.maximum(np.linalg.norm(view_G, axis=1, keepdims=True), 1e-12)
+    cosine = view_G @ view_G.T
+    steps = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :])
+    near = steps <= (MAX_NEIGHBOUR_STEPS if n <= config.exhaustive_frames else config.neighbours)
+    wanted = cosine > np.cos(np.deg2rad(MAX_VIEW_ANGLE_DEG))
     if n > config.exhaustive_frames:
         order = np.argsort(np.where(wanted & ~near, -cosine, np.inf), axis=1, kind="stable")
         best = np.zeros((n, n), dtype=bool)
@@ -70,34 +73,34 @@ def pairs_in_view(X_RG: Array, config: PairMatching) -> list[Ints]:
 
 
 def frame_vectors(frames: Sequence[StereoFeatures], seed: int) -> Floats:
-    """(F, WORDS d) one vector of unit length per frame; zeros where a frame has no features."""
+    """(F, VOCABULARY_SIZE d) one vector of unit length per frame; zeros where a frame has no features."""
     rng = np.random.default_rng(seed)
     described = [frame.descriptors for frame in frames if len(frame)]
-    # a frame without features has descriptors of any width
+    # A frame without features has descriptors of arbitrary width.
     everything = np.concatenate(described or [frame.descriptors for frame in frames]).astype(np.float32)
     width = everything.shape[1]
-    vectors = np.zeros((len(frames), WORDS * width), dtype=np.float32)
-    if len(everything) < WORDS:
+    vectors = np.zeros((len(frames), VOCABULARY_SIZE * width), dtype=np.float32)
+    if len(everything) < VOCABULARY_SIZE:
         return vectors
-    sample = everything[rng.permutation(len(everything))[:LEARNED_FROM]]
-    words, _ = kmeans2(sample, WORDS, iter=12, minit="++", rng=rng)
+    sample = everything[rng.permutation(len(everything))[:VOCABULARY_SAMPLE]]
+    words, _ = kmeans2(sample, VOCABULARY_SIZE, iter=12, minit="++", rng=rng)
     for k, frame in enumerate(frames):
         if len(frame) == 0:
             continue
         nearest, _ = vq(frame.descriptors, words)
-        residuals = np.zeros((WORDS, width), dtype=np.float32)
+        residuals = np.zeros((VOCABULARY_SIZE, width), dtype=np.float32)
         np.add.at(residuals, nearest, frame.descriptors - words[nearest])
-        # each word counts alike, however many features burst into it (Arandjelovic and Zisserman 2013)
+        # Each word has equal weight, however many features it has (Arandjelovic and Zisserman 2013).
         residuals /= np.maximum(np.linalg.norm(residuals, axis=1, keepdims=True), 1e-9)
         vectors[k] = residuals.ravel() / max(float(np.linalg.norm(residuals)), 1e-9)
     return vectors
 
 
-def most_alike(vectors: Floats, neighbours: int, count: int) -> list[Ints]:
-    """Per frame the ``count`` frames most alike, those within ``neighbours`` in time left out."""
+def most_similar(vectors: Floats, neighbours: int, count: int) -> list[Ints]:
+    """For each frame the ``count`` most similar frames, without those within ``neighbours`` steps in time."""
     n, found = len(vectors), []
-    for first in range(0, n, BLOCK):
-        block = np.arange(first, min(first + BLOCK, n))
+    for first in range(0, n, BLOCK_FRAMES):
+        block = np.arange(first, min(first + BLOCK_FRAMES, n))
         similarity = vectors[block] @ vectors.T
         similarity[np.abs(block[:, None] - np.arange(n)[None, :]) <= neighbours] = -np.inf
         for row in similarity:

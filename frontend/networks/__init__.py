@@ -1,1 +1,6 @@
-"""Networks of the front end, and their weights."""
+"""The networks trained here. In: tensors. Out: descriptors of patches, distributions of disparities.
+
+descriptor.py    the descriptor of surface patches
+disparity.py     the refinement of disparities
+weights.py       loading of weights
+"""

@@ -1,4 +1,4 @@
-"""Weights of the networks: shipped beside the front end, or at a path that the user gives; no download."""
+"""Weights of the networks: the shipped ones, or a file that the user gives; nothing is downloaded."""
 
 from pathlib import Path
 
@@ -17,9 +17,9 @@ def shipped_path(name: str) -> Path:
 
 
 def load_weights(network: nn.Module, path: Path) -> None:
-    """Fill the network with the weights of a file, and set it to evaluation.
+    """Load a file of weights into the network and switch it to evaluation mode.
 
-    Raises InputError: the file is missing, is no safetensors file, or belongs to another network.
+    Raises InputError: the file is missing, is not a safetensors file, or belongs to another network.
     """
     if not path.is_file():
         raise InputError(
@@ -30,15 +30,15 @@ def load_weights(network: nn.Module, path: Path) -> None:
     except (SafetensorError, OSError) as error:
         reason = " ".join(str(error).split())
         raise InputError(
-            f"{path}: no safetensors file ({reason}); give one that polhode train wrote"
+            f"{path}: not a safetensors file ({reason}); give one that polhode train wrote"
         ) from None
-    there, wanted = weights.keys(), network.state_dict()
-    wrong = [name for name in wanted if name not in there or weights[name].shape != wanted[name].shape]
-    wrong += [name for name in there if name not in wanted]
+    expected = network.state_dict()
+    wrong = [name for name in expected if name not in weights or weights[name].shape != expected[name].shape]
+    wrong += [name for name in weights if name not in expected]
     if wrong:
         raise InputError(
-            f"{path}: weights of another network ({len(wrong)} tensors differ, first {wrong[0]}); give those "
-            "that this version of polhode train wrote"
+            f"{path}: weights of another network ({len(wrong)} tensors differ, the first is {wrong[0]}); "
+            "give weights that this version of polhode train wrote"
         )
     network.load_state_dict(weights)
     network.eval()

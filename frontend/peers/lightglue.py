@@ -1,7 +1,7 @@
 """LightGlue: Lindenberger, Sarlin and Pollefeys, "LightGlue: Local feature matching at light speed", 2023.
 
-Kornia's class downloads its weights in the constructor when it is told the features' name; built from the
-bare configuration of those features it does not, and the file of ours is put in.
+Kornia's class downloads its weights in the constructor if it is given the name of the features. Here it is
+constructed from the configuration of those features instead, and the weights are loaded from a file.
 """
 
 import re
@@ -12,17 +12,17 @@ from kornia.feature import LightGlue
 
 from polhode.config.frontend import Frontend
 from polhode.errors import InputError
-from polhode.frontend.features.methods import Matches
 from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.methods import Matches
 from polhode.frontend.peers.weights import State, fill, load_weights
 from polhode.lie import Array
 
 FEATURES = {"rootsift": "sift", "disk": "disk", "aliked": "aliked", "xfeat": "xfeat"}
-"""Our name of a feature method -> Kornia's name of LightGlue's weights for it."""
+"""Name of a feature method -> Kornia's name of LightGlue's weights for it."""
 
 
 class LightGlueMatcher:
-    """Attention within and between the two frames' features, with the weights made for those features."""
+    """``MatchMethod``: LightGlue with the weights that were trained for the feature method."""
 
     def __init__(self, config: Frontend) -> None:
         method = config.features.method
@@ -35,14 +35,14 @@ class LightGlueMatcher:
         setting = f"lightglue_{name}"
         arguments = {key: value for key, value in LightGlue.features[name].items() if key != "weights"}
         arguments["filter_threshold"] = config.pairs.min_confidence
-        # No name of features: nothing is downloaded. Kornia documents it, its type does not.
+        # Without a name of features nothing is downloaded. Kornia documents None, but its type excludes it.
         self._network = LightGlue(features=None, **arguments)  # type: ignore[arg-type]
         fill(self._network, _renamed(load_weights(setting, config.weights)), setting, config.weights)
 
     def __call__(self, a: StereoFeatures, b: StereoFeatures) -> Matches:
-        """Matches at least as sure as the configured confidence."""
+        """Matches with at least the configured confidence."""
         if min(len(a), len(b)) == 0:
-            return Matches(np.zeros((0, 2), np.int64), np.zeros(0))
+            return Matches.none()
         spans = [np.ptp(frame.uvd_px[:, :2], axis=0) + 1.0 for frame in (a, b)]
         size = np.maximum(*spans)
         with torch.inference_mode():
@@ -52,7 +52,7 @@ class LightGlueMatcher:
 
 
 def _side(frame: StereoFeatures, size_px: Array) -> dict[str, torch.Tensor]:
-    """One frame as LightGlue takes it: positions in the box of the features, as in a picture full of them."""
+    """Input of LightGlue for one frame; positions are relative to the bounding box of the features."""
     uv = frame.uvd_px[:, :2]
     centred = uv - (uv.min(axis=0) + uv.max(axis=0)) / 2.0 + size_px / 2.0
     side = {
@@ -67,6 +67,6 @@ def _side(frame: StereoFeatures, size_px: Array) -> dict[str, torch.Tensor]:
 
 
 def _renamed(state: State) -> State:
-    """Names of the released files -> Kornia's: ``self_attn.3.x`` is ``transformers.3.self_attn.x`` there."""
+    """Published names of tensors -> Kornia's: ``self_attn.3.x`` becomes ``transformers.3.self_attn.x``."""
     names = {key: re.sub(r"^(self|cross)_attn\.(\d+)\.", r"transformers.\2.\1_attn.", key) for key in state}
     return {name.removeprefix("matcher."): state[key] for key, name in names.items()}

@@ -1,8 +1,9 @@
-"""Any calibrated stereo rig to one ideal pair: a pinhole, a baseline along x, matching rows.
+"""Rectification: images of any calibrated stereo rig as those of an ideal one.
 
-The rectified axes follow from geometry alone (Fusiello, Trucco, Verri, "A compact algorithm for
-rectification of stereo pairs", 2000): x along the baseline, z the mean viewing direction. So toed-in,
-swapped and stacked cameras need no special case.
+The ideal rig has two identical pinhole cameras, a baseline along x and corresponding rows. Its axes follow
+from geometry alone (Fusiello, Trucco, Verri, "A compact algorithm for rectification of stereo pairs", 2000):
+x along the baseline, z near the mean viewing direction. Toed-in, swapped and stacked cameras need no special
+case.
 """
 
 from dataclasses import dataclass
@@ -12,15 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
-from polhode.dataset import StereoCalibration
+from polhode.dataset import StereoCalibration, StereoSequence
 from polhode.errors import InputError
+from polhode.frontend.rectification.target import Image, target_mask
 from polhode.lie import Array, inverse_pose, make_pose
+from polhode.records import Bools
 
-Image = NDArray[np.uint8]
 MAX_GROWTH = 1.6
-"""A rectified image is at most this much larger than the original: beyond, the view is cropped."""
+"""Largest ratio of the rectified to the original image size; what lies beyond it is cropped."""
 IDEAL_TOLERANCE = 1e-6
-"""A rig this near to ideal [rad, m] is not resampled: a thousandth of a pixel."""
+"""Images of a rig that deviates from the ideal one by less than this [rad, m], a thousandth of a pixel, are
+not resampled."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class Rectifier:
 
 
 def make_rectifier(calibration: StereoCalibration) -> Rectifier:
-    """Work out the rectified rig. Raises InputError when the cameras share no view."""
+    """The rectifier of a calibrated rig. Raises InputError when the cameras have no common field of view."""
     if _is_rectified(calibration):
         return Rectifier(_ideal_rig(calibration), np.eye(4), None)
     X_CD = inverse_pose(calibration.X_BC0) @ calibration.X_BC1  # D: right camera as calibrated
@@ -78,6 +81,37 @@ def make_rectifier(calibration: StereoCalibration) -> Rectifier:
     return Rectifier(rig, make_pose(R_CR, np.zeros(3)), maps)
 
 
+@dataclass(frozen=True)
+class RectifiedPair:
+    """One rectified stereo pair with the target's mask in each image: the input of every feature method."""
+
+    left: Image
+    right: Image
+    mask_left: Bools
+    mask_right: Bools
+
+
+def rectified_pair(sequence: StereoSequence, rectifier: Rectifier, k: int) -> RectifiedPair:
+    """Read, rectify and mask pair k."""
+    raw = sequence.read_pair(k)
+    left, mask_left = _rectified(rectifier, 0, raw.left, raw.mask_left)
+    right, mask_right = _rectified(rectifier, 1, raw.right, raw.mask_right)
+    return RectifiedPair(left, right, mask_left, mask_right)
+
+
+def rectified_left(sequence: StereoSequence, rectifier: Rectifier, k: int) -> tuple[Image, Bools]:
+    """Left image of pair k and its mask."""
+    return _rectified(rectifier, 0, *sequence.read_left(k))
+
+
+def _rectified(rectifier: Rectifier, side: int, raw: Image, given: Bools | None) -> tuple[Image, Bools]:
+    """A rectified image and the target's mask in it, from the given mask where there is one."""
+    image, mask = rectifier(raw, side), None
+    if given is not None:
+        mask = rectifier((given * np.uint8(255)).astype(np.uint8), side, cv2.INTER_NEAREST) > 127
+    return image, target_mask(image, mask)
+
+
 def _is_rectified(calibration: StereoCalibration) -> bool:
     """True for an ideal pair, which must not be resampled: interpolation costs sharpness."""
     X_CD = inverse_pose(calibration.X_BC0) @ calibration.X_BC1
@@ -105,13 +139,13 @@ def _ideal_rig(calibration: StereoCalibration) -> RectifiedRig:
 
 
 def _rectified_axes(X_CD: Array) -> Array:
-    """R_CR (3, 3): x along the baseline, z as near as can be to the mean viewing direction."""
+    """R_CR (3, 3): x along the baseline, z as close as possible to the mean viewing direction."""
     x = X_CD[:3, 3] / np.linalg.norm(X_CD[:3, 3])
     forward = np.array([0.0, 0.0, 1.0]) + X_CD[:3, 2]
     z = forward - x * (x @ forward)
     if np.linalg.norm(z) < 0.2 or X_CD[2, 2] < 0.2:
         raise InputError(
-            "the stereo rig: the cameras do not look the same way across their baseline; "
+            "the stereo rig: the cameras do not look in the same direction, across their baseline; "
             "check T_BS in cam0/sensor.yaml and cam1/sensor.yaml"
         )
     z = z / np.linalg.norm(z)
@@ -119,7 +153,7 @@ def _rectified_axes(X_CD: Array) -> Array:
 
 
 def _undistort(points: Array, K: Array, dist: Array, R: Array) -> Array:
-    """Pixels (n, 2) of a distorted camera -> normalised coordinates (n, 2) along axes turned by R."""
+    """Pixels (n, 2) of a distorted camera -> normalised coordinates (n, 2) along axes rotated by R."""
     source = np.ascontiguousarray(points[:, None, :], dtype=np.float64)
     rotation = np.ascontiguousarray(R.T)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-10)

@@ -1,4 +1,4 @@
-"""Where the target is in an image: against black sky by its light, or by the mask that is given."""
+"""Segmentation of the target: by its brightness against the black sky, or by a given mask."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Crop:
-    """A box in an image [px]: columns u0..u1, rows v0..v1, the upper ends excluded."""
+    """A bounding box in an image [px]: columns u0..u1, rows v0..v1, upper ends excluded."""
 
     u0: int
     v0: int
@@ -30,7 +30,7 @@ class Crop:
 
 
 def target_mask(image: Image, given: Bools | None = None) -> Bools:
-    """Pixels (H, W) of the target: the given mask, or what stands out of the sky, closed over shadows."""
+    """Mask (H, W) of the target: the given one, or the pixels brighter than the sky, closed over shadows."""
     if given is not None:
         return given
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.5), dtype=np.uint8)
@@ -40,7 +40,7 @@ def target_mask(image: Image, given: Bools | None = None) -> Bools:
         return np.zeros(image.shape, dtype=bool)
     area = np.asarray(stats)[1:, cv2.CC_STAT_AREA].astype(np.int64)
     largest = int(area.max())
-    # Parts of one craft can be separated by shadow; stars and hot pixels are tiny.
+    # Shadow can separate parts of one spacecraft; stars and hot pixels are tiny.
     kept = 1 + np.flatnonzero(area >= max(25, 0.02 * largest))
     lit = np.isin(labels, kept).astype(np.uint8)
     reach = max(3, int(0.04 * np.sqrt(largest)) | 1)
@@ -49,13 +49,13 @@ def target_mask(image: Image, given: Bools | None = None) -> Bools:
 
 
 def sky_level(smooth: Image) -> float:
-    """Intensity above which a smoothed pixel is not sky: the darkest level with its scatter, and a margin."""
+    """Intensity above which a smoothed pixel is not sky: the darkest level plus four times its scatter."""
     dark = smooth[smooth <= np.percentile(smooth, 10)].astype(np.float64)
     return float(np.median(dark)) + 4.0 * max(1.0, float(np.std(dark)))
 
 
 def target_crop(mask: Bools, margin_px: int = 8) -> Crop | None:
-    """Box around the mask (H, W) with a margin; None when the mask is empty."""
+    """Bounding box of a mask (H, W) with a margin; None when the mask is empty."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:
         return None

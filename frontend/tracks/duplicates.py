@@ -1,7 +1,8 @@
-"""One landmark, two names: tracks that blind matching left apart are merged where the motion makes them one.
+"""Merging of duplicate landmarks: separate tracks that belong to one landmark according to the motion.
 
-Two landmarks are the same when the solved motion puts them in the same place, no frame shows both, and they
-look alike from like directions. What merges closes loops, and loops decide how well the inertia is known.
+Two landmarks are the same if the estimated motion puts them at the same position, no frame observes both, and
+their descriptors are similar from similar directions. Merging closes loops, which determine how well the
+inertia is known.
 """
 
 from collections.abc import Sequence
@@ -15,21 +16,21 @@ from polhode.camera import RectifiedRig
 from polhode.config.frontend import GuidedMatching
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.tracks.landmark_map import LandmarkMap, enter
+from polhode.frontend.tracks.landmark_map import LandmarkMap, add_observations
 from polhode.frontend.tracks.tracks import Association
 from polhode.lie import Array
 from polhode.records import Bools, InitialMotion, Ints
 
-AGREE = float(chi2.ppf(0.99, 3))
-"""Largest normalised square of the distance of two estimates of one place."""
-FLOOR_PX = 0.3
-"""Uncertainty of a landmark's place that its own observations do not show: poses, light, as seen from the
-camera."""
+AGREEMENT_CHI2 = float(chi2.ppf(0.99, 3))
+"""Largest normalised squared distance between two estimates of one position."""
+POSITION_FLOOR_PX = 0.3
+"""Uncertainty of a landmark's position beyond its observation noise, from poses and light, as an image
+distance."""
 
 
 @dataclass(frozen=True)
 class _Views:
-    """What the frames saw of one landmark."""
+    """All observations of one landmark."""
 
     direction_G: Array
     """(n, 3)"""
@@ -46,44 +47,47 @@ def merge_duplicates(
     rig: RectifiedRig,
     config: GuidedMatching,
 ) -> Association:
-    """The association with landmarks joined that are one under the motion; unconnected frames have no say."""
+    """The association with duplicate landmarks joined; unconnected frames are not considered."""
     model = LandmarkMap.empty(association.n_landmarks)
     connected = np.flatnonzero(motion.connected).tolist()
     if not connected:
         return association
     for k in connected:
-        enter(model, frames[k], association.landmark[k], motion.X_RG[k], rig)
+        add_observations(model, frames[k], association.landmark[k], motion.X_RG[k], rig)
     range_m = float(np.median(np.concatenate([frames[k].p_R[:, 2] for k in connected])))
-    first, second = _in_one_place(model, FLOOR_PX * range_m / rig.focal_px)
+    first, second = _coincident(model, POSITION_FLOOR_PX * range_m / rig.focal_px)
     if len(first) == 0:
         return association
     views = _views(model, connected, len(frames), np.unique(np.concatenate([first, second])))
     distance = np.array(
-        [_looks(views[a], views[b], config) for a, b in zip(first.tolist(), second.tolist(), strict=True)]
+        [
+            _descriptor_distance(views[a], views[b], config)
+            for a, b in zip(first.tolist(), second.tolist(), strict=True)
+        ]
     )
     name = _joined(first, second, distance, views, association.n_landmarks, config.max_distance)
     return _renamed(association, name)
 
 
-def _in_one_place(model: LandmarkMap, floor_m: float) -> tuple[Ints, Ints]:
-    """Pairs of landmarks whose places agree within what their observations allow."""
+def _coincident(model: LandmarkMap, floor_m: float) -> tuple[Ints, Ints]:
+    """Pairs of landmarks whose positions agree within their uncertainty."""
     placed = np.flatnonzero(np.isfinite(model.p_G).all(axis=1))
     if len(placed) < 2:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     p_G = model.p_G[placed]
     covariance = np.linalg.inv(model.information[placed]) + floor_m**2 * np.eye(3)
-    widest = np.sqrt(2.0 * AGREE * np.linalg.eigvalsh(covariance)[:, -1])
-    # a few badly placed landmarks must not make everything everyone's neighbour
+    widest = np.sqrt(2.0 * AGREEMENT_CHI2 * np.linalg.eigvalsh(covariance)[:, -1])
+    # A few poorly determined landmarks must not make all landmarks neighbours.
     pairs = cKDTree(p_G).query_pairs(float(np.percentile(widest, 90.0)), output_type="ndarray")
     a, b = pairs.T
     gap = p_G[a] - p_G[b]
     whitened = np.linalg.solve(covariance[a] + covariance[b], gap[..., None])[..., 0]
-    near = np.sum(gap * whitened, axis=1) < AGREE
+    near = np.sum(gap * whitened, axis=1) < AGREEMENT_CHI2
     return placed[a[near]].astype(np.int64), placed[b[near]].astype(np.int64)
 
 
 def _views(model: LandmarkMap, connected: Sequence[int], n_frames: int, landmarks: Ints) -> dict[int, _Views]:
-    """Per landmark everything that was seen of it."""
+    """All observations of each landmark."""
     label = np.concatenate(model.landmark)
     frame = np.concatenate([np.full(len(seen), k) for k, seen in zip(connected, model.landmark, strict=True)])
     direction_G, descriptors = np.concatenate(model.direction_G), np.concatenate(model.descriptors)
@@ -97,10 +101,10 @@ def _views(model: LandmarkMap, connected: Sequence[int], n_frames: int, landmark
     return views
 
 
-def _looks(a: _Views, b: _Views, config: GuidedMatching) -> float:
-    """Smallest descriptor distance of two landmarks over views from like directions.
+def _descriptor_distance(a: _Views, b: _Views, config: GuidedMatching) -> float:
+    """Smallest descriptor distance of two landmarks over observations from similar directions.
 
-    Infinite where no directions are alike, or one frame shows both.
+    Infinite if no directions are similar, or one frame observes both.
     """
     if np.any(a.frames & b.frames):
         return float("inf")
@@ -114,7 +118,7 @@ def _looks(a: _Views, b: _Views, config: GuidedMatching) -> float:
 def _joined(
     first: Ints, second: Ints, distance: Array, views: dict[int, _Views], n: int, max_distance: float
 ) -> Ints:
-    """Name (L,) of each landmark after joining the most alike first, never two of one frame."""
+    """New label (L,) of each landmark after joining the most similar pairs first, never two of one frame."""
     name = np.arange(n, dtype=np.int64)
     shown = {landmark: view.frames.copy() for landmark, view in views.items()}
     for pair in np.argsort(distance, kind="stable").tolist():

@@ -1,9 +1,10 @@
-"""Association with a known motion: lost frames are looked for where the motion puts them.
+"""Guided matching: frames that matching without prior motion did not connect are matched at their predicted
+poses.
 
-Frames that blind matching has connected keep their matches: those passed a geometric check pair by pair, and
-are truer than what a search around predictions adds, since shaded features drift with the light. A frame that
-blind matching lost is searched in wide windows around its predicted pose and must pass a rigid fit of its own
-before it counts as measured, so that a wrong prediction is not locked in.
+Connected frames keep their matches: each pair passed a geometric check, and they are more accurate than
+matches from a search around predictions, since features on shaded surfaces drift with the light. An
+unconnected frame is searched in wide windows around its predicted pose. It must pass a rigid fit of its own
+before it counts as measured, so that a wrong prediction cannot confirm itself.
 """
 
 from collections.abc import Sequence
@@ -15,29 +16,29 @@ from scipy.spatial import cKDTree
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import GuidedMatching
 from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.methods import mutual_best
 from polhode.frontend.matching.pairs import PairMatch
 from polhode.frontend.matching.ransac import fit_noisy, ransac_rigid, reprojection_error_px
 from polhode.frontend.matching.soft_assignment import DUSTBIN, TEMPERATURE
 from polhode.frontend.tracks.landmark_map import (
     LandmarkMap,
+    add_observations,
     descriptor_distance,
-    enter,
-    mutual_best,
     viewing_direction,
 )
 from polhode.frontend.tracks.tracks import Association
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Bools, InitialMotion, Ints
 
-LEAST_PROBABILITY = 0.01
-"""Of an accepted association, of features that know their surface."""
-NARROWER = (1.0, 1.0 / 3.0, 1.0 / 5.0)
-"""Search radii around a pose that gets better, over the first one."""
+MIN_PROBABILITY = 0.01
+"""Smallest probability of an accepted association of features with known surface axes."""
+GATE_FACTORS = (1.0, 1.0 / 3.0, 1.0 / 5.0)
+"""Search radii in successive rounds, as the pose improves, relative to the first one."""
 
 
 @dataclass(frozen=True)
 class GuidedResult:
-    """The new association and the poses that it was made with."""
+    """The new association and the poses that it is based on."""
 
     association: Association
     motion: InitialMotion
@@ -50,7 +51,7 @@ def consistent_matches(
     rig: RectifiedRig,
     gate_px: float,
 ) -> list[PairMatch]:
-    """The matches between connected frames whose points the motion moves onto each other within the gate."""
+    """The matches between connected frames that agree with the motion within the gate."""
     kept = []
     for match in matches:
         if not (motion.connected[match.i] and motion.connected[match.j]):
@@ -72,9 +73,10 @@ def reconnect(
     config: GuidedMatching,
     seed: int,
 ) -> GuidedResult:
-    """Look for the frames that are not connected, nearest to a connected one first.
+    """Match the unconnected frames to the landmarks, those nearest in time to a connected frame first.
 
-    Landmarks are those of the association, placed by the motion; a found frame adds its observations to them.
+    Landmarks are those of the association, located by the motion; a found frame adds its observations to
+    them.
     """
     X_RG, connected = motion.X_RG.copy(), motion.connected.copy()
     labels = [known.copy() for known in association.landmark]
@@ -83,7 +85,7 @@ def reconnect(
         return GuidedResult(association, motion)
     model = LandmarkMap.empty(association.n_landmarks)
     for k in np.flatnonzero(connected).tolist():
-        enter(model, frames[k], labels[k], X_RG[k], rig)
+        add_observations(model, frames[k], labels[k], X_RG[k], rig)
     for k in sorted(waiting, key=lambda frame: _distance_to(frame, motion.connected)):
         X_found = _relocalise(model, frames[k], X_RG[k], rig, config, np.random.default_rng([seed, k]))
         if X_found is None:
@@ -92,7 +94,7 @@ def reconnect(
         feature, landmark = _search(model, frames[k], X_found, rig, config, config.fine_gate_px)
         labels[k] = np.full(len(frames[k]), -1, dtype=np.int64)
         labels[k][feature] = landmark
-        enter(model, frames[k], labels[k], X_found, rig)
+        add_observations(model, frames[k], labels[k], X_found, rig)
     return GuidedResult(Association(tuple(labels)), InitialMotion(X_RG, connected))
 
 
@@ -111,8 +113,8 @@ def _relocalise(
 ) -> Array | None:
     """Measured pose of a frame near its predicted one, or None when too few landmarks agree."""
     X_found = X_RG
-    for share in NARROWER:
-        # nearer to the pose fewer others look alike, so more is found
+    for share in GATE_FACTORS:
+        # In a smaller window fewer other landmarks look similar, so more associations are unambiguous.
         gate_px = share * config.coarse_gate_px
         feature, landmark = _search(model, features, X_found, rig, config, gate_px)
         if len(feature) < config.min_inliers:
@@ -133,7 +135,7 @@ def _search(
     config: GuidedMatching,
     gate_px: float,
 ) -> tuple[Ints, Ints]:
-    """Mutually best (feature, landmark) among those that agree in place, view and descriptor."""
+    """Mutually best (feature, landmark) among those that agree in position, view and descriptor."""
     nothing = np.zeros(0, dtype=np.int64)
     direction_G = viewing_direction(features.p_R, X_RG)
     observed = np.concatenate(model.landmark)
@@ -142,7 +144,7 @@ def _search(
     p_R = transform_points(X_RG, np.where(placed[:, None], p_G, 0.0))
     ahead: Bools = placed & np.asarray(p_R[:, 2] > 1e-3)
     uvd = np.where(ahead[:, None], rig.project(np.where(ahead[:, None], p_R, 1.0)), -1e6)
-    # The disparity's window is narrower than the image's: a landmark does not change its depth unseen.
+    # The window is narrower in disparity than in the image, since the depth is predicted better.
     squeeze = np.array([1.0, 1.0, max(1.0, min(4.0, gate_px / 6.0))])
     near = cKDTree(uvd * squeeze).query_ball_point(features.uvd_px * squeeze, gate_px)
     feature, landmark = _flatten(near)
@@ -152,20 +154,25 @@ def _search(
     largest = np.full(len(feature), config.max_distance)
     surface = features.on_surface[feature]
     if surface.any():
-        distance[surface] = improbability(distance[surface], feature[surface], landmark[surface])
-        largest[surface] = 1.0 - LEAST_PROBABILITY
+        distance[surface] = match_improbability(distance[surface], feature[surface], landmark[surface])
+        largest[surface] = 1.0 - MIN_PROBABILITY
     good = distance < largest
-    return mutual_best(feature[good], landmark[good], distance[good])
+    pairs = np.stack([feature[good], landmark[good]], axis=1)
+    feature, landmark = pairs[mutual_best(pairs, distance[good])].T
+    return feature, landmark
 
 
-def improbability(distance: Array, feature: Ints, landmark: Ints) -> Array:
-    """One less the probability (n,) that two are a match: the dual softmax of our matcher, over those pairs
-    alone that the prediction allows; distance (n,) of descriptors of unit length."""
-    alike = np.exp(-0.5 * distance**2 / TEMPERATURE)
+def match_improbability(distance: Array, feature: Ints, landmark: Ints) -> Array:
+    """One minus the probability (n,) that feature and landmark match, by a dual softmax over these pairs
+    only.
+
+    distance (n,): distance of their descriptors of unit length.
+    """
+    similarity = np.exp(-0.5 * distance**2 / TEMPERATURE)
     none = np.exp((DUSTBIN - 1.0) / TEMPERATURE)
-    along_feature = np.bincount(feature, alike) + none
-    along_landmark = np.bincount(landmark, alike) + none
-    return np.asarray(1.0 - alike**2 / (along_feature[feature] * along_landmark[landmark]))
+    along_feature = np.bincount(feature, similarity) + none
+    along_landmark = np.bincount(landmark, similarity) + none
+    return np.asarray(1.0 - similarity**2 / (along_feature[feature] * along_landmark[landmark]))
 
 
 def _flatten(near: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:

@@ -1,4 +1,4 @@
-"""Landmarks placed by a known motion, with every view of them: what frames are associated against."""
+"""The landmark map for association: landmarks located by a known motion, with all their observations."""
 
 from dataclasses import dataclass, field
 
@@ -12,13 +12,13 @@ from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Ints
 
 AXES_DEG = 50.0
-"""Surfaces whose axes differ by more are not the same: the axes are off by 5 to 15 degrees, and so may be the
-prediction [deg]."""
+"""Largest rotation between the axes of the same surface [deg]: the axes have errors of 5 to 15 degrees, and
+the prediction may have similar ones."""
 
 
 @dataclass
 class LandmarkMap:
-    """Landmarks and their observations while frames are added."""
+    """Landmarks and their observations; frames are added one after the other."""
 
     information: Array
     """(L, 3, 3)"""
@@ -31,7 +31,7 @@ class LandmarkMap:
     descriptors: list[Descriptors] = field(default_factory=list)
     """per frame (n, 128)"""
     R_GS: list[Array] = field(default_factory=list)
-    """per frame (n, 3, 3) axes of the surface; NaN where the features do not know them"""
+    """per frame (n, 3, 3) axes of the surface; NaN where they are unknown"""
 
     @classmethod
     def empty(cls, n_landmarks: int) -> "LandmarkMap":
@@ -39,7 +39,7 @@ class LandmarkMap:
 
     @property
     def p_G(self) -> Array:
-        # Landmarks of frames that are not connected have no place yet: far away they match nothing.
+        # Landmarks without observations in connected frames have no position: at infinity they match nothing.
         placed = np.trace(self.information, axis1=1, axis2=2) > 0.0
         p_G = np.full(self.information_p_G.shape, np.inf)
         p_G[placed] = np.linalg.solve(self.information[placed], self.information_p_G[placed][..., None])[
@@ -48,8 +48,10 @@ class LandmarkMap:
         return p_G
 
 
-def enter(model: LandmarkMap, features: StereoFeatures, labels: Ints, X_RG: Array, rig: RectifiedRig) -> None:
-    """Add one frame's labelled observations: information-weighted positions, directions, descriptors."""
+def add_observations(
+    model: LandmarkMap, features: StereoFeatures, labels: Ints, X_RG: Array, rig: RectifiedRig
+) -> None:
+    """Add the labelled observations of one frame: information-weighted positions, directions, descriptors."""
     used = labels >= 0
     p_R, landmark = features.p_R[used], labels[used]
     X_GR = inverse_pose(X_RG)
@@ -81,8 +83,11 @@ def descriptor_distance(
     config: GuidedMatching,
     X_RG: Array,
 ) -> Array:
-    """Smallest descriptor distance of each pair over the landmark's observations from a like direction, and
-    of surfaces that lie alike at the predicted pose."""
+    """Smallest descriptor distance of each (feature, landmark) over comparable observations of the landmark.
+
+    Observations are comparable if their viewing directions are similar and, where known, the surface axes
+    agree at the predicted pose.
+    """
     order = np.argsort(observed, kind="stable")
     start = np.searchsorted(observed[order], landmark, side="left")
     count = np.searchsorted(observed[order], landmark, side="right") - start
@@ -94,11 +99,11 @@ def descriptor_distance(
     like = cosine > np.cos(np.deg2rad(config.max_view_angle_deg))
     pair, observation = pair[like], observation[like]
     if features.R_RS is not None:
-        # the trace of R_a^T R_b tells the angle between the surfaces' axes
+        # The trace of R_a^T R_b gives the angle between the surface axes.
         R_GS = np.concatenate(model.R_GS)[observation]
         seen = X_RG[:3, :3].T @ features.R_RS[feature[pair]]
         trace = np.einsum("nij,nij->n", R_GS, seen)
-        # of features that know no surface the trace is NaN
+        # The trace is NaN for features without surface axes.
         same = ~(trace <= 1.0 + 2.0 * np.cos(np.deg2rad(AXES_DEG)))
         pair, observation = pair[same], observation[same]
     similarity = np.einsum(
@@ -107,15 +112,3 @@ def descriptor_distance(
     distance = np.full(len(feature), np.inf)
     np.minimum.at(distance, pair, np.sqrt(np.maximum(2.0 - 2.0 * similarity, 0.0)))
     return distance
-
-
-def mutual_best(feature: Ints, landmark: Ints, distance: Array) -> tuple[Ints, Ints]:
-    """The pairs (feature, landmark) of which each is the nearest of the other, by distance (n,)."""
-    order = np.argsort(distance, kind="stable")
-    feature, landmark = feature[order], landmark[order]
-    first_f = np.zeros(len(order), dtype=bool)
-    first_f[np.unique(feature, return_index=True)[1]] = True
-    first_l = np.zeros(len(order), dtype=bool)
-    first_l[np.unique(landmark, return_index=True)[1]] = True
-    both = first_f & first_l
-    return feature[both], landmark[both]

@@ -1,9 +1,10 @@
-"""Landmarks put to the same point of the surface in every view, once the motion is known.
+"""Refinement of tracks with known motion, so that all observations show the same point of the surface.
 
-A detector finds a blob half a pixel off in another light. With the motion known, the landmark's patch of one
-view can be cut in every other view as that view must see it, and least squares find it to a tenth of a pixel
-(multi-view refinement of key points: Dusmanu et al. 2020). The disparity is then measured at the new place.
-What does not look alike there leaves the track: it is another point, or the light has changed it.
+In a different light a detector finds a blob half a pixel away. With known motion, the landmark's patch of one
+view is cut in every other view with the predicted geometry, and least squares align it to a tenth of a pixel
+(multi-view refinement of key points: Dusmanu et al. 2020). The disparity is then measured at the new
+position. Observations that do not look similar are removed from the track: they show another point, or the
+light changed.
 """
 
 from collections.abc import Sequence
@@ -15,37 +16,36 @@ from polhode.camera import RectifiedRig
 from polhode.config.frontend import Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.features.feature_noise import feature_sigma
-from polhode.frontend.features.patches import PATCH_PX, Patches, axes_affines, cut_patches
+from polhode.frontend.features.patches import PATCH_PX, Patches, axes_affines, cut_patches, root_image
 from polhode.frontend.features.stereo import StereoFeatures, refine_disparity
 from polhode.frontend.features.surface_features import patch_half_m
-from polhode.frontend.rectification.rectified_pair import rectified_pair
-from polhode.frontend.rectification.rectify import Rectifier
-from polhode.frontend.tracks.alignment import Alignment, align_patches, root_image
+from polhode.frontend.rectification.rectify import Rectifier, rectified_pair
+from polhode.frontend.tracks.patch_alignment import PatchAlignment, align_patches
 from polhode.frontend.tracks.tracks import Association
 from polhode.lie import Array, inverse_pose
 from polhode.processes import in_order
 from polhode.records import InitialMotion, Ints
 
-SIZE = 2.0 / 3.0
-"""Side of the patches, over that of the descriptor's: small ones bend and mix less."""
-LEAST_CORRELATION = 0.85
-"""Observations that look less like their landmark's reference leave the track."""
-LARGEST_SHIFT_PX = 2.0
-"""A place found further away is another one [px]."""
-LARGEST_CHANGE_PX = 1.0
-"""The same for the disparity [px]."""
-LEAST_SIGMA_PX = 0.2
-"""Floor of an aligned place: what light and relief do to a patch [px]."""
+PATCH_SCALE = 2.0 / 3.0
+"""Side of the patches, over that of the descriptor's: small patches are flatter and mix fewer surfaces."""
+MIN_CORRELATION = 0.85
+"""Observations with a smaller correlation to their landmark's reference are removed."""
+MAX_SHIFT_PX = 2.0
+"""Largest accepted shift [px]."""
+MAX_DISPARITY_CHANGE_PX = 1.0
+"""Largest accepted change of the disparity [px]."""
+MIN_SIGMA_PX = 0.2
+"""Floor of an aligned position's sigma, for effects of light and relief [px]."""
 SIGMA_FACTOR = 4.0
-"""Scatter of aligned places, over what the least squares say."""
+"""Scatter of aligned positions, over the sigma of the least squares."""
 
-UNLIKE_PX = 10.0
-"""What is added to an aligned place's sigma, times the correlation that lacks [px]."""
+DECORRELATION_SIGMA_PX = 10.0
+"""Increase of an aligned position's sigma per unit of decorrelation [px]."""
 
 
 @dataclass(frozen=True)
-class References:
-    """For each landmark, the observation that defines it; -1 for a landmark that no connected frame shows."""
+class ReferenceObservations:
+    """The observation that defines each landmark; -1 if no connected frame observes it."""
 
     frame: Ints
     """(L,)"""
@@ -55,8 +55,8 @@ class References:
 
 def choose_references(
     frames: Sequence[StereoFeatures], association: Association, motion: InitialMotion
-) -> References:
-    """The observation of each landmark that faces the camera most."""
+) -> ReferenceObservations:
+    """The observation of each landmark whose surface faces the camera most."""
     best = np.full(association.n_landmarks, -np.inf)
     frame = np.full(association.n_landmarks, -1, dtype=np.int64)
     feature = np.full(association.n_landmarks, -1, dtype=np.int64)
@@ -69,7 +69,7 @@ def choose_references(
         better = facing > best[label[shown]]
         chosen, landmark = shown[better], label[shown[better]]
         best[landmark], frame[landmark], feature[landmark] = facing[better], k, chosen
-    return References(frame, feature)
+    return ReferenceObservations(frame, feature)
 
 
 def refine_tracks(
@@ -81,17 +81,18 @@ def refine_tracks(
     config: Frontend,
     workers: int,
 ) -> tuple[list[StereoFeatures], Association]:
-    """Places, disparities and sigmas of the landmarks' observations refined; the association of those found.
+    """Features with refined positions, disparities and sigmas, and the association without removed
+    observations.
 
-    Features without surface axes and frames that are not connected stay as they are.
+    Features without surface axes and unconnected frames are unchanged.
     """
     references = choose_references(frames, association, motion)
     if not (references.frame >= 0).any():
         return list(frames), association
     depth = np.median(np.concatenate([f.p_R[:, 2] for f in frames if len(f)]))
-    half_m = SIZE * (config.features.patch_half_m or patch_half_m(float(depth), rectifier.rig))
+    half_m = PATCH_SCALE * (config.features.patch_half_m or patch_half_m(float(depth), rectifier.rig))
     templates = np.zeros((association.n_landmarks, 1, PATCH_PX, PATCH_PX), np.uint8)
-    # descriptors stay here: the workers need none, and of a long sequence they are gigabytes
+    # The workers do not need the descriptors, which are gigabytes for a long sequence.
     bare = tuple(replace(found, descriptors=found.descriptors[:, :0]) for found in frames)
     cut = _TemplateJob(sequence, rectifier, bare, references, half_m)
     for k, patches in enumerate(in_order(cut, range(len(frames)), workers)):
@@ -110,11 +111,11 @@ class _TemplateJob:
     sequence: StereoSequence
     rectifier: Rectifier
     frames: tuple[StereoFeatures, ...]
-    references: References
+    references: ReferenceObservations
     half_m: float
 
     def __call__(self, k: int) -> Patches:
-        """Patches of the landmarks that frame k defines."""
+        """Patches of the landmarks whose reference is in frame k."""
         found, feature = self.frames[k], self.references.feature[self.references.frame == k]
         if len(feature) == 0 or found.R_RS is None:
             return np.zeros((0, 1, PATCH_PX, PATCH_PX), np.float32)
@@ -132,7 +133,7 @@ class _AlignJob:
     config: Frontend
 
     def __call__(self, k: int) -> tuple[StereoFeatures, Ints]:
-        """Features of frame k, refined, and the landmarks (n,) that they show."""
+        """Refined features of frame k, and the landmarks (n,) that they observe."""
         found, references = self.cut.frames[k], self.cut.references
         label = self.association.landmark[k]
         if not self.motion.connected[k] or found.R_RS is None:
@@ -141,14 +142,14 @@ class _AlignJob:
         feature = feature[references.frame[label[feature]] >= 0]
         moving = references.frame[label[feature]] != k
         uvd, sigma, kept = found.uvd_px.copy(), found.sigma_px.copy(), label.copy()
-        sigma[feature[~moving], :2] = LEAST_SIGMA_PX
+        sigma[feature[~moving], :2] = MIN_SIGMA_PX
         if moving.any():
             self._align(k, found, feature[moving], (uvd, sigma, kept))
         p_R = self.cut.rectifier.rig.triangulate(uvd)
         return replace(found, uvd_px=uvd, sigma_px=sigma, p_R=p_R), kept
 
     def _align(self, k: int, found: StereoFeatures, feature: Ints, result: tuple[Array, Array, Ints]) -> None:
-        """Write what is found for the features (m,) into uvd (n, 3), sigma (n, 3) and landmarks (n,)."""
+        """Write the result for the features (m,) into uvd (n, 3), sigma (n, 3) and landmarks (n,)."""
         cut, rig, stereo = self.cut, self.cut.rectifier.rig, self.config.stereo
         uvd, sigma, kept = result
         pair = rectified_pair(cut.sequence, cut.rectifier, k)
@@ -165,38 +166,39 @@ class _AlignJob:
             pair.left, pair.right, aligned.uv_px, start, stereo.window_px, 4, slope
         )
         good = (
-            (aligned.correlation > LEAST_CORRELATION)
-            & (np.linalg.norm(shift, axis=1) < LARGEST_SHIFT_PX)
+            (aligned.correlation > MIN_CORRELATION)
+            & (np.linalg.norm(shift, axis=1) < MAX_SHIFT_PX)
             & (correlation > stereo.min_correlation)
-            & (np.abs(refined - start) < LARGEST_CHANGE_PX)
+            & (np.abs(refined - start) < MAX_DISPARITY_CHANGE_PX)
             & (refined - rig.disparity_offset_px > 0.5)
         )
-        place = place_sigma(aligned)[good]
+        sigma_uv = position_sigma(aligned)[good]
         uvd[feature[good]] = np.column_stack([aligned.uv_px, refined])[good]
-        sigma[feature[good]] = np.column_stack([place, place, feature_sigma(sigma_ls[good])[:, 2]])
+        sigma[feature[good]] = np.column_stack([sigma_uv, sigma_uv, feature_sigma(sigma_ls[good])[:, 2]])
         kept[feature[~good]] = -1
 
     def _axes(self, k: int, landmark: Ints) -> Array:
-        """Surface axes (m, 3, 3) of the landmarks' references, turned into frame k."""
+        """Surface axes (m, 3, 3) of the landmarks' references, in frame k."""
         references = self.cut.references
-        turned = np.zeros((len(landmark), 3, 3))
+        axes = np.zeros((len(landmark), 3, 3))
         for r in np.unique(references.frame[landmark]):
             mine = references.frame[landmark] == r
             R_RS = self.cut.frames[r].R_RS
-            assert R_RS is not None  # chosen for it
+            assert R_RS is not None  # ReferenceObservations have surface axes.
             X = self.motion.X_RG[k] @ inverse_pose(self.motion.X_RG[r])
-            turned[mine] = X[:3, :3] @ R_RS[references.feature[landmark[mine]]]
-        return turned
+            axes[mine] = X[:3, :3] @ R_RS[references.feature[landmark[mine]]]
+        return axes
 
 
-def place_sigma(aligned: Alignment) -> Array:
-    """Of aligned places (n,) [px]: light that has changed a patch has also moved what was found."""
-    unlike = np.maximum(1.0 - aligned.correlation, 0.0)
-    return np.asarray(np.hypot(LEAST_SIGMA_PX, SIGMA_FACTOR * aligned.sigma_px) + UNLIKE_PX * unlike)
+def position_sigma(aligned: PatchAlignment) -> Array:
+    """Sigma (n,) [px] of aligned positions: light that changes a patch also shifts it."""
+    decorrelation = np.maximum(1.0 - aligned.correlation, 0.0)
+    sigma = np.hypot(MIN_SIGMA_PX, SIGMA_FACTOR * aligned.sigma_px)
+    return np.asarray(sigma + DECORRELATION_SIGMA_PX * decorrelation)
 
 
 def disparity_slopes(p_R: Array, normal_R: Array, rig: RectifiedRig) -> Array:
     """Slopes (n, 2) of the disparity along u and v on planes through p_R (n, 3) with normals (n, 3)."""
-    through = np.sum(normal_R * p_R, axis=1)
-    aslant = np.minimum(through, -0.2 * np.linalg.norm(p_R, axis=1))
-    return np.asarray(rig.baseline_m * normal_R[:, :2] / aslant[:, None])
+    # The inclination is limited: the distance of the plane from the camera is at least a fifth of the range.
+    distance = np.minimum(np.sum(normal_R * p_R, axis=1), -0.2 * np.linalg.norm(p_R, axis=1))
+    return np.asarray(rig.baseline_m * normal_R[:, :2] / distance[:, None])

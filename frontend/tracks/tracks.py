@@ -1,4 +1,4 @@
-"""Matches to landmarks: features joined over the whole sequence, one feature a frame in each."""
+"""Tracks: matched features joined to landmarks over the whole sequence, at most one feature per frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from polhode.records import Ints, StereoTracks
 
 @dataclass(frozen=True)
 class Association:
-    """Which landmark each feature of each frame shows; -1 for none."""
+    """The landmark that each feature of each frame observes; -1 for none."""
 
     landmark: tuple[Ints, ...]
     """per frame (n_k,)"""
@@ -28,7 +28,7 @@ class Association:
 
 
 def join_matches(frames: Sequence[StereoFeatures], matches: Sequence[PairMatch]) -> Association:
-    """Connected components of the match graph; of two features in one frame the better linked is kept."""
+    """Connected components of the match graph; of several features in one frame the one with most matches."""
     offset = np.concatenate([[0], np.cumsum([len(f) for f in frames])]).astype(np.int64)
     n = int(offset[-1])
     if not matches:
@@ -53,7 +53,7 @@ def to_tracks(
     config: Tracks,
     camera_sigma: tuple[float, float] = (0.0, 0.0),
 ) -> StereoTracks:
-    """The back end's measurements; camera_sigma: of the inspector's position [m] and attitude [rad]."""
+    """The measurements for the back end; camera_sigma: of the inspector's position [m] and attitude [rad]."""
     frame = np.concatenate([np.full(len(f), k, dtype=np.int64) for k, f in enumerate(frames)])
     label = np.concatenate(association.landmark)
     uvd = np.concatenate([f.uvd_px for f in frames])
@@ -75,9 +75,9 @@ def to_tracks(
 
 
 def _longest_tracks(label: Ints, frame: Ints, n_frames: int, config: Tracks) -> Ints:
-    """Landmarks worth their cost: by number of views, as long as one of their frames still needs more.
+    """The longest tracks, as long as one of their frames has too few observations.
 
-    A long track ties distant frames together; a frame's thousandth short one adds time and nothing else.
+    Long tracks connect distant frames; many short tracks in a frame only cost time.
     """
     order = np.argsort(label, kind="stable")
     order = order[label[order] >= 0]
@@ -97,7 +97,7 @@ def _longest_tracks(label: Ints, frame: Ints, n_frames: int, config: Tracks) -> 
 
 
 def _one_per_frame(component: Ints, frame_of: Ints, links: Ints) -> Ints:
-    """True for the feature with most links among those of one component in one frame."""
+    """True for the feature with most matches among those of one component in one frame."""
     order = np.lexsort((-links, frame_of, component))
     first = np.ones(len(order), dtype=bool)
     same = (component[order][1:] == component[order][:-1]) & (frame_of[order][1:] == frame_of[order][:-1])

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
 from polhode.dataset import StereoSequence
-from polhode.frontend.rectification.rectified_pair import rectified_left
-from polhode.frontend.rectification.rectify import Rectifier
+from polhode.frontend.rectification.rectify import Rectifier, rectified_left
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.mapping.mesh_viewer import MeshViewer
 from polhode.pipeline.report.shape import vertex_rgb

@@ -13,8 +13,7 @@ import numpy as np
 
 from polhode.atomic import write_text
 from polhode.dataset import StereoSequence
-from polhode.frontend.rectification.rectified_pair import rectified_left
-from polhode.frontend.rectification.rectify import Rectifier
+from polhode.frontend.rectification.rectify import Rectifier, rectified_left
 from polhode.frontend.rectification.target import Crop, target_crop
 from polhode.lie import Array
 from polhode.mapping.mesh_viewer import MeshViewer

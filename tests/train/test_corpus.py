@@ -13,7 +13,7 @@ from polhode.progress import Silent
 from polhode.simulation.dataset.products import read_products
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.train.corpus import main, render_corpus, scene_folder, split
-from polhode.train.scene import random_scene
+from polhode.train.random_scene import random_scene
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("features.yaml", "depth.yaml")
@@ -80,7 +80,7 @@ def test_only_missing_scenes_are_rendered(tiny_corpus: Corpus) -> None:
 
 def test_a_folder_of_other_scenes_is_refused(tiny_corpus: Corpus) -> None:
     other = tiny_corpus.model_copy(update={"turn_deg": (20.0, 25.0), "seed": 9})
-    with pytest.raises(InputError, match=r"holds a corpus with another seed, turn_deg"):
+    with pytest.raises(InputError, match=r"contains a corpus with another seed, turn_deg"):
         render_corpus(other, Silent(), 1)
 
 

@@ -12,9 +12,8 @@ from torch import Tensor, nn
 from polhode.config.train import Schedule
 from polhode.errors import InputError, RunFailure
 from polhode.progress import Silent
-from polhode.train.checkpoint import CHECKPOINT
 from polhode.train.curves import draw_curves, read_curves
-from polhode.train.loop import Loop, learning_rate
+from polhode.train.loop import CHECKPOINT, TrainingLoop, learning_rate
 from polhode.train.task import Batch
 
 SETTING = {"seed": 1}
@@ -63,7 +62,7 @@ def weights(task: Line) -> Tensor:
 
 
 def test_it_learns(tmp_path: Path) -> None:
-    outcome = Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    outcome = TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
     assert outcome.finished
     assert outcome.step == 60
     assert outcome.scores["error"] < 0.3
@@ -73,19 +72,19 @@ def test_it_learns(tmp_path: Path) -> None:
 
 def test_an_interrupted_training_ends_with_the_same_weights(tmp_path: Path) -> None:
     whole = Line()
-    Loop(whole, SCHEDULE, tmp_path / "whole", 1).run(SETTING, Silent())
+    TrainingLoop(whole, SCHEDULE, tmp_path / "whole", 1).run(SETTING, Silent())
     (tmp_path / "parts").mkdir()
     with pytest.raises(KeyboardInterrupt, match=r"interrupted at step 37"):
-        Loop(Line(stop_at=37), SCHEDULE, tmp_path / "parts", 1).run(SETTING, Silent())
+        TrainingLoop(Line(stop_at=37), SCHEDULE, tmp_path / "parts", 1).run(SETTING, Silent())
     taken_up = Line()
-    Loop(taken_up, SCHEDULE, tmp_path / "parts", 1).run(SETTING, Silent())
+    TrainingLoop(taken_up, SCHEDULE, tmp_path / "parts", 1).run(SETTING, Silent())
     assert torch.equal(weights(whole), weights(taken_up))
 
 
 def test_curves_of_a_resumed_training_have_each_step_once(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        Loop(Line(stop_at=37), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
-    Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+        TrainingLoop(Line(stop_at=37), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
     curves = read_curves(tmp_path)
     assert curves["train/loss"][:, 0].tolist() == list(range(1, 61))
     assert curves["validation/error"][:, 0].tolist() == [20, 40, 60]
@@ -94,46 +93,48 @@ def test_curves_of_a_resumed_training_have_each_step_once(tmp_path: Path) -> Non
 
 
 def test_a_finished_training_is_not_done_again(tmp_path: Path) -> None:
-    first = Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
-    again = Loop(Line(stop_at=0), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    first = TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    again = TrainingLoop(Line(stop_at=0), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
     assert again.finished
     assert again.scores == first.scores
 
 
 def test_the_time_limit_leaves_a_checkpoint(tmp_path: Path) -> None:
     hasty = SCHEDULE.model_copy(update={"time_limit_s": 1e-6})
-    outcome = Loop(Line(), hasty, tmp_path, 1).run(SETTING, Silent())
+    outcome = TrainingLoop(Line(), hasty, tmp_path, 1).run(SETTING, Silent())
     assert (outcome.finished, outcome.step) == (False, 1)
     assert (tmp_path / CHECKPOINT).is_file()
-    assert Loop(Line(), hasty, tmp_path, 1).run(SETTING, Silent()).step == 2
+    assert TrainingLoop(Line(), hasty, tmp_path, 1).run(SETTING, Silent()).step == 2
 
 
 def test_mixed_precision_learns_on_a_cpu(tmp_path: Path) -> None:
     mixed = SCHEDULE.model_copy(update={"precision": "mixed", "device": "cpu"})
-    assert Loop(Line(), mixed, tmp_path, 1).run(SETTING, Silent()).scores["error"] < 0.3
+    assert TrainingLoop(Line(), mixed, tmp_path, 1).run(SETTING, Silent()).scores["error"] < 0.3
 
 
 def test_a_loss_that_is_no_number_ends_the_training(tmp_path: Path) -> None:
     with pytest.raises(RunFailure, match=r"no longer a number at step 7: lower train.schedule.learning_rate"):
-        Loop(Line(spoilt_at=7), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+        TrainingLoop(Line(spoilt_at=7), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
 
 
 def test_another_training_in_the_folder_is_refused(tmp_path: Path) -> None:
-    Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
-    with pytest.raises(InputError, match=r"holds a training with another seed: choose another train.output"):
-        Loop(Line(), SCHEDULE, tmp_path, 1).run({"seed": 2}, Silent())
+    TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    with pytest.raises(
+        InputError, match=r"contains a training with another seed: choose another train.output"
+    ):
+        TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run({"seed": 2}, Silent())
 
 
 def test_a_damaged_checkpoint_is_the_users_mistake(tmp_path: Path) -> None:
     (tmp_path / CHECKPOINT).write_bytes(b"not a checkpoint")
-    with pytest.raises(InputError, match=r"cannot be read .*: remove it to begin anew"):
-        Loop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    with pytest.raises(InputError, match=r"cannot be read .*: remove it to start again"):
+        TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
 def test_a_gpu_that_is_not_there_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"torch finds no GPU"):
-        Loop(Line(), SCHEDULE.model_copy(update={"device": "cuda"}), tmp_path, 1)
+        TrainingLoop(Line(), SCHEDULE.model_copy(update={"device": "cuda"}), tmp_path, 1)
 
 
 def test_the_learning_rate_grows_then_falls_to_nothing() -> None:

@@ -26,9 +26,10 @@ from benchmarks.record import Case, complete, forget, measured
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
-from polhode.frontend.features.methods import Matches, extract_pair
-from polhode.frontend.features.patch_size import with_patch_size
+from polhode.frontend.extract import extract_pair
 from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.features.surface_features import with_patch_size
+from polhode.frontend.matching.methods import Matches
 from polhode.frontend.rectification.rectify import make_rectifier
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.simulation.dataset.correspondence import dense_correspondence, pixel_grid, view_of

@@ -4,7 +4,7 @@ import numpy as np
 
 from polhode.frontend.features.feature_noise import confidence_logit, feature_sigma, match_sigma
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.train.feature_noise import Residuals, fit_noise, normalised_variance
+from polhode.train.feature_noise import MatchResiduals, fit_noise, normalised_variance
 
 
 def _features(sigma_ls_px: list[float]) -> StereoFeatures:
@@ -39,7 +39,9 @@ def test_the_fit_finds_the_noise_that_was_put_in() -> None:
         logit = rng.normal(0.0, 2.0, 6000)
         variance = (0.08 + 2.0 * np.sum(sharp, axis=1)) * np.exp(-0.2 * logit)
         residual = rng.normal(size=(6000, 3)) * np.sqrt(variance)[:, None]
-        scenes.append(Residuals(residual, np.sqrt(np.repeat(variance[:, None], 3, axis=1)), sharp, logit))
+        scenes.append(
+            MatchResiduals(residual, np.sqrt(np.repeat(variance[:, None], 3, axis=1)), sharp, logit)
+        )
     found = fit_noise(scenes, (0, 1))
     # Without the confidence its mean effect, exp(0.08), is in the gain; the confidence takes it back.
     assert abs(found.gain_px * np.exp(found.confidence[0]) - 2.0) < 0.1

@@ -11,18 +11,12 @@ import torch
 from polhode.config.frontend import Features, Frontend, PairMatching
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
-from polhode.frontend.extract import extract_features
+from polhode.frontend.extract import extract_features, extract_pair
 from polhode.frontend.features.keypoints import detect
-from polhode.frontend.features.methods import (
-    FEATURE_METHODS,
-    MATCH_METHODS,
-    extract_pair,
-    feature_method,
-    match_method,
-)
+from polhode.frontend.features.methods import FEATURE_METHODS, feature_method
 from polhode.frontend.features.stereo import StereoFeatures, match_stereo
-from polhode.frontend.rectification.rectified_pair import RectifiedPair, rectified_pair
-from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.frontend.matching.methods import MATCH_METHODS, match_method
+from polhode.frontend.rectification.rectify import RectifiedPair, Rectifier, make_rectifier, rectified_pair
 from polhode.frontend.rectification.target import target_crop
 from tests.frontend.feature_world import make_world
 

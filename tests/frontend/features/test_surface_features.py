@@ -7,12 +7,10 @@ import pytest
 
 from polhode.config.frontend import Features, Frontend
 from polhode.dataset import StereoSequence, open_sequence
-from polhode.frontend.features.candidates import find_candidates
-from polhode.frontend.features.patch_size import with_patch_size
-from polhode.frontend.features.rootsift import RootSift
-from polhode.frontend.features.surface_features import SurfaceFeatureMethod
-from polhode.frontend.rectification.rectified_pair import RectifiedPair, rectified_pair
-from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.frontend.features.keypoints import find_candidates
+from polhode.frontend.features.stereo import RootSift
+from polhode.frontend.features.surface_features import SurfaceFeatureMethod, with_patch_size
+from polhode.frontend.rectification.rectify import RectifiedPair, Rectifier, make_rectifier, rectified_pair
 
 SAMPLE = Path(__file__).parents[3] / "sample"
 CONFIG = Frontend(features=Features(method="polhode", surface_descriptor="rootsift"))

@@ -7,10 +7,15 @@ import pytest
 
 from polhode.config.frontend import Features, Frontend, GuidedMatching, PairMatching
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.combined import of_second, shifted, side_by_side
-from polhode.frontend.matching.nearest import MutualNearest
+from polhode.frontend.matching.combined import combine_features, is_from_second, offset_matches
+from polhode.frontend.matching.matchers import MutualNearest
 from polhode.frontend.matching.pairs import match_pairs
-from polhode.frontend.matching.retrieval import CLOSE, SAME_SIDE_DEG, frame_vectors, pairs_in_view
+from polhode.frontend.matching.retrieval import (
+    MAX_NEIGHBOUR_STEPS,
+    MAX_VIEW_ANGLE_DEG,
+    frame_vectors,
+    pairs_in_view,
+)
 from polhode.frontend.tracks.guided import reconnect
 from polhode.frontend.tracks.tracks import join_matches
 from polhode.lie import exp_so3, inverse_pose, make_pose
@@ -26,7 +31,7 @@ def world() -> World:
 def test_what_each_method_knows_stays_with_its_features(world: World) -> None:
     first, second = world.frames[0], world.frames[1]
     second = replace(second, R_RS=np.tile(np.eye(3), (len(second), 1, 1)))
-    (both,) = side_by_side([first], [second])
+    (both,) = combine_features([first], [second])
     n = len(first)
     np.testing.assert_array_equal(both.uvd_px, np.concatenate([first.uvd_px, second.uvd_px]))
     np.testing.assert_array_equal(both.sigma_px, np.concatenate([first.sigma_px, second.sigma_px]))
@@ -34,13 +39,13 @@ def test_what_each_method_knows_stays_with_its_features(world: World) -> None:
     assert not both.on_surface[:n].any() and both.on_surface[n:].all()
     np.testing.assert_allclose(np.linalg.norm(both.descriptors, axis=1), 1.0, atol=1e-5)
     assert np.all(both.descriptors[:n] @ both.descriptors[n:].T == 0.0)
-    (unknown,) = side_by_side([first], world.frames[1:2])
+    (unknown,) = combine_features([first], world.frames[1:2])
     assert not unknown.on_surface.any()
 
 
 def test_methods_are_never_matched_with_each_other(world: World) -> None:
     """The same features twice: without blocks of their own the nearest neighbour were the twin."""
-    a, b = side_by_side(world.frames[:2], world.frames[:2])
+    a, b = combine_features(world.frames[:2], world.frames[:2])
     pairs = MutualNearest(Frontend())(a, b).features
     of_first = pairs < np.array([len(world.frames[0]), len(world.frames[1])])
     assert len(pairs) > 20 and np.array_equal(of_first[:, 0], of_first[:, 1])
@@ -50,8 +55,8 @@ def test_matches_of_both_make_tracks_of_their_own(world: World) -> None:
     config = Frontend()
     partners: list[Ints] = [np.arange(i + 1, 12, dtype=np.int64) for i in range(12)]
     matches = match_pairs(world.frames, partners, RIG, config, 0, 1, lambda: None)
-    both = side_by_side(world.frames, world.frames)
-    joined = join_matches(both, [*matches, *shifted(matches, world.frames)])
+    both = combine_features(world.frames, world.frames)
+    joined = join_matches(both, [*matches, *offset_matches(matches, world.frames)])
     alone = join_matches(world.frames, matches)
     for label, single, frame in zip(joined.landmark, alone.landmark, world.frames, strict=True):
         n = len(frame)
@@ -70,12 +75,12 @@ def test_a_lost_frame_is_found_by_the_landmarks_of_both(world: World) -> None:
         for frame, X in zip(world.frames, X_RG, strict=True)
     ]
     second[3] = _nothing(width=64)
-    frames = side_by_side(world.frames, second)
+    frames = combine_features(world.frames, second)
     partners: list[Ints] = [np.arange(i + 1, 12, dtype=np.int64) for i in range(12)]
     matches = match_pairs(world.frames, partners, RIG, Frontend(), 0, 1, lambda: None)
-    others = [m for m in shifted(matches, world.frames) if 3 not in (m.i, m.j)]
-    assert all(of_second(m, world.frames) for m in others)
-    assert not any(of_second(m, world.frames) for m in matches)
+    others = [m for m in offset_matches(matches, world.frames) if 3 not in (m.i, m.j)]
+    assert all(is_from_second(m, world.frames) for m in others)
+    assert not any(is_from_second(m, world.frames) for m in matches)
     matches = [m for m in [*matches, *others] if 5 not in (m.i, m.j)]
     connected = np.arange(12) != 5
     found = reconnect(
@@ -97,11 +102,11 @@ def test_frames_that_a_method_sees_nothing_of_are_as_wide_as_the_others(world: W
         [world.frames[0], _nothing(64), world.frames[2]],
         [_nothing(7), world.frames[1], _nothing(7)],
     )
-    both = side_by_side(first, second)
+    both = combine_features(first, second)
     assert {frame.descriptors.shape[1] for frame in both} == {2 * world.frames[0].descriptors.shape[1]}
     assert [len(frame) for frame in both] == [len(world.frames[k]) for k in range(3)]
     assert frame_vectors(both, 0).shape[0] == 3
-    nothing = side_by_side([_nothing(64)], [_nothing(7)])
+    nothing = combine_features([_nothing(64)], [_nothing(7)])
     assert len(nothing[0]) == 0 and nothing[0].on_surface.shape == (0,)
 
 
@@ -116,7 +121,7 @@ def test_frames_of_the_same_side_are_tried_and_neighbours_always() -> None:
     partners = pairs_in_view(_turning(n, step_deg), PairMatching())
     for i, later in enumerate(partners):
         angle = np.abs((np.arange(i + 1, n) - i) * step_deg + 180.0) % 360.0 - 180.0
-        expected = (np.abs(angle) < SAME_SIDE_DEG) | (np.arange(i + 1, n) - i <= CLOSE)
+        expected = (np.abs(angle) < MAX_VIEW_ANGLE_DEG) | (np.arange(i + 1, n) - i <= MAX_NEIGHBOUR_STEPS)
         assert later.tolist() == (i + 1 + np.flatnonzero(expected)).tolist()
 
 
@@ -147,8 +152,8 @@ def test_poses_are_those_of_the_camera_in_the_body() -> None:
     )
     behind = make_pose(exp_so3(np.array([0.0, np.pi, 0.0])), np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(inverse_pose(behind)[:3, 3], [0.0, 0.0, 1.0], atol=1e-12)
-    between = [behind] * CLOSE
+    between = [behind] * MAX_NEIGHBOUR_STEPS
     partners = pairs_in_view(np.stack([near, *between, far]), PairMatching())
-    assert partners[0].tolist() == [*range(1, CLOSE + 1), CLOSE + 1]
+    assert partners[0].tolist() == [*range(1, MAX_NEIGHBOUR_STEPS + 1), MAX_NEIGHBOUR_STEPS + 1]
     partners = pairs_in_view(np.stack([near, *between, behind]), PairMatching())
-    assert partners[0].tolist() == list(range(1, CLOSE + 1))
+    assert partners[0].tolist() == list(range(1, MAX_NEIGHBOUR_STEPS + 1))

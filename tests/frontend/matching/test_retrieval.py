@@ -7,7 +7,7 @@ import pytest
 
 from polhode.config.frontend import Frontend, PairMatching
 from polhode.frontend.matching.pairs import match_pairs, relative_poses
-from polhode.frontend.matching.retrieval import frame_vectors, most_alike, pairs_to_match
+from polhode.frontend.matching.retrieval import frame_vectors, most_similar, pairs_to_match
 from tests.frontend.feature_world import RIG, World, make_world
 
 REVOLUTION = 24
@@ -25,7 +25,7 @@ def test_a_short_sequence_is_matched_all_against_all(world: World) -> None:
 
 
 def test_what_looks_alike_is_the_same_side_in_other_revolutions(world: World) -> None:
-    alike = most_alike(frame_vectors(world.frames, 0), 2, 4)
+    alike = most_similar(frame_vectors(world.frames, 0), 2, 4)
     turns = np.array([(j - i) % REVOLUTION for i, found in enumerate(alike) for j in found])
     away = np.minimum(turns, REVOLUTION - turns)
     # by chance 5 of 24 sides are as near

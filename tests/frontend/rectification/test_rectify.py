@@ -78,6 +78,6 @@ def test_an_ideal_pair_is_not_resampled() -> None:
 
 
 def test_cameras_that_look_apart_are_refused_in_one_line() -> None:
-    with pytest.raises(InputError, match="do not look the same way") as caught:
+    with pytest.raises(InputError, match="do not look in the same direction") as caught:
         make_rectifier(rig(make_pose(exp_so3([0.0, np.pi, 0.0]), [0.09, 0.0, 0.0])))
     assert "\n" not in str(caught.value)

@@ -1,4 +1,5 @@
-"""Alignment finds shifts of a few hundredths of a pixel; tracks agree better on the motion once refined."""
+"""PatchAlignment finds shifts of a few hundredths of a pixel; tracks agree better on the motion once
+refined."""
 
 from pathlib import Path
 
@@ -8,15 +9,14 @@ import pytest
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Features, Frontend
 from polhode.dataset import open_sequence
-from polhode.frontend.features.patches import cut_patches, turned, upright_affines
+from polhode.frontend.features.patches import cut_patches, rotate_affines, upright_affines
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import SurfaceFeatureMethod
+from polhode.frontend.matching.matchers import SoftmaxMatcher
 from polhode.frontend.matching.pairs import PairMatch
 from polhode.frontend.matching.ransac import ransac_rigid
-from polhode.frontend.matching.softmax_matcher import SoftmaxMatcher
-from polhode.frontend.rectification.rectified_pair import rectified_pair
-from polhode.frontend.rectification.rectify import make_rectifier
-from polhode.frontend.tracks.alignment import align_patches
+from polhode.frontend.rectification.rectify import make_rectifier, rectified_pair
+from polhode.frontend.tracks.patch_alignment import align_patches
 from polhode.frontend.tracks.track_refinement import disparity_slopes, refine_tracks
 from polhode.frontend.tracks.tracks import Association, join_matches
 from polhode.lie import inverse_pose, transform_points
@@ -44,7 +44,7 @@ def test_alignment_finds_the_shift_in_other_light() -> None:
     darker = np.clip(0.6 * _texture() + 30.0, 0, 255).astype(np.uint8)
     rng = np.random.default_rng(1)
     uv = rng.uniform(60, 240, (40, 2))
-    affine = turned(upright_affines(np.full(40, 9.0)), rng.uniform(0, 6, 40))
+    affine = rotate_affines(upright_affines(np.full(40, 9.0)), rng.uniform(0, 6, 40))
     template = cut_patches(image, uv, affine)
     found = align_patches(template, darker, uv + rng.uniform(-1.2, 1.2, (40, 2)), affine)
     assert np.median(np.linalg.norm(found.uv_px - uv, axis=1)) < 0.05

@@ -1,0 +1,192 @@
+"""Matching: soft assignment can be differentiated; few right matches among many wrong ones are found."""
+
+from itertools import pairwise
+
+import numpy as np
+import torch
+
+from polhode.config.frontend import Frontend
+from polhode.frontend.features.keypoints import Descriptors
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.consensus import motion_modes
+from polhode.frontend.matching.matchers import SoftmaxMatcher
+from polhode.frontend.matching.methods import one_to_one
+from polhode.frontend.matching.soft_assignment import DualSoftmax, rigid_fit, root_probabilities
+from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.train.descriptor.loss import motion_loss
+from tests.frontend.feature_world import RIG
+
+X_AB = make_pose(exp_so3([0.3, -0.7, 0.2]), [0.05, 0.02, -0.03])
+"""The motion between the frames of these tests."""
+
+
+def _unit(a: Array) -> Array:
+    return np.asarray(a / np.linalg.norm(a, axis=-1, keepdims=True))
+
+
+def _axes(rng: np.random.Generator, n: int) -> Array:
+    return np.array(
+        [
+            exp_so3(axis * angle)
+            for axis, angle in zip(_unit(rng.normal(size=(n, 3))), rng.uniform(0, np.pi, n), strict=True)
+        ]
+    )
+
+
+def _features(p_R: Array, R_RS: Array | None, descriptors: Array | Descriptors) -> StereoFeatures:
+    n, z = len(p_R), p_R[:, 2]
+    per_px = np.column_stack([z / RIG.focal_px, z**2 / (RIG.focal_px * RIG.baseline_m)])
+    return StereoFeatures(
+        RIG.project(p_R),
+        np.full((n, 3), 0.2),
+        p_R,
+        np.ones(n),
+        descriptors.astype(np.float32),
+        R_RS=R_RS,
+        metres_per_px=per_px,
+    )
+
+
+def _frames(right: int, wrong: int, seed: int = 0) -> tuple[StereoFeatures, StereoFeatures]:
+    """Feature k of both frames shows one point for k < right; the others look alike, but are elsewhere."""
+    rng = np.random.default_rng(seed)
+    n = right + wrong
+    p_B = rng.uniform([-0.1, -0.1, 0.5], [0.1, 0.1, 0.7], (n, 3))
+    p_A = transform_points(X_AB, p_B)
+    p_A[right:] = rng.uniform([-0.1, -0.1, 0.5], [0.1, 0.1, 0.7], (wrong, 3))
+    R_BS = _axes(rng, n)
+    tilt = np.array([exp_so3(v) for v in rng.normal(0.0, 0.08, (n, 3))])
+    R_AS = X_AB[:3, :3] @ R_BS @ tilt
+    R_AS[right:] = _axes(rng, n)[right:]
+    looks = _unit(rng.normal(size=(n, 128)))
+    return _features(p_A, R_AS, looks), _features(p_B, R_BS, _unit(looks + 0.03 * rng.normal(size=(n, 128))))
+
+
+def test_the_dual_softmax_has_the_right_gradient() -> None:
+    torch.manual_seed(0)
+    assign = DualSoftmax(temperature=0.3).double()
+    a, b = (torch.nn.functional.normalize(torch.randn(k, 8, dtype=torch.double), dim=1) for k in (5, 4))
+    inputs = (a.requires_grad_(), b.requires_grad_())
+    assert torch.autograd.gradcheck(assign, inputs)
+    parameters = tuple(p.detach().clone().requires_grad_() for p in assign.parameters())
+    names = [name for name, _ in assign.named_parameters()]
+
+    def by_parameters(*values: torch.Tensor) -> torch.Tensor:
+        found = torch.func.functional_call(assign, dict(zip(names, values, strict=True)), (a, b))
+        assert isinstance(found, torch.Tensor)
+        return found
+
+    assert torch.autograd.gradcheck(by_parameters, parameters)
+
+
+def test_the_dustbin_takes_what_has_no_partner() -> None:
+    looks = torch.eye(4)
+    probability = DualSoftmax(temperature=0.1)(looks[:3], looks[1:]).exp()
+    assert torch.allclose(probability[1, 0], probability[2, 1])
+    assert probability[1, 0] > 0.9
+    assert probability[0].sum() < 0.05
+    with_dustbin = DualSoftmax(temperature=0.1, dustbin=1.2)(looks[:3], looks[1:]).exp()
+    assert with_dustbin[1, 0] < 0.1
+
+
+def test_probabilities_without_a_gradient_are_the_same() -> None:
+    torch.manual_seed(1)
+    a, b = (torch.nn.functional.normalize(torch.randn(k, 16), dim=1) for k in (40, 30))
+    for temperature, dustbin in ((0.03, 0.6), (0.2, 0.1)):
+        expected = DualSoftmax(temperature, dustbin)(a, b).exp()
+        torch.testing.assert_close(
+            root_probabilities(a, b, temperature, dustbin) ** 2, expected, rtol=1e-4, atol=1e-9
+        )
+
+
+def test_the_rigid_fit_is_exact_and_has_the_right_gradient() -> None:
+    rng = np.random.default_rng(1)
+    p_B = rng.normal(size=(2, 7, 3))
+    p_A = torch.from_numpy(np.stack([transform_points(X_AB, p) for p in p_B]))
+    weight = torch.from_numpy(rng.uniform(0.1, 1.0, (2, 7)))
+    R, t = rigid_fit(p_A, torch.from_numpy(p_B), weight)
+    assert torch.allclose(R, torch.from_numpy(X_AB[:3, :3]).expand(2, 3, 3), atol=1e-9)
+    assert torch.allclose(t, torch.from_numpy(X_AB[:3, 3]).expand(2, 3), atol=1e-9)
+    noisy = p_A + 0.1 * torch.from_numpy(rng.normal(size=(2, 7, 3)))
+    inputs = (noisy.requires_grad_(), torch.from_numpy(p_B).requires_grad_(), weight.requires_grad_())
+    assert torch.autograd.gradcheck(rigid_fit, inputs)
+
+
+def test_the_rigid_fit_of_a_mirrored_scene_is_still_a_rotation() -> None:
+    p = torch.from_numpy(np.random.default_rng(2).normal(size=(6, 3)))
+    R, _ = rigid_fit(p * torch.tensor([1.0, 1.0, -1.0]), p, torch.ones(6, dtype=torch.double))
+    assert torch.allclose(torch.det(R), torch.ones((), dtype=torch.double))
+
+
+def test_the_motion_trains_descriptors() -> None:
+    """Some steps down the loss of the motion make it smaller, through the matches' weights alone."""
+    a, b = _frames(30, 8, seed=4)
+    looks = torch.from_numpy(a.descriptors).double().requires_grad_()
+    fixed = torch.from_numpy(b.descriptors).double()
+    p_A, p_B = torch.from_numpy(a.p_R), torch.from_numpy(b.p_R)
+    R, t = torch.from_numpy(X_AB[:3, :3]), torch.from_numpy(X_AB[:3, 3])
+    assign = DualSoftmax(temperature=0.2).double()
+    optimiser = torch.optim.Adam([looks], lr=0.01)
+    losses = []
+    for _ in range(30):
+        optimiser.zero_grad()
+        loss = motion_loss(assign(torch.nn.functional.normalize(looks, dim=1), fixed), p_A, p_B, R, t)
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 0.7 * losses[0]
+
+
+def test_a_dozen_right_matches_among_two_hundred_wrong_ones_are_found() -> None:
+    a, b = _frames(12, 200)
+    matches = SoftmaxMatcher(Frontend())(a, b)
+    assert set(matches.features[matches.features[:, 0] < 12, 1]) == set(range(12))
+    assert len(matches.features) < 24
+    assert len(np.unique(matches.features[:, 0])) == len(matches.features)
+
+
+def test_chance_agrees_on_no_motion_of_any_strength() -> None:
+    a, b = _frames(0, 300)
+    assert len(SoftmaxMatcher(Frontend())(a, b).features) < 12
+
+
+def test_features_without_axes_are_matched_by_looks() -> None:
+    a, b = _frames(40, 0)
+    plain = [_features(frame.p_R, None, frame.descriptors) for frame in (a, b)]
+    matches = SoftmaxMatcher(Frontend())(*plain)
+    assert np.array_equal(matches.features, np.column_stack([np.arange(40)] * 2))
+    assert (
+        len(
+            SoftmaxMatcher(Frontend())(
+                plain[0], _features(np.zeros((0, 3)), None, np.zeros((0, 128)))
+            ).features
+        )
+        == 0
+    )
+
+
+def test_what_stands_still_gives_way_to_what_turns() -> None:
+    """More matches at rest than in motion, as highlights and rims make them."""
+    a, b = _frames(25, 70, seed=7)
+    rest = np.arange(25, 65)
+    p_A, R_AS = a.p_R.copy(), np.asarray(a.R_RS).copy()
+    p_A[rest], R_AS[rest] = b.p_R[rest], np.asarray(b.R_RS)[rest]
+    matches = SoftmaxMatcher(Frontend())(_features(p_A, R_AS, a.descriptors), b)
+    assert np.mean(matches.features[:, 0] < 25) > 0.9
+    # A target at rest stays at rest.
+    still = SoftmaxMatcher(Frontend())(b, b)
+    assert np.array_equal(still.features, np.column_stack([np.arange(95)] * 2))
+
+
+def test_modes_are_found_strongest_first() -> None:
+    a, b = _frames(20, 30)
+    gate = np.full(50, 0.005)
+    modes = motion_modes(a.p_R, b.p_R, np.asarray(a.R_RS), np.asarray(b.R_RS), np.ones(50), gate)
+    assert modes[0].inlier[:20].all()
+    assert np.allclose(modes[0].X_AB, X_AB, atol=1e-6)
+    assert all(first.weight >= second.weight for first, second in pairwise(modes))
+
+
+def test_no_feature_has_two_partners() -> None:
+    pairs = np.array([[0, 0], [0, 1], [1, 1], [2, 1]])
+    assert np.array_equal(one_to_one(pairs, np.array([0.5, 0.9, 0.8, 0.95])), [0, 3])

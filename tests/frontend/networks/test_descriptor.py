@@ -1,0 +1,134 @@
+"""The descriptor of patches: blind to turns and exposure, its direction turns; the file of its weights."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from polhode.errors import InputError
+from polhode.frontend.features.patch_descriptors import describe, descriptor_network
+from polhode.frontend.features.patches import cut_patches, rotate_affines, upright_affines
+from polhode.frontend.networks.descriptor import DescriptorNet, normalise_patches
+from polhode.frontend.networks.weights import load_weights
+
+
+@pytest.fixture(scope="module")
+def network() -> DescriptorNet:
+    torch.manual_seed(1)
+    return DescriptorNet().eval()
+
+
+def clouds(seed: int, size_px: int = 120) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
+    """Smooth random grey values."""
+    import cv2
+
+    rough = np.random.default_rng(seed).normal(size=(size_px, size_px)).astype(np.float32)
+    smooth = cv2.GaussianBlur(rough, (0, 0), 3.0)
+    return np.asarray(np.clip(120 + 400 * smooth, 0, 255), dtype=np.uint8)
+
+
+def patches_at(angles_rad: list[float]) -> Tensor:
+    """The middle of one image, turned."""
+    n = len(angles_rad)
+    affine = rotate_affines(upright_affines(np.full(n, 16.0)), np.array(angles_rad))
+    return torch.from_numpy(cut_patches(clouds(5), np.full((n, 2), 60.0), affine))
+
+
+def contiguous(network: DescriptorNet) -> dict[str, Tensor]:
+    return {name: value.contiguous() for name, value in network.state_dict().items()}
+
+
+def test_quarter_turns_change_nothing_but_the_direction(network: DescriptorNet) -> None:
+    patches = patches_at([0.0])
+    with torch.no_grad():
+        described = [network(torch.rot90(patches, k, (2, 3))) for k in range(4)]
+    for k, each in enumerate(described):
+        assert torch.allclose(each.descriptor, described[0].descriptor, atol=1e-4)
+        assert torch.allclose(each.reliability, described[0].reliability, atol=1e-3)
+        # rot90 turns from y (down) to x (right): against the patch's angles.
+        angle = torch.atan2(*each.direction[0].flip(0)) - torch.atan2(*described[0].direction[0].flip(0))
+        off = (angle + k * torch.pi / 2 + torch.pi) % (2 * torch.pi) - torch.pi
+        assert abs(float(off)) < 1e-3
+
+
+def test_the_direction_turns_with_the_surface(network: DescriptorNet) -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    with torch.no_grad():
+        direction = network(patches_at(list(angles))).direction.numpy()
+    # A patch whose x is at ``angle`` in the image sees a fixed thing at minus that angle.
+    fixed = np.arctan2(direction[:, 1], direction[:, 0]) + angles
+    off = np.angle(np.exp(1j * (fixed - np.angle(np.exp(1j * fixed).mean()))))
+    assert np.rad2deg(np.abs(off)).max() < 6.0
+
+
+def test_descriptors_of_turned_patches_are_nearer_than_of_others(network: DescriptorNet) -> None:
+    others = torch.from_numpy(
+        np.concatenate(
+            [
+                cut_patches(clouds(seed), np.full((1, 2), 60.0), upright_affines(np.full(1, 16.0)))
+                for seed in range(10, 30)
+            ]
+        )
+    )
+    with torch.no_grad():
+        own = network(patches_at([0.0, 0.4, 1.1, 2.5])).descriptor
+        strange = network(others).descriptor
+    assert float((own[1:] @ own[0]).min()) > float((strange @ own[0]).max())
+
+
+def test_patches_are_seen_without_their_exposure() -> None:
+    patches = patches_at([0.0])
+    assert torch.allclose(normalise_patches(2.0 * patches + 30.0), normalise_patches(patches), atol=1e-2)
+    assert torch.isfinite(normalise_patches(torch.full((1, 1, 32, 32), 7.0))).all()
+
+
+def test_the_whole_network_is_differentiable(network: DescriptorNet) -> None:
+    described = network(patches_at([0.0, 1.0]))
+    loss = described.descriptor[0, :5].sum() + described.reliability.sum() + described.direction[0].sum()
+    loss.backward()
+    for name, weight in network.named_parameters():
+        assert weight.grad is not None, name
+        assert torch.isfinite(weight.grad).all(), name
+    network.zero_grad()
+
+
+def test_describe_takes_any_number_of_patches(network: DescriptorNet) -> None:
+    patches = patches_at(list(np.linspace(0.0, 3.0, 150))).numpy()
+    described = describe(network, patches)
+    assert described.descriptors.shape == (150, 128)
+    assert np.allclose(np.linalg.norm(described.descriptors, axis=1), 1.0, atol=1e-3)
+    assert ((described.reliability > 0) & (described.reliability < 1)).all()
+    assert describe(network, patches[:0]).descriptors.shape == (0, 128)
+    some = describe(network, patches[140:])
+    assert np.allclose(some.descriptors, described.descriptors[140:], atol=1e-2)
+
+
+def test_weights_come_back_from_their_file(network: DescriptorNet, tmp_path: Path) -> None:
+    path = tmp_path / "own.safetensors"
+    save_file(contiguous(network), path)
+    loaded = descriptor_network(path)
+    assert all(torch.equal(a, b) for a, b in zip(network.parameters(), loaded.parameters(), strict=True))
+
+
+def test_missing_weights_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.safetensors: the weights are missing; train them"):
+        load_weights(DescriptorNet(), tmp_path / "none.safetensors")
+
+
+def test_damaged_weights_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "bad.safetensors"
+    path.write_bytes(b"\x00" * 40)
+    with pytest.raises(InputError, match=r"not a safetensors file \(.*\); give one that polhode train wrote"):
+        load_weights(DescriptorNet(), path)
+
+
+def test_weights_of_another_network_are_told(network: DescriptorNet, tmp_path: Path) -> None:
+    state = contiguous(network)
+    state["project.bias"] = torch.zeros(7)
+    path = tmp_path / "other.safetensors"
+    save_file(state, path)
+    with pytest.raises(InputError, match=r"another network \(1 tensors differ, the first is project.bias\)"):
+        load_weights(DescriptorNet(), path)

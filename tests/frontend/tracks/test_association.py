@@ -1,0 +1,208 @@
+"""Blind matching, tracks and guided association on a tumbling cloud of points with known truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from polhode.config.frontend import Frontend, GuidedMatching, Tracks
+from polhode.frontend.matching.pairs import PairMatch, match_pairs, relative_poses
+from polhode.frontend.matching.ransac import fit_noisy, ransac_rigid
+from polhode.frontend.matching.retrieval import pairs_to_match
+from polhode.frontend.matching.soft_assignment import DualSoftmax
+from polhode.frontend.tracks.guided import consistent_matches, match_improbability, reconnect
+from polhode.frontend.tracks.landmark_map import (
+    LandmarkMap,
+    add_observations,
+    descriptor_distance,
+    viewing_direction,
+)
+from polhode.frontend.tracks.tracks import Association, join_matches, to_tracks
+from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.records import InitialMotion
+from polhode.rigid_fit import fit_rigid
+from tests.frontend.feature_world import RIG, World, make_world, purity
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return make_world()
+
+
+def test_ransac_finds_the_motion_among_half_outliers() -> None:
+    rng = np.random.default_rng(2)
+    X_ij = make_pose(exp_so3([0.1, 0.5, 0.0]), [0.01, 0.0, 0.02])
+    p_Rj = rng.uniform([-0.1, -0.1, 0.5], [0.1, 0.1, 0.7], (60, 3))
+    uvd_i = RIG.project(transform_points(X_ij, p_Rj)) + rng.normal(size=(60, 3)) * [0.3, 0.3, 0.1]
+    uvd_i[:30] += rng.uniform(-60, 60, (30, 3)) * [1.0, 1.0, 0.3]
+    fit = ransac_rigid(uvd_i, RIG.triangulate(uvd_i), p_Rj, RIG, 300, 2.0, np.random.default_rng(3))
+    assert fit.inlier[30:].mean() > 0.9
+    assert fit.inlier[:30].sum() <= 1
+    assert np.rad2deg(np.linalg.norm(log_so3(fit.X_RiRj[:3, :3].T @ X_ij[:3, :3]))) < 0.5
+
+
+def test_a_fit_that_knows_the_noise_of_stereo_is_better_than_one_that_does_not() -> None:
+    rng = np.random.default_rng(4)
+    noise_px = np.array([0.7, 0.7, 0.25])
+    X_ij = make_pose(exp_so3([0.1, 0.9, 0.0]), [0.45, 0.0, 0.2])
+    off: dict[str, list[float]] = {"even": [], "noisy": []}
+    for _ in range(40):
+        p_Rj = rng.uniform([-0.1, -0.1, 0.5], [0.1, 0.1, 0.7], (25, 3))
+        p_Ri = transform_points(X_ij, p_Rj)
+        a, b = (RIG.triangulate(RIG.project(p) + noise_px * rng.normal(size=(25, 3))) for p in (p_Ri, p_Rj))
+        even = fit_rigid(a, b)
+        for name, X in (("even", even), ("noisy", fit_noisy(even, a, b, RIG))):
+            off[name].append(float(np.sum(log_so3(X[:3, :3].T @ X_ij[:3, :3]) ** 2)))
+        exact = fit_noisy(even, p_Ri, p_Rj, RIG)
+    np.testing.assert_allclose(exact, X_ij, atol=1e-6)
+    assert np.mean(off["noisy"]) < 0.7 * np.mean(off["even"])
+
+
+def test_a_wild_point_does_not_bend_the_fit() -> None:
+    rng = np.random.default_rng(5)
+    p = rng.uniform([-0.1, -0.1, 0.5], [0.1, 0.1, 0.7], (30, 3))
+    wild = p.copy()
+    wild[0] += [0.0, 0.1, 0.0]
+    np.testing.assert_allclose(fit_noisy(np.eye(4), wild, p, RIG), np.eye(4), atol=1e-3)
+
+
+def test_probabilities_of_the_allowed_pairs_are_those_of_the_dual_softmax() -> None:
+    torch.manual_seed(3)
+    a, b = (torch.nn.functional.normalize(torch.randn(k, 8), dim=1) for k in (4, 5))
+    feature, landmark = (index.ravel() for index in np.indices((4, 5)))
+    distance = torch.cdist(a, b).numpy().astype(np.float64)[feature, landmark]
+    expected = 1.0 - DualSoftmax()(a, b).detach().exp().numpy()[feature, landmark]
+    np.testing.assert_allclose(match_improbability(distance, feature, landmark), expected, atol=1e-4)
+    # the rivals that the prediction rules out do not count
+    alone = match_improbability(distance[:1], feature[:1], landmark[:1])
+    assert alone[0] <= expected[0] + 1e-6
+
+
+def test_a_surface_that_lies_otherwise_is_another_one(world: World) -> None:
+    axes = np.tile(np.eye(3), (len(world.frames[0]), 1, 1))
+    features = replace(world.frames[0], R_RS=axes)
+    model, every = LandmarkMap.empty(len(features)), np.arange(len(features))
+    add_observations(model, features, every, world.X_RG[0], RIG)
+    direction = viewing_direction(features.p_R, world.X_RG[0])
+    for turn_deg, same in ((0.0, True), (30.0, True), (70.0, False)):
+        turned = replace(features, R_RS=axes @ exp_so3([0.0, 0.0, np.deg2rad(turn_deg)]))
+        distance = descriptor_distance(
+            model, every, turned, direction, every, every, GuidedMatching(), world.X_RG[0]
+        )
+        assert np.isfinite(distance).all() == same
+        assert np.isinf(distance).all() != same
+
+
+def match_everything(world: World, workers: int) -> list[PairMatch]:
+    partners = pairs_to_match(world.frames, Frontend().pairs, 0)
+    return match_pairs(world.frames, partners, RIG, Frontend(), 0, workers, lambda: None)
+
+
+def test_blind_links_are_right_and_do_not_depend_on_the_workers(world: World) -> None:
+    runs = [match_everything(world, workers) for workers in (1, 2)]
+    for match in runs[0]:
+        X_true = world.X_RG[match.i] @ inverse_pose(world.X_RG[match.j])
+        assert np.rad2deg(np.linalg.norm(log_so3(match.X_RiRj[:3, :3].T @ X_true[:3, :3]))) < 3.0
+    assert {(m.i, m.j) for m in runs[0]} >= {(k, k + 1) for k in range(23)} | {(k, k + 12) for k in range(12)}
+    first, second = (relative_poses(run) for run in runs)
+    np.testing.assert_array_equal(first.X_RiRj, second.X_RiRj)
+    np.testing.assert_array_equal(first.inliers, second.inliers)
+
+
+def test_a_landmark_seen_again_a_revolution_later_is_the_same_landmark(
+    world: World, matches: list[PairMatch]
+) -> None:
+    association = join_matches(world.frames, matches)
+    assert purity(list(association.landmark), world.shown) > 0.99
+    returned = [np.intersect1d(association.landmark[k], association.landmark[k + 12]) for k in range(12)]
+    assert min(np.sum(common >= 0) for common in returned) > 30
+    for labels in association.landmark:
+        used = labels[labels >= 0]
+        assert len(np.unique(used)) == len(used)
+
+
+@pytest.fixture(scope="module")
+def matches(world: World) -> list[PairMatch]:
+    return match_everything(world, 1)
+
+
+def test_matches_that_the_motion_contradicts_are_dropped(world: World, matches: list[PairMatch]) -> None:
+    shuffled = np.random.default_rng(1).permutation(matches[0].features[:, 1])
+    wrong = replace(matches[0], features=np.column_stack([matches[0].features[:, 0], shuffled]))
+    motion = InitialMotion(world.X_RG, np.ones(24, dtype=bool))
+    kept = consistent_matches([matches[0], wrong], world.frames, motion, RIG, 5.0)
+    assert len(kept[0].features) > 0.95 * len(matches[0].features)
+    assert sum(len(m.features) for m in kept[1:]) < 0.2 * len(wrong.features)
+    lost = InitialMotion(world.X_RG, np.arange(24) != matches[0].i)
+    assert consistent_matches([matches[0]], world.frames, lost, RIG, 5.0) == []
+
+
+def lost_frames(
+    world: World, matches: list[PairMatch], turned: dict[int, Array]
+) -> tuple[Association, InitialMotion]:
+    """The blind association without the named frames, and a motion that predicts them turned."""
+    connected = np.ones(24, dtype=bool)
+    connected[list(turned)] = False
+    X_RG = world.X_RG.copy()
+    for k, rotation in turned.items():
+        X_RG[k, :3, :3] = X_RG[k, :3, :3] @ rotation
+    motion = InitialMotion(X_RG, connected)
+    return join_matches(world.frames, consistent_matches(matches, world.frames, motion, RIG, 5.0)), motion
+
+
+def test_lost_frames_are_found_near_their_predicted_pose(world: World, matches: list[PairMatch]) -> None:
+    rng = np.random.default_rng(5)
+    association, motion = lost_frames(
+        world, matches, {k: exp_so3(rng.normal(size=3) * np.deg2rad(2.0)) for k in (7, 13)}
+    )
+    assert np.all(association.landmark[7] == -1)
+    found = reconnect(world.frames, association, motion, RIG, GuidedMatching(), 0)
+    assert found.motion.connected.all()
+    error = log_so3(np.swapaxes(found.motion.X_RG[:, :3, :3], 1, 2) @ world.X_RG[:, :3, :3])
+    assert np.rad2deg(np.linalg.norm(error, axis=1)).max() < 0.5
+    assert purity(list(found.association.landmark), world.shown) > 0.99
+    counts = [np.sum(labels >= 0) for labels in found.association.landmark]
+    assert min(counts[7], counts[13]) > 0.7 * np.median(counts)
+
+
+def test_a_wrong_prediction_is_not_locked_in(world: World, matches: list[PairMatch]) -> None:
+    association, motion = lost_frames(world, matches, {9: exp_so3([0.0, 0.0, np.pi / 2])})
+    found = reconnect(world.frames, association, motion, RIG, GuidedMatching(), 0)
+    assert not found.motion.connected[9]
+    assert np.all(found.association.landmark[9] == -1)
+
+
+def test_tracks_hold_every_observation_of_shared_landmarks_only(
+    world: World, matches: list[PairMatch]
+) -> None:
+    association = join_matches(world.frames, matches)
+    stamps = (np.arange(24) * 500_000_000).astype(np.int64)
+    tracks = to_tracks(world.frames, association, RIG, stamps, np.tile(np.eye(4), (24, 1, 1)), Tracks())
+    views = np.bincount(tracks.landmark)
+    assert views.min() >= 3
+    assert tracks.n_landmarks == len(views)
+    p_R = transform_points(world.X_RG[tracks.frame[0]], np.zeros((1, 3)))
+    assert p_R[0, 2] == pytest.approx(0.6)
+    assert len(tracks.uvd_px) == len(tracks.frame) == len(tracks.sigma_px)
+
+
+def test_the_longest_tracks_are_kept_until_every_frame_has_enough(
+    world: World, matches: list[PairMatch]
+) -> None:
+    association = join_matches(world.frames, matches)
+    stamps = (np.arange(24) * 500_000_000).astype(np.int64)
+    few, everything = (
+        to_tracks(
+            world.frames,
+            association,
+            RIG,
+            stamps,
+            np.tile(np.eye(4), (24, 1, 1)),
+            Tracks(enough_per_frame=n),
+        )
+        for n in (20, 10**6)
+    )
+    assert np.bincount(few.frame, minlength=24).min() >= 20
+    assert len(few.frame) < 0.7 * len(everything.frame)
+    assert np.bincount(few.landmark).mean() > np.bincount(everything.landmark).mean()

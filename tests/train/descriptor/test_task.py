@@ -1,0 +1,269 @@
+"""Patch pairs, their loss and scores, and the command from the corpus to the weights."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from torch.nn import functional
+
+from polhode.cli.main import main
+from polhode.config.train import Corpus, DescriptorTraining
+from polhode.frontend.features.keypoints import Descriptors
+from polhode.frontend.features.patch_descriptors import descriptor_network
+from polhode.frontend.features.patches import Patches, tangent_affines
+from polhode.frontend.matching.soft_assignment import DualSoftmax
+from polhode.frontend.networks.descriptor import DescriptorOutput
+from polhode.lie import Array, exp_so3
+from polhode.progress import Silent
+from polhode.train.curves import read_curves
+from polhode.train.descriptor.batches import PatchBatches
+from polhode.train.descriptor.loss import Heads, descriptor_loss, matching_loss, rotation_agreement
+from polhode.train.descriptor.patch_correspondence import (
+    correlation,
+    patch_rotation,
+    same_appearance,
+    scene_rig,
+)
+from polhode.train.descriptor.scores import area_under_curve, score, validation_pairs
+from polhode.train.descriptor.surface_points import REPEAT_PX, ScenePoints, prepare_points
+from polhode.train.loop import CHECKPOINT
+from polhode.train.task import Batch
+
+EXACT = DescriptorTraining(
+    batch=60, frame_pairs=2, normal_noise_deg=0.0, fronto_parallel=0.0, place_noise_px=0.0, scale_noise=0.0
+)
+
+
+@pytest.fixture(scope="module")
+def points(tiny_corpus: Corpus) -> ScenePoints:
+    return prepare_points(tiny_corpus, [0], Silent(), 1)[0]
+
+
+def test_points_found_again_are_at_the_true_place(points: ScenePoints) -> None:
+    found = np.flatnonzero(points.again >= 0)
+    assert len(found) > 200
+    off_px = np.linalg.norm(points.uv_px[points.again[found]] - points.uv_other_px[found], axis=1)
+    assert off_px.max() < REPEAT_PX
+    own, b = points.point[found], points.other[found]
+    X_BA = points.X_KG[b] @ np.linalg.inv(points.X_KG[points.frame[own]])
+    p_B = np.einsum("nij,nj->ni", X_BA[:, :3, :3], points.p_K[own]) + X_BA[:, :3, 3]
+    projected = p_B[:, :2] / p_B[:, 2:] * points.focal_px + points.centre_px
+    assert np.median(np.linalg.norm(projected - points.uv_other_px[found], axis=1)) < 0.2
+    assert (np.einsum("nk,nk->n", points.p_K[own], points.normal_K[own]) < 0).mean() > 0.99
+
+
+def test_points_that_look_alike_are_those_whose_patches_agree(points: ScenePoints) -> None:
+    """Turned by the true motion, patches of the tangent plane correlate; coincidences do not."""
+    same = same_appearance(points)
+    found = points.again >= 0
+    assert not (same & ~found).any()
+    assert 0.3 < same[found].mean() < 0.98
+    near, far = points.angle_rad < np.deg2rad(25), points.angle_rad > np.deg2rad(50)
+    assert same[found & near].mean() > same[found & far].mean()
+    calm = ~(points.on_rim | points.on_shadow)[points.point]
+    assert same[found & near & calm].mean() > 0.7
+
+
+def test_correlation_is_blind_to_exposure() -> None:
+    patch = np.random.default_rng(1).uniform(40, 250, (3, 1, 32, 32)).astype(np.float32)
+    assert correlation(patch, 0.5 * patch) == pytest.approx(np.ones(3), abs=0.01)
+    assert np.abs(correlation(patch, patch[::-1].copy())[[0, 2]]).max() < 0.2
+
+
+def test_a_roll_of_the_camera_is_the_turn_of_the_patch(points: ScenePoints) -> None:
+    p, normal = np.array([[0.0, 0.0, 0.8]]), np.array([[0.0, 0.0, -1.0]])
+    affine = tangent_affines(p, normal, scene_rig(points), np.array([0.02]))
+    for roll in (-2.0, 0.3, 1.5):
+        R_ba = exp_so3(np.array([0.0, 0.0, roll]))
+        found = patch_rotation(affine, affine, p, normal, R_ba, p, scene_rig(points))
+        assert found == pytest.approx([roll])
+
+
+def test_a_batch_depends_on_seed_and_step_alone(points: ScenePoints) -> None:
+    first, second = (PatchBatches({0: points}, EXACT, 1) for _ in range(2))
+    second.batch(3)
+    a, b = first.batch(7), second.batch(7)
+    assert all(torch.equal(a[name], b[name]) for name in a)
+    assert not torch.equal(a["patches"][:10], first.batch(8)["patches"][:10])
+
+
+def test_a_batch_has_pairs_and_strays(points: ScenePoints) -> None:
+    batch = PatchBatches({0: points}, EXACT, 1).batch(0)
+    m, k = len(batch["pair"]), len(batch["distractors"])
+    assert 30 <= m <= 60
+    assert 0 < k <= 16
+    assert batch["patches"].shape == (2 * m + k, 1, 32, 32)
+    assert batch["rotation"].shape == (m,)
+
+
+def made_up(m: int, distractors: int) -> Batch:
+    place = torch.arange(m)[:, None] * torch.tensor([[20.0, 0.0]])
+    generator = torch.Generator().manual_seed(4)
+    X_AB = torch.eye(4)
+    X_AB[:3, :3] = torch.from_numpy(exp_so3(np.array([0.3, -0.2, 0.5])))
+    X_AB[:3, 3] = torch.tensor([0.1, 0.0, 0.6])
+    p_b = torch.rand(m, 3, generator=generator)
+    return {
+        "pair": torch.zeros(m, dtype=torch.int64),
+        "distractors": torch.zeros(distractors, dtype=torch.int64),
+        "uv_a": place,
+        "uv_b": place,
+        "rotation": torch.full((m,), 0.5),
+        "p_a": p_b @ X_AB[:3, :3].T + X_AB[:3, 3],
+        "p_b": p_b,
+        "p_distractor": torch.rand(distractors, 3, generator=generator),
+        "X_AB": X_AB[None],
+        "late": torch.tensor(1.0),
+    }
+
+
+def described(descriptor: torch.Tensor, turn_rad: float) -> DescriptorOutput:
+    m = len(descriptor)
+    angle = torch.cat([torch.zeros(m), torch.full((m,), turn_rad), torch.zeros(1)])
+    whole = torch.cat([descriptor, descriptor, functional.normalize(torch.ones(1, 16), dim=1)])
+    direction = torch.stack([torch.cos(angle), torch.sin(angle)], dim=1)
+    return DescriptorOutput(whole, torch.zeros(2 * m + 1), direction)
+
+
+def test_the_loss_prefers_what_is_right() -> None:
+    generator = torch.Generator().manual_seed(2)
+    eye, batch, heads = torch.eye(16)[:8], made_up(8, 1), Heads()
+    mixed = functional.normalize(torch.randn(8, 16, generator=generator).abs(), dim=1)
+    right, terms = descriptor_loss(described(eye, 0.5), batch, heads, EXACT)
+    alike_, _ = descriptor_loss(described(mixed, 0.5), batch, heads, EXACT)
+    askew, _ = descriptor_loss(described(eye, 2.0), batch, heads, EXACT)
+    assert float(terms["rank_1"]) == 1.0
+    assert float(terms["direction"]) == pytest.approx(0.0, abs=1e-6)
+    assert right.item() < askew.item()
+    assert right.item() < alike_.item()
+
+
+def test_the_motion_of_right_matches_is_the_true_one() -> None:
+    batch, heads = made_up(12, 1), Heads()
+    eye = torch.eye(16)[:12]
+    _, right = matching_loss(described(eye, 0.5), batch, heads.matcher)
+    assert float(right) < 1e-4
+    batch["X_AB"] = torch.eye(4)[None]
+    _, wrong = matching_loss(described(eye, 0.5), batch, heads.matcher)
+    assert float(wrong) > 0.3
+
+
+def test_the_motion_teaches_the_descriptors() -> None:
+    """A step down the motion's gradient lowers the weight of a wrong match, and with it the loss."""
+    batch, matcher = made_up(12, 1), DualSoftmax(temperature=0.2)
+    batch["p_a"][0] += 0.5
+    noise = 0.2 * torch.randn(12, 16, generator=torch.Generator().manual_seed(3))
+    start = (torch.eye(16)[:12] + noise).requires_grad_()
+
+    def motion(raw: torch.Tensor) -> torch.Tensor:
+        return matching_loss(described(functional.normalize(raw, dim=1), 0.5), batch, matcher)[1]
+
+    before = motion(start)
+    before.backward()
+    assert start.grad is not None
+    after = motion(start.detach() - 0.05 * start.grad / start.grad.norm())
+    assert float(after) < float(before)
+
+
+def test_neighbours_are_no_negatives() -> None:
+    """Two points at one place may have one descriptor."""
+    batch, heads = made_up(8, 1), Heads()
+    batch["uv_a"] = batch["uv_a"].clone()
+    twins = torch.eye(16)[:8].clone()
+    twins[1] = twins[0]
+    auc, _ = descriptor_loss(described(twins, 0.5), batch, heads, EXACT)
+    batch["uv_a"][1] = batch["uv_a"][0] + 1.0
+    near, _ = descriptor_loss(described(twins, 0.5), batch, heads, EXACT)
+    assert float(near) < float(auc) - 0.1
+
+
+def test_directions_are_compared_with_the_true_turn() -> None:
+    first = torch.tensor([[1.0, 0.0], [0.0, 1.0]])
+    second = torch.tensor([[0.0, 1.0], [0.0, 1.0]])
+    assert rotation_agreement(first, second, torch.full((2,), torch.pi / 2)).tolist() == pytest.approx(
+        [1.0, 0.0], abs=1e-6
+    )
+
+
+def see_nothing(patches: Patches) -> tuple[Descriptors, Array, Array]:
+    n = len(patches)
+    return np.ones((n, 1), dtype=np.float32), np.zeros(n), np.tile([1.0, 0.0], (n, 1))
+
+
+def test_a_blind_descriptor_scores_by_chance(points: ScenePoints) -> None:
+    trials = validation_pairs({0: points}, 1)
+    assert trials
+    blind = score(trials, see_nothing)
+    assert blind["rank_1_at_30"] < 0.05 < blind["rootsift_at_30"] <= blind["rootsift_common_at_30"]
+    assert blind["straight_at_30"] < 0.3
+    assert 0.3 < blind["reliability_auc"] < 0.7
+
+
+def test_area_under_curve() -> None:
+    assert area_under_curve(np.array([0.1, 0.2, 0.8, 0.9]), np.array([False, False, True, True])) == 1.0
+    assert area_under_curve(np.array([0.9, 0.2, 0.8, 0.1]), np.array([True, False, False, True])) == 0.5
+    assert area_under_curve(np.array([0.9, 0.2]), np.array([True, True])) == 0.5
+
+
+def test_the_command_trains_and_resumes_to_the_same_weights(training_file: Path, tmp_path: Path) -> None:
+    assert main(["train", str(training_file)]) == 0
+    whole = tmp_path / "out" / "descriptor.safetensors"
+    descriptor_network(whole)
+    with safe_open(whole, "pt") as header:
+        assert json.loads(header.metadata()["training"])["steps"] == "3 of 3"
+    scores = json.loads((tmp_path / "out" / "scores.json").read_text())
+    assert scores["finished"] is True
+    assert "rank_1_at_30" in scores["scores"]
+    parts = ["train", str(training_file), f"--train.output={tmp_path / 'parts'}"]
+    assert main([*parts, "--train.schedule.time-limit-s=1e-6"]) == 0
+    assert (tmp_path / "parts" / CHECKPOINT).is_file()
+    assert main(parts) == 0
+    assert (tmp_path / "parts" / "descriptor.safetensors").read_bytes() == whole.read_bytes()
+
+
+def test_the_loss_falls(training_file: Path, tmp_path: Path) -> None:
+    longer = [
+        "--train.schedule.steps=40",
+        "--train.schedule.warmup-steps=4",
+        "--train.schedule.learning-rate=2e-3",
+    ]
+    assert main(["train", str(training_file), *longer]) == 0
+    contrast = read_curves(tmp_path / "out")["train/contrast"][:, 1]
+    assert contrast[-8:].mean() < 0.85 * contrast[:4].mean()
+
+
+WRONG = {
+    "unknown key": ("--train.schedul.steps=3", "unknown key 'train.schedul'; did you mean schedule?"),
+    "no steps": (
+        "--train.schedule.steps=0",
+        "key 'train.schedule.steps': must be greater than or equal to 1",
+    ),
+    "unknown task": ("--train.task=masks", "key 'train.task': expected one of descriptor, depth"),
+    "unknown family": ("--train.corpus.families=teapot", "expected a list, each one of free_flyer, bus"),
+    "range upside down": ("--train.corpus.turn-deg 50 15", "turn_deg is (least, most), got 50, 15"),
+    "other corpus": ("--train.corpus.seed=99", "contains a corpus with another seed"),
+    "no held-out bodies": ("--train.corpus.validation-every=9", "hold out none"),
+    "output is a file": ("--train.output=/dev/null", "train.output: /dev/null cannot be created"),
+}
+
+
+@pytest.mark.parametrize(("words", "message"), WRONG.values(), ids=WRONG)
+def test_a_wrong_setting_is_one_line_and_exit_code_2(
+    words: str, message: str, training_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", str(training_file), *words.split()]) == 2
+    stderr = capsys.readouterr().err
+    assert message in stderr
+    assert stderr.count("\n") == 1
+
+
+def test_a_configuration_without_training_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text("seed: 1\n")
+    assert main(["train", str(config)]) == 2
+    assert "no 'train' section; see configs/train/" in capsys.readouterr().err

@@ -1,0 +1,98 @@
+"""True disparities in the rectified pair, of a small rendered sequence on a rig that is not ideal."""
+
+import numpy as np
+import pytest
+
+from polhode.config.scene import Body, Light, Motion, Render, Rig, Scene
+from polhode.dataset import StereoSequence, open_sequence
+from polhode.errors import InputError
+from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.progress import Silent
+from polhode.simulation.dataset.products import products_path, read_products
+from polhode.simulation.dataset.sequence import simulate
+from polhode.train.disparity.truth import true_disparities
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory: pytest.TempPathFactory) -> StereoSequence:
+    scene = Scene(
+        frames=3,
+        truth_horizon_s=0.0,
+        body=Body(family="cubesat", size_m=0.25),
+        motion=Motion(position_m=(0.04, 0.0, 0.6), attitude_deg=(30, 40, 10), spin_rpm=(2, 3, 1)),
+        rig=Rig(
+            width_px=160,
+            height_px=120,
+            focal_px=130.0,
+            baseline_m=0.1,
+            distortion=(-0.1, 0.02, 1e-3, -5e-4),
+            right_rotation_deg=(0.5, -3.0, 0.8),
+        ),
+        light=Light(sun_direction_N=(-0.6, -0.4, -0.6)),
+        render=Render(samples=1, bounces=0, products=("depth", "shadow")),
+    )
+    folder = tmp_path_factory.mktemp("rendered") / "sequence"
+    simulate(scene, 1, folder, Silent())
+    return open_sequence(folder)
+
+
+@pytest.fixture(scope="module")
+def rectifier(sequence: StereoSequence) -> Rectifier:
+    return make_rectifier(sequence.calibration)
+
+
+def test_left_and_right_see_the_same_surface_at_the_same_disparity(
+    sequence: StereoSequence, rectifier: Rectifier
+) -> None:
+    left, right = true_disparities(sequence, rectifier, 0)
+    assert left.visible.sum() > 500
+    v, u = np.nonzero(left.visible)
+    d = left.disparity[v, u]
+    there = right.disparity[v, np.round(u - d).astype(int)]
+    found = np.isfinite(there)
+    assert found.mean() > 0.95
+    assert np.median(np.abs(there - d)[found]) < 0.1
+    # What the right camera sees lies as much on the left image's surface.
+    v, u = np.nonzero(right.visible)
+    back = left.disparity[v, np.round(u + right.disparity[v, u]).astype(int)]
+    assert np.median(np.abs(back - right.disparity[v, u])[np.isfinite(back)]) < 0.1
+
+
+def test_images_agree_at_the_true_disparity_and_not_beside_it(
+    sequence: StereoSequence, rectifier: Rectifier
+) -> None:
+    left, _ = true_disparities(sequence, rectifier, 0)
+    raw = sequence.read_pair(0)
+    images = rectifier(raw.left, 0).astype(float), rectifier(raw.right, 1).astype(float)
+    v, u = np.nonzero(left.visible & left.sunlit)
+    d = left.disparity[v, u]
+    differences = [
+        np.mean(np.abs(images[0][v, u] - images[1][v, np.round(u - d + off).astype(int)]))
+        for off in (-4, 0, 4)
+    ]
+    assert differences[1] < 0.6 * min(differences[0], differences[2])
+
+
+def test_hidden_shadowed_and_sky_pixels_are_told_apart(
+    sequence: StereoSequence, rectifier: Rectifier
+) -> None:
+    left, _ = true_disparities(sequence, rectifier, 1)
+    target = np.isfinite(left.disparity)
+    assert not (left.visible & ~target).any() and not (left.sunlit & ~target).any()
+    assert 0.5 < left.visible[target].mean() < 1.0
+    assert 0.0 < left.sunlit[target].mean() < 1.0
+
+
+def test_a_sequence_without_shadows_is_refused_by_name(
+    sequence: StereoSequence, rectifier: Rectifier
+) -> None:
+    path = products_path(sequence.folder / "mav0", 0, int(sequence.timestamps_ns[2]))
+    depth = read_products(path).depth
+    assert depth is not None
+    kept = path.read_bytes()
+    try:
+        np.savez(path, depth=depth)
+        with pytest.raises(InputError, match="contains no depth or no shadow"):
+            true_disparities(sequence, rectifier, 2)
+    finally:
+        path.write_bytes(kept)

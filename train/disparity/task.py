@@ -1,0 +1,149 @@
+"""The disparity network as a task of the training loop."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from polhode.config.depth import Depth
+from polhode.config.train import DepthTraining, Train
+from polhode.errors import InputError
+from polhode.frontend.disparity.learned import RefinedDisparity, refine
+from polhode.frontend.networks.disparity import DisparityNet
+from polhode.processes import in_order
+from polhode.progress import Progress
+from polhode.train.corpus import scene_folder, split
+from polhode.train.disparity.loss import disparity_loss, loss_pixels
+from polhode.train.disparity.samples import (
+    DisparityBatch,
+    DisparitySample,
+    build_samples,
+    random_batch,
+    read_sample,
+)
+from polhode.train.task import Batch
+
+
+class DisparityTask:
+    """Batches, loss and validation of ``DisparityNet``."""
+
+    name = "disparity"
+
+    def __init__(
+        self, settings: DepthTraining, training: Sequence[Path], held_out: Sequence[Path], seed: int
+    ) -> None:
+        if not training or not held_out:
+            raise InputError("train.corpus: no pair shows a target that can be matched: render more scenes")
+        torch.manual_seed(seed)
+        self._settings, self._training, self._seed = settings, list(training), seed
+        # The same samples in every validation, evenly spaced over the held-out scenes.
+        step = max(1, len(held_out) // settings.validation_samples)
+        self._held_out = list(held_out)[::step][: settings.validation_samples]
+        self.model = DisparityNet()
+
+    @property
+    def network(self) -> DisparityNet:
+        return self.model
+
+    def batch(self, step: int) -> Batch:
+        rng = np.random.default_rng([self._seed, step])
+        settings = self._settings
+        return random_batch(self._training, settings.batch, settings.crop_px, rng).tensors()
+
+    def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
+        given = DisparityBatch(**batch)
+        channels = given.channels.contiguous(memory_format=torch.channels_last)
+        on_cpu = channels.device.type == "cpu"
+        with torch.autocast("cpu", torch.bfloat16, enabled=on_cpu and self._settings.half_on_cpu):
+            raw = self.model(channels)
+        mixture, pixels = loss_pixels(raw, given)
+        loss = disparity_loss(mixture, pixels)
+        with torch.no_grad():
+            likeliest = mixture.mean.gather(1, mixture.log_weight.argmax(dim=1, keepdim=True))[:, 0]
+            off = (likeliest - pixels.truth).abs()[pixels.visible & pixels.lit]
+        return loss, {"off_by_more_than_1_px": (off > 1.0).float().mean()}
+
+    def validate(self) -> Mapping[str, float]:
+        """Scores, after calibrating the scale of the network's sigmas, which is not learned."""
+        device = next(self.model.parameters()).device
+        network = self.model.cpu()
+        errors = [validation_errors(read_sample(path), network) for path in self._held_out]
+        factor = calibration(errors)
+        network.sigma_scale *= factor
+        self.model.to(device)
+        calibrated = [ValidationErrors({**each, "sigma": factor * each["sigma"]}) for each in errors]
+        return {**scores(calibrated), "sigma_scale": float(network.sigma_scale)}
+
+
+class ValidationErrors(dict[str, NDArray[np.float64]]):
+    """Errors of the initial and the refined disparity, and sigmas, at lit and visible pixels (n,) [px]."""
+
+
+def validation_errors(sample: DisparitySample, network: DisparityNet) -> ValidationErrors:
+    """Errors of one held-out sample."""
+    refined: RefinedDisparity = refine(network, sample.start)
+    pixels = sample.visible & sample.start.lit & np.isfinite(refined.disparity)
+    matched = np.isfinite(sample.start.sigma)[pixels]
+    return ValidationErrors(
+        classical=np.where(matched, np.abs(sample.start.filled - sample.truth)[pixels], np.nan),
+        refined=np.abs(refined.disparity - sample.truth)[pixels].astype(np.float64),
+        sigma=refined.sigma[pixels].astype(np.float64),
+    )
+
+
+def calibration(samples: Sequence[ValidationErrors]) -> float:
+    """Factor for sigma such that 68 % of the errors are smaller: the geometric mean over the samples."""
+    factors = [np.quantile(each["refined"] / each["sigma"], 0.6827) for each in samples if len(each["sigma"])]
+    return float(np.exp(np.mean(np.log(factors))))
+
+
+def scores(samples: Sequence[ValidationErrors]) -> dict[str, float]:
+    """Means over the samples: share of errors above 1 px at the density of the classical method;
+    calibration."""
+    rows = []
+    for each in samples:
+        matched = np.isfinite(each["classical"])
+        if not matched.any():
+            continue
+        # As many pixels as classical matching gives, those with the smallest sigma.
+        chosen = np.argsort(each["sigma"])[: int(matched.sum())]
+        rows.append(
+            {
+                "bad_classical": float(np.mean(each["classical"][matched] > 1.0)),
+                "bad_refined": float(np.mean(each["refined"][chosen] > 1.0)),
+                "bad_everywhere": float(np.mean(each["refined"] > 1.0)),
+                "median_classical_px": float(np.median(each["classical"][matched])),
+                "median_refined_px": float(np.median(each["refined"][chosen])),
+                "within_sigma": float(np.mean(each["refined"] < each["sigma"])),
+                "within_two_sigma": float(np.mean(each["refined"] < 2.0 * each["sigma"])),
+            }
+        )
+    return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+
+
+class _Builder:
+    """Builds the samples of one scene."""
+
+    def __init__(self, train: Train, seed: int) -> None:
+        self.train, self.seed = train, seed
+
+    def __call__(self, scene: int) -> tuple[int, list[Path]]:
+        folder, cache = scene_folder(self.train.corpus, scene), Path(self.train.depth.cache)
+        return scene, build_samples(folder, cache, Depth(), self.seed, self.train.depth.every)
+
+
+def make_task(train: Train, seed: int, progress: Progress, workers: int) -> DisparityTask:
+    """Match every pair of the corpus once, and initialise the network."""
+    parts = split(train.corpus)
+    scenes = sorted([*parts.training, *parts.validation])
+    files: dict[int, list[Path]] = {}
+    with progress.stage("matching pairs", len(scenes)) as advance:
+        for scene, paths in in_order(_Builder(train, seed), scenes, workers):
+            files[scene] = paths
+            advance()
+    training = [path for scene in parts.training for path in files[scene]]
+    held_out = [path for scene in parts.validation for path in files[scene]]
+    return DisparityTask(train.depth, training, held_out, seed)
