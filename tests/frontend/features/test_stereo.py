@@ -6,8 +6,8 @@ import pytest
 
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Features, StereoMatching
-from polhode.frontend.features.keypoints import detect
-from polhode.frontend.features.stereo import match_stereo, refine_disparity
+from polhode.frontend.features.keypoints import KeyPoints, detect
+from polhode.frontend.features.stereo import _match_on_lines, match_stereo, refine_disparity
 from polhode.frontend.rectification.target import Image, target_crop
 from polhode.lie import Array
 
@@ -59,6 +59,19 @@ def test_a_window_without_texture_is_refused() -> None:
     noisy = (flat + np.random.default_rng(0).integers(0, 3, flat.shape)).astype(np.uint8)
     _, _, correlation = refine_disparity(noisy, flat, np.array([[160.0, 120.0]]), np.array([40.0]), 13)
     assert correlation[0] < 0.85
+
+
+@pytest.mark.parametrize(("second", "kept"), [(0.55, True), (0.52, False)])
+def test_a_match_is_refused_when_the_second_best_descriptor_is_nearly_as_near(
+    second: float, kept: bool
+) -> None:
+    """At a distance of 0.5 of the best one and a ratio of 0.95, the limit is at 0.526."""
+    turn = 2.0 * np.arcsin(0.5 * np.array([0.0, 0.5, second]))
+    looks = np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32)
+    uv = np.array([[200.0, 100.0], [160.0, 100.0], [150.0, 100.0]])
+    points = [KeyPoints(uv[k], np.full(n, 2.0), np.zeros(n), looks[k]) for k, n in (([0], 1), ([1, 2], 2))]
+    left, disparity = _match_on_lines(points[0], points[1], RIG, StereoMatching(ratio=0.95))
+    assert (left.tolist(), disparity.tolist()) == (([0], [40.0]) if kept else ([], []))
 
 
 def test_matches_lie_on_the_surface() -> None:

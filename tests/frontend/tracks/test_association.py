@@ -8,7 +8,7 @@ import torch
 
 from polhode.config.frontend import Frontend, GuidedMatching, Tracks
 from polhode.frontend.matching.pairs import PairMatch, match_pairs, relative_poses
-from polhode.frontend.matching.ransac import fit_noisy, ransac_rigid
+from polhode.frontend.matching.ransac import NOISE_PX, fit_noisy, ransac_rigid
 from polhode.frontend.matching.retrieval import pairs_to_match
 from polhode.frontend.matching.soft_assignment import DualSoftmax
 from polhode.frontend.tracks.guided import consistent_matches, match_improbability, reconnect
@@ -19,7 +19,7 @@ from polhode.frontend.tracks.landmark_map import (
     viewing_direction,
 )
 from polhode.frontend.tracks.tracks import Association, join_matches, to_tracks
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import InitialMotion
 from polhode.rigid_fit import fit_rigid
 from tests.frontend.feature_world import RIG, World, make_world, purity
@@ -65,6 +65,28 @@ def test_a_wild_point_does_not_bend_the_fit() -> None:
     wild = p.copy()
     wild[0] += [0.0, 0.1, 0.0]
     np.testing.assert_allclose(fit_noisy(np.eye(4), wild, p, RIG), np.eye(4), atol=1e-3)
+
+
+def test_the_error_of_a_motion_is_as_small_as_the_noise_of_both_frames_allows() -> None:
+    """Depth is the weak direction of each frame, and the frames are 45 degrees apart: errors (6,) have the
+    covariance of least squares with the right weights."""
+    rng = np.random.default_rng(8)
+    R = exp_so3([0.1, np.deg2rad(45.0), -0.2])
+    middle = np.array([0.0, 0.0, 0.7])
+    X_AB, squares = make_pose(R, middle - R @ middle), []
+    for _ in range(120):
+        p_B = rng.normal(middle, 0.1, (60, 3))
+        p_A = transform_points(X_AB, p_B)
+        seen = [RIG.triangulate(RIG.project(p) + NOISE_PX * rng.normal(size=p.shape)) for p in (p_A, p_B)]
+        A, B = (NOISE_PX * RIG.triangulation_jacobian(p) for p in (p_A, p_B))
+        W = np.linalg.inv(A @ np.swapaxes(A, 1, 2) + R @ B @ np.swapaxes(B, 1, 2) @ R.T)
+        by_motion = np.concatenate([-hat(p_A), np.tile(np.eye(3), (60, 1, 1))], axis=2)
+        information = np.sum(np.swapaxes(by_motion, 1, 2) @ W @ by_motion, axis=0)
+        D = fit_noisy(X_AB, *seen, RIG) @ inverse_pose(X_AB)
+        error = np.concatenate([log_so3(D[:3, :3]), D[:3, 3]])
+        squares.append(error @ information @ error)
+    # a mean of 720 squares of variance 2
+    assert np.mean(squares) / 6.0 == pytest.approx(1.0, abs=0.13)
 
 
 def test_probabilities_of_the_allowed_pairs_are_those_of_the_dual_softmax() -> None:

@@ -1,6 +1,6 @@
 """Correspondences against mesh vertices, OpenCV's projection, plates before plates, and back again."""
 
-from time import perf_counter
+from time import process_time
 
 import cv2
 import numpy as np
@@ -174,9 +174,9 @@ def test_a_hundred_thousand_points_take_less_than_half_a_second(
     uv = np.resize(on_target, (100_000, 2))
     seconds = []
     for _ in range(3):
-        start = perf_counter()
+        start = process_time()
         correspond(caster, a, b, uv)
-        seconds.append(perf_counter() - start)
+        seconds.append(process_time() - start)
     assert min(seconds) < 0.5
 
 
