@@ -7,19 +7,21 @@ import json
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 from polhode.atomic import write_text
-from polhode.compare.judging.judge import judge, reference_covariance, sigmas
-from polhode.compare.judging.profiles import performance_profiles
-from polhode.compare.problem.landmark_block import compile_block
+from polhode.compare.problem.assessment import judge, reference_covariance, sigmas
+from polhode.compare.problem.fingerprint import BASE, code_of, machine, of_problem, versions
 from polhode.compare.problem.measured_problem import MeasuredProblem, load, save
+from polhode.compare.problem.single_blocks import compile_block
 from polhode.compare.problem.sources import Source, sources
-from polhode.compare.processes.fingerprint import machine, of_problem, stamp, versions
-from polhode.compare.processes.isolate import empty_row, row_of
+from polhode.compare.processes.isolation import empty_row, row_of
+from polhode.compare.ranking import performance_profiles
 from polhode.compare.registry import Entry, entries
-from polhode.compare.tables.rows import Case, Comparison, ProblemWords, Row, write_comparison
+from polhode.compare.rows import Case, Comparison, ProblemWords, Row, write_comparison
 from polhode.compare.tables.table import csv_text
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
@@ -142,6 +144,22 @@ def _row(
     write_text(path, json.dumps({"stamp": wanted, "row": row.model_dump(mode="json")}) + "\n")
     _log.info("%s: %s, %s", name, row.status, row.message)
     return row
+
+
+def stamp(problem: str, entry: Entry, limit_s: float) -> dict[str, Any]:
+    """What a stored row must have in common with a new one; ``problem`` is its fingerprint."""
+    return {
+        "fingerprint": problem,
+        "limit_s": limit_s,
+        "entry": {
+            **asdict(entry),
+            "options": [list(pair) for pair in entry.options],
+            "needs": [*entry.needs],
+        },
+        "versions": versions((*BASE, *entry.needs)),
+        "code": code_of(),
+        "machine": machine(),
+    }
 
 
 def _words(source: Source, problem: MeasuredProblem, key: str, rows: Sequence[Row]) -> ProblemWords:

@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.processes.reached import Reached
+from polhode.compare.solver_progress import Reached
 from polhode.lie import Array
 
 Claim = Literal["ok", "baseline"]
@@ -131,16 +131,7 @@ class Watch:
 
 
 class Solver(Protocol):
-    """One method; a new object for each solve."""
-
-    name: str
-    family: str
-    """Whose work it is: ours, ipopt, gtsam, ..."""
-    claim: Claim
-    words: str
-    """What it is, in a few words"""
-    needs: tuple[str, ...]
-    """Packages beyond those that polhode always has"""
+    """One method; a new object for each solve. What is known of it without importing it: ``registry``."""
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Minimise from x (n,). Raises OutOfTime at the limit; any other error is a failed row."""

@@ -284,17 +284,17 @@ PIPELINE_AND_CLI = (
 COMPARE = (
     Fault(
         "the front of time against accuracy: slower counts as faster",
-        "compare/judging/dominance.py",
+        "compare/ranking.py",
         "faster = (1.0 + NOISE) * row.wall_s < other.wall_s",
         "faster = (1.0 + NOISE) * row.wall_s > other.wall_s",
-        ("compare/judging/test_dominance.py", "compare"),
+        ("compare/test_ranking.py", "compare"),
     ),
     Fault(
         "the judge forgets what the landmarks still promise",
-        "compare/judging/judge.py",
+        "compare/problem/assessment.py",
         "gain = 0.5 * float(g @ cho_solve(factor, g)) + 0.5 * float(of_landmarks)",
         "gain = 0.5 * float(g @ cho_solve(factor, g))",
-        ("compare/judging", "compare/processes/test_isolate.py", "compare/test_solvers.py"),
+        ("compare/processes/test_isolation.py", "compare/test_solvers.py"),
     ),
 )
 POLHODE = (

@@ -19,9 +19,8 @@ from tyro.conf import Positional, arg
 from benchmarks.command import ROOT, Short, command
 from polhode.cli.console import choose_progress
 from polhode.compare.comparison import FILE, compare
-from polhode.compare.judging.dominance import standing_lines, standings
-from polhode.compare.judging.profiles import curve, front, growths
-from polhode.compare.tables.rows import Comparison, ProblemWords, Row, read_comparison
+from polhode.compare.ranking import curve, front, growths, standing_lines, standings
+from polhode.compare.rows import Comparison, ProblemWords, Row, read_comparison
 from polhode.compare.tables.table import ERROR_COLUMNS, cells, error_cells, not_separable, told, verdict
 from polhode.config import Config
 from polhode.config.loader import load_config

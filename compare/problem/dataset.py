@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 
 from polhode.atomic import write_text
-from polhode.compare.processes.fingerprint import BASE, code_of, versions
+from polhode.compare.problem.fingerprint import BASE, code_of, versions
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.pipeline.context import open_context

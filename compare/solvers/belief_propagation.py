@@ -5,13 +5,11 @@ its vector over steps from the current point; every round all factors speak at o
 moves to the beliefs' means and everything is linearised again.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from polhode.compare.problem.blocks import Block, Blocks, root_of_kernel
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.solver import Outcome, Watch
 from polhode.lie import Array
 
 KEPT = 0.5
@@ -23,15 +21,8 @@ TOLERANCE, RESTING = 1e-8, 20
 """Relative decrease of the cost over so many rounds that ends them."""
 
 
-@dataclass
 class BeliefPropagation:
     """Loopy, synchronous."""
-
-    name: str = "belief_propagation"
-    words: str = "Gaussian belief propagation, loopy, damped"
-    family: str = "baselines"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ()
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Rounds until the cost rests."""

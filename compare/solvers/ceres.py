@@ -5,33 +5,24 @@ landmark are one block (``landmark_block``); what the calls cost is stated.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from polhode.compare.problem.blocks import Blocks
-from polhode.compare.problem.landmark_block import compile_block, landmark_block
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.problem.single_step import SingleSteps
-from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.problem.single_blocks import SingleSteps, compile_block, landmark_block
+from polhode.compare.solver import Outcome, Watch
 from polhode.lie import Array
 
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 500
 
 
-@dataclass
 class Ceres:
     """Levenberg-Marquardt, landmarks eliminated by Ceres's own Schur complement."""
 
-    name: str = "ceres"
-    words: str = "Ceres, Levenberg-Marquardt, sparse Schur complement"
-    family: str = "ceres"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ("pyceres",)
-
-    def __post_init__(self) -> None:
+    def __init__(self) -> None:
         """The compiled loop is loaded before any clock starts."""
         compile_block()
 

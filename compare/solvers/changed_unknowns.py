@@ -16,7 +16,7 @@ from scipy.sparse.linalg import splu
 
 from polhode.compare.problem.blocks import Blocks, root_of_kernel, stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.solver import Outcome, Watch
 from polhode.compare.solvers.aghili_dynamics import AghiliDynamics
 from polhode.compare.solvers.changed_inertia import KINDS, ChangedInertia
 from polhode.lie import Array, hat, right_jacobian_so3
@@ -33,19 +33,6 @@ class ChangedUnknowns:
     """One choice of z."""
 
     unknowns: str = "rotation_vector"
-    family: str = "ablations"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """As in the registry."""
-        return f"unknowns_{self.unknowns}"
-
-    @property
-    def words(self) -> str:
-        """What it is."""
-        return f"sparse Levenberg-Marquardt over {self.unknowns}"
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Until the relative decrease of an accepted step is below TOLERANCE."""

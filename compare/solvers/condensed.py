@@ -4,7 +4,6 @@ The reduced cost is the least over the landmarks (variable projection); its grad
 follow from the Schur complement there.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -14,7 +13,7 @@ from polhode.backend.solvers.casadi_nlp import OPTIMAL, ExternalFunction
 from polhode.backend.solvers.gauss_newton import GaussNewton, NormalEquations
 from polhode.backend.solvers.ipopt import MESSAGES, MotionProgram
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.solver import Outcome, Watch
 from polhode.compare.solvers.ipopt import MAX_ITERATIONS, Iterations
 from polhode.lie import Array
 
@@ -102,15 +101,8 @@ class ReducedCost:
         return np.asarray(np.bincount(d.landmark, each, d.n_landmarks), dtype=np.float64)
 
 
-@dataclass
 class Condensed:
     """IPOPT over the reduced cost."""
-
-    name: str = "ipopt_condensed"
-    words: str = "IPOPT on states and constants, landmarks condensed"
-    family: str = "ipopt"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ()
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """With the tolerances of the back end's program."""

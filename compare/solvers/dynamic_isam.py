@@ -6,7 +6,7 @@ wide priors, the first landmark is locked to a micrometre, the first pose hardly
 where the estimated motion leads. Measurements, kernel and process noise are those of the common cost.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,10 +18,10 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import NormalEquations
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.problem.single_step import first_steps
-from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.problem.single_blocks import first_steps
+from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solvers.ablations import LogRatios, possible
 from polhode.compare.solvers.ours import Timed
-from polhode.compare.solvers.thesis_inertia import LogRatios, possible
 from polhode.lie import Array, log_so3
 from polhode.records import Ints
 
@@ -34,15 +34,8 @@ FIRST_POSE = (1.34, 16.0)
 FEWEST_FRAMES = 2
 
 
-@dataclass
 class DynamicIsam:
     """Incremental batch smoothing."""
-
-    name: str = "dynamic_isam"
-    words: str = "dynamic iSAM (thesis): incremental, k1 and k2 free, one landmark locked"
-    family: str = "baselines"
-    claim: Claim = "baseline"
-    needs: tuple[str, ...] = ()
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """The last estimate; the message tells how often the inertia was impossible."""

@@ -1,17 +1,18 @@
 """GTSAM: Levenberg-Marquardt on the whole graph, and iSAM2 frame by frame."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C
+from gtsam.symbol_shorthand import C, L, V, X
 
+from polhode.backend.dynamics.so3_exp import inverse_right_jacobians
+from polhode.compare.problem.blocks import Blocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Claim, Outcome, Watch
-from polhode.compare.solvers.gtsam_graph import Graph
-from polhode.lie import Array
+from polhode.compare.problem.single_blocks import SingleSteps
+from polhode.compare.solver import Outcome, Watch
+from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 300
@@ -21,15 +22,8 @@ LAST_UPDATES = 40
 NOT_SEPARABLE = "GTSAM evaluates its stereo factors in C++ inside its own steps"
 
 
-@dataclass
 class Batch:
     """Levenberg-Marquardt with Marquardt's scaling."""
-
-    name: str = "gtsam_lm"
-    words: str = "GTSAM, Levenberg-Marquardt, multifrontal Cholesky"
-    family: str = "gtsam"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ("gtsam",)
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Until the relative decrease is below TOLERANCE."""
@@ -57,15 +51,8 @@ class Batch:
         return Outcome(own.vector(values), converged, iterations, message, cov)
 
 
-@dataclass
 class Incremental:
     """iSAM2: frames come one by one, with the same first values; in the end updates until the cost rests."""
-
-    name: str = "gtsam_isam2"
-    words: str = "GTSAM iSAM2, frame by frame, then updates until the cost rests"
-    family: str = "gtsam"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ("gtsam",)
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """The cost is noted when all frames are in."""
@@ -116,3 +103,157 @@ def _covariance(solved: Callable[[], Any]) -> Array | None:
         return np.asarray(solved().marginalCovariance(C(0)))[:8, :8]
     except RuntimeError:
         return None
+
+
+Errors = Callable[[Array, bool], tuple[Array, Array]]
+"""Unknowns of the keys, whether the Jacobian is wanted: residuals, Jacobian."""
+
+
+class Graph:
+    """Factors by frame, and values to and from the common vector."""
+
+    def __init__(self, problem: MeasuredProblem, watch: Watch) -> None:
+        self.blocks, self.watch = Blocks(problem.data, problem.held), watch
+        self.data, self.held = problem.data, problem.held
+        self.X_NR = inverse_pose(make_pose(self.data.R_RN, self.data.t_R))
+        self._steps = SingleSteps(self.blocks)
+        self._models: dict[tuple[float, ...], Any] = {}
+        d = self.data
+        f, cx, cy, baseline, self._offset = d.rig
+        self._camera = gtsam.Cal3_S2Stereo(f, f, 0.0, cx, cy, baseline)
+
+    def all(self, x: Array) -> Any:
+        """Every factor."""
+        graph = gtsam.NonlinearFactorGraph()
+        for k in range(self.data.n_frames):
+            self.add_stereo(graph, k)
+            if k > 0:
+                self.add_step(graph, k - 1)
+        self.add_others(graph, x)
+        return graph
+
+    def add_stereo(self, graph: Any, k: int) -> None:
+        """Measurements of frame k."""
+        d = self.data
+        for m in np.flatnonzero(d.frame == k):
+            u, v, disparity = d.uvd_px[m]
+            measured = gtsam.StereoPoint2(u, u - (disparity - self._offset), v)
+            graph.add(
+                gtsam.GenericStereoFactor3D(
+                    measured,
+                    self._model(d.inv_sigma[m]),
+                    X(k),
+                    L(int(d.landmark[m])),
+                    self._camera,
+                    False,
+                    False,
+                )
+            )
+
+    def _model(self, inv_sigma: Array) -> Any:
+        key = tuple(inv_sigma.tolist())
+        if key not in self._models:
+            T = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+            base = gtsam.noiseModel.Gaussian.Covariance(T @ np.diag(inv_sigma**-2.0) @ T.T)
+            kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.data.robust_scale)
+            self._models[key] = gtsam.noiseModel.Robust.Create(kernel, base)
+        return self._models[key]
+
+    def add_step(self, graph: Any, k: int) -> None:
+        """Dynamics from frame k to the next."""
+
+        def errors(x: Array, wanted: bool) -> tuple[Array, Array]:
+            if wanted:
+                return self._steps.jacobian(k, x)
+            return self._steps.residual(k, x), np.zeros((0, 0))
+
+        keys = [X(k), V(k), X(k + 1), V(k + 1), C(0)]
+        self._add(graph, keys, 12, errors)
+
+    def add_others(self, graph: Any, x: Array) -> None:
+        """Prior, hold of the first pose, errors of the camera, what is known of a wrench."""
+        b, s = self.blocks, self.blocks.n_state
+        for kind, block in enumerate(b.others(x)):
+            for row, slots in enumerate(block.slots):
+                first = int(slots[0])
+                if first >= b.n_states:
+                    key, start, size = C(0), b.n_states, b.n_dense - b.n_states
+                elif first % s < 6:
+                    key, start, size = X(first // s), first, 6
+                else:
+                    key, start, size = V(first // s), first - first % s + 6, s - 6
+                errors = self._other(kind, row, x.copy(), slice(start, start + size), slots - start)
+                self._add(graph, [key], block.residual.shape[1], errors)
+
+    def _other(self, kind: int, row: int, x: Array, at: slice, columns: Any) -> Errors:
+        def errors(own: Array, wanted: bool) -> tuple[Array, Array]:
+            x[at] = own
+            block = self.blocks.others(x)[kind]
+            jacobian = np.zeros((block.residual.shape[1], at.stop - at.start))
+            jacobian[:, columns] = block.jacobian[row]
+            return block.residual[row], jacobian
+
+        return errors
+
+    def _add(self, graph: Any, keys: list[int], rows: int, errors: Errors) -> None:
+        """A factor in Python; its Jacobian in the tangent of GTSAM's poses."""
+
+        def call(this: Any, values: Any, jacobians: Any) -> Array:
+            with self.watch.callback(), np.errstate(all="ignore"):
+                own, tangents = [], []
+                for key in list(this.keys()):
+                    numbers, tangent = self._numbers(values, key)
+                    own.append(numbers)
+                    tangents.append(tangent)
+                residual, jacobian = errors(np.concatenate(own), jacobians is not None)
+                if jacobians is not None:
+                    start = 0
+                    for n, (numbers, tangent) in enumerate(zip(own, tangents, strict=True)):
+                        part = jacobian[:, start : start + len(numbers)]
+                        jacobians[n] = np.asfortranarray(part if tangent is None else part @ tangent)
+                        start += len(numbers)
+                # GTSAM takes a factor that is not a number for a good one
+                return np.where(np.isfinite(residual), residual, 1e30)
+
+        graph.add(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), keys, call))
+
+    def _numbers(self, values: Any, key: int) -> tuple[Array, Array | None]:
+        """Common unknowns of a key; of a pose also their derivative (6, 6) in its tangent (turn, shift)."""
+        symbol = gtsam.Symbol(key)
+        if chr(symbol.chr()) != "x":
+            return np.asarray(values.atVector(key)), None
+        k = symbol.index()
+        X_GR = values.atPose3(key).matrix()
+        X_NG = self.X_NR[k] @ inverse_pose(X_GR)
+        R_NG, R_GR = X_NG[:3, :3], X_GR[:3, :3]
+        theta = log_so3(self.held.reference.R_NG[k].T @ R_NG)
+        tangent = np.zeros((6, 6))
+        tangent[:3, :3], tangent[:3, 3:] = -R_NG @ hat(X_GR[:3, 3]) @ R_GR, -R_NG @ R_GR
+        tangent[3:, :3] = -inverse_right_jacobians(theta[None])[0] @ R_GR
+        return np.concatenate([X_NG[:3, 3], theta]), tangent
+
+    def values(self, x: Array, frames: range | None = None, marks: Any = None) -> Any:
+        """GTSAM's values of frames and landmarks (all unless given); constants with frame 0."""
+        b, out = self.blocks, gtsam.Values()
+        at = self.held.reference.moved_to(x)
+        X_GR = inverse_pose(make_pose(at.R_NG, at.p_NG)) @ self.X_NR
+        states = x[: b.n_states].reshape(-1, b.n_state)
+        frames = range(self.data.n_frames) if frames is None else frames
+        for k in frames:
+            out.insert(X(k), gtsam.Pose3(X_GR[k]))
+            out.insert(V(k), states[k, 6:].copy())
+        if 0 in frames:
+            out.insert(C(0), x[b.n_states : b.n_dense].copy())
+        for mark in range(self.data.n_landmarks) if marks is None else marks:
+            out.insert(L(int(mark)), at.p_G[mark].copy())
+        return out
+
+    def vector(self, values: Any) -> Array:
+        """The common unknowns (n,)."""
+        b = self.blocks
+        states = np.zeros((self.data.n_frames, b.n_state))
+        for k in range(self.data.n_frames):
+            states[k, :6] = self._numbers(values, X(k))[0]
+            states[k, 6:] = values.atVector(V(k))
+        marks = np.array([values.atPoint3(L(mark)) for mark in range(self.data.n_landmarks)])
+        return np.concatenate([states.ravel(), values.atVector(C(0)), marks.ravel()])

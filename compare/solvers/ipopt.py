@@ -12,9 +12,8 @@ import numpy as np
 from polhode.backend.solvers.casadi_nlp import OPTIMAL
 from polhode.backend.solvers.ipopt import MESSAGES, MotionProgram, ProgramLayout
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Claim, Outcome, Watch
-from polhode.compare.solvers.casadi_kernels import Hessian
-from polhode.compare.solvers.casadi_program import Code, Dynamics, Formulation, VariantProgram
+from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solvers.casadi_program import Code, Dynamics, Formulation, Hessian, VariantProgram
 from polhode.lie import Array
 
 MAX_ITERATIONS = 500
@@ -58,15 +57,8 @@ class Iterations(ca.Callback):
         return [1 if self._watch.left() <= 0.0 else 0]
 
 
-@dataclass
 class Shipped:
     """``backend.program.MotionProgram``: weighted, Gauss-Newton Hessian, stereo in compiled loops."""
-
-    name: str = "ipopt"
-    words: str = "IPOPT as polhode runs it"
-    family: str = "ipopt"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ()
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """The back end's own call, its clock read."""
@@ -113,19 +105,6 @@ class Variant:
     hessian: Hessian = "gauss_newton"
     dynamics: Dynamics = "weighted"
     code: Code = "vm"
-    family: str = "ipopt"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """As in the registry."""
-        return f"ipopt_{self.hessian}_{self.dynamics}_{self.code}"
-
-    @property
-    def words(self) -> str:
-        """What it is."""
-        return f"IPOPT, {self.hessian} Hessian, {self.dynamics} dynamics, {self.code}"
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Build, solve with the tolerances of the back end's program."""

@@ -4,7 +4,7 @@ Bundle adjustment knows nothing of dynamics; angular velocity by differences of 
 by the straight line that it draws, inertia by least squares on a constant angular momentum.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,22 +12,15 @@ from polhode.backend.initialization.multistart import inertia_from_momentum
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import Iterate
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.solver import Outcome, Watch
 from polhode.compare.solvers.ours import Watched
 from polhode.lie import Array, log_so3
 
 MAX_ITERATIONS = 100
 
 
-@dataclass
 class Odometry:
     """No dynamics in the map."""
-
-    name: str = "odometry"
-    words: str = "bundle adjustment, rates by differences, least-squares inertia (thesis 7.2)"
-    family: str = "baselines"
-    claim: Claim = "baseline"
-    needs: tuple[str, ...] = ()
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """One bundle adjustment, then three least squares."""

@@ -10,9 +10,9 @@ from polhode.backend.estimate import PASS_TOLERANCE
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import TIME_LIMIT, GaussNewton, NormalEquations, Solution
 from polhode.backend.solvers.linearization_point import LinearizationPoint
-from polhode.compare.judging.judge import reference_covariance
+from polhode.compare.problem.assessment import reference_covariance
 from polhode.compare.problem.measured_problem import MeasuredProblem, inertia_around, with_form
-from polhode.compare.solver import Claim, Outcome, OutOfTime, Watch
+from polhode.compare.solver import Outcome, OutOfTime, Watch
 from polhode.lie import Array
 
 MAX_ITERATIONS, PASS = 500, 12
@@ -75,12 +75,7 @@ class Watched(Timed):
 class Ours:
     """Gauss-Newton in one form of the inertia."""
 
-    name: str = "gauss_newton"
     form: str = "second_moments"
-    words: str = "ours: Gauss-Newton/Levenberg, landmarks and chain eliminated"
-    family: str = "ours"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ()
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Solve in the form's own coordinates, again until the cost rests (``backend.estimate.refine``).

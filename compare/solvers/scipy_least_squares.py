@@ -1,6 +1,5 @@
 """SciPy: ``least_squares`` with the sparse Jacobian of the common residuals."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,7 +7,7 @@ from scipy.optimize import least_squares
 
 from polhode.compare.problem.blocks import Block, Blocks, root_of_kernel, stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.solver import Outcome, Watch
 from polhode.lie import Array
 
 TOLERANCE = 1e-11
@@ -17,15 +16,8 @@ UNREACHABLE = 1e30
 """Residual where the model cannot be evaluated: the step there is refused."""
 
 
-@dataclass
 class TrustRegion:
     """Trust region reflective, steps by LSMR."""
-
-    name: str = "scipy_trf"
-    words: str = "SciPy least_squares, trust region, sparse Jacobian, LSMR"
-    family: str = "scipy"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ()
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """The kernel is in the residuals: SciPy's own losses act on single numbers, not on vectors."""

@@ -15,7 +15,7 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.window import CameraNoise, FrameMeasurements, OnlineState, SlidingWindow
 from polhode.camera import RectifiedRig
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.solver import Outcome, Watch
 from polhode.compare.solvers.condensed import ReducedCost
 from polhode.config.backend import Backend, Window
 from polhode.lie import Array, inverse_pose, make_pose
@@ -28,19 +28,6 @@ class WindowLength:
     """One length."""
 
     frames: str = "12"
-    family: str = "ablations"
-    claim: Claim = "baseline"
-    needs: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """As in the registry."""
-        return f"window_{self.frames}"
-
-    @property
-    def words(self) -> str:
-        """What it is."""
-        return f"sliding window of {self.frames} frames"
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Where each state was when it left the window; ``x`` serves frames that were never placed."""

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.solver import Outcome, Watch
 from polhode.compare.solvers.casadi_program import Formulation, VariantProgram
 from polhode.compare.solvers.ipopt import Iterations, evaluation_s
 from polhode.lie import Array
@@ -31,19 +31,6 @@ class Sqp:
     """Gauss-Newton Hessian, weighted residuals."""
 
     qp: str = "osqp"
-    family: str = "sqp"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """As in the registry."""
-        return f"sqp_{self.qp}"
-
-    @property
-    def words(self) -> str:
-        """What it is."""
-        return f"CasADi sqpmethod, {self.qp}"
 
     def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
         """Steps with a line search; ends at a small gradient or step."""

@@ -6,17 +6,14 @@ from typing import Any
 import numpy as np
 
 from polhode.atomic import write_text
-from polhode.compare.judging.dominance import NOISE
-from polhode.compare.judging.judge import AGREED
-from polhode.compare.judging.profiles import curve, front, growths
-from polhode.compare.tables.rows import Comparison, Row
+from polhode.compare.problem.assessment import AGREED
+from polhode.compare.ranking import NOISE, curve, front, growths
+from polhode.compare.rows import Comparison, Row, gap, least_costs
 from polhode.compare.tables.table import (
     COLUMNS,
     ERROR_COLUMNS,
     cells,
     error_cells,
-    gap,
-    least_costs,
     not_separable,
     start_words,
     told,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from rich.console import Console, JustifyMethod
 from rich.table import Table
 
-from polhode.compare.tables.rows import Comparison, Errors, Row, Tally
+from polhode.compare.rows import Comparison, Errors, Row, Tally, gap
 
 COLUMNS = (
     "solver", "start", "status", "over least", "iter", "time s", "build", "eval", "linear", "MB",
@@ -18,18 +18,6 @@ NOT_SEPARABLE = "n/s"
 """In the place of a time that is not told apart; why stands below the table."""
 WIDTH = 132
 """Characters of the table where no terminal says how many there are."""
-
-
-def least_costs(comparison: Comparison) -> dict[str, float | None]:
-    """By problem: the least of its rows and its reference solution."""
-    return {problem.name: problem.least_cost for problem in comparison.problems}
-
-
-def gap(row: Row, least: float | None) -> float | None:
-    """Cost over the least one of its problem, minus 1."""
-    if row.cost is None or least is None:
-        return None
-    return row.cost / least - 1.0
 
 
 def print_tables(comparison: Comparison) -> None:

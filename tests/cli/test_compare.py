@@ -11,7 +11,7 @@ import pytest
 from polhode.cli.main import main
 from polhode.compare.comparison import MARK, claim
 from polhode.compare.problem.sources import SCENES
-from polhode.compare.tables.rows import read_comparison
+from polhode.compare.rows import read_comparison
 from polhode.config.compare import Motion
 from polhode.errors import InputError
 from polhode.pipeline.run_directory.archives import write_measurements

@@ -4,16 +4,12 @@ import os
 import time
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Claim, Outcome, Watch
+from polhode.compare.solver import Outcome, Watch
 from polhode.lie import Array
 
 
 class Faulty:
     """Crashes, hangs, raises, lies or gives nonsense."""
-
-    name, family, words = "faulty", "tests", "misbehaves"
-    claim: Claim = "ok"
-    needs: tuple[str, ...] = ()
 
     def __init__(self, how: str) -> None:
         self.how = how

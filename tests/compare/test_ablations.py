@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.dynamics.propagation import propagate_derivatives
-from polhode.compare.judging.judge import AGREED, judge
+from polhode.compare.problem.assessment import AGREED, judge
 from polhode.compare.problem.blocks import stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.registry import ABLATIONS, entries

@@ -6,7 +6,7 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from polhode.compare.judging.judge import AGREED, judge, reference_covariance, sigmas
+from polhode.compare.problem.assessment import AGREED, judge, reference_covariance, sigmas
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.registry import ABLATIONS, ENTRIES, entries
 from polhode.compare.solver import Outcome, OutOfTime, Watch

@@ -10,7 +10,7 @@ import pytest
 from polhode.cli.main import main
 from polhode.compare.problem import dataset
 from polhode.compare.problem.dataset import measure
-from polhode.compare.tables.rows import Comparison, read_comparison
+from polhode.compare.rows import Comparison, read_comparison
 from polhode.config import Config
 from polhode.errors import InputError
 from polhode.pipeline.evaluation.evaluate import truth_of_frames

@@ -12,8 +12,8 @@ from benchmarks.solvers.compare import (
     motions_table,
     profile_table,
 )
-from polhode.compare.judging.profiles import performance_profiles
-from polhode.compare.tables.rows import Comparison, ProblemWords, Row, write_comparison
+from polhode.compare.ranking import performance_profiles
+from polhode.compare.rows import Comparison, ProblemWords, Row, write_comparison
 
 ERRORS = {"position_mm": 1.0, "velocity_mm_s": 2.0, "attitude_deg": 0.5, "angular_velocity_deg_s": 0.25,
           "com_mm": 0.125, "k1": 0.01, "k2": -0.02}  # fmt: skip

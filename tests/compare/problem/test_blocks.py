@@ -3,9 +3,8 @@
 import numpy as np
 
 from polhode.compare.problem.blocks import Block, Blocks, root_of_kernel, stacked
-from polhode.compare.problem.landmark_block import landmark_block
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.problem.single_step import SingleSteps
+from polhode.compare.problem.single_blocks import SingleSteps, landmark_block
 from polhode.lie import Array
 
 

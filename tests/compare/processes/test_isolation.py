@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from polhode.compare.judging.judge import judge
+from polhode.compare.problem.assessment import judge
 from polhode.compare.problem.measured_problem import load
-from polhode.compare.processes.child import storable
-from polhode.compare.processes.isolate import row_of
+from polhode.compare.processes.isolation import row_of
+from polhode.compare.processes.solver_process import storable
 from polhode.compare.registry import ENTRIES, Entry, entries
-from polhode.compare.tables.rows import Case, Row
+from polhode.compare.rows import Case, Row
 from polhode.errors import InputError
 
 CASE = Case(problem="small", solver="faulty", start="cold", seed=0)

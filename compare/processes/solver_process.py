@@ -1,4 +1,4 @@
-"""The process of one solver: ``python -m polhode.compare.processes.child PROBLEM CASE ENTRY OUT``.
+"""The process of one solver: ``python -m polhode.compare.processes.solver_process PROBLEM CASE ENTRY OUT``.
 
 Reads the problem, solves, writes what came of it as JSON. Whatever it does wrong costs its own row only.
 """
@@ -47,10 +47,10 @@ def main(words: list[str]) -> None:
 
 def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> dict[str, Any]:
     """The parts of a row that this process knows."""
-    from polhode.compare.judging.judge import gain_left, sigmas
+    from polhode.compare.problem.assessment import gain_left, sigmas
     from polhode.compare.problem.measured_problem import load
-    from polhode.compare.processes.reached import Reached
     from polhode.compare.solver import OutOfTime, Watch
+    from polhode.compare.solver_progress import Reached
 
     problem = load(problem_file)
     x = problem.start(case["start"], case["seed"])
@@ -104,7 +104,7 @@ def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> 
 
 def _believed(entry: Entry, converged: bool, message: str, judged: dict[str, Any]) -> tuple[str, str]:
     """Status and words of an answer: what the solver claims, if the common cost confirms it."""
-    from polhode.compare.judging.judge import AGREED
+    from polhode.compare.problem.assessment import AGREED
 
     if judged["cost"] is None:
         return "failed", f"no finite cost where it stopped ({message})"
@@ -119,7 +119,7 @@ def _believed(entry: Entry, converged: bool, message: str, judged: dict[str, Any
 
 def of_point(problem: "MeasuredProblem", kept: str, x: "Array | None") -> dict[str, Any]:
     """What the judge says of the point that is kept; nothing of none."""
-    from polhode.compare.judging.judge import Verdict, judge
+    from polhode.compare.problem.assessment import Verdict, judge
 
     verdict = Verdict(None, None, None, None, None) if x is None else judge(problem, x)
     return {

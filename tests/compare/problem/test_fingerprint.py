@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polhode.compare import comparison
+from polhode.compare.comparison import stamp
+from polhode.compare.problem import fingerprint
+from polhode.compare.problem.fingerprint import code_of, of_problem
 from polhode.compare.problem.measured_problem import MeasuredProblem, load, save
-from polhode.compare.processes import fingerprint
-from polhode.compare.processes.fingerprint import code_of, of_problem, stamp
 from polhode.compare.registry import entries
 
 
@@ -68,9 +70,9 @@ def test_a_stamp_holds_solver_limit_versions_code_and_machine(monkeypatch: pytes
     others.append(stamp("p", replace(ceres, options=(("a", "b"),)), 60.0))
     monkeypatch.setattr(fingerprint, "version", lambda name: "another" if name == "pyceres" else "0")
     others.append(stamp("p", ceres, 60.0))
-    monkeypatch.setattr(fingerprint, "code_of", lambda: "another")
+    monkeypatch.setattr(comparison, "code_of", lambda: "another")
     others.append(stamp("p", ceres, 60.0))
-    monkeypatch.setattr(fingerprint, "machine", lambda: "another")
+    monkeypatch.setattr(comparison, "machine", lambda: "another")
     others.append(stamp("p", ceres, 60.0))
     for n, other in enumerate(others):
         assert other != known and other not in others[:n]

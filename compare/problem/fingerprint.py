@@ -7,7 +7,7 @@ truth. The solver: its entry, its packages' versions, our code that it runs. The
 import hashlib
 import platform
 from collections.abc import Iterable
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -17,7 +17,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.registry import Entry
 
 BASE = ("polhode", "numpy", "scipy", "numba", "casadi")
 """Distributions that every row depends on; IPOPT with its linear algebra and OSQP come with CasADi."""
@@ -25,9 +24,8 @@ SHOWN = ("casadi", "scipy", "gtsam", "pyceres")
 CODE = (
     "polhode.backend", "polhode.config.backend", "polhode.lie", "polhode.threads",
     *(f"polhode.compare.{name}" for name in (
-        "judging.judge", "problem.blocks", "problem.landmark_block", "problem.measured_problem",
-        "problem.single_step", "processes.child",
-        "processes.isolate", "processes.reached", "solver", "solvers")),
+        "problem.assessment", "problem.blocks", "problem.measured_problem", "problem.single_blocks",
+        "processes", "solver", "solver_progress", "solvers")),
 )  # fmt: skip
 """Our modules, and packages with all of theirs, whose code a row depends on."""
 UNIMPORTANT: dict[type, tuple[str, ...]] = {MeasuredProblem: ("name", "prepared_s")}
@@ -43,22 +41,6 @@ def of_problem(problem: MeasuredProblem) -> str:
     digest = hashlib.sha256()
     _add(digest, problem)
     return digest.hexdigest()[:16]
-
-
-def stamp(problem: str, entry: Entry, limit_s: float) -> dict[str, Any]:
-    """What a stored row must have in common with a new one; ``problem`` is its fingerprint."""
-    return {
-        "fingerprint": problem,
-        "limit_s": limit_s,
-        "entry": {
-            **asdict(entry),
-            "options": [list(pair) for pair in entry.options],
-            "needs": [*entry.needs],
-        },
-        "versions": versions((*BASE, *entry.needs)),
-        "code": code_of(),
-        "machine": machine(),
-    }
 
 
 def versions(distributions: Iterable[str] = SHOWN) -> dict[str, str]:

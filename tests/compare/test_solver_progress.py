@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.compare.processes.reached import Reached, read_point, read_trace, read_words, seconds_since_start
 from polhode.compare.solver import Watch
+from polhode.compare.solver_progress import Reached, read_point, read_trace, read_words, seconds_since_start
 
 
 def test_the_newest_whole_point_is_read(tmp_path: Path) -> None:

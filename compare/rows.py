@@ -1,7 +1,7 @@
 """compare.json: what every solver did with every problem, one row each.
 
-The pydantic models are the only definition; ``pipeline/compare/compare.schema.json`` is generated from them
-(``python -m polhode.compare.tables.rows``) and shipped, and every file is validated when it is written and
+The pydantic models are the only definition; ``compare.schema.json`` beside this file is generated from them
+(``python -m polhode.compare.rows``) and shipped, and every file is validated when it is written and
 read. There is no NaN or infinity: what a solver does not tell is null.
 """
 
@@ -142,6 +142,18 @@ class Comparison(Part):
     problems: list[ProblemWords]
     rows: list[Row]
     profiles: list[Profile] = Field(default_factory=list)
+
+
+def least_costs(comparison: Comparison) -> dict[str, float | None]:
+    """By problem: the least of its rows and its reference solution."""
+    return {problem.name: problem.least_cost for problem in comparison.problems}
+
+
+def gap(row: Row, least: float | None) -> float | None:
+    """Cost over the least one of its problem, minus 1."""
+    if row.cost is None or least is None:
+        return None
+    return row.cost / least - 1.0
 
 
 def write_comparison(comparison: Comparison, path: Path) -> None:

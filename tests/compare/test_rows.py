@@ -6,18 +6,19 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from polhode.compare.judging.profiles import curve, front, growths, performance_profiles
-from polhode.compare.tables.page import write_page
-from polhode.compare.tables.rows import (
+from polhode.compare.ranking import curve, front, growths, performance_profiles
+from polhode.compare.rows import (
     SCHEMA_FILE,
     Comparison,
     ProblemWords,
     Row,
+    least_costs,
     read_comparison,
     schema_text,
     write_comparison,
 )
-from polhode.compare.tables.table import cells, csv_text, least_costs, not_separable, tallies, verdict
+from polhode.compare.tables.page import write_page
+from polhode.compare.tables.table import cells, csv_text, not_separable, tallies, verdict
 from polhode.errors import InputError
 
 

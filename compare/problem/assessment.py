@@ -12,7 +12,7 @@ from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.schur import mirror
 from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.compare.problem.measured_problem import MeasuredProblem, ratios
-from polhode.compare.tables.rows import Errors
+from polhode.compare.rows import Errors
 from polhode.lie import Array, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import Truth
 

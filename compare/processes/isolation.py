@@ -13,10 +13,17 @@ from time import time
 from typing import Any
 
 from polhode.compare.problem.measured_problem import load
-from polhode.compare.processes.child import entry_text, finite, of_point, out_of_time, peak_mb, storable
-from polhode.compare.processes.reached import read_point, read_trace, read_words, seconds_since_start
+from polhode.compare.processes.solver_process import (
+    entry_text,
+    finite,
+    of_point,
+    out_of_time,
+    peak_mb,
+    storable,
+)
 from polhode.compare.registry import Entry
-from polhode.compare.tables.rows import Case, Row
+from polhode.compare.rows import Case, Row
+from polhode.compare.solver_progress import read_point, read_trace, read_words, seconds_since_start
 
 UNKNOWN: dict[str, Any] = dict.fromkeys(
     ("cost", "gain_left", "iterations", "wall_s", "build_s", "evaluation_s", "linear_s", "callback_s",
@@ -45,7 +52,7 @@ def row_of(problem_file: Path, entry: Entry, case: Case, limit_s: float) -> Row:
     with TemporaryDirectory(prefix="polhode-compare-") as folder:
         out, begin = Path(folder) / "row.json", time()
         told = {**case.model_dump(), "limit_s": limit_s, "started": begin}
-        command = [sys.executable, "-P", "-m", "polhode.compare.processes.child",
+        command = [sys.executable, "-P", "-m", "polhode.compare.processes.solver_process",
                    str(problem_file), entry_text(entry), json.dumps(told), str(out)]  # fmt: skip
         ending = _run(command, limit_s)
         if out.is_file():

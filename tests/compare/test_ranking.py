@@ -1,8 +1,8 @@
 """Who is on the front of time against accuracy: noise of the times counts as equal, failures do not count."""
 
-from polhode.compare.judging.dominance import standing_lines, standings
-from polhode.compare.tables.rows import Comparison
-from tests.compare.tables.test_rows import comparison, row
+from polhode.compare.ranking import standing_lines, standings
+from polhode.compare.rows import Comparison
+from tests.compare.test_rows import comparison, row
 
 
 def beaten(found: Comparison, solver: str = "own") -> list[str]:
