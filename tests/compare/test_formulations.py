@@ -10,9 +10,9 @@ from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.compare.problem.blocks import Blocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import Watch
-from polhode.compare.solvers.ablations import LogRatios, possible
 from polhode.compare.solvers.casadi_program import Formulation, VariantProgram
 from polhode.compare.solvers.condensed import ReducedCost
+from polhode.compare.solvers.dynamic_isam import LogRatios, possible
 from polhode.compare.solvers.gtsam_solvers import Graph
 
 FORMULATIONS = [
