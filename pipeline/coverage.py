@@ -16,8 +16,7 @@ from polhode.lie import Array
 from polhode.mapping.visibility import LEAST_COSINE, Caster, FrameView, pixels_of, towards_G
 from polhode.mesh_metrics import sample_surface
 from polhode.pipeline.run_directory.summary_schema import Coverage
-from polhode.records import Bools, SurfaceModel
-from polhode.surface_records import SEEN_LIT, SEEN_UNLIT, UNSEEN
+from polhode.records import SEEN_LIT, SEEN_UNLIT, UNSEEN, Bools, SurfaceModel
 
 Classes = NDArray[np.uint8]
 

@@ -17,8 +17,7 @@ from polhode.images import Grey, UnreadableImage, bit_depth, has_content, read_m
 from polhode.inspector import InspectorPoses, read_inspector
 from polhode.lie import Array
 from polhode.records import Bools, Ints, Wrench
-from polhode.tables import read_rows, timestamps_of
-from polhode.wrench import read_wrench
+from polhode.tables import numbers_of, read_rows, timestamps_of
 
 FEWEST_PAIRS = 3
 LARGEST_LOSS = 0.6
@@ -249,3 +248,19 @@ def _warnings(
         yield f"{len(bad_masks)} masks are missing or unreadable and not used (first: {bad_masks[0]})"
     if inspector is not None:
         yield from inspector.warnings
+
+
+def read_wrench(folder: Path, timestamps_ns: Ints) -> Wrench:
+    """Read ``wrench0/data.csv``: timestamp, force_N (3) [N], torque_P (3) [N m]. A row holds until the next.
+
+    Raises InputError when a row holds no numbers, timestamps do not increase, or no row is as early as the
+    last frame (F,).
+    """
+    path = folder / "data.csv"
+    rows = read_rows(path)
+    stamps = timestamps_of(path, rows)
+    values = numbers_of(path, rows, columns=6)
+    if stamps[0] > timestamps_ns[-1]:
+        message = f"{path}: the first row, {stamps[0]} ns, is after the last frame, {timestamps_ns[-1]} ns"
+        raise InputError(f"{message}; use the clock of the images, or remove wrench0/")
+    return Wrench(stamps, values[:, :3], values[:, 3:])

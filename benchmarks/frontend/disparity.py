@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from tyro.conf import arg
 
 from benchmarks.command import ROOT, Short, command
-from polhode.config.depth import Depth
+from polhode.config.frontend import Depth
 from polhode.dataset import open_sequence
 from polhode.frontend.disparity.crop import StereoCrop, cut_crop
 from polhode.frontend.disparity.depth import crop_disparity

@@ -8,7 +8,7 @@ slanted surfaces do not bias delta. The information of the normal equations give
 import cv2
 import numpy as np
 
-from polhode.config.depth import Depth
+from polhode.config.frontend import Depth
 from polhode.frontend.disparity.crop import Floats, StereoCrop
 from polhode.frontend.disparity.planes import fit_facets, fit_planes
 from polhode.frontend.disparity.sgbm import match_checked

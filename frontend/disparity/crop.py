@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.config.depth import Depth
+from polhode.config.frontend import Depth
 from polhode.frontend.rectification.target import Image
 from polhode.records import Bools
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from polhode.config.depth import Depth
+from polhode.config.frontend import Depth
 from polhode.frontend.disparity.classical import refine_dense
 from polhode.frontend.disparity.crop import Floats, StereoCrop
 from polhode.frontend.disparity.network_input import (

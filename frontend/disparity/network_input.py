@@ -18,7 +18,7 @@ from kornia.geometry.transform import remap
 from numpy.typing import NDArray
 from torch import Tensor
 
-from polhode.config.depth import Depth
+from polhode.config.frontend import Depth
 from polhode.frontend.disparity.classical import refine_dense
 from polhode.frontend.disparity.crop import Floats, StereoCrop
 from polhode.frontend.disparity.planes import fit_facets

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from polhode.config.depth import Depth
+from polhode.config.frontend import Depth
 from polhode.frontend.disparity.crop import Floats, StereoCrop
 from polhode.frontend.rectification.target import Image
 from polhode.records import Bools

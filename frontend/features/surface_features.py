@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
-from polhode.config.depth import Depth
-from polhode.config.frontend import Frontend
+from polhode.config.frontend import Depth, Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.crop import Floats, cut_crop
 from polhode.frontend.disparity.depth import find_disparity_range

@@ -6,7 +6,6 @@ from polhode.config.backend import Backend
 from polhode.config.compare import Compare
 from polhode.config.frontend import Frontend
 from polhode.config.mapping import Mapping
-from polhode.config.pictures import Pictures
 from polhode.config.scene import Scene
 from polhode.config.section import Section
 from polhode.config.train import Train
@@ -21,6 +20,17 @@ class Runtime(Section):
     """Parallel processes; 0: one per core."""
     blas_threads: int = Field(1, ge=1)
     """Threads of BLAS and OpenMP in each process: more than one was 5-8 times slower on small problems."""
+
+
+class Pictures(Section):
+    """Pictures of the map and of the model, in RUN/pictures."""
+
+    views: bool = True
+    """Landmarks from six sides, contact sheet of the mesh."""
+    animation: bool = True
+    """The model beside the camera's images with their difference, as MP4 and GIF."""
+    frames: int = Field(60, ge=1)
+    """Most frames of the animation, spread evenly over the sequence."""
 
 
 class Config(Section):

@@ -10,8 +10,7 @@ from scipy.optimize import brentq
 from polhode.lie import exp_so3, make_pose
 from polhode.mapping.visibility import LEAST_COSINE, Caster
 from polhode.pipeline.coverage import axis_words, coverage_of, warnings_of, with_classes
-from polhode.records import SurfaceModel
-from polhode.surface_records import SEEN_LIT, SEEN_UNLIT, UNSEEN
+from polhode.records import SEEN_LIT, SEEN_UNLIT, UNSEEN, SurfaceModel
 from tests.mapping.rendered_views import DISTANCE_M, RIG, rendered
 
 RADIUS_M = 0.08

@@ -5,10 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.dataset import open_sequence
+from polhode.dataset import open_sequence, read_wrench
 from polhode.dataset_writer import write_wrench
 from polhode.errors import InputError
-from polhode.wrench import read_wrench
 
 STAMPS = 1_600_000_000_000_000_000 + 500_000_000 * np.arange(6, dtype=np.int64)
 

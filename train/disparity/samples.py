@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from polhode.atomic import replaced
-from polhode.config.depth import Depth
+from polhode.config.frontend import Depth
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.frontend.disparity.crop import Floats, cut_crop
 from polhode.frontend.disparity.network_input import (

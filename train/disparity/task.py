@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from polhode.config.depth import Depth
+from polhode.config.frontend import Depth
 from polhode.config.train import DepthTraining, Train
 from polhode.errors import InputError
 from polhode.frontend.disparity.learned import RefinedDisparity, refine

@@ -8,8 +8,7 @@ from polhode.config.scene.body import Body, Mass
 from polhode.config.scene.camera import Product, Render, Rig, Sensor
 from polhode.config.scene.light import Background, Eclipse, Light
 from polhode.config.scene.motion import Inspector, Motion, Push, Waypoint
-from polhode.config.scene.values import NonNegative, Positive
-from polhode.config.section import Section
+from polhode.config.section import NonNegative, Positive, Section
 
 __all__ = [
     "Background",

@@ -4,8 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from polhode.config.scene.values import NonNegative, Positive, Vector3
-from polhode.config.section import Section
+from polhode.config.section import NonNegative, Positive, Section, Vector3
 
 
 class Body(Section):

@@ -4,8 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from polhode.config.scene.values import NonNegative, Positive, Share, Vector3
-from polhode.config.section import Section
+from polhode.config.section import NonNegative, Positive, Section, Share, Vector3
 
 
 class Rig(Section):

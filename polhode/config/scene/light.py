@@ -1,7 +1,6 @@
 """What lights the target, and what stands behind it."""
 
-from polhode.config.scene.values import NonNegative, Positive, Vector3
-from polhode.config.section import Section
+from polhode.config.section import NonNegative, Positive, Section, Vector3
 
 
 class Eclipse(Section):

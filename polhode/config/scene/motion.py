@@ -5,8 +5,7 @@ from typing import Literal, Self
 
 from pydantic import model_validator
 
-from polhode.config.scene.values import NonNegative, Positive, Share, Vector3
-from polhode.config.section import Section
+from polhode.config.section import NonNegative, Positive, Section, Share, Vector3
 
 
 class Push(Section):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from polhode.config.depth import Depth
+from polhode.config.frontend import Depth
 from polhode.config.train import DepthTraining
 from polhode.frontend.disparity.crop import cut_crop
 from polhode.frontend.disparity.network_input import initial_disparity

@@ -1,0 +1,182 @@
+"""What ``polhode train`` learns, from what, and for how long."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from polhode.config.section import NonNegative, Positive, Section, Share
+
+Family = Literal["free_flyer", "bus", "upper_stage", "dish", "truss", "cubesat", "asteroid"]
+Range = tuple[Positive, Positive]
+RangeFromZero = tuple[NonNegative, NonNegative]
+
+
+class Corpus(Section):
+    """Random scenes. Ranges are (least, most); each scene draws its own values by the seed."""
+
+    folder: str = "runs/corpus"
+    """Folder of the sequences; what is missing there is rendered."""
+    seed: int = Field(0, ge=0)
+    """Seed of the scenes: the same seed and ranges give the same bytes."""
+    scenes: int = Field(100, ge=2)
+    """Number of scenes. Scene i does not depend on how many there are."""
+    frames: int = Field(10, ge=3)
+    """Stereo pairs a scene."""
+    validation_every: int = Field(8, ge=2)
+    """One scene in so many is held out for validation: bodies that training never sees."""
+    families: tuple[Family, ...] = Field(
+        ("free_flyer", "bus", "upper_stage", "cubesat", "asteroid"), min_length=1
+    )
+    """Shapes, taken in turn."""
+    first_body_seed: int = Field(1000, ge=0)
+    """Scene i shows the body of this seed plus i; smaller seeds are left to the tests."""
+    texture: Literal["drawn", "collage"] = "drawn"
+    """Generator of the textures; the other one is left to the tests."""
+    other_material: Share = 0.35
+    """Share of the scenes whose body is covered by one material, drawn at random."""
+    contrast: Range = (0.5, 1.3)
+    """Factor on the texture's variation of reflectance."""
+    size_m: Range = (0.2, 0.6)
+    """Size of the body, as ``scene.body.size_m`` [m]."""
+    span_px: Range = (170.0, 430.0)
+    """Diameter in the image of the sphere around the bulk of the body, without antennas [px]."""
+    disparity_px: Range = (25.0, 110.0)
+    """Disparity of the body's middle, which sets the baseline [px]."""
+    turn_deg: Range = (15.0, 50.0)
+    """Turn between frames, about a random axis [deg]."""
+    sun_phase_deg: RangeFromZero = (10.0, 105.0)
+    """Angle at the target between the Sun and the camera [deg]."""
+    hard_light: Share = 0.5
+    """Share of the scenes with next to no light from the Earth: black shadows."""
+    earth: RangeFromZero = (0.02, 0.25)
+    """Radiance of the Earth in the other scenes, as ``scene.light.earth``."""
+    lamp: Share = 0.12
+    """Share of the scenes with a lamp beside the camera."""
+    white_dn: Range = (320.0, 900.0)
+    """Exposure, as ``scene.sensor.white_dn`` [DN]."""
+    exposure_ms: RangeFromZero = (0.0, 4.0)
+    """Time that the shutter is open [ms]; frames are one second apart."""
+    electrons_per_dn: Range = (8.0, 60.0)
+    """Conversion gain, which sets the shot noise [electrons/DN]."""
+    read_noise_dn: RangeFromZero = (0.5, 2.5)
+    """Standard deviation of the read noise [DN]."""
+    blur_px: RangeFromZero = (0.3, 0.8)
+    """Standard deviation of the lens blur [px]."""
+    stars: Share = 0.4
+    """Share of the scenes with stars."""
+    earth_behind: Share = 0.1
+    """Share of the scenes with the Earth's disc in the background."""
+
+    @model_validator(mode="after")
+    def _ranges_are_ordered(self) -> Self:
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            if isinstance(value, tuple) and isinstance(value[0], float) and value[0] > value[1]:
+                raise ValueError(f"{name} is (least, most), got {value[0]:g}, {value[1]:g}")
+        return self
+
+    def is_validation(self, scene: int) -> bool:
+        """Whether scene ``scene``, counted from 0, is held out."""
+        return scene % self.validation_every == self.validation_every - 1
+
+
+class Schedule(Section):
+    """AdamW with a warm-up, then a cosine down to nothing."""
+
+    steps: int = Field(5000, ge=1)
+    """Number of steps; the learning rate reaches zero there."""
+    learning_rate: Positive = 2e-3
+    """Largest learning rate."""
+    warmup_steps: int = Field(100, ge=0)
+    """Steps over which the learning rate grows from zero."""
+    weight_decay: NonNegative = 1e-2
+    """AdamW's decay of weights."""
+    clip_norm: Positive = 1.0
+    """Longest gradient; a longer one is scaled down."""
+    time_limit_s: Positive | None = None
+    """Stop after so much time in this call [s], with a checkpoint; the same command goes on from there."""
+    checkpoint_every: int = Field(250, ge=1)
+    """Steps between checkpoints."""
+    validate_every: int = Field(500, ge=1)
+    """Steps between validations on the held-out bodies."""
+    log_every: int = Field(20, ge=1)
+    """Steps between points of the curves."""
+    device: Literal["automatic", "cpu", "cuda"] = "automatic"
+    """Where the network runs; automatic: a GPU where there is one."""
+    precision: Literal["automatic", "full", "mixed"] = "automatic"
+    """Mixed: products in 16 bits, sums in 32. Automatic: mixed on a GPU. On a CPU it is faster where the
+    processor multiplies in bfloat16."""
+    threads: int = Field(1, ge=1)
+    """Threads of torch on the CPU. The weights' last bits depend on it."""
+
+
+class DescriptorTraining(Section):
+    """Pairs of patches of one surface point, seen in two frames of a scene."""
+
+    batch: int = Field(256, ge=4)
+    """Pairs of patches a step, at most: frames with few common points give fewer."""
+    frame_pairs: int = Field(4, ge=1)
+    """Pairs of frames that a batch is drawn from: points of the same pair are the hard negatives."""
+    strays: Share = 0.25
+    """Key points that are no surface feature, over the number of pairs."""
+    most_turn_deg: Positive = 70.0
+    """Largest angle between the two views of a point [deg]."""
+    half_px: tuple[Positive, Positive] = (10.0, 15.0)
+    """Half the side of a patch at the scene's middle depth, least and most [px]; both patches of a pair have
+    the same on the surface."""
+    normal_noise_deg: NonNegative = 8.0
+    """Error of the surface's normal, rms [deg]."""
+    fronto_parallel: Share = 0.05
+    """Share of the patches cut as if the surface faced the camera."""
+    place_noise_px: NonNegative = 0.5
+    """Standard deviation of the patch's place in the image [px], each axis."""
+    scale_noise: NonNegative = 0.1
+    """Standard deviation of the logarithm of the patch's scale."""
+    reliability_weight: NonNegative = 0.3
+    """Weight of the reliability's loss beside the descriptor's."""
+    direction_weight: NonNegative = 0.3
+    """Weight of the loss of the patches' directions."""
+    matching_weight: NonNegative = 0.1
+    """Weight of the loss of the soft matches."""
+    motion_weight: NonNegative = 0.5
+    """Weight of the loss of the motion that the soft matches tell."""
+    late_from: Share = 0.6
+    """Share of the steps after which matches and motion are learned from: before, too few are right."""
+
+    @model_validator(mode="after")
+    def _pairs_fit(self) -> Self:
+        if self.frame_pairs > self.batch:
+            raise ValueError(f"frame_pairs is {self.frame_pairs}, more than the batch of {self.batch}")
+        if self.half_px[0] > self.half_px[1]:
+            raise ValueError("half_px is (least, most)")
+        return self
+
+
+class DepthTraining(Section):
+    """Crops of stereo pairs with their classical disparity and the true one."""
+
+    cache: str = "runs/depth_samples"
+    """Folder of the matched pairs, some 5 MB each; what is missing there is made."""
+    every: int = Field(1, ge=1)
+    """Use one pair of a scene in so many."""
+    batch: int = Field(4, ge=1)
+    """Crops a step."""
+    crop_px: int = Field(192, ge=32, multiple_of=16)
+    """Side of a crop [px]."""
+    validation_samples: int = Field(24, ge=1)
+    """Held-out pairs that are scored."""
+    half_on_cpu: bool = False
+    """Compute in bfloat16 on a CPU; several times faster where the CPU has instructions for it (AMX)."""
+
+
+class Train(Section):
+    """Training of one network of the front end."""
+
+    task: Literal["descriptor", "depth"] = "descriptor"
+    """Which network: the descriptor of surface patches, or the one that refines disparities."""
+    output: str = "runs/train"
+    """Folder of the results: checkpoint, curves, weights, scores. What was begun there goes on."""
+    corpus: Corpus = Corpus()
+    schedule: Schedule = Schedule()
+    descriptor: DescriptorTraining = DescriptorTraining()
+    depth: DepthTraining = DepthTraining()
