@@ -1,1 +1,42 @@
-"""The shared language of polhode: frames, records, cameras, datasets, configuration."""
+"""Motion, mass properties and shape of a tumbling target, from a stereo camera.
+
+Rooms, from the top down; each imports only what stands below it:
+
+cli/         the program: one file per command
+compare/     optimizers side by side on one problem
+pipeline/    the main job, from images to the run directory, its evaluation, report and products
+train/       training of the front end's networks on simulated scenes
+simulation/  stereo sequences with truth: bodies, motion, rendering, sensor
+frontend/    images to stereo measurements and tracks, and to depth maps
+backend/     tracks to motion, mass properties and their covariance
+mapping/     depth maps and motion to a mesh
+planning/    prediction, keep-out volumes, approach, edge observability, exports
+
+Below them is the shared language, which every room may import:
+
+config/            the configuration: the only place where defaults live; reading and writing it
+records.py         what passes between the stages: tracks, estimates, depth maps, surfaces, truth
+lie.py             rotations and rigid transforms: exponential and logarithm, products, inverses
+quaternion.py      the one conversion between quaternions and matrices
+rigid_body.py      Euler's equations, energy, momentum, and the integration of a rigid body
+rigid_fit.py       rotations and rigid transforms of least squares
+half_turns.py      the symmetry of the principal axes
+camera.py          the rectified stereo camera: projection, triangulation
+calibration.py     the calibration of the rig, from sensor.yaml
+inspector.py       the poses of the inspector, where a sequence has them
+dataset.py         a stereo sequence on disk, without its truth
+dataset_writer.py  the same layout, written
+images.py          image files: reading, conversion to 8-bit grey
+truth.py           the truth of a simulated sequence; only the evaluation may import it
+metrics.py         errors of an estimate against the truth
+mesh_metrics.py    distances between meshes
+tables.py          CSV and YAML files, with errors that name file and line
+ply.py             binary PLY files
+atomic.py          files that are never seen half-written
+rays.py            rays against triangles
+compiled.py        just-in-time compilation with a cache that knows its constants
+processes.py       work on many items, spread over processes
+threads.py         how many threads the libraries may use
+progress.py        how stages tell of their progress
+errors.py          errors that end a command, with their exit codes
+"""
