@@ -88,13 +88,13 @@ class ApproachPath:
     """(4, 4) at the first frame"""
     direction_N: Array
     """(3,) unit"""
-    distance_m: float
+    length_m: float
     """Length of the line [m]"""
     speed_m_s: float
 
     def at(self, t_s: Array) -> CameraStates:
-        brake_s = min(BRAKE_S, 2.0 * self.distance_m / self.speed_m_s)
-        cruise_s = self.distance_m / self.speed_m_s - 0.5 * brake_s
+        brake_s = min(BRAKE_S, 2.0 * self.length_m / self.speed_m_s)
+        cruise_s = self.length_m / self.speed_m_s - 0.5 * brake_s
         braking_s = np.clip(t_s - cruise_s, 0.0, brake_s)
         slowed = braking_s / brake_s if brake_s > 0 else np.ones(len(t_s))
         distance_m = self.speed_m_s * (np.minimum(t_s, cruise_s) + braking_s * (1.0 - 0.5 * slowed))
@@ -176,8 +176,8 @@ def camera_path(scene: config.Scene) -> CameraPath:
                 raise InputError(
                     "scene.inspector.position_m is the target's position: an approach must start away from it"
                 )
-            distance_m = max(distance_m - inspector.approach_stop_m, 0.0)
-            return ApproachPath(X_NC0, line_N / distance_m, distance_m, inspector.approach_mm_s * 1e-3)
+            length_m = max(distance_m - inspector.approach_stop_m, 0.0)
+            return ApproachPath(X_NC0, line_N / distance_m, length_m, inspector.approach_mm_s * 1e-3)
         case "waypoints":
             points = inspector.waypoints
             return WaypointPath(

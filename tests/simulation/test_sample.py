@@ -29,7 +29,7 @@ def test_the_samples_truth_is_that_of_its_configuration() -> None:
 
 def test_the_samples_images_are_those_of_its_configuration(tmp_path: Path) -> None:
     assert CONFIG.scene is not None
-    simulate(CONFIG.scene.model_copy(update={"frames": 2}), CONFIG.seed, tmp_path / "S", Silent())
+    simulate(CONFIG.scene.model_copy(update={"frames": 3}), CONFIG.seed, tmp_path / "S", Silent())
     stored, made = open_sequence(SAMPLE), open_sequence(tmp_path / "S")
     assert len(stored.timestamps_ns) == CONFIG.scene.frames
     for k in range(2):

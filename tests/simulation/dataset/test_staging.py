@@ -62,7 +62,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return _files(folder)
 
 
-def test_an_interrupted_rendering_goes_on_and_ends_with_the_same_bytes(
+def test_an_interrupted_rendering_resumes_and_gives_the_same_bytes(
     tmp_path: Path, whole: dict[str, bytes]
 ) -> None:
     with pytest.raises(KeyboardInterrupt, match=r"interrupted; [2-4] of 4 pairs are kept, the same command"):
@@ -86,9 +86,7 @@ def _die_after_two_frames(folder: Path) -> None:
     simulate(SCENE, 4, folder, Dies())
 
 
-def test_a_killed_rendering_goes_on_and_ends_with_the_same_bytes(
-    tmp_path: Path, whole: dict[str, bytes]
-) -> None:
+def test_a_killed_rendering_resumes_and_gives_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
     process = multiprocessing.get_context("fork").Process(
         target=_die_after_two_frames, args=(tmp_path / "S",)
     )
@@ -105,7 +103,7 @@ def test_a_killed_rendering_goes_on_and_ends_with_the_same_bytes(
     assert _files(tmp_path / "S") == whole
 
 
-def test_a_frame_that_is_no_longer_whole_is_rendered_again(tmp_path: Path, whole: dict[str, bytes]) -> None:
+def test_a_damaged_frame_is_rendered_again(tmp_path: Path, whole: dict[str, bytes]) -> None:
     with pytest.raises(KeyboardInterrupt):
         simulate(SCENE, 4, tmp_path / "S", _Listener(3))
     image = next((tmp_path / ".S.partial/mav0/cam1/data").iterdir())
@@ -118,7 +116,7 @@ def test_a_frame_that_is_no_longer_whole_is_rendered_again(tmp_path: Path, whole
 
 
 @pytest.mark.parametrize("change", ["scene", "seed", "program"])
-def test_a_draft_of_another_scene_or_program_is_begun_anew(
+def test_a_staged_dataset_of_another_scene_or_program_is_cleared(
     tmp_path: Path, change: str, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = SCENE.model_copy(update={"interval_s": 0.25}) if change == "scene" else SCENE
@@ -145,13 +143,15 @@ def test_an_interrupt_before_the_first_frame_leaves_nothing(tmp_path: Path) -> N
     assert _names(tmp_path) == []
 
 
-def test_a_mistake_that_shows_late_leaves_nothing(tmp_path: Path) -> None:
+def test_a_late_input_error_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(InputError):
         simulate(SCENE, 4, tmp_path / "S", _Listener(2, InputError))
     assert _names(tmp_path) == []
 
 
-def test_the_old_dataset_stands_until_the_new_one_is_whole(tmp_path: Path, whole: dict[str, bytes]) -> None:
+def test_the_old_dataset_exists_until_the_new_one_is_complete(
+    tmp_path: Path, whole: dict[str, bytes]
+) -> None:
     simulate(SCENE, 4, tmp_path / "S", Silent())
     with pytest.raises(KeyboardInterrupt):
         simulate(SCENE, 5, tmp_path / "S", _Listener(1), overwrite=True)

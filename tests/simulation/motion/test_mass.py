@@ -11,7 +11,7 @@ from polhode.errors import InputError
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.motion import mass_distribution, principal_axes
 
-TS38 = Path(__file__).parents[2] / "configs" / "ts38.yaml"
+TS38 = Path(__file__).parents[3] / "configs" / "ts38.yaml"
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from polhode.simulation.bodies import build_body
 from polhode.simulation.motion import MassDistribution, mass_distribution, target_motion
 from tests.simulation.motion.motion_scenes import TRIAXIAL, mass_of, scene_of
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 
 
 ALL_THAT_ACTS: dict[str, Any] = {
