@@ -21,6 +21,7 @@ from benchmarks.command import Runs, command
 from polhode.lie import Array
 from polhode.pipeline.products.plan import surface_of
 from polhode.planning.exports.convex_pieces import (
+    CUT_FACES,
     ROUNDING,
     WITHIN,
     Reach,
@@ -79,7 +80,9 @@ def _coacd(shape: Shape, most: int) -> Sequence[trimesh.Trimesh]:
 
     coacd.set_log_level("error")
     mesh = shape.mesh()
-    parts = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), threshold=WITHIN, max_convex_hull=most)
+    if len(mesh.faces) > CUT_FACES:
+        mesh = mesh.simplify_quadric_decimation(face_count=CUT_FACES)
+    parts = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), max_convex_hull=most)
     return [trimesh.Trimesh(vertices, faces, process=False).convex_hull for vertices, faces in parts]
 
 
