@@ -50,7 +50,7 @@ class PlanCommand:
 
         from polhode.pipeline.products.plan import Docking, plan_run
         from polhode.pipeline.products.plan_files import format_plan, write_plan
-        from polhode.planning.keep_out.volumes import Wanted
+        from polhode.planning.keep_out.volumes import KeepOutOptions
 
         if self.output.exists() and not self.output.is_dir():
             raise InputError(f"{self.output} is a file: -o names a folder")
@@ -65,7 +65,7 @@ class PlanCommand:
                 if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                     raise InputError(f"--{name.replace('_', '-')}: give a number above 0")
             docking = Docking(point, axis, self.stand_off, self.half_angle_deg, self.isp_s)
-        wanted = Wanted(self.horizon, self.confidence, members=self.members, cover=self.cover)
+        wanted = KeepOutOptions(self.horizon, self.confidence, members=self.members, cover=self.cover)
         plan = plan_run(self.run, wanted, docking)
         names = write_plan(plan, self.output)
         print(format_plan(plan))

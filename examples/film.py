@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw
 
-from polhode.planning.approach.trajectory import Way
+from polhode.planning.approach.trajectory import ApproachTrajectory
 from polhode.planning.keep_out.volumes import InstantKeepOut
 from polhode.quaternion import wxyz_from_matrix
 
@@ -20,11 +20,16 @@ class Film:
     """Nothing is shown where no picture can be rendered; that is said once."""
 
     def __init__(
-        self, model: Any, size: tuple[int, int], rate: int, volume: InstantKeepOut, way: Way
+        self,
+        model: Any,
+        size: tuple[int, int],
+        rate: int,
+        volume: InstantKeepOut,
+        trajectory: ApproachTrajectory,
     ) -> None:
         import mujoco
 
-        self.mujoco, self.rate, self.volume, self.way = mujoco, rate, volume, way
+        self.mujoco, self.rate, self.volume, self.trajectory = mujoco, rate, volume, trajectory
         self.frames: list[np.ndarray] = []
         try:
             self.renderer = mujoco.Renderer(model, size[1], size[0])
@@ -47,7 +52,7 @@ class Film:
         self.mujoco.mj_forward(self.renderer.model, data)
         self.renderer.update_scene(data, self.camera)
         scene = self.renderer.scene
-        for p in self.way.p_N[::2]:
+        for p in self.trajectory.p_N[::2]:
             self.mujoco.mjv_initGeom(
                 scene.geoms[scene.ngeom], self.mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, TRAIL_M), p,
                 np.eye(3).ravel(), np.array([1.0, 0.8, 0.3, 1.0], dtype=np.float32),

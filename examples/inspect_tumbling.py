@@ -21,11 +21,16 @@ import numpy as np
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.metrics import truth_at
-from polhode.pipeline.products.plan import ahead_of, surface_of
+from polhode.pipeline.products.plan import final_estimate, surface_of
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
-from polhode.planning.approach.trajectory import Task, Way, least_gap, plan_way
+from polhode.planning.approach.trajectory import (
+    ApproachTask,
+    ApproachTrajectory,
+    min_distance,
+    plan_trajectory,
+)
 from polhode.planning.keep_out.measured_body import sample_surface
-from polhode.planning.keep_out.volumes import InstantKeepOut, Wanted, keep_out
+from polhode.planning.keep_out.volumes import InstantKeepOut, KeepOutOptions, keep_out
 from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Truth
 from polhode.truth import read_truth
@@ -73,29 +78,29 @@ def main() -> int:
 def example(run: Path, sequence: Path, folder: Path, duration_s: float) -> int:
     """Returns 0 when the flight kept what was promised."""
     folder.mkdir(parents=True, exist_ok=True)
-    ahead, _ = ahead_of(run)
+    estimate, _ = final_estimate(run)
     surface = surface_of(run)
-    found = keep_out(surface, ahead, Wanted(duration_s, 0.99))
+    found = keep_out(surface, estimate, KeepOutOptions(duration_s, 0.99))
     volume = found.instant
     motion = volume.motion
     end, begin = motion.com_N[-1], motion.com_N[0]
     start = np.zeros(3)
     side = np.cross(begin - start, [0.0, 1.0, 0.0])
     reach = volume.body.radius_m + RADIUS_M + CLEARANCE_M
-    task = Task(
+    task = ApproachTask(
         start, 2.0 * end - start, 0.5 * (begin + end) + 1.3 * reach * side / np.linalg.norm(side),
         duration_s, max(10, int(duration_s)), RADIUS_M, CLEARANCE_M, MOST_FORCE_N / MASS_KG,
     )  # fmt: skip
-    way = plan_way(volume, task)
-    promised, expected = promise(volume, way, surface.mesh)
-    print(f"Planned: {way.delta_v_m_s:.4f} m/s over {duration_s:g} s, {len(way.accel_N)} steps")
+    trajectory = plan_trajectory(volume, task)
+    promised, expected = promise(volume, trajectory, surface.mesh)
+    print(f"Planned: {trajectory.delta_v_m_s:.4f} m/s over {duration_s:g} s, {len(trajectory.accel_N)} steps")
     print(f"Promised at 99 %: never closer than {1e3 * promised:.1f} mm; expected {1e3 * expected:.1f} mm")
     truth = read_truth(sequence)
     last_ns = read_trajectory(run).timestamps_ns[-1:]
-    flight = fly(way, truth, last_ns, volume, folder)
+    flight = fly(trajectory, truth, last_ns, volume, folder)
     distance = separation(flight, truth)
     k = int(np.argmin(distance))
-    off = np.linalg.norm(flight.inspector_N - way.at(flight.time_s)[0], axis=1).max()
+    off = np.linalg.norm(flight.inspector_N - trajectory.at(flight.time_s)[0], axis=1).max()
     print(
         f"Flown in MuJoCo against the true tumble: closest {1e3 * distance[k]:.1f} mm "
         f"after {flight.time_s[k]:.1f} s "
@@ -112,16 +117,16 @@ def example(run: Path, sequence: Path, folder: Path, duration_s: float) -> int:
     return 0 if kept else 1
 
 
-def promise(volume: InstantKeepOut, way: Way, mesh: Any) -> tuple[float, float]:
+def promise(volume: InstantKeepOut, trajectory: ApproachTrajectory, mesh: Any) -> tuple[float, float]:
     """Gaps [m]: from the keep-out volume, never less at 99 %; from the estimated surface, expected."""
     from scipy.spatial import cKDTree
 
     motion = volume.motion
-    p, _, _ = way.at(motion.time_s)
+    p, _, _ = trajectory.at(motion.time_s)
     q, _, _ = sample_surface(mesh, np.zeros(len(mesh.vertices)), 0.003)
     p_G = np.einsum("tji,tj->ti", motion.R_NG, p - motion.p_NG)
     expected = float(cKDTree(q).query(p_G)[0].min()) - RADIUS_M
-    return least_gap(volume, way) - RADIUS_M, expected
+    return min_distance(volume, trajectory) - RADIUS_M, expected
 
 
 def separation(flight: Flight, truth: Truth) -> Array:
@@ -137,7 +142,9 @@ def separation(flight: Flight, truth: Truth) -> Array:
     return np.asarray(cKDTree(q).query(p_P @ truth.R_GP.T + truth.com_G)[0] - RADIUS_M)
 
 
-def fly(way: Way, truth: Truth, last_ns: Array, volume: InstantKeepOut, folder: Path) -> Flight:
+def fly(
+    trajectory: ApproachTrajectory, truth: Truth, last_ns: Array, volume: InstantKeepOut, folder: Path
+) -> Flight:
     """Let MuJoCo move both; film it."""
     import mujoco
 
@@ -149,13 +156,13 @@ def fly(way: Way, truth: Truth, last_ns: Array, volume: InstantKeepOut, folder: 
     data = mujoco.MjData(model)
     data.qpos[0:3], data.qpos[3:7] = state.r_N[0], wxyz_from_matrix(state.R_NP[0])
     data.qvel[0:3], data.qvel[3:6] = state.v_N[0], state.w_P[0]
-    data.qpos[7:10], data.qpos[10] = way.p_N[0], 1.0
-    film = Film(model, SIZE_PX, FRAMES_PER_S, volume, way)
-    steps = round(way.time_s[-1] / STEP_S)
+    data.qpos[7:10], data.qpos[10] = trajectory.p_N[0], 1.0
+    film = Film(model, SIZE_PX, FRAMES_PER_S, volume, trajectory)
+    steps = round(trajectory.time_s[-1] / STEP_S)
     rows, contacts = [], 0
     for n in range(steps + 1):
         now = np.array([n * STEP_S])
-        p, v, a = (each[0] for each in way.at(now))
+        p, v, a = (each[0] for each in trajectory.at(now))
         if n % round(0.1 / STEP_S) == 0:
             rows.append(np.concatenate([now, data.qpos[7:10], data.qpos[0:7]]))
         if n % round(SHOWN_EVERY_S / STEP_S) == 0:

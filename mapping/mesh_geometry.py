@@ -129,7 +129,7 @@ def averaged(values: Array, start: Ints, other: Ints) -> Array:
 
 
 @compiled_fused_ieee
-def least_spread(moments: Array) -> Array:
+def min_spread(moments: Array) -> Array:
     """Smallest eigenvalue (V,) of second moments about the mean, not negative.
 
     The roots of a symmetric matrix's characteristic polynomial are cosines (Smith 1961).

@@ -13,7 +13,7 @@ from polhode.records import Bools, Ints
 
 
 @dataclass(frozen=True)
-class View:
+class MeshView:
     """The first hit of a grid of rays."""
 
     depth_m: Array
@@ -49,7 +49,7 @@ class MeshViewer:
         low, high = used.min(axis=0), used.max(axis=0)
         self._centre, self._radius_m = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
 
-    def perspective(self, rig: RectifiedRig, X_RG: Array, u_px: ArrayLike, v_px: ArrayLike) -> View:
+    def perspective(self, rig: RectifiedRig, X_RG: Array, u_px: ArrayLike, v_px: ArrayLike) -> MeshView:
         """Through the rectified left camera at pixels of columns u (W,) and rows v (H,), of any spacing."""
         u, v = np.meshgrid(np.asarray(u_px, dtype=np.float64), np.asarray(v_px, dtype=np.float64))
         x, y = (u - rig.cx_px) / rig.focal_px, (v - rig.cy_px) / rig.focal_px
@@ -60,7 +60,7 @@ class MeshViewer:
 
     def orthographic(
         self, centre_G: ArrayLike, right_G: ArrayLike, up_G: ArrayLike, half_m: float, side_px: int
-    ) -> View:
+    ) -> MeshView:
         """By parallel rays: a square of 2 ``half_m`` about the centre, ``right_G`` to the right, ``up_G`` up.
 
         Depth counts from the plane through the centre, away from the eye.
@@ -74,18 +74,18 @@ class MeshViewer:
         ray = np.broadcast_to(inwards, plane.shape)
         return self._cast(plane - away * inwards, ray, -away, x.shape)
 
-    def _cast(self, origin: Array, ray: Array, start: float, shape: tuple[int, ...]) -> View:
+    def _cast(self, origin: Array, ray: Array, start: float, shape: tuple[int, ...]) -> MeshView:
         """Rays (n, 3) [m]; ``start`` is the depth of their origins in lengths of the ray."""
         depth = np.full(len(origin), np.nan)
         if self._caster is None:
             none = np.zeros((0, 3))
-            return View(depth.reshape(shape), none.astype(np.int64), none, np.zeros(0, dtype=bool))
+            return MeshView(depth.reshape(shape), none.astype(np.int64), none, np.zeros(0, dtype=bool))
         _, first = self._caster.first(origin, ray / np.linalg.norm(ray, axis=1, keepdims=True))
         at = np.flatnonzero(first >= 0)
         corner = self._faces[first[at]]
         travelled, share, front = _meet(origin[at], ray[at], self._vertices[corner])
         depth[at] = start + travelled
-        return View(depth.reshape(shape), corner, share, front)
+        return MeshView(depth.reshape(shape), corner, share, front)
 
 
 def _meet(origin: Array, ray: Array, triangle: Array) -> tuple[Array, Array, Bools]:

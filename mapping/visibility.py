@@ -15,7 +15,7 @@ from polhode.records import Bools, Ints
 
 Floats = NDArray[np.float32]
 
-LEAST_COSINE = 0.15
+MIN_COSINE = 0.15
 """Seen at more than 81 degrees from the normal does not count as seen."""
 CLEARANCE = 2e-3
 """A ray may end this far before its point, as a share of the body's size."""
@@ -89,7 +89,7 @@ class Caster:
         cosine = np.abs(np.einsum("nk,nk->n", direction, normal_G))
         first, _ = self.first(eye_G, direction)
         clearance_m = 2.0 * CLEARANCE * self.radius_m if clearance_m is None else clearance_m
-        return np.asarray((cosine > LEAST_COSINE) & (first > distance - clearance_m))
+        return np.asarray((cosine > MIN_COSINE) & (first > distance - clearance_m))
 
     def lit_by(self, sun_G: Array, p_G: Array) -> Bools:
         """(n,) true where nothing stands between points (n, 3) and a light far away, towards ``sun_G``."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
-from polhode.mapping.visibility import LEAST_COSINE, Caster, FrameView, pixels_of, towards_G
+from polhode.mapping.visibility import MIN_COSINE, Caster, FrameView, pixels_of, towards_G
 from polhode.mesh_metrics import sample_surface
 from polhode.pipeline.run_directory.summary_schema import Coverage
 from polhode.records import SEEN_LIT, SEEN_UNLIT, UNSEEN, Bools, SurfaceModel
@@ -36,7 +36,7 @@ def classes_of(
         open_ = np.flatnonzero(found != SEEN_LIT)
         row, column, inside = pixels_of(view, p_G[open_], rig)
         cosine = np.einsum("nk,nk->n", towards_G(view, p_G[open_]), normal_G[open_])
-        inside &= cosine > LEAST_COSINE
+        inside &= cosine > MIN_COSINE
         at, row, column = open_[inside], row[inside], column[inside]
         seen = caster.sees(view.eye_G, p_G[at], normal_G[at])
         lit = view.smooth[row, column] > view.lit_above

@@ -15,7 +15,7 @@ from polhode.camera import RectifiedRig
 from polhode.frontend.rectification.rectify import rectified_left
 from polhode.lie import Array, transform_points
 from polhode.mapping.finishing.albedo import Colouring, divide_shading
-from polhode.mapping.finishing.detail_levels import Level, levels_of
+from polhode.mapping.finishing.detail_levels import DetailLevel, levels_of
 from polhode.mapping.finishing.hole_closing import ClosedHoles, close_small_holes
 from polhode.mapping.visibility import Caster, FrameView
 from polhode.pipeline.context import RunContext
@@ -36,7 +36,7 @@ _MARGIN_PX = 6
 
 def finish_surface(
     context: RunContext, surface: SurfaceModel, X_RG: Array, mass: MassProperties
-) -> tuple[SurfaceModel, list[Level], ShapeFindings]:
+) -> tuple[SurfaceModel, list[DetailLevel], ShapeFindings]:
     """The finished surface, its lighter levels, and the findings about the shape.
 
     X_RG (F, 4, 4): pose of the target in the rectified left camera.
@@ -72,7 +72,7 @@ def finish_surface(
     coverage = None
     if views:
         coverage = steps.attempt("coverage", lambda: coverage_of(finished.mesh, views, rig), None)
-    levels: list[Level] = []
+    levels: list[DetailLevel] = []
     levels = steps.attempt("lighter meshes", lambda: levels_of(finished, mapping.levels, config.seed), levels)
     physics = steps.attempt("mass against volume", lambda: check_physics(mass, finished, caster()), None)
     assumed, doubts = assumed_properties(mass, finished, config.backend)
@@ -140,7 +140,9 @@ def _box(corners_R: Array, rig: RectifiedRig) -> tuple[int, int, int, int] | Non
     return (int(u0), int(u1), int(v0), int(v1)) if u1 - u0 > 2 and v1 - v0 > 2 else None
 
 
-def _describe(surface: SurfaceModel, holes: ClosedHoles, colours: Colouring, levels: Sequence[Level]) -> Mesh:
+def _describe(
+    surface: SurfaceModel, holes: ClosedHoles, colours: Colouring, levels: Sequence[DetailLevel]
+) -> Mesh:
     mesh, invented, light = surface.mesh, surface.is_invented, colours.sun
     sun = None
     if light is not None:

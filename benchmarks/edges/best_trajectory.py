@@ -32,7 +32,7 @@ from benchmarks.record import Case, complete
 from polhode.planning.edges.metric.contributions import contributions
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
 from polhode.planning.edges.metric.information import feature_information
-from polhode.planning.edges.metric.pictures import painted, picture
+from polhode.planning.edges.metric.pictures import coloured_body, picture
 from polhode.planning.edges.model.edge_model import edge_model
 from polhode.planning.prediction.ensemble import nominal
 
@@ -77,24 +77,24 @@ def measure(case: Case) -> dict[str, Any]:
     from dataclasses import replace
 
     from benchmarks.edges.bodies import edge_body
-    from benchmarks.edges.trajectory.camera_path import judge
+    from benchmarks.edges.trajectory.camera_path import path_metric
     from benchmarks.edges.trajectory.trajectory_optimization import best_trajectory, table_for
     from benchmarks.edges.views import edge_rig
     from polhode.planning.edges.model.edge_model import edge_model
 
     target, rig = edge_body(case["body"]), edge_rig()
     model = edge_model(target.mesh)
-    ahead, volume = tumbling(target.mesh)
-    watch = task(model, rig)
-    table = table_for(model, rig, ahead, watch)
+    estimate, volume = tumbling(target.mesh)
+    task = camera_path_task(model, rig)
+    table = table_for(model, rig, estimate, task)
     held, free = (
-        best_trajectory(model, rig, ahead, volume, replace(watch, hold_range=hold), TURNS_DEG, table=table)
+        best_trajectory(model, rig, estimate, volume, replace(task, fixed_range=hold), TURNS_DEG, table=table)
         for hold in (True, False)
     )
     ways = {
-        "straight": held.straight,
+        "straight": held.straight_path,
         "best at the same range": held.best,
-        "best": judge(model, rig, ahead, watch, free.best.way),
+        "best": path_metric(model, rig, estimate, task, free.best.path),
     }
     trials = {name: Trial(target, rig, seen, case["images"]) for name, seen in ways.items()}
     out: dict[str, Any] = {
@@ -102,7 +102,7 @@ def measure(case: Case) -> dict[str, Any]:
             {
                 "name": name,
                 **metric(ways[name].C, model.radius_m),
-                "delta_v_m_s": ways[name].way.delta_v_m_s,
+                "delta_v_m_s": ways[name].path.delta_v_m_s,
                 **trial.errors(model),
             }
             for name, trial in trials.items()
@@ -117,32 +117,34 @@ def measure(case: Case) -> dict[str, Any]:
 
 def tumbling(mesh: Any) -> tuple[Any, Any]:
     """The motion of a body with small covariances about its middle, and its keep-out volume."""
-    from polhode.planning.keep_out.volumes import Wanted, keep_out
-    from polhode.planning.prediction.ensemble import Ahead
-    from polhode.planning.prediction.prediction import LastBody
+    from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
+    from polhode.planning.prediction.ensemble import FinalEstimate
+    from polhode.planning.prediction.prediction import FinalState
     from polhode.records import SurfaceModel
 
     basis = np.zeros((5, 3, 3))
     for n, (i, j) in enumerate([(0, 0), (1, 1), (0, 1), (0, 2), (1, 2)]):
         basis[n, i, j] = basis[n, j, i] = 1.0
     sigma = np.concatenate([np.repeat([1e-3, 1e-4, 5e-3, 2e-4], 3), np.full(5, 1e-3), np.full(3, 5e-4)])
-    last = LastBody(
+    last = FinalState(
         np.zeros(3), np.zeros(3), np.eye(3), RATE_G, np.diag([1.3, 1.0, 0.8]), np.eye(3), basis,
         np.diag(sigma**2),
     )  # fmt: skip
-    ahead = Ahead(last, np.mean(mesh.bounds, axis=0), 0.0, 0.0)
+    estimate = FinalEstimate(last, np.mean(mesh.bounds, axis=0), 0.0, 0.0)
     fine = mesh.subdivide_to_size(0.05)
     count = len(fine.vertices)
     surface = SurfaceModel(fine, np.full(count, 1e-3), np.full(count, 5, dtype=np.int64))
-    return ahead, keep_out(surface, ahead, Wanted(DURATION_S, 0.97, members=120, cells=32)).instant
+    return estimate, keep_out(
+        surface, estimate, KeepOutOptions(DURATION_S, 0.97, members=120, cells=32)
+    ).instant
 
 
-def task(model: Any, rig: Any) -> Any:
+def camera_path_task(model: Any, rig: Any) -> Any:
     """What is asked of a way."""
-    from benchmarks.edges.trajectory.camera_path import Watch, least_range
+    from benchmarks.edges.trajectory.camera_path import CameraPathTask, min_range
 
-    nearest = least_range(model, rig) + 0.02
-    return Watch(START_N, DURATION_S, STEPS, 0.01, (nearest, 4.3), 0.15, 0.1, sun_N=SUN_N)
+    nearest = min_range(model, rig) + 0.02
+    return CameraPathTask(START_N, DURATION_S, STEPS, 0.01, (nearest, 4.3), 0.15, 0.1, sun_N=SUN_N)
 
 
 class Trial:
@@ -182,7 +184,7 @@ class Trial:
 def edge_sets(model: Any, rig: Any, seen: Any, trial: Trial) -> list[dict[str, Any]]:
     """All edges, the smallest set within 10 %, and sets of one size."""
     from polhode.planning.edges.metric.information import feature_information
-    from polhode.planning.edges.selection.selection import edge_lengths, exchanged, greedy
+    from polhode.planning.edges.selection.selection import edge_lengths, greedy, improved_by_exchange
     from polhode.planning.edges.selection.smallest_set import smallest_set
 
     sun_G = np.einsum("tji,tj->ti", seen.X_RG[:, :3, :3], seen.sun_R)
@@ -191,7 +193,7 @@ def edge_sets(model: Any, rig: Any, seen: Any, trial: Trial) -> list[dict[str, A
     candidates = np.flatnonzero((A.trace(axis1=2, axis2=3) > 0.0).any(axis=0))
     few = smallest_set(information)
     budget = max(6, round(BUDGET * len(candidates)))
-    chosen = exchanged(A, greedy(A, budget, "trace"), budget, "trace")
+    chosen = improved_by_exchange(A, greedy(A, budget, "trace"), budget, "trace")
     by_information = greedy(A, budget, "log_det")
     longest = candidates[np.argsort(-edge_lengths(model)[candidates], kind="stable")][:budget]
     rng = np.random.default_rng(5)
@@ -288,7 +290,7 @@ def draw_pictures(line: Case, folder: Path) -> None:
     found = contributions(feature_information(model, rig, X_RG))
     picture(model, rig, X_RG[0], found.share).savefig(folder / f"{name}_contributions.png", dpi=70)
     for d, degree in enumerate(DEGREES_OF_FREEDOM):
-        body, legend = painted(model, found.share[:, d])
+        body, legend = coloured_body(model, found.share[:, d])
         path = folder / f"{name}_{degree.replace(' ', '_')}.ply"
         body.export(path)
         print(f"{path.name}: shares of the variance from 0 to {legend.values[-1]:.3f}")

@@ -25,7 +25,7 @@ from benchmarks.edges.observability_tables import (
 from benchmarks.edges.tracking.against_sky import body_beside, polarity
 from benchmarks.edges.tracking.calibrated_covariance import noise_parts, parts_of
 from benchmarks.edges.tracking.residual import support
-from benchmarks.edges.tracking.tracker import Tracked, track
+from benchmarks.edges.tracking.tracker import TrackingResult, track
 from benchmarks.edges.views import (
     EdgeViews,
     ViewOptions,
@@ -41,7 +41,7 @@ from polhode.config.scene import Sensor
 from polhode.images import Grey
 from polhode.lie import Array, make_pose, transform_points
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
-from polhode.planning.edges.metric.metric import Observability, observability
+from polhode.planning.edges.metric.metric import EdgeObservability, observability
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.model.visible_edges import SPACING_PX, clear_points
 
@@ -194,7 +194,7 @@ def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, 
             }  # fmt: skip
 
 
-def foreseen(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> tuple[Observability, Array]:
+def foreseen(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> tuple[EdgeObservability, Array]:
     """The metric of a pose before there is an image, and its noise parts (3, 6, 6)."""
     points = clear_points(model, rig, X_RG, SPACING_PX)
     f = edge_motion(points, rig, X_RG, model.middle_G)
@@ -213,7 +213,7 @@ def _jittered(X_RG: Array, o_G: Array, rng: np.random.Generator) -> Array:
     return moved(X_RG, step, o_G)
 
 
-def _trial(tracked: Tracked, true: Array, o_G: Array, image: Grey) -> dict[str, Any]:
+def _trial(tracked: TrackingResult, true: Array, o_G: Array, image: Grey) -> dict[str, Any]:
     """One fit: its error, what it tells of itself, and what moved it off."""
     complete = tracked.converged and len(tracked.information.unseen) == 0
     shown = support(tracked, image)
@@ -226,7 +226,7 @@ def _trial(tracked: Tracked, true: Array, o_G: Array, image: Grey) -> dict[str, 
     }  # fmt: skip
 
 
-def _log_determinant(tracked: Tracked) -> float:
+def _log_determinant(tracked: TrackingResult) -> float:
     """Of C^-1 as the metric has it: every point counts, found or not."""
     if len(tracked.points) == 0:
         return 99.0
@@ -234,7 +234,7 @@ def _log_determinant(tracked: Tracked) -> float:
     return float(-np.log(np.maximum(np.linalg.eigvalsh(known.C), 1e-9)).sum())
 
 
-def off_px(tracked: Tracked, true: Array) -> float:
+def off_px(tracked: TrackingResult, true: Array) -> float:
     """How far the model's points are from their true places in the image, root mean square; 999 at most."""
     p_G = tracked.points.p_G
     if len(p_G) == 0:

@@ -21,7 +21,7 @@ from polhode.metrics import truth_at
 from polhode.pipeline.products.observability.subject import CameraOptions, subject_of
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
-from polhode.planning.edges.metric.information import look_along
+from polhode.planning.edges.metric.information import views_along
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 from polhode.truth import read_truth
 
@@ -62,7 +62,7 @@ def row(run: Path, sequence: Path, every: int) -> str:
 
 def sigmas(model: EdgeModel, rig: RectifiedRig, X_RG: Array, o_G: Array) -> Array:
     """(k, 6)"""
-    return np.stack([view.found.sigma for view in look_along(model, rig, X_RG, o_G)])
+    return np.stack([view.found.sigma for view in views_along(model, rig, X_RG, o_G)])
 
 
 if __name__ == "__main__":

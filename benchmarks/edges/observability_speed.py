@@ -19,7 +19,7 @@ from benchmarks.command import Short, command
 from benchmarks.edges.bodies import KINDS, edge_body
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, make_pose
-from polhode.planning.edges.metric.information import look_along
+from polhode.planning.edges.metric.information import views_along
 from polhode.planning.edges.model.edge_model import edge_model
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
@@ -51,7 +51,7 @@ def row(name: str, mesh: trimesh.Trimesh, count: int) -> str:
     for n in range(ROUNDS):
         for k in range(count):
             start = process_time()
-            view = next(look_along(model, RIG, X_RG[k : k + 1], model.middle_G))
+            view = next(views_along(model, RIG, X_RG[k : k + 1], model.middle_G))
             _ = view.found.covariance
             times[n, k] = process_time() - start
             points.append(len(view.points))

@@ -17,16 +17,21 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import command
 from benchmarks.edges.bodies import edge_body
-from benchmarks.edges.trajectory.camera_path import least_range
-from benchmarks.edges.trajectory.view_table import looking, view_table
+from benchmarks.edges.trajectory.camera_path import min_range
+from benchmarks.edges.trajectory.view_table import camera_attitude, view_table
 from benchmarks.edges.views import edge_rig, random_poses
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import make_pose
 from polhode.planning.edges.metric.information import FeatureInformation, feature_information
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
-from polhode.planning.edges.selection.selection import best_choice, exchanged, greedy, upper_bound
-from polhode.planning.edges.selection.smallest_set import Need, exact_smallest_set, smallest_set
+from polhode.planning.edges.selection.selection import (
+    best_selection,
+    greedy,
+    improved_by_exchange,
+    upper_bound,
+)
+from polhode.planning.edges.selection.smallest_set import SigmaLimits, exact_smallest_set, smallest_set
 
 BODIES = ("block", "house", "drum", "satellite", "bus", "cubesat")
 EXACT_UP_TO = 25
@@ -66,15 +71,15 @@ def main(
 def choices(information: FeatureInformation, budget: int) -> list[str]:
     """Two rows: by log det, by the trace."""
     A = information.scaled
-    seen = len(Need(information).candidates)
+    seen = len(SigmaLimits(information).candidates)
     rows = []
     for value in ("log_det", "trace"):
         first = greedy(A, budget, value)
-        second = exchanged(A, first, budget, value)
+        second = improved_by_exchange(A, first, budget, value)
         best = "-"
         if seen <= EXACT_UP_TO:
             try:
-                best = shown(best_choice(A, budget, value).value, value)
+                best = shown(best_selection(A, budget, value).value, value)
             except InputError:
                 best = "too long"
         bound = shown(upper_bound(A, budget, value), value)
@@ -93,7 +98,7 @@ def shown(value: float, kind: str) -> str:
 def fewest(information: FeatureInformation) -> str:
     """One row."""
     found = smallest_set(information)
-    seen = len(Need(information).candidates)
+    seen = len(SigmaLimits(information).candidates)
     try:
         exact = str(len(exact_smallest_set(information).features)) if seen <= EXACT_UP_TO else "-"
     except InputError:
@@ -103,7 +108,7 @@ def fewest(information: FeatureInformation) -> str:
 
 def between(model: EdgeModel, rig: RectifiedRig) -> str:
     """One row: spread of the natural logarithm, median difference, correlation; even light, then sunlight."""
-    near = least_range(model, rig) + 0.02
+    near = min_range(model, rig) + 0.02
     rng = np.random.default_rng(0)
     towards = rng.normal(size=(BETWEEN, 3))
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
@@ -114,7 +119,7 @@ def between(model: EdgeModel, rig: RectifiedRig) -> str:
         value = table.log_trace_of()
         found, true = np.empty(BETWEEN), np.empty(BETWEEN)
         for k, p_G in enumerate(far[:, None] * towards):
-            R_RG = looking(-p_G, np.array([0.0, 0.0, 1.0]))
+            R_RG = camera_attitude(-p_G, np.array([0.0, 0.0, 1.0]))
             X_RG = make_pose(R_RG, -R_RG @ (p_G + model.middle_G))
             C = feature_information(model, rig, X_RG[None], sun, clear=True).scaled.sum(axis=1)[0]
             true[k] = np.log(np.trace(np.linalg.inv(C + np.eye(6))))

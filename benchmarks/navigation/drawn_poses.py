@@ -30,7 +30,7 @@ class EdgeErrors:
     """of each control point"""
     tau_px: float = 0.3
     """of each edge, shared by its points"""
-    least_contrast: float = 0.05
+    min_contrast: float = 0.05
     """step of radiance across an edge that is found; white across the sunlight has 1"""
     misfit_px: float = 1.0
     """of each edge on a wrong pose that it agrees with"""
@@ -68,7 +68,7 @@ def drawn_pose(
     """
     seen = control_points(model, rig, X_RG, errors.spacing_px)
     eye_G, sun_G = inverse_pose(X_RG)[:3, 3], X_RG[:3, :3].T @ sun_R
-    points = seen[contrast(model, seen, eye_G, sun_G) > errors.least_contrast]
+    points = seen[contrast(model, seen, eye_G, sun_G) > errors.min_contrast]
     if len(points) < 6:
         return None
     f = edge_motion(points, rig, X_RG, model.middle_G)

@@ -21,11 +21,11 @@ from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, r
 from polhode.planning.edges.metric.edge_motion import pose_error
 from polhode.quaternion import matrix_from_wxyz
 
-TURN_A_STEP_RAD = 0.03
+MAX_STEP_ANGLE_RAD = 0.03
 """Of the body in one step of the integration."""
 
 
-def turn_freely(
+def propagate_rotation(
     moments: Array, w_P: Array, dt_s: float, torque_psd: float
 ) -> tuple[Array, Array, Array, Array]:
     """From the rate w_P (3,) [rad/s], for dt_s [s], in the principal axes with moments (3,), middle one 1.
@@ -34,7 +34,7 @@ def turn_freely(
     and w grow; Q (6, 6), the covariance of what white torque adds: torque_psd [(rad/s^2)^2/Hz], over the
     middle moment. theta' = -w x theta + dw;  dw' = J^-1 ((J w) x - w x J) dw.
     """
-    steps = max(1, int(np.ceil(dt_s * float(np.linalg.norm(w_P)) / TURN_A_STEP_RAD)))
+    steps = max(1, int(np.ceil(dt_s * float(np.linalg.norm(w_P)) / MAX_STEP_ANGLE_RAD)))
     y = np.zeros(79)
     y[0], y[4:7], y[7:43] = 1.0, w_P, np.eye(6).ravel()
     _integrate(np.ascontiguousarray(moments), y, dt_s / steps, steps, torque_psd)
@@ -85,7 +85,7 @@ def _derivative(moments: Array, y: Array, psd: float, out: Array) -> None:
         out[43 + 6 * (3 + i) + 3 + i] += psd / moments[i] ** 2
 
 
-UNTOLD_SHARE = 1e-9
+UNOBSERVABLE_SHARE = 1e-9
 """A direction with less than this share of the largest information, shifts in radii, is not told."""
 
 
@@ -158,7 +158,7 @@ class Update:
 
 def predict(state: State, target: Target, dt_s: float, accel_N: Array) -> State:
     """The state after dt_s > 0 [s] of free motion; accel_N (3,) of the inspector in this time [m/s^2]."""
-    turn, w_P, Phi, Q = turn_freely(target.moments, state.w_P, dt_s, target.torque_psd)
+    turn, w_P, Phi, Q = propagate_rotation(target.moments, state.w_P, dt_s, target.torque_psd)
     F, noise, one = np.eye(12), np.zeros((12, 12)), np.eye(3)
     F[:3, 3:6] = dt_s * one
     F[6:, 6:], noise[6:, 6:] = Phi, Q
@@ -191,11 +191,11 @@ def measurement_jacobian(state: State, target: Target, R_NR: Array) -> Array:
     return H
 
 
-def told_directions(information: Array, radius_m: float) -> tuple[Array, Array]:
+def observable_directions(information: Array, radius_m: float) -> tuple[Array, Array]:
     """Directions D (k, 6) that information (6, 6) tells, and variances (k,) of D @ error, uncorrelated."""
     scale = np.array([radius_m] * 3 + [1.0] * 3)
     values, directions = np.linalg.eigh(information * np.outer(scale, scale))
-    told = values > max(UNTOLD_SHARE * float(values[-1]), 0.0)
+    told = values > max(UNOBSERVABLE_SHARE * float(values[-1]), 0.0)
     # scaled information V L V^T: V^T (error / scale) has variances 1 / L
     return np.asarray(directions[:, told].T / scale), 1.0 / values[told]
 
@@ -212,7 +212,7 @@ def update(
 
     gate: the probability that a right measurement passes; one that is farther off is refused.
     """
-    D, variance = told_directions(information, target.radius_m)
+    D, variance = observable_directions(information, target.radius_m)
     told = len(variance)
     if told == 0:
         return Update(state, 0.0, 0, False)

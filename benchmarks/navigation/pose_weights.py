@@ -50,12 +50,12 @@ class Gated:
 
     information: Array
     """(6, 6)"""
-    least_found: float
+    min_found: float
     """share of control points"""
 
     def __call__(self, tracked: TrackedPose) -> Array | None:
         """The constant, or None for a pose of few edges."""
-        return self.information if tracked.found_share >= self.least_found else None
+        return self.information if tracked.found_share >= self.min_found else None
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class ResidualChecked:
     """
 
     weighting: Weighting
-    most_residual: float
+    max_residual: float
 
     def __call__(self, tracked: TrackedPose) -> Array | None:
         """The other's answer, or None for a pose with large residuals."""
-        return self.weighting(tracked) if tracked.residual <= self.most_residual else None
+        return self.weighting(tracked) if tracked.residual <= self.max_residual else None

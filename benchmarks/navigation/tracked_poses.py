@@ -13,7 +13,7 @@ from benchmarks.edges.observability import LENS
 from benchmarks.edges.tracking.against_sky import polarity
 from benchmarks.edges.tracking.calibrated_covariance import NoiseParts
 from benchmarks.edges.tracking.residual import probability, support
-from benchmarks.edges.tracking.tracker import Tracked, Tracking, track
+from benchmarks.edges.tracking.tracker import TrackerOptions, TrackingResult, track
 from benchmarks.edges.views import EdgeViews, ViewOptions
 from benchmarks.navigation.flights import Flight, sun_R
 from benchmarks.navigation.found_pose import FoundPose, spread
@@ -25,7 +25,7 @@ from polhode.planning.edges.metric.edge_motion import moved
 from polhode.planning.edges.model.edge_model import EdgeModel
 
 VIEWS = ViewOptions(earth=0.0, scattered=True, sensor=LENS)
-TRACKING = Tracking(restarts=0)
+TRACKING = TrackerOptions(restarts=0)
 """One start, as fast as a filter at each image needs it; it goes wrong more often than with restarts."""
 NEAR = np.repeat([0.01, np.deg2rad(1.0)], 3)
 """Sigma of a usual start [m, rad]."""
@@ -62,7 +62,7 @@ def _image(views: EdgeViews, X_RG: Array, sun: Array, k: int, folder: Path) -> G
     return np.asarray(read_raw(path, views.rig.width_px, views.rig.height_px), dtype=np.uint8)
 
 
-def _found(tracked: Tracked, image: Array, radius_m: float) -> FoundPose | None:
+def _found(tracked: TrackingResult, image: Array, radius_m: float) -> FoundPose | None:
     """What records keep of it."""
     used = tracked.robust > 0.0
     if not tracked.converged or used.sum() < 7:

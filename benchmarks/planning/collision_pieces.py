@@ -24,14 +24,14 @@ from polhode.planning.exports.convex_pieces import (
     CUT_FACES,
     ROUNDING,
     WITHIN,
-    Reach,
+    SurfaceReach,
     _beyond,
-    _grown,
+    _grown_pieces,
     _hull,
     decompose,
     outside,
 )
-from polhode.planning.exports.records import Shape, frame_G, shape_of_surface
+from polhode.planning.exports.records import ExportShape, frame_G, shape_of_surface
 
 SAMPLES = 50_000
 
@@ -42,7 +42,7 @@ def main(
     peer: Annotated[Literal["coacd"] | None, arg(help="Also the pieces of CoACD.")] = None,
 ) -> None:
     """A row for each run, number and method."""
-    methods: dict[str, Callable[[Shape, int], Sequence[trimesh.Trimesh]]] = {"ours": _ours}
+    methods: dict[str, Callable[[ExportShape, int], Sequence[trimesh.Trimesh]]] = {"ours": _ours}
     if peer:
         methods |= {"CoACD": _coacd, "CoACD, grown": _coacd_grown}
     print(
@@ -52,7 +52,7 @@ def main(
     )
     for run in runs:
         shape = shape_of_surface(surface_of(run), frame_G())
-        reach = Reach(shape.mesh())
+        reach = SurfaceReach(shape.mesh())
         corners = shape.mesh().convex_hull.vertices
         diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))
         for most in pieces:
@@ -71,11 +71,11 @@ def main(
                 )
 
 
-def _ours(shape: Shape, most: int) -> Sequence[trimesh.Trimesh]:
+def _ours(shape: ExportShape, most: int) -> Sequence[trimesh.Trimesh]:
     return decompose(shape, most).pieces
 
 
-def _coacd(shape: Shape, most: int) -> Sequence[trimesh.Trimesh]:
+def _coacd(shape: ExportShape, most: int) -> Sequence[trimesh.Trimesh]:
     import coacd
 
     coacd.set_log_level("error")
@@ -86,13 +86,13 @@ def _coacd(shape: Shape, most: int) -> Sequence[trimesh.Trimesh]:
     return [trimesh.Trimesh(vertices, faces, process=False).convex_hull for vertices, faces in parts]
 
 
-def _coacd_grown(shape: Shape, most: int) -> Sequence[trimesh.Trimesh]:
-    reach = Reach(shape.mesh())
+def _coacd_grown(shape: ExportShape, most: int) -> Sequence[trimesh.Trimesh]:
+    reach = SurfaceReach(shape.mesh())
     seeds = [np.asarray(piece.vertices) for piece in _coacd(shape, most)]
-    return [_hull(piece.corners, ROUNDING * reach.size_m) for piece in _grown(shape, seeds, reach)]
+    return [_hull(piece.corners, ROUNDING * reach.size_m) for piece in _grown_pieces(shape, seeds, reach)]
 
 
-def _outside_all(shape: Shape, pieces: Sequence[trimesh.Trimesh]) -> Array:
+def _outside_all(shape: ExportShape, pieces: Sequence[trimesh.Trimesh]) -> Array:
     """Of points on the mesh, how far they are outside of the nearest piece [m]; 0 inside."""
     points = np.asarray(trimesh.sample.sample_surface(shape.mesh(), SAMPLES, seed=0)[0])
     nearest = np.full(len(points), np.inf)

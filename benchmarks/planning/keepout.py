@@ -63,18 +63,18 @@ def measure(case: Case) -> dict[str, Any]:
     """One run, one horizon."""
     import trimesh
 
-    from polhode.pipeline.products.plan import ahead_of, surface_of
-    from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grow, spread
-    from polhode.planning.keep_out.swept_distance import FAR, sticks_out, sticks_out_at_each_instant, sweep
-    from polhode.planning.keep_out.volumes import Wanted, fine_times, keep_out, near_the_surface
-    from polhode.planning.prediction.ensemble import draw_members, nominal
+    from polhode.pipeline.products.plan import final_estimate, surface_of
+    from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grown_body, thinned_vertices
+    from polhode.planning.keep_out.swept_distance import FAR, protrusion, protrusion_at_instants, sweep
+    from polhode.planning.keep_out.volumes import KeepOutOptions, fine_times, keep_out, points_near_surface
+    from polhode.planning.prediction.ensemble import draw_ensemble, nominal_motion
     from polhode.records import SurfaceModel
 
     run = Path(case["run"])
-    ahead, _ = ahead_of(run)
+    estimate, _ = final_estimate(run)
     surface = surface_of(run)
-    wanted = Wanted(case["horizon_s"], case["confidence"], cover=case.get("cover", "auto"))
-    found = keep_out(surface, ahead, wanted)
+    wanted = KeepOutOptions(case["horizon_s"], case["confidence"], cover=case.get("cover", "auto"))
+    found = keep_out(surface, estimate, wanted)
     level, motion = found.swept.level, found.instant.motion
     V, N = np.asarray(surface.mesh.vertices), np.asarray(surface.mesh.vertex_normals)
     taken = continuous_sigma(surface)
@@ -83,14 +83,14 @@ def measure(case: Case) -> dict[str, Any]:
 
     def needed_m3(cover: Cover) -> float:
         """Of the cells that more draws sweep than may be missed; poses and surfaces drawn."""
-        few, rng = draw_members(ahead, motion.time_s, NEEDED_DRAWS, 3000), np.random.default_rng(4000)
+        few, rng = draw_ensemble(estimate, motion.time_s, NEEDED_DRAWS, 3000), np.random.default_rng(4000)
         step, shape = 2.0 * level.step_m, tuple((n + 1) // 2 for n in level.values.shape)
         times, none = len(motion.time_s), np.zeros(len(motion.time_s))
         count = np.zeros(shape, dtype=np.int64)
         for n in range(NEEDED_DRAWS):
             off = taken * rng.normal(size=len(V))
             drawn = trimesh.Trimesh(V + off[:, None] * N, surface.mesh.faces, process=False)
-            body = grow(replace(bare, mesh=drawn), 0.5, cells=NEEDED_CELLS, cover=cover)
+            body = grown_body(replace(bare, mesh=drawn), 0.5, cells=NEEDED_CELLS, cover=cover)
             # without what the grid cannot resolve
             values = body.grid.values + np.float32(body.pad_m)
             field = np.full((*shape, 1), FAR, dtype=np.float32)
@@ -102,9 +102,9 @@ def measure(case: Case) -> dict[str, Any]:
         return float((count > (1.0 - case["confidence"]) * NEEDED_DRAWS).sum()) * step**3
 
     def bare_sweep(cover: Cover) -> NDArray[np.float32]:
-        body = grow(bare, 0.5, cover=cover)
+        body = grown_body(bare, 0.5, cover=cover)
         fine = fine_times(motion, body.radius_m, level.step_m, wanted.horizon_s)
-        states = nominal(ahead, fine)
+        states = nominal_motion(estimate, fine)
         field = np.full((*level.values.shape, 1), FAR, dtype=np.float32)
         sweep(
             field, level.origin, level.step_m, np.zeros(1), states.R_NG, states.p_NG,
@@ -115,19 +115,19 @@ def measure(case: Case) -> dict[str, Any]:
 
     field = bare_sweep("surface")
     least = float((field <= 0.0).sum()) * level.step_m**3
-    least_covered = least
+    min_covered = least
     if found.body.covers == "hull":
-        least_covered = float((bare_sweep("hull") <= 0.0).sum()) * level.step_m**3
+        min_covered = float((bare_sweep("hull") <= 0.0).sum()) * level.step_m**3
     ours = float((level.values <= 0.0).sum()) * level.step_m**3
     # truths: poses by other seeds, every point of the surface off by its own sigma
-    members = draw_members(ahead, motion.time_s, case["draws"], 1000)
+    members = draw_ensemble(estimate, motion.time_s, case["draws"], 1000)
     # what lies within a cell of the surface stands for the rest: of each place the point that is farthest out
-    kept = spread(trimesh.Trimesh(V, process=False), POINTS_APART_M * level.step_m)
+    kept = thinned_vertices(trimesh.Trimesh(V, process=False), POINTS_APART_M * level.step_m)
     index = _rows_of(V, kept)
     sigma = taken[index]
     stated = np.where(np.isfinite(surface.sigma_m), surface.sigma_m, 0.0)[index]
     band = np.full(len(motion.time_s), 0.02 + level.step_m)
-    pairs = near_the_surface(field, level.origin, level.step_m, motion, kept, band)
+    pairs = points_near_surface(field, level.origin, level.step_m, motion, kept, band)
     rng = np.random.default_rng(2000)
     fields = np.ascontiguousarray(level.values[..., None])
     inside = inside_stated = inside_instants = 0
@@ -140,12 +140,12 @@ def measure(case: Case) -> dict[str, Any]:
         inside, inside_stated = (
             total
             + int(
-                sticks_out(fields, level.origin, level.step_m, part.R_NG, part.p_NG, pairs, each)[0, 0] <= 0.0
+                protrusion(fields, level.origin, level.step_m, part.R_NG, part.p_NG, pairs, each)[0, 0] <= 0.0
             )
             for total, each in ((inside, points), (inside_stated, spiky))
         )
         few = points[:: max(1, len(points) // 2000)]
-        instant = sticks_out_at_each_instant(
+        instant = protrusion_at_instants(
             np.array([found.instant.factor]), np.ascontiguousarray(part.R_NG[:, chosen]),
             np.ascontiguousarray(part.p_NG[:, chosen]), motion.R_NG[chosen], motion.p_NG[chosen],
             found.instant.covariance[chosen], found.body.grid.values, found.body.grid.origin,
@@ -156,7 +156,7 @@ def measure(case: Case) -> dict[str, Any]:
         "inside": inside,
         "inside_stated": inside_stated,
         "inside_instants": int(inside_instants), "volume_m3": ours, "least_m3": least,
-        "least_covered_m3": least_covered,
+        "least_covered_m3": min_covered,
         "needed_m3": needed_m3(found.body.covers),
         "points": len(kept), "cell_m": level.step_m, "factor": found.swept.factor,
         "added_m": found.swept.added_m,

@@ -58,16 +58,18 @@ def measure(case: Case) -> dict[str, Any]:
     from polhode.metrics import truth_at
     from polhode.pipeline.evaluation.evaluate import target_poses
     from polhode.pipeline.evaluation.seen_surface import seen_and_lit
-    from polhode.pipeline.products.plan import ahead_of, surface_of
+    from polhode.pipeline.products.plan import final_estimate, surface_of
     from polhode.pipeline.run_directory.trajectory_file import read_trajectory
-    from polhode.planning.keep_out.volumes import Wanted, keep_out
-    from polhode.planning.prediction.ensemble import nominal
+    from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
+    from polhode.planning.prediction.ensemble import nominal_motion
     from polhode.truth import read_truth
 
     run, data = Path(case["run"]), Path(case["data"])
-    ahead, _ = ahead_of(run)
+    estimate, _ = final_estimate(run)
     surface = surface_of(run)
-    found = keep_out(surface, ahead, Wanted(case["horizon_s"], case["confidence"], cover=case["cover"]))
+    found = keep_out(
+        surface, estimate, KeepOutOptions(case["horizon_s"], case["confidence"], cover=case["cover"])
+    )
     truth, stamps = read_truth(data), read_trajectory(run).timestamps_ns
     if truth.mesh is None:
         raise SystemExit(f"{data}: the truth has no mesh")
@@ -88,7 +90,7 @@ def measure(case: Case) -> dict[str, Any]:
         places = few @ X_NG[i, :3, :3].T + X_NG[i, :3, 3]
         out_instant = np.maximum(out_instant, found.instant.signed_distance(int(rows[i]), places))
     # how far the mesh is from what comes out: a part that it lacks, or an error of the surface?
-    X_end = nominal(ahead, np.array([0.0, 1.0])).X_NG[0]
+    X_end = nominal_motion(estimate, np.array([0.0, 1.0])).X_NG[0]
     X_last = target_poses(truth_at(truth, stamps[-1:]), truth.R_GP, truth.com_G)[0]
     places = few @ X_last[:3, :3].T + X_last[:3, 3]
     p_G = (places - X_end[:3, 3]) @ X_end[:3, :3]

@@ -32,13 +32,13 @@ from polhode.records import Bools, Ints, SurfaceModel
 Floats = NDArray[np.float32]
 
 SAMPLES = 3000
-MOST_VIEWS = 40
+MAX_VIEWS = 40
 """Frames that the albedos of all vertices are taken from."""
 _SATURATED = 250.0
 _GRAZING = 0.25
 """Cosine between normal and ray below which a pixel mixes too much."""
 _SMOOTHINGS = 6
-_LEAST_LIGHT = 0.15
+_MIN_LIGHT = 0.15
 """Share of full sunlight that an observation must have had to tell an albedo."""
 _BRIGHT = 235.0
 """Grey of the 99th percentile of the albedos."""
@@ -162,11 +162,11 @@ def _albedos(
     p_G, n_G = np.asarray(mesh.vertices, dtype=np.float32), normals.astype(np.float32)
     up, down = np.zeros(len(p_G)), np.zeros(len(p_G))
     lit = np.flatnonzero(sun.sunny)
-    for k in lit[np.unique(np.linspace(0, len(lit) - 1, min(len(lit), MOST_VIEWS)).round().astype(int))]:
+    for k in lit[np.unique(np.linspace(0, len(lit) - 1, min(len(lit), MAX_VIEWS)).round().astype(int))]:
         view = views[k]
         eye, to_sun = view.eye_G.astype(np.float32), sun_in_G(view, sun.direction_N)
         facing = n_G @ to_sun.astype(np.float32)
-        at = np.flatnonzero(facing > _LEAST_LIGHT)
+        at = np.flatnonzero(facing > _MIN_LIGHT)
         ray = eye - p_G[at]
         cosine = np.einsum("nk,nk->n", ray, n_G[at]) / np.sqrt(np.einsum("nk,nk->n", ray, ray))
         at, cosine = at[cosine > _GRAZING], cosine[cosine > _GRAZING]

@@ -22,7 +22,7 @@ SAMPLES = 10_000
 
 
 @dataclass(frozen=True)
-class Level:
+class DetailLevel:
     """A lighter mesh; each vertex has colour, sigma and views of the nearest one of the full mesh."""
 
     surface: SurfaceModel
@@ -31,7 +31,7 @@ class Level:
     mean_m: float
 
 
-def levels_of(surface: SurfaceModel, shares: Sequence[float], seed: int = 0) -> list[Level]:
+def levels_of(surface: SurfaceModel, shares: Sequence[float], seed: int = 0) -> list[DetailLevel]:
     """One level for each share of the faces, in the order given; those of too few faces are left out."""
     counts = [round(share * len(surface.mesh.faces)) for share in shares]
     counts = [count for count in counts if count >= FEWEST_FACES]
@@ -61,7 +61,7 @@ def _used(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def _level(
     surface: SurfaceModel, full: trimesh.Trimesh, middles: cKDTree, points: Array, light: trimesh.Trimesh
-) -> Level:
+) -> DetailLevel:
     away = np.append(distance_to_surface(light, points), _to_full(full, middles, light))
     # A vertex stands for the nearest one of the full mesh, a face for the face at its middle.
     _, around = middles.query(np.asarray(light.vertices))
@@ -71,7 +71,7 @@ def _level(
     _, face = middles.query(np.asarray(light.triangles_center))
     visual = surface.mesh.visual
     rgba = np.asarray(visual.vertex_colors)[nearest] if isinstance(visual, ColorVisuals) else None
-    return Level(
+    return DetailLevel(
         SurfaceModel(
             trimesh.Trimesh(light.vertices, light.faces, vertex_colors=rgba, process=False),
             sigma_m=surface.sigma_m[nearest],

@@ -19,11 +19,11 @@ from trimesh.visual import ColorVisuals
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
 from polhode.mapping.mesh_geometry import neighbours, piece_areas, rim_edges
-from polhode.mapping.visibility import LEAST_COSINE, Caster, FrameView, pixels_of
+from polhode.mapping.visibility import MIN_COSINE, Caster, FrameView, pixels_of
 from polhode.records import Bools, Ints, SurfaceModel
 
 _MAX_CORNERS = 400
-_LEAST_BODY = 2.0
+_MIN_BODY = 2.0
 """A hole must have this many times its own area of surface around it: a scrap's outline is no hole."""
 _OUTSIDE_PX = 2.5
 """A frame looks past the body where the nearest pixel of its silhouette is further."""
@@ -135,7 +135,7 @@ def _patches(vertices: Array, faces: Ints, loops: list[Ints]) -> Iterator[_Patch
             continue
         points, triangles = found
         corner = np.concatenate([vertices[loop], points])[triangles]
-        if _areas(corner).sum() * _LEAST_BODY < piece_area[piece[loop[0]]]:
+        if _areas(corner).sum() * _MIN_BODY < piece_area[piece[loop[0]]]:
             rim = triangles[(triangles < len(loop)).all(axis=1)]
             for a, b in loop[rim[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)].tolist():
                 around[a].add(b)
@@ -188,7 +188,7 @@ def _not_looked_through(
         distance = np.linalg.norm(ray, axis=1)
         direction = ray / distance[:, None]
         row, column, inside = pixels_of(view, p_G, rig)
-        towards = np.flatnonzero(inside & (np.einsum("nk,nk->n", direction, normal_G) < -LEAST_COSINE))
+        towards = np.flatnonzero(inside & (np.einsum("nk,nk->n", direction, normal_G) < -MIN_COSINE))
         direction, distance = direction[towards], distance[towards]
         first, face = caster.first(view.eye_G, direction)
         clear = first > distance
@@ -247,7 +247,7 @@ def fill_loop(loop: Array, taken: set[tuple[int, int]]) -> tuple[Array, Ints] | 
     flat = _even(loop)
     if flat is not None and not _inner_edges(flat[1], len(loop)) & taken:
         return flat
-    faces = _least_area(loop, taken) if len(loop) <= _MAX_LEAST_AREA_CORNERS else None
+    faces = _min_area(loop, taken) if len(loop) <= _MAX_LEAST_AREA_CORNERS else None
     return None if faces is None else (np.zeros((0, 3)), faces)
 
 
@@ -329,7 +329,7 @@ def _membrane(loop: Array, inner: Array, faces: Ints) -> Array:
     return np.column_stack([inner, height])
 
 
-def _least_area(loop: Array, taken: set[tuple[int, int]]) -> Ints | None:
+def _min_area(loop: Array, taken: set[tuple[int, int]]) -> Ints | None:
     """Triangles between the corners of a loop with the least area in sum (Barequet and Sharir 1995)."""
     n = len(loop)
     side = loop[None, :] - loop[:, None]

@@ -25,12 +25,12 @@ _AMBIENT = (0.03, 0.15, 0.5)
 _GRID_VERTICES = 700
 _ROUNDS, _STEPS = 3, 6
 _SLOPE_PRIOR = 1e-4
-_LEAST_VIEWS = 4
+_MIN_VIEWS = 4
 _SUNLIT = 0.4
 _DARK_GAIN = 0.5
-_LEAST_SIGMA_RAD = np.deg2rad(0.5)
+_MIN_SIGMA_RAD = np.deg2rad(0.5)
 """What errors common to all normals, and a camera that is not linear, may do at least."""
-_LEAST_GROUP = 0.01
+_MIN_GROUP = 0.01
 """Share of the data that makes a group."""
 _FEWEST_VERTICES = 60
 
@@ -75,7 +75,7 @@ class Sunlight:
 
 def find_sun(seen: Observations, lit: Lit) -> Sunlight | None:
     """The Sun's direction, or None: too few observations, or nothing turned."""
-    kept = np.bincount(seen.vertex)[seen.vertex] >= _LEAST_VIEWS
+    kept = np.bincount(seen.vertex)[seen.vertex] >= _MIN_VIEWS
     if len(np.unique(seen.vertex[kept])) < _FEWEST_VERTICES:
         return None
     problem, sunny = _Problem(seen, kept), np.ones(seen.n_frames, dtype=bool)
@@ -92,7 +92,7 @@ def find_sun(seen: Observations, lit: Lit) -> Sunlight | None:
                 return None
             problem = _Problem(seen, kept)
     shone = lit(s)[kept]
-    sigma_rad = float(np.hypot(problem.sigma_rad(s, e, shone), _LEAST_SIGMA_RAD))
+    sigma_rad = float(np.hypot(problem.sigma_rad(s, e, shone), _MIN_SIGMA_RAD))
     return Sunlight(s, sigma_rad, e, problem.explained(s, e, shone), sunny)
 
 
@@ -199,7 +199,7 @@ class _Problem:
         """
         group = self.seen.group[self.kept]
         labels, size = np.unique(group, return_counts=True)
-        labels = labels[size >= _LEAST_GROUP * len(group)]
+        labels = labels[size >= _MIN_GROUP * len(group)]
         if len(labels) < 4:
             return float("inf")
         found = []

@@ -19,7 +19,7 @@ HALF = 1 << (_BITS - 1)
 WEIGHT, DISTANCE, SQUARE, FREE, VIEWS, COLOUR, COLOUR_WEIGHT = range(7)
 CHANNELS = 7
 BYTES_PER_BLOCK = VOXELS * 4 * CHANNELS
-_LEAST_ROOM = 1024
+_MIN_ROOM = 1024
 """Blocks, 14 MiB."""
 
 
@@ -84,7 +84,7 @@ class BlockGrid:
         room = len(self._values)
         if blocks <= room:
             return
-        room = min(self.most, max(blocks, room + room // 2, _LEAST_ROOM))
+        room = min(self.most, max(blocks, room + room // 2, _MIN_ROOM))
         values, keys = self._empty(room), torch.zeros(room, dtype=torch.int64, device=self.device)
         values[: self._n], keys[: self._n] = self.values, self.keys
         self._values, self._keys = values, keys

@@ -15,9 +15,9 @@ from scipy.stats import chi2
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, right_jacobian_so3, transform_points
 from polhode.mapping.fusion.depth_frame import FrameTensors
-from polhode.mapping.fusion.interpolation import Samples
+from polhode.mapping.fusion.interpolation import FieldSamples
 
-MOST_SAMPLES = 3000
+MAX_SAMPLES = 3000
 _ITERATIONS = 20
 _STILL = 0.05
 """Converged when a step is less than this, in standard deviations."""
@@ -26,7 +26,7 @@ _KERNEL = 2.5
 _ALIKE_PX = 12
 """Errors of the depth are alike over squares of this width: disparities come from windows of 7 px, and what
 light and slant do is alike over more (docs/mapping.md has the figures)."""
-_LEAST_SAMPLES = 50
+_MIN_SAMPLES = 50
 _SPREAD = 1.5
 """Other starts are so many standard deviations away."""
 _MISFIT = 4.0
@@ -48,7 +48,7 @@ class DepthPoints:
 
 
 @dataclass(frozen=True)
-class Alignment:
+class FrameAlignment:
     """Where a frame is, by the surface; p_R = X_RG (Exp(turn) p_G + shift), X_RG the pose as given."""
 
     correction: Array
@@ -64,7 +64,7 @@ class Alignment:
 
 
 def distances(
-    correction: Array, p_G: Array, lookup: Callable[[Array], Samples]
+    correction: Array, p_G: Array, lookup: Callable[[Array], FieldSamples]
 ) -> tuple[Array, Array, Array]:
     """Distances (n,) of the points (n, 3) from the surface once the pose is corrected by ``correction`` (6,),
     their derivatives (n, 6), their variances (n,) by the surface's; NaN where it is not known."""
@@ -78,19 +78,19 @@ def distances(
 
 
 def align(
-    points: DepthPoints, covariance_G: Array, lookup: Callable[[Array], Samples], least_share: float
-) -> Alignment:
+    points: DepthPoints, covariance_G: Array, lookup: Callable[[Array], FieldSamples], min_share: float
+) -> FrameAlignment:
     """Align a frame to the surface; covariance_G (6, 6) of its pose, finite, may be singular.
 
-    ``least_share`` of the points must lie where the surface is known.
+    ``min_share`` of the points must lie where the surface is known.
     """
-    stays = Alignment(np.zeros(6), covariance_G, None)
+    stays = FrameAlignment(np.zeros(6), covariance_G, None)
     n, step, excess, posterior = len(points.p_G), np.inf, 1.0, covariance_G
-    x = _start(points, covariance_G, lookup, least_share)
+    x = _start(points, covariance_G, lookup, min_share)
     for _ in range(_ITERATIONS):
         distance, J, variance = distances(x, points.p_G, lookup)
         known = np.isfinite(distance)
-        if known.sum() < max(_LEAST_SAMPLES, least_share * n):
+        if known.sum() < max(_MIN_SAMPLES, min_share * n):
             return replace(stays, refused="too little of what it shows is known")
         J, distance = J[known], distance[known]
         weight, excess = _weights(distance, points.variance_m2[known] + variance[known])
@@ -111,14 +111,14 @@ def align(
         return replace(stays, refused="it does not fit the surface")
     if x @ np.linalg.pinv(covariance_G, hermitian=True) @ x > _IMPLAUSIBLE:
         return replace(stays, refused="it contradicts the motion")
-    return Alignment(x, _about(x, posterior), None)
+    return FrameAlignment(x, _about(x, posterior), None)
 
 
 def depth_points(frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> DepthPoints:
     """At most MOST_SAMPLES pixels, evenly taken; ``frame`` keeps its sigma; X_RG (4, 4) the pose as given."""
     depth = frame.depth_m.cpu().numpy().astype(np.float64)
     pixel = np.flatnonzero(frame.weight.cpu().numpy() > 0)
-    count = min(len(pixel), MOST_SAMPLES)
+    count = min(len(pixel), MAX_SAMPLES)
     some = pixel[np.linspace(0, len(pixel) - 1, count).astype(int)]
     v, u = np.divmod(some, depth.shape[1])
     z = depth[v, u]
@@ -132,7 +132,7 @@ def depth_points(frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> DepthPo
 
 
 def _start(
-    points: DepthPoints, covariance: Array, lookup: Callable[[Array], Samples], least_share: float
+    points: DepthPoints, covariance: Array, lookup: Callable[[Array], FieldSamples], min_share: float
 ) -> Array:
     """No correction (6,); where that lies beyond the band around the surface, a likely one that does not."""
     variances, axes = np.linalg.eigh(covariance)
@@ -142,7 +142,7 @@ def _start(
         known = int(np.isfinite(distances(x, points.p_G, lookup)[0]).sum())
         if known > most:
             best, most = x, known
-        if not best.any() and most >= least_share * len(points.p_G):
+        if not best.any() and most >= min_share * len(points.p_G):
             break
     return best
 

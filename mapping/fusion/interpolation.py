@@ -21,12 +21,12 @@ from polhode.mapping.fusion.block_grid import (
 from polhode.records import Ints
 
 _BITS = HALF.bit_length()
-_LEAST_VIEWS = 2
+_MIN_VIEWS = 2
 """What a single frame saw confirms nothing."""
 
 
 @dataclass(frozen=True)
-class Samples:
+class FieldSamples:
     """The surface as seen from points (n, 3) in G; NaN where it is not known."""
 
     distance_m: Array
@@ -62,14 +62,14 @@ class FieldLookup:
         values = grid.values.cpu().numpy()
         return FieldLookup(values, keys[order], order, grid.voxel_m, grid.cut.front_m, carved_share, X_FG)
 
-    def __call__(self, points_G: Array) -> Samples:
+    def __call__(self, points_G: Array) -> FieldSamples:
         """points_G (n, 3) [m]; finite."""
         points = np.ascontiguousarray(transform_points(self.X_FG, points_G) / self.voxel_m)
         out = np.full((len(points), 5), np.nan)
         limits = np.array([self.front_m, self.carved_share, self.voxel_m])
         if len(self.keys):
             interpolate(self.values, self.keys, self.order, limits, points, out)
-        return Samples(out[:, 0], out[:, 1:4] @ self.X_FG[:3, :3], out[:, 4])
+        return FieldSamples(out[:, 0], out[:, 1:4] @ self.X_FG[:3, :3], out[:, 4])
 
 
 @compiled_fused_ieee
@@ -105,7 +105,7 @@ def interpolate(
                 last_key, last_block = np.int64(key), order[at]
             cell = cells[last_block * VOXELS + ((a % EDGE) * EDGE + b % EDGE) * EDGE + c % EDGE]
             weight = float(cell[WEIGHT]) + float(cell[FREE])
-            if cell[WEIGHT] <= 0.0 or cell[VIEWS] < _LEAST_VIEWS or cell[FREE] > carved * weight:
+            if cell[WEIGHT] <= 0.0 or cell[VIEWS] < _MIN_VIEWS or cell[FREE] > carved * weight:
                 known = False
                 break
             mean = (cell[DISTANCE] + front * cell[FREE]) / weight

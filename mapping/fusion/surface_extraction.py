@@ -39,7 +39,7 @@ from polhode.mapping.fusion.block_grid import (
     pack_keys,
     unpack_keys,
 )
-from polhode.mapping.mesh_geometry import averaged, least_spread, neighbours, piece_areas
+from polhode.mapping.mesh_geometry import averaged, min_spread, neighbours, piece_areas
 from polhode.records import Bools, Ints, SurfaceModel
 
 _CHUNK = 8
@@ -50,7 +50,7 @@ Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Support:
+class KnownVoxelCriteria:
     """What a voxel must show to count."""
 
     views: int
@@ -63,13 +63,13 @@ class Support:
     """Most of the weight may come from frames that look through: this share"""
 
     @staticmethod
-    def of(config: Mapping, views: int) -> "Support":
+    def of(config: Mapping, views: int) -> "KnownVoxelCriteria":
         """As configured, with ``views`` frames."""
-        return Support(views, config.agreeing_voxels, config.scatter_voxels, config.carved_share)
+        return KnownVoxelCriteria(views, config.agreeing_voxels, config.scatter_voxels, config.carved_share)
 
 
 @dataclass(frozen=True)
-class Shares:
+class SigmaShares:
     """What does not average out: of a single view's sigma, and over the roughness of the surface."""
 
     of_view: float
@@ -83,7 +83,7 @@ def empty_surface(warnings: tuple[str, ...] = ()) -> SurfaceModel:
 
 
 def extract_surface(
-    grid: BlockGrid, support: Support, least_piece_voxels: float, shares: Shares
+    grid: BlockGrid, support: KnownVoxelCriteria, least_piece_voxels: float, shares: SigmaShares
 ) -> SurfaceModel:
     """Mesh in G [m] of all voxels that count; empty when there are none.
 
@@ -205,7 +205,7 @@ def _large_pieces(vertices: Array, faces: Ints, least: float) -> Ints:
 
 
 def _surface_model(
-    vertices: Array, faces: Ints, values: Floats, voxel_m: float, shares: Shares
+    vertices: Array, faces: Ints, values: Floats, voxel_m: float, shares: SigmaShares
 ) -> SurfaceModel:
     """Assemble the record; values (V, 4) are sigma of the mean, of one view [m], views, grey."""
     grey = np.clip(np.round(values[:, 3]), 0, 255).astype(np.uint8)
@@ -224,7 +224,7 @@ _TIMES_USUAL = 2.0
 """Where all depth is poor the limits follow it: so many times the median scatter still counts."""
 
 
-def known_voxels(values: Floats, voxel_m: float, support: Support) -> Bools:
+def known_voxels(values: Floats, voxel_m: float, support: KnownVoxelCriteria) -> Bools:
     """(n, 512): which of the field's voxels (n, 512, 7) count."""
     weight, free, views = values[..., WEIGHT], values[..., FREE], values[..., VIEWS]
     scatter = scatter_m(values) / np.float32(voxel_m)
@@ -258,7 +258,7 @@ WINDOW_VOXELS = 6.0
 
 
 def vertex_sigma(
-    mesh: trimesh.Trimesh, noise_m: Array, single_view_m: Array, voxel_m: float, shares: Shares
+    mesh: trimesh.Trimesh, noise_m: Array, single_view_m: Array, voxel_m: float, shares: SigmaShares
 ) -> Array:
     """Standard deviation (V,) of the distance along the normal [m].
 
@@ -290,4 +290,4 @@ def roughness(mesh: trimesh.Trimesh, radius_m: float) -> Array:
     moments = np.concatenate([moved, moved[:, a] * moved[:, b]], axis=1)
     for _ in range(rounds):
         moments = averaged(moments, start, other)
-    return np.asarray(np.sqrt(least_spread(moments)))
+    return np.asarray(np.sqrt(min_spread(moments)))

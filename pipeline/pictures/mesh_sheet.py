@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from polhode.lie import Array
-from polhode.mapping.mesh_viewer import MeshViewer, View
+from polhode.mapping.mesh_viewer import MeshView, MeshViewer
 from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, BodyFrame, Direction, round_length_mm
 from polhode.pipeline.pictures.landmarks import SIGMA_MAP
 from polhode.pipeline.report.plot import INK
@@ -131,7 +131,7 @@ def _rows(surface: SurfaceModel) -> tuple[_Row, ...]:
     )
 
 
-def _light(view: View, normal_A: Array, direction: Direction) -> Array:
+def _light(view: MeshView, normal_A: Array, direction: Direction) -> Array:
     """(H, W) cosine between the surface and the light, 0 on the side that is turned away."""
     axes = np.stack([direction.right, direction.up, direction.eye])
     normal = view.values(normal_A @ axes.T)
@@ -140,7 +140,7 @@ def _light(view: View, normal_A: Array, direction: Direction) -> Array:
     return np.asarray(cosine.clip(0.0, 1.0))
 
 
-def _tile(view: View, light: Array, row: _Row) -> Array:
+def _tile(view: MeshView, light: Array, row: _Row) -> Array:
     values = view.values(row.values)
     colours = values if row.scale is None else np.asarray(row.scale.to_rgba(values))[..., :3]
     shaded = colours * (row.ambient + (1.0 - row.ambient) * light)[..., None]

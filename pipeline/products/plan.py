@@ -14,8 +14,8 @@ from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.approach.corridor import Corridor, corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
-from polhode.planning.keep_out.volumes import KeepOut, Wanted, keep_out, member_times
-from polhode.planning.prediction.ensemble import Ahead, nominal
+from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out, member_times
+from polhode.planning.prediction.ensemble import FinalEstimate, nominal_motion
 from polhode.records import SurfaceModel
 
 FAR_DOCK, FARTHEST_DOCK = 0.05, 5.0
@@ -48,11 +48,13 @@ class Plan:
     notes: tuple[str, ...]
 
 
-def ahead_of(run: Path) -> tuple[Ahead, Summary]:
+def final_estimate(run: Path) -> tuple[FinalEstimate, Summary]:
     """The end of a run. Raises InputError when it has no estimate."""
     last, summary = last_body(run)
     assert summary.com_G is not None and summary.noise is not None
-    return Ahead(last, np.array(summary.com_G), summary.noise.accel_psd, summary.noise.torque_psd), summary
+    return FinalEstimate(
+        last, np.array(summary.com_G), summary.noise.accel_psd, summary.noise.torque_psd
+    ), summary
 
 
 def surface_of(run: Path) -> SurfaceModel:
@@ -66,13 +68,13 @@ def surface_of(run: Path) -> SurfaceModel:
     return surface
 
 
-def plan_run(run: Path, wanted: Wanted, docking: Docking | None) -> Plan:
+def plan_run(run: Path, wanted: KeepOutOptions, docking: Docking | None) -> Plan:
     """Everything that the run allows; what it does not is named with the reason."""
     if not (np.isfinite(wanted.horizon_s) and wanted.horizon_s > 0.0):
         raise InputError(f"--horizon {wanted.horizon_s:g}: give the seconds to look ahead, a number above 0")
     if not 0.5 <= wanted.confidence <= 0.999:
         raise InputError(f"--confidence {wanted.confidence:g}: give a share from 0.5 to 0.999")
-    ahead, summary = ahead_of(run)
+    estimate, summary = final_estimate(run)
     left_out: dict[str, str] = {}
     notes = [*summary.warnings[:1]] if summary.status == "failed" else []
     hidden = [name for name, words in summary.identifiable_detail.items() if words.startswith("not")]
@@ -80,7 +82,7 @@ def plan_run(run: Path, wanted: Wanted, docking: Docking | None) -> Plan:
         words = ", ".join(hidden)
         notes.append(f"The run does not determine {words}: the motions drawn are bounded by what was seen.")
     found, speed, surface = None, None, None
-    motion = nominal(ahead, np.concatenate([[0.0], member_times(ahead, wanted.horizon_s)]))
+    motion = nominal_motion(estimate, np.concatenate([[0.0], member_times(estimate, wanted.horizon_s)]))
     try:
         surface = surface_of(run)
     except InputError as error:
@@ -88,13 +90,13 @@ def plan_run(run: Path, wanted: Wanted, docking: Docking | None) -> Plan:
     odd = [] if docking is None else _docking_words(docking, surface, run)
     if surface is not None:
         try:
-            found = keep_out(surface, ahead, wanted)
+            found = keep_out(surface, estimate, wanted)
         except ValueError as error:
             raise InputError(f"--members {wanted.members}: {error}") from None
         notes += _coverage_words(found, summary)
         mesh = surface.mesh
         speed = surface_speed(
-            motion, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), ahead.last.covariance
+            motion, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), estimate.last.covariance
         )
     path = None
     if docking is None:

@@ -14,7 +14,7 @@ from polhode.lie import Array
 from polhode.pipeline.products.plan import Plan
 from polhode.pipeline.products.plan_pictures import plan_pictures
 from polhode.planning.approach.corridor import Corridor
-from polhode.planning.approach.surface_speed import SurfaceSpeed, gentlest
+from polhode.planning.approach.surface_speed import SurfaceSpeed, slowest_points
 from polhode.planning.approach.tumbling_threshold import fuel_share
 from polhode.records import SurfaceModel
 
@@ -145,7 +145,8 @@ def _grapples(surface: SurfaceModel, speed: SurfaceSpeed) -> dict[str, Any]:
         free = part[_reachable(mesh, p[part], normal[part], size)]
         both = np.concatenate([np.array(chosen, dtype=np.int64), free])
         chosen = [
-            int(both[k]) for k in gentlest(speed.largest_m_s[both], p[both], APART_SHARE * size, GRAPPLES)
+            int(both[k])
+            for k in slowest_points(speed.largest_m_s[both], p[both], APART_SHARE * size, GRAPPLES)
         ]
         if len(chosen) == GRAPPLES:
             break

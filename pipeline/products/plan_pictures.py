@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from polhode.lie import Array
-from polhode.mapping.mesh_viewer import MeshViewer, View
+from polhode.mapping.mesh_viewer import MeshView, MeshViewer
 from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, Direction, round_length_mm
 from polhode.pipeline.products.plan import Plan
 from polhode.pipeline.report.plot import FAINT, INK
@@ -81,7 +81,7 @@ def draw_keepout(keep: KeepOut, surface: SurfaceModel, horizon_s: float, confide
     return _png(figure, words)
 
 
-def _veiled(outer: View, blue: Array, layers: list[tuple[View, Array]]) -> Array:
+def _veiled(outer: MeshView, blue: Array, layers: list[tuple[MeshView, Array]]) -> Array:
     """The nearer body, seen through the volume."""
     image = np.where(outer.hit[..., None], blue, GROUND)
     nearest = np.full(outer.hit.shape, np.inf)
@@ -121,7 +121,7 @@ def draw_speed(
     return _png(figure, words)
 
 
-def _mark(axes: Axes, view: View, side: Direction, p: Array, half: float, text: str) -> None:
+def _mark(axes: Axes, view: MeshView, side: Direction, p: Array, half: float, text: str) -> None:
     """A ring and its number, where the place is not hidden."""
     x, y = p @ side.right, p @ side.up
     u, v = (0.5 * SIDE_PX * (1.0 + float(each) / half) - 0.5 for each in (x, -y))
@@ -178,12 +178,12 @@ def draw_corridor(plan: Plan) -> bytes:
     return _png(figure, words)
 
 
-def _shaded(view: View, normals: Array, side: Direction, colour: Array) -> Array:
+def _shaded(view: MeshView, normals: Array, side: Direction, colour: Array) -> Array:
     """(H, W, 3)"""
     return np.asarray(colour * (0.5 + 0.5 * _cosine(view, normals, side))[..., None])
 
 
-def _cosine(view: View, normals: Array, side: Direction) -> Array:
+def _cosine(view: MeshView, normals: Array, side: Direction) -> Array:
     """(H, W) between surface and light; normals (V, 3) in the axes of the side."""
     turned = view.values(normals @ np.stack([side.right, side.up, side.eye]).T)
     length = np.linalg.norm(turned, axis=2)

@@ -26,7 +26,7 @@ from polhode.pipeline.run_directory.trajectory_file import (
     standard_deviations,
     write_trajectory,
 )
-from polhode.planning.prediction.prediction import LastBody, Prediction, predict
+from polhode.planning.prediction.prediction import FinalState, Prediction, predict
 from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 
@@ -124,7 +124,7 @@ def prediction_times(horizon_s: float, step_s: float) -> Array:
     return np.concatenate([steps[steps < horizon_s - 1e-6 * step_s], [horizon_s]])
 
 
-def last_body(run_folder: Path) -> tuple[LastBody, Summary]:
+def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
     """The end of a run, ready for ``planning.prediction.predict``.
 
     Raises InputError when there is none, NoCovariance when its covariance is all that is missing.
@@ -142,21 +142,21 @@ def last_body(run_folder: Path) -> tuple[LastBody, Summary]:
     form = FORMS[load_config(run_folder / "config.yaml").backend.inertia]
     J, by_parameters = inertia_by_parameters(np.array(summary.inertia.J_G), form)
     known = summary.identifiable
-    seen_s = seen_R_NG = None
+    past_s = past_R_NG = None
     if known is not None and not (known.k1 and known.k2 and known.axes):
         before = np.unique(np.linspace(0, len(table.time_s) - 2, SEEN_FRAMES).astype(int))[::-1]
-        seen_s, seen_R_NG = table.time_s[before] - table.time_s[-1], table.R_NP[before] @ R_GP.T
-    body = LastBody(
+        past_s, past_R_NG = table.time_s[before] - table.time_s[-1], table.R_NP[before] @ R_GP.T
+    body = FinalState(
         r_N=table.r_N[-1],
         v_N=table.v_N[-1],
         R_NG=table.R_NP[-1] @ R_GP.T,
         w_G=R_GP @ table.w_P[-1],
         J_G=J,
         R_GP=R_GP,
-        J_by_parameters=by_parameters,
+        J_jacobian=by_parameters,
         covariance=covariance,
-        seen_s=seen_s,
-        seen_R_NG=seen_R_NG,
+        past_s=past_s,
+        past_R_NG=past_R_NG,
     )
     return body, summary
 

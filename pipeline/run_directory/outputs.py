@@ -13,7 +13,7 @@ import numpy as np
 from polhode.atomic import write_bytes, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
-from polhode.mapping.finishing.detail_levels import Level
+from polhode.mapping.finishing.detail_levels import DetailLevel
 from polhode.mapping.mesh_files import write_glb, write_ply
 from polhode.pipeline.run_directory.archives import write_covariance, write_measurements, write_online
 from polhode.pipeline.run_directory.point_cloud_file import write_landmarks
@@ -83,7 +83,7 @@ def write_online_estimate(folder: Path, online: OnlineEstimate) -> None:
     write_online(online, folder / "online.npz")
 
 
-def write_surface(folder: Path, surface: SurfaceModel, levels: Sequence[Level] = ()) -> None:
+def write_surface(folder: Path, surface: SurfaceModel, levels: Sequence[DetailLevel] = ()) -> None:
     """mesh.ply, mesh.glb and the lighter meshes; nothing when the surface is empty."""
     if len(surface.mesh.faces) == 0:
         return

@@ -7,7 +7,7 @@ import numpy as np
 from polhode.lie import Array, hat
 from polhode.planning.prediction.ensemble import BodyMotion
 
-MOST_INSTANTS = 200
+MAX_INSTANTS = 200
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ def surface_speed(
 ) -> SurfaceSpeed:
     """Speeds of points (V, 3) in G; the motion begins at the last pair.
 
-    covariance_body (20, 20) of ``LastBody``; v_inspector_N (3,) [m/s], zero unless given. A point moves with
-    v + w x (p - com).
+    covariance_body (20, 20) of ``FinalState``; v_inspector_N (3,) [m/s], zero unless given. A point moves
+    with v + w x (p - com).
     """
     own = np.zeros(3) if v_inspector_N is None else v_inspector_N
-    chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MOST_INSTANTS).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MAX_INSTANTS).round().astype(int))
     total, largest = np.zeros(len(p_G)), np.zeros(len(p_G))
     for k in chosen:
         # the same as velocity(), with one product for each point: u = p_G A + b
@@ -77,7 +77,7 @@ def _sigma(motion: BodyMotion, R: Array, p_G: Array, along_G: Array, covariance:
     return np.asarray(np.sqrt(np.maximum(np.einsum("vi,ij,vj->v", slopes, part, slopes), 0.0)))
 
 
-def gentlest(speed: Array, p_G: Array, apart_m: float, count: int) -> list[int]:
+def slowest_points(speed: Array, p_G: Array, apart_m: float, count: int) -> list[int]:
     """Indices of the slowest points (V,), each at least so far from the others."""
     chosen: list[int] = []
     for n in np.argsort(speed, kind="stable"):

@@ -21,7 +21,7 @@ HOLD_CLEAR = 2
 
 
 @dataclass(frozen=True)
-class Task:
+class ApproachTask:
     """Where to fly, from rest to rest."""
 
     start_N: Array
@@ -34,11 +34,11 @@ class Task:
     """of the inspector"""
     clearance_m: float
     """left between its surface and the keep-out volume"""
-    most_accel_m_s2: float
+    max_accel_m_s2: float
 
 
 @dataclass(frozen=True)
-class Way:
+class ApproachTrajectory:
     """The plan at the ends of the steps."""
 
     time_s: Array
@@ -57,48 +57,48 @@ class Way:
         return self.p_N[k] + dt * self.v_N[k] + 0.5 * dt**2 * a, self.v_N[k] + dt * a, a
 
 
-def plan_way(keep_out: InstantKeepOut, task: Task) -> Way:
+def plan_trajectory(keep_out: InstantKeepOut, task: ApproachTask) -> ApproachTrajectory:
     """Least acceleration, squared, with the clearance at every instant. Raises ValueError without a way."""
     asked = task
     for _ in range(ROUNDS):
-        way = _solve(keep_out, asked)
-        short = task.radius_m + task.clearance_m - least_gap(keep_out, way)
+        trajectory = _solve(keep_out, asked)
+        short = task.radius_m + task.clearance_m - min_distance(keep_out, trajectory)
         if short <= 0.0:
-            return way
+            return trajectory
         # what came closer between the instants of the program
         asked = replace(asked, clearance_m=asked.clearance_m + 1.2 * short + 1e-4)
     raise ValueError("no way was found that keeps the clearance between the instants of the program")
 
 
-def least_gap(keep_out: InstantKeepOut, way: Way) -> float:
+def min_distance(keep_out: InstantKeepOut, trajectory: ApproachTrajectory) -> float:
     """Least distance [m] of the inspector's middle from the volume, over the instants of its motion."""
-    p, _, _ = way.at(keep_out.motion.time_s)
+    p, _, _ = trajectory.at(keep_out.motion.time_s)
     return min(float(keep_out.signed_distance(k, p[k : k + 1])[0]) for k in range(len(p)))
 
 
-def _solve(keep_out: InstantKeepOut, task: Task) -> Way:
+def _solve(keep_out: InstantKeepOut, task: ApproachTask) -> ApproachTrajectory:
     K, dt = task.steps, task.duration_s / task.steps
-    farthest = 0.25 * task.most_accel_m_s2 * task.duration_s**2
+    farthest = 0.25 * task.max_accel_m_s2 * task.duration_s**2
     if np.linalg.norm(task.goal_N - task.start_N) > farthest:
         raise ValueError(
             f"no way was found: from rest to rest the thrust reaches {farthest:.3g} m in this time"
         )
     hull, short_m = hull_points(keep_out.body.points_G, HULL_POINTS)
     margin = keep_out.margin_m() + short_m + task.radius_m + task.clearance_m
-    flight = point_mass(K, dt, task.start_N, task.most_accel_m_s2)
+    flight = point_mass(K, dt, task.start_N, task.max_accel_m_s2)
     program, a, p, v = flight.program, flight.a, flight.p, flight.v
-    guess = _bend(task, K + 1)
+    guess = _initial_path(task, K + 1)
     program.set_initial(p, guess.T)
     program.subject_to(p[:, K] == task.goal_N)
     program.subject_to(v[:, K] == 0)
     keep_clear(flight, keep_out, hull, margin, guess)
-    program.minimize(ca.sumsqr(a) / task.most_accel_m_s2**2)
+    program.minimize(ca.sumsqr(a) / task.max_accel_m_s2**2)
     program.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "max_iter": 500})
     try:
         found = program.solve()
     except RuntimeError as error:
         raise ValueError(f"no way was found: {str(error).splitlines()[-1].strip()}") from None
-    return flight.way(found)
+    return flight.trajectory(found)
 
 
 @dataclass(frozen=True)
@@ -114,11 +114,11 @@ class PointMass:
     """(3, K + 1)"""
     dt_s: float
 
-    def way(self, found: ca.OptiSol) -> Way:
+    def trajectory(self, found: ca.OptiSol) -> ApproachTrajectory:
         """The plan of a solution."""
         dt = self.dt_s
         accel = np.asarray(found.value(self.a), dtype=np.float64).reshape(3, -1).T
-        return Way(
+        return ApproachTrajectory(
             np.asarray(dt * np.arange(len(accel) + 1), dtype=np.float64),
             np.asarray(found.value(self.p), dtype=np.float64).T,
             np.asarray(found.value(self.v), dtype=np.float64).T,
@@ -127,7 +127,7 @@ class PointMass:
         )
 
 
-def point_mass(steps: int, dt_s: float, start_N: Array, most_accel_m_s2: float) -> PointMass:
+def point_mass(steps: int, dt_s: float, start_N: Array, max_accel_m_s2: float) -> PointMass:
     """From rest at start_N (3,), with a bounded thrust."""
     program = ca.Opti()
     a, p, v = program.variable(3, steps), program.variable(3, steps + 1), program.variable(3, steps + 1)
@@ -136,7 +136,7 @@ def point_mass(steps: int, dt_s: float, start_N: Array, most_accel_m_s2: float) 
     for k in range(steps):
         program.subject_to(p[:, k + 1] == p[:, k] + dt_s * v[:, k] + 0.5 * dt_s**2 * a[:, k])
         program.subject_to(v[:, k + 1] == v[:, k] + dt_s * a[:, k])
-        program.subject_to(ca.sumsqr(a[:, k]) <= most_accel_m_s2**2)
+        program.subject_to(ca.sumsqr(a[:, k]) <= max_accel_m_s2**2)
     return PointMass(program, a, p, v, dt_s)
 
 
@@ -182,7 +182,7 @@ def hull_points(points: Array, count: int) -> tuple[Array, float]:
     return few, float(max(beyond.max(), 0.0))
 
 
-def _bend(task: Task, count: int) -> Array:
+def _initial_path(task: ApproachTask, count: int) -> Array:
     """A first guess (count, 3): the parabola through start, via and goal."""
     s = np.linspace(0.0, 1.0, count)[:, None]
     s = s * s * (3.0 - 2.0 * s)

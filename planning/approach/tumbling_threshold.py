@@ -11,7 +11,7 @@ import numpy as np
 STANDARD_GRAVITY = 9.81
 """[m/s^2], as the thesis rounds it"""
 RPM = 2.0 * np.pi / 60.0
-MOST_DIGITS = 15.0
+MAX_DIGITS = 15.0
 """A rate [rad/s] of more, or of less than the inverse, is a slip of the units."""
 
 
@@ -61,7 +61,7 @@ def threshold(given: StationKeeping) -> Threshold:
 def _root(above: list[float], below: list[float]) -> float:
     """Root of a quotient of products, by logarithms: a product may underflow where the root is sound."""
     digits = 0.5 * float(np.log10(above).sum() - np.log10(below).sum())
-    if abs(digits) > MOST_DIGITS:
+    if abs(digits) > MAX_DIGITS:
         raise ValueError(f"a rate of 10^{digits:.0f} rad/s")
     return float(10.0**digits)
 

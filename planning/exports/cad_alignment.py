@@ -30,7 +30,7 @@ ALIKE = 1.3
 
 
 @dataclass(frozen=True)
-class Alignment:
+class CadAlignment:
     """X_cadG and how well it fits."""
 
     X_cadG: Array
@@ -41,7 +41,7 @@ class Alignment:
     """Angle to another pose that fits as well; None: there is none"""
 
 
-def align_points(p_G: Array, p_cad: Array) -> Alignment:
+def align_points(p_G: Array, p_cad: Array) -> CadAlignment:
     """From corresponding points (n, 3) each. Raises ValueError when they do not tell the pose.
 
     So it does when they fit after a reflection only: a pose cannot undo that.
@@ -60,14 +60,14 @@ def align_points(p_G: Array, p_cad: Array) -> Alignment:
             f"the points are mirrored: {1e3 * rms:.3g} mm rms are left by any rotation, {1e3 * other:.3g} mm "
             "after a reflection; one sign is wrong, or two coordinates are exchanged"
         )
-    return Alignment(X, rms, None)
+    return CadAlignment(X, rms, None)
 
 
 def _rms(vectors: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
-def align_surfaces(scan: trimesh.Trimesh, model: trimesh.Trimesh, start: Array | None = None) -> Alignment:
+def align_surfaces(scan: trimesh.Trimesh, model: trimesh.Trimesh, start: Array | None = None) -> CadAlignment:
     """From the surfaces [m]; ``start`` (4, 4) is X_cadG so far, without it many rotations are tried.
 
     Deterministic. The scan may be a part of the model.
@@ -78,14 +78,14 @@ def align_surfaces(scan: trimesh.Trimesh, model: trimesh.Trimesh, start: Array |
     many, many_normals = _sampled(scan, LAST_POINTS)
     if start is not None:
         X, rms = _fit(start, many, many_normals, target, LAST_STEPS)
-        return Alignment(X, rms, None)
+        return CadAlignment(X, rms, None)
     first = [_fit(X, few, few_normals, target, FIRST_STEPS) for X in _starts(scan, model)]
     first.sort(key=lambda each: each[1])
     last = [_fit(X, many, many_normals, target, LAST_STEPS) for X, _ in _distinct(first)[:FINALISTS]]
     last.sort(key=lambda each: each[1])
     best, rms = last[0]
     rival = next((_degrees(best, X) for X, other in _distinct(last)[1:] if other < ALIKE * rms), None)
-    return Alignment(best, rms, rival)
+    return CadAlignment(best, rms, rival)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.lie import Array
-from polhode.planning.exports.records import Motion
+from polhode.planning.exports.records import PredictedMotion
 from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 
@@ -25,7 +25,7 @@ COMMENT_WIDTH = 120
 
 
 @dataclass(frozen=True)
-class Header:
+class MessageHeader:
     """What the data do not hold."""
 
     object_name: str
@@ -40,7 +40,7 @@ class Header:
     comments: tuple[str, ...]
 
 
-def oem(motion: Motion, header: Header) -> str:
+def oem(motion: PredictedMotion, header: MessageHeader) -> str:
     """Centre of mass in N with its covariance at every instant.
 
     Where the run does not determine the centre of mass, the covariance is that of the estimated one as a mark
@@ -84,7 +84,7 @@ def oem(motion: Motion, header: Header) -> str:
 
 
 def aem(
-    timestamps_ns: Ints, R_NF: Array, w_F: Array, header: Header, body_frame: str, words: Sequence[str]
+    timestamps_ns: Ints, R_NF: Array, w_F: Array, header: MessageHeader, body_frame: str, words: Sequence[str]
 ) -> str:
     """Attitude of F in N and its angular velocity along F [rad/s here, deg/s there]; ``words``: comments."""
     times = utc(timestamps_ns, header.epoch)
@@ -128,7 +128,7 @@ def utc(timestamps_ns: Ints, epoch: np.datetime64) -> list[str]:
     ]
 
 
-def _head(kind: str, version: str, header: Header) -> list[str]:
+def _head(kind: str, version: str, header: MessageHeader) -> list[str]:
     return [
         f"CCSDS_{kind}_VERS = {version}",
         *_comments(header.comments),
@@ -142,7 +142,7 @@ def _comments(texts: Iterable[str]) -> list[str]:
     return [f"COMMENT {line}" for text in texts for line in textwrap.wrap(text, COMMENT_WIDTH)]
 
 
-def _frame_words(header: Header) -> tuple[str, ...]:
+def _frame_words(header: MessageHeader) -> tuple[str, ...]:
     return (
         f"{header.frame_name} is a local inertial frame, by agreement: the left camera at the first frame "
         "(x right, y down, z forward), or the frame of the inspector's poses where those were given",

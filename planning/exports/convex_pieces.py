@@ -21,7 +21,7 @@ import trimesh
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from polhode.lie import Array
-from polhode.planning.exports.records import Shape
+from polhode.planning.exports.records import ExportShape
 from polhode.records import Bools, Ints
 
 CUT_FACES = 12_000
@@ -29,7 +29,7 @@ CUT_FACES = 12_000
 VOXELS = 400_000
 FIRST_PIECES = 32
 """Of V-HACD; more follow where they reach too far."""
-LEAST_VOLUME_PERCENT = 0.5
+MIN_VOLUME_PERCENT = 0.5
 """A piece is cut no more by V-HACD when its hull has so little more volume than its voxels."""
 NEARLY_CONVEX = 0.01
 """Share of its volume that the hull of a convex body may have more."""
@@ -37,7 +37,7 @@ WITHIN = 0.01
 """Of the body's diameter: pieces that reach farther beyond the surface are cut."""
 LOOKED_AT = 0.9
 """Of that: a cut looks at some points only."""
-MOST_GROWTH = 10.0
+MAX_GROWTH = 10.0
 """Volume of a piece over what it was when it was cut."""
 INNER_SAMPLES = 200
 ROUNDING = 2e-6
@@ -45,7 +45,7 @@ ROUNDING = 2e-6
 SAMPLES = 20_000
 
 
-class Reach:
+class SurfaceReach:
     """How far points reach beyond a surface, outwards."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
@@ -86,7 +86,7 @@ class Reach:
 
 
 @dataclass(frozen=True)
-class Piece:
+class ConvexPiece:
     """A convex hull and how far it reaches."""
 
     triangles: Array
@@ -117,7 +117,7 @@ class Decomposition:
     """How they were made"""
     beyond_m: float
     """How far they reach beyond the surface [m], outwards: 95 % of their area reaches less"""
-    most_beyond_m: float
+    max_beyond_m: float
     """The largest found"""
     far_share: float
     """Of their area that reaches farther than WITHIN of the diameter"""
@@ -127,15 +127,15 @@ class Decomposition:
     @property
     def reach_words(self) -> str:
         """How far they reach, in words."""
-        share = self.most_beyond_m / self.diameter_m
+        share = self.max_beyond_m / self.diameter_m
         return (
-            f"they reach at most {1e3 * self.most_beyond_m:.2g} mm beyond the surface, {share:.1%} of its "
+            f"they reach at most {1e3 * self.max_beyond_m:.2g} mm beyond the surface, {share:.1%} of its "
             f"diameter; 95 % of their area less than {1e3 * self.beyond_m:.2g} mm, and {self.far_share:.2%} "
             f"of it farther than {WITHIN:.0%} of the diameter"
         )
 
 
-def decompose(shape: Shape, most_pieces: int) -> Decomposition:
+def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
     """Cut, grow, cut again. Raises ValueError when the points are flat: there is no volume."""
     points = shape.vertices[np.unique(shape.faces)]
     try:
@@ -143,11 +143,13 @@ def decompose(shape: Shape, most_pieces: int) -> Decomposition:
     except QhullError as error:
         raise ValueError("the surface is flat: it has no convex hull with a volume") from error
     diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))
-    reach = Reach(shape.mesh())
-    seeds, words = _initial_pieces(shape.mesh(), min(max(most_pieces // 4, 2), FIRST_PIECES, most_pieces))
+    reach = SurfaceReach(shape.mesh())
+    seeds, words = _initial_pieces(shape.mesh(), min(max(max_pieces // 4, 2), FIRST_PIECES, max_pieces))
     pieces = [corners]
     if seeds:
-        grown = cut_until_near(_grown(shape, seeds, reach), reach, LOOKED_AT * WITHIN * diameter, most_pieces)
+        grown = split_until_near(
+            _grown_pieces(shape, seeds, reach), reach, LOOKED_AT * WITHIN * diameter, max_pieces
+        )
         pieces = [each.corners for each in grown]
     hulls = tuple(_hull(each, ROUNDING * reach.size_m) for each in pieces)
     pieces_in_words = "the convex hull" if len(hulls) == 1 else f"{len(hulls)} convex pieces"
@@ -162,9 +164,9 @@ def decompose(shape: Shape, most_pieces: int) -> Decomposition:
     )
 
 
-def _initial_pieces(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array], str]:
+def _initial_pieces(mesh: trimesh.Trimesh, max_pieces: int) -> tuple[list[Array], str]:
     """Vertices of convex pieces, and how they were found."""
-    if most_pieces == 1:
+    if max_pieces == 1:
         return [], "as one piece was asked for"
     try:
         import vhacdx
@@ -176,9 +178,9 @@ def _initial_pieces(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array
     parts = vhacdx.compute_vhacd(
         np.asarray(thin.vertices, dtype=np.float64),
         np.asarray(thin.faces, dtype=np.uint32),
-        maxConvexHulls=most_pieces,
+        maxConvexHulls=max_pieces,
         resolution=VOXELS,
-        minimumVolumePercentErrorAllowed=LEAST_VOLUME_PERCENT,
+        minimumVolumePercentErrorAllowed=MIN_VOLUME_PERCENT,
         asyncACD=False,
     )
     thickness_m = PANEL * float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
@@ -187,7 +189,7 @@ def _initial_pieces(mesh: trimesh.Trimesh, most_pieces: int) -> tuple[list[Array
     return found, "by V-HACD, grown until they contain the surface and cut where they reach far beyond it"
 
 
-def _grown(shape: Shape, seeds: list[Array], reach: Reach) -> list[Piece]:
+def _grown_pieces(shape: ExportShape, seeds: list[Array], reach: SurfaceReach) -> list[ConvexPiece]:
     """Each piece with the triangles that it takes, and with what it has inside the body.
 
     A sliver between two other pieces takes triangles from all around it: those that grow out of all
@@ -205,7 +207,7 @@ def _grown(shape: Shape, seeds: list[Array], reach: Reach) -> list[Piece]:
         volumes = [
             ConvexHull(np.concatenate([seeds[k], points[np.unique(corner[owner == k])]])).volume for k in kept
         ]
-        sound = np.array([v < MOST_GROWTH * hulls[k].volume for k, v in zip(kept, volumes, strict=True)])
+        sound = np.array([v < MAX_GROWTH * hulls[k].volume for k, v in zip(kept, volumes, strict=True)])
         if sound.all() or not sound.any():
             break
         kept = kept[sound]
@@ -218,7 +220,7 @@ def _grown(shape: Shape, seeds: list[Array], reach: Reach) -> list[Piece]:
         inner = inner[reach.of(inner, sure=True)[0] == 0.0]
         triangles = points[corner[owner == k]]
         if len(triangles) or len(inner) > 3:
-            pieces.append(piece_of(triangles, inner, reach))
+            pieces.append(convex_piece(triangles, inner, reach))
     return pieces
 
 
@@ -237,7 +239,7 @@ def _hull(points: Array, margin_m: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(corners, faces, process=False)
 
 
-def _beyond(hulls: tuple[trimesh.Trimesh, ...], reach: Reach) -> Array:
+def _beyond(hulls: tuple[trimesh.Trimesh, ...], reach: SurfaceReach) -> Array:
     """Of points on the pieces that no other piece covers, how far beyond the surface [m]."""
     planes = [ConvexHull(np.asarray(hull.vertices)).equations for hull in hulls]
     boxes = np.stack([np.asarray(hull.bounds) for hull in hulls])
@@ -269,20 +271,24 @@ PANEL = 1e-3
 """Thickness of a flat piece, over the body's size."""
 
 
-def piece_of(triangles: Array, inner: Array, reach: Reach, samples: int = PIECE_SAMPLES) -> Piece:
+def convex_piece(
+    triangles: Array, inner: Array, reach: SurfaceReach, samples: int = PIECE_SAMPLES
+) -> ConvexPiece:
     """Raises QhullError when there are too few points."""
     points = with_volume(np.concatenate([triangles.reshape(-1, 3), inner]), PANEL * reach.size_m)
     hull = ConvexHull(points)
     beyond, place, normal = reach.of(_on_hull(hull, samples), sure=True)
     k = int(beyond.argmax())
-    return Piece(triangles, inner, hull, float(beyond[k]), float(beyond.mean()), place[k], normal[k])
+    return ConvexPiece(triangles, inner, hull, float(beyond[k]), float(beyond.mean()), place[k], normal[k])
 
 
-def cut_until_near(pieces: list[Piece], reach: Reach, within_m: float, most: int) -> list[Piece]:
+def split_until_near(
+    pieces: list[ConvexPiece], reach: SurfaceReach, within_m: float, most: int
+) -> list[ConvexPiece]:
     """The worst piece is cut, and the worst then, until all reach less far or there are so many."""
     waiting = [(-piece.worst_m, number, piece) for number, piece in enumerate(pieces)]
     heapq.heapify(waiting)
-    number, done, sure = len(waiting), list[Piece](), set[int]()
+    number, done, sure = len(waiting), list[ConvexPiece](), set[int]()
     while waiting and len(waiting) + len(done) < most:
         worst, own, piece = heapq.heappop(waiting)
         if -worst <= within_m and own in sure:
@@ -291,11 +297,11 @@ def cut_until_near(pieces: list[Piece], reach: Reach, within_m: float, most: int
         if -worst > within_m and len(piece.triangles) == 0:
             # it holds nothing of the surface, and fills the inside where others do
             continue
-        halves: list[Piece] | None
+        halves: list[ConvexPiece] | None
         if -worst > within_m:
-            halves = _halves(piece, reach)
+            halves = _best_split(piece, reach)
         else:
-            halves = [piece_of(piece.triangles, piece.inner, reach, SURE_SAMPLES)]
+            halves = [convex_piece(piece.triangles, piece.inner, reach, SURE_SAMPLES)]
             sure.add(number)
         if halves is None:
             done.append(piece)
@@ -306,7 +312,7 @@ def cut_until_near(pieces: list[Piece], reach: Reach, within_m: float, most: int
     return done + [each[2] for each in sorted(waiting, key=lambda each: each[1])]
 
 
-def _halves(piece: Piece, reach: Reach) -> list[Piece] | None:
+def _best_split(piece: ConvexPiece, reach: SurfaceReach) -> list[ConvexPiece] | None:
     """By the best of some planes; None: none cuts it."""
     corners = piece.corners
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
@@ -332,7 +338,7 @@ def _halves(piece: Piece, reach: Reach) -> list[Piece] | None:
     return found
 
 
-def _split(piece: Piece, n: Array, offset: float, reach: Reach) -> list[Piece]:
+def _split(piece: ConvexPiece, n: Array, offset: float, reach: SurfaceReach) -> list[ConvexPiece]:
     """Both sides of the plane; inside the body both reach up to it."""
     below, above = clip(piece.triangles, n, offset)
     height = piece.inner @ n - offset
@@ -346,7 +352,7 @@ def _split(piece: Piece, n: Array, offset: float, reach: Reach) -> list[Piece]:
         low, high = np.concatenate([section, low]), np.concatenate([high, section])
     sides = [(below, low), (above, high)]
     kept = [(tri, inner) for tri, inner in sides if len(tri) or len(inner) > 3]
-    return [piece_of(tri, inner, reach) for tri, inner in kept]
+    return [convex_piece(tri, inner, reach) for tri, inner in kept]
 
 
 def clip(triangles: Array, n: Array, offset: float) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.lie import Array
-from polhode.planning.exports.records import Shape
+from polhode.planning.exports.records import ExportShape
 from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 
 _VERTICES, _INDICES = 34962, 34963
@@ -64,7 +64,7 @@ class _Buffer:
 
 
 def glb(
-    shape: Shape, extras: dict[str, Any], per_m: float, unit: str, animation: Animation | None = None
+    shape: ExportShape, extras: dict[str, Any], per_m: float, unit: str, animation: Animation | None = None
 ) -> bytes:
     """The file. ``extras`` stand in the asset; with an animation the target's node moves in N."""
     buffer = _Buffer()
@@ -105,7 +105,7 @@ def glb(
 
 
 def _triangles(
-    buffer: _Buffer, shape: Shape, faces: NDArray[np.int64], per_m: float, unit: str
+    buffer: _Buffer, shape: ExportShape, faces: NDArray[np.int64], per_m: float, unit: str
 ) -> dict[str, Any]:
     used, index = np.unique(faces, return_inverse=True)
     return {
@@ -117,7 +117,7 @@ def _triangles(
 
 
 def _attributes(
-    buffer: _Buffer, shape: Shape, used: NDArray[np.int64], per_m: float, unit: str, normals: bool
+    buffer: _Buffer, shape: ExportShape, used: NDArray[np.int64], per_m: float, unit: str, normals: bool
 ) -> dict[str, int]:
     sigma = np.where(np.isfinite(shape.sigma_m), per_m * shape.sigma_m, -1.0)[used].astype("<f4")
     found = {"POSITION": buffer.add((per_m * shape.vertices[used]).astype("<f4"), _VERTICES, limits=True)}

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from polhode.atomic import write_text
 from polhode.lie import Array
-from polhode.planning.exports.records import Inertial, Motion, Placement, Shape
+from polhode.planning.exports.records import ExportShape, Inertial, Placement, PredictedMotion
 from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 
 SCHEMA_FILE = Path(__file__).with_name("export.schema.json")
@@ -36,7 +36,7 @@ VarianceMatrix = tuple[
 ]
 
 
-class Part(BaseModel):
+class StrictModel(BaseModel):
     """Refuses keys that it does not know."""
 
     model_config = ConfigDict(
@@ -44,7 +44,7 @@ class Part(BaseModel):
     )
 
 
-class FrameOut(Part):
+class FrameOut(StrictModel):
     """The frame F that was asked for, in the body."""
 
     name: Literal["G", "P", "cad"]
@@ -53,7 +53,7 @@ class FrameOut(Part):
     """Row-major, p_F = X_FG p_G [m]"""
 
 
-class StateOut(Part):
+class StateOut(StrictModel):
     """A state, and its covariance in the order of ``state_order``."""
 
     timestamp_ns: int
@@ -77,7 +77,7 @@ class StateOut(Part):
     """Of the body: the estimated centre of mass and axes are marks on it"""
 
 
-class MassPropertiesOut(Part):
+class MassPropertiesOut(StrictModel):
     """As the run's summary has them, and what simulators are given."""
 
     moments: Vector | None
@@ -101,7 +101,7 @@ class MassPropertiesOut(Part):
     """Per direction, the reason in words"""
 
 
-class InertialOut(Part):
+class InertialOut(StrictModel):
     """What URDF, MJCF and SDF have as inertial tags."""
 
     mass_kg: Finite
@@ -113,7 +113,7 @@ class InertialOut(Part):
     words: list[str]
 
 
-class ShapeOut(Part):
+class ShapeOut(StrictModel):
     """Numbers of the mesh; the other formats hold the mesh itself."""
 
     vertices: int
@@ -128,7 +128,7 @@ class ShapeOut(Part):
     """Of the vertices"""
 
 
-class Document(Part):
+class Document(StrictModel):
     """One run as far as it got. What is missing is null, and named in ``left_out``."""
 
     schema_: Literal["polhode-export/1"] = Field("polhode-export/1", alias="schema")
@@ -151,7 +151,7 @@ class Document(Part):
     shape: ShapeOut | None
 
 
-def states_out(motion: Motion, X_NF: Array, utc: list[str]) -> list[StateOut]:
+def states_out(motion: PredictedMotion, X_NF: Array, utc: list[str]) -> list[StateOut]:
     """One for each instant; X_NF (T, 4, 4)."""
     q_NP = continuous_wxyz(wxyz_from_matrix(motion.R_NP)).tolist()
     q_NF = continuous_wxyz(wxyz_from_matrix(X_NF[:, :3, :3])).tolist()
@@ -188,7 +188,7 @@ def inertial_out(inertial: Inertial) -> InertialOut:
     )
 
 
-def shape_out(shape: Shape) -> ShapeOut:
+def shape_out(shape: ExportShape) -> ShapeOut:
     """Numbers of a surface, or of a cloud of points."""
     measured = shape.sigma_m[np.isfinite(shape.sigma_m)]
     known = len(measured) > 0

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from polhode.lie import Array
-from polhode.planning.exports.records import Shape
+from polhode.planning.exports.records import ExportShape
 from polhode.ply import surface_ply
 from polhode.records import Ints
 
 
-def ply(shape: Shape, comments: Sequence[str], per_m: float, unit: str) -> bytes:
+def ply(shape: ExportShape, comments: Sequence[str], per_m: float, unit: str) -> bytes:
     """Binary PLY: position, normal, colour, sigma, views, coverage; triangles with ``invented``.
 
     The property of sigma is ``sigma_m`` or ``sigma_mm``: its unit is in its name.
@@ -29,7 +29,7 @@ def ply(shape: Shape, comments: Sequence[str], per_m: float, unit: str) -> bytes
     )
 
 
-def stl(shape: Shape, comment: str, per_m: float) -> bytes:
+def stl(shape: ExportShape, comment: str, per_m: float) -> bytes:
     """Binary STL: triangles alone; the header holds the first 80 bytes of the comment."""
     corners = (per_m * shape.vertices)[shape.faces].astype("<f4")
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float64)
@@ -42,7 +42,7 @@ def stl(shape: Shape, comment: str, per_m: float) -> bytes:
     return header + np.uint32(len(facets)).tobytes() + facets.tobytes()
 
 
-def obj(shape: Shape, comments: Sequence[str], per_m: float) -> bytes:
+def obj(shape: ExportShape, comments: Sequence[str], per_m: float) -> bytes:
     """Wavefront OBJ with normals; each vertex line goes on with red, green, blue in 0..1, as most read it."""
     lines = [f"# {ascii_line(text)}" for text in comments]
     positions = (per_m * shape.vertices).tolist()

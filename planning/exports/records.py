@@ -28,7 +28,7 @@ class Placement:
 
 
 @dataclass(frozen=True)
-class Shape:
+class ExportShape:
     """A surface in F [m]; without faces a cloud of points."""
 
     vertices: Array
@@ -73,7 +73,7 @@ class Inertial:
 
 
 @dataclass(frozen=True)
-class State:
+class LastState:
     """The last state of a run."""
 
     timestamp_ns: int
@@ -86,7 +86,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Motion:
+class PredictedMotion:
     """States at T instants, the last one of the run first."""
 
     timestamps_ns: Ints
@@ -118,12 +118,12 @@ class Motion:
         return np.asarray((self.timestamps_ns - self.timestamps_ns[0]) * 1e-9)
 
 
-def shape_of_surface(surface: SurfaceModel, at: Placement) -> Shape:
+def shape_of_surface(surface: SurfaceModel, at: Placement) -> ExportShape:
     """The dense model in F."""
     mesh = surface.mesh
     colours = getattr(mesh.visual, "vertex_colors", np.full((1, 4), 128))
     count = len(mesh.vertices)
-    return Shape(
+    return ExportShape(
         vertices=transform_points(at.X_FG, np.asarray(mesh.vertices)),
         faces=np.asarray(mesh.faces, dtype=np.int64),
         normals=np.asarray(mesh.vertex_normals) @ at.R_FG.T,
@@ -135,10 +135,10 @@ def shape_of_surface(surface: SurfaceModel, at: Placement) -> Shape:
     )
 
 
-def shape_of_landmarks(landmarks: Landmarks, at: Placement) -> Shape:
+def shape_of_landmarks(landmarks: Landmarks, at: Placement) -> ExportShape:
     """The sparse map in F: points without faces."""
     count = len(landmarks.p_G)
-    return Shape(
+    return ExportShape(
         vertices=transform_points(at.X_FG, landmarks.p_G),
         faces=np.zeros((0, 3), dtype=np.int64),
         normals=np.zeros((count, 3)),

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from polhode.lie import Array
-from polhode.planning.exports.records import Inertial, State
+from polhode.planning.exports.records import Inertial, LastState
 from polhode.quaternion import wxyz_from_matrix
 
 TIMESTEP_S = 0.002
@@ -33,7 +33,7 @@ class Robot:
     """File names of the convex pieces"""
     inertial: Inertial | None
     """None: nothing is known"""
-    state: State | None
+    state: LastState | None
     """None: no motion is known; the body rests at the origin"""
     comments: tuple[str, ...]
 
@@ -138,7 +138,7 @@ def sdf(robot: Robot) -> str:
     return _text(root)
 
 
-def state_words(state: State) -> str:
+def state_words(state: LastState) -> str:
     """The last state, for formats that have no place for velocities."""
     return (
         f"last state of the run, at timestamp {state.timestamp_ns} ns, in N: velocity of the link's origin "

@@ -95,7 +95,7 @@ def simultaneous_sigmas(count: int, miss: float) -> float:
     return float(norm.isf(-np.expm1(np.log1p(-miss) / max(count, 1))))
 
 
-def grow(surface: SurfaceModel, miss: float, cells: int = 64, cover: Cover = "auto") -> MeasuredBody:
+def grown_body(surface: SurfaceModel, miss: float, cells: int = 64, cover: Cover = "auto") -> MeasuredBody:
     """The body that holds the true surface but for a probability ``miss``.
 
     ``cells`` along its longest side. Raises ValueError when the surface has no faces.
@@ -125,7 +125,7 @@ def grow(surface: SurfaceModel, miss: float, cells: int = 64, cover: Cover = "au
     pad = max(0.0, float(grid.at(outermost).max()), float(grid.at(q).max()))
     grid = ScalarGrid(grid.origin, step, _filled(grid.values - np.float32(pad)))
     return MeasuredBody(
-        grid, spread(grid.mesh(), step), sigmas, float(np.median(margin)), pad, covers, open_share
+        grid, thinned_vertices(grid.mesh(), step), sigmas, float(np.median(margin)), pad, covers, open_share
     )
 
 
@@ -188,7 +188,7 @@ def sample_surface(mesh: trimesh.Trimesh, margin: Array, apart_m: float) -> tupl
     return np.concatenate(points), np.concatenate(normals), np.concatenate(margins)
 
 
-def spread(mesh: trimesh.Trimesh, apart_m: float) -> Array:
+def thinned_vertices(mesh: trimesh.Trimesh, apart_m: float) -> Array:
     """Vertices (m, 3), one in each cube of this size: the one farthest from the middle."""
     p = np.asarray(mesh.vertices, dtype=np.float64)
     far = np.linalg.norm(p - 0.5 * (p.min(axis=0) + p.max(axis=0)), axis=1)

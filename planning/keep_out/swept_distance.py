@@ -149,7 +149,7 @@ def sweep(
 
 
 @compiled_ieee
-def sticks_out(
+def protrusion(
     fields: Floats, origin: Array, step: float, R: Array, p: Array, pairs: Ints, points: Array
 ) -> Array:
     """How far members stick out (n, C) [m]: the largest value of each field at any of their points.
@@ -180,7 +180,7 @@ def sticks_out(
 
 
 @compiled_ieee
-def sticks_out_at_each_instant(
+def protrusion_at_instants(
     factors: Array,
     R: Array,
     p: Array,

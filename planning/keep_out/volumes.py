@@ -18,23 +18,29 @@ from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from polhode.lie import Array
-from polhode.planning.keep_out.measured_body import Cover, MeasuredBody, ScalarGrid, grow, spread
+from polhode.planning.keep_out.measured_body import (
+    Cover,
+    MeasuredBody,
+    ScalarGrid,
+    grown_body,
+    thinned_vertices,
+)
 from polhode.planning.keep_out.nearest_points import closest
 from polhode.planning.keep_out.swept_distance import (
     FAR,
     linear,
+    protrusion,
+    protrusion_at_instants,
     sigma_along,
-    sticks_out,
-    sticks_out_at_each_instant,
     sweep,
     values_at,
 )
 from polhode.planning.prediction.ensemble import (
-    Ahead,
     BodyMotion,
-    Members,
-    draw_members,
-    nominal,
+    Ensemble,
+    FinalEstimate,
+    draw_ensemble,
+    nominal_motion,
     pose_covariance,
 )
 from polhode.records import SurfaceModel
@@ -44,9 +50,9 @@ FACTORS = np.array([0.0, 1.5, 2.5, 3.5])
 """Of the pose's sigma; what is still missing is added evenly."""
 SURFACE_SHARE = 0.1
 """Of the allowed misses: those that the surface may have, the pose has the others."""
-MOST_STEPS = 4000
-MOST_MEMBER_STEPS = 1000
-MOST_INSTANTS = 40
+MAX_STEPS = 4000
+MAX_MEMBER_STEPS = 1000
+MAX_INSTANTS = 40
 MEMBER_TURN_RAD = 0.05
 """Members are looked at this often, or at the most steps."""
 BAND_SIGMAS = 3.0
@@ -58,7 +64,7 @@ BEYOND_CELLS = 2.0
 
 
 @dataclass(frozen=True)
-class Wanted:
+class KeepOutOptions:
     """What is asked of a keep-out."""
 
     horizon_s: float
@@ -164,33 +170,33 @@ class InstantKeepOut:
 class KeepOut:
     """Both, with what they were made of."""
 
-    wanted: Wanted
+    wanted: KeepOutOptions
     body: MeasuredBody
     swept: SweptKeepOut
     instant: InstantKeepOut
 
 
-def keep_out(surface: SurfaceModel, ahead: Ahead, wanted: Wanted) -> KeepOut:
+def keep_out(surface: SurfaceModel, estimate: FinalEstimate, wanted: KeepOutOptions) -> KeepOut:
     """Both volumes. Raises ValueError without a surface, or with too few members for the confidence."""
     half = wanted.members // 2
     needed = int(np.ceil(1.0 / wanted.pose_miss)) + 1
     if half < needed:
         raise ValueError(f"a confidence of {wanted.confidence:g} needs {2 * needed} members")
-    body = grow(surface, (1.0 - wanted.confidence) * SURFACE_SHARE, cover=wanted.cover)
-    times = member_times(ahead, wanted.horizon_s)
-    members = draw_members(ahead, times, wanted.members, wanted.seed)
-    motion = nominal(ahead, times)
+    body = grown_body(surface, (1.0 - wanted.confidence) * SURFACE_SHARE, cover=wanted.cover)
+    times = member_times(estimate, wanted.horizon_s)
+    members = draw_ensemble(estimate, times, wanted.members, wanted.seed)
+    motion = nominal_motion(estimate, times)
     covariance = pose_covariance(members.part(slice(0, half)), motion)
     halves = members.part(slice(0, half)), members.part(slice(half, None))
     instant = _instant(body, motion, covariance, halves, wanted)
-    swept = _swept(body, ahead, motion, covariance, members, half, wanted)
+    swept = _swept(body, estimate, motion, covariance, members, half, wanted)
     return KeepOut(wanted, body, swept, instant)
 
 
-def member_times(ahead: Ahead, horizon_s: float) -> Array:
+def member_times(estimate: FinalEstimate, horizon_s: float) -> Array:
     """Instants (T,) > 0, the last at the horizon [s]."""
-    rate = float(np.linalg.norm(ahead.last.w_G))
-    steps = int(np.clip(np.ceil(horizon_s * rate / MEMBER_TURN_RAD), 100, MOST_MEMBER_STEPS))
+    rate = float(np.linalg.norm(estimate.last.w_G))
+    steps = int(np.clip(np.ceil(horizon_s * rate / MEMBER_TURN_RAD), 100, MAX_MEMBER_STEPS))
     return np.asarray(np.linspace(horizon_s / steps, horizon_s, steps))
 
 
@@ -201,14 +207,18 @@ def conformal(scores: Array, miss: float) -> Array:
 
 
 def _instant(
-    body: MeasuredBody, motion: BodyMotion, P: Array, halves: tuple[Members, Members], wanted: Wanted
+    body: MeasuredBody,
+    motion: BodyMotion,
+    P: Array,
+    halves: tuple[Ensemble, Ensemble],
+    wanted: KeepOutOptions,
 ) -> InstantKeepOut:
-    chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MOST_INSTANTS).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MAX_INSTANTS).round().astype(int))
     grid = body.grid
-    points = spread(trimesh.Trimesh(body.points_G), INSTANT_POINTS_CELLS * grid.step_m)
+    points = thinned_vertices(trimesh.Trimesh(body.points_G), INSTANT_POINTS_CELLS * grid.step_m)
 
-    def scores(part: Members, factors: Array) -> Array:
-        return sticks_out_at_each_instant(
+    def scores(part: Ensemble, factors: Array) -> Array:
+        return protrusion_at_instants(
             factors,
             np.ascontiguousarray(part.R_NG[:, chosen]),
             np.ascontiguousarray(part.p_NG[:, chosen]),
@@ -234,12 +244,12 @@ def _instant(
 
 def _swept(
     body: MeasuredBody,
-    ahead: Ahead,
+    estimate: FinalEstimate,
     motion: BodyMotion,
     P: Array,
-    members: Members,
+    members: Ensemble,
     half: int,
-    wanted: Wanted,
+    wanted: KeepOutOptions,
 ) -> SweptKeepOut:
     middles = members.p_NG + members.R_NG @ body.middle_G
     radius = body.radius_m
@@ -252,21 +262,21 @@ def _swept(
     )
     fine = fine_times(motion, radius, step, wanted.horizon_s)
     at = np.clip(np.searchsorted(motion.time_s, fine), 0, len(motion.time_s) - 1)
-    states = nominal(ahead, fine)
+    states = nominal_motion(estimate, fine)
     fields = np.full((*shape, len(FACTORS)), FAR, dtype=np.float32)
     grid = body.grid
     sweep(
         fields, low, step, FACTORS, states.R_NG, states.p_NG, P[at], FACTORS[-1] * spread_m[at],
         grid.values, grid.origin, grid.step_m, body.middle_G, radius,
     )  # fmt: skip
-    pairs = near_the_surface(fields[..., 0], low, step, motion, body.points_G, BAND_SIGMAS * spread_m)
+    pairs = points_near_surface(fields[..., 0], low, step, motion, body.points_G, BAND_SIGMAS * spread_m)
     first, second = members.part(slice(0, half)), members.part(slice(half, None))
-    stick = sticks_out(fields, low, step, first.R_NG, first.p_NG, pairs, body.points_G)
+    stick = protrusion(fields, low, step, first.R_NG, first.p_NG, pairs, body.points_G)
     allowed = np.maximum(conformal(stick, wanted.pose_miss), -step)
     cells = [int((fields[..., c] <= allowed[c]).sum()) for c in range(len(FACTORS))]
     best = int(np.argmin(cells))
     one = np.ascontiguousarray(fields[..., best : best + 1])
-    stick = sticks_out(one, low, step, second.R_NG, second.p_NG, pairs, body.points_G)
+    stick = protrusion(one, low, step, second.R_NG, second.p_NG, pairs, body.points_G)
     added = max(float(conformal(stick, wanted.pose_miss)[0]), -step)
     level = fields[..., best] - np.float32(added)
     free, _ = label(level > 0.0)
@@ -280,11 +290,11 @@ def _swept(
 def fine_times(motion: BodyMotion, radius: float, step: float, horizon_s: float) -> Array:
     """Instants (T,) from 0 so close that no point moves more than about a cell between them."""
     fastest = np.linalg.norm(motion.v_N, axis=1) + radius * np.linalg.norm(motion.w_N, axis=1)
-    steps = int(np.clip(np.ceil(horizon_s * fastest.max() / (0.75 * step)), 50, MOST_STEPS))
+    steps = int(np.clip(np.ceil(horizon_s * fastest.max() / (0.75 * step)), 50, MAX_STEPS))
     return np.asarray(np.linspace(0.0, horizon_s, steps + 1))
 
 
-def near_the_surface(
+def points_near_surface(
     field: Floats, origin: Array, step: float, motion: BodyMotion, points: Array, band_m: Array
 ) -> NDArray[np.int64]:
     """Pairs (k, 2) of instant and point within the band of the sweep's surface: of each place and part of the

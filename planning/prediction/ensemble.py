@@ -11,18 +11,18 @@ import numpy as np
 from scipy.linalg import expm
 
 from polhode.lie import Array, exp_so3, hat, log_so3, make_pose
-from polhode.planning.prediction.prediction import LastBody, carry_on, draw
+from polhode.planning.prediction.prediction import FinalState, draw_deviations, propagate_members
 from polhode.rigid_body import angular_acceleration, propagate
 
 MEMBERS_AT_ONCE = 250
-MOST_MEMBERS = 100_000
+MAX_MEMBERS = 100_000
 
 
 @dataclass(frozen=True)
-class Ahead:
+class FinalEstimate:
     """What is known of the target at the end of a run: where members come from."""
 
-    last: LastBody
+    last: FinalState
     com_G: Array
     """(3,) [m]"""
     accel_psd: float
@@ -57,7 +57,7 @@ class BodyMotion:
 
 
 @dataclass(frozen=True)
-class Members:
+class Ensemble:
     """Poses of G in n drawn members at T instants."""
 
     R_NG: Array
@@ -65,21 +65,21 @@ class Members:
     p_NG: Array
     """(n, T, 3) [m]"""
 
-    def part(self, chosen: slice) -> "Members":
+    def part(self, chosen: slice) -> "Ensemble":
         """Some of them."""
-        return Members(self.R_NG[chosen], self.p_NG[chosen])
+        return Ensemble(self.R_NG[chosen], self.p_NG[chosen])
 
 
-def nominal(ahead: Ahead, time_s: Array) -> BodyMotion:
+def nominal_motion(estimate: FinalEstimate, time_s: Array) -> BodyMotion:
     """The estimate at times (T,) >= 0 [s], increasing."""
-    last, grid = ahead.last, time_s if time_s[0] == 0.0 else np.concatenate([[0.0], time_s])
+    last, grid = estimate.last, time_s if time_s[0] == 0.0 else np.concatenate([[0.0], time_s])
     states = propagate(grid, last.r_N, last.v_N, last.R_NG, last.w_G, last.J_G, rtol=1e-10)
     r_N, v_N, R_NG, w_G = (each[len(grid) - len(time_s) :] for each in states)
     w_dot_G = angular_acceleration(last.J_G, w_G)
     return BodyMotion(
         time_s,
         R_NG,
-        r_N - R_NG @ ahead.com_G,
+        r_N - R_NG @ estimate.com_G,
         r_N,
         v_N,
         np.einsum("tij,tj->ti", R_NG, w_G),
@@ -87,34 +87,34 @@ def nominal(ahead: Ahead, time_s: Array) -> BodyMotion:
     )
 
 
-def draw_members(ahead: Ahead, time_s: Array, count: int, seed: int) -> Members:
+def draw_ensemble(estimate: FinalEstimate, time_s: Array, count: int, seed: int) -> Ensemble:
     """Independent members at times (T,) > 0 [s], increasing; the same seed gives the same members."""
     rng = np.random.default_rng([seed, 8])
     R_all = np.empty((count, len(time_s), 3, 3))
     p_all = np.empty((count, len(time_s), 3))
-    pushed = Disturbances(ahead, time_s)
+    pushed = DisturbancePaths(estimate, time_s)
     for start in range(0, count, MEMBERS_AT_ONCE):
         n = min(MEMBERS_AT_ONCE, count - start)
-        deviation, J = draw(ahead.last, rng.normal(size=(n, 20)))
-        R, _ = carry_on(ahead.last, deviation, J, time_s)
+        deviation, J = draw_deviations(estimate.last, rng.normal(size=(n, 20)))
+        R, _ = propagate_members(estimate.last, deviation, J, time_s)
         shift, turn_G = pushed.paths(n, rng)
         R = np.swapaxes(R, 0, 1) @ exp_so3(turn_G)
-        r = ahead.last.r_N + deviation[:, None, 0:3]
-        r = r + time_s[:, None] * (ahead.last.v_N + deviation[:, None, 3:6]) + shift
+        r = estimate.last.r_N + deviation[:, None, 0:3]
+        r = r + time_s[:, None] * (estimate.last.v_N + deviation[:, None, 3:6]) + shift
         R_all[start : start + n] = R
-        com = ahead.com_G + deviation[:, 17:20]
+        com = estimate.com_G + deviation[:, 17:20]
         p_all[start : start + n] = r - np.einsum("ntij,nj->nti", R, com)
-    return Members(R_all, p_all)
+    return Ensemble(R_all, p_all)
 
 
-class Disturbances:
+class DisturbancePaths:
     """White accelerations and torques, as paths of the place and the attitude about the estimate's motion."""
 
-    def __init__(self, ahead: Ahead, time_s: Array) -> None:
+    def __init__(self, estimate: FinalEstimate, time_s: Array) -> None:
         """Prepares the steps between times (T,) > 0 [s], the first one from 0."""
-        last = ahead.last
+        last = estimate.last
         self.step_s = np.diff(time_s, prepend=0.0)
-        self.accel_psd, self.R_GP = ahead.accel_psd, last.R_GP
+        self.accel_psd, self.R_GP = estimate.accel_psd, last.R_GP
         moments = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
         moments = moments / moments[1]
         middle = time_s - 0.5 * self.step_s
@@ -133,7 +133,7 @@ class Disturbances:
         A[:, :3, :3], A[:, :3, 3:] = -hat(w), np.eye(3)
         A[:, 3:, 3:] = (hat(moments * w) - hat(w) * moments) / moments[:, None]
         S = np.zeros((6, 6))
-        S[3:, 3:] = ahead.torque_psd * np.diag(1.0 / moments**2)
+        S[3:, 3:] = estimate.torque_psd * np.diag(1.0 / moments**2)
         half = expm(0.5 * self.step_s[:, None, None] * A)
         self.flow = half @ half
         # Simpson's rule for the integral of what each instant adds
@@ -156,7 +156,7 @@ class Disturbances:
         return shift, turn
 
 
-def pose_covariance(members: Members, motion: BodyMotion) -> Array:
+def pose_covariance(members: Ensemble, motion: BodyMotion) -> Array:
     """Second moments (T, 6, 6) of shift [m] and turn [rad] along G: p_N = X_NG (Exp(turn) p_G + shift)."""
     back = np.swapaxes(motion.R_NG, 1, 2)
     shift = np.einsum("tij,ntj->nti", back, members.p_NG - motion.p_NG)

@@ -21,12 +21,12 @@ from polhode.rigid_body import propagate
 PAIRS = 128
 UNKNOWN_RAD = float(np.sqrt((np.pi**2 / 3.0 + 2.0) / 3.0))
 """Root mean square of each component of the rotation vector of a random attitude, all equally likely."""
-LEAST_SECOND_MOMENT = 0.02
+MIN_SECOND_MOMENT = 0.02
 """Of the largest: a drawn inertia is pulled towards the estimate until it is a possible body."""
 
 
 @dataclass(frozen=True)
-class LastBody:
+class FinalState:
     """The end of a run, the body itself: nothing is expressed in the principal axes."""
 
     r_N: Array
@@ -41,13 +41,13 @@ class LastBody:
     """(3, 3) inertia, any scale"""
     R_GP: Array
     """(3, 3) its principal axes"""
-    J_by_parameters: Array
+    J_jacobian: Array
     """(5, 3, 3) derivative of J_G by the five parameters of the inertia"""
     covariance: Array
     """(20, 20): r_N, v_N, theta in R_NG Exp(theta), w_G, the five parameters, com_G; finite"""
-    seen_s: Array | None = None
+    past_s: Array | None = None
     """(H,) instants < 0 before the last one, descending: what an undetermined inertia is held against"""
-    seen_R_NG: Array | None = None
+    past_R_NG: Array | None = None
     """(H, 3, 3) attitudes there"""
 
 
@@ -67,7 +67,7 @@ class Prediction:
     """of the body: the estimated centre of mass and axes are marks on it, and exact"""
 
 
-def predict(last: LastBody, time_s: ArrayLike, accel_psd: float, torque_psd: float) -> Prediction:
+def predict(last: FinalState, time_s: ArrayLike, accel_psd: float, torque_psd: float) -> Prediction:
     """Propagate to time_s (T,), increasing, >= 0 [s] after the last state.
 
     accel_psd [(m/s^2)^2/Hz]; torque_psd [(rad/s^2)^2/Hz], torque over the middle moment.
@@ -76,15 +76,15 @@ def predict(last: LastBody, time_s: ArrayLike, accel_psd: float, torque_psd: flo
     grid = time if time[0] == 0.0 else np.concatenate([[0.0], time])
     states = propagate(grid, last.r_N, last.v_N, last.R_NG, last.w_G, last.J_G)
     r_N, v_N, R_NG, w_G = (each[len(grid) - len(time) :] for each in states)
-    deviation, J = draw(last)
-    R, w = carry_on(last, deviation, J, time)
+    deviation, J = draw_deviations(last)
+    R, w = propagate_members(last, deviation, J, time)
     moments = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
     noise = process_noise(moments / moments[1], last.w_G @ last.R_GP, time, accel_psd, torque_psd)
     dr = deviation[:, 0:3] + time[:, None, None] * deviation[:, 3:6]
     dv = np.broadcast_to(deviation[:, 3:6], dr.shape)
 
     # how each member's principal axes lie against the estimated ones
-    turn = exp_so3(deviation[:, 12:17] @ axes_by_parameters(last).T)
+    turn = exp_so3(deviation[:, 12:17] @ axes_jacobian(last).T)
     R_NP, R_GP = R_NG @ last.R_GP, last.R_GP
     back = np.swapaxes(R_NP, 1, 2)[:, None]
     theta = log_so3(back @ R @ R_GP @ turn)
@@ -99,7 +99,7 @@ def predict(last: LastBody, time_s: ArrayLike, accel_psd: float, torque_psd: flo
     return Prediction(time, r_N, v_N, R_NP, w_G @ R_GP, of_axes, of_marks)
 
 
-def draw(last: LastBody, normal: Array | None = None) -> tuple[Array, Array]:
+def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Array, Array]:
     """Deviations (n, 20) from the last state, and the inertias (n, 3, 3) that go with them.
 
     ``normal`` (n, 20): independent standard normal numbers. Without: 2 PAIRS whose moments are exact.
@@ -114,12 +114,12 @@ def draw(last: LastBody, normal: Array | None = None) -> tuple[Array, Array]:
         normal = np.concatenate([z, -z])
     deviation = normal @ root.T
     # linear in the parameters: what the motion forbids stays so, such as a spin about no principal axis
-    change = np.einsum("nk,kij->nij", deviation[:, 12:17], last.J_by_parameters)
+    change = np.einsum("nk,kij->nij", deviation[:, 12:17], last.J_jacobian)
     share = _largest_share(last.J_G, change)
     deviation[:, 12:17] *= share[:, None]
     change *= share[:, None, None]
-    if last.seen_s is not None and last.seen_R_NG is not None:
-        share = _share_as_seen(last, deviation, change, last.seen_s, last.seen_R_NG)
+    if last.past_s is not None and last.past_R_NG is not None:
+        share = _share_consistent_with_past(last, deviation, change, last.past_s, last.past_R_NG)
         deviation[:, 12:17] *= share[:, None]
         change *= share[:, None, None]
     return deviation, last.J_G + change
@@ -133,14 +133,16 @@ def _largest_share(J: Array, change: Array) -> Array:
         values = np.linalg.eigvalsh(
             0.5 * np.trace(moved, axis1=1, axis2=2)[:, None, None] * np.eye(3) - moved
         )
-        bad = values[:, 0] < LEAST_SECOND_MOMENT * values[:, 2]
+        bad = values[:, 0] < MIN_SECOND_MOMENT * values[:, 2]
         if not bad.any():
             break
         share[bad] *= 0.5
     return share
 
 
-def _share_as_seen(last: LastBody, deviation: Array, change: Array, seen_s: Array, seen_R_NG: Array) -> Array:
+def _share_consistent_with_past(
+    last: FinalState, deviation: Array, change: Array, past_s: Array, past_R_NG: Array
+) -> Array:
     """Shares (N,) of the changes of J, halved until the member's past is the one that was seen.
 
     A linear covariance lets through bodies whose spin would have tipped over long ago. A past may differ from
@@ -148,12 +150,12 @@ def _share_as_seen(last: LastBody, deviation: Array, change: Array, seen_s: Arra
     """
 
     def past(members: Array, J: Array) -> Array:
-        R, _ = carry_on(last, members, J, seen_s)
-        return np.asarray(np.linalg.norm(log_so3(np.swapaxes(R, -1, -2) @ seen_R_NG[:, None]), axis=-1))
+        R, _ = propagate_members(last, members, J, past_s)
+        return np.asarray(np.linalg.norm(log_so3(np.swapaxes(R, -1, -2) @ past_R_NG[:, None]), axis=-1))
 
     own = past(np.zeros((1, 20)), last.J_G[None])[:, 0]
     variance = np.diag(last.covariance)
-    free = variance[6:9].sum() + variance[9:12].sum() * seen_s**2
+    free = variance[6:9].sum() + variance[9:12].sum() * past_s**2
     limit = np.sqrt(4.0 * own**2 + 9.0 * free)
     share = np.ones(len(change))
     for factor in (1.0, 0.5, 0.25, 0.125, 0.0625):
@@ -165,9 +167,9 @@ def _share_as_seen(last: LastBody, deviation: Array, change: Array, seen_s: Arra
     return share
 
 
-def axes_by_parameters(last: LastBody) -> Array:
+def axes_jacobian(last: FinalState) -> Array:
     """Derivative (3, 5) of theta in R_GP Exp(theta); of equal moments it has no meaning, and is zero."""
-    changes = last.R_GP.T @ last.J_by_parameters @ last.R_GP
+    changes = last.R_GP.T @ last.J_jacobian @ last.R_GP
     values = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
     gaps = np.array([values[1] - values[2], values[2] - values[0], values[0] - values[1]])
     turns = np.stack([changes[:, 2, 1], changes[:, 0, 2], changes[:, 1, 0]])
@@ -175,7 +177,7 @@ def axes_by_parameters(last: LastBody) -> Array:
     return np.where(known, 1.0, 0.0)[:, None] * turns / np.where(known, gaps, 1.0)[:, None]
 
 
-def carry_on(last: LastBody, deviation: Array, J: Array, time: Array) -> tuple[Array, Array]:
+def propagate_members(last: FinalState, deviation: Array, J: Array, time: Array) -> tuple[Array, Array]:
     """Attitudes (T, N, 3, 3) and rates (T, N, 3) in G of all members."""
     n = len(deviation)
     q = wxyz_from_matrix(last.R_NG @ exp_so3(deviation[:, 6:9]))

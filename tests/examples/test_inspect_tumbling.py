@@ -10,11 +10,11 @@ import trimesh
 from examples import inspect_tumbling
 from examples.inspect_tumbling import RADIUS_M, Flight, build, separation
 from polhode.lie import exp_so3
-from polhode.planning.keep_out.volumes import Wanted, keep_out
+from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
 from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
 from polhode.records import Truth
 from polhode.rigid_body import propagate
-from tests.planning.bodies import ahead, ball
+from tests.planning.bodies import ball, estimate
 
 MOMENTS = np.array([1.3e-2, 1.0e-2, 0.8e-2])
 R_GP, COM_G = exp_so3([0.3, 0.1, -0.2]), np.array([0.01, 0.0, -0.02])
@@ -41,7 +41,9 @@ def truth() -> Truth:
 
 def test_mujoco_tumbles_as_eulers_equations_say() -> None:
     mujoco = pytest.importorskip("mujoco")
-    volume = keep_out(ball(), ahead((0.0, 0.3, 0.0)), Wanted(2.0, 0.97, members=100, cells=24)).instant
+    volume = keep_out(
+        ball(), estimate((0.0, 0.3, 0.0)), KeepOutOptions(2.0, 0.97, members=100, cells=24)
+    ).instant
     model = build(truth(), volume)
     model.opt.timestep = 0.01
     data = mujoco.MjData(model)

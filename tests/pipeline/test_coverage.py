@@ -8,7 +8,7 @@ import trimesh
 from scipy.optimize import brentq
 
 from polhode.lie import exp_so3, make_pose
-from polhode.mapping.visibility import LEAST_COSINE, Caster
+from polhode.mapping.visibility import MIN_COSINE, Caster
 from polhode.pipeline.coverage import axis_words, coverage_of, warnings_of, with_classes
 from polhode.records import SEEN_LIT, SEEN_UNLIT, UNSEEN, SurfaceModel
 from tests.mapping.rendered_views import DISTANCE_M, RIG, rendered
@@ -25,7 +25,7 @@ def visible_share() -> float:
     def excess(polar: float) -> float:
         away = DISTANCE_M * np.cos(polar) - RADIUS_M
         length = np.sqrt(DISTANCE_M**2 + RADIUS_M**2 - 2.0 * DISTANCE_M * RADIUS_M * np.cos(polar))
-        return float(away / length - LEAST_COSINE)
+        return float(away / length - MIN_COSINE)
 
     return float(0.5 * (1.0 - np.cos(brentq(excess, 0.0, np.pi / 2))))
 

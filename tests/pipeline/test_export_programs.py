@@ -117,10 +117,10 @@ def test_the_pieces_contain_the_surface_and_reach_little_beyond(
         assert len(found.pieces) <= most
         planes = [ConvexHull(np.asarray(piece.vertices)).equations for piece in found.pieces]
         assert np.stack([outside(points, each) for each in planes]).min(axis=0).max() < 1e-9
-        reached.append(found.most_beyond_m / found.diameter_m)
+        reached.append(found.max_beyond_m / found.diameter_m)
     assert reached[0] > reached[1] > reached[2] > reached[3] and found.far_share == 0.0
     # within 1 % of the diameter
-    assert found.most_beyond_m < 0.01 * found.diameter_m and found.diameter_m == pytest.approx(0.5, rel=0.05)
+    assert found.max_beyond_m < 0.01 * found.diameter_m and found.diameter_m == pytest.approx(0.5, rel=0.05)
     with capsys.disabled():
         words = ", ".join(f"{share:.2%}" for share in reached)
         print(f"\n  1, 4, 24, {len(found.pieces)} pieces reach {words} of the diameter beyond", end="")

@@ -11,7 +11,7 @@ from trimesh.visual import ColorVisuals
 
 from polhode.config import Config
 from polhode.config.mapping import Mapping
-from polhode.mapping.finishing.detail_levels import Level
+from polhode.mapping.finishing.detail_levels import DetailLevel
 from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline import finish_surface as module
 from polhode.pipeline.context import RunContext
@@ -29,7 +29,7 @@ CONFIG = Config(mapping=Mapping(hole_share=0.08))
 
 def finished(
     surface: SurfaceModel, seen: Any, example: Any, config: Config = CONFIG
-) -> tuple[SurfaceModel, list[Level], ShapeFindings]:
+) -> tuple[SurfaceModel, list[DetailLevel], ShapeFindings]:
     sequence, rectifier, X_RG = seen
     context = RunContext(sequence, rectifier, config, Silent())
     return finish_surface(context, surface, X_RG, example.estimate.mass)

@@ -4,8 +4,8 @@ import numpy as np
 import trimesh
 
 from polhode.lie import Array, exp_so3
-from polhode.planning.prediction.ensemble import Ahead
-from polhode.planning.prediction.prediction import LastBody
+from polhode.planning.prediction.ensemble import FinalEstimate
+from polhode.planning.prediction.prediction import FinalState
 from polhode.records import SurfaceModel
 
 SIGMA_M = 2e-4
@@ -28,19 +28,19 @@ def box() -> SurfaceModel:
     return measured(mesh.subdivide_to_size(0.01))
 
 
-def ahead(
+def estimate(
     w_G: tuple[float, float, float],
     v_N: tuple[float, float, float] = (0.0, 0.0, 0.0),
     size: float = 1.0,
     com_G: tuple[float, float, float] = (0.0, 0.0, 0.0),
     psd: float = 0.0,
-) -> Ahead:
+) -> FinalEstimate:
     """``size`` of the standard deviations: 1 mm, 0.1 mm/s, 5 mrad, 0.2 mrad/s, 1e-3, 0.5 mm."""
     scale = np.concatenate([np.repeat([1e-3, 1e-4, 5e-3, 2e-4], 3), np.full(5, 1e-3), np.full(3, 5e-4)])
     covariance: Array = np.diag((size * scale) ** 2)
     J = np.diag([1.3, 1.0, 0.8])
-    last = LastBody(
+    last = FinalState(
         np.array([0.1, 0.0, 0.6]), np.array(v_N), exp_so3([0.2, -0.3, 0.1]), np.array(w_G), J, np.eye(3),
         BASIS, covariance,
     )  # fmt: skip
-    return Ahead(last, np.array(com_G), psd, psd)
+    return FinalEstimate(last, np.array(com_G), psd, psd)

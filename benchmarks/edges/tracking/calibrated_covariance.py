@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from benchmarks.edges.tracking.against_sky import polarity
-from benchmarks.edges.tracking.tracker import Tracked
+from benchmarks.edges.tracking.tracker import TrackingResult
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -71,7 +71,7 @@ def noise_parts(f: Array, weight: Array, feature: Ints, sign: Ints) -> Array:
     return np.asarray(inverse @ inner @ inverse)
 
 
-def parts_of(tracked: Tracked) -> NoiseParts:
+def parts_of(tracked: TrackingResult) -> NoiseParts:
     """Of a tracked pose whose six degrees of freedom are all seen."""
     weight = tracked.points.weight * tracked.robust
     sign = polarity(tracked.beside)

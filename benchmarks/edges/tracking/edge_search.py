@@ -44,7 +44,7 @@ def as_levels(image: ArrayLike) -> Levels:
 
 
 def search(
-    image: Levels, uv_px: Array, normal_px: Array, polarity: Ints, range_px: float, least_contrast: float
+    image: Levels, uv_px: Array, normal_px: Array, polarity: Ints, range_px: float, min_contrast: float
 ) -> Candidates:
     """Edges within range_px of points (m, 2) along normals (m, 2), of at least a contrast [grey levels].
 
@@ -56,7 +56,7 @@ def search(
     _respond(image, uv_px, normal_px, _kernel(), STEP_PX, ALONG_PX, response)
     offset = np.full((len(uv_px), MOST), np.nan)
     contrast = np.zeros((len(uv_px), MOST))
-    _extrema(response, polarity, STEP_PX, range_px, least_contrast, offset, contrast)
+    _extrema(response, polarity, STEP_PX, range_px, min_contrast, offset, contrast)
     return Candidates(offset, contrast)
 
 

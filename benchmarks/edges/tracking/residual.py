@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from benchmarks.edges.tracking.against_sky import polarity
 from benchmarks.edges.tracking.edge_search import Levels, as_levels, gradients, levels, search
-from benchmarks.edges.tracking.tracker import Tracked, Tracking
+from benchmarks.edges.tracking.tracker import TrackerOptions, TrackingResult
 from polhode.lie import Array
 from polhode.records import Bools
 
@@ -29,7 +29,7 @@ SKY_PX = 5.0
 
 
 @dataclass(frozen=True)
-class Support:
+class EdgeSupport:
     """How an image supports a pose: shares of the expected length of edge, 0 to 1, but for the last two."""
 
     found: float
@@ -59,13 +59,13 @@ class Support:
         return np.array([found, close, supported, whole, limb, self.beyond_chance])
 
 
-def support(tracked: Tracked, image: ArrayLike, wanted: Tracking | None = None) -> Support:
+def support(tracked: TrackingResult, image: ArrayLike, wanted: TrackerOptions | None = None) -> EdgeSupport:
     """Support of a tracked pose by the image (H, W) that it was tracked in, or by another."""
-    wanted = wanted or Tracking()
+    wanted = wanted or TrackerOptions()
     points = tracked.points
     length = points.weight
     if len(points) == 0:
-        return Support(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf)
+        return EdgeSupport(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf)
     grey = as_levels(image)
     sign = polarity(tracked.beside)
     close, along = _near(tracked, grey, 0.0, wanted)
@@ -76,7 +76,7 @@ def support(tracked: Tracked, image: ArrayLike, wanted: Tracking | None = None) 
     outside = levels(grey, points.uv_px - SKY_PX * sign[:, None] * points.normal_px)
     inside = levels(grey, points.uv_px + 0.5 * SKY_PX * sign[:, None] * points.normal_px)
     dark = outside < 0.5 * inside
-    return Support(
+    return EdgeSupport(
         tracked.found_share,
         _share(close, length),
         _share(along, length),
@@ -87,12 +87,12 @@ def support(tracked: Tracked, image: ArrayLike, wanted: Tracking | None = None) 
     )
 
 
-def _near(tracked: Tracked, grey: Levels, by_px: float, wanted: Tracking) -> tuple[Bools, Bools]:
+def _near(tracked: TrackingResult, grey: Levels, by_px: float, wanted: TrackerOptions) -> tuple[Bools, Bools]:
     """(m,) whether an edge lies within CLOSE_PX of points displaced by so much; and runs the same way."""
     points = tracked.points
     uv = points.uv_px + by_px * points.normal_px
     either = np.zeros(len(points), dtype=np.int64)
-    found = search(grey, uv, points.normal_px, either, CLOSE_PX, wanted.least_contrast)
+    found = search(grey, uv, points.normal_px, either, CLOSE_PX, wanted.min_contrast)
     close: Bools = np.any(np.isfinite(found.offset_px), axis=1)
     which = np.argmax(np.abs(found.contrast), axis=1)
     offset = np.nan_to_num(found.offset_px[np.arange(len(points)), which])

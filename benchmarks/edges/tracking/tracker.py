@@ -16,7 +16,7 @@ from benchmarks.edges.tracking.edge_search import Candidates, Levels, as_levels,
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, transform_points
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved
-from polhode.planning.edges.metric.metric import Observability, observability
+from polhode.planning.edges.metric.metric import EdgeObservability, observability
 from polhode.planning.edges.model.edge_model import EdgeModel
 from polhode.planning.edges.model.visible_edges import SEPARATION_PX, SPACING_PX, ControlPoints, clear_points
 from polhode.records import Bools
@@ -28,7 +28,7 @@ MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
-class Tracking:
+class TrackerOptions:
     """What the tracker may do."""
 
     ranges_px: tuple[float, ...] = (16.0, 8.0, 4.0)
@@ -36,11 +36,11 @@ class Tracking:
     iterations: int = 8
     """at most, at each range"""
     spacing_px: float = SPACING_PX
-    least_contrast: float = 4.0
+    min_contrast: float = 4.0
     """grey levels"""
-    least_sigma_px: float = 0.1
+    min_sigma_px: float = 0.1
     """residuals are not weighted as if they were better than this"""
-    most_sigma_px: float = 1.0
+    max_sigma_px: float = 1.0
     """nor, at the last range, worse; with each step there the limit falls by half, down to the least"""
     settled_px: float = 0.01
     """the pose has settled when the edges move by less, root mean square"""
@@ -48,7 +48,7 @@ class Tracking:
     """control points are made anew when they have moved by this, root mean square"""
     separation_px: float = SEPARATION_PX
     """control points that are nearer to another edge, side by side with it, do not count"""
-    least_found: int = 12
+    min_found: int = 12
     """control points"""
     restarts: int = 6
     """from poses near the found one, while less than a share of the edges agrees"""
@@ -60,7 +60,7 @@ class Tracking:
 
 
 @dataclass(frozen=True)
-class Tracked:
+class TrackingResult:
     """A pose and what it rests on: m control points at that pose."""
 
     X_RG: Array
@@ -76,7 +76,7 @@ class Tracked:
     """(m,) weight of the M-estimator, 0 to 1; 0 where none was found"""
     beside: Bools
     """(m, 2) whether the body is behind and before the point along the normal, else sky"""
-    information: Observability
+    information: EdgeObservability
     """its C (6, 6) = sum of w f f^T, w the length that a point stands for times its robust weight"""
     iterations: int
     converged: bool
@@ -116,14 +116,14 @@ class Tracked:
 
 
 def track(
-    model: EdgeModel, rig: RectifiedRig, image: ArrayLike, X_RG: Array, wanted: Tracking | None = None
-) -> Tracked:
+    model: EdgeModel, rig: RectifiedRig, image: ArrayLike, X_RG: Array, wanted: TrackerOptions | None = None
+) -> TrackingResult:
     """Pose of the model in an image (H, W) of grey levels, from a guess X_RG (4, 4).
 
     Never raises for what the image shows: `converged` and `told` say what went wrong. Deterministic: restarts
     are drawn from a fixed seed.
     """
-    wanted = wanted or Tracking()
+    wanted = wanted or TrackerOptions()
     grey = as_levels(image)
     found = _track(model, rig, grey, X_RG, wanted, wanted.ranges_px)
     rng = np.random.default_rng(0)
@@ -140,9 +140,9 @@ def track(
     return found
 
 
-def _agreement(tracked: Tracked, wanted: Tracking) -> float:
+def _agreement(tracked: TrackingResult, wanted: TrackerOptions) -> float:
     """Length of edge that is found to three of the least sigmas, over what was expected."""
-    close = np.abs(np.nan_to_num(tracked.residuals_px, nan=np.inf)) < 3.0 * wanted.least_sigma_px
+    close = np.abs(np.nan_to_num(tracked.residuals_px, nan=np.inf)) < 3.0 * wanted.min_sigma_px
     return float(tracked.points.weight[close].sum() / tracked.points.weight.sum())
 
 
@@ -151,9 +151,9 @@ def _track(
     rig: RectifiedRig,
     grey: Levels,
     X_RG: Array,
-    wanted: Tracking,
+    wanted: TrackerOptions,
     ranges_px: tuple[float, ...],
-) -> Tracked:
+) -> TrackingResult:
     """From one guess, without restarts."""
     o_G = model.middle_G
     if transform_points(X_RG, o_G[None])[0, 2] <= 0.0:
@@ -163,12 +163,12 @@ def _track(
     for number, range_px in enumerate(ranges_px):
         last = number == len(ranges_px) - 1
         for turn in range(wanted.iterations * (2 if last else 1)):
-            most_px = max(wanted.most_sigma_px * 0.5**turn, wanted.least_sigma_px) if last else np.inf
-            if len(view.points) < wanted.least_found:
+            max_px = max(wanted.max_sigma_px * 0.5**turn, wanted.min_sigma_px) if last else np.inf
+            if len(view.points) < wanted.min_found:
                 return _nothing(X_RG, model.radius_m, _too_few(len(view.points), wanted))
             found = _measure(view, grey, range_px, wanted)
             f = edge_motion(view.points, rig, X_RG, o_G)
-            step, few = _fit(found, f, view.points.weight, model.radius_m, wanted, most_px)
+            step, few = _fit(found, f, view.points.weight, model.radius_m, wanted, max_px)
             if few:
                 break
             X_RG = moved(X_RG, step, o_G)
@@ -180,7 +180,7 @@ def _track(
             else:
                 view = view.at(rig, X_RG)
             settled = motion_px < wanted.settled_px
-            narrowest = most_px in (np.inf, wanted.least_sigma_px)
+            narrowest = max_px in (np.inf, wanted.min_sigma_px)
             if narrowest and motion_px < (wanted.settled_px if last else 0.3):
                 break
     return _told(model, rig, view, grey, X_RG, steps, settled, few, wanted)
@@ -200,30 +200,30 @@ class _View:
         return _View(ControlPoints(p.p_G, uv, p.normal_px, p.feature, p.weight, p.sides_G), self.beside)
 
 
-def _view(model: EdgeModel, rig: RectifiedRig, X_RG: Array, wanted: Tracking) -> _View:
+def _view(model: EdgeModel, rig: RectifiedRig, X_RG: Array, wanted: TrackerOptions) -> _View:
     points = clear_points(model, rig, X_RG, wanted.spacing_px, wanted.separation_px)
     return _View(points, body_beside(points, model, rig, X_RG))
 
 
-def _measure(view: _View, grey: Levels, range_px: float, wanted: Tracking) -> Candidates:
+def _measure(view: _View, grey: Levels, range_px: float, wanted: TrackerOptions) -> Candidates:
     points = view.points
     sign = polarity(view.beside) if wanted.dark_sky else np.zeros(len(points), dtype=np.int64)
-    return search(grey, points.uv_px, points.normal_px, sign, range_px, wanted.least_contrast)
+    return search(grey, points.uv_px, points.normal_px, sign, range_px, wanted.min_contrast)
 
 
 def _fit(
-    found: Candidates, f: Array, length: Array, radius_m: float, wanted: Tracking, most_px: float
+    found: Candidates, f: Array, length: Array, radius_m: float, wanted: TrackerOptions, max_px: float
 ) -> tuple[Array, bool]:
     """Step (6,) of the pose by iterated weighted least squares, and whether too few edges were found."""
     step = np.zeros(6)
     for _ in range(10):
         d, _ = _nearest(found, f @ step)
         seen = np.isfinite(d)
-        if seen.sum() < wanted.least_found:
+        if seen.sum() < wanted.min_found:
             return step, True
         residual = d[seen] - f[seen] @ step
-        scale = min(_scale(residual, length[seen], wanted), most_px)
-        weight = length[seen] * _robust(residual / scale, narrow=np.isfinite(most_px))
+        scale = min(_scale(residual, length[seen], wanted), max_px)
+        weight = length[seen] * _robust(residual / scale, narrow=np.isfinite(max_px))
         before = step
         step = _solve(f[seen], d[seen], weight, radius_m, scale)
         if np.mean((f @ (step - before)) ** 2) < (0.1 * wanted.settled_px) ** 2:
@@ -239,12 +239,12 @@ def _nearest(found: Candidates, at_px: Array) -> tuple[Array, Array]:
     return found.offset_px[row, which], found.contrast[row, which]
 
 
-def _scale(residual: Array, length: Array, wanted: Tracking) -> float:
+def _scale(residual: Array, length: Array, wanted: TrackerOptions) -> float:
     """Sigma of residuals from their median size; each counts with the length of edge that it stands for."""
     size = np.abs(residual)
     order = np.argsort(size)
     half = int(np.searchsorted(np.cumsum(length[order]), 0.5 * float(length.sum())))
-    return max(MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]]), wanted.least_sigma_px)
+    return max(MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]]), wanted.min_sigma_px)
 
 
 def _robust(u: Array, narrow: bool) -> Array:
@@ -273,8 +273,8 @@ def _told(
     steps: int,
     settled: bool,
     few: bool,
-    wanted: Tracking,
-) -> Tracked:
+    wanted: TrackerOptions,
+) -> TrackingResult:
     """The record of the last pose, measured once more there."""
     points = view.points
     found = _measure(view, grey, wanted.ranges_px[-1], wanted)
@@ -282,27 +282,29 @@ def _told(
     seen = np.isfinite(d)
     robust = np.zeros(len(points))
     if seen.any():
-        robust[seen] = _robust(d[seen] / wanted.least_sigma_px, narrow=True)
+        robust[seen] = _robust(d[seen] / wanted.min_sigma_px, narrow=True)
     f = edge_motion(points, rig, X_RG, model.middle_G)
     information = observability(f, points.weight * robust, model.radius_m)
-    if few or seen.sum() < wanted.least_found:
+    if few or seen.sum() < wanted.min_found:
         told = f"edges were found at {seen.sum()} of {len(points)} control points: too few for a pose"
     elif not settled:
         told = f"the pose has not settled after {steps} steps"
     else:
         told = information.told()
-    converged = settled and not few and seen.sum() >= wanted.least_found
+    converged = settled and not few and seen.sum() >= wanted.min_found
     contrast = np.where(seen, contrast, 0.0)
-    return Tracked(X_RG, points, f, d, contrast, robust, view.beside, information, steps, converged, told)
+    return TrackingResult(
+        X_RG, points, f, d, contrast, robust, view.beside, information, steps, converged, told
+    )
 
 
-def _too_few(points: int, wanted: Tracking) -> str:
+def _too_few(points: int, wanted: TrackerOptions) -> str:
     if points == 0:
         return "no edge is in sight"
-    return f"{points} control points are in sight, fewer than {wanted.least_found}"
+    return f"{points} control points are in sight, fewer than {wanted.min_found}"
 
 
-def _nothing(X_RG: Array, radius_m: float, told: str) -> Tracked:
+def _nothing(X_RG: Array, radius_m: float, told: str) -> TrackingResult:
     """No control points, no information."""
     none = np.zeros((0, 2))
     points = ControlPoints(
@@ -311,6 +313,6 @@ def _nothing(X_RG: Array, radius_m: float, told: str) -> Tracked:
     f = np.zeros((0, 6))
     information = observability(f, np.zeros(0), radius_m)
     empty = np.zeros(0)
-    return Tracked(
+    return TrackingResult(
         X_RG, points, f, empty, empty, empty, np.zeros((0, 2), dtype=bool), information, 0, False, told
     )

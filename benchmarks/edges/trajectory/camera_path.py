@@ -9,14 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from benchmarks.edges.trajectory.view_table import looking
+from benchmarks.edges.trajectory.view_table import camera_attitude
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose
-from polhode.planning.approach.trajectory import Way
+from polhode.planning.approach.trajectory import ApproachTrajectory
 from polhode.planning.edges.metric.information import feature_information, variances
 from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.prediction.ensemble import Ahead, BodyMotion, nominal
+from polhode.planning.prediction.ensemble import BodyMotion, FinalEstimate, nominal_motion
 
 Objective = Literal["each", "end", "together"]
 """each: mean over the instants of tr (I + C)^-1, every pose on its own; end: that of the last instant;
@@ -26,26 +26,26 @@ LOOKED_AT = 4
 
 
 @dataclass(frozen=True)
-class Watch:
+class CameraPathTask:
     """A way from rest, in N."""
 
     start_N: Array
     duration_s: float
     steps: int
-    most_accel_m_s2: float
+    max_accel_m_s2: float
     range_m: tuple[float, float]
-    """of the camera from o; the nearer one at least `least_range`"""
+    """of the camera from o; the nearer one at least `min_range`"""
     radius_m: float
     """of the inspector"""
     clearance_m: float
     """between its surface and the keep-out volume"""
     goal_N: Array | None = None
     """(3,) end, at rest; without it anywhere within the ranges, at any speed"""
-    hold_range: bool = False
+    fixed_range: bool = False
     """At each step the range of the straight way, to RANGE_SLACK: then only the direction is chosen"""
     sun_N: Array | None = None
     """(3,) towards the Sun; without it all edges are in even light"""
-    sun_off_deg: float = 30.0
+    sun_exclusion_deg: float = 30.0
     """least angle between the optical axis and the Sun"""
     phase_deg: tuple[float, float] = (15.0, 120.0)
     """between Sun and camera, seen from the target: below, the inspector shades it"""
@@ -55,11 +55,11 @@ class Watch:
 
 
 @dataclass(frozen=True)
-class Watched:
+class CameraPathMetric:
     """What a way gives, by the true metric: edges that are in sight, clear of others, in the light of each
     instant."""
 
-    way: Way
+    path: ApproachTrajectory
     time_s: Array
     """(F,)"""
     p_N: Array
@@ -82,7 +82,7 @@ class Watched:
     """(6,) share of the views that tell it"""
 
 
-def least_range(model: EdgeModel, rig: RectifiedRig, border_px: float = 5.0) -> float:
+def min_range(model: EdgeModel, rig: RectifiedRig, border_px: float = 5.0) -> float:
     """From where on all of the body is in the image of a camera that points at o, however it is turned."""
     radius = float(np.linalg.norm(np.asarray(model.surface.vertices) - model.middle_G, axis=1).max())
     sides = [
@@ -94,7 +94,7 @@ def least_range(model: EdgeModel, rig: RectifiedRig, border_px: float = 5.0) -> 
     return radius / float(np.sin(np.arctan((min(sides) - border_px) / rig.focal_px)))
 
 
-def middles(model: EdgeModel, motion: BodyMotion) -> Array:
+def target_centres(model: EdgeModel, motion: BodyMotion) -> Array:
     """o in N (T, 3)."""
     return np.asarray(motion.p_NG + motion.R_NG @ model.middle_G)
 
@@ -104,47 +104,53 @@ def sun_in_G(motion: BodyMotion, sun_N: Array) -> Array:
     return np.asarray(np.einsum("tji,j->ti", motion.R_NG, sun_N / np.linalg.norm(sun_N)))
 
 
-def straight(model: EdgeModel, ahead: Ahead, watch: Watch) -> Way:
+def straight_path(model: EdgeModel, estimate: FinalEstimate, task: CameraPathTask) -> ApproachTrajectory:
     """The straight way to the goal, or to the nearest range: half of the time faster, half of it slower.
 
     Raises InputError when the thrust does not reach so far.
     """
-    K, dt = watch.steps, watch.duration_s / watch.steps
-    goal = watch.goal_N
+    K, dt = task.steps, task.duration_s / task.steps
+    goal = task.goal_N
     if goal is None:
-        end = middles(model, nominal(ahead, np.array([0.0, watch.duration_s])))[1]
-        away = watch.start_N - end
-        goal = end + watch.range_m[0] * away / np.linalg.norm(away)
+        end = target_centres(model, nominal_motion(estimate, np.array([0.0, task.duration_s])))[1]
+        away = task.start_N - end
+        goal = end + task.range_m[0] * away / np.linalg.norm(away)
     # ones, then minus ones; a middle step of an odd number rests
     push = np.sign(0.5 * (K - 1) - np.arange(K))
     reach = dt**2 * float((push * (K - 0.5 - np.arange(K))).sum())
-    accel = push[:, None] * (goal - watch.start_N) / reach
-    if np.linalg.norm(accel[0]) > watch.most_accel_m_s2:
-        most = watch.most_accel_m_s2 * reach
+    accel = push[:, None] * (goal - task.start_N) / reach
+    if np.linalg.norm(accel[0]) > task.max_accel_m_s2:
+        most = task.max_accel_m_s2 * reach
         raise InputError(
-            f"the goal is {np.linalg.norm(goal - watch.start_N):.3g} m away; from rest to rest the thrust "
-            f"reaches {most:.3g} m in {watch.duration_s:g} s"
+            f"the goal is {np.linalg.norm(goal - task.start_N):.3g} m away; from rest to rest the thrust "
+            f"reaches {most:.3g} m in {task.duration_s:g} s"
         )
     v = np.vstack([np.zeros(3), np.cumsum(dt * accel, axis=0)])
-    p = watch.start_N + np.vstack([np.zeros(3), np.cumsum(dt * v[:-1] + 0.5 * dt**2 * accel, axis=0)])
-    time = np.linspace(0.0, watch.duration_s, K + 1)
-    return Way(time, p, v, accel, float(dt * np.linalg.norm(accel, axis=1).sum()))
+    p = task.start_N + np.vstack([np.zeros(3), np.cumsum(dt * v[:-1] + 0.5 * dt**2 * accel, axis=0)])
+    time = np.linspace(0.0, task.duration_s, K + 1)
+    return ApproachTrajectory(time, p, v, accel, float(dt * np.linalg.norm(accel, axis=1).sum()))
 
 
-def judge(model: EdgeModel, rig: RectifiedRig, ahead: Ahead, watch: Watch, way: Way) -> Watched:
+def path_metric(
+    model: EdgeModel,
+    rig: RectifiedRig,
+    estimate: FinalEstimate,
+    task: CameraPathTask,
+    path: ApproachTrajectory,
+) -> CameraPathMetric:
     """The true metric along a way, LOOKED_AT times a step."""
-    time = np.linspace(0.0, watch.duration_s, LOOKED_AT * watch.steps + 1)
-    motion = nominal(ahead, time)
-    p_N = way.at(time)[0]
-    o_N = middles(model, motion)
-    X_RG = camera_poses(p_N, o_N, motion, np.asarray(watch.up_N))
+    time = np.linspace(0.0, task.duration_s, LOOKED_AT * task.steps + 1)
+    motion = nominal_motion(estimate, time)
+    p_N = path.at(time)[0]
+    o_N = target_centres(model, motion)
+    X_RG = camera_poses(p_N, o_N, motion, np.asarray(task.up_N))
     sun_G = sun_R = phase = None
     away = p_N - o_N
     far = np.linalg.norm(away, axis=1)
-    if watch.sun_N is not None:
-        sun_G = sun_in_G(motion, watch.sun_N)
+    if task.sun_N is not None:
+        sun_G = sun_in_G(motion, task.sun_N)
         sun_R = np.einsum("tij,tj->ti", X_RG[:, :3, :3], sun_G)
-        phase = np.arccos(np.clip(away @ watch.sun_N / far / np.linalg.norm(watch.sun_N), -1.0, 1.0))
+        phase = np.arccos(np.clip(away @ task.sun_N / far / np.linalg.norm(task.sun_N), -1.0, 1.0))
     information = feature_information(model, rig, X_RG, sun_G, clear=True)
     total = information.total
     each = variances(total, model.radius_m)
@@ -153,13 +159,13 @@ def judge(model: EdgeModel, rig: RectifiedRig, ahead: Ahead, watch: Watch, way: 
         mean = np.where(told, each, 0.0).sum(axis=0) / told.sum(axis=0)
     sigma = np.where(told.any(axis=0), np.sqrt(mean), np.inf)
     scaled = information.scaled.sum(axis=1)
-    if watch.objective == "together":
+    if task.objective == "together":
         scaled = information.accumulated(X_RG[:, :3, :3]).scaled.sum(axis=1) / LOOKED_AT
-    elif watch.objective == "end":
+    elif task.objective == "end":
         scaled = scaled[-1:]
     value = float(np.trace(np.linalg.inv(scaled + np.eye(6)), axis1=1, axis2=2).mean())
-    return Watched(
-        way, time, p_N, X_RG, sun_R, total, far, phase, value, np.asarray(sigma), told.mean(axis=0)
+    return CameraPathMetric(
+        path, time, p_N, X_RG, sun_R, total, far, phase, value, np.asarray(sigma), told.mean(axis=0)
     )
 
 
@@ -167,6 +173,6 @@ def camera_poses(p_N: Array, o_N: Array, motion: BodyMotion, up_N: Array) -> Arr
     """X_RG (T, 4, 4) of cameras at p_N (T, 3) that point at o_N (T, 3)."""
     X_NR = np.tile(np.eye(4), (len(p_N), 1, 1))
     for X, p, o in zip(X_NR, p_N, o_N, strict=True):
-        X[:3, :3] = looking(o - p, up_N).T
+        X[:3, :3] = camera_attitude(o - p, up_N).T
         X[:3, 3] = p
     return np.asarray(inverse_pose(X_NR) @ motion.X_NG)

@@ -22,13 +22,13 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.edges.trajectory.camera_path import (
-    Watch,
-    Watched,
-    judge,
-    least_range,
-    middles,
-    straight,
+    CameraPathMetric,
+    CameraPathTask,
+    min_range,
+    path_metric,
+    straight_path,
     sun_in_G,
+    target_centres,
 )
 from benchmarks.edges.trajectory.view_table import SUBDIVISIONS, ViewTable, trace_of_inverse, view_table
 from polhode.camera import RectifiedRig
@@ -36,16 +36,16 @@ from polhode.errors import InputError
 from polhode.lie import Array, exp_so3
 from polhode.planning.approach.trajectory import (
     HULL_POINTS,
+    ApproachTrajectory,
     PointMass,
-    Way,
     hull_points,
     keep_clear,
-    least_gap,
+    min_distance,
     point_mass,
 )
 from polhode.planning.edges.model.edge_model import EdgeModel
 from polhode.planning.keep_out.volumes import InstantKeepOut
-from polhode.planning.prediction.ensemble import Ahead, BodyMotion, nominal
+from polhode.planning.prediction.ensemble import BodyMotion, FinalEstimate, nominal_motion
 
 EFFORT = 1e-3
 RANGE_SLACK = 0.01
@@ -54,15 +54,15 @@ TURNS_DEG = (50.0, 110.0)
 SIDES = 4
 ROUNDS = 3
 CLOSE_TO_LIMITS = 1e-4
-MOST_ITERATIONS = 300
+MAX_ITERATIONS = 300
 
 
 @dataclass(frozen=True)
 class BestTrajectory:
     """The best way that was found, and the straight one; both by the true metric."""
 
-    best: Watched
-    straight: Watched
+    best: CameraPathMetric
+    straight_path: CameraPathMetric
     expected: float
     """the objective of the best way by the tables"""
     starts: int
@@ -75,9 +75,9 @@ class BestTrajectory:
 def best_trajectory(
     model: EdgeModel,
     rig: RectifiedRig,
-    ahead: Ahead,
+    estimate: FinalEstimate,
     keep_out: InstantKeepOut,
-    watch: Watch,
+    task: CameraPathTask,
     turns_deg: tuple[float, ...] = TURNS_DEG,
     subdivisions: int = SUBDIVISIONS,
     table: ViewTable | None = None,
@@ -89,42 +89,46 @@ def best_trajectory(
 
     Raises InputError where the start or the limits contradict each other, or no way keeps them.
     """
-    nodes = nominal(ahead, np.linspace(0.0, watch.duration_s, 2 * watch.steps + 1))
-    _check(model, rig, keep_out, nodes, watch)
-    baseline = straight(model, ahead, watch)
-    table = table or table_for(model, rig, ahead, watch, subdivisions)
-    guesses = _guesses(baseline.p_N, middles(model, nodes)[::2], turns_deg)
-    found: list[tuple[float, int, Watched, float, float]] = []
+    nodes = nominal_motion(estimate, np.linspace(0.0, task.duration_s, 2 * task.steps + 1))
+    _check(model, rig, keep_out, nodes, task)
+    baseline = straight_path(model, estimate, task)
+    table = table or table_for(model, rig, estimate, task, subdivisions)
+    guesses = _guesses(baseline.p_N, target_centres(model, nodes)[::2], turns_deg)
+    found: list[tuple[float, int, CameraPathMetric, float, float]] = []
     reasons: list[str] = []
     for number, guess in enumerate(guesses):
         try:
-            way, expected = _held(model, keep_out, nodes, table, watch, baseline, guess)
-        except _NoWay as reason:
+            path, expected = _path_within_limits(model, keep_out, nodes, table, task, baseline, guess)
+        except _NoPath as reason:
             reasons.append(str(reason))
             continue
-        true = judge(model, rig, ahead, watch, way)
-        found.append((true.value, number, true, expected, least_gap(keep_out, way)))
+        true = path_metric(model, rig, estimate, task, path)
+        found.append((true.value, number, true, expected, min_distance(keep_out, path)))
     if not found:
         raise InputError(
             f"no trajectory was found from any of {len(guesses)} guesses that keeps clearance, range, Sun "
             f"and thrust ({max(set(reasons), key=reasons.count)}); widen the limits or the time"
         )
     _, _, best, expected, gap = min(found, key=lambda one: one[:2])
-    reference = judge(model, rig, ahead, watch, baseline)
+    reference = path_metric(model, rig, estimate, task, baseline)
     return BestTrajectory(best, reference, expected, len(found), len(guesses), gap)
 
 
 def table_for(
-    model: EdgeModel, rig: RectifiedRig, ahead: Ahead, watch: Watch, subdivisions: int = SUBDIVISIONS
+    model: EdgeModel,
+    rig: RectifiedRig,
+    estimate: FinalEstimate,
+    task: CameraPathTask,
+    subdivisions: int = SUBDIVISIONS,
 ) -> ViewTable:
     """The metric around the target, at the instants of the steps if there is a Sun."""
-    if watch.sun_N is None:
-        return view_table(model, rig, watch.range_m, None, subdivisions)
-    nodes = nominal(ahead, np.linspace(0.0, watch.duration_s, watch.steps + 1))
-    return view_table(model, rig, watch.range_m, sun_in_G(nodes, watch.sun_N), subdivisions)
+    if task.sun_N is None:
+        return view_table(model, rig, task.range_m, None, subdivisions)
+    nodes = nominal_motion(estimate, np.linspace(0.0, task.duration_s, task.steps + 1))
+    return view_table(model, rig, task.range_m, sun_in_G(nodes, task.sun_N), subdivisions)
 
 
-class _NoWay(Exception):
+class _NoPath(Exception):
     """No way from one guess."""
 
 
@@ -138,35 +142,35 @@ class _Margins:
 
 
 def _check(
-    model: EdgeModel, rig: RectifiedRig, keep_out: InstantKeepOut, nodes: BodyMotion, watch: Watch
+    model: EdgeModel, rig: RectifiedRig, keep_out: InstantKeepOut, nodes: BodyMotion, task: CameraPathTask
 ) -> None:
     """Raises InputError for what cannot be kept from the beginning."""
-    low, high = watch.range_m
-    least = least_range(model, rig)
+    low, high = task.range_m
+    least = min_range(model, rig)
     if low < least:
         raise InputError(
             f"from {low:.3g} m the body does not fit into the image; the nearest range is {least:.3g} m"
         )
-    ends = [("start", watch.start_N, 0)]
-    if watch.goal_N is not None:
-        ends.append(("goal", watch.goal_N, -1))
+    ends = [("start", task.start_N, 0)]
+    if task.goal_N is not None:
+        ends.append(("goal", task.goal_N, -1))
     for name, place_N, k in ends:
-        away = place_N - middles(model, nodes)[k]
+        away = place_N - target_centres(model, nodes)[k]
         far = float(np.linalg.norm(away))
         if not low <= far <= high:
             raise InputError(f"the {name} is {far:.3g} m from the target, outside of {low:g} to {high:g} m")
         instant = 0 if k == 0 else len(keep_out.motion.time_s) - 1
         gap = float(keep_out.signed_distance(instant, place_N[None])[0])
-        if gap < watch.radius_m + watch.clearance_m:
+        if gap < task.radius_m + task.clearance_m:
             raise InputError(f"the {name} is inside the keep-out volume or too close to it")
-        if watch.sun_N is not None:
-            low_rad, high_rad = _phases(watch)
+        if task.sun_N is not None:
+            low_rad, high_rad = _phases(task)
             if low_rad >= high_rad:
                 raise InputError(
                     f"no phase angle is left between {np.degrees(low_rad):.0f} and "
                     f"{np.degrees(high_rad):.0f} degrees"
                 )
-            phase = float(np.arccos(away @ watch.sun_N / far / np.linalg.norm(watch.sun_N)))
+            phase = float(np.arccos(away @ task.sun_N / far / np.linalg.norm(task.sun_N)))
             if not low_rad <= phase <= high_rad:
                 raise InputError(
                     f"the {name} has a phase angle of {np.degrees(phase):.0f} degrees, outside of "
@@ -174,10 +178,10 @@ def _check(
                 )
 
 
-def _phases(watch: Watch) -> tuple[float, float]:
+def _phases(task: CameraPathTask) -> tuple[float, float]:
     """Least and largest phase angle; a camera that points at the target looks pi - phase off the Sun."""
-    low, high = np.radians(watch.phase_deg)
-    return float(low), float(min(high, np.pi - np.radians(watch.sun_off_deg)))
+    low, high = np.radians(task.phase_deg)
+    return float(low), float(min(high, np.pi - np.radians(task.sun_exclusion_deg)))
 
 
 def _guesses(p_N: Array, o_N: Array, turns_deg: tuple[float, ...]) -> list[Array]:
@@ -199,30 +203,30 @@ def _guesses(p_N: Array, o_N: Array, turns_deg: tuple[float, ...]) -> list[Array
     return out
 
 
-def _held(
+def _path_within_limits(
     model: EdgeModel,
     keep_out: InstantKeepOut,
     nodes: BodyMotion,
     table: ViewTable,
-    watch: Watch,
-    baseline: Way,
+    task: CameraPathTask,
+    baseline: ApproachTrajectory,
     guess: Array,
-) -> tuple[Way, float]:
+) -> tuple[ApproachTrajectory, float]:
     """A way from a guess that keeps the limits between the instants, too, and its objective."""
     margins = _Margins()
     for _ in range(ROUNDS):
-        way, expected = _solve(model, keep_out, nodes, table, watch, baseline, guess, margins)
-        short = _shortfall(model, keep_out, nodes, watch, way)
+        path, expected = _solve(model, keep_out, nodes, table, task, baseline, guess, margins)
+        short = _shortfall(model, keep_out, nodes, task, path)
         if max(short.clearance_m, short.range_m, short.angle_rad) <= CLOSE_TO_LIMITS:
-            return way, expected
+            return path, expected
         margins = replace(
             margins,
             clearance_m=margins.clearance_m + _more(short.clearance_m),
             range_m=margins.range_m + _more(short.range_m),
             angle_rad=margins.angle_rad + _more(short.angle_rad),
         )
-        guess = way.p_N
-    raise _NoWay("limits are broken between the instants of the program")
+        guess = path.p_N
+    raise _NoPath("limits are broken between the instants of the program")
 
 
 def _more(short: float) -> float:
@@ -230,21 +234,25 @@ def _more(short: float) -> float:
 
 
 def _shortfall(
-    model: EdgeModel, keep_out: InstantKeepOut, nodes: BodyMotion, watch: Watch, way: Way
+    model: EdgeModel,
+    keep_out: InstantKeepOut,
+    nodes: BodyMotion,
+    task: CameraPathTask,
+    path: ApproachTrajectory,
 ) -> _Margins:
     """By how much a way breaks its limits between the instants."""
     time = keep_out.motion.time_s
-    inside = time <= watch.duration_s
-    p_N, o_N = way.at(time[inside])[0], middles(model, keep_out.motion)[inside]
+    inside = time <= task.duration_s
+    p_N, o_N = path.at(time[inside])[0], target_centres(model, keep_out.motion)[inside]
     away = p_N - o_N
     far = np.linalg.norm(away, axis=1)
-    low, high = watch.range_m
+    low, high = task.range_m
     angle = 0.0
-    if watch.sun_N is not None:
-        phase = np.arccos(np.clip(away @ watch.sun_N / far / np.linalg.norm(watch.sun_N), -1.0, 1.0))
-        low_rad, high_rad = _phases(watch)
+    if task.sun_N is not None:
+        phase = np.arccos(np.clip(away @ task.sun_N / far / np.linalg.norm(task.sun_N), -1.0, 1.0))
+        low_rad, high_rad = _phases(task)
         angle = max(low_rad - float(phase.min()), float(phase.max()) - high_rad)
-    gap = watch.radius_m + watch.clearance_m - least_gap(keep_out, way)
+    gap = task.radius_m + task.clearance_m - min_distance(keep_out, path)
     return _Margins(gap, max(low - float(far.min()), float(far.max()) - high), angle)
 
 
@@ -253,73 +261,75 @@ def _solve(
     keep_out: InstantKeepOut,
     nodes: BodyMotion,
     table: ViewTable,
-    watch: Watch,
-    baseline: Way,
+    task: CameraPathTask,
+    baseline: ApproachTrajectory,
     guess: Array,
     margins: _Margins,
-) -> tuple[Way, float]:
+) -> tuple[ApproachTrajectory, float]:
     """The program of the module's head."""
-    K, dt = watch.steps, watch.duration_s / watch.steps
-    o_N = middles(model, nodes)
-    flight = point_mass(K, dt, watch.start_N, watch.most_accel_m_s2)
+    K, dt = task.steps, task.duration_s / task.steps
+    o_N = target_centres(model, nodes)
+    flight = point_mass(K, dt, task.start_N, task.max_accel_m_s2)
     program, a, p, v = flight.program, flight.a, flight.p, flight.v
     program.set_initial(p, guess.T)
     velocity = np.gradient(guess, dt, axis=0)
     program.set_initial(v, velocity.T)
-    if watch.goal_N is not None:
-        program.subject_to(p[:, K] == watch.goal_N)
+    if task.goal_N is not None:
+        program.subject_to(p[:, K] == task.goal_N)
         program.subject_to(v[:, K] == 0)
     hull, short_m = hull_points(keep_out.body.points_G, HULL_POINTS)
-    grown = keep_out.margin_m() + short_m + watch.radius_m + watch.clearance_m + margins.clearance_m
+    grown = keep_out.margin_m() + short_m + task.radius_m + task.clearance_m + margins.clearance_m
     keep_clear(flight, keep_out, hull, grown, guess)
-    _within_limits(flight, o_N, watch, baseline, margins)
-    metric = _metric(p, o_N[::2], nodes, table, watch)
+    _within_limits(flight, o_N, task, baseline, margins)
+    metric = _metric(p, o_N[::2], nodes, table, task)
     # near 1 whatever the body and the camera
     size = float(ca.Function("size", [p], [metric])(guess.T))
-    program.minimize(metric / size + EFFORT * ca.sumsqr(a) / (K * watch.most_accel_m_s2**2))
-    options: dict[str, Any] = {"print_level": 0, "sb": "yes", "max_iter": MOST_ITERATIONS, "tol": 1e-6}
-    if watch.objective == "together":
+    program.minimize(metric / size + EFFORT * ca.sumsqr(a) / (K * task.max_accel_m_s2**2))
+    options: dict[str, Any] = {"print_level": 0, "sb": "yes", "max_iter": MAX_ITERATIONS, "tol": 1e-6}
+    if task.objective == "together":
         # second derivatives of the sum take longer than the steps that they save
         options["hessian_approximation"] = "limited-memory"
     program.solver("ipopt", {"print_time": False}, options)
     try:
         found = program.solve()
     except RuntimeError as error:
-        raise _NoWay(str(error).splitlines()[-1].strip()) from None
-    return flight.way(found), float(found.value(metric))
+        raise _NoPath(str(error).splitlines()[-1].strip()) from None
+    return flight.path(found), float(found.value(metric))
 
 
-def _within_limits(flight: PointMass, o_N: Array, watch: Watch, baseline: Way, margins: _Margins) -> None:
+def _within_limits(
+    flight: PointMass, o_N: Array, task: CameraPathTask, baseline: ApproachTrajectory, margins: _Margins
+) -> None:
     """Range and Sun at the ends and the middles of the steps; o_N (2 K + 1, 3)."""
-    program, K, dt = flight.program, watch.steps, flight.dt_s
+    program, K, dt = flight.program, task.steps, flight.dt_s
     places_N, _, _ = baseline.at(np.linspace(0.0, K * dt, 2 * K + 1))
     held = np.linalg.norm(places_N - o_N, axis=1)
-    low_rad, high_rad = _phases(watch)
+    low_rad, high_rad = _phases(task)
     # the given goal is what it is
-    last = 2 * K if watch.goal_N is None else 2 * K - 1
+    last = 2 * K if task.goal_N is None else 2 * K - 1
     for n in range(1, last + 1):
         k = n // 2
         place = flight.p[:, k]
         if n % 2:
             place = place + 0.5 * dt * flight.v[:, k] + 0.125 * dt**2 * flight.a[:, k]
         away = place - o_N[n]
-        low, high = watch.range_m[0] + margins.range_m, watch.range_m[1] - margins.range_m
-        if watch.hold_range:
+        low, high = task.range_m[0] + margins.range_m, task.range_m[1] - margins.range_m
+        if task.fixed_range:
             low = max(low, (1.0 - RANGE_SLACK) * float(held[n]))
             high = max(min(high, (1.0 + RANGE_SLACK) * float(held[n])), (1.0 + RANGE_SLACK) * low)
         program.subject_to(program.bounded(low**2, ca.sumsqr(away), high**2))
-        if watch.sun_N is not None:
-            towards_sun = ca.dot(away, watch.sun_N / np.linalg.norm(watch.sun_N))
+        if task.sun_N is not None:
+            towards_sun = ca.dot(away, task.sun_N / np.linalg.norm(task.sun_N))
             far = ca.norm_2(away)
             program.subject_to(towards_sun <= np.cos(low_rad + margins.angle_rad) * far)
             program.subject_to(towards_sun >= np.cos(high_rad - margins.angle_rad) * far)
 
 
-def _metric(p: ca.MX, o_N: Array, nodes: BodyMotion, table: ViewTable, watch: Watch) -> ca.MX:
+def _metric(p: ca.MX, o_N: Array, nodes: BodyMotion, table: ViewTable, task: CameraPathTask) -> ca.MX:
     """The objective by the tables; nodes at 2 K + 1 instants."""
-    K = watch.steps
+    K = task.steps
     p_G = [ca.mtimes(ca.DM(nodes.R_NG[2 * k].T), p[:, k] - o_N[k]) for k in range(K + 1)]
-    if watch.objective == "together":
+    if task.objective == "together":
         tell, D = table.information_of(), len(table.towards_G) * len(table.range_m)
         rows = [ca.DM(table.information[table.at(k)].reshape(D, 21)) for k in range(K + 1)]
         told: ca.MX = tell(p_G[0], rows[0])
@@ -328,7 +338,7 @@ def _metric(p: ca.MX, o_N: Array, nodes: BodyMotion, table: ViewTable, watch: Wa
         trace: ca.MX = trace_of_inverse()(told)
         return trace
     value = table.log_trace_of()
-    chosen = [K] if watch.objective == "end" else list(range(K + 1))
+    chosen = [K] if task.objective == "end" else list(range(K + 1))
     total = ca.MX(0.0)
     for k in chosen:
         total = total + ca.exp(value(p_G[k], ca.DM(table.log_trace[table.at(k)])))

@@ -125,7 +125,7 @@ def view_table(
     information = np.empty((T, len(towards), len(ranges), 21))
     scale = np.array([model.radius_m] * 3 + [1.0] * 3)
     for d, towards_G in enumerate(towards):
-        R_RG = looking(-towards_G, np.array([0.31, 0.52, 0.79]))
+        R_RG = camera_attitude(-towards_G, np.array([0.31, 0.52, 0.79]))
         turn = np.zeros((6, 6))
         turn[:3, :3] = turn[3:, 3:] = R_RG
         for q, r in enumerate(ranges):
@@ -143,7 +143,7 @@ def view_table(
     return ViewTable(towards, ranges, log_trace.reshape(T, -1), information.reshape(T, -1, 21), apart)
 
 
-def looking(ahead: Array, up: Array) -> Array:
+def camera_attitude(ahead: Array, up: Array) -> Array:
     """R_RW (3, 3) of a camera that looks along ``ahead`` (3,) in W, its y axis away from ``up`` (3,).
 
     Where the two are parallel another axis is taken for up.

@@ -34,7 +34,7 @@ from polhode.planning.exports.json_document import (
     states_out,
     text_of,
 )
-from polhode.planning.exports.records import Shape, shape_of_landmarks
+from polhode.planning.exports.records import ExportShape, shape_of_landmarks
 
 TURN_PER_KEY_RAD = np.deg2rad(5.0)
 """Between two keys of an animation: viewers go straight from one to the next."""
@@ -77,7 +77,7 @@ def export_run(run: Path, options: Options) -> list[Path]:
     return list(files)
 
 
-def _drawn(job: Job) -> Shape:
+def _drawn(job: Job) -> ExportShape:
     """The mesh, or else the landmarks. Raises InputError when there are neither."""
     shape, to = job.shape(), job.options.to
     if shape is not None:
@@ -112,7 +112,7 @@ def _mesh(job: Job) -> Files:
     return {options.output: content}
 
 
-def _glb(job: Job, shape: Shape, per_m: float) -> bytes:
+def _glb(job: Job, shape: ExportShape, per_m: float) -> bytes:
     options = job.options
     extras: dict[str, Any] = {"comments": job.comments, "frame": job.at.name, "unit": options.unit}
     if options.unit == "mm":
@@ -157,7 +157,7 @@ def _motion(job: Job) -> Files:
             f"deg at the start, {np.rad2deg(sigma[-1, 6:9].max()):.3g} deg at the end; the JSON export has "
             "all covariances",
         ]
-    header = ccsds.Header(
+    header = ccsds.MessageHeader(
         object_name=options.object_name,
         object_id=options.object_id,
         center_name="INSPECTOR_START",
@@ -195,11 +195,11 @@ def _motion(job: Job) -> Files:
 
 def _json(job: Job) -> Files:
     options, summary = job.options, job.found.summary
-    last, ahead, undetermined = None, [], []
+    last, predicted, undetermined = None, [], []
     if job.found.has_motion:
         motion = job.motion(options.step_s)
         states = states_out(motion, job.poses(motion), ccsds.utc(motion.timestamps_ns, options.epoch_utc))
-        last, ahead, undetermined = states[0], states[1:], list(motion.undetermined)
+        last, predicted, undetermined = states[0], states[1:], list(motion.undetermined)
     else:
         job.leave_out(f"states and prediction are left out: {job.found.no_motion}")
     shape = job.shape()
@@ -215,7 +215,7 @@ def _json(job: Job) -> Files:
         frame_N=FRAME_N,
         frame=frame_out(job.at),
         last=last,
-        prediction=ahead,
+        prediction=predicted,
         undetermined=undetermined,
         mass_properties=MassPropertiesOut(
             moments=found.moments if found else None,

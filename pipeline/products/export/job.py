@@ -26,11 +26,11 @@ from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.planning.exports.records import (
+    ExportShape,
     Inertial,
-    Motion,
+    LastState,
     Placement,
-    Shape,
-    State,
+    PredictedMotion,
     poses_of,
     shape_of_surface,
 )
@@ -112,13 +112,13 @@ def _shares(folder: Path) -> tuple[float, ...]:
         return Mapping().levels
 
 
-def last_state(found: Found, at: Placement) -> State:
+def last_state(found: Found, at: Placement) -> LastState:
     """Of the run; needs ``found.has_motion``."""
     summary, table = found.summary, read_trajectory(found.folder)
     R_GP, com_G = np.array(summary.R_GP), np.array(summary.com_G)
     X_NF = poses_of(table.r_N[-1:], table.R_NP[-1:], R_GP, com_G, at)[0]
     w_N = table.R_NP[-1] @ table.w_P[-1]
-    return State(
+    return LastState(
         timestamp_ns=int(table.timestamps_ns[-1]),
         X_NF=X_NF,
         v_N=table.v_N[-1] + np.cross(w_N, X_NF[:3, 3] - table.r_N[-1]),
@@ -126,7 +126,7 @@ def last_state(found: Found, at: Placement) -> State:
     )
 
 
-def motion_ahead(folder: Path, horizon_s: float, step_s: float | None) -> tuple[Motion, str]:
+def motion_ahead(folder: Path, horizon_s: float, step_s: float | None) -> tuple[PredictedMotion, str]:
     """The last state and those after it, and why they have no covariances; empty: they have.
 
     Raises InputError when the run has no estimate.
@@ -136,7 +136,7 @@ def motion_ahead(folder: Path, horizon_s: float, step_s: float | None) -> tuple[
     except NoCovariance as error:
         return _bare_motion(folder, horizon_s, step_s), str(error)
     states = prediction.states
-    motion = Motion(
+    motion = PredictedMotion(
         timestamps_ns=prediction.timestamps_ns,
         r_N=states.r_N,
         v_N=states.v_N,
@@ -149,7 +149,7 @@ def motion_ahead(folder: Path, horizon_s: float, step_s: float | None) -> tuple[
     return motion, ""
 
 
-def _bare_motion(folder: Path, horizon_s: float, step_s: float | None) -> Motion:
+def _bare_motion(folder: Path, horizon_s: float, step_s: float | None) -> PredictedMotion:
     """The same motion from the summary and the last row of the trajectory."""
     summary, table = read_summary(folder), read_trajectory(folder)
     assert summary.inertia is not None
@@ -159,7 +159,7 @@ def _bare_motion(folder: Path, horizon_s: float, step_s: float | None) -> Motion
         time_s, table.r_N[-1], table.v_N[-1], table.R_NP[-1] @ R_GP.T, R_GP @ table.w_P[-1], J_G
     )
     nothing = np.full((len(time_s), 12, 12), np.inf)
-    return Motion(
+    return PredictedMotion(
         timestamps_ns=table.timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64),
         r_N=r_N,
         v_N=v_N,
@@ -200,7 +200,7 @@ class Job:
             f"frame: {self.at.words}",
         ]
 
-    def motion(self, step_s: float | None) -> Motion:
+    def motion(self, step_s: float | None) -> PredictedMotion:
         """See ``motion_ahead``. Raises InputError when the run has none."""
         if self.found.no_motion:
             raise InputError(f"{self.found.folder}: {self.found.no_motion}")
@@ -209,12 +209,12 @@ class Job:
             self.leave_out(f"covariances of the motion are left out: {why_bare}")
         return motion
 
-    def poses(self, motion: Motion) -> Array:
+    def poses(self, motion: PredictedMotion) -> Array:
         """X_NF (T, 4, 4)."""
         summary = self.found.summary
         return poses_of(motion.r_N, motion.R_NP, np.array(summary.R_GP), np.array(summary.com_G), self.at)
 
-    def shape(self, lightest: int = 0) -> Shape | None:
+    def shape(self, lightest: int = 0) -> ExportShape | None:
         """The mesh at the level that was asked for; else the lightest one up to ``lightest``."""
         found = at_level(self.found, self.options.level, lightest)
         return None if found.surface is None else shape_of_surface(found.surface, self.at)

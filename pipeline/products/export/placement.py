@@ -9,7 +9,7 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.pipeline.products.mesh_input import read_mesh
 from polhode.pipeline.run_directory.summary_schema import Summary
-from polhode.planning.exports.cad_alignment import Alignment, align_points, align_surfaces
+from polhode.planning.exports.cad_alignment import CadAlignment, align_points, align_surfaces
 from polhode.planning.exports.records import Placement, frame_cad, frame_G, frame_P
 from polhode.records import SurfaceModel
 
@@ -60,7 +60,7 @@ def placement(
 
 
 def _told(
-    found: Alignment, cad: Path | None, cad_points: Path | None, surface: SurfaceModel | None
+    found: CadAlignment, cad: Path | None, cad_points: Path | None, surface: SurfaceModel | None
 ) -> tuple[Placement, list[str]]:
     by = "surface on surface" if cad is not None else "corresponding points"
     file = cad if cad is not None else cad_points
@@ -81,7 +81,7 @@ def _told(
     return frame_cad(found.X_cadG, words), warnings
 
 
-def _from_points(file: Path, cad_m: float) -> Alignment:
+def _from_points(file: Path, cad_m: float) -> CadAlignment:
     if not file.is_file():
         raise InputError(f"{file}: no such file; --cad-points names a table of points")
     try:

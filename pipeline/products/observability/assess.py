@@ -8,9 +8,9 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.pipeline.products.observability.subject import Subject
 from polhode.planning.edges.metric.contributions import Contributions, contributions
-from polhode.planning.edges.metric.information import EdgeView, FeatureInformation, by_feature, look_along
-from polhode.planning.edges.selection.selection import Chosen, greedy, upper_bound
-from polhode.planning.edges.selection.smallest_set import Need, SmallestSet, smallest_set
+from polhode.planning.edges.metric.information import EdgeView, FeatureInformation, by_feature, views_along
+from polhode.planning.edges.selection.selection import EdgeSelection, greedy, upper_bound
+from polhode.planning.edges.selection.smallest_set import SigmaLimits, SmallestSet, smallest_set
 from polhode.progress import Progress
 
 MAX_VIEWS = 20
@@ -26,7 +26,7 @@ class Choice:
     views: int
     smallest: SmallestSet | None
     """with each sigma at most 10 % above that of all edges; None: not asked for, or no view tells anything"""
-    best: Chosen | None
+    best: EdgeSelection | None
     """of as many edges as asked for; None when that was not asked"""
     best_ratio: Array | None
     """(6,) its sigma over that of all edges; inf where it does not tell what all do, NaN where all do not"""
@@ -63,7 +63,7 @@ def assess(
         )
     views, C = [], []
     with progress.stage("looking at edges", len(subject.X_RG)) as advance:
-        for view in look_along(
+        for view in views_along(
             subject.model, subject.rig, subject.X_RG, subject.o_G, spacing_px, subject.sun_G
         ):
             views.append(view)
@@ -86,7 +86,7 @@ def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> 
     views = np.unique(np.linspace(0, count - 1, min(count, MAX_VIEWS)).round().astype(int))
     few = FeatureInformation(information.C[views], information.radius_m)
     try:
-        need = Need(few)
+        need = SigmaLimits(few)
     except InputError:
         return Choice(len(views), None, None, None, None)
     smallest = smallest_set(few) if fewest else None

@@ -14,8 +14,8 @@ from polhode.lie import Array
 from polhode.pipeline.products.observability import pictures
 from polhode.pipeline.products.observability.assess import Assessment, Choice
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
-from polhode.planning.edges.metric.pictures import Legend, painted
-from polhode.planning.edges.model.edge_model import Kind
+from polhode.planning.edges.metric.pictures import Legend, coloured_body
+from polhode.planning.edges.model.edge_model import EdgeKind
 
 SCHEMA = "polhode-observability/1"
 FILES = (
@@ -45,7 +45,7 @@ def write_assessment(found: Assessment, folder: Path) -> list[str]:
         files["views.png"] = pictures.draw_views(found)
         files["contributions.png"] = pictures.draw_contributions(found, best)
         overall = np.nan_to_num(shares).max(axis=1)
-        coloured, legend = painted(model, overall)
+        coloured, legend = coloured_body(model, overall)
         for suffix in "ply", "glb":
             content = coloured.export(file_type=suffix)
             assert isinstance(content, bytes)
@@ -117,7 +117,7 @@ def edge_table(found: Assessment) -> str:
     )
     smallest, best = found.choice.smallest, found.choice.best
     sets = [set() if each is None else set(each.features.tolist()) for each in (smallest, best)]
-    kinds = [Kind(kind).name.lower() for kind in model.kind] + ["outline"] * len(model.outlined)
+    kinds = [EdgeKind(kind).name.lower() for kind in model.kind] + ["outline"] * len(model.outlined)
     for k, kind in enumerate(kinds):
         if k >= len(model.ends_G) and not model.outlined[k - len(model.ends_G)]:
             continue

@@ -9,14 +9,14 @@ from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, make_pose
 from polhode.pipeline.products.mesh_input import read_mesh
-from polhode.pipeline.products.plan import ahead_of, surface_of
+from polhode.pipeline.products.plan import final_estimate, surface_of
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.planning.edges.model.edge_model import CREASE_DEG, EdgeModel, edge_model
 from polhode.planning.edges.model.measured_edges import measured_edge_model
-from polhode.planning.prediction.ensemble import nominal
+from polhode.planning.prediction.ensemble import nominal_motion
 from polhode.quaternion import matrix_from_wxyz
 
 
@@ -155,8 +155,8 @@ def _seen_from_N(run: Path, file: Path, poses: TimedPoses) -> tuple[Array, Array
         raise InputError(
             f"{file}: with --frame N times are seconds after the run's last pair; one is negative"
         )
-    ahead, _ = ahead_of(run)
-    motion = nominal(ahead, poses.time_s)
+    estimate, _ = final_estimate(run)
+    motion = nominal_motion(estimate, poses.time_s)
     return inverse_pose(poses.X_FR) @ make_pose(motion.R_NG, motion.p_NG), motion.R_NG
 
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.lie import Array
-from polhode.planning.edges.metric.information import FeatureInformation, told_covariance, variances
+from polhode.planning.edges.metric.information import FeatureInformation, observable_covariance, variances
 from polhode.records import Ints
 
 
@@ -50,7 +50,7 @@ def contributions(information: FeatureInformation) -> Contributions:
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(told, before, 0.0).sum(axis=0) / count
         part = np.zeros((C.shape[1], 6))
-        for k, P in enumerate(told_covariance(total, information.radius_m)):
+        for k, P in enumerate(observable_covariance(total, information.radius_m)):
             of_view = np.einsum("di,nij,dj->nd", P, C[k], P, optimize=True)
             part += np.where(told[k], of_view, 0.0)
         share = part / count / mean

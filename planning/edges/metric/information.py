@@ -1,6 +1,6 @@
 """Information of edges about the pose: per view along a trajectory, and per edge of the model.
 
-``look_along`` yields the metric of each view; ``feature_information`` keeps one matrix for each feature and
+``views_along`` yields the metric of each view; ``feature_information`` keeps one matrix for each feature and
 view, from which contributions and selections of edges are computed.
 """
 
@@ -12,7 +12,12 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
 from polhode.planning.edges.metric.edge_motion import edge_motion
-from polhode.planning.edges.metric.metric import UNSEEN_SHARE, UNSEEN_TURN, Observability, observability
+from polhode.planning.edges.metric.metric import (
+    UNOBSERVABLE_INFORMATION,
+    UNOBSERVABLE_SIGMA,
+    EdgeObservability,
+    observability,
+)
 from polhode.planning.edges.model.edge_contrast import in_sunlight
 from polhode.planning.edges.model.edge_model import EdgeModel
 from polhode.planning.edges.model.visible_edges import SPACING_PX, ControlPoints, clear_points, control_points
@@ -93,7 +98,7 @@ def variances(C: Array, radius_m: float) -> Array:
     return np.where(lost, np.inf, variance)
 
 
-def told_covariance(C: Array, radius_m: float) -> Array:
+def observable_covariance(C: Array, radius_m: float) -> Array:
     """(..., 6, 6) inverses of C (..., 6, 6) over the motions that it tells."""
     values, directions, seen = _spectrum(C, radius_m)
     told = np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)
@@ -109,7 +114,7 @@ def _scale(radius_m: float) -> Array:
 def _spectrum(C: Array, radius_m: float) -> tuple[Array, Array, Bools]:
     """Eigenvalues (..., 6) with shifts in radii, directions (..., 6, 6), and which count as seen."""
     values, directions = np.linalg.eigh(C * np.outer(_scale(radius_m), _scale(radius_m)))
-    seen = values > np.maximum(UNSEEN_SHARE * values[..., -1:], 1.0 / UNSEEN_TURN**2)
+    seen = values > np.maximum(UNOBSERVABLE_INFORMATION * values[..., -1:], 1.0 / UNOBSERVABLE_SIGMA**2)
     return values, directions, np.asarray(seen)
 
 
@@ -122,7 +127,7 @@ class EdgeView:
     points: ControlPoints
     f: Array
     """(m, 6) motion across the edges [px per m, px per rad]"""
-    found: Observability
+    found: EdgeObservability
     length_px: float
     """of all visible edges in the image"""
     o_G: Array
@@ -139,7 +144,7 @@ class EdgeView:
         return len(np.unique(self.points.feature))
 
 
-def look_along(
+def views_along(
     model: EdgeModel,
     rig: RectifiedRig,
     X_RG: Array,

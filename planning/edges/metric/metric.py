@@ -13,14 +13,14 @@ from polhode.lie import Array
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
 from polhode.records import Bools
 
-UNSEEN_SHARE = 1e-9
+UNOBSERVABLE_INFORMATION = 1e-9
 """A direction with less than this share of the largest information, shifts counted in radii, is not seen."""
-UNSEEN_TURN = 5.0
+UNOBSERVABLE_SIGMA = 5.0
 """Nor is one whose sigma, for noise of one pixel, exceeds this many radii or radians."""
 
 
 @dataclass(frozen=True)
-class Observability:
+class EdgeObservability:
     """What the edges of one view, or of several together, tell of the pose."""
 
     C: Array
@@ -96,14 +96,14 @@ class Observability:
         return "; ".join(_in_words(direction) for direction in self.unseen)
 
 
-def observability(f: Array, weight: Array, radius_m: float) -> Observability:
+def observability(f: Array, weight: Array, radius_m: float) -> EdgeObservability:
     """C = sum of w f f^T over f (m, 6), weights (m,)."""
-    return Observability((f * weight[:, None]).T @ f, radius_m, len(f))
+    return EdgeObservability((f * weight[:, None]).T @ f, radius_m, len(f))
 
 
 def _is_seen(values: Array) -> Bools:
     """(6,) of ascending information: true where it counts as seen."""
-    least = max(UNSEEN_SHARE * float(values[-1]), 1.0 / UNSEEN_TURN**2)
+    least = max(UNOBSERVABLE_INFORMATION * float(values[-1]), 1.0 / UNOBSERVABLE_SIGMA**2)
     return np.asarray(values > least)
 
 

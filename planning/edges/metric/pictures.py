@@ -37,7 +37,7 @@ class Legend:
     """(5, 3) of 0 to 255"""
 
 
-def coloured(values: Array, highest: float | None = None) -> tuple[Array, Legend]:
+def colours_of(values: Array, highest: float | None = None) -> tuple[Array, Legend]:
     """Colours (n, 3) of 0 to 255 for values (n,) from 0 to the highest, and their legend.
 
     Infinite values have the highest colour, NaN the lowest.
@@ -49,9 +49,11 @@ def coloured(values: Array, highest: float | None = None) -> tuple[Array, Legend
     return _rgb(shown), Legend(steps, _rgb(steps / top))
 
 
-def painted(model: EdgeModel, values: Array, highest: float | None = None) -> tuple[trimesh.Trimesh, Legend]:
+def coloured_body(
+    model: EdgeModel, values: Array, highest: float | None = None
+) -> tuple[trimesh.Trimesh, Legend]:
     """The body in grey, its edges as tubes and its smooth parts in the colours of values (size,)."""
-    rgb, legend = coloured(values, highest)
+    rgb, legend = colours_of(values, highest)
     segments = len(model.ends_G)
     body = model.surface.copy()
     of_parts = np.vstack([rgb[segments:], BODY_RGB])[model.part]

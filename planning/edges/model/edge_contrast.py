@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from polhode.lie import Array
-from polhode.planning.edges.model.edge_model import EdgeModel, Kind
+from polhode.planning.edges.model.edge_model import EdgeKind, EdgeModel
 from polhode.planning.edges.model.visible_edges import ControlPoints
 
 HALF_CONTRAST = 0.1
 """Contrast at which noise of the image and the floor (blur, model) displace an edge by equal parts."""
-LEAST_WEIGHT = 0.01
+MIN_WEIGHT = 0.01
 """Points that would count less are left out."""
 
 
@@ -28,7 +28,7 @@ def contrast(model: EdgeModel, points: ControlPoints, eye_G: Array, sun_G: Array
     segments = len(model.ends_G)
     rim = np.zeros(len(points), dtype=bool)
     on_segment = points.feature < segments
-    rim[on_segment] = model.kind[points.feature[on_segment]] == Kind.BOUNDARY
+    rim[on_segment] = model.kind[points.feature[on_segment]] == EdgeKind.BOUNDARY
     facing = np.einsum("msk,mk->ms", points.sides_G, eye_G - points.p_G)
     # an open sheet is seen from behind, too
     normals = np.where((rim[:, None] & (facing < 0.0))[..., None], -points.sides_G, points.sides_G)
@@ -58,4 +58,4 @@ def in_sunlight(
 ) -> ControlPoints:
     """The points that have contrast, their weights multiplied by what the contrast leaves of them."""
     share = contrast_weight(contrast(model, points, eye_G, sun_G), half)
-    return replace(points, weight=points.weight * share)[share >= LEAST_WEIGHT]
+    return replace(points, weight=points.weight * share)[share >= MIN_WEIGHT]

@@ -25,11 +25,11 @@ FLAT_DEG = 0.5
 """A part whose normals lean less from their mean is flat."""
 TOLERANCE = 5e-4
 """Edges are straight to this share of the body's diameter."""
-LEAST_LENGTH = 0.01
+MIN_LENGTH = 0.01
 """Shorter edges, as a share of the body's diameter, are left out; an arc counts as a whole."""
 
 
-class Kind(IntEnum):
+class EdgeKind(IntEnum):
     """What makes an edge."""
 
     CREASE = 0
@@ -112,7 +112,7 @@ def edge_model(
     mesh: trimesh.Trimesh,
     crease_deg: float = CREASE_DEG,
     tolerance_m: float | None = None,
-    least_length_m: float | None = None,
+    min_length_m: float | None = None,
     flat_deg: float = FLAT_DEG,
     faceted: bool = False,
 ) -> EdgeModel:
@@ -136,10 +136,10 @@ def edge_model(
         surface.invert()
     diameter = float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
     tolerance_m = TOLERANCE * diameter if tolerance_m is None else tolerance_m
-    least_length_m = LEAST_LENGTH * diameter if least_length_m is None else least_length_m
+    min_length_m = MIN_LENGTH * diameter if min_length_m is None else min_length_m
     edges, sides, kind, soft = _sharp_edges(surface, crease_deg)
     part = _smooth_parts(len(surface.faces), soft[:, 2:])
-    ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m, least_length_m)
+    ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m, min_length_m)
     corners = _corner_normals(surface, part)
     curved = _is_curved(surface, corners, part, flat_deg)
     return EdgeModel(
@@ -177,7 +177,7 @@ def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Arr
     sharp = crease | rim
     soft = ~sharp
     sides = np.stack([n[first], n[second]], axis=1)
-    kind = np.where(rim, Kind.BOUNDARY, Kind.CREASE)
+    kind = np.where(rim, EdgeKind.BOUNDARY, EdgeKind.CREASE)
     others = np.column_stack([unique[soft], first[soft], second[soft]])
     return unique[sharp], sides[sharp], kind[sharp], others
 
@@ -223,17 +223,17 @@ def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints, flat_deg: f
 
 
 def _segments(
-    surface: trimesh.Trimesh, edges: Ints, sides: Array, kind: Ints, tolerance_m: float, least_length_m: float
+    surface: trimesh.Trimesh, edges: Ints, sides: Array, kind: Ints, tolerance_m: float, min_length_m: float
 ) -> tuple[Array, Array, Array, Ints]:
     """Chains of sharp edges, cut into straight pieces: ends, tangents, sides (n, 2, 3), kinds (n,)."""
     vertices = np.asarray(surface.vertices)
     ends, tangents, normals, kinds = [], [], [], []
-    for which in Kind.CREASE, Kind.BOUNDARY:
+    for which in EdgeKind.CREASE, EdgeKind.BOUNDARY:
         own = np.flatnonzero(kind == which)
         for chain, members in chains_of(edges[own]):
             pieces = straight_pieces(vertices[chain], tolerance_m)
             knots = vertices[chain[[0, *(b for _, b in pieces)]]]
-            if np.linalg.norm(np.diff(knots, axis=0), axis=1).sum() < least_length_m:
+            if np.linalg.norm(np.diff(knots, axis=0), axis=1).sum() < min_length_m:
                 continue
             tangents.append(tangents_along(knots))
             for a, b in pieces:

@@ -21,7 +21,7 @@ KEPT_SHARE = 0.95
 """So much of both surfaces is within the tolerance of the other."""
 MEASURED_TOLERANCE = 2e-3
 """Least tolerance for a measured mesh, as a share of its diameter."""
-MEASURED_LEAST_LENGTH = 0.025
+MEASURED_MIN_LENGTH = 0.025
 """Shorter edges of a measured mesh are noise, as a share of its diameter."""
 MEASURED_FLAT_DEG = 20.0
 """The normals of a measured plane lean by less from their mean."""
@@ -37,7 +37,7 @@ def measured_edge_model(mesh: trimesh.Trimesh, sigma_m: Array) -> EdgeModel:
     return edge_model(
         simplified(mesh, tolerance_m),
         tolerance_m=tolerance_m,
-        least_length_m=MEASURED_LEAST_LENGTH * diameter,
+        min_length_m=MEASURED_MIN_LENGTH * diameter,
         flat_deg=MEASURED_FLAT_DEG,
         faceted=True,
     )

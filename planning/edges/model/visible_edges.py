@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.planning.edges.model.edge_model import EdgeModel, Kind
+from polhode.planning.edges.model.edge_model import EdgeKind, EdgeModel
 from polhode.planning.edges.model.outlines import outlines
 from polhode.records import Bools, Ints
 
@@ -57,10 +57,10 @@ def control_points(
     near_m = _NEAR * model.radius_m
     segments = _on_segments(model, rig, X_RG, spacing_px, near_m)
     turned_away = _on_outlines(model, rig, X_RG, spacing_px, near_m)
-    return seen_once(_join(segments, turned_away), spacing_px)
+    return without_duplicates(_join(segments, turned_away), spacing_px)
 
 
-def seen_once(points: ControlPoints, spacing_px: float) -> ControlPoints:
+def without_duplicates(points: ControlPoints, spacing_px: float) -> ControlPoints:
     """The points without those whose edge another, longer in this view, covers: an image has it once."""
     if len(points) < 2:
         return points
@@ -97,7 +97,7 @@ def _on_segments(
     # A chord lies inside the arc that it stands for.
     outward = points.sides_G.sum(axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
-    lift = np.where(model.kind[points.feature] == Kind.BOUNDARY, 0.0, 1.5 * model.tolerance_m)
+    lift = np.where(model.kind[points.feature] == EdgeKind.BOUNDARY, 0.0, 1.5 * model.tolerance_m)
     return _in_sight(points, model, X_RG, lift[:, None] * outward)
 
 
@@ -215,11 +215,11 @@ def clear_points(
 ) -> ControlPoints:
     """Control points of a view, less those that the image cannot tell from others."""
     points = control_points(model, rig, X_RG, spacing_px)
-    points = points[~beside_face_edge_on(points, model, X_RG)]
-    return points[stands_clear(points, separation_px)]
+    points = points[~beside_edge_on_face(points, model, X_RG)]
+    return points[is_separated(points, separation_px)]
 
 
-def beside_face_edge_on(points: ControlPoints, model: EdgeModel, X_RG: Array) -> Bools:
+def beside_edge_on_face(points: ControlPoints, model: EdgeModel, X_RG: Array) -> Bools:
     """(m,) of the points on segments: whether a face beside it is seen edge-on."""
     ray = points.p_G - inverse_pose(X_RG)[:3, 3]
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
@@ -227,12 +227,12 @@ def beside_face_edge_on(points: ControlPoints, model: EdgeModel, X_RG: Array) ->
     return np.asarray((points.feature < len(model.ends_G)) & (sine < EDGE_ON))
 
 
-def stands_clear(points: ControlPoints, least_px: float) -> Bools:
-    """(m,) false where one of another edge is nearer than ``least_px``, beside this one, not along it."""
+def is_separated(points: ControlPoints, min_px: float) -> Bools:
+    """(m,) false where one of another edge is nearer than ``min_px``, beside this one, not along it."""
     clear = np.ones(len(points), dtype=bool)
     if len(points) == 0:
         return clear
-    pairs = cKDTree(points.uv_px).query_pairs(least_px, output_type="ndarray")
+    pairs = cKDTree(points.uv_px).query_pairs(min_px, output_type="ndarray")
     pairs = pairs[points.feature[pairs[:, 0]] != points.feature[pairs[:, 1]]]
     apart = points.uv_px[pairs[:, 0]] - points.uv_px[pairs[:, 1]]
     for one in pairs.T:

@@ -40,7 +40,7 @@ OUTLINE_VIEWS = 30
 
 
 @dataclass(frozen=True)
-class Chosen:
+class EdgeSelection:
     """A set of features."""
 
     features: Ints
@@ -63,7 +63,7 @@ def value_of_set(scaled: Array, features: Ints, value: Value) -> float:
     return float(value_of(np.eye(6) + scaled[:, features].sum(axis=1), value))
 
 
-def greedy(scaled: Array, budget: float, value: Value, cost: Array | None = None) -> Chosen:
+def greedy(scaled: Array, budget: float, value: Value, cost: Array | None = None) -> EdgeSelection:
     """A set of features of scaled information (T, n, 6, 6) whose cost is within the budget.
 
     ``cost`` (n,) is 1 for each feature unless given, as in `edge_lengths`. Ties go to the lower number.
@@ -88,7 +88,9 @@ def check(price: Array, budget: float) -> None:
         raise InputError(f"a budget of {budget:g} has room for no edge")
 
 
-def _greedy(scaled: Array, budget: float, value: Value, price: Array, tells: Bools, divisor: Array) -> Chosen:
+def _greedy(
+    scaled: Array, budget: float, value: Value, price: Array, tells: Bools, divisor: Array
+) -> EdgeSelection:
     """Add what adds most, over the divisor, of what still fits."""
     M = np.tile(np.eye(6), (len(scaled), 1, 1))
     chosen: list[int] = []
@@ -122,10 +124,12 @@ def _greedy(scaled: Array, budget: float, value: Value, price: Array, tells: Boo
         left -= float(price[i])
         now = float(value_of(M, value))
     features = np.array(chosen, dtype=np.int64)
-    return Chosen(features, now, float(price[features].sum()), evaluations)
+    return EdgeSelection(features, now, float(price[features].sum()), evaluations)
 
 
-def exchanged(scaled: Array, start: Chosen, budget: float, value: Value, cost: Array | None = None) -> Chosen:
+def improved_by_exchange(
+    scaled: Array, start: EdgeSelection, budget: float, value: Value, cost: Array | None = None
+) -> EdgeSelection:
     """The choice after exchanges of one chosen feature for another, the best one first, while they help.
 
     Fedorov, Theory of Optimal Experiments, 1972. Never worse than the start.
@@ -154,7 +158,7 @@ def exchanged(scaled: Array, start: Chosen, budget: float, value: Value, cost: A
         chosen[place] = joining
     features = np.array(chosen, dtype=np.int64)
     value_now = value_of_set(scaled, features, value)
-    return Chosen(features, value_now, float(price[features].sum()), evaluations)
+    return EdgeSelection(features, value_now, float(price[features].sum()), evaluations)
 
 
 def edge_lengths(model: EdgeModel) -> Array:
@@ -175,13 +179,13 @@ def edge_lengths(model: EdgeModel) -> Array:
 
 STEPS = 60
 BRANCH_STEPS = 12
-MOST_BRANCHES = 20_000
+MAX_BRANCHES = 20_000
 CLOSE = 1e-9
 HALVINGS = 8
 
 
 @dataclass(frozen=True)
-class _Case:
+class _PartialSelection:
     """A choice, some of it made."""
 
     taken: Bools
@@ -197,35 +201,35 @@ def upper_bound(
     n = scaled.shape[1]
     price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
     check(price, budget)
-    case = _Case(np.zeros(n, dtype=bool), np.ones(n, dtype=bool))
+    case = _PartialSelection(np.zeros(n, dtype=bool), np.ones(n, dtype=bool))
     return _bound(scaled, budget, value, price, case, steps)[0]
 
 
-def best_choice(scaled: Array, budget: float, value: Value, cost: Array | None = None) -> Chosen:
+def best_selection(scaled: Array, budget: float, value: Value, cost: Array | None = None) -> EdgeSelection:
     """The set of the largest value within the budget. For tens of features.
 
     Raises InputError where it would take too long, or when no feature fits.
     """
     n = scaled.shape[1]
     price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
-    best = exchanged(scaled, greedy(scaled, budget, value, price), budget, value, price)
+    best = improved_by_exchange(scaled, greedy(scaled, budget, value, price), budget, value, price)
     tells = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
-    stack = [_Case(np.zeros(n, dtype=bool), tells)]
+    stack = [_PartialSelection(np.zeros(n, dtype=bool), tells)]
     branches = 0
     while stack:
         case = stack.pop()
         left = budget - price[case.taken].sum()
-        case = _Case(case.taken, case.open_ & (price <= left + 1e-12 * budget))
+        case = _PartialSelection(case.taken, case.open_ & (price <= left + 1e-12 * budget))
         of_taken = float(value_of(np.eye(6) + scaled[:, case.taken].sum(axis=1), value))
         if of_taken > best.value:
             features = np.flatnonzero(case.taken)
-            best = Chosen(features, of_taken, float(price[features].sum()), branches)
+            best = EdgeSelection(features, of_taken, float(price[features].sum()), branches)
         if not case.open_.any():
             continue
         branches += 1
-        if branches > MOST_BRANCHES:
+        if branches > MAX_BRANCHES:
             raise InputError(
-                f"the best of {n} edges was not found in {MOST_BRANCHES} branches; take the greedy choice"
+                f"the best of {n} edges was not found in {MAX_BRANCHES} branches; take the greedy choice"
             )
         bound, shares = _bound(scaled, budget, value, price, case, BRANCH_STEPS, stop_below=best.value)
         if bound <= best.value + CLOSE:
@@ -234,8 +238,8 @@ def best_choice(scaled: Array, budget: float, value: Value, cost: Array | None =
         i = int(np.argmin(undecided))
         without, with_it = case.open_.copy(), case.taken.copy()
         without[i], with_it[i] = False, True
-        stack += [_Case(case.taken, without), _Case(with_it, without)]
-    return Chosen(best.features, best.value, best.cost, branches)
+        stack += [_PartialSelection(case.taken, without), _PartialSelection(with_it, without)]
+    return EdgeSelection(best.features, best.value, best.cost, branches)
 
 
 def _bound(
@@ -243,7 +247,7 @@ def _bound(
     budget: float,
     value: Value,
     price: Array,
-    case: _Case,
+    case: _PartialSelection,
     steps: int,
     stop_below: float = -np.inf,
 ) -> tuple[float, Array]:
@@ -273,7 +277,7 @@ def _slope(scaled: Array, M: Array, value: Value) -> Array:
     return np.asarray(np.einsum("tij,tnji->n", inverse, scaled, optimize=True) / len(M))
 
 
-def _knapsack(slope: Array, price: Array, left: float, case: _Case) -> Array:
+def _knapsack(slope: Array, price: Array, left: float, case: _PartialSelection) -> Array:
     """Shares (n,) of the largest sum of slopes: the dearest first, the last one in part."""
     w = np.where(case.taken, 1.0, 0.0)
     members = np.flatnonzero(case.open_)

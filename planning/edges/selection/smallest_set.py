@@ -23,9 +23,9 @@ from polhode.records import Bools, Ints
 
 FACTOR = 1.1
 """Of sigma."""
-MOST_SETS = 2_000_000
+MAX_SETS = 2_000_000
 AT_ONCE = 20_000
-MOST_EXCHANGES = 400_000
+MAX_EXCHANGES = 400_000
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class SmallestSet:
     """no smaller number of features does"""
 
 
-class Need:
+class SigmaLimits:
     """What is asked of a set."""
 
     def __init__(self, information: FeatureInformation, factor: float = FACTOR) -> None:
@@ -82,22 +82,22 @@ class Need:
 
 def smallest_set(information: FeatureInformation, factor: float = FACTOR) -> SmallestSet:
     """A small set within the factor, and how small it could be."""
-    need = Need(information, factor)
+    need = SigmaLimits(information, factor)
     first = _thinned(need, _grown(need))
     second = _thinned(need, need.candidates.tolist())
     best = _exchanged(need, min((second, first), key=len))
     features = np.array(sorted(best), dtype=np.int64)
-    return SmallestSet(features, need.ratio(need.of(features)), least_number(need))
+    return SmallestSet(features, need.ratio(need.of(features)), min_number(need))
 
 
 def exact_smallest_set(information: FeatureInformation, factor: float = FACTOR) -> SmallestSet:
     """By trying all sets from the lower bound up. Raises InputError where these are too many."""
-    need = Need(information, factor)
+    need = SigmaLimits(information, factor)
     n, tried = len(need.candidates), 0
-    for size in range(least_number(need), n + 1):
+    for size in range(min_number(need), n + 1):
         tried += comb(n, size)
-        if tried > MOST_SETS:
-            raise InputError(f"{n} edges have more than {MOST_SETS} sets to try; take `smallest_set`")
+        if tried > MAX_SETS:
+            raise InputError(f"{n} edges have more than {MAX_SETS} sets to try; take `smallest_set`")
         sets = combinations(need.candidates.tolist(), size)
         while some := list(islice(sets, AT_ONCE)):
             which = np.array(some)
@@ -111,7 +111,7 @@ def exact_smallest_set(information: FeatureInformation, factor: float = FACTOR) 
     raise AssertionError("all features together are within any factor of themselves")
 
 
-def least_number(need: Need) -> int:
+def min_number(need: SigmaLimits) -> int:
     """Lower bound of the number of features: the least sum of shares, by its dual, rounded up."""
     C, n = need.C[:, need.candidates], len(need.candidates)
     limit = need.factor**2
@@ -147,7 +147,7 @@ def least_number(need: Need) -> int:
     return max(1, int(np.ceil(bound - 1e-6)))
 
 
-def _grown(need: Need) -> list[int]:
+def _grown(need: SigmaLimits) -> list[int]:
     """From none, until all limits are kept."""
     chosen: list[int] = []
     total = np.zeros_like(need.C[:, 0])
@@ -160,7 +160,7 @@ def _grown(need: Need) -> list[int]:
     return chosen
 
 
-def _thinned(need: Need, chosen: list[int]) -> list[int]:
+def _thinned(need: SigmaLimits, chosen: list[int]) -> list[int]:
     """Take out the least needed one while the limits are kept."""
     chosen = list(chosen)
     total = need.of(chosen)
@@ -176,12 +176,12 @@ def _thinned(need: Need, chosen: list[int]) -> list[int]:
     return chosen
 
 
-def _exchanged(need: Need, chosen: list[int]) -> list[int]:
+def _exchanged(need: SigmaLimits, chosen: list[int]) -> list[int]:
     """Two for one, while there is such an exchange and not too many to try."""
     while True:
         free = np.setdiff1d(need.candidates, chosen)
         pairs = np.array(list(combinations(range(len(chosen)), 2)))
-        if len(free) == 0 or len(pairs) == 0 or len(pairs) * len(free) > MOST_EXCHANGES:
+        if len(free) == 0 or len(pairs) == 0 or len(pairs) * len(free) > MAX_EXCHANGES:
             return chosen
         total = need.of(chosen)
         members = np.swapaxes(need.C[:, chosen], 0, 1)

@@ -12,10 +12,10 @@ from benchmarks.navigation.error_state_filter import (
     State,
     Target,
     measurement_jacobian,
+    observable_directions,
     predict,
     predicted_pose,
-    told_directions,
-    turn_freely,
+    propagate_rotation,
     update,
 )
 from benchmarks.navigation.pose_weights import (
@@ -97,7 +97,7 @@ def test_derivative_of_the_motion() -> None:
         return end.error(predict(STATE.plus(error), QUIET, 2.0, push))
 
     F = -difference(later, 1e-3)
-    assert np.abs(F[6:, 6:] - turn_freely(TARGET.moments, STATE.w_P, 2.0, 0.0)[2]).max() < 1e-6
+    assert np.abs(F[6:, 6:] - propagate_rotation(TARGET.moments, STATE.w_P, 2.0, 0.0)[2]).max() < 1e-6
     assert np.abs(F @ P0 @ F.T - end.covariance).max() < 1e-6
     assert np.abs(F[6:, :6]).max() < 1e-9 and np.abs(F[6:9, 9:]).max() > 1.5
 
@@ -211,7 +211,7 @@ def test_what_is_not_told_stays_as_it_was() -> None:
 
 def test_told_directions_hold_the_information() -> None:
     info = information(np.random.default_rng(7))
-    D, variance = told_directions(info, 0.5)
+    D, variance = observable_directions(info, 0.5)
     assert np.allclose(D.T / variance @ D, info, rtol=1e-9, atol=1e-6)
 
 

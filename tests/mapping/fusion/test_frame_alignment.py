@@ -11,9 +11,9 @@ from polhode.config.mapping import Mapping
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.mapping.fusion.depth_frame import frame_tensors
 from polhode.mapping.fusion.field import Field
-from polhode.mapping.fusion.frame_alignment import Alignment, DepthPoints, align, depth_points, distances
+from polhode.mapping.fusion.frame_alignment import DepthPoints, FrameAlignment, align, depth_points, distances
 from polhode.mapping.fusion.fuse import fuse
-from polhode.mapping.fusion.interpolation import FieldLookup, Samples
+from polhode.mapping.fusion.interpolation import FieldLookup, FieldSamples
 from polhode.mesh_metrics import distance_to_surface
 from polhode.records import DepthMap
 from tests.mapping.analytic_depth import DISTANCE_M, FINE_RIG, depth_of, views_of
@@ -46,7 +46,7 @@ def surface_of(mesh: trimesh.Trimesh) -> FieldLookup:
     return field.lookup()
 
 
-def aligned(depth: DepthMap, X_RG: Array, surface: FieldLookup, prior: Array = PRIOR) -> Alignment:
+def aligned(depth: DepthMap, X_RG: Array, surface: FieldLookup, prior: Array = PRIOR) -> FrameAlignment:
     tensors = frame_tensors(depth, FINE_RIG, torch.device("cpu"))
     assert tensors is not None
     return align(depth_points(tensors, X_RG, FINE_RIG), prior, surface, SHARE)
@@ -66,11 +66,11 @@ def off(X_RG: Array, truth_RG: Array) -> Array:
     return np.concatenate([D[:3, 3], log_so3(D[:3, :3])])
 
 
-def sphere_at(p_G: Array) -> Samples:
+def sphere_at(p_G: Array) -> FieldSamples:
     """Distances from a ball that is not round the origin, as a field tells them."""
     away = p_G - np.array([0.02, -0.01, 0.03])
     length = np.linalg.norm(away, axis=1)
-    return Samples(length - 0.05, away / length[:, None], np.full(len(p_G), 1e-6))
+    return FieldSamples(length - 0.05, away / length[:, None], np.full(len(p_G), 1e-6))
 
 
 def test_the_derivative_is_that_of_the_distance() -> None:
@@ -148,9 +148,9 @@ def test_a_balls_turn_stays_at_the_prior() -> None:
 def test_sliding_on_a_plane_stays_at_the_prior() -> None:
     rng = np.random.default_rng(0)
 
-    def plane(p_G: Array) -> Samples:
+    def plane(p_G: Array) -> FieldSamples:
         normal = np.tile([0.0, 0.0, 1.0], (len(p_G), 1))
-        return Samples(p_G[:, 2].copy(), normal, np.full(len(p_G), 1e-8))
+        return FieldSamples(p_G[:, 2].copy(), normal, np.full(len(p_G), 1e-8))
 
     p_G = np.column_stack([rng.uniform(-0.1, 0.1, (2000, 2)), rng.normal(2e-3, 1e-3, 2000)])
     found = align(DepthPoints(p_G, np.full(2000, 1e-6), 0.1), PRIOR, plane, SHARE)

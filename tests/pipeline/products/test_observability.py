@@ -178,8 +178,8 @@ def test_a_run_by_its_own_places_and_by_planned_ones(
     # At the last pair the prediction is the estimate: the camera of that pair, in N.
     last = trajectory(tmp_path / "last.txt", example.tracks.X_NR[-1:])
     assert main(["observability", str(run), "--trajectory", str(last), "--frame", "N", "-o", str(out)]) == 0
-    ahead = json.loads((out / "observability.json").read_text())["poses"]
-    assert ahead[0]["sigma"] == pytest.approx(found["poses"][-1]["sigma"], rel=1e-6)
+    forecast = json.loads((out / "observability.json").read_text())["poses"]
+    assert forecast[0]["sigma"] == pytest.approx(found["poses"][-1]["sigma"], rel=1e-6)
     assert "measured" in capsys.readouterr().out
 
 

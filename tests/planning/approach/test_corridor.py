@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from polhode.planning.approach.corridor import corridor
-from polhode.planning.approach.surface_speed import gentlest, surface_speed, velocity
-from polhode.planning.prediction.ensemble import nominal
-from tests.planning.bodies import ahead
+from polhode.planning.approach.surface_speed import slowest_points, surface_speed, velocity
+from polhode.planning.prediction.ensemble import nominal_motion
+from tests.planning.bodies import estimate
 
 SPIN = 0.4
 TIMES = np.linspace(0.0, 12.0, 481)
 
 
 def test_a_pure_spin_needs_the_centripetal_acceleration_alone() -> None:
-    motion = nominal(ahead((0.0, 0.0, SPIN), (0.01, 0.0, 0.0)), TIMES)
+    motion = nominal_motion(estimate((0.0, 0.0, SPIN), (0.01, 0.0, 0.0)), TIMES)
     found = corridor(motion, np.array([0.1, 0.0, 0.05]), np.array([2.0, 0.0, 0.0]), 0.5, np.deg2rad(10.0))
     size = np.linalg.norm(found.acceleration_N, axis=1)
     np.testing.assert_allclose(size, SPIN**2 * 0.6, rtol=1e-7)
@@ -30,7 +30,7 @@ def test_a_pure_spin_needs_the_centripetal_acceleration_alone() -> None:
 
 
 def test_a_tumble_needs_what_differences_of_the_place_say() -> None:
-    motion = nominal(ahead((0.1, 0.5, 0.3), (0.01, 0.0, 0.0), com_G=(0.02, 0.01, 0.0)), TIMES)
+    motion = nominal_motion(estimate((0.1, 0.5, 0.3), (0.01, 0.0, 0.0), com_G=(0.02, 0.01, 0.0)), TIMES)
     found = corridor(motion, np.array([0.1, 0.0, 0.05]), np.array([1.0, 1.0, 0.0]), 0.3, 0.2)
     dt = TIMES[1]
     second = (found.place_N[2:] - 2.0 * found.place_N[1:-1] + found.place_N[:-2]) / dt**2
@@ -43,27 +43,27 @@ def test_a_tumble_needs_what_differences_of_the_place_say() -> None:
 
 
 def test_speeds_of_a_pure_spin_grow_with_the_distance_from_the_axis() -> None:
-    target = ahead((0.0, 0.0, SPIN), com_G=(0.02, 0.0, 0.0))
+    target = estimate((0.0, 0.0, SPIN), com_G=(0.02, 0.0, 0.0))
     p = np.array([[0.02, 0.0, 0.3], [0.12, 0.0, 0.0], [0.02, 0.2, -0.1]])
     normal = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-    motion = nominal(target, TIMES)
+    motion = nominal_motion(target, TIMES)
     found = surface_speed(motion, p, normal, target.last.covariance)
     expected = SPIN * np.array([0.0, 0.1, 0.2])
     for speed in (found.now_m_s, found.mean_m_s, found.largest_m_s):
         np.testing.assert_allclose(speed, expected, atol=1e-9)
     # w x lever: +y at +x, -x at +y
     np.testing.assert_allclose(found.normal_m_s, [0.0, SPIN * 0.1, -SPIN * 0.2], atol=1e-9)
-    assert gentlest(found.now_m_s, p, 0.05, 2) == [0, 1]
-    assert gentlest(found.now_m_s, p, 0.32, 3) == [0, 2]
+    assert slowest_points(found.now_m_s, p, 0.05, 2) == [0, 1]
+    assert slowest_points(found.now_m_s, p, 0.32, 3) == [0, 2]
     # an inspector that moves along with a point sees it at rest
     own = velocity(motion, 0, p[1:2])[0]
     assert surface_speed(motion, p, normal, target.last.covariance, own).now_m_s[1] == pytest.approx(0.0)
 
 
 def test_the_sigma_of_a_speed_is_what_draws_scatter() -> None:
-    target = ahead((0.1, 0.5, 0.3), (0.01, 0.0, 0.0), com_G=(0.02, 0.01, 0.0))
+    target = estimate((0.1, 0.5, 0.3), (0.01, 0.0, 0.0), com_G=(0.02, 0.01, 0.0))
     p, last = np.array([[0.15, 0.05, -0.1]]), target.last
-    found = surface_speed(nominal(target, TIMES), p, np.array([[1.0, 0.0, 0.0]]), last.covariance)
+    found = surface_speed(nominal_motion(target, TIMES), p, np.array([[1.0, 0.0, 0.0]]), last.covariance)
     d = np.random.default_rng(1).multivariate_normal(np.zeros(20), last.covariance, 20_000)
     u = (last.v_N + d[:, 3:6]) @ last.R_NG + np.cross(last.w_G + d[:, 9:12], p - target.com_G - d[:, 17:20])
     assert np.linalg.norm(u, axis=1).std() == pytest.approx(found.sigma_m_s[0], rel=0.03)

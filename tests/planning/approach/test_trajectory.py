@@ -3,27 +3,29 @@
 import numpy as np
 import pytest
 
-from polhode.planning.approach.trajectory import Task, hull_points, least_gap, plan_way
-from polhode.planning.keep_out.volumes import Wanted, keep_out
-from tests.planning.bodies import ahead, ball, box
+from polhode.planning.approach.trajectory import ApproachTask, hull_points, min_distance, plan_trajectory
+from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
+from tests.planning.bodies import ball, box, estimate
 
 
-def task(**changed: object) -> Task:
+def task(**changed: object) -> ApproachTask:
     values: dict[str, object] = {
         "start_N": np.array([0.1, 0.0, 0.1]), "goal_N": np.array([0.1, 0.0, 1.1]),
         "via_N": np.array([0.5, 0.0, 0.6]), "duration_s": 20.0, "steps": 12, "radius_m": 0.05,
-        "clearance_m": 0.02, "most_accel_m_s2": 0.05,
+        "clearance_m": 0.02, "max_accel_m_s2": 0.05,
     }  # fmt: skip
-    return Task(**(values | changed))  # type: ignore[arg-type]
+    return ApproachTask(**(values | changed))  # type: ignore[arg-type]
 
 
 def test_the_way_keeps_its_clearance_at_every_instant() -> None:
-    volume = keep_out(box(), ahead((0.0, 0.4, 0.1)), Wanted(20.0, 0.97, members=120, cells=32)).instant
-    way = plan_way(volume, task())
-    np.testing.assert_allclose(way.p_N[[0, -1]], [[0.1, 0.0, 0.1], [0.1, 0.0, 1.1]], atol=1e-6)
-    np.testing.assert_allclose(way.v_N[[0, -1]], 0.0, atol=1e-6)
-    p, v, _ = way.at(volume.motion.time_s)
-    gap = least_gap(volume, way)
+    volume = keep_out(
+        box(), estimate((0.0, 0.4, 0.1)), KeepOutOptions(20.0, 0.97, members=120, cells=32)
+    ).instant
+    trajectory = plan_trajectory(volume, task())
+    np.testing.assert_allclose(trajectory.p_N[[0, -1]], [[0.1, 0.0, 0.1], [0.1, 0.0, 1.1]], atol=1e-6)
+    np.testing.assert_allclose(trajectory.v_N[[0, -1]], 0.0, atol=1e-6)
+    p, v, _ = trajectory.at(volume.motion.time_s)
+    gap = min_distance(volume, trajectory)
     assert 0.07 <= gap < 0.10
     # not a wide detour either: the straight way would go through the middle
     assert np.linalg.norm(p - [0.1, 0.0, 0.6], axis=1).min() < 0.4
@@ -31,9 +33,11 @@ def test_the_way_keeps_its_clearance_at_every_instant() -> None:
 
 
 def test_without_thrust_there_is_no_way() -> None:
-    volume = keep_out(ball(), ahead((0.0, 0.4, 0.1)), Wanted(20.0, 0.97, members=120, cells=32)).instant
+    volume = keep_out(
+        ball(), estimate((0.0, 0.4, 0.1)), KeepOutOptions(20.0, 0.97, members=120, cells=32)
+    ).instant
     with pytest.raises(ValueError, match="no way was found"):
-        plan_way(volume, task(most_accel_m_s2=1e-4))
+        plan_trajectory(volume, task(max_accel_m_s2=1e-4))
 
 
 def test_few_points_tell_how_much_of_the_hull_they_miss() -> None:

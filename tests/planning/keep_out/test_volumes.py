@@ -7,16 +7,16 @@ import pytest
 import trimesh
 
 from polhode.lie import Array
-from polhode.planning.keep_out.measured_body import continuous_sigma, grow
-from polhode.planning.keep_out.volumes import Wanted, conformal, keep_out
-from polhode.planning.prediction.ensemble import draw_members, nominal
+from polhode.planning.keep_out.measured_body import continuous_sigma, grown_body
+from polhode.planning.keep_out.volumes import KeepOutOptions, conformal, keep_out
+from polhode.planning.prediction.ensemble import draw_ensemble, nominal_motion
 from polhode.records import SurfaceModel
-from tests.planning.bodies import SIGMA_M, ahead, ball, box, measured
+from tests.planning.bodies import SIGMA_M, ball, box, estimate, measured
 
 
-def quick(horizon_s: float) -> Wanted:
+def quick(horizon_s: float) -> KeepOutOptions:
     """97 % needs 76 members."""
-    return Wanted(horizon_s, 0.97, members=120, cells=48)
+    return KeepOutOptions(horizon_s, 0.97, members=120, cells=48)
 
 
 def capsule_distance(p: Array, a: Array, b: Array, radius: float) -> Array:
@@ -25,7 +25,7 @@ def capsule_distance(p: Array, a: Array, b: Array, radius: float) -> Array:
 
 
 def test_a_ball_along_a_line_sweeps_a_capsule() -> None:
-    target = ahead((0.0, 0.0, 0.1), (0.03, 0.01, 0.0), size=1e-4)
+    target = estimate((0.0, 0.0, 0.1), (0.03, 0.01, 0.0), size=1e-4)
     found = keep_out(ball(), target, quick(10.0))
     radius = 0.1 + found.body.sigmas * SIGMA_M
     a = target.last.r_N
@@ -48,15 +48,15 @@ def inside(surface: SurfaceModel, found_level: object, R: Array, p: Array, noise
 
 
 def test_independent_draws_stay_inside_as_often_as_promised() -> None:
-    surface, target = box(), ahead((0.05, 0.6, 0.1), (0.005, 0.0, 0.0), psd=1e-9)
-    found = keep_out(surface, target, Wanted(15.0, 0.97, members=400, cells=48))
+    surface, target = box(), estimate((0.05, 0.6, 0.1), (0.005, 0.0, 0.0), psd=1e-9)
+    found = keep_out(surface, target, KeepOutOptions(15.0, 0.97, members=400, cells=48))
     times = np.linspace(0.11, 15.0, 40)
-    members = draw_members(target, times, 200, 77)
+    members = draw_ensemble(target, times, 200, 77)
     rng = np.random.default_rng(5)
     swept, instants = 0, 0
     motion = found.instant.motion
     rows = np.unique(np.linspace(0, len(motion.time_s) - 1, 6).round().astype(int))
-    at_rows = draw_members(target, motion.time_s[rows], 200, 78)
+    at_rows = draw_ensemble(target, motion.time_s[rows], 200, 78)
     for n in range(200):
         noise = rng.normal(size=len(surface.sigma_m))
         swept += inside(surface, found.swept.level, members.R_NG[n], members.p_NG[n], noise)
@@ -69,7 +69,7 @@ def test_independent_draws_stay_inside_as_often_as_promised() -> None:
     # 97 % promised: of 200 independent draws at least 188 with a probability of 99.6 %
     assert swept >= 188 and instants >= 188
     bare = keep_out(
-        measured(surface.mesh, 1e-9), ahead((0.05, 0.6, 0.1), (0.005, 0.0, 0.0), size=1e-4),
+        measured(surface.mesh, 1e-9), estimate((0.05, 0.6, 0.1), (0.005, 0.0, 0.0), size=1e-4),
         quick(15.0),
     )  # fmt: skip
     assert bare.swept.volume_m3 < found.swept.volume_m3 < 1.5 * bare.swept.volume_m3
@@ -78,7 +78,7 @@ def test_independent_draws_stay_inside_as_often_as_promised() -> None:
 def test_less_is_known_more_is_kept_out() -> None:
     motion = (0.0, 0.3, 0.0)
     volumes = [
-        keep_out(box(), ahead(motion, size=size), quick(5.0)).swept.volume_m3 for size in (0.1, 1.0, 3.0)
+        keep_out(box(), estimate(motion, size=size), quick(5.0)).swept.volume_m3 for size in (0.1, 1.0, 3.0)
     ]
     assert volumes[0] < volumes[1] < volumes[2]
 
@@ -86,23 +86,23 @@ def test_less_is_known_more_is_kept_out() -> None:
 def test_an_open_mesh_is_kept_out_of_by_its_hull_and_says_so() -> None:
     full = trimesh.creation.icosphere(4, 0.1)
     half = full.submesh([np.flatnonzero(full.triangles_center[:, 2] > 0.0)], append=True)
-    assert grow(measured(full), 0.01).covers == "surface"
-    body = grow(measured(half), 0.01)
+    assert grown_body(measured(full), 0.01).covers == "surface"
+    body = grown_body(measured(half), 0.01)
     assert body.covers == "hull" and body.open_share > 0.3
     # the middle of the dent that was not seen
     assert float(body.grid.at(np.array([[0.0, 0.0, 0.05]]))[0]) < -0.03
-    shell = grow(measured(half), 0.01, cover="surface")
+    shell = grown_body(measured(half), 0.01, cover="surface")
     assert float(shell.grid.at(np.array([[0.0, 0.0, 0.05]]))[0]) > 0.03
 
 
 def test_the_same_seed_gives_the_same_volume() -> None:
-    runs = [keep_out(ball(), ahead((0.0, 0.3, 0.0)), quick(3.0)) for _ in range(2)]
+    runs = [keep_out(ball(), estimate((0.0, 0.3, 0.0)), quick(3.0)) for _ in range(2)]
     np.testing.assert_array_equal(runs[0].swept.level.values, runs[1].swept.level.values)
 
 
 def test_too_few_members_are_refused() -> None:
     with pytest.raises(ValueError, match="needs 226 members"):
-        keep_out(ball(), ahead((0.0, 0.3, 0.0)), Wanted(3.0, 0.99, members=100))
+        keep_out(ball(), estimate((0.0, 0.3, 0.0)), KeepOutOptions(3.0, 0.99, members=100))
 
 
 def test_the_conformal_bound_is_an_order_statistic() -> None:
@@ -111,9 +111,9 @@ def test_the_conformal_bound_is_an_order_statistic() -> None:
 
 
 def test_the_instant_volume_moves_with_the_body() -> None:
-    target = ahead((0.0, 0.5, 0.0), size=0.01)
+    target = estimate((0.0, 0.5, 0.0), size=0.01)
     found = keep_out(box(), target, quick(4.0)).instant
-    states = nominal(target, found.motion.time_s)
+    states = nominal_motion(target, found.motion.time_s)
     for k in (0, len(states.time_s) - 1):
         tip = states.p_NG[k] + states.R_NG[k] @ np.array([[0.20, 0.0, 0.0], [0.0, 0.0, 0.0]]).T.T[0]
         distance = float(found.signed_distance(k, tip[None])[0])

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from polhode.lie import Array, exp_so3, log_so3
 from polhode.planning.prediction.prediction import (
     UNKNOWN_RAD,
-    LastBody,
-    axes_by_parameters,
-    draw,
+    FinalState,
+    axes_jacobian,
+    draw_deviations,
     predict,
     process_noise,
 )
@@ -28,10 +28,10 @@ ANY_BODY = R_GP @ SYMMETRIC @ R_GP.T
 """Derivatives of J_G by five parameters: two moments and three products of inertia, along P."""
 
 
-def last_body(covariance: Array, w_P: Array = W_P, moments: Array = MOMENTS) -> LastBody:
+def last_body(covariance: Array, w_P: Array = W_P, moments: Array = MOMENTS) -> FinalState:
     J = R_GP @ np.diag(moments) @ R_GP.T
     r, v = np.array([0.1, 0.0, 0.6]), np.array([1e-3, 2e-3, 0.0])
-    return LastBody(r, v, R0 @ R_GP.T, R_GP @ w_P, J, R_GP, ANY_BODY, covariance)
+    return FinalState(r, v, R0 @ R_GP.T, R_GP @ w_P, J, R_GP, ANY_BODY, covariance)
 
 
 def small_covariance(seed: int, size: float = 1.0) -> Array:
@@ -62,7 +62,7 @@ def test_at_time_zero_the_covariance_is_that_of_the_state() -> None:
     T = np.zeros((12, 20))
     T[:6, :6], T[6:9, 6:9], T[9:, 9:12] = np.eye(6), R_GP.T, R_GP.T
     of_axes = T.copy()
-    D = axes_by_parameters(last)
+    D = axes_jacobian(last)
     of_axes[6:9, 12:17] = D
     of_axes[9:, 12:17] = np.cross(W_P, D.T).T
     np.testing.assert_allclose(found.covariance[0], of_axes @ covariance @ of_axes.T, atol=3e-9)
@@ -86,7 +86,7 @@ def test_small_errors_grow_as_differences_of_the_motion_say() -> None:
         r, v, R, w = propagate(
             [0.0, *t], last.r_N + e[:3], last.v_N + e[3:6], last.R_NG @ exp_so3(e[6:9]), last.w_G + e[9:12], J
         )
-        R_NP = R[1] @ R_GP @ exp_so3(axes_by_parameters(last) @ e[12:17])
+        R_NP = R[1] @ R_GP @ exp_so3(axes_jacobian(last) @ e[12:17])
         w_P = R_NP.T @ R[1] @ w[1]
         theta = log_so3(found.R_NP[0].T @ R_NP)
         columns.append(np.concatenate([r[1] - found.r_N[0], v[1] - found.v_N[0], theta, w_P - found.w_P[0]]))
@@ -113,9 +113,9 @@ def test_large_errors_are_spread_as_a_monte_carlo_spreads_them() -> None:
         )
         angles.append(np.sum(log_so3(found.R_NP[0].T @ R[1] @ R_GP) ** 2))
     # 150 draws against 256: two means of squares with heavy tails
-    spread = np.trace(found.covariance_of_marks[0, 6:9, 6:9])
-    assert spread == pytest.approx(np.mean(angles), rel=0.35)
-    assert np.sqrt(spread) < np.pi
+    thinned_vertices = np.trace(found.covariance_of_marks[0, 6:9, 6:9])
+    assert thinned_vertices == pytest.approx(np.mean(angles), rel=0.35)
+    assert np.sqrt(thinned_vertices) < np.pi
 
 
 def test_a_spin_that_was_long_steady_stays_predictable_though_its_inertia_is_undetermined() -> None:
@@ -123,16 +123,16 @@ def test_a_spin_that_was_long_steady_stays_predictable_though_its_inertia_is_und
     # what would make the spin axis no principal axis is known
     variances[15:17] = 1e-8
     last = last_body(np.diag(variances), np.array([0.0, 0.0, 0.8]))
-    spread = []
+    thinned_vertices = []
     for seen in (0, 20, 120):
-        seen_s = -np.arange(1.0, 1.0 + seen)
-        R_NG = last.R_NG @ exp_so3(seen_s[:, None] * last.w_G)
-        body = replace(last, seen_s=seen_s, seen_R_NG=R_NG) if seen else last
+        past_s = -np.arange(1.0, 1.0 + seen)
+        R_NG = last.R_NG @ exp_so3(past_s[:, None] * last.w_G)
+        body = replace(last, past_s=past_s, past_R_NG=R_NG) if seen else last
         covariance = predict(body, [30.0], 0.0, 0.0).covariance_of_marks[0]
-        spread.append(np.rad2deg(np.sqrt(np.trace(covariance[6:9, 6:9]))))
+        thinned_vertices.append(np.rad2deg(np.sqrt(np.trace(covariance[6:9, 6:9]))))
     # about the middle axis it would tip over: the longer it did not, the surer it will not
-    assert spread[0] > 3.0 * spread[1] > 10.0 * spread[2]
-    assert spread[2] < 0.5
+    assert thinned_vertices[0] > 3.0 * thinned_vertices[1] > 10.0 * thinned_vertices[2]
+    assert thinned_vertices[2] < 0.5
 
 
 def test_an_attitude_is_never_less_known_than_not_at_all() -> None:
@@ -146,11 +146,11 @@ def test_an_attitude_is_never_less_known_than_not_at_all() -> None:
 
 def test_drawn_deviations_have_the_covariance_and_drawn_bodies_are_possible() -> None:
     covariance = small_covariance(3)
-    deviation, _ = draw(last_body(covariance))
+    deviation, _ = draw_deviations(last_body(covariance))
     np.testing.assert_allclose(deviation.T @ deviation / len(deviation), covariance, rtol=1e-6, atol=1e-14)
     np.testing.assert_allclose(deviation.mean(axis=0), 0.0, atol=1e-12)
     wild = np.diag(np.repeat([1e-6, 1.0, 1e-6], [12, 5, 3]))
-    _, J = draw(last_body(wild))
+    _, J = draw_deviations(last_body(wild))
     moments = np.linalg.eigvalsh(J)
     assert np.all(moments > 0.0) and np.all(moments[:, 0] + moments[:, 1] > moments[:, 2])
 
@@ -170,10 +170,10 @@ def test_process_noise_matches_monte_carlo() -> None:
         w = w + dt * np.cross(middle * MOMENTS, middle) / MOMENTS
         R = R @ exp_so3(middle * dt)
     errors = np.hstack([log_so3(R_end.R_NP[0].T @ R), w - R_end.w_P[0]])
-    spread = np.sqrt(np.diagonal(noise))
-    np.testing.assert_allclose(errors.std(axis=0), spread[6:], rtol=0.1)
-    np.testing.assert_allclose(v.std(axis=0), spread[3:6], rtol=0.1)
-    assert spread[0] == pytest.approx(np.sqrt(psd * (dt * steps) ** 3 / 3))
+    thinned_vertices = np.sqrt(np.diagonal(noise))
+    np.testing.assert_allclose(errors.std(axis=0), thinned_vertices[6:], rtol=0.1)
+    np.testing.assert_allclose(v.std(axis=0), thinned_vertices[3:6], rtol=0.1)
+    assert thinned_vertices[0] == pytest.approx(np.sqrt(psd * (dt * steps) ** 3 / 3))
     np.testing.assert_allclose(
         predict(last_body(np.zeros((20, 20))), [dt * steps], psd, psd).covariance[0], noise, atol=1e-10
     )

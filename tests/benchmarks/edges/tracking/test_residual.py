@@ -4,7 +4,7 @@ import numpy as np
 import trimesh
 
 from benchmarks.edges.tracking.residual import probability, support
-from benchmarks.edges.tracking.tracker import Tracking, track
+from benchmarks.edges.tracking.tracker import TrackerOptions, track
 from polhode.lie import exp_so3, make_pose
 from polhode.planning.edges.metric.edge_motion import moved
 from polhode.planning.edges.model.edge_model import edge_model
@@ -12,7 +12,7 @@ from tests.planning.edges.pictures import BOX, POSE, RIG, drawn
 
 MODEL = edge_model(trimesh.creation.box(BOX))
 IMAGE = drawn(MODEL.surface, POSE)
-STILL = Tracking(iterations=0, restarts=0)
+STILL = TrackerOptions(iterations=0, restarts=0)
 """measures at the guess"""
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edges.tracking.tracker import Tracking, track
+from benchmarks.edges.tracking.tracker import TrackerOptions, track
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
 from polhode.planning.edges.metric.metric import observability
@@ -47,7 +47,7 @@ def test_with_unit_weights_its_information_is_the_metric(box: EdgeModel, image: 
     assert np.allclose(weighted.C, found.C, rtol=1e-12)
     # the tracker keeps its points while they move by less than a pixel
     assert np.allclose(unweighted.C, alone.C, rtol=0.02, atol=1e-3 * np.abs(alone.C).max())
-    full = Tracking(ranges_px=(4.0,), iterations=0)
+    full = TrackerOptions(ranges_px=(4.0,), iterations=0)
     first = track(box, RIG, image, POSE, full)
     assert np.allclose(
         observability(first.f, first.points.weight, box.radius_m).C,
@@ -104,14 +104,14 @@ def test_a_sphere_gives_its_place_and_says_that_turns_are_not_seen() -> None:
 def test_one_edge_says_what_it_does_not_tell(box: EdgeModel, image: Array) -> None:
     points = clear_points(box, RIG, POSE, SPACING_PX)
     longest = int(np.bincount(points.feature).argmax())
-    found = track(box.only(np.array([longest])), RIG, image, POSE, Tracking(least_found=6))
+    found = track(box.only(np.array([longest])), RIG, image, POSE, TrackerOptions(min_found=6))
     assert found.converged and found.told.count("not seen") == 4
     assert np.isinf(found.information.sigma).any()
 
 
 def test_a_view_takes_well_under_a_tenth_of_a_second(box: EdgeModel, image: Array) -> None:
     start = moved(POSE, np.array([0.01, 0.0, 0.02, 0.01, 0.01, 0.0]), box.middle_G)
-    fine = Tracking(spacing_px=4.0)
+    fine = TrackerOptions(spacing_px=4.0)
     points = len(track(box, RIG, image, start, fine).points)
     begin = time.process_time()
     track(box, RIG, image, start, fine)

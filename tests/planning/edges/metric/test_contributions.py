@@ -9,8 +9,8 @@ import trimesh
 from polhode.planning.edges.metric.contributions import contributions
 from polhode.planning.edges.metric.edge_motion import edge_motion
 from polhode.planning.edges.metric.information import FeatureInformation, feature_information, variances
-from polhode.planning.edges.metric.metric import Observability, observability
-from polhode.planning.edges.metric.pictures import coloured, painted, picture
+from polhode.planning.edges.metric.metric import EdgeObservability, observability
+from polhode.planning.edges.metric.pictures import coloured_body, colours_of, picture
 from polhode.planning.edges.model.edge_model import edge_model
 from polhode.planning.edges.model.visible_edges import control_points
 from tests.planning.edges.views import RIG, block, poses, seen
@@ -31,7 +31,7 @@ def test_many_variances_at_once_are_infinite_where_the_metric_is() -> None:
     ball = edge_model(trimesh.creation.icosphere(3, 0.5))
     told = feature_information(ball, RIG, poses(2))
     for C, each in zip(told.total, variances(told.total, ball.radius_m), strict=True):
-        np.testing.assert_allclose(np.sqrt(each), Observability(C, ball.radius_m, 1).sigma, rtol=1e-6)
+        np.testing.assert_allclose(np.sqrt(each), EdgeObservability(C, ball.radius_m, 1).sigma, rtol=1e-6)
         assert np.isinf(each[3:]).all()
 
 
@@ -87,15 +87,15 @@ def test_known_motion_joins_views_along_G() -> None:
 def test_painted_edges_have_the_colours_of_the_legend(tmp_path: Path) -> None:
     model = block()
     values = np.linspace(0.0, 0.8, model.size)
-    mesh, legend = painted(model, values)
+    mesh, legend = coloured_body(model, values)
     np.testing.assert_allclose(legend.values, [0.0, 0.2, 0.4, 0.6, 0.8])
     mesh.export(tmp_path / "painted.ply")
     back = trimesh.load_mesh(tmp_path / "painted.ply")
     assert isinstance(back.visual, trimesh.visual.ColorVisuals)
     colours = np.unique(np.asarray(back.visual.vertex_colors)[:, :3], axis=0)
     for k in range(len(model.ends_G)):
-        assert (colours == coloured(values)[0][k].astype(int)).all(axis=1).any()
-    rgb, _ = coloured(np.array([np.nan, 0.0, 1.0, np.inf]))
+        assert (colours == colours_of(values)[0][k].astype(int)).all(axis=1).any()
+    rgb, _ = colours_of(np.array([np.nan, 0.0, 1.0, np.inf]))
     assert (rgb[0] == rgb[1]).all() and (rgb[2] == rgb[3]).all() and (rgb[1] != rgb[2]).any()
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
-from polhode.planning.edges.metric.metric import Observability, observability
+from polhode.planning.edges.metric.metric import EdgeObservability, observability
 from polhode.planning.edges.model.edge_model import edge_model
 from polhode.planning.edges.model.visible_edges import ControlPoints, control_points
 
@@ -16,7 +16,7 @@ RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 X_RG = make_pose(exp_so3([0.4, 0.5, 0.2]), [0.05, 0.02, 3.0])
 
 
-def seen(mesh: trimesh.Trimesh, X: Array = X_RG) -> Observability:
+def seen(mesh: trimesh.Trimesh, X: Array = X_RG) -> EdgeObservability:
     model = edge_model(mesh)
     points = control_points(model, RIG, X)
     return observability(edge_motion(points, RIG, X, model.middle_G), points.weight, model.radius_m)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edges.trajectory.view_table import looking
+from benchmarks.edges.trajectory.view_table import camera_attitude
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.metric.information import feature_information
 from polhode.planning.edges.model.edge_contrast import contrast, contrast_weight, in_sunlight
@@ -14,7 +14,7 @@ from tests.planning.edges.views import RIG
 
 
 def view(eye_G: Array) -> Array:
-    R = looking(-eye_G, np.array([0.1, 0.2, 1.0]))
+    R = camera_attitude(-eye_G, np.array([0.1, 0.2, 1.0]))
     return make_pose(R, -R @ eye_G)
 
 

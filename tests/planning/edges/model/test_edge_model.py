@@ -9,7 +9,7 @@ from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.planning.edges.model.chains import chains_of, straight_pieces
-from polhode.planning.edges.model.edge_model import Kind, edge_model
+from polhode.planning.edges.model.edge_model import EdgeKind, edge_model
 from polhode.planning.edges.model.measured_edges import measured_edge_model, simplified
 from polhode.planning.edges.model.outlines import outlines
 from polhode.planning.edges.model.visible_edges import control_points
@@ -56,7 +56,7 @@ def test_the_rim_of_an_open_mesh_is_an_edge() -> None:
     box = trimesh.creation.box((1.0, 1.0, 1.0))
     open_box = trimesh.Trimesh(box.vertices, box.faces[box.face_normals[:, 2] < 0.5])
     model = edge_model(open_box)
-    rim = model.kind == Kind.BOUNDARY
+    rim = model.kind == EdgeKind.BOUNDARY
     assert rim.sum() == 4
     assert_allclose(model.ends_G[rim][..., 2], 0.5)
     assert (~rim).sum() == 8

@@ -7,10 +7,10 @@ from polhode.lie import exp_so3, make_pose
 from polhode.planning.edges.model.edge_model import edge_model
 from polhode.planning.edges.model.visible_edges import (
     SPACING_PX,
-    beside_face_edge_on,
+    beside_edge_on_face,
     clear_points,
     control_points,
-    stands_clear,
+    is_separated,
 )
 from tests.planning.edges.pictures import POSE, RIG
 
@@ -21,8 +21,8 @@ def test_the_rims_of_a_thin_plate_do_not_count() -> None:
     points = control_points(plate, RIG, X)
     assert len(points) > 60
     # twelve millimetres are 3 px here
-    assert stands_clear(points, 4.0).mean() < 0.9
-    assert stands_clear(points, 1e-6).all()
+    assert is_separated(points, 4.0).mean() < 0.9
+    assert is_separated(points, 1e-6).all()
 
 
 def test_a_box_from_aside_loses_only_corners() -> None:
@@ -36,7 +36,7 @@ def test_a_face_seen_edge_on_takes_its_edges_with_it() -> None:
     # 0.25 m above the optical axis: the eye is in the plane of the lower face
     X = make_pose(np.eye(3), [0.0, -0.25, 2.5])
     points = control_points(box, RIG, X)
-    edge_on = beside_face_edge_on(points, box, X)
+    edge_on = beside_edge_on_face(points, box, X)
     low = points.p_G[:, 1] > 0.249
     assert low.sum() > 10 and edge_on[low].all()
     assert not edge_on[points.p_G[:, 1] < -0.249].any()

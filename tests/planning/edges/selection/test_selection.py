@@ -11,15 +11,20 @@ from polhode.planning.edges.metric.information import FeatureInformation
 from polhode.planning.edges.selection.selection import (
     GREEDY_SHARE,
     Value,
-    best_choice,
+    best_selection,
     edge_lengths,
-    exchanged,
     greedy,
+    improved_by_exchange,
     upper_bound,
     value_of,
     value_of_set,
 )
-from polhode.planning.edges.selection.smallest_set import Need, exact_smallest_set, least_number, smallest_set
+from polhode.planning.edges.selection.smallest_set import (
+    SigmaLimits,
+    exact_smallest_set,
+    min_number,
+    smallest_set,
+)
 from tests.planning.edges.views import block, seen
 
 VALUES: tuple[Value, Value] = ("log_det", "trace")
@@ -44,8 +49,10 @@ def test_greedy_keeps_its_promise_and_the_bound_holds(seed: int) -> None:
             assert found.value <= best + 1e-9 <= upper_bound(scaled, budget, value) + 2e-9
             if value == "log_det":
                 assert found.value >= GREEDY_SHARE * best
-            assert found.value <= exchanged(scaled, found, budget, value).value + 1e-12 <= best + 2e-9
-            assert best_choice(scaled, budget, value).value == pytest.approx(best, rel=1e-9)
+            assert (
+                found.value <= improved_by_exchange(scaled, found, budget, value).value + 1e-12 <= best + 2e-9
+            )
+            assert best_selection(scaled, budget, value).value == pytest.approx(best, rel=1e-9)
 
 
 def test_under_a_length_the_promise_is_half() -> None:
@@ -57,7 +64,7 @@ def test_under_a_length_the_promise_is_half() -> None:
         found = greedy(scaled, 3.0, value, length)
         assert found.cost <= 3.0 and found.value <= best + 1e-9
         assert upper_bound(scaled, 3.0, value, length) >= best - 1e-9
-        exact = best_choice(scaled, 3.0, value, length)
+        exact = best_selection(scaled, 3.0, value, length)
         assert exact.value == pytest.approx(best, rel=1e-9) and exact.cost <= 3.0
         if value == "log_det":
             assert found.value >= 0.5 * GREEDY_SHARE * best
@@ -104,7 +111,7 @@ def test_the_smallest_set_is_within_ten_percent_and_nearly_the_smallest() -> Non
     found, exact = smallest_set(information), exact_smallest_set(information)
     assert found.at_least <= len(exact.features) <= len(found.features) <= len(exact.features) + 1
     assert found.ratio.max() <= 1.1 and exact.ratio.max() <= 1.1
-    need = Need(information)
+    need = SigmaLimits(information)
     for i in found.features:
         fewer = found.features[found.features != i]
         assert not need.meets(need.of(fewer))
@@ -114,7 +121,7 @@ def test_the_bound_of_the_smallest_set_holds() -> None:
     for seed in range(4):
         information = FeatureInformation(random_information(11, 2, seed), 1.0)
         exact = exact_smallest_set(information, 1.2)
-        assert least_number(Need(information, 1.2)) <= len(exact.features)
+        assert min_number(SigmaLimits(information, 1.2)) <= len(exact.features)
         assert len(exact.features) <= len(smallest_set(information, 1.2).features)
 
 
