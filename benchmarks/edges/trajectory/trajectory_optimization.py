@@ -294,7 +294,7 @@ def _solve(
         found = program.solve()
     except RuntimeError as error:
         raise _NoPath(str(error).splitlines()[-1].strip()) from None
-    return flight.path(found), float(found.value(metric))
+    return flight.trajectory(found), float(found.value(metric))
 
 
 def _within_limits(
