@@ -26,7 +26,7 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import Record, Short, Workers, command
 from benchmarks.edges.bodies import edge_body
-from benchmarks.edges.trajectory.camera_path import camera_poses, middles, sun_in_G
+from benchmarks.edges.trajectory.camera_path import camera_poses, sun_in_G, target_centres
 from benchmarks.edges.views import edge_rig
 from benchmarks.record import Case, complete
 from polhode.planning.edges.metric.contributions import contributions
@@ -34,7 +34,7 @@ from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
 from polhode.planning.edges.metric.information import feature_information
 from polhode.planning.edges.metric.pictures import coloured_body, picture
 from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.prediction.ensemble import nominal
+from polhode.planning.prediction.ensemble import nominal_motion
 
 RECORD = Path("runs/best_trajectory.jsonl")
 BODIES = ("steps", "satellite")
@@ -257,11 +257,11 @@ def draw_pictures(line: Case, folder: Path) -> None:
     """BODY_ways.png, BODY_contributions.png, and a coloured mesh for each degree of freedom."""
     name = line["case"]["body"]
     mesh, rig = edge_body(name).mesh, edge_rig()
-    model, ahead = edge_model(mesh), tumbling(mesh)[0]
+    model, estimate = edge_model(mesh), tumbling(mesh)[0]
     places = {way: np.asarray(p) for way, p in line["places_N"].items()}
     time = np.linspace(0.0, DURATION_S, len(places["straight"]))
-    motion = nominal(ahead, time)
-    o_N, sun_G = middles(model, motion), sun_in_G(motion, SUN_N)
+    motion = nominal_motion(estimate, time)
+    o_N, sun_G = target_centres(model, motion), sun_in_G(motion, SUN_N)
     figure = Figure(figsize=(11.5, 4.4), layout="constrained")
     FigureCanvasAgg(figure)
     space = figure.add_subplot(1, 2, 1)

@@ -165,8 +165,8 @@ def poses_of(case: Case, model: EdgeModel) -> Array:
     if case["part"] != "approach":
         return random_poses(model.surface, RIG, count, case["seed"], (near, far))
     R = random_rotation(np.random.default_rng([case["seed"], 0xA99]))
-    ahead = np.linspace(far, near, count)
-    return np.array([make_pose(R, np.array([0.0, 0.0, z]) - R @ model.middle_G) for z in ahead])
+    ranges_m = np.linspace(far, near, count)
+    return np.array([make_pose(R, np.array([0.0, 0.0, z]) - R @ model.middle_G) for z in ranges_m])
 
 
 def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, Any]]:
