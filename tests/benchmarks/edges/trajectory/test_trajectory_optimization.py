@@ -189,7 +189,7 @@ def test_what_cannot_be_flown_is_told() -> None:
     far_side = {
         "goal_N": np.array([-0.1, 0.0, 2.6]),
         "phase_deg": (20.0, 150.0),
-        "most_accel_m_s2": 0.015,
+        "max_accel_m_s2": 0.015,
         "steps": 4,
     }
     told("no trajectory was found", **far_side)
