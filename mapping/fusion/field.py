@@ -16,10 +16,15 @@ from polhode.config.mapping import Mapping
 from polhode.lie import Array, inverse_pose, make_pose, transform_points
 from polhode.mapping.fusion.block_grid import BlockGrid, Truncation
 from polhode.mapping.fusion.depth_frame import FrameTensors, at_pose, frame_tensors
-from polhode.mapping.fusion.frame_alignment import Alignment, align, depth_points
+from polhode.mapping.fusion.frame_alignment import FrameAlignment, align, depth_points
 from polhode.mapping.fusion.integration import allocate, integrate
 from polhode.mapping.fusion.interpolation import FieldLookup
-from polhode.mapping.fusion.surface_extraction import Shares, Support, empty_surface, extract_surface
+from polhode.mapping.fusion.surface_extraction import (
+    KnownVoxelCriteria,
+    SigmaShares,
+    empty_surface,
+    extract_surface,
+)
 from polhode.records import AlignedPoses, DepthMap, SurfaceModel
 from polhode.rigid_fit import mean_rotation
 
@@ -29,7 +34,7 @@ _ALIGN_ROUNDS = 2
 
 
 @dataclass
-class _Kept:
+class _StoredFrame:
     """A frame in the field."""
 
     tensors: FrameTensors
@@ -55,14 +60,14 @@ class Field:
         self, rig: RectifiedRig, config: Mapping, voxel_m: float, kept_mib: float | None = None
     ) -> None:
         self.rig, self.config = rig, config
-        self._most_kept = np.inf if kept_mib is None else kept_mib * 2**20
+        self._max_kept = np.inf if kept_mib is None else kept_mib * 2**20
         self.used = self.without_pose = self.without_depth = 0
         self._doubtful: set[int] = set()
         self._voxel_m = voxel_m
         self._grid = self._empty()
-        self._kept: dict[int, _Kept] = {}
+        self._kept: dict[int, _StoredFrame] = {}
         self._X_FG = np.eye(4)
-        self._frames = self._let_go = 0
+        self._frames = self._evicted = 0
 
     def _empty(self) -> BlockGrid:
         config, voxel_m = self.config, self._voxel_m
@@ -103,27 +108,27 @@ class Field:
         if not doubtful:
             tensors = replace(tensors, sigma_m=None)
         X_RF = X_RG @ inverse_pose(self._X_FG)
-        kept = _Kept(tensors, X_RF, 0, X_RG, covariance_G if doubtful else None)
+        kept = _StoredFrame(tensors, X_RF, 0, X_RG, covariance_G if doubtful else None)
         self._put(kept)
         self.used += 1
         if not known:
             self._doubtful.add(number)
         self._kept[number] = kept
-        while sum(each.tensors.bytes for each in self._kept.values()) > self._most_kept:
+        while sum(each.tensors.bytes for each in self._kept.values()) > self._max_kept:
             oldest = self._kept.pop(next(iter(self._kept)))
             self._complete(oldest)
-            self._let_go += 1
+            self._evicted += 1
         return True
 
     def _unknown(self) -> Array:
         """The covariance (6, 6) of a pose of which nothing is known: farther off it would miss the band."""
         return np.diag([self._grid.cut.front_m**2] * 3 + [0.0] * 3)
 
-    def _put(self, kept: _Kept) -> None:
+    def _put(self, kept: _StoredFrame) -> None:
         allocate(self._grid, kept.tensors, kept.X_RF, self.rig)
         self._complete(kept)
 
-    def _complete(self, kept: _Kept) -> None:
+    def _complete(self, kept: _StoredFrame) -> None:
         """Add a frame to the blocks that it does not know: those that later frames needed."""
         most = len(self._grid)
         integrate(self._grid, kept.tensors, kept.X_RF, self.rig, (kept.blocks, most))
@@ -134,13 +139,13 @@ class Field:
 
         F: as many as were added, with those that were left out. A frame whose new pose is not finite leaves.
         """
-        if self._let_go:
-            raise ValueError(f"{self._let_go} frames were let go and cannot be moved")
+        if self._evicted:
+            raise ValueError(f"{self._evicted} frames were let go and cannot be moved")
         if len(X_RG) != self._frames:
             raise ValueError(f"{len(X_RG)} poses for {self._frames} frames")
         lost = [k for k in self._kept if not np.isfinite(X_RG[k]).all()]
         for k in lost:
-            self._take_away(self._kept.pop(k))
+            self._remove(self._kept.pop(k))
             self._doubtful.discard(k)
             self.used, self.without_pose = self.used - 1, self.without_pose + 1
         if not self._kept:
@@ -148,13 +153,13 @@ class Field:
         numbers = np.array(list(self._kept))
         moved = numbers
         if len(self._grid):
-            self._X_FG, moved = self._apart(numbers, X_RG[numbers])
+            self._X_FG, moved = self._displaced_frames(numbers, X_RG[numbers])
         if 2 * len(moved) > len(numbers):
             # cheaper than taking away and adding
             self._grid, self._X_FG, moved = self._empty(), np.eye(4), numbers
         else:
             for k in moved.tolist():
-                self._take_away(self._kept[k])
+                self._remove(self._kept[k])
         for k in moved.tolist():
             kept = self._kept[k]
             kept.X_RF, kept.blocks = X_RG[k] @ inverse_pose(self._X_FG), 0
@@ -163,7 +168,7 @@ class Field:
             kept.X_RG = X_RG[k]
         return len(moved) + len(lost)
 
-    def _take_away(self, kept: _Kept) -> None:
+    def _remove(self, kept: _StoredFrame) -> None:
         integrate(self._grid, kept.tensors, kept.X_RF, self.rig, (0, kept.blocks), remove=True)
         kept.blocks = 0
 
@@ -179,13 +184,13 @@ class Field:
         if not doubtful:
             return None
         for kept in doubtful.values():
-            self._take_away(kept)
+            self._remove(kept)
         order = sorted(doubtful, key=lambda k: (doubtful[k].tensors.doubt, k))
-        found: dict[int, Alignment] = {}
+        found: dict[int, FrameAlignment] = {}
         for _ in range(_ALIGN_ROUNDS):
             for k in order:
                 if k in found:
-                    self._take_away(doubtful[k])
+                    self._remove(doubtful[k])
                 aligned = self._aligned(doubtful[k])
                 if aligned is not None:
                     found[k] = aligned
@@ -202,7 +207,7 @@ class Field:
             covariance_G=np.array([found[k].covariance_G for k in frames]).reshape(-1, 6, 6),
         )
 
-    def _aligned(self, kept: _Kept) -> Alignment | None:
+    def _aligned(self, kept: _StoredFrame) -> FrameAlignment | None:
         """Add a frame that was taken away where the field as it is puts it; None: refused, and not added."""
         if kept.covariance_G is None:
             return None
@@ -222,7 +227,7 @@ class Field:
         """The field between its voxels, as it is now."""
         return FieldLookup.of(self._grid, self._X_FG, self.config.carved_share)
 
-    def _apart(self, numbers: Array, X_RG: Array) -> tuple[Array, Array]:
+    def _displaced_frames(self, numbers: Array, X_RG: Array) -> tuple[Array, Array]:
         """G in F (4, 4) such that few frames are elsewhere than they were fused, and which ones those are."""
         X_RF = np.stack([self._kept[int(k)].X_RF for k in numbers])
         corners = self._corners()
@@ -275,10 +280,10 @@ class Field:
         found.mesh.apply_transform(inverse_pose(self._X_FG))
         return replace(found, warnings=tuple(told))
 
-    def _extract(self, least_views: int) -> SurfaceModel:
+    def _extract(self, min_views: int) -> SurfaceModel:
         config = self.config
-        shares = Shares(config.shared_sigma, config.relief_sigma)
-        support = Support.of(config, least_views)
+        shares = SigmaShares(config.shared_sigma, config.relief_sigma)
+        support = KnownVoxelCriteria.of(config, min_views)
         return extract_surface(self._grid, support, config.least_piece_voxels, shares)
 
     def _warnings(self) -> list[str]:
