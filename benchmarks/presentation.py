@@ -4,9 +4,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-COLORS = ("#0072b2", "#009e73", "#d55e00")
-GRID = "#e8ecf0"
-
 
 def table_row(cells: Iterable[object]) -> str:
     """One row of a table."""

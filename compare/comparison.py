@@ -13,7 +13,7 @@ from time import perf_counter
 from typing import Any
 
 from polhode.atomic import write_text
-from polhode.compare.problem.assessment import judge, reference_covariance, sigmas
+from polhode.compare.problem.assessment import assess, reference_covariance, sigmas
 from polhode.compare.problem.fingerprint import BASE, code_of, machine, of_problem, versions
 from polhode.compare.problem.measured_problem import MeasuredProblem, load, save
 from polhode.compare.problem.single_blocks import compile_block
@@ -21,7 +21,7 @@ from polhode.compare.problem.sources import Source, sources
 from polhode.compare.processes.isolation import empty_row, row_of
 from polhode.compare.ranking import performance_profiles
 from polhode.compare.registry import Entry, entries
-from polhode.compare.rows import Case, Comparison, ProblemWords, Row, write_comparison
+from polhode.compare.rows import Case, Comparison, ProblemSummary, Row, write_comparison
 from polhode.compare.tables.table import csv_text
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
@@ -51,7 +51,7 @@ def compare(
     # the first use on a machine compiles; that is no solver's time
     compile_block()
     deadline = perf_counter() + config.compare.total_s
-    problems: list[ProblemWords] = []
+    problems: list[ProblemSummary] = []
     rows: list[Row] = []
     for source in wanted:
         try:
@@ -162,11 +162,11 @@ def stamp(problem: str, entry: Entry, limit_s: float) -> dict[str, Any]:
     }
 
 
-def _words(source: Source, problem: MeasuredProblem, key: str, rows: Sequence[Row]) -> ProblemWords:
+def _words(source: Source, problem: MeasuredProblem, key: str, rows: Sequence[Row]) -> ProblemSummary:
     reference = sigmas(problem, problem.solution, reference_covariance(problem, problem.solution))
-    cost = judge(problem, problem.solution).cost
+    cost = assess(problem, problem.solution).cost
     known = [each for each in (cost, *(row.cost for row in rows)) if each is not None]
-    return ProblemWords(
+    return ProblemSummary(
         name=source.name,
         source=source.words,
         fingerprint=key,

@@ -52,7 +52,7 @@ class Row(Case):
     ran: bool
     """False: its package is missing, or its turn did not come"""
     kept: Kept
-    """Whose cost, ratios and errors these are: the solver's answer, or, where it came to no end, the best
+    """Whose cost, ratios and errors these are: the solver's answer, or, where it did not converge, the best
     point it noted, or the last one (of a method whose own cost on the way is another)"""
     cost: Finite | None
     """The common cost of what is kept"""
@@ -85,7 +85,7 @@ class Row(Case):
     """Seconds since the start, cost, at each iteration"""
 
 
-class ProblemWords(Part):
+class ProblemSummary(Part):
     """One frozen problem."""
 
     name: str
@@ -139,7 +139,7 @@ class Comparison(Part):
     machine: str
     versions: dict[str, str]
     """Of the packages whose solvers were asked for"""
-    problems: list[ProblemWords]
+    problems: list[ProblemSummary]
     rows: list[Row]
     profiles: list[Profile] = Field(default_factory=list)
 

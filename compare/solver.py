@@ -9,14 +9,14 @@ from typing import Literal, Protocol
 import numpy as np
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver_progress import Reached
+from polhode.compare.solver_progress import ProgressFiles
 from polhode.lie import Array
 
 Claim = Literal["ok", "baseline"]
 """Convergence on the common cost, or an answer by another formulation."""
 Part = Literal["build", "evaluation"]
 Kept = Literal["answer", "best", "last", "nothing"]
-"""Whose cost a row tells: the solver's answer, the best or the last point of one that came to no end."""
+"""Whose cost a row tells: the solver's answer, the best or the last point of one that did not converge."""
 
 
 class OutOfTime(Exception):
@@ -38,7 +38,7 @@ class Outcome:
 
 
 @dataclass
-class Watch:
+class SolveMonitor:
     """Clock of a solve: its parts, and the cost at each iteration."""
 
     limit_s: float
@@ -54,7 +54,7 @@ class Watch:
     """When the solution was reached"""
     callback_s: float = 0.0
     """Spent in functions written in Python that a foreign library calls"""
-    reached: Reached | None = None
+    reached: ProgressFiles | None = None
     """Files to which all this is also written as it comes: what is left of a process that dies"""
     not_separable: str = ""
     """Why evaluation and linear algebra cannot be told apart; empty: they can"""
@@ -133,6 +133,6 @@ class Watch:
 class Solver(Protocol):
     """One method; a new object for each solve. What is known of it without importing it: ``registry``."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """Minimise from x (n,). Raises OutOfTime at the limit; any other error is a failed row."""
         ...

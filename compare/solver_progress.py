@@ -13,7 +13,7 @@ import numpy as np
 from polhode.lie import Array
 
 
-class Reached:
+class ProgressFiles:
     """Writer of one process; its files are ``stem`` with suffixes .started, .trace, .reached, .words."""
 
     def __init__(self, stem: Path, n: int) -> None:

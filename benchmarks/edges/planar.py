@@ -28,6 +28,7 @@ from benchmarks.edges.planar_metric import (
     printed_directions,
     wrapped,
 )
+from benchmarks.presentation import markdown_table, save_figure
 from polhode.lie import Array
 
 HALF_HEIGHT_M = 0.5
@@ -132,13 +133,6 @@ def main(output: Png = None, seed: int = 0) -> None:
         draw(output, seed)
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    print("| " + " | ".join(head) + " |\n|" + "---|" * len(head))
-    for row in rows:
-        print("| " + " | ".join(row) + " |")
-    print()
-
-
 def print_models(seed: int) -> None:
     """The six models: metric beside error."""
     diagonal, errors = six_models(CASES, seed)
@@ -153,7 +147,7 @@ def print_models(seed: int) -> None:
         + [f"{x:.3f}" for x in ratio[k]]
         for k, middle in enumerate(middles())
     ]
-    _table(head, rows)
+    print(markdown_table(head, rows) + "\n")
     way = np.linspace(-0.9, 0.9, 1801) * HALF_HEIGHT_M
     best = way[np.argmin([np.diag(metric(TRUTH, model(middle))) for middle in way], axis=0)]
     places = ", ".join(f"{place:+.3f} m ({name})" for name, place in zip(NAMES, best, strict=True))
@@ -179,7 +173,7 @@ def print_trends(seed: int) -> None:
                 how = "one step" if one_step else "converged"
                 row = [name, how, f"{cases}", label, f"{line.rvalue:.4f}", f"{line.slope:.3e}", at_zero]
                 rows.append([*row, "deg" if i == 2 else "mm", power])
-    _table(head, rows)
+    print(markdown_table(head, rows) + "\n")
     correlations, exponents = repeated(seed)
     low, middle, high = np.quantile(exponents, [0.025, 0.5, 0.975], axis=0)
     print(f"Over {REPEATS} repetitions of {CASES} cases a model, against the root:")
@@ -218,7 +212,7 @@ def print_one_step(seed: int) -> None:
             both = [*_rms(errors.one_step) / expected, *_rms(errors.converged[errors.ended]) / expected]
             rows.append([f"{k}", cm_deg, *(f"{x:.2f}" for x in both), f"{errors.ended.mean():.2%}"])
     head = ["model", "a priori off by (sigma)", *(f"one step: {name}" for name in NAMES)]
-    _table([*head, *(f"converged: {name}" for name in NAMES), "share converged"], rows)
+    print(markdown_table([*head, *(f"converged: {name}" for name in NAMES), "share converged"], rows) + "\n")
 
 
 def print_folds(seed: int) -> None:
@@ -233,7 +227,7 @@ def print_folds(seed: int) -> None:
     units = ("mm", "mm", "deg")
     for name, unit in zip(NAMES, units, strict=True):
         head += [f"{name} atan2 [{unit}]", f"{name} arccos [{unit}]"]
-    _table(head, rows)
+    print(markdown_table(head, rows) + "\n")
     upside_down = np.array([TRUTH[0], -TRUTH[1], np.pi - TRUTH[2]])
     same = np.abs(folded_bearings(TRUTH, model(0.1)) - folded_bearings(upside_down, model(0.1))).max()
     print(
@@ -252,7 +246,12 @@ def print_misprints(seed: int) -> None:
         length = np.linalg.norm(printed_directions(state, edge))
         determinant = np.round(np.linalg.det(basis), 4) + 0.0  # without a sign of 0
         rows.append([f"{degrees:g}", *(f"{x:.4f}" for x in (length, np.linalg.norm(edge), determinant))])
-    _table(["theta [deg]", "printed [m]", "turned [m]", "determinant of the printed matrix"], rows)
+    print(
+        markdown_table(
+            ["theta [deg]", "printed [m]", "turned [m]", "determinant of the printed matrix"], rows
+        )
+        + "\n"
+    )
     print("Correlation of the mean absolute error with the diagonals, over six models\n")
     rows = []
     slid = [model(middle) for middle in middles()]
@@ -267,7 +266,7 @@ def print_misprints(seed: int) -> None:
             change = diagonal[-1] / diagonal[0]
             rows.append([label, what, *(f"{x:+.3f}" for x in r), *(f"{x:.3g}" for x in change)])
     head = ["models", "diagonal of", *NAMES, *(f"{name}: last over first model" for name in NAMES)]
-    _table(head, rows)
+    print(markdown_table(head, rows) + "\n")
 
 
 TITLES = ("range $p_1$", "offset $p_2$", r"attitude $\theta$")
@@ -291,9 +290,7 @@ def draw(path: Path, seed: int) -> None:
     for axes in panels.flat:
         axes.grid(color="#e8ecf0")
         axes.legend(frameon=False, fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save_figure(figure, path, 110)
 
 
 def _proof(axes: Axes, i: int, means: Array) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from benchmarks.command import command
+from benchmarks.presentation import save_figure
 from polhode.lie import Array, log_so3
 from polhode.metrics import States, constant_body_rotation, motion_errors, truth_at, turned
 from polhode.pipeline.products.predict import predict_run
@@ -125,9 +126,7 @@ def draw(found: Comparison, path: Path) -> None:
         axes.legend(frameon=False, ncols=4, fontsize=9, loc="upper left")
     middle.set_title("bands: three standard deviations", fontsize=10)
     figure.tight_layout()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    save_figure(figure, path, 120)
 
 
 if __name__ == "__main__":

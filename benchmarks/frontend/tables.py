@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from benchmarks.presentation import save_figure
 from benchmarks.record import Case
 from polhode.lie import Array
 
@@ -197,9 +198,7 @@ def draw_pareto(lines: Sequence[Case], methods: Sequence[str], reference: str, p
         panel.set_xlabel("features of a stereo pair and one matching [s of one core]")
         panel.set_ylabel(f"correct matches at precision {precision:.2f}")
         panel.set_title(f"{degrees} degrees of turn between the frames")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save_figure(figure, path, 110)
 
 
 def _place(lines: Sequence[Case], gap: int, precision: float) -> tuple[float, float]:

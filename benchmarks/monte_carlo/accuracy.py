@@ -22,25 +22,22 @@ from scipy.stats import chi2
 from tyro.conf import arg
 
 from benchmarks.command import RECORDS, Record, Short, Workers, command
+from benchmarks.presentation import table_head, table_row
 from benchmarks.record import Case, complete, measured
+from polhode.compare.problem.sources import SCENES
 from polhode.lie import Array
-from polhode.simulation.monte_carlo.measurements import SyntheticScene
 
 RECORD = RECORDS / "accuracy.jsonl"
 """Kept in the repository: a thousand sequences take an hour, and any machine can go on with them."""
-BOX = np.diag([1.5, 1.2, 0.9])
-THESIS = SyntheticScene(detection=0.35, station_keeping=True, min_inliers=20)
 MOTIONS = {
-    "spin of 10 RPM near the middle axis (TS38)": THESIS,
-    "flip of a box, 8 RPM": replace(THESIS, J_G=BOX, w_G=(0.1, 0.8, 0.1)),
-    "minor-axis wobble, 8 RPM": replace(THESIS, J_G=BOX, w_G=(0.12, 0.08, 0.8)),
-    "triaxial tumble, 7 RPM": replace(THESIS, J_G=BOX, w_G=(0.4, 0.5, 0.45)),
-    "slow tumble, 5 deg/s, a pair every 2 s": replace(
-        THESIS, J_G=BOX, w_G=(0.045, 0.05, 0.055), dt_s=2.0, accel_psd=1e-9, torque_psd=1e-9
-    ),
-    "fast tumble, 20 RPM, 4 pairs a second": replace(THESIS, J_G=BOX, w_G=(0.8, 1.8, 0.7), dt_s=0.25),
-    "clear flip, nearly equal moments": replace(THESIS, w_G=(0.16, 1.04, 0.16)),
-    "major-axis wobble, 8 RPM": replace(THESIS, J_G=BOX, w_G=(0.8, 0.08, 0.12)),
+    "spin of 10 RPM near the middle axis (TS38)": SCENES["ts38"],
+    "flip of a box, 8 RPM": SCENES["flip"],
+    "minor-axis wobble, 8 RPM": SCENES["minor_wobble"],
+    "triaxial tumble, 7 RPM": SCENES["tumble"],
+    "slow tumble, 5 deg/s, a pair every 2 s": SCENES["slow_tumble"],
+    "fast tumble, 20 RPM, 4 pairs a second": SCENES["fast_tumble"],
+    "clear flip, nearly equal moments": replace(SCENES["ts38"], w_G=(0.16, 1.04, 0.16)),
+    "major-axis wobble, 8 RPM": SCENES["major_wobble"],
 }
 NOISES_PX = (1.0, 0.3)
 SHORT_MOTIONS, SHORT_SEEDS = 3, 2
@@ -119,30 +116,32 @@ def measure(case: Case) -> Case:
 def print_tables(cells: list[tuple[tuple[str, float], list[Case]]]) -> None:
     """Errors, errors over the bound, consistency; and in a sentence how many cells hold."""
     print("\nRoot mean squared errors: mm, mm/s, deg, deg/s, mm, and of k1, k2\n")
-    print(_row((*HEAD[:-1], "k1", "k2")) + "\n" + _rule(10))
+    print(table_head((*HEAD[:-1], "k1", "k2")))
     for (motion, noise), lines in cells:
         good = _good(lines)
         squares = np.mean([line["squares"] for line in good], axis=0)[:5]
         ratios = np.sqrt(np.mean(np.square([line["ratios"] for line in good]), axis=0))
         unit = np.array([1e3, 1e3, np.rad2deg(1.0), np.rad2deg(1.0), 1e3])
         numbers = [f"{x:.3g}" for x in (*(unit * np.sqrt(squares)), *ratios)]
-        print(_row((motion, noise, _count(lines), *numbers)))
+        print(table_row((motion, noise, _count(lines), *numbers)))
     print("\nRMSE / bound\n")
-    print(_row(HEAD) + "\n" + _rule(9))
+    print(table_head(HEAD))
     over = [over_bound(_good(lines)) for _, lines in cells]
     for ((motion, noise), lines), values in zip(cells, over, strict=True):
-        print(_row((motion, noise, _count(lines), *(f"{x:.3f}{'*' if x > 1.15 else ''}" for x in values))))
+        print(
+            table_row((motion, noise, _count(lines), *(f"{x:.3f}{'*' if x > 1.15 else ''}" for x in values)))
+        )
     runs = [line for _, lines in cells for line in lines]
     together = np.sqrt(np.mean([np.divide(line["squares"], line["bound"]) for line in _good(runs)], axis=0))
-    print(_row(("all", "", _count(runs), *(f"{x:.3f}" for x in together))))
+    print(table_row(("all", "", _count(runs), *(f"{x:.3f}" for x in together))))
     print("\nNEES over its expectation (95 % band)\n")
-    print(_row(HEAD) + "\n" + _rule(9))
+    print(table_head(HEAD))
     inside = []
     for (motion, noise), lines in cells:
         nees, low, high = consistency(_good(lines))
         inside += list((nees >= low) & (nees <= high))
-        print(_row((motion, noise, _count(lines), *_with_band(nees, low, high))))
-    print(_row(("all", "", _count(runs), *_with_band(*consistency(_good(runs))))))
+        print(table_row((motion, noise, _count(lines), *_with_band(nees, low, high))))
+    print(table_row(("all", "", _count(runs), *_with_band(*consistency(_good(runs))))))
     seconds = np.median([line["seconds"] for line in _good(runs)])
     print(
         f"\nRMSE at most {np.max(over):.3f} of the bound, "
@@ -163,10 +162,10 @@ def print_cost_of_estimating(estimated: list[Case], given: list[Case]) -> None:
         for some in (ours, theirs)
     ]
     print(f"\nThe same {len(pairs)} sequences with the process noise given\n")
-    print(_row(("", *HEAD[3:])) + "\n" + _rule(7))
-    print(_row(("RMSE, estimated over given", *(f"{x:.3f}" for x in np.sqrt(squares[0] / squares[1])))))
+    print(table_head(("", *HEAD[3:])))
+    print(table_row(("RMSE, estimated over given", *(f"{x:.3f}" for x in np.sqrt(squares[0] / squares[1])))))
     for name, some in (("NEES, estimated", ours), ("NEES, given", theirs)):
-        print(_row((name, *_with_band(*consistency(some)))))
+        print(table_row((name, *_with_band(*consistency(some)))))
 
 
 def same_sequences(estimated: list[Case], given: list[Case]) -> list[tuple[Case, Case]]:
@@ -212,14 +211,6 @@ def _good(lines: list[Case]) -> list[Case]:
 def _count(lines: list[Case]) -> str:
     failed = len(lines) - len(_good(lines))
     return f"{len(lines)}" + (f" ({failed} failed)" if failed else "")
-
-
-def _row(values: tuple[object, ...]) -> str:
-    return "| " + " | ".join(str(value) for value in values) + " |"
-
-
-def _rule(columns: int) -> str:
-    return "|" + "---|" * columns
 
 
 if __name__ == "__main__":

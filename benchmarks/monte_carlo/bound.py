@@ -195,11 +195,6 @@ def normalised_squares(errors: Errors, estimate: MotionEstimate) -> Array:
     return np.array([_nees(*part) for part in parts])
 
 
-def stated_mean_squares(estimate: MotionEstimate) -> Array:
-    """(5,) like ``Bound.mean_squares`` without the inertia, from the estimate's own covariance."""
-    return np.array([*_traces(_states(estimate)), np.trace(estimate.mass.cov_com_G)])
-
-
 def _states(estimate: MotionEstimate) -> Array:
     """Covariance (F, 12, 12) as in ``Bound.states``; not finite where undetermined."""
     T = rate_along_N(estimate.R_NP, estimate.w_P)

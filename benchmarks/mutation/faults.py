@@ -290,7 +290,7 @@ COMPARE = (
         ("compare/test_ranking.py", "compare"),
     ),
     Fault(
-        "the judge forgets what the landmarks still promise",
+        "the assessment forgets the remaining decrease of the landmarks",
         "compare/problem/assessment.py",
         "gain = 0.5 * float(g @ cho_solve(factor, g)) + 0.5 * float(of_landmarks)",
         "gain = 0.5 * float(g @ cho_solve(factor, g))",

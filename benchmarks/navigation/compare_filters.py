@@ -32,6 +32,7 @@ from benchmarks.navigation.recorded_flights import (
     runs_of,
     tune,
 )
+from benchmarks.presentation import save_figure
 from benchmarks.record import Case, complete
 from polhode.lie import Array
 
@@ -288,9 +289,7 @@ def draw(lines: list[Case], path: Path) -> None:
     for axes in panels[-1]:
         axes.set_xlabel("time [s]; errors count after the shaded part")
     panels[0, 0].legend(frameon=False, fontsize=8, ncols=2)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save_figure(figure, path, 110)
 
 
 def _plain(value: float, _: int) -> str:

@@ -26,6 +26,7 @@ from tyro.conf import arg
 
 from benchmarks.command import Png, Short, command, single_threaded
 from benchmarks.monte_carlo.bound import true_iterate
+from benchmarks.presentation import save_figure
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
@@ -39,13 +40,13 @@ from polhode.backend.uncertainty.covariance import (
     state_jacobians,
 )
 from polhode.backend.uncertainty.principal_axes import axes_derivative
+from polhode.compare.problem.sources import THESIS
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, transform_points
 from polhode.progress import Advance
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
 
-THESIS = SyntheticScene(detection=0.35, station_keeping=True, min_inliers=20)
 FRAMES = (29, 58, 115, 230, 345)
 LANDMARKS = (600, 1200, 2430, 4860, 9720)
 REPETITIONS = 3
@@ -345,9 +346,7 @@ def draw_growth(path: Path, over_frames: list[Times], over_landmarks: list[Times
         axes.legend(frameon=False, fontsize=9)
     panels[0].set_ylabel("seconds")
     figure.tight_layout()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    save_figure(figure, path, 130)
 
 
 def _axes(over_frames: list[Times], over_landmarks: list[Times]) -> list[tuple[str, list[Times], Array]]:

@@ -17,10 +17,11 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, Short, command
+from benchmarks.presentation import markdown_table
 from polhode.cli.console import choose_progress
 from polhode.compare.comparison import FILE, compare
 from polhode.compare.ranking import curve, front, growths, standing_lines, standings
-from polhode.compare.rows import Comparison, ProblemWords, Row, read_comparison
+from polhode.compare.rows import Comparison, ProblemSummary, Row, read_comparison
 from polhode.compare.tables.table import ERROR_COLUMNS, cells, error_cells, not_separable, told, verdict
 from polhode.config import Config
 from polhode.config.loader import load_config
@@ -81,7 +82,7 @@ def markdown(found: Comparison, default: str) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def solver_table(found: Comparison, problem: ProblemWords) -> str:
+def solver_table(found: Comparison, problem: ProblemSummary) -> str:
     """One problem from the cold start, all that is known of a row's price."""
     rows = _cold(found, problem.name)
     if not rows:
@@ -93,7 +94,7 @@ def solver_table(found: Comparison, problem: ProblemWords) -> str:
         before = "" if row.memory_before_mb is None else f"{row.memory_before_mb:.0f}"
         lines.append([told[0], *told[2:9], callback, told[9], before, *told[10:]])
     below = [*not_separable(rows), verdict(rows, problem.least_cost)]
-    return _headed(problem, _table(SHOWN, lines)) + "".join(f"\n\n{line}" for line in below)
+    return _headed(problem, markdown_table(SHOWN, lines)) + "".join(f"\n\n{line}" for line in below)
 
 
 def motions_table(found: Comparison) -> str:
@@ -105,7 +106,7 @@ def motions_table(found: Comparison) -> str:
     if not lines:
         return ""
     head = ["iterations / seconds", *(each.name for each in found.problems)]
-    return _table(head, lines)
+    return markdown_table(head, lines)
 
 
 def growth_table(found: Comparison) -> str:
@@ -119,7 +120,7 @@ def growth_table(found: Comparison) -> str:
         seconds = dict(zip(each.size.astype(int).tolist(), each.seconds.tolist(), strict=True))
         told = [f"{seconds[n]:.2f}" if n in seconds else "" for n in sizes]
         lines.append([each.solver, *told, f"{each.exponent:.2f}"])
-    return _table(["seconds at observations", *map(str, sizes), "exponent"], lines)
+    return markdown_table(["seconds at observations", *map(str, sizes), "exponent"], lines)
 
 
 def starts_table(found: Comparison) -> str:
@@ -131,7 +132,7 @@ def starts_table(found: Comparison) -> str:
         [each.solver, *(told(each.starts[kind]) if kind in each.starts else "" for kind in kinds)]
         for each in found.profiles
     ]
-    return _table(["solved", *(f"{kind} starts" for kind in kinds)], lines)
+    return markdown_table(["solved", *(f"{kind} starts" for kind in kinds)], lines)
 
 
 def profile_table(found: Comparison) -> str:
@@ -145,7 +146,7 @@ def profile_table(found: Comparison) -> str:
         shares = [*within, f"{share[-1]:.0%}"] if each.ran else [""] * (len(WITHIN) + 1)
         lines.append([each.solver, str(each.ran), str(each.not_run), *shares])
     head = ["profile", "cases run", "not run", *(f"within {limit:g}x" for limit in WITHIN), "solved"]
-    return _table(head, lines)
+    return markdown_table(head, lines)
 
 
 def errors_table(found: Comparison) -> str:
@@ -160,17 +161,17 @@ def errors_table(found: Comparison) -> str:
     if not lines:
         return ""
     head = ["problem", "solvers", *ERROR_COLUMNS]
-    return _table(head, lines)
+    return markdown_table(head, lines)
 
 
-def front_words(found: Comparison, problem: ProblemWords) -> str:
+def front_words(found: Comparison, problem: ProblemSummary) -> str:
     """Who is on the Pareto front of time against accuracy."""
     rows = _cold(found, problem.name)
     names = [row.solver for row in front(rows, problem.least_cost)]
     return f"{problem.name}: on the front: {', '.join(names)}" if names else ""
 
 
-def _outcome(found: Comparison, solver: str, problem: ProblemWords) -> str:
+def _outcome(found: Comparison, solver: str, problem: ProblemSummary) -> str:
     row = next((each for each in _cold(found, problem.name) if each.solver == solver), None)
     if row is None:
         return ""
@@ -184,14 +185,9 @@ def _cold(found: Comparison, problem: str) -> list[Row]:
     return [row for row in found.rows if row.problem == problem and row.start == "cold"]
 
 
-def _headed(problem: ProblemWords, table: str) -> str:
+def _headed(problem: ProblemSummary, table: str) -> str:
     size = f"{problem.frames} frames, {problem.landmarks} landmarks, {problem.observations} observations"
     return f"{problem.name}: {size}, {problem.unknowns} unknowns\n\n{table}"
-
-
-def _table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    rows = [head, ["---"] * len(head), *lines]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import numpy as np
 from tyro.conf import arg
 
 from benchmarks.command import command
+from benchmarks.presentation import save_figure
 from polhode.backend.dynamics.process_noise import rotation_covariance_scaled, translation_covariance
 from polhode.lie import Array
 
@@ -82,9 +83,7 @@ def draw(path: Path) -> None:
         axes.grid(color="#e8ecf0")
         axes.legend(frameon=False, fontsize=9)
     figure.tight_layout()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    save_figure(figure, path, 130)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""One judge for all: cost, what is left to gain, ratios and errors of a returned point."""
+"""The assessment of a point that a solver returns: cost, remaining decrease, inertia ratios and errors."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ AGREED = 1e-6
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Assessment:
     """What the common functions say of a point."""
 
     cost: float | None
@@ -31,17 +31,17 @@ class Verdict:
     errors: Errors | None
 
 
-def judge(problem: MeasuredProblem, x: Array) -> Verdict:
+def assess(problem: MeasuredProblem, x: Array) -> Assessment:
     """Everything by the common functions; None where a point lies outside their domain."""
     solver = GaussNewton(problem.data)
     with np.errstate(all="ignore"):
         cost = solver.cost(problem.held, x) if np.isfinite(x).all() else np.inf
         if not np.isfinite(cost):
-            return Verdict(None, None, None, None, None)
+            return Assessment(None, None, None, None, None)
         at = problem.iterate(x)
         k1, k2 = ratios(at, problem.data)
         errors = errors_of(at, problem) if problem.truth is not None else None
-        return Verdict(float(cost), gain_left(problem, x), k1, k2, errors)
+        return Assessment(float(cost), gain_left(problem, x), k1, k2, errors)
 
 
 def gain_left(problem: MeasuredProblem, x: Array) -> float | None:

@@ -61,7 +61,7 @@ class Source:
         return freeze(self.name, tracks, relative, backend, self._truth(tracks.timestamps_ns))
 
     def _truth(self, timestamps_ns: Ints) -> Truth | None:
-        """Read by evaluation alone; it reaches the judge, no solver."""
+        """Read by evaluation alone; it reaches the assessment, no solver."""
         if self.truth is None:
             return None
         from polhode.pipeline.evaluation.evaluate import truth_of_frames

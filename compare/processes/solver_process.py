@@ -49,56 +49,56 @@ def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> 
     """The parts of a row that this process knows."""
     from polhode.compare.problem.assessment import gain_left, sigmas
     from polhode.compare.problem.measured_problem import load
-    from polhode.compare.solver import OutOfTime, Watch
-    from polhode.compare.solver_progress import Reached
+    from polhode.compare.solver import OutOfTime, SolveMonitor
+    from polhode.compare.solver_progress import ProgressFiles
 
     problem = load(problem_file)
     x = problem.start(case["start"], case["seed"])
     gain_left(problem, x)  # compiled loops are loaded before the clock starts
     before = peak_mb()
     solver = entry.load()
-    reached = Reached(out, len(x))
+    reached = ProgressFiles(out, len(x))
     left = case["limit_s"] - (time() - case["started"]) - ENDING_S
-    watch = Watch(max(left, 1.0), reached=reached)
+    monitor = SolveMonitor(max(left, 1.0), reached=reached)
     outcome, failure = None, ""
     try:
-        outcome = solver.solve(problem, x, watch)
+        outcome = solver.solve(problem, x, monitor)
     except OutOfTime:
         failure = "timeout"
     except Exception as error:  # noqa: BLE001  a row, whatever it was
         traceback.print_exc()
         failure = f"{type(error).__name__}: {error}"
-        watch.not_separable = watch.not_separable or "an error ended it before its times were read"
-    wall, memory = watch.elapsed(), peak_mb()
-    kept, point = ("answer", outcome.x) if outcome is not None else watch.kept()
+        monitor.not_separable = monitor.not_separable or "an error ended it before its times were read"
+    wall, memory = monitor.elapsed(), peak_mb()
+    kept, point = ("answer", outcome.x) if outcome is not None else monitor.kept()
     judged = of_point(problem, kept, point)
     cov = outcome.cov_constants if outcome is not None else None
     of_sigma = sigmas(problem, outcome.x, cov) if outcome is not None else [None] * 3
     if failure == "timeout":
-        status, message = "timeout", out_of_time(case["limit_s"], wall, watch.words, kept)
+        status, message = "timeout", out_of_time(case["limit_s"], wall, monitor.words, kept)
     elif outcome is None:
         status, message = "failed", failure
     else:
         status, message = _believed(entry, outcome.converged, outcome.message, judged)
-    build, evaluation = watch.seconds["build"], watch.seconds["evaluation"]
-    apart = not watch.not_separable
+    build, evaluation = monitor.seconds["build"], monitor.seconds["evaluation"]
+    apart = not monitor.not_separable
     return {
         "status": status,
         "message": " ".join(message.split())[:300],
         **judged,
-        "iterations": outcome.iterations if outcome is not None else len(watch.trace),
+        "iterations": outcome.iterations if outcome is not None else len(monitor.trace),
         "wall_s": wall,
         "build_s": build,
         "evaluation_s": evaluation if apart else None,
         "linear_s": max(wall - build - evaluation, 0.0) if apart else None,
-        "not_separable": watch.not_separable,
-        "callback_s": watch.callback_s,
+        "not_separable": monitor.not_separable,
+        "callback_s": monitor.callback_s,
         "memory_mb": memory,
         "memory_before_mb": before,
         "sigma_k1": of_sigma[0],
         "sigma_k2": of_sigma[1],
         "sigma_com_mm": of_sigma[2],
-        "trace": finite(watch.trace),
+        "trace": finite(monitor.trace),
     }
 
 
@@ -118,10 +118,10 @@ def _believed(entry: Entry, converged: bool, message: str, judged: dict[str, Any
 
 
 def of_point(problem: "MeasuredProblem", kept: str, x: "Array | None") -> dict[str, Any]:
-    """What the judge says of the point that is kept; nothing of none."""
-    from polhode.compare.problem.assessment import Verdict, judge
+    """The assessment of the point that is kept; nothing of none."""
+    from polhode.compare.problem.assessment import Assessment, assess
 
-    verdict = Verdict(None, None, None, None, None) if x is None else judge(problem, x)
+    verdict = Assessment(None, None, None, None, None) if x is None else assess(problem, x)
     return {
         "kept": kept,
         "cost": verdict.cost,

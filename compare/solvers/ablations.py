@@ -20,9 +20,9 @@ from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.compare.solvers.dynamic_isam import LogRatios, possible, wide_prior
-from polhode.compare.solvers.ours import Watched
+from polhode.compare.solvers.ours import MonitoredGaussNewton
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -37,23 +37,23 @@ class Ablation:
 
     variant: str
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """The variant's optimum, in the common unknowns."""
         if self.variant == "log_ratios":
-            return _log_ratios(problem, x, watch)
+            return _log_ratios(problem, x, monitor)
         if self.variant == "constant_noise":
             held = replace(problem.held, steps=_at_rest(problem))
-            found = Watched(problem.data, watch).solve(held, x, MAX_ITERATIONS, watch.left())
-            watch.check()
+            found = MonitoredGaussNewton(problem.data, monitor).solve(held, x, MAX_ITERATIONS, monitor.left())
+            monitor.check()
             return Outcome(found.x, found.converged, found.iterations, found.message)
-        return _open_loop(problem, x, watch)
+        return _open_loop(problem, x, monitor)
 
 
-class _WidePrior(Watched):
+class _WidePrior(MonitoredGaussNewton):
     """The thesis's, on its own numbers."""
 
-    def __init__(self, data: MotionData, watch: Watch, common: Callable[[Array], Array]) -> None:
-        super().__init__(data, watch, common)
+    def __init__(self, data: MotionData, monitor: SolveMonitor, common: Callable[[Array], Array]) -> None:
+        super().__init__(data, monitor, common)
         self._prior = wide_prior
 
 
@@ -73,7 +73,7 @@ def _in_common(problem: MeasuredProblem, data: MotionData, around: Iterate, x: A
     return problem.vector(replace(at, xi=xi, R_inertia=R_inertia))
 
 
-def _log_ratios(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+def _log_ratios(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
     data = replace(problem.data, form=LogRatios())
     start = problem.iterate(x)
     xi, R_inertia = data.form.coordinates(start.second_moments(problem.data.form))
@@ -81,10 +81,10 @@ def _log_ratios(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
     total, before = 0, np.inf
     while True:
         # references are renewed, as the axes of nearly equal moments turn far
-        solver = _WidePrior(data, watch, partial(_in_common, problem, data, begin))
+        solver = _WidePrior(data, monitor, partial(_in_common, problem, data, begin))
         held = _around(problem.held, data, begin)
-        found = solver.solve(held, begin.vector(), 15, watch.left())
-        watch.check()
+        found = solver.solve(held, begin.vector(), 15, monitor.left())
+        monitor.check()
         total, begin = total + found.iterations, begin.moved_to(found.x)
         resting = before - found.cost <= 1e-8 * found.cost
         if (found.converged and resting) or total >= MAX_ITERATIONS:
@@ -112,7 +112,7 @@ def passages(data: MotionData) -> tuple[Ints, Ints]:
     return new, np.array(old, dtype=np.int64)
 
 
-def _open_loop(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+def _open_loop(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
     data, at = problem.data, problem.held.reference
     new, old = passages(data)
     split = replace(data, landmark=new, start=np.searchsorted(new, np.arange(len(old) + 1)).astype(np.int64))
@@ -125,8 +125,8 @@ def _open_loop(problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
     def common(z: Array) -> Array:
         return np.concatenate([z[: at.n_dense], z[at.n_dense :].reshape(-1, 3)[first].ravel()])
 
-    found = Watched(split, watch, common).solve(held, start, MAX_ITERATIONS, watch.left())
-    watch.check()
+    found = MonitoredGaussNewton(split, monitor, common).solve(held, start, MAX_ITERATIONS, monitor.left())
+    monitor.check()
     end = common(found.x)
     words = f"{found.message}; {data.n_landmarks} landmarks became {len(old)}"
     return Outcome(end, found.converged, found.iterations, words)

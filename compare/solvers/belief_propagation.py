@@ -9,7 +9,7 @@ import numpy as np
 
 from polhode.compare.problem.blocks import Block, Blocks, root_of_kernel
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.lie import Array
 
 KEPT = 0.5
@@ -24,17 +24,17 @@ TOLERANCE, RESTING = 1e-8, 20
 class BeliefPropagation:
     """Loopy, synchronous."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """Rounds until the cost rests."""
         blocks = Blocks(problem.data, problem.held)
         passing, best = _Messages(blocks), np.inf
         history: list[float] = []
         for count in range(1, ROUNDS + 1):
-            with watch.part("evaluation"), np.errstate(all="ignore"):
+            with monitor.part("evaluation"), np.errstate(all="ignore"):
                 factors = [root_of_kernel(each, problem.data.robust_scale) for each in blocks.all(x)]
                 cost = 0.5 * sum(float(np.sum(each.residual**2)) for each in factors)
-            watch.note(cost, x)
-            watch.check()
+            monitor.note(cost, x)
+            monitor.check()
             if not np.isfinite(cost):
                 return Outcome(x, False, count, "the messages diverged")
             history.append(cost)

@@ -12,7 +12,7 @@ import numpy as np
 from polhode.compare.problem.blocks import Blocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.problem.single_blocks import SingleSteps, compile_block, landmark_block
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.lie import Array
 
 TOLERANCE = 1e-10
@@ -26,34 +26,34 @@ class Ceres:
         """The compiled loop is loaded before any clock starts."""
         compile_block()
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """Levenberg-Marquardt to a relative decrease of TOLERANCE."""
         import pyceres
 
-        with watch.part("build"):
-            graph = _Graph(problem, x, watch)
+        with monitor.part("build"):
+            graph = _Graph(problem, x, monitor)
             options = pyceres.SolverOptions()
             options.linear_solver_type = pyceres.LinearSolverType.SPARSE_SCHUR
             options.max_num_iterations = MAX_ITERATIONS
             options.function_tolerance = TOLERANCE
             options.gradient_tolerance = options.parameter_tolerance = 1e-12
-            options.max_solver_time_in_seconds = max(watch.left(), 0.1)
+            options.max_solver_time_in_seconds = max(monitor.left(), 0.1)
             options.num_threads = 1
             options.logging_type = pyceres.LoggingType.SILENT
             options.update_state_every_iteration = True
-            callback = _on_iteration(graph, watch)
+            callback = _on_iteration(graph, monitor)
             options.callbacks = [callback]
         summary = pyceres.SolverSummary()
         pyceres.solve(options, graph.problem, summary)
         # with what Ceres itself does around each call
         own = summary.residual_evaluation_time_in_seconds + summary.jacobian_evaluation_time_in_seconds
-        watch.seconds["evaluation"] = max(watch.callback_s, own)
+        monitor.seconds["evaluation"] = max(monitor.callback_s, own)
         converged = summary.termination_type == pyceres.TerminationType.CONVERGENCE
         end = graph.vector()
-        iterations = len(watch.trace) - 1
-        if not converged and watch.left() <= 0.0:
-            watch.check()
-        spare = watch.stop()
+        iterations = len(monitor.trace) - 1
+        if not converged and monitor.left() <= 0.0:
+            monitor.check()
+        spare = monitor.stop()
         cov = graph.covariance() if converged and spare else None
         return Outcome(end, converged, iterations, str(summary.message), cov)
 
@@ -61,11 +61,11 @@ class Ceres:
 class _Graph:
     """As Ceres knows it: a parameter block for each pose, rest of a state, constants, landmark."""
 
-    def __init__(self, problem: MeasuredProblem, x: Array, watch: Watch) -> None:
+    def __init__(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> None:
         import pyceres
 
         self.problem = pyceres.Problem()
-        self.blocks, self.watch = Blocks(problem.data, problem.held), watch
+        self.blocks, self.monitor = Blocks(problem.data, problem.held), monitor
         self.parts = self._parts()
         # Ceres holds the addresses of these and writes to them: never to x
         self.values = [x[part].copy() for part in self.parts]
@@ -75,7 +75,7 @@ class _Graph:
         self._add_others(x)
 
     def _add(self, evaluate: "Evaluate", rows: int, owners: list[int]) -> None:
-        cost = _cost_function(evaluate, rows, [len(self.values[owner]) for owner in owners], self.watch)
+        cost = _cost_function(evaluate, rows, [len(self.values[owner]) for owner in owners], self.monitor)
         self._costs.append(cost)
         self.problem.add_residual_block(cost, None, [self.values[owner] for owner in owners])
 
@@ -193,21 +193,21 @@ def _write(out: list[Array | None], jacobian: Array, sizes: list[int]) -> None:
         start += size
 
 
-def _on_iteration(graph: _Graph, watch: Watch) -> Any:
+def _on_iteration(graph: _Graph, monitor: SolveMonitor) -> Any:
     import pyceres
 
     class OnIteration(pyceres.IterationCallback):  # type: ignore[misc]
         """Notes the cost; ends the solve at the limit."""
 
         def __call__(self, summary: Any) -> Any:
-            watch.note(summary.cost, graph.vector() if summary.step_is_successful else None)
+            monitor.note(summary.cost, graph.vector() if summary.step_is_successful else None)
             stop = pyceres.CallbackReturnType.SOLVER_ABORT
-            return stop if watch.left() <= 0.0 else pyceres.CallbackReturnType.SOLVER_CONTINUE
+            return stop if monitor.left() <= 0.0 else pyceres.CallbackReturnType.SOLVER_CONTINUE
 
     return OnIteration()
 
 
-def _cost_function(evaluate: Evaluate, rows: int, sizes: list[int], watch: Watch) -> Any:
+def _cost_function(evaluate: Evaluate, rows: int, sizes: list[int], monitor: SolveMonitor) -> Any:
     import pyceres
 
     class OneBlock(pyceres.CostFunction):  # type: ignore[misc]
@@ -220,7 +220,7 @@ def _cost_function(evaluate: Evaluate, rows: int, sizes: list[int], watch: Watch
 
         def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
             """False where the model has no value."""
-            with watch.callback(), np.errstate(all="ignore"):
+            with monitor.callback(), np.errstate(all="ignore"):
                 found = evaluate(parameters, jacobians)
                 residuals[:] = found
                 return bool(np.isfinite(found).all())

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import splu
 
 from polhode.compare.problem.blocks import Blocks, root_of_kernel, stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.compare.solvers.aghili_dynamics import AghiliDynamics
 from polhode.compare.solvers.changed_inertia import KINDS, ChangedInertia
 from polhode.lie import Array, hat, right_jacobian_so3
@@ -34,14 +34,14 @@ class ChangedUnknowns:
 
     unknowns: str = "rotation_vector"
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """Until the relative decrease of an accepted step is below TOLERANCE."""
         blocks = Blocks(problem.data, problem.held)
         change = changes(self.unknowns, problem)
         to_x, to_z, rows = change.to_x, change.to_z, change.rows
         z, damping, cost, iterations = to_z(x), FIRST, np.inf, 0
         for iterations in range(1, MAX_ITERATIONS + 1):
-            with watch.part("evaluation"):
+            with monitor.part("evaluation"):
                 x, of_z = to_x(z)
                 stereo, dynamics, *others = blocks.all(x)
                 own, of_own = rows(z)
@@ -55,12 +55,12 @@ class ChangedUnknowns:
                 residual = np.concatenate([residual, own])
                 jacobian = vstack([jacobian @ of_z, of_own], format="csr")
                 cost = 0.5 * float(residual @ residual)
-            watch.note(cost, x)
+            monitor.note(cost, x)
             H, g = (jacobian.T @ jacobian).tocsc(), jacobian.T @ residual
             while True:
-                watch.check()
+                monitor.check()
                 step = splu(H + damping * diags(H.diagonal() + 1e-12, format="csc")).solve(-g)
-                with watch.part("evaluation"):
+                with monitor.part("evaluation"):
                     after = self._cost(blocks, change, z + step)
                 if np.isfinite(after) and after <= cost:
                     break

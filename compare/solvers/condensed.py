@@ -13,7 +13,7 @@ from polhode.backend.solvers.casadi_nlp import OPTIMAL, ExternalFunction
 from polhode.backend.solvers.gauss_newton import GaussNewton, NormalEquations
 from polhode.backend.solvers.ipopt import MESSAGES, MotionProgram
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.compare.solvers.ipopt import MAX_ITERATIONS, Iterations
 from polhode.lie import Array
 
@@ -26,8 +26,8 @@ INNER_TOLERANCE = 1e-12
 class ReducedCost:
     """Cost, gradient and Hessian of states and constants (n,), landmarks at their optimum."""
 
-    def __init__(self, problem: MeasuredProblem, x: Array, watch: Watch) -> None:
-        self.problem, self.watch = problem, watch
+    def __init__(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> None:
+        self.problem, self.monitor = problem, monitor
         self._newton = GaussNewton(problem.data)
         self.n = problem.held.reference.n_dense
         self.marks = x[self.n :].copy()
@@ -55,14 +55,14 @@ class ReducedCost:
     def _schur(self, y: Array) -> tuple[Array, Array]:
         system = self._at(y)
         if self._reduced is None:
-            with self.watch.callback(None):
+            with self.monitor.callback(None):
                 S, g, _ = self._newton.reduced(system)
                 self._reduced = S, g
         return self._reduced
 
     def _at(self, y: Array) -> NormalEquations:
         if self._y is None or self._system is None or not np.array_equal(y, self._y):
-            with self.watch.callback(), np.errstate(all="ignore"):
+            with self.monitor.callback(), np.errstate(all="ignore"):
                 self._system, self._y, self._reduced = self._settled(y), y.copy(), None
         return self._system
 
@@ -104,10 +104,10 @@ class ReducedCost:
 class Condensed:
     """IPOPT over the reduced cost."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """With the tolerances of the back end's program."""
-        with watch.part("build"):
-            reduced = ReducedCost(problem, x, watch)
+        with monitor.part("build"):
+            reduced = ReducedCost(problem, x, monitor)
             n = reduced.n
             y = ca.MX.sym("y", n)
             kinds = ((reduced.cost, 1), (reduced.gradient, n), (reduced.hessian, n * (n + 1) // 2))
@@ -115,7 +115,7 @@ class Condensed:
             cost, gradient, second = (function(y) for function in outside)
             p, lam_f, lam_g = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
             base = MotionProgram(problem.data)
-            options = base.options(MAX_ITERATIONS, max(watch.left(), 0.1))
+            options = base.options(MAX_ITERATIONS, max(monitor.left(), 0.1))
             options["grad_f"] = ca.Function(
                 "nlp_grad_f", [y, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"]
             )
@@ -126,12 +126,12 @@ class Condensed:
                 ["x", "p", "lam_f", "lam_g"],
                 ["triu_hess_gamma_x_x"],
             )
-            listener = Iterations(n, 0, 0, watch, reduced.whole)
+            listener = Iterations(n, 0, 0, monitor, reduced.whole)
             options["iteration_callback"] = listener
             solver: Any = ca.nlpsol("condensed", "ipopt", {"x": y, "p": p, "f": cost}, options)
         result = solver(x0=x[:n])
         stats = solver.stats()
         status = str(stats["return_status"])
         found = reduced.whole(np.asarray(result["x"]).ravel())
-        watch.check()
+        monitor.check()
         return Outcome(found, status in OPTIMAL, int(stats["iter_count"]), MESSAGES.get(status, status))

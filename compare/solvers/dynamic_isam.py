@@ -25,8 +25,8 @@ from polhode.backend.solvers.gauss_newton import NormalEquations
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.problem.single_blocks import first_steps
-from polhode.compare.solver import Outcome, Watch
-from polhode.compare.solvers.ours import Timed
+from polhode.compare.solver import Outcome, SolveMonitor
+from polhode.compare.solvers.ours import TimedGaussNewton
 from polhode.lie import Array, exp_so3, hat, log_so3, right_jacobian_so3
 from polhode.records import Ints
 
@@ -42,7 +42,7 @@ FEWEST_FRAMES = 2
 class DynamicIsam:
     """Incremental batch smoothing."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """The last estimate; the message tells how often the inertia was impossible."""
         data = replace(problem.data, form=LogRatios())
         start = problem.iterate(x)
@@ -62,16 +62,16 @@ class DynamicIsam:
             seen[marks] = True
             begin = replace(at, p_G=p_G[marks])
             held = _held(problem.held, begin, small.R_RN)
-            solver = _Locked(small, watch, int(np.searchsorted(marks, locked)), lock)
-            found = solver.solve(held, begin.vector(), STEPS_A_FRAME, max(watch.left(), 0.0))
+            solver = _Locked(small, monitor, int(np.searchsorted(marks, locked)), lock)
+            found = solver.solve(held, begin.vector(), STEPS_A_FRAME, max(monitor.left(), 0.0))
             ended = begin.moved_to(found.x)
             p_G[marks] = ended.p_G
             at = replace(ended, p_G=p_G)
             impossible += not possible(ended.xi)
             steps += found.iterations
-            watch.note(found.cost)
-            watch.tell(f"{n} of {data.n_frames} frames were in")
-            watch.check()
+            monitor.note(found.cost)
+            monitor.tell(f"{n} of {data.n_frames} frames were in")
+            monitor.check()
         assert at is not None
         second = second_moments_from_inertia(inertia_from_second_moments(at.second_moments(data.form)))
         xi, R_inertia = problem.data.form.coordinates(second)
@@ -81,11 +81,11 @@ class DynamicIsam:
         return Outcome(problem.vector(end), True, steps, message)
 
 
-class _Locked(Timed):
+class _Locked(TimedGaussNewton):
     """Wide priors of the thesis, the first landmark locked."""
 
-    def __init__(self, data: MotionData, watch: Watch, mark: int, lock: Array) -> None:
-        super().__init__(data, watch)
+    def __init__(self, data: MotionData, monitor: SolveMonitor, mark: int, lock: Array) -> None:
+        super().__init__(data, monitor)
         self._mark, self._lock = mark, lock
         self._prior = wide_prior
 

@@ -11,7 +11,7 @@ from polhode.backend.dynamics.so3_exp import inverse_right_jacobians
 from polhode.compare.problem.blocks import Blocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.problem.single_blocks import SingleSteps
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 
 TOLERANCE = 1e-10
@@ -25,28 +25,28 @@ NOT_SEPARABLE = "GTSAM evaluates its stereo factors in C++ inside its own steps"
 class Batch:
     """Levenberg-Marquardt with Marquardt's scaling."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """Until the relative decrease is below TOLERANCE."""
-        watch.not_separable = NOT_SEPARABLE
-        with watch.part("build"):
-            own = Graph(problem, watch)
+        monitor.not_separable = NOT_SEPARABLE
+        with monitor.part("build"):
+            own = Graph(problem, monitor)
             graph, values = own.all(x), own.values(x)
             parameters = gtsam.LevenbergMarquardtParams()
             parameters.setDiagonalDamping(True)
             parameters.setlambdaUpperBound(1e12)
             optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
         before, converged, iterations = optimizer.error(), False, 0
-        watch.note(before, x)
+        monitor.note(before, x)
         while iterations < MAX_ITERATIONS and not converged:
             optimizer.iterate()
             iterations += 1
             after = optimizer.error()
-            watch.note(after, own.vector(optimizer.values()))
-            watch.check()
+            monitor.note(after, own.vector(optimizer.values()))
+            monitor.check()
             converged = before - after <= TOLERANCE * after
             before = after
         values = optimizer.values()
-        cov = _covariance(lambda: gtsam.Marginals(graph, values)) if watch.stop() else None
+        cov = _covariance(lambda: gtsam.Marginals(graph, values)) if monitor.stop() else None
         message = "converged" if converged else "limit of iterations"
         return Outcome(own.vector(values), converged, iterations, message, cov)
 
@@ -54,11 +54,11 @@ class Batch:
 class Incremental:
     """iSAM2: frames come one by one, with the same first values; in the end updates until the cost rests."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """The cost is noted when all frames are in."""
-        watch.not_separable = NOT_SEPARABLE
-        with watch.part("build"):
-            own = Graph(problem, watch)
+        monitor.not_separable = NOT_SEPARABLE
+        with monitor.part("build"):
+            own = Graph(problem, monitor)
             # small steps must reach every unknown, or the cost rests too early
             parameters = gtsam.ISAM2Params()
             parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(WILDFIRE))
@@ -78,22 +78,22 @@ class Incremental:
             seen[marks] = True
             isam.update(new, values)
             iterations += 1
-            watch.tell(f"{k + 1} of {d.n_frames} frames were in")
-            watch.check()
-        watch.tell("")
+            monitor.tell(f"{k + 1} of {d.n_frames} frames were in")
+            monitor.check()
+        monitor.tell("")
         cost, converged = np.inf, False
         for _ in range(LAST_UPDATES):
             found = own.vector(isam.calculateEstimate())
             after = own.blocks.cost(found)
-            watch.note(after, found)
+            monitor.note(after, found)
             converged = bool(abs(cost - after) <= TOLERANCE * after)
             if converged:
                 break
             cost = after
             isam.update()
             iterations += 1
-            watch.check()
-        cov = _covariance(lambda: isam) if watch.stop() else None
+            monitor.check()
+        cov = _covariance(lambda: isam) if monitor.stop() else None
         return Outcome(found, converged, iterations, "converged" if converged else "limit of updates", cov)
 
 
@@ -112,8 +112,8 @@ Errors = Callable[[Array, bool], tuple[Array, Array]]
 class Graph:
     """Factors by frame, and values to and from the common vector."""
 
-    def __init__(self, problem: MeasuredProblem, watch: Watch) -> None:
-        self.blocks, self.watch = Blocks(problem.data, problem.held), watch
+    def __init__(self, problem: MeasuredProblem, monitor: SolveMonitor) -> None:
+        self.blocks, self.monitor = Blocks(problem.data, problem.held), monitor
         self.data, self.held = problem.data, problem.held
         self.X_NR = inverse_pose(make_pose(self.data.R_RN, self.data.t_R))
         self._steps = SingleSteps(self.blocks)
@@ -199,7 +199,7 @@ class Graph:
         """A factor in Python; its Jacobian in the tangent of GTSAM's poses."""
 
         def call(this: Any, values: Any, jacobians: Any) -> Array:
-            with self.watch.callback(), np.errstate(all="ignore"):
+            with self.monitor.callback(), np.errstate(all="ignore"):
                 own, tangents = [], []
                 for key in list(this.keys()):
                     numbers, tangent = self._numbers(values, key)

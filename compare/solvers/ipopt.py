@@ -12,7 +12,7 @@ import numpy as np
 from polhode.backend.solvers.casadi_nlp import OPTIMAL
 from polhode.backend.solvers.ipopt import MESSAGES, MotionProgram, ProgramLayout
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.compare.solvers.casadi_program import Code, Dynamics, Formulation, Hessian, VariantProgram
 from polhode.lie import Array
 
@@ -31,10 +31,12 @@ class Iterations(ca.Callback):
     ``common`` takes the solver's unknowns to the common ones.
     """
 
-    def __init__(self, n_x: int, n_g: int, n_p: int, watch: Watch, common: Common = lambda x: x) -> None:
+    def __init__(
+        self, n_x: int, n_g: int, n_p: int, monitor: SolveMonitor, common: Common = lambda x: x
+    ) -> None:
         ca.Callback.__init__(self)
         self._sizes = {"x": n_x, "f": 1, "g": n_g, "lam_x": n_x, "lam_g": n_g, "lam_p": n_p}
-        self._watch, self._common, self.feasible = watch, common, n_g == 0
+        self._watch, self._common, self.feasible = monitor, common, n_g == 0
         self.construct("iterations", {})
 
     def get_n_in(self) -> int:
@@ -60,33 +62,33 @@ class Iterations(ca.Callback):
 class Shipped:
     """``backend.program.MotionProgram``: weighted, Gauss-Newton Hessian, stereo in compiled loops."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """The back end's own call, its clock read."""
-        program = _WatchedProgram(problem, watch)
-        found = program.solve(problem.held, x, MAX_ITERATIONS, max(watch.left(), 0.1))
-        watch.seconds["evaluation"] += evaluation_s(program.stats)
-        watch.check()
+        program = _MonitoredProgram(problem, monitor)
+        found = program.solve(problem.held, x, MAX_ITERATIONS, max(monitor.left(), 0.1))
+        monitor.seconds["evaluation"] += evaluation_s(program.stats)
+        monitor.check()
         return Outcome(found.x, found.converged, found.iterations, found.message)
 
 
-class _WatchedProgram(MotionProgram):
-    def __init__(self, problem: MeasuredProblem, watch: Watch) -> None:
+class _MonitoredProgram(MotionProgram):
+    def __init__(self, problem: MeasuredProblem, monitor: SolveMonitor) -> None:
         super().__init__(problem.data)
-        self.watch, self.n_x = watch, len(problem.cold)
+        self.monitor, self.n_x = monitor, len(problem.cold)
         self.stats: dict[str, Any] = {}
 
     def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
         """Those of the back end, with a listener."""
-        self._listener = Iterations(self.n_x, 0, self.n_p, self.watch)
+        self._listener = Iterations(self.n_x, 0, self.n_p, self.monitor)
         return {
             **super().options(max_iterations, max_seconds),
             "iteration_callback": self._listener,
         }
 
     def build(self, layout: ProgramLayout, max_iterations: int, max_seconds: float) -> Any:
-        """Timed."""
+        """TimedGaussNewton."""
         self.n_p = layout.n_p
-        with self.watch.part("build"):
+        with self.monitor.part("build"):
             solver = super().build(layout, max_iterations, max_seconds)
 
         def call(**arguments: Any) -> Any:
@@ -106,16 +108,16 @@ class Variant:
     dynamics: Dynamics = "weighted"
     code: Code = "vm"
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """Build, solve with the tolerances of the back end's program."""
         with TemporaryDirectory(prefix="polhode-compare-") as folder:
-            with watch.part("build"):
+            with monitor.part("build"):
                 formulation = Formulation(self.hessian, self.dynamics, self.code)
                 program = VariantProgram(problem, formulation, Path(folder))
                 functions, given = program.functions()
-                options = {**program.options(MAX_ITERATIONS, max(watch.left(), 0.1)), **given}
+                options = {**program.options(MAX_ITERATIONS, max(monitor.left(), 0.1)), **given}
                 sizes = (program.n_x + program.n_slack, program.n_slack, len(program.p))
-                listener = Iterations(*sizes, watch, lambda z: z[: program.n_x])
+                listener = Iterations(*sizes, monitor, lambda z: z[: program.n_x])
                 options["iteration_callback"] = listener
                 # wild steps of a cold start leave the domain: they are refused, and need not be told
                 options["show_eval_warnings"] = False
@@ -127,8 +129,8 @@ class Variant:
                 solver: Any = ca.nlpsol("variant", "ipopt", functions, options)
             result = solver(x0=program.start(x), p=program.p, lbg=0.0, ubg=0.0)
             stats = solver.stats()
-        watch.seconds["evaluation"] += evaluation_s(stats)
-        watch.check()
+        monitor.seconds["evaluation"] += evaluation_s(stats)
+        monitor.check()
         status = str(stats["return_status"])
         x = np.asarray(result["x"]).ravel()[: program.n_x]
         return Outcome(x, status in OPTIMAL, int(stats["iter_count"]), MESSAGES.get(status, status))

@@ -12,8 +12,8 @@ from polhode.backend.initialization.multistart import inertia_from_momentum
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import Iterate
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, Watch
-from polhode.compare.solvers.ours import Watched
+from polhode.compare.solver import Outcome, SolveMonitor
+from polhode.compare.solvers.ours import MonitoredGaussNewton
 from polhode.lie import Array, log_so3
 
 MAX_ITERATIONS = 100
@@ -22,12 +22,12 @@ MAX_ITERATIONS = 100
 class Odometry:
     """No dynamics in the map."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """One bundle adjustment, then three least squares."""
         data = problem.data
-        solver = Watched(data, watch, with_dynamics=False)
-        found = solver.solve(problem.held, x, MAX_ITERATIONS, max(watch.left(), 0.0))
-        watch.check()
+        solver = MonitoredGaussNewton(data, monitor, with_dynamics=False)
+        found = solver.solve(problem.held, x, MAX_ITERATIONS, max(monitor.left(), 0.0))
+        monitor.check()
         at = problem.iterate(found.x)
         time_s = np.concatenate([[0.0], np.cumsum(data.dt_s)])
         w_G = rates(at.R_NG, data.dt_s)

@@ -12,7 +12,7 @@ from polhode.backend.solvers.gauss_newton import TIME_LIMIT, GaussNewton, Normal
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.assessment import reference_covariance
 from polhode.compare.problem.measured_problem import MeasuredProblem, inertia_around, with_form
-from polhode.compare.solver import Outcome, OutOfTime, Watch
+from polhode.compare.solver import Outcome, OutOfTime, SolveMonitor
 from polhode.lie import Array
 
 MAX_ITERATIONS, PASS = 500, 12
@@ -22,35 +22,35 @@ def _same(x: Array) -> Array:
     return x
 
 
-class Timed(GaussNewton):
+class TimedGaussNewton(GaussNewton):
     """The same solver; its clock is read at each linearisation."""
 
     def __init__(
-        self, data: MotionData, watch: Watch, with_dynamics: bool = True, line_search: bool = False
+        self, data: MotionData, monitor: SolveMonitor, with_dynamics: bool = True, line_search: bool = False
     ) -> None:
         super().__init__(data, with_dynamics, line_search)
-        self.watch = watch
+        self.monitor = monitor
 
     def normal_equations(
         self, held: LinearizationPoint, x: Array, weight: Array | None = None, prior: bool = True
     ) -> NormalEquations:
-        """Timed; ends the solution at its limit."""
-        with self.watch.part("evaluation"):
+        """TimedGaussNewton; ends the solution at its limit."""
+        with self.monitor.part("evaluation"):
             system = super().normal_equations(held, x, weight, prior)
         self.note(system.cost, x)
-        self.watch.check()
+        self.monitor.check()
         return system
 
     def note(self, cost: float, x: Array) -> None:
         """Nothing is noted."""
 
     def cost(self, held: LinearizationPoint, x: Array) -> float:
-        """Timed."""
-        with self.watch.part("evaluation"):
+        """TimedGaussNewton."""
+        with self.monitor.part("evaluation"):
             return super().cost(held, x)
 
 
-class Watched(Timed):
+class MonitoredGaussNewton(TimedGaussNewton):
     """As the last step of the back end has it; what was reached is noted at each linearisation.
 
     ``common`` takes its unknowns to the common ones. Without dynamics its cost is not the common one.
@@ -59,16 +59,16 @@ class Watched(Timed):
     def __init__(
         self,
         data: MotionData,
-        watch: Watch,
+        monitor: SolveMonitor,
         common: Callable[[Array], Array] = _same,
         with_dynamics: bool = True,
     ) -> None:
-        super().__init__(data, watch, with_dynamics, line_search=with_dynamics)
+        super().__init__(data, monitor, with_dynamics, line_search=with_dynamics)
         self.common = common
 
     def note(self, cost: float, x: Array) -> None:
         """What was reached, in the common unknowns."""
-        self.watch.note(cost, self.common(x), common=self.with_dynamics)
+        self.monitor.note(cost, self.common(x), common=self.with_dynamics)
 
 
 @dataclass
@@ -77,7 +77,7 @@ class Ours:
 
     form: str = "second_moments"
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """Solve in the form's own coordinates, again until the cost rests (``backend.estimate.refine``).
 
         A form with a reference rotation has it renewed every few iterations, the common form has
@@ -86,11 +86,11 @@ class Ours:
         own, common = problem, self.form == problem.data.form.name
         before, total, iterations = np.inf, 0, MAX_ITERATIONS if common else PASS
         while True:
-            with watch.part("build"):
+            with monitor.part("build"):
                 if not common:
                     own = with_form(problem, self.form, problem.iterate(x))
                 to_common = _same if common else partial(in_form, own, problem)
-                solver = Watched(own.data, watch, to_common)
+                solver = MonitoredGaussNewton(own.data, monitor, to_common)
             start = x if common else in_form(problem, own, x)
             found = _solved(solver, own.held, start, iterations)
             x, total = found.x if common else in_form(own, problem, found.x), total + found.iterations
@@ -98,13 +98,13 @@ class Ours:
             if (found.converged and resting) or total >= MAX_ITERATIONS:
                 break
             before = found.cost
-        watch.stop()
+        monitor.stop()
         cov = reference_covariance(problem, x) if common else None
         return Outcome(x, found.converged, total, found.message, cov)
 
 
-def _solved(solver: Watched, held: LinearizationPoint, x: Array, iterations: int) -> Solution:
-    found = solver.solve(held, x, iterations, max(solver.watch.left(), 0.0))
+def _solved(solver: MonitoredGaussNewton, held: LinearizationPoint, x: Array, iterations: int) -> Solution:
+    found = solver.solve(held, x, iterations, max(solver.monitor.left(), 0.0))
     solver.note(found.cost, found.x)
     if found.message == TIME_LIMIT:
         raise OutOfTime

@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 
 from polhode.compare.problem.blocks import Block, Blocks, root_of_kernel, stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.lie import Array
 
 TOLERANCE = 1e-11
@@ -19,11 +19,11 @@ UNREACHABLE = 1e30
 class TrustRegion:
     """Trust region reflective, steps by LSMR."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """The kernel is in the residuals: SciPy's own losses act on single numbers, not on vectors."""
-        with watch.part("build"):
+        with monitor.part("build"):
             blocks = Blocks(problem.data, problem.held)
-            memory = _Memory(blocks, watch)
+            memory = _Memory(blocks, monitor)
         found: Any = least_squares(
             memory.residual,
             x,
@@ -42,26 +42,26 @@ class TrustRegion:
 class _Memory:
     """Evaluates blocks once a point, though residuals and Jacobian are asked for apart."""
 
-    def __init__(self, blocks: Blocks, watch: Watch) -> None:
-        self.blocks, self.watch = blocks, watch
+    def __init__(self, blocks: Blocks, monitor: SolveMonitor) -> None:
+        self.blocks, self.monitor = blocks, monitor
         self._x: Array | None = None
         self._value: tuple[Array, Any] = np.zeros(0), None
 
     def residual(self, x: Array) -> Array:
         """(n,) whose plain squares are twice the common cost."""
-        self.watch.check()
+        self.monitor.check()
         residual = self._at(x)[0]
         return residual if np.isfinite(residual).all() else np.full_like(residual, UNREACHABLE)
 
     def jacobian(self, x: Array) -> Any:
         """Sparse (n, n_x); asked for once an iteration."""
         residual, jacobian = self._at(x)
-        self.watch.note(0.5 * float(residual @ residual), x)
+        self.monitor.note(0.5 * float(residual @ residual), x)
         return jacobian
 
     def _at(self, x: Array) -> tuple[Array, Any]:
         if self._x is None or not np.array_equal(x, self._x):
-            with self.watch.part("evaluation"), np.errstate(over="ignore", invalid="ignore"):
+            with self.monitor.part("evaluation"), np.errstate(over="ignore", invalid="ignore"):
                 scale = self.blocks.data.robust_scale
                 blocks: list[Block] = [root_of_kernel(block, scale) for block in self.blocks.all(x)]
                 self._value, self._x = stacked(blocks, self.blocks.n_x), x.copy()

@@ -15,7 +15,7 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.window import CameraNoise, FrameMeasurements, OnlineState, SlidingWindow
 from polhode.camera import RectifiedRig
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.compare.solvers.condensed import ReducedCost
 from polhode.config.backend import Backend, Window
 from polhode.lie import Array, inverse_pose, make_pose
@@ -29,7 +29,7 @@ class WindowLength:
 
     frames: str = "12"
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """Where each state was when it left the window; ``x`` serves frames that were never placed."""
         data, start = problem.data, problem.iterate(x)
         window = SlidingWindow(
@@ -45,10 +45,10 @@ class WindowLength:
                 n = frame.number - 1
                 states[n], R_NG[n], placed[n] = frame.x, frame.R_NG, True
                 centres[n] = frame.x[:3] + frame.R_NG @ state.active.constants[:3]
-            watch.tell(f"{k + 1} of {data.n_frames} frames were in")
-            watch.check()
-        watch.tell("")
-        watch.stop()
+            monitor.tell(f"{k + 1} of {data.n_frames} frames were in")
+            monitor.check()
+        monitor.tell("")
+        monitor.stop()
         assert last is not None
         xi, R_inertia = data.form.coordinates(second_moments_of(last))
         at = replace(
@@ -106,6 +106,6 @@ def second_moments_of(state: OnlineState) -> Array:
 def with_landmarks(problem: MeasuredProblem, x: Array) -> Array:
     """x with the landmarks where they fit its poses best."""
     n = problem.held.reference.n_dense
-    reduced = ReducedCost(problem, x, Watch(np.inf))
+    reduced = ReducedCost(problem, x, SolveMonitor(np.inf))
     reduced.cost(x[:n])
     return np.concatenate([x[:n], reduced.marks])

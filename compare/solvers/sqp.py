@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.compare.solvers.casadi_program import Formulation, VariantProgram
 from polhode.compare.solvers.ipopt import Iterations, evaluation_s
 from polhode.lie import Array
@@ -32,13 +32,13 @@ class Sqp:
 
     qp: str = "osqp"
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """Steps with a line search; ends at a small gradient or step."""
         with TemporaryDirectory(prefix="polhode-compare-") as folder:
-            with watch.part("build"):
+            with monitor.part("build"):
                 program = VariantProgram(problem, Formulation(), Path(folder))
                 functions, given = program.functions()
-                listener = Iterations(program.n_x, 0, len(program.p), watch)
+                listener = Iterations(program.n_x, 0, len(program.p), monitor)
                 name, inner = self.qp, {"error_on_fail": False, "print_time": False, **QUADRATIC[self.qp]}
                 if self.qp == "ipopt":
                     name = "nlpsol"
@@ -73,8 +73,8 @@ class Sqp:
                 solver: Any = ca.nlpsol("sqp", "sqpmethod", functions, options)
             result = solver(x0=x, p=program.p)
             stats = solver.stats()
-        watch.seconds["evaluation"] += evaluation_s(stats)
-        watch.check()
+        monitor.seconds["evaluation"] += evaluation_s(stats)
+        monitor.check()
         end = np.asarray(result["x"]).ravel()
         return Outcome(end, bool(stats["success"]), int(stats["iter_count"]), str(stats["return_status"]))
 

@@ -4,7 +4,7 @@ import os
 import time
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, Watch
+from polhode.compare.solver import Outcome, SolveMonitor
 from polhode.lie import Array
 
 
@@ -14,13 +14,13 @@ class Faulty:
     def __init__(self, how: str) -> None:
         self.how = how
 
-    def solve(self, problem: MeasuredProblem, x: Array, watch: Watch) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """Never well."""
         if self.how == "hangs dumbly":
-            watch.note(1.0)
-            watch.tell(f"3 of {problem.data.n_frames} frames were in")
+            monitor.note(1.0)
+            monitor.tell(f"3 of {problem.data.n_frames} frames were in")
             time.sleep(3600.0)
-        watch.note(problem.held.half_log_det, x)
+        monitor.note(problem.held.half_log_det, x)
         if self.how == "crashes":
             os.abort()
         if self.how == "exits":

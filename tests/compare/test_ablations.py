@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from polhode.backend.dynamics.propagation import propagate_derivatives
-from polhode.compare.problem.assessment import AGREED, judge
+from polhode.compare.problem.assessment import AGREED, assess
 from polhode.compare.problem.blocks import stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.registry import ABLATIONS, entries
-from polhode.compare.solver import Watch
+from polhode.compare.solver import SolveMonitor
 from polhode.compare.solvers.ablations import ABSENT, passages
 from polhode.compare.solvers.aghili_dynamics import flow_in_G
 from polhode.compare.solvers.changed_inertia import (
@@ -45,8 +45,8 @@ def test_other_unknowns_come_back_and_have_their_derivatives(unknowns: str, smal
 @pytest.mark.parametrize("name", [entry.name for entry in ABLATIONS])
 def test_variants_end_where_they_should(name: str, small: MeasuredProblem) -> None:
     entry = entries((name,))[0]
-    found = entry.load().solve(small, small.start("near", 0), Watch(120.0))
-    verdict, least = judge(small, found.x), judge(small, small.solution).cost
+    found = entry.load().solve(small, small.start("near", 0), SolveMonitor(120.0))
+    verdict, least = assess(small, found.x), assess(small, small.solution).cost
     assert verdict.cost is not None and least is not None
     over = verdict.cost / least - 1.0
     if entry.claim == "ok":
@@ -154,13 +154,13 @@ def test_the_window_is_fed_with_the_measurements_of_the_problem(small: MeasuredP
 def test_a_longer_window_comes_nearer_to_full_smoothing(small: MeasuredProblem) -> None:
     position = {}
     for frames in ("6", "48"):
-        found = entries((f"window_{frames}",))[0].load().solve(small, small.cold, Watch(120.0))
+        found = entries((f"window_{frames}",))[0].load().solve(small, small.cold, SolveMonitor(120.0))
         assert found.iterations == small.data.n_frames
         assert found.message == "0 frames were not placed, the window restarted 0 times"
-        errors = judge(small, found.x).errors
+        errors = assess(small, found.x).errors
         assert errors is not None
         position[frames] = errors.position_mm
-    smoothed = judge(small, small.solution).errors
+    smoothed = assess(small, small.solution).errors
     assert smoothed is not None
     # longer than the sequence: nothing ever leaves
     assert position["48"] < position["6"]

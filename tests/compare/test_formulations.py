@@ -9,7 +9,7 @@ import pytest
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.compare.problem.blocks import Blocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Watch
+from polhode.compare.solver import SolveMonitor
 from polhode.compare.solvers.casadi_program import Formulation, VariantProgram
 from polhode.compare.solvers.condensed import ReducedCost
 from polhode.compare.solvers.dynamic_isam import LogRatios, possible
@@ -58,7 +58,7 @@ def test_a_program_has_the_common_cost_and_its_derivatives(
 
 
 def test_the_graph_has_the_common_cost_and_its_gradient(small: MeasuredProblem) -> None:
-    graph = Graph(small, Watch(60.0))
+    graph = Graph(small, SolveMonitor(60.0))
     x = small.start("near", 2)
     factors, values = graph.all(x), graph.values(x)
     blocks = Blocks(small.data, small.held)
@@ -86,7 +86,7 @@ def _vector(values: gtsam.Values, key: int) -> np.ndarray:
 
 
 def test_the_reduced_cost_is_the_least_over_the_landmarks(small: MeasuredProblem) -> None:
-    reduced = ReducedCost(small, small.cold, Watch(60.0))
+    reduced = ReducedCost(small, small.cold, SolveMonitor(60.0))
     y = small.start("near", 5)[: reduced.n]
     cost = reduced.cost(y)
     blocks = Blocks(small.data, small.held)

@@ -10,7 +10,7 @@ from polhode.compare.ranking import curve, front, growths, performance_profiles
 from polhode.compare.rows import (
     SCHEMA_FILE,
     Comparison,
-    ProblemWords,
+    ProblemSummary,
     Row,
     least_costs,
     read_comparison,
@@ -42,7 +42,7 @@ def comparison(rows: list[Row], reference: float | None = None) -> Comparison:
 
     sizes = {name: 100 * 2**n for n, name in enumerate(dict.fromkeys(each.problem for each in rows))}
     problems = [
-        ProblemWords(
+        ProblemSummary(
             name=name, source="tests", fingerprint="0", frames=size // 10, landmarks=3, observations=size,
             unknowns=9, accel_psd=1e-6, torque_psd=1e-6, prepared_s=0.1, truth=False,
             reference_cost=reference, least_cost=least(name), sigma_k1=None, sigma_k2=None, sigma_com_mm=None,

@@ -5,14 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.compare.solver import Watch
-from polhode.compare.solver_progress import Reached, read_point, read_trace, read_words, seconds_since_start
+from polhode.compare.solver import SolveMonitor
+from polhode.compare.solver_progress import (
+    ProgressFiles,
+    read_point,
+    read_trace,
+    read_words,
+    seconds_since_start,
+)
 
 
 def test_the_newest_whole_point_is_read(tmp_path: Path) -> None:
     stem = tmp_path / "row.json"
     assert read_point(stem) is None and seconds_since_start(stem) is None
-    reached = Reached(stem, 4)
+    reached = ProgressFiles(stem, 4)
     assert read_point(stem) is None
     for n in range(5):
         reached.point(np.full(4, float(n)), "best")
@@ -31,7 +37,7 @@ def test_the_newest_whole_point_is_read(tmp_path: Path) -> None:
 
 def test_a_line_that_was_cut_short_is_no_point_of_the_trace(tmp_path: Path) -> None:
     stem = tmp_path / "row.json"
-    reached = Reached(stem, 1)
+    reached = ProgressFiles(stem, 1)
     reached.cost(0.5, 12.0)
     reached.cost(1.5, 11.0)
     with stem.with_suffix(".trace").open("a") as file:
@@ -44,17 +50,17 @@ def test_a_line_that_was_cut_short_is_no_point_of_the_trace(tmp_path: Path) -> N
 
 def test_a_watch_keeps_the_best_of_the_common_cost_and_the_last_of_another(tmp_path: Path) -> None:
     stem = tmp_path / "row.json"
-    watch = Watch(10.0, reached=Reached(stem, 2))
-    assert watch.kept() == ("nothing", None)
+    monitor = SolveMonitor(10.0, reached=ProgressFiles(stem, 2))
+    assert monitor.kept() == ("nothing", None)
     for cost, value in ((float("nan"), 9.0), (3.0, 0.0), (1.0, 1.0), (2.0, 2.0), (float("inf"), 3.0)):
-        watch.note(cost, np.full(2, value))
-    kept, x = watch.kept()
+        monitor.note(cost, np.full(2, value))
+    kept, x = monitor.kept()
     assert kept == "best" and x is not None and x.tolist() == [1.0, 1.0]
     stored = read_point(stem)
     assert stored is not None and stored[0] == "best" and stored[1].tolist() == [1.0, 1.0]
-    assert len(watch.trace) == 5
+    assert len(monitor.trace) == 5
 
-    other = Watch(10.0, reached=Reached(tmp_path / "other.json", 2))
+    other = SolveMonitor(10.0, reached=ProgressFiles(tmp_path / "other.json", 2))
     for cost, value in ((3.0, 0.0), (1.0, 1.0), (2.0, 2.0)):
         other.note(cost, np.full(2, value), common=False)
     kept, x = other.kept()

@@ -6,10 +6,10 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from polhode.compare.problem.assessment import AGREED, judge, reference_covariance, sigmas
+from polhode.compare.problem.assessment import AGREED, assess, reference_covariance, sigmas
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.registry import ABLATIONS, ENTRIES, entries
-from polhode.compare.solver import Outcome, OutOfTime, Watch
+from polhode.compare.solver import Outcome, OutOfTime, SolveMonitor
 from polhode.compare.solvers.ipopt import evaluation_s
 
 AGREEING = (
@@ -21,14 +21,14 @@ BASELINES = ("odometry", "dynamic_isam")
 
 
 def solve(name: str, problem: MeasuredProblem, start: str = "cold", limit_s: float = 120.0) -> Outcome:
-    return entries((name,))[0].load().solve(problem, problem.start(start, 0), Watch(limit_s))
+    return entries((name,))[0].load().solve(problem, problem.start(start, 0), SolveMonitor(limit_s))
 
 
 @pytest.mark.parametrize("name", AGREEING)
 def test_from_a_cold_start_they_agree(name: str, small: MeasuredProblem) -> None:
     found = solve(name, small)
-    least = judge(small, small.solution)
-    verdict = judge(small, found.x)
+    least = assess(small, small.solution)
+    verdict = assess(small, found.x)
     assert found.converged
     assert verdict.cost is not None and least.cost is not None
     assert abs(verdict.cost / least.cost - 1.0) < AGREED
@@ -47,8 +47,8 @@ def test_their_covariances_agree_with_the_reference(name: str, small: MeasuredPr
 @pytest.mark.parametrize("name", ["ipopt_slack", "ipopt_slack_exact"])
 def test_with_slack_they_come_in_from_very_near(name: str, small: MeasuredProblem) -> None:
     x = small.perturbed(small.solution, 0, size=0.001)
-    found = entries((name,))[0].load().solve(small, x, Watch(120.0))
-    verdict, least = judge(small, found.x), judge(small, small.solution).cost
+    found = entries((name,))[0].load().solve(small, x, SolveMonitor(120.0))
+    verdict, least = assess(small, found.x), assess(small, small.solution).cost
     assert verdict.cost is not None and least is not None
     assert abs(verdict.cost / least - 1.0) < AGREED
 
@@ -56,11 +56,11 @@ def test_with_slack_they_come_in_from_very_near(name: str, small: MeasuredProble
 @pytest.mark.parametrize("name", BASELINES)
 def test_baselines_answer_in_the_common_unknowns(name: str, small: MeasuredProblem) -> None:
     found = solve(name, small)
-    verdict = judge(small, found.x)
+    verdict = assess(small, found.x)
     assert found.converged
     assert verdict.cost is not None and verdict.errors is not None
     # another formulation is no better on the common cost
-    assert verdict.cost > (judge(small, small.solution).cost or np.inf)
+    assert verdict.cost > (assess(small, small.solution).cost or np.inf)
 
 
 @pytest.mark.parametrize(
@@ -68,16 +68,16 @@ def test_baselines_answer_in_the_common_unknowns(name: str, small: MeasuredProbl
     ["gauss_newton", "gauss_newton_ratios", "ipopt", "scipy_trf", "belief_propagation", "sqp_qrqp", "ceres"],
 )
 def test_they_descend_and_stop_at_the_limit(name: str, small: MeasuredProblem) -> None:
-    watch, before = Watch(0.25), judge(small, small.cold).cost
+    monitor, before = SolveMonitor(0.25), assess(small, small.cold).cost
     solver = entries((name,))[0].load()
     begin = perf_counter()
     # a fast machine may come to the end
     with suppress(OutOfTime):
-        solver.solve(small, small.cold, watch)
+        solver.solve(small, small.cold, monitor)
     assert perf_counter() - begin < 20.0
-    assert watch.best is not None and before is not None
-    reached = judge(small, watch.best[1]).cost
-    assert reached is not None and np.isclose(reached, watch.best[0], rtol=1e-9)
+    assert monitor.best is not None and before is not None
+    reached = assess(small, monitor.best[1]).cost
+    assert reached is not None and np.isclose(reached, monitor.best[0], rtol=1e-9)
     assert reached <= before * (1.0 + 1e-12)
 
 
@@ -89,16 +89,16 @@ KEEP_THE_LAST = ("odometry", "ipopt_slack", "ipopt_slack_exact")
 def test_each_keeps_a_whole_point_on_its_way_or_tells_how_far_it_was(
     name: str, small: MeasuredProblem
 ) -> None:
-    watch = Watch(0.7)
+    monitor = SolveMonitor(0.7)
     with suppress(OutOfTime):
-        entries((name,))[0].load().solve(small, small.cold, watch)
-    kept, x = watch.kept()
+        entries((name,))[0].load().solve(small, small.cold, monitor)
+    kept, x = monitor.kept()
     if (name in ("dynamic_isam", "gtsam_isam2") or name.startswith("window_")) and x is None:
-        assert kept == "nothing" and watch.words.endswith("of 20 frames were in")
+        assert kept == "nothing" and monitor.words.endswith("of 20 frames were in")
         return
     assert kept == ("last" if name in KEEP_THE_LAST else "best")
     assert x is not None and x.shape == small.cold.shape
-    assert judge(small, x).cost is not None
+    assert assess(small, x).cost is not None
 
 
 @pytest.mark.parametrize("name", [entry.name for entry in ENTRIES])
@@ -106,42 +106,42 @@ def test_none_writes_to_its_start(name: str, small: MeasuredProblem) -> None:
     start = small.start("near", 0)
     before = start.copy()
     with suppress(OutOfTime):
-        entries((name,))[0].load().solve(small, start, Watch(1.0))
+        entries((name,))[0].load().solve(small, start, SolveMonitor(1.0))
     np.testing.assert_array_equal(start, before)
 
 
 @pytest.mark.parametrize("name", ["odometry", "dynamic_isam", "ceres", "sqp_osqp", "ipopt_condensed"])
 def test_evaluation_is_part_of_the_time(name: str, small: MeasuredProblem) -> None:
-    watch = Watch(120.0)
-    entries((name,))[0].load().solve(small, small.cold, watch)
-    assert watch.not_separable == ""
-    spent = watch.seconds["evaluation"]
-    assert 0.05 * watch.elapsed() < spent < watch.elapsed() - watch.seconds["build"]
+    monitor = SolveMonitor(120.0)
+    entries((name,))[0].load().solve(small, small.cold, monitor)
+    assert monitor.not_separable == ""
+    spent = monitor.seconds["evaluation"]
+    assert 0.05 * monitor.elapsed() < spent < monitor.elapsed() - monitor.seconds["build"]
 
 
 @pytest.mark.parametrize("name", ["gtsam_lm", "gtsam_isam2"])
 def test_what_a_foreign_library_evaluates_inside_is_not_told_apart(name: str, small: MeasuredProblem) -> None:
-    watch = Watch(120.0)
-    entries((name,))[0].load().solve(small, small.start("near", 0), watch)
-    assert "C++" in watch.not_separable
+    monitor = SolveMonitor(120.0)
+    entries((name,))[0].load().solve(small, small.start("near", 0), monitor)
+    assert "C++" in monitor.not_separable
     # the calls of Python are
-    assert 0.0 < watch.callback_s < watch.elapsed()
+    assert 0.0 < monitor.callback_s < monitor.elapsed()
 
 
 def test_the_parts_of_an_sqp_step_are_all_counted(small: MeasuredProblem) -> None:
     """CasADi's SQP method calls joint functions, which have names of their own in its statistics."""
     stats = {"t_wall_nlp_hess_l": 1.0, "t_wall_nlp_jac_fg": 2.0, "t_wall_nlp_fg": 4.0, "t_wall_QP": 8.0}
     assert evaluation_s(stats) == 7.0
-    watch = Watch(120.0)
-    with watch.callback(None):
+    monitor = SolveMonitor(120.0)
+    with monitor.callback(None):
         pass
-    assert watch.seconds["evaluation"] == 0.0 and watch.callback_s > 0.0
+    assert monitor.seconds["evaluation"] == 0.0 and monitor.callback_s > 0.0
 
 
 def test_belief_propagation_comes_close(small: MeasuredProblem) -> None:
-    watch = Watch(20.0)
+    monitor = SolveMonitor(20.0)
     with suppress(OutOfTime):
-        entries(("belief_propagation",))[0].load().solve(small, small.cold, watch)
-    least = judge(small, small.solution).cost
-    assert watch.best is not None and least is not None
-    assert watch.best[0] < 1.1 * least
+        entries(("belief_propagation",))[0].load().solve(small, small.cold, monitor)
+    least = assess(small, small.solution).cost
+    assert monitor.best is not None and least is not None
+    assert monitor.best[0] < 1.1 * least

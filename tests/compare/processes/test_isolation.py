@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from polhode.compare.problem.assessment import judge
+from polhode.compare.problem.assessment import assess
 from polhode.compare.problem.measured_problem import load
 from polhode.compare.processes.isolation import row_of
 from polhode.compare.processes.solver_process import storable
@@ -24,7 +24,7 @@ def row(small_file: Path, how: str, limit_s: float = 60.0) -> Row:
 def assert_start_is_kept(found: Row, small_file: Path) -> None:
     """The common cost of the point that it noted, whatever cost it told itself."""
     problem = load(small_file)
-    at_start = judge(problem, problem.cold)
+    at_start = assess(problem, problem.cold)
     assert found.kept == "best"
     assert found.cost == at_start.cost and found.k1 == at_start.k1
     assert found.errors == at_start.errors is not None

@@ -13,7 +13,7 @@ from benchmarks.solvers.compare import (
     profile_table,
 )
 from polhode.compare.ranking import performance_profiles
-from polhode.compare.rows import Comparison, ProblemWords, Row, write_comparison
+from polhode.compare.rows import Comparison, ProblemSummary, Row, write_comparison
 
 ERRORS = {"position_mm": 1.0, "velocity_mm_s": 2.0, "attitude_deg": 0.5, "angular_velocity_deg_s": 0.25,
           "com_mm": 0.125, "k1": 0.01, "k2": -0.02}  # fmt: skip
@@ -33,7 +33,7 @@ def row(solver: str, problem: str, wall_s: float, **more: object) -> Row:
 def comparison(rows: list[Row]) -> Comparison:
     names = list(dict.fromkeys(each.problem for each in rows))
     problems = [
-        ProblemWords(
+        ProblemSummary(
             name=name, source="tests", fingerprint="0", frames=10 * 2**n, landmarks=3,
             observations=100 * 2**n, unknowns=9, accel_psd=1e-6, torque_psd=1e-6, prepared_s=0.1, truth=True,
             reference_cost=10.0, least_cost=10.0, sigma_k1=None, sigma_k2=None, sigma_com_mm=None,
