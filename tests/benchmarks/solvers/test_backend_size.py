@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.solvers.backend_size import PARTS, Clock, Times, draw_growth, exponent, measure, warm
+from polhode.compare.problem.sources import THESIS
 
-SMALL = replace(frames=10, landmarks=150)
+SMALL = replace(THESIS, frames=10, landmarks=150)
 
 
 def test_the_exponent_of_a_power_is_the_power() -> None:
