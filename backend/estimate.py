@@ -1,4 +1,4 @@
-"""Measurements and a first guess to motion, mass properties and covariance: full smoothing."""
+"""Full smoothing: from measurements and an initial motion to motion, mass properties and covariance."""
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -26,26 +26,26 @@ from polhode.threads import single_threaded
 
 MAX_PASSES = 4
 PASS_TOLERANCE = 1e-7
-"""Relative change of the cost between passes that ends them."""
+"""The passes end at a smaller relative change of the cost."""
 
 
 @single_threaded
 def estimate_motion(
     tracks: StereoTracks, initial: InitialMotion, config: Backend, progress: Progress
 ) -> MotionEstimate:
-    """Full smoothing over the sequence from several guesses of the inertia (``program.MotionProgram``).
+    """Smooth the whole sequence, from several guesses of the inertia (problem: ``ipopt.MotionProgram``).
 
     Raises RunFailure when no guess leads to a motion that most observations agree with.
     """
     try:
-        # guesses that diverge overflow; their cost sorts them out
+        # guesses that diverge overflow, and are rejected by their cost
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             return _estimate(tracks, initial, config, progress)
     except LinAlgError as error:
-        # numpy's own words say nothing of the target
+        # NumPy's message says nothing about the target
         reason = error if "bounds" in str(error) else "its equations have no solution"
         raise RunFailure(
-            f"no consistent motion: what fits best is no motion of a body ({reason}; {FAST_HINT})"
+            f"no consistent motion: the best fit is not a motion of a rigid body ({reason}; {FAST_HINT})"
         ) from error
 
 
@@ -95,28 +95,28 @@ def _warnings_of_disturbances(data: MotionData, config: Backend, stronger: float
         return out
     return [
         *out,
-        f"the motion looks disturbed {stronger:.0f} times more strongly than stated (power): a push may be "
-        "behind it, or wrong associations; sigmas are wide for that",
+        f"the disturbances appear {stronger:.0f} times as strong as stated (power): an unknown force or "
+        "wrong associations may be the cause; the standard deviations are large accordingly",
     ]
 
 
 @dataclass(frozen=True)
 class SolverResult:
-    """Where the last step of the back end ended."""
+    """The final solution, and the solver that found it."""
 
     solver: str
-    """Name of the one that found it"""
+    """Name of the solver"""
     iterate: Iterate
     solution: Solution
     iterations: int
 
 
 def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolverResult:
-    """The optimum. Where Gauss-Newton comes to no end IPOPT goes on from its best.
+    """The optimum. If Gauss-Newton does not converge, IPOPT continues from its best point.
 
-    IPOPT gets along valleys in which Gauss-Newton creeps, but takes several times as long. Gauss-Newton has
-    half of the iterations and of the time; IPOPT, should it be needed, all iterations and the time that is
-    left. Raises LinAlgError where neither has a solution.
+    IPOPT makes progress in valleys where Gauss-Newton is slow, but takes several times as long. Gauss-Newton
+    gets half of the iterations and of the time; IPOPT, if needed, all iterations and the remaining time.
+    Raises LinAlgError if neither has a solution.
     """
     limits = (config.max_iterations, config.max_seconds)
     if config.solver == "ipopt":
@@ -141,8 +141,8 @@ def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolverResult:
         return newton
     if newton is not None and not solution.converged and newton.solution.cost <= solution.cost:
         return newton
-    words = f"{solution.message}, after {done} iterations of {GaussNewton.name} without an end"
-    return SolverResult(MotionProgram.name, at, replace(solution, message=words), done + more)
+    message = f"{solution.message}, after {done} iterations of {GaussNewton.name} without convergence"
+    return SolverResult(MotionProgram.name, at, replace(solution, message=message), done + more)
 
 
 def refine(
@@ -152,7 +152,7 @@ def refine(
     max_iterations: int,
     max_seconds: float = np.inf,
 ) -> tuple[Iterate, Solution, int]:
-    """Solve, renew references and whitening, until the cost rests or a limit is met."""
+    """Solve, update references and whitening; repeat until the cost is stationary or a limit is reached."""
     before, total, end = np.inf, 0, perf_counter() + max_seconds
     for _ in range(MAX_PASSES):
         iterate = recenter_inertia(data, iterate)
@@ -161,7 +161,7 @@ def refine(
         solution = solver.solve(fixed, iterate.vector(), *left)
         iterate, total = iterate.moved_to(solution.x), total + solution.iterations
         if abs(before - solution.cost) <= PASS_TOLERANCE * max(solution.cost, 1.0):
-            # nothing is left to gain, whatever ended the last solve
+            # the cost is stationary, whatever ended the last solve
             solution = replace(solution, converged=True)
             break
         if total >= max_iterations or perf_counter() >= end:

@@ -28,42 +28,45 @@ from polhode.progress import Advance
 from polhode.records import Bools, InitialMotion, Ints, StereoTracks
 
 MAX_SEARCHES = 3
-"""For unknown pushes: with the strong ones freed the disturbances are weaker, and weak ones show."""
+"""For unknown disturbances: once strong ones have a node the noise level is lower, and weak ones stand
+out."""
 MIN_AGREEMENT, SUSPICIOUS = 0.65, 30.0
-"""A smaller share of observations that agree, or estimated disturbances so many times those stated (power):
-frames may contradict one another."""
+"""With a smaller share of agreeing observations, or disturbances estimated so many times as strong as stated
+(power), frames may contradict one another."""
 MIN_KEPT_LANDMARKS, MAX_REPLACEMENTS = 0.9, 2
-"""When fewer landmarks are kept, wrong first poses may have put them astray: they are placed anew."""
+"""If a smaller share of the landmarks is kept, wrong initial poses may have misplaced them: they are placed
+again."""
 SHARE, LEAST = 0.3, 12
-"""Of what the richest tenth of the frames shows, and observations: less is little."""
+"""Frames are strong from this share of the observations in the richest tenth of the frames, and this
+number."""
 ENOUGH_FRAMES = 6
 MAX_STRETCHES = 2
-"""Between long gaps, those that show most first."""
+"""Stretches between long gaps that are tried, those with most observations first."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A motion near the optimum, and the problem with its noise as it was told from the data."""
+    """A motion near the optimum, and the problem with the noise levels estimated from the data."""
 
     data: MotionData
     kept: PrunedProblem
     iterate: Iterate
-    """Of the whole data"""
+    """Solution with all landmarks"""
     scales: NoiseScales
     trials: dict[str, HypothesisFit]
-    """Of the hypotheses, by name"""
+    """Fits of the hypotheses, by name"""
     choice: HypothesisChoice
-    """Among them"""
+    """The hypothesis that was chosen"""
     wrench_runner_up: dict[str, float]
-    """Cost of the other directions of a known torque's axes, by name"""
+    """Additional cost of the other directions of a known torque's axes, by name"""
 
 
 def fit(
     data: MotionData, tracks: StereoTracks, initial: InitialMotion, config: Backend, advance: Advance
 ) -> Fit:
-    """Fit; where that looks as if frames contradicted one another, from fewer of them too.
+    """Fit the motion; where frames seem to contradict one another, also from fewer of them.
 
-    Raises RunFailure or LinAlgError when no guess leads to a motion that most observations agree with.
+    Raises RunFailure or LinAlgError if no guess leads to a motion that most observations agree with.
     """
     failure: RunFailure | LinAlgError | None = None
     found: list[tuple[Fit, list[InitialGuess]]] = []
@@ -80,18 +83,18 @@ def fit(
     if not found:
         assert failure is not None
         raise failure
-    # what looks like a contradiction may be a push
+    # what looks like a contradiction may be a disturbance
     return _with_disturbances(data, *max(found, key=lambda one: _agreement(one[0])), config)
 
 
 def _doubtful(found: Fit, stated: MotionData) -> bool:
-    """Whether many observations disagree, or the motion seems much disturbed."""
+    """Whether many observations disagree, or the motion appears strongly disturbed."""
     stronger = disturbance_ratio(found.data, stated.accel_psd, stated.torque_psd)
     return _agreement(found) < MIN_AGREEMENT or stronger > SUSPICIOUS
 
 
 def disturbance_ratio(found: MotionData, accel_psd: float, torque_psd: float) -> float:
-    """How many times the stated disturbances the found ones are (power), of force or torque the larger."""
+    """Estimated over stated disturbances (power), the larger ratio of force and torque."""
     return max(found.accel_psd / accel_psd, found.torque_psd / torque_psd)
 
 
@@ -101,7 +104,7 @@ def _agreement(found: Fit) -> float:
 
 
 def _replace_landmarks(tracks: StereoTracks, kept: PrunedProblem, iterate: Iterate) -> Iterate:
-    """Landmarks that left, where the poses found since then see them."""
+    """Place the landmarks that were removed again, by the poses found since then."""
     X_RG = inverse_pose(tracks.X_NR) @ make_pose(iterate.R_NG, iterate.p_NG)
     p_G, known = robust_landmarks(tracks, X_RG, np.ones(tracks.n_frames, dtype=np.bool_))
     return replace(iterate, p_G=np.where((known & ~kept.landmarks)[:, None], p_G, iterate.p_G))
@@ -112,7 +115,7 @@ def _no_progress() -> None:
 
 
 def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess], config: Backend) -> Fit:
-    """The fit; where free motion is contradicted by pushes, made again with nodes for them."""
+    """The fit, repeated with nodes for unknown disturbances where these contradict free motion."""
     for _ in range(MAX_SEARCHES if config.unknown_wrench == "found" else 0):
         small = found.kept.restrict(found.iterate)
         try:
@@ -124,7 +127,7 @@ def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess],
             with_nodes = replace(data, nodes=pushes.nodes, node_sigma=pushes.sigma)
             found = _fit(with_nodes, starts, config, _no_progress)
         except (RunFailure, LinAlgError):
-            # what was found without them stays
+            # keep the fit without further nodes
             break
     return found
 
@@ -154,14 +157,20 @@ def _fit(data: MotionData, starts: list[InitialGuess], config: Backend, advance:
 
 
 def motions_from_fewer_frames(tracks: StereoTracks, initial: InitialMotion) -> list[InitialMotion]:
-    """First motions with fewer known poses: those of frames that show much, of stretches between gaps."""
+    """Initial motions with fewer known poses, for sequences in which some frames contradict the others.
+
+    A body whose sides look alike, by a third of a revolution about the axis of a dish for example, is given a
+    wrong attitude where few features are seen, or after a long absence. Such frames agree among themselves,
+    and no motion fits both them and the others. Fitted to the strong frames or to one stretch between long
+    gaps, the motion extends into the rest by Euler's equation; observations that agree with it count again.
+    """
     seen = np.bincount(tracks.frame, minlength=tracks.n_frames)
     out: list[Bools] = []
     for known in (_strong(seen, initial.connected), *_stretches(tracks, initial, seen)):
         told = known.sum() >= ENOUGH_FRAMES and not np.array_equal(known, initial.connected)
         if told and not any(np.array_equal(known, other) for other in out):
             out.append(known)
-    # the other poses stay where they were: in a first fit with loose steps their frames then pull at nothing
+    # the other poses stay as they are: in a first fit with loose steps their frames have no effect
     return [replace(initial, connected=known) for known in out]
 
 

@@ -1,4 +1,4 @@
-"""From the solved unknowns to the record that leaves the room: states in P, covariances, verdicts."""
+"""From the solution to the estimate that is reported: states in P, covariances, identifiability, warnings."""
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def assemble(
     scales: NoiseScales,
     initial: InitialMotion,
 ) -> MotionEstimate:
-    """Everything that is reported, at the solution ``iterate`` of the whole data, from what was kept."""
+    """The estimate at the solution ``iterate`` of the whole data, with covariances of the pruned problem."""
     all_residuals = whitened_residuals(data, iterate)
     weight = np.where(
         kept.observations, robust_weight(np.sum(all_residuals**2, axis=1), data.robust_scale), 0.0
@@ -172,10 +172,10 @@ def _noise(tracks: StereoTracks, scales: NoiseScales, data: MotionData) -> Noise
 def reduced_chi2(data: MotionData, s: Array, dynamics_cost: float) -> float:
     """Squares of the stereo residuals, s (M,), and of the dynamics, over the degrees of freedom.
 
-    The errors of the camera's pose are unknowns, each measured once, by zero: they take no freedom.
+    The errors of the camera's pose are unknowns with one pseudo-measurement each: they use no freedom.
     """
     n_frames, n_landmarks = data.n_frames, data.n_landmarks
-    # six numbers of the frame G are free of charge
+    # six of the unknowns only choose the frame G
     freedom = 3 * len(s) + 12 * (n_frames - 1) + 6 - 12 * n_frames - 8 - 3 * n_landmarks
     return float((s.sum() + 2.0 * dynamics_cost) / max(freedom, 1))
 
@@ -220,7 +220,7 @@ def _warnings(
     turn = np.rad2deg(np.linalg.norm(at.w_G[:-1], axis=1) * data.dt_s).max()
     if turn > 150.0:
         out.append(
-            f"up to {turn:.0f} degrees between frames: near half a turn and beyond, poses do not tell the "
-            "sense of the rotation, Euler's equation alone does"
+            f"up to {turn:.0f} degrees between frames: near half a revolution and beyond, poses do not "
+            "determine the direction of rotation, Euler's equation alone does"
         )
     return out

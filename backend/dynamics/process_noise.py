@@ -1,7 +1,7 @@
 """Covariance of the process noise over one step, from the Lyapunov equation (thesis eqs. 4.56-4.59).
 
-Continuous white acceleration and torque; error state (r, v) in N and (theta, w) in G with the attitude
-error on the right. The equation is integrated along the motion itself, in scaled variables
+The disturbances are continuous white acceleration and torque; the error state is (r, v) in N and (theta, w)
+in G with the attitude error on the right. The equation is integrated along the motion, in scaled variables
 (theta by dt^1.5, w by dt^0.5), so that the matrix is well conditioned for any time step (section 4.9).
 """
 
@@ -13,9 +13,9 @@ from polhode.lie import Array
 from polhode.quaternion import matrix_from_wxyz
 
 PART_RAD = 0.7
-"""Largest turn of a part of an interval: its variances are right to 1e-4."""
+"""Largest rotation in a part of an interval: the variances are accurate to 1e-4."""
 MAX_TURN_RAD = 1e4
-"""Within one interval: no rate of a body, but one of a solution that has gone astray."""
+"""Largest rotation in one interval; only a solution that diverges has larger ones."""
 _ABSCISSAS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 NODES, WEIGHTS = 0.5 * (_ABSCISSAS + 1.0), 0.5 * _WEIGHTS
 
@@ -46,13 +46,13 @@ def rotation_covariance_scaled(
 def _integrated(w_G: Array, J_G: Array, dt_s: Array) -> Array:
     """Covariances (n, 6, 6) in theta / dt^1.5, w / dt^0.5 for a torque of unit strength.
 
-    Joined from parts of an interval, ``P <- F P F^T + Q``: F is the transition over a part, Q the integral of
-    ``K K^T``, K what an impulse leads to by the end, by Gauss's quadrature. What is joined so stays positive
-    definite, however long the interval. Raises LinAlgError for rates beyond all bounds.
+    The covariance is propagated over parts of an interval, ``P <- F P F^T + Q``: F is the transition over a
+    part, Q the integral of ``K K^T`` by Gauss quadrature, K the effect of an impulse at the end of the part.
+    P stays positive definite, however long the interval. Raises LinAlgError for rates beyond all bounds.
     """
     n = len(dt_s)
     turn = np.linalg.norm(w_G, axis=1) * dt_s
-    # not a number is refused too
+    # this rejects NaN too
     if not np.all(turn < MAX_TURN_RAD):
         raise LinAlgError("a rate beyond all bounds")
     cov, w, done = np.zeros((n, 6, 6)), w_G.copy(), np.zeros(n)
@@ -77,7 +77,7 @@ def _transition(w_G: Array, J_G: Array, t: Array, part: Array) -> tuple[Array, A
     q, w_end, turn, rate = propagate_derivatives(
         w_G, J_G, np.zeros((0, 3, 3)), t * part, np.ones(len(t), dtype=np.int64)
     )
-    # a series that diverges leaves no unit quaternion, or none at all
+    # a series that diverges gives no unit quaternion, or NaN
     if not np.all(np.abs(np.linalg.norm(q, axis=1) - 1.0) < 1e-6):
         raise LinAlgError("a rate beyond all bounds")
     F = np.zeros((len(t), 6, 6))
@@ -104,8 +104,8 @@ def whitening(
     """Square roots of the information: translation (n, 2, 2), rotation (n, 6, 6), lower triangular.
 
     ``W @ error`` has unit covariance. Third: half the log-determinant of all covariances, which makes the
-    costs of different inertias comparable. ``pose_variance`` [m^2, rad^2] of each pose, by the noise of the
-    camera's own, enters every step twice: as if the steps were independent, which is on the safe side.
+    costs of different inertias comparable. ``pose_variance`` [m^2, rad^2] of each pose, due to the noise of
+    the camera's pose, enters every step twice, as if the steps were independent, which is conservative.
     """
     translation = translation_covariance(dt_s, accel_psd)
     translation[:, 0, 0] += 2.0 * pose_variance[0]

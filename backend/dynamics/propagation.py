@@ -9,9 +9,13 @@ Zou, "A software package for the numerical integration of ODEs by means of high-
 The derivatives obey the linearised equations and have their own series: ``delta' = -w x delta + dw`` for the
 attitude error on the right, ``dl' = -dw x l - w x dl + dtorque``, ``dw = J^-1 (dl - dJ w)``.
 
-Order 8 costs little at both ends of what is asked for: one series carries 0.5 s at 10 RPM, and 32 carry 10 s
-at 20 RPM. Its last terms tell what is left out; ``series_steps`` halves the steps until that stays below what
-the process noise allows.
+Order 8 is efficient over the whole range that is needed: one series covers 0.5 s at 10 RPM, and 32 cover 10 s
+at 20 RPM. The last terms bound the truncation error; ``series_steps`` halves the steps until it is small
+compared with the process noise.
+
+This integrator serves the estimation: fast for many short steps, with derivatives with respect to the
+inertia. The simulation integrates the true motion with an independent method of higher accuracy
+(``polhode.rigid_body``).
 """
 
 import numpy as np
@@ -23,7 +27,8 @@ from polhode.records import Ints
 ORDER = 8
 MAX_SERIES = 1024
 MAX_RATIO = 0.7
-"""Of neighbouring terms; a series that falls slower says nothing of its remainder."""
+"""Largest ratio of neighbouring terms; if a series converges more slowly its remainder is not bounded by
+it."""
 SHARE_OF_NOISE = 1e-3
 """Largest error of the integration, in standard deviations of the step's process noise."""
 
@@ -67,7 +72,7 @@ def _sum_up(terms: Array, out: Array) -> None:
 
 @compiled
 def _remainder(terms: Array) -> float:
-    """What a series leaves out, from its terms (9, n): they go on falling as they did."""
+    """Truncation error of a series with terms (9, n), extrapolated from its last terms."""
     last = before = 0.0
     for n in range(terms.shape[1]):
         last += terms[ORDER, n] ** 2
@@ -225,12 +230,11 @@ def propagate_derivatives(
 
 
 def series_steps(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float | Array) -> Ints:
-    """Series for each interval (n,), a power of two so that few programs are needed.
+    """Number of series for each interval (n,), a power of two so that few kernels are needed.
 
-    w_G (n, 3) rate at the start [rad/s], J_G (3, 3) any scale, dt_s (n,), torque_psd [(rad/s^2)^2/Hz], one
-    or (n,). The
-    errors stay below ``SHARE_OF_NOISE`` of sqrt(psd dt^3 / 3) in attitude and sqrt(psd dt) in rate, which the
-    largest moment makes smaller. Both are correlated: a quarter of the share is left to each.
+    w_G (n, 3) rate at the start [rad/s], J_G (3, 3) any scale, dt_s (n,), torque_psd [(rad/s^2)^2/Hz], one or
+    (n,). The errors stay below ``SHARE_OF_NOISE`` of sqrt(psd dt^3 / 3) in attitude and sqrt(psd dt) in rate,
+    which the largest moment makes smaller. Both are correlated: a quarter of the share is left to each.
     """
     J = J_G / np.linalg.eigvalsh(J_G)[1]
     t, steps = np.asarray(dt_s, dtype=np.float64), np.ones(len(dt_s), dtype=np.int64)
@@ -238,7 +242,7 @@ def series_steps(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float | Array)
     left = np.arange(len(t))
     while len(left) and steps[left[0]] < MAX_SERIES:
         _, _, error_q, error_w = propagate_rotations(w_G[left], J, t[left], steps[left])
-        # a series that diverges has no number
+        # a series that diverges gives NaN, which is not accepted
         good = (error_q <= most_rate[left] * t[left] / np.sqrt(3.0)) & (error_w <= most_rate[left])
         left = left[~good]
         steps[left] *= 2

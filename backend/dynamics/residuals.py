@@ -1,9 +1,10 @@
 """Residuals of the rigid-body dynamics between frames, with their Jacobians.
 
-The same residual as ``step_kernels.dynamics_residual`` states in CasADi. Variables of a step, in this order:
-state before, state after, constants. A state holds p_NG, theta, v_N, w_G (12). Where the camera's own pose is
-noisy it holds also b_N and alpha_N (6), the errors of its stated position and attitude: the poses are those
-that the stated camera sees, the true ones follow by ``Exp(alpha)`` about the camera and the shift b.
+The residual is that of ``kernels.dynamics_residual``, which states it in CasADi. Variables of a step, in this
+order: state before, state after, constants. A state consists of p_NG, theta, v_N, w_G (12) and, where the
+camera's pose is noisy, b_N and alpha_N (6), the errors of its stated position and attitude: the poses are
+those seen from the stated camera pose, the true ones follow by the rotation ``Exp(alpha)`` about the camera
+and the shift b.
 """
 
 from dataclasses import dataclass
@@ -15,8 +16,8 @@ from polhode.backend.dynamics.so3_exp import (
     inverse_right_jacobians,
     matrices_from_quaternions,
     right_jacobians,
+    rotation_matrices,
     rotation_vectors,
-    turns,
 )
 from polhode.backend.problem.inertia import N_INERTIA
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
@@ -32,12 +33,12 @@ N_OF_FORCE = N_WRENCH - N_OF_ROTATION
 
 @dataclass(frozen=True)
 class FrameStates:
-    """Unknowns of the frames at a point, s = 12 or 18 numbers each."""
+    """Values of the unknowns of the frames, s = 12 or 18 numbers each."""
 
     x: Array
     """(F, s)"""
     R_NG: Array
-    """(F, 3, 3) attitudes, theta applied"""
+    """(F, 3, 3) attitudes, including theta"""
     camera_N: Array
     """(F, 3) stated position of the camera [m]"""
     com_G: Array
@@ -49,41 +50,41 @@ class FrameStates:
 
     @property
     def n_constants(self) -> int:
-        """Numbers of com_G, xi and the wrench's unknowns."""
+        """Number of constants: com_G, xi and the wrench's unknowns."""
         return N_CONSTANTS if self.wrench is None else N_CONSTANTS + N_WRENCH
 
     def true_attitudes(self) -> Array:
-        """(F, 3, 3) freed from the errors of the camera's attitude."""
-        return turns(self.x[:, 15:18]) @ self.R_NG if self.x.shape[1] > N_STATE else self.R_NG
+        """(F, 3, 3) attitudes, corrected for the errors of the camera's attitude."""
+        return rotation_matrices(self.x[:, 15:18]) @ self.R_NG if self.x.shape[1] > N_STATE else self.R_NG
 
     def centres(self) -> Array:
         """(F, 3) true position of the centre of mass in N [m]."""
         seen = self.x[:, 0:3] + self.R_NG @ self.com_G
         if self.x.shape[1] == N_STATE:
             return np.asarray(seen)
-        arm = np.einsum("fij,fj->fi", turns(self.x[:, 15:18]), seen - self.camera_N)
+        arm = np.einsum("fij,fj->fi", rotation_matrices(self.x[:, 15:18]), seen - self.camera_N)
         return np.asarray(self.camera_N + self.x[:, 12:15] + arm)
 
 
 @dataclass(frozen=True)
 class Steps:
-    """What is held of the steps between frames."""
+    """The steps between frames: lengths, whitening and known wrench, fixed during one solve."""
 
     dt_s: Array
     """(F - 1,)"""
     series: Ints
-    """(F - 1,) Taylor series of each"""
+    """(F - 1,) number of Taylor series in each"""
     W_t: Array
     """(F - 1, 2, 2) lower, whitens the translation"""
     W_r: Array
     """(F - 1, 6, 6) lower, whitens the rotation"""
     force_increments: Array | None = None
-    """(F - 1, 2, 3) what a known force does to position [N s^2] and velocity [N s] of 1 kg"""
+    """(F - 1, 2, 3) effect of a known force on position [N s^2] and velocity [N s] of 1 kg"""
     torque_P: Array | None = None
     """(F - 1, S, 2, 3) known torque over each series [N m]"""
 
     def whiten(self, errors: Array) -> Array:
-        """errors (F - 1, 12, ...) of position, velocity, attitude, rate to unit covariance."""
+        """Scale errors (F - 1, 12, ...) of position, velocity, attitude, rate to unit covariance."""
         W = np.zeros((len(self.dt_s), RESIDUALS, RESIDUALS))
         W[:, 0:3, 0:3] = self.W_t[:, 0, 0, None, None] * np.eye(3)
         W[:, 3:6, 0:3] = self.W_t[:, 1, 0, None, None] * np.eye(3)
@@ -113,7 +114,7 @@ def _errors(states: FrameStates, steps: Steps, R_step: Array, w_end: Array) -> t
 
 
 def _by_force(states: FrameStates, steps: Steps) -> Array:
-    """What a known force and its bias do to position and velocity, (F - 1, 2, 3)."""
+    """Effect of a known force and its bias on position and velocity, (F - 1, 2, 3)."""
     if states.wrench is None or steps.force_increments is None:
         return np.zeros((len(steps.dt_s), 2, 3))
     of_bias = np.stack([0.5 * steps.dt_s**2, steps.dt_s], axis=1)[:, :, None] * states.wrench[FORCE_BIAS]
@@ -121,7 +122,7 @@ def _by_force(states: FrameStates, steps: Steps) -> Array:
 
 
 def _torque(states: FrameStates, steps: Steps) -> tuple[Array | None, Array | None]:
-    """A known torque in G, and its derivatives in (xi, ln scale, turn, bias): (F - 1, S, 12, 2, 3)."""
+    """A known torque in G, and its derivatives in (xi, ln scale, rotation, bias): (F - 1, S, 12, 2, 3)."""
     if states.wrench is None or states.R_torque is None or steps.torque_P is None:
         return None, None
     torque, of_unknowns = torque_in_G(steps.torque_P, states.wrench, states.R_torque)
@@ -145,9 +146,9 @@ def dynamics_jacobians(states: FrameStates, steps: Steps, J_G: Array, dJ: Array)
 def jacobians_of_propagation(
     states: FrameStates, steps: Steps, q: Array, w_end: Array, turn: Array, rate: Array
 ) -> tuple[Array, Array]:
-    """As above, from a rotation that is known with its derivatives (see ``propagate_derivatives``).
+    """As above, given the rotation over the steps and its derivatives (see ``propagate_derivatives``).
 
-    Its parameters stand after com_G.
+    The parameters of the rotation follow com_G.
     """
     n, s = len(steps.dt_s), states.x.shape[1]
     turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), matrices_from_quaternions(q)
@@ -160,7 +161,7 @@ def jacobians_of_propagation(
     D[:, 0:3, 6:9] -= steps.dt_s[:, None, None] * np.eye(3)
     D[:, 0:3, 2 * s : 2 * s + 3] = R[1:] - R[:-1]
     D[:, 3:6, 6:9], D[:, 3:6, s + 6 : s + 9] = -np.eye(3), np.eye(3)
-    # what turns the attitude before the step, or is the step's own, passes to its end
+    # rotations before or within the step are expressed at its end
     left = inverse_right_jacobians(errors[:, 6:9])
     back = left @ np.swapaxes(R[1:], 1, 2) @ R[:-1]
     D[:, 6:9, :s], D[:, 6:9, s : 2 * s] = -back @ of_turn[:-1], left @ of_turn[1:]
@@ -176,7 +177,7 @@ def jacobians_of_propagation(
 
 
 def _add_force(D: Array, states: FrameStates, steps: Steps) -> None:
-    """Derivatives in the logarithm of the mass and in the force's bias: the last four columns."""
+    """Derivatives with respect to the logarithm of the mass and the force's bias: the last four columns."""
     assert states.wrench is not None
     D[:, 0:6, -4] = _by_force(states, steps).reshape(-1, 6)
     D[:, 0:3, -3:] = -np.exp(-states.wrench[LN_MASS]) * 0.5 * steps.dt_s[:, None, None] ** 2 * np.eye(3)
@@ -184,7 +185,7 @@ def _add_force(D: Array, states: FrameStates, steps: Steps) -> None:
 
 
 def state_derivatives(states: FrameStates) -> tuple[Array, Array]:
-    """Of the true centre of mass, and of the turn of the true attitude on the right: (F, 3, s) each."""
+    """Derivatives of the true centre of mass and, on the right, of the true attitude: (F, 3, s) each."""
     x, s, R = states.x, states.x.shape[1], states.true_attitudes()
     Jr = right_jacobians(x[:, 3:6])
     of_centre, of_turn = np.zeros((len(x), 3, s)), np.zeros((len(x), 3, s))
@@ -196,7 +197,7 @@ def state_derivatives(states: FrameStates) -> tuple[Array, Array]:
     alpha = x[:, 15:18]
     arm = states.centres() - states.camera_N - x[:, 12:15]
     left = right_jacobians(-alpha)
-    of_centre[:, :, 0:3], of_centre[:, :, 12:15] = turns(alpha), np.eye(3)
+    of_centre[:, :, 0:3], of_centre[:, :, 12:15] = rotation_matrices(alpha), np.eye(3)
     of_centre[:, :, 15:18] = -hat(arm) @ left
     of_turn[:, :, 15:18] = np.swapaxes(R, 1, 2) @ left
     return of_centre, of_turn

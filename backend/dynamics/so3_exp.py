@@ -1,6 +1,6 @@
-"""Rotations by the dozen, compiled: what ``polhode.lie`` says, for the loops of the solvers.
+"""Exponential and logarithm of SO(3) for many rotations at once, compiled: ``polhode.lie`` for inner loops.
 
-``polhode.lie`` goes through general conversions: with a dozen rotations they take longer than all else.
+``polhode.lie`` uses SciPy's general conversions, whose overhead dominates for a dozen rotations.
 """
 
 import numpy as np
@@ -9,11 +9,11 @@ from polhode.compiled import compiled
 from polhode.lie import Array
 
 SMALL_RAD = 1e-3
-"""Below it series take the place of quotients: to the 4th order, 1e-14."""
+"""Below this angle series to the 4th order replace quotients, with errors of 1e-14."""
 
 
 @compiled
-def turns(theta: Array) -> Array:
+def rotation_matrices(theta: Array) -> Array:
     """Rotation vectors [rad] (n, 3) -> matrices (n, 3, 3)."""
     out = np.empty((len(theta), 3, 3))
     for n in range(len(theta)):
@@ -88,7 +88,7 @@ def rotation_vectors(R: Array) -> Array:
 
 @compiled
 def _jacobians(theta: Array, inverse: bool) -> Array:
-    """I - a hat + b hat^2, or its inverse I + hat / 2 + c hat^2."""
+    """Right Jacobians I - a hat + b hat^2, or their inverses I + hat / 2 + c hat^2."""
     out = np.empty((len(theta), 3, 3))
     for n in range(len(theta)):
         x, y, z = theta[n, 0], theta[n, 1], theta[n, 2]
@@ -123,5 +123,5 @@ def right_jacobians(theta: Array) -> Array:
 
 
 def inverse_right_jacobians(theta: Array) -> Array:
-    """``Log(R Exp(d)) ~ Log(R) + Jr^-1 d`` at theta = Log(R) (n, 3), less than a turn -> (n, 3, 3)."""
+    """``Log(R Exp(d)) ~ Log(R) + Jr^-1 d`` at theta = Log(R) (n, 3), below a revolution -> (n, 3, 3)."""
     return _jacobians(theta, True)

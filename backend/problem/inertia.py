@@ -13,13 +13,13 @@ import numpy as np
 from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 
 N_INERTIA = 5
-THINNEST = 1e-7
-"""Smallest second moment over the largest. Where the data do not bound a ratio the solver may leave for ever
-thinner bodies, and rounding would take their last sign."""
+MIN_THICKNESS = 1e-7
+"""Smallest second moment over the largest. Where the data do not bound a ratio the solver may move to ever
+thinner bodies, whose smallest moment could become negative by rounding."""
 
 
 class InertiaForm(Protocol):
-    """Five numbers xi around a reference rotation; the reference is renewed between solves."""
+    """Five numbers xi around a reference rotation, which is updated between solves."""
 
     name: str
 
@@ -104,7 +104,7 @@ class RatiosAxes:
     def coordinates(self, second: Array) -> tuple[Array, Array]:
         d, R = np.linalg.eigh(unit_determinant(second))
         R = R * np.array([1.0, 1.0, np.linalg.det(R)])
-        # at equal moments the axes have no derivative: step off that point
+        # at equal moments the axes have no derivative: move away from that point
         gap = 1e-3
         a, b = np.log(d[0] / d[2]), np.log(d[1] / d[2])
         b = min(b, -gap)
@@ -118,8 +118,8 @@ FORMS: dict[str, InertiaForm] = {"second_moments": SecondMoments(), "ratios_axes
 def unit_determinant(second: Array) -> Array:
     """Scale second moments (3, 3) to determinant 1; those of a needle or a disc get a thickness."""
     values, vectors = np.linalg.eigh(second)
-    if values[0] < THINNEST * values[2]:
-        values = np.maximum(values, THINNEST * values[2])
+    if values[0] < MIN_THICKNESS * values[2]:
+        values = np.maximum(values, MIN_THICKNESS * values[2])
         second = (vectors * values) @ vectors.T
     return np.asarray(second / np.cbrt(np.prod(values)))
 
@@ -145,8 +145,8 @@ def second_moments_from_inertia(J: Array, floor: float = 0.02) -> Array:
 def principal_axes(J: Array) -> tuple[Array, Array]:
     """J (3, 3) -> moments (3,) descending with the middle one 1, and R_GP (3, 3), right-handed.
 
-    Of the four half-turns the one is taken whose x axis has its largest component positive and
-    whose z axis too, as far as a right-handed frame allows: one choice for a run.
+    Among the four orientations that differ by half-turns, the one is chosen in which the largest components
+    of the x and z axes are positive: the same choice throughout a run.
     """
     values, vectors = np.linalg.eigh(J)
     R = vectors[:, ::-1].copy()

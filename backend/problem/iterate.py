@@ -1,4 +1,4 @@
-"""The unknowns of the problem, and how a vector of corrections changes them."""
+"""The unknowns of the problem, their layout as a vector, and how a correction changes them."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ COM, XI = slice(0, 3), slice(3, 8)
 
 @dataclass(frozen=True)
 class Iterate:
-    """One value of all unknowns. F frames, L landmarks.
+    """A value of all unknowns: F frames, L landmarks.
 
     As a vector (s F + c + 3 L): per frame p_NG, theta, v_N, w_G (s = 12), and the errors of the camera's pose
     where they are unknowns (s = 18); then com_G, xi; then the landmarks.
@@ -50,7 +50,8 @@ class Iterate:
     p_G: Array
     """(L, 3) landmarks [m]"""
     camera: Array | None = None
-    """(F, 6) shift [m] and turn [rad], along N, that make the stated camera pose the true one; None: exact"""
+    """(F, 6) shift [m] and rotation [rad], along N, from the stated camera pose to the true one; None:
+    exact"""
 
     wrench: Array | None = None
     """(11,) unknowns of a known wrench (``wrench.py``), after xi in the vector; None: none acts"""
@@ -63,17 +64,17 @@ class Iterate:
 
     @property
     def n_constants(self) -> int:
-        """Numbers of com_G, xi and the wrench's unknowns."""
+        """Number of constants: com_G, xi and the wrench's unknowns."""
         return N_CONSTANTS if self.wrench is None else N_CONSTANTS + N_WRENCH
 
     @property
     def n_state(self) -> int:
-        """Numbers of a frame in the vector."""
+        """Number of unknowns of a frame."""
         return N_STATE if self.camera is None else N_STATE + N_CAMERA
 
     @property
     def n_states(self) -> int:
-        """Numbers of all frames: the constants follow."""
+        """Number of unknowns of all frames; the constants follow them."""
         return self.n_state * self.n_frames
 
     @property
@@ -89,20 +90,20 @@ class Iterate:
         return np.concatenate([states.ravel(), self.com_G, self.xi, wrench, self.p_G.ravel()])
 
     def moved_to(self, x: Array) -> "Iterate":
-        """The unknowns at vector x, whose theta turns the R_NG of this iterate."""
-        n, marks = self.n_states, self.n_dense
-        states = x[:n].reshape(-1, self.n_state)
+        """The unknowns at vector x, whose theta rotates the R_NG of this iterate."""
+        states = x[: self.n_states].reshape(-1, self.n_state)
+        constants, landmarks = x[self.n_states : self.n_dense], x[self.n_dense :]
         return Iterate(
-            p_NG=states[:, 0:3],
-            R_NG=self.R_NG @ exp_so3(states[:, 3:6]),
-            v_N=states[:, 6:9],
-            w_G=states[:, 9:12],
-            com_G=x[n : n + 3],
-            xi=x[n + 3 : n + 8],
+            p_NG=states[:, POSITION],
+            R_NG=self.R_NG @ exp_so3(states[:, ROTATION]),
+            v_N=states[:, VELOCITY],
+            w_G=states[:, RATE],
+            com_G=constants[COM],
+            xi=constants[XI],
             R_inertia=self.R_inertia,
-            p_G=x[marks:].reshape(-1, 3),
-            camera=None if self.camera is None else states[:, 12:18],
-            wrench=None if self.wrench is None else x[n + N_CONSTANTS : marks],
+            p_G=landmarks.reshape(-1, 3),
+            camera=None if self.camera is None else states[:, CAMERA],
+            wrench=None if self.wrench is None else constants[N_CONSTANTS:],
             R_torque=self.R_torque,
         )
 

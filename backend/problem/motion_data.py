@@ -11,12 +11,12 @@ from polhode.lie import Array, inverse_pose
 from polhode.records import Bools, Ints, StereoTracks
 
 TINY = 1e-12
-"""[N, N m] bias of a force or a torque where there is none."""
+"""[N, N m] standard deviation of the bias where no force or torque acts."""
 
 
 @dataclass(frozen=True)
 class MotionData:
-    """Measurements sorted by landmark, the camera's poses and the noise: what does not change in a run."""
+    """Measurements sorted by landmark, camera poses and noise levels: what no iteration changes."""
 
     frame: Ints
     """(M,)"""
@@ -45,17 +45,17 @@ class MotionData:
     robust_scale: float
     form: InertiaForm
     impulses: Impulses | None
-    """Of the known wrench; None: none acts"""
+    """Impulses of the known wrench; None: none acts"""
     bias_sigma: tuple[float, float]
     """[N, N m] of the constant biases of the known force and torque"""
     order: Ints
     """(M,) sorted observation -> observation of the tracks"""
     nodes: Bools
-    """(F - 1,) steps in which something unknown may push"""
+    """(F - 1,) steps in which an unknown disturbance may act"""
     node_sigma: tuple[float, float]
-    """[m/s^2, rad/s^2] of such a push, zero on average"""
+    """[m/s^2, rad/s^2] standard deviation of such a disturbance, which is zero-mean"""
     loose: Bools | None = None
-    """(F - 1,) steps whose dynamics tell nothing; None: all tell"""
+    """(F - 1,) steps whose dynamics are given no weight; None: all count"""
 
     @property
     def n_frames(self) -> int:
@@ -71,7 +71,7 @@ class MotionData:
         return len(self.start) - 1
 
     def rescaled(self, factors: Array) -> "MotionData":
-        """The same measurements, the standard deviations of u, v and disparity times factors (3,)."""
+        """The same measurements, the standard deviations of u, v and disparity multiplied by factors (3,)."""
         return replace(self, inv_sigma=self.inv_sigma / factors)
 
 
@@ -109,7 +109,7 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
 
 
 def nodes_of(windows_s: tuple[tuple[float, float], ...], everywhere: bool, dt_s: Array) -> Bools:
-    """(F - 1,) steps in which a push is stated to be possible."""
+    """(F - 1,) steps in which an unknown disturbance is stated to be possible."""
     ends = np.concatenate([[0.0], np.cumsum(dt_s)])
     nodes = np.full(len(dt_s), everywhere)
     for start, end in windows_s:

@@ -1,8 +1,9 @@
-"""A known wrench over the steps between frames: impulses of the force, torque as each series needs it.
+"""A known wrench over the steps between frames: impulses of the force, torque over each Taylor series.
 
-Unknown with a known wrench, besides the motion: the inertia's scale, the mass, a constant bias of force and
-of torque, and how the torque's axes lie in G. These are the principal axes, so the inertia has no products in
-them (``alignment``); where moments are nearly equal that says little, and the torques themselves tell.
+With a known wrench there are further unknowns besides the motion: the scale of the inertia, the mass,
+constant biases of force and torque, and the orientation in G of the axes along which the torque is given.
+These are the principal axes, so the products of inertia vanish in them (``alignment``); where moments are
+nearly equal this is a weak constraint, and the orientation follows from the effect of the torques.
 """
 
 from dataclasses import dataclass
@@ -13,17 +14,19 @@ from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 from polhode.records import Bools, Ints, Wrench
 
 N_WRENCH = 11
-"""ln of the inertia's scale; turn of the torque's axes (3) [rad]; bias of the torque (3) [N m]; ln of the
+"""ln of the inertia's scale; rotation of the torque's axes (3) [rad]; bias of the torque (3) [N m]; ln of the
 mass in kg; bias of the force (3) [N]. J in kg m^2 is the scale times J of unit second moments."""
 LN_SCALE, TURN, TORQUE_BIAS, LN_MASS, FORCE_BIAS = 0, slice(1, 4), slice(4, 7), 7, slice(8, 11)
 N_OF_ROTATION = 7
-"""The first of them, which act on the rotation."""
+"""The first unknowns, which act on the rotation."""
 LN_PRIOR = 8.0
 """Standard deviation of the weak prior on the logarithms, about 1 kg and 1 kg m^2."""
 ALIGNMENT_SIGMA = 1e-3
-"""Of the products of inertia in the torque's axes, over the mean moment: a stiffer tie slows the solver."""
+"""Standard deviation of the products of inertia in the torque's axes, over the mean moment: a stiffer
+constraint slows the solver down."""
 FINEST_TURN_RAD = 0.25
-"""Turn of the body in one series while a torque acts: within it the torque counts as changing linearly."""
+"""Rotation of the body in one series while a torque acts: within it the torque is taken to change
+linearly."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +60,14 @@ class Impulses:
 
     @property
     def force_increments(self) -> Array:
-        """(F - 1, 2, 3) of each step: what the force does to position [N s^2] and velocity [N s] of 1 kg."""
+        """(F - 1, 2, 3) effect of the force on position [N s^2] and velocity [N s] of 1 kg, in each step."""
         once, twice = (whole[:, :3] for whole in self.integrals(self.frame_s))
         dt = np.diff(self.frame_s)[:, None]
         return np.stack([np.diff(twice, axis=0) - dt * once[:-1], np.diff(once, axis=0)], axis=1)
 
     @property
     def acting(self) -> Bools:
-        """(F - 1,) steps in which anything acts."""
+        """(F - 1,) steps in which the wrench is not zero."""
         size = np.abs(self.rows)
         magnitude = Impulses(self.frame_s, self.row_s, size, *_integrate(self.row_s, size))
         return np.asarray(np.diff(magnitude.integrals(self.frame_s)[0], axis=0).max(axis=1) > 0.0)
@@ -80,7 +83,7 @@ class Impulses:
     def torque(self, series: Ints) -> Array:
         """(F - 1, S, 2, 3) along P [N m], S the largest of series (F - 1,): value at the start, and change.
 
-        The straight line with the same integral and first moment over each series.
+        It is the straight line with the same integral and first moment over each series.
         """
         n, most = len(series), int(series.max())
         h = np.diff(self.frame_s) / series
@@ -95,7 +98,7 @@ class Impulses:
         return np.asarray(out).reshape(n, most, 2, 3)
 
     def refine_series(self, series: Ints, w_G: Array, dt_s: Array) -> Ints:
-        """Series (F - 1,), more where a torque acts; w_G (F - 1, 3) [rad/s]."""
+        """Numbers of series (F - 1,), increased where a torque acts; w_G (F - 1, 3) [rad/s]."""
         turns = np.linalg.norm(w_G, axis=1) * dt_s / FINEST_TURN_RAD
         needed = (2 ** np.ceil(np.log2(np.maximum(turns, 2.0)))).astype(np.int64)
         return np.where(self.acting, np.maximum(series, needed), series)
@@ -121,7 +124,7 @@ def torque_in_G(torque_P: Array, unknowns: Array, R_ref: Array) -> tuple[Array, 
     """Torque (n, S, 2, 3) along G in the scale of J_G, and its derivatives (n, S, 7, 2, 3).
 
     torque_P (n, S, 2, 3) [N m]; unknowns (11,); R_ref (3, 3) reference of the torque's axes in G. Derivatives
-    in ln scale, turn, bias.
+    with respect to ln scale, rotation, bias.
     """
     R = R_ref @ exp_so3(unknowns[TURN]) * np.exp(-unknowns[LN_SCALE])
     biased = torque_P.copy()
@@ -137,7 +140,7 @@ def torque_in_G(torque_P: Array, unknowns: Array, R_ref: Array) -> tuple[Array, 
 def wrench_residual(
     J_G: Array, dJ: Array, unknowns: Array, R_ref: Array, bias_sigma: tuple[float, float]
 ) -> tuple[Array, Array]:
-    """What is known of the unknowns beforehand (11,) and its Jacobian (11, 16) in xi and the unknowns.
+    """Prior on the unknowns (11,), whitened, and its Jacobian (11, 16) with respect to xi and the unknowns.
 
     Rows: alignment (3), biases of torque and force (6) over bias_sigma [N, N m], the two logarithms.
     """
@@ -151,12 +154,12 @@ def wrench_residual(
 
 
 def alignment(J_G: Array, dJ: Array, unknowns: Array, R_ref: Array) -> tuple[Array, Array]:
-    """Products of inertia (3,) in the torque's axes over their sigma, and the Jacobian (3, 8) in xi, turn."""
+    """Products of inertia (3,) in the torque's axes over their sigma; Jacobian (3, 8) in xi and rotation."""
     R = R_ref @ exp_so3(unknowns[TURN])
     scale = 1.0 / (ALIGNMENT_SIGMA * np.trace(J_G) / 3.0)
     M = R.T @ J_G @ R
     of_xi = R.T @ dJ @ R
-    # of R Exp(d): M hat(d) - hat(d) M, for d along each column of the right Jacobian
+    # derivative for R Exp(d): M hat(d) - hat(d) M, with d along each column of the right Jacobian
     turns = hat(right_jacobian_so3(unknowns[TURN]).T)
     of_turn = M @ turns - turns @ M
     rows, cols = [2, 2, 1], [1, 0, 0]

@@ -104,7 +104,7 @@ def ipopt_options(
 
 
 def gather(vector: Any, slots: Ints) -> Any:
-    """Columns of a matrix (width, n) from the entries ``slots`` (n, width) of a vector."""
+    """Matrix (width, n) whose columns are the entries ``slots`` (n, width) of a vector."""
     return ca.reshape(vector[slots.ravel().tolist()], slots.shape[1], slots.shape[0])
 
 
@@ -115,14 +115,14 @@ def scatter(target: Ints, size: int) -> Any:
 
 
 def upper_keys(slots: Ints, n_x: int) -> Ints:
-    """Cells ``column * n_x + row`` of the upper blocks of each row of slots (n, width), by columns."""
+    """Cells ``column * n_x + row`` of the upper triangle of the block on each row of slots (n, width)."""
     width = slots.shape[1]
     cols, rows = np.tril_indices(width)
     return np.asarray(slots[:, cols] * n_x + slots[:, rows]).ravel()
 
 
 def upper_sparsity(cells: Ints, n_x: int) -> Any:
-    """Of a symmetric matrix (n_x, n_x) with these cells, sorted."""
+    """Sparsity of the upper triangle of a matrix (n_x, n_x) with these cells, sorted."""
     columns, rows = np.divmod(cells, n_x)
     offsets = np.searchsorted(columns, np.arange(n_x + 1))
     return ca.Sparsity(n_x, n_x, offsets.tolist(), rows.tolist())

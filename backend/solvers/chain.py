@@ -1,8 +1,8 @@
-"""Elimination of what links frames to their neighbours only: velocities, rates, the camera's errors.
+"""Elimination of the unknowns that couple neighbouring frames only: velocities, rates, the camera's errors.
 
-Landmarks couple the poses of all frames that see them. The other numbers of a frame couple to the frames
-before and after, and to the constants: a chain, whose Cholesky factor has two blocks a frame. With the chain
-eliminated the dense system halves, and its factorization costs an eighth.
+Landmarks couple the poses of all frames that see them. The other unknowns of a frame couple to the frames
+before and after, and to the constants: a chain, whose Cholesky factor has two blocks per frame. Eliminating
+the chain halves the dense system, whose factorization then costs an eighth.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from polhode.lie import Array
 
 POSE = 6
 PANEL = 96
-"""Columns that are updated at a time."""
+"""Columns that are updated at once."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class ChainFactor:
     gradient: Array
     """(F d,) the inverse factor times the gradient"""
     dense: Array
-    """(6 F + c, 6 F + c) lower: poses and constants, chain eliminated"""
+    """(6 F + c, 6 F + c) lower: poses and constants after elimination of the chain"""
     dense_gradient: Array
     """(6 F + c,)"""
 
@@ -49,7 +49,7 @@ def eliminate_chain(H: Array, g: Array, n_frames: int, n_state: int, damping: fl
     _gather(H, g, n_frames, n_state, damping, dense, dense_gradient)
     if not _factor(H, g, n_frames, n_state, 1.0 + damping, diagonal, below, X, y):
         raise LinAlgError("the chain is not positive definite")
-    # what overflows here has no Cholesky factor later
+    # where this overflows the Cholesky factorization fails later
     with np.errstate(over="ignore", invalid="ignore"):
         for start in range(0, n_poses, PANEL):
             end = min(start + PANEL, n_poses)
@@ -62,9 +62,9 @@ def eliminate_chain(H: Array, g: Array, n_frames: int, n_state: int, damping: fl
 
 
 def solve_with_chain(chain: ChainFactor, n_state: int) -> Array:
-    """Solution (n,) of ``H step = -g``, after whatever else was eliminated from the dense part.
+    """Solution (n,) of ``H step = -g``, after other unknowns were eliminated from the dense part, if any.
 
-    Raises LinAlgError when that is not positive definite. Overwrites ``chain.dense``.
+    Raises LinAlgError when the dense part is not positive definite. Overwrites ``chain.dense``.
     """
     factor = cho_factor(chain.dense, lower=True, overwrite_a=True, check_finite=False)
     rest = -cho_solve(factor, chain.dense_gradient, check_finite=False)
@@ -96,7 +96,7 @@ def _gather(
 def _factor(
     H: Array, g: Array, n_frames: int, s: int, grow: float, diagonal: Array, below: Array, X: Array, y: Array
 ) -> bool:
-    """Fill the fields of ``ChainFactor``; false when a pivot is not positive."""
+    """Fill the fields of ``ChainFactor``; False if a pivot is not positive."""
     d, n_poses, n_states = s - POSE, POSE * n_frames, s * n_frames
     constants = len(g) - n_states
     for k in range(n_frames):
@@ -152,7 +152,7 @@ def _factor(
 
 @compiled
 def _cholesky(A: Array) -> bool:
-    """Lower factor of A (d, d) in place, of its lower triangle; false when a pivot is not positive."""
+    """Lower factor of A (d, d) in place, from its lower triangle; False if a pivot is not positive."""
     for j in range(len(A)):
         for c in range(j):
             A[j, j] -= A[j, c] ** 2

@@ -9,7 +9,7 @@ from scipy.linalg import LinAlgError
 from polhode.backend.dynamics.kernels import prior_kernel
 from polhode.backend.dynamics.residuals import FrameStates, add_steps, dynamics_jacobians, dynamics_residuals
 from polhode.backend.problem.inertia import N_INERTIA, inertia_derivative
-from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE, Iterate
+from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE, POSITION, ROTATION, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import LN_MASS, LN_PRIOR, LN_SCALE, wrench_residual
 from polhode.backend.solvers.chain import POSE, eliminate_chain, solve_with_chain
@@ -28,22 +28,23 @@ TIME_LIMIT = "limit of time (backend.max_seconds)"
 TOLERANCE = 1e-8
 """Relative decrease of the cost that ends the iterations."""
 AT_REST, REST_ITERATIONS = 1e-6, 8
-"""So many iterations in a row with a smaller relative decrease end them too: what is left is a valley along
-which the data tell nothing."""
+"""So many iterations in a row with a smaller relative decrease end them too: they move along a valley of a
+quantity that the data do not determine."""
 STEP_FRACTIONS, ENOUGH = (0.5, 0.25, 0.125, 0.0625), 0.1
-"""Parts of a step that are tried, and the share of the decrease by the slope that each must bring."""
+"""Fractions of a step that are tried, and the share of the decrease predicted by the slope that is
+required."""
 DAMPING_FLOOR = 1e-8
 MAX_DAMPING, MAX_CONSTANTS_DAMPING = 1e8, 1e5
 CONSTANT_SCALE = np.repeat([0.01, 0.1], [3, N_INERTIA])
-"""Of com_G [m] and xi."""
+"""Scales of com_G [m] and xi."""
 
 
 @dataclass(frozen=True)
 class Damping:
-    """What keeps a step short. Either grows when a step is refused, and both are tried.
+    """Damping of a step, of all unknowns or of the constants alone; either grows when a step is rejected.
 
-    Given the constants the states are stiff but almost linear: then only the constants need damping, and the
-    states follow them freely. Far from the solution everything may go too far.
+    Given the constants, the states are stiff but almost linear: near the solution only the constants need
+    damping, and the states follow them freely. Far from the solution any unknown may overshoot.
     """
 
     of_all: float = DAMPING_FLOOR
@@ -52,24 +53,24 @@ class Damping:
     """In units of ``CONSTANT_SCALE``."""
 
     def more(self, times: int) -> "list[Damping]":
-        """What to try when steps were refused so many times; nothing when they cannot be made shorter."""
-        firm = max(self.of_constants, 1e-3) * 100.0**times
-        stiff = max(self.of_all, 1e-6) * 4.0**times * 2.0 ** (times * (times - 1) // 2)
-        firmer = [Damping(of_constants=firm)] if firm < MAX_CONSTANTS_DAMPING else []
-        return firmer + ([Damping(of_all=stiff)] if stiff < MAX_DAMPING else [])
+        """Dampings to try after so many rejections; empty if steps cannot be made shorter."""
+        of_constants = max(self.of_constants, 1e-3) * 100.0**times
+        of_all = max(self.of_all, 1e-6) * 4.0**times * 2.0 ** (times * (times - 1) // 2)
+        more = [Damping(of_constants=of_constants)] if of_constants < MAX_CONSTANTS_DAMPING else []
+        return more + ([Damping(of_all=of_all)] if of_all < MAX_DAMPING else [])
 
     def less(self) -> "Damping":
-        """What to begin the next iteration with."""
+        """The damping with which the next iteration begins."""
         of_constants = 0.01 * self.of_constants
         return Damping(max(DAMPING_FLOOR, 0.1 * self.of_all), of_constants if of_constants > 0.01 else 0.0)
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What a solver hands back; the grid of solvers shares it."""
+    """The result of a solver, the same for all solvers."""
 
     x: Array
-    """vector of the unknowns around the reference that was fixed"""
+    """vector of the unknowns about the fixed reference"""
     cost: float
     iterations: int
     converged: bool
@@ -92,20 +93,20 @@ class NormalEquations:
     """(M, 6, 3)"""
     cost: float
     n_state: int = N_STATE
-    """Numbers of a frame in H and g"""
+    """unknowns of a frame in H and g"""
 
 
 class GaussNewton:
-    """Solver of the weighted problem that ``program.MotionProgram`` states; kernels are built once."""
+    """Solver of the weighted problem that ``ipopt.MotionProgram`` states; kernels are built once."""
 
     name = "gauss_newton"
 
     def __init__(self, data: MotionData, with_dynamics: bool = True, line_search: bool = False) -> None:
-        """line_search: a step that goes too far is made shorter before it is damped.
+        """line_search: a step that overshoots is shortened before damping is tried.
 
-        Damping bends a step out of the valley along which the constants must move: from a cold start
-        shorter steps take half to a sixth of the iterations. The brief solves of ``trials`` know damping
-        alone.
+        Damping turns a step away from the valley along which the constants must move: from a cold start, a
+        line search needs half to a sixth of the iterations. The brief solves of ``multistart`` use damping
+        only.
         """
         self.data = data
         self.with_dynamics = with_dynamics
@@ -115,7 +116,7 @@ class GaussNewton:
     def solve(
         self, fixed: LinearizationPoint, x: Array, max_iterations: int, max_seconds: float = np.inf
     ) -> Solution:
-        """Minimise from x; each iteration one damped step."""
+        """Minimize from x; each iteration takes one damped step."""
         begin = perf_counter()
         damping = Damping()
         system = self.normal_equations(fixed, x)
@@ -140,7 +141,7 @@ class GaussNewton:
     def _descend(
         self, fixed: LinearizationPoint, x: Array, system: NormalEquations, damping: Damping
     ) -> tuple[Array, float, Damping] | None:
-        """A point of no higher cost, that cost and the damping that led there; None when there is none."""
+        """A point of no higher cost, that cost and the damping that led there; None if there is none."""
         trials, refused = [damping], 0
         while trials:
             best, least = None, system.cost * (1.0 + 1e-13)
@@ -156,14 +157,15 @@ class GaussNewton:
             refused += 1
             trials = damping.more(refused)
             if fixed.reference.wrench is not None:
-                # a wrench's unknowns bend the valley too: firm states alone follow it
+                # with the unknowns of a wrench the valley is curved too: only damping of all unknowns follows
+                # it
                 trials = [trial for trial in trials if trial.of_constants == 0.0]
         return None
 
     def _search_along(
         self, fixed: LinearizationPoint, x: Array, system: NormalEquations, step: Array
     ) -> tuple[Array, float]:
-        """The longest of SHORTER parts of a step that decreases the cost enough (Armijo); else no cost."""
+        """The longest fraction of a step with a sufficient decrease (Armijo); infinite cost if none has."""
         slope = float(system.g @ step[: len(system.g)] + system.h.ravel() @ step[len(system.g) :])
         for length in STEP_FRACTIONS:
             cost = self._cost_there(fixed, x + length * step)
@@ -172,7 +174,7 @@ class GaussNewton:
         return x, np.inf
 
     def _cost_there(self, fixed: LinearizationPoint, x: Array) -> float:
-        """The objective where a wild step may have left the range of the exponential: refused like any."""
+        """The objective; infinite or NaN where a very long step overflows, and so rejected."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.cost(fixed, x)
 
@@ -187,7 +189,7 @@ class GaussNewton:
         return total + 0.5 * float(np.sum(fixed.gauge_information * self._gauge_offset(fixed, x) ** 2))
 
     def dynamics_cost(self, fixed: LinearizationPoint, x: Array) -> float:
-        """The part of the objective that the dynamics contribute."""
+        """Contribution of the dynamics to the objective."""
         if not self.with_dynamics:
             return 0.0
         states, at = self.states(fixed, x)
@@ -195,11 +197,11 @@ class GaussNewton:
         return 0.5 * float(np.sum(residuals**2))
 
     def camera_cost(self, fixed: LinearizationPoint, x: Array) -> float:
-        """The part of the objective that the errors of the camera's pose contribute."""
+        """Contribution of the errors of the camera's pose to the objective."""
         return 0.5 * float(np.sum(fixed.camera_information * camera_errors(fixed, x) ** 2))
 
     def wrench_cost(self, fixed: LinearizationPoint, x: Array) -> float:
-        """The part of the objective that what is known of a wrench's unknowns contributes."""
+        """Contribution of the prior on a wrench's unknowns to the objective."""
         return 0.5 * float(np.sum(self._wrench(fixed, x)[0] ** 2))
 
     def prior_information(self, fixed: LinearizationPoint, x: Array) -> Array:
@@ -224,14 +226,14 @@ class GaussNewton:
     def normal_equations(
         self, fixed: LinearizationPoint, x: Array, weight: Array | None = None, prior: bool = True
     ) -> NormalEquations:
-        """Linearise at x; robust weights unless given (M,). ``prior=False`` leaves prior and gauge out."""
+        """Linearize at x; robust weights unless given (M,). ``prior=False`` omits prior and gauge."""
         d, s, n_states = self.data, fixed.reference.n_state, fixed.reference.n_states
         r, (A, p_NG, p_G) = self.residuals(fixed, x)
         squares = np.sum(r**2, axis=1)
-        # the kernel's curvature speeds up the solution; information given from outside has none
+        # the curvature of the kernel speeds up convergence; given weights have none
         w = robust_weight(squares, d.robust_scale) if weight is None else weight
         bend = kernel_curvature(squares, d.robust_scale) if weight is None else np.zeros_like(squares)
-        theta = x[:n_states].reshape(-1, s)[:, 3:6]
+        theta = x[:n_states].reshape(-1, s)[:, ROTATION]
         H6, g6, C, h, E = stereo_normal_equations(
             d.frame,
             d.landmark,
@@ -302,7 +304,7 @@ class GaussNewton:
         return 0.5 * float(np.sum(residual**2))
 
     def states(self, fixed: LinearizationPoint, x: Array) -> tuple[FrameStates, Iterate]:
-        """The states as the dynamics read them, and the iterate, at x."""
+        """The states, and the iterate, at x."""
         at = fixed.reference.moved_to(x)
         of_frames = x[: at.n_states].reshape(-1, at.n_state)
         return FrameStates(of_frames, at.R_NG, self.data.camera_N, at.com_G, at.wrench, at.R_torque), at
@@ -325,7 +327,7 @@ class GaussNewton:
     def _add_wrench(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array, prior: bool) -> float:
         residual, jacobian = self._wrench(fixed, x)
         if not prior:
-            # the logarithms stand last
+            # the logarithms come last
             residual, jacobian = residual[:-2], jacobian[:-2]
         at = slice(fixed.reference.n_states + 3, fixed.reference.n_states + 3 + jacobian.shape[1])
         H[at, at] += jacobian.T @ jacobian
@@ -343,11 +345,11 @@ class GaussNewton:
         return float(cost) + 0.5 * float(np.sum(fixed.gauge_information * offset**2))
 
     def _gauge_offset(self, fixed: LinearizationPoint, x: Array) -> Array:
-        return np.concatenate([x[:3] - fixed.reference.p_NG[0], x[3:6]])
+        return np.concatenate([x[POSITION] - fixed.reference.p_NG[0], x[ROTATION]])
 
 
 def camera_errors(fixed: LinearizationPoint, x: Array) -> Array:
-    """Errors (F, 6) of the camera's stated poses in the unknowns x; (0, 6) where these are exact."""
+    """Errors (F, 6) of the camera's stated poses in the unknowns x; (0, 6) if the poses are exact."""
     s = fixed.reference.n_state
     if s == N_STATE:
         return np.zeros((0, N_CAMERA))

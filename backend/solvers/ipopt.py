@@ -1,4 +1,4 @@
-"""The whole optimisation problem as a CasADi nonlinear program, solved by IPOPT."""
+"""The whole optimization problem as a CasADi nonlinear program, solved by IPOPT."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,6 +7,8 @@ import casadi as ca
 import numpy as np
 
 from polhode.backend.dynamics.kernels import (
+    N_PRIOR,
+    N_WRENCH_PRIOR,
     Output,
     StepLayout,
     dynamics_kernel,
@@ -41,14 +43,14 @@ MESSAGES = {
     "Maximum_WallTime_Exceeded": TIME_LIMIT,
 }
 TOLERANCE = 1e-3
-"""Largest gradient at the end, where whitened residuals are of order one."""
+"""Largest gradient at the optimum; whitened residuals are of order one."""
 STATIONARY_COST_CHANGE = 1e-7
-"""Relative change of the cost that ends the iterations when it is not exceeded three times in a row."""
+"""The iterations end when the relative change of the cost stays below this three times in a row."""
 
 
 @dataclass(frozen=True)
 class ProgramTerm:
-    """Expressions of one kernel over its data, and the unknowns (n, width) that each application reads."""
+    """Expressions of a kernel mapped over its data, and the unknowns (n, width) that each use of it reads."""
 
     slots: Ints
     cost: Any
@@ -94,13 +96,13 @@ class MotionProgram:
         self.data = data
         self._series: Ints = np.zeros(0, dtype=np.int64)
         self._solver: Any = None
-        # CasADi holds only a weak hand on them
+        # CasADi keeps only weak references to them
         self._outside: list[ExternalFunction] = []
 
     def solve(
         self, fixed: LinearizationPoint, x: Array, max_iterations: int, max_seconds: float = np.inf
     ) -> Solution:
-        """Minimise from x. The program is built at the first call, and when a step needs more series."""
+        """Minimize from x. The program is built at the first call, and when a step needs more series."""
         if self._solver is None or np.any(fixed.steps.series > self._series):
             series = fixed.steps.series
             self._series = np.maximum(series, self._series) if self._solver else series
@@ -115,7 +117,7 @@ class MotionProgram:
         )
 
     def build(self, layout: "ProgramLayout", max_iterations: int, max_seconds: float) -> Any:
-        """The solver, ready to be called with start and parameters."""
+        """The solver as a CasADi function of the start and the parameters."""
         stereo = StereoTerms(self.data, layout.n_state, layout.n_dense)
         n_x, n_attitudes = stereo.n_x, 9 * self.data.n_frames
         x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", layout.n_p)
@@ -140,12 +142,12 @@ class MotionProgram:
         return ipopt_solver("motion", x, p, cost, gradient, (sparsity, values), options)
 
     def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
-        """Of CasADi and IPOPT, without the derivatives."""
+        """Options of CasADi and IPOPT, without the derivatives."""
         limit = float(np.clip(max_seconds, 1e-6, 1e6))
         return ipopt_options(TOLERANCE, STATIONARY_COST_CHANGE, max_iterations, max_wall_time=limit)
 
     def terms(self, x: Any, p: Any, at: "ProgramLayout", output: Output) -> list[ProgramTerm]:
-        """Kernels mapped over their data: dynamics by number of series, priors, what is fixed."""
+        """Kernels mapped over their data: dynamics by number of series, then priors and gauge."""
         d, s, step = self.data, at.n_state, at.step
         of_constants = s * d.n_frames + np.arange(step.n_constants)
         terms = []
@@ -157,14 +159,14 @@ class MotionProgram:
                 gather(x, slots),
                 gather(p, at.steps + step.n_p * index[:, None] + np.arange(step.n_p)),
             ]
-            if step.pushed:
+            if step.with_wrench:
                 torque = gather(p, at.torque + at.n_torque * index[:, None] + np.arange(6 * series))
                 arguments.append(ca.reshape(torque, 6, series * len(index)))
             kernel = dynamics_kernel(d.form, series, output, step).map(len(index))
             terms.append(ProgramTerm(slots, *kernel.call(arguments)))
         body = of_constants[None, :N_CONSTANTS]
         prior = prior_kernel(d.form, output)
-        terms.append(ProgramTerm(body, *prior.call([gather(x, body), p[at.prior : at.prior + 13]])))
+        terms.append(ProgramTerm(body, *prior.call([gather(x, body), p[at.prior : at.prior + N_PRIOR]])))
         gaussian_prior = gaussian_prior_kernel(output)
         gauge = np.arange(6)[None]
         terms.append(
@@ -176,36 +178,34 @@ class MotionProgram:
             terms.append(
                 ProgramTerm(errors, *gaussian_prior.map(d.n_frames).call([gather(x, errors), camera_prior]))
             )
-        if step.pushed:
+        if step.with_wrench:
             unknowns, wrench = of_constants[None, 3:], wrench_kernel(d.form, output)
-            terms.append(
-                ProgramTerm(unknowns, *wrench.call([gather(x, unknowns), p[at.wrench : at.wrench + 20]]))
-            )
+            terms.append(ProgramTerm(unknowns, *wrench.call([gather(x, unknowns), p[at.wrench : at.n_p]])))
         return terms
 
 
 class ProgramLayout:
-    """Where each kind of unknown and of parameter begins in the program's vectors; attitudes A are first."""
+    """Where each kind of unknown and of parameter begins in the program's vectors; attitudes A come first."""
 
     def __init__(self, reference: Iterate, most_series: int) -> None:
         self.n_state, self.n_dense, n = reference.n_state, reference.n_dense, reference.n_frames
         self.step = StepLayout(reference.n_state, reference.wrench is not None)
-        self.n_torque = 6 * most_series if self.step.pushed else 0
+        self.n_torque = 6 * most_series if self.step.with_wrench else 0
         self.steps = 9 * n
         self.torque = self.steps + self.step.n_p * (n - 1)
         self.prior = self.torque + self.n_torque * (n - 1)
-        self.gauge = self.prior + 13
+        self.gauge = self.prior + N_PRIOR
         self.camera = self.gauge + 12
         self.wrench = self.camera + 12
-        self.n_p = self.wrench + 20
+        self.n_p = self.wrench + N_WRENCH_PRIOR
 
 
 def program_parameters(data: MotionData, fixed: LinearizationPoint, series: Ints) -> Array:
-    """Values of the parameters, as ``ProgramLayout`` orders them."""
+    """Values of the parameters in the order of ``ProgramLayout``."""
     reference = fixed.reference
-    torque, wrench = np.zeros(0), np.zeros(20)
+    torque, wrench = np.zeros(0), np.zeros(N_WRENCH_PRIOR)
     if reference.wrench is not None and reference.R_torque is not None and data.impulses is not None:
-        # by columns: each series has its six numbers together
+        # by columns: the six numbers of a series are contiguous
         torque = data.impulses.torque(series).ravel()
         axes = [reference.R_inertia.T.ravel(), reference.R_torque.T.ravel()]
         wrench = np.concatenate([*axes, fixed.bias_sigma])
@@ -223,7 +223,7 @@ def program_parameters(data: MotionData, fixed: LinearizationPoint, series: Ints
 
 
 def dynamics_parameters(data: MotionData, fixed: LinearizationPoint) -> Array:
-    """Parameters (F - 1, n_p) of the steps, as ``step_kernels.StepLayout`` orders them."""
+    """Parameters (F - 1, n_p) of the steps in the order of ``kernels.StepLayout``."""
     at, W_t, n = fixed.reference, fixed.steps.W_t, data.n_frames - 1
     by_columns = np.swapaxes(at.R_NG, 1, 2).reshape(-1, 9)
     inertia = np.broadcast_to(at.R_inertia.T.ravel(), (n, 9))

@@ -13,21 +13,22 @@ from polhode.lie import Array
 from polhode.records import Ints
 
 LOOSE_GAUGE, TIGHT_GAUGE = 0.1, 1e-3
-"""How firmly G is fixed at the first frame [rad, body radii]. A cold start must be free to move it; near the
-solution a step along it would leave the curved valley in which G may move."""
+"""Standard deviation with which G is fixed at the first frame [rad, body radii]. A cold start must be free to
+move G; near the solution a step that moves G would leave the curved valley of equal cost."""
 COM_PRIOR_M = 0.1
-"""Least standard deviation of the prior on the centre of mass; a larger body's own radius is taken."""
+"""Smallest standard deviation of the prior on the centre of mass [m]; for larger bodies it is their
+radius."""
 LOOSE_PSD = 1.0
-"""[(m/s^2)^2/Hz], [(rad/s^2)^2/Hz] so strong that a step tells nothing of the body."""
+"""[(m/s^2)^2/Hz], [(rad/s^2)^2/Hz] process noise so strong that a step carries no information on the body."""
 MIN_CAMERA_SIGMA = 1e-7
-"""[m, rad] where only the other half of the camera's pose is noisy."""
+"""[m, rad] where only the other part of the camera's pose is noisy."""
 
 
 @dataclass(frozen=True)
 class LinearizationPoint:
-    """What is fixed during one solve: reference attitudes, whitening at the current rate, priors, gauge.
+    """What is fixed during one solve: reference attitudes, whitening at the current rates, priors, gauge.
 
-    The free frame G is kept near the reference by a soft hold on the first pose: it costs nothing at the
+    The free frame G is kept near the reference by a weak prior on the first pose. It costs nothing at the
     solution, because every motion of G with its landmarks leaves the other terms unchanged.
     """
 
@@ -35,24 +36,25 @@ class LinearizationPoint:
     A: Array
     """(F, 3, 3) R_RN R_ref"""
     steps: Steps
-    """Lengths, numbers of series and whitening of the steps between frames"""
+    """the steps between frames"""
     prior: Array
     """(13,) parameters of the prior kernel"""
     gauge_information: Array
-    """(6,) diagonal of the hold on p_NG, theta of the first frame"""
+    """(6,) diagonal of the prior on p_NG, theta of the first frame"""
     camera_information: Array
     """(6,) diagonal of the prior on the errors of the camera's pose, for each frame"""
     bias_sigma: tuple[float, float]
     """[N, N m] of the constant biases of a known wrench"""
     half_log_det: float
-    """Normalisation of the dynamics term: makes the costs of different inertias comparable"""
+    """normalization of the dynamics term: makes the costs of different inertias comparable"""
 
 
 def linearization_point(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> LinearizationPoint:
-    """Freeze references and whitening at an iterate; gauge is the standard deviation of the first pose."""
+    """Fix references and whitening at an iterate; gauge is the standard deviation of the first pose."""
     w, J_G = iterate.w_G[:-1], iterate.J_G(data.form)
     accel_psd, torque_psd = _levels(data, iterate)
-    # an unknown push of any course within its step, integrated out: white, and as strong over the whole step
+    # an unknown disturbance of any time history within its step, integrated out: white, as strong over the
+    # step
     accel_node, torque_node = np.square(data.node_sigma)[:, None] * data.nodes * data.dt_s
     W_t, W_r, half_log = whitening(w, J_G, data.dt_s, accel_psd + accel_node, torque_psd + torque_node)
     middle = geometric_median(iterate.p_G)
@@ -71,8 +73,10 @@ def linearization_point(data: MotionData, iterate: Iterate, gauge: float = LOOSE
 
 
 def _levels(data: MotionData, iterate: Iterate) -> tuple[Array, Array]:
-    """Disturbances in each step (F - 1,); in loose ones any, and where a known wrench acts that the iterate
-    does not have."""
+    """Levels of the disturbances in each step (F - 1,).
+
+    They are unlimited in loose steps, and where a known wrench acts that the iterate does not include.
+    """
     unknown = np.zeros_like(data.dt_s)
     if data.loose is not None:
         unknown[data.loose] = LOOSE_PSD
@@ -90,7 +94,7 @@ def _steps(data: MotionData, iterate: Iterate, series: Ints, W_t: Array, W_r: Ar
 
 
 def geometric_median(points: Array) -> Array:
-    """Middle (3,) of points (n, 3): robust, and the same whichever way the axes lie (Weiszfeld 1937)."""
+    """Geometric median (3,) of points (n, 3): robust and independent of the axes (Weiszfeld 1937)."""
     middle = points.mean(axis=0)
     for _ in range(10):
         weight = 1.0 / np.maximum(np.linalg.norm(points - middle, axis=1), 1e-6)

@@ -11,13 +11,14 @@ import numpy as np
 from polhode.lie import Array
 
 MAX_CURVATURE = 0.6
-"""Measured on a cold start and near the end: less converges slower there, more slower here."""
+"""Largest share of the Jacobian that the correction removes. Measured: smaller values converge more slowly
+near the solution, larger ones from a cold start."""
 RELATIVE_SCALES = (1.0, 1.5, 2.0, 3.0, 5.0)
-"""Candidate scales, over the one in the configuration."""
+"""Candidate scales, relative to the configured one."""
 
 
 def most_efficient_scale(s: Array, scale: float) -> float:
-    """Of ``scale`` and wider kernels the most efficient for residuals of squared norms s (M,), whitened."""
+    """The most efficient of ``scale`` and wider scales for whitened residuals with squared norms s (M,)."""
     candidates = [scale * factor for factor in RELATIVE_SCALES]
     return candidates[int(np.argmax([efficiency(s, candidate) for candidate in candidates]))]
 
@@ -26,8 +27,8 @@ def efficiency(s: Array, scale: float) -> float:
     """Information that an observation contributes under the kernel, per degree of freedom.
 
     Huber's sandwich a^2 / b with a = mean(psi'), b = mean(psi^2), over residuals s (M,), the squared norms of
-    three whitened components. Equals 1 for a wide kernel and Gaussian noise. The noise level is known by now,
-    residuals are smaller by what the fit took: they are scaled back to it.
+    three whitened components. Equals 1 for a wide kernel and Gaussian noise. The fit has reduced the
+    residuals: they are scaled to the noise level, which is known.
     """
     s = s * (3.0 / max(float(np.mean(s)), 1e-12))
     w = 1.0 / (1.0 + s / scale**2)
@@ -47,11 +48,11 @@ def robust_weight(s: Array, scale: float) -> Array:
 
 
 def kernel_curvature(s: Array, robust_scale: float) -> Array:
-    """How much of the Jacobian along the residual r the curvature of the Cauchy kernel takes, s = r.r (M,).
+    """Second-order (Triggs) correction: factor of r r^T J to be subtracted from the Jacobian J, s = r.r (M,).
 
-    The kernel's exact second derivative makes the Hessian w J^T (I - 2 w r r^T / c^2) J, with w the weight.
-    As w B^T B with B = J - bend r r^T J (Triggs et al., "Bundle adjustment", 2000, eq. 11) it stays positive;
-    beyond MOST_BEND it is limited.
+    With the kernel's exact second derivative the Hessian is w J^T (I - 2 w r r^T / c^2) J, w the weight.
+    Written as w B^T B with B = J - curvature r r^T J (Triggs et al., "Bundle adjustment", 2000, eq. 11) it
+    stays positive; the correction is limited by MAX_CURVATURE.
     """
     limited = np.minimum(2.0 / (robust_scale**2 + s), MAX_CURVATURE / (s + 1e-12))
     return np.asarray(limited / (1.0 + np.sqrt(1.0 - limited * s)))
@@ -67,9 +68,9 @@ def robust_information(s: Array, scale: float) -> Array:
 
 
 def robust_gain(scale: float) -> float:
-    """What makes the Cauchy kernel's weights the information of the observations, if these are Gaussian.
+    """Factor that turns the weights of the Cauchy kernel into the information of Gaussian observations.
 
-    Huber's sandwich for an M-estimator, a^2 / b with a = E psi', b = E psi^2, over the mean weight; three
+    Huber's sandwich for an M-estimator, a^2 / b with a = E psi', b = E psi^2, over the mean weight; in three
     dimensions, by quadrature.
     """
     s = (np.arange(4000) + 0.5) * 0.01

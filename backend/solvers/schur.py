@@ -1,4 +1,8 @@
-"""Normal equations of the stereo measurements and elimination of the landmarks (Schur complement)."""
+"""Normal equations of the stereo measurements and elimination of the landmarks (Schur complement), compiled.
+
+The loops state residual and Jacobian of a stereo measurement themselves, fused with the sums of the blocks;
+``polhode.camera`` has the same for arrays of points.
+"""
 
 import numpy as np
 
@@ -33,20 +37,20 @@ def stereo_residuals(
 @compiled_fused
 def stereo_normal_equations(
     frame: Ints, landmark: Ints, inv_sigma: Array, rig: Array, A: Array, R_RN: Array, t_R: Array,
-    p_NG: Array, p_G: Array, Jr: Array, residuals: Array, weight: Array, bend: Array,
+    p_NG: Array, p_G: Array, Jr: Array, residuals: Array, weight: Array, curvature: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
     """Blocks of the Gauss-Newton system of the weighted residuals.
 
-    Jr (F, 3, 3) right Jacobian at the current theta: the attitude variable is theta itself; bend (M,) of the
-    robust kernel (``kernels.kernel_curvature``). Returns
-    H (F, 6, 6), g (F, 6) of the poses; C (L, 3, 3), h (L, 3) of the landmarks; E (M, 6, 3) coupling.
+    Jr (F, 3, 3) right Jacobian at the current theta: the attitude variable is theta itself; curvature (M,) of
+    the robust kernel (``robust_kernel.kernel_curvature``). Returns H (F, 6, 6), g (F, 6) of the poses; C (L,
+    3, 3), h (L, 3) of the landmarks; E (M, 6, 3) coupling.
     """
     n_frames, n_landmarks, n = len(p_NG), len(p_G), len(frame)
     H, g = np.zeros((n_frames, 6, 6)), np.zeros((n_frames, 6))
     C, h, E = np.zeros((n_landmarks, 3, 3)), np.zeros((n_landmarks, 3)), np.empty((n, 6, 3))
     J, f, fb = np.empty((3, 9)), rig[0], rig[0] * rig[3]
     for m in range(n):
-        # indices without sign: see ``subtract_landmarks``
+        # unsigned indices: see ``subtract_landmarks``
         k, mark = np.uint64(frame[m]), np.uint64(landmark[m])
         x, y, z = t_R[k, 0], t_R[k, 1], t_R[k, 2]
         for c in range(np.uint64(3)):
@@ -80,10 +84,10 @@ def stereo_normal_equations(
                 g[k, i] += w * along
             else:
                 h[mark, i - 6] += w * along
-            if bend[m] != 0.0:
-                J[0, i] -= bend[m] * along * r0
-                J[1, i] -= bend[m] * along * r1
-                J[2, i] -= bend[m] * along * r2
+            if curvature[m] != 0.0:
+                J[0, i] -= curvature[m] * along * r0
+                J[1, i] -= curvature[m] * along * r1
+                J[2, i] -= curvature[m] * along * r2
         for i in range(np.uint64(6)):
             u0, u1, u2 = w * J[0, i], w * J[1, i], w * J[2, i]
             for j in range(np.uint64(6)):
@@ -101,7 +105,7 @@ def stereo_normal_equations(
 def subtract_landmarks(
     S: Array, rhs: Array, frame: Ints, start: Ints, E: Array, C_inv: Array, h: Array, stride: int
 ) -> None:
-    """S -= E C^-1 E^T (lower triangle) and rhs -= E C^-1 h, in place; pose k sits at ``stride * k``."""
+    """S -= E C^-1 E^T (lower triangle) and rhs -= E C^-1 h, in place; pose k begins at ``stride * k``."""
     T, rows = np.empty((6, 3)), np.empty((len(E), 3, 6))
     for m in range(len(E)):
         for i in range(6):
@@ -109,7 +113,7 @@ def subtract_landmarks(
                 rows[m, j, i] = E[m, i, j]
     for mark in range(len(start) - 1):
         for a in range(start[mark], start[mark + 1]):
-            # an index without sign needs no test for negative ones: the innermost loop stays in registers
+            # an unsigned index needs no test for negative values: the innermost loop stays in registers
             ka = np.uint64(stride * frame[a])
             for i in range(6):
                 for j in range(3):
@@ -160,7 +164,7 @@ def landmark_covariances(cov: Array, frame: Ints, start: Ints, E: Array, C_inv: 
         for a in range(start[mark], start[mark + 1]):
             ka = np.uint64(stride * frame[a])
             right[:] = 0.0
-            # twice the frames before this one, this one once
+            # frames before this one count twice, this one once
             for b in range(start[mark], a + 1):
                 kb = np.uint64(stride * frame[b])
                 times = 1.0 if a == b else 2.0

@@ -1,7 +1,7 @@
-"""The program's stereo terms as CasADi reads them: cost, gradient and Hessian entries by compiled loops.
+"""The stereo terms of the program for CasADi: cost, gradient and Hessian entries by compiled loops.
 
-Nearly all of a program is stereo measurements. On CasADi's virtual machine they took two thirds of IPOPT's
-time, and building their expressions more than solving; here they are functions from outside.
+Nearly all terms of a program are stereo measurements. On CasADi's virtual machine they took two thirds of
+IPOPT's time, and building their expressions took longer than solving; here they are external functions.
 """
 
 import numpy as np
@@ -38,7 +38,7 @@ class StereoTerms:
         return out
 
     def keys(self) -> Ints:
-        """Cells ``column * n + row`` of the entries of ``hessian``, all above the diagonal or on it."""
+        """Cells ``column * n + row`` of the entries of ``hessian``, all on or above the diagonal."""
         d, n = self.data, self.n_x
         cols, rows = np.tril_indices(6)
         poses = self._of_poses()
@@ -53,7 +53,7 @@ class StereoTerms:
         )
 
     def hessian(self, x: Array, A: Array) -> Array:
-        """Entries, as ``keys`` orders them, of the Gauss-Newton Hessian with the kernel's curvature."""
+        """Entries of the Gauss-Newton Hessian with the kernel's curvature, in the order of ``keys``."""
         H, _, C, _, E = self._blocks(x, A)
         cols, rows = np.tril_indices(6)
         own_cols, own_rows = np.tril_indices(3)

@@ -7,7 +7,7 @@ import numpy as np
 from polhode.backend.dynamics.process_noise import whitening
 from polhode.backend.dynamics.propagation import series_steps
 from polhode.backend.dynamics.residuals import FrameStates, Steps, dynamics_jacobians, dynamics_residuals
-from polhode.backend.dynamics.so3_exp import turns
+from polhode.backend.dynamics.so3_exp import rotation_matrices
 from polhode.backend.problem.inertia import InertiaForm, inertia_derivative, inertia_from_second_moments
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.lie import Array
@@ -67,7 +67,9 @@ def make_factors(
 
 def _states(x: Array, R_ref: Array) -> FrameStates:
     of_frames = x[:-N_CONSTANTS].reshape(-1, N_STATE)
-    return FrameStates(of_frames, R_ref @ turns(of_frames[:, 3:6]), np.zeros((len(R_ref), 3)), x[-8:-5])
+    return FrameStates(
+        of_frames, R_ref @ rotation_matrices(of_frames[:, 3:6]), np.zeros((len(R_ref), 3)), x[-8:-5]
+    )
 
 
 def _inertia(x: Array, form: InertiaForm, R_inertia: Array) -> Array:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polhode.backend.dynamics.so3_exp import turns
+from polhode.backend.dynamics.so3_exp import rotation_matrices
 from polhode.backend.problem.iterate import N_STATE
 from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, StereoTracks
@@ -113,12 +113,12 @@ class Frame:
     @property
     def R_NG(self) -> Array:
         """(3, 3) the true attitude."""
-        return np.asarray(self.R_ref @ turns(self.x[None, 3:6])[0])
+        return np.asarray(self.R_ref @ rotation_matrices(self.x[None, 3:6])[0])
 
     @property
     def X_NG_seen(self) -> Array:
         """(4, 4)"""
-        return make_pose(self.R_ref @ turns(self.seen[None, 3:6])[0], self.seen[:3])
+        return make_pose(self.R_ref @ rotation_matrices(self.seen[None, 3:6])[0], self.seen[:3])
 
     def recenter(self) -> None:
         """Make the present attitude the reference, as long as nothing else depends on the reference."""

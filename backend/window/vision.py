@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.backend.dynamics.so3_exp import right_jacobians, turns
+from polhode.backend.dynamics.so3_exp import right_jacobians, rotation_matrices
 from polhode.backend.solvers.robust_kernel import robust_weight
 from polhode.backend.solvers.schur import (
     back_substitute,
@@ -100,9 +100,9 @@ def poses_of(frames: list[Frame]) -> FramePoses:
         R_RN=R_RN,
         t_R=np.stack([f.t_R for f in frames]),
         p_NG=np.ascontiguousarray(now[:, :3]),
-        A=R_RN @ R_ref @ turns(now[:, 3:]),
+        A=R_RN @ R_ref @ rotation_matrices(now[:, 3:]),
         p_linearized=np.ascontiguousarray(linearized[:, :3]),
-        A_linearized=R_RN @ R_ref @ turns(linearized[:, 3:]),
+        A_linearized=R_RN @ R_ref @ rotation_matrices(linearized[:, 3:]),
         Jr=right_jacobians(linearized[:, 3:]),
     )
 

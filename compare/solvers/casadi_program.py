@@ -101,7 +101,7 @@ class VariantProgram(MotionProgram):
             slots = all_slots[index]
             of_p = at.steps + at.step.n_p * index[:, None] + np.arange(at.step.n_p)
             arguments = [gather(x, slots), gather(p, of_p)]
-            if at.step.pushed:
+            if at.step.with_wrench:
                 torque = gather(p, at.torque + at.n_torque * index[:, None] + np.arange(6 * n))
                 arguments.append(ca.reshape(torque, 6, n * len(index)))
             out.append((n, slots, arguments))

@@ -52,7 +52,7 @@ def test_where_gauss_newton_comes_to_no_end_ipopt_goes_on_and_the_result_says_so
     best, found = solve(*cold, Backend()), solve(*cold, Backend(max_iterations=12))
     assert best.iterations > 6
     assert found.solver == "ipopt" and found.solution.converged and found.iterations > 6
-    assert found.solution.message == "converged, after 6 iterations of gauss_newton without an end"
+    assert found.solution.message == "converged, after 6 iterations of gauss_newton without convergence"
     assert found.solution.cost == pytest.approx(best.solution.cost, rel=1e-6)
 
 

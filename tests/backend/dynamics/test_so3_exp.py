@@ -7,8 +7,8 @@ from polhode.backend.dynamics.so3_exp import (
     inverse_right_jacobians,
     matrices_from_quaternions,
     right_jacobians,
+    rotation_matrices,
     rotation_vectors,
-    turns,
 )
 from polhode.lie import Array, exp_so3, inverse_right_jacobian_so3, log_so3, right_jacobian_so3
 from polhode.quaternion import wxyz_from_matrix
@@ -24,7 +24,7 @@ def theta(request: pytest.FixtureRequest) -> Array:
 
 
 def test_exponential_and_logarithm(theta: Array) -> None:
-    R = turns(theta)
+    R = rotation_matrices(theta)
     np.testing.assert_allclose(R, exp_so3(theta), atol=1e-14)
     np.testing.assert_allclose(rotation_vectors(R), theta, atol=1e-7 if np.abs(theta).max() > 3 else 1e-14)
     np.testing.assert_allclose(rotation_vectors(R), log_so3(R), atol=1e-12)
