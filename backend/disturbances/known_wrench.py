@@ -26,17 +26,17 @@ from polhode.records import MassProperties
 MAYBE_EQUAL = 0.1
 """Logarithm of two moments' ratio below which their axes may be exchanged."""
 MAX_FITS = 4
-"""Fits, of the orders and half-turns that fit the change of momentum best."""
+"""Number of fits: the orders and half-turns of the axes that best match the change of momentum."""
 PASSES = (4, 4, 4)
 MAX_LN = 14.0
-"""Of mass [kg] and scale, where the motion shows nothing of the push."""
+"""Largest logarithm of mass [kg] and scale, where the wrench has no visible effect."""
 MAX_SIGMA = 0.3
-"""Of the logarithms: more is called undetermined."""
+"""Largest standard deviation of a logarithm that counts as determined."""
 
 
 @dataclass(frozen=True)
 class KnownWrenchFit:
-    """A motion with its wrench, and how much worse the other directions of the axes fit."""
+    """A motion with its wrench, and the additional cost of the other directions of the axes."""
 
     iterate: Iterate
     runner_up: dict[str, float]
@@ -44,7 +44,7 @@ class KnownWrenchFit:
 
 @dataclass(frozen=True)
 class WrenchGuess:
-    """Axes of the torque in G, the unknowns that go with them, and what they leave of the momentum."""
+    """Axes of the torque in G, the unknowns of the wrench, and the misfit of the momentum."""
 
     name: str
     R_torque: Array
@@ -54,7 +54,7 @@ class WrenchGuess:
 
 @dataclass(frozen=True)
 class LogEstimate:
-    """A positive number by its logarithm, and how well that is known."""
+    """Logarithm of a positive quantity, its standard deviation, and whether it is determined."""
 
     value: float
     sigma: float
@@ -62,9 +62,9 @@ class LogEstimate:
 
 
 def fit_known_wrench(data: MotionData, iterate: Iterate) -> KnownWrenchFit:
-    """Fit the wrench of ``data`` too, from a motion that was fitted with its steps left loose.
+    """Fit the wrench of ``data`` too, from a motion that was fitted with loose steps where the wrench acts.
 
-    Raises RunFailure when no direction of the axes leads to a solution.
+    Raises RunFailure if no direction of the axes leads to a solution.
     """
     assert data.impulses is not None
     guesses = _guesses(data, iterate, data.impulses)
@@ -117,18 +117,18 @@ def _guess(name: str, R_torque: Array, ln_scale: float, ln_mass: float, misfit: 
 
 
 def _impulses_N(data: MotionData, iterate: Iterate, known: Impulses, R_torque: Array) -> Array:
-    """Impulse of the torque in each step (F - 1, 3), turned to N in its middle [N m s]."""
+    """Impulse of the torque in each step (F - 1, 3) [N m s], in N by the attitude at its middle."""
     half = exp_so3(0.5 * data.dt_s[:, None] * iterate.w_G[:-1])
     R_N = iterate.R_NG[:-1] @ half @ R_torque
     return np.asarray(np.einsum("kij,kj->ki", R_N, np.diff(known.cumulative[:, 3:], axis=0)))
 
 
 def _slope(series: Array, impulse: Array) -> tuple[float, float]:
-    """Factor that makes impulse (F, 3) the change of series (F, 3), and the mean square that it leaves."""
+    """Factor that best fits impulse (F, 3) to the change of series (F, 3), and the mean square residual."""
     series, impulse = series - series.mean(axis=0), impulse - impulse.mean(axis=0)
     size = float(np.sum(impulse**2))
     factor = float(np.sum(series * impulse)) / size if size > 0.0 else 0.0
-    # what pushes backwards pushes the wrong way
+    # a negative factor would mean a negative mass or inertia
     return factor, float(np.mean((series - max(factor, 0.0) * impulse) ** 2))
 
 
@@ -162,7 +162,7 @@ def with_absolute_scale(
     derivative: AxesDerivative,
     known: Impulses | None,
 ) -> MassProperties:
-    """The mass and the middle moment beside what is known up to scale; unchanged without a known wrench."""
+    """Mass properties with mass and middle moment in absolute units; unchanged without a known wrench."""
     if iterate.wrench is None or m.wrench_information is None or known is None:
         return mass
     scale, kilograms = _logarithms(iterate, form, m, derivative)
@@ -185,13 +185,13 @@ def with_absolute_scale(
 def _logarithms(
     iterate: Iterate, form: InertiaForm, m: Marginals, derivative: AxesDerivative
 ) -> tuple[LogEstimate, LogEstimate]:
-    """Of the middle moment [kg m^2] and of the mass [kg]."""
+    """Logarithms of the middle moment [kg m^2] and of the mass [kg]."""
     assert iterate.wrench is not None and m.wrench_information is not None
     n = iterate.n_states
     at = np.r_[n + 3 : n + 8, n + 8 + LN_SCALE]
     along: Array = np.append(derivative.ln_middle, 1.0)
     middle = float(np.linalg.eigvalsh(iterate.J_G(form))[1])
-    # without the prior: what the data alone say of each
+    # standard deviations without the prior, from the data alone
     alone = 1.0 / np.sqrt(np.maximum(np.diag(m.wrench_information), 1e-12))
     ln_scale = LogEstimate(
         float(iterate.wrench[LN_SCALE] + np.log(middle)),
@@ -212,4 +212,4 @@ def _description(logarithm: LogEstimate, acts: bool, what: str) -> str:
         return f"determined, standard deviation about {100.0 * logarithm.sigma:.2g} %"
     if not acts:
         return f"not determined: no known {what} acts"
-    return f"not determined: the known {what} moves the target too little beside the disturbances"
+    return f"not determined: the effect of the known {what} is too small compared with the disturbances"

@@ -31,29 +31,31 @@ from polhode.lie import Array, hat
 from polhode.records import Bools, Ints, Push, UnknownPushes
 
 SUSPICIOUS = 24.0
-"""Of a sum of six squares: 1 in 2,000 by chance. What is suspected must still gain evidence."""
+"""Sum of six squares that is exceeded by chance once in 2,000; suspected steps must still gain evidence."""
 STANDING_OUT, MIN_SUSPICIOUS = 5.5, 8.0
-"""Times the median, and at least so much: suspicious too, as pushes make the process noise seem stronger."""
+"""Multiple of the median, and smallest value, that is suspicious too: disturbances raise the process
+noise."""
 SHARE_OF_LARGEST = 0.5
 MIN_EVIDENCE_GAIN = 15.0
-"""Of log-evidence, for all nodes together: odds of three million, far above the number of places to look."""
+"""Gain of log-evidence for all nodes together: odds of three million, far above the number of steps."""
 MAX_NODE_SHARE = 0.4
-"""Share of the steps; a target that is pushed more often is disturbed."""
+"""Largest share of the steps with nodes; with more of them the process noise describes the disturbances."""
 WEAKER, MAX_WEAKER_STEPS = 10.0**0.5, 10
-"""Steps of the search for the strength of the pushes, downwards from the widest."""
+"""Factor and number of steps of the search for the standard deviation, downwards from the largest."""
 LEVELS = 3
-"""Of the process noise: with the largest pushes freed it is weaker, and the others stand out."""
+"""Repetitions with a new process noise: with nodes for the largest disturbances it is lower, and others stand
+out."""
 ROUNDS = 8
 ITERATIONS = 4
 MIN_VARIANCE = 1e-3
-"""Of a whitened residual; below, the data say nothing of it."""
+"""Smallest variance of a whitened residual that carries information."""
 SURE = 4.0
-"""Standard deviations of the largest change, beyond which something did push."""
+"""Number of standard deviations of the largest change beyond which a disturbance is certain."""
 
 
 @dataclass(frozen=True)
-class Found:
-    """Steps that need a node, and how strong the pushes are."""
+class DisturbedSteps:
+    """Steps that need a node, and the standard deviations of the disturbances."""
 
     nodes: Bools
     """(F - 1,)"""
@@ -63,12 +65,11 @@ class Found:
 
 def find_disturbed_steps(
     data: MotionData, iterate: Iterate, widest: tuple[float, float], level_is_given: bool
-) -> Found | None:
-    """Steps that need a node, those of ``data`` among them; None when no further one does.
+) -> DisturbedSteps | None:
+    """Steps that need a node, including those of ``data``; None if no further step does.
 
     The iterate is a solution under ``data``; widest [m/s^2, rad/s^2] is the largest standard deviation that
-    is tried. A push that is found may have begun a step earlier, or ended one later: these steps have a node
-    too.
+    is tried. A disturbance may have begun one step earlier or ended one later: these steps get a node too.
     """
     level = LevelFit(data, iterate, np.inf)
     for _ in range(LEVELS):
@@ -82,11 +83,13 @@ def find_disturbed_steps(
     gain = _fit(data, iterate, level_is_given).minus_log_evidence - level.minus_log_evidence
     if not gain > MIN_EVIDENCE_GAIN:
         return None
-    return Found(data.nodes | _with_neighbours(level.data.nodes & ~data.nodes), level.data.node_sigma)
+    return DisturbedSteps(
+        data.nodes | _with_neighbours(level.data.nodes & ~data.nodes), level.data.node_sigma
+    )
 
 
 def _reduce_sigma(best: LevelFit, which: int) -> LevelFit:
-    """Lower one of the standard deviations as long as the evidence rises; the largest of those as likely."""
+    """Lower one of the standard deviations while the evidence rises; of equally likely ones the largest."""
     tried = [best]
     for _ in range(MAX_WEAKER_STEPS):
         sigma = list(tried[-1].data.node_sigma)
@@ -113,7 +116,7 @@ def _fit(data: MotionData, iterate: Iterate, level_is_given: bool) -> LevelFit:
 
 
 def _add_nodes(data: MotionData, iterate: Iterate) -> tuple[Bools, Iterate]:
-    """Give nodes to the largest contradictions and fit, until none is left."""
+    """Give nodes to the largest contradictions and fit again, until none is left."""
     for turn in range(ROUNDS):
         if turn > 0:
             solution = GaussNewton(data).solve(
@@ -133,7 +136,7 @@ def _add_nodes(data: MotionData, iterate: Iterate) -> tuple[Bools, Iterate]:
 def auxiliary_residuals(data: MotionData, iterate: Iterate) -> Array:
     """Auxiliary residuals of translation and rotation, squared: (F - 1, 2), of six numbers each.
 
-    Near 6 where the motion is as disturbed as ``data`` says; less where little of it is seen.
+    Near 6 if the disturbances are as strong as ``data`` states; less if they are hardly observable.
     """
     solver, fixed, x = GaussNewton(data), linearization_point(data, iterate), iterate.vector()
     squares = np.sum(solver.residuals(fixed, x)[0] ** 2, axis=1)
@@ -162,18 +165,19 @@ def estimate_impulses(
     axes_known: Bools,
     timestamps_ns: Ints,
 ) -> UnknownPushes | None:
-    """Changes over the steps that have a node, and over each run of such steps; None when none has.
+    """Impulses over the steps that have a node, and over each run of such steps; None if no step has.
 
-    A change is a step's error without its whitening: the state after it minus what free motion and known
-    pushes lead to; that of the rate is carried back to the middle of the step, where a push of unknown course
-    acts on the average. Those of neighbouring steps are strongly correlated, their sum is known better.
+    An impulse is the unwhitened residual of a step: the state after it minus the prediction by free motion
+    and the known wrench. That of the rate is propagated back to the middle of the step, where a disturbance
+    of unknown time history acts on average. Impulses of neighbouring steps are strongly correlated, their sum
+    is known better.
     """
     use = np.flatnonzero(data.nodes)
     if len(use) == 0:
         return None
     change, T = _changes(data, fixed, iterate, derivative)
     cov = np.stack([_covariance(T, m.dense, iterate, np.array([k])) for k in use])
-    # the disturbances of a step are in the change of the state, not in the push
+    # the process noise of a step is part of the change of the state, not of the impulse
     quiet = np.repeat([data.accel_psd, data.torque_psd], 3)
     mixed = _mixed_components(axes_known)
     dt = data.dt_s[use, None]
@@ -202,13 +206,13 @@ def _changes(
     back, s = derivative.R_GP.T @ _to_the_middle(at, data, fixed), iterate.n_state
     change = np.concatenate([error[:, 3:6], np.einsum("kij,kj->ki", back, error[:, 9:12])], axis=1)
     T = np.concatenate([D[:, 3:6], back @ D[:, 9:12]], axis=1)
-    # the axes along which it is told are uncertain too
+    # the axes along which it is expressed are uncertain too
     T[:, 3:, 2 * s + 3 : 2 * s + 8] += hat(change[:, 3:]) @ derivative.axes
     return change, T
 
 
 def _to_the_middle(at: Iterate, data: MotionData, fixed: LinearizationPoint) -> Array:
-    """(F - 1, 3, 3) that carry a change of the rate at the end of a step back to its middle."""
+    """(F - 1, 3, 3) matrices that propagate a change of the rate at the end of a step back to its middle."""
     J_G, half, series = at.J_G(data.form), 0.5 * data.dt_s, fixed.steps.series
     middle = propagate_rotations(at.w_G[:-1], J_G, half, series)[1]
     rate = propagate_derivatives(middle, J_G, np.zeros((0, 3, 3)), half, series)[3]
@@ -216,7 +220,7 @@ def _to_the_middle(at: Iterate, data: MotionData, fixed: LinearizationPoint) -> 
 
 
 def _covariance(T: Array, dense: Array, iterate: Iterate, steps: Ints) -> Array:
-    """Of the sum of the changes over consecutive steps (6, 6)."""
+    """Covariance (6, 6) of the sum of the changes over consecutive steps."""
     s, n = iterate.n_state, iterate.n_states
     first, last = s * int(steps[0]), s * (int(steps[-1]) + 2)
     whole = np.zeros((6, last - first + iterate.n_constants))
@@ -235,22 +239,22 @@ def _sigma(covariance: Array, quiet: Array, mixed: Bools) -> Array:
 
 
 def _mixed_components(axes_known: Bools) -> Bools:
-    """(3,) components that a turn about an undetermined axis mixes."""
+    """(3,) components that a rotation about an undetermined axis mixes."""
     lost = ~axes_known
     return np.array([lost[1] | lost[2], lost[0] | lost[2], lost[0] | lost[1]])
 
 
 def describe_impulses(pushes: UnknownPushes, first_ns: int) -> list[str]:
-    """One sentence for each push."""
+    """One sentence for each disturbance."""
     return [_sentence(push, first_ns) for push in pushes.pushes]
 
 
 def _sentence(push: Push, first_ns: int) -> str:
     start_s, end_s = ((t - first_ns) * 1e-9 for t in (push.start_ns, push.end_ns))
     size = np.append(push.delta_v_N / push.sigma_delta_v_N, push.delta_w_P / push.sigma_delta_w_P)
-    pushed = "pushed" if np.abs(size).max() > SURE else "may have pushed"
+    acted = "acted" if np.abs(size).max() > SURE else "may have acted"
     velocity, rate = (float(np.linalg.norm(change)) for change in (push.delta_v_N, push.delta_w_P))
     return (
-        f"something unknown {pushed} the target between {start_s:.1f} s and {end_s:.1f} s: its velocity "
-        f"changed by {1e3 * velocity:.2g} mm/s, its rate by {np.rad2deg(rate):.2g} deg/s"
+        f"an unknown disturbance {acted} on the target between {start_s:.1f} s and {end_s:.1f} s: its "
+        f"velocity changed by {1e3 * velocity:.2g} mm/s, its rate by {np.rad2deg(rate):.2g} deg/s"
     )

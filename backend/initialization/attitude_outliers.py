@@ -1,8 +1,8 @@
-"""Frames that a look-alike side has put into the wrong attitude: the turn breaks there and mends after.
+"""Frames with a wrong attitude due to a symmetry of the body: the rotation jumps there and jumps back.
 
-A body whose sides look alike (by a half-turn about a wing's axis, say) leaves weak frames with a pose that is
-off by that symmetry. No rigid body jumps and jumps back; such frames are better bridged, and searched for
-again.
+A body whose sides look alike (by a half-turn about the axis of a panel, for example) may give frames with few
+features a pose that is wrong by that symmetry. No rigid body jumps and jumps back; such frames are better
+interpolated, and located again later.
 """
 
 from itertools import pairwise
@@ -13,17 +13,17 @@ from polhode.lie import Array, exp_so3, log_so3
 from polhode.records import Bools, Ints
 
 JUMP_RAD = np.deg2rad(60.0)
-"""Beyond this from what the turn around it says, a frame has jumped: nutation bends a turn less."""
+"""A larger deviation from the local rate is a jump; nutation causes smaller ones."""
 FAR_RAD = np.deg2rad(75.0)
-"""Where a frame turns farther than this every tumble jumps."""
+"""With larger rotations between frames any tumbling motion seems to jump."""
 NEIGHBOURS = 9
-"""Intervals whose median is the local rate."""
+"""Number of intervals whose median is the local rate."""
 LARGEST_SHARE = 0.25
-"""Of the connected frames; a longer stretch is not what is odd."""
+"""Share of the connected frames; a longer stretch is not the outlier."""
 
 
 def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
-    """(F,) frames whose removal makes the turn whole; time_s (F,), R_NG (F, 3, 3), connected (F,)."""
+    """(F,) frames without which the rotation is smooth; time_s (F,), R_NG (F, 3, 3), connected (F,)."""
     index: Ints = np.flatnonzero(connected)
     odd = np.zeros(len(time_s), dtype=np.bool_)
     if len(index) < NEIGHBOURS:
@@ -49,7 +49,7 @@ def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
 
 
 def _odd_one(time_s: Array, R_NG: Array, stretches: list[Ints], local: tuple[Array, Array]) -> int | None:
-    """The shortest stretch without which its neighbours join; else the shorter of the two at the ends."""
+    """The shortest stretch without which its neighbours fit together; else the shorter one at the ends."""
     joining = [
         n
         for n in range(1, len(stretches) - 1)
@@ -70,7 +70,7 @@ def _local_rates(time_s: Array, R_NG: Array) -> tuple[Array, Array]:
 
 
 def _prediction_error_rad(time_s: Array, R_NG: Array, a: int, b: int, local: tuple[Array, Array]) -> float:
-    """Angle [rad] between where the local rate leads from frame a and the attitude of frame b."""
+    """Angle [rad] between the attitude of frame b and its prediction from frame a by the local rate."""
     rate, centre = local
     middle = 0.5 * (time_s[a] + time_s[b])
     here = np.array([np.interp(middle, centre, rate[:, axis]) for axis in range(3)])

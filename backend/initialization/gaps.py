@@ -1,9 +1,9 @@
-"""Long stretches without a known pose: carried through by Euler's equation, not by a constant rate.
+"""Long stretches without a known pose: bridged by Euler's equation, not by a constant rate.
 
-A tumbling body turns its axis of rotation: over more than a quarter of a turn a constant rate leads astray,
-and a solver that starts there ends with a revolution too many or a disturbance that never was. The motion on
-both sides is fitted first, with the steps between them left loose; what it tells of the inertia then carries
-the state across.
+The axis of rotation of a tumbling body moves: over more than a quarter of a revolution a constant rate is a
+poor prediction, and a solver that starts there ends with a revolution too many or with spurious disturbances.
+The motion on both sides is fitted first, with loose steps between them; the state is then propagated across
+with the inertia of that fit.
 """
 
 from dataclasses import dataclass, replace
@@ -19,16 +19,16 @@ from polhode.quaternion import matrix_from_wxyz
 from polhode.records import Bools, InitialMotion, StereoTracks
 
 LONG_TURN_RAD = 0.5 * np.pi
-"""A shorter turn is bridged well enough by a constant rate."""
+"""A constant rate is good enough for shorter rotations."""
 AMBIGUOUS_RAD = 0.5 * np.pi
-"""Of what carrying leaves to the pose behind the gap: beyond it the other way round is tried too."""
+"""Closing error at the pose after the gap; beyond it the opposite direction of rotation is tried too."""
 CARRY_PSD = 1e-8
-"""[(rad/s^2)^2/Hz] sets the integrator's error of a first guess."""
+"""[(rad/s^2)^2/Hz] process noise that sets the accuracy of the integration."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Frames without a known pose between two with one; an end is None before the first, behind the last."""
+    """Frames without a known pose, and the connected frames before and after (None at the ends)."""
 
     before: int | None
     after: int | None
@@ -40,7 +40,7 @@ class Gap:
 
 
 def long_gaps(time_s: Array, connected: Bools, w_G: Array) -> list[Gap]:
-    """Gaps over which the target turns far; time_s (F,), connected (F,), w_G (F, 3) [rad/s]."""
+    """Gaps over which the target rotates far; time_s (F,), connected (F,), w_G (F, 3) [rad/s]."""
     index = [int(k) for k in np.flatnonzero(connected)]
     last = len(time_s) - 1
     gaps = [Gap(a, b) for a, b in pairwise(index) if b > a + 1]
@@ -67,10 +67,10 @@ def loose_steps(n_frames: int, gaps: list[Gap]) -> Bools:
 def propagate_through_gaps(
     iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Gap], other_way: bool = False
 ) -> Iterate:
-    """The iterate with the states inside the gaps carried from one edge to the other.
+    """The iterate with the states inside the gaps propagated from one edge to the other.
 
-    J_G (3, 3) any scale. other_way: where the carried attitude is far from the known one behind the gap, what
-    is left is made up by turning the other way round.
+    J_G (3, 3) any scale. other_way: where the propagated attitude is far from the known one after the gap,
+    the closing error is made up by the rotation in the opposite direction.
     """
     R, w, v = iterate.R_NG.copy(), iterate.w_G.copy(), iterate.v_N.copy()
     r_N = iterate.p_NG + R @ iterate.com_G
@@ -97,7 +97,7 @@ def propagate_through_gaps(
 
 
 def closing_error_rad(iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Gap]) -> float:
-    """Largest angle between the carried attitude behind a gap and the known one [rad]."""
+    """Largest angle between the propagated attitude after a gap and the known one [rad]."""
     worst = 0.0
     for gap in gaps:
         if gap.before is None or gap.after is None:
@@ -111,7 +111,7 @@ def closing_error_rad(iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Ga
 
 def _carry(w_G: Array, J_G: Array, dt_s: Array) -> tuple[Array, Array]:
     """Attitudes (n, 3, 3) relative to the start and rates (n, 3) after dt_s (n,), which may be negative."""
-    # back in time a body turns as one with the opposite rate turns forward
+    # backward in time a body rotates as one with the opposite rate does forward
     sign = 1.0 if dt_s[0] > 0.0 else -1.0
     t, rates = np.abs(dt_s), np.tile(sign * w_G, (len(dt_s), 1))
     q, w, _, _ = propagate_rotations(rates, J_G, t, series_steps(rates, J_G, t, CARRY_PSD))
@@ -126,7 +126,7 @@ def _remaining_rotation(turn: Array, other_way: bool) -> Array:
 
 
 def gap_landmarks(tracks: StereoTracks, iterate: Iterate, initial: InitialMotion) -> Array:
-    """Landmarks (L, 3) of the iterate, those that only frames without a known pose show placed anew."""
+    """Landmarks (L, 3) of the iterate; those seen only in frames without a known pose are placed again."""
     lost = ~initial.connected
     only_lost = np.bincount(tracks.landmark, initial.connected[tracks.frame], tracks.n_landmarks) == 0.0
     if not only_lost[tracks.landmark].any():

@@ -1,4 +1,4 @@
-"""A first motion without any guess: pose graph, bundle adjustment, frames left over bridged."""
+"""An initial motion without any guess: pose graph, bundle adjustment, interpolation over other frames."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -21,11 +21,11 @@ from polhode.threads import single_threaded
 
 MIN_CONNECTED = 3
 MIN_COMMON = 4
-"""Landmarks that a frame must share with the map to be placed in it."""
+"""Landmarks that a frame must share with the map to be located in it."""
 MIN_AGREEMENT = 0.4
-"""Share of a frame's observations that must fit the map; a frame below it was placed wrongly."""
+"""Share of a frame's observations that must agree with the map; with less its pose is wrong."""
 MIN_CONSISTENT = 0.1
-"""The same before bundle adjustment, when good frames may still be off by some degrees."""
+"""The same before bundle adjustment, when correct poses may still be off by some degrees."""
 BUNDLE_ITERATIONS = 12
 
 
@@ -33,7 +33,7 @@ BUNDLE_ITERATIONS = 12
 def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Backend) -> InitialMotion:
     """Poses of the target from relative poses and tracks, G's origin in the middle of its landmarks.
 
-    Raises RunFailure when fewer than three frames hang together.
+    Raises RunFailure if fewer than three frames can be connected.
     """
     X_RG, connected, _ = connect(relative, tracks.time_s, tracks.X_NR[:, :3, :3])
     if connected.sum() < MIN_CONNECTED:
@@ -65,9 +65,9 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
 
 
 def consistent_links(relative: RelativePoses, time_s: Array, R_NR: Array) -> Bools:
-    """Which links (E,) the pose graph does not contradict: a track through a wrong one joins two places.
+    """Which links (E,) the pose graph does not contradict; a track through a wrong link joins two points.
 
-    time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera. Links of frames that nothing connects stay.
+    time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera. Links of unconnected frames count as consistent.
     """
     _, connected, accepted = connect(relative, time_s, R_NR)
     return np.asarray(accepted | ~(connected[relative.i] & connected[relative.j]))
@@ -124,7 +124,7 @@ def _observations_of(tracks: StereoTracks, frames: Bools) -> StereoTracks:
 def relocalize(
     tracks: StereoTracks, X_RG: Array, connected: Bools, p_G: Array, known: Bools
 ) -> tuple[Array, Bools]:
-    """Place further frames by absolute orientation on landmarks that they share with the map."""
+    """Locate further frames by absolute orientation on landmarks that they share with the map."""
     X_RG, connected = X_RG.copy(), connected.copy()
     for k in np.flatnonzero(~connected):
         of_frame = np.flatnonzero((tracks.frame == k) & known[tracks.landmark])
@@ -139,7 +139,7 @@ def relocalize(
 
 
 def triangulation_gate_m(tracks: StereoTracks, use: Ints, p_R: Array) -> Array:
-    """Distance (n,) [m] that a good triangulation p_R (n, 3) of observations ``use`` stays below."""
+    """Largest error (n,) [m] of a correct triangulation p_R (n, 3) of the observations ``use``."""
     sigma = tracks.rig.triangulation_jacobian(p_R) @ tracks.sigma_px[use][:, :, None]
     return np.asarray(4.0 * np.linalg.norm(sigma[..., 0], axis=1))
 
@@ -172,9 +172,9 @@ def ransac_orientation(p_R: Array, p_G: Array, gate_m: Array, rng: np.random.Gen
 
 
 def bridge(time_s: Array, X_NG: Array, connected: Bools) -> Array:
-    """Fill the frames between and outside the connected ones by constant rate, in N.
+    """Fill the frames between and outside the connected ones by a constant rate, in N.
 
-    Over a long gap full revolutions are ambiguous: the turn nearest to the rate on both sides is taken.
+    Over a long gap full revolutions are ambiguous: the rotation nearest to the rate on both sides is taken.
     """
     X, index = X_NG.copy(), np.flatnonzero(connected)
     R, p = X[:, :3, :3], X[:, :3, 3]
@@ -198,7 +198,7 @@ def bridge(time_s: Array, X_NG: Array, connected: Bools) -> Array:
 
 
 def interval_rates(time_s: Array, R_NG: Array) -> tuple[Array, Array]:
-    """Mean body rate (n - 1, 3) [rad/s] over each interval, less than half a turn, and its middle time."""
+    """Mean body rate (n - 1, 3) [rad/s] over each interval, below half a revolution, and its middle time."""
     dt = np.diff(time_s)
     turn = log_so3(np.swapaxes(R_NG[:-1], 1, 2) @ R_NG[1:])
     return turn / dt[:, None], 0.5 * (time_s[:-1] + time_s[1:])

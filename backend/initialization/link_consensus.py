@@ -12,18 +12,19 @@ from polhode.lie import Array, exp_so3, log_so3
 from polhode.records import Bools, Ints, RelativePoses
 
 MAX_LINKS = 16
-"""So many links between two islands are compared, those of the largest weight."""
+"""Number of links between two components that are compared, those of the largest weight."""
 MAX_TRIANGLES = 40
 NEAR = 3
-"""Frames between the ends of a link that tells the rate: beyond it nutation bends the turn."""
+"""Largest number of frames between the ends of a link that shows the rate; beyond it nutation changes the
+rate."""
 AROUND = 2.5
-"""Links whose middles are so many frames apart tell the same rate."""
+"""Links whose middles are at most so many frames apart should show the same rate."""
 SAME_TURN_RAD = np.deg2rad(20.0)
-"""Links whose turns differ by less go on in each other; symmetries of bodies are wider."""
+"""Links whose rotations differ by less continue each other; symmetries of bodies are larger."""
 MIN_SHARE = 0.6
-"""Of the inliers around a link, in links that agree with it."""
+"""Share of the inliers around a link that are in links that agree with it."""
 MIN_LINKS = 2
-"""Links that agree with it."""
+"""Number of links that agree with it."""
 
 
 @compiled
@@ -31,7 +32,7 @@ def update_link_consensus(
     a: int, order: Ints, i: Ints, j: Ints, X_ij: Array, inliers: Ints, weight: Array, X: Array,
     component: Ints, bound_rad: float, bound_shift: float, agreeing: float, score: Array, T: Array,
 ) -> None:  # fmt: skip
-    """What the links of island a say of every other one b, in place; the largest group that agrees.
+    """Largest group of agreeing links between component a and every other one b, in place.
 
     order (E,) of the links i, j, X_ij (E, 4, 4) by falling weight; X (F, 4, 4), island (F,). Written above
     the diagonal, at (min(a, b), max(a, b)): score (F, F), ``agreeing`` plus its inliers for each link of the
@@ -107,7 +108,7 @@ def _between(A: Array, X_ij: Array, B: Array, ahead: bool, R: Array, t: Array, c
 def _agree(
     R_a: Array, t_a: Array, R_b: Array, t_b: Array, point: Array, bound_rad: float, bound_shift: float
 ) -> bool:
-    """Whether two poses differ by less than an angle, and by less than a distance where they take a point."""
+    """Whether two poses differ by less than an angle, and their images of a point by less than a distance."""
     trace = square = 0.0
     for r in range(3):
         shift = t_a[r] - t_b[r]
@@ -123,7 +124,7 @@ def _agree(
 def closed_triangles(
     i: Ints, j: Ints, X_ij: Array, linked: Array, X: Array, bound_rad: float, bound_shift: float
 ) -> tuple[Array, Array]:
-    """Triangles on each link i, j (E,), X_ij (E, 4, 4), the first ``MAX_TRIANGLES``; how many agree with it.
+    """The first ``MAX_TRIANGLES`` triangles on each link i, j (E,), X_ij (E, 4, 4); how many agree with it.
 
     linked (F, F) of frames, X (F, F, 4, 4) their relative poses, of two links one; bound_shift as a share of
     the distance.
@@ -152,13 +153,13 @@ def closed_triangles(
 
 
 def smooth_links(relative: RelativePoses, usable: Bools, time_s: Array, R_NR: Array) -> Bools:
-    """Which links (E,) go on in others; time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera."""
+    """Which links (E,) others continue; time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera."""
     near = np.flatnonzero(usable & (np.abs(relative.j - relative.i) <= NEAR))
     smooth = np.zeros(len(usable), dtype=np.bool_)
     if len(near) <= MIN_LINKS:
         return smooth
     i, j, inliers = relative.i[near], relative.j[near], relative.inliers[near].astype(np.float64)
-    # the turn of the target in N from frame j back to frame i
+    # the rotation of the target in N from frame j back to frame i
     turn = R_NR[i] @ relative.X_RiRj[near, :3, :3] @ np.swapaxes(R_NR[j], 1, 2)
     dt_s = time_s[j] - time_s[i]
     rate = log_so3(turn) / dt_s[:, None]

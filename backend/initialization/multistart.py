@@ -42,12 +42,12 @@ LONG_PASSES = (10, 10, 10)
 SAME_INERTIA = 0.03
 """Two inertias (second moments of determinant 1) closer than this will end in the same minimum."""
 N_HYPOTHESES = 5
-"""Most guesses; more are tried where the sense of the turns is open."""
+"""Number of guesses of the inertia; more are tried where the direction of rotation is ambiguous."""
 
 
 @dataclass(frozen=True)
 class InitialGuess:
-    """First unknowns, guesses of the inertia by name, and what no measurement spans."""
+    """A starting point: the unknowns, guesses of the inertia by name, and gaps between the poses."""
 
     iterate: Iterate
     guesses: dict[str, Array]
@@ -59,16 +59,16 @@ class InitialGuess:
 
 @dataclass(frozen=True)
 class HypothesisFit:
-    """Where one hypothesis led; the cost includes the normalisation of the process noise."""
+    """The fit of one hypothesis; its cost includes the normalization of the process noise."""
 
     iterate: Iterate
     cost: float
     misfit: float
-    """The cost without that normalisation."""
+    """cost without that normalization"""
 
 
 def initial_guesses(tracks: StereoTracks, initial: InitialMotion, data: MotionData) -> list[InitialGuess]:
-    """Unknowns from the first guess of the poses, one start for each sense in which the target may turn."""
+    """Starting points from the initial poses, one for each direction in which the target may rotate."""
     X_NG = tracks.X_NR @ initial.X_RG
     R_NG, p_NG = X_NG[:, :3, :3], X_NG[:, :3, 3]
     p_G, known = robust_landmarks(tracks, initial.X_RG, initial.connected)
@@ -97,7 +97,7 @@ def initial_guesses(tracks: StereoTracks, initial: InitialMotion, data: MotionDa
 def try_hypotheses(
     data: MotionData, starts: list[InitialGuess], advance: Advance
 ) -> dict[str, HypothesisFit]:
-    """A brief solve from each guess that does not diverge; RunFailure when all do."""
+    """A brief solve from each guess, without those that diverge. Raises RunFailure if all diverge."""
     trials: dict[str, HypothesisFit] = {}
     for start in starts:
         of_start: dict[str, HypothesisFit] = {}
@@ -108,7 +108,7 @@ def try_hypotheses(
             if trial is None:
                 continue
             of_start[name] = trial
-            # the poses and landmarks found first serve the others too
+            # poses and landmarks of the best fit so far are the start of the next
             at = min(of_start.values(), key=lambda t: t.cost).iterate
         trials |= of_start
     if not trials:
@@ -117,7 +117,7 @@ def try_hypotheses(
 
 
 def _with_directions_refined(data: MotionData, trials: dict[str, HypothesisFit]) -> dict[str, HypothesisFit]:
-    """The trials, the best of each sense solved further where there are two: what decides is a few units."""
+    """The fits, the best of each direction of rotation solved further: their costs may differ by little."""
     senses = [
         [name for name in trials if name.endswith(OPPOSITE_DIRECTION) == other] for other in (False, True)
     ]
@@ -135,7 +135,7 @@ def _with_directions_refined(data: MotionData, trials: dict[str, HypothesisFit])
 def try_hypothesis(
     data: MotionData, start: InitialGuess, at: Iterate, second: Array, found: list[HypothesisFit]
 ) -> HypothesisFit | None:
-    """Brief solves from one guess of the inertia; None when it diverges."""
+    """Brief solves from one guess of the inertia; None if they diverge."""
     xi, R_inertia = data.form.coordinates(second)
     iterate = replace(at, xi=xi, R_inertia=R_inertia)
     if not start.gaps:
@@ -150,7 +150,7 @@ def try_hypothesis(
 def _solve_across(
     data: MotionData, start: InitialGuess, apart: Iterate, found: list[HypothesisFit]
 ) -> HypothesisFit | None:
-    """Carry the states through the gaps, then solve with every step counted."""
+    """Propagate the states through the gaps, then solve with the dynamics of all steps."""
     J_G = apart.J_G(data.form)
     ambiguous = closing_error_rad(apart, J_G, start.time_s, start.gaps) > AMBIGUOUS_RAD
     trials = []
@@ -165,7 +165,7 @@ def _solve_across(
 def solve_briefly(
     data: MotionData, iterate: Iterate, found: list[HypothesisFit], passes: tuple[int, ...] = PASSES
 ) -> HypothesisFit | None:
-    """A few iterations; the trial found before whose basin they enter, as its cost is known already."""
+    """A few iterations; if they approach the inertia of a fit found before, that fit, whose cost is known."""
     solver, cost = GaussNewton(data), np.inf
     for iterations in passes:
         try:
@@ -195,7 +195,7 @@ def inertia_hypotheses(R_NG: Array, w_G: Array) -> dict[str, Array]:
         guesses["momentum"] = second_moments_from_inertia(J)
     axis = spin_axis(w_G)
     along = np.outer(axis, axis)
-    # a stretched body has large second moments along its axis and a small moment of inertia about it
+    # an elongated body has a large second moment along its axis and a small moment of inertia about it
     guesses["prolate"] = np.eye(3) + 1.5 * along
     guesses["oblate"] = np.eye(3) - 0.6 * along
     side = wobble_axis(w_G, axis)
@@ -204,10 +204,10 @@ def inertia_hypotheses(R_NG: Array, w_G: Array) -> dict[str, Array]:
 
 
 def inertia_from_momentum(R_NG: Array, w_G: Array) -> Array | None:
-    """J (3, 3) for which R J w is most nearly constant, I + D with a unit prior on D; None when impossible.
+    """J (3, 3) for which R J w is most nearly constant, I + D with a unit prior on D; None if not physical.
 
-    The momentum itself is eliminated by its mean. The noise of the rates, from their second differences, sets
-    how much the data may say against the sphere.
+    The momentum itself is eliminated as a mean. The noise of the rates, from their second differences, sets
+    the weight of the data against that of the sphere.
     """
     if len(w_G) < 4:
         return None

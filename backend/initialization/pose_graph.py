@@ -1,8 +1,9 @@
-"""From relative poses between pairs of frames to one pose per frame: islands that vote, robust averaging.
+"""From relative poses between pairs of frames to one pose per frame: consensus of links, robust averaging.
 
-One link in ten fails at 30 degrees between frames, and a wrong link looks like a right one. So frames are
-joined to islands, and islands to larger ones, always by the group of links that agree with each other best:
-two links of seven inliers that agree are worth more than one of fifteen. Then all are averaged robustly.
+One link in ten is wrong at 30 degrees between frames, and a wrong link looks like a correct one. Frames are
+therefore joined to connected components, and these to larger ones, always by the largest group of links that
+agree with each other: two agreeing links of seven inliers are worth more than one of fifteen. Then all poses
+are averaged robustly.
 """
 
 import numpy as np
@@ -17,21 +18,22 @@ from polhode.records import Bools, Ints, RelativePoses
 
 MIN_INLIERS = 5
 AGREEING = 100.0
-"""Worth of a link that agrees with another one, in inliers."""
+"""Weight of a link that agrees with another one, in inliers."""
 MIN_SCORE = 2.5
 """A single link needs this many inliers times the share of its triangles that close (without any: 1/2)."""
 MIN_AVERAGED_FRAMES = 4
-"""Islands of this size are averaged when they meet."""
+"""Components of this size are averaged when they are joined."""
 REJECT_RAD = np.deg2rad(10.0)
 REJECT_SHIFT = 0.1
 """Largest error of a translation, as a share of the distance to the target."""
 
 
 def connect(relative: RelativePoses, time_s: Array, R_NR: Array) -> tuple[Array, Bools, Bools]:
-    """Poses X_RG (F, 4, 4) of the largest consistent piece, frames in it (F,), edges accepted (E,).
+    """Poses X_RG (F, 4, 4) of the largest consistent component, frames in it (F,), accepted edges (E,).
 
-    time_s (F,) [s] and R_NR (F, 3, 3) of the camera: links between near frames that agree on a rate of turn
-    are joined first. G is the camera frame of one of the piece's frames until the caller moves it.
+    time_s (F,) [s] and R_NR (F, 3, 3) of the camera: links between near frames that agree on a rate of
+    rotation are joined first. G is the camera frame of one of the component's frames until the caller moves
+    it.
     """
     n_frames = len(time_s)
     usable = relative.inliers >= MIN_INLIERS
@@ -50,7 +52,7 @@ def connect(relative: RelativePoses, time_s: Array, R_NR: Array) -> tuple[Array,
 
 def relative_error(X_a: Array, X_b: Array) -> Array:
     """Disagreement of two relative poses (..., 4, 4) in units of the rejection thresholds."""
-    # the trace of R_a^T R_b tells the angle: digits at small angles are not needed here
+    # angle by the trace of R_a^T R_b: accuracy at small angles is not needed here
     trace = np.sum(X_a[..., :3, :3] * X_b[..., :3, :3], axis=(-2, -1))
     turn = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
     distance = np.maximum(np.sqrt(np.sum(X_b[..., :3, 3] ** 2, axis=-1)), 1e-9)
@@ -68,12 +70,12 @@ def edge_errors(X: Array, relative: RelativePoses) -> Array:
 
 
 def triangle_support(relative: RelativePoses, usable: Bools, n_frames: int) -> Array:
-    """Share of closed triangles that agree, per edge (E,); one good and one bad are assumed beforehand."""
+    """Share of closed triangles that agree, per edge (E,), with one good and one bad triangle as prior."""
     i, j, X_ij = relative.i[usable], relative.j[usable], relative.X_RiRj[usable]
     linked = np.zeros((n_frames, n_frames), bool)
     linked[i, j] = linked[j, i] = True
     X = np.tile(np.eye(4), (n_frames, n_frames, 1, 1))
-    # of two links between the same frames the one with more inliers stands for the third side of others
+    # of two links between the same frames, the one with more inliers is a side of other triangles
     weakest_first = np.argsort(relative.inliers[usable], kind="stable")
     a, b, X_ab = i[weakest_first], j[weakest_first], X_ij[weakest_first]
     X[a, b], X[b, a] = X_ab, inverse_pose(X_ab)
@@ -88,7 +90,7 @@ def triangle_support(relative: RelativePoses, usable: Bools, n_frames: int) -> A
 def join_components(
     relative: RelativePoses, usable: Bools, support: Array, X: Array, component: Ints
 ) -> None:
-    """Merge islands, the best bond first, in place: poses X_RG (F, 4, 4) in the island's G; island (F,)."""
+    """Join components, the best group of links first, in place: X_RG (F, 4, 4) in their G; component (F,)."""
     n_frames = len(component)
     i, j = relative.i[usable], relative.j[usable]
     links = RelativePoses(i, j, np.ascontiguousarray(relative.X_RiRj[usable]), relative.inliers[usable])
@@ -103,7 +105,7 @@ def join_components(
     for a in np.unique(component).tolist():
         renew(a)
     while True:
-        # of equal scores the last one
+        # of equal scores the last one is taken
         a, b = divmod(score.size - 1 - int(np.argmax(score.ravel()[::-1])), n_frames)
         if score[a, b] < MIN_SCORE:
             break
@@ -122,7 +124,7 @@ def join_components(
 def average_poses(
     X: Array, connected: Bools, relative: RelativePoses, accepted: Bools, sweeps: int = 8
 ) -> Array:
-    """Robust averaging (Geman-McClure) of all edges of the piece: rotations, then translations."""
+    """Robust averaging (Geman-McClure) of all edges of the component: rotations, then translations."""
     index = np.flatnonzero(accepted & connected[relative.i] & connected[relative.j])
     if len(index) == 0:
         return X
@@ -149,7 +151,7 @@ def average_poses(
 
 
 def _laplacian_solve(i: Ints, j: Ints, weight: Array, error: Array, n: int, connected: Bools) -> Array:
-    """Least squares of x_i - x_j = error (E, 3), the largest piece's first frame fixed."""
+    """Least squares of x_i - x_j = error (E, 3), the mean weakly fixed."""
     A = np.zeros((n, n))
     np.add.at(A, (i, i), weight)
     np.add.at(A, (j, j), weight)

@@ -1,7 +1,7 @@
-"""Which way the target turns between frames: near half a turn, poses alone leave it open.
+"""Direction of rotation between frames: near half a revolution, poses alone do not determine it.
 
-Attitudes a turn of 200 degrees apart are also 160 degrees apart the other way round. Euler's equation tells
-the two apart where the axis of rotation moves in the body; where it does not, both fit.
+A rotation by 200 degrees leads to the same attitude as one by 160 degrees in the opposite direction. Euler's
+equation distinguishes the two if the axis of rotation moves in the body; otherwise both fit.
 """
 
 import numpy as np
@@ -11,16 +11,17 @@ from polhode.lie import Array, log_so3
 from polhode.records import Bools, Ints
 
 AMBIGUOUS_TURN_RAD = np.deg2rad(90.0)
-"""Median turn between neighbouring frames from which both senses are tried."""
+"""Median rotation between neighbouring frames above which both directions are tried."""
 OPPOSITE_DIRECTION = ", the other way round"
-"""Ends the name of a hypothesis with the longer turns."""
+"""Suffix of the name of a hypothesis with the longer rotations."""
 MIN_INTERVALS = 3
-FAST_HINT = "so it looks, too, when the target turns by more than half a revolution between pairs"
-"""Beyond the turns that are tried both ways, poses show the short way round, and no body moves like that."""
+FAST_HINT = "a possible cause: the target rotates by more than half a revolution between pairs"
+"""Beyond the rotations that are tried in both directions, poses show the shorter one, which no body
+follows."""
 
 
 def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Array]:
-    """Body rates (F, 3) [rad/s] by suffix of the hypothesis: one, or both senses of large turns.
+    """Body rates (F, 3) [rad/s] by suffix of the hypothesis: one, or both directions of large rotations.
 
     time_s (F,), X_NG (F, 4, 4), connected (F,).
     """
@@ -43,14 +44,14 @@ def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Arr
 
 
 def _axis(turn: Array) -> Array:
-    """Direction (3,) that most of the turns (n, 3) share up to sign."""
+    """Direction (3,) that most of the rotations (n, 3) share up to sign."""
     unit = turn / np.linalg.norm(turn, axis=1, keepdims=True)
     _, vectors = np.linalg.eigh(unit.T @ unit)
     return np.asarray(vectors[:, -1])
 
 
 def _along(turn: Array, axis: Array) -> Array:
-    """The same rotations (n, 3), below a full turn, in the sense of the axis."""
+    """The same rotations (n, 3), below a revolution, in the direction of the axis."""
     angle = np.linalg.norm(turn, axis=1, keepdims=True)
     against = turn @ axis < 0.0
     return np.where(against[:, None], turn * (1.0 - 2.0 * np.pi / angle), turn)

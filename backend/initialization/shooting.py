@@ -1,9 +1,10 @@
-"""Rates and inertia of a body that turns far between frames, from its attitudes alone, by multiple starts.
+"""Rates and inertia of a body that rotates far between frames, from its attitudes alone, by multiple starts.
 
-Over a turn of 100 degrees and more the mean rate between two frames says little of the rate at either: a
-solver that starts there does not find the motion. Attitudes are known well, though, before the dynamics are;
-a few of them in a row fix rate and inertia by Euler's equation. Shots from many inertias are compared over
-ever more frames (single shooting; Stoer and Bulirsch, "Introduction to Numerical Analysis", 7.3).
+Over a rotation of 100 degrees and more, the mean rate between two frames is a poor estimate of the rate at
+either: a solver that starts there does not find the motion. The attitudes, however, are known well before the
+dynamics are; a few consecutive ones determine rate and inertia by Euler's equation. Shots from many inertias
+are compared over more and more frames (single shooting; Stoer and Bulirsch, "Introduction to Numerical
+Analysis", 7.3).
 """
 
 from dataclasses import dataclass
@@ -20,17 +21,17 @@ from polhode.quaternion import matrix_from_wxyz
 from polhode.records import Bools, Ints
 
 FAR_RAD = np.deg2rad(60.0)
-"""Median turn between neighbouring frames from which shots are worth their time."""
+"""Median rotation between neighbouring frames above which shooting is worth its time."""
 STAGES = ((4, 24), (6, 8), (10, 4), (16, 2))
-"""Frames in a row, and shots that are carried into each stage."""
+"""Consecutive frames, and number of shots, in each stage."""
 SPREAD = 0.7
 """Standard deviation of the logarithms of the second moments that are tried."""
 SIGMA_RAD = 0.01
-"""Of an attitude, with what disturbances add."""
+"""Standard deviation of an attitude, disturbances included."""
 MAX_EVALUATIONS = 200
-"""Evaluations for one shot at one stage."""
+"""Largest number of evaluations for one shot in one stage."""
 SERIES_RAD = 1.0
-"""Turn that one Taylor series carries."""
+"""Rotation that one Taylor series covers."""
 FORM = FORMS["second_moments"]
 
 
@@ -44,7 +45,7 @@ class Shot:
 
 
 def shoot(time_s: Array, R_NG: Array, connected: Bools) -> dict[str, Shot]:
-    """The best shot of each sense of the turns, by suffix of the hypothesis; none where turns are short.
+    """The best shot in each direction of rotation, by suffix of the hypothesis; none for short rotations.
 
     time_s (F,), R_NG (F, 3, 3), connected (F,).
     """
@@ -111,17 +112,17 @@ def _carry(w_G: Array, J_G: Array, t: Array) -> tuple[Array, Array]:
     turns = np.linalg.norm(w_G) * np.abs(t) / SERIES_RAD
     steps = np.clip(np.ceil(2.0 * turns), 1, 512).astype(np.int64)
     q, w, _, _ = propagate_rotations(np.tile(w_G, (len(t), 1)), J_G, np.asarray(t), steps)
-    # a search may ask for rates at which the series overflows: such a shot leads nowhere
+    # a search may try rates at which the series overflows: such a shot is useless
     lost = ~(np.linalg.norm(q, axis=1) > 1e-6) | ~np.isfinite(q).all(axis=1) | ~np.isfinite(w).all(axis=1)
     q[lost], w[lost] = (1.0, 0.0, 0.0, 0.0), 0.0
     return matrix_from_wxyz(q), w
 
 
 def _rates(time_s: Array, R_NG: Array, connected: Bools, first: int, w_G: Array, J_G: Array) -> Array:
-    """Rates (F, 3) that lead from each frame to the next, from the one at frame ``first`` both ways."""
+    """Rates (F, 3) that lead from each frame to the next, forward and backward from frame ``first``."""
     out = np.tile(w_G, (len(time_s), 1))
     out[first:] = _rates_along(time_s[first:], R_NG[first:], connected[first:], w_G, J_G)
-    # back in time a body turns as one with the opposite rate turns forward
+    # backward in time a body rotates as one with the opposite rate does forward
     back = slice(first, None, -1)
     out[back] = -_rates_along(-time_s[back], R_NG[back], connected[back], -out[first], J_G)
     return out

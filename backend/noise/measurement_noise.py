@@ -1,4 +1,4 @@
-"""The noise of the pixels, from the residuals."""
+"""Noise of the pixels, from the residuals."""
 
 from dataclasses import dataclass
 
@@ -14,11 +14,11 @@ from polhode.lie import Array
 
 MAD_TO_SIGMA = 1.4826
 LIMITS = (0.05, 6.0)
-"""Beyond, the measurements do not fit the motion: their noise is not what was found."""
+"""Scales beyond these limits mean that the measurements do not fit the motion."""
 MAX_TAKEN_BY_POSES = 0.3
 """Largest share of the freedom of u and v that the poses are taken to use up."""
 MIN_OBSERVATIONS = 30
-"""Fewer repeated observations say nothing reliable about their noise."""
+"""With fewer repeated observations their noise is not estimated."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class NoiseScales:
     disparity: float
 
     def times(self, other: "NoiseScales") -> "NoiseScales":
-        """One after the other."""
+        """Product of both scales."""
         return NoiseScales(self.uv * other.uv, self.disparity * other.disparity)
 
     @property
@@ -39,10 +39,10 @@ class NoiseScales:
 
 
 def estimate_noise(data: MotionData, iterate: Iterate, robust: bool) -> NoiseScales:
-    """Spread of the whitened residuals, each corrected for the freedom that the fit took.
+    """Scatter of the whitened residuals, each corrected for the degrees of freedom used by the fit.
 
-    ``robust``: median absolute deviation, for data with outliers; otherwise the root of the mean square.
-    A landmark seen from several sides is fitted to its u and v; its disparities stay almost free.
+    ``robust``: median absolute deviation, for data with outliers; otherwise the root mean square. A landmark
+    that is seen from several directions is fitted to its u and v; its disparities stay almost free.
     """
     residuals, (A, p_NG, p_G) = GaussNewton(data).residuals(
         linearization_point(data, iterate), iterate.vector()
@@ -52,7 +52,7 @@ def estimate_noise(data: MotionData, iterate: Iterate, robust: bool) -> NoiseSca
         return NoiseScales(1.0, 1.0)
     weight = robust_weight(np.sum(residuals**2, axis=1), data.robust_scale)
     taken = landmark_leverage(data, A, p_NG, p_G, weight)
-    # the poses are fitted to u and v too: six numbers for the two of each observation
+    # the poses are fitted to u and v too: six unknowns for the two numbers of each observation
     taken[:, :2] += min(3.0 * len(np.unique(data.frame)) / len(data.frame), MAX_TAKEN_BY_POSES)
     free = np.maximum(1.0 - taken[repeated], 0.05)
     if robust:
@@ -73,7 +73,7 @@ def _limited(scales: Array) -> NoiseScales:
 
 
 def landmark_leverage(data: MotionData, A: Array, p_NG: Array, p_G: Array, weight: Array) -> Array:
-    """Share (M, 3) of each residual's freedom that its landmark takes, poses given.
+    """Share (M, 3) of the freedom of each residual that is used by its landmark, poses given.
 
     A (F, 3, 3) = R_RN R_NG, p_NG (F, 3), p_G (L, 3), robust weights (M,).
     """
@@ -86,9 +86,9 @@ def landmark_leverage(data: MotionData, A: Array, p_NG: Array, p_G: Array, weigh
     J = data.inv_sigma[:, :, None] * (stereo_jacobian(p_R, data.rig[0], data.rig[3]) @ A[k])
     information = np.zeros((data.n_landmarks, 3, 3))
     np.add.at(information, mark, weight[:, None, None] * (np.swapaxes(J, 1, 2) @ J))
-    # a landmark that contradicts all its observations has next to no information
+    # a landmark that contradicts all its observations has almost no information
     information += 1e-12 * (1.0 + np.trace(information, axis1=1, axis2=2))[:, None, None] * np.eye(3)
-    # a landmark whose observations all lost their weight takes nothing
+    # a landmark whose observations have no weight uses no freedom
     least = 1e-12 * np.trace(information, axis1=1, axis2=2) + 1e-300
     inverse = np.linalg.inv(information + least[:, None, None] * np.eye(3))
     return np.asarray(weight[:, None] * np.einsum("mij,mjk,mik->mi", J, inverse[mark], J))

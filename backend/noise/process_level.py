@@ -38,7 +38,7 @@ INDIFFERENT = 2.0
 ACCELERATION, TORQUE = 0, 1
 """Indices of the two levels."""
 ITERATIONS = 3
-"""Gauss-Newton steps at each level, from the solution at its neighbour."""
+"""Gauss-Newton iterations at each level, from the solution at the neighbouring level."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""Observations that contradict the motion leave the problem.
+"""Removal of observations that contradict the motion.
 
-A Cauchy kernel only bounds what a wrong observation can do. Many of them keep pulling, and the solver creeps
-for dozens of iterations while a landmark made of contradicting observations looks for its place.
+A Cauchy kernel only bounds the effect of a wrong observation. Many of them together still bias the solution,
+and the solver needs dozens of iterations for landmarks whose observations contradict each other.
 """
 
 from dataclasses import dataclass, replace
@@ -20,33 +20,33 @@ from polhode.lie import Array
 from polhode.records import Bools
 
 GATE = 4.5
-"""Largest norm of a whitened stereo residual that stays; of Gaussian ones 1 in 5700 is larger."""
+"""Largest norm of a whitened stereo residual that is kept; 1 in 5700 Gaussian ones is larger."""
 MIN_LEFT = 3
-"""A landmark that lost observations stays with so many, or with two that are half of them."""
+"""A landmark that lost observations is kept with so many, or with two that are half of them."""
 
 ROUNDS = 2
 ITERATIONS = 3
-"""Of Gauss-Newton after each pruning."""
+"""Gauss-Newton iterations after each pruning."""
 MIN_SHARE = 0.3
 """Share of observations that must agree with the motion."""
 
 
 @dataclass(frozen=True)
 class PrunedProblem:
-    """A problem made smaller, and how its unknowns sit in the whole one."""
+    """A problem without its outliers, and which parts of the whole problem it keeps."""
 
     data: MotionData
     observations: Bools
-    """(M,) of the whole problem"""
+    """(M,) observations of the whole problem that are kept"""
     landmarks: Bools
-    """(L,) of the whole problem"""
+    """(L,) landmarks of the whole problem that are kept"""
 
     def restrict(self, iterate: Iterate) -> Iterate:
-        """The unknowns of the smaller problem."""
+        """The unknowns of the pruned problem."""
         return replace(iterate, p_G=iterate.p_G[self.landmarks])
 
     def expand(self, small: Iterate, whole: Iterate) -> Iterate:
-        """Back to all landmarks; those that left stay where they were in ``whole``."""
+        """All landmarks again; those that were removed stay as they are in ``whole``."""
         p_G = whole.p_G.copy()
         p_G[self.landmarks] = small.p_G
         return replace(small, p_G=p_G)
@@ -55,11 +55,11 @@ class PrunedProblem:
 def remove_outliers(
     data: MotionData, iterate: Iterate
 ) -> tuple[MotionData, PrunedProblem, Iterate, NoiseScales]:
-    """Tell noise from contradictions: data with its own noise, what is kept of it, motion, noise factors.
+    """Separate noise from outliers: data with its noise, the pruned problem, motion, noise factors.
 
-    The median absolute deviation sets the first gate; in the end the noise is the scatter of what is kept,
-    and the kernel as wide as that scatter allows.
-    Raises RunFailure when most observations contradict the motion.
+    The median absolute deviation sets the first gate; the final noise is the scatter of the observations that
+    are kept, and the robust kernel is as wide as that scatter allows. Raises RunFailure if most observations
+    contradict the motion.
     """
     first = estimate_noise(data, iterate, robust=True)
     data = data.rescaled(first.factors)
@@ -80,9 +80,9 @@ def remove_outliers(
 
 
 def prune(data: MotionData, iterate: Iterate) -> PrunedProblem:
-    """The problem without the observations whose residual at the iterate is beyond the gate.
+    """The problem without the observations whose residual at the iterate exceeds the gate.
 
-    Raises RunFailure when most of them are.
+    Raises RunFailure if most of them do.
     """
     residuals = whitened_residuals(data, iterate)
     agree = np.sum(residuals**2, axis=1) < GATE**2

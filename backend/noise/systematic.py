@@ -1,9 +1,10 @@
-"""Errors that every frame shares: no residual shows them, so no solver's covariance holds them.
+"""Errors that all frames share: residuals do not show them, so a solver's covariance does not include them.
 
-A camera matrix that is off by a hundredth of a pixel, or a matcher that reads every disparity a little short,
-moves the whole target. What such an offset of u, v and disparity does to a point at the target's place is
-added to the covariance of the position; attitude, rates and inertia hardly feel it. The frame G is fixed
-where the first pose was seen, not where it was: the centre of mass in G is off by the same shift.
+A camera matrix that is off by a hundredth of a pixel, or a matcher that reads every disparity slightly too
+small, shifts the whole target. The effect of such an offset of u, v and disparity on a point at the target's
+position is added to the covariance of the position; attitude, rates and inertia are hardly affected. The
+frame G is fixed where the first pose was seen, not where it was: the centre of mass in G is off by the same
+shift.
 """
 
 from dataclasses import replace
@@ -26,7 +27,7 @@ def position_spread(rig: RectifiedRig, X_NR: Array, r_N: Array, sigma_px: Sigma)
 
 
 def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Sigma) -> MotionEstimate:
-    """The estimate with the covariances of its positions and of the centre of mass grown."""
+    """The estimate with systematic errors in the covariances of its positions and of the centre of mass."""
     spread = position_spread(tracks.rig, tracks.X_NR, estimate.r_N, sigma_px)
     in_G = estimate.X_NG[0, :3, :3].T @ spread[0]
     joint = np.zeros((20, 3))
@@ -44,7 +45,7 @@ def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Si
 
 
 def _inflated_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
-    """The verdict with the sigmas, and the words, of a centre of mass that is spread by in_G (3, 3) too."""
+    """Identifiability with the sigmas and descriptions of a centre of mass with errors in_G (3, 3) added."""
     known = mass.identifiable
     sigma, detail = known.sigma.copy(), dict(known.detail)
     sigma[:3] = np.hypot(sigma[:3], np.linalg.norm(mass.R_GP.T @ in_G, axis=1))
@@ -53,7 +54,7 @@ def _inflated_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
 
 
 def online_with_systematic(online: OnlineEstimate, tracks: StereoTracks, sigma_px: Sigma) -> OnlineEstimate:
-    """The causal estimate with the covariances of its positions and of the centre of mass grown."""
+    """The causal estimate with systematic errors in the covariances of positions and centre of mass."""
     spread = position_spread(tracks.rig, tracks.X_NR, online.r_N, sigma_px)
     known = np.isfinite(np.diagonal(online.covariance, axis1=1, axis2=2)).any(axis=1)
     first = int(np.argmax(known))
@@ -66,7 +67,7 @@ def online_with_systematic(online: OnlineEstimate, tracks: StereoTracks, sigma_p
 
 
 def _inflated(covariance: Array, spread: Array) -> Array:
-    """Covariance (n, n) with spread (m, 3) of its first m components; what is unknown stays so."""
+    """Covariance (n, n) with errors spread (m, 3) of its first m components added; infinite ones stay so."""
     m = len(spread)
     spread = spread * np.isfinite(np.diagonal(covariance)[:m, None])
     out = covariance.copy()

@@ -1,7 +1,7 @@
-"""Two motions that fit alike: the target may turn one way between frames or the other.
+"""Two motions that fit equally well: the target may rotate in either direction between frames.
 
-The shorter turns are reported, as every sampled signal is read; rates, inertia and axes then rest on that
-assumption and not on the data, so they count as not determined.
+The shorter rotations are reported, as with any sampled signal; rates, inertia and axes then rest on this
+assumption and not on the data, so they are reported as not determined.
 """
 
 from dataclasses import dataclass, replace
@@ -15,33 +15,35 @@ from polhode.lie import Array
 from polhode.records import MotionEstimate
 
 AS_GOOD = 0.02
-"""Relative difference of the misfit that does not decide: a wrong sense of a tumble costs several times the
-misfit, and what is small beside it may come from the noise model."""
+"""Relative difference of the misfit that is not significant: the wrong direction of a tumbling motion costs
+several times the misfit, and small differences may come from the noise model."""
 TOO_FAR_DEG, FAR_DEG = 225.0, 150.0
-"""Turns beyond the first may be a revolution off as well: no sense that fits is believed. From the second on
-a sense is believed only if it leaves the disturbances about as small as stated."""
-OPEN = "not determined: another motion, which turns the other way round between frames, fits as well"
+"""Rotations beyond the first may be off by a revolution: no direction is accepted. From the second on a
+direction is accepted only if the disturbances remain about as small as stated."""
+AMBIGUOUS = (
+    "not determined: another motion, with the opposite direction of rotation between frames, fits as well"
+)
 OF_STATE = np.r_[np.zeros(6, dtype=np.bool_), np.ones(6, dtype=np.bool_)]
 """Attitude and rate."""
 OF_JOINT = np.r_[OF_STATE, np.ones(5, dtype=np.bool_), np.zeros(3, dtype=np.bool_)]
-"""These and the inertia, of state, inertia and centre of mass."""
+"""Attitude, rate and inertia, of state, inertia and centre of mass."""
 
 
 @dataclass(frozen=True)
 class HypothesisChoice:
-    """The hypothesis that was taken, and median turns [deg] of it and of one that fits alike."""
+    """The chosen hypothesis, and median rotations [deg] of it and of one that fits equally well, if any."""
 
     name: str
     turns_deg: tuple[float, float] | None
 
 
 def choose_hypothesis(trials: dict[str, HypothesisFit], dt_s: Array) -> HypothesisChoice:
-    """The best hypothesis; of two senses that fit alike, the one with the shorter turns. dt_s (F - 1,)."""
+    """The best hypothesis; of two directions that fit equally well, the shorter rotations. dt_s (F - 1,)."""
     bests = []
     for other in (False, True):
         names = [name for name in trials if name.endswith(OPPOSITE_DIRECTION) == other]
         bests += [min(names, key=lambda name: trials[name].cost)] if names else []
-    # the normalisation differs with the rate: it may not decide between two
+    # the normalization depends on the rate: it must not decide between two directions
     bests.sort(key=lambda name: trials[name].misfit)
     if len(bests) < 2 or trials[bests[1]].misfit > (1.0 + AS_GOOD) * trials[bests[0]].misfit:
         return HypothesisChoice(bests[0], None)
@@ -57,7 +59,7 @@ def _turn_deg(trial: HypothesisFit, dt_s: Array) -> float:
 def ambiguous_turns_deg(
     choice: HypothesisChoice, trial: HypothesisFit, dt_s: Array, much_disturbed: bool
 ) -> tuple[float, float] | None:
-    """Median turns [deg] of the motion and of the one that it is not told from; None: it is told."""
+    """Median rotations [deg] of the motion and of the one that fits equally well; None if there is none."""
     turn = _turn_deg(trial, dt_s)
     if choice.turns_deg is None and (turn > TOO_FAR_DEG or (much_disturbed and turn > FAR_DEG)):
         return turn, abs(360.0 - turn)
@@ -65,10 +67,10 @@ def ambiguous_turns_deg(
 
 
 def with_ambiguous_rotation(estimate: MotionEstimate, turns_deg: tuple[float, float]) -> MotionEstimate:
-    """The estimate with what hangs on the sense of the turns called undetermined, and a warning."""
+    """The estimate with all that depends on the direction of rotation undetermined, and a warning."""
     known, mass = estimate.mass.identifiable, estimate.mass
     detail = {
-        name: OPEN if name.startswith(("k", "axes")) and not text.startswith("not") else text
+        name: AMBIGUOUS if name.startswith(("k", "axes")) and not text.startswith("not") else text
         for name, text in known.detail.items()
     }
     known = replace(
@@ -88,8 +90,8 @@ def with_ambiguous_rotation(estimate: MotionEstimate, turns_deg: tuple[float, fl
         identifiable=known,
     )
     warning = (
-        f"the sense of the rotation is ambiguous: {turns_deg[0]:.0f} degrees between frames, as reported, or "
-        f"{turns_deg[1]:.0f} the other way round; a higher frame rate would tell"
+        f"the direction of rotation is ambiguous: {turns_deg[0]:.0f} degrees between frames, as reported, or "
+        f"{turns_deg[1]:.0f} in the opposite direction; a higher frame rate would resolve it"
     )
     return replace(
         estimate,

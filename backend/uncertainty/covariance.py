@@ -1,8 +1,9 @@
-"""Covariance of everything reported, from the Gauss-Newton information at the solution.
+"""Covariance of all estimates, from the Gauss-Newton information at the solution.
 
-The information is singular: G and its landmarks may move together. G is fixed at its true first pose.
-What does not depend on that choice (r_N, v_N, the attitude of the principal axes, w_P) gets its absolute
-covariance: the camera's frame is known; with G fixed, the landmarks carry the uncertainty of the first pose.
+The information is singular, because G and its landmarks may move together: G is fixed at its true first pose.
+Quantities that do not depend on this choice (r_N, v_N, the attitude of the principal axes, w_P) get their
+absolute covariance: the camera's frame is known, and with G fixed the landmarks carry the uncertainty of the
+first pose.
 """
 
 from dataclasses import dataclass, replace
@@ -37,11 +38,11 @@ class Marginals:
     wrench_information: Array | None
     """(2, 2) of the logarithms of the inertia's scale and of the mass, everything else eliminated"""
     response: Array
-    """(s F, 8) how the states follow when com_G and xi are changed and everything else is fitted again"""
+    """(s F, 8) change of the states per change of com_G and xi, everything else fitted again"""
 
 
 def marginals(solver: GaussNewton, fixed: LinearizationPoint, x: Array, weight: Array) -> Marginals:
-    """Invert the information at x; weight (M,) is the information that each observation contributes."""
+    """Invert the information at x; weight (M,) is the information contributed by each observation."""
     bare = solver.normal_equations(fixed, x, weight, prior=False)
     S, _, C_inv = solver.reduced(bare)
     mirror(S)
@@ -75,12 +76,12 @@ def marginals(solver: GaussNewton, fixed: LinearizationPoint, x: Array, weight: 
 def _with_constants(
     dense: Array, marks: Array, information: Array, prior: Array, response: Array
 ) -> Marginals:
-    """What is known of com_G and xi, and of mass and scale, each with all other constants eliminated."""
+    """Information on com_G and xi, and on mass and scale, each with all other constants eliminated."""
     if len(information) == N_CONSTANTS:
         return Marginals(dense, marks, information, None, response)
     at = np.arange(len(information))
     body, rest = at[:N_CONSTANTS], at[N_CONSTANTS:]
-    # the weak prior of the others: what a push does not show must not make the matrix singular
+    # with the weak prior of the others: what the wrench does not excite must not make the matrix singular
     follow = -np.linalg.solve((information + prior)[np.ix_(rest, rest)], information[np.ix_(rest, body)])
     of_body = information[np.ix_(body, body)] + information[np.ix_(body, rest)] @ follow
     logs = N_CONSTANTS + np.array([LN_SCALE, LN_MASS])
@@ -94,7 +95,7 @@ def _with_constants(
 
 
 def _first_pose_follows(iterate: Iterate, camera_N: Array) -> Array:
-    """How the first pose (6) moves with the errors (0 or 6) of the camera's, while the true one is fixed."""
+    """Derivative of the first pose (6) in the errors (0 or 6) of the camera's pose, the true one fixed."""
     if iterate.camera is None:
         return np.zeros((N_GAUGE, 0))
     alpha = iterate.camera[0, 3:]
@@ -114,7 +115,7 @@ def _substitute_first_pose(S: Array, follow: Array) -> None:
 
 
 def _inverse(cholesky: Array) -> Array:
-    """Inverse, lower triangle, of a matrix from its lower factor by columns, which is overwritten."""
+    """Lower triangle of the inverse of a matrix, from its lower factor by columns, which is overwritten."""
     inverse, _ = dpotri(cholesky, lower=1, overwrite_c=1)
     return np.asarray(inverse)
 
@@ -137,7 +138,7 @@ def body_jacobians(iterate: Iterate, camera_N: Array | None = None) -> Array:
 
 
 def state_jacobians(iterate: Iterate, derivative: AxesDerivative, camera_N: Array | None = None) -> Array:
-    """The same (F, 12, s + 8) of r_N, v_N, theta_P, w_P: attitude and rate of the principal axes."""
+    """As above (F, 12, s + 8), for r_N, v_N, theta_P, w_P: attitude and rate of the principal axes."""
     out, R_GP, s = body_jacobians(iterate, camera_N), derivative.R_GP, iterate.n_state
     # R_NG Exp(theta_G) R_GP Exp(theta_GP), and w_P = (R_GP Exp(theta_GP))^T w_G
     out[:, 6:9], out[:, 9:12] = R_GP.T @ out[:, 6:9], R_GP.T @ out[:, 9:12]
@@ -147,7 +148,7 @@ def state_jacobians(iterate: Iterate, derivative: AxesDerivative, camera_N: Arra
 
 
 def state_jacobian(iterate: Iterate, k: int, derivative: AxesDerivative) -> tuple[Array, Array]:
-    """The same of frame k alone, the camera's pose exact: in its 12 unknowns, and in (com_G, xi) (12, 8)."""
+    """As above for frame k alone, the camera's pose exact: in its 12 unknowns, and in (com_G, xi) (12, 8)."""
     only = slice(k, k + 1)
     frame = replace(
         iterate,
@@ -177,8 +178,8 @@ def state_covariances(iterate: Iterate, m: Marginals, jacobians: Array) -> tuple
 def pose_covariances(iterate: Iterate, m: Marginals) -> Array:
     """Covariances (F, 6, 6) of X_NG, shift [m] and turn [rad] along G's axes: X_NG (Exp(turn) p_G + shift).
 
-    What all poses share moves the frame G and is no error of theirs: it is taken out, each frame counting
-    alike.
+    A shift that all poses share moves the frame G and is not an error of the poses: it is removed, with the
+    same weight for each frame.
     """
     n, s = iterate.n_frames, iterate.n_state
     turned = np.zeros((n, 6, 6))
@@ -199,7 +200,8 @@ def pose_covariances(iterate: Iterate, m: Marginals) -> Array:
 def last_body_covariance(iterate: Iterate, m: Marginals, camera_N: Array | None = None) -> Array:
     """Covariance (20, 20) of the last r_N, v_N, theta in R_NG Exp(theta), w_G, then xi, com_G.
 
-    Free of the principal axes, so it stays finite where they are undetermined; the prior bounds the rest.
+    It does not involve the principal axes, so it stays finite where they are undetermined; the prior bounds
+    it.
     """
     return state_covariances(iterate, m, body_jacobians(iterate, camera_N))[1]
 

@@ -1,9 +1,9 @@
-"""What the motion determines: eigen-directions of the information of com_G and inertia, without prior.
+"""What the motion determines: eigenvectors of the information on com_G and inertia, without prior.
 
-Scaled so that 1 means a centimetre of the centre of mass, 0.2 of k1 or k2, or 0.3 rad of the axes; a
-direction whose scaled standard deviation exceeds 0.3 is undetermined: 3 mm, 0.06, 5 degrees. What a spin
-without nutation hides comes out at 0.5 to 20 and more, what a tumble shows below 0.25
-(``tests/backend/test_identifiability.py`` holds such motions).
+The scales are 1 cm for the centre of mass, 0.2 for k1 and k2, and 0.3 rad for the axes; a direction whose
+scaled standard deviation exceeds 0.3 is undetermined: 3 mm, 0.06, 5 degrees. Directions that a spin without
+nutation does not excite have 0.5 to 20 and more, those that a tumbling motion excites less than 0.25
+(``tests/backend/uncertainty/test_identifiability.py`` has such motions).
 """
 
 from dataclasses import dataclass
@@ -17,16 +17,16 @@ from polhode.records import Bools, Identifiability
 
 SCALE = np.array([0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.3, 0.3])
 CONSTANT_SCALE = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1, 0.1, 0.1])
-"""Of com_G [m] and xi."""
+"""Scales of com_G [m] and xi."""
 LIMIT = 0.3
 CAP = 10.0
-"""Scaled sigma that is enough to call a direction lost: keeps rounding from spreading it to the others."""
+"""Scaled sigma of a direction without information: bounds the effect of rounding on other directions."""
 NAMES = ("com_x", "com_y", "com_z", "k1", "k2", "axes_x", "axes_y", "axes_z")
 
 
 @dataclass(frozen=True)
 class IdentifiabilityAnalysis:
-    """The verdict, and the directions that are lost."""
+    """The result, and the undetermined directions."""
 
     record: Identifiability
     lost: Array
@@ -36,12 +36,12 @@ class IdentifiabilityAnalysis:
 
     @property
     def lost_constants(self) -> Bools:
-        """(8,) of com_G and xi, those in which a lost direction has a share."""
+        """(8,) components of com_G and xi that an undetermined direction involves."""
         return np.asarray(np.abs(self.lost).max(axis=1, initial=0.0) > 0.1 * CONSTANT_SCALE)
 
 
 def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> IdentifiabilityAnalysis:
-    """information (8, 8) of (com_G, xi) without prior; w_P (F, 3) the motion, for the reason in words."""
+    """information (8, 8) of (com_G, xi) without prior; w_P (F, 3) the rates, for the reason that is given."""
     # d(com_G, xi) / d(com_P, k1, k2, theta), scaled
     to_solver = block_diag(derivative.R_GP, np.linalg.inv(np.vstack([derivative.ratios, derivative.axes])))
     to_solver = to_solver * SCALE
@@ -61,8 +61,9 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Ident
     equal = ~good[3:5] | (k < 2.0 * total[3:5])
     good[[7, 5]] &= ~equal
     good[6] &= not equal.all()
-    # Without both ratios the order of the moments is open, and with it which axis is which. A spin about any
-    # axis of a nearly round body looks like one about a principal axis of another: seen, 60 degrees off.
+    # Without both ratios the order of the moments is unknown, and so are the axes. A spin about any axis of a
+    # nearly spherical body looks like one about a principal axis of another: errors of 60 degrees were
+    # observed.
     good[5:] &= good[3:5].all()
     total[5:] = np.sqrt(np.diag(free_axis_covariance(covariance[5:, 5:], ~good[5:])))
     good[5:] &= total[5:] <= LIMIT * SCALE[5:]
@@ -81,7 +82,7 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Ident
 
 
 def determined_description(n: int, sigma: float) -> str:
-    """What is said of quantity n of NAMES when its standard deviation is sigma [m, 1, rad]."""
+    """Description of quantity n of NAMES when its standard deviation is sigma [m, 1, rad]."""
     unit = "mm" if n < 3 else "" if n < 5 else "deg"
     number = sigma * (1e3 if n < 3 else 1.0 if n < 5 else np.rad2deg(1.0))
     return f"determined, standard deviation about {number:.2g} {unit}".strip()
@@ -103,13 +104,13 @@ def _description(n: int, good: Bools, sigma: Array, w_P: Array) -> str:
         return "not determined: the rotation moves the centre of mass too little in the body"
     if steady:
         return f"not determined: the target spins steadily about {about}, without nutation"
-    return "not determined: the motion is too short, or two moments too nearly equal, to tell"
+    return "not determined: the motion is too short, or two moments are too nearly equal"
 
 
 def undetermined_states(
     determined: IdentifiabilityAnalysis, jacobians: Array, response: Array, w_P: Array
 ) -> Bools:
-    """Components (F, 12) of the states that move with a lost direction.
+    """Components (F, 12) of the states that change along an undetermined direction.
 
     jacobians (F, 12, s + 8) of the states in their own s variables and the constants; response (s F, 8).
     """
@@ -117,10 +118,10 @@ def undetermined_states(
     of_axes = np.hstack([determined.lost, determined.turned])
     change[:, 6:] = _largest_change(of_axes, jacobians, response)[:, 6:]
     rate = max(float(np.sqrt(np.mean(np.sum(w_P**2, axis=1)))), 0.01)
-    # the prior bounds what r and v can do; the axes may be far off, where the linear change says little
+    # the prior bounds r and v; the axes may be far off, where the linear change is not meaningful
     lost = change > np.repeat([0.3 * 0.01, 0.3 * 0.01 * rate, 0.01, 0.002 * rate], 3)
     if np.sum(~determined.record.axes_P) >= 2:
-        # the axes may even be exchanged: nothing expressed in P is known
+        # the axes may even be exchanged: no component in P is known
         lost[:, 6:] = True
     return np.asarray(lost)
 

@@ -40,7 +40,7 @@ class AxesDerivative:
 def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
     """First-order change of moments and axes; nearly equal moments give large, finite derivatives.
 
-    Where a known torque acts its axes set the half-turn of the principal ones.
+    Where a known torque acts, its axes determine the choice among the half-turns.
     """
     J = iterate.J_G(form)
     moments, R = principal_axes(J)
@@ -72,7 +72,8 @@ def ratio_covariance(derivative: AxesDerivative, cov_J: Array) -> Array:
     """Second moments (2, 2) of the errors of k1, k2, from the covariance (5, 5) of xi.
 
     Deviations of J are drawn in pairs whose second moments are exactly those of cov_J; eigenvalues are exact.
-    The first-order covariance while errors are small against the gaps between the moments.
+    The result equals the first-order covariance if errors are small compared with the gaps between the
+    moments.
     """
     values, vectors = np.linalg.eigh(cov_J)
     z = np.random.default_rng([0, 4]).normal(size=(N_PAIRS, 5))
@@ -86,7 +87,7 @@ def ratios_after(derivative: AxesDerivative, change: Array) -> Array:
     """k1, k2 (n, 2) of the inertia changed by xi (n, 5), first order in J, exact in its eigenvalues."""
     J, (a, b, c) = np.zeros((len(change), 3, 3)), derivative.moments
     dk, turn = change @ derivative.ratios.T, change @ derivative.axes.T
-    # along P, the middle moment fixed: the products of inertia that turn the axes, the differences that are k
+    # along P, the middle moment fixed: products of inertia rotate the axes, differences of moments change k
     J[:, 0, 0], J[:, 1, 1], J[:, 2, 2] = a * np.exp(dk[:, 0]), b, c * np.exp(-dk[:, 1])
     gaps = np.maximum([b - c, a - c, a - b], SMALLEST_GAP * b)
     J[:, 2, 1] = J[:, 1, 2] = turn[:, 0] * gaps[0]
@@ -97,9 +98,9 @@ def ratios_after(derivative: AxesDerivative, change: Array) -> Array:
 
 
 def free_axis_covariance(covariance: Array, lost: Bools) -> Array:
-    """Covariance (..., 3, 3) of rotations about P when only the turn about one axis is lost (3,).
+    """Covariance (..., 3, 3) of rotations about P when only the rotation about one axis is undetermined (3,).
 
-    The tilt of that axis may lie in any direction across it: the worse one counts for both.
+    The tilt of that axis may have any direction across it: the larger variance is taken for both.
     """
     if lost.sum() != 1:
         return covariance

@@ -1,4 +1,4 @@
-"""What the window holds: key poses, recent states, constants, and the arrival cost about all of them."""
+"""The unknowns of the window: key poses, recent states, constants, and the arrival cost about all of them."""
 
 from dataclasses import dataclass, field
 
@@ -22,46 +22,46 @@ Part = tuple[Ints, Array, Array]
 class ActiveWindow:
     """The unknowns as one vector: seen poses, recent states, com_G, xi.
 
-    Six of each key pose (p_NG, theta), the same of each recent one if the camera's own pose is noisy; 12 of
-    each recent state.
+    A seen pose is that of the target as seen from the stated camera pose. Each key pose has six unknowns
+    (p_NG, theta), and so has each recent seen pose if the camera's pose is noisy; each recent state has 12.
     """
 
     noisy_camera: bool = False
     keys: list[Frame] = field(default_factory=list)
     recent: list[Frame] = field(default_factory=list)
     factors: DynamicsFactors = NO_FACTORS
-    """between the recent states; the history has its own"""
+    """dynamics between the recent states; the history has its own"""
     constants: Array = field(default_factory=lambda: np.zeros(N_CONSTANTS))
     """(8,) com_G, xi"""
     arrival: Quadratic = NOTHING
-    """information of all that left, without the weak prior; empty as long as the whole history is kept"""
+    """information from all that was marginalized, without the weak prior; empty while the history is kept"""
 
     @property
     def frames(self) -> list[Frame]:
-        """Keys, then recent ones: in the order of time."""
+        """Key frames, then recent frames: in the order of time."""
         return [*self.keys, *self.recent]
 
     @property
     def n_seen(self) -> int:
-        """Entries of the vector before the states: seen poses that are no part of a state."""
+        """Number of entries before the states: seen poses that are not part of a state."""
         return N_POSE * len(self.frames if self.noisy_camera else self.keys)
 
     @property
     def seen_entries(self) -> Ints:
-        """(6 F,) where the seen poses stand in the vector."""
+        """(6 F,) entries of the seen poses."""
         if self.noisy_camera:
             return np.arange(self.n_seen)
         return np.concatenate([np.arange(self.n_seen), self.pose_entries])
 
     @property
     def pose_entries(self) -> Ints:
-        """(6 W,) where the true poses of the recent states stand."""
+        """(6 W,) entries of the true poses of the recent states."""
         start = self.n_seen + N_STATE * np.arange(len(self.recent))
         return np.asarray(start[:, None] + np.arange(N_POSE)).ravel()
 
     @property
     def R_ref(self) -> Array:
-        """(W, 3, 3) of the recent states."""
+        """(W, 3, 3) reference attitudes of the recent states."""
         return np.stack([frame.R_ref for frame in self.recent])
 
     def vector(self) -> Array:
@@ -71,7 +71,7 @@ class ActiveWindow:
         return np.concatenate([of_seen, states_of(self.recent).ravel(), self.constants])
 
     def take(self, x: Array) -> None:
-        """Take the unknowns from a vector."""
+        """Set the unknowns from a vector."""
         for n, frame in enumerate(self.frames if self.noisy_camera else self.keys):
             frame.seen[:] = x[N_POSE * n : N_POSE * (n + 1)]
         for n, frame in enumerate(self.recent):
@@ -80,7 +80,7 @@ class ActiveWindow:
         self.constants = x[-N_CONSTANTS:].copy()
 
     def extend_arrival(self) -> None:
-        """A frame was added, of which the arrival cost knows nothing."""
+        """Extend the arrival cost by a new frame, about which it has no information."""
         x, last = self.vector(), len(self.recent) - 1
         new = np.arange(N_STATE) + self.n_seen + N_STATE * last
         if self.noisy_camera:
@@ -94,7 +94,7 @@ class ActiveWindow:
     def absorb(self, parts: list[Part], gone: Ints) -> None:
         """Add information, with gradients at the present vector, to the arrival cost; eliminate entries.
 
-        The caller takes what is gone out of the frames.
+        The caller removes the eliminated unknowns from the frames.
         """
         x = self.vector()
         H, g = self.arrival.H.copy(), self.arrival.gradient(x)
@@ -112,7 +112,7 @@ class ActiveWindow:
         return both, D[0].T @ D[0], D[0].T @ r[0]
 
     def camera_parts(self, n_frames: int | None = None) -> list[Part]:
-        """How far the seen poses of the (first) recent frames may be from the true ones."""
+        """Information on the difference of seen and true poses of the (first) recent frames."""
         if not self.noisy_camera:
             return []
         seen = self.seen_entries[N_POSE * len(self.keys) :].reshape(-1, N_POSE)
@@ -121,7 +121,7 @@ class ActiveWindow:
         return [camera_part(frame, a, b) for frame, a, b in zip(frames, seen, true, strict=False)]
 
     def oldest_velocities(self) -> Ints:
-        """Entries of the oldest recent frame that do not stay when its seen pose becomes a key."""
+        """Entries of the oldest recent frame that are eliminated when its seen pose becomes a key."""
         first = 0 if self.noisy_camera else N_POSE
         return np.arange(self.n_seen + first, self.n_seen + N_STATE)
 
@@ -131,7 +131,7 @@ class ActiveWindow:
 
 
 def camera_part(frame: Frame, seen: Ints, true: Ints) -> Part:
-    """The seen pose minus the true one, by the noise of the camera's own; entries (6,) of both."""
+    """Information on the seen pose minus the true one, by the camera's noise; entries (6,) of both."""
     assert frame.camera_information is not None
     one = np.array([[1.0, -1.0], [-1.0, 1.0]])
     force = frame.camera_information @ (frame.seen - frame.x[:N_POSE])

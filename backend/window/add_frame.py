@@ -15,17 +15,17 @@ from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, t
 from polhode.records import Bools, Ints
 
 STEADY_FRAMES = 4
-"""Located frames after which the dynamics predict better than a difference of poses."""
+"""Number of located frames from which the dynamics predict better than a difference of poses."""
 LOST_RAD = 0.1
-"""Standard deviation of a predicted attitude beyond which new landmarks are not placed by it."""
+"""Largest standard deviation of a predicted attitude by which new landmarks are placed."""
 STRIKES = 2
-"""Observations in a row that contradict a landmark until it starts anew, unless more agreed before."""
+"""Consecutive contradicting observations after which a landmark is placed again."""
 ARRIVAL_GATE = 5.0
-"""Largest norm of a residual, whitened by its own noise and the landmark's, of what is let in."""
+"""Largest norm of a residual, whitened by its noise and that of the landmark, of an accepted observation."""
 ENOUGH = 0.6
 """Share of the observations of known landmarks that must agree with a pose."""
 ENOUGH_BY_MAP = 0.4
-"""The same for a pose found by the map: 30 % gross errors, and landmarks that are wrong themselves."""
+"""The same for a pose found from the landmarks: 30 % gross errors, and some landmarks are wrong."""
 MIN_COMMON = 5
 REFINEMENTS = 3
 
@@ -53,11 +53,11 @@ class LocatedFrame:
     agree: Bools
     """(m,)"""
     by: str
-    """prediction, map, or nothing"""
+    """how it was located: by prediction, map, or nothing"""
 
 
 def first_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s: float) -> Frame:
-    """The frame that defines G: its axes those of N, its origin in the middle of what is seen."""
+    """The frame that defines G, with the axes of N and the median of the triangulated points as origin."""
     p_R = state.rig.triangulate(m.uvd_px)
     R_NG, p_NG = m.X_NR[:3, :3], (m.X_NR @ np.append(np.median(p_R, axis=0), 1.0))[:3]
     frame = _frame(state, m, number, time_s, R_NG, np.concatenate([p_NG, np.zeros(9)]))
@@ -67,7 +67,7 @@ def first_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s
 
 
 def next_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s: float) -> Frame | None:
-    """The frame with its first state; None when it cannot be placed. Lets its observations enter."""
+    """The frame with its initial state and accepted observations; None if it cannot be located."""
     before = state.active.recent[-1]
     n_located = len(state.active.frames)
     slot = state.landmarks.find(m.landmark)
@@ -91,7 +91,7 @@ def next_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s:
             _difference(state, before, x, R_NG, time_s - before.time_s, whole=n_located == 1)
     frame = _frame(state, m, number, time_s, R_NG, x)
     if found.by == "nothing" and (len(index) >= MIN_COMMON or _predicted_sigma(state, time_s) > LOST_RAD):
-        # it contradicts the map, or nobody knows where it is: what it sees would only do harm
+        # it contradicts the map, or its pose is unknown: its observations would only do harm
         return frame
     _set_observations(state, frame, m, _accepted(state, slot, index, found))
     return frame
@@ -109,7 +109,7 @@ def _frame(
 def _difference(
     state: EstimatorState, before: Frame, x: Array, R_NG: Array, dt_s: float, whole: bool
 ) -> None:
-    """Velocities by the difference of two poses; ``whole``: of both frames."""
+    """Set velocities by the difference of two poses; ``whole``: of both frames."""
     com_G = state.active.constants[:3]
     shift = x[:3] + R_NG @ com_G - before.x[:3] - before.R_NG @ com_G
     x[6:9], x[9:12] = shift / dt_s, log_so3(before.R_NG.T @ R_NG) / dt_s
@@ -118,7 +118,7 @@ def _difference(
 
 
 def _predicted_sigma(state: EstimatorState, time_s: float) -> float:
-    """Largest standard deviation [rad] of the predicted attitude, about."""
+    """Approximate largest standard deviation [rad] of the predicted attitude."""
     if state.last is None:
         return np.inf
     covariance = np.linalg.inv(state.last.joint)
@@ -128,9 +128,9 @@ def _predicted_sigma(state: EstimatorState, time_s: float) -> float:
 
 
 def _accepted(state: EstimatorState, slot: Ints, index: Ints, found: LocatedFrame) -> Bools:
-    """Observations (m,) that enter: of new landmarks, of known ones when they agree.
+    """Accepted observations (m,): those of new landmarks, and those of known ones that agree.
 
-    A landmark that is contradicted again and again starts anew with the latest observation of it.
+    A landmark that is contradicted repeatedly is placed again by its latest observation.
     """
     marks, enter = state.landmarks, np.ones(len(slot), bool)
     agreeing, other = slot[index[found.agree]], index[~found.agree]
@@ -152,7 +152,7 @@ def _accepted(state: EstimatorState, slot: Ints, index: Ints, found: LocatedFram
 
 
 def _set_observations(state: EstimatorState, frame: Frame, m: FrameMeasurements, enter: Bools) -> None:
-    """Give the frame its observations; place the landmarks that are new by its pose."""
+    """Give the frame its observations; place new landmarks by its pose."""
     marks, names = state.landmarks, m.landmark[enter]
     uvd, inv_sigma = m.uvd_px[enter], 1.0 / (m.sigma_px[enter] * state.noise)
     slot = marks.find(names)
@@ -206,7 +206,7 @@ def whitened(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array) -> tuple[Arr
     """Residuals (m, 3) over their sigma, and their derivative (m, 3, 3) in the landmark's position in G."""
     R, p = X_RG[:3, :3], X_RG[:3, 3]
     p_R = known.p_G @ R.T + p
-    # behind the camera nothing agrees
+    # points behind the camera do not agree
     p_R[:, 2] = np.maximum(p_R[:, 2], 1e-3)
     D = -stereo_jacobian(p_R, rig.focal_px, rig.baseline_m)
     r = (known.uvd_px - rig.project(p_R)) * known.inv_sigma
@@ -214,7 +214,7 @@ def whitened(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array) -> tuple[Arr
 
 
 def refine(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array, agree: Bools) -> tuple[Array, Bools]:
-    """Least squares of the pose on the observations that agree, which are chosen again each time."""
+    """Least-squares pose from the observations that agree, which are selected again in each iteration."""
     X = X_RG.copy()
     for _ in range(REFINEMENTS):
         if agree.sum() < MIN_COMMON:

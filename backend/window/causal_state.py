@@ -1,4 +1,4 @@
-"""What the window knows after each frame: the causal state with its covariance, and the verdicts."""
+"""The causal state after each frame, with its covariance and what of it is determined."""
 
 from dataclasses import dataclass
 
@@ -17,12 +17,12 @@ from polhode.records import Bools
 
 N_JOINT = N_STATE + N_CONSTANTS
 ROUNDING = 1e-7
-"""Share of the diagonal of a Hessian that does no harm to what is known."""
+"""Share of the diagonal of a Hessian that is negligible beside the information on determined quantities."""
 
 
 @dataclass(frozen=True)
 class OnlineState:
-    """The causal estimate at one frame; ``MotionEstimate`` has the meaning of the quantities."""
+    """The causal estimate at one frame; ``MotionEstimate`` explains the quantities."""
 
     timestamp_ns: int
     r_N: Array
@@ -52,11 +52,11 @@ class OnlineState:
 
 @dataclass(frozen=True)
 class LastInformation:
-    """Information (20, 20) of the last state and the constants, all else eliminated."""
+    """Information (20, 20) on the last state and the constants, everything else eliminated."""
 
     joint: Array
     weak_prior: Array
-    """(8, 8) of com_G and xi: part of it"""
+    """(8, 8) part of it that is the weak prior on com_G and xi"""
 
 
 def last_information(H: Array, weak_prior: Array) -> LastInformation:
@@ -64,7 +64,7 @@ def last_information(H: Array, weak_prior: Array) -> LastInformation:
     try:
         L = cholesky(H, lower=True, check_finite=False)
     except LinAlgError:
-        # axes of equal moments have no curvature at all
+        # the axes of equal moments have no information
         L = cholesky(H + ROUNDING * np.diag(np.diagonal(H)), lower=True, check_finite=False)
     L = L[-N_JOINT:, -N_JOINT:]
     return LastInformation(L @ L.T, weak_prior)
@@ -80,10 +80,10 @@ def online_state(
     recent_w_G: Array,
     half_turn: Array,
 ) -> OnlineState:
-    """Express the last state in principal axes, with the covariance of it.
+    """Express the last state in principal axes, with its covariance.
 
-    recent_w_G (n, 3) is the motion that the words of the verdict are about. half_turn (3, 3), the axes R_GP
-    of the frame before, chooses among the four equivalent ones.
+    recent_w_G (n, 3) are the rates on which the description of undetermined quantities is based. half_turn
+    (3, 3), the axes R_GP of the previous frame, chooses among the four equivalent orientations.
     """
     at = Iterate(
         frame.x[None, :3],
@@ -113,7 +113,7 @@ def online_state(
     R_GP = derivative.R_GP @ turn
     flip = np.concatenate([np.ones(6), np.diag(turn), np.diag(turn)])
     known = determined.record
-    # along the curved valley of what one ratio leaves open, the other one moves too
+    # along the curved valley of one undetermined ratio, the other one changes too
     ratios = known.k1 and known.k2
     cov_com, cov_J = dense[12:15, 12:15], dense[15:, 15:]
     com_lost: Bools = np.abs(derivative.R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
@@ -143,7 +143,7 @@ def online_state(
 def unknown_state(
     timestamp_ns: int, X_NR: Array, frame: Frame | None = None, com_G: Array | None = None
 ) -> OnlineState:
-    """Before the motion is known: the latest place of the target, or one meter before the camera."""
+    """Before the motion is known: the latest pose of the target, or one metre in front of the camera."""
     X_NG = X_NR @ make_pose(np.eye(3), [0.0, 0.0, 1.0]) if frame is None else frame.X_NG_seen
     com = np.zeros(3) if com_G is None else com_G.copy()
     return OnlineState(

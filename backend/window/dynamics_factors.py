@@ -1,4 +1,4 @@
-"""The dynamics between consecutive states of the window (``dynamics.py``)."""
+"""The dynamics between consecutive states of the window, as whitened factors (``dynamics.residuals``)."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from polhode.records import Ints
 
 @dataclass(frozen=True)
 class DynamicsFactors:
-    """n steps between n + 1 states: what is held while they are solved for."""
+    """n steps between n + 1 states, with what is fixed during a solve."""
 
     steps: Steps
     half_log_det: float
@@ -49,7 +49,7 @@ NO_FACTORS = DynamicsFactors(
 
 @dataclass(frozen=True)
 class DisturbanceLevels:
-    """How strongly the target is disturbed."""
+    """Power spectral densities of the disturbing acceleration and torque."""
 
     accel_psd: float
     torque_psd: float
@@ -58,7 +58,7 @@ class DisturbanceLevels:
 def make_factors(
     w_G: Array, J_G: Array, J_noise: Array, dt_s: Array, noise: DisturbanceLevels
 ) -> DynamicsFactors:
-    """n steps from the rates (n, 3) at their starts; J_noise (3, 3) is what the disturbances act on."""
+    """n steps with the rates (n, 3) at their starts; the disturbing torque acts on J_noise (3, 3)."""
     if len(dt_s) == 0:
         return NO_FACTORS
     W_t, W_r, half_log = whitening(w_G, J_noise, dt_s, noise.accel_psd, noise.torque_psd)

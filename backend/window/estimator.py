@@ -1,4 +1,4 @@
-"""The sliding window: frame by frame, the causal state with its covariance, in bounded time and memory."""
+"""The sliding window: the causal state with its covariance, frame by frame, in bounded time and memory."""
 
 import logging
 
@@ -21,14 +21,15 @@ from polhode.config.backend import Backend
 from polhode.lie import Array
 
 REESTIMATION_FRAMES = (6, 12, 24, 48, 96, 192, 384, 768)
-"""Numbers of frames at which other inertias are tried, while the history lasts."""
+"""Numbers of frames at which noise levels are estimated and other inertias tried, while the history is
+kept."""
 MIN_FRAMES_FOR_LEVELS = 20
-"""Frames that tell something about disturbances."""
+"""Number of frames from which the level of the disturbances is estimated."""
 FIRST_FRAMES = 3
 MAX_CONTRADICTED = 0.5
-"""Share of the observations; above it the motion that was found is none."""
+"""Share of contradicting observations above which the estimated motion is rejected."""
 KNOWN = 0.02
-"""Standard deviation of k1, k2 at which the inertia is good enough for an arrival cost."""
+"""Standard deviation of k1, k2 below which the inertia is good enough for an arrival cost."""
 
 _log = logging.getLogger(__name__)
 
@@ -37,8 +38,8 @@ class SlidingWindow:
     """Causal estimator: ``add`` each frame as it comes.
 
     Unknowns: the states of the latest ``frames`` frames, the poses of at most ``key_frames`` earlier ones,
-    com_G and the inertia; landmarks are eliminated. What leaves goes to an arrival cost by marginalization.
-    The first ``history`` frames are solved as a whole, and those that follow until the inertia is known.
+    com_G and the inertia; landmarks are eliminated. Older unknowns are marginalized into an arrival cost. The
+    first ``history`` frames, and further ones until the inertia is known, are solved as a whole.
     """
 
     def __init__(self, rig: RectifiedRig, config: Backend, camera: CameraNoise | None = None) -> None:
@@ -56,7 +57,7 @@ class SlidingWindow:
         self.state = initial_estimator_state(rig, config, self._camera)
 
     def add(self, m: FrameMeasurements) -> OnlineState:
-        """Take one frame, later than all before; its state as known now."""
+        """Add one frame, later than all before; returns its state as known now."""
         if self._first_ns is None:
             self._first_ns = m.timestamp_ns
         time_s = (m.timestamp_ns - self._first_ns) * 1e-9
@@ -102,14 +103,14 @@ class SlidingWindow:
         return online
 
     def _drop_history(self, state: EstimatorState, history: History) -> None:
-        """From now on an arrival cost stands for the history."""
+        """Replace the history by an arrival cost."""
         expand_arrival(state, history)
         for frame in (*state.active.keys, state.active.recent[0]):
             frame.fix_linearization()
         state.history = None
 
     def _reestimate(self, state: EstimatorState, history: History) -> None:
-        """What is held while solving is estimated anew: noise, disturbances, the basin of the inertia."""
+        """Estimate what is fixed while solving: noise, disturbances, the choice among inertias."""
         estimate_noise(state)
         solve_history(state, history)
         if self._config.process_noise == "estimated" and len(history.frames) >= MIN_FRAMES_FOR_LEVELS:
@@ -118,7 +119,7 @@ class SlidingWindow:
         solve_history(state, history)
 
     def _begin(self, m: FrameMeasurements, time_s: float) -> OnlineState:
-        """The first frame with measurements: nothing is known of the motion."""
+        """Start with the first frame with measurements: the motion is still unknown."""
         state = self.state
         if len(m.landmark) < FIRST_FRAMES:
             return unknown_state(m.timestamp_ns, m.X_NR)
@@ -130,7 +131,7 @@ class SlidingWindow:
         return unknown_state(m.timestamp_ns, m.X_NR, frame, state.active.constants[:3])
 
     def _wait(self, m: FrameMeasurements, time_s: float) -> OnlineState:
-        """The frame cannot be placed yet. When that goes on, the first ones were at fault: begin anew."""
+        """The frame cannot be located yet. If this continues, the first frames are wrong: restart."""
         self._missed += len(m.landmark) >= FIRST_FRAMES
         active = self.state.active
         online = unknown_state(m.timestamp_ns, m.X_NR, active.recent[-1], active.constants[:3])
@@ -139,7 +140,7 @@ class SlidingWindow:
         return online
 
     def _restart(self, m: FrameMeasurements, time_s: float, why: str) -> OnlineState:
-        """Forget all: from here on the frame G is another one."""
+        """Forget everything and start again, with a new frame G."""
         level = logging.WARNING if self.state.inertia_known else logging.INFO
         _log.log(level, "sliding window: restarted at %.2f s, %s", time_s, why)
         self._missed, self.state = 0, initial_estimator_state(self._rig, self._config, self._camera)

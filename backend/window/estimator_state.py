@@ -1,4 +1,4 @@
-"""All that the window believes at a moment; the steps of the estimator work on it."""
+"""The state of the sliding-window estimator: frames, landmarks, constants and noise levels."""
 
 from dataclasses import dataclass, field
 from operator import is_
@@ -30,12 +30,12 @@ from polhode.lie import Array
 from polhode.quaternion import matrix_from_wxyz
 
 GAUGE_SIGMA = 1e-5
-"""How firmly G is held at the first frame [rad, radii of the target]."""
+"""Standard deviation with which G is fixed at the first frame [rad, radii of the target]."""
 
 
 @dataclass
 class EstimatorState:
-    """Frames, landmarks, constants, and the levels of noise they are weighed with."""
+    """Frames, landmarks and constants, and the noise levels that weight them."""
 
     rig: RectifiedRig
     robust_scale: float
@@ -44,7 +44,7 @@ class EstimatorState:
     landmarks: LandmarkSlots = field(default_factory=LandmarkSlots)
     active: ActiveWindow = field(default_factory=ActiveWindow)
     history: History | None = None
-    """until the number of frames outgrows it"""
+    """the first frames as a whole; None once an arrival cost has replaced them"""
     R_inertia: Array = field(default_factory=lambda: np.eye(3))
     weak_prior: Array = field(default_factory=lambda: np.zeros(13))
     """parameters of ``kernels.prior_kernel``"""
@@ -52,9 +52,9 @@ class EstimatorState:
     """factors on the stated standard deviations of u, v and disparity"""
     camera: CameraNoise = field(default_factory=CameraNoise)
     inertia_known: bool = False
-    """Both ratios were determined at the last frame"""
+    """whether both ratios were determined at the last frame"""
     contradicted: float = 0.0
-    """Share of the observations that the last solution does not agree with"""
+    """share of the observations that contradict the last solution"""
     last: LastInformation | None = None
     """about the newest state and the constants"""
 
@@ -79,13 +79,14 @@ class EstimatorState:
     def J_noise(self) -> Array:
         """(3, 3) inertia by which a torque disturbs the rates: a sphere's until the ratios are determined.
 
-        Else a guess that is too long loosens the dynamics about its axis, and nothing speaks against it then.
+        Otherwise a guess that is too elongated weakens the dynamics about its axis, so that no residual
+        contradicts it.
         """
         return self.J_G if self.inertia_known else np.eye(3)
 
     def observations(self) -> Observations:
-        """What the frames see of landmarks that are seen again."""
-        # whatever changes what a frame sees gives it another array of these
+        """Observations of the landmarks that are seen more than once."""
+        # any change of the observations of a frame replaces this array
         now = [frame.inv_sigma for frame in self.active.frames]
         same = len(now) == len(self._gathered) and all(map(is_, now, self._gathered))
         if self._observations is None or not same:
@@ -96,16 +97,16 @@ class EstimatorState:
         return self._observations
 
     def condensed(self, observations: Observations) -> CondensedVision:
-        """Vision at the present unknowns, landmarks eliminated."""
+        """The observations linearized at the present unknowns, landmarks eliminated."""
         p_G = self.landmarks.p_G[observations.slot]
         return condense(
             observations, poses_of(self.active.frames), self.rig_vector, p_G, self.robust_scale, self.gain
         )
 
     def move_landmarks(self, condensed: CondensedVision, step: Array, n_fixed: int = 0) -> None:
-        """They follow the step (6 F,) of the poses; those seen once follow their frame.
+        """Move the landmarks with the step (6 F,) of the poses; those seen once move with their frame.
 
-        The first ``n_fixed`` frames keep their reference attitudes: an arrival cost depends on them.
+        The first ``n_fixed`` frames keep their reference attitudes, on which an arrival cost depends.
         """
         slot = condensed.observations.slot
         self.landmarks.p_G[slot] += condensed.landmark_steps(step)
@@ -122,7 +123,7 @@ class EstimatorState:
         self.landmarks.p_G[slot[once]] = np.einsum("mji,mj->mi", poses.A[of], p_N)
 
     def update_weak_prior(self) -> float:
-        """The centre of mass is expected in the middle of the landmarks. Returns their radius [m]."""
+        """Expect the centre of mass in the middle of the landmarks. Returns their radius [m]."""
         p_G = self.landmarks.p_G[self.landmarks.used]
         middle = geometric_median(p_G)
         radius = float(np.sqrt(np.median(np.sum((p_G - middle) ** 2, axis=1))))
@@ -131,18 +132,18 @@ class EstimatorState:
         return radius
 
     def recenter_inertia(self) -> None:
-        """The same inertia about a reference of its own; only while nothing else depends on the reference."""
+        """Move the reference of the inertia to its value, while nothing else depends on the reference."""
         xi, R_inertia = self.shape.form.coordinates(self.shape.form.second_moments(self.xi, self.R_inertia))
         self.set_inertia(xi, R_inertia)
 
     def set_inertia(self, xi: Array, R_inertia: Array) -> None:
-        """Another inertia."""
+        """Set another inertia."""
         self.R_inertia = R_inertia
         self.weak_prior[4:] = R_inertia.T.ravel()
         self.active.constants = np.concatenate([self.active.constants[:3], xi])
 
     def gauge_information(self, radius_m: float) -> Array:
-        """(6,) of the hold on the first pose."""
+        """(6,) information of the prior on the first pose."""
         return np.repeat([(GAUGE_SIGMA * max(radius_m, 1e-3)) ** -2, GAUGE_SIGMA**-2], 3)
 
     def predict(self, time_s: float) -> tuple[Array, Array]:
@@ -158,7 +159,7 @@ class EstimatorState:
         return np.concatenate([r_N - R_NG @ com_G, np.zeros(3), last.x[6:9], w_after[0]]), R_NG
 
     def add_newest_factor(self) -> None:
-        """The step to the newest state, whitened at the present rates."""
+        """Add the dynamics to the newest state, whitened at the present rates."""
         before, frame = self.active.recent[-2:]
         dt_s = np.array([frame.time_s - before.time_s])
         factor = make_factors(before.x[None, 9:12], self.J_G, self.J_noise, dt_s, self.disturbances)
@@ -166,7 +167,7 @@ class EstimatorState:
 
 
 def initial_estimator_state(rig: RectifiedRig, config: Backend, camera: CameraNoise) -> EstimatorState:
-    """Nothing seen yet: the inertia of a sphere."""
+    """State before the first frame, with the inertia of a sphere."""
     shape = InertiaModel(config.inertia)
     state = EstimatorState(
         rig, config.robust_scale, shape, DisturbanceLevels(config.accel_psd, config.torque_psd)

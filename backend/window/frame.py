@@ -1,4 +1,4 @@
-"""What goes into the window, frame by frame, and a frame while the window holds it."""
+"""Measurements of a frame as they enter the window, and a frame while the window keeps it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, StereoTracks
 
 EXACT = 1e-6
-"""Standard deviation [m, rad] that stands for none, where the other one is not."""
+"""Standard deviation [m, rad] that is used for an exact component if the other one is noisy."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class FrameMeasurements:
     X_NR: Array
     """(4, 4) pose of the rectified left camera in N"""
     landmark: Ints
-    """(m,) which landmarks are seen, any numbers, each once"""
+    """(m,) identifiers of the landmarks that are seen, each once"""
     uvd_px: Array
     """(m, 3)"""
     sigma_px: Array
@@ -46,12 +46,12 @@ def frames_of(tracks: StereoTracks) -> Iterator[FrameMeasurements]:
 
 @dataclass(frozen=True)
 class CameraNoise:
-    """Standard deviations of the inspector's stated poses; both 0: exact."""
+    """Standard deviations of the inspector's stated poses; both 0: they are exact."""
 
     sigma_p_m: float = 0.0
     sigma_theta_rad: float = 0.0
     X_BR: Array = field(default_factory=lambda: np.eye(4))
-    """(4, 4) rectified left camera in the inspector's body"""
+    """(4, 4) pose of the rectified left camera in the inspector's body"""
 
     @property
     def exact(self) -> bool:
@@ -75,37 +75,37 @@ class CameraNoise:
 
 
 def camera_noise_of(tracks: StereoTracks) -> CameraNoise:
-    """As the sequence states it."""
+    """The camera noise that the sequence states."""
     return CameraNoise(tracks.sigma_camera_p_m, tracks.sigma_camera_theta_rad, tracks.X_BR)
 
 
 @dataclass
 class Frame:
-    """A frame that the window holds: what is measured in it, and its state."""
+    """A frame in the window: its measurements and its state."""
 
     number: int
-    """counts the frames that came"""
+    """number of the frame in the sequence"""
     time_s: float
     R_RN: Array
     """(3, 3)"""
     t_R: Array
     """(3,) origin of N in R [m]"""
     slot: Ints
-    """(m,) ascending: where the window keeps the landmark"""
+    """(m,) ascending: slots of the landmarks"""
     uvd_px: Array
     """(m, 3)"""
     inv_sigma: Array
     """(m, 3) [1/px]"""
     R_ref: Array
-    """(3, 3) theta turns it"""
+    """(3, 3) reference attitude, which theta rotates"""
     x: Array
     """(12,) p_NG, theta, v_N, w_G; changed in place only"""
     camera_information: Array | None = None
-    """(6, 6) of the seen pose minus the true one; None: the camera's own pose is exact"""
+    """(6, 6) information on the seen pose minus the true one; None: the camera's pose is exact"""
     seen: Array = field(init=False)
-    """(6,) p_NG, theta as the camera sees it from where it is said to be; without noise a part of x"""
+    """(6,) p_NG, theta as seen from the stated camera pose; without camera noise a view of x"""
     linearized_at: Array | None = None
-    """(6,) the seen pose at which vision is linearised, once the arrival cost depends on it"""
+    """(6,) the seen pose at which the observations are linearized, once the arrival cost depends on it"""
 
     def __post_init__(self) -> None:
         self.seen = self.x[:6] if self.camera_information is None else self.x[:6].copy()
@@ -121,7 +121,7 @@ class Frame:
         return make_pose(self.R_ref @ rotation_matrices(self.seen[None, 3:6])[0], self.seen[:3])
 
     def recenter(self) -> None:
-        """Make the present attitude the reference, as long as nothing else depends on the reference."""
+        """Make the present attitude the reference, unless something else depends on the reference."""
         if self.linearized_at is None and np.any(self.x[3:6]):
             R_NG, R_seen = self.R_NG, self.X_NG_seen[:3, :3]
             self.R_ref, self.x[3:6] = R_NG, 0.0
@@ -129,12 +129,12 @@ class Frame:
                 self.seen[3:6] = log_so3(R_NG.T @ R_seen)
 
     def fix_linearization(self) -> None:
-        """From now on vision is linearised at the present pose (first-estimate Jacobians)."""
+        """From now on linearize the observations at the present pose (first-estimate Jacobians)."""
         if self.linearized_at is None:
             self.linearized_at = self.seen.copy()
 
     def keep(self, chosen: Bools) -> None:
-        """Leave out the observations that are not ``chosen`` (m,)."""
+        """Keep only the ``chosen`` observations (m,)."""
         self.slot, self.uvd_px, self.inv_sigma = (
             self.slot[chosen],
             self.uvd_px[chosen],
@@ -149,5 +149,5 @@ def camera_of(X_NR: Array) -> tuple[Array, Array]:
 
 
 def states_of(frames: list[Frame]) -> Array:
-    """(F, 12)"""
+    """States (F, 12) of the frames."""
     return np.stack([frame.x for frame in frames]) if frames else np.zeros((0, N_STATE))

@@ -1,10 +1,10 @@
-"""The first frames of a run as a whole, without their landmarks: as long as the inertia may be a guess.
+"""The first frames of a run as a whole, without their landmarks, until the inertia is known.
 
-An arrival cost is expanded about the inertia of its time, and an inertia found late would leave it wrong and
-confident. So the states of the first frames stay until the inertia is known. What leaves is only the vision
-of frames that are not key frames, condensed to information on the poses, which knows nothing of the inertia.
-When there are too many frames, the one with the closest neighbours goes, and one longer step of the dynamics
-takes the place of two.
+An arrival cost is expanded about the inertia at its time; if the inertia changes later the arrival cost is
+wrong and overconfident. Therefore the states of the first frames are kept until the inertia is known. Only
+the observations of frames that are not key frames are marginalized, as information on the poses, which does
+not depend on the inertia. If there are too many frames, the one with the closest neighbours is removed, and
+one longer step of the dynamics replaces two.
 """
 
 from dataclasses import dataclass
@@ -29,45 +29,45 @@ from polhode.lie import Array
 from polhode.records import Ints
 
 OPEN = 1e-9
-"""Information on a direction of a pose, over that on the best known one, that is none."""
+"""Information on a direction of a pose, relative to the best known one, that counts as none."""
 
 
 @dataclass(frozen=True)
 class HistoryVision:
-    """What all vision says about the true states, and how the seen poses follow them."""
+    """Information from all observations on the true states, and how the seen poses follow them."""
 
     quadratic: Quadratic
-    """about the states of N frames and the constants (12 N + 8,)"""
+    """information on the states of N frames and the constants (12 N + 8,)"""
     poses: Ints
-    """(6 N,) where their poses stand"""
+    """(6 N,) entries of their poses"""
     elimination: Elimination | None
-    """of the seen poses; None: they are the true ones"""
+    """elimination of the seen poses; None: they are the true ones"""
 
     def seen_steps(self, step: Array) -> Array:
-        """(6 N,) of the seen poses, from the step (12 N + 8,) of the unknowns."""
+        """Steps (6 N,) of the seen poses, from the step (12 N + 8,) of the unknowns."""
         at_poses = step[self.poses]
         return at_poses if self.elimination is None else self.elimination.follow(at_poses)
 
 
 class History:
-    """States of all frames so far, and what vision that is no longer active said about their poses."""
+    """States of all frames so far, and information on their poses from marginalized observations."""
 
     def __init__(self, first: Frame, gauge_information: Array) -> None:
-        """gauge_information (6,): how firmly G is held at the first frame's true pose."""
+        """gauge_information (6,): the prior that fixes G at the true pose of the first frame."""
         self.frames: list[Frame] = [first]
         self.n_added = 1
-        """frames so far, those that went included"""
+        """number of frames so far, including removed ones"""
         self._gauge, self._first = gauge_information, first.x[:N_POSE].copy()
         self._H, self._b = np.zeros((N_POSE, N_POSE)), np.zeros(N_POSE)
         self.steps: DynamicsFactors = NO_FACTORS
-        """between all frames, as they were solved for last"""
+        """dynamics between all frames at the last solution"""
 
     @property
     def noisy_camera(self) -> bool:
         return self.frames[0].camera_information is not None
 
     def append(self, frame: Frame) -> None:
-        """A new frame, the window's own object: its state is shared."""
+        """Add a new frame; its state is shared with the window."""
         n = len(self._b)
         H = np.zeros((n + N_POSE, n + N_POSE))
         H[:n, :n] = self._H
@@ -76,7 +76,7 @@ class History:
         self.n_added += 1
 
     def thin(self, active: ActiveWindow, most: int) -> None:
-        """Leave out states until ``most`` are left; never the first one, nor those that are active."""
+        """Remove states until ``most`` are left; never the first one, nor active ones."""
         stay = {self.frames[0].number, *(frame.number for frame in active.frames)}
         while len(self.frames) > most:
             time_s = np.array([frame.time_s for frame in self.frames])
@@ -87,12 +87,12 @@ class History:
             self._leave_out(1 + int(np.argmin(np.where(free, gap_s, np.inf))))
 
     def _leave_out(self, n: int) -> None:
-        """What vision says of the other poses stays, whatever the pose of frame n is."""
+        """Remove frame n; its pose is eliminated from the information on the other poses."""
         gone = np.arange(N_POSE * n, N_POSE * (n + 1))
         kept = others(gone, len(self._b))
         own, across = self._H[np.ix_(gone, gone)], self._H[np.ix_(gone, kept)]
         values, vectors = np.linalg.eigh(own)
-        # few landmarks leave directions of the pose open
+        # few landmarks leave directions of the pose undetermined
         sure = values > OPEN * values[-1]
         root = vectors[:, sure] / np.sqrt(values[sure]) if values[-1] > 0.0 else np.zeros((N_POSE, 0))
         through = root.T @ across
@@ -101,13 +101,13 @@ class History:
         del self.frames[n]
 
     def absorb(self, frames: list[Frame], H: Array, g: Array) -> None:
-        """Vision that leaves the window: H, g at the present seen poses of ``frames`` (6 each)."""
+        """Add marginalized observations: H, g at the present seen poses of ``frames`` (6 each)."""
         at = self.entries(frames, N_POSE)
         add_block(self._H, at, H)
         self._b[at] += g - H @ np.concatenate([frame.seen for frame in frames])
 
     def entries(self, frames: list[Frame], stride: int = N_STATE) -> Ints:
-        """(6 F,) where the poses of ``frames`` stand among those of all, each ``stride`` long."""
+        """(6 F,) entries of the poses of ``frames`` among those of all frames, each ``stride`` long."""
         index = {frame.number: n for n, frame in enumerate(self.frames)}
         start = np.array([stride * index[frame.number] for frame in frames], dtype=np.int64)
         return np.asarray(start[:, None] + np.arange(N_POSE)).ravel()
@@ -122,7 +122,7 @@ class History:
         return np.concatenate([*(frame.x for frame in self.frames), constants])
 
     def take(self, x: Array, vision: HistoryVision) -> Array:
-        """Take the states from a vector, not the constants. Returns the steps of the seen poses (6 N,)."""
+        """Set the states from a vector, not the constants. Returns the steps of the seen poses (6 N,)."""
         step = vision.seen_steps(x - vision.quadratic.x0)
         for n, frame in enumerate(self.frames):
             frame.x[:] = x[N_STATE * n : N_STATE * (n + 1)]
@@ -131,11 +131,11 @@ class History:
         return step
 
     def _past_vision(self) -> tuple[Array, Array]:
-        """Information (6 N, 6 N) on the seen poses by vision that left, and its gradient."""
+        """Information (6 N, 6 N) on the seen poses from marginalized observations, and its gradient."""
         return self._H.copy(), self._H @ np.concatenate([frame.seen for frame in self.frames]) + self._b
 
     def vision(self, active: ActiveWindow, condensed: CondensedVision) -> HistoryVision:
-        """All vision, what left and what is active, about the present states."""
+        """Information from all observations, marginalized and active, about the present states."""
         x, n = self.vector(active.constants), N_POSE * len(self.frames)
         H, g = np.zeros((len(x), len(x))), np.zeros(len(x))
         poses = self.entries(self.frames)
@@ -166,12 +166,12 @@ class History:
     def factors(
         self, x: Array, J_G: Array, J_noise: Array, disturbances: DisturbanceLevels
     ) -> DynamicsFactors:
-        """The steps between all frames, whitened at the rates in x (``make_factors``)."""
+        """The dynamics between all frames, whitened at the rates in x (``make_factors``)."""
         w_G = x[:-N_CONSTANTS].reshape(-1, N_STATE)[:-1, 9:12]
         return make_factors(w_G, J_G, J_noise, np.diff([frame.time_s for frame in self.frames]), disturbances)
 
     def arrival(self, active: ActiveWindow, form: InertiaForm, R_inertia: Array) -> Quadratic:
-        """The arrival cost about the window's unknowns: everything but its own vision and dynamics."""
+        """The arrival cost about the window's unknowns: everything but its own observations and dynamics."""
         x, n = self.vector(active.constants), N_POSE * len(self.frames)
         n_seen = n if self.noisy_camera else 0
         size, n_old = n_seen + len(x), len(self.frames) - len(active.recent)

@@ -1,7 +1,7 @@
 """IPOPT with MUMPS on the window's program, built once for a fixed number of states and warm-started.
 
-States that are not there yet are held at 0 by a unit quadratic, and their steps weigh nothing. The unknowns
-are the changes from the start, divided by what the Hessian's diagonal says of their size.
+States that do not exist yet are fixed at 0 by a unit quadratic, and their steps have no weight. The unknowns
+are the changes from the start, scaled by the diagonal of the Hessian.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from polhode.backend.dynamics.kernels import Output, dynamics_kernel, prior_kernel
+from polhode.backend.dynamics.kernels import N_PRIOR, PLAIN, Output, dynamics_kernel, prior_kernel
 from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.backend.solvers.casadi_nlp import OPTIMAL, gather, ipopt_options, ipopt_solver, scatter
@@ -21,11 +21,12 @@ from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Ints
 
 TOLERANCE = 1e-3
-"""Largest gradient at the end: a thousandth of a standard deviation."""
+"""Largest gradient at the optimum: a thousandth of a standard deviation."""
 STATIONARY_COST_CHANGE = 1e-4
-"""Change of the cost that nobody would notice, three times in a row."""
+"""Negligible change of the cost; the iterations end after three of them in a row."""
 MAX_ITERATIONS = 40
-N_FACTOR, N_PRIOR = 71, 13
+N_FACTOR = PLAIN.n_p
+"""Parameters of a step."""
 
 
 class IpoptSolver:
@@ -34,13 +35,13 @@ class IpoptSolver:
     name = "ipopt"
 
     def __init__(self, n_frames: int) -> None:
-        """n_frames: the most states that a problem will have."""
+        """n_frames: the largest number of states of a problem."""
         self.n_frames = n_frames
         self._series = 0
         self._program: Any = None
 
     def solve(self, problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
-        """Minimise from x (12 W + 8,). The program's own limit of iterations stands."""
+        """Minimize from x (12 W + 8,), with the program's own limit of iterations."""
         del max_iterations
         series = int(problem.factors.steps.series.max(initial=1))
         if self._program is None or series > self._series:
@@ -49,13 +50,13 @@ class IpoptSolver:
         at = _Layout(self.n_frames).entries(problem.n_frames)
         before, H, _ = problem.normal_equations(x)
         size = np.ones(N_STATE * self.n_frames + N_CONSTANTS)
-        # what is hardly determined is not stretched: metres, radians and ratios of 1 are large enough
+        # the scale is limited for weakly determined unknowns: 1 m, 1 rad and ratios of 1 are large enough
         size[at] = 1.0 / np.sqrt(np.maximum(np.diagonal(H), 1.0))
         result = self._program(x0=0.0, p=_parameters(problem, x, at, size, self.n_frames))
         stats = self._program.stats()
         status = str(stats["return_status"])
         found = x + (size * np.asarray(result["x"]).ravel())[at]
-        # counted by the reference: a step into nowhere is not taken
+        # evaluated by the reference implementation: a step that diverges is not taken
         cost = problem.cost(found) if np.isfinite(found).all() else np.inf
         if not cost <= before + STATIONARY_COST_CHANGE:
             return Solution(x, before, int(stats["iter_count"]), False, f"no decrease: {status}")
@@ -64,7 +65,7 @@ class IpoptSolver:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where things stand among the unknowns: states of ``n_frames`` frames, then the constants."""
+    """Layout of the unknowns: states of ``n_frames`` frames, then the constants."""
 
     n_frames: int
 
@@ -79,7 +80,7 @@ class _Layout:
         return rows, cols
 
     def entries(self, n_frames: int) -> Ints:
-        """Of a problem with fewer states."""
+        """Entries of a problem with fewer states."""
         of_constants = np.arange(self.size - N_CONSTANTS, self.size)
         return np.concatenate([np.arange(N_STATE * n_frames), of_constants])
 
@@ -141,19 +142,19 @@ def _parameters(problem: WindowProblem, x: Array, at: Ints, size: Array, n_frame
     q[at] = problem.vision.gradient(x)
     Q[np.ix_(at, at)] = problem.vision.H
     factors = np.zeros((n_factors, N_FACTOR))
-    factors[:, [0, 4, 8, 9, 13, 17, 27, 31]] = 1.0
-    factors[:, 18:27] = problem.weak_prior[4:13]
+    # steps between states that do not exist yet: no rotation in 1 s, no weight
+    identity = np.eye(3).ravel()
+    factors[:, PLAIN.R_BEFORE] = factors[:, PLAIN.R_AFTER] = identity
+    factors[:, PLAIN.Q_BETWEEN] = 1.0, 0.0, 0.0, 0.0
+    factors[:, PLAIN.DT] = 1.0
+    factors[:, PLAIN.R_INERTIA] = problem.weak_prior[4:13]
     steps, R, m = problem.factors.steps, problem.R_ref, len(problem.factors)
     by_columns = np.swapaxes(R, 1, 2).reshape(-1, 9)
-    factors[:m, 0:9], factors[:m, 9:18] = by_columns[:-1], by_columns[1:]
-    factors[:m, 27:31] = wxyz_from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:])
-    factors[:m, 31] = steps.dt_s
-    factors[:m, 32], factors[:m, 33], factors[:m, 34] = (
-        steps.W_t[:, 0, 0],
-        steps.W_t[:, 1, 0],
-        steps.W_t[:, 1, 1],
-    )
-    factors[:m, 35:71] = np.swapaxes(steps.W_r, 1, 2).reshape(-1, 36)
+    factors[:m, PLAIN.R_BEFORE], factors[:m, PLAIN.R_AFTER] = by_columns[:-1], by_columns[1:]
+    factors[:m, PLAIN.Q_BETWEEN] = wxyz_from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+    factors[:m, PLAIN.DT] = steps.dt_s
+    factors[:m, PLAIN.W_T] = steps.W_t[:, [0, 1, 1], [0, 0, 1]]
+    factors[:m, PLAIN.W_R] = np.swapaxes(steps.W_r, 1, 2).reshape(-1, 36)
     scaled = (size[:, None] * Q * size).ravel()
     return np.concatenate([start, size, size * q, scaled, factors.ravel(), problem.weak_prior])
 

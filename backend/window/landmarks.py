@@ -1,4 +1,4 @@
-"""The landmarks that the window knows: a bounded set of slots, given back when no frame sees them."""
+"""The landmarks of the window, in a bounded set of slots that are released when no frame sees them."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ FIRST_SLOTS = 1024
 
 
 class LandmarkSlots:
-    """Where each landmark is kept, its position in G and how well it is known."""
+    """Slot, position in G and covariance of each landmark."""
 
     def __init__(self) -> None:
         self._slot_of: dict[int, int] = {}
@@ -17,26 +17,26 @@ class LandmarkSlots:
         self.name: Ints = np.zeros(FIRST_SLOTS, np.int64)
         self.p_G: Array = np.zeros((FIRST_SLOTS, 3))
         self.covariance: Array = np.zeros((FIRST_SLOTS, 3, 3))
-        """[m^2] the poses given"""
+        """[m^2] given the poses"""
         self.views: Ints = np.zeros(FIRST_SLOTS, np.int64)
-        """observations in the frames that the window holds"""
+        """number of observations in the frames of the window"""
         self.refused: Ints = np.zeros(FIRST_SLOTS, np.int64)
-        """observations that contradicted it since one last agreed"""
+        """number of contradicting observations since the last one that agreed"""
 
     def __len__(self) -> int:
         return len(self.p_G)
 
     @property
     def used(self) -> Ints:
-        """Slots that hold a landmark."""
+        """Slots in use."""
         return np.flatnonzero(self.views > 0)
 
     def find(self, names: Ints) -> Ints:
-        """Slot of each landmark (m,); -1 when it is not known."""
+        """Slot of each landmark (m,); -1 if it is not known."""
         return np.array([self._slot_of.get(int(name), -1) for name in names], dtype=np.int64)
 
     def take(self, names: Ints) -> Ints:
-        """New slots (m,) for landmarks that are not known."""
+        """Allocate slots (m,) for new landmarks."""
         while len(self._free) < len(names):
             self._grow()
         slots = np.array([self._free.pop() for _ in names], dtype=np.int64)
@@ -45,7 +45,7 @@ class LandmarkSlots:
         return slots
 
     def leave(self, slots: Ints) -> None:
-        """One observation less of each; what nobody sees any more is forgotten."""
+        """Remove one observation of each; landmarks without observations are forgotten."""
         self.views[slots] -= 1
         for slot in slots[self.views[slots] == 0].tolist():
             del self._slot_of[int(self.name[slot])]

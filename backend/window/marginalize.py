@@ -1,4 +1,4 @@
-"""Frames leave the window: key frames are chosen, what the others saw goes to the arrival cost."""
+"""Frames leave the window: key frames are selected, the observations of others are marginalized."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from polhode.lie import Array
 
 
 def shrink_window(state: EstimatorState, n_recent: int, n_keys: int) -> None:
-    """Keep the latest states and the most valuable key poses, in these numbers."""
+    """Keep the latest states and the most valuable key poses, at most these numbers."""
     active = state.active
     while len(active.recent) > n_recent:
         dropped = least_valuable(state) if len(active.keys) >= n_keys else None
@@ -26,10 +26,10 @@ def shrink_window(state: EstimatorState, n_recent: int, n_keys: int) -> None:
 
 
 def least_valuable(state: EstimatorState) -> int:
-    """Among the keys and the oldest recent frame: whose landmarks are seen by the most other frames.
+    """Of the key frames and the oldest recent frame, the one whose landmarks are seen most in other frames.
 
-    Each observation counts as the share that it is of those of its landmark: a frame that shows a side of
-    the target that no other shows is worth its number of landmarks.
+    Each observation counts with its share of the observations of its landmark: a frame that shows a side of
+    the target that no other frame shows has its number of landmarks as value.
     """
     candidates = [*state.active.keys, state.active.recent[0]]
     worth = [np.sum(1.0 / state.landmarks.views[frame.slot]) for frame in candidates]
@@ -37,9 +37,9 @@ def least_valuable(state: EstimatorState) -> int:
 
 
 def _marginalize(state: EstimatorState, dropped: int | None) -> None:
-    """The oldest state's velocities and its step go to the arrival cost; its pose becomes a key.
+    """Marginalize velocities and step of the oldest state into the arrival cost; its pose becomes a key.
 
-    ``dropped``: a key, or the one it becomes, of which nothing stays.
+    ``dropped``: index of a key, or of the new one, that is marginalized completely.
     """
     active = state.active
     parts = [active.oldest_step(state.shape.form, state.R_inertia), *active.camera_parts(1)]
@@ -55,7 +55,7 @@ def _marginalize(state: EstimatorState, dropped: int | None) -> None:
 
 
 def _condense(state: EstimatorState, k: int) -> tuple[Array, Array]:
-    """Information on all poses, and its gradient, by what frame k alone sees."""
+    """Information on all poses, and its gradient, from the observations of frame k alone."""
     frames = state.active.frames
     poses = poses_of(frames)
     observations = _without_contradictions(state, k, state.observations().common_with(k), poses)
@@ -69,7 +69,7 @@ def _condense(state: EstimatorState, k: int) -> tuple[Array, Array]:
 def _without_contradictions(
     state: EstimatorState, k: int, observations: Observations, poses: FramePoses
 ) -> Observations:
-    """Observations of frame k beyond the gate leave, with nothing said."""
+    """The observations without the landmarks whose residual in frame k exceeds the gate."""
     r = residuals(observations, poses, state.rig_vector, state.landmarks.p_G[observations.slot])
     wrong = (observations.frame == k) & (np.sum(r**2, axis=1) > GATE**2)
     bad = np.zeros(len(observations.slot), bool)

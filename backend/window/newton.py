@@ -1,4 +1,4 @@
-"""Gauss-Newton on the window's program, damped where the centre of mass and the inertia would go too far."""
+"""Gauss-Newton on the window's program, with damping of the centre of mass and the inertia."""
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -10,24 +10,24 @@ from polhode.backend.window.problem import WindowProblem
 from polhode.lie import Array
 
 AT_REST = 1e-3
-"""Difference of the cost, half a squared number of standard deviations, that nobody would notice."""
+"""Negligible difference of the cost, which is half a squared number of standard deviations."""
 DAMPINGS = (0.0, 1e-1, 1e1, 1e3, 1e5)
-"""Of the constants, in units of ``CONSTANT_SCALE``."""
+"""Damping of the constants, in units of ``CONSTANT_SCALE``."""
 SHORTEST = 1e-3
-"""Share of a step that is tried last."""
+"""Smallest fraction of a step that is tried."""
 
 
 class NewtonSolver:
     """Reference solver; near the solution one step is enough.
 
-    Given the constants the states are almost linear, and where frames follow fast they are stiff: only the
-    constants are damped, the states follow them freely. When that is not enough the step is shortened.
+    Given the constants the states are almost linear, and stiff at high frame rates: only the constants are
+    damped, the states follow them freely. If that is not enough the step is shortened.
     """
 
     name = "gauss_newton"
 
     def solve(self, problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
-        """Minimise from x (12 W + 8,). Ends when the cost after a step is what its quadratic model said."""
+        """Minimize from x (12 W + 8,), until the cost after a step agrees with its quadratic model."""
         level, iteration = 0, 0
         cost, H, g = problem.normal_equations(x)
         candidate = cost
@@ -48,7 +48,7 @@ class NewtonSolver:
 def _descending_step(
     problem: WindowProblem, x: Array, cost: float, H: Array, g: Array, level: int
 ) -> tuple[Array | None, float, int]:
-    """A step after which the cost is no higher, that cost, and the level of damping that it took."""
+    """A step after which the cost is no higher, that cost, and the level of damping that was needed."""
     step = None
     for tried in range(level, len(DAMPINGS)):
         step = _damped_step(H, g, DAMPINGS[tried])

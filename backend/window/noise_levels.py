@@ -41,7 +41,7 @@ Grid = tuple[int, int]
 
 
 def estimate_levels(state: EstimatorState, history: History, stated: tuple[float, float]) -> None:
-    """Take the most likely accel_psd and torque_psd, from those stated."""
+    """Set the most likely accel_psd and torque_psd, starting from those stated."""
     vision = history.vision(state.active, state.condensed(state.observations())).quadratic
     x = history.vector(state.active.constants)
 
@@ -107,7 +107,7 @@ def estimate_noise(state: EstimatorState) -> None:
 
 
 def taken_by_fit(state: EstimatorState, observations: Observations, p_G: Array) -> Array:
-    """Share (M, 3) of each residual's freedom that landmarks and poses take."""
+    """Share (M, 3) of the freedom of each residual that is used by landmarks and poses."""
     frames = state.active.frames
     poses = poses_of(frames)
     A, k = poses.A[observations.frame], observations.frame
@@ -119,6 +119,6 @@ def taken_by_fit(state: EstimatorState, observations: Observations, p_G: Array) 
     J = observations.inv_sigma[:, :, None] * (D @ A)
     information = np.add.reduceat(np.swapaxes(J, 1, 2) @ J, observations.start[:-1], axis=0)
     taken = np.einsum("mij,mjk,mik->mi", J, np.linalg.inv(information)[observations.landmark], J)
-    # the poses are fitted to u and v: six numbers for the two of each observation
+    # the poses are fitted to u and v: six unknowns for the two numbers of each observation
     taken[:, :2] += min(3.0 * len(frames) / len(k), MAX_TAKEN_BY_POSES)
     return np.asarray(taken)

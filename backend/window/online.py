@@ -1,4 +1,4 @@
-"""The sliding window over a whole sequence: what was known when each frame came."""
+"""The sliding window over a whole sequence: the causal estimate at each frame."""
 
 import logging
 from dataclasses import replace
@@ -19,14 +19,14 @@ from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks
 from polhode.threads import single_threaded
 
 ALIGNED_FRAMES = 10
-"""Last frames by whose poses the causal G and the final one are laid on each other."""
+"""Number of last frames by whose poses the causal frame G is aligned with the final one."""
 
 _log = logging.getLogger(__name__)
 
 
 @single_threaded
 def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -> OnlineEstimate:
-    """Feed the frames in the order of time. A row depends on what its frame and earlier ones show."""
+    """Process the frames in the order of time. A row depends only on its frame and earlier ones."""
     window = SlidingWindow(tracks.rig, config, camera_noise_of(tracks))
     states, seconds = [], []
     with progress.stage("sliding window", tracks.n_frames) as advance:
@@ -40,7 +40,7 @@ def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -
 
 
 def window_warnings(n_frames: int, config: Backend) -> list[str]:
-    """What of the settings does not fit the sequence; one line each."""
+    """Warnings about settings that do not suit the sequence, one line each."""
     window = config.window
     if not window.enabled or window.frames <= n_frames:
         return []
@@ -51,7 +51,7 @@ def window_warnings(n_frames: int, config: Backend) -> list[str]:
 
 
 def stack_states(states: list[OnlineState]) -> OnlineEstimate:
-    """One record of all rows."""
+    """One record of the states of all frames."""
     return OnlineEstimate(
         timestamps_ns=np.array([s.timestamp_ns for s in states], dtype=np.int64),
         r_N=np.stack([s.r_N for s in states]),
@@ -71,10 +71,11 @@ def stack_states(states: list[OnlineState]) -> OnlineEstimate:
 
 
 def align_online_estimate(online: OnlineEstimate, final: MotionEstimate) -> OnlineEstimate:
-    """The same estimate in the frame G and with the half-turns of the final one: names only, no number gains.
+    """Express the causal estimate in the frame G and with the half-turns of the final one.
 
-    Each row takes the half-turn of the axes that lies nearest to the final attitude at its frame. The two
-    frames G differ by a constant: the mean over the last frames is taken.
+    This changes conventions only and adds no information. Each row takes the half-turn of the axes that is
+    nearest to the final attitude at its frame. The two frames G differ by a constant: the mean over the last
+    frames is taken.
     """
     last = slice(-ALIGNED_FRAMES, None)
     X = inverse_pose(final.X_NG[last]) @ online.X_NG[last]
@@ -98,7 +99,7 @@ def align_online_estimate(online: OnlineEstimate, final: MotionEstimate) -> Onli
 
 
 def _turned(covariance: Array, R: Array) -> Array:
-    """(F, 3, 3) in other axes; a component with a share of an undetermined one is undetermined."""
+    """Covariances (F, 3, 3) in other axes; components that involve an undetermined one are undetermined."""
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     lost = ~np.isfinite(variance)
     finite = np.where(lost[:, :, None] | lost[:, None, :], 0.0, covariance)

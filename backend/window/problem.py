@@ -16,7 +16,7 @@ from polhode.lie import Array
 
 
 class InertiaModel:
-    """A form of the inertia and the weak prior about it; built once."""
+    """The parametrization of the inertia and the weak prior on it, whose kernel is built once."""
 
     def __init__(self, name: str) -> None:
         self.form: InertiaForm = FORMS[name]
@@ -25,7 +25,7 @@ class InertiaModel:
 
     def weak_prior(self, x: Array, parameters: Array) -> tuple[float, Array, Array]:
         """Cost, gradient (8,) and Hessian (8, 8) of the weak prior on com_G and xi."""
-        # a step asks for it at the same point again and again
+        # it is evaluated repeatedly at the same point
         at = x[-N_CONSTANTS:].tobytes() + parameters.tobytes()
         if self._known is None or self._known[0] != at:
             self._known = at, self._evaluated(x, parameters)
@@ -47,14 +47,14 @@ class WindowProblem:
 
         1/2 (x - x0)^T Q (x - x0) + q^T (x - x0)                 vision, landmarks and key poses eliminated,
                                                                  and the arrival cost
-      + 1/2 sum_k || W_k [ r_k+1 - r_k - dt v_k; v_k+1 - v_k;    dynamics, as ``program.MotionProgram``
+      + 1/2 sum_k || W_k [ r_k+1 - r_k - dt v_k; v_k+1 - v_k;    dynamics, as ``ipopt.MotionProgram``
                            Log(dR_k^T R_k^T R_k+1); w_k+1 - w'_k ] ||^2
       + 1/2 || (com - middle) / s ||^2 + 1/2 || 3 Sigma(xi) / tr Sigma(xi) - I ||^2      weak prior
     """
 
     vision: Quadratic
     R_ref: Array
-    """(W, 3, 3) the states' theta turn these"""
+    """(W, 3, 3) reference attitudes, which the theta of the states rotate"""
     factors: DynamicsFactors
     weak_prior: Array
     """(13,) parameters of ``kernels.prior_kernel``"""
@@ -71,7 +71,7 @@ class WindowProblem:
 
     def cost(self, x: Array) -> float:
         """The objective."""
-        # a wild step may leave the range of the exponential: it is refused like any other
+        # a very long step may overflow: it is rejected like any other
         with np.errstate(over="ignore", invalid="ignore"):
             try:
                 r = factor_residuals(x, self.R_ref, self.factors, self.shape.form, self.R_inertia)
@@ -96,10 +96,10 @@ class WindowProblem:
 
 
 class WindowSolver(Protocol):
-    """What solves the window's program."""
+    """A solver of the window's program."""
 
     name: str
 
     def solve(self, problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
-        """Minimise from x (12 W + 8,)."""
+        """Minimize from x (12 W + 8,)."""
         ...

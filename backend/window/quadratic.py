@@ -33,10 +33,7 @@ class Quadratic:
 
 @dataclass(frozen=True)
 class Elimination:
-    """What is left about the ``kept`` entries when the best ``gone`` ones follow them.
-
-    For a Gaussian that is its marginal.
-    """
+    """Information on the ``kept`` entries, the ``gone`` ones minimized over: the marginal of a Gaussian."""
 
     H: Array
     """(k, k)"""
@@ -48,7 +45,7 @@ class Elimination:
     """(n - k, k + 1) of L^-1 [H[gone, kept], g[gone]]"""
 
     def follow(self, step: Array) -> Array:
-        """Step of the eliminated entries (n - k,) when the kept ones take theirs (k,)."""
+        """Step of the eliminated entries (n - k,) that follows from that of the kept ones (k,)."""
         if len(self.factor) == 0:
             return np.zeros(0)
         right = self.across[:, :-1] @ step + self.across[:, -1]
@@ -99,7 +96,7 @@ def mirror_lower(S: Array) -> None:
 
 
 def others(entries: Ints, size: int) -> Ints:
-    """The numbers below ``size`` that are not among the entries."""
+    """The indices below ``size`` that are not among the entries."""
     rest = np.ones(size, bool)
     rest[entries] = False
     return np.flatnonzero(rest)

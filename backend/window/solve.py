@@ -25,24 +25,25 @@ from polhode.lie import Array
 
 INNER_ITERATIONS = 10
 MAX_ROUNDS = 8
-"""Of linearising vision anew."""
+"""Largest number of linearizations of the observations."""
 LONG_HISTORY = 32
-"""Frames of a history beyond which one frame's work on it is limited; the next one goes on."""
+"""Number of frames of the history beyond which the iterations per frame are limited; the next frame
+continues."""
 LONG_ITERATIONS = 4
-"""In all, of such a history: in the flat valley of an unknown inertia they would never end."""
+"""Total iterations for such a history: in the flat valley of an unknown inertia they would not converge."""
 SMALL_TURN_RAD = 2e-3
-"""A step of the attitudes after which vision need not be linearised again."""
+"""Step of the attitudes below which the observations need not be linearized again."""
 PASSES = (3, 3, 3, 2)
 """Iterations of the solves of one hypothesis; the whitening is renewed between them."""
 SAME_INERTIA = 0.03
 """Two inertias (second moments of determinant 1) closer than this will end in the same minimum."""
 CLEARLY_BETTER = 1.0
-"""What another basin must save in cost: below that the data do not tell, and the present one stays."""
+"""Decrease of the cost that another inertia must achieve; a smaller one is not significant."""
 
 
 @dataclass(frozen=True)
 class InertiaCandidate:
-    """Where one guess led; the cost includes the normalisation of the process noise."""
+    """The solution from one guess; its cost includes the normalization of the process noise."""
 
     x: Array
     second: Array
@@ -50,7 +51,7 @@ class InertiaCandidate:
 
 
 def solve_history(state: EstimatorState, history: History) -> None:
-    """All states so far, with the vision that is active linearised at the solution."""
+    """Solve for all states so far, with the active observations linearized at the solution."""
     observations, active = state.observations(), state.active
     left = LONG_ITERATIONS if len(history.frames) > LONG_HISTORY else MAX_ROUNDS * INNER_ITERATIONS
     for _ in range(MAX_ROUNDS):
@@ -72,7 +73,7 @@ def solve_history(state: EstimatorState, history: History) -> None:
 def set_history(
     state: EstimatorState, history: History, vision: HistoryVision, condensed: CondensedVision, x: Array
 ) -> Array:
-    """Take a solution of the whole history. Returns the steps of its seen poses (6 N,)."""
+    """Set a solution of the whole history. Returns the steps of its seen poses (6 N,)."""
     step = history.take(x, vision)
     state.active.constants = x[-N_CONSTANTS:].copy()
     state.move_landmarks(condensed, step[history.entries(state.active.frames, N_POSE)])
@@ -80,14 +81,14 @@ def set_history(
 
 
 def expand_arrival(state: EstimatorState, history: History) -> None:
-    """Make the arrival cost from the history, about the present solution."""
+    """Form the arrival cost from the history, about the present solution."""
     active = state.active
     active.arrival = history.arrival(active, state.shape.form, state.R_inertia)
     active.factors = history.steps.part(slice(len(history.frames) - len(active.recent), None))
 
 
 def solve_window(state: EstimatorState, solver: WindowSolver) -> None:
-    """The recent states, the seen poses and the constants under the arrival cost."""
+    """Solve for the recent states, the seen poses and the constants under the arrival cost."""
     observations, active = state.observations(), state.active
     n = active.n_seen
     for _ in range(MAX_ROUNDS):
@@ -121,7 +122,7 @@ def _remember(
 
 
 def choose_inertia(state: EstimatorState, history: History) -> str:
-    """Move the history to the best inertia found, when it is clearly better. Returns its name."""
+    """Move the history to the best inertia found, if it is significantly better. Returns its name."""
     observations = state.observations()
     condensed = state.condensed(observations)
     vision = history.vision(state.active, condensed)
@@ -164,7 +165,7 @@ def _descend(
     second: Array,
     found: list[InertiaCandidate],
 ) -> InertiaCandidate | None:
-    """A brief solve from one inertia; one of those found when it leads there, None when it diverges."""
+    """A brief solve from one inertia; a candidate found before if it leads there, None if it diverges."""
     form, cost = state.shape.form, np.inf
     x = x.copy()
     for iterations in PASSES:

@@ -1,4 +1,4 @@
-"""The observations of the window, condensed to information on its poses (landmarks eliminated)."""
+"""The observations of the window, condensed to information on its poses by elimination of the landmarks."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ GATE = 4.5
 
 @dataclass(frozen=True)
 class Observations:
-    """Observations of F frames sorted by landmark; landmarks that are seen once are left out."""
+    """Observations of F frames sorted by landmark, without landmarks that are seen only once."""
 
     frame: Ints
     """(M,)"""
@@ -36,7 +36,7 @@ class Observations:
     uvd_px: Array
     inv_sigma: Array
     slot: Ints
-    """(L,) where the window keeps the landmark"""
+    """(L,) slots of the landmarks"""
 
     def of(self, landmarks: Bools, without_frame: int = -1) -> "Observations":
         """Observations of the chosen landmarks (L,), without those in one frame."""
@@ -56,13 +56,13 @@ class Observations:
 
 
 def gather_observations(frames: list[Frame], n_slots: int) -> Observations:
-    """Gather what the frames see."""
+    """Gather the observations of the frames."""
     count = np.array([len(frame.slot) for frame in frames])
     slot = np.concatenate([frame.slot for frame in frames])
     seen = np.bincount(slot, minlength=n_slots)
     number = np.cumsum(seen >= 2) - 1
     use = np.flatnonzero(seen[slot] >= 2)
-    # radix sort, for which NumPy wants 16 bits
+    # NumPy uses radix sort for integers of 16 bits
     order = use[np.argsort(slot[use].astype(np.uint16 if n_slots < 2**16 else np.int64), kind="stable")]
     landmark = number[slot[order]]
     kept = np.flatnonzero(seen >= 2)
@@ -78,7 +78,7 @@ def gather_observations(frames: list[Frame], n_slots: int) -> Observations:
 
 @dataclass(frozen=True)
 class FramePoses:
-    """Poses of F frames, where vision is evaluated and where it is linearised."""
+    """Poses of F frames, at which the observations are evaluated and at which they are linearized."""
 
     R_RN: Array
     t_R: Array
@@ -88,7 +88,7 @@ class FramePoses:
     p_linearized: Array
     A_linearized: Array
     Jr: Array
-    """(F, 3, 3) right Jacobian at the held theta"""
+    """(F, 3, 3) right Jacobian at the theta of the linearization"""
 
 
 def poses_of(frames: list[Frame]) -> FramePoses:
@@ -109,7 +109,7 @@ def poses_of(frames: list[Frame]) -> FramePoses:
 
 @dataclass(frozen=True)
 class CondensedVision:
-    """Information on the poses, and what the landmarks' own step needs."""
+    """Information on the poses, and the blocks from which the steps of the landmarks follow."""
 
     S: Array
     """(6 F, 6 F)"""
@@ -147,7 +147,7 @@ def condense(
     robust_scale: float,
     gain: float = 1.0,
 ) -> CondensedVision:
-    """Linearise the observations, ``gain`` times the Cauchy kernel; eliminate their landmarks p_G (L, 3)."""
+    """Linearize the observations, ``gain`` times the Cauchy kernel; eliminate their landmarks p_G (L, 3)."""
     r = residuals(observations, poses, rig, p_G)
     s = np.sum(r**2, axis=1)
     H6, g6, C, h, E = stereo_normal_equations(
@@ -190,12 +190,13 @@ def information_of(
     robust_scale: float,
     gain: float = 1.0,
 ) -> tuple[Array, Array]:
-    """What the observations of frame ``leaving`` say about the poses, given all the others: H and gradient.
+    """Information on the poses from the observations of frame ``leaving``, given all others: H and gradient.
 
     ``observations`` holds all observations of the landmarks that it sees.
 
-    With this in the arrival cost instead of them nothing is lost at that moment, and nothing counts twice
-    later: the likelihood is p(leaving | rest) p(rest), and only the second factor goes on to change.
+    With this in the arrival cost in place of the observations no information is lost at that moment, and none
+    is counted twice later: the likelihood is p(leaving | rest) p(rest), and only the second factor changes
+    later.
     """
     every = np.ones(len(observations.slot), bool)
     whole, rest = (

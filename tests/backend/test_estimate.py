@@ -144,7 +144,7 @@ def test_a_tumble_of_more_than_half_a_turn_a_frame_is_told_or_called_ambiguous()
         w_G = 2.0 * np.deg2rad(turn_deg) * axis
         sequence = generate(replace(scene, w_G=tuple(w_G.tolist())), int(turn_deg))
         estimate = run(sequence)
-        said = any("sense of the rotation is ambiguous" in text for text in estimate.warnings)
+        said = any("direction of rotation is ambiguous" in text for text in estimate.warnings)
         assert said == ambiguous
         known = estimate.mass.identifiable
         assert known.k1 == known.k2 == known.axes == (not ambiguous)

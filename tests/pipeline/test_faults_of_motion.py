@@ -180,7 +180,7 @@ def test_about_half_a_turn_between_frames_is_said_whichever_way_it_ends(
     outcome = run(fast(turn_deg, (0.5, 0.7, 0.5)), seed)
     if outcome.code == 0:
         assert_done(outcome)
-        assert outcome.says("sense of the rotation")
+        assert outcome.says("direction of rotation")
     else:
         assert "by more than half a revolution between pairs" in assert_failed(outcome, STOPPED_EARLY)
 
@@ -192,7 +192,7 @@ def test_a_motion_a_revolution_off_is_never_believed(run: Run, turn_deg: float, 
     if outcome.code == 0:
         known = outcome.summary["identifiable"]
         assert not (known["k1"] or known["k2"] or known["axes"])
-        assert outcome.says("sense of the rotation")
+        assert outcome.says("direction of rotation")
     else:
         assert_failed(outcome, STOPPED_EARLY)
 

@@ -84,7 +84,7 @@ def test_a_push_is_found_followed_and_recovered(push: tuple[float, float, Vector
     # the push does not pass for disturbances that act all the time
     assert estimate.noise.torque_psd < 1e-5 and estimate.mass.identifiable.k1
     assert abs(estimate.mass.k1 - sequence.truth.k1) < 4.0 * np.sqrt(estimate.mass.cov_k[0, 0]) < 0.05
-    assert any("something unknown pushed the target" in text for text in estimate.warnings)
+    assert any("an unknown disturbance acted on the target" in text for text in estimate.warnings)
 
 
 def test_nothing_is_found_where_nothing_pushes() -> None:
