@@ -119,12 +119,12 @@ def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess],
     for _ in range(MAX_SEARCHES if config.unknown_wrench == "found" else 0):
         small = found.kept.restrict(found.iterate)
         try:
-            pushes = find_disturbed_steps(
+            disturbed = find_disturbed_steps(
                 found.kept.data, small, data.node_sigma, config.process_noise == "given"
             )
-            if pushes is None:
+            if disturbed is None:
                 break
-            with_nodes = replace(data, nodes=pushes.nodes, node_sigma=pushes.sigma)
+            with_nodes = replace(data, nodes=disturbed.nodes, node_sigma=disturbed.sigma)
             found = _fit(with_nodes, starts, config, _no_progress)
         except (RunFailure, LinAlgError):
             # keep the fit without further nodes
@@ -167,8 +167,8 @@ def motions_from_fewer_frames(tracks: StereoTracks, initial: InitialMotion) -> l
     seen = np.bincount(tracks.frame, minlength=tracks.n_frames)
     out: list[Bools] = []
     for known in (_strong(seen, initial.connected), *_stretches(tracks, initial, seen)):
-        told = known.sum() >= ENOUGH_FRAMES and not np.array_equal(known, initial.connected)
-        if told and not any(np.array_equal(known, other) for other in out):
+        enough = known.sum() >= ENOUGH_FRAMES and not np.array_equal(known, initial.connected)
+        if enough and not any(np.array_equal(known, other) for other in out):
             out.append(known)
     # the other poses stay as they are: in a first fit with loose steps their frames have no effect
     return [replace(initial, connected=known) for known in out]

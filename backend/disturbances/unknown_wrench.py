@@ -183,15 +183,17 @@ def estimate_impulses(
     dt = data.dt_s[use, None]
     sigma = _sigma(cov, quiet * dt, mixed) / dt
     starts, ends = timestamps_ns[use], timestamps_ns[use + 1]
-    pushes = []
+    impulses = []
     for steps in np.split(use, np.flatnonzero(np.diff(use) > 1) + 1):
         span = timestamps_ns[steps[0]], timestamps_ns[steps[-1] + 1]
         total = change[steps].sum(axis=0)
         spread = _covariance(T, m.dense, iterate, steps)
         of_total = _sigma(spread, quiet * data.dt_s[steps].sum(), mixed)
-        pushes.append(Push(int(span[0]), int(span[1]), total[:3], of_total[:3], total[3:], of_total[3:]))
+        impulses.append(Push(int(span[0]), int(span[1]), total[:3], of_total[:3], total[3:], of_total[3:]))
     accel = change[use] / dt
-    return UnknownPushes(starts, ends, accel[:, :3], sigma[:, :3], accel[:, 3:], sigma[:, 3:], tuple(pushes))
+    return UnknownPushes(
+        starts, ends, accel[:, :3], sigma[:, :3], accel[:, 3:], sigma[:, 3:], tuple(impulses)
+    )
 
 
 def _changes(

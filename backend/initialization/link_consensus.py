@@ -34,7 +34,7 @@ def update_link_consensus(
 ) -> None:  # fmt: skip
     """Largest group of agreeing links between component a and every other one b, in place.
 
-    order (E,) of the links i, j, X_ij (E, 4, 4) by falling weight; X (F, 4, 4), island (F,). Written above
+    order (E,) of the links i, j, X_ij (E, 4, 4) by falling weight; X (F, 4, 4), component (F,). Written above
     the diagonal, at (min(a, b), max(a, b)): score (F, F), ``agreeing`` plus its inliers for each link of the
     group, the weight of a single link, -inf without links; T (F, F, 4, 4) with p_Gmin = T p_Gmax.
     """

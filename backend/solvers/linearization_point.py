@@ -57,8 +57,7 @@ def linearization_point(data: MotionData, iterate: Iterate, gauge: float = LOOSE
     # step
     accel_node, torque_node = np.square(data.node_sigma)[:, None] * data.nodes * data.dt_s
     W_t, W_r, half_log = whitening(w, J_G, data.dt_s, accel_psd + accel_node, torque_psd + torque_node)
-    middle = geometric_median(iterate.p_G)
-    radius = float(np.sqrt(np.median(np.sum((iterate.p_G - middle) ** 2, axis=1))))
+    middle, radius = middle_and_radius(iterate.p_G)
     com_sigma = max(COM_PRIOR_M, radius)
     return LinearizationPoint(
         reference=iterate,
@@ -91,6 +90,12 @@ def _steps(data: MotionData, iterate: Iterate, series: Ints, W_t: Array, W_r: Ar
         return Steps(data.dt_s, series, W_t, W_r)
     series = known.refine_series(series, iterate.w_G[:-1], data.dt_s)
     return Steps(data.dt_s, series, W_t, W_r, known.force_increments, known.torque(series))
+
+
+def middle_and_radius(points: Array) -> tuple[Array, float]:
+    """Geometric median (3,) of points (n, 3), and their median distance from it."""
+    middle = geometric_median(points)
+    return middle, float(np.sqrt(np.median(np.sum((points - middle) ** 2, axis=1))))
 
 
 def geometric_median(points: Array) -> Array:

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
+from polhode.backend.solvers.gauss_newton import CONSTANT_SCALE
 from polhode.backend.uncertainty.principal_axes import AxesDerivative, free_axis_covariance, ratio_covariance
 from polhode.lie import Array
 from polhode.records import Bools, Identifiability
 
 SCALE = np.array([0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.3, 0.3])
-CONSTANT_SCALE = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1, 0.1, 0.1])
-"""Scales of com_G [m] and xi."""
+
 LIMIT = 0.3
 CAP = 10.0
 """Scaled sigma of a direction without information: bounds the effect of rounding on other directions."""

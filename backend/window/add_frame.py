@@ -141,10 +141,10 @@ def _accepted(state: EstimatorState, slot: Ints, index: Ints, found: LocatedFram
     restart = slot[other[wrong]]
     if len(restart) == 0:
         return enter
-    anew = np.zeros(len(marks), bool)
-    anew[restart] = True
+    restarted = np.zeros(len(marks), bool)
+    restarted[restart] = True
     for frame in state.active.frames:
-        stays: Bools = ~anew[frame.slot]
+        stays: Bools = ~restarted[frame.slot]
         if not stays.all():
             marks.leave(frame.slot[~stays])
             frame.keep(stays)

@@ -9,7 +9,11 @@ from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE, Iterate
 from polhode.backend.uncertainty.covariance import state_jacobian, with_infinite
 from polhode.backend.uncertainty.identifiability import analyse, undetermined_states
-from polhode.backend.uncertainty.principal_axes import axes_derivative, free_axis_covariance
+from polhode.backend.uncertainty.principal_axes import (
+    axes_derivative,
+    free_axis_covariance,
+    nearest_half_turn,
+)
 from polhode.backend.window.frame import Frame
 from polhode.half_turns import nearest_half_turn
 from polhode.lie import Array, make_pose

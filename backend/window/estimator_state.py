@@ -8,7 +8,7 @@ import numpy as np
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import N_CONSTANTS
-from polhode.backend.solvers.linearization_point import COM_PRIOR_M, geometric_median
+from polhode.backend.solvers.linearization_point import COM_PRIOR_M, middle_and_radius
 from polhode.backend.solvers.robust_kernel import robust_gain
 from polhode.backend.window.active import ActiveWindow
 from polhode.backend.window.causal_state import LastInformation
@@ -124,9 +124,7 @@ class EstimatorState:
 
     def update_weak_prior(self) -> float:
         """Expect the centre of mass in the middle of the landmarks. Returns their radius [m]."""
-        p_G = self.landmarks.p_G[self.landmarks.used]
-        middle = geometric_median(p_G)
-        radius = float(np.sqrt(np.median(np.sum((p_G - middle) ** 2, axis=1))))
+        middle, radius = middle_and_radius(self.landmarks.p_G[self.landmarks.used])
         sigma = max(COM_PRIOR_M, radius)
         self.weak_prior = np.concatenate([middle, [sigma], self.R_inertia.T.ravel()])
         return radius

@@ -4,8 +4,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from polhode.backend.problem.iterate import N_CONSTANTS
-from polhode.backend.solvers.gauss_newton import Solution
-from polhode.backend.uncertainty.identifiability import CONSTANT_SCALE
+from polhode.backend.solvers.gauss_newton import CONSTANT_SCALE, Solution
 from polhode.backend.window.problem import WindowProblem
 from polhode.lie import Array
 

@@ -87,14 +87,6 @@ def block_of(H: Array, rows: Ints, columns: Ints) -> Array:
     return out
 
 
-@compiled
-def mirror_lower(S: Array) -> None:
-    """Copy the lower triangle to the upper one, in place."""
-    for a in range(len(S)):
-        for b in range(a):
-            S[b, a] = S[a, b]
-
-
 def others(entries: Ints, size: int) -> Ints:
     """The indices below ``size`` that are not among the entries."""
     rest = np.ones(size, bool)

@@ -133,12 +133,12 @@ def choose_inertia(state: EstimatorState, history: History) -> str:
     best, name = present, "present"
     start, R_NG, w_G = _differenced_rates(history, before)
     for guess, second in inertia_hypotheses(R_NG, w_G).items():
-        basin = _descend(state, history, vision.quadratic, start, second, found)
-        if basin is None or any(basin is other for other in found):
+        candidate = _descend(state, history, vision.quadratic, start, second, found)
+        if candidate is None or any(candidate is other for other in found):
             continue
-        found.append(basin)
-        if best is None or basin.cost < best.cost - CLEARLY_BETTER:
-            best, name = basin, guess
+        found.append(candidate)
+        if best is None or candidate.cost < best.cost - CLEARLY_BETTER:
+            best, name = candidate, guess
     if best is None:
         return "none"
     set_history(state, history, vision, condensed, best.x)

@@ -8,12 +8,12 @@ from polhode.backend.dynamics.so3_exp import right_jacobians, rotation_matrices
 from polhode.backend.solvers.robust_kernel import robust_weight
 from polhode.backend.solvers.schur import (
     back_substitute,
+    mirror,
     stereo_normal_equations,
     stereo_residuals,
     subtract_landmarks,
 )
 from polhode.backend.window.frame import Frame
-from polhode.backend.window.quadratic import mirror_lower
 from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Bools, Ints
@@ -161,7 +161,7 @@ def condense(
     S = blocks.reshape(N_POSE * n, N_POSE * n)
     C_inv = inverted(C)
     subtract_landmarks(S, g, observations.frame, observations.start, E, C_inv, h, N_POSE)
-    mirror_lower(S)
+    mirror(S)
     return CondensedVision(S, g, observations, E, C_inv, h, s)
 
 
