@@ -12,7 +12,6 @@ from polhode.backend.uncertainty.identifiability import analyse, undetermined_st
 from polhode.backend.uncertainty.principal_axes import (
     axes_derivative,
     free_axis_covariance,
-    nearest_half_turn,
 )
 from polhode.backend.window.frame import Frame
 from polhode.half_turns import nearest_half_turn

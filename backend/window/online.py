@@ -14,7 +14,6 @@ from polhode.backend.window.frame import camera_noise_of, frames_of
 from polhode.config.backend import Backend
 from polhode.half_turns import HALF_TURNS
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.metrics import HALF_TURNS
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks
 from polhode.threads import single_threaded

@@ -16,7 +16,6 @@ from polhode.backend.window.frame import FrameMeasurements, frames_of
 from polhode.config.backend import Backend
 from polhode.half_turns import HALF_TURNS
 from polhode.lie import Array, log_so3
-from polhode.metrics import HALF_TURNS
 from polhode.simulation.monte_carlo.measurements import SyntheticSequence, generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
