@@ -13,6 +13,7 @@ from polhode.frontend.matching.matchers import SoftmaxMatcher
 from polhode.frontend.matching.methods import one_to_one
 from polhode.frontend.matching.soft_assignment import DualSoftmax, rigid_fit, root_probabilities
 from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.rigid_fit import fit_rigid
 from polhode.train.descriptor.loss import motion_loss
 from tests.frontend.feature_world import RIG
 
@@ -110,6 +111,13 @@ def test_the_rigid_fit_is_exact_and_has_the_right_gradient() -> None:
     noisy = p_A + 0.1 * torch.from_numpy(rng.normal(size=(2, 7, 3)))
     inputs = (noisy.requires_grad_(), torch.from_numpy(p_B).requires_grad_(), weight.requires_grad_())
     assert torch.autograd.gradcheck(rigid_fit, inputs)
+
+
+def test_the_differentiable_rigid_fit_is_that_of_numpy() -> None:
+    rng = np.random.default_rng(3)
+    p_A, p_B, weight = rng.normal(size=(9, 3)), rng.normal(size=(9, 3)), rng.uniform(0.1, 1.0, 9)
+    R, t = rigid_fit(*(torch.from_numpy(each) for each in (p_A, p_B, weight)))
+    np.testing.assert_allclose(fit_rigid(p_A, p_B, weight), make_pose(R.numpy(), t.numpy()), atol=1e-12)
 
 
 def test_the_rigid_fit_of_a_mirrored_scene_is_still_a_rotation() -> None:
