@@ -1,0 +1,15 @@
+"""The flow: from a stereo sequence on disk to a run directory, and what follows from one.
+
+In: the folder of a sequence and a configuration. Out: the run directory (docs/run_directory.md).
+
+- run: the whole flow on a page
+- context: images, configuration, progress and clock, which every step takes
+- correspondences: features of all frames, and the frames that match
+- find_motion: solve, match again, keep what fits better; consistency_check decides what fits better
+- finish_surface: holes, colours, coverage and levels of the fused surface
+- coverage: the share of the body that was seen, seen but never lit, never seen
+- uniform_density: mass properties from the mesh at uniform density, assumed and compared with the motion's
+
+run_directory/ reads and writes a run; evaluation/ compares it with the truth; report/ and pictures/ show it;
+products/ derives plans, predictions, exports and the observability of edges from it.
+"""

@@ -1,0 +1,11 @@
+"""The run on disk: how it is written, stage by stage, and read back as typed records.
+
+In: the records of the stages. Out: the files of a run (docs/run_directory.md), and the records again.
+
+- run_folder: the folder as a whole, which appears complete or not at all
+- outputs: what each stage writes
+- stored_run: all of a stored run, as the report takes it
+- summary: summary.json; summary_schema has its models and generates its JSON Schema
+- archives: covariance.npz, measurements.npz, online.npz
+- trajectory_file, point_cloud_file: trajectory.csv and landmarks.ply
+"""
