@@ -1,4 +1,4 @@
-"""What a person at the terminal sees: one bar per stage, or plain lines where there is no terminal.
+"""Progress and warnings on the terminal: one bar per stage, or plain lines where there is no terminal.
 
 Everything goes to standard output; standard error is kept for the one line of an error.
 """
@@ -75,7 +75,7 @@ class _PlainWarnings(logging.Handler):
 def show_warnings() -> Iterator[None]:
     """Print the program's warnings while the block runs."""
     handler = _PlainWarnings(level=logging.WARNING)
-    # Errors are the business of the last line on standard error.
+    # Errors are reported by the last line on standard error.
     handler.addFilter(lambda record: record.levelno < logging.ERROR)
     root = logging.getLogger()
     root.addHandler(handler)

@@ -73,10 +73,10 @@ class ExportCommand:
         if self.frame is not None:
             _require("--frame", self.frame, ["G", "P", "cad"])
         from polhode.pipeline.products.export.export_run import export_run
-        from polhode.pipeline.products.export.options import Options
+        from polhode.pipeline.products.export.options import ExportOptions
 
-        values = {each.name: getattr(self, each.name) for each in fields(Options)}
-        files = export_run(self.run, Options(**values))
+        values = {each.name: getattr(self, each.name) for each in fields(ExportOptions)}
+        files = export_run(self.run, ExportOptions(**values))
         if len(files) > 1:
             print(f"Meshes: {len(files) - 1} files in {files[0].parent}")
         print(f"Export: {files[-1]}")

@@ -1,4 +1,4 @@
-"""Config overrides on a command line (``--backend.inertia ratios_axes``), apart from a command's own options.
+"""Configuration keys on a command line (``--backend.inertia ratios_axes``), split from a command's options.
 
 tyro lists these options in the help; their values go through the config loader, so that a wrong one is
 reported like one in a file: the option, the key, the valid values.
@@ -56,7 +56,7 @@ def _key_of(word: str) -> tuple[str, ...] | None:
 def _take_values(path: tuple[str, ...], rest: list[str]) -> list[str]:
     """Take the words of one value off ``rest``: as many as the type has, never another option."""
     annotation = annotation_at(Config, path)
-    # A mistyped key takes all its values with it, so that the key is what is complained of.
+    # A mistyped key takes all its values with it, so that the error names the key.
     count = None if annotation is None else count_of(annotation)
     given: list[str] = []
     while rest and (not rest[0].startswith("-") or _NUMBER.match(rest[0])) and len(given) != count:

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError
 
 from polhode.atomic import write_text
 from polhode.errors import InputError
-from polhode.pipeline.run_directory.summary_schema import Finite, Part
+from polhode.pipeline.run_directory.summary_schema import Finite, StrictModel
 
 Status = Literal["ok", "baseline", "failed", "timeout", "missing"]
 Kept = Literal["answer", "best", "last", "nothing"]
@@ -21,7 +21,7 @@ StartKind = Literal["cold", "perturbed", "near"]
 SCHEMA_FILE = Path(__file__).with_name("compare.schema.json")
 
 
-class Errors(Part):
+class Errors(StrictModel):
     """Estimate minus truth: root mean squares over the frames; attitude after the best constant rotation."""
 
     position_mm: Finite
@@ -33,7 +33,7 @@ class Errors(Part):
     k2: Finite
 
 
-class Case(Part):
+class Case(StrictModel):
     """What a row is about."""
 
     problem: str
@@ -85,7 +85,7 @@ class Row(Case):
     """Seconds since the start, cost, at each iteration"""
 
 
-class ProblemSummary(Part):
+class ProblemSummary(StrictModel):
     """One frozen problem."""
 
     name: str
@@ -111,7 +111,7 @@ class ProblemSummary(Part):
     sigma_com_mm: Finite | None
 
 
-class Tally(Part):
+class Tally(StrictModel):
     """Cases of one kind of start; a case is a problem with a start."""
 
     solved: int = Field(ge=0)
@@ -131,7 +131,7 @@ class Profile(Tally):
     """(solved,) ascending: its time over that of the fastest solver of the same case"""
 
 
-class Comparison(Part):
+class Comparison(StrictModel):
     """The whole file."""
 
     schema_: Literal["polhode-compare/1"] = Field("polhode-compare/1", alias="schema")

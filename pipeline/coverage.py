@@ -2,7 +2,7 @@
 
 Points spread over the surface are looked for in each frame: inside the image, nothing in between (rays), not
 edge-on; and the image brighter there than the sky. Where the mesh is open its convex hull stands for the
-surface that nobody knows: then shadows that the body throws on itself, and hollows, are not told apart.
+unknown surface; self-shadowing and concavities cannot be distinguished then.
 """
 
 from collections.abc import Sequence
@@ -21,10 +21,10 @@ from polhode.records import SEEN_LIT, SEEN_UNLIT, UNSEEN, Bools, SurfaceModel
 Classes = NDArray[np.uint8]
 
 SAMPLES = 6000
-MUCH = 0.15
-"""A share that is never seen, or never lit, of which a warning tells."""
+MIN_WARNED_SHARE = 0.15
+"""Share that was never seen, or never lit, above which there is a warning."""
 _ONE_SIDE = 0.6
-"""Length of the mean of a part's normals, over that of a round cap of its share, to face one way."""
+"""A part faces one way if its mean normal is at least so long, relative to a spherical cap of its share."""
 
 
 def classes_of(
@@ -78,7 +78,7 @@ def coverage_of(mesh: trimesh.Trimesh, views: Sequence[FrameView], rig: Rectifie
 
 def warnings_of(coverage: Coverage) -> list[str]:
     """One, where much of the body was never seen or never lit."""
-    return [coverage.words] if max(coverage.unseen, coverage.seen_unlit) > MUCH else []
+    return [coverage.words] if max(coverage.unseen, coverage.seen_unlit) > MIN_WARNED_SHARE else []
 
 
 def _one_way(normals: Array, part: Bools) -> list[float] | None:
@@ -101,7 +101,9 @@ def _words(
     parts: list[str] = []
     for part, around, what in ((share[2], unseen, "never seen"), (share[1], unlit, "seen but never lit")):
         if part >= 0.005:
-            where = f", mostly around {axis_words(np.array(around))} of G" if around is not None else ""
+            where = (
+                f", mostly around {describe_direction(np.array(around))} of G" if around is not None else ""
+            )
             parts.append(f"{part:.0%} {'' if parts else f'of the {of} '}was {what}{where}")
     return "; ".join(parts) if parts else f"all of the {of} was seen in light"
 
@@ -110,7 +112,7 @@ _PART = 0.5
 """Share of its length that a direction must have along an axis for the axis to be named."""
 
 
-def axis_words(direction: Array) -> str:
+def describe_direction(direction: Array) -> str:
     """``+x``, or ``+x and -z`` where the direction (3,) lies between axes; the largest part first."""
     unit = np.asarray(direction) / max(float(np.linalg.norm(direction)), 1e-300)
     named = [k for k in np.argsort(-np.abs(unit), kind="stable") if abs(unit[k]) >= _PART]

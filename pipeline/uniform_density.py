@@ -1,4 +1,4 @@
-"""What uniform density says of what the motion does not tell (thesis 3.3): assumed, and marked as assumed.
+"""Mass properties at uniform density (thesis 3.3): assumed where the motion leaves gaps, else compared.
 
 The user gives the mass or a density. The volume and the uniform inertia are those of the mesh, or of its
 convex hull where the mesh is open. The inertia that the motion determines up to scale is scaled by them.
@@ -15,7 +15,7 @@ from polhode.lie import Array, log_so3
 from polhode.mapping.finishing.hole_closing import boundary_loops
 from polhode.mapping.uniform_solid import Solid, principal_axes, solid_body, solid_of
 from polhode.mapping.visibility import Caster
-from polhode.pipeline.coverage import axis_words
+from polhode.pipeline.coverage import describe_direction
 from polhode.pipeline.run_directory.summary_schema import Assumed, Physics
 from polhode.records import Bools, MassProperties, SurfaceModel
 
@@ -75,22 +75,22 @@ def _matrix(values: Array) -> tuple[tuple[float, float, float], ...]:
     return tuple((float(a), float(b), float(c)) for a, b, c in values)
 
 
-CLEAR = 3.0
-"""Standard deviations from which on a difference is one."""
-ALIKE = 0.03
-"""Ratio (its logarithm) below which two moments of the mesh are too near to tell their axes."""
-_LEAST_SHARE, _LEAST_DEG, _LEAST_K = 0.005, 2.0, 0.02
-"""How well a closed mesh tells its volume's centre (share of its size), axes and inertia ratios."""
-_LEAST_LIDDED = 0.3
-"""An open mesh whose volume under flat lids is a smaller share of its hull's tells no volume."""
-_MOST_DEG = 20.0
+CLEAR_SIGMAS = 3.0
+"""A difference is significant from so many standard deviations on."""
+MIN_LOG_RATIO = 0.03
+"""Logarithm of the ratio of two moments of the mesh below which their axes are not distinguishable."""
+_MIN_SHARE, _MIN_DEG, _MIN_K = 0.005, 2.0, 0.02
+"""How well a closed mesh determines its centre of volume (share of its size), axes and inertia ratios."""
+_MIN_LIDDED_SHARE = 0.3
+"""The volume of an open mesh is unknown if its openings, closed flat, leave a smaller share of its hull."""
+_MAX_DEG = 20.0
 _CAUSE = "mass is not spread evenly"
 _CAUSE_OPEN = "mass is not spread evenly, or the hull is not the body"
 
 
 @dataclass(frozen=True)
 class _Axes:
-    """What of the principal axes can be compared, and how far it is turned."""
+    """The principal axes that can be compared, and the angle between them."""
 
     words: str
     angle_rad: float
@@ -110,9 +110,9 @@ def check_physics(
     k, known = _ratios(solid), mass.identifiable
     other = solid if mesh.is_volume else _lidded(mesh)
     words = [f"compared with uniform density in the {solid.words}"]
-    clear = other.volume_m3 > _LEAST_LIDDED * solid.volume_m3
+    clear = other.volume_m3 > _MIN_LIDDED_SHARE * solid.volume_m3
     offset_G = _com_offset(mass, solid.com_G) if clear and known.com_P.any() else None
-    turns = known.axes_P & np.array([k[1] > ALIKE, k[0] + k[1] > ALIKE, k[0] > ALIKE])
+    turns = known.axes_P & np.array([k[1] > MIN_LOG_RATIO, k[0] + k[1] > MIN_LOG_RATIO, k[0] > MIN_LOG_RATIO])
     axes = _between(mass.R_GP, R_GP, turns) if clear else None
     differences = [
         value - uniform if flag and clear else None
@@ -124,17 +124,17 @@ def check_physics(
     if offset_G is not None:
         com_sigma_m = _com_sigma_m(mass, offset_G)
         least_m = max(
-            _LEAST_SHARE * float(np.linalg.norm(mesh.extents)),
+            _MIN_SHARE * float(np.linalg.norm(mesh.extents)),
             float(np.linalg.norm(solid.com_G - other.com_G)),
         )
         words.append(_com_words(mass, offset_G, com_sigma_m, least_m, bool(mesh.is_volume)))
     if axes is not None:
         axes_sigma_rad = _sigma_along(mass.cov_R_GP, axes.about_P)
         closing = _between(R_GP, principal_axes(other.inertia)[1], turns)
-        least_deg = max(_LEAST_DEG, float(np.rad2deg(closing.angle_rad)) if closing is not None else np.inf)
+        least_deg = max(_MIN_DEG, float(np.rad2deg(closing.angle_rad)) if closing is not None else np.inf)
         words += _axes_words(axes, axes_sigma_rad, least_deg)
     words += _ratio_words(
-        mass, differences, k, max(_LEAST_K, float(np.abs(np.subtract(k, _ratios(other))).max()))
+        mass, differences, k, max(_MIN_K, float(np.abs(np.subtract(k, _ratios(other))).max()))
     )
     return Physics(
         words=words,
@@ -192,20 +192,24 @@ def _sigma_along(covariance: Array, direction: Array) -> float:
 
 
 def _com_words(mass: MassProperties, offset_G: Array, sigma_m: float, volume_m: float, closed: bool) -> str:
-    length, least = float(np.linalg.norm(offset_G)), max(CLEAR * sigma_m, volume_m)
+    length, least = float(np.linalg.norm(offset_G)), max(CLEAR_SIGMAS * sigma_m, volume_m)
     lost = [axis for axis, flag in zip("xyz", mass.identifiable.com_P, strict=True) if not flag]
-    untold = f"; along {' and '.join(lost)} of P the motion does not tell it" if lost else ""
+    undetermined = f"; along {' and '.join(lost)} of P is not determined by the motion" if lost else ""
     if length <= least:
-        return f"the centre of mass agrees with the volume's centre within {_mm(least)}{untold}"
+        return f"the centre of mass agrees with the volume's centre within {_mm(least)}{undetermined}"
     return (
-        f"the centre of mass is {_mm(length)} off the volume's centre along {axis_words(offset_G)} of G "
+        f"the centre of mass is {_mm(length)} off the volume's centre "
+        f"along {describe_direction(offset_G)} of G "
         f"(sigma {_mm(sigma_m)}; the volume's centre is known to about {_mm(volume_m)}): "
-        f"{_CAUSE if closed else _CAUSE_OPEN}{untold}"
+        f"{_CAUSE if closed else _CAUSE_OPEN}{undetermined}"
     )
 
 
 def _between(R_GP: Array, R_GP_other: Array, turns: Bools) -> _Axes | None:
-    """The smallest rotation between axes; ``turns`` (3,): those about which both tell it. None: too few."""
+    """The smallest rotation between axes; ``turns`` (3,): about which axes both determine it.
+
+    None: they do so about too few.
+    """
     if turns.all():
         found = np.array([log_so3(R_GP.T @ (R_GP_other * half_turn)) for half_turn in HALF_TURNS])
         angles = np.linalg.norm(found, axis=1)
@@ -222,8 +226,8 @@ def _between(R_GP: Array, R_GP_other: Array, turns: Bools) -> _Axes | None:
 
 def _axes_words(axes: _Axes, sigma_rad: float, volume_deg: float) -> list[str]:
     angle_deg, sigma_deg = np.rad2deg(axes.angle_rad), np.rad2deg(sigma_rad)
-    least, many = max(CLEAR * sigma_deg, volume_deg), axes.words == "axes"
-    if least > _MOST_DEG:
+    least, many = max(CLEAR_SIGMAS * sigma_deg, volume_deg), axes.words == "axes"
+    if least > _MAX_DEG:
         return []
     if angle_deg <= least:
         verb = "agree" if many else "agrees"
@@ -242,7 +246,7 @@ def _ratio_words(
         if difference is None:
             continue
         sigma = float(np.sqrt(mass.cov_k[n, n]))
-        least = max(CLEAR * sigma, volume_k)
+        least = max(CLEAR_SIGMAS * sigma, volume_k)
         if abs(difference) <= least:
             words.append(f"{name} agrees with the volume's {k[n]:.3f} within {least:.2g}")
         else:

@@ -30,7 +30,7 @@ from polhode.pipeline.report.plot import TIME_SCALE
 from polhode.pipeline.report.rotation import look_at, torque_free_path
 from polhode.pipeline.report.shape import stretched, vertex_rgb
 from polhode.pipeline.report.tables import finding
-from polhode.pipeline.run_directory.stored_run import Motion, StoredRun, read_stored_run
+from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun, read_stored_run
 
 SIDE_PX, GAP_PX, CAPTION_PX, FINE = 520, 18, 64, 2
 """Panel, space, text below; panels are drawn FINE times larger and shrunk, which smooths every edge."""
@@ -134,7 +134,7 @@ def _tracks(content: StoredRun, k: int, left: Picture, crop: Crop) -> Picture:
     return np.maximum(canvas, np.array(PAPER, dtype=np.uint8))
 
 
-def _carried(motion: Motion, k: int, p_N: Array, dt_s: float) -> Array:
+def _carried(motion: StoredMotion, k: int, p_N: Array, dt_s: float) -> Array:
     """Points (n, 3) of the body where the estimated motion has them dt_s later."""
     path = motion.trajectory
     w_N = path.R_NP[k] @ path.w_P[k]
@@ -174,7 +174,7 @@ def _surface(content: StoredRun, k: int, rig: RectifiedRig, crop: Crop) -> Pictu
     return canvas.reshape(side, side, 3)
 
 
-def _polhode(motion: Motion) -> Picture:
+def _polhode(motion: StoredMotion) -> Picture:
     """The energy ellipsoid with lines of constant angular momentum, and the path of the run on it."""
     path, moments = motion.trajectory, motion.moments
     energy = 0.5 * float(np.mean(np.sum(path.w_P**2 * moments, axis=1)))

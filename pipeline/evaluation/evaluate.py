@@ -1,4 +1,4 @@
-"""A run against the truth: RUN/metrics.json and a table (CONTRACT.md, ``metrics.json``).
+"""A run against the truth: RUN/metrics.json and a table (docs/run_directory.md).
 
 The two meshes live in different frames G. They are brought together by the motion alone: at every frame the
 estimated pose carries the estimated mesh into N and the true pose carries it back into the true G; the one
@@ -56,7 +56,7 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     """Compare a run with the truth of its sequence; write RUN/metrics.json and return it.
 
     Values that cannot be computed (undetermined, or no truth that far) are None, ``null`` in the file.
-    Raises InputError when the run holds no estimate or the sequence no truth.
+    Raises InputError when the run has no estimate or the sequence no truth.
     """
     summary = read_summary(run_folder)
     if summary.inertia is None or summary.com_G is None or summary.R_GP is None:
@@ -224,13 +224,13 @@ def between_target_frames(X_NG: Array, X_NG_true: Array, centre_G: Array) -> Arr
 
 
 def seen_truth(
-    mesh: trimesh.Trimesh, X_NG_true: Array, sequence: StereoSequence, least_frames: int = 1
+    mesh: trimesh.Trimesh, X_NG_true: Array, sequence: StereoSequence, min_frames: int = 1
 ) -> Array:
     """Points (n, 3) of the true surface, in the true G, that were seen and lit in so many frames."""
     points, normals = sample_surface(mesh, SAMPLES)
     if len(sequence) != len(X_NG_true):
         raise InputError(f"{sequence.folder}: not the sequence of this run (other number of pairs)")
-    return points[seen_and_lit(mesh, points, normals, X_NG_true, sequence, least_frames)]
+    return points[seen_and_lit(mesh, points, normals, X_NG_true, sequence, min_frames)]
 
 
 def format_table(metrics: Metrics) -> str:

@@ -15,7 +15,7 @@ from polhode.lie import Array, inverse_pose, transform_points
 from polhode.mapping.visibility import CLEARANCE, Caster
 from polhode.records import Bools
 
-MOST_FRAMES = 60
+MAX_FRAMES = 60
 LIT_OVER_SKY = 12.0
 """Intensity above the sky's that counts as lit [8-bit levels]."""
 
@@ -26,25 +26,25 @@ def seen_and_lit(
     normal_G: Array,
     X_NG: Array,
     sequence: StereoSequence,
-    least_frames: int = 1,
+    min_frames: int = 1,
 ) -> Bools:
     """(n,) true where a point of the true surface was seen and lit, in so many frames at least.
 
     mesh, p_G (n, 3), normal_G (n, 3) in the true G [m]; X_NG (F, 4, 4) true poses at the sequence's pairs.
-    At most 60 frames, evenly spread, are looked at.
+    At most 60 frames are used, evenly spread.
     """
     caster = Caster(mesh)
     found = np.zeros(len(p_G), dtype=np.int64)
     count = len(X_NG)
-    for k in np.unique(np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int)):
+    for k in np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).round().astype(int)):
         X_CG = inverse_pose(sequence.X_NC[k]) @ X_NG[k]
         left = sequence.read_left(int(k))[0]
-        # What has been found already need not be found again.
-        candidate = np.flatnonzero(found < least_frames)
+        # Points that have been seen often enough need no further test.
+        candidate = np.flatnonzero(found < min_frames)
         lit = candidate[_bright(left, transform_points(X_CG, p_G[candidate]), sequence)]
         eye_G = inverse_pose(X_CG)[:3, 3]
         found[lit[caster.sees(eye_G, p_G[lit], normal_G[lit], CLEARANCE * mesh.scale)]] += 1
-    return np.asarray(found >= least_frames)
+    return np.asarray(found >= min_frames)
 
 
 def light_level(left: NDArray[np.uint8]) -> float:

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from polhode.atomic import replaced, write_bytes
 from polhode.lie import Array
-from polhode.pipeline.pictures.model_comparison import Comparison
+from polhode.pipeline.pictures.model_comparison import FrameComparison
 
 Rgb = NDArray[np.uint8]
 
@@ -30,11 +30,11 @@ _LINES = (HEAD_PX + PANEL_PX + 16, HEAD_PX + PANEL_PX + 38)
 MINUS = "\u2212"
 GROUND, TEXT, SOFT = (16, 21, 27), (236, 240, 244), (150, 162, 174)
 DARKER, EQUAL, BRIGHTER = (60, 140, 255), (48, 54, 60), (255, 140, 40)
-"""Image darker than the model, equal, brighter: blue to orange, told apart by colour-blind readers too."""
+"""Image darker than the model, equal, brighter: blue to orange, which colour-blind readers distinguish."""
 TITLES = ("left camera, rectified", "model at the estimated pose", "difference: camera minus model")
 
 
-def draw_frame(comparison: Comparison, n_frames: int) -> Rgb:
+def draw_frame(comparison: FrameComparison, n_frames: int) -> Rgb:
     """(H, W, 3) of ``SIZE_PX``."""
     width, height = SIZE_PX
     canvas = np.empty((height, width, 3), dtype=np.uint8)
@@ -57,7 +57,7 @@ def signed_colours(difference: Array, shown: NDArray[np.bool_]) -> Rgb:
     return _scale()[np.where(shown, step + STEPS, -1)]
 
 
-def caption(comparison: Comparison) -> str:
+def caption(comparison: FrameComparison) -> str:
     """The numbers of a frame in a line."""
     return (
         f"frame {comparison.frame}, {comparison.time_s:.1f} s: overlap of the silhouettes "
@@ -65,7 +65,7 @@ def caption(comparison: Comparison) -> str:
     )
 
 
-def _write(draw: ImageDraw.ImageDraw, comparison: Comparison, n_frames: int) -> None:
+def _write(draw: ImageDraw.ImageDraw, comparison: FrameComparison, n_frames: int) -> None:
     for column, title in enumerate(TITLES):
         draw.text((_left(column), HEAD_PX / 2), title, TEXT, _font(15), anchor="lm")
     pose = "" if comparison.measured else ", pose from the dynamics"
@@ -121,7 +121,7 @@ def _font(size_px: int) -> ImageFont.FreeTypeFont:
 
 
 RATE_HZ = 10
-GIF_SCALE, MOST_GIF_BYTES, FEWEST_GIF_FRAMES = 0.75, 3_000_000, 8
+GIF_SCALE, MAX_GIF_BYTES, MIN_GIF_FRAMES = 0.75, 3_000_000, 8
 GREYS, HUES = 48, 64
 """Colours of the GIF: of the images, and of the difference."""
 
@@ -170,7 +170,7 @@ def _gif(images: Sequence[Image.Image]) -> bytes:
             loop=0,
             optimize=False,
         )
-        if content.tell() <= MOST_GIF_BYTES or len(kept) <= FEWEST_GIF_FRAMES:
+        if content.tell() <= MAX_GIF_BYTES or len(kept) <= MIN_GIF_FRAMES:
             return content.getvalue()
         step *= 2
 

@@ -46,7 +46,7 @@ def body_frame(mass: MassProperties) -> BodyFrame:
     place = "centre of mass" if known.com else "centre of mass, which is not fully determined"
     if known.axes:
         return BodyFrame("P", f"Principal axes x, y, z at the {place}.", mass.R_GP, mass.com_G)
-    words = f"Axes of G at the {place}: the motion does not tell the principal axes."
+    words = f"Axes of G at the {place}: the motion does not determine the principal axes."
     return BodyFrame("G", words, np.eye(3), mass.com_G)
 
 

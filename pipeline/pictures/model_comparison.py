@@ -20,15 +20,15 @@ from polhode.mapping.mesh_viewer import MeshViewer
 from polhode.pipeline.report.shape import vertex_rgb
 from polhode.records import Bools, Ints, MotionEstimate, StereoTracks
 
-MOST_PIXELS = 256
+MAX_PIXELS = 256
 """Edge of the square that is compared; of a larger window, fewer rays are cast."""
 MARGIN = 1.12
 """Edge of the window over what the model needs in any frame."""
-_MOST_VERTICES = 3000
+_MAX_VERTICES = 3000
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FrameComparison:
     """One frame: squares of n x n pixels about the target."""
 
     frame: int
@@ -90,7 +90,7 @@ def compare_frames(
     mesh: trimesh.Trimesh,
     viewer: MeshViewer,
     frames: list[int],
-) -> Iterator[Comparison]:
+) -> Iterator[FrameComparison]:
     """The model beside the image, frame by frame. ``viewer`` looks at ``mesh``, which has faces."""
     rig = rectifier.rig
     brightness = vertex_rgb(mesh).astype(np.float64).mean(axis=1)
@@ -106,7 +106,7 @@ def compare_frames(
         model = np.where(modelled, view.values(brightness), 0.0)
         fit = fit_brightness(image[seen & modelled], model[seen & modelled])
         time_s = float(tracks.time_s[k])
-        yield Comparison(k, time_s, bool(measured[k]), image, model, seen, modelled, *fit)
+        yield FrameComparison(k, time_s, bool(measured[k]), image, model, seen, modelled, *fit)
 
 
 def fit_brightness(image: NDArray[np.uint8], model: Array) -> tuple[float, float]:
@@ -121,11 +121,11 @@ def fit_brightness(image: NDArray[np.uint8], model: Array) -> tuple[float, float
 
 
 def _window(vertices: Array, rig: RectifiedRig, X_RG: Array) -> tuple[Ints, int]:
-    """First column and row (F, 2) and edge [px] of a square that follows the model and holds all of it.
+    """First column and row (F, 2) and edge [px] of a square that follows the model and contains all of it.
 
     Frames without the model's middle in view follow, but do not count for the size.
     """
-    some = vertices[:: max(1, len(vertices) // _MOST_VERTICES)]
+    some = vertices[:: max(1, len(vertices) // _MAX_VERTICES)]
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     size = np.array([rig.width_px, rig.height_px])
     most = int(size.max())
@@ -144,8 +144,8 @@ def _window(vertices: Array, rig: RectifiedRig, X_RG: Array) -> tuple[Ints, int]
 def _cut(
     image: NDArray[np.uint8], mask: Bools, corner: Ints, side: int
 ) -> tuple[Array, Array, NDArray[np.uint8], Bools]:
-    """Columns and rows that are looked at, the image there and its mask; black beyond the image's border."""
-    count = min(side, MOST_PIXELS)
+    """Columns and rows of the cut-out, its image and its mask; black beyond the image's border."""
+    count = min(side, MAX_PIXELS)
     step = side / count
     u0, v0 = (int(start) for start in corner)
     place = np.asarray((np.arange(count) + 0.5) * step - 0.5, dtype=np.float64)

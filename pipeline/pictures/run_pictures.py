@@ -22,7 +22,7 @@ from polhode.pipeline.pictures.animation import Rgb, caption, draw_frame, film
 from polhode.pipeline.pictures.body_views import body_frame
 from polhode.pipeline.pictures.landmarks import draw_landmarks
 from polhode.pipeline.pictures.mesh_sheet import draw_mesh
-from polhode.pipeline.pictures.model_comparison import Comparison, chosen_frames, compare_frames
+from polhode.pipeline.pictures.model_comparison import FrameComparison, chosen_frames, compare_frames
 from polhode.pipeline.run_directory.outputs import write_picture
 from polhode.progress import Advance
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
@@ -77,14 +77,14 @@ def make_pictures(
 
 
 def _animate(
-    folder: Path, compared: Iterator[Comparison], tracks: StereoTracks, count: int, advance: Advance
+    folder: Path, compared: Iterator[FrameComparison], tracks: StereoTracks, count: int, advance: Advance
 ) -> None:
     """model.mp4, model.gif, model.csv, and some of the frames as separate pictures."""
     target = folder / "pictures"
     target.mkdir(exist_ok=True)
     still = set(((np.arange(STILLS) + 0.5) * count / STILLS).astype(int).tolist())
     stills: dict[str, tuple[Rgb, str]] = {}
-    rows: list[Comparison] = []
+    rows: list[FrameComparison] = []
     with film(target / "model.mp4", target / "model.gif") as add:
         for number, comparison in enumerate(compared):
             picture = draw_frame(comparison, tracks.n_frames)
@@ -102,7 +102,7 @@ def _animate(
         _log.info("silhouettes of model and image overlap by %.2f (median)", float(np.median(overlap)))
 
 
-def _table(rows: Sequence[Comparison], tracks: StereoTracks) -> str:
+def _table(rows: Sequence[FrameComparison], tracks: StereoTracks) -> str:
     lines = [",".join(MODEL_COLUMNS)]
     for each in rows:
         numbers = (each.overlap, each.covered, each.rms_grey, each.gain, each.offset)

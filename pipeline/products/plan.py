@@ -1,4 +1,4 @@
-"""What planners take from a run: keep-out volumes, speeds of the surface, the corridor of a docking point."""
+"""What planners need from a run: keep-out volume, speeds of the surface, the corridor of a docking point."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +18,8 @@ from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out,
 from polhode.planning.prediction.ensemble import FinalEstimate, nominal_motion
 from polhode.records import SurfaceModel
 
-FAR_DOCK, FARTHEST_DOCK = 0.05, 5.0
-"""Of the body's size: a docking point farther from the surface is told of, or refused."""
+DOUBTFUL_DOCK_DISTANCE, MAX_DOCK_DISTANCE = 0.05, 5.0
+"""Shares of the body's size: a docking point farther from the surface gives a warning, or is refused."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def surface_of(run: Path) -> SurfaceModel:
         raise InputError(f"{path} is missing: this run has no mesh; run it again with depth")
     surface = read_ply(path)
     if len(surface.mesh.faces) == 0:
-        raise InputError(f"{path} holds no faces: this run has no mesh; see its warnings")
+        raise InputError(f"{path} has no faces: this run has no mesh; see its warnings")
     return surface
 
 
@@ -80,7 +80,7 @@ def plan_run(run: Path, wanted: KeepOutOptions, docking: Docking | None) -> Plan
     hidden = [name for name, words in summary.identifiable_detail.items() if words.startswith("not")]
     if hidden:
         words = ", ".join(hidden)
-        notes.append(f"The run does not determine {words}: the motions drawn are bounded by what was seen.")
+        notes.append(f"The run does not determine {words}: the sampled motions are bounded by what was seen.")
     found, speed, surface = None, None, None
     motion = nominal_motion(estimate, np.concatenate([[0.0], member_times(estimate, wanted.horizon_s)]))
     try:
@@ -119,7 +119,7 @@ def _docking_words(docking: Docking, surface: SurfaceModel | None, run: Path) ->
         file = run / "landmarks.ply"
         points, what = read_landmarks(file).p_G if file.is_file() else np.zeros((0, 3)), "nearest landmark"
     if len(points) == 0:
-        return ["Whether the docking point lies on the target, nothing tells: the run has no surface."]
+        return ["Whether the docking point lies on the target is unknown: the run has no surface."]
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     away = (
         float(distance_to_surface(surface.mesh, docking.point_G[None])[0])
@@ -128,16 +128,16 @@ def _docking_words(docking: Docking, surface: SurfaceModel | None, run: Path) ->
     )
     place = " ".join(f"{x:g}" for x in docking.point_G)
     words = f"--dock-point {place} is {away:.3g} m from the {what}, and the target is {size:.2g} m across"
-    if away > FARTHEST_DOCK * size:
+    if away > MAX_DOCK_DISTANCE * size:
         raise InputError(f"{words}: give metres in G, the frame of mesh.ply")
     found = []
-    if away > FAR_DOCK * size:
-        found.append(f"{words}: the corridor is that of a point which is not on it; is it in G, in metres?")
+    if away > DOUBTFUL_DOCK_DISTANCE * size:
+        found.append(f"{words}: the corridor belongs to a point off the target; is it in G, in metres?")
     if surface is not None:
         from polhode.mapping.visibility import Caster
 
         axis = docking.axis_G / np.linalg.norm(docking.axis_G)
-        start = docking.point_G + (away + FAR_DOCK * size) * axis
+        start = docking.point_G + (away + DOUBTFUL_DOCK_DISTANCE * size) * axis
         if np.isfinite(Caster(surface.mesh).first(start, axis[None])[0]).all():
             found.append("The docking axis runs into the target: it should point outwards.")
     return found
@@ -147,9 +147,9 @@ def _coverage_words(found: KeepOut, summary: Summary) -> list[str]:
     body = found.body
     rims = f"open rims span {body.open_share:.1%} of its area"
     words = [
-        f"Kept out of: the convex hull of the mesh ({rims}), so dents are filled."
+        f"Keep-out applies to the convex hull of the mesh ({rims}), so concavities are filled."
         if body.covers == "hull"
-        else f"Kept out of: the measured surface and what it encloses ({rims})."
+        else f"Keep-out applies to the measured surface and what it encloses ({rims})."
     ]
     seen = summary.coverage.words if summary.coverage is not None else "the run does not say what was seen"
-    return [*words, f"What stands out of it where nothing was ever seen is not covered: {seen}."]
+    return [*words, f"Parts that protrude where nothing was seen are not covered: {seen}."]

@@ -19,8 +19,8 @@ from polhode.planning.approach.tumbling_threshold import fuel_share
 from polhode.records import SurfaceModel
 
 GRAPPLES = 5
-APART_SHARE = 0.15
-"""Of the body's size, between two grapple places."""
+MIN_SEPARATION_SHARE = 0.15
+"""Share of the body's size between two grapple points."""
 
 
 def write_plan(plan: Plan, folder: Path) -> list[str]:
@@ -54,7 +54,7 @@ def _bytes(mesh: trimesh.Trimesh, name: str) -> bytes:
 
 
 def speed_ply(mesh: trimesh.Trimesh, speed: SurfaceSpeed) -> bytes:
-    """Binary PLY in G: place, normal, speed now, largest, mean, along the normal, sigma [m/s]."""
+    """Binary PLY in G: position, normal; current, largest, mean and normal speed, sigma [m/s]."""
     columns = {
         **{name: np.asarray(mesh.vertices)[:, i] for i, name in enumerate("xyz")},
         **{f"n{name}": np.asarray(mesh.vertex_normals)[:, i] for i, name in enumerate("xyz")},
@@ -132,8 +132,7 @@ def summary_of(plan: Plan) -> dict[str, Any]:
 
 
 def _grapples(surface: SurfaceModel, speed: SurfaceSpeed) -> dict[str, Any]:
-    """The slowest places that were measured, apart from each other; a ray outwards along the normal is
-    free."""
+    """The slowest measured points that are separated from each other and reachable along their normals."""
     mesh = surface.mesh
     p, normal = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
     size = float(np.linalg.norm(mesh.extents))
@@ -146,7 +145,7 @@ def _grapples(surface: SurfaceModel, speed: SurfaceSpeed) -> dict[str, Any]:
         both = np.concatenate([np.array(chosen, dtype=np.int64), free])
         chosen = [
             int(both[k])
-            for k in slowest_points(speed.largest_m_s[both], p[both], APART_SHARE * size, GRAPPLES)
+            for k in slowest_points(speed.largest_m_s[both], p[both], MIN_SEPARATION_SHARE * size, GRAPPLES)
         ]
         if len(chosen) == GRAPPLES:
             break
@@ -189,7 +188,7 @@ def format_plan(plan: Plan) -> str:
         lines.append(
             f"The surface moves at {1e3 * speed['least_m_s']:.3g} to "
             f"{1e3 * speed['largest_m_s']:.3g} mm/s at most; "
-            "slowest, with a free way along the normal:"
+            "slowest points that are reachable along their normal:"
         )
         for one in speed["grapples"]:
             place = " ".join(f"{x:+.3f}" for x in one["p_G"])

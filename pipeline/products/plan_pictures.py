@@ -1,5 +1,5 @@
-"""Pictures of a plan: the keep-out volume with the body in it, the speed of the surface, the way of an
-inspector in the corridor. None of them is a result: one that cannot be made costs a warning.
+"""Pictures of a plan: the keep-out volume with the body in it, the speed of the surface, the path of an
+inspector in the corridor. None of them is a result: if one cannot be made, there is a warning.
 """
 
 import io
@@ -96,7 +96,7 @@ def _veiled(outer: MeshView, blue: Array, layers: list[tuple[MeshView, Array]]) 
 def draw_speed(
     surface: SurfaceModel, speed: SurfaceSpeed, grapples: Sequence[Any], horizon_s: float
 ) -> bytes:
-    """The mesh from six sides of G by the largest speed over the horizon, the slowest places marked."""
+    """The mesh from six sides of G by the largest speed over the horizon, the slowest points marked."""
     viewer, V = MeshViewer(surface.mesh), np.asarray(surface.mesh.vertices)
     normal = np.asarray(surface.mesh.vertex_normals)
     middle = 0.5 * (V.min(axis=0) + V.max(axis=0))
@@ -117,12 +117,12 @@ def draw_speed(
         _dress(axes, f"from {side.name} of G", half)
     bar = figure.colorbar(scale, ax=all_axes, shrink=0.8, pad=0.02)
     bar.set_label("largest speed [mm/s]", color=INK)
-    words = "Numbers: the slowest places that a straight way along the normal reaches, as in planning.json."
+    words = "Numbers: the slowest points that are reachable along their normal, as in planning.json."
     return _png(figure, words)
 
 
 def _mark(axes: Axes, view: MeshView, side: Direction, p: Array, half: float, text: str) -> None:
-    """A ring and its number, where the place is not hidden."""
+    """A ring and its number, unless the point is hidden."""
     x, y = p @ side.right, p @ side.up
     u, v = (0.5 * SIDE_PX * (1.0 + float(each) / half) - 0.5 for each in (x, -y))
     row, column = (min(max(round(each), 0), SIDE_PX - 1) for each in (v, u))
@@ -138,7 +138,7 @@ def _mark(axes: Axes, view: MeshView, side: Direction, p: Array, half: float, te
 
 
 def draw_corridor(plan: Plan) -> bytes:
-    """The way of an inspector that stays at the stand-off, in two projections; its acceleration."""
+    """The path of an inspector that stays at the stand-off, in two projections; its acceleration."""
     path, docking = plan.corridor, plan.docking
     assert path is not None and docking is not None
     figure, (above, beside, time) = _page(

@@ -1,4 +1,4 @@
-"""Where the target of a run will be: the last state carried on, as a table, an archive and in words."""
+"""The predicted motion of a run's target: the last state propagated, as a table, an archive and text."""
 
 from dataclasses import dataclass
 from io import StringIO
@@ -30,19 +30,19 @@ from polhode.planning.prediction.prediction import FinalState, Prediction, predi
 from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 
-MOST_ROWS = 100_000
+MAX_ROWS = 100_000
 SHOWN_ROWS = 6
 """Of the printed table, evenly spaced."""
 SEEN_FRAMES = 20
 """Of the past that an undetermined inertia is held against."""
-LEAST_SHARE = 0.1
+MIN_POSITION_SHARE = 0.1
 """A component of the position is undetermined when so much of it lies along a direction that is."""
-LEAST_TURN = 0.002
+MIN_RATE_SHARE = 0.002
 """The same of the rate, as a share of it."""
 
 
 class NoCovariance(InputError):
-    """There is a motion, and nothing that tells how sure it is."""
+    """The run has a motion, but no covariance of it."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def predict_run(
     """Predict to ``horizon_s`` after the last pair, every ``step_s`` (the run's own interval unless given).
 
     The last row is at the horizon; ``from_last``: the first one is the last pair's. Raises InputError when
-    the run has no estimate or the times make no sense.
+    the run has no estimate or the times are invalid.
     """
     last, summary = last_body(run_folder)
     table = read_trajectory(run_folder)
@@ -114,9 +114,9 @@ def prediction_times(horizon_s: float, step_s: float) -> Array:
         raise InputError(f"--horizon {horizon_s:g}: give the seconds to look ahead, a number above 0")
     if not (np.isfinite(step_s) and step_s > 0.0):
         raise InputError(f"--step-s {step_s:g}: give the seconds between two rows, a number above 0")
-    if horizon_s / step_s > MOST_ROWS:
+    if horizon_s / step_s > MAX_ROWS:
         raise InputError(
-            f"--horizon {horizon_s:g} s in steps of {step_s:g} s makes more than {MOST_ROWS} rows: "
+            f"--horizon {horizon_s:g} s in steps of {step_s:g} s makes more than {MAX_ROWS} rows: "
             "give a larger --step-s"
         )
     steps = step_s * np.arange(1, int(horizon_s / step_s + 1e-9) + 1)
@@ -180,14 +180,14 @@ def undetermined_components(last: Array, com_lost: Array, axes_lost: Array, stat
     """
     lost = np.tile(~np.isfinite(np.diagonal(last)), (len(states.time_s), 1))
     # what is undetermined in the body turns with it
-    lost[:, 0:3] = lost[:, 3:6] | (np.abs(states.R_NP[:, :, com_lost]) > LEAST_SHARE).any(axis=2)
+    lost[:, 0:3] = lost[:, 3:6] | (np.abs(states.R_NP[:, :, com_lost]) > MIN_POSITION_SHARE).any(axis=2)
     if axes_lost.sum() >= 2:
         # the axes may even be exchanged: nothing expressed in them is known
         lost[:, 6:] = True
     elif axes_lost.any():
         rate = np.linalg.norm(states.w_P, axis=1, keepdims=True)
         lost[:, 6:9] |= axes_lost
-        lost[:, 9:12] |= np.abs(np.cross(states.w_P, np.eye(3)[axes_lost][0])) > LEAST_TURN * rate
+        lost[:, 9:12] |= np.abs(np.cross(states.w_P, np.eye(3)[axes_lost][0])) > MIN_RATE_SHARE * rate
     return lost
 
 
@@ -220,12 +220,12 @@ def write_prediction(prediction: RunPrediction, path: Path, marks: bool) -> None
 
 
 def format_prediction(prediction: RunPrediction) -> str:
-    """A few rows in words: where the centre of mass will be, and how well place and attitude are known."""
+    """A few rows as text: the predicted centre of mass, and how well position and attitude are known."""
     time_s, states = prediction.states.time_s, prediction.states
     rows = np.unique(np.linspace(0, len(time_s) - 1, SHOWN_ROWS + 1).round().astype(int)[1:])
     marks = standard_deviations(states.covariance_of_marks)
     table = Table(title="After the last pair (one standard deviation, worst axis)")
-    for name in ("seconds", "r_N [m]", "place of the body", "attitude of the body", "rate [deg/s]"):
+    for name in ("seconds", "r_N [m]", "position of the body", "attitude of the body", "rate [deg/s]"):
         table.add_column(name, justify="right", no_wrap=True)
     for k in rows:
         table.add_row(
@@ -242,6 +242,6 @@ def format_prediction(prediction: RunPrediction) -> str:
     if prediction.undetermined:
         words = (
             f"The run does not determine {', '.join(prediction.undetermined)}: "
-            "sigmas that rest on it are inf in the file; --marks gives those of the body itself.\n"
+            "sigmas that depend on it are inf in the file; --marks gives those of the body itself.\n"
         )
     return capture.get() + words

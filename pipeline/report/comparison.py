@@ -31,9 +31,9 @@ OWN_FRAME = "centre of mass, "
 
 
 def write_comparison(folders: Sequence[Path], path: Path) -> None:
-    """Write one page about several runs. Raises InputError when a folder holds no run."""
+    """Write one page about several runs. Raises InputError when a folder is not a run."""
     names = [run_name(folder) for folder in folders]
-    # Two folders of the same name are told apart by their paths.
+    # Two folders of the same name are distinguished by their paths.
     names = [
         name if names.count(name) == 1 else str(folder) for name, folder in zip(names, folders, strict=True)
     ]
@@ -54,7 +54,7 @@ def write_comparison(folders: Sequence[Path], path: Path) -> None:
 
 
 def side_by_side(contents: Sequence[StoredRun]) -> list[tuple[str, list[str]]]:
-    """(quantity, one cell per run) of every number that any of the runs holds, in the order of the report."""
+    """(quantity, one cell per run) of every number that any of the runs has, in the order of the report."""
     columns = [_cells(content) for content in contents]
     names = list(dict.fromkeys(name for column in columns for name in column))
     return [(name, [column.get(name, NO_VALUE) for column in columns]) for name in names]

@@ -4,7 +4,7 @@ import numpy as np
 
 from polhode.lie import Array, log_so3, transform_points
 from polhode.pipeline.report.plot import AXIS_COLORS, FAINT, INK, Figure, Layout, Trace, band, line, panels
-from polhode.pipeline.run_directory.stored_run import Motion, StoredRun
+from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 from polhode.pipeline.run_directory.trajectory_file import standard_deviations
 from polhode.records import Bools, OnlineEstimate
 
@@ -82,7 +82,7 @@ def _vector_history(
     return data
 
 
-def _states(motion: Motion, online: OnlineEstimate) -> Figure:
+def _states(motion: StoredMotion, online: OnlineEstimate) -> Figure:
     """Standard deviations of the state, worst axis: when its frame came, and after smoothing."""
     causal, smooth = standard_deviations(online.covariance), standard_deviations(motion.covariance.covariance)
     frames = np.arange(1.0, len(causal) + 1.0)
@@ -108,7 +108,7 @@ def _states(motion: Motion, online: OnlineEstimate) -> Figure:
     )
 
 
-def _differences(motion: Motion, online: OnlineEstimate) -> Figure:
+def _differences(motion: StoredMotion, online: OnlineEstimate) -> Figure:
     """The causal state minus the smoothed one of the same frame, with the bands of the causal one."""
     causal, path = standard_deviations(online.covariance), motion.trajectory
     frames = np.arange(1.0, len(causal) + 1.0)
@@ -175,8 +175,8 @@ def _range(value: Array, sigma: Array, final: float) -> list[float]:
     return [final - 1.1 * reach, final + 1.1 * reach]
 
 
-def _offset_in_final_G(motion: Motion, online: OnlineEstimate) -> Array:
-    """Causal minus final centre of mass (F, 3) [m], along the final G: both are held at the first frame."""
+def _offset_in_final_G(motion: StoredMotion, online: OnlineEstimate) -> Array:
+    """Causal minus final centre of mass (F, 3) [m], along the final G."""
     X_NG = motion.X_NG
     # where the causal centre of mass lies in the final G, frame by frame
     in_final = np.linalg.inv(X_NG) @ online.X_NG

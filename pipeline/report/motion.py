@@ -4,7 +4,7 @@ import numpy as np
 
 from polhode.lie import Array
 from polhode.pipeline.report.plot import AXIS_COLORS, Figure, Layout, band, gap_shapes, line, panels
-from polhode.pipeline.run_directory.stored_run import Motion, StoredRun
+from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 
 
 def motion_figures(content: StoredRun) -> list[Figure]:
@@ -39,7 +39,7 @@ def _bridged(content: StoredRun, columns: int = 1) -> list[Layout]:
     return gap_shapes(content.motion.trajectory.time_s, seen, columns)
 
 
-def _centre_of_mass(motion: Motion, shapes: list[Layout]) -> Figure:
+def _centre_of_mass(motion: StoredMotion, shapes: list[Layout]) -> Figure:
     path = motion.trajectory
     line_off_mm = 1e3 * straight_line_residual(path.time_s, path.r_N, path.sigma_r)
     columns = (
@@ -75,7 +75,7 @@ def _centre_of_mass(motion: Motion, shapes: list[Layout]) -> Figure:
     )
 
 
-def _angular_velocity(motion: Motion, shapes: list[Layout]) -> Figure:
+def _angular_velocity(motion: StoredMotion, shapes: list[Layout]) -> Figure:
     path = motion.trajectory
     w_deg_s, sigma_deg_s = np.rad2deg(path.w_P), np.rad2deg(path.sigma_w)
     figure = panels(
@@ -101,7 +101,7 @@ def _angular_velocity(motion: Motion, shapes: list[Layout]) -> Figure:
     )
 
 
-def _attitude(motion: Motion, shapes: list[Layout]) -> Figure:
+def _attitude(motion: StoredMotion, shapes: list[Layout]) -> Figure:
     path = motion.trajectory
     sigma_deg = np.rad2deg(path.sigma_theta)
     figure = panels(

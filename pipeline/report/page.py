@@ -25,7 +25,7 @@ from polhode.pipeline.report.plot import Figure
 from polhode.pipeline.report.residuals import measurement_figures
 from polhode.pipeline.report.rotation import rotation_figures
 from polhode.pipeline.report.shape import shape_figures
-from polhode.pipeline.run_directory.stored_run import Picture, StoredRun, read_stored_run
+from polhode.pipeline.run_directory.stored_run import StoredPicture, StoredRun, read_stored_run
 from polhode.pipeline.run_directory.summary import write_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 
@@ -73,9 +73,9 @@ def render(content: StoredRun) -> str:
             rotation_figures(content),
             "The run did not reach an estimate of the inertia.",
         ),
-        ("Convergence", convergence_figures(content), "The run holds no causal estimate."),
+        ("Convergence", convergence_figures(content), "The run has no causal estimate."),
         ("Measurements", measurement_figures(content), "The run did not reach stereo measurements."),
-        ("Shape", shape_figures(content), "The run holds neither a map nor a surface."),
+        ("Shape", shape_figures(content), "The run has neither a map nor a surface."),
     ]
     return fill(
         "report.html.j2",
@@ -143,7 +143,7 @@ def _plotly_js() -> Markup:
     return Markup(re.sub(r"((?:src|href)\s*=\s*.?)h(ttps?:)", r"\1\\u0068\2", get_plotlyjs()))
 
 
-def _embedded(picture: Picture) -> tuple[str, str]:
+def _embedded(picture: StoredPicture) -> tuple[str, str]:
     """Caption and content; sheets as JPEG, which is a quarter of the size."""
     content = picture.content
     if picture.name in SHEETS:

@@ -15,7 +15,7 @@ Trace = dict[str, Any]
 Layout = dict[str, Any]
 
 AXIS_COLORS: tuple[str, str, str] = ("#d55e00", "#009e73", "#0072b2")
-"""x, y, z: vermillion, green, blue of Okabe and Ito, told apart by colour-blind readers too."""
+"""x, y, z: vermillion, green, blue of Okabe and Ito, distinguishable for colour-blind readers too."""
 INK, FAINT, ACCENT = "#22303c", "#8a97a3", "#5b3f8c"
 GRID = "#e8ecf0"
 TIME_SCALE = [[0.0, "#3b0f70"], [0.35, "#b5367a"], [0.7, "#fb8861"], [1.0, "#f6d746"]]
@@ -26,7 +26,7 @@ SIGMA_SCALE = [[0.0, "#fde725"], [0.33, "#35b779"], [0.66, "#31688e"], [1.0, "#4
 
 @dataclass(frozen=True)
 class Figure:
-    """One drawing with its words."""
+    """One drawing with its title and caption."""
 
     key: str
     title: str

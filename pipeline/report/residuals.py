@@ -16,7 +16,7 @@ from polhode.pipeline.report.plot import (
     packed,
     panels,
 )
-from polhode.pipeline.run_directory.archives import Residuals
+from polhode.pipeline.run_directory.archives import MeasurementResiduals
 from polhode.pipeline.run_directory.stored_run import StoredRun
 from polhode.records import StereoTracks
 
@@ -39,7 +39,7 @@ def measurement_figures(content: StoredRun) -> list[Figure]:
 
 
 def rms_per_frame(
-    tracks: StereoTracks, residuals: Residuals
+    tracks: StereoTracks, residuals: MeasurementResiduals
 ) -> "np.ndarray[tuple[int, int], np.dtype[np.float64]]":
     """Root mean square of the inliers' residuals (F, 3) [px]; NaN for a frame without inliers."""
     inlier = residuals.inlier_weight >= INLIER_WEIGHT
@@ -50,7 +50,7 @@ def rms_per_frame(
         return np.stack([np.sqrt(s / np.where(count > 0, count, np.nan)) for s in sums], axis=1)
 
 
-def _histogram(content: StoredRun, tracks: StereoTracks, residuals: Residuals) -> Figure:
+def _histogram(content: StoredRun, tracks: StereoTracks, residuals: MeasurementResiduals) -> Figure:
     normalised = residuals.residuals_px / tracks.sigma_px
     edges = np.linspace(-5, 5, 1 + int(np.clip(np.sqrt(len(normalised)), 20, 80)))
     centres, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
@@ -87,7 +87,7 @@ def _histogram(content: StoredRun, tracks: StereoTracks, residuals: Residuals) -
     )
 
 
-def _rms_per_frame(tracks: StereoTracks, residuals: Residuals) -> Figure:
+def _rms_per_frame(tracks: StereoTracks, residuals: MeasurementResiduals) -> Figure:
     rms = rms_per_frame(tracks, residuals)
     figure = layout(
         xaxis=axis("time since the first frame [s]"),
@@ -155,7 +155,7 @@ def _landmarks_over_time(tracks: StereoTracks) -> Figure:
     seen[rank[tracks.landmark] * rows // tracks.n_landmarks, tracks.frame] = 1
     figure = layout(
         xaxis=axis("time since the first frame [s]", showgrid=False),
-        yaxis=axis("landmarks, by first sight", showgrid=False, autorange="reversed"),
+        yaxis=axis("landmarks, by first observation", showgrid=False, autorange="reversed"),
     )
     data: list[Trace] = [
         {

@@ -23,7 +23,7 @@ from polhode.pipeline.report.plot import (
     panels,
     scene,
 )
-from polhode.pipeline.run_directory.stored_run import Motion, StoredRun
+from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 from polhode.rigid_body import angular_acceleration, angular_momentum_N, rotational_energy
 
 FLAT_LIMIT = float(np.log(2.0))
@@ -72,7 +72,7 @@ def confidence_ellipse(mean: Array, covariance: Array, n_sigma: float) -> Array:
     return np.asarray(mean + n_sigma * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
-def _polhode(motion: Motion) -> Figure:
+def _polhode(motion: StoredMotion) -> Figure:
     path, moments = motion.trajectory, motion.moments
     J = np.diag(moments)
     energy = float(np.mean(rotational_energy(J, path.w_P)))
@@ -254,7 +254,7 @@ def _xyz(points: Array) -> dict[str, Any]:
     return {name: packed(points[:, k]) for k, name in enumerate("xyz")}
 
 
-def _conserved(motion: Motion) -> Figure:
+def _conserved(motion: StoredMotion) -> Figure:
     path, moments = motion.trajectory, motion.moments
     cov_v = motion.covariance.covariance[:, 3:6, 3:6]
     cov_w = motion.covariance.covariance[:, 9:12, 9:12]
@@ -295,7 +295,7 @@ def _conserved(motion: Motion) -> Figure:
         "Kinetic energy of the rotation relative to its mean, and of the translation per mass; angular "
         "momentum relative to its mean, and the angle between it in N and its mean direction. Bands: three "
         "standard deviations, from the velocities alone. Without force and torque all are constant: a drift "
-        "beyond the bands speaks of one, or of a wrong inertia.",
+        "beyond the bands indicates one, or a wrong inertia.",
         data,
         figure,
         height_px=480,

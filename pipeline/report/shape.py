@@ -131,7 +131,7 @@ def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
         *_cameras(content, p_mm),
     ]
     thin = (
-        f" The page shows {len(faces)} of {len(mesh.faces)} triangles; mesh.ply holds all."
+        f" The page shows {len(faces)} of {len(mesh.faces)} triangles; mesh.ply has all."
         if len(faces) < len(mesh.faces)
         else f" {len(mesh.faces)} triangles."
     )

@@ -1,4 +1,4 @@
-"""The words and numbers of the report: the finding in a sentence, values with their standard deviations."""
+"""The text and tables of the report: the finding in a sentence, values with their standard deviations."""
 
 import re
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from polhode.lie import Array
-from polhode.pipeline.run_directory.stored_run import Motion, StoredRun
+from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 from polhode.pipeline.run_directory.summary_schema import Assumed, Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory
 
@@ -17,7 +17,7 @@ AXIS_WORDS = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """A line of a table."""
 
     name: str
@@ -28,7 +28,7 @@ class Row:
 
 
 def with_sigma(value: float, sigma: float | None) -> str:
-    """``0.0317 ± 0.0021``: the standard deviation with two digits, the value to the same place."""
+    """``0.0317 ± 0.0021``: the standard deviation with two digits, the value to the same digit."""
     if sigma is None or not np.isfinite(sigma):
         return f"{value:.3g}"
     if sigma <= 0.0:
@@ -56,12 +56,12 @@ def finding(summary: Summary, trajectory: Trajectory | None) -> str:
         if sure
     ]
     unknown = [name for name, sure in (("k1", known.k1), ("k2", known.k2)) if not sure]
-    told = f"its inertia ratios are {' and '.join(ratios)}" if ratios else ""
-    untold = f"this motion does not tell {' and '.join(unknown)}" if unknown else ""
-    return f"{motion}; {', '.join(part for part in (told, untold) if part)}."
+    determined = f"its inertia ratios are {' and '.join(ratios)}" if ratios else ""
+    undetermined = f"this motion does not determine {' and '.join(unknown)}" if unknown else ""
+    return f"{motion}; {', '.join(part for part in (determined, undetermined) if part)}."
 
 
-def inertia_rows(summary: Summary) -> list[Row]:
+def inertia_rows(summary: Summary) -> list[TableRow]:
     """The mass properties, each with its standard deviation and whether the motion determines it."""
     inertia, known, parts = summary.inertia, summary.identifiable, summary.identifiable_components
     if inertia is None or known is None or parts is None or summary.com_G is None or summary.R_GP is None:
@@ -70,7 +70,7 @@ def inertia_rows(summary: Summary) -> list[Row]:
     rows = [
         _row("k1 = ln(Jxx / Jyy)", inertia.k1, _root(inertia.cov[0][0]), "", known.k1, detail.get("k1", "")),
         _row("k2 = ln(Jyy / Jzz)", inertia.k2, _root(inertia.cov[1][1]), "", known.k2, detail.get("k2", "")),
-        Row(
+        TableRow(
             "moments Jxx : Jyy : Jzz",
             " : ".join(map(with_sigma, inertia.moments, inertia.sigma_moments)),
             "middle one 1",
@@ -86,18 +86,18 @@ def inertia_rows(summary: Summary) -> list[Row]:
         if not parts.com_P[k]:
             verdict = _verdict(False, detail.get(f"com_{name}", ""))
             rows.append(
-                Row(f"centre of mass, along the principal axis {name}", "no bound", "", verdict, False)
+                TableRow(f"centre of mass, along the principal axis {name}", "no bound", "", verdict, False)
             )
     for k, name in enumerate("xyz"):
         root = None if summary.cov_R_GP is None else _root(summary.cov_R_GP[k][k])
         value, unit = ("no bound", "") if root is None else (f"± {np.rad2deg(root):.2g}", "deg")
         sure = parts.axes_P[k]
         verdict = _verdict(sure, detail.get(f"axes_{name}", ""))
-        rows.append(Row(f"principal axes, turned about {name}", value, unit, verdict, sure))
+        rows.append(TableRow(f"principal axes, turned about {name}", value, unit, verdict, sure))
     return rows
 
 
-def absolute_rows(summary: Summary) -> list[Row]:
+def absolute_rows(summary: Summary) -> list[TableRow]:
     """Mass and inertia in kilograms, from known forces and torques; nothing when none are known."""
     inertia, detail = summary.inertia, summary.identifiable_detail
     if inertia is None:
@@ -112,7 +112,7 @@ def absolute_rows(summary: Summary) -> list[Row]:
     return rows
 
 
-def push_rows(summary: Summary) -> list[Row]:
+def push_rows(summary: Summary) -> list[TableRow]:
     """What unknown forces and torques did, two lines a push."""
     rows = []
     for push in summary.unknown_pushes:
@@ -131,72 +131,72 @@ def push_rows(summary: Summary) -> list[Row]:
                 with_sigma(scale * value, None if s is None else scale * s)
                 for value, s in zip(change, sigma, strict=True)
             ]
-            rows.append(Row(f"{when}: {name}", ", ".join(parts), unit))
+            rows.append(TableRow(f"{when}: {name}", ", ".join(parts), unit))
     return rows
 
 
-def assumed_rows(assumed: Assumed | None) -> list[Row]:
+def assumed_rows(assumed: Assumed | None) -> list[TableRow]:
     """What uniform density says, in kilograms; not estimated."""
     if assumed is None:
         return []
     moments = np.linalg.eigvalsh(np.array(assumed.inertia_kg_m2))[::-1]
     rows = [
-        Row("volume", f"{1e3 * assumed.volume_m3:.4g}", "litres"),
-        Row("density", f"{assumed.density_kg_m3:.4g}", "kg/m³"),
-        Row("mass", f"{assumed.mass_kg:.4g}", "kg"),
-        Row("moments Jxx, Jyy, Jzz", ", ".join(f"{moment:.4g}" for moment in moments), "kg m²"),
+        TableRow("volume", f"{1e3 * assumed.volume_m3:.4g}", "litres"),
+        TableRow("density", f"{assumed.density_kg_m3:.4g}", "kg/m³"),
+        TableRow("mass", f"{assumed.mass_kg:.4g}", "kg"),
+        TableRow("moments Jxx, Jyy, Jzz", ", ".join(f"{moment:.4g}" for moment in moments), "kg m²"),
     ]
     rows += [
-        Row(name, f"{value:.3f}")
+        TableRow(name, f"{value:.3f}")
         for name, value in (("k1", assumed.k1), ("k2", assumed.k2))
         if value is not None
     ]
     if assumed.com_G is not None:
         rows.append(
-            Row("centre of mass in G", ", ".join(f"{1e3 * part:.1f}" for part in assumed.com_G), "mm")
+            TableRow("centre of mass in G", ", ".join(f"{1e3 * part:.1f}" for part in assumed.com_G), "mm")
         )
     return rows
 
 
-def run_rows(content: StoredRun) -> list[Row]:
+def run_rows(content: StoredRun) -> list[TableRow]:
     """Size of the data, noise and solver."""
     summary = content.summary
     rows = [
-        Row("stereo pairs", f"{summary.frames}"),
-        Row("pairs with measurements", f"{summary.frames_used}"),
-        Row("duration of the data", f"{summary.duration_s:.1f}", "s"),
-        Row("landmarks", f"{summary.landmarks}"),
-        Row("stereo observations", f"{summary.observations}"),
+        TableRow("stereo pairs", f"{summary.frames}"),
+        TableRow("pairs with measurements", f"{summary.frames_used}"),
+        TableRow("duration of the data", f"{summary.duration_s:.1f}", "s"),
+        TableRow("landmarks", f"{summary.landmarks}"),
+        TableRow("stereo observations", f"{summary.observations}"),
     ]
     if summary.noise is not None:
         noise = summary.noise
         rows += [
-            Row("residual of u, v", f"{noise.pixel_sigma_px:.3f}", "px"),
-            Row("residual of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"),
-            Row("disturbance acceleration", f"{np.sqrt(noise.accel_psd):.2g}", "m/s² /√Hz"),
-            Row("disturbance torque / Jyy", f"{np.sqrt(noise.torque_psd):.2g}", "rad/s² /√Hz"),
+            TableRow("residual of u, v", f"{noise.pixel_sigma_px:.3f}", "px"),
+            TableRow("residual of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"),
+            TableRow("disturbance acceleration", f"{np.sqrt(noise.accel_psd):.2g}", "m/s² /√Hz"),
+            TableRow("disturbance torque / Jyy", f"{np.sqrt(noise.torque_psd):.2g}", "rad/s² /√Hz"),
         ]
     if summary.solver is not None:
         solver = summary.solver
         ended = "converged" if solver.converged else f"stopped: {solver.message or 'not converged'}"
-        rows.append(Row("solver", f"{solver.name}, {solver.iterations} iterations"))
-        rows.append(Row("solver's end", ended, sure=solver.converged))
-        rows.append(Row("cost", f"{solver.cost:.6g}"))
+        rows.append(TableRow("solver", f"{solver.name}, {solver.iterations} iterations"))
+        rows.append(TableRow("solver's end", ended, sure=solver.converged))
+        rows.append(TableRow("cost", f"{solver.cost:.6g}"))
         if solver.reduced_chi2 is not None:
-            rows.append(Row("reduced chi-squared", f"{solver.reduced_chi2:.3f}"))
-        rows += [Row(f"start from {name}", _outcome(cost)) for name, cost in solver.runner_up.items()]
+            rows.append(TableRow("reduced chi-squared", f"{solver.reduced_chi2:.3f}"))
+        rows += [TableRow(f"start from {name}", _outcome(cost)) for name, cost in solver.runner_up.items()]
     return rows
 
 
-def motion_rows(motion: Motion | None) -> list[Row]:
+def motion_rows(motion: StoredMotion | None) -> list[TableRow]:
     """The motion in a few numbers, with the median standard deviation over the run."""
     if motion is None:
         return []
     path = motion.trajectory
     rate = np.linalg.norm(path.w_P, axis=1)
     return [
-        Row("rate of turn, median", f"{np.rad2deg(np.median(rate)):.2f}", "deg/s"),
-        Row("distance from the origin of N", f"{np.median(np.linalg.norm(path.r_N, axis=1)):.4f}", "m"),
+        TableRow("rate of turn, median", f"{np.rad2deg(np.median(rate)):.2f}", "deg/s"),
+        TableRow("distance from the origin of N", f"{np.median(np.linalg.norm(path.r_N, axis=1)):.4f}", "m"),
         _median_row("σ position, worst axis", 1e3 * path.sigma_r, "mm"),
         _median_row("σ velocity, worst axis", 1e3 * path.sigma_v, "mm/s"),
         _median_row("σ attitude, worst axis", np.rad2deg(path.sigma_theta), "deg"),
@@ -212,21 +212,25 @@ def timing_rows(summary: Summary) -> list[tuple[str, float, float]]:
     return [(name, seconds, seconds / longest) for name, seconds in stages.items()]
 
 
-def metric_rows(metrics: dict[str, Any]) -> list[Row]:
+def metric_rows(metrics: dict[str, Any]) -> list[TableRow]:
     """metrics.json, one line a number; a nested group gives its name to its members."""
     rows = []
     for key, value in metrics.items():
         if isinstance(value, dict):
             scaled = {f"{name}_m" if key.endswith("_m") else name: part for name, part in value.items()}
-            rows += [Row(f"{_plain(key)}: {_member(row.name)}", row.value) for row in metric_rows(scaled)]
+            rows += [
+                TableRow(f"{_plain(key)}: {_member(row.name)}", row.value) for row in metric_rows(scaled)
+            ]
         elif isinstance(value, bool | str) or value is None:
-            rows.append(Row(_plain(key), "–" if value is None else str(value)))
+            rows.append(TableRow(_plain(key), "–" if value is None else str(value)))
         elif isinstance(value, int | float):
             scale = 1e3 if key.endswith(("_m", "_m_s")) else 1.0
-            rows.append(Row(_plain(key), f"{scale * value:.4g}"))
+            rows.append(TableRow(_plain(key), f"{scale * value:.4g}"))
         elif isinstance(value, list):
             rows.append(
-                Row(_plain(key), ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value))
+                TableRow(
+                    _plain(key), ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value)
+                )
             )
     return rows
 
@@ -237,11 +241,11 @@ def _about(w_P: Array) -> str:
     k = int(np.argmax(share))
     if share[k] > 0.9:
         return f"about its principal axis {AXIS_WORDS[k]}"
-    return "about an axis that wanders through the body"
+    return "about an axis that moves through the body"
 
 
-def _row(name: str, value: float, sigma: float | None, unit: str, sure: bool, reason: str) -> Row:
-    return Row(name, with_sigma(value, sigma), unit, _verdict(sure, reason), sure)
+def _row(name: str, value: float, sigma: float | None, unit: str, sure: bool, reason: str) -> TableRow:
+    return TableRow(name, with_sigma(value, sigma), unit, _verdict(sure, reason), sure)
 
 
 def _verdict(sure: bool, reason: str) -> str:
@@ -257,18 +261,18 @@ def _root(variance: float | None) -> float | None:
     return None if variance is None else float(np.sqrt(max(variance, 0.0)))
 
 
-def _median_row(name: str, sigma: Array, unit: str) -> Row:
+def _median_row(name: str, sigma: Array, unit: str) -> TableRow:
     worst = np.max(np.median(sigma, axis=0))
-    return Row(name, f"{worst:.2g}", unit) if np.isfinite(worst) else Row(name, "not determined")
+    return TableRow(name, f"{worst:.2g}", unit) if np.isfinite(worst) else TableRow(name, "not determined")
 
 
 def _outcome(cost: float | None) -> str:
     """Where another start of the inertia ended, by the cost that it has more than the one chosen."""
     if cost is None:
-        return "did not end"
+        return "did not converge"
     if cost < SAME_COST:
         return "ended in the same minimum"
-    likely = "nearly as likely: an ambiguity" if cost < AMBIGUOUS_COST else "far less likely"
+    likely = "almost as likely: an ambiguity" if cost < AMBIGUOUS_COST else "far less likely"
     return f"a minimum of {cost:.1f} more: {likely}"
 
 
@@ -293,31 +297,33 @@ def _plain(key: str) -> str:
     return key.replace("_", " ")
 
 
-def mesh_rows(summary: Summary) -> list[Row]:
+def mesh_rows(summary: Summary) -> list[TableRow]:
     """Empty where there is no mesh."""
     rows = []
     if (mesh := summary.mesh) is not None:
         invented = f"{mesh.invented_faces} ({mesh.invented_share:.2%} of the area)"
         rows += [
-            Row("faces", f"{mesh.faces}, {'closed' if mesh.closed else 'open'}"),
-            Row("small holes closed, left open", f"{mesh.holes_closed}, {mesh.holes_left_open}"),
-            Row("faces invented for them", invented),
-            Row("colours", "the Sun's shading divided out" if mesh.colour == "albedo" else "as the images"),
+            TableRow("faces", f"{mesh.faces}, {'closed' if mesh.closed else 'open'}"),
+            TableRow("small holes closed, left open", f"{mesh.holes_closed}, {mesh.holes_left_open}"),
+            TableRow("faces invented for them", invented),
+            TableRow(
+                "colours", "the Sun's shading divided out" if mesh.colour == "albedo" else "as the images"
+            ),
         ]
         if (sun := mesh.sun) is not None:
             direction = ", ".join(f"{part:.3f}" for part in sun.direction_N)
             sure = "" if sun.sigma_deg is None else f" ± {sun.sigma_deg:.1f} deg"
             used = "" if mesh.colour == "albedo" else ", not used"
-            rows.append(Row("direction of the Sun in N", f"{direction}{sure}"))
-            rows.append(Row("changes of brightness it explains", f"{sun.explained:.0%}{used}"))
+            rows.append(TableRow("direction of the Sun in N", f"{direction}{sure}"))
+            rows.append(TableRow("changes of brightness it explains", f"{sun.explained:.0%}{used}"))
         for level in mesh.levels:
             mean_mm, most_mm = 1e3 * level.mean_distance_m, 1e3 * level.largest_distance_m
             away = f"off by {mean_mm:.2g} mm in the mean, {most_mm:.2g} mm at most"
-            rows.append(Row(level.file, f"{level.faces} faces, {away}"))
+            rows.append(TableRow(level.file, f"{level.faces} faces, {away}"))
     if (coverage := summary.coverage) is not None:
         of = "surface" if coverage.of == "mesh" else "convex hull"
         rows.append(
-            Row(
+            TableRow(
                 f"share of the {of} seen lit, seen unlit, unseen",
                 ", ".join(f"{part:.1%}" for part in (coverage.seen, coverage.seen_unlit, coverage.unseen)),
             )

@@ -58,7 +58,7 @@ class Covariance:
 
 
 @dataclass(frozen=True)
-class Residuals:
+class MeasurementResiduals:
     """Residual and weight of each measurement after the estimate."""
 
     residuals_px: Array
@@ -155,7 +155,7 @@ def write_covariance(estimate: MotionEstimate, path: Path) -> None:
 
 
 def read_covariance(path: Path) -> Covariance:
-    """Read covariance.npz (the file, or the run folder that holds it). Raises InputError, one line."""
+    """Read covariance.npz (the file, or its run folder). Raises InputError, one line."""
     archive = load_archive(path, "covariance.npz")
     timestamps_ns = archive.times("timestamps_ns")
     count, n, m, k = len(timestamps_ns), len(STATE_ORDER), len(JOINT_ORDER), len(POSE_ORDER)
@@ -259,13 +259,15 @@ def read_relative_poses(path: Path) -> RelativePoses | None:
     )
 
 
-def read_residuals(path: Path) -> Residuals | None:
+def read_residuals(path: Path) -> MeasurementResiduals | None:
     """The back end's residuals in measurements.npz; None when the run stopped before them."""
     archive = load_archive(path, "measurements.npz")
     if "residuals_px" not in archive:
         return None
     count = len(archive.whole("frame", None))
-    return Residuals(archive.numbers("residuals_px", count, 3), archive.numbers("inlier_weight", count))
+    return MeasurementResiduals(
+        archive.numbers("residuals_px", count, 3), archive.numbers("inlier_weight", count)
+    )
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
@@ -292,7 +294,7 @@ def write_online(online: OnlineEstimate, path: Path) -> None:
 
 
 def read_online(path: Path) -> OnlineEstimate | None:
-    """Read online.npz (the file, or the run folder that holds it); None when the run has none.
+    """Read online.npz (the file, or its run folder); None when the run has none.
 
     Raises InputError, one line, when it cannot be read.
     """

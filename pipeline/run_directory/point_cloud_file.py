@@ -24,7 +24,7 @@ def write_landmarks(landmarks: Landmarks, path: Path) -> None:
 
 
 def read_landmarks(path: Path) -> Landmarks:
-    """Read landmarks.ply (the file, or the run folder that holds it). Raises InputError, one line."""
+    """Read landmarks.ply (the file, or its run folder). Raises InputError, one line."""
     file = path / "landmarks.ply" if path.is_dir() else path
     if not file.is_file():
         raise InputError(f"{file}: no such file; give the folder of a run that reached an estimate")

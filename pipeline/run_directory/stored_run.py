@@ -11,7 +11,7 @@ from polhode.lie import Array, make_pose
 from polhode.mapping.mesh_files import read_ply
 from polhode.pipeline.run_directory.archives import (
     Covariance,
-    Residuals,
+    MeasurementResiduals,
     read_covariance,
     read_measurements,
     read_online,
@@ -25,7 +25,7 @@ from polhode.records import Landmarks, OnlineEstimate, StereoTracks, SurfaceMode
 
 
 @dataclass(frozen=True)
-class Motion:
+class StoredMotion:
     """A run's estimate: trajectory, mass properties and covariance belong together."""
 
     trajectory: Trajectory
@@ -45,7 +45,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Picture:
+class StoredPicture:
     """An image file of RUN/pictures."""
 
     name: str
@@ -55,18 +55,18 @@ class Picture:
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A run as stored; None or empty where the run holds no such file."""
+    """A run as stored; None or empty where the run has no such file."""
 
     name: str
     summary: Summary
-    motion: Motion | None
+    motion: StoredMotion | None
     online: OnlineEstimate | None
     tracks: StereoTracks | None
-    residuals: Residuals | None
+    residuals: MeasurementResiduals | None
     landmarks: Landmarks | None
     surface: SurfaceModel | None
     metrics: dict[str, Any]
-    pictures: tuple[Picture, ...]
+    pictures: tuple[StoredPicture, ...]
     config_text: str
 
 
@@ -89,13 +89,13 @@ def read_stored_run(folder: Path, name: str) -> StoredRun:
     )
 
 
-def _motion(folder: Path, summary: Summary) -> Motion | None:
+def _motion(folder: Path, summary: Summary) -> StoredMotion | None:
     files = (folder / "trajectory.csv", folder / "covariance.npz")
     if summary.inertia is None or summary.R_GP is None or summary.com_G is None:
         return None
     if not all(file.is_file() for file in files):
         return None
-    return Motion(
+    return StoredMotion(
         trajectory=read_trajectory(files[0]),
         covariance=read_covariance(files[1]),
         moments=np.array(summary.inertia.moments),
@@ -104,9 +104,9 @@ def _motion(folder: Path, summary: Summary) -> Motion | None:
     )
 
 
-def _pictures(folder: Path) -> tuple[Picture, ...]:
+def _pictures(folder: Path) -> tuple[StoredPicture, ...]:
     captions: dict[str, str] = _json(folder / "captions.json")
-    return tuple(Picture(name, words, (folder / name).read_bytes()) for name, words in captions.items())
+    return tuple(StoredPicture(name, words, (folder / name).read_bytes()) for name, words in captions.items())
 
 
 def _json(file: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""summary.json: what a run found, in one small file (CONTRACT.md, "A run directory").
+"""summary.json: the results of a run in one small file (docs/run_directory.md).
 
 The pydantic model below is the only definition; ``pipeline/summary.schema.json`` is generated from it
 (``python -m polhode.pipeline.run_directory.summary``) and shipped, and every summary is validated when it is
@@ -42,7 +42,7 @@ def build_summary(
     failure: str | None = None,
     shape: ShapeFindings | None = None,
 ) -> Summary:
-    """Gather the summary of a run.
+    """The summary of a run.
 
     ``warnings`` do not change the status (a dropped frame, what the motion does not determine); ``degraded``
     are the caller's reasons to look closely. The status is ``failed`` with a ``failure``, without an
@@ -57,11 +57,11 @@ def build_summary(
     if failure is not None or estimate is None:
         status = "failed"
     own = estimate.warnings if estimate is not None else ()
-    told = [*([failure] if failure else []), *reasons, *_undetermined(estimate)]
-    # Where the back end begins with the same words, it says more.
-    told = [text for text in told if not any(more.startswith(text) for more in own)]
+    reported = [*([failure] if failure else []), *reasons, *_undetermined(estimate)]
+    # A warning of the back end that begins with the same text is more detailed.
+    reported = [text for text in reported if not any(more.startswith(text) for more in own)]
     shape = shape or ShapeFindings()
-    texts = [*told, *own, *warnings, *shape.warnings]
+    texts = [*reported, *own, *warnings, *shape.warnings]
     if failure is not None:
         texts.sort(key=lambda text: not text.startswith(failure))
     times = {stage: float(timing_s.get(stage, 0.0)) for stage in STAGES}
@@ -90,9 +90,9 @@ def build_summary(
 def degradations(
     tracks: StereoTracks | None, estimate: MotionEstimate, surface: SurfaceModel | None
 ) -> tuple[str, ...]:
-    """Why the estimate is doubtful or incomplete, in words.
+    """The reasons why the estimate is doubtful or incomplete.
 
-    What the motion cannot tell is no such reason: a spin about one axis, measured well, is a complete answer.
+    What is unobservable is no such reason: a spin about one axis, measured well, is a complete answer.
     """
     reasons = []
     if tracks is not None and len(np.unique(tracks.frame)) < 0.5 * tracks.n_frames:
@@ -108,7 +108,7 @@ def degradations(
 
 
 def _undetermined(estimate: MotionEstimate | None) -> list[str]:
-    """What the motion does not tell, as one warning."""
+    """What the motion does not determine, as one warning."""
     if estimate is None:
         return []
     known = estimate.mass.identifiable
@@ -130,7 +130,7 @@ def write_summary(summary: Summary, path: Path) -> None:
 
 
 def read_summary(path: Path) -> Summary:
-    """Read summary.json (the file, or the run folder that holds it). Raises InputError, one line."""
+    """Read summary.json (the file, or its run folder). Raises InputError, one line."""
     file = path / "summary.json" if path.is_dir() else path
     if not file.is_file():
         raise InputError(f"{file}: no such file; give the folder of a run")

@@ -27,7 +27,7 @@ Flags = tuple[bool, bool, bool]
 Status = Literal["ok", "degraded", "failed"]
 
 
-class Part(BaseModel):
+class StrictModel(BaseModel):
     """Refuses keys that it does not know."""
 
     model_config = ConfigDict(
@@ -35,7 +35,7 @@ class Part(BaseModel):
     )
 
 
-class Timing(Part):
+class StageTimes(StrictModel):
     """Wall-clock seconds of each stage; 0 where a stage was not reached."""
 
     frontend: Finite = 0.0
@@ -47,7 +47,7 @@ class Timing(Part):
     total: Finite = 0.0
 
 
-class Inertia(Part):
+class Inertia(StrictModel):
     """Mass distribution up to scale; moments sorted Jxx >= Jyy >= Jzz, the middle one 1."""
 
     k1: Finite
@@ -75,7 +75,7 @@ class Inertia(Part):
     """null: undetermined, or no torque is known."""
 
 
-class Identifiable(Part):
+class Identifiable(StrictModel):
     """com and axes are true only when every component is determined."""
 
     k1: bool
@@ -84,14 +84,14 @@ class Identifiable(Part):
     axes: bool
 
 
-class IdentifiableComponents(Part):
+class IdentifiableComponents(StrictModel):
     """Each component by itself, along (about) the principal axes x, y, z of P."""
 
     com_P: Flags
     axes_P: Flags
 
 
-class Solver(Part):
+class SolverSummary(StrictModel):
     """How the optimisation ended."""
 
     name: str
@@ -104,7 +104,7 @@ class Solver(Part):
     """Cost of the other hypotheses, by name, minus that of the one chosen; null: did not end."""
 
 
-class Noise(Part):
+class Noise(StrictModel):
     """Noise that the estimate was made with."""
 
     pixel_sigma_px: Finite
@@ -115,7 +115,7 @@ class Noise(Part):
     """[(rad/s^2)^2/Hz], torque over the middle moment."""
 
 
-class UnknownPush(Part):
+class UnknownPush(StrictModel):
     """What unknown forces and torques did over steps that follow each other; pushes.csv has each step."""
 
     start_s: Finite
@@ -130,7 +130,7 @@ class UnknownPush(Part):
     """null: the axes are undetermined."""
 
 
-class Assumed(Part):
+class Assumed(StrictModel):
     """What uniform density says; never mixed with the estimates. null: determined by the motion."""
 
     words: list[str]
@@ -147,7 +147,7 @@ class Assumed(Part):
     R_GP: Matrix | None
 
 
-class MeshLevel(Part):
+class MeshLevel(StrictModel):
     """A lighter mesh for planners and viewers."""
 
     file: str
@@ -157,7 +157,7 @@ class MeshLevel(Part):
     mean_distance_m: Finite
 
 
-class Sun(Part):
+class Sun(StrictModel):
     """The Sun, from how the turning surface brightens and darkens."""
 
     direction_N: Vector
@@ -170,7 +170,7 @@ class Sun(Part):
     """Of the frames looked at, those in which the Sun shone."""
 
 
-class Mesh(Part):
+class Mesh(StrictModel):
     """mesh.ply."""
 
     vertices: int
@@ -197,7 +197,7 @@ class Mesh(Part):
     """Of these, those that were aligned to the surface of the other frames."""
 
 
-class Coverage(Part):
+class Coverage(StrictModel):
     """How much of the body was seen: shares of the mesh's area, or of its convex hull's where it is open."""
 
     seen: Finite = Field(ge=0, le=1)
@@ -212,7 +212,7 @@ class Coverage(Part):
     words: str
 
 
-class Physics(Part):
+class Physics(StrictModel):
     """The mesh at uniform density against the motion's mass properties; null: not determined."""
 
     words: list[str]
@@ -235,7 +235,7 @@ class Physics(Part):
     k2_difference: Finite | None
 
 
-class Summary(Part):
+class Summary(StrictModel):
     """What a run found. Parts that a failed run did not reach are null."""
 
     schema_: Literal["polhode-summary/1"] = Field("polhode-summary/1", alias="schema")
@@ -249,7 +249,7 @@ class Summary(Part):
     observations: int = Field(ge=0)
     duration_s: Finite
     """Of the data."""
-    timing_s: Timing
+    timing_s: StageTimes
     inertia: Inertia | None
     identifiable: Identifiable | None
     identifiable_detail: dict[str, str]
@@ -262,7 +262,7 @@ class Summary(Part):
     R_GP: Matrix | None
     cov_R_GP: VarianceMatrix | None
     """Of theta in R_GP Exp(theta) [rad^2]."""
-    solver: Solver | None
+    solver: SolverSummary | None
     noise: Noise | None
     unknown_pushes: tuple[UnknownPush, ...] = ()
     """Of unknown forces and torques, in time."""

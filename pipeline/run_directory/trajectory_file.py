@@ -88,7 +88,7 @@ def write_trajectory(trajectory: Trajectory, path: Path) -> None:
     states = np.hstack([trajectory.r_N, trajectory.v_N, trajectory.q_NP_wxyz, trajectory.w_P])
     sigmas = np.hstack([trajectory.sigma_r, trajectory.sigma_v, trajectory.sigma_theta, trajectory.sigma_w])
     if not np.all(np.isfinite(states)) or np.any(np.isnan(sigmas)):
-        raise ValueError("the trajectory holds a state that is not finite or a sigma that is NaN")
+        raise ValueError("the trajectory has a state that is not finite or a sigma that is NaN")
     rows = np.hstack([states, sigmas]).tolist()
     lines = [",".join(TRAJECTORY_COLUMNS)]
     for timestamp_ns, row in zip(trajectory.timestamps_ns.tolist(), rows, strict=True):
@@ -97,7 +97,7 @@ def write_trajectory(trajectory: Trajectory, path: Path) -> None:
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read trajectory.csv (the file, or the run folder that holds it). Raises InputError, one line."""
+    """Read trajectory.csv (the file, or its run folder). Raises InputError, one line."""
     file = path / "trajectory.csv" if path.is_dir() else path
     if not file.is_file():
         raise InputError(f"{file}: no such file; give the folder of a run that reached an estimate")

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from polhode.lie import exp_so3, make_pose
 from polhode.mapping.visibility import MIN_COSINE, Caster
-from polhode.pipeline.coverage import axis_words, coverage_of, warnings_of, with_classes
+from polhode.pipeline.coverage import coverage_of, describe_direction, warnings_of, with_classes
 from polhode.records import SEEN_LIT, SEEN_UNLIT, UNSEEN, SurfaceModel
 from tests.mapping.rendered_views import DISTANCE_M, RIG, rendered
 
@@ -85,5 +85,5 @@ def test_invented_vertices_get_a_class_and_measured_ones_were_lit() -> None:
 
 
 def test_directions_are_named_by_their_axes() -> None:
-    assert axis_words(np.array([0.1, 0.0, -3.0])) == "-z"
-    assert axis_words(np.array([-0.7, 0.0, 0.71])) == "+z and -x"
+    assert describe_direction(np.array([0.1, 0.0, -3.0])) == "-z"
+    assert describe_direction(np.array([-0.7, 0.0, 0.71])) == "+z and -x"

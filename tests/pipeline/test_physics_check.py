@@ -105,7 +105,11 @@ def test_one_lost_component_is_left_out(example: Any) -> None:
     assert found is not None and found.com_offset_G == pytest.approx((0.0, 0.01, 0.0), abs=1e-9)
     assert found.com_offset_sigma_m == pytest.approx(1e-4)
     text = sentence(found.words, "the centre of mass")
-    assert "10 mm" in text and "+y of G" in text and text.endswith("along x of P the motion does not tell it")
+    assert (
+        "10 mm" in text
+        and "+y of G" in text
+        and text.endswith("along x of P is not determined by the motion")
+    )
     # the turn about z is lost, so z is the only axis that both tell
     assert sentence(found.words, "the principal axis z agrees")
 

@@ -25,7 +25,7 @@ from polhode.pipeline.context import RunContext
 from polhode.pipeline.pictures import run_pictures as pictures
 from polhode.pipeline.pictures.animation import (
     GROUND,
-    MOST_GIF_BYTES,
+    MAX_GIF_BYTES,
     SIZE_PX,
     draw_frame,
     film,
@@ -34,7 +34,7 @@ from polhode.pipeline.pictures.animation import (
 from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, body_frame, round_length_mm
 from polhode.pipeline.pictures.landmarks import draw_landmarks
 from polhode.pipeline.pictures.model_comparison import (
-    Comparison,
+    FrameComparison,
     chosen_frames,
     compare_frames,
     fit_brightness,
@@ -112,7 +112,7 @@ def first_rows(estimate: Any) -> dict[str, Any]:
     return {name: getattr(estimate, name)[:FRAMES] for name in names}
 
 
-def comparisons(run: Any) -> list[Comparison]:
+def comparisons(run: Any) -> list[FrameComparison]:
     viewer = MeshViewer(run.surface.mesh)
     frames = list(range(FRAMES))
     return list(
@@ -150,7 +150,7 @@ def test_overlap_and_difference_of_known_squares() -> None:
     seen[:, :6], modelled[:, 3:9] = True, True
     image = np.where(seen, 100, 0).astype(np.uint8)
     model = np.where(modelled, 50.0, 0.0)
-    comparison = Comparison(3, 1.5, True, image, model, seen, modelled, 1.0, 20.0)
+    comparison = FrameComparison(3, 1.5, True, image, model, seen, modelled, 1.0, 20.0)
     assert comparison.overlap == pytest.approx(30 / 90)
     assert comparison.covered == pytest.approx(30 / 60)
     assert comparison.rms_grey == pytest.approx(30.0)
@@ -215,7 +215,7 @@ def test_all_files_are_there_open_and_have_their_sizes(run: Any, tmp_path: Path)
     with Image.open(place / "model.gif") as gif:
         assert getattr(gif, "n_frames", 1) == FRAMES
         assert gif.width == round(0.75 * SIZE_PX[0])
-    assert (place / "model.gif").stat().st_size <= MOST_GIF_BYTES
+    assert (place / "model.gif").stat().st_size <= MAX_GIF_BYTES
     for name, least in (("landmarks.png", 1000), ("mesh.png", 1500)):
         with Image.open(place / name) as picture:
             picture.load()

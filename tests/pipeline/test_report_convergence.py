@@ -136,6 +136,6 @@ def test_the_other_starts_are_told_in_words(example: Any, tmp_path: Path) -> Non
     estimate = replace(example.estimate, solver=replace(example.estimate.solver, runner_up=others))
     told = {row.name: row.value for row in run_rows(_content(example, estimate, tmp_path / "run"))}
     assert told["start from momentum"] == "ended in the same minimum"
-    assert told["start from oblate"] == "a minimum of 2.5 more: nearly as likely: an ambiguity"
+    assert told["start from oblate"] == "a minimum of 2.5 more: almost as likely: an ambiguity"
     assert told["start from prolate"] == "a minimum of 114.0 more: far less likely"
-    assert told["start from flat across"] == "did not end"
+    assert told["start from flat across"] == "did not converge"

@@ -1,4 +1,4 @@
-"""A run in the format of another program: what there is goes out, what there is not is said.
+"""A run in the format of another program: what it has is exported, what it lacks is left out with a warning.
 
 Each writer below takes the run as far as it got, returns the files' contents, and names what it left out.
 """
@@ -12,13 +12,13 @@ import numpy as np
 
 from polhode.atomic import write_bytes
 from polhode.errors import InputError
-from polhode.pipeline.products.export.job import Files, Job, last_state, read_run
+from polhode.pipeline.products.export.job import ExportJob, Files, last_state, read_run
 from polhode.pipeline.products.export.options import (
     MESHES,
     METRES,
     MOTIONS,
     ROBOTS,
-    Options,
+    ExportOptions,
     check,
     creation_date,
 )
@@ -46,12 +46,12 @@ FRAME_N = (
 _log = logging.getLogger(__name__)
 
 
-def export_run(run: Path, options: Options) -> list[Path]:
+def export_run(run: Path, options: ExportOptions) -> list[Path]:
     """Write the files, the one that was named last. Raises InputError when nothing can be written."""
     check(options)
     found = read_run(run)
     if options.to in MOTIONS and not found.has_motion:
-        raise InputError(f"{run}: {found.no_motion}; nothing for {options.to}, json tells what there is")
+        raise InputError(f"{run}: {found.no_motion}; nothing for {options.to}, json has what there is")
     at, warnings = placement(
         options.frame_name,
         found.summary,
@@ -60,7 +60,7 @@ def export_run(run: Path, options: Options) -> list[Path]:
         options.cad_points,
         METRES[options.cad_unit],
     )
-    job = Job(options, found, at, list(warnings))
+    job = ExportJob(options, found, at, list(warnings))
     if found.summary.status == "failed":
         reason = found.summary.warnings[0] if found.summary.warnings else "no reason is known"
         job.leave_out(f"this run failed ({reason}): what it had found by then is exported")
@@ -77,25 +77,26 @@ def export_run(run: Path, options: Options) -> list[Path]:
     return list(files)
 
 
-def _drawn(job: Job) -> ExportShape:
+def _drawn(job: ExportJob) -> ExportShape:
     """The mesh, or else the landmarks. Raises InputError when there are neither."""
     shape, to = job.shape(), job.options.to
     if shape is not None:
         return shape
-    if job.found.landmarks is None:
+    if job.source.landmarks is None:
         raise InputError(
-            f"{job.found.folder}: this run has neither mesh nor landmarks; nothing for {to}{job.found.words}"
+            f"{job.source.folder}: this run has neither mesh nor landmarks; nothing for {to}"
+            f"{job.source.words}"
         )
     if to == "stl":
         raise InputError(
-            f"{job.found.folder}: this run has no mesh, and STL holds nothing but triangles; "
-            "ply, glb and obj hold its landmarks"
+            f"{job.source.folder}: this run has no mesh, and STL has triangles only; "
+            "ply, glb and obj have its landmarks"
         )
     job.leave_out("the surface is left out, as this run has no mesh: the file holds the landmarks, as points")
-    return shape_of_landmarks(job.found.landmarks, job.at)
+    return shape_of_landmarks(job.source.landmarks, job.at)
 
 
-def _mesh(job: Job) -> Files:
+def _mesh(job: ExportJob) -> Files:
     options, shape = job.options, _drawn(job)
     unit, per_m = options.unit, 1.0 / METRES[options.unit]
     comments = [*job.comments, f"unit: {unit}"]
@@ -103,16 +104,16 @@ def _mesh(job: Job) -> Files:
         content = mesh_files.ply(shape, comments, per_m, unit)
     elif options.to == "obj":
         content = mesh_files.obj(shape, comments, per_m)
-        job.leave_out("OBJ has no place for standard deviations: ply, glb and json carry them")
+        job.leave_out("OBJ cannot store standard deviations: ply, glb and json have them")
     elif options.to == "stl":
         content = mesh_files.stl(shape, f"frame {job.at.name}, {unit}", per_m)
-        job.leave_out("STL has no place for colours and standard deviations: ply and glb carry them")
+        job.leave_out("STL cannot store colours and standard deviations: ply and glb have them")
     else:
         content = _glb(job, shape, per_m)
     return {options.output: content}
 
 
-def _glb(job: Job, shape: ExportShape, per_m: float) -> bytes:
+def _glb(job: ExportJob, shape: ExportShape, per_m: float) -> bytes:
     options = job.options
     extras: dict[str, Any] = {"comments": job.comments, "frame": job.at.name, "unit": options.unit}
     if options.unit == "mm":
@@ -120,8 +121,8 @@ def _glb(job: Job, shape: ExportShape, per_m: float) -> bytes:
     animation = None
     if options.animate:
         step = options.step_s
-        if job.found.has_motion:
-            rate = float(np.linalg.norm(last_state(job.found, job.at).w_F))
+        if job.source.has_motion:
+            rate = float(np.linalg.norm(last_state(job.source, job.at).w_F))
             smooth = TURN_PER_KEY_RAD / max(rate, 1e-6)
             # never coarser than the turn allows, and no more keys than that takes
             step = min(smooth, options.horizon) if step is None else min(step, smooth)
@@ -140,7 +141,7 @@ def _glb(job: Job, shape: ExportShape, per_m: float) -> bytes:
     return glb.glb(shape, extras, per_m, options.unit, animation)
 
 
-def _motion(job: Job) -> Files:
+def _motion(job: ExportJob) -> Files:
     options = job.options
     motion = job.motion(options.step_s)
     if motion.undetermined:
@@ -149,7 +150,7 @@ def _motion(job: Job) -> Files:
             "are taken as marks on the body"
         )
     X_NF = job.poses(motion)
-    marks = ["the run has no covariances: how sure this is, nothing tells"]
+    marks = ["the run has no covariances: the uncertainty is unknown"]
     if motion.has_covariance:
         sigma = np.sqrt(np.diagonal(motion.covariance_of_marks, axis1=1, axis2=2))
         marks = [
@@ -174,7 +175,7 @@ def _motion(job: Job) -> Files:
     if options.to == "oem":
         text = ccsds.oem(motion, header)
     elif options.to == "aem":
-        R_FP = job.at.R_FG @ np.array(job.found.summary.R_GP)
+        R_FP = job.at.R_FG @ np.array(job.source.summary.R_GP)
         names = {"G": "TARGET_G", "P": "TARGET_P", "cad": "TARGET_CAD"}
         words = [*job.comments[1:], *marks]
         text = ccsds.aem(
@@ -193,15 +194,15 @@ def _motion(job: Job) -> Files:
     return {options.output: text.encode("ascii", "replace")}
 
 
-def _json(job: Job) -> Files:
-    options, summary = job.options, job.found.summary
-    last, predicted, undetermined = None, [], []
-    if job.found.has_motion:
+def _json(job: ExportJob) -> Files:
+    options, summary = job.options, job.source.summary
+    last, ahead, undetermined = None, [], []
+    if job.source.has_motion:
         motion = job.motion(options.step_s)
         states = states_out(motion, job.poses(motion), ccsds.utc(motion.timestamps_ns, options.epoch_utc))
-        last, predicted, undetermined = states[0], states[1:], list(motion.undetermined)
+        last, ahead, undetermined = states[0], states[1:], list(motion.undetermined)
     else:
-        job.leave_out(f"states and prediction are left out: {job.found.no_motion}")
+        job.leave_out(f"states and prediction are left out: {job.source.no_motion}")
     shape = job.shape()
     if shape is None:
         job.leave_out("the shape is left out: this run has no mesh")
@@ -215,7 +216,7 @@ def _json(job: Job) -> Files:
         frame_N=FRAME_N,
         frame=frame_out(job.at),
         last=last,
-        prediction=predicted,
+        prediction=ahead,
         undetermined=undetermined,
         mass_properties=MassPropertiesOut(
             moments=found.moments if found else None,
@@ -236,7 +237,7 @@ def _json(job: Job) -> Files:
     return {options.output: text_of(document).encode()}
 
 
-_WRITERS: dict[str, Callable[[Job], Files]] = {
+_WRITERS: dict[str, Callable[[ExportJob], Files]] = {
     **dict.fromkeys(MESHES, _mesh),
     **dict.fromkeys(ROBOTS, robot_files),
     **dict.fromkeys(MOTIONS, _motion),

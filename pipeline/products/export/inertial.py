@@ -1,6 +1,6 @@
 """Mass and inertia for simulators: what the run knows, what the user gave, what had to be assumed.
 
-A motion without known torques tells the inertia up to scale only, and a mass does not set that scale: it
+A motion without known torques determines the inertia up to scale only, and a mass does not set that scale: it
 takes a length as well. In order: the middle moment as given; known torques; uniform density in the volume
 of the mesh, at the mass as given or found; else the numbers are relative, and the files say so.
 """
@@ -50,8 +50,8 @@ def inertial_of(
     else:
         scale, scale_is = 1.0, "relative"
         words.append(
-            "inertia: relative, the middle moment is 1: the run does not tell its scale, a mass alone does "
-            f"not set it, and no volume does ({why_no_solid}); an option gives it: --middle-moment-kg-m2"
+            "inertia: relative, the middle moment is 1: the run does not determine its scale, a mass alone "
+            f"does not set it, and no volume does ({why_no_solid}); give it by --middle-moment-kg-m2"
         )
     if mass_is == "relative" and scale_is == "relative":
         words.append("free motion is right at any scale; reactions to forces, torques and contacts are not")
@@ -77,7 +77,7 @@ def _mass(summary: Summary, given: float | None) -> tuple[float, str, list[str]]
     if summary.assumed is not None:
         mass = summary.assumed.mass_kg
         return mass, "assumed", [f"mass: {mass:.6g} kg, from the mass or density that the run was given"]
-    words = "mass: relative, 1 stands in its place: the run does not tell it; an option gives it: --mass-kg"
+    words = "mass: relative, set to 1: the run does not determine it; give it by --mass-kg"
     return UNIT_MASS_KG, "relative", [words]
 
 

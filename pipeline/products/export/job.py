@@ -1,4 +1,4 @@
-"""What a run holds that can leave it; what it lacks is named, with the reason."""
+"""What an export is made from: the run as far as it got, in the frame of the file; what it lacks, and why."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from polhode.mapping.finishing.detail_levels import levels_of
 from polhode.mapping.mesh_files import read_ply
 from polhode.mapping.uniform_solid import Solid, solid_of
 from polhode.pipeline.products.export.inertial import inertial_of
-from polhode.pipeline.products.export.options import Options
+from polhode.pipeline.products.export.options import ExportOptions
 from polhode.pipeline.products.predict import (
     NoCovariance,
     predict_run,
@@ -39,7 +39,7 @@ from polhode.rigid_body import propagate
 
 
 @dataclass(frozen=True)
-class Found:
+class ExportSource:
     """A run as far as it got."""
 
     folder: Path
@@ -62,7 +62,7 @@ class Found:
         return f" ({self.no_motion})" if self.no_motion else ""
 
 
-def read_run(folder: Path) -> Found:
+def read_run(folder: Path) -> ExportSource:
     """Raises InputError, one line."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give the folder of a run")
@@ -74,7 +74,7 @@ def read_run(folder: Path) -> Found:
     landmarks = read_landmarks(points) if points.is_file() else None
     if landmarks is not None and len(landmarks.p_G) == 0:
         landmarks = None
-    return Found(folder, summary, surface, landmarks, _why_no_motion(folder, summary))
+    return ExportSource(folder, summary, surface, landmarks, _why_no_motion(folder, summary))
 
 
 def _why_no_motion(folder: Path, summary: Summary) -> str:
@@ -88,20 +88,20 @@ def _why_no_motion(folder: Path, summary: Summary) -> str:
     return ""
 
 
-def at_level(found: Found, level: int | None, lightest: int) -> Found:
+def at_level(source: ExportSource, level: int | None, lightest: int) -> ExportSource:
     """With the mesh at a ``level`` of detail: 0 the full one, 1, 2, ... lighter; None: up to ``lightest``.
 
     Raises InputError when there is no such level.
     """
-    if found.surface is None or level == 0 or (level is None and lightest == 0):
-        return found
-    shares = _shares(found.folder)
-    levels = levels_of(found.surface, shares if level is not None else shares[:lightest])
+    if source.surface is None or level == 0 or (level is None and lightest == 0):
+        return source
+    shares = _shares(source.folder)
+    levels = levels_of(source.surface, shares if level is not None else shares[:lightest])
     if level is None:
         level = len(levels)
     if level > len(levels):
         raise InputError(f"--level {level}: this run's mesh has levels 0 to {len(levels)}; 0 is the full one")
-    return found if level == 0 else replace(found, surface=levels[level - 1].surface)
+    return source if level == 0 else replace(source, surface=levels[level - 1].surface)
 
 
 def _shares(folder: Path) -> tuple[float, ...]:
@@ -112,9 +112,9 @@ def _shares(folder: Path) -> tuple[float, ...]:
         return Mapping().levels
 
 
-def last_state(found: Found, at: Placement) -> LastState:
-    """Of the run; needs ``found.has_motion``."""
-    summary, table = found.summary, read_trajectory(found.folder)
+def last_state(source: ExportSource, at: Placement) -> LastState:
+    """Of the run; needs ``source.has_motion``."""
+    summary, table = source.summary, read_trajectory(source.folder)
     R_GP, com_G = np.array(summary.R_GP), np.array(summary.com_G)
     X_NF = poses_of(table.r_N[-1:], table.R_NP[-1:], R_GP, com_G, at)[0]
     w_N = table.R_NP[-1] @ table.w_P[-1]
@@ -176,57 +176,57 @@ Files = dict[Path, bytes]
 
 
 @dataclass
-class Job:
-    """One export: what it is made from, and what is left out on the way."""
+class ExportJob:
+    """One export: its source, its frame, and what is left out."""
 
-    options: Options
-    found: Found
+    options: ExportOptions
+    source: ExportSource
     at: Placement
     left_out: list[str] = field(default_factory=list)
     """What the file lacks, and why; also what was assumed on the way"""
 
     def leave_out(self, words: str) -> None:
-        """Say it once."""
+        """Note what is left out; once."""
         if words not in self.left_out:
             self.left_out.append(words)
 
     @property
     def comments(self) -> list[str]:
         """Of every file: where it comes from, its frame."""
-        status = self.found.summary.status
+        status = self.source.summary.status
         note = "" if status == "ok" else f" (status {status}: see summary.json)"
         return [
-            f"polhode export of the run {self.found.folder.resolve().name}{note}",
+            f"polhode export of the run {self.source.folder.resolve().name}{note}",
             f"frame: {self.at.words}",
         ]
 
     def motion(self, step_s: float | None) -> PredictedMotion:
         """See ``motion_ahead``. Raises InputError when the run has none."""
-        if self.found.no_motion:
-            raise InputError(f"{self.found.folder}: {self.found.no_motion}")
-        motion, why_bare = motion_ahead(self.found.folder, self.options.horizon, step_s)
+        if self.source.no_motion:
+            raise InputError(f"{self.source.folder}: {self.source.no_motion}")
+        motion, why_bare = motion_ahead(self.source.folder, self.options.horizon, step_s)
         if why_bare:
             self.leave_out(f"covariances of the motion are left out: {why_bare}")
         return motion
 
     def poses(self, motion: PredictedMotion) -> Array:
         """X_NF (T, 4, 4)."""
-        summary = self.found.summary
+        summary = self.source.summary
         return poses_of(motion.r_N, motion.R_NP, np.array(summary.R_GP), np.array(summary.com_G), self.at)
 
     def shape(self, lightest: int = 0) -> ExportShape | None:
         """The mesh at the level that was asked for; else the lightest one up to ``lightest``."""
-        found = at_level(self.found, self.options.level, lightest)
-        return None if found.surface is None else shape_of_surface(found.surface, self.at)
+        source = at_level(self.source, self.options.level, lightest)
+        return None if source.surface is None else shape_of_surface(source.surface, self.at)
 
     def inertial(self) -> Inertial | None:
-        """Mass and inertia; None, and said, when nothing tells them."""
+        """Mass and inertia; None, with a warning, if neither run nor mesh determines them."""
         solid: Solid | None = None
         why = "this run has no mesh"
-        if self.found.surface is not None:
-            solid, why = solid_of(self.found.surface.mesh)
+        if self.source.surface is not None:
+            solid, why = solid_of(self.source.surface.mesh)
         mass_kg, middle = self.options.mass_kg, self.options.middle_moment_kg_m2
-        inertial = inertial_of(self.found.summary, solid, why, self.at, mass_kg, middle)
+        inertial = inertial_of(self.source.summary, solid, why, self.at, mass_kg, middle)
         if inertial is None:
             self.leave_out(f"mass properties are left out: this run has no estimate of them, and {why}")
         return inertial

@@ -1,4 +1,4 @@
-"""What a user can ask of ``polhode export``, checked before anything is read."""
+"""The options of ``polhode export``, checked before anything is read."""
 
 import os
 import re
@@ -19,11 +19,11 @@ MESHES = ("glb", "ply", "stl", "obj")
 ROBOTS = ("urdf", "mjcf", "sdf")
 MOTIONS = ("aem", "oem", "tum")
 METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
-MOST_PIECES = 1024
+MAX_PIECES = 1024
 
 
 @dataclass(frozen=True)
-class Options:
+class ExportOptions:
     """The options of the command; its docstrings are there."""
 
     to: Format
@@ -63,16 +63,16 @@ class Options:
         return np.datetime64(time, "ns")
 
 
-def check(options: Options) -> None:
-    """Raise InputError, one line, for what cannot be meant or cannot be written."""
+def check(options: ExportOptions) -> None:
+    """Raise InputError, one line, for options that contradict each other or a file that cannot be written."""
     to = options.to
     if options.unit == "mm" and to not in MESHES:
         raise InputError(f"--unit mm: {to} has lengths of its own; the unit is for {', '.join(MESHES)}")
     if options.animate and to != "glb":
-        raise InputError(f"--animate: only glb holds a motion of the model, not {to}")
+        raise InputError(f"--animate: only glb can store a motion of the model, not {to}")
     if to == "oem" and options.frame_name != "P":
         raise InputError(
-            f"--frame {options.frame_name}: an OEM tells the path of the centre of mass, the origin of P; "
+            f"--frame {options.frame_name}: an OEM is the path of the centre of mass, the origin of P; "
             "leave it out"
         )
     for name, value in (
@@ -83,8 +83,8 @@ def check(options: Options) -> None:
             raise InputError(f"{name} {value:g}: give a number above 0")
     if options.level is not None and options.level < 0:
         raise InputError(f"--level {options.level}: 0 is the full mesh, 1, 2, ... are lighter ones")
-    if not 1 <= options.pieces <= MOST_PIECES:
-        raise InputError(f"--pieces {options.pieces}: give 1 (the convex hull) to {MOST_PIECES}")
+    if not 1 <= options.pieces <= MAX_PIECES:
+        raise InputError(f"--pieces {options.pieces}: give 1 (the convex hull) to {MAX_PIECES}")
     for name, text in (("--object-name", options.object_name), ("--object-id", options.object_id)):
         if not re.fullmatch(r"[A-Za-z0-9_.+-]+", text):
             raise InputError(f"{name} '{text}': give letters, digits and _ . + - only")
@@ -104,7 +104,7 @@ def _require_place(path: Path) -> None:
 
 
 def creation_date() -> str:
-    """Now, in UTC; the variable SOURCE_DATE_EPOCH (seconds, reproducible-builds.org) takes its place."""
+    """Now, in UTC; the variable SOURCE_DATE_EPOCH (seconds, reproducible-builds.org) overrides it."""
     text = os.environ.get("SOURCE_DATE_EPOCH", "")
     now = datetime.fromtimestamp(int(text), UTC) if text.isdigit() else datetime.now(UTC)
     return now.strftime("%Y-%m-%dT%H:%M:%S")

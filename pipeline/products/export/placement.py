@@ -14,7 +14,7 @@ from polhode.planning.exports.records import Placement, frame_cad, frame_G, fram
 from polhode.records import SurfaceModel
 
 POOR_SHARE = 0.02
-"""Of the body's size: what is left of a fit above it is told of."""
+"""Share of the body's size: a larger residual of the alignment gives a warning."""
 SIZES = (0.25, 4.0)
 """Model over scan: beyond, the unit is wrong."""
 
@@ -46,7 +46,7 @@ def placement(
             )
         return frame_P(np.array(summary.R_GP), np.array(summary.com_G)), warnings
     if cad is None and cad_points is None:
-        raise InputError("--frame cad: give --cad MESH or --cad-points FILE, which tell where that frame is")
+        raise InputError("--frame cad: give --cad MESH or --cad-points FILE, which define that frame")
     start = None if cad_points is None else _from_points(cad_points, cad_m)
     found = start
     if cad is not None:
@@ -65,7 +65,7 @@ def _told(
     by = "surface on surface" if cad is not None else "corresponding points"
     file = cad if cad is not None else cad_points
     assert file is not None
-    words = f"{file.name}, aligned by {by}; {1e3 * found.rms_m:.3g} mm rms are left"
+    words = f"{file.name}, aligned by {by}; {1e3 * found.rms_m:.3g} mm rms residual"
     warnings = []
     size = None if surface is None else float(surface.mesh.scale)
     if size is not None and found.rms_m > POOR_SHARE * size:
@@ -75,8 +75,8 @@ def _told(
         )
     if found.rival_deg is not None:
         warnings.append(
-            f"the model fits as well turned by {found.rival_deg:.0f} deg: it looks alike to the scan; "
-            "--cad-points says which way is right"
+            f"the model fits as well turned by {found.rival_deg:.0f} deg: the scan cannot distinguish them; "
+            "--cad-points resolves the ambiguity"
         )
     return frame_cad(found.X_cadG, words), warnings
 
@@ -89,12 +89,12 @@ def _from_points(file: Path, cad_m: float) -> CadAlignment:
         return align_points(rows[:, :3], cad_m * rows[:, 3:])
     except ValueError as error:
         raise InputError(
-            f"{file}: {error}; a line holds x, y, z in G [m] and x, y, z in the CAD frame [--cad-unit]"
+            f"{file}: {error}; each line has x, y, z in G [m] and x, y, z in the CAD frame [--cad-unit]"
         ) from error
 
 
 def _rows(file: Path) -> Array:
-    """(n, 6); a first line of words and lines that begin with # are passed over."""
+    """(n, 6); a header line and lines that begin with # are skipped."""
     rows: list[list[float]] = []
     for number, line in enumerate(file.read_text(errors="replace").splitlines(), start=1):
         cells = line.replace(",", " ").split()
@@ -107,7 +107,7 @@ def _rows(file: Path) -> Array:
                 raise ValueError(f"line {number} is no row of numbers") from None
             continue
         if len(values) != 6 or not np.isfinite(values).all():
-            raise ValueError(f"line {number} holds {len(values)} numbers, not six finite ones")
+            raise ValueError(f"line {number} has {len(values)} numbers, not six finite ones")
         rows.append(values)
     return np.array(rows).reshape(-1, 6)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from polhode.errors import InputError
-from polhode.pipeline.products.export.job import Files, Job, last_state
+from polhode.pipeline.products.export.job import ExportJob, Files, last_state
 from polhode.planning.exports import mesh_files, robot_xml
 from polhode.planning.exports.convex_pieces import WITHIN, decompose
 from polhode.planning.exports.records import shape_of_surface
@@ -15,20 +15,20 @@ LIGHT_LEVEL = 2
 """Of the surface that robot formats show, where the run's mesh has so many levels."""
 SURFACE_FILE = "surface.obj"
 FAR_SHARE = 1e-3
-"""Of the pieces' area: more than so much that reaches too far is told of."""
+"""Share of the pieces' area that protrudes too far, above which there is a warning."""
 
 _log = logging.getLogger(__name__)
 
 
-def robot_files(job: Job) -> Files:
+def robot_files(job: ExportJob) -> Files:
     """The XML, and in a folder beside it the surface and the convex pieces. Raises InputError."""
     options, shape = job.options, job.shape(LIGHT_LEVEL)
     inertial = job.inertial()
-    state = last_state(job.found, job.at) if job.found.has_motion else None
+    state = last_state(job.source, job.at) if job.source.has_motion else None
     if shape is None and inertial is None:
         raise InputError(
-            f"{job.found.folder}: this run has neither mesh nor mass properties; nothing to export"
-            f"{job.found.words}"
+            f"{job.source.folder}: this run has neither mesh nor mass properties; nothing to export"
+            f"{job.source.words}"
         )
     if state is None:
         job.leave_out("the state is left out: this run has no motion; the body rests at the origin")
@@ -41,7 +41,7 @@ def robot_files(job: Job) -> Files:
     else:
         visual = SURFACE_FILE
         files[folder / visual] = mesh_files.obj(shape, job.comments, 1.0)
-        full = job.found.surface
+        full = job.source.surface
         assert full is not None
         try:
             # of the full mesh, whatever level is shown: a lighter one may lie inside it
@@ -53,8 +53,8 @@ def robot_files(job: Job) -> Files:
             _log.info("%s", words[-1])
             if cut.far_share > FAR_SHARE:
                 job.leave_out(
-                    f"{cut.far_share:.1%} of the collision geometry reaches farther beyond the surface than "
-                    f"{WITHIN:.0%} of its diameter: more --pieces reach less far"
+                    f"{cut.far_share:.1%} of the collision geometry protrudes from the surface by more than "
+                    f"{WITHIN:.0%} of its diameter: more --pieces protrude less"
                 )
             for number, piece in enumerate(cut.pieces):
                 collision.append(f"collision_{number:03d}.obj")
@@ -64,7 +64,7 @@ def robot_files(job: Job) -> Files:
                     [f"convex piece, frame {job.at.name}, metres"],
                 )
     words += [robot_xml.state_words(state)] if state is not None else []
-    # what was assumed is told on the terminal too
+    # Assumptions are shown on the terminal, too.
     for sentence in inertial.words if inertial is not None else ():
         job.leave_out(sentence)
     robot = robot_xml.Robot(

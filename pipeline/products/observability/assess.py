@@ -25,11 +25,12 @@ class Choice:
 
     views: int
     smallest: SmallestSet | None
-    """with each sigma at most 10 % above that of all edges; None: not asked for, or no view tells anything"""
+    """with each sigma at most 10 % above that of all edges; None: not requested, or nothing is determined"""
     best: EdgeSelection | None
     """of as many edges as asked for; None when that was not asked"""
     best_ratio: Array | None
-    """(6,) its sigma over that of all edges; inf where it does not tell what all do, NaN where all do not"""
+    """(6,) its sigma over that of all edges; inf where only all of them determine it, NaN where not even
+    all"""
     bound: float | None
     """no set of so many edges has a larger value"""
 
@@ -47,14 +48,17 @@ class Assessment:
 
     @property
     def sigma(self) -> Array:
-        """(k, 6) standard deviations [m, rad], inf where a view does not tell."""
+        """(k, 6) standard deviations [m, rad], inf where a view does not determine them."""
         return self.sigma_px * np.stack([view.found.sigma for view in self.views])
 
 
 def assess(
     subject: Subject, spacing_px: float, sigma_px: float, few: int | None, fewest: bool, progress: Progress
 ) -> Assessment:
-    """Look from all places; choose the best ``few`` edges, or the fewest. InputError: memory lacks."""
+    """Evaluate all views; select the best ``few`` edges, or the smallest set.
+
+    Raises InputError when the matrices would not fit into memory.
+    """
     size_mib = len(subject.X_RG) * subject.model.size * 36 * 8 / 2**20
     if size_mib > MAX_MEMORY_MIB:
         raise InputError(

@@ -1,4 +1,4 @@
-"""The metric in numbers: one line for each place, one for each edge, and all of it as JSON."""
+"""The files of an assessment: a table of the views, one of the edges, everything as JSON, and pictures."""
 
 import csv
 import io
@@ -32,18 +32,18 @@ FILES = (
 NAMES = ("x_m", "y_m", "z_m", "about_x_rad", "about_y_rad", "about_z_rad")
 
 
-def write_assessment(found: Assessment, folder: Path) -> list[str]:
+def write_assessment(assessment: Assessment, folder: Path) -> list[str]:
     """All files into the folder, whole or not at all; their names."""
-    model, shares = found.subject.model, found.edges.share
+    model, shares = assessment.subject.model, assessment.edges.share
     files: dict[str, bytes] = {
-        "observability.csv": table(found).encode(),
-        "edges.csv": edge_table(found).encode(),
+        "observability.csv": table(assessment).encode(),
+        "edges.csv": edge_table(assessment).encode(),
     }
-    best = max(range(len(found.views)), key=lambda k: len(found.views[k].points))
-    files["metric.png"] = pictures.draw_metric(found)
-    if len(found.views[best].points):
-        files["views.png"] = pictures.draw_views(found)
-        files["contributions.png"] = pictures.draw_contributions(found, best)
+    best = max(range(len(assessment.views)), key=lambda k: len(assessment.views[k].points))
+    files["metric.png"] = pictures.draw_metric(assessment)
+    if len(assessment.views[best].points):
+        files["views.png"] = pictures.draw_views(assessment)
+        files["contributions.png"] = pictures.draw_contributions(assessment, best)
         overall = np.nan_to_num(shares).max(axis=1)
         coloured, legend = coloured_body(model, overall)
         for suffix in "ply", "glb":
@@ -53,7 +53,7 @@ def write_assessment(found: Assessment, folder: Path) -> list[str]:
     else:
         legend = None
     files["observability.json"] = (
-        json.dumps(document(found, legend), indent=1, allow_nan=False) + "\n"
+        json.dumps(document(assessment, legend), indent=1, allow_nan=False) + "\n"
     ).encode()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ def write_assessment(found: Assessment, folder: Path) -> list[str]:
     return list(files)
 
 
-def table(found: Assessment) -> str:
+def table(assessment: Assessment) -> str:
     """observability.csv: one row a pose; sigma is inf where the edges in sight do not tell."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
@@ -84,7 +84,7 @@ def table(found: Assessment) -> str:
         "not_told",
     )
     out.writerow(columns)
-    for time, sigma, view in zip(found.subject.time_s, found.sigma, found.views, strict=True):
+    for time, sigma, view in zip(assessment.subject.time_s, assessment.sigma, assessment.views, strict=True):
         metric = view.found
         numbers = (view.length_px, *sigma, metric.position_dop, metric.attitude_dop, metric.geometric_dop)
         counts = view.expected_edges, len(view.points)
@@ -100,9 +100,9 @@ def table(found: Assessment) -> str:
     return text.getvalue()
 
 
-def edge_table(found: Assessment) -> str:
+def edge_table(assessment: Assessment) -> str:
     """edges.csv: one row a feature of the model; shares and rises of the variances along the trajectory."""
-    model, edges = found.subject.model, found.edges
+    model, edges = assessment.subject.model, assessment.edges
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     ends = [f"{end}_{axis}_m" for end in ("a", "b") for axis in "xyz"]
@@ -115,7 +115,7 @@ def edge_table(found: Assessment) -> str:
             *("in_smallest_set", "in_best"),
         ]
     )
-    smallest, best = found.choice.smallest, found.choice.best
+    smallest, best = assessment.choice.smallest, assessment.choice.best
     sets = [set() if each is None else set(each.features.tolist()) for each in (smallest, best)]
     kinds = [EdgeKind(kind).name.lower() for kind in model.kind] + ["outline"] * len(model.outlined)
     for k, kind in enumerate(kinds):
@@ -129,9 +129,9 @@ def edge_table(found: Assessment) -> str:
     return text.getvalue()
 
 
-def document(found: Assessment, legend: Legend | None) -> dict[str, Any]:
+def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
     """observability.json. What is infinite or unknown is null, and the words beside it say why."""
-    subject, model = found.subject, found.subject.model
+    subject, model = assessment.subject, assessment.subject.model
     rig = subject.rig
     return {
         "schema": SCHEMA,
@@ -158,8 +158,8 @@ def document(found: Assessment, legend: Legend | None) -> dict[str, Any]:
             "o [rad]; C, in pixels squared per unit, is the information of the edges for noise of one "
             "pixel; sigma is the root of the diagonal of sigma_px^2 C^-1",
         },
-        "sigma_px": found.sigma_px,
-        "spacing_px": found.spacing_px,
+        "sigma_px": assessment.sigma_px,
+        "spacing_px": assessment.spacing_px,
         "sunlit": subject.sun_G is not None,
         "poses": [
             {
@@ -170,7 +170,7 @@ def document(found: Assessment, legend: Legend | None) -> dict[str, Any]:
                 "points": len(view.points),
                 "edge_length_px": view.length_px,
                 "C": view.found.C.tolist(),
-                "covariance": _numbers(found.sigma_px**2 * view.found.covariance),
+                "covariance": _numbers(assessment.sigma_px**2 * view.found.covariance),
                 "sigma": _numbers(sigma),
                 "position_dop_m_per_px": _number(view.found.position_dop),
                 "attitude_dop_rad_per_px": _number(view.found.attitude_dop),
@@ -178,9 +178,9 @@ def document(found: Assessment, legend: Legend | None) -> dict[str, Any]:
                 "condition": _number(view.found.condition),
                 "not_told": view.found.told(),
             }
-            for time, sigma, view in zip(subject.time_s, found.sigma, found.views, strict=True)
+            for time, sigma, view in zip(subject.time_s, assessment.sigma, assessment.views, strict=True)
         ],
-        "along": along(found),
+        "along": along(assessment),
         "edges": {
             "file": "edges.csv",
             "painted": None
@@ -191,7 +191,7 @@ def document(found: Assessment, legend: Legend | None) -> dict[str, Any]:
                 "rgb": legend.rgb.tolist(),
             },
         },
-        "choice": choice_of(found.choice),
+        "choice": choice_of(assessment.choice),
         "notes": list(subject.notes),
     }
 
@@ -222,9 +222,9 @@ def choice_of(choice: Choice) -> dict[str, Any]:
     }
 
 
-def along(found: Assessment) -> dict[str, Any]:
+def along(assessment: Assessment) -> dict[str, Any]:
     """The trajectory in a few numbers: over the views that tell a degree of freedom, and how many do not."""
-    sigma = found.sigma
+    sigma = assessment.sigma
     told = np.isfinite(sigma)
     values = {
         name: {
@@ -246,20 +246,21 @@ def _numbers(values: Array) -> list[Any]:
     return [_number(value) if np.ndim(value) == 0 else _numbers(value) for value in values]
 
 
-def format_assessment(found: Assessment) -> str:
+def format_assessment(assessment: Assessment) -> str:
     """A few lines for the screen."""
-    model, lines = found.subject.model, []
+    model, lines = assessment.subject.model, []
     smooth = int(model.outlined.sum())
     lines.append(
         f"Edge model: {len(model.ends_G)} straight edges, {model.lengths_m.sum():.2f} m in all, "
         f"and the outlines of {smooth} smooth part{'' if smooth == 1 else 's'}"
     )
     lines.append(
-        f"Metric of {len(found.views)} pose{'' if len(found.views) == 1 else 's'}, for {found.sigma_px:g} px "
-        f"of noise across edges every {found.spacing_px:g} px, about {found.subject.about}:"
+        f"Metric of {len(assessment.views)} pose{'' if len(assessment.views) == 1 else 's'}, "
+        f"for {assessment.sigma_px:g} px of noise across edges every {assessment.spacing_px:g} px, "
+        f"about {assessment.subject.about}:"
     )
     units = (("mm", 1e3),) * 3 + (("deg", np.degrees(1.0)),) * 3
-    sigma, told = found.sigma, np.isfinite(found.sigma)
+    sigma, told = assessment.sigma, np.isfinite(assessment.sigma)
     for k, (name, (unit, scale)) in enumerate(zip(DEGREES_OF_FREEDOM, units, strict=True)):
         own = scale * sigma[told[:, k], k]
         lost = len(sigma) - len(own)
@@ -269,16 +270,16 @@ def format_assessment(found: Assessment) -> str:
             lines.append(f"  {name:8s} {numbers}{'; ' + words if words else ''}")
         else:
             lines.append(f"  {name:8s} {'inf':>9s} {unit:3s}; not told by any pose")
-    said = sorted({view.found.told() for view in found.views} - {""}, key=len)
+    said = sorted({view.found.told() for view in assessment.views} - {""}, key=len)
     if said:
         lines.append(f"  {said[0]}")
-    lines += _choices(found)
-    return "\n".join([*lines, *(f"Note: {note}" for note in found.subject.notes)])
+    lines += _choices(assessment)
+    return "\n".join([*lines, *(f"Note: {note}" for note in assessment.subject.notes)])
 
 
-def _choices(found: Assessment) -> list[str]:
+def _choices(assessment: Assessment) -> list[str]:
     """Lines about sets of edges."""
-    lines, choice = [], found.choice
+    lines, choice = [], assessment.choice
     if choice.smallest is not None:
         count, least = len(choice.smallest.features), choice.smallest.at_least
         lines.append(

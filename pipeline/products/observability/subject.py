@@ -1,4 +1,4 @@
-"""What the metric is asked of: the edges of a run or of a mesh, a camera, and its places."""
+"""The input of the metric: the edges of a run or of a mesh, a camera, and its trajectory."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ class CameraOptions:
 
 @dataclass(frozen=True)
 class Subject:
-    """Edges, camera and places, ready for the metric."""
+    """Edges, camera and trajectory, ready for the metric."""
 
     source: str
     model: EdgeModel
@@ -81,7 +81,7 @@ def subject_of(
     if not path.is_file():
         raise InputError(f"{path}: there is no such run or mesh")
     if trajectory is None:
-        raise InputError(f"{path}: a mesh needs --trajectory FILE, the places of the camera in its frame")
+        raise InputError(f"{path}: a mesh needs --trajectory FILE, the poses of the camera in its frame")
     if frame != "G":
         raise InputError("--frame N is for a run, whose target tumbles; a mesh has only its own frame, G")
     model = edge_model(read_mesh(path, unit_m), crease_deg)
@@ -115,7 +115,7 @@ def _of_run(
     R_NG = None
     if trajectory is None:
         if frame != "G":
-            raise InputError("--frame N: give --trajectory FILE with the camera's places in N")
+            raise InputError("--frame N: give --trajectory FILE with the camera's poses in N")
         time_s, X_RG, R_NG = _as_the_run_saw_it(run, summary, tracks.X_NR)
     else:
         poses = read_poses(trajectory)
@@ -124,7 +124,7 @@ def _of_run(
             X_RG, R_NG = _seen_from_N(run, trajectory, poses)
     if sun_N is not None and R_NG is None:
         raise InputError(
-            "--sun is in N, and places in G do not tell how the target stands in N: --frame N does"
+            "--sun is in N, and poses in G do not give the attitude of the target in N: --frame N does"
         )
     sun_G = None if sun_N is None or R_NG is None else sun_N @ R_NG
     if about_G is not None:
@@ -140,9 +140,7 @@ def _of_run(
 def _as_the_run_saw_it(run: Path, summary: Summary, X_NR: Array) -> tuple[Array, Array, Array]:
     """Times (k,), poses X_RG (k, 4, 4) and attitudes R_NG (k, 3, 3) of the run's own pairs."""
     if summary.R_GP is None or summary.com_G is None:
-        raise InputError(
-            f"{run}: this run found no motion, so no places of its camera; give --trajectory FILE"
-        )
+        raise InputError(f"{run}: this run found no motion, hence no camera poses; give --trajectory FILE")
     table = read_trajectory(run)
     R_NG = table.R_NP @ np.array(summary.R_GP).T
     X_NG = make_pose(R_NG, table.r_N - R_NG @ np.array(summary.com_G))
@@ -161,7 +159,7 @@ def _seen_from_N(run: Path, file: Path, poses: TimedPoses) -> tuple[Array, Array
 
 
 def _rig(camera: CameraOptions, own: RectifiedRig | None) -> RectifiedRig:
-    """The run's camera, or the default, with what the user gives in its place."""
+    """The run's camera, or the default, with the values that the user gives."""
     focal, width, height = DEFAULT_CAMERA if own is None else (own.focal_px, own.width_px, own.height_px)
     cx, cy = (0.5 * (width - 1), 0.5 * (height - 1)) if own is None else (own.cx_px, own.cy_px)
     for name in ("focal_px", "width_px", "height_px"):
@@ -178,8 +176,8 @@ def _rig(camera: CameraOptions, own: RectifiedRig | None) -> RectifiedRig:
 
 UNIT_WITHIN = 1e-2
 """How far a quaternion's length may be from 1."""
-MOST = 1e12
-"""Largest coordinate of a place [m]."""
+MAX_COORDINATE_M = 1e12
+"""Largest valid coordinate [m]."""
 
 
 def read_poses(path: Path) -> TimedPoses:
@@ -192,13 +190,13 @@ def read_poses(path: Path) -> TimedPoses:
         raise InputError(f"{path}: is not a text file of poses") from error
     rows = [_row(path, number, line) for number, line in enumerate(lines, 1) if _says_something(line)]
     if not rows:
-        raise InputError(f"{path}: holds no pose; a line is: timestamp tx ty tz qx qy qz qw")
+        raise InputError(f"{path}: contains no pose; a line is: timestamp tx ty tz qx qy qz qw")
     table = np.array(rows)
     if not (np.diff(table[:, 0]) > 0.0).all():
         late = 1 + int(np.argmax(np.diff(table[:, 0]) <= 0.0))
         raise InputError(f"{path}: pose {late + 1} is not later than the one before")
-    if (np.abs(table[:, 1:]) > MOST).any():
-        raise InputError(f"{path}: holds a place or quaternion above {MOST:g}")
+    if (np.abs(table[:, 1:]) > MAX_COORDINATE_M).any():
+        raise InputError(f"{path}: has a coordinate or quaternion above {MAX_COORDINATE_M:g}")
     length = np.linalg.norm(table[:, 4:], axis=1)
     if (np.abs(length - 1.0) > UNIT_WITHIN).any():
         bad = int(np.argmax(np.abs(length - 1.0)))

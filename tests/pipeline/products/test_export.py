@@ -276,7 +276,7 @@ def test_a_run_without_covariances_exports_the_motion_and_says_so(
         (["--to", "urdf", "--unit", "mm"], "--unit mm: urdf has lengths of its own"),
         (["--to", "ply", "--level", "9"], "--level 9: this run's mesh has levels 0 to"),
         (["--to", "ply", "--animate"], "--animate: only glb"),
-        (["--to", "oem", "--frame", "G"], "an OEM tells the path of the centre of mass"),
+        (["--to", "oem", "--frame", "G"], "an OEM is the path of the centre of mass"),
         (["--to", "oem", "--horizon", "-1"], "--horizon -1: give the seconds"),
         (["--to", "oem", "--epoch", "soon"], "--epoch soon: not a time"),
         (["--to", "oem", "--epoch", "NaT"], "--epoch NaT: not a time"),
