@@ -79,7 +79,7 @@ def test_frames_that_the_first_method_loses_are_found_by_the_second(run: Run) ->
 def test_what_fits_worse_is_not_used(run: Run) -> None:
     alone = run(SCENE, None)
     both = run(SCENE, replace(OTHER, sigma_uv_px=1.2))
-    assert "what the second method of the front end adds is not used" in both.log
+    assert "the second feature method brings no improvement and is not used" in both.log
     assert both.observations == alone.observations
     np.testing.assert_array_equal(both.trajectory.q_NP_wxyz, alone.trajectory.q_NP_wxyz)
 
@@ -87,7 +87,7 @@ def test_what_fits_worse_is_not_used(run: Run) -> None:
 def test_the_second_method_stands_in_where_the_first_finds_no_motion(run: Run) -> None:
     outcome = run(replace(SCENE, outliers=1.0), OTHER)
     assert outcome.code == 0 and outcome.summary["status"] == "ok"
-    assert "the second method of the front end looks for one" in outcome.log
+    assert "the second feature method is tried" in outcome.log
     assert outcome.summary["frames_used"] == FRAMES
 
 
@@ -100,7 +100,7 @@ def test_a_second_method_that_breaks_costs_nothing_that_was_found(
     monkeypatch.setattr("polhode.pipeline.correspondences.side_by_side", broken)
     outcome = run(SCENE, OTHER)
     assert outcome.code == 0 and outcome.summary["frames_used"] == FRAMES
-    assert "the second method of the front end failed" in outcome.log and "no such thing" in outcome.log
+    assert "the second feature method failed" in outcome.log and "no such thing" in outcome.log
 
 
 def test_the_second_method_stands_in_where_the_first_sees_nothing(run: Run) -> None:

@@ -142,7 +142,7 @@ def test_thinning_keeps_the_shape() -> None:
 def test_undetermined_is_said_in_words_and_draws_no_band(undetermined: Any, tmp_path: Path) -> None:
     page = _page(_write(tmp_path / "run", undetermined, None))
     assert "pure spin: no torque-free wobble to see" in page.words
-    assert "this motion does not tell k1 and k2" in page.words
+    assert "this motion does not determine k1 and k2" in page.words
     assert "The position along y is not determined by the data: no band is drawn." in page.words
     assert "no bound" in page.words and "No surface" in page.words
     names = [trace.get("name") for trace in page.figures["inertia-ratios"]["data"]]

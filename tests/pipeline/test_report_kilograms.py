@@ -45,7 +45,12 @@ def test_what_is_known_in_kilograms_and_what_is_assumed_stand_apart(example: Any
     assert (told["start_s"], told["end_s"]) == (2.0, 3.0)
     assert told["sigma_delta_w_P"] == [None, None, None]
     page = (tmp_path / "report.html").read_text()
-    for words in ("In kilograms, from known", "4.560 ± 0.070", "Unknown pushes", "Assumed, not estimated"):
+    for words in (
+        "In kilograms, from known",
+        "4.560 ± 0.070",
+        "Unknown forces and torques",
+        "Assumed, not estimated",
+    ):
         assert words in page
     assert (tmp_path / "pushes.csv").is_file()
     # a later round without pushes leaves no table of an earlier one
@@ -56,7 +61,7 @@ def test_what_is_known_in_kilograms_and_what_is_assumed_stand_apart(example: Any
 def test_a_run_without_them_speaks_of_none(example: Any, tmp_path: Path) -> None:
     finish_run(tmp_path, build_summary(example.tracks, example.estimate, example.surface, {}))
     page = (tmp_path / "report.html").read_text()
-    assert "In kilograms" not in page and "Unknown pushes" not in page and "Assumed" not in page
+    assert "In kilograms" not in page and "Unknown forces and torques" not in page and "Assumed" not in page
 
 
 def test_the_moments_have_the_sigmas_of_the_ratios(example: Any) -> None:

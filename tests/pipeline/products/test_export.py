@@ -255,7 +255,7 @@ def test_a_run_without_covariances_exports_the_motion_and_says_so(
     assert content["mass_properties"] == whole["mass_properties"]
     text = export(bare, "oem", tmp_path / "bare.oem").read_text()
     assert "no covariance: the run has none" in text and "COVARIANCE_START" not in text
-    assert "nothing tells" in export(bare, "aem", tmp_path / "bare.aem").read_text()
+    assert "the uncertainty is unknown" in export(bare, "aem", tmp_path / "bare.aem").read_text()
     export(bare, "glb", tmp_path / "bare.glb", "--animate")
     # a motion that cannot be read leaves the rest
     (bare / "trajectory.csv").unlink()

@@ -192,7 +192,7 @@ def test_a_run_without_a_mesh_says_so(example: Example, tmp_path: Path, capsys: 
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("", "holds no pose"),
+        ("", "contains no pose"),
         ("0 0 0 4 0 0 0\n", "eight numbers"),
         ("0 0 0 4 0 0 0 x\n", "line 1"),
         ("# t\n0 0 0 4 0 0 0 nan\n", "line 2"),

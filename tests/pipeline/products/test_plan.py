@@ -89,7 +89,7 @@ def test_a_docking_point_off_the_target_is_told_of(
     shown = " ".join(capsys.readouterr().out.split())
     notes = " ".join(json.loads((tmp_path / "out" / "planning.json").read_text())["notes"])
     for words in (shown, notes):
-        assert "--dock-point 0.3 0 0 is 0." in words and "not on it" in words
+        assert "--dock-point 0.3 0 0 is 0." in words and "off the target" in words
         # towards the target
         assert ("runs into the target" in words) == mesh
     # far in any unit: refused, and before any work
