@@ -8,5 +8,6 @@ In: scenes of the measurement generator. Out: errors against the Cramer-Rao boun
     robustness     outliers, gaps in the measurements, a moving inspector
     disturbances   known and unknown forces and torques
     same_answer    both solvers and both forms of the inertia
+    rounding       whether rounding decides where a cold start ends
     window         the sliding window against full smoothing; its growth
 """

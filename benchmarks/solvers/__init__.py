@@ -7,4 +7,5 @@ In: generated measurements or stored runs. Out: tables and figures.
     runs_by_solver   both solvers on stored runs
     conditioning     condition numbers of the process covariance
     lie_rank         rank test of observability
+    pose_graph       the pose graph of the cold start against GTSAM
 """
