@@ -19,7 +19,7 @@ from polhode.backend.window.landmarks import LandmarkSlots
 from polhode.backend.window.problem import InertiaModel
 from polhode.backend.window.vision import (
     CondensedVision,
-    Observations,
+    WindowObservations,
     condense,
     gather_observations,
     poses_of,
@@ -62,7 +62,7 @@ class EstimatorState:
         r = self.rig
         self.rig_vector = np.array([r.focal_px, r.cx_px, r.cy_px, r.baseline_m, r.disparity_offset_px])
         self.gain = robust_gain(self.robust_scale)
-        self._observations: Observations | None = None
+        self._observations: WindowObservations | None = None
         self._gathered: list[Array] = []
 
     @property
@@ -84,7 +84,7 @@ class EstimatorState:
         """
         return self.J_G if self.inertia_known else np.eye(3)
 
-    def observations(self) -> Observations:
+    def observations(self) -> WindowObservations:
         """Observations of the landmarks that are seen more than once."""
         # any change of the observations of a frame replaces this array
         now = [frame.inv_sigma for frame in self.active.frames]
@@ -96,7 +96,7 @@ class EstimatorState:
             )
         return self._observations
 
-    def condensed(self, observations: Observations) -> CondensedVision:
+    def condensed(self, observations: WindowObservations) -> CondensedVision:
         """The observations linearized at the present unknowns, landmarks eliminated."""
         p_G = self.landmarks.p_G[observations.slot]
         return condense(

@@ -4,7 +4,14 @@ import numpy as np
 
 from polhode.backend.problem.iterate import N_POSE
 from polhode.backend.window.estimator_state import EstimatorState
-from polhode.backend.window.vision import GATE, FramePoses, Observations, information_of, poses_of, residuals
+from polhode.backend.window.vision import (
+    GATE,
+    FramePoses,
+    WindowObservations,
+    information_of,
+    poses_of,
+    residuals,
+)
 from polhode.lie import Array
 
 
@@ -67,8 +74,8 @@ def _condense(state: EstimatorState, k: int) -> tuple[Array, Array]:
 
 
 def _without_contradictions(
-    state: EstimatorState, k: int, observations: Observations, poses: FramePoses
-) -> Observations:
+    state: EstimatorState, k: int, observations: WindowObservations, poses: FramePoses
+) -> WindowObservations:
     """The observations without the landmarks whose residual in frame k exceeds the gate."""
     r = residuals(observations, poses, state.rig_vector, state.landmarks.p_G[observations.slot])
     wrong = (observations.frame == k) & (np.sum(r**2, axis=1) > GATE**2)

@@ -27,7 +27,7 @@ from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.history import History
 from polhode.backend.window.newton import NewtonSolver
 from polhode.backend.window.problem import WindowProblem
-from polhode.backend.window.vision import Observations, poses_of, residuals
+from polhode.backend.window.vision import WindowObservations, poses_of, residuals
 from polhode.camera import stereo_jacobian
 from polhode.lie import Array
 
@@ -106,7 +106,7 @@ def estimate_noise(state: EstimatorState) -> None:
         frame.inv_sigma = frame.inv_sigma / factors
 
 
-def taken_by_fit(state: EstimatorState, observations: Observations, p_G: Array) -> Array:
+def taken_by_fit(state: EstimatorState, observations: WindowObservations, p_G: Array) -> Array:
     """Share (M, 3) of the freedom of each residual that is used by landmarks and poses."""
     frames = state.active.frames
     poses = poses_of(frames)

@@ -24,7 +24,7 @@ GATE = 4.5
 
 
 @dataclass(frozen=True)
-class Observations:
+class WindowObservations:
     """Observations of F frames sorted by landmark, without landmarks that are seen only once."""
 
     frame: Ints
@@ -38,24 +38,24 @@ class Observations:
     slot: Ints
     """(L,) slots of the landmarks"""
 
-    def of(self, landmarks: Bools, without_frame: int = -1) -> "Observations":
+    def of(self, landmarks: Bools, without_frame: int = -1) -> "WindowObservations":
         """Observations of the chosen landmarks (L,), without those in one frame."""
         use = landmarks[self.landmark] & (self.frame != without_frame)
         number = np.cumsum(landmarks) - 1
         landmark = number[self.landmark[use]]
         start = np.searchsorted(landmark, np.arange(int(landmarks.sum()) + 1))
-        return Observations(
+        return WindowObservations(
             self.frame[use], landmark, start, self.uvd_px[use], self.inv_sigma[use], self.slot[landmarks]
         )
 
-    def common_with(self, frame: int) -> "Observations":
+    def common_with(self, frame: int) -> "WindowObservations":
         """Observations of the landmarks that one frame sees."""
         seen = np.zeros(len(self.slot), bool)
         seen[self.landmark[self.frame == frame]] = True
         return self.of(seen)
 
 
-def gather_observations(frames: list[Frame], n_slots: int) -> Observations:
+def gather_observations(frames: list[Frame], n_slots: int) -> WindowObservations:
     """Gather the observations of the frames."""
     count = np.array([len(frame.slot) for frame in frames])
     slot = np.concatenate([frame.slot for frame in frames])
@@ -66,7 +66,7 @@ def gather_observations(frames: list[Frame], n_slots: int) -> Observations:
     order = use[np.argsort(slot[use].astype(np.uint16 if n_slots < 2**16 else np.int64), kind="stable")]
     landmark = number[slot[order]]
     kept = np.flatnonzero(seen >= 2)
-    return Observations(
+    return WindowObservations(
         frame=np.repeat(np.arange(len(frames)), count)[order],
         landmark=landmark,
         start=np.concatenate([[0], np.cumsum(seen[kept])]),
@@ -115,7 +115,7 @@ class CondensedVision:
     """(6 F, 6 F)"""
     g: Array
     """(6 F,)"""
-    observations: Observations
+    observations: WindowObservations
     E: Array
     """(M, 6, 3)"""
     C_inv: Array
@@ -131,7 +131,7 @@ class CondensedVision:
         return back_substitute(step, s.frame, s.start, self.E, self.C_inv, -self.h, N_POSE)
 
 
-def residuals(observations: Observations, poses: FramePoses, rig: Array, p_G: Array) -> Array:
+def residuals(observations: WindowObservations, poses: FramePoses, rig: Array, p_G: Array) -> Array:
     """Whitened (M, 3) at the present poses; p_G (L, 3)."""
     return stereo_residuals(
         observations.frame, observations.landmark, observations.uvd_px, observations.inv_sigma, rig,
@@ -140,7 +140,7 @@ def residuals(observations: Observations, poses: FramePoses, rig: Array, p_G: Ar
 
 
 def condense(
-    observations: Observations,
+    observations: WindowObservations,
     poses: FramePoses,
     rig: Array,
     p_G: Array,
@@ -183,7 +183,7 @@ def inverted(C: Array) -> Array:
 
 def information_of(
     leaving: int,
-    observations: Observations,
+    observations: WindowObservations,
     poses: FramePoses,
     rig: Array,
     p_G: Array,
