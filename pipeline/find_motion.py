@@ -21,6 +21,8 @@ from polhode.pipeline.context import RunContext
 from polhode.pipeline.correspondences import Correspondences, add_second_method
 from polhode.records import InitialMotion, MotionEstimate, RelativePoses, StereoTracks
 
+CONSISTENCY_PX = 5.0
+"""A match made without prediction that the first motion contradicts by more is wrong."""
 _log = logging.getLogger(__name__)
 MAX_LOST_SHARE = 0.05
 """Share of the frames that show the target but have no pose; above it the second method is tried."""
@@ -139,9 +141,7 @@ def solve_repeatedly(context: RunContext, correspondences: Correspondences) -> I
     with context.clock("initialization"), context.progress.stage("first motion", 1) as advance:
         motion = initialize_motion(correspondences.tracks(context), links, config.backend)
         advance()
-    matches = consistent_matches(
-        correspondences.matches, features, motion, context.rig, guided.consistency_px
-    )
+    matches = consistent_matches(correspondences.matches, features, motion, context.rig, CONSISTENCY_PX)
     association = join_matches(features, matches)
     for turn in range(guided.rounds):
         before = motion.connected

@@ -14,6 +14,10 @@ from polhode.frontend.disparity.planes import fit_facets, fit_planes
 from polhode.frontend.disparity.sgbm import match_checked
 from polhode.frontend.rectification.target import Image
 
+REFINEMENTS = 3
+"""Rounds of sub-pixel refinement and smoothing."""
+PLANE_RADIUS_PX = 6
+"""Half side of the windows in which the disparity is taken as a plane."""
 SIGMA_FLOOR_PX = 0.05
 """Errors that the noise model omits: slant, specular reflection, interpolation."""
 MIN_MATCHED_PIXELS = 50
@@ -29,11 +33,11 @@ def classical_disparity(crop: StereoCrop, config: Depth) -> tuple[Floats, Floats
     sigma = np.full_like(disparity, 0.3)
     by_window, sigma_window = disparity, sigma
     correlated_px2 = float(config.window_px**2)
-    for _ in range(config.refinements):
+    for _ in range(REFINEMENTS):
         by_window, sigma_window = refine_dense(
             crop.left, crop.right, disparity, crop.search_px, config.window_px
         )
-        disparity, sigma = fit_planes(by_window, sigma_window, config.plane_radius_px, correlated_px2)
+        disparity, sigma = fit_planes(by_window, sigma_window, PLANE_RADIUS_PX, correlated_px2)
     if config.facets:
         darkest = crop.sky + 2.0 * config.min_intensity
         facet, sigma_facet = fit_facets(

@@ -17,6 +17,9 @@ from polhode.frontend.disparity.sgbm import match_checked
 from polhode.frontend.rectification.target import Image
 from polhode.records import Bools, DepthMap
 
+JUMP_PX = 1.5
+"""A difference of disparity between neighbours that counts as a jump."""
+
 
 def compute_depth(
     left: Image,
@@ -116,6 +119,6 @@ def _discontinuities(disparity: Floats, target: Bools, config: Depth) -> Bools:
         np.where(np.isfinite(disparity), disparity, -1e9).astype(np.float32), np.ones((3, 3))
     )
     smallest = cv2.erode(np.where(np.isfinite(disparity), disparity, 1e9).astype(np.float32), np.ones((3, 3)))
-    jump = (largest - smallest > config.jump_px) & np.isfinite(disparity)
+    jump = (largest - smallest > JUMP_PX) & np.isfinite(disparity)
     near_jump = cv2.dilate(jump.astype(np.uint8), kernel) > 0
     return np.asarray(outside | near_jump)

@@ -13,6 +13,9 @@ from polhode.frontend.disparity.crop import Floats, StereoCrop
 from polhode.frontend.rectification.target import Image
 from polhode.records import Bools
 
+SPECKLE_PX = 60
+"""Patches of disparity with fewer pixels are removed."""
+
 
 @dataclass(frozen=True)
 class SgbmDisparity:
@@ -40,7 +43,7 @@ def match_left_right(crop: StereoCrop, config: Depth) -> SgbmDisparity:
     agrees = _agree(left, right, n, config.consistency_px)
     disparity = np.where(agrees & crop.lit, left, -1.0).astype(np.float32)
     speckled = np.round(disparity * 16).astype(np.int16)
-    cv2.filterSpeckles(speckled, -16, config.speckle_px, 16)
+    cv2.filterSpeckles(speckled, -16, SPECKLE_PX, 16)
     return SgbmDisparity(
         np.where(speckled > 0, disparity, np.nan).astype(np.float32),
         np.where(left > 0, left, np.nan).astype(np.float32),

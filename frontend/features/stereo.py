@@ -19,6 +19,10 @@ from polhode.frontend.rectification.target import Image, target_crop
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 
+ROW_GATE_PX = 0.8
+"""Largest difference of rows between left and right key points of the finest scale."""
+MAX_DISPARITY_SHARE = 0.7
+"""Largest disparity of a match, as a share of the image's width."""
 SIGMA_UV_PX = 0.30
 """Scatter of a key point between views of the target, before the back end estimates it [px]."""
 MIN_SIGMA_DISPARITY_PX = 0.10
@@ -138,11 +142,11 @@ def _match_on_lines(
 def _candidates(left: KeyPoints, right: KeyPoints, rig: RectifiedRig, config: StereoMatching) -> Bools:
     """(n_left, n_right): close rows, positive disparity, similar scale and orientation."""
     row = np.abs(left.uv_px[:, None, 1] - right.uv_px[None, :, 1])
-    gate = config.row_gate_px * np.maximum(1.0, 0.4 * left.scale_px)[:, None]
+    gate = ROW_GATE_PX * np.maximum(1.0, 0.4 * left.scale_px)[:, None]
     disparity = left.uv_px[:, None, 0] - right.uv_px[None, :, 0] - rig.disparity_offset_px
     octave = np.abs(np.log2(left.scale_px[:, None] / right.scale_px[None, :]))
     turn = np.abs((left.angle_rad[:, None] - right.angle_rad[None, :] + np.pi) % (2 * np.pi) - np.pi)
-    in_range = (disparity > 0.5) & (disparity < config.max_disparity_share * rig.width_px)
+    in_range = (disparity > 0.5) & (disparity < MAX_DISPARITY_SHARE * rig.width_px)
     return np.asarray((row < gate) & in_range & (octave < 0.6) & (turn < np.deg2rad(35.0)))
 
 

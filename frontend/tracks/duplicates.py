@@ -21,6 +21,8 @@ from polhode.frontend.tracks.tracks import Association
 from polhode.lie import Array
 from polhode.records import Bools, InitialMotion, Ints
 
+MAX_VIEW_ANGLE_DEG = 30.0
+"""Largest change of viewing direction between descriptors of landmarks that may be one."""
 AGREEMENT_CHI2 = float(chi2.ppf(0.99, 3))
 """Largest normalised squared distance between two estimates of one position."""
 POSITION_FLOOR_PX = 0.3
@@ -108,7 +110,7 @@ def _descriptor_distance(a: _Views, b: _Views, config: GuidedMatching) -> float:
     """
     if np.any(a.frames & b.frames):
         return float("inf")
-    like = a.direction_G @ b.direction_G.T > np.cos(np.deg2rad(config.merge_view_angle_deg))
+    like = a.direction_G @ b.direction_G.T > np.cos(np.deg2rad(MAX_VIEW_ANGLE_DEG))
     if not like.any():
         return float("inf")
     similarity = float(np.max((a.descriptors @ b.descriptors.T)[like]))

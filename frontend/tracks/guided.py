@@ -30,6 +30,10 @@ from polhode.frontend.tracks.tracks import Association
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Bools, InitialMotion, Ints
 
+COARSE_GATE_PX = 25.0
+"""Search radius around a predicted pose."""
+FINE_GATE_PX = 2.0
+"""Search radius around a pose that the frame's own features confirm."""
 MIN_PROBABILITY = 0.01
 """Smallest probability of an accepted association of features with known surface axes."""
 GATE_FACTORS = (1.0, 1.0 / 3.0, 1.0 / 5.0)
@@ -91,7 +95,7 @@ def reconnect(
         if X_found is None:
             continue
         X_RG[k], connected[k] = X_found, True
-        feature, landmark = _search(model, frames[k], X_found, rig, config, config.fine_gate_px)
+        feature, landmark = _search(model, frames[k], X_found, rig, config, FINE_GATE_PX)
         labels[k] = np.full(len(frames[k]), -1, dtype=np.int64)
         labels[k][feature] = landmark
         add_observations(model, frames[k], labels[k], X_found, rig)
@@ -115,7 +119,7 @@ def _relocalise(
     X_found = X_RG
     for share in GATE_FACTORS:
         # In a smaller window fewer other landmarks look similar, so more associations are unambiguous.
-        gate_px = share * config.coarse_gate_px
+        gate_px = share * COARSE_GATE_PX
         feature, landmark = _search(model, features, X_found, rig, config, gate_px)
         if len(feature) < config.min_inliers:
             return None

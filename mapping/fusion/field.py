@@ -28,6 +28,9 @@ from polhode.mapping.fusion.surface_extraction import (
 from polhode.records import AlignedPoses, DepthMap, SurfaceModel
 from polhode.rigid_fit import mean_rotation
 
+TRUNCATION_BEHIND_VOXELS = 3.0
+"""Distance at which the field is cut off behind the surface; short, so that the two sides of a thin panel do
+not mix."""
 _log = logging.getLogger(__name__)
 _ROUNDS = 5
 _ALIGN_ROUNDS = 2
@@ -73,7 +76,7 @@ class Field:
         config, voxel_m = self.config, self._voxel_m
         cut = Truncation(
             config.truncation_voxels * voxel_m,
-            config.truncation_behind_voxels * voxel_m,
+            TRUNCATION_BEHIND_VOXELS * voxel_m,
             config.free_space_weight,
         )
         return BlockGrid(voxel_m, cut, choose_device(config), config.memory_mib)

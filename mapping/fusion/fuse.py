@@ -68,7 +68,7 @@ def choose_voxel_m(frames: list[DepthMap], rig: RectifiedRig, config: Mapping) -
         return 1e-3
     z = float(np.median(np.concatenate(depths)))
     footprint_m = z / rig.focal_px
-    voxel_m = config.voxel_per_footprint * footprint_m
+    voxel_m = footprint_m
     area_m2 = 6.0 * max(len(d) for d in depths) * footprint_m**2
     # The band around the surface is about three blocks thick.
     blocks = 3.0 * area_m2 / (EDGE * voxel_m) ** 2

@@ -35,16 +35,12 @@ class Features(Section):
 class StereoMatching(Section):
     """Left to right, on epipolar lines."""
 
-    row_gate_px: float = Field(0.8, gt=0)
-    """Largest difference of rows between left and right key points [px]."""
     ratio: float = Field(0.95, gt=0, le=1)
     """Distance ratio of best to second best descriptor among the candidates on the line."""
     window_px: int = Field(13, ge=5)
     """Side of the window of the disparity's least-squares refinement [px], odd."""
     min_correlation: float = Field(0.85, ge=0, le=1)
     """Smallest normalised correlation of the refined windows."""
-    max_disparity_share: float = Field(0.7, gt=0, le=1)
-    """Largest disparity, as a share of the image's width."""
 
 
 class PairMatching(Section):
@@ -76,22 +72,14 @@ class GuidedMatching(Section):
 
     rounds: int = Field(2, ge=1)
     """Largest number of times that lost frames are looked for and the motion is solved."""
-    consistency_px: float = Field(5.0, gt=0)
-    """A blind match that the first motion contradicts by more is wrong [px]."""
     max_view_angle_deg: float = Field(45.0, gt=0, le=90)
     """Largest change of viewing direction between descriptors that are compared [deg]."""
-    coarse_gate_px: float = Field(25.0, gt=0)
-    """Search radius around a predicted pose [px]."""
-    fine_gate_px: float = Field(2.0, gt=0)
-    """Search radius around a pose that the frame's own features confirm [px]."""
     max_distance: float = Field(0.65, gt=0)
     """Largest descriptor distance of an accepted association of features that do not know their surface."""
     min_inliers: int = Field(7, ge=4)
     """Fewer consistent associations do not connect a frame."""
     merge: bool = True
     """Join landmarks that the solved motion shows to be one; undone when the fit gets worse for it."""
-    merge_view_angle_deg: float = Field(30.0, gt=0, le=90)
-    """Largest change of viewing direction between descriptors of landmarks that may be one [deg]."""
 
 
 class Tracks(Section):
@@ -146,14 +134,8 @@ class Depth(Section):
     """Largest disparity that is searched when the range is not known, as a share of the image's width."""
     consistency_px: float = Field(1.0, gt=0)
     """Largest difference between the left and the right image's disparity [px]."""
-    speckle_px: int = Field(60, ge=0)
-    """Smaller patches of disparity are removed [px]."""
     window_px: int = Field(7, ge=3)
     """Side of the window of the sub-pixel refinement [px], odd."""
-    refinements: int = Field(3, ge=0)
-    """Rounds of sub-pixel refinement and smoothing."""
-    plane_radius_px: int = Field(6, ge=1)
-    """Half side of the windows in which the disparity is taken as a plane [px]."""
     facets: bool = True
     """Carry planes across even, textureless patches from what surrounds them."""
     min_intensity: float = Field(6.0, ge=0)
@@ -164,8 +146,6 @@ class Depth(Section):
     rim_px: int | None = Field(None, ge=0)
     """Width that is removed along the silhouette and along jumps of depth [px]; null: 2 for sgbm, 1 for
     network."""
-    jump_px: float = Field(1.5, gt=0)
-    """A difference of disparity between neighbours that counts as a jump [px]."""
 
     @property
     def largest_sigma_px(self) -> float:

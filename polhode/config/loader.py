@@ -3,6 +3,7 @@
 An error names the file (or the option) that set the value, the dotted key, and what is valid there.
 """
 
+import logging
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +16,20 @@ from polhode.config import Config
 from polhode.config import keys as config_keys
 from polhode.errors import InputError
 
+_log = logging.getLogger(__name__)
+
 DEFAULT_CONFIG = Path(__file__).with_name("default.yaml")
 """Fits any calibrated stereo sequence; part of the installed package."""
+REMOVED = frozenset(
+    {
+        *(f"frontend.stereo.{name}" for name in ("row_gate_px", "max_disparity_share")),
+        *(f"frontend.guided.{name}" for name in ("consistency_px", "coarse_gate_px", "fine_gate_px")),
+        "frontend.guided.merge_view_angle_deg",
+        *(f"frontend.depth.{name}" for name in ("speckle_px", "refinements", "plane_radius_px", "jump_px")),
+        *(f"mapping.{name}" for name in ("voxel_per_footprint", "truncation_behind_voxels")),
+    }
+)
+"""Settings of earlier versions that are constants now; the configuration of an old run may hold them."""
 EXTENDS = "extends"
 COMMAND_LINE = "command line"
 
@@ -64,6 +77,7 @@ def load_config(path: Path | None, overrides: Mapping[str, Any] | None = None) -
         layered.merge(values, str(source))
     for key, value in (overrides or {}).items():
         layered.merge(_nested(key.split("."), value), COMMAND_LINE)
+    _drop_removed(layered)
     _drop_empty_sections(layered.values, ())
     return _validate(layered)
 
@@ -134,6 +148,19 @@ def _drop_empty_sections(values: dict[str, Any], path: config_keys.Path) -> None
             _drop_empty_sections(value, (*path, key))
         elif value is None and type(None) not in options and config_keys.section_at(Config, (*path, key)):
             del values[key]
+
+
+def _drop_removed(layered: _Layered) -> None:
+    """Leave out settings that are constants now, with a warning each."""
+    for key in sorted(REMOVED):
+        *sections, name = key.split(".")
+        values: Any = layered.values
+        for section in sections:
+            values = values.get(section) if isinstance(values, dict) else None
+        if isinstance(values, dict) and name in values:
+            source = layered.source_of(tuple(key.split(".")))
+            _log.warning("%s: '%s' is no longer a setting and is ignored; remove it", source, key)
+            del values[name]
 
 
 def _validate(layered: _Layered) -> Config:

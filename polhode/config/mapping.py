@@ -12,12 +12,8 @@ class Mapping(Section):
 
     voxel_mm: float | None = Field(None, gt=0)
     """Edge of a voxel [mm]; chosen from the depth's footprint when absent."""
-    voxel_per_footprint: float = Field(1.0, gt=0)
-    """Edge of a voxel over the footprint of a pixel on the target, when ``voxel_mm`` is absent."""
     truncation_voxels: float = Field(4.0, ge=2)
     """Distance at which the field is cut off in front of the surface [voxels]."""
-    truncation_behind_voxels: float = Field(3.0, ge=1)
-    """The same behind the surface [voxels]; short, so that the two sides of a thin panel do not mix."""
     free_space_weight: float = Field(0.4, ge=0, le=1)
     """Weight of "this is empty" far in front of a surface, over that of the surface itself."""
     min_views: int = Field(3, ge=1)

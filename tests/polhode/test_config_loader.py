@@ -148,3 +148,15 @@ def test_a_part_of_the_configuration_is_written_and_read_back_alone() -> None:
     text = dump_config(config, keys=("seed", "scene"))
     assert set(yaml.safe_load(text)) == {"seed", "scene"}
     assert Config.model_validate(yaml.safe_load(text)) == config
+
+
+def test_a_setting_of_an_earlier_version_is_ignored_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The resolved configuration of an older run goes on to be read."""
+    file = tmp_path / "old.yaml"
+    file.write_text("frontend: {guided: {fine_gate_px: 2.0, rounds: 3}}\n")
+    assert load_config(file).frontend.guided.rounds == 3
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{file}: 'frontend.guided.fine_gate_px' is no longer a setting and is ignored; remove it"
+    ]
