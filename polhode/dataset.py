@@ -1,4 +1,4 @@
-"""A stereo sequence on disk: the EuRoC layout of CONTRACT.md, without the truth (polhode/truth.py).
+"""A stereo sequence on disk (docs/dataset.md), without its truth, which polhode/truth.py reads.
 
 Every image is decoded once when the sequence is opened, so that damage is found before the work begins.
 """

@@ -1,6 +1,6 @@
 """SO(3) and SE(3): exponential, logarithm, hat, batched over leading dimensions.
 
-Attitude perturbations are on the right everywhere: ``R Exp(theta)`` (CONTRACT.md, "Notation").
+Attitude perturbations are on the right everywhere: ``R Exp(theta)`` (docs/notation.md).
 Formulas: Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018.
 """
 

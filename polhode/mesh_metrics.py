@@ -1,4 +1,4 @@
-"""How far two surfaces are apart: accuracy, completion, chamfer, Hausdorff (CONTRACT.md, "metrics")."""
+"""How far two surfaces are apart: accuracy, completion, chamfer, Hausdorff."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""How far an estimate is from the truth (CONTRACT.md, ``metrics.json``): estimate minus truth.
+"""How far an estimate is from the truth: estimate minus truth.
 
 A half-turn about a principal axis changes the names of the axes, not the answer: the best of the four is
 taken. Nothing else is aligned, except where a metric's definition says so.
@@ -84,7 +84,7 @@ def rms(errors: Array) -> float:
 
 @dataclass(frozen=True)
 class MotionErrors:
-    """Errors of the states over all frames; see CONTRACT.md."""
+    """Errors of the states over all frames: estimate minus truth."""
 
     rmse_position_m: float
     rmse_velocity_m_s: float

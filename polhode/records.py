@@ -1,6 +1,6 @@
 """What passes between the stages: frozen records, arrays batch first.
 
-Frames (CONTRACT.md): N inertial, R rectified left camera, G geometric frame of the target,
+Frames (docs/notation.md): N inertial, R rectified left camera, G geometric frame of the target,
 P principal axes at the centre of mass. ``p_N = X_NG @ p_G``; ``p_G = R_GP @ p_P + com_G``.
 """
 

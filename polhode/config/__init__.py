@@ -1,4 +1,4 @@
-"""The configuration: the only place where defaults live (CONTRACT.md, "Commands")."""
+"""The configuration: the only place where defaults live (docs/configuration.md)."""
 
 from pydantic import Field
 
