@@ -296,7 +296,7 @@ COMPARE = (
         "compare/problem/assessment.py",
         "gain = 0.5 * float(g @ cho_solve(factor, g)) + 0.5 * float(of_landmarks)",
         "gain = 0.5 * float(g @ cho_solve(factor, g))",
-        ("compare/processes/test_isolation.py", "compare/test_solvers.py"),
+        ("compare/problem/test_assessment.py",),
     ),
 )
 POLHODE = (
