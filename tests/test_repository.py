@@ -98,3 +98,29 @@ def test_every_declared_dependency_has_a_tested_version() -> None:
 def test_no_package_of_tests_shadows_ours() -> None:
     # `tests/frontend/__init__.py` without `tests/__init__.py` would be imported as `frontend`.
     assert list((ROOT / "tests").rglob("__init__.py")) == []
+
+
+PAGES = ("README.md", *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").glob("*.md")))
+FOLDERS = "|".join((*ROOMS, "polhode", "benchmarks", "configs", "docs", "examples", "tests"))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_files_and_modules_that_a_page_names_exist(page: str) -> None:
+    text = (ROOT / page).read_text()
+    links = {each.partition("#")[0] for each in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in each}
+    missing = {each for each in links if not (ROOT / page).parent.joinpath(each).exists()}
+    paths = set(re.findall(rf"(?<![\w./-])((?:{FOLDERS})/[\w./-]*\.[a-z]\w*)", text))
+    missing |= {each for each in paths if not (ROOT / each).exists()}
+    sources = [path for folder in FOLDERS.split("|") for path in (ROOT / folder).rglob("*.py")]
+    known = tuple(f"/{path.relative_to(ROOT)}" for path in sources)
+    files = set(re.findall(r"`([\w./]+\.py)`", text))
+    missing |= {each for each in files if not any(path.endswith(f"/{each}") for path in known)}
+    # A link whose text is a file leads to that file.
+    named = re.findall(r"\[`([\w./]+\.py)`\]\(([^)\s]+)\)", text)
+    missing |= {f"{name} -> {target}" for name, target in named if not target.endswith(f"/{name}")}
+    modules = {each.replace(".", "/") for each in re.findall(rf"python3? -m ((?:{FOLDERS})[\w.]*\w)", text)}
+    for module in modules:
+        # Rooms are imported through the links below polhode/.
+        if not (ROOT / f"{module}.py").is_file() and not (ROOT / module / "__init__.py").is_file():
+            missing.add(module)
+    assert missing == set()

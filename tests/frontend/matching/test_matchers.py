@@ -109,6 +109,9 @@ def test_the_rigid_fit_is_exact_and_has_the_right_gradient() -> None:
     assert torch.allclose(R, torch.from_numpy(X_AB[:3, :3]).expand(2, 3, 3), atol=1e-9)
     assert torch.allclose(t, torch.from_numpy(X_AB[:3, 3]).expand(2, 3), atol=1e-9)
     noisy = p_A + 0.1 * torch.from_numpy(rng.normal(size=(2, 7, 3)))
+    twin = np.stack([fit_rigid(*each) for each in zip(noisy.numpy(), p_B, weight.numpy(), strict=True)])
+    R, t = rigid_fit(noisy, torch.from_numpy(p_B), weight)
+    torch.testing.assert_close(torch.cat([R, t[..., None]], dim=-1), torch.from_numpy(twin[:, :3]))
     inputs = (noisy.requires_grad_(), torch.from_numpy(p_B).requires_grad_(), weight.requires_grad_())
     assert torch.autograd.gradcheck(rigid_fit, inputs)
 
