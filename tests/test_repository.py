@@ -117,7 +117,7 @@ def test_files_and_modules_that_a_page_names_exist(page: str) -> None:
     missing |= {each for each in files if not any(path.endswith(f"/{each}") for path in known)}
     # A link whose text is a file leads to that file.
     named = re.findall(r"\[`([\w./]+\.py)`\]\(([^)\s]+)\)", text)
-    missing |= {f"{name} -> {target}" for name, target in named if not target.endswith(f"/{name}")}
+    missing |= {f"{name} -> {target}" for name, target in named if not f"/{target}".endswith(f"/{name}")}
     modules = {each.replace(".", "/") for each in re.findall(rf"python3? -m ((?:{FOLDERS})[\w.]*\w)", text)}
     for module in modules:
         # Rooms are imported through the links below polhode/.
