@@ -99,7 +99,8 @@ def _neighbour(fit: LevelFit, sign: int, axis: int, step: float) -> LevelFit | N
     if changed == levels[axis]:
         return None
     levels[axis] = changed
-    return fit_level(fit.data, fit.iterate, *levels)
+    accel_psd, torque_psd = levels
+    return fit_level(fit.data, fit.iterate, accel_psd, torque_psd)
 
 
 def _raised(fit: LevelFit, axis: int, stated: float) -> LevelFit | None:
@@ -108,7 +109,8 @@ def _raised(fit: LevelFit, axis: int, stated: float) -> LevelFit | None:
     if not levels[axis] < 0.99 * stated:
         return None
     levels[axis] = min(levels[axis] * 10.0**LAST_STEP, stated)
-    return fit_level(fit.data, fit.iterate, *levels)
+    accel_psd, torque_psd = levels
+    return fit_level(fit.data, fit.iterate, accel_psd, torque_psd)
 
 
 def fit_level(

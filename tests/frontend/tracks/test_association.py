@@ -82,7 +82,7 @@ def test_the_error_of_a_motion_is_as_small_as_the_noise_of_both_frames_allows() 
         W = np.linalg.inv(A @ np.swapaxes(A, 1, 2) + R @ B @ np.swapaxes(B, 1, 2) @ R.T)
         by_motion = np.concatenate([-hat(p_A), np.tile(np.eye(3), (60, 1, 1))], axis=2)
         information = np.sum(np.swapaxes(by_motion, 1, 2) @ W @ by_motion, axis=0)
-        D = fit_noisy(X_AB, *seen, RIG) @ inverse_pose(X_AB)
+        D = fit_noisy(X_AB, seen[0], seen[1], RIG) @ inverse_pose(X_AB)
         error = np.concatenate([log_so3(D[:3, :3]), D[:3, 3]])
         squares.append(error @ information @ error)
     # a mean of 720 squares of variance 2
