@@ -16,8 +16,8 @@ from polhode.backend.initialization.multistart import (
     try_hypotheses,
 )
 from polhode.backend.noise.measurement_noise import NoiseScales
+from polhode.backend.noise.outlier_observations import PrunedProblem, remove_outliers
 from polhode.backend.noise.process_level import estimate_process_noise
-from polhode.backend.noise.prune import PrunedProblem, remove_outliers
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.uncertainty.ambiguity import HypothesisChoice, choose_hypothesis

@@ -72,8 +72,8 @@ class ExportCommand:
         _require("--cad-unit", self.cad_unit, ["m", "mm"])
         if self.frame is not None:
             _require("--frame", self.frame, ["G", "P", "cad"])
-        from polhode.pipeline.products.export.export_run import export_run
-        from polhode.pipeline.products.export.options import ExportOptions
+        from polhode.pipeline.after_run.export.export_run import export_run
+        from polhode.pipeline.after_run.export.options import ExportOptions
 
         values = {each.name: getattr(self, each.name) for each in fields(ExportOptions)}
         files = export_run(self.run, ExportOptions(**values))

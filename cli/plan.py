@@ -48,8 +48,8 @@ class PlanCommand:
         """Plan, write and print."""
         import numpy as np
 
-        from polhode.pipeline.products.plan import Docking, plan_run
-        from polhode.pipeline.products.plan_files import format_plan, write_plan
+        from polhode.pipeline.after_run.plan import Docking, plan_run
+        from polhode.pipeline.after_run.plan_files import format_plan, write_plan
         from polhode.planning.keep_out.volumes import KeepOutOptions
 
         if self.output.exists() and not self.output.is_dir():

@@ -32,7 +32,7 @@ class PredictCommand:
 
     def execute(self) -> int:
         """Predict, write and print."""
-        from polhode.pipeline.products.predict import format_prediction, predict_run, write_prediction
+        from polhode.pipeline.after_run.predict import format_prediction, predict_run, write_prediction
 
         prediction = predict_run(self.run, self.horizon, self.step_s)
         print(format_prediction(prediction))

@@ -21,7 +21,7 @@ import numpy as np
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.metrics import truth_at
-from polhode.pipeline.products.plan import final_estimate, surface_of
+from polhode.pipeline.after_run.plan import final_estimate, surface_of
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.planning.approach.trajectory import (
     ApproachTask,

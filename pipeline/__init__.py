@@ -11,5 +11,5 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - uniform_density: mass properties from the mesh at uniform density, assumed and compared with the motion's
 
 run_directory/ reads and writes a run; evaluation/ compares it with the truth; report/ and pictures/ show it;
-products/ derives plans, predictions, exports and the observability of edges from it.
+after_run/ derives plans, predictions, exports and the observability of edges from it.
 """

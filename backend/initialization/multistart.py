@@ -30,7 +30,7 @@ from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CAMERA, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.solvers.linearization_point import linearization_point, recenter_inertia
 from polhode.errors import RunFailure
 from polhode.lie import Array, hat
 from polhode.progress import Advance
@@ -179,12 +179,6 @@ def solve_briefly(
             if np.abs(iterate.J_G(data.form) - other.iterate.J_G(data.form)).max() < SAME_INERTIA:
                 return other
     return HypothesisFit(iterate, float(cost), float(solution.cost)) if np.isfinite(cost) else None
-
-
-def recenter_inertia(data: MotionData, iterate: Iterate) -> Iterate:
-    """The same inertia with its reference rotation moved to it."""
-    xi, R_inertia = data.form.coordinates(iterate.second_moments(data.form))
-    return replace(iterate, xi=xi, R_inertia=R_inertia)
 
 
 def inertia_hypotheses(R_NG: Array, w_G: Array) -> dict[str, Array]:

@@ -1,5 +1,6 @@
 """Solvers of the weighted nonlinear least-squares problem: data and a start in, an optimum out.
 
+- ``solve``: the choice of the solver, limits, the fallback to IPOPT.
 - ``gauss_newton``: the default solver, with damping and line search; also the source of covariances.
 - ``ipopt``: the whole problem stated as one nonlinear program, solved by IPOPT.
 - ``linearization_point``: what stays fixed during one solve.

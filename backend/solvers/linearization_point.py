@@ -1,6 +1,6 @@
 """What stays fixed during one solve: reference attitudes, whitening, priors and gauge."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -105,3 +105,9 @@ def geometric_median(points: Array) -> Array:
         weight = 1.0 / np.maximum(np.linalg.norm(points - middle, axis=1), 1e-6)
         middle = weight @ points / weight.sum()
     return np.asarray(middle)
+
+
+def recenter_inertia(data: MotionData, iterate: Iterate) -> Iterate:
+    """The same inertia with its reference rotation moved to it."""
+    xi, R_inertia = data.form.coordinates(iterate.second_moments(data.form))
+    return replace(iterate, xi=xi, R_inertia=R_inertia)

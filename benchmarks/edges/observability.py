@@ -41,7 +41,7 @@ from polhode.config.scene import Sensor
 from polhode.images import Grey
 from polhode.lie import Array, make_pose, transform_points
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
-from polhode.planning.edges.metric.metric import EdgeObservability, observability
+from polhode.planning.edges.metric.observability_metric import EdgeObservability, observability
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.model.visible_edges import SPACING_PX, clear_points
 

@@ -20,7 +20,7 @@ from benchmarks.command import command
 from benchmarks.presentation import save_figure
 from polhode.lie import Array, log_so3
 from polhode.metrics import States, constant_body_rotation, motion_errors, truth_at, turned
-from polhode.pipeline.products.predict import predict_run
+from polhode.pipeline.after_run.predict import predict_run
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, standard_deviations
 from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 from polhode.truth import read_truth

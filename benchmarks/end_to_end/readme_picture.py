@@ -26,9 +26,9 @@ from polhode.errors import InputError
 from polhode.frontend.rectification.rectify import make_rectifier, rectified_pair
 from polhode.frontend.rectification.target import Crop, target_crop
 from polhode.lie import Array, exp_so3, inverse_pose, transform_points
-from polhode.pipeline.report.plot import TIME_SCALE
-from polhode.pipeline.report.rotation import look_at, torque_free_path
-from polhode.pipeline.report.shape import stretched, vertex_rgb
+from polhode.pipeline.report.figures.plot import TIME_SCALE
+from polhode.pipeline.report.figures.rotation import look_at, torque_free_path
+from polhode.pipeline.report.figures.shape import stretched, vertex_rgb
 from polhode.pipeline.report.tables import finding
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun, read_stored_run
 

@@ -50,10 +50,10 @@ def measure(case: Case) -> Case:
     """One sequence four times: costs, and differences from the first."""
     from benchmarks.monte_carlo.bound import true_iterate
     from polhode.backend import estimate_motion, initialize_motion
-    from polhode.backend.estimate import refine
     from polhode.backend.problem.motion_data import motion_data
     from polhode.backend.solvers.gauss_newton import GaussNewton
     from polhode.backend.solvers.ipopt import MotionProgram
+    from polhode.backend.solvers.solve import refine
     from polhode.progress import Silent
     from polhode.simulation.monte_carlo.measurements import generate
 

@@ -91,10 +91,10 @@ def measure_accuracy(case: Case) -> Case:
 def smoothed(sequence: SyntheticSequence, k: int, config: Backend) -> list[float]:
     """Squared errors (6,) of full smoothing of the frames 0 to k."""
     from benchmarks.monte_carlo.bound import true_iterate
-    from polhode.backend.estimate import refine
     from polhode.backend.problem.inertia import principal_axes
     from polhode.backend.problem.motion_data import motion_data
     from polhode.backend.solvers.gauss_newton import GaussNewton
+    from polhode.backend.solvers.solve import refine
 
     part = first_frames(sequence, k + 1)
     data, start = motion_data(part.tracks, config), true_iterate(part, config)

@@ -19,7 +19,7 @@ from tyro.conf import arg
 
 from benchmarks.command import Runs, command
 from polhode.lie import Array
-from polhode.pipeline.products.plan import surface_of
+from polhode.pipeline.after_run.plan import surface_of
 from polhode.planning.exports.convex_pieces import (
     CUT_FACES,
     ROUNDING,

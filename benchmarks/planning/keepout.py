@@ -63,7 +63,7 @@ def measure(case: Case) -> dict[str, Any]:
     """One run, one horizon."""
     import trimesh
 
-    from polhode.pipeline.products.plan import final_estimate, surface_of
+    from polhode.pipeline.after_run.plan import final_estimate, surface_of
     from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grown_body, thinned_vertices
     from polhode.planning.keep_out.swept_distance import FAR, protrusion, protrusion_at_instants, sweep
     from polhode.planning.keep_out.volumes import KeepOutOptions, fine_times, keep_out, points_near_surface

@@ -8,7 +8,7 @@ process noise is estimated) by either solver, then the growth, drawn with ``-o``
 growth at small sizes. Seconds are those of the processor, on one thread: of a free core, those of the clock.
 
 Attitude and angular velocity are compared in N after the one constant body rotation that fits best
-(CONTRACT.md, metrics). "error / sigma" divides each error by the stated standard deviation; for attitude and
+(docs/run_directory.md). "error / sigma" divides each error by the stated standard deviation; for attitude and
 rate that would include the rotation of the axes, which the comparison takes out, so it is not printed.
 """
 

@@ -20,13 +20,13 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from benchmarks.command import Runs, command, single_threaded
 from polhode.backend import initialize_motion
-from polhode.backend.estimate import SolverResult, refine, solve
 from polhode.backend.fit import fit
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
+from polhode.backend.solvers.solve import SolverResult, refine, solve
 from polhode.config.backend import Backend
 from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
@@ -34,7 +34,7 @@ from polhode.lie import Array
 from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses
 
 SOLVERS = (partial(GaussNewton, line_search=True), MotionProgram)
-"""As ``backend.estimate.solve`` makes them."""
+"""As ``backend.solvers.solve`` makes them."""
 COLUMNS = (
     "run", "frames", "observations", "Gauss-Newton: iterations", "s", "IPOPT: iterations", "s",
     "IPOPT takes times", "Gauss-Newton's cost over IPOPT's, - 1", "path apart [mm]",

@@ -16,15 +16,15 @@ import numpy as np
 
 from polhode.atomic import write_bytes
 from polhode.backend import initialize_motion
-from polhode.backend.estimate import MAX_PASSES, refine
 from polhode.backend.fit import fit
 from polhode.backend.initialization.multistart import initial_guesses
-from polhode.backend.noise.prune import PrunedProblem
+from polhode.backend.noise.outlier_observations import PrunedProblem
 from polhode.backend.problem.inertia import unit_determinant
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import LinearizationPoint, linearization_point
+from polhode.backend.solvers.solve import MAX_PASSES, refine
 from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.config.backend import Backend
 from polhode.errors import InputError, RunFailure

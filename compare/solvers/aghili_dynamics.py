@@ -2,7 +2,7 @@
 
 ``w_x' = p_x w_y w_z`` and so on along the axes P (thesis eqs. 4.86-4.91). Off the surface on which the three
 depend on one another no body turns like that: the model has a freedom that the motion lacks. Taylor series
-as in ``backend.flow``.
+as in ``backend.dynamics.propagation``.
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class AghiliDynamics:
 def flow_in_G(
     w_G: Array, p: Array, R_ref: Array, eta: Array, dt_s: Array, series: Ints
 ) -> tuple[Array, Array, Array, Array]:
-    """As ``backend.flow.flow_derivatives``, by Aghili's p (3,) along the axes R_ref Exp(eta).
+    """As ``backend.dynamics.propagation``, by Aghili's p (3,) along the axes R_ref Exp(eta).
 
     Attitudes (n, 4) relative to the start, rates (n, 3) [rad/s], derivatives (n, 9, 3) of attitude error
     (right) and rate in w_G, p, eta.

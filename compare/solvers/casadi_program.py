@@ -2,7 +2,7 @@
 
 Hessian: Gauss-Newton or exact. Dynamics: weighted residuals, or equality constraints with slack, whose
 squares are the cost. Stereo kernels: on CasADi's virtual machine, or from generated C. Blocks of small
-kernels are scattered by constant sparse matrices, as in ``backend.program``.
+kernels are scattered by constant sparse matrices, as in ``backend.solvers.ipopt``.
 """
 
 import subprocess

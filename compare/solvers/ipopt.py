@@ -60,7 +60,7 @@ class Iterations(ca.Callback):
 
 
 class Shipped:
-    """``backend.program.MotionProgram``: weighted, Gauss-Newton Hessian, stereo in compiled loops."""
+    """``backend.solvers.ipopt.MotionProgram``: weighted, Gauss-Newton Hessian, stereo in compiled loops."""
 
     def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
         """The back end's own call, its clock read."""

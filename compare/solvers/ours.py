@@ -6,10 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from polhode.backend.estimate import PASS_TOLERANCE
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import TIME_LIMIT, GaussNewton, NormalEquations, Solution
 from polhode.backend.solvers.linearization_point import LinearizationPoint
+from polhode.backend.solvers.solve import PASS_TOLERANCE
 from polhode.compare.problem.assessment import reference_covariance
 from polhode.compare.problem.measured_problem import MeasuredProblem, inertia_around, with_form
 from polhode.compare.solver import Outcome, OutOfTime, SolveMonitor
@@ -78,7 +78,7 @@ class Ours:
     form: str = "second_moments"
 
     def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
-        """Solve in the form's own coordinates, again until the cost rests (``backend.estimate.refine``).
+        """Solve in the form's own coordinates, again until the cost rests (``backend.solvers.solve.refine``).
 
         A form with a reference rotation has it renewed every few iterations, the common form has
         none.

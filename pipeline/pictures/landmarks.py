@@ -13,7 +13,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from polhode.lie import Array
 from polhode.pipeline.pictures.body_views import ALONG_AXES, BodyFrame, Direction, round_length_mm
-from polhode.pipeline.report.plot import AXIS_COLORS, FAINT, GRID, INK, SIGMA_SCALE
+from polhode.pipeline.report.figures.plot import AXIS_COLORS, FAINT, GRID, INK, SIGMA_SCALE
 from polhode.records import Bools, Landmarks
 
 SIZE_IN, DPI = (12.0, 8.3), 100

@@ -17,8 +17,8 @@ from polhode.lie import Array
 from polhode.mapping.mesh_viewer import MeshView, MeshViewer
 from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, BodyFrame, Direction, round_length_mm
 from polhode.pipeline.pictures.landmarks import SIGMA_MAP
-from polhode.pipeline.report.plot import INK
-from polhode.pipeline.report.shape import stretched, vertex_rgb
+from polhode.pipeline.report.figures.plot import INK
+from polhode.pipeline.report.figures.shape import stretched, vertex_rgb
 from polhode.records import SurfaceModel
 
 DIRECTIONS = ALONG_AXES + OBLIQUE

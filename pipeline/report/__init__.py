@@ -5,8 +5,7 @@ In: a run directory. Out: report.html.
 - page: fills the template with tables and figures; finish_run writes the summary and the report of a run
 - comparison: the page about several runs
 - tables: the finding in a sentence, and the rows of every table
-- motion, rotation, convergence, residuals, shape: the figures by topic
-- plot: axes, traces and colours that the figures share, as plain data for plotly.js
+- figures/: the figures, one topic a file
 - templates/: the pages, Jinja
 """
 

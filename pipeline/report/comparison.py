@@ -9,9 +9,9 @@ import numpy as np
 from polhode.atomic import write_text
 from polhode.lie import Array
 from polhode.pipeline.report import tables
+from polhode.pipeline.report.figures.plot import Figure, Trace, axis, layout, line, translucent
+from polhode.pipeline.report.figures.rotation import confidence_ellipse, possible_bodies
 from polhode.pipeline.report.page import fill, run_name
-from polhode.pipeline.report.plot import Figure, Trace, axis, layout, line, translucent
-from polhode.pipeline.report.rotation import confidence_ellipse, possible_bodies
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 
 RUN_COLORS: tuple[str, ...] = (

@@ -43,7 +43,7 @@ _TRACKS = tuple(f.name for f in fields(StereoTracks) if f.name not in ("rig", "w
 
 @dataclass(frozen=True)
 class Covariance:
-    """StoredRun of covariance.npz: SI units, ``inf`` on the diagonal where undetermined, never NaN."""
+    """Content of covariance.npz: SI units, ``inf`` on the diagonal where undetermined, never NaN."""
 
     timestamps_ns: Ints
     """(F,)"""

@@ -28,7 +28,7 @@ TRAJECTORY_COLUMNS: tuple[str, ...] = (
 
 @dataclass(frozen=True)
 class Trajectory:
-    """StoredRun of trajectory.csv, batch first."""
+    """Content of trajectory.csv, batch first."""
 
     timestamps_ns: Ints
     """(F,)"""

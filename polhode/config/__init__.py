@@ -1,4 +1,12 @@
-"""The configuration: the only place where defaults live (docs/configuration.md)."""
+"""The configuration: the only place where defaults live (docs/configuration.md).
+
+In: YAML files and overrides of the command line. Out: a frozen ``Config``.
+
+- backend, frontend, mapping, compare, train, scene/: the settings of each stage, with units and defaults
+- loader: reading files, ``extends`` and overrides; errors of one line
+- keys: the tree of keys, read off the types, for help and errors
+- section: the base of every section
+"""
 
 from pydantic import Field
 

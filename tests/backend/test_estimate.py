@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.backend.estimate import refine
 from polhode.backend.initialization.multistart import initial_guesses, try_hypothesis
 from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
+from polhode.backend.solvers.solve import refine
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose, log_so3, transform_points

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import LinAlgError
 
 from polhode.backend import initialize_motion
-from polhode.backend.estimate import estimate_motion, refine, solve
+from polhode.backend.estimate import estimate_motion
 from polhode.backend.initialization.multistart import initial_guesses
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
@@ -20,6 +20,7 @@ from polhode.backend.solvers.gauss_newton import (
 )
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
+from polhode.backend.solvers.solve import refine, solve
 from polhode.config.backend import Backend
 from polhode.progress import Silent
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate

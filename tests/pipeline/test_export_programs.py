@@ -22,8 +22,8 @@ from polhode.planning.exports.convex_pieces import clip, outside
 from polhode.planning.exports.records import Placement, shape_of_surface
 from polhode.quaternion import matrix_from_wxyz
 from polhode.records import SurfaceModel
+from tests.pipeline.after_run.test_export import document, export, run, write_example
 from tests.pipeline.conftest import Example
-from tests.pipeline.products.test_export import document, export, run, write_example
 
 __all__ = ["run"]
 ROOT = Path(__file__).parents[2]

@@ -12,7 +12,7 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
 from polhode.planning.edges.metric.edge_motion import edge_motion
-from polhode.planning.edges.metric.metric import (
+from polhode.planning.edges.metric.observability_metric import (
     UNOBSERVABLE_INFORMATION,
     UNOBSERVABLE_SIGMA,
     EdgeObservability,

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend.estimate import refine
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import motion_data
@@ -13,6 +12,7 @@ from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import LOOSE_GAUGE, TIGHT_GAUGE, linearization_point
 from polhode.backend.solvers.robust_kernel import kernel_curvature
+from polhode.backend.solvers.solve import refine
 from polhode.config.backend import Backend
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend.estimate import refine
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.solve import refine
 from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.estimator import SlidingWindow
 from polhode.backend.window.frame import FrameMeasurements, frames_of

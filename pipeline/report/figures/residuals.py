@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polhode.pipeline.report.plot import (
+from polhode.pipeline.report.figures.plot import (
     ACCENT,
     AXIS_COLORS,
     FAINT,

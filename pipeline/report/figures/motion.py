@@ -3,7 +3,7 @@
 import numpy as np
 
 from polhode.lie import Array
-from polhode.pipeline.report.plot import AXIS_COLORS, Figure, Layout, band, gap_shapes, line, panels
+from polhode.pipeline.report.figures.plot import AXIS_COLORS, Figure, Layout, band, gap_shapes, line, panels
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 
 

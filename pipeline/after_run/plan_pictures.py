@@ -17,9 +17,9 @@ from matplotlib.patheffects import withStroke
 
 from polhode.lie import Array
 from polhode.mapping.mesh_viewer import MeshView, MeshViewer
+from polhode.pipeline.after_run.plan import Plan
 from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, Direction, round_length_mm
-from polhode.pipeline.products.plan import Plan
-from polhode.pipeline.report.plot import FAINT, INK
+from polhode.pipeline.report.figures.plot import FAINT, INK
 from polhode.planning.approach.surface_speed import SurfaceSpeed
 from polhode.planning.keep_out.volumes import KeepOut
 from polhode.records import SurfaceModel

@@ -12,8 +12,8 @@ import numpy as np
 
 from polhode.atomic import write_bytes
 from polhode.errors import InputError
-from polhode.pipeline.products.export.job import ExportJob, Files, last_state, read_run
-from polhode.pipeline.products.export.options import (
+from polhode.pipeline.after_run.export.job import ExportJob, Files, last_state, read_run
+from polhode.pipeline.after_run.export.options import (
     MESHES,
     METRES,
     MOTIONS,
@@ -22,8 +22,8 @@ from polhode.pipeline.products.export.options import (
     check,
     creation_date,
 )
-from polhode.pipeline.products.export.placement import placement
-from polhode.pipeline.products.export.robot_files import remove_old_pieces, robot_files
+from polhode.pipeline.after_run.export.placement import placement
+from polhode.pipeline.after_run.export.robot_files import remove_old_pieces, robot_files
 from polhode.planning.exports import ccsds, glb, mesh_files
 from polhode.planning.exports.json_document import (
     Document,

@@ -11,8 +11,8 @@ import trimesh
 
 from polhode.atomic import write_bytes, write_text
 from polhode.lie import Array
-from polhode.pipeline.products.plan import Plan
-from polhode.pipeline.products.plan_pictures import plan_pictures
+from polhode.pipeline.after_run.plan import Plan
+from polhode.pipeline.after_run.plan_pictures import plan_pictures
 from polhode.planning.approach.corridor import Corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, slowest_points
 from polhode.planning.approach.tumbling_threshold import fuel_share

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 
 from polhode.cli.main import main
 from polhode.config import Config
-from polhode.pipeline.products.plan_files import CORRIDOR_COLUMNS
+from polhode.pipeline.after_run.plan_files import CORRIDOR_COLUMNS
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
 from tests.pipeline.stored_run import write_run

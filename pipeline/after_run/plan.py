@@ -9,7 +9,7 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.mapping.mesh_files import read_ply
 from polhode.mesh_metrics import distance_to_surface
-from polhode.pipeline.products.predict import last_body
+from polhode.pipeline.after_run.predict import last_body
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.approach.corridor import Corridor, corridor

@@ -8,8 +8,8 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, make_pose
-from polhode.pipeline.products.mesh_input import read_mesh
-from polhode.pipeline.products.plan import final_estimate, surface_of
+from polhode.pipeline.after_run.mesh_input import read_mesh
+from polhode.pipeline.after_run.plan import final_estimate, surface_of
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary

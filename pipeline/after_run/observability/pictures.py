@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from polhode.pipeline.products.observability.assess import Assessment
+from polhode.pipeline.after_run.observability.assess import Assessment
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
 from polhode.planning.edges.metric.pictures import picture, view_panel
 

@@ -3,7 +3,17 @@
 import numpy as np
 
 from polhode.lie import Array, log_so3, transform_points
-from polhode.pipeline.report.plot import AXIS_COLORS, FAINT, INK, Figure, Layout, Trace, band, line, panels
+from polhode.pipeline.report.figures.plot import (
+    AXIS_COLORS,
+    FAINT,
+    INK,
+    Figure,
+    Layout,
+    Trace,
+    band,
+    line,
+    panels,
+)
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 from polhode.pipeline.run_directory.trajectory_file import standard_deviations
 from polhode.records import Bools, OnlineEstimate

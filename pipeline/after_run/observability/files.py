@@ -11,8 +11,8 @@ import numpy as np
 from polhode.atomic import write_bytes
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.pipeline.products.observability import pictures
-from polhode.pipeline.products.observability.assess import Assessment, Choice
+from polhode.pipeline.after_run.observability import pictures
+from polhode.pipeline.after_run.observability.assess import Assessment, Choice
 from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
 from polhode.planning.edges.metric.pictures import Legend, coloured_body
 from polhode.planning.edges.model.edge_model import EdgeKind

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from polhode.errors import InputError
-from polhode.pipeline.products.export.job import ExportJob, Files, last_state
+from polhode.pipeline.after_run.export.job import ExportJob, Files, last_state
 from polhode.planning.exports import mesh_files, robot_xml
 from polhode.planning.exports.convex_pieces import WITHIN, decompose
 from polhode.planning.exports.records import shape_of_surface

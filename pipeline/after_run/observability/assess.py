@@ -6,7 +6,7 @@ import numpy as np
 
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.pipeline.products.observability.subject import Subject
+from polhode.pipeline.after_run.observability.subject import Subject
 from polhode.planning.edges.metric.contributions import Contributions, contributions
 from polhode.planning.edges.metric.information import EdgeView, FeatureInformation, by_feature, views_along
 from polhode.planning.edges.selection.selection import EdgeSelection, greedy, upper_bound

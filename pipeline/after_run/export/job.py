@@ -12,9 +12,9 @@ from polhode.lie import Array
 from polhode.mapping.finishing.detail_levels import levels_of
 from polhode.mapping.mesh_files import read_ply
 from polhode.mapping.uniform_solid import Solid, solid_of
-from polhode.pipeline.products.export.inertial import inertial_of
-from polhode.pipeline.products.export.options import ExportOptions
-from polhode.pipeline.products.predict import (
+from polhode.pipeline.after_run.export.inertial import inertial_of
+from polhode.pipeline.after_run.export.options import ExportOptions
+from polhode.pipeline.after_run.predict import (
     NoCovariance,
     predict_run,
     prediction_times,

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
-from polhode.planning.edges.metric.metric import EdgeObservability, observability
+from polhode.planning.edges.metric.observability_metric import EdgeObservability, observability
 from polhode.planning.edges.model.edge_model import edge_model
 from polhode.planning.edges.model.visible_edges import ControlPoints, control_points
 
