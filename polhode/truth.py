@@ -1,4 +1,4 @@
-"""The truth of a simulated sequence, ``target0/``. Only ``pipeline.evaluation.evaluate`` may import this module.
+"""The truth of a simulated sequence, ``target0/``. Only ``pipeline.evaluation.evaluate`` may import it.
 
 An import-linter contract and a test keep the estimate blind to it.
 """

@@ -1,6 +1,6 @@
 """Vertex colours with the Sun's shading divided out, where the images tell where the Sun is.
 
-A sample of vertices over the frames gives the Sun's direction (``mapping.finishing.sun_direction``). When Lambert's law
+A sample of vertices over the frames gives the Sun's direction (``sun_direction``). When Lambert's law
 explains the changes of brightness clearly better than no law, every vertex gets its albedo from all frames
 that saw it, in the light that fell on it there; what the body itself shades counts as shade. Else the colours
 stay what they were: averages of the images.

@@ -1,9 +1,6 @@
 """summary.json: the results of a run in one small file (docs/run_directory.md).
 
-The pydantic model below is the only definition; ``pipeline/summary.schema.json`` is generated from it
-(``python -m polhode.pipeline.run_directory.summary``) and shipped, and every summary is validated when it is
-written and read. Standard deviations and variances of undetermined quantities are ``null``; there is no NaN
-or infinity.
+Every summary is validated against the models of ``summary_schema`` when it is written and read.
 """
 
 import json

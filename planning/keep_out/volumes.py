@@ -1,6 +1,6 @@
 """Where nothing may be: the space that the target sweeps over a horizon, at a confidence.
 
-Three steps. The measured surface is grown until it holds the true one (``planning.keep_out.measured_body``). What the
+Three steps. The measured surface is grown until it holds the true one (``measured_body``). What the
 estimate's motion sweeps is grown by c sigma of the pose, instant by instant. Then members drawn from the
 covariance tell how much more is needed: by so much that all but the wanted share of them stay inside with
 their whole sweep (split conformal prediction: Vovk, Gammerman, Shafer 2005; Lei et al., J. Am. Stat. Assoc.
