@@ -15,7 +15,7 @@ NOISE = 0.1
 """Times that differ by no more than this share count as equal."""
 LONGEST = 100.0
 """Largest factor of time in a profile."""
-FEWEST_SIZES, LEAST_RANGE = 3, 2.0
+MIN_SIZES, MIN_RANGE = 3, 2.0
 """Sizes that an exponent is fitted to, and the largest over the smallest of them."""
 
 
@@ -87,10 +87,10 @@ def growths(comparison: Comparison) -> list[Growth]:
             if good and solved(row, least[row.problem]):
                 problem = problems[row.problem]
                 of_size.setdefault(problem.frames, []).append((problem.observations, row.wall_s or 0.0))
-        if len(of_size) < FEWEST_SIZES:
+        if len(of_size) < MIN_SIZES:
             continue
         size, seconds = np.array([np.median(of_size[n], axis=0) for n in sorted(of_size)]).T
-        if size[-1] < LEAST_RANGE * size[0]:
+        if size[-1] < MIN_RANGE * size[0]:
             continue
         out.append(Growth(solver, size, seconds, float(np.polyfit(np.log(size), np.log(seconds), 1)[0])))
     return out

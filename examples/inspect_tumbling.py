@@ -35,7 +35,7 @@ from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Truth
 from polhode.truth import read_truth
 
-RADIUS_M, MASS_KG, MOST_FORCE_N = 0.06, 4.5, 0.22
+RADIUS_M, MASS_KG, MAX_FORCE_N = 0.06, 4.5, 0.22
 CLEARANCE_M = 0.03
 STEP_S = 0.01
 STIFFNESS, DAMPING = 0.2, 1.0
@@ -89,7 +89,7 @@ def example(run: Path, sequence: Path, folder: Path, duration_s: float) -> int:
     reach = volume.body.radius_m + RADIUS_M + CLEARANCE_M
     task = ApproachTask(
         start, 2.0 * end - start, 0.5 * (begin + end) + 1.3 * reach * side / np.linalg.norm(side),
-        duration_s, max(10, int(duration_s)), RADIUS_M, CLEARANCE_M, MOST_FORCE_N / MASS_KG,
+        duration_s, max(10, int(duration_s)), RADIUS_M, CLEARANCE_M, MAX_FORCE_N / MASS_KG,
     )  # fmt: skip
     trajectory = plan_trajectory(volume, task)
     promised, expected = promise(volume, trajectory, surface.mesh)
@@ -168,7 +168,7 @@ def fly(
         if n % round(SHOWN_EVERY_S / STEP_S) == 0:
             film.add(data, float(now[0]))
         force = MASS_KG * (a + STIFFNESS * (p - data.qpos[7:10]) + DAMPING * (v - data.qvel[6:9]))
-        data.xfrc_applied[2, :3] = force * min(1.0, MOST_FORCE_N / max(float(np.linalg.norm(force)), 1e-12))
+        data.xfrc_applied[2, :3] = force * min(1.0, MAX_FORCE_N / max(float(np.linalg.norm(force)), 1e-12))
         mujoco.mj_step(model, data)
         contacts += int(data.ncon > 0)
     film.write(folder)

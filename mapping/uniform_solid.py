@@ -12,7 +12,7 @@ from polhode.lie import Array
 from polhode.mapping.mesh_geometry import volume_moments
 from polhode.mapping.visibility import Caster
 
-LEAST_COVERAGE = 0.6
+MIN_COVERAGE = 0.6
 """Share of the directions from the middle in which there is a surface; below, no volume is told."""
 DIRECTIONS = 400
 NEARLY_CLOSED = 0.97
@@ -42,7 +42,7 @@ def solid_of(mesh: trimesh.Trimesh, caster: Caster | None = None) -> tuple[Solid
         return solid_body(mesh, "volume of the mesh, which is closed"), ""
     hull = mesh.convex_hull
     share = coverage(caster or Caster(mesh), np.asarray(hull.center_mass))
-    if share < LEAST_COVERAGE:
+    if share < MIN_COVERAGE:
         return None, f"the surface is open and covers only {share:.0%} of the directions from its middle"
     filled = "" if share > NEARLY_CLOSED else f" (it covers {share:.0%} of the directions from its middle)"
     return solid_body(

@@ -13,7 +13,7 @@ RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
 UNDISTORTED = ("none",)
 COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
 ROTATION_TOLERANCE = 1e-2
-SMALLEST_BASELINE_M = 1e-4
+MIN_BASELINE_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def read_calibration(mav0: Path) -> StereoCalibration:
         sizes = f"{left.width_px}x{left.height_px} and {right.width_px}x{right.height_px}"
         raise InputError(f"{mav0}: cam0 and cam1 have different resolutions, {sizes}; resample one of them")
     baseline_m = float(np.linalg.norm(right.X_BC[:3, 3] - left.X_BC[:3, 3]))
-    if baseline_m < SMALLEST_BASELINE_M:
+    if baseline_m < MIN_BASELINE_M:
         message = f"{mav0}: cam0 and cam1 are at one place (baseline {baseline_m:g} m); check their T_BS"
         raise InputError(message)
     return StereoCalibration(

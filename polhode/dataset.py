@@ -19,8 +19,8 @@ from polhode.lie import Array
 from polhode.records import Bools, Ints, Wrench
 from polhode.tables import numbers_of, read_rows, timestamps_of
 
-FEWEST_PAIRS = 3
-LARGEST_LOSS = 0.6
+MIN_PAIRS = 3
+MAX_LOSS = 0.6
 
 __all__ = ["StereoCalibration", "StereoImages", "StereoSequence", "open_sequence"]
 
@@ -214,12 +214,12 @@ def _require_enough(
     folder: Path, usable: list[int], dropped: tuple[tuple[int, str], ...], n_listed: int
 ) -> None:
     example = f" (first: {dropped[0][0]} ns, {dropped[0][1]})" if dropped else ""
-    if len(dropped) > LARGEST_LOSS * n_listed:
+    if len(dropped) > MAX_LOSS * n_listed:
         message = f"{len(dropped)} of {n_listed} frames are missing, unpaired or unreadable{example}"
         raise InputError(f"{folder}: {message}; at most 60 % may be, repair the sequence")
-    if len(usable) < FEWEST_PAIRS:
+    if len(usable) < MIN_PAIRS:
         message = f"{len(usable)} usable stereo pairs of {n_listed} frames{example}"
-        raise InputError(f"{folder}: {message}; at least {FEWEST_PAIRS} are needed")
+        raise InputError(f"{folder}: {message}; at least {MIN_PAIRS} are needed")
 
 
 def _inspector_at(mav0: Path, timestamps_ns: Ints) -> InspectorPoses | None:

@@ -18,7 +18,7 @@ FAR_RAD = np.deg2rad(75.0)
 """With larger rotations between frames any tumbling motion seems to jump."""
 NEIGHBOURS = 9
 """Number of intervals whose median is the local rate."""
-LARGEST_SHARE = 0.25
+MAX_SHARE = 0.25
 """Share of the connected frames; a longer stretch is not the outlier."""
 
 
@@ -33,7 +33,7 @@ def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
         return odd
     strays = [_prediction_error_rad(time_s, R_NG, a, b, local) for a, b in pairwise(index)]
     stretches: list[Ints] = list(np.split(index, np.flatnonzero(np.array(strays) > JUMP_RAD) + 1))
-    limit = LARGEST_SHARE * len(index)
+    limit = MAX_SHARE * len(index)
     while len(stretches) > 1:
         n = _odd_one(time_s, R_NG, stretches, local)
         if n is None or len(stretches[n]) > limit:

@@ -17,7 +17,7 @@ from polhode.half_turns import nearest_half_turn
 from polhode.lie import Array, exp_so3
 from polhode.records import Bools
 
-SMALLEST_GAP = 1e-6
+MIN_GAP = 1e-6
 """Least difference of two moments (middle one 1) in the derivative of the axes."""
 N_PAIRS = 256
 """Pairs of opposite deviations that are drawn for the covariance of the ratios."""
@@ -65,7 +65,7 @@ def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
 
 
 def _gap(difference: float, middle: float) -> float:
-    return max(difference, SMALLEST_GAP * middle)
+    return max(difference, MIN_GAP * middle)
 
 
 def ratio_covariance(derivative: AxesDerivative, cov_J: Array) -> Array:
@@ -89,7 +89,7 @@ def ratios_after(derivative: AxesDerivative, change: Array) -> Array:
     dk, turn = change @ derivative.ratios.T, change @ derivative.axes.T
     # along P, the middle moment fixed: products of inertia rotate the axes, differences of moments change k
     J[:, 0, 0], J[:, 1, 1], J[:, 2, 2] = a * np.exp(dk[:, 0]), b, c * np.exp(-dk[:, 1])
-    gaps = np.maximum([b - c, a - c, a - b], SMALLEST_GAP * b)
+    gaps = np.maximum([b - c, a - c, a - b], MIN_GAP * b)
     J[:, 2, 1] = J[:, 1, 2] = turn[:, 0] * gaps[0]
     J[:, 2, 0] = J[:, 0, 2] = -turn[:, 1] * gaps[1]
     J[:, 1, 0] = J[:, 0, 1] = turn[:, 2] * gaps[2]

@@ -23,7 +23,7 @@ UNITS = np.array([1e3] * 3 + [np.rad2deg(1.0)] * 3)
 RIGHT_PX, WRONG_PX = 1.5, 3.0
 """A pose counts as right, or as wrong, by how far its edges are from their true places."""
 NEAR_RIGHT_PX, NEAR_WRONG_PX = 0.3, (0.6, 6.0)
-LEAST_TRIALS = 3
+MIN_TRIALS = 3
 STRICT = 0.95
 """Probability from which a trial counts in the trends: near misses of a pixel spoil a root mean square."""
 
@@ -101,7 +101,7 @@ def root_mean_squares(spots: Sequence[Spot], keep: Any) -> tuple[Array, Array]:
     rms, sigma = [], []
     for spot in spots:
         chosen = keep(spot)
-        if chosen.sum() >= LEAST_TRIALS:
+        if chosen.sum() >= MIN_TRIALS:
             rms.append(np.sqrt((spot.errors[chosen] ** 2).mean(axis=0)))
             sigma.append(spot.sigma)
     return np.array(rms).reshape(-1, 6), np.array(sigma).reshape(-1, 6)
@@ -111,7 +111,7 @@ def by_model(spots: Sequence[Spot], keep: Any) -> tuple[Array, Array]:
     """The same over models: all poses of each together."""
     rms, sigma = [], []
     for name in dict.fromkeys((spot.body, spot.level) for spot in spots):
-        own = [s for s in spots if (s.body, s.level) == name and keep(s).sum() >= LEAST_TRIALS]
+        own = [s for s in spots if (s.body, s.level) == name and keep(s).sum() >= MIN_TRIALS]
         if own:
             rms.append(np.sqrt(np.mean(np.concatenate([s.errors[keep(s)] for s in own]) ** 2, axis=0)))
             sigma.append(np.sqrt(np.mean([s.sigma**2 for s in own], axis=0)))
@@ -329,7 +329,7 @@ def plot(groups: Mapping[str, Sequence[Spot]], path: Path) -> None:
     figure, axes = plt.subplots(len(groups), 6, figsize=(18, 3.1 * len(groups)), squeeze=False)
     for row, (group, spots) in zip(axes, groups.items(), strict=True):
         rms, sigma = root_mean_squares(spots, trusted)
-        kept = [spot for spot in spots if trusted(spot).sum() >= LEAST_TRIALS]
+        kept = [spot for spot in spots if trusted(spot).sum() >= MIN_TRIALS]
         names = list(dict.fromkeys(spot.body for spot in kept))
         colour = [names.index(spot.body) for spot in kept]
         for k, axis in enumerate(row):

@@ -44,7 +44,7 @@ from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.records import DepthMap, SurfaceModel, Truth
 from polhode.truth import read_truth
 
-MOST_VERTICES = 15_000
+MAX_VERTICES = 15_000
 """Looked at for their sigmas."""
 
 
@@ -204,7 +204,7 @@ def measure(
 def within_sigma(mesh: trimesh.Trimesh, sigma_m: Array, truth: trimesh.Trimesh) -> tuple[float, float]:
     """Share of the vertices that are off by less than one and two of their standard deviations."""
     known = np.flatnonzero(np.isfinite(sigma_m))
-    some = np.random.default_rng(0).choice(known, min(MOST_VERTICES, len(known)), replace=False)
+    some = np.random.default_rng(0).choice(known, min(MAX_VERTICES, len(known)), replace=False)
     off = distance_to_surface(truth, np.asarray(mesh.vertices)[some]) / sigma_m[some]
     return float(np.mean(off < 1.0)), float(np.mean(off < 2.0))
 

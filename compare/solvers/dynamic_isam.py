@@ -36,7 +36,7 @@ PRIOR_SIGMA = np.array([0.5] * 3 + [3.0] * 2 + [40.0] * 3)
 LOCK_M = 1e-6
 FIRST_POSE = (1.34, 16.0)
 """m, rad: standard deviations of the first pose."""
-FEWEST_FRAMES = 2
+MIN_FRAMES = 2
 
 
 class DynamicIsam:
@@ -53,7 +53,7 @@ class DynamicIsam:
         p_G = start.p_G.copy()
         locked = int(data.landmark[data.frame == data.frame.min()][0])
         lock = p_G[locked].copy()
-        for n in range(FEWEST_FRAMES, data.n_frames + 1):
+        for n in range(MIN_FRAMES, data.n_frames + 1):
             at = _grown(at, first, n, data)
             small, marks = _first_frames(data, n)
             fresh = marks[~seen[marks]]
@@ -76,7 +76,7 @@ class DynamicIsam:
         second = second_moments_from_inertia(inertia_from_second_moments(at.second_moments(data.form)))
         xi, R_inertia = problem.data.form.coordinates(second)
         end = replace(at, xi=xi, R_inertia=R_inertia, R_torque=start.R_torque)
-        frames = data.n_frames - FEWEST_FRAMES + 1
+        frames = data.n_frames - MIN_FRAMES + 1
         message = f"the inertia was an impossible body's in {impossible} of {frames} frames"
         return Outcome(problem.vector(end), True, steps, message)
 

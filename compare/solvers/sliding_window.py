@@ -20,7 +20,7 @@ from polhode.compare.solvers.condensed import ReducedCost
 from polhode.config.backend import Backend, Window
 from polhode.lie import Array, inverse_pose, make_pose
 
-LEAST_HISTORY = 4
+MIN_HISTORY = 4
 
 
 @dataclass
@@ -70,7 +70,7 @@ class WindowLength:
 def settings_of(data: MotionData, frames: int) -> Backend:
     """Of the window: its length, as long a history, the noise of the problem."""
     return Backend(
-        window=Window(frames=frames, history=max(frames, LEAST_HISTORY)),
+        window=Window(frames=frames, history=max(frames, MIN_HISTORY)),
         process_noise="given",
         accel_psd=data.accel_psd,
         torque_psd=data.torque_psd,

@@ -30,7 +30,7 @@ COLORS = (
 DASHES = ("solid", "dash", "dot")
 FLOOR = 1e-12
 """Lowest cost over the least that is drawn."""
-MOST_TRACES = 12
+MAX_TRACES = 12
 """Problems whose traces are drawn."""
 
 
@@ -38,10 +38,10 @@ def write_page(comparison: Comparison, path: Path) -> None:
     """Cost against time, performance profiles, growth, time against accuracy, the tables."""
     names = list(dict.fromkeys(row.solver for row in comparison.rows))
     figures = []
-    for number, problem in enumerate(comparison.problems[:MOST_TRACES]):
+    for number, problem in enumerate(comparison.problems[:MAX_TRACES]):
         figures += _cost_against_time(comparison, problem.name, names, number)
     figures += [*_profiles(comparison, names), *_growth(comparison, names)]
-    for number, problem in enumerate(comparison.problems[:MOST_TRACES]):
+    for number, problem in enumerate(comparison.problems[:MAX_TRACES]):
         figures += _time_against_accuracy(comparison, problem.name, names, number)
     write_text(
         path,

@@ -15,7 +15,7 @@ from polhode.lie import Array
 from polhode.mesh_metrics import distance_to_surface
 from polhode.records import SurfaceModel
 
-FEWEST_FACES = 200
+MIN_FACES = 200
 """A mesh is not thinned below this."""
 SAMPLES = 10_000
 """Points on each of two meshes whose distance from the other is measured."""
@@ -34,7 +34,7 @@ class DetailLevel:
 def levels_of(surface: SurfaceModel, shares: Sequence[float], seed: int = 0) -> list[DetailLevel]:
     """One level for each share of the faces, in the order given; those of too few faces are left out."""
     counts = [round(share * len(surface.mesh.faces)) for share in shares]
-    counts = [count for count in counts if count >= FEWEST_FACES]
+    counts = [count for count in counts if count >= MIN_FACES]
     if not counts:
         return []
     full = surface.mesh

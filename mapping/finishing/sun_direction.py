@@ -32,7 +32,7 @@ _MIN_SIGMA_RAD = np.deg2rad(0.5)
 """What errors common to all normals, and a camera that is not linear, may do at least."""
 _MIN_GROUP = 0.01
 """Share of the data that makes a group."""
-_FEWEST_VERTICES = 60
+_MIN_VERTICES = 60
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Sunlight:
 def find_sun(seen: Observations, lit: Lit) -> Sunlight | None:
     """The Sun's direction, or None: too few observations, or nothing turned."""
     kept = np.bincount(seen.vertex)[seen.vertex] >= _MIN_VIEWS
-    if len(np.unique(seen.vertex[kept])) < _FEWEST_VERTICES:
+    if len(np.unique(seen.vertex[kept])) < _MIN_VERTICES:
         return None
     problem, sunny = _Problem(seen, kept), np.ones(seen.n_frames, dtype=bool)
     s, e0 = problem.best_of_grid()
@@ -88,7 +88,7 @@ def find_sun(seen: Observations, lit: Lit) -> Sunlight | None:
             # in a planet's shadow the Sun does not shine, whatever the body turns to it
             sunny = problem.sunny(s, e, shone)
             kept &= sunny[seen.frame]
-            if len(np.unique(seen.vertex[kept])) < _FEWEST_VERTICES:
+            if len(np.unique(seen.vertex[kept])) < _MIN_VERTICES:
                 return None
             problem = _Problem(seen, kept)
     shone = lit(s)[kept]
