@@ -298,7 +298,7 @@ def test_frames_are_spread_evenly_and_never_too_many() -> None:
 def test_a_gif_that_grows_too_large_keeps_fewer_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("polhode.pipeline.pictures.animation.MOST_GIF_BYTES", 1_000_000)
+    monkeypatch.setattr("polhode.pipeline.pictures.animation.MAX_GIF_BYTES", 1_000_000)
     random = np.random.default_rng(0)
     with film(tmp_path / "a.mp4", tmp_path / "a.gif") as add:
         for _ in range(16):
