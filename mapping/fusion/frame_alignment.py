@@ -115,7 +115,7 @@ def align(
 
 
 def depth_points(frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> DepthPoints:
-    """At most MAX_SURFACE_SAMPLES pixels, evenly taken; ``frame`` keeps its sigma; X_RG (4, 4) the pose as given."""
+    """Evenly spaced pixels; ``frame`` keeps its sigma; X_RG (4, 4) the pose as given."""
     depth = frame.depth_m.cpu().numpy().astype(np.float64)
     pixel = np.flatnonzero(frame.weight.cpu().numpy() > 0)
     count = min(len(pixel), MAX_SAMPLES)
