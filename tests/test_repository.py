@@ -109,6 +109,12 @@ def test_files_and_modules_that_a_page_names_exist(page: str) -> None:
     text = (ROOT / page).read_text()
     links = {each.partition("#")[0] for each in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in each}
     missing = {each for each in links if not (ROOT / page).parent.joinpath(each).exists()}
+    for name, anchor in re.findall(r"\]\(([^)\s:]*)#([^)\s]+)\)", text):
+        titles = re.findall(
+            r"^#+ (.*)$", ((ROOT / page).parent / name if name else ROOT / page).read_text(), re.M
+        )
+        if anchor not in {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}:
+            missing.add(f"{name}#{anchor}")
     paths = set(re.findall(rf"(?<![\w./-])((?:{FOLDERS})/[\w./-]*\.[a-z]\w*)", text))
     missing |= {each for each in paths if not (ROOT / each).exists()}
     sources = [path for folder in FOLDERS.split("|") for path in (ROOT / folder).rglob("*.py")]

@@ -63,7 +63,7 @@ def main(
     count = 12 if short else images
     cases: list[Case] = [{"body": body, "images": count} for body in bodies]
     lines = complete(record, cases, measure, workers)
-    print(table(lines, "ways", "way"))
+    print(table(lines, "ways", "trajectory"))
     print()
     print(table(lines, "sets", "edges"))
     if pictures:
@@ -160,7 +160,7 @@ class Trial:
         self.images = EdgeViews(target, rig, 3, ViewOptions(earth=0.0)).images(self.X_RG, self.sun_R)
 
     def errors(self, model: Any) -> dict[str, Any]:
-        """Root mean squares (6,) [m, rad] of the poses that came home, and the share of those."""
+        """Root mean squares (6,) [m, rad] of the poses that converged, and the share of those."""
         from benchmarks.edges.tracking.tracker import track
         from benchmarks.edges.views import perturbed
         from polhode.planning.edges.metric.edge_motion import pose_error
@@ -199,7 +199,7 @@ def edge_sets(model: Any, rig: Any, seen: Any, trial: Trial) -> list[dict[str, A
     rng = np.random.default_rng(5)
     random = [rng.choice(candidates, budget, replace=False) for _ in range(RANDOM_SETS)]
     sets = [
-        ("all that are seen", candidates),
+        ("all visible", candidates),
         (f"fewest within 10 % (at least {few.at_least})", few.features),
         ("chosen by the trace", chosen.features),
         ("chosen by log det", by_information.features),
@@ -233,7 +233,7 @@ def table(lines: list[Case], key: str, what: str) -> str:
         what,
         "metric",
         "its median",
-        "came home",
+        "converged",
         "error",
         "its median",
         *(f"{c} [mm]" for c in "xyz"),

@@ -35,7 +35,7 @@ def main(
     count = 5 if short else 40
     bodies = {name: edge_body(name).mesh for name in (list(KINDS)[:1] if short else KINDS)}
     bodies["torus"] = trimesh.creation.torus(0.5, 0.15, 120, 60)
-    print("| body | faces | edges | model [ms] | points a view | view, median [ms] | slowest [ms] |")
+    print("| body | faces | edges | model [ms] | points per view | view, median [ms] | slowest [ms] |")
     print("|---|---|---|---|---|---|---|")
     for name, mesh in bodies.items():
         print(row(name, finer(mesh, faces), count), flush=True)

@@ -218,7 +218,7 @@ def main(
     """Write PNGs of every body."""
     rig = edge_rig()
     output.mkdir(parents=True, exist_ok=True)
-    print("| body | faces | length [m] | s to prepare | s a view |\n|---|---:|---:|---:|---:|")
+    print("| body | faces | length [m] | s to prepare | s per view |\n|---|---:|---:|---:|---:|")
     for name in bodies or NAMES:
         start = time.process_time()
         target = edge_body(name, plain=not rich)

@@ -70,7 +70,7 @@ def main(bodies: Positional[tuple[str, ...]] = BODIES, views: int = 40, seed: in
     """Print the table."""
     try:
         trials = [trial_of(name, Options(views=views, seed=seed)) for name in bodies]
-        print("| settings | failed | median [mm] | median [deg] | NEES / 6 | ms a view |")
+        print("| settings | failed | median [mm] | median [deg] | NEES / 6 | ms per view |")
         print("|---|" + "---:|" * 5)
         for label, settings in CHANGES.items():
             print(row(label, settings, trials), flush=True)

@@ -285,7 +285,7 @@ def trial_of(name: str, options: Options) -> tuple[Trial, Array]:
 
 HEAD = (
     "| body | tracker | lost | wrong | x [mm] | y | z | about x [deg] | about y | about z | NEES / 6 | "
-    "median [mm] | median [deg] | s a view |"
+    "median [mm] | median [deg] | s per view |"
 )
 
 

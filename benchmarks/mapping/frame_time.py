@@ -9,8 +9,8 @@ One process, one core, true poses, images as they are on the disk. Columns, in s
     fusion     a depth map into the field
     meshing    marching cubes and sigmas once at the end, shared by the frames
     finishing  holes, colours, coverage, lighter meshes, mass against volume, once, shared by the frames
-    in all     fusion, meshing and finishing: what the limit of 0.25 s is for; depth is told beside it
-    of a core  the same in seconds of the processor: on a machine with other work the clock runs on
+    total      fusion, meshing and finishing, for which the limit of 0.25 s is; depth is given separately
+    processor  the total in seconds of the processor, which other work on the machine does not affect
 
 A few frames go through everything first, so that what is compiled or loaded does not count.
 """
@@ -120,7 +120,7 @@ def main(
     measure(folders[0], settings, voxel_m, WARM)
     print(
         f"{'sequence':<14}{'frames':>7}{'size':>10}{'voxel mm':>10}{'faces':>9}{'depth':>9}{'fusion':>9}"
-        f"{'meshing':>9}{'finishing':>11}{'in all':>9}{'of a core':>11}   limit {LIMIT_S} s"
+        f"{'meshing':>9}{'finishing':>11}{'total':>9}{'processor':>11}   limit {LIMIT_S} s"
     )
     for folder in folders:
         t = measure(folder, settings, voxel_m)

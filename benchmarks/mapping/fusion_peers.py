@@ -267,7 +267,7 @@ def main(
     folders = sequences or ([Path("sample")] if short else SEQUENCES)
     print(
         f"{'sequence':<16}{'frames':>7}{'voxel mm':>10}  {'method':<12}{'chamfer':>9}{'accuracy':>10}"
-        f"{'completion':>12}{'3 mm':>9}{'faces':>10}{'s a frame':>12}{'MiB':>8}"
+        f"{'completion':>12}{'3 mm':>9}{'faces':>10}{'s/frame':>12}{'MiB':>8}"
     )
     for folder in folders:
         print_rows(measure(folder, settings))

@@ -134,7 +134,7 @@ def main(
         return
     print(
         f"{'body':<8}{'voxel mm':>9}{'frames':>8}{'field MiB':>11}{'peak MiB':>10}{'faces':>11}"
-        f"{'error in voxels':>17}{'s a frame':>11}   warnings",
+        f"{'error in voxels':>17}{'s/frame':>11}   warnings",
         flush=True,
     )
     for name, case in CASES.items():

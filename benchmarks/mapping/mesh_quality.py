@@ -78,7 +78,7 @@ class Doubts:
         """For the table."""
         if self.shift_m == self.turn_rad == 0.0:
             return "exact"
-        return "aligned" if self.aligned else "told" if self.told else "not told"
+        return "aligned" if self.aligned else "used" if self.told else "not used"
 
     def errors(self, count: int) -> Array:
         """(F, 4, 4) to be applied in G before the pose."""

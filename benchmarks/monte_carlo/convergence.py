@@ -157,7 +157,9 @@ def print_table(lines: list[Case]) -> None:
                 )
         elif all(line["determined_at_truth"]) and missed(line):
             lost = [name for name, sigma in zip(NAMES, line["sigma"], strict=True) if sigma is None]
-            print(f"seed {seed} ({line['kind']}): not told though determined: {', '.join(lost)}")
+            print(
+                f"seed {seed} ({line['kind']}): reported as undetermined though determined: {', '.join(lost)}"
+            )
 
 
 if __name__ == "__main__":

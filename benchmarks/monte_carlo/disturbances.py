@@ -33,9 +33,9 @@ KNOWN = (
     (17.0, 3.0, (0.0, -1e-2, -2e-2), (0.0, 1.6e-3, 2e-3)),
 )
 UNKNOWN: dict[str, tuple[tuple[float, float, Vector, Vector], ...]] = {
-    "nothing pushes": (),
+    "no disturbance": (),
     "3 s, 9 mm/s and 23 deg/s": ((12.0, 3.0, (0.0, -1e-2, 1e-2), (0.0, 1.6e-3, 2e-3)),),
-    "a hit of 0.25 s, 6 mm/s and 17 deg/s": ((12.0, 0.25, (0.0, -8e-2, 8e-2), (0.0, 1e-2, -2e-2)),),
+    "an impact of 0.25 s, 6 mm/s and 17 deg/s": ((12.0, 0.25, (0.0, -8e-2, 8e-2), (0.0, 1e-2, -2e-2)),),
     "4 s, 2 mm/s and 3 deg/s": ((12.0, 4.0, (0.0, -1e-3, 2e-3), (0.0, 1.6e-4, 2e-4)),),
 }
 
@@ -132,7 +132,7 @@ def print_known(lines: list[Case]) -> None:
 def print_unknown(lines: list[Case]) -> None:
     """Runs that look for pushes, and runs that do not."""
     print(
-        "| unknown push | search | found | false | states: NEES, coverage | rms error k1, k2 | push: NEES |"
+        "| unknown disturbance | search | found | false | states: NEES, coverage | rms error k1, k2 | disturbance: NEES |"
     )
     print("|---|---|---|---|---|---|---|")
     for name in UNKNOWN:

@@ -47,7 +47,7 @@ OUTLIERS, WRONG_PAIRS = 0.3, 0.1
 DEADBAND_M, DEADBAND_RAD = (4e-3, 1e-3), (np.deg2rad(0.4), np.deg2rad(0.3))
 SIGMA_P_M, SIGMA_THETA_RAD = 5e-4, float(np.deg2rad(0.02))
 CONDITIONS = (
-    "nothing wrong", "outliers", "gap", "gap and outliers", "jitter, reported poses", "jitter, exact poses",
+    "no fault", "outliers", "gap", "gap and outliers", "jitter, reported poses", "jitter, exact poses",
 )  # fmt: skip
 QUANTITIES = ("r", "v", "attitude", "w", "com", "inertia")
 NEEDS = (range(3), range(3), range(5, 8), range(0), range(3), range(3, 8))
@@ -208,7 +208,7 @@ def print_table(lines: list[Case]) -> None:
     print("\nConvergence, and the noise that was estimated over the true one (median)\n")
     _print(("", "runs", "failed", "determined at the truth", "of them converge", "falsely", "pixels",
             "acceleration", "torque", "seconds"), rows, _convergence)  # fmt: skip
-    print("\nRMSE over the bound of the same measurements; in brackets over the RMSE with nothing wrong\n")
+    print("\nRMSE over the bound of the same measurements; in brackets over the RMSE without a fault\n")
     reference = _good(rows[0][1])
     _print(("", *QUANTITIES), rows, lambda some: _over_bound(some, reference))
     print("\nNEES over its expectation, in brackets the 95 % band; states within three sigma\n")
@@ -217,7 +217,7 @@ def print_table(lines: list[Case]) -> None:
     gaps = [row for row in rows if "gap" in row[0]]
     _print(("", *(f"{q}, {what}" for what in ("RMSE", "NEES") for q in QUANTITIES[:4]), "inside"), gaps, _gap)
     print("\nMedian sigma beside the gap and at its largest within it, and the frames behind the gap\n")
-    _print(("", "r mm", "attitude deg", "w deg/s", "runs placed right", "off at most"), gaps, _growth)
+    _print(("", "r mm", "attitude deg", "w deg/s", "runs with right poses", "largest error"), gaps, _growth)
     print("\nMean signed error over its standard error: the largest, and what chance exceeds in 5 %\n")
     _print(("", "each motion", "all motions together", "the worst of these"), rows, _bias)
     for line in lines:
@@ -335,7 +335,7 @@ def _tell(line: Case) -> None:
         )
     elif all(line["determined_at_truth"]) and missed(line):
         lost = [n for n, sigma in zip(NAMES, line["sigma"], strict=True) if sigma is None]
-        print(f"{name}: not told though determined: {', '.join(lost)}")
+        print(f"{name}: reported as undetermined though determined: {', '.join(lost)}")
 
 
 if __name__ == "__main__":

@@ -114,10 +114,10 @@ def print_table(lines: list[Case]) -> None:
     """One row a solver and form: the worst over all sequences."""
     names = [f"{solver}, {form}" for solver in SOLVERS for form in FORMS]
     print(
-        "| solver, inertia | sequences | one problem: cost apart | cold start: converged | iterations ",
+        "| solver, inertia | sequences | one problem: cost difference | cold start: converged | iterations ",
         end="",
     )
-    print("| left out otherwise | sigmas apart |\n|" + "---|" * 7)
+    print("| observations left out differently | difference in sigmas |\n|" + "---|" * 7)
     worst = 0.0
     for name in names:
         some = [line[name] for line in lines]
@@ -130,7 +130,7 @@ def print_table(lines: list[Case]) -> None:
             f"| {sum(otherwise)} in {len(otherwise)} sequences "
             f"| {max(one['sigmas_apart'] for one in some):.1e} |"
         )
-    print(f"\nOn one problem the costs differ by at most {worst:.1e}, wanted at most {WANTED:.0e}.")
+    print(f"\nOn one problem the costs differ by at most {worst:.1e}, goal at most {WANTED:.0e}.")
 
 
 if __name__ == "__main__":

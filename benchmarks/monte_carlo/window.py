@@ -226,9 +226,7 @@ def print_accuracy(cells: dict[str, list[Case]]) -> None:
 
 def print_growth(lines: list[Case]) -> None:
     """Median milliseconds of a step in parts of the sequence, and what is held at their ends."""
-    print(
-        "\n| solver | frames | ms a step (of one core) | longest | MB | landmarks | observations | unknowns |"
-    )
+    print("\n| solver | frames | ms/step (one core) | longest | MB | landmarks | observations | unknowns |")
     print("|" + "---|" * 8)
     for line in lines:
         for start, end in PARTS:

@@ -173,9 +173,9 @@ def _rows_of(V: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 def table(lines: list[Case]) -> str:
     """Markdown."""
     rows = [
-        "| run | horizon [s] | asked | draws inside, whole horizon | the same, spiky "
+        "| run | horizon [s] | confidence | draws inside, whole horizon | the same, spiky "
         "| inside at each instant | volume [l] "
-        "| over the bare sweep of the surface | of what is covered | over the cells that the draws need "
+        "| over the bare sweep of the surface | over the bare sweep of what is covered | over the cells that the draws need "
         "| covers |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]

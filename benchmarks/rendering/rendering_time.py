@@ -36,7 +36,7 @@ CONFIG = ROOT / "configs" / "ts38.yaml"
 SAMPLES = (1, 4, 9, 16)
 SUBDIVISIONS = (3, 5, 6, 7)
 FRAMES = 5
-HEAD = "| faces | rays a pixel | bounces | s a pair | of it ray casting | set-up s |\n|" + "---:|" * 6
+HEAD = "| faces | rays per pixel | bounces | s per pair | of which ray casting | set-up s |\n|" + "---:|" * 6
 
 
 @dataclass(frozen=True)

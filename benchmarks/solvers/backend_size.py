@@ -290,10 +290,10 @@ def print_solvers(times: Times) -> None:
     print(f"| IPOPT, building | | {times.build_s:.2f} | |")
     print(f"| all marginals and the joint covariance | | {times.covariance_s:.3f} | |")
     a, b = times.costs
-    print(f"\nThe costs differ by {abs(a - b) / a:.1e} of them.")
+    print(f"\nThe costs differ by a relative {abs(a - b) / a:.1e}.")
     found = (times.ipopt_s / times.gauss_newton_s, times.ipopt_s + times.build_s, times.covariance_s)
     for (name, limit), value in zip(LIMITS.items(), found, strict=True):
-        print(f"{name}: {value:.2f}, wanted at most {limit:g}{'' if value <= limit else ' *'}")
+        print(f"{name}: {value:.2f}, goal at most {limit:g}{'' if value <= limit else ' *'}")
 
 
 def growth(frames: tuple[int, ...], landmarks: tuple[int, ...]) -> tuple[list[Times], list[Times]]:

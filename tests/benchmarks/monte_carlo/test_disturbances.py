@@ -9,7 +9,7 @@ import pytest
 from benchmarks.monte_carlo.disturbances import FREE, MOMENTS, UNKNOWN, print_unknown, whole_pushes
 from polhode.records import Push
 
-HIT = UNKNOWN["a hit of 0.25 s, 6 mm/s and 17 deg/s"]
+HIT = UNKNOWN["an impact of 0.25 s, 6 mm/s and 17 deg/s"]
 
 
 def push(start_s: float, end_s: float, dv: np.ndarray, dw: np.ndarray) -> Push:

@@ -48,7 +48,7 @@ def test_each_row_has_what_its_name_says() -> None:
         gap = gap_of(scene_of("gap", motion))
         assert (gap.stop - gap.start) * scene_of("gap", motion).dt_s == pytest.approx(10.0)
         assert gap.start == FRAMES - gap.stop
-    assert scene_of("nothing wrong", TUMBLE).outliers == 0.0 and not scene_of("nothing wrong", TUMBLE).dropped
+    assert scene_of("no fault", TUMBLE).outliers == 0.0 and not scene_of("no fault", TUMBLE).dropped
     both = scene_of("gap and outliers", TUMBLE)
     assert both.outliers == 0.3 and both.wrong_pairs == 0.1 and len(both.dropped) == 20
     exact, reported = scene_of("jitter, exact poses", TUMBLE), scene_of("jitter, reported poses", TUMBLE)
