@@ -132,7 +132,8 @@ def print_known(lines: list[Case]) -> None:
 def print_unknown(lines: list[Case]) -> None:
     """Runs that look for pushes, and runs that do not."""
     print(
-        "| unknown disturbance | search | found | false | states: NEES, coverage | rms error k1, k2 | disturbance: NEES |"
+        "| unknown disturbance | search | found | false | states: NEES, coverage | rms error k1, k2 "
+        "| disturbance: NEES |"
     )
     print("|---|---|---|---|---|---|---|")
     for name in UNKNOWN:

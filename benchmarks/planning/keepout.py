@@ -175,7 +175,8 @@ def table(lines: list[Case]) -> str:
     rows = [
         "| run | horizon [s] | confidence | draws inside, whole horizon | the same, spiky "
         "| inside at each instant | volume [l] "
-        "| over the bare sweep of the surface | over the bare sweep of what is covered | over the cells that the draws need "
+        "| over the bare sweep of the surface | over the bare sweep of what is covered "
+        "| over the cells that the draws need "
         "| covers |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]

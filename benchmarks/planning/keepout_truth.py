@@ -121,7 +121,8 @@ def table(lines: list[Case]) -> str:
     """Markdown; a share and how far the farthest point comes out."""
     rows = [
         "| run | covers | true surface seen | seen, over the horizon | seen, at each instant "
-        "| never seen, over the horizon | never seen, at each instant | error of the mesh where points are outside |",
+        "| never seen, over the horizon | never seen, at each instant "
+        "| error of the mesh where points are outside |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for line in lines:
