@@ -13,7 +13,7 @@ from polhode.quaternion import wxyz_from_matrix
 
 TRAIL_M = 0.006
 GIF_SCALE = 0.6
-WORDS = "true target; blue: keep-out volume of the run, 99 %; red: inspector; dots: planned way"
+WORDS = "true target; blue: keep-out volume of the run, 99 %; red: inspector; dots: planned trajectory"
 
 
 class Film:

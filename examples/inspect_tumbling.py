@@ -94,7 +94,7 @@ def example(run: Path, sequence: Path, folder: Path, duration_s: float) -> int:
     trajectory = plan_trajectory(volume, task)
     promised, expected = promise(volume, trajectory, surface.mesh)
     print(f"Planned: {trajectory.delta_v_m_s:.4f} m/s over {duration_s:g} s, {len(trajectory.accel_N)} steps")
-    print(f"Promised at 99 %: never closer than {1e3 * promised:.1f} mm; expected {1e3 * expected:.1f} mm")
+    print(f"Bound at 99 %: never closer than {1e3 * promised:.1f} mm; expected {1e3 * expected:.1f} mm")
     truth = read_truth(sequence)
     last_ns = read_trajectory(run).timestamps_ns[-1:]
     flight = fly(trajectory, truth, last_ns, volume, folder)
@@ -104,8 +104,8 @@ def example(run: Path, sequence: Path, folder: Path, duration_s: float) -> int:
     print(
         f"Flown in MuJoCo against the true tumble: closest {1e3 * distance[k]:.1f} mm "
         f"after {flight.time_s[k]:.1f} s "
-        f"({1e3 * (distance[k] - expected):+.1f} mm from what was expected); contacts {flight.contacts}; "
-        f"off the planned way by at most {1e3 * off:.2f} mm"
+        f"({1e3 * (distance[k] - expected):+.1f} mm from the expected distance); contacts {flight.contacts}; "
+        f"off the planned trajectory by at most {1e3 * off:.2f} mm"
     )
     rows = np.column_stack([flight.time_s, flight.inspector_N, flight.r_N, flight.q_NP_wxyz, distance])
     header = (

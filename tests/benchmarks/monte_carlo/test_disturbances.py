@@ -39,6 +39,6 @@ def test_the_table_counts_right_and_false_finds(capsys: pytest.CaptureFixture[st
     (row,) = [
         text
         for text in capsys.readouterr().out.splitlines()
-        if text.startswith("| a hit") and "| found" in text
+        if text.startswith("| an impact") and "| found" in text
     ]
     assert row.endswith("| found | 1/1 | 1 | 1.00, 99.0 % | 0.0010, 0.0020 | 1.00 |")
