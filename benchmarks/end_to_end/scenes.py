@@ -134,7 +134,7 @@ def honesty_row(name: str, metrics: dict[str, Any], summary: dict[str, Any]) -> 
 
 
 def limits(noise: dict[str, Any], summary: dict[str, Any]) -> str:
-    """What the answer rests on: pixels, disturbances, frames without measurements, what the motion hides."""
+    """What the answer rests on: pixels, disturbances, frames without measurements, undetermined quantities."""
     words = [
         f"{noise['pixel_sigma_px']:.2f} px, disparity {noise['disparity_sigma_px']:.2f} px",
         f"disturbances {noise['accel_psd'] ** 0.5:.0e} m/s2, {noise['torque_psd'] ** 0.5:.0e} rad/s2",
@@ -144,7 +144,7 @@ def limits(noise: dict[str, Any], summary: dict[str, Any]) -> str:
         words.append(f"{lost} frames bridged")
     hidden = [key for key, text in summary["identifiable_detail"].items() if text.startswith("not")]
     if hidden:
-        words.append(f"the motion hides {', '.join(hidden)}")
+        words.append(f"undetermined: {', '.join(hidden)}")
     return "; ".join(words)
 
 
