@@ -134,7 +134,7 @@ def honesty_row(name: str, metrics: dict[str, Any], summary: dict[str, Any]) -> 
 
 
 def limits(noise: dict[str, Any], summary: dict[str, Any]) -> str:
-    """What the answer rests on: pixels, disturbances, frames without measurements, undetermined quantities."""
+    """What limits the accuracy: pixels, disturbances, bridged frames, undetermined quantities."""
     words = [
         f"{noise['pixel_sigma_px']:.2f} px, disparity {noise['disparity_sigma_px']:.2f} px",
         f"disturbances {noise['accel_psd'] ** 0.5:.0e} m/s2, {noise['torque_psd'] ** 0.5:.0e} rad/s2",

@@ -31,7 +31,7 @@ def test_the_table_counts_right_and_false_finds(capsys: pytest.CaptureFixture[st
         {
             "case": {"push": name, "search": search, "seed": 0},
             "nees": 1.0, "inside": 0.99, "error_k": [0.001, -0.002],
-            "found": [[1.0] * 6 + [1.0], [0.0] * 7] if name.startswith("an impact") and search == "found" else [],
+            "found": [[1.0] * 7, [0.0] * 7] if name.startswith("an impact") and search == "found" else [],
         }
         for name in UNKNOWN for search in ("none", "found")
     ]  # fmt: skip
