@@ -130,3 +130,16 @@ def test_files_and_modules_that_a_page_names_exist(page: str) -> None:
         if not (ROOT / f"{module}.py").is_file() and not (ROOT / module / "__init__.py").is_file():
             missing.add(module)
     assert missing == set()
+
+
+def test_the_page_about_the_architecture_lists_every_sub_room() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    rooms = [room for room in ROOMS if any((ROOT / room).glob("*/__init__.py"))]
+    rows = {room: text.rpartition(f"\n| `{room}/` | ")[2].partition("\n")[0] for room in rooms}
+    missing = {
+        f"{room}/{path.parent.name}"
+        for room in rooms
+        for path in (ROOT / room).glob("*/__init__.py")
+        if f"`{path.parent.name}/`" not in rows[room]
+    }
+    assert missing == set()
