@@ -107,18 +107,18 @@ def test_the_front_end_runs_once_for_the_same_images_and_settings(
         shutil.copy(of_data / "problems" / f"sequence{suffix}", store.with_suffix(suffix))
     stamp = json.loads(store.with_suffix(".json").read_text())
     monkeypatch.setattr(dataset, "_stamp", lambda *_: stamp)
-    monkeypatch.setattr(dataset, "look", lambda *_: pytest.fail("looked again"))
+    monkeypatch.setattr(dataset, "match_frames", lambda *_: pytest.fail("matched again"))
     tracks, relative = measure(sequence, config, Silent(), store)
     assert tracks.n_frames == 12 and relative is not None
     # other settings are other measurements
     monkeypatch.setattr(dataset, "_stamp", lambda *_: {**stamp, "settings": ""})
-    monkeypatch.setattr(dataset, "look", _looked)
-    with pytest.raises(InputError, match="looked again"):
+    monkeypatch.setattr(dataset, "match_frames", _matched)
+    with pytest.raises(InputError, match="matched again"):
         measure(sequence, config, Silent(), store)
 
 
-def _looked(*_: object) -> None:
-    raise InputError("looked again")
+def _matched(*_: object) -> None:
+    raise InputError("matched again")
 
 
 def test_a_truth_that_does_not_cover_the_frames_is_refused(sequence: Path) -> None:

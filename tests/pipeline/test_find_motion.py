@@ -97,7 +97,7 @@ def test_a_second_method_that_breaks_costs_nothing_that_was_found(
     def broken(*_: Any, **__: Any) -> None:
         raise ValueError("no such thing")
 
-    monkeypatch.setattr("polhode.pipeline.correspondences.side_by_side", broken)
+    monkeypatch.setattr("polhode.pipeline.correspondences.combine_features", broken)
     outcome = run(SCENE, OTHER)
     assert outcome.code == 0 and outcome.summary["frames_used"] == FRAMES
     assert "the second feature method failed" in outcome.log and "no such thing" in outcome.log

@@ -90,7 +90,7 @@ def test_a_push_too_weak_to_be_seen_determines_nothing_and_harms_nothing() -> No
     weak = tuple((start, length, (0.0, 0.0, 1e-6), (1e-8, 0.0, 0.0)) for start, length, _, _ in SCENE.pushes)
     estimate = run(generate(replace(SCENE, pushes=weak), 5))
     assert estimate.mass.sigma_mass_kg == np.inf and estimate.mass.sigma_inertia_scale_kg_m2 == np.inf
-    assert "too little" in estimate.mass.identifiable.detail["mass"]
+    assert "too small" in estimate.mass.identifiable.detail["mass"]
     assert estimate.mass.identifiable.k1 and estimate.mass.identifiable.k2
 
 
