@@ -186,7 +186,7 @@ def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, 
             known, parts = foreseen(each, RIG, X_RG)
             yield {
                 "pose": number, "level": level, "points": known.points, "C": _told(known.C[TRIANGLE]),
-                "seen": len(known.unseen) == 0, "parts": _told(parts[:, *TRIANGLE]),
+                "seen": len(known.unobservable) == 0, "parts": _told(parts[:, *TRIANGLE]),
                 "trials": [
                     _trial(track(each, RIG, image, start), true, o_G, image)
                     for image, start, true in zip(images, starts, truths, strict=True)
@@ -199,7 +199,7 @@ def foreseen(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> tuple[EdgeObse
     points = clear_points(model, rig, X_RG, SPACING_PX)
     f = edge_motion(points, rig, X_RG, model.middle_G)
     known = observability(f, points.weight, model.radius_m)
-    if len(points) == 0 or len(known.unseen):
+    if len(points) == 0 or len(known.unobservable):
         return known, np.full((3, 6, 6), np.nan)
     sign = polarity(body_beside(points, model, rig, X_RG))
     return known, noise_parts(f, points.weight, points.feature, sign)
@@ -215,7 +215,7 @@ def _jittered(X_RG: Array, o_G: Array, rng: np.random.Generator) -> Array:
 
 def _trial(tracked: TrackingResult, true: Array, o_G: Array, image: Grey) -> dict[str, Any]:
     """One fit: its error, what it tells of itself, and what moved it off."""
-    complete = tracked.converged and len(tracked.information.unseen) == 0
+    complete = tracked.converged and len(tracked.information.unobservable) == 0
     shown = support(tracked, image)
     return {
         "ok": bool(complete), "error": _told(pose_error(tracked.X_RG, true, o_G)),

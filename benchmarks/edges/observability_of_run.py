@@ -62,7 +62,7 @@ def row(run: Path, sequence: Path, every: int) -> str:
 
 def sigmas(model: EdgeModel, rig: RectifiedRig, X_RG: Array, o_G: Array) -> Array:
     """(k, 6)"""
-    return np.stack([view.found.sigma for view in views_along(model, rig, X_RG, o_G)])
+    return np.stack([view.metric.sigma for view in views_along(model, rig, X_RG, o_G)])
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def row(name: str, mesh: trimesh.Trimesh, count: int) -> str:
         for k in range(count):
             start = process_time()
             view = next(views_along(model, RIG, X_RG[k : k + 1], model.middle_G))
-            _ = view.found.covariance
+            _ = view.metric.covariance
             times[n, k] = process_time() - start
             points.append(len(view.points))
     best = 1e3 * times.min(axis=0)

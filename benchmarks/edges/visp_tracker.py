@@ -146,7 +146,7 @@ def our_answer(trial: Trial, trusted: bool = False) -> Answer:
     for k, (image, start) in enumerate(zip(trial.images, trial.X_start, strict=True)):
         tracked = track(model, trial.rig, image, start)
         X[k] = tracked.X_RG
-        whole = tracked.converged and len(tracked.information.unseen) == 0
+        whole = tracked.converged and len(tracked.information.unobservable) == 0
         unsure = trusted and probability(support(tracked, image).as_features[None])[0] < TRUSTED
         lost[k] = not whole or unsure
         known = LEVELS.covariance(parts_of(tracked))[0] if whole else np.full((6, 6), np.nan)

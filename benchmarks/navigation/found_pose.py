@@ -60,7 +60,7 @@ def spread(f: Array, weight: Array, of_edge: Ints, sign: Ints, radius_m: float) 
     """
     metric = observability(f, weight, radius_m)
     values, directions = metric.scaled
-    told = np.arange(6) >= len(metric.unseen)
+    told = np.arange(6) >= len(metric.unobservable)
     D = directions[:, told] * metric.scale[:, None]
     gain = (D / values[told]) @ D.T @ (f * weight[:, None]).T
     shared = np.zeros((6, int(of_edge.max(initial=-1)) + 1))

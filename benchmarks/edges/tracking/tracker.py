@@ -258,7 +258,7 @@ def _solve(f: Array, d: Array, weight: Array, radius_m: float, scale: float) -> 
     """Weighted least squares in the directions that are seen; a step of half a radius is a sigma too far."""
     known = observability(f, weight, radius_m)
     values, directions = known.scaled
-    seen = np.arange(6) >= len(known.unseen)
+    seen = np.arange(6) >= len(known.unobservable)
     v = directions.T @ (known.scale * (f.T @ (weight * d)))
     part = np.where(seen, v / (values + (scale / 0.5) ** 2), 0.0)
     return np.asarray(known.scale * (directions @ part))
@@ -290,7 +290,7 @@ def _told(
     elif not settled:
         told = f"the pose has not settled after {steps} steps"
     else:
-        told = information.told()
+        told = information.describe_unobservable()
     converged = settled and not few and seen.sum() >= wanted.min_found
     contrast = np.where(seen, contrast, 0.0)
     return TrackingResult(

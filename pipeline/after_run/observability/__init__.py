@@ -4,5 +4,5 @@ In: a run or a mesh, and a trajectory. Out: observability.json and .csv, edges.c
 
 - subject: edges, camera and poses, from a run or from files
 - assess: the metric of every view, the contribution of every edge, the selection of edges
-- files, pictures: what is written and printed
+- files, pictures: output files and screen output
 """

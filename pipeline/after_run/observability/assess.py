@@ -1,4 +1,4 @@
-"""What the command finds: the metric along a trajectory, and what each edge contributes."""
+"""The assessment: the metric along a trajectory, and the contribution of each edge."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from polhode.planning.edges.selection.smallest_set import SigmaLimits, SmallestS
 from polhode.progress import Progress
 
 MAX_VIEWS = 20
-"""Views for the selection of edges, evenly spread over a trajectory; more hardly change it."""
+"""Views for the selection of edges, evenly spread over a trajectory; more barely change the result."""
 MAX_MEMORY_MIB = 1024.0
 """Of the information matrices, one for each edge and view."""
 
@@ -25,19 +25,19 @@ class Choice:
 
     views: int
     smallest: SmallestSet | None
-    """with each sigma at most 10 % above that of all edges; None: not requested, or nothing is determined"""
+    """with each sigma at most 10 % above that of all edges; None: not requested, or nothing is observable"""
     best: EdgeSelection | None
-    """of as many edges as asked for; None when that was not asked"""
+    """of the requested number of edges; None when not requested"""
     best_ratio: Array | None
-    """(6,) its sigma over that of all edges; inf where only all of them determine it, NaN where not even
-    all"""
+    """(6,) its sigma over that of all edges; inf where the set does not determine it, NaN where not even
+    all edges do"""
     bound: float | None
-    """no set of so many edges has a larger value"""
+    """upper bound of the value of any set of this size"""
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """The metric along a trajectory, for noise of sigma_px across the edges."""
+    """The metric along a trajectory, for a noise of sigma_px normal to the edges."""
 
     subject: Subject
     views: list[EdgeView]
@@ -49,7 +49,7 @@ class Assessment:
     @property
     def sigma(self) -> Array:
         """(k, 6) standard deviations [m, rad], inf where a view does not determine them."""
-        return self.sigma_px * np.stack([view.found.sigma for view in self.views])
+        return self.sigma_px * np.stack([view.metric.sigma for view in self.views])
 
 
 def assess(
@@ -66,7 +66,7 @@ def assess(
             "give fewer poses, or a larger --crease-deg"
         )
     views, C = [], []
-    with progress.stage("looking at edges", len(subject.X_RG)) as advance:
+    with progress.stage("evaluating views", len(subject.X_RG)) as advance:
         for view in views_along(
             subject.model, subject.rig, subject.X_RG, subject.o_G, spacing_px, subject.sun_G
         ):
@@ -74,14 +74,14 @@ def assess(
             C.append(by_feature(view.points, view.f, subject.model.size))
             advance()
     information = FeatureInformation(np.stack(C), subject.model.radius_m)
-    with progress.stage("choosing edges", 1) as advance:
+    with progress.stage("selecting edges", 1) as advance:
         choice = choose(information, few, fewest)
         advance()
     return Assessment(subject, views, contributions(information), choice, spacing_px, sigma_px)
 
 
 def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> Choice:
-    """The best ``edges``, and the fewest that do, where asked for. Raises InputError for less than one."""
+    """The best set of ``edges`` and the smallest set, where requested. Raises InputError below one."""
     if edges is None and not fewest:
         return Choice(0, None, None, None, None)
     if edges is not None and edges < 1:
@@ -90,7 +90,7 @@ def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> 
     views = np.unique(np.linspace(0, count - 1, min(count, MAX_VIEWS)).round().astype(int))
     few = FeatureInformation(information.C[views], information.radius_m)
     try:
-        need = SigmaLimits(few)
+        limits = SigmaLimits(few)
     except InputError:
         return Choice(len(views), None, None, None, None)
     smallest = smallest_set(few) if fewest else None
@@ -98,4 +98,4 @@ def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> 
         return Choice(len(views), smallest, None, None, None)
     best = greedy(few.scaled, edges, "trace")
     bound = upper_bound(few.scaled, edges, "trace")
-    return Choice(len(views), smallest, best, need.ratio(need.of(best.features)), bound)
+    return Choice(len(views), smallest, best, limits.ratio(limits.of(best.features)), bound)

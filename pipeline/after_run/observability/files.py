@@ -1,4 +1,4 @@
-"""The files of an assessment: a table of the views, one of the edges, everything as JSON, and pictures."""
+"""The files of an assessment: tables of the views and of the edges, everything as JSON, and figures."""
 
 import csv
 import io
@@ -33,7 +33,7 @@ NAMES = ("x_m", "y_m", "z_m", "about_x_rad", "about_y_rad", "about_z_rad")
 
 
 def write_assessment(assessment: Assessment, folder: Path) -> list[str]:
-    """All files into the folder, whole or not at all; their names."""
+    """Write all files, each atomically; returns their names."""
     model, shares = assessment.subject.model, assessment.edges.share
     files: dict[str, bytes] = {
         "observability.csv": table(assessment).encode(),
@@ -67,7 +67,7 @@ def write_assessment(assessment: Assessment, folder: Path) -> list[str]:
 
 
 def table(assessment: Assessment) -> str:
-    """observability.csv: one row a pose; sigma is inf where the edges in sight do not tell."""
+    """observability.csv: one row per pose; sigma is inf where the visible edges do not determine it."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     columns = (
@@ -85,7 +85,7 @@ def table(assessment: Assessment) -> str:
     )
     out.writerow(columns)
     for time, sigma, view in zip(assessment.subject.time_s, assessment.sigma, assessment.views, strict=True):
-        metric = view.found
+        metric = view.metric
         numbers = (view.length_px, *sigma, metric.position_dop, metric.attitude_dop, metric.geometric_dop)
         counts = view.expected_edges, len(view.points)
         out.writerow(
@@ -94,14 +94,14 @@ def table(assessment: Assessment) -> str:
                 f"{view.range_m:.6g}",
                 *counts,
                 *(f"{value:.6g}" for value in (*numbers, metric.condition)),
-                metric.told(),
+                metric.describe_unobservable(),
             ]
         )
     return text.getvalue()
 
 
 def edge_table(assessment: Assessment) -> str:
-    """edges.csv: one row a feature of the model; shares and rises of the variances along the trajectory."""
+    """edges.csv: one row per feature of the model; shares and rises of the variances along the trajectory."""
     model, edges = assessment.subject.model, assessment.edges
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
@@ -130,7 +130,7 @@ def edge_table(assessment: Assessment) -> str:
 
 
 def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
-    """observability.json. What is infinite or unknown is null, and the words beside it say why."""
+    """observability.json. Infinite or unknown values are null, with a description of the reason."""
     subject, model = assessment.subject, assessment.subject.model
     rig = subject.rig
     return {
@@ -154,9 +154,9 @@ def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
         "about": {"words": subject.about, "o_G": subject.o_G.tolist()},
         "degrees_of_freedom": {
             "names": list(DEGREES_OF_FREEDOM),
-            "words": "shifts of o along the camera's axes (right, down, ahead) [m], turns about them through "
-            "o [rad]; C, in pixels squared per unit, is the information of the edges for noise of one "
-            "pixel; sigma is the root of the diagonal of sigma_px^2 C^-1",
+            "words": "translations of o along the camera's axes (right, down, forward) [m], rotations about "
+            "them through o [rad]; C, in pixels squared per unit, is the information of the edges for one "
+            "pixel of noise; sigma is the root of the diagonal of sigma_px^2 C^-1",
         },
         "sigma_px": assessment.sigma_px,
         "spacing_px": assessment.spacing_px,
@@ -169,14 +169,14 @@ def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
                 "edges_expected": view.expected_edges,
                 "points": len(view.points),
                 "edge_length_px": view.length_px,
-                "C": view.found.C.tolist(),
-                "covariance": _numbers(assessment.sigma_px**2 * view.found.covariance),
+                "C": view.metric.C.tolist(),
+                "covariance": _numbers(assessment.sigma_px**2 * view.metric.covariance),
                 "sigma": _numbers(sigma),
-                "position_dop_m_per_px": _number(view.found.position_dop),
-                "attitude_dop_rad_per_px": _number(view.found.attitude_dop),
-                "geometric_dop_per_px": _number(view.found.geometric_dop),
-                "condition": _number(view.found.condition),
-                "not_told": view.found.told(),
+                "position_dop_m_per_px": _number(view.metric.position_dop),
+                "attitude_dop_rad_per_px": _number(view.metric.attitude_dop),
+                "geometric_dop_per_px": _number(view.metric.geometric_dop),
+                "condition": _number(view.metric.condition),
+                "not_told": view.metric.describe_unobservable(),
             }
             for time, sigma, view in zip(subject.time_s, assessment.sigma, assessment.views, strict=True)
         ],
@@ -212,8 +212,8 @@ def choice_of(choice: Choice) -> dict[str, Any]:
         "best": None
         if best is None or choice.best_ratio is None
         else {
-            "words": "6 less the mean trace of C^-1 (shifts in radii, with a prior of 1), greedy; no set "
-            "of as many edges has a value above the bound",
+            "words": "6 minus the mean trace of C^-1 (lengths in radii, with a prior of 1), greedy; no set "
+            "of this size has a value above the bound",
             "edges": best.features.tolist(),
             "ratio": _numbers(choice.best_ratio),
             "value": best.value,
@@ -223,19 +223,19 @@ def choice_of(choice: Choice) -> dict[str, Any]:
 
 
 def along(assessment: Assessment) -> dict[str, Any]:
-    """The trajectory in a few numbers: over the views that tell a degree of freedom, and how many do not."""
+    """Summary of the trajectory: over the views that determine a degree of freedom, and how many do not."""
     sigma = assessment.sigma
-    told = np.isfinite(sigma)
+    determined = np.isfinite(sigma)
     values = {
         name: {
-            "median": _number(np.median(sigma[told[:, k], k]) if told[:, k].any() else np.inf),
+            "median": _number(np.median(sigma[determined[:, k], k]) if determined[:, k].any() else np.inf),
             "best": _number(sigma[:, k].min()),
             "worst": _number(sigma[:, k].max()),
-            "poses_that_do_not_tell": int((~told[:, k]).sum()),
+            "poses_that_do_not_tell": int((~determined[:, k]).sum()),
         }
         for k, name in enumerate(NAMES)
     }
-    return {"sigma": values, "poses": len(sigma), "poses_that_tell_all": int(told.all(axis=1).sum())}
+    return {"sigma": values, "poses": len(sigma), "poses_that_tell_all": int(determined.all(axis=1).sum())}
 
 
 def _number(value: float) -> float | None:
@@ -247,47 +247,51 @@ def _numbers(values: Array) -> list[Any]:
 
 
 def format_assessment(assessment: Assessment) -> str:
-    """A few lines for the screen."""
+    """Summary for the screen."""
     model, lines = assessment.subject.model, []
     smooth = int(model.outlined.sum())
     lines.append(
-        f"Edge model: {len(model.ends_G)} straight edges, {model.lengths_m.sum():.2f} m in all, "
+        f"Edge model: {len(model.ends_G)} straight edges, {model.lengths_m.sum():.2f} m in total, "
         f"and the outlines of {smooth} smooth part{'' if smooth == 1 else 's'}"
     )
     lines.append(
         f"Metric of {len(assessment.views)} pose{'' if len(assessment.views) == 1 else 's'}, "
-        f"for {assessment.sigma_px:g} px of noise across edges every {assessment.spacing_px:g} px, "
+        f"for {assessment.sigma_px:g} px of noise normal to the edges every {assessment.spacing_px:g} px, "
         f"about {assessment.subject.about}:"
     )
     units = (("mm", 1e3),) * 3 + (("deg", np.degrees(1.0)),) * 3
-    sigma, told = assessment.sigma, np.isfinite(assessment.sigma)
+    sigma, determined = assessment.sigma, np.isfinite(assessment.sigma)
     for k, (name, (unit, scale)) in enumerate(zip(DEGREES_OF_FREEDOM, units, strict=True)):
-        own = scale * sigma[told[:, k], k]
+        own = scale * sigma[determined[:, k], k]
         lost = len(sigma) - len(own)
-        words = f"not told by {lost} of {len(sigma)} poses" if lost else ""
+        note = f"undetermined at {lost} of {len(sigma)} poses" if lost else ""
         if len(own):
             numbers = f"{np.median(own):9.4g} {unit:3s} ({own.min():.4g} to {own.max():.4g})"
-            lines.append(f"  {name:8s} {numbers}{'; ' + words if words else ''}")
+            lines.append(f"  {name:8s} {numbers}{'; ' + note if note else ''}")
         else:
-            lines.append(f"  {name:8s} {'inf':>9s} {unit:3s}; not told by any pose")
-    said = sorted({view.found.told() for view in assessment.views} - {""}, key=len)
-    if said:
-        lines.append(f"  {said[0]}")
+            lines.append(f"  {name:8s} {'inf':>9s} {unit:3s}; undetermined at every pose")
+    descriptions = sorted({view.metric.describe_unobservable() for view in assessment.views} - {""}, key=len)
+    if descriptions:
+        lines.append(f"  {descriptions[0]}")
     lines += _choices(assessment)
     return "\n".join([*lines, *(f"Note: {note}" for note in assessment.subject.notes)])
 
 
 def _choices(assessment: Assessment) -> list[str]:
-    """Lines about sets of edges."""
+    """Lines about the selected sets of edges."""
     lines, choice = [], assessment.choice
     if choice.smallest is not None:
         count, least = len(choice.smallest.features), choice.smallest.at_least
         lines.append(
-            f"{count} edges are enough: every sigma within 10 % of that with all "
-            f"({'none fewer do' if count == least else f'at least {least} are needed'})"
+            f"{count} edges suffice: every sigma within 10 % of that with all "
+            f"({'no fewer suffice' if count == least else f'at least {least} are required'})"
         )
     if choice.best is not None and choice.best_ratio is not None:
         worst = float(np.nanmax(choice.best_ratio))
-        told = f"sigmas up to {worst:.2f} times those with all" if np.isfinite(worst) else "not all is told"
-        lines.append(f"The best {len(choice.best.features)} edges: {told}; they are marked in edges.csv")
+        effect = (
+            f"sigmas up to {worst:.2f} times those with all"
+            if np.isfinite(worst)
+            else "they leave the pose partly undetermined"
+        )
+        lines.append(f"The best {len(choice.best.features)} edges: {effect}; they are marked in edges.csv")
     return lines

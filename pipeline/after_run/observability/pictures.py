@@ -1,4 +1,4 @@
-"""The metric along the trajectory, what the camera sees of the edges, and what each edge contributes."""
+"""Figures of the metric along the trajectory, the visible edges, and the contribution of each edge."""
 
 import io
 
@@ -16,14 +16,14 @@ _COLOURS = ("C0", "C1", "C2")
 
 
 def draw_metric(assessment: Assessment) -> bytes:
-    """A PNG: sigmas of shifts and turns, edges in sight and range, over time."""
+    """A PNG: sigmas of translations and rotations, length of visible edges and range, over time."""
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(3, 1, sharex=True)
     time, sigma = assessment.subject.time_s, assessment.sigma
-    for panel, first, scale, words in (
-        (panels[0], 0, 1e3, "shift [mm]"),
-        (panels[1], 3, np.degrees(1.0), "turn [deg]"),
+    for panel, first, scale, quantity in (
+        (panels[0], 0, 1e3, "translation [mm]"),
+        (panels[1], 3, np.degrees(1.0), "rotation [deg]"),
     ):
         for k in range(3):
             values = np.where(np.isfinite(sigma[:, first + k]), scale * sigma[:, first + k], np.nan)
@@ -36,11 +36,11 @@ def draw_metric(assessment: Assessment) -> bytes:
             panel.plot([], [], color="0.85", linewidth=3.0, label="not fully determined")
         if np.isfinite(sigma[:, first : first + 3]).any():
             panel.set_yscale("log")
-        panel.set_ylabel(f"sigma of {words}")
+        panel.set_ylabel(f"sigma of {quantity}")
         panel.grid(True, which="both", color="0.9", linewidth=0.6)
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     panels[0].set_title(
-        f"Uncertainty of the pose from edges, for {assessment.sigma_px:g} px across them "
+        f"Uncertainty of the pose from edges, for {assessment.sigma_px:g} px normal to them "
         f"every {assessment.spacing_px:g} px",
         loc="left",
     )

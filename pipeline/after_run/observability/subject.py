@@ -22,7 +22,7 @@ from polhode.quaternion import matrix_from_wxyz
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """A pinhole without distortion; None: the run's, or for a mesh the default."""
+    """A pinhole camera without distortion; None: the run's, or for a mesh the default."""
 
     focal_px: float | None = None
     width_px: int | None = None
@@ -37,14 +37,14 @@ class Subject:
     model: EdgeModel
     rig: RectifiedRig
     time_s: Array
-    """(k,) as in the trajectory's file; of the run's own, after its first pair"""
+    """(k,) as in the trajectory's file; of a run's own trajectory, after its first pair"""
     X_RG: Array
     """(k, 4, 4)"""
     about: str
     o_G: Array
     """(3,) [m]"""
     sun_G: Array | None
-    """(k, 3) towards the Sun; None: every edge counts as lit"""
+    """(k, 3) towards the Sun; None: all edges count as lit"""
     notes: tuple[str, ...]
 
 
@@ -71,15 +71,15 @@ def subject_of(
     crease_deg: float,
     unit_m: float,
 ) -> Subject:
-    """Raises InputError, one line, for what cannot be read or does not fit together."""
+    """Raises InputError, one line, for unreadable or inconsistent input."""
     if path.is_dir():
         if unit_m != 1.0:
             raise InputError("--unit is for a mesh; a run is in metres")
         if crease_deg != CREASE_DEG:
-            raise InputError("--crease-deg is for a mesh; the edges of a run's follow from its errors")
+            raise InputError("--crease-deg is for a mesh; that of a run follows from its errors")
         return _of_run(path, trajectory, frame, camera, about_G, sun)
     if not path.is_file():
-        raise InputError(f"{path}: there is no such run or mesh")
+        raise InputError(f"{path}: no such run or mesh")
     if trajectory is None:
         raise InputError(f"{path}: a mesh needs --trajectory FILE, the poses of the camera in its frame")
     if frame != "G":
@@ -87,7 +87,7 @@ def subject_of(
     model = edge_model(read_mesh(path, unit_m), crease_deg)
     poses = read_poses(trajectory)
     o_G, about = (
-        (model.middle_G, "the middle of the bounding box") if about_G is None else (about_G, "--about")
+        (model.middle_G, "the centre of the bounding box") if about_G is None else (about_G, "--about")
     )
     X_RG = inverse_pose(poses.X_FR)
     sun_G = None if sun is None else np.tile(sun, (len(X_RG), 1))
@@ -116,12 +116,12 @@ def _of_run(
     if trajectory is None:
         if frame != "G":
             raise InputError("--frame N: give --trajectory FILE with the camera's poses in N")
-        time_s, X_RG, R_NG = _as_the_run_saw_it(run, summary, tracks.X_NR)
+        time_s, X_RG, R_NG = _poses_of_run(run, summary, tracks.X_NR)
     else:
         poses = read_poses(trajectory)
         time_s, X_RG = poses.time_s, inverse_pose(poses.X_FR)
         if frame == "N":
-            X_RG, R_NG = _seen_from_N(run, trajectory, poses)
+            X_RG, R_NG = _poses_of_predicted_target(run, trajectory, poses)
     if sun_N is not None and R_NG is None:
         raise InputError(
             "--sun is in N, and poses in G do not give the attitude of the target in N: --frame N does"
@@ -132,23 +132,23 @@ def _of_run(
     elif summary.com_G is not None and np.isfinite(summary.com_G).all():
         o_G, about = np.array(summary.com_G), "the run's centre of mass"
     else:
-        o_G, about = model.middle_G, "the middle of the bounding box"
+        o_G, about = model.middle_G, "the centre of the bounding box"
     rig = _rig(camera, tracks.rig)
     return Subject(str(run), model, rig, time_s, X_RG, about, o_G, sun_G, tuple(notes))
 
 
-def _as_the_run_saw_it(run: Path, summary: Summary, X_NR: Array) -> tuple[Array, Array, Array]:
+def _poses_of_run(run: Path, summary: Summary, X_NR: Array) -> tuple[Array, Array, Array]:
     """Times (k,), poses X_RG (k, 4, 4) and attitudes R_NG (k, 3, 3) of the run's own pairs."""
     if summary.R_GP is None or summary.com_G is None:
-        raise InputError(f"{run}: this run found no motion, hence no camera poses; give --trajectory FILE")
+        raise InputError(f"{run}: this run has no motion, hence no camera poses; give --trajectory FILE")
     table = read_trajectory(run)
     R_NG = table.R_NP @ np.array(summary.R_GP).T
     X_NG = make_pose(R_NG, table.r_N - R_NG @ np.array(summary.com_G))
     return table.time_s, inverse_pose(X_NR) @ X_NG, R_NG
 
 
-def _seen_from_N(run: Path, file: Path, poses: TimedPoses) -> tuple[Array, Array]:
-    """Places in N, seconds after the last pair -> X_RG (k, 4, 4), R_NG (k, 3, 3) of the predicted target."""
+def _poses_of_predicted_target(run: Path, file: Path, poses: TimedPoses) -> tuple[Array, Array]:
+    """X_RG (k, 4, 4) and R_NG (k, 3, 3) of the predicted target, seen from camera poses in N."""
     if poses.time_s[0] < 0.0:
         raise InputError(
             f"{file}: with --frame N times are seconds after the run's last pair; one is negative"
@@ -181,20 +181,20 @@ MAX_COORDINATE_M = 1e12
 
 
 def read_poses(path: Path) -> TimedPoses:
-    """Raises InputError, one line, for anything that is no such file."""
+    """Poses of a TUM file. Raises InputError, one line, for any other content."""
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
+        raise InputError(f"{path}: no such file")
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not a text file of poses") from error
-    rows = [_row(path, number, line) for number, line in enumerate(lines, 1) if _says_something(line)]
+    rows = [_row(path, number, line) for number, line in enumerate(lines, 1) if _has_content(line)]
     if not rows:
         raise InputError(f"{path}: contains no pose; a line is: timestamp tx ty tz qx qy qz qw")
     table = np.array(rows)
     if not (np.diff(table[:, 0]) > 0.0).all():
         late = 1 + int(np.argmax(np.diff(table[:, 0]) <= 0.0))
-        raise InputError(f"{path}: pose {late + 1} is not later than the one before")
+        raise InputError(f"{path}: pose {late + 1} is not later than its predecessor")
     if (np.abs(table[:, 1:]) > MAX_COORDINATE_M).any():
         raise InputError(f"{path}: has a coordinate or quaternion above {MAX_COORDINATE_M:g}")
     length = np.linalg.norm(table[:, 4:], axis=1)
@@ -205,7 +205,7 @@ def read_poses(path: Path) -> TimedPoses:
     return TimedPoses(table[:, 0], make_pose(matrix_from_wxyz(wxyz), table[:, 1:4]))
 
 
-def _says_something(line: str) -> bool:
+def _has_content(line: str) -> bool:
     return bool(line.strip()) and not line.lstrip().startswith("#")
 
 

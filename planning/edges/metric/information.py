@@ -1,4 +1,4 @@
-"""Information of edges about the pose: per view along a trajectory, and per edge of the model.
+"""Information about the pose: per view along a trajectory, and per edge of the model.
 
 ``views_along`` yields the metric of each view; ``feature_information`` keeps one matrix for each feature and
 view, from which contributions and selections of edges are computed.
@@ -26,12 +26,12 @@ from polhode.records import Bools
 
 @dataclass(frozen=True)
 class FeatureInformation:
-    """Information of n features in T views, for noise of one pixel across the edges, about the point o."""
+    """Information of n features in T views, for one pixel of noise normal to the edges, about the point o."""
 
     C: Array
     """(T, n, 6, 6) [px^2 per m^2, m rad, rad^2] along R's axes of each view, or along G's"""
     radius_m: float
-    """with it shifts and turns are compared"""
+    """scale at which translations and rotations are compared"""
 
     @property
     def total(self) -> Array:
@@ -40,13 +40,13 @@ class FeatureInformation:
 
     @property
     def scaled(self) -> Array:
-        """(T, n, 6, 6) with shifts in radii, turns in radians."""
+        """(T, n, 6, 6) with translations in radii, rotations in radians."""
         return np.asarray(self.C * np.outer(_scale(self.radius_m), _scale(self.radius_m)))
 
     def accumulated(self, R_RG: Array) -> "FeatureInformation":
-        """All views (T, 3, 3) as one, (1, n, 6, 6) along G's axes: for a motion of the target that is known.
+        """Sum over the views R_RG (T, 3, 3): (1, n, 6, 6) along G's axes, for a known motion of the target.
 
-        Without it a tracker estimates each pose on its own, and the views stay apart.
+        A tracker that does not know the motion estimates each pose on its own, and the views stay separate.
         """
         turn = np.zeros((len(R_RG), 6, 6))
         turn[:, :3, :3] = turn[:, 3:, 3:] = R_RG
@@ -63,10 +63,10 @@ def feature_information(
     spacing_px: float = SPACING_PX,
     clear: bool = False,
 ) -> FeatureInformation:
-    """Views at X_RG (T, 4, 4), hidden lines removed; with sun_G (T, 3) edges count by their contrast.
+    """Views at X_RG (T, 4, 4), hidden lines removed; with sun_G (T, 3) edges are weighted by their contrast.
 
-    About o_G (3,), without it about the model's middle. ``clear``: without what a tracker cannot tell from
-    edges beside it (`visible_edges.clear_points`), as is right for choosing.
+    About o_G (3,), by default the model's centre. ``clear``: without points that a tracker confuses with
+    adjacent edges (`visible_edges.clear_points`), as a selection of edges requires.
     """
     about = model.middle_G if o_G is None else o_G
     C = np.zeros((len(X_RG), model.size, 6, 6))
@@ -86,52 +86,52 @@ def by_feature(points: ControlPoints, f: Array, size: int) -> Array:
 
 
 def variances(C: Array, radius_m: float) -> Array:
-    """Diagonals (..., 6) of C^-1 [m^2, rad^2 for one pixel], inf where C (..., 6, 6) does not tell.
+    """Diagonals (..., 6) of C^-1 [m^2, rad^2 for one pixel], inf where C (..., 6, 6) does not determine them.
 
-    As `metric.Observability.covariance`, for many at once.
+    As `EdgeObservability.covariance`, for many matrices at once.
     """
-    values, directions, seen = _spectrum(C, radius_m)
+    values, directions, observable = _spectrum(C, radius_m)
     square = directions**2
-    told = np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)
-    variance = np.einsum("...ij,...j->...i", square, told) * _scale(radius_m) ** 2
-    lost = np.einsum("...ij,...j->...i", square, (~seen).astype(np.float64)) > 1e-6
-    return np.where(lost, np.inf, variance)
+    inverse_values = np.where(observable, 1.0 / np.where(observable, values, 1.0), 0.0)
+    variance = np.einsum("...ij,...j->...i", square, inverse_values) * _scale(radius_m) ** 2
+    unobservable = np.einsum("...ij,...j->...i", square, (~observable).astype(np.float64)) > 1e-6
+    return np.where(unobservable, np.inf, variance)
 
 
 def observable_covariance(C: Array, radius_m: float) -> Array:
-    """(..., 6, 6) inverses of C (..., 6, 6) over the motions that it tells."""
-    values, directions, seen = _spectrum(C, radius_m)
-    told = np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)
-    inverse = (directions * told[..., None, :]) @ np.swapaxes(directions, -1, -2)
+    """(..., 6, 6) pseudoinverses of C (..., 6, 6) over its observable directions."""
+    values, directions, observable = _spectrum(C, radius_m)
+    inverse_values = np.where(observable, 1.0 / np.where(observable, values, 1.0), 0.0)
+    inverse = (directions * inverse_values[..., None, :]) @ np.swapaxes(directions, -1, -2)
     return np.asarray(inverse * np.outer(_scale(radius_m), _scale(radius_m)))
 
 
 def _scale(radius_m: float) -> Array:
-    """(6,) radius for shifts [m], 1 for turns [rad]."""
+    """(6,) radius for translations [m], 1 for rotations [rad]."""
     return np.array([radius_m] * 3 + [1.0] * 3)
 
 
 def _spectrum(C: Array, radius_m: float) -> tuple[Array, Array, Bools]:
-    """Eigenvalues (..., 6) with shifts in radii, directions (..., 6, 6), and which count as seen."""
+    """Eigenvalues (..., 6) with translations in radii, directions (..., 6, 6), and which are observable."""
     values, directions = np.linalg.eigh(C * np.outer(_scale(radius_m), _scale(radius_m)))
-    seen = values > np.maximum(UNOBSERVABLE_INFORMATION * values[..., -1:], 1.0 / UNOBSERVABLE_SIGMA**2)
-    return values, directions, np.asarray(seen)
+    observable = values > np.maximum(UNOBSERVABLE_INFORMATION * values[..., -1:], 1.0 / UNOBSERVABLE_SIGMA**2)
+    return values, directions, np.asarray(observable)
 
 
 @dataclass(frozen=True)
 class EdgeView:
-    """What the camera sees of the edges from one place, and what that tells of the pose."""
+    """The edges visible from one pose, and the information that they give about it."""
 
     X_RG: Array
-    """(4, 4) the target in the camera"""
+    """(4, 4) pose of the target in the camera frame"""
     points: ControlPoints
     f: Array
-    """(m, 6) motion across the edges [px per m, px per rad]"""
-    found: EdgeObservability
+    """(m, 6) motion normal to the edges [px per m, px per rad]"""
+    metric: EdgeObservability
     length_px: float
     """of all visible edges in the image"""
     o_G: Array
-    """(3,) the point that turns are about and whose shifts are told [m]"""
+    """(3,) reference point of rotations and translations [m]"""
 
     @property
     def range_m(self) -> float:
@@ -140,7 +140,7 @@ class EdgeView:
 
     @property
     def expected_edges(self) -> int:
-        """Features in sight: what the binary metric, edges found against expected, expects."""
+        """Number of visible features: the edges expected by the binary metric, found over expected."""
         return len(np.unique(self.points.feature))
 
 
@@ -152,14 +152,14 @@ def views_along(
     spacing_px: float = SPACING_PX,
     sun_G: Array | None = None,
 ) -> Iterator[EdgeView]:
-    """The views from a trajectory X_RG (k, 4, 4), about o_G (3,), one by one.
+    """Yield the views of a trajectory X_RG (k, 4, 4), about o_G (3,).
 
-    With sun_G (k, 3), towards the Sun, edges count by their contrast.
+    With sun_G (k, 3), towards the Sun, edges are weighted by their contrast.
     """
     for k, X in enumerate(X_RG):
         points = control_points(model, rig, X, spacing_px)
         if sun_G is not None:
             points = in_sunlight(model, points, inverse_pose(X)[:3, 3], sun_G[k])
         f = edge_motion(points, rig, X, o_G)
-        found = observability(f, points.weight, model.radius_m)
-        yield EdgeView(X, points, f, found, spacing_px * float(points.weight.sum()), o_G)
+        metric = observability(f, points.weight, model.radius_m)
+        yield EdgeView(X, points, f, metric, spacing_px * float(points.weight.sum()), o_G)

@@ -1,8 +1,8 @@
 """The observability metric: C = sum of f f^T over control points, and C^-1, per degree of freedom.
 
-C [px^2 per m^2, m rad, rad^2] is the information of the edges for noise of one pixel across them; C^-1 the
-covariance of the pose then. Both are about the point o and along R's axes (`edge_motion.py`). Where C is
-singular, what it cannot tell is infinite, and said in words.
+C [px^2 per m^2, m rad, rad^2] is the information of the edges for one pixel of noise normal to them; C^-1 is
+the covariance of the pose. Both refer to the point o and R's axes (`edge_motion.py`). Where C is singular,
+the unobservable variances are infinite, and a description names the directions.
 """
 
 from dataclasses import dataclass
@@ -14,53 +14,53 @@ from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
 from polhode.records import Bools
 
 UNOBSERVABLE_INFORMATION = 1e-9
-"""A direction with less than this share of the largest information, shifts counted in radii, is not seen."""
+"""A direction with less than this share of the largest information, lengths in radii, is unobservable."""
 UNOBSERVABLE_SIGMA = 5.0
-"""Nor is one whose sigma, for noise of one pixel, exceeds this many radii or radians."""
+"""So is one whose sigma, for a noise of one pixel, exceeds this many radii or radians."""
 
 
 @dataclass(frozen=True)
 class EdgeObservability:
-    """What the edges of one view, or of several together, tell of the pose."""
+    """Information that the edges of one view, or of several together, give about the pose."""
 
     C: Array
     """(6, 6) information for one pixel of noise"""
     radius_m: float
-    """Half the body's diameter: with it shifts and turns are compared"""
+    """Half the body's diameter: scale at which translations and rotations are compared"""
     points: int
-    """control points"""
+    """number of control points"""
 
     @property
     def scale(self) -> Array:
-        """(6,) radius for shifts [m], 1 for turns [rad]."""
+        """(6,) radius for translations [m], 1 for rotations [rad]."""
         return np.array([self.radius_m] * 3 + [1.0] * 3)
 
     @property
     def scaled(self) -> tuple[Array, Array]:
-        """Information (6,) for shifts in radii and turns in radians, ascending, and its directions (6, 6)."""
+        """Ascending eigenvalues (6,), with translations in radii, rotations in radians; directions (6, 6)."""
         values, directions = np.linalg.eigh(self.C * np.outer(self.scale, self.scale))
         return np.maximum(values, 0.0), directions
 
     @property
-    def unseen(self) -> Array:
-        """(k, 6) directions that the edges do not tell: shifts in radii, turns in radians, unit length."""
+    def unobservable(self) -> Array:
+        """(k, 6) unobservable directions: translations in radii, rotations in radians, unit length."""
         values, directions = self.scaled
-        return np.asarray(directions[:, ~_is_seen(values)].T)
+        return np.asarray(directions[:, ~_is_observable(values)].T)
 
     @property
     def covariance(self) -> Array:
-        """C^-1 (6, 6) [m^2, m rad, rad^2] for one pixel of noise; inf on the diagonal where it is not seen.
+        """C^-1 (6, 6) [m^2, m rad, rad^2] for one pixel of noise; inf on the diagonal where unobservable.
 
-        A degree of freedom that is not seen has covariances of NaN.
+        The covariances of an unobservable degree of freedom are NaN.
         """
         values, directions = self.scaled
-        seen = _is_seen(values)
-        inverse = (directions[:, seen] / values[seen]) @ directions[:, seen].T
+        observable = _is_observable(values)
+        inverse = (directions[:, observable] / values[observable]) @ directions[:, observable].T
         covariance = inverse * np.outer(self.scale, self.scale)
-        lost = (directions[:, ~seen] ** 2).sum(axis=1) > 1e-6
-        covariance[lost, :] = np.nan
-        covariance[:, lost] = np.nan
-        covariance[lost, lost] = np.inf
+        unobservable = (directions[:, ~observable] ** 2).sum(axis=1) > 1e-6
+        covariance[unobservable, :] = np.nan
+        covariance[:, unobservable] = np.nan
+        covariance[unobservable, unobservable] = np.inf
         return np.asarray(covariance)
 
     @property
@@ -70,30 +70,30 @@ class EdgeObservability:
 
     @property
     def position_dop(self) -> float:
-        """Root of the sum of the shifts' variances [m/px]: the PDOP of GPS."""
+        """Root of the sum of the translations' variances [m/px], as the PDOP of GPS."""
         return float(np.linalg.norm(self.sigma[:3]))
 
     @property
     def attitude_dop(self) -> float:
-        """The same of the turns [rad/px]."""
+        """Root of the sum of the rotations' variances [rad/px]."""
         return float(np.linalg.norm(self.sigma[3:]))
 
     @property
     def geometric_dop(self) -> float:
-        """Root of the sum of all variances, shifts in radii [1/px]."""
+        """Root of the sum of all variances, translations in radii [1/px]."""
         return float(np.linalg.norm(self.sigma / self.scale))
 
     @property
     def condition(self) -> float:
-        """Largest over smallest information, shifts in radii; inf where something is not seen."""
+        """Largest over smallest eigenvalue, translations in radii; inf where a direction is unobservable."""
         values, _ = self.scaled
-        return float(values[-1] / values[0]) if _is_seen(values).all() else np.inf
+        return float(values[-1] / values[0]) if _is_observable(values).all() else np.inf
 
-    def told(self) -> str:
-        """What the edges do not tell, in words; empty where they tell all."""
+    def describe_unobservable(self) -> str:
+        """Description of the unobservable directions; empty where the whole pose is observable."""
         if self.points == 0:
-            return "no edge is in sight: nothing is told"
-        return "; ".join(_in_words(direction) for direction in self.unseen)
+            return "no edge is visible: the whole pose is unobservable"
+        return "; ".join(_describe(direction) for direction in self.unobservable)
 
 
 def observability(f: Array, weight: Array, radius_m: float) -> EdgeObservability:
@@ -101,27 +101,27 @@ def observability(f: Array, weight: Array, radius_m: float) -> EdgeObservability
     return EdgeObservability((f * weight[:, None]).T @ f, radius_m, len(f))
 
 
-def _is_seen(values: Array) -> Bools:
-    """(6,) of ascending information: true where it counts as seen."""
-    least = max(UNOBSERVABLE_INFORMATION * float(values[-1]), 1.0 / UNOBSERVABLE_SIGMA**2)
-    return np.asarray(values > least)
+def _is_observable(values: Array) -> Bools:
+    """(6,) of ascending eigenvalues: true where the direction is observable."""
+    lower = max(UNOBSERVABLE_INFORMATION * float(values[-1]), 1.0 / UNOBSERVABLE_SIGMA**2)
+    return np.asarray(values > lower)
 
 
-def _in_words(direction: Array) -> str:
-    """A motion (6,) as words."""
+def _describe(direction: Array) -> str:
+    """Description of an unobservable motion (6,)."""
     shift, turn = float(np.linalg.norm(direction[:3])), float(np.linalg.norm(direction[3:]))
     if turn < 0.1:
-        return f"shifts along {_axis(direction[:3])} are not seen"
+        return f"translation along {_axis(direction[:3])} is unobservable"
     if shift < 0.1:
-        return f"turns about {_axis(direction[3:])} are not seen"
+        return f"rotation about {_axis(direction[3:])} is unobservable"
     return (
-        f"turns about {_axis(direction[3:])} with shifts along {_axis(direction[:3])} "
-        f"({shift / turn:.2f} radii a radian) are not seen"
+        f"rotation about {_axis(direction[3:])} with translation along {_axis(direction[:3])} "
+        f"({shift / turn:.2f} radii per radian) is unobservable"
     )
 
 
 def _axis(v: Array) -> str:
-    """x, y, z of the camera where it is nearly one of them, else its components."""
+    """Name of the camera axis that v is nearly parallel to, otherwise its components."""
     unit = v / np.linalg.norm(v)
     main = int(np.argmax(np.abs(unit)))
     if abs(unit[main]) > 0.995:

@@ -1,4 +1,4 @@
-"""A value of each edge painted on the model: tubes along the edges for viewers, and pictures of a view."""
+"""Edges in the colours of a value: tubes along the edges of a mesh, and figures of a view."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ DRAWN_STEP_PX = 4.0
 
 @dataclass(frozen=True)
 class Legend:
-    """What the colours stand for."""
+    """Values that the colours stand for."""
 
     values: Array
     """(5,) from the lowest to the highest"""
@@ -87,7 +87,7 @@ def picture(
     titles: tuple[str, ...] = DEGREES_OF_FREEDOM,
     unit: str = "share of the variance",
 ) -> Figure:
-    """A figure with one panel for each column of values (size, k): the edges in sight, in their colours."""
+    """A figure with one panel for each column of values (size, k): the visible edges, coloured by value."""
     points = control_points(model, rig, X_RG, DRAWN_STEP_PX)
     pieces = _pieces(points)
     backdrop = _faces(model, rig, X_RG)
@@ -114,7 +114,7 @@ def picture(
 
 
 def view_panel(panel: Axes, model: EdgeModel, rig: RectifiedRig, X_RG: Array, points: ControlPoints) -> None:
-    """Draw the body and the edges in sight where they are in the image, outlines apart from the others."""
+    """Draw the body and the visible edges at their image positions, outlines in another colour."""
     drawn = control_points(model, rig, X_RG, DRAWN_STEP_PX)
     drawn = drawn[np.isin(drawn.feature, points.feature)]
     panel.add_collection(PolyCollection(list(_faces(model, rig, X_RG)), facecolor="0.9", edgecolor="none"))
@@ -127,7 +127,7 @@ def view_panel(panel: Axes, model: EdgeModel, rig: RectifiedRig, X_RG: Array, po
     if len(drawn):
         panel.legend(loc="lower right", fontsize=8, frameon=False)
     else:
-        panel.text(0.5, 0.5, "no edge in sight", transform=panel.transAxes, ha="center")
+        panel.text(0.5, 0.5, "no visible edge", transform=panel.transAxes, ha="center")
 
 
 def _pieces(points: ControlPoints) -> Array:
@@ -138,7 +138,7 @@ def _pieces(points: ControlPoints) -> Array:
 
 
 def _faces(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> Array:
-    """(k, 3, 2) images of the faces that look at the camera and lie before it [px]."""
+    """(k, 3, 2) projections of the faces that point towards the camera and lie in front of it [px]."""
     eye_G = inverse_pose(X_RG)[:3, 3]
     triangles = np.asarray(model.surface.triangles)
     normals = np.asarray(model.surface.face_normals)

@@ -1,4 +1,4 @@
-"""Edges of a mesh to chains of vertices, and chains to straight pieces."""
+"""Edges of a mesh joined into chains of vertices, and chains cut into straight pieces."""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from polhode.records import Bools, Ints
 
 
 def chains_of(edges: Ints) -> Iterator[tuple[Ints, Ints]]:
-    """Chains of edges (m, 2) that meet two by two: vertices (k + 1,) and the edges between them (k,).
+    """Maximal chains of edges (m, 2): vertices (k + 1,) and the edges between them (k,).
 
     A chain ends where an edge ends or where three or more meet. A closed one returns to its first vertex.
     """
@@ -44,10 +44,10 @@ def _follow(
 
 
 def straight_pieces(points: Array, tolerance_m: float) -> list[tuple[int, int]]:
-    """Cut a chain (k, 3) so that each piece is straight to the tolerance: index of first and last point.
+    """Cut a chain (k, 3) into pieces straight to the tolerance: index of first and last point.
 
     Douglas and Peucker, Cartographica 10, 1973. A closed chain is first cut at the point farthest from its
-    beginning.
+    first one.
     """
     last = len(points) - 1
     if np.array_equal(points[0], points[last]):
@@ -69,7 +69,7 @@ def straight_pieces(points: Array, tolerance_m: float) -> list[tuple[int, int]]:
 
 
 def _farthest(points: Array, a: int, b: int) -> tuple[int, float]:
-    """The point between a and b that is farthest from their line [m]."""
+    """Index of the point between a and b farthest from their line, and its distance [m]."""
     if b - a < 2:
         return a, 0.0
     along = points[b] - points[a]
@@ -84,17 +84,17 @@ def _farthest(points: Array, a: int, b: int) -> tuple[int, float]:
 
 
 ROUND_TURN_DEG = 30.0
-"""Pieces that turn by less, and are of like length, stand for an arc."""
+"""Consecutive pieces with a smaller angle between them, and of similar length, approximate an arc."""
 ROUND_LENGTHS = 3.0
-"""How many times as long as its neighbour a piece of an arc may be."""
+"""Largest ratio of the lengths of consecutive pieces of an arc."""
 
 
 def tangents_along(knots: Array) -> Array:
     """Directions (k, 2, 3) of a chain at both ends of its k pieces, from its knots (k + 1, 3).
 
-    Along an arc the tangent at a knot is that of the circle through three knots; without this, the corners of
-    the polygon that stands for a circle would tell the turn about its axis, which the circle cannot. At real
-    corners and beside long straight pieces it is the piece's own direction.
+    Along an arc the tangent at a knot is that of the circle through three knots; otherwise the corners of the
+    polygon that approximates a circle would make the rotation about its axis observable, which it is not. At
+    real corners and beside long straight pieces the tangent is the piece's own direction.
     """
     pieces = np.diff(knots, axis=0)
     length = np.linalg.norm(pieces, axis=1)

@@ -1,9 +1,9 @@
-"""Which edges have contrast in sunlight: what lies on both sides of an edge, Lambert, with shadows.
+"""Contrast of edges in sunlight: radiance on both sides of an edge, Lambertian, with shadows.
 
-Seen from the eye, each side of an edge is a face of the body or the black sky. A face that looks at the Sun
-and is not in shadow has the radiance n . s, of 1 for a white face across the sunlight. An edge between equal
-radiances is not in the image, whatever its angle. Where one side is another part of the body farther behind,
-the sky is taken in its place.
+Seen from the eye, each side of an edge is a face of the body or the black sky. A face that is turned to
+the Sun and not in shadow has the radiance n . s, 1 for a white face normal to the sunlight. An edge
+between equal radiances is invisible in the image, whatever its angle. Where one side is a more
+distant part of the body, the sky is assumed instead.
 """
 
 from dataclasses import replace
@@ -15,9 +15,9 @@ from polhode.planning.edges.model.edge_model import EdgeKind, EdgeModel
 from polhode.planning.edges.model.visible_edges import ControlPoints
 
 HALF_CONTRAST = 0.1
-"""Contrast at which noise of the image and the floor (blur, model) displace an edge by equal parts."""
+"""Contrast at which image noise and the error floor (blur, model) displace an edge equally."""
 MIN_WEIGHT = 0.01
-"""Points that would count less are left out."""
+"""Points with a smaller weight are omitted."""
 
 
 def contrast(model: EdgeModel, points: ControlPoints, eye_G: Array, sun_G: Array) -> Array:
@@ -30,11 +30,11 @@ def contrast(model: EdgeModel, points: ControlPoints, eye_G: Array, sun_G: Array
     on_segment = points.feature < segments
     rim[on_segment] = model.kind[points.feature[on_segment]] == EdgeKind.BOUNDARY
     facing = np.einsum("msk,mk->ms", points.sides_G, eye_G - points.p_G)
-    # an open sheet is seen from behind, too
+    # an open sheet is also visible from behind
     normals = np.where((rim[:, None] & (facing < 0.0))[..., None], -points.sides_G, points.sides_G)
     crease = on_segment & ~rim
     seen = np.where(crease[:, None], facing > 0.0, [True, False])
-    # into the open, between the two sides: there both of them are in the light, or neither
+    # outwards, between the two sides, where both are lit or both in shadow
     outward = np.where(crease[:, None], normals.sum(axis=1), normals[:, 0])
     outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
     start = points.p_G + 3.0 * model.tolerance_m * outward
@@ -44,9 +44,9 @@ def contrast(model: EdgeModel, points: ControlPoints, eye_G: Array, sun_G: Array
 
 
 def contrast_weight(contrast: Array, half: float = HALF_CONTRAST) -> Array:
-    """Information (m,) of an edge, as a share of that with full contrast.
+    """Information (m,) of an edge, relative to that at full contrast.
 
-    White noise of the image displaces an edge in inverse proportion to its contrast c; blur and model add a
+    White image noise displaces an edge in inverse proportion to its contrast c; blur and model add a
     floor: sigma^2 = floor^2 (1 + (half / c)^2).
     """
     square = np.asarray(contrast) ** 2
@@ -56,6 +56,6 @@ def contrast_weight(contrast: Array, half: float = HALF_CONTRAST) -> Array:
 def in_sunlight(
     model: EdgeModel, points: ControlPoints, eye_G: Array, sun_G: Array, half: float = HALF_CONTRAST
 ) -> ControlPoints:
-    """The points that have contrast, their weights multiplied by what the contrast leaves of them."""
+    """The points that have contrast, their weights multiplied by `contrast_weight`."""
     share = contrast_weight(contrast(model, points, eye_G, sun_G), half)
     return replace(points, weight=points.weight * share)[share >= MIN_WEIGHT]

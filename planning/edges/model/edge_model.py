@@ -1,8 +1,8 @@
-"""Edges that a camera can see, from any mesh: creases and open rims, merged to straight segments.
+"""Edges of any mesh that a camera can see: creases and open boundaries, merged into straight segments.
 
 Smooth parts have no edges of their own; their outlines depend on the view (`outlines.py`). Corners of faces
-carry the normal of the smooth part that they belong to, so a crease splits them and a cylinder's side stays
-round.
+have the normal of the smooth part that they belong to: a crease separates them, and a cylinder's side
+remains smooth.
 """
 
 from dataclasses import dataclass, field, replace
@@ -22,50 +22,50 @@ from polhode.records import Bools, Ints
 CREASE_DEG = 30.0
 """Faces that meet at more than this angle form an edge."""
 FLAT_DEG = 0.5
-"""A part whose normals lean less from their mean is flat."""
+"""A part whose normals deviate less from their mean is flat."""
 TOLERANCE = 5e-4
-"""Edges are straight to this share of the body's diameter."""
+"""Deviation of a straight piece from the edge, as a share of the body's diameter."""
 MIN_LENGTH = 0.01
-"""Shorter edges, as a share of the body's diameter, are left out; an arc counts as a whole."""
+"""Shorter edges, as a share of the body's diameter, are omitted; an arc counts as a whole."""
 
 
 class EdgeKind(IntEnum):
-    """What makes an edge."""
+    """Origin of an edge."""
 
     CREASE = 0
     """two faces that meet at an angle"""
     BOUNDARY = 1
-    """the rim of an open mesh"""
+    """boundary of an open mesh"""
     OUTLINE = 2
     """where a smooth part turns away from the viewer"""
 
 
 @dataclass(frozen=True)
 class EdgeModel:
-    """Edges in G and the surface that hides them. Feature i < n is a segment, i >= n a smooth part."""
+    """Edges in G and the surface that occludes them. Feature i < n is a segment, i >= n a smooth part."""
 
     ends_G: Array
     """(n, 2, 3) [m]"""
     tangents_G: Array
     """(n, 2, 3) unit direction of the edge at both ends: along arcs they differ from the chord"""
     sides_G: Array
-    """(n, 2, 3) outward normals of the faces at both sides; a rim has its only face twice"""
+    """(n, 2, 3) outward normals of the faces at both sides; a boundary has its only face twice"""
     kind: Ints
-    """(n,) of Kind"""
+    """(n,) of EdgeKind"""
     surface: trimesh.Trimesh
-    """faces in G; all of it hides, whichever edges are used"""
+    """faces in G; all of them occlude, whichever edges are used"""
     corner_normals_G: Array
     """(f, 3, 3) unit normals of the smooth part at the corners of the faces"""
     part: Ints
     """(f,) curved part of each face, numbered from 0; -1 where the face is flat or belongs to a plane"""
     tolerance_m: float
-    """how far a segment may be from the mesh's edge"""
+    """largest deviation of a segment from the mesh's edge"""
     outlined: Bools
-    """(parts,) which curved parts give outlines"""
+    """(parts,) which curved parts have outlines"""
     soft: Ints
-    """(k, 4) edges that are no creases: two vertices of the surface, the faces at both sides"""
+    """(k, 4) edges that are not creases: two vertices of the surface, the faces on both sides"""
     faceted: bool
-    """outlines follow the edges of the faces, not the smooth surface that these may stand for"""
+    """outlines follow the edges of the faces, not a smooth surface that these approximate"""
     occluder: Occluder = field(repr=False, compare=False)
 
     @property
@@ -75,7 +75,7 @@ class EdgeModel:
 
     @property
     def outlined_faces(self) -> Bools:
-        """(f,) faces of the curved parts that give outlines."""
+        """(f,) faces of the curved parts that have outlines."""
         return np.append(self.outlined, False)[self.part]
 
     @property
@@ -85,7 +85,7 @@ class EdgeModel:
 
     @property
     def middle_G(self) -> Array:
-        """(3,) middle of the surface's bounding box [m]: the point that motion is told about by default."""
+        """(3,) centre of the surface's bounding box [m]: the default reference point of motions."""
         return np.asarray(self.surface.bounds.mean(axis=0))
 
     @property
@@ -94,7 +94,7 @@ class EdgeModel:
         return 0.5 * float(np.linalg.norm(np.ptp(self.surface.bounds, axis=0)))
 
     def only(self, features: Ints | Bools) -> "EdgeModel":
-        """The model with these features (indices or mask of ``size``); the whole surface still hides them."""
+        """The model with these features (indices or mask of ``size``); the whole surface still occludes."""
         keep = np.zeros(self.size, dtype=bool)
         keep[features] = True
         n = len(self.ends_G)
@@ -118,14 +118,14 @@ def edge_model(
 ) -> EdgeModel:
     """Edges of a mesh in G; smooth parts whose normals differ by less than ``flat_deg`` have no outlines.
 
-    A face given twice counts once, and a closed mesh that is inside out is turned.
+    Duplicate faces are removed, and a closed mesh with inward normals is inverted.
 
     Raises InputError for a mesh without faces or with numbers that are not finite.
     """
     if len(mesh.faces) == 0:
         raise InputError("the mesh has no faces: an edge model needs a surface")
     if not np.isfinite(mesh.vertices).all():
-        raise InputError("the mesh has vertices that are not finite numbers")
+        raise InputError("the mesh has vertices with non-finite coordinates")
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     surface.merge_vertices(merge_norm=True, merge_tex=True)
     surface.update_faces(surface.nondegenerate_faces() & surface.unique_faces())
@@ -159,12 +159,12 @@ def edge_model(
 
 
 def _is_inside_out(surface: trimesh.Trimesh) -> bool:
-    """Whether a closed surface has its normals inward, as after a mirroring; an open one has no inside."""
+    """Whether a closed surface has its normals inward, as after a reflection; an open one has no inside."""
     return bool(surface.is_watertight and surface.is_winding_consistent and surface.volume < 0.0)
 
 
 def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Array, Ints, Ints]:
-    """Edges (m, 2), normals of their sides (m, 2, 3), kinds (m,); the other edges, as in ``soft``."""
+    """Edges (m, 2), normals of their sides (m, 2, 3), kinds (m,); the others, as in ``EdgeModel.soft``."""
     ordered = np.sort(surface.edges, axis=1)
     unique, of_edge, count = np.unique(ordered, axis=0, return_inverse=True, return_counts=True)
     faces = surface.edges_face[np.argsort(of_edge.reshape(-1), kind="stable")]
@@ -183,14 +183,14 @@ def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Arr
 
 
 def _smooth_parts(faces: int, joined: Ints) -> Ints:
-    """Faces that join smoothly, numbered: (f,)."""
+    """Number (f,) of the smooth part of each face."""
     graph = coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(faces, faces))
     _, part = connected_components(graph, directed=False)
     return np.asarray(part, dtype=np.int64)
 
 
 def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
-    """Mean of the faces around a vertex within the smooth part (f, 3, 3).
+    """Mean normal of the faces around a vertex within its smooth part (f, 3, 3).
 
     Weights of Max, "Weights for computing vertex normals from facet normals", J. Graphics Tools 4, 1999:
     exact for vertices on a sphere.
@@ -211,15 +211,15 @@ def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
 
 
 def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints, flat_deg: float) -> Bools:
-    """(parts,) whether any corner of a part leans away from the part's mean normal by more than this."""
+    """(parts,) whether any corner normal of a part deviates from the part's mean by more than this."""
     count = int(part.max()) + 1
     mean = np.zeros((count, 3))
     np.add.at(mean, part, np.asarray(surface.area_faces)[:, None] * np.asarray(surface.face_normals))
     length = np.linalg.norm(mean, axis=1, keepdims=True)
     mean = np.where(length > 0.0, mean / np.maximum(length, 1e-300), 0.0)
-    least = np.ones(count)
-    np.minimum.at(least, part, np.einsum("fck,fk->fc", corners, mean[part]).min(axis=1))
-    return np.asarray(least < np.cos(np.radians(flat_deg)))
+    lowest = np.ones(count)
+    np.minimum.at(lowest, part, np.einsum("fck,fk->fc", corners, mean[part]).min(axis=1))
+    return np.asarray(lowest < np.cos(np.radians(flat_deg)))
 
 
 def _segments(

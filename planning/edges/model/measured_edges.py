@@ -1,7 +1,7 @@
-"""Edges of a measured mesh: as few faces as its errors allow, so that flat places become large ones.
+"""Edges of a measured mesh, after simplification to as few faces as its errors allow.
 
-Marching cubes cuts a surface into small faces whose angles are noise; quadric simplification (Garland and
-Heckbert, SIGGRAPH 1997) removes them first where the surface is flat.
+Marching cubes divides a surface into small faces whose angles are noise; quadric simplification (Garland and
+Heckbert, SIGGRAPH 1997) first merges them where the surface is flat.
 """
 
 import fast_simplification
@@ -13,18 +13,17 @@ from polhode.lie import Array
 from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
 from polhode.records import Ints
 
-LADDER = 0.6
-"""Each try has this share of the faces of the one before."""
-FEWEST = 60
-"""Faces."""
-KEPT_SHARE = 0.95
-"""So much of both surfaces is within the tolerance of the other."""
+REDUCTION = 0.6
+"""Ratio of the numbers of faces of successive simplifications."""
+MIN_FACES = 60
+MIN_AGREEMENT = 0.95
+"""Smallest share of either surface that is within the tolerance of the other."""
 MEASURED_TOLERANCE = 2e-3
-"""Least tolerance for a measured mesh, as a share of its diameter."""
+"""Smallest tolerance for a measured mesh, as a share of its diameter."""
 MEASURED_MIN_LENGTH = 0.025
 """Shorter edges of a measured mesh are noise, as a share of its diameter."""
 MEASURED_FLAT_DEG = 20.0
-"""The normals of a measured plane lean by less from their mean."""
+"""The normals of a measured plane deviate by less from their mean."""
 _SAMPLES = 20_000
 
 
@@ -44,28 +43,28 @@ def measured_edge_model(mesh: trimesh.Trimesh, sigma_m: Array) -> EdgeModel:
 
 
 def simplified(mesh: trimesh.Trimesh, tolerance_m: float) -> trimesh.Trimesh:
-    """The mesh with the fewest faces of which 95 % are within the tolerance of the other, both ways.
+    """The coarsest simplification that agrees with the mesh: 95 % of either within the tolerance.
 
-    The mesh itself where no simpler one does.
+    The mesh itself where no simplification does.
     """
     best = mesh
-    if len(mesh.faces) <= FEWEST:
+    if len(mesh.faces) <= MIN_FACES:
         return best
     points, normals = _samples(mesh)
     tree = cKDTree(points)
-    faces = LADDER * len(mesh.faces)
-    while faces >= FEWEST:
+    faces = REDUCTION * len(mesh.faces)
+    while faces >= MIN_FACES:
         tried = _reduced(best, int(faces))
-        # Asked for less than the quadrics can do, the mesh stays as it is.
+        # Below what quadric simplification can reach, it returns the mesh nearly unchanged.
         if len(tried.faces) == 0 or len(tried.faces) > 0.98 * len(best.faces):
             break
         own, own_normals = _samples(tried)
-        back = _off(cKDTree(own), own, own_normals, points)
-        off = _off(tree, points, normals, own), back
-        if min(float((d <= tolerance_m).mean()) for d in off) < KEPT_SHARE:
+        back = _distance(cKDTree(own), own, own_normals, points)
+        distances = _distance(tree, points, normals, own), back
+        if min(float((d <= tolerance_m).mean()) for d in distances) < MIN_AGREEMENT:
             break
         best = tried
-        faces *= LADDER
+        faces *= REDUCTION
     return best
 
 
@@ -80,17 +79,17 @@ def _reduced(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
 
 
 def _samples(mesh: trimesh.Trimesh) -> tuple[Array, Array]:
-    """Points (n, 3) spread over the surface and the normals of their faces (n, 3); the same each time."""
+    """Points (n, 3) sampled on the surface, the normals of their faces (n, 3); deterministic."""
     points, face = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)
     which: Ints = np.asarray(face)
     return np.asarray(points), np.asarray(mesh.face_normals)[which]
 
 
-def _off(tree: cKDTree, points: Array, normals: Array, other: Array) -> Array:
-    """Distance (m,) of points from the plane of the nearest sample, sideways where the surface has ended."""
+def _distance(tree: cKDTree, points: Array, normals: Array, other: Array) -> Array:
+    """Distance (m,) of points from the plane of the nearest sample, beyond a boundary from the sample."""
     distance, nearest = tree.query(other, k=4)
     gap = other[:, None] - points[nearest]
     across = np.abs(np.einsum("mkc,mkc->mk", gap, normals[nearest]))
-    # Near samples speak for the plane; far ones tell that there is no surface.
+    # Close to samples the distance to the plane counts; far from them there is no surface.
     spacing = 3.0 * float(np.median(distance[:, 0])) + 1e-12
     return np.asarray(np.where(distance[:, 0] < spacing, across.min(axis=1), distance[:, 0]))

@@ -1,4 +1,4 @@
-"""What a body hides: rays in embree, in single precision around the body's middle."""
+"""Occlusion by a body: ray casting with Embree, in single precision about the body's centre."""
 
 import numpy as np
 import trimesh
@@ -9,7 +9,7 @@ from polhode.records import Bools
 
 
 class Occluder:
-    """A mesh in G that stands in the way of rays."""
+    """A mesh in G that blocks rays."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         bounds = np.asarray(mesh.bounds)
@@ -18,7 +18,7 @@ class Occluder:
         self._scene = RayScene(np.asarray(mesh.triangles) - self._middle)
 
     def hides(self, eye_G: Array, p_G: Array, clearance_m: float) -> Bools:
-        """(m,) true where the body stands between the eye (3,) and points (m, 3), short of the clearance."""
+        """(m,) true where the body blocks the ray from the eye (3,) to points (m, 3), less the clearance."""
         if len(p_G) == 0:
             return np.zeros(0, dtype=bool)
         ray = p_G - eye_G
@@ -30,9 +30,9 @@ class Occluder:
         return self._scene.blocked(start, direction, np.maximum(distance - skip - clearance_m, 0.0))
 
     def shades(self, towards_G: Array, p_G: Array, clearance_m: float) -> Bools:
-        """(m,) true where the body stands between points (m, 3) and a light far away, towards (3,)."""
+        """(m,) true where the body blocks the light of a distant source towards (3,) from points (m, 3)."""
         if len(p_G) == 0:
             return np.zeros(0, dtype=bool)
         direction = np.broadcast_to(towards_G / np.linalg.norm(towards_G), p_G.shape)
-        reach = np.full(len(p_G), 4.0 * self._radius_m)
-        return self._scene.blocked(p_G - self._middle + clearance_m * direction, direction, reach)
+        range_m = np.full(len(p_G), 4.0 * self._radius_m)
+        return self._scene.blocked(p_G - self._middle + clearance_m * direction, direction, range_m)

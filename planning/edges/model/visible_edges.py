@@ -1,8 +1,8 @@
 """Control points: the edges of a model that a camera sees from one pose, sampled every few pixels.
 
-``control_points`` are all of them, each line of the image once. ``clear_points`` are those that stand clear
-of other edges: where two edges run side by side the image shows one, somewhere between them. The same happens
-at a face seen edge-on, whose far side may be hidden at one pose and visible at the next.
+``control_points`` returns all of them, each line of the image once; ``clear_points`` only those separated
+from other edges: of two adjacent parallel edges an image shows one, somewhere between them. The same occurs
+at a face seen edge-on, whose far side may be occluded at one pose and visible at the next.
 """
 
 from dataclasses import dataclass, fields
@@ -17,13 +17,13 @@ from polhode.planning.edges.model.outlines import outlines
 from polhode.records import Bools, Ints
 
 SPACING_PX = 10.0
-"""Between control points along an edge."""
+"""Spacing of control points along an edge."""
 MERGED_PX = 2.0
-"""Parallel edges nearer than this in the image are one."""
+"""Parallel edges closer than this in the image are merged."""
 PARALLEL = 0.97
 """Cosine of the angle between such edges."""
 _NEAR = 0.02
-"""What is nearer to the camera than this share of the body's radius is cut off."""
+"""Near clipping plane, as a share of the body's radius."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,13 @@ class ControlPoints:
     uv_px: Array
     """(m, 2) in the image"""
     normal_px: Array
-    """(m, 2) unit, across the edge in the image"""
+    """(m, 2) unit, normal to the edge in the image"""
     feature: Ints
     """(m,) edge of the model: segments first, then smooth parts"""
     weight: Array
-    """(m,) length of edge that the point stands for, over the spacing"""
+    """(m,) length of edge that the point represents, over the spacing"""
     sides_G: Array
-    """(m, 2, 3) normals of the surface at both sides; an outline has its own twice"""
+    """(m, 2, 3) normals of the surface on both sides; an outline has its own twice"""
 
     def __len__(self) -> int:
         return len(self.feature)
@@ -53,7 +53,7 @@ class ControlPoints:
 def control_points(
     model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: float = SPACING_PX
 ) -> ControlPoints:
-    """What the rectified left camera sees of the model at X_RG (4, 4); nothing behind it or off its image."""
+    """Edges of the model at X_RG (4, 4) that the rectified left camera sees, within its image."""
     near_m = _NEAR * model.radius_m
     segments = _on_segments(model, rig, X_RG, spacing_px, near_m)
     turned_away = _on_outlines(model, rig, X_RG, spacing_px, near_m)
@@ -61,7 +61,7 @@ def control_points(
 
 
 def without_duplicates(points: ControlPoints, spacing_px: float) -> ControlPoints:
-    """The points without those whose edge another, longer in this view, covers: an image has it once."""
+    """The points without those of an edge that coincides in the image with another, longer one."""
     if len(points) < 2:
         return points
     tree = cKDTree(points.uv_px)
@@ -84,7 +84,7 @@ def without_duplicates(points: ControlPoints, spacing_px: float) -> ControlPoint
 def _on_segments(
     model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: float, near_m: float
 ) -> ControlPoints:
-    """Points at the middle of equal steps of each segment in the image."""
+    """Points at the centres of equal steps of each segment in the image."""
     ends_R = transform_points(X_RG, model.ends_G.reshape(-1, 3)).reshape(-1, 2, 3)
     piece, share, length_px = _steps(ends_R, rig, spacing_px, near_m)
     p_G = _between(model.ends_G[piece], share)
@@ -94,49 +94,49 @@ def _on_segments(
     points = ControlPoints(
         p_G, rig.project(p_R)[:, :2], normal, piece, length_px / spacing_px, model.sides_G[piece]
     )[well]
-    # A chord lies inside the arc that it stands for.
+    # A chord lies inside the arc that it approximates.
     outward = points.sides_G.sum(axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
     lift = np.where(model.kind[points.feature] == EdgeKind.BOUNDARY, 0.0, 1.5 * model.tolerance_m)
-    return _in_sight(points, model, X_RG, lift[:, None] * outward)
+    return _unoccluded(points, model, X_RG, lift[:, None] * outward)
 
 
 def _on_outlines(
     model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: float, near_m: float
 ) -> ControlPoints:
     """Points at equal steps along all outlines of a view, whose pieces are shorter than a step."""
-    found = outlines(model, inverse_pose(X_RG)[:3, 3])
-    ends_R = transform_points(X_RG, found.ends_G.reshape(-1, 3)).reshape(-1, 2, 3)
+    contours = outlines(model, inverse_pose(X_RG)[:3, 3])
+    ends_R = transform_points(X_RG, contours.ends_G.reshape(-1, 3)).reshape(-1, 2, 3)
     piece, share, length_px = _steps(ends_R, rig, spacing_px, near_m)
     piece, share = _thinned(piece, share, length_px, spacing_px)
-    p_G, normal_G = _between(found.ends_G[piece], share), _between(found.normals_G[piece], share)
+    p_G, normal_G = _between(contours.ends_G[piece], share), _between(contours.normals_G[piece], share)
     normal_G /= np.maximum(np.linalg.norm(normal_G, axis=1, keepdims=True), 1e-12)
     normal, well = _across(normal_G @ X_RG[:3, :3].T)
     p_R = transform_points(X_RG, p_G)
-    feature = len(model.ends_G) + found.part[piece]
+    feature = len(model.ends_G) + contours.part[piece]
     weight = np.ones(len(piece))
     sides = np.stack([normal_G, normal_G], axis=1)
     points = ControlPoints(p_G, rig.project(p_R)[:, :2], normal, feature, weight, sides)[well]
-    lift = model.tolerance_m + 2.0 * found.bulge_m[piece][well]
-    return _in_sight(points, model, X_RG, lift[:, None] * normal_G[well])
+    lift = model.tolerance_m + 2.0 * contours.bulge_m[piece][well]
+    return _unoccluded(points, model, X_RG, lift[:, None] * normal_G[well])
 
 
-def _in_sight(points: ControlPoints, model: EdgeModel, X_RG: Array, lift_G: Array) -> ControlPoints:
-    """The points that no face hides, looked for a little above the surface."""
+def _unoccluded(points: ControlPoints, model: EdgeModel, X_RG: Array, lift_G: Array) -> ControlPoints:
+    """The points that no face occludes, tested slightly above the surface."""
     eye_G = inverse_pose(X_RG)[:3, 3]
     return points[~model.occluder.hides(eye_G, points.p_G + lift_G, 2.0 * model.tolerance_m)]
 
 
 def _steps(ends_R: Array, rig: RectifiedRig, spacing_px: float, near_m: float) -> tuple[Ints, Array, Array]:
-    """Equal steps in the image, at most ``spacing_px`` long, of what lies before the camera and in its image.
+    """Equal steps in the image, at most ``spacing_px`` long, of the parts of segments in the field of view.
 
-    Returns the segment (m,) of each step, the share (m,) of the segment in space at its middle, its length in
-    the image (m,) [px].
+    Returns the segment (m,) of each step, the fraction (m,) along the segment in space of its centre, its
+    length in the image (m,) [px].
     """
     start, end = _ahead(ends_R, near_m)
     a_R, b_R = _between(ends_R, start), _between(ends_R, end)
-    there = (end > start) & (a_R[:, 2] > 0.0) & (b_R[:, 2] > 0.0)
-    own = np.flatnonzero(there)
+    visible = (end > start) & (a_R[:, 2] > 0.0) & (b_R[:, 2] > 0.0)
+    own = np.flatnonzero(visible)
     a_R, b_R, start, end = a_R[own], b_R[own], start[own], end[own]
     a, b = rig.project(a_R)[:, :2], rig.project(b_R)[:, :2]
     enter, leave = _in_image(a, b, rig)
@@ -153,14 +153,14 @@ def _steps(ends_R: Array, rig: RectifiedRig, spacing_px: float, near_m: float) -
 
 
 def _thinned(piece: Ints, share: Array, length_px: Array, spacing_px: float) -> tuple[Ints, Array]:
-    """Of short steps, those that hold the middles of longer ones."""
+    """Of short steps, those that contain the centres of steps of the full spacing."""
     reached = np.cumsum(length_px) / spacing_px + 0.5
     keep = np.floor(reached) > np.floor(reached - length_px / spacing_px)
     return piece[keep], share[keep]
 
 
 def _ahead(ends_R: Array, near_m: float) -> tuple[Array, Array]:
-    """From which to which share (n,) segments lie farther than near_m along the optical axis."""
+    """Fractions (n,) between which segments lie beyond near_m along the optical axis."""
     z0, z1 = ends_R[:, 0, 2], ends_R[:, 1, 2]
     slope = z1 - z0
     at = (near_m - z0) / np.where(np.abs(slope) > 1e-12, slope, 1.0)
@@ -170,7 +170,7 @@ def _ahead(ends_R: Array, near_m: float) -> tuple[Array, Array]:
 
 
 def _in_image(a: Array, b: Array, rig: RectifiedRig) -> tuple[Array, Array]:
-    """From which to which share (n,) lines a to b (n, 2) [px] lie in the image (Liang and Barsky, 1984)."""
+    """Fractions (n,) between which lines a to b (n, 2) [px] lie in the image (Liang and Barsky, 1984)."""
     enter, leave = np.zeros(len(a)), np.ones(len(a))
     for axis, size in enumerate((rig.width_px, rig.height_px)):
         step = b[:, axis] - a[:, axis]
@@ -186,12 +186,12 @@ def _in_image(a: Array, b: Array, rig: RectifiedRig) -> tuple[Array, Array]:
 
 
 def _between(ends: Array, share: Array) -> Array:
-    """Places (n, 3) at shares (n,) of (n, 2, 3)."""
+    """Points (n, 3) at fractions (n,) of segments (n, 2, 3)."""
     return np.asarray(ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0]))
 
 
 def _across(plane_R: Array) -> tuple[Array, Bools]:
-    """Unit normals (m, 2) in the image of planes through the camera (m, 3), and where there is one."""
+    """Unit normals (m, 2) in the image of planes through the camera (m, 3), and whether they exist."""
     length = np.linalg.norm(plane_R[:, :2], axis=1)
     well = length > 1e-9 * np.maximum(np.linalg.norm(plane_R, axis=1), 1e-300)
     return plane_R[:, :2] / np.where(well, length, 1.0)[:, None], np.asarray(well)
@@ -204,23 +204,23 @@ def _join(first: ControlPoints, second: ControlPoints) -> ControlPoints:
 
 
 SAME_PX = 0.5
-"""Edges nearer than this across are one edge, cut in pieces."""
+"""Edges with a smaller lateral distance are pieces of one edge."""
 EDGE_ON = 0.05
-"""Sine of the angle to a face's plane below which it is seen edge-on: half a metre looks 4 px wide at 4 m."""
+"""Sine of the angle to a face's plane below which it is seen edge-on: half a metre is 4 px wide at 4 m."""
 SEPARATION_PX = 4.0
 
 
 def clear_points(
     model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: float, separation_px: float = SEPARATION_PX
 ) -> ControlPoints:
-    """Control points of a view, less those that the image cannot tell from others."""
+    """Control points of a view, without those that are ambiguous in the image."""
     points = control_points(model, rig, X_RG, spacing_px)
     points = points[~beside_edge_on_face(points, model, X_RG)]
     return points[is_separated(points, separation_px)]
 
 
 def beside_edge_on_face(points: ControlPoints, model: EdgeModel, X_RG: Array) -> Bools:
-    """(m,) of the points on segments: whether a face beside it is seen edge-on."""
+    """(m,) whether a point lies on a segment with an adjacent face seen edge-on."""
     ray = points.p_G - inverse_pose(X_RG)[:3, 3]
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     sine = np.abs(np.einsum("msk,mk->ms", points.sides_G, ray)).min(axis=1)
@@ -228,14 +228,14 @@ def beside_edge_on_face(points: ControlPoints, model: EdgeModel, X_RG: Array) ->
 
 
 def is_separated(points: ControlPoints, min_px: float) -> Bools:
-    """(m,) false where one of another edge is nearer than ``min_px``, beside this one, not along it."""
+    """(m,) false where a point of another edge lies within ``min_px`` beside this one, not along it."""
     clear = np.ones(len(points), dtype=bool)
     if len(points) == 0:
         return clear
     pairs = cKDTree(points.uv_px).query_pairs(min_px, output_type="ndarray")
     pairs = pairs[points.feature[pairs[:, 0]] != points.feature[pairs[:, 1]]]
-    apart = points.uv_px[pairs[:, 0]] - points.uv_px[pairs[:, 1]]
+    separation = points.uv_px[pairs[:, 0]] - points.uv_px[pairs[:, 1]]
     for one in pairs.T:
-        across = np.abs(np.einsum("mk,mk->m", apart, points.normal_px[one]))
+        across = np.abs(np.einsum("mk,mk->m", separation, points.normal_px[one]))
         clear[one[across > SAME_PX]] = False
     return clear

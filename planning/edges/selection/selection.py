@@ -1,23 +1,23 @@
-"""Which edges to use under a budget: greedy selection, upper bounds on any selection, and the best of few.
+"""Selection of edges under a budget: greedy, upper bounds on any selection, and the optimum for few edges.
 
-For features with information C_ti in view t (shifts in radii, turns in radians, noise of one pixel), a set S
-has M_t(S) = I + sum of C_ti. The unit matrix is a prior of one radius and one radian: with it the empty set
-has a value too, and it is negligible against the information of the edges. Two values, both means over the
-views, both 0 for the empty set and never smaller for more edges:
+For features with information C_ti in view t (translations in radii, rotations in radians, one pixel of
+noise), a set S has M_t(S) = I + sum of C_ti. The identity is a prior of one radius and one radian: it gives
+the empty set a finite value, and it is negligible against the information of the edges. Two values, both
+means over the views, both 0 for the empty set and non-decreasing in the set:
 
-log_det: log det M_t. Submodular: the gain of an edge falls as others join it. Greedy is then at least 1 - 1/e
-    = 63 % of the best under a budget of number (Nemhauser, Wolsey, Fisher, Math. Programming 14, 1978), and
-    an edge's earlier gain bounds its later one, so most gains need not be computed again (lazy evaluation:
-    Minoux, 1978). Under a budget of length the better of greedy by value and greedy by value per metre is at
+log_det: log det M_t. Submodular: the gain of an edge falls as the set grows. Greedy is then at least 1 - 1/e
+    = 63 % of the optimum under a cardinality budget (Nemhauser, Wolsey, Fisher, Math. Programming 14, 1978),
+    and an edge's earlier gain bounds its later one, so most gains need not be recomputed (lazy evaluation:
+    Minoux, 1978). Under a length budget the better of greedy by value and greedy by value per metre is at
     least half of that (Leskovec et al., KDD 2007).
 trace: 6 - tr M_t^-1, the fall of the summed variances (A-optimality). Not submodular: two edges together may
-    determine what neither determines alone. No such constant holds; the bound is the one computed afterwards
-    for the very case (`upper_bound`), which holds for both values and is mostly much closer. What counts is
-    how much of the 6 remains, so greedy is followed by exchanges of one edge for another.
+    determine what neither determines alone. No such constant exists; the bound is computed afterwards for
+    the case at hand (`upper_bound`), which is valid for both values and usually much tighter. What counts
+    is how much of the 6 remains, so greedy is followed by exchanges of one edge for another.
 
-Both values are concave in shares w of the edges, 0 <= w <= 1. The plane that touches a concave function at
-any w lies above it; its highest point within the budget is a fractional knapsack. So each w gives a bound on
-the best selection, and the steps of Frank and Wolfe (Naval Research Logistics 3, 1956) tighten it. With this
+Both values are concave in fractions w of the edges, 0 <= w <= 1. The tangent plane of a concave function at
+any w lies above it; its maximum within the budget is a fractional knapsack. So each w gives a bound on the
+best selection, and the steps of Frank and Wolfe (Naval Research Logistics 3, 1956) tighten it. With this
 bound, branch and bound finds the best selection.
 """
 
@@ -34,8 +34,6 @@ from polhode.planning.edges.model.outlines import outlines
 from polhode.records import Bools, Ints
 
 Value = Literal["log_det", "trace"]
-GREEDY_SHARE = 1.0 - float(np.exp(-1.0))
-"""Of the best log_det, in number; half of it in length."""
 OUTLINE_VIEWS = 30
 
 
@@ -48,7 +46,7 @@ class EdgeSelection:
     value: float
     cost: float
     evaluations: int
-    """how often the value of a set was computed"""
+    """number of sets whose value was computed"""
 
 
 def value_of(M: Array, value: Value) -> Array:
@@ -59,43 +57,43 @@ def value_of(M: Array, value: Value) -> Array:
 
 
 def value_of_set(scaled: Array, features: Ints, value: Value) -> float:
-    """Of features (k,) with scaled information (T, n, 6, 6)."""
+    """Value of features (k,) with scaled information (T, n, 6, 6)."""
     return float(value_of(np.eye(6) + scaled[:, features].sum(axis=1), value))
 
 
 def greedy(scaled: Array, budget: float, value: Value, cost: Array | None = None) -> EdgeSelection:
     """A set of features of scaled information (T, n, 6, 6) whose cost is within the budget.
 
-    ``cost`` (n,) is 1 for each feature unless given, as in `edge_lengths`. Ties go to the lower number.
-    Raises InputError for a budget that no feature fits into.
+    ``cost`` (n,) is 1 for each feature unless given, as in `edge_lengths`. Ties go to the lower index.
+    Raises InputError for a budget that is smaller than every cost.
     """
     price = np.ones(scaled.shape[1]) if cost is None else np.asarray(cost, dtype=np.float64)
     check(price, budget)
-    tells = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
-    plain = _greedy(scaled, budget, value, price, tells, np.ones(len(price)))
+    informative = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
+    by_value = _greedy(scaled, budget, value, price, informative, np.ones(len(price)))
     if np.ptp(price) < 1e-12 * price.max():
-        return plain
-    for_its_price = _greedy(scaled, budget, value, price, tells, price)
-    best = for_its_price if for_its_price.value > plain.value else plain
-    return replace(best, evaluations=plain.evaluations + for_its_price.evaluations)
+        return by_value
+    by_price = _greedy(scaled, budget, value, price, informative, price)
+    best = by_price if by_price.value > by_value.value else by_value
+    return replace(best, evaluations=by_value.evaluations + by_price.evaluations)
 
 
 def check(price: Array, budget: float) -> None:
-    """Raises InputError where nothing can be chosen."""
+    """Raises InputError where no feature can be selected."""
     if not np.isfinite(price).all() or (price <= 0.0).any():
         raise InputError("costs of edges must be positive")
     if len(price) == 0 or price.min() > budget:
-        raise InputError(f"a budget of {budget:g} has room for no edge")
+        raise InputError(f"a budget of {budget:g} is smaller than the cost of every edge")
 
 
 def _greedy(
-    scaled: Array, budget: float, value: Value, price: Array, tells: Bools, divisor: Array
+    scaled: Array, budget: float, value: Value, price: Array, informative: Bools, divisor: Array
 ) -> EdgeSelection:
-    """Add what adds most, over the divisor, of what still fits."""
+    """Repeatedly add the feature with the largest gain over its divisor that fits the budget."""
     M = np.tile(np.eye(6), (len(scaled), 1, 1))
     chosen: list[int] = []
     now, left = 0.0, float(budget) + 1e-12 * abs(budget)
-    candidates = np.flatnonzero(tells & (price <= left))
+    candidates = np.flatnonzero(informative & (price <= left))
     gain = value_of(M + np.swapaxes(scaled[:, candidates], 0, 1), value)
     evaluations = len(candidates)
     # (minus the gain, feature, size of the set when it was computed)
@@ -130,18 +128,18 @@ def _greedy(
 def improved_by_exchange(
     scaled: Array, start: EdgeSelection, budget: float, value: Value, cost: Array | None = None
 ) -> EdgeSelection:
-    """The choice after exchanges of one chosen feature for another, the best one first, while they help.
+    """The selection after exchanges of one feature for another, best first, while they improve it.
 
-    Fedorov, Theory of Optimal Experiments, 1972. Never worse than the start.
+    Fedorov, Theory of Optimal Experiments, 1972. The result is never worse than the start.
     """
     n = scaled.shape[1]
     price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
     chosen, now, evaluations = list(start.features.tolist()), start.value, start.evaluations
     spent = float(price[chosen].sum())
-    tells = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
+    informative = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
     while True:
         M = np.eye(6) + scaled[:, chosen].sum(axis=1)
-        free = np.setdiff1d(np.flatnonzero(tells), chosen)
+        free = np.setdiff1d(np.flatnonzero(informative), chosen)
         best = (now * (1.0 + 1e-12), -1, -1)
         for place, i in enumerate(chosen):
             fits = free[spent - price[i] + price[free] <= budget * (1.0 + 1e-12)]
@@ -162,7 +160,7 @@ def improved_by_exchange(
 
 
 def edge_lengths(model: EdgeModel) -> Array:
-    """(size,) [m]: of segments; of smooth parts the mean length of their outlines, seen from all around."""
+    """(size,) [m]: lengths of segments; of smooth parts the mean length of their outlines over all views."""
     total = np.zeros(len(model.outlined))
     k = np.arange(OUTLINE_VIEWS) + 0.5
     # evenly over the sphere, along a spiral of the golden angle
@@ -170,9 +168,9 @@ def edge_lengths(model: EdgeModel) -> Array:
     towards = np.column_stack([np.sqrt(1 - z**2) * np.cos(around), np.sqrt(1 - z**2) * np.sin(around), z])
     if model.outlined.any():
         for eye_G in model.middle_G + 20.0 * model.radius_m * towards:
-            found = outlines(model, eye_G)
-            np.add.at(total, found.part, np.linalg.norm(found.ends_G[:, 1] - found.ends_G[:, 0], axis=1))
-    # a flat part has no outline: any positive length will do
+            seen = outlines(model, eye_G)
+            np.add.at(total, seen.part, np.linalg.norm(seen.ends_G[:, 1] - seen.ends_G[:, 0], axis=1))
+    # a flat part has no outline: any positive length serves
     curved = np.maximum(total / OUTLINE_VIEWS, model.tolerance_m)
     return np.concatenate([model.lengths_m, curved])
 
@@ -186,18 +184,18 @@ HALVINGS = 8
 
 @dataclass(frozen=True)
 class _PartialSelection:
-    """A choice, some of it made."""
+    """A node of the branch and bound: features included, excluded or open."""
 
     taken: Bools
     """(n,)"""
     open_: Bools
-    """(n,) not decided"""
+    """(n,) undecided"""
 
 
 def upper_bound(
     scaled: Array, budget: float, value: Value, cost: Array | None = None, steps: int = STEPS
 ) -> float:
-    """No set of features of scaled information (T, n, 6, 6) within the budget has a larger value."""
+    """Upper bound of the value of any set of features (T, n, 6, 6) within the budget."""
     n = scaled.shape[1]
     price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
     check(price, budget)
@@ -206,15 +204,15 @@ def upper_bound(
 
 
 def best_selection(scaled: Array, budget: float, value: Value, cost: Array | None = None) -> EdgeSelection:
-    """The set of the largest value within the budget. For tens of features.
+    """The set of the largest value within the budget, for tens of features.
 
-    Raises InputError where it would take too long, or when no feature fits.
+    Raises InputError after too many branches, or when no feature fits the budget.
     """
     n = scaled.shape[1]
     price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
     best = improved_by_exchange(scaled, greedy(scaled, budget, value, price), budget, value, price)
-    tells = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
-    stack = [_PartialSelection(np.zeros(n, dtype=bool), tells)]
+    informative = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
+    stack = [_PartialSelection(np.zeros(n, dtype=bool), informative)]
     branches = 0
     while stack:
         case = stack.pop()
@@ -229,7 +227,7 @@ def best_selection(scaled: Array, budget: float, value: Value, cost: Array | Non
         branches += 1
         if branches > MAX_BRANCHES:
             raise InputError(
-                f"the best of {n} edges was not found in {MAX_BRANCHES} branches; take the greedy choice"
+                f"no optimum of {n} edges within {MAX_BRANCHES} branches; use the greedy selection"
             )
         bound, shares = _bound(scaled, budget, value, price, case, BRANCH_STEPS, stop_below=best.value)
         if bound <= best.value + CLOSE:
@@ -251,26 +249,26 @@ def _bound(
     steps: int,
     stop_below: float = -np.inf,
 ) -> tuple[float, Array]:
-    """Upper bound of what can still become of a case, and shares (n,) that come near it."""
+    """Upper bound of the value that a node can reach, and fractions (n,) that nearly attain it."""
     left = budget - float(price[case.taken].sum())
     w = np.where(case.taken, 1.0, 0.0)
     w = w + np.where(case.open_, min(1.0, left / max(float(price[case.open_].sum()), 1e-300)), 0.0)
-    lowest = np.inf
+    bound = np.inf
     for _ in range(steps):
         M = np.eye(6) + np.einsum("n,tnij->tij", w, scaled)
         slope = _slope(scaled, M, value)
         corner = _knapsack(slope, price, left, case)
         rest = float(slope @ (corner - w))
-        lowest = min(lowest, float(value_of(M, value)) + rest)
-        if lowest <= stop_below + CLOSE or rest < CLOSE:
+        bound = min(bound, float(value_of(M, value)) + rest)
+        if bound <= stop_below + CLOSE or rest < CLOSE:
             break
         step = np.einsum("n,tnij->tij", corner - w, scaled)
-        w = w + _along(M, step, value) * (corner - w)
-    return lowest, w
+        w = w + _step_length(M, step, value) * (corner - w)
+    return bound, w
 
 
 def _slope(scaled: Array, M: Array, value: Value) -> Array:
-    """Derivative (n,) of the value by the shares."""
+    """Derivative (n,) of the value with respect to the fractions."""
     inverse = np.linalg.inv(M)
     if value == "trace":
         inverse = inverse @ inverse
@@ -278,7 +276,7 @@ def _slope(scaled: Array, M: Array, value: Value) -> Array:
 
 
 def _knapsack(slope: Array, price: Array, left: float, case: _PartialSelection) -> Array:
-    """Shares (n,) of the largest sum of slopes: the dearest first, the last one in part."""
+    """Fractions (n,) of the largest sum of slopes: by slope per cost, the last one in part."""
     w = np.where(case.taken, 1.0, 0.0)
     members = np.flatnonzero(case.open_)
     order = members[np.argsort(-slope[members] / price[members], kind="stable")]
@@ -287,8 +285,8 @@ def _knapsack(slope: Array, price: Array, left: float, case: _PartialSelection) 
     return w
 
 
-def _along(M: Array, step: Array, value: Value) -> float:
-    """Where between 0 and 1 the value along M + s step is largest: halving by the sign of the slope."""
+def _step_length(M: Array, step: Array, value: Value) -> float:
+    """Step length in [0, 1] that maximizes the value along M + s step: bisection on the slope."""
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         s = 0.5 * (low + high)

@@ -113,7 +113,7 @@ def test_the_best_few_edges_and_the_fewest_that_do(box: Path, tmp_path: Path, ca
     word = ["observability", str(box), "--trajectory", str(poses), "-o", str(out)]
     assert main([*word, "--edges", "5", "--fewest"]) == 0
     shown = capsys.readouterr().out
-    assert "edges are enough" in shown and "The best 5 edges" in shown
+    assert "edges suffice" in shown and "The best 5 edges" in shown
     found = json.loads((out / "observability.json").read_text())["choice"]
     smallest, best = found["smallest_set"], found["best"]
     assert max(smallest["ratio"]) <= 1.1 and smallest["at_least"] <= len(smallest["edges"]) <= 9
@@ -144,9 +144,9 @@ def test_sunlight_takes_edges_away(box: Path, tmp_path: Path, capsys: Capture) -
 @pytest.mark.parametrize(
     ("mesh", "places", "words"),
     [
-        (trimesh.creation.icosphere(3, 0.5), approach(2), "turns about"),
-        (trimesh.creation.box((1.0, 0.6, 0.4)), approach(2, -4.0, -2.0), "no edge is in sight"),
-        (trimesh.creation.cylinder(0.4, 0.8, sections=64), approach(2), "are not seen"),
+        (trimesh.creation.icosphere(3, 0.5), approach(2), "rotation about"),
+        (trimesh.creation.box((1.0, 0.6, 0.4)), approach(2, -4.0, -2.0), "no edge is visible"),
+        (trimesh.creation.cylinder(0.4, 0.8, sections=64), approach(2), "is unobservable"),
     ],
     ids=["sphere", "behind the camera", "cylinder"],
 )
@@ -158,7 +158,7 @@ def test_what_is_not_told_is_infinite_and_said(
     poses = trajectory(tmp_path / "poses.txt", places)
     assert main(["observability", str(file), "--trajectory", str(poses), "-o", str(out)]) == 0
     shown = capsys.readouterr().out
-    assert words in shown and "inf" in shown and "not told by any pose" in shown
+    assert words in shown and "inf" in shown and "undetermined at every pose" in shown
     found = json.loads((out / "observability.json").read_text())
     assert None in found["poses"][0]["sigma"] and words in found["poses"][0]["not_told"]
     assert "inf" in (out / "observability.csv").read_text()

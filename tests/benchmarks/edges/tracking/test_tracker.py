@@ -96,7 +96,7 @@ def test_a_sphere_gives_its_place_and_says_that_turns_are_not_seen() -> None:
     ball = edge_model(trimesh.creation.icosphere(4, 0.4))
     picture = drawn(ball.surface, POSE)
     found = track(ball, RIG, picture, moved(POSE, np.array([0.01, -0.008, 0.02, 0, 0, 0]), ball.middle_G))
-    assert found.converged and "turns about" in found.told
+    assert found.converged and "rotation about" in found.told
     assert np.isinf(found.information.sigma[3:]).all()
     assert (np.abs(pose_error(found.X_RG, POSE, ball.middle_G)[:3]) < [5e-4, 5e-4, 4e-3]).all()
 
@@ -105,7 +105,7 @@ def test_one_edge_says_what_it_does_not_tell(box: EdgeModel, image: Array) -> No
     points = clear_points(box, RIG, POSE, SPACING_PX)
     longest = int(np.bincount(points.feature).argmax())
     found = track(box.only(np.array([longest])), RIG, image, POSE, TrackerOptions(min_found=6))
-    assert found.converged and found.told.count("not seen") == 4
+    assert found.converged and found.told.count("unobservable") == 4
     assert np.isinf(found.information.sigma).any()
 
 

@@ -87,7 +87,7 @@ def test_a_square_face_on_has_the_closed_form() -> None:
 
 def test_a_box_tells_all() -> None:
     found = seen(trimesh.creation.box((1.0, 0.6, 0.4)))
-    assert found.told() == ""
+    assert found.describe_unobservable() == ""
     assert np.isfinite(found.covariance).all() and np.isfinite(found.condition)
     assert_allclose(found.covariance @ found.C, np.eye(6), atol=1e-9)
     assert found.position_dop == pytest.approx(np.sqrt(np.trace(found.covariance[:3, :3])))
@@ -106,7 +106,7 @@ def test_range_costs_depth_twice() -> None:
 
 def test_far_away_little_is_told_but_not_nothing() -> None:
     found = seen(trimesh.creation.box((1.0, 2.0, 3.0)), make_pose(exp_so3([0.5, 0.4, 0.1]), [0.0, 0.0, 80.0]))
-    assert np.isfinite(found.sigma).all() and found.told() == ""
+    assert np.isfinite(found.sigma).all() and found.describe_unobservable() == ""
     # The range by more than its own radius, for one pixel of noise.
     assert found.sigma[2] > found.radius_m
 
@@ -116,16 +116,19 @@ def test_a_sphere_tells_no_turn() -> None:
     assert np.isfinite(found.sigma[:3]).all()
     assert np.isinf(found.sigma[3:]).all()
     assert np.isinf(found.condition) and np.isinf(found.attitude_dop) and np.isinf(found.geometric_dop)
-    assert found.told().count("turns") == 3 and "shifts" not in found.told()
+    assert (
+        found.describe_unobservable().count("rotation") == 3
+        and "translation" not in found.describe_unobservable()
+    )
 
 
 @pytest.mark.parametrize("sections", [24, 64, 256])
 def test_a_cylinder_does_not_tell_the_turn_about_its_axis(sections: int) -> None:
     along_y = make_pose(exp_so3([np.pi / 2 + 0.3, 0.0, 0.0]), [0.0, 0.0, 3.0])
     found = seen(trimesh.creation.cylinder(0.4, 0.8, sections=sections), along_y)
-    assert len(found.unseen) == 1
+    assert len(found.unobservable) == 1
     axis = along_y[:3, 2]
-    assert_allclose(np.abs(found.unseen[0, 3:] @ axis), 1.0, atol=1e-3)
+    assert_allclose(np.abs(found.unobservable[0, 3:] @ axis), 1.0, atol=1e-3)
     # x is across the axis: that turn is seen.
     assert np.isfinite(found.sigma[3])
 
@@ -136,13 +139,13 @@ def test_one_edge_tells_two_of_six() -> None:
     feature = np.bincount(whole.feature).argmax()
     points = control_points(model.only(np.array([feature])), RIG, X_RG)
     found = observability(edge_motion(points, RIG, X_RG, model.middle_G), points.weight, model.radius_m)
-    assert len(found.unseen) == 4
+    assert len(found.unobservable) == 4
     assert np.isinf(found.sigma).any()
-    assert found.told().count("not seen") == 4
+    assert found.describe_unobservable().count("unobservable") == 4
 
 
 def test_nothing_in_sight_is_said() -> None:
     found = seen(trimesh.creation.box((1.0, 0.6, 0.4)), make_pose(np.eye(3), [0.0, 0.0, -3.0]))
     assert found.points == 0
     assert np.isinf(found.sigma).all()
-    assert "no edge is in sight" in found.told()
+    assert "no edge is visible" in found.describe_unobservable()

@@ -199,7 +199,7 @@ def test_chains_and_pieces() -> None:
 def test_what_is_no_surface_is_refused() -> None:
     with pytest.raises(InputError, match="no faces"):
         edge_model(trimesh.Trimesh(np.zeros((3, 3)), np.zeros((0, 3), dtype=int)))
-    with pytest.raises(InputError, match="not finite"):
+    with pytest.raises(InputError, match="non-finite"):
         edge_model(trimesh.Trimesh(np.diag([1.0, 1.0, np.nan]), np.array([[0, 1, 2]]), process=False))
     with pytest.raises(InputError, match="degenerate"):
         edge_model(trimesh.Trimesh(np.zeros((3, 3)), np.array([[0, 1, 2]]), process=False))
