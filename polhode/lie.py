@@ -47,17 +47,6 @@ def right_jacobian_so3(theta: ArrayLike) -> Array:
     return np.asarray(np.eye(3) - a * H + b * (H @ H))
 
 
-def inverse_right_jacobian_so3(theta: ArrayLike) -> Array:
-    """``Log(R Exp(d)) ~ Log(R) + Jr^-1 d`` at theta = Log(R) (..., 3), less than a turn -> (..., 3, 3)."""
-    theta = np.asarray(theta, dtype=np.float64)
-    angle = np.linalg.norm(theta, axis=-1)[..., None, None]
-    small = angle < 1e-3
-    safe = np.where(small, 1.0, angle)
-    b = np.where(small, 1.0 / 12.0 + angle**2 / 720.0, (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2)
-    H = hat(theta)
-    return np.asarray(np.eye(3) + 0.5 * H + b * (H @ H))
-
-
 def make_pose(R: ArrayLike, p: ArrayLike) -> Array:
     """R (..., 3, 3), p (..., 3) [m] -> homogeneous matrix (..., 4, 4)."""
     R, p = np.asarray(R, dtype=np.float64), np.asarray(p, dtype=np.float64)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from polhode.lie import Array, exp_so3
+from polhode.lie import Array
 from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
 
 Wrench = Callable[[float], tuple[Array, Array]]
@@ -75,8 +75,3 @@ def propagate(
         states = solution.y.T
     q = states[:, 6:10] / np.linalg.norm(states[:, 6:10], axis=1, keepdims=True)
     return states[:, :3], states[:, 3:6], matrix_from_wxyz(q), states[:, 10:13]
-
-
-def rotate_constant_rate(R_NA: ArrayLike, w_A: ArrayLike, dt_s: float) -> Array:
-    """Attitude after dt_s at constant body rate: R Exp(w dt)."""
-    return np.asarray(np.asarray(R_NA) @ exp_so3(np.asarray(w_A) * dt_s))

@@ -87,12 +87,6 @@ def _transition(w_G: Array, J_G: Array, t: Array, part: Array) -> tuple[Array, A
     return F, w_end
 
 
-def rotation_covariance(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float) -> Array:
-    """Covariance (n, 6, 6) of (theta, w) after one step [rad^2, rad^2/s, rad^2/s^2]."""
-    cov, scale = rotation_covariance_scaled(w_G, J_G, dt_s, torque_psd)
-    return cov * scale[:, :, None] * scale[:, None, :]
-
-
 def whitening(
     w_G: Array,
     J_G: Array,

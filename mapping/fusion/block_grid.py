@@ -107,11 +107,6 @@ class BlockGrid:
         """Memory of the values."""
         return len(self) * BYTES_PER_BLOCK
 
-    @property
-    def held_bytes(self) -> int:
-        """The same with the room for blocks to come."""
-        return len(self._values) * BYTES_PER_BLOCK
-
     def find(self, keys: Int64[Tensor, " m"]) -> Int64[Tensor, " m"]:
         """Indices (m,) of the blocks of these keys, -1 where there is none."""
         if self._n == 0:

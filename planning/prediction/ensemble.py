@@ -15,7 +15,6 @@ from polhode.planning.prediction.prediction import FinalState, draw_deviations, 
 from polhode.rigid_body import angular_acceleration, propagate
 
 MEMBERS_AT_ONCE = 250
-MAX_MEMBERS = 100_000
 
 
 @dataclass(frozen=True)

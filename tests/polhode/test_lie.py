@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.lie import exp_so3, inverse_right_jacobian_so3, log_so3, right_jacobian_so3
+from polhode.lie import exp_so3, log_so3, right_jacobian_so3
 
 AXIS = np.array([2.0, -1.0, 2.0]) / 3.0
 
@@ -13,10 +13,3 @@ def test_the_right_jacobian_is_the_derivative_of_the_exponential(angle: float) -
     theta, step = angle * AXIS, 1e-6
     ends = [log_so3(exp_so3(theta).T @ exp_so3(theta + s * step * np.eye(3))) for s in (1.0, -1.0)]
     np.testing.assert_allclose(right_jacobian_so3(theta), (ends[0] - ends[1]).T / (2.0 * step), atol=1e-8)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-6, 1e-4, 9e-4, 2e-3, 0.3, 2.0, 3.1, 5.0])
-def test_the_inverse_right_jacobian_is_its_inverse(angle: float) -> None:
-    theta = np.stack([angle * AXIS, 0.5 * angle * AXIS[::-1]])
-    product = inverse_right_jacobian_so3(theta) @ right_jacobian_so3(theta)
-    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), (2, 3, 3)), atol=1e-9)

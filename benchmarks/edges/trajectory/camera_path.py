@@ -72,8 +72,6 @@ class CameraPathMetric:
     """(F, 6, 6) along R's axes"""
     range_m: Array
     """(F,)"""
-    phase_rad: Array | None
-    """(F,)"""
     value: float
     """of the objective"""
     sigma: Array
@@ -144,13 +142,11 @@ def path_metric(
     p_N = path.at(time)[0]
     o_N = target_centres(model, motion)
     X_RG = camera_poses(p_N, o_N, motion, np.asarray(task.up_N))
-    sun_G = sun_R = phase = None
-    away = p_N - o_N
-    far = np.linalg.norm(away, axis=1)
+    sun_G = sun_R = None
+    far = np.linalg.norm(p_N - o_N, axis=1)
     if task.sun_N is not None:
         sun_G = sun_in_G(motion, task.sun_N)
         sun_R = np.einsum("tij,tj->ti", X_RG[:, :3, :3], sun_G)
-        phase = np.arccos(np.clip(away @ task.sun_N / far / np.linalg.norm(task.sun_N), -1.0, 1.0))
     information = feature_information(model, rig, X_RG, sun_G, clear=True)
     total = information.total
     each = variances(total, model.radius_m)
@@ -165,7 +161,7 @@ def path_metric(
         scaled = scaled[-1:]
     value = float(np.trace(np.linalg.inv(scaled + np.eye(6)), axis1=1, axis2=2).mean())
     return CameraPathMetric(
-        path, time, p_N, X_RG, sun_R, total, far, phase, value, np.asarray(sigma), told.mean(axis=0)
+        path, time, p_N, X_RG, sun_R, total, far, value, np.asarray(sigma), told.mean(axis=0)
     )
 
 

@@ -5,13 +5,18 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from polhode.backend.dynamics.process_noise import (
-    rotation_covariance,
     rotation_covariance_scaled,
     translation_covariance,
     whitening,
 )
 from polhode.lie import Array, hat, log_so3
 from polhode.rigid_body import propagate
+
+
+def rotation_covariance(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float) -> Array:
+    """Covariance (n, 6, 6) of (theta, w) after one step [rad^2, rad^2/s, rad^2/s^2]."""
+    cov, scale = rotation_covariance_scaled(w_G, J_G, dt_s, torque_psd)
+    return cov * scale[:, :, None] * scale[:, None, :]
 
 
 def test_double_integrator_has_its_closed_form() -> None:
