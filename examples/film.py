@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw
 
+from polhode.lie import wxyz_from_matrix
 from polhode.planning.approach.trajectory import ApproachTrajectory
 from polhode.planning.keep_out.volumes import InstantKeepOut
-from polhode.quaternion import wxyz_from_matrix
 
 TRAIL_M = 0.006
 GIF_SCALE = 0.6

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from polhode.errors import InputError
-from polhode.lie import Array
+from polhode.lie import Array, wxyz_from_matrix
 from polhode.metrics import truth_at
 from polhode.pipeline.after_run.plan import final_estimate, surface_of
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
@@ -31,7 +31,6 @@ from polhode.planning.approach.trajectory import (
 )
 from polhode.planning.keep_out.measured_body import sample_surface
 from polhode.planning.keep_out.volumes import InstantKeepOut, KeepOutOptions, keep_out
-from polhode.quaternion import wxyz_from_matrix
 from polhode.records import Truth
 from polhode.truth import read_truth
 
@@ -133,7 +132,7 @@ def separation(flight: Flight, truth: Truth) -> Array:
     """Gap (n,) [m] between the inspector and the true surface."""
     from scipy.spatial import cKDTree
 
-    from polhode.quaternion import matrix_from_wxyz
+    from polhode.lie import matrix_from_wxyz
 
     assert truth.mesh is not None
     q, _, _ = sample_surface(truth.mesh, np.zeros(len(truth.mesh.vertices)), 0.003)

@@ -10,7 +10,6 @@ import numpy as np
 import trimesh
 
 from polhode.config.backend import Backend
-from polhode.half_turns import HALF_TURNS
 from polhode.lie import Array, log_so3
 from polhode.mapping.finishing.hole_closing import boundary_loops
 from polhode.mapping.uniform_solid import Solid, principal_axes, solid_body, solid_of
@@ -18,6 +17,7 @@ from polhode.mapping.visibility import Caster
 from polhode.pipeline.coverage import describe_direction
 from polhode.pipeline.run_directory.summary_schema import Assumed, Physics
 from polhode.records import Bools, MassProperties, SurfaceModel
+from polhode.rigid_body import HALF_TURNS
 
 
 def assumed_properties(

@@ -12,18 +12,15 @@ backend/     tracks to motion, mass properties and their covariance
 mapping/     depth maps and motion to a mesh
 planning/    prediction, keep-out volumes, approach, edge observability, exports
 
-Below them is the shared language, which every room may import:
+Below them are the shared modules, which every room may import:
 
 config/            the configuration: the only place where defaults live; reading and writing it
 records.py         what passes between the stages: tracks, estimates, depth maps, surfaces, truth
-lie.py             rotations and rigid transforms: exponential and logarithm, products, inverses
-quaternion.py      the one conversion between quaternions and matrices
-rigid_body.py      Euler's equations, energy, momentum, and the integration of a rigid body
-rigid_fit.py       rotations and rigid transforms of least squares
-half_turns.py      the symmetry of the principal axes
+lie.py             rotations, rigid transforms, quaternions: exponential, logarithm, conversions
+rigid_body.py      Euler's equations, energy, momentum, integration; half-turns of the principal axes
+rigid_fit.py       least-squares rotations and rigid transforms
 camera.py          the rectified stereo camera: projection, triangulation
 calibration.py     the calibration of the rig, from sensor.yaml
-inspector.py       the poses of the inspector, where a sequence has them
 dataset.py         a stereo sequence on disk, without its truth
 dataset_writer.py  the same layout, written
 images.py          image files: reading, conversion to 8-bit grey
@@ -32,11 +29,11 @@ metrics.py         errors of an estimate against the truth
 mesh_metrics.py    distances between meshes
 tables.py          CSV and YAML files, with errors that name file and line
 ply.py             binary PLY files
-atomic.py          files that are never seen half-written
+atomic.py          atomic writing of files
 rays.py            rays against triangles
 compiled.py        just-in-time compilation with a cache that knows its constants
 processes.py       work on many items, spread over processes
 threads.py         how many threads the libraries may use
-progress.py        how stages tell of their progress
+progress.py        how stages report their progress
 errors.py          errors that end a command, with their exit codes
 """

@@ -10,17 +10,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from polhode.calibration import StereoCalibration, read_bits, read_calibration
 from polhode.errors import InputError
 from polhode.images import Grey, UnreadableImage, bit_depth, has_content, read_mask, read_raw, to_grey
-from polhode.inspector import InspectorPoses, read_inspector
-from polhode.lie import Array
+from polhode.lie import Array, make_pose
 from polhode.records import Bools, Ints, Wrench
-from polhode.tables import numbers_of, read_rows, timestamps_of
+from polhode.tables import attitudes_of, numbers_at, numbers_of, read_mapping, read_rows, timestamps_of
 
 MIN_PAIRS = 3
 MAX_LOSS = 0.6
+SAME_POSITION_M = 1e-9
+SAME_ROTATION = 1e-9
 
 __all__ = ["StereoCalibration", "StereoImages", "StereoSequence", "open_sequence"]
 
@@ -88,13 +90,25 @@ class StereoSequence:
         try:
             return read_mask(path, self.calibration.width_px, self.calibration.height_px)
         except UnreadableImage:
-            # Told of once, by the warnings of open_sequence.
+            # open_sequence has warned of it.
             return None
 
 
 @dataclass(frozen=True)
+class InspectorPoses:
+    """Pose of the inspector's body B in N at each frame, and how well it is known."""
+
+    X_NB: Array
+    """(F, 4, 4)"""
+    sigma_p_m: float
+    sigma_theta_rad: float
+    moves: bool
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class _Checked:
-    """What decoding one pair has shown."""
+    """Result of decoding one pair."""
 
     reason: str | None
     content: bool
@@ -128,21 +142,24 @@ def open_sequence(folder: Path) -> StereoSequence:
         message = "all frames are black: no image shows anything above the noise"
         raise InputError(f"{folder}: {message}; check exposure and lens cap")
     timestamps_ns = np.array(usable, dtype=np.int64)
-    inspector = _inspector_at(mav0, timestamps_ns)
+    folder_of_poses, folder_of_wrench = mav0 / "inspector0", mav0 / "wrench0"
+    inspector = read_inspector(folder_of_poses, timestamps_ns) if folder_of_poses.is_dir() else None
+    # Without inspector0, N is the left camera itself.
+    X_NC = inspector.X_NB @ calibration.X_BC0 if inspector else np.tile(np.eye(4), (len(usable), 1, 1))
     bad_masks = [bad for stamp in usable for bad in checked[stamp].bad_masks]
     bits = bits or bit_depth(max(checked[stamp].largest_16_bit for stamp in usable))
     return StereoSequence(
         folder=folder,
         timestamps_ns=timestamps_ns,
         calibration=calibration,
-        X_NC=_left_camera_poses(inspector, calibration, len(usable)),
+        X_NC=np.asarray(X_NC),
         inspector_moves=inspector is not None and inspector.moves,
         sigma_camera_p_m=inspector.sigma_p_m if inspector else 0.0,
         sigma_camera_theta_rad=inspector.sigma_theta_rad if inspector else 0.0,
         n_listed=len(listed),
         dropped=dropped,
         warnings=tuple(_warnings(dropped, len(listed), bad_masks, inspector)),
-        wrench=read_wrench(mav0 / "wrench0", timestamps_ns) if (mav0 / "wrench0").is_dir() else None,
+        wrench=read_wrench(folder_of_wrench, timestamps_ns) if folder_of_wrench.is_dir() else None,
         _files=tuple((left[stamp], right[stamp]) for stamp in usable),
         _bits=bits,
     )
@@ -222,18 +239,6 @@ def _require_enough(
         raise InputError(f"{folder}: {message}; at least {MIN_PAIRS} are needed")
 
 
-def _inspector_at(mav0: Path, timestamps_ns: Ints) -> InspectorPoses | None:
-    folder = mav0 / "inspector0"
-    return read_inspector(folder, timestamps_ns) if folder.is_dir() else None
-
-
-def _left_camera_poses(inspector: InspectorPoses | None, calibration: StereoCalibration, count: int) -> Array:
-    """X_NC (F, 4, 4). Without inspector0, N is the left camera itself."""
-    if inspector is None:
-        return np.tile(np.eye(4), (count, 1, 1))
-    return np.asarray(inspector.X_NB @ calibration.X_BC0)
-
-
 def _warnings(
     dropped: tuple[tuple[int, str], ...],
     n_listed: int,
@@ -264,3 +269,69 @@ def read_wrench(folder: Path, timestamps_ns: Ints) -> Wrench:
         message = f"{path}: the first row, {stamps[0]} ns, is after the last frame, {timestamps_ns[-1]} ns"
         raise InputError(f"{message}; use the clock of the images, or remove wrench0/")
     return Wrench(stamps, values[:, :3], values[:, 3:])
+
+
+def read_inspector(folder: Path, timestamps_ns: Ints) -> InspectorPoses:
+    """Read ``inspector0`` and interpolate it to the frames (F,): linear in position, slerp in attitude.
+
+    Raises InputError when the poses hold NaN, a quaternion is not of unit length, or a frame has no pose
+    within one interval between frames.
+    """
+    path = folder / "data.csv"
+    rows = read_rows(path)
+    stamps = timestamps_of(path, rows)
+    values = numbers_of(path, rows, columns=7)
+    R_NB = attitudes_of(path, rows, values[:, 3:], "q_RS")
+    interpolated = _require_cover(path, stamps, timestamps_ns)
+    sigma_p_m, sigma_theta_rad, warnings = _read_sigmas(folder / "sensor.yaml")
+    X_NB = _interpolate(stamps, values[:, :3], R_NB, timestamps_ns)
+    if interpolated:
+        warnings = (*warnings, f"{path}: {interpolated} frames lack a pose of their own; it was interpolated")
+    moved = np.abs(X_NB - X_NB[0])
+    moves = bool(moved[:, :3, 3].max() > SAME_POSITION_M or moved[:, :3, :3].max() > SAME_ROTATION)
+    return InspectorPoses(X_NB, sigma_p_m, sigma_theta_rad, moves, warnings)
+
+
+def _require_cover(path: Path, stamps: Ints, frames: Ints) -> int:
+    """Raise unless each frame has a pose within one frame interval; count those far from any pose."""
+    interval_ns = float(np.median(np.diff(frames)))
+    after = np.clip(np.searchsorted(stamps, frames), 0, len(stamps) - 1)
+    before = np.clip(after - 1, 0, len(stamps) - 1)
+    distance = np.minimum(abs(stamps[after] - frames), abs(stamps[before] - frames))
+    far = distance > interval_ns * 1.001
+    if far.any():
+        message = f"{path} does not cover {int(far.sum())} of {len(frames)} frames, first {frames[far][0]} ns"
+        raise InputError(f"{message}; give a pose for every frame, or remove inspector0/ if it is at rest")
+    return int((distance > 0.5 * interval_ns).sum())
+
+
+def _read_sigmas(path: Path) -> tuple[float, float, tuple[str, ...]]:
+    """sigma_p_m, sigma_theta_rad; a file or key that is absent means that the poses are exact."""
+    if not path.exists() or not path.read_bytes().strip():
+        return 0.0, 0.0, ()
+    sensor = read_mapping(
+        path, "give sigma_p_m and sigma_theta_rad, or remove the file if the poses are exact"
+    )
+    sigmas = []
+    for key in ("sigma_p_m", "sigma_theta_rad"):
+        sigma = float(numbers_at(path, sensor, key, (1,))[0]) if key in sensor else 0.0
+        if sigma < 0.0:
+            raise InputError(f"{path} key '{key}': {sigma:g} is negative; a standard deviation is not")
+        sigmas.append(sigma)
+    warnings: tuple[str, ...] = ()
+    if "T_BS" in sensor and not np.allclose(numbers_at(path, sensor, "T_BS", (16,)), np.eye(4).ravel()):
+        warnings = (
+            f"{path}: T_BS is not applied; data.csv must hold the pose of the body B that cameras refer to",
+        )
+    return sigmas[0], sigmas[1], warnings
+
+
+def _interpolate(stamps: Ints, p_N: Array, R: Array, frames: Ints) -> Array:
+    """Poses (F, 4, 4) at the frames; before the first and after the last pose, the nearest one."""
+    if len(stamps) == 1:
+        return np.repeat(make_pose(R, p_N), len(frames), axis=0)
+    # Differences in int64 first: nanoseconds since 1970 do not fit the 53 bits of a double.
+    t_poses = (stamps - stamps[0]).astype(np.float64)
+    t_frames = np.clip((frames - stamps[0]).astype(np.float64), t_poses[0], t_poses[-1])
+    at_frames = np.stack([np.interp(t_frames, t_poses, column) for column in p_N.T], axis=-1)
+    return make_pose(Slerp(t_poses, Rotation.from_matrix(R))(t_frames).as_matrix(), at_frames)

@@ -8,8 +8,7 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-from polhode.lie import Array
-from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
+from polhode.lie import Array, continuous_wxyz, wxyz_from_matrix
 from polhode.records import Ints, Truth
 
 STATE_COLUMNS = (

@@ -1,7 +1,8 @@
-"""SO(3) and SE(3): exponential, logarithm, hat, batched over leading dimensions.
+"""SO(3), SE(3) and unit quaternions, batched over leading dimensions.
 
 Attitude perturbations are on the right everywhere: ``R Exp(theta)`` (docs/notation.md).
 Formulas: Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018.
+Quaternions follow the Hamilton convention, scalar first (``_wxyz``); no other module converts them.
 """
 
 import numpy as np
@@ -66,3 +67,25 @@ def transform_points(X_AB: ArrayLike, p_B: ArrayLike) -> Array:
     """p_A = X_AB @ p_B for points (..., 3)."""
     X_AB, p_B = np.asarray(X_AB, dtype=np.float64), np.asarray(p_B, dtype=np.float64)
     return np.asarray(p_B @ np.swapaxes(X_AB[..., :3, :3], -1, -2) + X_AB[..., None, :3, 3])
+
+
+def matrix_from_wxyz(q_wxyz: ArrayLike) -> Array:
+    """Unit quaternion (..., 4), scalar first -> rotation matrix (..., 3, 3)."""
+    q = np.asarray(q_wxyz, dtype=np.float64)
+    matrix = Rotation.from_quat(q.reshape(-1, 4)[:, [1, 2, 3, 0]]).as_matrix()
+    return np.asarray(matrix).reshape(*q.shape[:-1], 3, 3)
+
+
+def wxyz_from_matrix(R: ArrayLike) -> Array:
+    """Rotation matrix (..., 3, 3) -> unit quaternion (..., 4), scalar first and >= 0."""
+    R = np.asarray(R, dtype=np.float64)
+    xyzw = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return np.asarray(xyzw[:, [3, 0, 1, 2]]).reshape(*R.shape[:-2], 4)
+
+
+def continuous_wxyz(q_wxyz: ArrayLike) -> Array:
+    """Choose the sign of each quaternion of a sequence (n, 4) so that neighbours do not jump."""
+    q = np.array(q_wxyz, dtype=np.float64)
+    signs = np.sign(np.sum(q[1:] * q[:-1], axis=1))
+    q[1:] *= np.cumprod(np.where(signs == 0.0, 1.0, signs))[:, None]
+    return q

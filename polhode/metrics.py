@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.errors import InputError
-from polhode.half_turns import HALF_TURNS, best_half_turn
 from polhode.lie import Array, log_so3
 from polhode.records import Ints, Truth
-from polhode.rigid_body import propagate
+from polhode.rigid_body import HALF_TURNS, best_half_turn, propagate
 from polhode.rigid_fit import mean_rotation
 
 _SAME_INSTANT_NS = 1_000

@@ -1,4 +1,4 @@
-"""Torque-free rigid body: Euler's equations, energy and momentum (thesis eqs. 4.77, 4.86-4.88).
+"""The rigid body: Euler's equations, energy, momentum (thesis eqs. 4.77, 4.86-4.88), symmetry of its axes.
 
 Shared by the simulator's truth, the predictions and the checks of both.
 """
@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from polhode.lie import Array
-from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
+from polhode.lie import Array, matrix_from_wxyz, wxyz_from_matrix
 
 Wrench = Callable[[float], tuple[Array, Array]]
 """Time [s] -> (acceleration in N [m/s^2], torque in the body frame [N m])."""
@@ -75,3 +74,21 @@ def propagate(
         states = solution.y.T
     q = states[:, 6:10] / np.linalg.norm(states[:, 6:10], axis=1, keepdims=True)
     return states[:, :3], states[:, 3:6], matrix_from_wxyz(q), states[:, 10:13]
+
+
+HALF_TURNS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+"""Diagonals of the four rotations that keep the principal axes: none, and half-turns about x, y, z."""
+HALF_TURN_NAMES = ("none", "x", "y", "z")
+
+
+def nearest_half_turn(R_AP: Array, R_AQ: Array) -> Array:
+    """The half-turn S (3, 3), or none, after which the axes R_AP S (3, 3) lie nearest to the axes R_AQ."""
+    along = np.einsum("ij,ij->j", R_AP, R_AQ)
+    return np.diag(HALF_TURNS[int(np.argmax(HALF_TURNS @ along))])
+
+
+def best_half_turn(R_NP: Array, R_NP_true: Array) -> int:
+    """Index into HALF_TURNS of the S that brings R_NP diag(S) nearest to the truth, over frames (F, 3, 3)."""
+    between = np.swapaxes(R_NP, -1, -2) @ R_NP_true
+    agreement = np.einsum("sk,fkk->s", HALF_TURNS, between)
+    return int(np.argmax(agreement))

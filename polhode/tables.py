@@ -7,8 +7,10 @@ import numpy as np
 import yaml
 
 from polhode.errors import InputError
-from polhode.lie import Array
+from polhode.lie import Array, matrix_from_wxyz
 from polhode.records import Ints
+
+UNIT_TOLERANCE = 1e-2
 
 
 def read_rows(path: Path) -> list[tuple[int, list[str]]]:
@@ -71,6 +73,15 @@ def numbers_of(path: Path, rows: list[tuple[int, list[str]]], columns: int) -> A
         if not np.isfinite(values[row]).all():
             raise InputError(f"{path} line {number}: NaN or infinity; remove or correct the row")
     return values
+
+
+def attitudes_of(path: Path, rows: list[tuple[int, list[str]]], q_wxyz: Array, name: str) -> Array:
+    """Unit quaternions (n, 4) as rotations (n, 3, 3); raises InputError naming the line of a wrong one."""
+    off = abs(np.linalg.norm(q_wxyz, axis=1) - 1.0)
+    if off.max() > UNIT_TOLERANCE:
+        line = rows[int(off.argmax())][0]
+        raise InputError(f"{path} line {line}: {name} (w, x, y, z) is not a unit quaternion")
+    return matrix_from_wxyz(q_wxyz)
 
 
 def read_mapping(path: Path, purpose: str) -> dict[str, Any]:

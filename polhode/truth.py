@@ -10,11 +10,8 @@ import numpy as np
 import trimesh
 
 from polhode.errors import InputError
-from polhode.quaternion import matrix_from_wxyz
 from polhode.records import Truth
-from polhode.tables import numbers_at, numbers_of, read_mapping, read_rows, timestamps_of
-
-UNIT_TOLERANCE = 1e-2
+from polhode.tables import attitudes_of, numbers_at, numbers_of, read_mapping, read_rows, timestamps_of
 
 
 def read_truth(folder: Path) -> Truth:
@@ -28,18 +25,13 @@ def read_truth(folder: Path) -> Truth:
     path = target / "data.csv"
     rows = read_rows(path)
     values = numbers_of(path, rows, columns=13)
-    off = abs(np.linalg.norm(values[:, 3:7], axis=1) - 1.0)
-    if off.max() > UNIT_TOLERANCE:
-        raise InputError(
-            f"{path} line {rows[int(off.argmax())][0]}: q_NP (w, x, y, z) is not a unit quaternion"
-        )
     properties_path = target / "target.yaml"
     properties = read_mapping(properties_path, "the truth needs moments, com_G and R_GP")
     moments = numbers_at(properties_path, properties, "moments", (3,))
     return Truth(
         timestamps_ns=timestamps_of(path, rows),
         r_N=values[:, 0:3],
-        R_NP=matrix_from_wxyz(values[:, 3:7]),
+        R_NP=attitudes_of(path, rows, values[:, 3:7], "q_NP"),
         v_N=values[:, 7:10],
         w_P=values[:, 10:13],
         moments=moments,

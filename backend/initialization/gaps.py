@@ -14,8 +14,7 @@ import numpy as np
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.initialization.initialize import robust_landmarks
 from polhode.backend.problem.iterate import Iterate
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
-from polhode.quaternion import matrix_from_wxyz
+from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, matrix_from_wxyz
 from polhode.records import Bools, InitialMotion, StereoTracks
 
 LONG_TURN_RAD = 0.5 * np.pi

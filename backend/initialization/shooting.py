@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 from polhode.backend.dynamics.propagation import propagate_rotations
 from polhode.backend.initialization.rotation_direction import AMBIGUOUS_TURN_RAD, OPPOSITE_DIRECTION
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
-from polhode.lie import Array, log_so3
-from polhode.quaternion import matrix_from_wxyz
+from polhode.lie import Array, log_so3, matrix_from_wxyz
 from polhode.records import Bools, Ints
 
 FAR_RAD = np.deg2rad(60.0)

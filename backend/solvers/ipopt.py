@@ -31,8 +31,7 @@ from polhode.backend.solvers.casadi_nlp import (
 from polhode.backend.solvers.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, Solution
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.stereo_terms import StereoTerms
-from polhode.lie import Array
-from polhode.quaternion import wxyz_from_matrix
+from polhode.lie import Array, wxyz_from_matrix
 from polhode.records import Ints
 
 MESSAGES = {

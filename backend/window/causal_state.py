@@ -14,9 +14,9 @@ from polhode.backend.uncertainty.principal_axes import (
     free_axis_covariance,
 )
 from polhode.backend.window.frame import Frame
-from polhode.half_turns import nearest_half_turn
 from polhode.lie import Array, make_pose
 from polhode.records import Bools
+from polhode.rigid_body import nearest_half_turn
 
 N_JOINT = N_STATE + N_CONSTANTS
 ROUNDING = 1e-7

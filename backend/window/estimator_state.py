@@ -26,8 +26,7 @@ from polhode.backend.window.vision import (
 )
 from polhode.camera import RectifiedRig
 from polhode.config.backend import Backend
-from polhode.lie import Array
-from polhode.quaternion import matrix_from_wxyz
+from polhode.lie import Array, matrix_from_wxyz
 
 GAUGE_SIGMA = 1e-5
 """Standard deviation with which G is fixed at the first frame [rad, radii of the target]."""

@@ -16,8 +16,7 @@ from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.backend.solvers.casadi_nlp import OPTIMAL, gather, ipopt_options, ipopt_solver, scatter
 from polhode.backend.solvers.gauss_newton import Solution
 from polhode.backend.window.problem import WindowProblem
-from polhode.lie import Array
-from polhode.quaternion import wxyz_from_matrix
+from polhode.lie import Array, wxyz_from_matrix
 from polhode.records import Ints
 
 TOLERANCE = 1e-3

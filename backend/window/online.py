@@ -12,10 +12,10 @@ from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.estimator import SlidingWindow
 from polhode.backend.window.frame import camera_noise_of, frames_of
 from polhode.config.backend import Backend
-from polhode.half_turns import HALF_TURNS
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks
+from polhode.rigid_body import HALF_TURNS
 from polhode.threads import single_threaded
 
 ALIGNED_FRAMES = 10

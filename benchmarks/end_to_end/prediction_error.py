@@ -18,11 +18,10 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import command
 from benchmarks.presentation import save_figure
-from polhode.lie import Array, log_so3
+from polhode.lie import Array, continuous_wxyz, log_so3, wxyz_from_matrix
 from polhode.metrics import States, constant_body_rotation, motion_errors, truth_at, turned
 from polhode.pipeline.after_run.predict import predict_run
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, standard_deviations
-from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 from polhode.truth import read_truth
 
 COLORS = ("#d55e00", "#009e73", "#0072b2")

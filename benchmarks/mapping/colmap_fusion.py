@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 from polhode.camera import RectifiedRig
-from polhode.lie import Array, inverse_pose
-from polhode.quaternion import wxyz_from_matrix
+from polhode.lie import Array, inverse_pose, wxyz_from_matrix
 from polhode.records import DepthMap
 
 _STEP_PX = 2

@@ -24,9 +24,9 @@ from polhode.backend.uncertainty.covariance import marginals, state_jacobians
 from polhode.backend.uncertainty.identifiability import analyse
 from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.config.backend import Backend
-from polhode.half_turns import HALF_TURNS, best_half_turn
 from polhode.lie import Array, hat, inverse_pose, log_so3
 from polhode.records import MotionEstimate
+from polhode.rigid_body import HALF_TURNS, best_half_turn
 from polhode.simulation.monte_carlo.measurements import SyntheticSequence, generate
 
 QUANTITIES = ("position", "velocity", "attitude", "angular velocity", "centre of mass", "inertia")

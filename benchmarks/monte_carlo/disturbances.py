@@ -16,10 +16,10 @@ from tyro.conf import arg
 from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.record import Case, complete
 from polhode.config.backend import Backend
-from polhode.half_turns import HALF_TURNS
 from polhode.lie import Array, log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
+from polhode.rigid_body import HALF_TURNS
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, Vector, generate
 
 RECORD = RECORDS / "pushes.jsonl"

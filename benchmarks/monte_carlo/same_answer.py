@@ -92,7 +92,7 @@ def largest_difference(first: MotionEstimate, other: MotionEstimate) -> float:
 
     Both have their axes in the order of the moments; of the four half-turns the nearest is taken.
     """
-    from polhode.half_turns import nearest_half_turn
+    from polhode.rigid_body import nearest_half_turn
 
     turn = nearest_half_turn(other.R_NP[0], first.R_NP[0])
     states: Array = np.concatenate(

@@ -146,8 +146,8 @@ def squares(
     k2, R_GP.
     """
     from polhode.backend.problem.inertia import FORMS, second_moments_from_inertia
-    from polhode.half_turns import HALF_TURNS
     from polhode.lie import log_so3
+    from polhode.rigid_body import HALF_TURNS
 
     truth, (r_N, v_N, R_NP, w_P), (k1, k2, R_GP) = sequence.truth, motion, mass
     turns = [log_so3(R_NP.T @ (truth.R_NP[k] * turn)) for turn in HALF_TURNS]

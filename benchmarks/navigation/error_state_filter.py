@@ -17,9 +17,17 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2
 
 from polhode.compiled import compiled_ieee
-from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, right_jacobian_so3
+from polhode.lie import (
+    Array,
+    exp_so3,
+    hat,
+    inverse_pose,
+    log_so3,
+    make_pose,
+    matrix_from_wxyz,
+    right_jacobian_so3,
+)
 from polhode.planning.edges.metric.edge_motion import pose_error
-from polhode.quaternion import matrix_from_wxyz
 
 MAX_STEP_ANGLE_RAD = 0.03
 """Of the body in one step of the integration."""

@@ -11,7 +11,7 @@ from rich.table import Table
 from polhode.backend.problem.inertia import FORMS, InertiaForm, inertia_from_second_moments
 from polhode.config.loader import load_config
 from polhode.errors import InputError
-from polhode.lie import Array
+from polhode.lie import Array, continuous_wxyz, wxyz_from_matrix
 from polhode.pipeline.run_directory.archives import (
     STATE_ORDER,
     read_covariance,
@@ -27,7 +27,6 @@ from polhode.pipeline.run_directory.trajectory_file import (
     write_trajectory,
 )
 from polhode.planning.prediction.prediction import FinalState, Prediction, predict
-from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 
 MAX_ROWS = 100_000

@@ -22,7 +22,6 @@ from polhode.backend.problem.inertia import FORMS, InertiaForm, unit_determinant
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
-from polhode.half_turns import HALF_TURN_NAMES
 from polhode.lie import Array, inverse_pose, make_pose
 from polhode.mapping.mesh_files import read_ply
 from polhode.mesh_metrics import SAMPLES, compare_surfaces, sample_surface
@@ -43,7 +42,7 @@ from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.records import Ints, Truth
-from polhode.rigid_body import propagate
+from polhode.rigid_body import HALF_TURN_NAMES, propagate
 from polhode.rigid_fit import mean_rotation
 from polhode.truth import read_truth
 

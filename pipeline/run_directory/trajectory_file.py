@@ -11,8 +11,7 @@ import numpy as np
 
 from polhode.atomic import write_text
 from polhode.errors import InputError
-from polhode.lie import Array
-from polhode.quaternion import continuous_wxyz, matrix_from_wxyz, wxyz_from_matrix
+from polhode.lie import Array, continuous_wxyz, matrix_from_wxyz, wxyz_from_matrix
 from polhode.records import Ints, MotionEstimate, OnlineEstimate
 
 TRAJECTORY_COLUMNS: tuple[str, ...] = (

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.lie import Array
+from polhode.lie import Array, continuous_wxyz, wxyz_from_matrix
 from polhode.planning.exports.records import PredictedMotion
-from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 
 KM_PER_M = 1e-3

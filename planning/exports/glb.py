@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.lie import Array
+from polhode.lie import Array, continuous_wxyz, wxyz_from_matrix
 from polhode.planning.exports.records import ExportShape
-from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 
 _VERTICES, _INDICES = 34962, 34963
 _TYPES: dict[str, int] = {"<f4": 5126, "|u1": 5121, "<u4": 5125}

@@ -14,9 +14,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from polhode.atomic import write_text
-from polhode.lie import Array
+from polhode.lie import Array, continuous_wxyz, wxyz_from_matrix
 from polhode.planning.exports.records import ExportShape, Inertial, Placement, PredictedMotion
-from polhode.quaternion import continuous_wxyz, wxyz_from_matrix
 
 SCHEMA_FILE = Path(__file__).with_name("export.schema.json")
 STATE_ORDER = tuple(f"{name}_{axis}" for name in ("r_N", "v_N", "theta_P", "w_P") for axis in "xyz")

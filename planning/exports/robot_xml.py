@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from polhode.lie import Array
+from polhode.lie import Array, wxyz_from_matrix
 from polhode.planning.exports.records import Inertial, LastState
-from polhode.quaternion import wxyz_from_matrix
 
 TIMESTEP_S = 0.002
 Attributes = dict[str, str]

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from polhode.lie import Array, exp_so3, hat, log_so3
-from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
+from polhode.lie import Array, exp_so3, hat, log_so3, matrix_from_wxyz, wxyz_from_matrix
 from polhode.rigid_body import propagate
 
 PAIRS = 128

@@ -2,7 +2,7 @@
 
 In: YAML files and overrides of the command line. Out: a frozen ``Config``.
 
-- backend, frontend, mapping, compare, train, scene/: the settings of each stage, with units and defaults
+- backend, frontend, mapping, compare, train, scene: the settings of each stage, with units and defaults
 - loader: reading files, ``extends`` and overrides; errors of one line
 - keys: the tree of keys, read off the types, for help and errors
 - section: the base of every section

@@ -16,8 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import ellipk, elliprj
 
-from polhode.lie import Array
-from polhode.quaternion import matrix_from_wxyz
+from polhode.lie import Array, matrix_from_wxyz
 from polhode.simulation.motion.integrate import Forces, advance, no_forces
 
 PrecessionDirection = Literal["prograde", "retrograde", "none"]

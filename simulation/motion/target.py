@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polhode.config import scene as config
-from polhode.lie import Array, exp_so3, make_pose
-from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
+from polhode.lie import Array, exp_so3, make_pose, matrix_from_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 from polhode.rigid_body import propagate
 from polhode.simulation.motion.energy import momentum_of_rate

@@ -9,9 +9,8 @@ import trimesh
 
 from examples import inspect_tumbling
 from examples.inspect_tumbling import RADIUS_M, Flight, build, separation
-from polhode.lie import exp_so3
+from polhode.lie import exp_so3, matrix_from_wxyz, wxyz_from_matrix
 from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
-from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
 from polhode.records import Truth
 from polhode.rigid_body import propagate
 from tests.planning.bodies import ball, estimate

@@ -16,11 +16,11 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from polhode.cli.main import main
+from polhode.lie import matrix_from_wxyz
 from polhode.mesh_metrics import distance_to_surface
 from polhode.planning.exports import convex_pieces
 from polhode.planning.exports.convex_pieces import clip, outside
 from polhode.planning.exports.records import Placement, shape_of_surface
-from polhode.quaternion import matrix_from_wxyz
 from polhode.records import SurfaceModel
 from tests.pipeline.after_run.test_export import document, export, run, write_example
 from tests.pipeline.conftest import Example

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from polhode.errors import InputError
-from polhode.half_turns import HALF_TURNS, best_half_turn
 from polhode.lie import exp_so3
 from polhode.metrics import States, motion_errors, nees, state_coverage, state_nees, truth_at, turned
 from polhode.records import Truth
-from polhode.rigid_body import propagate
+from polhode.rigid_body import HALF_TURNS, best_half_turn, propagate
 
 MOMENTS = np.array([1.2, 1.0, 0.7])
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
-from polhode.lie import Array, inverse_pose, make_pose
+from polhode.lie import Array, inverse_pose, make_pose, matrix_from_wxyz
 from polhode.pipeline.after_run.mesh_input import read_mesh
 from polhode.pipeline.after_run.plan import final_estimate, surface_of
 from polhode.pipeline.run_directory.archives import read_measurements
@@ -17,7 +17,6 @@ from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.planning.edges.model.edge_model import CREASE_DEG, EdgeModel, edge_model
 from polhode.planning.edges.model.measured_edges import measured_edge_model
 from polhode.planning.prediction.ensemble import nominal_motion
-from polhode.quaternion import matrix_from_wxyz
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The families by name; ``polhode.config.scene.body`` and ``polhode.config.train`` list them, too."""
+"""The families by name; ``polhode.config.scene`` and ``polhode.config.train`` list them, too."""
 
 from collections.abc import Callable
 

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from polhode.backend.dynamics.kernels import dynamics_kernel, prior_kernel
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
-from polhode.lie import Array, exp_so3, log_so3
-from polhode.quaternion import wxyz_from_matrix
+from polhode.lie import Array, exp_so3, log_so3, wxyz_from_matrix
 from polhode.rigid_body import propagate
 
 

@@ -10,8 +10,7 @@ from polhode.backend.dynamics.propagation import (
     propagate_rotations,
     series_steps,
 )
-from polhode.lie import Array, log_so3
-from polhode.quaternion import matrix_from_wxyz
+from polhode.lie import Array, log_so3, matrix_from_wxyz
 from polhode.rigid_body import propagate
 
 BODIES = {

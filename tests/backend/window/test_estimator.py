@@ -14,8 +14,8 @@ from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.estimator import SlidingWindow
 from polhode.backend.window.frame import FrameMeasurements, frames_of
 from polhode.config.backend import Backend
-from polhode.half_turns import HALF_TURNS
 from polhode.lie import Array, log_so3
+from polhode.rigid_body import HALF_TURNS
 from polhode.simulation.monte_carlo.measurements import SyntheticSequence, generate
 from tests.backend.window.conftest import TUMBLE, Feed
 

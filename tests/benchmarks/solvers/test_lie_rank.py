@@ -11,7 +11,7 @@ from benchmarks.solvers.lie_rank import (
     measured_rates,
     observability,
 )
-from polhode.quaternion import matrix_from_wxyz, wxyz_from_matrix
+from polhode.lie import matrix_from_wxyz, wxyz_from_matrix
 from polhode.rigid_body import propagate
 
 BOX = [1.5, 1.2, 0.9]

@@ -14,10 +14,9 @@ from trimesh.visual import ColorVisuals
 
 from polhode.cli.main import main
 from polhode.config import Config
-from polhode.lie import exp_so3, log_so3, make_pose, transform_points
+from polhode.lie import exp_so3, log_so3, make_pose, matrix_from_wxyz, transform_points
 from polhode.mesh_metrics import distance_to_surface
 from polhode.planning.exports.json_document import SCHEMA_FILE, schema
-from polhode.quaternion import matrix_from_wxyz
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import BOX_M, Example
 from tests.pipeline.stored_run import write_run

@@ -12,13 +12,12 @@ from polhode.cli.main import main
 from polhode.config import Config
 from polhode.config.backend import Backend
 from polhode.errors import InputError
-from polhode.half_turns import HALF_TURNS, best_half_turn
 from polhode.lie import exp_so3, log_so3
 from polhode.pipeline.after_run.predict import inertia_by_parameters, prediction_times
 from polhode.pipeline.run_directory.trajectory_file import TRAJECTORY_COLUMNS, read_trajectory
 from polhode.progress import Silent
 from polhode.records import Truth
-from polhode.rigid_body import propagate
+from polhode.rigid_body import HALF_TURNS, best_half_turn, propagate
 from polhode.rigid_fit import mean_rotation
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
 from tests.pipeline.conftest import Example

@@ -9,8 +9,7 @@ import pytest
 
 from polhode.config import scene as config
 from polhode.config.loader import load_config
-from polhode.lie import Array, log_so3, transform_points
-from polhode.quaternion import matrix_from_wxyz
+from polhode.lie import Array, log_so3, matrix_from_wxyz, transform_points
 from polhode.rigid_body import angular_momentum_N, rotational_energy
 from polhode.simulation.bodies import build_body
 from polhode.simulation.motion import MassDistribution, mass_distribution, target_motion

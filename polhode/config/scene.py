@@ -1,0 +1,346 @@
+"""Description of a simulated scene: what ``polhode simulate`` renders. Every value carries its unit."""
+
+from itertools import pairwise
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from polhode.config.section import NonNegative, Positive, Section, Share, Vector3
+
+
+class Body(Section):
+    """The target's shape and surface, in the geometric frame G."""
+
+    family: Literal["free_flyer", "bus", "upper_stage", "dish", "truss", "cubesat", "asteroid", "mesh"] = (
+        "free_flyer"
+    )
+    """Shape: an 18-faced free flyer, a box bus with two panels, an upper stage with its nozzle, a dish
+    antenna on a small bus, an open truss with equipment, a cubesat, a small rocky body, or a mesh file."""
+    size_m: Positive = 0.22
+    """Width across flats (free_flyer), length without panels (bus, cubesat), length (upper_stage, truss),
+    diameter of the dish (dish), or of the sphere of the same volume (asteroid) [m]; not for mesh."""
+    seed: int | None = None
+    """Seed of shape and surface; the config's own seed when absent."""
+    path: str | None = None
+    """Mesh file (OBJ, STL, PLY, GLB), for family mesh."""
+    metres_per_unit: Positive | None = None
+    """Length of one unit of the mesh file [m]; mandatory for family mesh, never guessed."""
+    material: Literal["automatic", "paint", "solar_cell", "foil", "metal", "regolith"] = "automatic"
+    """Surface: as the family or the mesh file has it, or one material for the whole body."""
+    texture: Literal["drawn", "collage"] = "drawn"
+    """Generator of the texture. Two that share nothing, so that training and testing can be kept apart:
+    stickers, lettering and lattice noise; or overlapping shapes of all sizes and noise of random spots."""
+    contrast: NonNegative = 1.0
+    """Factor on the texture's variation of reflectance; 0: no texture."""
+
+    @model_validator(mode="after")
+    def _mesh_needs_path_and_unit(self) -> Self:
+        if self.family == "mesh" and self.path is None:
+            raise ValueError("family mesh needs 'path', the mesh file")
+        if self.family == "mesh" and self.metres_per_unit is None:
+            raise ValueError("family mesh needs 'metres_per_unit': the scale is never guessed")
+        if self.family != "mesh" and (self.path is not None or self.metres_per_unit is not None):
+            raise ValueError("'path' and 'metres_per_unit' belong to family mesh only")
+        return self
+
+
+class Mass(Section):
+    """Mass properties: set by hand, or by the density of the parts where absent."""
+
+    com_m: Vector3 | None = None
+    """Centre of mass in G [m]; that of the parts' densities when absent."""
+    inertia_kg_m2: tuple[Vector3, Vector3, Vector3] | None = None
+    """Inertia about the centre of mass, axes of G [kg m^2]; that of the parts' densities when absent."""
+    density_kg_m3: Positive = 1000.0
+    """Density of parts that ``part_density_kg_m3`` does not name [kg/m^3]."""
+    part_density_kg_m3: dict[str, Positive] = Field(default_factory=dict)
+    """Density by the part's name [kg/m^3]; an unknown name is refused with the list of parts."""
+    mass_kg: Positive | None = None
+    """Mass [kg]; scales the inertia of the densities, and turns known forces into accelerations. That of the
+    densities when absent."""
+
+
+class Push(Section):
+    """A force and a torque on the target over a span of time; spans that overlap add up."""
+
+    start_s: NonNegative = 0.0
+    """Start after the first frame [s]."""
+    duration_s: Positive = 1.0
+    """How long it lasts [s]."""
+    force_N: Vector3 = (0.0, 0.0, 0.0)
+    """Force on the centre of mass, in N [N]."""
+    torque_P: Vector3 = (0.0, 0.0, 0.0)
+    """Torque in the principal axes [N m]."""
+    period_s: Positive | None = None
+    """Period of a sine that starts at zero [s]; constant when absent."""
+
+
+class Motion(Section):
+    """The target's state at the first frame, and what acts on it: nothing, unless asked for."""
+
+    position_m: Vector3 = (0.0, 0.0, 0.6)
+    """Centre of mass in N [m]."""
+    velocity_mm_s: Vector3 = (0.0, 0.0, 0.0)
+    """Velocity of the centre of mass in N [mm/s]."""
+    attitude_deg: Vector3 = (0.0, 0.0, 0.0)
+    """Rotation vector of R_NG [deg]."""
+    spin_rpm: Vector3 = (0.0, 0.0, 0.0)
+    """Angular velocity relative to N, in the axes named by ``spin_axes`` [RPM]."""
+    spin_axes: Literal["geometric", "principal"] = "geometric"
+    """Axes of ``spin_rpm``: those of G, or the principal axes (greatest moment first)."""
+    accel_psd: NonNegative = 0.0
+    """Disturbing force: power spectral density of the white acceleration, each axis [(m/s^2)^2/Hz]."""
+    torque_psd: NonNegative = 0.0
+    """Disturbing torque over the middle moment: power spectral density, each axis [(rad/s^2)^2/Hz]."""
+    pushes: tuple[Push, ...] = ()
+    """Known forces and torques, each with start_s, duration_s, force_N (in N), torque_P, period_s."""
+    pushes_known: bool = True
+    """Write the pushes to wrench0/ for the estimator; false: it is not told."""
+    energy_loss: Share = 0.0
+    """Share of the rotational energy lost in ``energy_loss_s``; the thesis's target lost 0.078 in 80 s."""
+    energy_loss_by: Literal["drag", "friction"] = "drag"
+    """Drag opposes the angular momentum, as air does. Friction inside the body keeps the momentum and turns
+    the spin towards the greatest axis; ``energy_loss`` is then the share of the energy above that of a spin
+    about it."""
+    energy_loss_s: Positive = 80.0
+    """Time over which ``energy_loss`` is counted [s]."""
+
+
+class Waypoint(Section):
+    """Where the left camera is at one time."""
+
+    t_s: NonNegative = 0.0
+    """Time after the first frame [s]."""
+    position_m: Vector3 = (0.0, 0.0, 0.0)
+    """Left camera in N [m]."""
+    attitude_deg: Vector3 = (0.0, 0.0, 0.0)
+    """Rotation vector R_NC of the left camera [deg]."""
+
+
+class Inspector(Section):
+    """Motion of the camera: the pose of the left camera in N over time, written as X_NB to inspector0."""
+
+    profile: Literal["rest", "drift", "circle", "approach", "waypoints"] = "rest"
+    """At rest (then N is the left camera at the first frame), free drift, a circle around a point, a straight
+    approach, or through given poses. ``deadband_...`` adds jitter to each of them."""
+    position_m: Vector3 = (0.0, 0.0, 0.0)
+    """Left camera in N at the first frame [m]; zero for rest."""
+    attitude_deg: Vector3 = (0.0, 0.0, 0.0)
+    """Rotation vector R_NC of the left camera at the first frame [deg]; zero for rest."""
+    velocity_mm_s: Vector3 = (0.0, 0.0, 0.0)
+    """Drift: velocity of the left camera in N [mm/s]."""
+    rate_deg_s: Vector3 = (0.0, 0.0, 0.0)
+    """Drift: angular velocity of the left camera, in its own axes [deg/s]."""
+    circle_period_s: Positive = 600.0
+    """Circle: time of one revolution [s]."""
+    circle_axis: Vector3 = (0.0, 1.0, 0.0)
+    """Circle: axis in N through the target's first position; the camera keeps facing that point."""
+    approach_mm_s: Positive = 5.0
+    """Approach: closing speed along the line to the target's first position [mm/s]; the attitude stays."""
+    approach_stop_m: Positive = 0.5
+    """Approach: distance from that point at which the camera stops [m]."""
+    waypoints: tuple[Waypoint, ...] = ()
+    """Waypoints: poses in order of time, joined by smooth curves; the first and last pose hold outside."""
+    deadband_mm: NonNegative = 0.0
+    """Limit cycle of the position control: half width of the band, each axis [mm]."""
+    deadband_mm_s: NonNegative = 1.0
+    """Drift rate inside the band [mm/s], a little different after each thruster pulse."""
+    deadband_deg: NonNegative = 0.0
+    """Limit cycle of the attitude control: half width of the band, each axis [deg]."""
+    deadband_deg_s: NonNegative = 0.3
+    """Drift rate inside the band [deg/s]."""
+    sigma_p_m: NonNegative = 0.0
+    """Standard deviation of the noise on the reported position [m]."""
+    sigma_theta_deg: NonNegative = 0.0
+    """Standard deviation of the noise on the reported attitude [deg]."""
+    reported: bool = True
+    """Write the poses to inspector0/; false: the estimator takes a camera at rest. Only for profile rest."""
+
+    @model_validator(mode="after")
+    def _rest_defines_N(self) -> Self:
+        if self.profile == "rest" and (any(self.position_m) or any(self.attitude_deg)):
+            raise ValueError(
+                "profile rest puts N at the left camera: leave position_m and attitude_deg at zero"
+            )
+        if self.profile != "rest" and not self.reported:
+            raise ValueError("only profile rest may leave its poses unreported: set 'reported' to true")
+        return self
+
+    @model_validator(mode="after")
+    def _waypoints_are_in_order(self) -> Self:
+        times = [point.t_s for point in self.waypoints]
+        if self.profile == "waypoints" and len(times) < 2:
+            raise ValueError("profile waypoints needs at least two 'waypoints'")
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            raise ValueError("'waypoints' must be in order of time, each later than the one before")
+        return self
+
+    @property
+    def moves(self) -> bool:
+        """Whether the camera leaves its first pose."""
+        return self.profile != "rest" or self.deadband_mm > 0 or self.deadband_deg > 0
+
+
+class Rig(Section):
+    """The stereo camera. Camera frames: x right, y down, z forward."""
+
+    width_px: int = Field(640, ge=16, le=8192)
+    """Image width [px]."""
+    height_px: int = Field(480, ge=16, le=8192)
+    """Image height [px]."""
+    focal_px: Positive = 467.0
+    """Focal length of both cameras [px]."""
+    baseline_m: Positive = 0.09
+    """Distance between the cameras, along x of the left one [m]."""
+    principal_offset_px: tuple[float, float] = (0.0, 0.0)
+    """Principal point minus image centre (u, v), left camera; the right one has the opposite sign [px]."""
+    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """Radial-tangential distortion k1, k2, p1, p2 of the left camera."""
+    distortion_right: tuple[float, float, float, float] | None = None
+    """The same of the right camera; as the left one when absent."""
+    right_offset_mm: Vector3 = (0.0, 0.0, 0.0)
+    """Position of the right camera minus (baseline, 0, 0), in the left camera's axes [mm]."""
+    right_rotation_deg: Vector3 = (0.0, 0.0, 0.0)
+    """Rotation vector of the right camera in the left one [deg]; a negative y component toes it in."""
+    mount_position_m: Vector3 = (0.0, 0.0, 0.0)
+    """Position of the left camera in the inspector's body frame B [m]."""
+    mount_rotation_deg: Vector3 = (0.0, 0.0, 0.0)
+    """Rotation vector R_BC of the left camera in B [deg]."""
+
+
+class Sensor(Section):
+    """From radiance to grey values. DN: 1/255 of full scale, whatever the number of bits."""
+
+    white_dn: Positive = 450.0
+    """Grey value of a white diffuse surface that faces the Sun; above 255 it saturates [DN]."""
+    exposure_ms: NonNegative = 1.0
+    """Time that the global shutter is open, centred on the timestamp: blurs what moves [ms]."""
+    electrons_per_dn: Positive = 40.0
+    """Conversion gain: sets the shot noise [electrons/DN]."""
+    read_noise_dn: NonNegative = 0.8
+    """Standard deviation of the read noise [DN]."""
+    black_level_dn: float = 1.0
+    """Grey value of no light; below zero the black sky clips to 0 and compresses [DN]."""
+    bits: Literal[8, 10, 12] = 8
+    """Depth of the images; above 8 they are written as 16-bit files."""
+    blur_px: NonNegative = 0.4
+    """Standard deviation of the lens blur [px]."""
+    glare: Share = 0.0
+    """Share of the light that the lens scatters into a wide halo."""
+    glare_px: Positive = 12.0
+    """Standard deviation of that halo [px]."""
+    vignetting: Share = 0.1
+    """Loss of light in the corner of the image; grows with the square of the distance from the centre."""
+    full_well_dn: Positive = 1500.0
+    """Charge that a pixel holds [DN]; what is beyond it blooms or is lost."""
+    bloom: Share = 0.0
+    """Share of the charge beyond the full well that spills along the column to the neighbours."""
+    dropped_frames: tuple[int, ...] = ()
+    """Frames, counted from 0, that never reach the disk."""
+    drop_probability: Share = 0.0
+    """Probability that any other frame is lost."""
+
+
+Product = Literal["depth", "normals", "mask", "shadow", "albedo"]
+
+
+class Render(Section):
+    """Quality of the images, and what is written beside them."""
+
+    samples: Literal[1, 4, 9, 16] = 4
+    """Rays a pixel."""
+    bounces: Literal[0, 1] = 1
+    """Reflections of light from one part of the body onto another; 0: direct light only."""
+    masks: bool = False
+    """Write target masks to masks0 and masks1."""
+    products: tuple[Product, ...] = ()
+    """Truth of every pixel, written to truth0 and truth1: depth along the optical axis [m], normals in the
+    camera's axes, target mask, shadow mask, albedo."""
+
+
+class Eclipse(Section):
+    """The Earth's shadow: no Sun, and a dark Earth."""
+
+    start_s: NonNegative = 10.0
+    """First moment without direct sunlight, after the first frame [s]."""
+    duration_s: NonNegative = 0.0
+    """How long the darkness lasts [s]; 0: no eclipse."""
+    ramp_s: NonNegative = 1.0
+    """Length of the fading before and after it, through the penumbra [s]."""
+
+
+class Light(Section):
+    """What lights the target. Intensities are reflected levels of a white surface that faces the light."""
+
+    sun_direction_N: Vector3 = (0.55, -0.5, -0.7)
+    """From the target towards the Sun, in N; any length."""
+    sun: NonNegative = 1.0
+    """Sunlight; 1 brings a white surface to ``white_dn``."""
+    sun_diameter_deg: NonNegative = 0.533
+    """Angular diameter: softens the shadows' edges; 0: a point [deg]."""
+    earth_direction_N: Vector3 = (-0.3, 0.9, 0.2)
+    """From the target towards the middle of the Earth, which fills the shadows."""
+    earth: NonNegative = 0.15
+    """Radiance of the Earth's disc relative to a white surface in sunlight."""
+    earth_radius_deg: Positive = 66.0
+    """Angular radius of the Earth's disc: 66 degrees at 600 km [deg]."""
+    lamp: NonNegative = 0.0
+    """Inspector's lamp beside the left camera: its light at 1 m, relative to sunlight."""
+    lamp_position_m: Vector3 = (0.045, -0.06, 0.0)
+    """The lamp in the left camera's frame [m]."""
+    eclipse: Eclipse = Eclipse()
+
+
+class Background(Section):
+    """What is seen behind the target; black sky when nothing is asked for."""
+
+    stars: bool = False
+    """Stars, fixed in N, random by the scene's seed."""
+    star_dn: Positive = 200.0
+    """Grey value, in its brightest pixel, of a star of magnitude 0 [DN]."""
+    faintest_magnitude: float = 6.5
+    """Stars fainter than this are left out; there are about 9000 over the sky to magnitude 6.5."""
+    earth: bool = False
+    """The Earth's disc with clouds and a thin bright limb, where ``light.earth_direction_N`` says."""
+
+
+class Scene(Section):
+    """What ``polhode simulate`` renders."""
+
+    frames: int = Field(115, ge=1)
+    """Number of stereo pairs."""
+    interval_s: Positive = 0.5
+    """Time between pairs [s]."""
+    truth_horizon_s: NonNegative = 60.0
+    """How long the truth goes on after the last image [s]."""
+    start_ns: int = Field(1_600_000_000_000_000_000, ge=0)
+    """Timestamp of the first pair [ns]."""
+    body: Body = Body()
+    mass: Mass = Mass()
+    motion: Motion = Motion()
+    rig: Rig = Rig()
+    inspector: Inspector = Inspector()
+    light: Light = Light()
+    background: Background = Background()
+    sensor: Sensor = Sensor()
+    render: Render = Render()
+
+    @model_validator(mode="after")
+    def _directions_have_length(self) -> Self:
+        for name, vector in [
+            ("light.sun_direction_N", self.light.sun_direction_N),
+            ("light.earth_direction_N", self.light.earth_direction_N),
+            ("inspector.circle_axis", self.inspector.circle_axis),
+        ]:
+            if not any(vector):
+                raise ValueError(f"{name} is zero: give a direction")
+        return self
+
+    @model_validator(mode="after")
+    def _dropped_frames_exist(self) -> Self:
+        for frame in self.sensor.dropped_frames:
+            if not 0 <= frame < self.frames:
+                raise ValueError(
+                    f"sensor.dropped_frames: there is no frame {frame}, only 0 to {self.frames - 1}"
+                )
+        return self
