@@ -70,12 +70,12 @@ def assemble(
     true = FrameStates(_numbers(iterate), iterate.R_NG, data.camera_N, iterate.com_G)
     mass = _mass(iterate, m, derivative, determined)
     mass = with_absolute_scale(mass, iterate, data.form, m, derivative, data.impulses)
-    pushes = estimate_impulses(
+    disturbances = estimate_impulses(
         kept.data, fixed, small, m, derivative, mass.identifiable.axes_P, tracks.timestamps_ns
     )
     warnings = _warnings(tracks, weight, data, mass.identifiable, initial, iterate)
-    if pushes is not None:
-        warnings += describe_impulses(pushes, int(tracks.timestamps_ns[0]))
+    if disturbances is not None:
+        warnings += describe_impulses(disturbances, int(tracks.timestamps_ns[0]))
     return MotionEstimate(
         timestamps_ns=tracks.timestamps_ns,
         r_N=true.centres(),
@@ -100,7 +100,7 @@ def assemble(
             reduced_chi2(kept.data, s, solver.dynamics_cost(fixed, x) + solver.camera_cost(fixed, x)),
         ),
         warnings=tuple(warnings),
-        pushes=pushes,
+        disturbances=disturbances,
     )
 
 

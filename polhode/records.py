@@ -187,8 +187,8 @@ class MassProperties:
 
 
 @dataclass(frozen=True)
-class Push:
-    """What unknown forces and torques did over steps that follow each other."""
+class Impulse:
+    """Accumulated effect of unknown forces and torques over consecutive steps between frames."""
 
     start_ns: int
     end_ns: int
@@ -197,14 +197,14 @@ class Push:
     sigma_delta_v_N: Array
     """(3,)"""
     delta_w_P: Array
-    """(3,) changes of angular velocity, added up in the body [rad/s]"""
+    """(3,) sum of the changes of angular velocity, in the body [rad/s]"""
     sigma_delta_w_P: Array
     """(3,) inf where the principal axes are undetermined"""
 
 
 @dataclass(frozen=True)
-class UnknownPushes:
-    """What unknown forces and torques did, mean over each step between frames; n steps."""
+class Disturbances:
+    """Accelerations by unknown forces and torques, mean over each of n steps between frames."""
 
     start_ns: Ints
     """(n,)"""
@@ -218,8 +218,8 @@ class UnknownPushes:
     """(n, 3) inverse inertia times torque [rad/s^2]"""
     sigma_angular_accel_P: Array
     """(n, 3) inf where the principal axes are undetermined"""
-    pushes: tuple[Push, ...]
-    """The same of each run of steps: better known than its parts"""
+    impulses: tuple[Impulse, ...]
+    """Of each run of consecutive steps: determined better than the single steps"""
 
 
 @dataclass(frozen=True)
@@ -270,8 +270,8 @@ class MotionEstimate:
     covariance_X_NG: Array | None = None
     """(F, 6, 6) of X_NG, shift [m] and turn [rad] along the axes of G: p_N = X_NG (Exp(turn) p_G + shift).
     Without what all poses have in common, so always finite. None: not known"""
-    pushes: UnknownPushes | None = None
-    """Of unknown forces and torques; None: none was looked for, or none found"""
+    disturbances: Disturbances | None = None
+    """By unknown forces and torques; None: not sought, or none found"""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from typing import cast
 
 import numpy as np
 
-from polhode.config.scene import Background, Body, Light, Motion, Render, Rig, Scene, Sensor
+from polhode.config.scene import Background, Light, Motion, Render, Rig, Scene, Sensor, TargetBody
 from polhode.config.train import Corpus
 from polhode.lie import Array
 from polhode.simulation.bodies import build_body
@@ -48,11 +48,11 @@ def random_scene(corpus: Corpus, index: int) -> Scene:
     )
 
 
-def _body(corpus: Corpus, index: int, rng: np.random.Generator) -> Body:
+def _body(corpus: Corpus, index: int, rng: np.random.Generator) -> TargetBody:
     family = corpus.families[index % len(corpus.families)]
     choices = MATERIALS.get(family, ANY_MATERIAL)
     other = choices[rng.integers(len(choices))] if rng.random() < corpus.other_material else "automatic"
-    return Body.model_validate(
+    return TargetBody.model_validate(
         {
             "family": family,
             "size_m": _uniform(rng, corpus.size_m),
@@ -64,7 +64,7 @@ def _body(corpus: Corpus, index: int, rng: np.random.Generator) -> Body:
     )
 
 
-def _radius_m(body: Body) -> float:
+def _radius_m(body: TargetBody) -> float:
     """Radius of the sphere about the centroid of the body's surface that contains most of its area [m]."""
     mesh = build_body(body, 0).mesh
     corners = mesh.vertices[mesh.faces]

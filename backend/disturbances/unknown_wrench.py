@@ -28,7 +28,7 @@ from polhode.backend.solvers.robust_kernel import robust_information
 from polhode.backend.uncertainty.covariance import Marginals, marginals
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.lie import Array, hat
-from polhode.records import Bools, Ints, Push, UnknownPushes
+from polhode.records import Bools, Disturbances, Impulse, Ints
 
 SUSPICIOUS = 24.0
 """Sum of six squares that is exceeded by chance once in 2,000; suspected steps must still gain evidence."""
@@ -164,7 +164,7 @@ def estimate_impulses(
     derivative: AxesDerivative,
     axes_known: Bools,
     timestamps_ns: Ints,
-) -> UnknownPushes | None:
+) -> Disturbances | None:
     """Impulses over the steps that have a node, and over each run of such steps; None if no step has.
 
     An impulse is the unwhitened residual of a step: the state after it minus the prediction by free motion
@@ -189,11 +189,9 @@ def estimate_impulses(
         total = change[steps].sum(axis=0)
         spread = _covariance(T, m.dense, iterate, steps)
         of_total = _sigma(spread, quiet * data.dt_s[steps].sum(), mixed)
-        impulses.append(Push(int(span[0]), int(span[1]), total[:3], of_total[:3], total[3:], of_total[3:]))
+        impulses.append(Impulse(int(span[0]), int(span[1]), total[:3], of_total[:3], total[3:], of_total[3:]))
     accel = change[use] / dt
-    return UnknownPushes(
-        starts, ends, accel[:, :3], sigma[:, :3], accel[:, 3:], sigma[:, 3:], tuple(impulses)
-    )
+    return Disturbances(starts, ends, accel[:, :3], sigma[:, :3], accel[:, 3:], sigma[:, 3:], tuple(impulses))
 
 
 def _changes(
@@ -246,16 +244,16 @@ def _mixed_components(axes_known: Bools) -> Bools:
     return np.array([lost[1] | lost[2], lost[0] | lost[2], lost[0] | lost[1]])
 
 
-def describe_impulses(pushes: UnknownPushes, first_ns: int) -> list[str]:
+def describe_impulses(disturbances: Disturbances, first_ns: int) -> list[str]:
     """One sentence for each disturbance."""
-    return [_sentence(push, first_ns) for push in pushes.pushes]
+    return [_sentence(impulse, first_ns) for impulse in disturbances.impulses]
 
 
-def _sentence(push: Push, first_ns: int) -> str:
-    start_s, end_s = ((t - first_ns) * 1e-9 for t in (push.start_ns, push.end_ns))
-    size = np.append(push.delta_v_N / push.sigma_delta_v_N, push.delta_w_P / push.sigma_delta_w_P)
+def _sentence(impulse: Impulse, first_ns: int) -> str:
+    start_s, end_s = ((t - first_ns) * 1e-9 for t in (impulse.start_ns, impulse.end_ns))
+    size = np.append(impulse.delta_v_N / impulse.sigma_delta_v_N, impulse.delta_w_P / impulse.sigma_delta_w_P)
     acted = "acted" if np.abs(size).max() > SURE else "may have acted"
-    velocity, rate = (float(np.linalg.norm(change)) for change in (push.delta_v_N, push.delta_w_P))
+    velocity, rate = (float(np.linalg.norm(change)) for change in (impulse.delta_v_N, impulse.delta_w_P))
     return (
         f"an unknown disturbance {acted} on the target between {start_s:.1f} s and {end_s:.1f} s: its "
         f"velocity changed by {1e3 * velocity:.2g} mm/s, its rate by {np.rad2deg(rate):.2g} deg/s"

@@ -136,7 +136,7 @@ class EdgeBody:
 
     name: str
     body: Body
-    config: config.Body
+    config: config.TargetBody
 
     @property
     def mesh(self) -> trimesh.Trimesh:
@@ -150,19 +150,22 @@ def edge_body(source: str | Path | trimesh.Trimesh, plain: bool = True, name: st
     plain: one matte grey without any texture, so that shape alone makes edges; else the body's own surface
     (paint, cells, foil, stickers), which solids have not. Raises InputError (files).
     """
-    described = config.Body(contrast=0.0)
+    described = config.TargetBody(contrast=0.0)
     if isinstance(source, trimesh.Trimesh):
         body = assemble([Part(source, MATTE)])
     elif isinstance(source, str) and source in SOLIDS:
         name, body = source, assemble([Part(SOLIDS[source](), MATTE)])
     elif isinstance(source, str) and source in KINDS:
         kind, name = KINDS[source], source
-        described = config.Body.model_validate(
+        described = config.TargetBody.model_validate(
             {"family": kind.family, "size_m": kind.size_m, "seed": kind.seed}
         )
         body = build_body(described, kind.seed)
     elif isinstance(source, Path):
-        described, name = config.Body(family="mesh", path=str(source), metres_per_unit=1.0), source.stem
+        described, name = (
+            config.TargetBody(family="mesh", path=str(source), metres_per_unit=1.0),
+            source.stem,
+        )
         body = build_body(described, 0)
     else:
         raise InputError(f"{source}: no such body; choose from {', '.join(NAMES)}, or give a mesh file")

@@ -81,7 +81,7 @@ def measure(case: Case) -> Case:
         "inside": float(np.mean(np.abs(errors) < 3.0 * sigma)),
         "k": (k / np.sqrt(np.diag(mass.cov_k))).tolist(),
         "error_k": k.tolist(),
-        "found": [] if estimate.pushes is None else whole_pushes(estimate, pushes, h),
+        "found": [] if estimate.disturbances is None else whole_pushes(estimate, pushes, h),
     }
     if known:
         assert mass.mass_kg is not None and mass.sigma_mass_kg is not None
@@ -106,9 +106,9 @@ def whole_pushes(
     estimate: MotionEstimate, pushes: tuple[tuple[float, float, Vector, Vector], ...], h: Array
 ) -> list[list[float]]:
     """Of each push that was found (6,): error of the changes of velocity and rate over their sigmas."""
-    assert estimate.pushes is not None
+    assert estimate.disturbances is not None
     out = []
-    for push in estimate.pushes.pushes:
+    for push in estimate.disturbances.impulses:
         change = np.zeros((2, 3))
         for start_s, duration_s, force_N, torque_P in pushes:
             if push.start_ns < 1e9 * (start_s + duration_s) and push.end_ns > 1e9 * start_s:

@@ -20,12 +20,12 @@ from polhode.pipeline.run_directory.point_cloud_file import write_landmarks
 from polhode.pipeline.run_directory.summary import build_summary, write_summary
 from polhode.pipeline.run_directory.trajectory_file import trajectory_of, write_trajectory
 from polhode.records import (
+    Disturbances,
     MotionEstimate,
     OnlineEstimate,
     RelativePoses,
     StereoTracks,
     SurfaceModel,
-    UnknownPushes,
 )
 
 PUSHES_COLUMNS: tuple[str, ...] = (
@@ -57,22 +57,22 @@ def write_estimate(
     write_landmarks(estimate.landmarks, folder / "landmarks.ply")
     write_measurements(tracks, folder / "measurements.npz", relative, estimate)
     (folder / "pushes.csv").unlink(missing_ok=True)
-    if estimate.pushes is not None:
-        write_pushes(estimate.pushes, folder / "pushes.csv")
+    if estimate.disturbances is not None:
+        write_disturbances(estimate.disturbances, folder / "pushes.csv")
     write_summary(build_summary(tracks, estimate, None, {}), folder / "summary.json")
 
 
-def write_pushes(pushes: UnknownPushes, path: Path) -> None:
+def write_disturbances(found: Disturbances, path: Path) -> None:
     """pushes.csv: one row for each step in which unknown forces and torques may act; an undetermined sigma is
     ``inf``."""
-    first = np.array([push.start_ns for push in pushes.pushes])
-    number = np.searchsorted(first, pushes.start_ns, side="right")
+    first = np.array([impulse.start_ns for impulse in found.impulses])
+    number = np.searchsorted(first, found.start_ns, side="right")
     values = np.hstack(
-        [pushes.accel_N, pushes.sigma_accel_N, pushes.angular_accel_P, pushes.sigma_angular_accel_P]
+        [found.accel_N, found.sigma_accel_N, found.angular_accel_P, found.sigma_angular_accel_P]
     )
     lines = [",".join(PUSHES_COLUMNS)]
     for k, row in enumerate(values.tolist()):
-        stamps = (int(number[k]), int(pushes.start_ns[k]), int(pushes.end_ns[k]))
+        stamps = (int(number[k]), int(found.start_ns[k]), int(found.end_ns[k]))
         lines.append(",".join([*map(str, stamps), *map(repr, row)]))
     write_text(path, "\n".join(lines) + "\n")
 

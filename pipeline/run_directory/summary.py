@@ -187,7 +187,7 @@ def _pushes(estimate: MotionEstimate) -> list[dict[str, Any]]:
             "delta_w_P": push.delta_w_P.tolist(),
             "sigma_delta_w_P": [_number(sigma) for sigma in push.sigma_delta_w_P],
         }
-        for push in (estimate.pushes.pushes if estimate.pushes is not None else ())
+        for push in (estimate.disturbances.impulses if estimate.disturbances is not None else ())
     ]
 
 

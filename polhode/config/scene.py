@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from polhode.config.section import NonNegative, Positive, Section, Share, Vector3
 
 
-class Body(Section):
+class TargetBody(Section):
     """The target's shape and surface, in the geometric frame G."""
 
     family: Literal["free_flyer", "bus", "upper_stage", "dish", "truss", "cubesat", "asteroid", "mesh"] = (
@@ -60,7 +60,7 @@ class Mass(Section):
     densities when absent."""
 
 
-class Push(Section):
+class WrenchPulse(Section):
     """A force and a torque on the target over a span of time; spans that overlap add up."""
 
     start_s: NonNegative = 0.0
@@ -92,7 +92,7 @@ class Motion(Section):
     """Disturbing force: power spectral density of the white acceleration, each axis [(m/s^2)^2/Hz]."""
     torque_psd: NonNegative = 0.0
     """Disturbing torque over the middle moment: power spectral density, each axis [(rad/s^2)^2/Hz]."""
-    pushes: tuple[Push, ...] = ()
+    pushes: tuple[WrenchPulse, ...] = ()
     """Known forces and torques, each with start_s, duration_s, force_N (in N), torque_P, period_s."""
     pushes_known: bool = True
     """Write the pushes to wrench0/ for the estimator; false: it is not told."""
@@ -315,7 +315,7 @@ class Scene(Section):
     """How long the truth goes on after the last image [s]."""
     start_ns: int = Field(1_600_000_000_000_000_000, ge=0)
     """Timestamp of the first pair [ns]."""
-    body: Body = Body()
+    body: TargetBody = TargetBody()
     mass: Mass = Mass()
     motion: Motion = Motion()
     rig: Rig = Rig()

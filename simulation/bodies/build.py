@@ -16,7 +16,7 @@ MESH_GRAIN_M = 0.25
 """The same for mesh files: the side of a cube of the same surface area."""
 
 
-def build_body(body: config.Body, seed: int) -> Body:
+def build_body(body: config.TargetBody, seed: int) -> Body:
     """Build the target; ``seed`` is used if the description has none. Raises InputError (mesh files)."""
     own = seed if body.seed is None else body.seed
     rng, texture_rng = np.random.default_rng([0xB0D1, own]), np.random.default_rng([0x1A4C, own])

@@ -63,7 +63,7 @@ def cell_length_s(scene: config.Scene) -> float:
     return float(min(MAX_CELL_S, scene.interval_s / CELLS_PER_INTERVAL))
 
 
-def push_interval_s(push: config.Push) -> tuple[float, float]:
+def push_interval_s(push: config.WrenchPulse) -> tuple[float, float]:
     """Start of a push and its end, which is exclusive [s]."""
     return push.start_s, push.start_s + push.duration_s
 
@@ -89,7 +89,7 @@ def _midpoints(knots_s: Array) -> Array:
     return np.concatenate([knots_s[:1] - 1.0, 0.5 * (knots_s[1:] + knots_s[:-1]), knots_s[-1:] + 1.0])
 
 
-def _sine(push: config.Push, mass_kg: float) -> Array:
+def _sine(push: config.WrenchPulse, mass_kg: float) -> Array:
     assert push.period_s is not None
     start_s, end_s = push_interval_s(push)
     amplitudes = np.concatenate([np.array(push.force_N) / mass_kg, push.torque_P])
@@ -118,7 +118,7 @@ def known_wrench(motion: config.Motion, timestamps_ns: Ints) -> tuple[Ints, Arra
     return timestamps_ns[0] + rows_ns, force_N, torque_P
 
 
-def _rows_ns(pushes: tuple[config.Push, ...], last_ns: int) -> Ints:
+def _rows_ns(pushes: tuple[config.WrenchPulse, ...], last_ns: int) -> Ints:
     """Times after the first frame, increasing, from zero to ``last_ns``."""
     rows = [_evenly_spaced_ns(0, last_ns, MAX_STEP_S)]
     for push in pushes:
@@ -135,6 +135,6 @@ def _evenly_spaced_ns(start_ns: int, end_ns: int, longest_step_s: float) -> Ints
     return np.linspace(start_ns, end_ns, steps + 1).round().astype(np.int64)
 
 
-def _span_ns(push: config.Push) -> tuple[int, int]:
+def _span_ns(push: config.WrenchPulse) -> tuple[int, int]:
     start_s, end_s = push_interval_s(push)
     return round(start_s * 1e9), round(end_s * 1e9)

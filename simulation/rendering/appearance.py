@@ -101,7 +101,7 @@ def _look_up(
 class SurfaceAppearance:
     """The surface of a body, evaluated by face and position."""
 
-    def __init__(self, body: Body, description: config.Body, seed: int) -> None:
+    def __init__(self, body: Body, description: config.TargetBody, seed: int) -> None:
         """``seed`` is used if the description has none."""
         self._body = body
         self._atlas = ChartAtlas(body.charts)

@@ -14,7 +14,7 @@ from polhode.pipeline.run_directory.outputs import write_estimate
 from polhode.pipeline.run_directory.summary import build_summary
 from polhode.pipeline.run_directory.summary_schema import ShapeFindings
 from polhode.pipeline.uniform_density import assumed_properties
-from polhode.records import Push, UnknownPushes
+from polhode.records import Disturbances, Impulse
 
 
 def test_what_is_known_in_kilograms_and_what_is_assumed_stand_apart(example: Any, tmp_path: Path) -> None:
@@ -23,14 +23,14 @@ def test_what_is_known_in_kilograms_and_what_is_assumed_stand_apart(example: Any
         inertia_scale_kg_m2=0.0234, sigma_inertia_scale_kg_m2=np.inf,
     )  # fmt: skip
     first_ns = int(example.estimate.timestamps_ns[0])
-    push = Push(
+    push = Impulse(
         first_ns + 2 * 10**9, first_ns + 3 * 10**9, np.array([0.0, -0.004, 0.003]), np.full(3, 1e-4),
         np.array([0.1, 0.0, 0.2]), np.full(3, np.inf),
     )  # fmt: skip
     step = np.zeros((1, 3))
     steps = np.array([push.start_ns]), np.array([push.end_ns])
-    pushes = UnknownPushes(*steps, step, step + 0.1, step, step + 0.1, (push,))
-    estimate = replace(example.estimate, mass=mass, pushes=pushes)
+    disturbances = Disturbances(*steps, step, step + 0.1, step, step + 0.1, (push,))
+    estimate = replace(example.estimate, mass=mass, disturbances=disturbances)
     assumed, _ = assumed_properties(mass, example.surface, Backend(mass_kg=4.5))
     write_estimate(tmp_path, example.tracks, estimate)
     summary = build_summary(

@@ -16,7 +16,7 @@ from polhode.simulation.rendering.render import Renderer
 
 FAMILIES = [
     family
-    for family in get_args(config.Body.model_fields["family"].annotation)
+    for family in get_args(config.TargetBody.model_fields["family"].annotation)
     if family != "mesh"  # it needs a file; its triangles go the same way
 ]
 RIG = config.Rig(width_px=160, height_px=120, focal_px=150.0, distortion=(-0.2, 0.05, 1e-3, -5e-4))
@@ -51,7 +51,7 @@ def _independent_depth(triangles_K: Array, camera: Camera, pixel: Ints) -> Array
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_depth_agrees_with_an_independent_ray_cast_within_ten_micrometres(family: str) -> None:
-    body = build_body(config.Body.model_validate({"family": family, "size_m": 0.3}), 3)
+    body = build_body(config.TargetBody.model_validate({"family": family, "size_m": 0.3}), 3)
     renderer = Renderer(body, config.Scene(), 3)
     _, camera = build_cameras(RIG)
     X_NG = make_pose(exp_so3([0.5, -0.7, 0.3]), [0.05, 0.0, 3.0 * body.radius_m])

@@ -14,7 +14,7 @@ from polhode.backend.solvers.solve import refine
 from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
 from polhode.progress import Silent
-from polhode.records import MotionEstimate, Push
+from polhode.records import Impulse, MotionEstimate
 from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, Vector, generate
 
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
@@ -53,7 +53,7 @@ def deviations(sequence: SyntheticSequence, estimate: MotionEstimate) -> Array:
 
 
 def push_deviation(
-    push: Push,
+    push: Impulse,
     truth: tuple[float, float, Vector, Vector],
     sequence: SyntheticSequence,
     estimate: MotionEstimate,
@@ -71,8 +71,8 @@ def push_deviation(
 def test_a_push_is_found_followed_and_recovered(push: tuple[float, float, Vector, Vector]) -> None:
     sequence = pushed(push, 1)
     estimate = run(sequence)
-    assert estimate.pushes is not None and len(estimate.pushes.pushes) == 1
-    found = estimate.pushes.pushes[0]
+    assert estimate.disturbances is not None and len(estimate.disturbances.impulses) == 1
+    found = estimate.disturbances.impulses[0]
     # the smear of a push may add steps, the first and the last may pass for disturbances
     assert 1e9 * (push[0] - 2.0) <= found.start_ns <= 1e9 * (push[0] + 0.5)
     assert 1e9 * (push[0] + push[1] - 0.5) <= found.end_ns <= 1e9 * (push[0] + push[1] + 2.0)
@@ -90,7 +90,7 @@ def test_a_push_is_found_followed_and_recovered(push: tuple[float, float, Vector
 def test_nothing_is_found_where_nothing_pushes() -> None:
     for seed, psd, outliers in ((1, 1e-8, 0.0), (2, 1e-6, 0.0), (3, 3e-6, 0.05)):
         scene = replace(FREE, accel_psd=psd, torque_psd=psd, outliers=outliers)
-        assert run(generate(scene, seed)).pushes is None
+        assert run(generate(scene, seed)).disturbances is None
 
 
 def test_steps_of_stated_times_have_a_node_and_no_others() -> None:
@@ -107,8 +107,8 @@ def test_a_push_at_stated_times_is_recovered_without_a_search() -> None:
         unknown_acceleration=5e-3, unknown_angular_acceleration=0.1,
     )  # fmt: skip
     estimate = run(sequence, stated)
-    assert estimate.pushes is not None and len(estimate.pushes.accel_N) == 6
-    assert np.abs(push_deviation(estimate.pushes.pushes[0], LONG, sequence, estimate)).max() < 4.0
+    assert estimate.disturbances is not None and len(estimate.disturbances.accel_N) == 6
+    assert np.abs(push_deviation(estimate.disturbances.impulses[0], LONG, sequence, estimate)).max() < 4.0
     assert np.mean(np.abs(deviations(sequence, estimate)) < 3.0) > 0.98
 
 
@@ -118,7 +118,7 @@ def test_with_a_wide_node_in_every_step_the_poses_are_followed_and_nothing_else_
     estimate = run(sequence, config)
     known = estimate.mass.identifiable
     assert not (known.k1 or known.k2 or known.axes or known.com)
-    assert estimate.pushes is not None and np.isinf(estimate.pushes.sigma_angular_accel_P).all()
+    assert estimate.disturbances is not None and np.isinf(estimate.disturbances.sigma_angular_accel_P).all()
     R_NG, R_true = estimate.X_NG[:, :3, :3], sequence.X_NG[:, :3, :3]
     turned = log_so3(np.swapaxes(R_NG[0].T @ R_NG, 1, 2) @ (R_NG[0].T @ R_true @ R_true[0].T @ R_NG[0]))
     # twenty observations of 1 px in a frame

@@ -11,9 +11,9 @@ import yaml
 
 from polhode.config import Config
 from polhode.errors import InputError
-from polhode.pipeline.run_directory.outputs import PUSHES_COLUMNS, write_pushes
+from polhode.pipeline.run_directory.outputs import PUSHES_COLUMNS, write_disturbances
 from polhode.pipeline.run_directory.summary import read_summary
-from polhode.records import Push, SurfaceModel, UnknownPushes
+from polhode.records import Disturbances, Impulse, SurfaceModel
 from tests.pipeline.stored_run import write_run
 
 STATED = {
@@ -98,10 +98,12 @@ def test_pushes_read_back_exactly_and_are_numbered(tmp_path: Path) -> None:
     start = 1_600_000_000_000_000_000 + 500_000_000 * np.array([3, 4, 9], dtype=np.int64)
     accel, sigma = rng.normal(size=(2, 3, 3)), rng.uniform(0.1, 1.0, (2, 3, 3))
     sigma[1, 2] = np.inf
-    one = Push(int(start[0]), int(start[1]) + 500_000_000, *rng.normal(size=(4, 3)))
-    two = Push(int(start[2]), int(start[2]) + 500_000_000, *rng.normal(size=(4, 3)))
-    pushes = UnknownPushes(start, start + 500_000_000, accel[0], sigma[0], accel[1], sigma[1], (one, two))
-    write_pushes(pushes, tmp_path / "pushes.csv")
+    one = Impulse(int(start[0]), int(start[1]) + 500_000_000, *rng.normal(size=(4, 3)))
+    two = Impulse(int(start[2]), int(start[2]) + 500_000_000, *rng.normal(size=(4, 3)))
+    disturbances = Disturbances(
+        start, start + 500_000_000, accel[0], sigma[0], accel[1], sigma[1], (one, two)
+    )
+    write_disturbances(disturbances, tmp_path / "pushes.csv")
     header, *rows = (tmp_path / "pushes.csv").read_text().splitlines()
     assert tuple(header.split(",")) == PUSHES_COLUMNS and len(PUSHES_COLUMNS) == 15
     cells = [row.split(",") for row in rows]

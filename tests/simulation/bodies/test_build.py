@@ -18,7 +18,7 @@ FAMILIES = ["free_flyer", "bus", "asteroid"]
 
 
 def _build(family: str, seed: int = 1, **more: object) -> Body:
-    return build_body(config.Body.model_validate({"family": family, **more}), seed)
+    return build_body(config.TargetBody.model_validate({"family": family, **more}), seed)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -38,7 +38,7 @@ def test_the_same_seed_gives_the_same_body_and_another_seed_another(family: str)
 
 
 def test_the_bodys_own_seed_stands_above_the_configs() -> None:
-    own = config.Body(family="bus", seed=9)
+    own = config.TargetBody(family="bus", seed=9)
     np.testing.assert_array_equal(build_body(own, 1).mesh.vertices, build_body(own, 2).mesh.vertices)
 
 

@@ -98,7 +98,7 @@ def test_sizes_are_those_that_the_scene_names() -> None:
 
 def test_a_body_twice_as_large_is_the_same_in_all_proportions() -> None:
     def body(size_m: float) -> Body:
-        return build_body(config.Body(family="cubesat", size_m=size_m), 5)
+        return build_body(config.TargetBody(family="cubesat", size_m=size_m), 5)
 
     small, large = body(0.2), body(0.4)
     np.testing.assert_allclose(large.mesh.vertices, 2.0 * small.mesh.vertices, atol=1e-12)

@@ -16,7 +16,7 @@ TS38 = Path(__file__).parents[3] / "configs" / "ts38.yaml"
 
 @pytest.fixture(scope="module")
 def body() -> Body:
-    return build_body(config.Body(), 0)
+    return build_body(config.TargetBody(), 0)
 
 
 def test_without_names_the_body_has_its_own_mass_properties(body: Body) -> None:

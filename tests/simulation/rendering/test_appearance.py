@@ -114,7 +114,7 @@ def test_a_wall_reads_the_right_way_round_from_outside() -> None:
         assert chart.image[-3].mean() > chart.image[2].mean()
 
 
-def _on_all_faces(body: Body, description: config.Body) -> Surface:
+def _on_all_faces(body: Body, description: config.TargetBody) -> Surface:
     face = np.arange(len(body.mesh.faces))
     weights = np.full((len(face), 3), 1 / 3)
     centres, normals = np.asarray(body.mesh.triangles_center), np.asarray(body.mesh.face_normals)
@@ -132,7 +132,7 @@ def test_a_layer_of_a_drawing_brings_its_own_material_and_slope() -> None:
     body = assemble([Part(mesh, PAINT_GREY, ((chart, top),))])
     points = np.array([[-0.3, 0.0, 0.5], [0.3, 0.0, 0.5]])
     up = np.tile([0.0, 0.0, 1.0], (2, 1))
-    surface = SurfaceAppearance(body, config.Body(contrast=0.0), 0).evaluate(
+    surface = SurfaceAppearance(body, config.TargetBody(contrast=0.0), 0).evaluate(
         top[[0, 0]], np.full((2, 3), 1 / 3), points, up
     )
     np.testing.assert_allclose(surface.specular, [PAINT_GREY.specular, GLASS.specular])
@@ -143,8 +143,8 @@ def test_a_layer_of_a_drawing_brings_its_own_material_and_slope() -> None:
 
 
 @cache
-def _bus(material: str) -> tuple[Body, config.Body]:
-    description = config.Body.model_validate({"family": "bus", "material": material, "seed": 4})
+def _bus(material: str) -> tuple[Body, config.TargetBody]:
+    description = config.TargetBody.model_validate({"family": "bus", "material": material, "seed": 4})
     return build_body(description, 0), description
 
 

@@ -31,7 +31,7 @@ def _indirect(*meshes: trimesh.Trimesh, material: Material = MATT) -> tuple[Indi
     body = assemble([Part(mesh, material) for mesh in meshes])
     caster = RayCaster(body)
     return IndirectLight(
-        body, caster, SurfaceAppearance(body, config.Body(contrast=0.0), 0), 1, probes=2500
+        body, caster, SurfaceAppearance(body, config.TargetBody(contrast=0.0), 0), 1, probes=2500
     ), caster
 
 
@@ -93,7 +93,9 @@ def test_a_highlight_carries_the_light_of_a_metal_to_its_neighbour() -> None:
     body = assemble(parts)
     caster = RayCaster(body)
     scene = (
-        IndirectLight(body, caster, SurfaceAppearance(body, config.Body(contrast=0.0), 0), 1, probes=2500),
+        IndirectLight(
+            body, caster, SurfaceAppearance(body, config.TargetBody(contrast=0.0), 0), 1, probes=2500
+        ),
         caster,
     )
     sun = np.array([np.cos(1.0), 0.0, np.sin(1.0)])

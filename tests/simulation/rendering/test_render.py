@@ -65,7 +65,7 @@ def test_a_picture_does_not_depend_on_what_was_rendered_before() -> None:
 
 def test_a_bounce_adds_light_and_never_takes_any_away_from_a_matt_body() -> None:
     """On the rocky body, which mirrors nothing: more light in its hollows, the same elsewhere."""
-    body = build_body(config.Body(family="asteroid"), 3)
+    body = build_body(config.TargetBody(family="asteroid"), 3)
     direct, bounced = (
         Renderer(body, SCENE.model_copy(update={"render": config.Render(samples=4, bounces=bounces)}), 3)
         .picture(LEFT, np.eye(4), X_NG)

@@ -118,7 +118,7 @@ def _levels(
 ) -> Array:
     """Level (n,) in the mirror at points at_G (n, 3), as seen from a point (3,); mean over the samples."""
     body = assemble(parts)
-    caster, appearance = RayCaster(body), SurfaceAppearance(body, config.Body(contrast=0.0), 0)
+    caster, appearance = RayCaster(body), SurfaceAppearance(body, config.TargetBody(contrast=0.0), 0)
     indirect = IndirectLight(body, caster, appearance, 1, probes=1500)
     rays = at_G - np.array(seen_from_G)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.config.scene import Body, Light, Motion, Render, Rig, Scene
+from polhode.config.scene import Light, Motion, Render, Rig, Scene, TargetBody
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
 from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
@@ -18,7 +18,7 @@ def sequence(tmp_path_factory: pytest.TempPathFactory) -> StereoSequence:
     scene = Scene(
         frames=3,
         truth_horizon_s=0.0,
-        body=Body(family="cubesat", size_m=0.25),
+        body=TargetBody(family="cubesat", size_m=0.25),
         motion=Motion(position_m=(0.04, 0.0, 0.6), attitude_deg=(30, 40, 10), spin_rpm=(2, 3, 1)),
         rig=Rig(
             width_px=160,

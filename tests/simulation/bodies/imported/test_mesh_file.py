@@ -29,8 +29,10 @@ from polhode.simulation.surface.materials import (
 )
 
 
-def _description(path: Path, **more: object) -> config.Body:
-    return config.Body.model_validate({"family": "mesh", "path": str(path), "metres_per_unit": 1.0, **more})
+def _description(path: Path, **more: object) -> config.TargetBody:
+    return config.TargetBody.model_validate(
+        {"family": "mesh", "path": str(path), "metres_per_unit": 1.0, **more}
+    )
 
 
 def _body(path: Path, **more: object) -> Body:
