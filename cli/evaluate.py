@@ -22,7 +22,7 @@ class EvaluateCommand:
 
     def execute(self) -> int:
         """Write the metrics, renew the report and print the table."""
-        from polhode.pipeline.evaluation.evaluate import evaluate, format_table
+        from polhode.pipeline.evaluation import evaluate, format_table
         from polhode.pipeline.report import write_report
 
         metrics = evaluate(self.run, self.data)

@@ -68,9 +68,8 @@ class ObservabilityCommand:
         import numpy as np
 
         from polhode.cli.console import choose_progress
-        from polhode.pipeline.after_run.observability.assess import assess
+        from polhode.pipeline.after_run.observability.assess import CameraOptions, assess, subject_of
         from polhode.pipeline.after_run.observability.files import format_assessment, write_assessment
-        from polhode.pipeline.after_run.observability.subject import CameraOptions, subject_of
 
         if self.output.exists() and not self.output.is_dir():
             raise InputError(f"{self.output} is a file: -o names a folder")

@@ -19,6 +19,8 @@ MIN_COSINE = 0.15
 """Seen at more than 81 degrees from the normal does not count as seen."""
 CLEARANCE = 2e-3
 """A ray may end this far before its point, as a share of the body's size."""
+LIT_OVER_SKY = 12.0
+"""Intensity above the sky's that counts as lit [8-bit levels]."""
 _MAP_CLEARANCE = 8e-3
 """The same where a depth map of few pixels stands for the rays."""
 _MAP_PIXELS = 160
@@ -52,6 +54,11 @@ class FrameView:
     def eye_G(self) -> Array:
         """(3,) the camera in G [m]."""
         return np.asarray(inverse_pose(self.X_RG)[:3, 3])
+
+
+def light_level(left: NDArray[np.uint8]) -> float:
+    """Intensity above which a pixel of a left image shows light: well above the sky's."""
+    return float(np.percentile(left, 5)) + LIT_OVER_SKY
 
 
 class Caster:

@@ -8,8 +8,9 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - find_motion: solve, match again, keep what fits better; consistency_check decides what fits better
 - finish_surface: holes, colours, coverage and levels of the fused surface
 - coverage: the share of the body that was seen, seen but never lit, never seen
+- evaluation: a run against the truth of its dataset, which nothing else reads
 - uniform_density: mass properties from the mesh at uniform density, assumed and compared with the motion's
 
-run_directory/ reads and writes a run; evaluation/ compares it with the truth; report/ and pictures/ show it;
+run_directory/ reads and writes a run; report/ and pictures/ show it;
 after_run/ derives plans, predictions, exports and the observability of edges from it.
 """

@@ -17,10 +17,9 @@ from polhode.lie import Array, transform_points
 from polhode.mapping.finishing.albedo import Colouring, divide_shading
 from polhode.mapping.finishing.detail_levels import DetailLevel, levels_of
 from polhode.mapping.finishing.hole_closing import ClosedHoles, close_small_holes
-from polhode.mapping.visibility import Caster, FrameView
+from polhode.mapping.visibility import Caster, FrameView, light_level
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.coverage import coverage_of, warnings_of, with_classes
-from polhode.pipeline.evaluation.seen_surface import light_level
 from polhode.pipeline.run_directory.summary_schema import Mesh, MeshLevel, ShapeFindings, Sun
 from polhode.pipeline.uniform_density import assumed_properties, check_physics
 from polhode.records import MassProperties, SurfaceModel

@@ -29,12 +29,11 @@ from benchmarks.edges.bodies import edge_body
 from benchmarks.edges.trajectory.camera_path import camera_poses, sun_in_G, target_centres
 from benchmarks.edges.views import edge_rig
 from benchmarks.record import Case, complete
-from polhode.planning.edges.metric.contributions import contributions
-from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
-from polhode.planning.edges.metric.information import feature_information
-from polhode.planning.edges.metric.pictures import coloured_body, picture
-from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.prediction.ensemble import nominal_motion
+from polhode.pipeline.after_run.observability.pictures import coloured_body, picture
+from polhode.planning.edges.edge_model import edge_model
+from polhode.planning.edges.information import contributions, feature_information
+from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
+from polhode.planning.prediction import nominal_motion
 
 RECORD = Path("runs/best_trajectory.jsonl")
 BODIES = ("steps", "satellite")
@@ -80,7 +79,7 @@ def measure(case: Case) -> dict[str, Any]:
     from benchmarks.edges.trajectory.camera_path import path_metric
     from benchmarks.edges.trajectory.trajectory_optimization import best_trajectory, table_for
     from benchmarks.edges.views import edge_rig
-    from polhode.planning.edges.model.edge_model import edge_model
+    from polhode.planning.edges.edge_model import edge_model
 
     target, rig = edge_body(case["body"]), edge_rig()
     model = edge_model(target.mesh)
@@ -118,8 +117,7 @@ def measure(case: Case) -> dict[str, Any]:
 def tumbling(mesh: Any) -> tuple[Any, Any]:
     """The motion of a body with small covariances about its middle, and its keep-out volume."""
     from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
-    from polhode.planning.prediction.ensemble import FinalEstimate
-    from polhode.planning.prediction.prediction import FinalState
+    from polhode.planning.prediction import FinalEstimate, FinalState
     from polhode.records import SurfaceModel
 
     basis = np.zeros((5, 3, 3))
@@ -163,7 +161,7 @@ class Trial:
         """Root mean squares (6,) [m, rad] of the poses that converged, and the share of those."""
         from benchmarks.edges.tracking.tracker import track
         from benchmarks.edges.views import perturbed
-        from polhode.planning.edges.metric.edge_motion import pose_error
+        from polhode.planning.edges.observability_metric import pose_error
 
         start = perturbed(self.X_RG, model.middle_G, seed=4)
         e, home = np.zeros((len(start), 6)), np.zeros(len(start), dtype=bool)
@@ -183,9 +181,9 @@ class Trial:
 
 def edge_sets(model: Any, rig: Any, seen: Any, trial: Trial) -> list[dict[str, Any]]:
     """All edges, the smallest set within 10 %, and sets of one size."""
-    from polhode.planning.edges.metric.information import feature_information
-    from polhode.planning.edges.selection.selection import edge_lengths, greedy, improved_by_exchange
-    from polhode.planning.edges.selection.smallest_set import smallest_set
+    from polhode.planning.edges.information import feature_information
+    from polhode.planning.edges.selection import edge_lengths, greedy, improved_by_exchange
+    from polhode.planning.edges.smallest_set import smallest_set
 
     sun_G = np.einsum("tji,tj->ti", seen.X_RG[:, :3, :3], seen.sun_R)
     information = feature_information(model, rig, seen.X_RG, sun_G, clear=True)

@@ -40,10 +40,15 @@ from polhode.camera import RectifiedRig
 from polhode.config.scene import Sensor
 from polhode.images import Grey
 from polhode.lie import Array, make_pose, transform_points
-from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
-from polhode.planning.edges.metric.observability_metric import EdgeObservability, observability
-from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
-from polhode.planning.edges.model.visible_edges import SPACING_PX, clear_points
+from polhode.planning.edges.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.observability_metric import (
+    EdgeObservability,
+    edge_motion,
+    moved,
+    observability,
+    pose_error,
+)
+from polhode.planning.edges.visible_edges import SPACING_PX, clear_points
 
 RECORD = Path("runs/observability.jsonl")
 

@@ -18,11 +18,11 @@ from benchmarks.command import command
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, make_pose
 from polhode.metrics import truth_at
-from polhode.pipeline.after_run.observability.subject import CameraOptions, subject_of
+from polhode.pipeline.after_run.observability.assess import CameraOptions, subject_of
 from polhode.pipeline.run_directory.archives import read_measurements
-from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
-from polhode.planning.edges.metric.information import views_along
-from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.information import views_along
+from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
 from polhode.truth import read_truth
 
 

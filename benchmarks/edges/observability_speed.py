@@ -19,8 +19,8 @@ from benchmarks.command import Short, command
 from benchmarks.edges.bodies import KINDS, edge_body
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, make_pose
-from polhode.planning.edges.metric.information import views_along
-from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.edge_model import edge_model
+from polhode.planning.edges.information import views_along
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 DIAMETERS_AWAY = 2.0

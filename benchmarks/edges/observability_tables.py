@@ -14,7 +14,7 @@ from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, NoisePa
 from benchmarks.edges.tracking.residual import FEATURES, TRUSTED, probability
 from benchmarks.record import Case
 from polhode.lie import Array
-from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
+from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
 from polhode.records import Bools
 
 TRIANGLE = np.triu_indices(6)

@@ -23,15 +23,15 @@ from benchmarks.edges.views import edge_rig, random_poses
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import make_pose
-from polhode.planning.edges.metric.information import FeatureInformation, feature_information
-from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
-from polhode.planning.edges.selection.selection import (
+from polhode.planning.edges.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.information import FeatureInformation, feature_information
+from polhode.planning.edges.selection import (
     best_selection,
     greedy,
     improved_by_exchange,
     upper_bound,
 )
-from polhode.planning.edges.selection.smallest_set import SigmaLimits, exact_smallest_set, smallest_set
+from polhode.planning.edges.smallest_set import SigmaLimits, exact_smallest_set, smallest_set
 
 BODIES = ("block", "house", "drum", "satellite", "bus", "cubesat")
 EXACT_UP_TO = 25

@@ -55,7 +55,7 @@ from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.images import Grey
 from polhode.lie import Array, hat, log_so3, right_jacobian_so3
-from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.edge_model import edge_model
 from polhode.records import Bools, Ints
 
 SOURCE = Path(__file__).with_name("visp_edges") / "track.cpp"

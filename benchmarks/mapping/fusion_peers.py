@@ -46,7 +46,7 @@ from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.mapping.fusion.field import Field
 from polhode.mapping.fusion.fuse import choose_voxel_m, fuse
 from polhode.mesh_metrics import compare_surfaces
-from polhode.pipeline.evaluation.evaluate import seen_truth
+from polhode.pipeline.evaluation import seen_truth
 from polhode.records import DepthMap
 from polhode.truth import read_truth
 

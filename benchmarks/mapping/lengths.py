@@ -24,7 +24,7 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.mapping.mesh_files import read_ply
 from polhode.mapping.visibility import Caster
-from polhode.pipeline.evaluation.evaluate import between_target_frames
+from polhode.pipeline.evaluation import between_target_frames
 from polhode.truth import read_truth
 
 SAMPLES = 4000

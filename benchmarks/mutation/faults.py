@@ -217,14 +217,14 @@ MAPPING = (
 PLANNING = (
     Fault(
         "wrong exponent in the spread of the position by white acceleration",
-        "planning/prediction/prediction.py",
+        "planning/prediction.py",
         "out[:, i, i] = accel_psd * time_s[:, None] ** 3 / 3",
         "out[:, i, i] = accel_psd * time_s[:, None] ** 2 / 3",
-        ("planning/prediction/test_prediction.py", "planning"),
+        ("planning/test_prediction.py", "planning"),
     ),
     Fault(
         "transposed rotation in the swept volume",
-        "planning/keep_out/swept_distance.py",
+        "planning/keep_out/distance_fields.py",
         "gx = A[0, 0] * dx + A[1, 0] * dy + A[2, 0] * dz",
         "gx = A[0, 0] * dx + A[0, 1] * dy + A[0, 2] * dz",
         ("planning/keep_out/test_volumes.py", "planning"),
@@ -240,10 +240,10 @@ PLANNING = (
     ),
     Fault(
         "scale of shifts by the radius applied the wrong way round",
-        "planning/edges/metric/information.py",
+        "planning/edges/information.py",
         "return np.array([radius_m] * 3 + [1.0] * 3)",
         "return np.array([1.0 / radius_m] * 3 + [1.0] * 3)",
-        ("planning/edges/metric", "benchmarks/edges/trajectory"),
+        ("planning/edges/test_contributions.py", "benchmarks/edges/trajectory"),
     ),
 )
 PIPELINE_AND_CLI = (
@@ -263,10 +263,10 @@ PIPELINE_AND_CLI = (
     ),
     Fault(
         "sign of the lever arm from the centre of mass to the origin of the mesh",
-        "pipeline/evaluation/evaluate.py",
+        "pipeline/evaluation.py",
         "return make_pose(R_NG, states.r_N - R_NG @ com_G)",
         "return make_pose(R_NG, states.r_N + R_NG @ com_G)",
-        ("pipeline/evaluation/test_evaluate.py",),
+        ("pipeline/test_evaluation.py",),
     ),
     Fault(
         "bad input unhandled: a standard deviation of zero passes",

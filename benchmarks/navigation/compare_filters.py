@@ -97,7 +97,7 @@ class Poses:
 
     def __call__(self, case: Case) -> dict[str, Any]:
         """Poses by `FoundPose.line`, or None."""
-        from polhode.planning.edges.model.edge_model import edge_model
+        from polhode.planning.edges.edge_model import edge_model
 
         course = flight(case["scenario"], case["body"], case["seed"])
         model = edge_model(body_mesh(case["body"]))

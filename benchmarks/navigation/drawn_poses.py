@@ -15,10 +15,9 @@ from benchmarks.navigation.flights import Flight, sun_R
 from benchmarks.navigation.found_pose import FoundPose, spread
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
-from polhode.planning.edges.metric.edge_motion import edge_motion, moved
-from polhode.planning.edges.model.edge_contrast import contrast
-from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.model.visible_edges import control_points
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.observability_metric import edge_motion, moved
+from polhode.planning.edges.visible_edges import contrast, control_points
 from polhode.records import Bools, Ints
 
 

@@ -27,7 +27,7 @@ from polhode.lie import (
     matrix_from_wxyz,
     right_jacobian_so3,
 )
-from polhode.planning.edges.metric.edge_motion import pose_error
+from polhode.planning.edges.observability_metric import pose_error
 
 MAX_STEP_ANGLE_RAD = 0.03
 """Of the body in one step of the integration."""

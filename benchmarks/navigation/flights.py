@@ -15,7 +15,7 @@ from benchmarks.edges.bodies import edge_body
 from benchmarks.edges.views import edge_rig
 from benchmarks.navigation.error_state_filter import State, Target, predict, predicted_pose
 from polhode.lie import Array, exp_so3, make_pose
-from polhode.planning.prediction.prediction import process_noise
+from polhode.planning.prediction import process_noise
 
 SCENARIOS = ("approach", "fly-around")
 RIG = edge_rig(480.0, 480, 360)

@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, NoiseParts
 from benchmarks.navigation.pose_weights import TrackedPose
 from polhode.lie import Array
-from polhode.planning.edges.metric.observability_metric import observability
+from polhode.planning.edges.observability_metric import observability
 from polhode.records import Ints
 
 TOLD = 1e-9

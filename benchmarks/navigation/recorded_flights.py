@@ -27,7 +27,7 @@ from benchmarks.navigation.pose_weights import (
 )
 from benchmarks.record import Case, measured
 from polhode.lie import Array
-from polhode.planning.edges.metric.edge_motion import pose_error
+from polhode.planning.edges.observability_metric import pose_error
 from polhode.records import Bools
 
 FILTERS = ("fixed", "gated", "calibrated")

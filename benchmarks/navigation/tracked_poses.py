@@ -21,8 +21,8 @@ from polhode.camera import RectifiedRig
 from polhode.dataset_writer import write_png
 from polhode.images import Grey, read_raw
 from polhode.lie import Array
-from polhode.planning.edges.metric.edge_motion import moved
-from polhode.planning.edges.model.edge_model import EdgeModel
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.observability_metric import moved
 
 VIEWS = ViewOptions(earth=0.0, scattered=True, sensor=LENS)
 TRACKING = TrackerOptions(restarts=0)

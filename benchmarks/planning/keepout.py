@@ -64,10 +64,10 @@ def measure(case: Case) -> dict[str, Any]:
     import trimesh
 
     from polhode.pipeline.after_run.plan import final_estimate, surface_of
+    from polhode.planning.keep_out.distance_fields import FAR, protrusion, protrusion_at_instants, sweep
     from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grown_body, thinned_vertices
-    from polhode.planning.keep_out.swept_distance import FAR, protrusion, protrusion_at_instants, sweep
     from polhode.planning.keep_out.volumes import KeepOutOptions, fine_times, keep_out, points_near_surface
-    from polhode.planning.prediction.ensemble import draw_ensemble, nominal_motion
+    from polhode.planning.prediction import draw_ensemble, nominal_motion
     from polhode.records import SurfaceModel
 
     run = Path(case["run"])

@@ -64,7 +64,7 @@ class Source:
         """Read by evaluation alone; it reaches the assessment, no solver."""
         if self.truth is None:
             return None
-        from polhode.pipeline.evaluation.evaluate import truth_of_frames
+        from polhode.pipeline.evaluation import truth_of_frames
 
         return truth_of_frames(self.truth, timestamps_ns)
 

@@ -3,8 +3,7 @@
 In: a run directory. Out: files for planners, simulators and other programs.
 
 - predict: the target's motion after the last pair, with covariances
-- plan: keep-out volume, surface speeds and docking corridor; plan_files and plan_pictures write them
+- plan: keep-out volume, surface speeds and docking corridor; plan_files writes them, with pictures
 - export/: the run in the formats of other programs
 - observability/: how well edges determine the pose along a camera trajectory
-- mesh_input: reads a mesh file that the user names
 """

@@ -15,7 +15,7 @@ from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.approach.corridor import Corridor, corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out, member_times
-from polhode.planning.prediction.ensemble import FinalEstimate, nominal_motion
+from polhode.planning.prediction import FinalEstimate, nominal_motion
 from polhode.records import SurfaceModel
 
 DOUBTFUL_DOCK_DISTANCE, MAX_DOCK_DISTANCE = 0.05, 5.0

@@ -26,7 +26,7 @@ from polhode.pipeline.run_directory.trajectory_file import (
     standard_deviations,
     write_trajectory,
 )
-from polhode.planning.prediction.prediction import FinalState, Prediction, predict
+from polhode.planning.prediction import FinalState, Prediction, predict
 from polhode.records import Ints
 
 MAX_ROWS = 100_000

@@ -3,9 +3,8 @@
 In: the run's context, tracks, estimate and surface. Out: RUN/pictures, whose captions the report shows.
 
 - run_pictures: makes all pictures of a run; tracks on the images
-- landmarks, mesh_sheet: the map from six sides, the mesh from eight
-- model_comparison, animation: the mesh beside the images, frame by frame, as MP4 and GIF
-- body_views: the directions of view, shared with the pictures of a plan
+- body_views: map and mesh from all sides; the directions of view, shared with the pictures of a plan
+- model_comparison: the mesh beside the images, frame by frame, as MP4 and GIF
 """
 
 from polhode.pipeline.pictures.run_pictures import make_pictures

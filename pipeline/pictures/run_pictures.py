@@ -18,11 +18,16 @@ from polhode.frontend.rectification.target import Crop, target_crop
 from polhode.lie import Array
 from polhode.mapping.mesh_viewer import MeshViewer
 from polhode.pipeline.context import RunContext
-from polhode.pipeline.pictures.animation import Rgb, caption, draw_frame, film
-from polhode.pipeline.pictures.body_views import body_frame
-from polhode.pipeline.pictures.landmarks import draw_landmarks
-from polhode.pipeline.pictures.mesh_sheet import draw_mesh
-from polhode.pipeline.pictures.model_comparison import FrameComparison, chosen_frames, compare_frames
+from polhode.pipeline.pictures.body_views import body_frame, draw_landmarks, draw_mesh
+from polhode.pipeline.pictures.model_comparison import (
+    FrameComparison,
+    Rgb,
+    caption,
+    chosen_frames,
+    compare_frames,
+    draw_frame,
+    film,
+)
 from polhode.pipeline.run_directory.outputs import write_picture
 from polhode.progress import Advance
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel

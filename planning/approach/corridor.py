@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.lie import Array
-from polhode.planning.prediction.ensemble import BodyMotion
+from polhode.planning.prediction import BodyMotion
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.lie import Array, hat
-from polhode.planning.prediction.ensemble import BodyMotion
+from polhode.planning.prediction import BodyMotion
 
 MAX_INSTANTS = 200
 

@@ -1,8 +1,12 @@
 """Observability of a pose from the edges of a known body: the accuracy that an edge tracker can reach.
 
-In: a mesh, a camera, poses. Out: information and covariance of the pose, per view and per edge.
+In: a mesh in G, a camera, poses. Out: information and covariance of the pose, per view and per edge.
 
-    model/       the edges of a mesh, and which of them a camera sees
-    metric/      information that the visible edges give about the pose
-    selection/   which edges to use when their number is limited
+    edge_model             creases and rims as straight segments, smooth parts, occlusion by the body
+    measured_edges         the edge model of a run's mesh, simplified as far as its errors allow
+    visible_edges          control points on the edges that a camera sees; outlines, contrast in sunlight
+    observability_metric   image motion across the edges, C = sum of f f^T, C^-1, unobservable directions
+    information            C along a trajectory, per view and per feature; contribution of each edge
+    selection              the best edges under a budget, with an upper bound
+    smallest_set           the smallest set that determines the pose nearly as well as all edges
 """

@@ -18,7 +18,7 @@ from scipy.stats import norm
 from skimage.measure import marching_cubes
 
 from polhode.lie import Array
-from polhode.planning.keep_out.nearest_points import closest
+from polhode.planning.keep_out.distance_fields import closest
 from polhode.records import SurfaceModel
 
 Floats = NDArray[np.float32]

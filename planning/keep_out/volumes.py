@@ -18,16 +18,9 @@ from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from polhode.lie import Array
-from polhode.planning.keep_out.measured_body import (
-    Cover,
-    MeasuredBody,
-    ScalarGrid,
-    grown_body,
-    thinned_vertices,
-)
-from polhode.planning.keep_out.nearest_points import closest
-from polhode.planning.keep_out.swept_distance import (
+from polhode.planning.keep_out.distance_fields import (
     FAR,
+    closest,
     linear,
     protrusion,
     protrusion_at_instants,
@@ -35,7 +28,14 @@ from polhode.planning.keep_out.swept_distance import (
     sweep,
     values_at,
 )
-from polhode.planning.prediction.ensemble import (
+from polhode.planning.keep_out.measured_body import (
+    Cover,
+    MeasuredBody,
+    ScalarGrid,
+    grown_body,
+    thinned_vertices,
+)
+from polhode.planning.prediction import (
     BodyMotion,
     Ensemble,
     FinalEstimate,

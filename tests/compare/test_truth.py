@@ -13,7 +13,7 @@ from polhode.compare.problem.dataset import measure
 from polhode.compare.rows import Comparison, read_comparison
 from polhode.config import Config
 from polhode.errors import InputError
-from polhode.pipeline.evaluation.evaluate import truth_of_frames
+from polhode.pipeline.evaluation import truth_of_frames
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.progress import Silent
 from polhode.simulation import simulate

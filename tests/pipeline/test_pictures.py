@@ -23,21 +23,24 @@ from polhode.lie import inverse_pose
 from polhode.mapping.mesh_viewer import MeshViewer
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.pictures import run_pictures as pictures
-from polhode.pipeline.pictures.animation import (
+from polhode.pipeline.pictures.body_views import (
+    ALONG_AXES,
+    OBLIQUE,
+    body_frame,
+    draw_landmarks,
+    round_length_mm,
+)
+from polhode.pipeline.pictures.model_comparison import (
     GROUND,
     MAX_GIF_BYTES,
     SIZE_PX,
-    draw_frame,
-    film,
-    signed_colours,
-)
-from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, body_frame, round_length_mm
-from polhode.pipeline.pictures.landmarks import draw_landmarks
-from polhode.pipeline.pictures.model_comparison import (
     FrameComparison,
     chosen_frames,
     compare_frames,
+    draw_frame,
+    film,
     fit_brightness,
+    signed_colours,
 )
 from polhode.pipeline.report import write_report
 from polhode.pipeline.report.figures.shape import vertex_rgb
@@ -298,7 +301,7 @@ def test_frames_are_spread_evenly_and_never_too_many() -> None:
 def test_a_gif_that_grows_too_large_keeps_fewer_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("polhode.pipeline.pictures.animation.MAX_GIF_BYTES", 1_000_000)
+    monkeypatch.setattr("polhode.pipeline.pictures.model_comparison.MAX_GIF_BYTES", 1_000_000)
     random = np.random.default_rng(0)
     with film(tmp_path / "a.mp4", tmp_path / "a.gif") as add:
         for _ in range(16):

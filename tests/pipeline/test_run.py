@@ -11,7 +11,7 @@ import pytest
 from polhode.config import Config, Pictures
 from polhode.dataset_writer import write_png
 from polhode.errors import InputError, RunFailure
-from polhode.pipeline.evaluation.evaluate import evaluate
+from polhode.pipeline.evaluation import evaluate
 from polhode.pipeline.run import RunResult, run
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory

@@ -4,8 +4,7 @@ import numpy as np
 import trimesh
 
 from polhode.lie import Array, exp_so3
-from polhode.planning.prediction.ensemble import FinalEstimate
-from polhode.planning.prediction.prediction import FinalState
+from polhode.planning.prediction import FinalEstimate, FinalState
 from polhode.records import SurfaceModel
 
 SIGMA_M = 2e-4

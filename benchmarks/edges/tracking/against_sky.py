@@ -4,8 +4,8 @@ import numpy as np
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.model.visible_edges import ControlPoints
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.visible_edges import ControlPoints
 from polhode.records import Bools, Ints
 
 BESIDE_PX = 3.0

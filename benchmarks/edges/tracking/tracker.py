@@ -15,10 +15,9 @@ from benchmarks.edges.tracking.against_sky import body_beside, polarity
 from benchmarks.edges.tracking.edge_search import Candidates, Levels, as_levels, search
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, transform_points
-from polhode.planning.edges.metric.edge_motion import edge_motion, moved
-from polhode.planning.edges.metric.observability_metric import EdgeObservability, observability
-from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.model.visible_edges import SEPARATION_PX, SPACING_PX, ControlPoints, clear_points
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.observability_metric import EdgeObservability, edge_motion, moved, observability
+from polhode.planning.edges.visible_edges import SEPARATION_PX, SPACING_PX, ControlPoints, clear_points
 from polhode.records import Bools
 
 TUKEY = 4.685

@@ -14,9 +14,9 @@ from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose
 from polhode.planning.approach.trajectory import ApproachTrajectory
-from polhode.planning.edges.metric.information import feature_information, variances
-from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.prediction.ensemble import BodyMotion, FinalEstimate, nominal_motion
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.information import feature_information, variances
+from polhode.planning.prediction import BodyMotion, FinalEstimate, nominal_motion
 
 Objective = Literal["each", "end", "together"]
 """each: mean over the instants of tr (I + C)^-1, every pose on its own; end: that of the last instant;

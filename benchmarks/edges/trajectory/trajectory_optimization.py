@@ -43,9 +43,9 @@ from polhode.planning.approach.trajectory import (
     min_distance,
     point_mass,
 )
-from polhode.planning.edges.model.edge_model import EdgeModel
+from polhode.planning.edges.edge_model import EdgeModel
 from polhode.planning.keep_out.volumes import InstantKeepOut
-from polhode.planning.prediction.ensemble import BodyMotion, FinalEstimate, nominal_motion
+from polhode.planning.prediction import BodyMotion, FinalEstimate, nominal_motion
 
 EFFORT = 1e-3
 RANGE_SLACK = 0.01

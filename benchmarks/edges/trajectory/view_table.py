@@ -21,10 +21,9 @@ import trimesh
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, make_pose
-from polhode.planning.edges.metric.edge_motion import edge_motion
-from polhode.planning.edges.model.edge_contrast import contrast, contrast_weight
-from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.model.visible_edges import SPACING_PX, control_points
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.observability_metric import edge_motion
+from polhode.planning.edges.visible_edges import SPACING_PX, contrast, contrast_weight, control_points
 
 RANGES = 4
 SUBDIVISIONS = 2

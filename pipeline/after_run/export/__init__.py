@@ -1,12 +1,10 @@
-"""``polhode export``: a run in the formats of other programs.
+"""``polhode export``: a run in the formats of other programs, whose writers are in ``planning/exports``.
 
 In: a run directory and the options. Out: mesh, robot description, ephemeris or JSON; what the run lacks is
 left out with a warning.
 
-- export_run: one writer for each format
+- export_run: the content of each format
 - options: the options, checked
-- job: what the run has, in the frame of the file, and what is left out
+- job: what the run has, in the frame of the file, and what is left out; where each mass property comes from
 - placement: the frame of the file, also that of a CAD model
-- inertial: mass and inertia, and where each number comes from
-- robot_files: URDF, MJCF and SDF with their meshes
 """

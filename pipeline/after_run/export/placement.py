@@ -7,7 +7,7 @@ import trimesh
 
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.pipeline.after_run.mesh_input import read_mesh
+from polhode.mapping.mesh_files import read_mesh
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.exports.cad_alignment import CadAlignment, align_points, align_surfaces
 from polhode.planning.exports.records import Placement, frame_cad, frame_G, frame_P

@@ -2,7 +2,6 @@
 
 In: a run or a mesh, and a trajectory. Out: observability.json and .csv, edges.csv, coloured edges, pictures.
 
-- subject: edges, camera and poses, from a run or from files
-- assess: the metric of every view, the contribution of every edge, the selection of edges
+- assess: edges, camera and poses from a run or from files; metric of every view, contributions, selection
 - files, pictures: output files and screen output
 """

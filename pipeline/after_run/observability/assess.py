@@ -1,17 +1,234 @@
-"""The assessment: the metric along a trajectory, and the contribution of each edge."""
+"""The assessment: edges, camera and trajectory of a run or a mesh, metric of every view, sets of edges."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from polhode.camera import RectifiedRig
 from polhode.errors import InputError
-from polhode.lie import Array
-from polhode.pipeline.after_run.observability.subject import Subject
-from polhode.planning.edges.metric.contributions import Contributions, contributions
-from polhode.planning.edges.metric.information import EdgeView, FeatureInformation, by_feature, views_along
-from polhode.planning.edges.selection.selection import EdgeSelection, greedy, upper_bound
-from polhode.planning.edges.selection.smallest_set import SigmaLimits, SmallestSet, smallest_set
+from polhode.lie import Array, inverse_pose, make_pose, matrix_from_wxyz
+from polhode.mapping.mesh_files import read_mesh
+from polhode.pipeline.after_run.plan import final_estimate, surface_of
+from polhode.pipeline.run_directory.archives import read_measurements
+from polhode.pipeline.run_directory.summary import read_summary
+from polhode.pipeline.run_directory.summary_schema import Summary
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.planning.edges.edge_model import CREASE_DEG, EdgeModel, edge_model
+from polhode.planning.edges.information import (
+    Contributions,
+    EdgeView,
+    FeatureInformation,
+    by_feature,
+    contributions,
+    views_along,
+)
+from polhode.planning.edges.measured_edges import measured_edge_model
+from polhode.planning.edges.selection import EdgeSelection, greedy, upper_bound
+from polhode.planning.edges.smallest_set import SigmaLimits, SmallestSet, smallest_set
+from polhode.planning.prediction import nominal_motion
 from polhode.progress import Progress
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """A pinhole camera without distortion; None: the run's, or for a mesh the default."""
+
+    focal_px: float | None = None
+    width_px: int | None = None
+    height_px: int | None = None
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Edges, camera and trajectory, ready for the metric."""
+
+    source: str
+    model: EdgeModel
+    rig: RectifiedRig
+    time_s: Array
+    """(k,) as in the trajectory's file; of a run's own trajectory, after its first pair"""
+    X_RG: Array
+    """(k, 4, 4)"""
+    about: str
+    o_G: Array
+    """(3,) [m]"""
+    sun_G: Array | None
+    """(k, 3) towards the Sun; None: all edges count as lit"""
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TimedPoses:
+    """Poses of the camera in a frame F that the user names."""
+
+    time_s: Array
+    """(k,) increasing"""
+    X_FR: Array
+    """(k, 4, 4)"""
+
+
+DEFAULT_CAMERA = (800.0, 640, 480)
+
+
+def subject_of(
+    path: Path,
+    trajectory: Path | None,
+    frame: str,
+    camera: CameraOptions,
+    about_G: Array | None,
+    sun: Array | None,
+    crease_deg: float,
+    unit_m: float,
+) -> Subject:
+    """Raises InputError, one line, for unreadable or inconsistent input."""
+    if path.is_dir():
+        if unit_m != 1.0:
+            raise InputError("--unit is for a mesh; a run is in metres")
+        if crease_deg != CREASE_DEG:
+            raise InputError("--crease-deg is for a mesh; that of a run follows from its errors")
+        return _of_run(path, trajectory, frame, camera, about_G, sun)
+    if not path.is_file():
+        raise InputError(f"{path}: no such run or mesh")
+    if trajectory is None:
+        raise InputError(f"{path}: a mesh needs --trajectory FILE, the poses of the camera in its frame")
+    if frame != "G":
+        raise InputError("--frame N is for a run, whose target tumbles; a mesh has only its own frame, G")
+    model = edge_model(read_mesh(path, unit_m), crease_deg)
+    poses = read_poses(trajectory)
+    o_G, about = (
+        (model.middle_G, "the centre of the bounding box") if about_G is None else (about_G, "--about")
+    )
+    X_RG = inverse_pose(poses.X_FR)
+    sun_G = None if sun is None else np.tile(sun, (len(X_RG), 1))
+    return Subject(str(path), model, _rig(camera, None), poses.time_s, X_RG, about, o_G, sun_G, ())
+
+
+def _of_run(
+    run: Path,
+    trajectory: Path | None,
+    frame: str,
+    camera: CameraOptions,
+    about_G: Array | None,
+    sun_N: Array | None,
+) -> Subject:
+    summary = read_summary(run)
+    surface = surface_of(run)
+    model = measured_edge_model(surface.mesh, surface.sigma_m)
+    notes = []
+    if surface.coverage is not None:
+        seen = float((surface.views > 0).mean())
+        notes.append(
+            f"{seen:.0%} of the mesh's vertices were measured: edges never seen are not in the model"
+        )
+    tracks = read_measurements(run / "measurements.npz")
+    R_NG = None
+    if trajectory is None:
+        if frame != "G":
+            raise InputError("--frame N: give --trajectory FILE with the camera's poses in N")
+        time_s, X_RG, R_NG = _poses_of_run(run, summary, tracks.X_NR)
+    else:
+        poses = read_poses(trajectory)
+        time_s, X_RG = poses.time_s, inverse_pose(poses.X_FR)
+        if frame == "N":
+            X_RG, R_NG = _poses_of_predicted_target(run, trajectory, poses)
+    if sun_N is not None and R_NG is None:
+        raise InputError(
+            "--sun is in N, and poses in G do not give the attitude of the target in N: --frame N does"
+        )
+    sun_G = None if sun_N is None or R_NG is None else sun_N @ R_NG
+    if about_G is not None:
+        o_G, about = about_G, "--about"
+    elif summary.com_G is not None and np.isfinite(summary.com_G).all():
+        o_G, about = np.array(summary.com_G), "the run's centre of mass"
+    else:
+        o_G, about = model.middle_G, "the centre of the bounding box"
+    rig = _rig(camera, tracks.rig)
+    return Subject(str(run), model, rig, time_s, X_RG, about, o_G, sun_G, tuple(notes))
+
+
+def _poses_of_run(run: Path, summary: Summary, X_NR: Array) -> tuple[Array, Array, Array]:
+    """Times (k,), poses X_RG (k, 4, 4) and attitudes R_NG (k, 3, 3) of the run's own pairs."""
+    if summary.R_GP is None or summary.com_G is None:
+        raise InputError(f"{run}: this run has no motion, hence no camera poses; give --trajectory FILE")
+    table = read_trajectory(run)
+    R_NG = table.R_NP @ np.array(summary.R_GP).T
+    X_NG = make_pose(R_NG, table.r_N - R_NG @ np.array(summary.com_G))
+    return table.time_s, inverse_pose(X_NR) @ X_NG, R_NG
+
+
+def _poses_of_predicted_target(run: Path, file: Path, poses: TimedPoses) -> tuple[Array, Array]:
+    """X_RG (k, 4, 4) and R_NG (k, 3, 3) of the predicted target, seen from camera poses in N."""
+    if poses.time_s[0] < 0.0:
+        raise InputError(
+            f"{file}: with --frame N times are seconds after the run's last pair; one is negative"
+        )
+    estimate, _ = final_estimate(run)
+    motion = nominal_motion(estimate, poses.time_s)
+    return inverse_pose(poses.X_FR) @ make_pose(motion.R_NG, motion.p_NG), motion.R_NG
+
+
+def _rig(camera: CameraOptions, own: RectifiedRig | None) -> RectifiedRig:
+    """The run's camera, or the default, with the values that the user gives."""
+    focal, width, height = DEFAULT_CAMERA if own is None else (own.focal_px, own.width_px, own.height_px)
+    cx, cy = (0.5 * (width - 1), 0.5 * (height - 1)) if own is None else (own.cx_px, own.cy_px)
+    for name in ("focal_px", "width_px", "height_px"):
+        value = getattr(camera, name)
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
+    focal = focal if camera.focal_px is None else camera.focal_px
+    if camera.width_px is not None:
+        width, cx = camera.width_px, 0.5 * (camera.width_px - 1)
+    if camera.height_px is not None:
+        height, cy = camera.height_px, 0.5 * (camera.height_px - 1)
+    return RectifiedRig(focal, cx, cy, 1.0 if own is None else own.baseline_m, width, height)
+
+
+UNIT_WITHIN = 1e-2
+"""How far a quaternion's length may be from 1."""
+MAX_COORDINATE_M = 1e12
+"""Largest valid coordinate [m]."""
+
+
+def read_poses(path: Path) -> TimedPoses:
+    """Poses of a TUM file. Raises InputError, one line, for any other content."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not a text file of poses") from error
+    rows = [_row(path, number, line) for number, line in enumerate(lines, 1) if _has_content(line)]
+    if not rows:
+        raise InputError(f"{path}: contains no pose; a line is: timestamp tx ty tz qx qy qz qw")
+    table = np.array(rows)
+    if not (np.diff(table[:, 0]) > 0.0).all():
+        late = 1 + int(np.argmax(np.diff(table[:, 0]) <= 0.0))
+        raise InputError(f"{path}: pose {late + 1} is not later than its predecessor")
+    if (np.abs(table[:, 1:]) > MAX_COORDINATE_M).any():
+        raise InputError(f"{path}: has a coordinate or quaternion above {MAX_COORDINATE_M:g}")
+    length = np.linalg.norm(table[:, 4:], axis=1)
+    if (np.abs(length - 1.0) > UNIT_WITHIN).any():
+        bad = int(np.argmax(np.abs(length - 1.0)))
+        raise InputError(f"{path}: the quaternion of pose {bad + 1} has length {length[bad]:.3g}, not 1")
+    wxyz = table[:, [7, 4, 5, 6]] / length[:, None]
+    return TimedPoses(table[:, 0], make_pose(matrix_from_wxyz(wxyz), table[:, 1:4]))
+
+
+def _has_content(line: str) -> bool:
+    return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def _row(path: Path, number: int, line: str) -> list[float]:
+    words = line.replace(",", " ").split()
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = []
+    if len(values) != 8 or not np.isfinite(values).all():
+        raise InputError(f"{path}, line {number}: give eight numbers: timestamp tx ty tz qx qy qz qw")
+    return values
+
 
 MAX_VIEWS = 20
 """Views for the selection of edges, evenly spread over a trajectory; more barely change the result."""

@@ -13,9 +13,9 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.pipeline.after_run.observability import pictures
 from polhode.pipeline.after_run.observability.assess import Assessment, Choice
-from polhode.planning.edges.metric.edge_motion import DEGREES_OF_FREEDOM
-from polhode.planning.edges.metric.pictures import Legend, coloured_body
-from polhode.planning.edges.model.edge_model import EdgeKind
+from polhode.pipeline.after_run.observability.pictures import Legend, coloured_body
+from polhode.planning.edges.edge_model import EdgeKind
+from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
 
 SCHEMA = "polhode-observability/1"
 FILES = (

@@ -15,7 +15,7 @@ from benchmarks.edges.observability_tables import (
     trend_table,
     trusted,
 )
-from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.edge_model import edge_model
 
 
 def made_up(noise_px: float = 0.05, seed: int = 0) -> list[Spot]:

@@ -24,9 +24,9 @@ from benchmarks.navigation.flights import (
 from benchmarks.navigation.found_pose import from_line, spread
 from benchmarks.navigation.pose_weights import Calibrated, Fixed, ResidualChecked, TrackedPose
 from benchmarks.navigation.recorded_flights import Belief, Run, constant_covariance, fly, runs_of
-from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
-from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
-from polhode.planning.edges.model.visible_edges import control_points
+from polhode.planning.edges.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.observability_metric import edge_motion, moved, pose_error
+from polhode.planning.edges.visible_edges import control_points
 
 BODY = "satellite"
 TRUE_LEVELS = NoiseLevels((EdgeErrors.sigma_px**2, EdgeErrors.tau_px**2, 0.0), (0.0, 0.0, 0.0))

@@ -26,8 +26,8 @@ from benchmarks.navigation.pose_weights import (
     TrackedPose,
 )
 from polhode.lie import Array, exp_so3, make_pose
-from polhode.planning.edges.metric.edge_motion import moved, pose_error
-from polhode.planning.prediction.prediction import process_noise
+from polhode.planning.edges.observability_metric import moved, pose_error
+from polhode.planning.prediction import process_noise
 from polhode.rigid_body import propagate
 
 TARGET = Target(

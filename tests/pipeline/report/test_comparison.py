@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-import polhode.pipeline.evaluation.evaluate
+import polhode.pipeline.evaluation
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.pipeline.report import finish_run, write_comparison
@@ -119,7 +119,7 @@ def test_evaluation_enters_the_report(
         (run / "metrics.json").write_text('{"rmse_position_m": 0.000081}\n')
         return {"rmse_position_m": 0.000081}
 
-    monkeypatch.setattr(polhode.pipeline.evaluation.evaluate, "evaluate", measured)
+    monkeypatch.setattr(polhode.pipeline.evaluation, "evaluate", measured)
     assert main(["evaluate", str(folder), str(tmp_path)]) == 0
     page = (folder / "report.html").read_text()
     assert "Against the truth" in page and "0.081" in page

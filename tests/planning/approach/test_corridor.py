@@ -5,7 +5,7 @@ import pytest
 
 from polhode.planning.approach.corridor import corridor
 from polhode.planning.approach.surface_speed import slowest_points, surface_speed, velocity
-from polhode.planning.prediction.ensemble import nominal_motion
+from polhode.planning.prediction import nominal_motion
 from tests.planning.bodies import estimate
 
 SPIN = 0.4

@@ -5,8 +5,8 @@ import trimesh
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose
-from polhode.planning.edges.metric.information import FeatureInformation, feature_information
-from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.information import FeatureInformation, feature_information
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 

@@ -9,7 +9,7 @@ import trimesh
 from polhode.lie import Array
 from polhode.planning.keep_out.measured_body import continuous_sigma, grown_body
 from polhode.planning.keep_out.volumes import KeepOutOptions, conformal, keep_out
-from polhode.planning.prediction.ensemble import draw_ensemble, nominal_motion
+from polhode.planning.prediction import draw_ensemble, nominal_motion
 from polhode.records import SurfaceModel
 from tests.planning.bodies import SIGMA_M, ball, box, estimate, measured
 

@@ -15,10 +15,9 @@ from benchmarks.edges.tracking.calibrated_covariance import (
 )
 from benchmarks.edges.tracking.tracker import track
 from polhode.lie import Array, exp_so3, make_pose
-from polhode.planning.edges.metric.edge_motion import edge_motion
-from polhode.planning.edges.metric.observability_metric import observability
-from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.edges.model.visible_edges import ControlPoints, control_points
+from polhode.planning.edges.edge_model import edge_model
+from polhode.planning.edges.observability_metric import edge_motion, observability
+from polhode.planning.edges.visible_edges import ControlPoints, control_points
 from polhode.records import Ints
 from tests.planning.edges.pictures import BOX, POSE, RIG, drawn
 

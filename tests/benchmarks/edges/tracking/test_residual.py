@@ -6,8 +6,8 @@ import trimesh
 from benchmarks.edges.tracking.residual import probability, support
 from benchmarks.edges.tracking.tracker import TrackerOptions, track
 from polhode.lie import exp_so3, make_pose
-from polhode.planning.edges.metric.edge_motion import moved
-from polhode.planning.edges.model.edge_model import edge_model
+from polhode.planning.edges.edge_model import edge_model
+from polhode.planning.edges.observability_metric import moved
 from tests.planning.edges.pictures import BOX, POSE, RIG, drawn
 
 MODEL = edge_model(trimesh.creation.box(BOX))

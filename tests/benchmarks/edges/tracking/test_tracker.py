@@ -8,10 +8,9 @@ import trimesh
 
 from benchmarks.edges.tracking.tracker import TrackerOptions, track
 from polhode.lie import Array, make_pose
-from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
-from polhode.planning.edges.metric.observability_metric import observability
-from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
-from polhode.planning.edges.model.visible_edges import SPACING_PX, clear_points
+from polhode.planning.edges.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.observability_metric import edge_motion, moved, observability, pose_error
+from polhode.planning.edges.visible_edges import SPACING_PX, clear_points
 from tests.planning.edges.pictures import BOX, POSE, RIG, drawn
 
 

@@ -19,11 +19,11 @@ from benchmarks.edges.trajectory.trajectory_optimization import BestTrajectory, 
 from benchmarks.edges.trajectory.view_table import UPPER, camera_attitude, trace_of_inverse, view_table
 from polhode.errors import InputError
 from polhode.lie import transform_points
-from polhode.planning.edges.metric.information import feature_information
-from polhode.planning.edges.model.edge_model import EdgeModel
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.information import feature_information
 from polhode.planning.keep_out.measured_body import grown_body
 from polhode.planning.keep_out.volumes import InstantKeepOut
-from polhode.planning.prediction.ensemble import FinalEstimate, nominal_motion
+from polhode.planning.prediction import FinalEstimate, nominal_motion
 from tests.planning.bodies import estimate, measured
 from tests.planning.edges.views import RIG, block
 

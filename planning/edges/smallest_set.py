@@ -18,7 +18,7 @@ from scipy.optimize import minimize, nnls
 
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.planning.edges.metric.information import FeatureInformation, variances
+from polhode.planning.edges.information import FeatureInformation, variances
 from polhode.records import Bools, Ints
 
 FACTOR = 1.1

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from polhode.planning.prediction.ensemble import (
+from polhode.planning.prediction import (
     DisturbancePaths,
     draw_ensemble,
     nominal_motion,
     pose_covariance,
+    process_noise,
 )
-from polhode.planning.prediction.prediction import process_noise
 from tests.planning.bodies import estimate
 
 TIMES = np.linspace(0.1, 8.0, 80)

@@ -15,7 +15,7 @@ from polhode.config import Config
 from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor, write_truth
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.pipeline.evaluation.evaluate import evaluate, format_table, inertia_parameter_error
+from polhode.pipeline.evaluation import evaluate, format_table, inertia_parameter_error
 from polhode.records import MotionEstimate, Truth
 from polhode.rigid_body import propagate
 from tests.pipeline.conftest import Example

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.planning.edges.metric.contributions import contributions
-from polhode.planning.edges.metric.edge_motion import edge_motion
-from polhode.planning.edges.metric.information import FeatureInformation, feature_information, variances
-from polhode.planning.edges.metric.observability_metric import EdgeObservability, observability
-from polhode.planning.edges.metric.pictures import coloured_body, colours_of, picture
-from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.edges.model.visible_edges import control_points
+from polhode.pipeline.after_run.observability.pictures import coloured_body, colours_of, picture
+from polhode.planning.edges.edge_model import edge_model
+from polhode.planning.edges.information import (
+    FeatureInformation,
+    contributions,
+    feature_information,
+    variances,
+)
+from polhode.planning.edges.observability_metric import EdgeObservability, edge_motion, observability
+from polhode.planning.edges.visible_edges import control_points
 from tests.planning.edges.views import RIG, block, poses, seen
 
 

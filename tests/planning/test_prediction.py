@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from polhode.lie import Array, exp_so3, log_so3
-from polhode.planning.prediction.prediction import (
+from polhode.planning.prediction import (
     UNKNOWN_RAD,
     FinalState,
     axes_jacobian,

@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from polhode.lie import Array
-from polhode.planning.edges.model.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.records import Ints
 
 REDUCTION = 0.6

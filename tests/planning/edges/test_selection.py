@@ -7,8 +7,8 @@ import pytest
 
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.planning.edges.metric.information import FeatureInformation
-from polhode.planning.edges.selection.selection import (
+from polhode.planning.edges.information import FeatureInformation
+from polhode.planning.edges.selection import (
     Value,
     best_selection,
     edge_lengths,
@@ -18,7 +18,7 @@ from polhode.planning.edges.selection.selection import (
     value_of,
     value_of_set,
 )
-from polhode.planning.edges.selection.smallest_set import (
+from polhode.planning.edges.smallest_set import (
     SigmaLimits,
     exact_smallest_set,
     min_number,

@@ -1,9 +1,13 @@
-"""A run against the truth: RUN/metrics.json and a table (docs/run_directory.md).
+"""A run against the truth: RUN/metrics.json and a table. Nothing else reads the truth.
 
-The two meshes live in different frames G. They are brought together by the motion alone: at every frame the
-estimated pose carries the estimated mesh into N and the true pose carries it back into the true G; the one
-rigid transform that fits all frames best is applied. No alignment of surfaces: an error of the motion that is
+The estimated and the true mesh are in different frames G. The motion alone aligns them: at every frame the
+estimated pose maps the estimated mesh into N and the true pose maps it back into the true G; the rigid
+transform that fits all frames best is applied. Surfaces are not aligned: an error of the motion that is
 common to all frames shows in the mesh.
+
+Completeness is measured on the part of the true surface that the left camera saw lit. A point counts when, in
+at least one frame, it lies inside the image, nothing occludes it (rays cast with embree from the true poses),
+it is not seen edge-on, and the left image is brighter there than the sky.
 """
 
 import json
@@ -12,8 +16,10 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -22,8 +28,9 @@ from polhode.backend.problem.inertia import FORMS, InertiaForm, unit_determinant
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
-from polhode.lie import Array, inverse_pose, make_pose
+from polhode.lie import Array, inverse_pose, make_pose, transform_points
 from polhode.mapping.mesh_files import read_ply
+from polhode.mapping.visibility import CLEARANCE, Caster, light_level
 from polhode.mesh_metrics import SAMPLES, compare_surfaces, sample_surface
 from polhode.metrics import (
     States,
@@ -36,15 +43,61 @@ from polhode.metrics import (
     truth_at,
     turned,
 )
-from polhode.pipeline.evaluation.seen_surface import seen_and_lit
 from polhode.pipeline.run_directory.archives import Covariance, read_covariance
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
-from polhode.records import Ints, Truth
+from polhode.records import Bools, Ints, Truth
 from polhode.rigid_body import HALF_TURN_NAMES, propagate
 from polhode.rigid_fit import mean_rotation
 from polhode.truth import read_truth
+
+MAX_FRAMES = 60
+
+
+def seen_and_lit(
+    mesh: trimesh.Trimesh,
+    p_G: Array,
+    normal_G: Array,
+    X_NG: Array,
+    sequence: StereoSequence,
+    min_frames: int = 1,
+) -> Bools:
+    """(n,) true where a point of the true surface was seen and lit, in so many frames at least.
+
+    mesh, p_G (n, 3), normal_G (n, 3) in the true G [m]; X_NG (F, 4, 4) true poses at the sequence's pairs.
+    At most 60 frames are used, evenly spread.
+    """
+    caster = Caster(mesh)
+    found = np.zeros(len(p_G), dtype=np.int64)
+    count = len(X_NG)
+    for k in np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).round().astype(int)):
+        X_CG = inverse_pose(sequence.X_NC[k]) @ X_NG[k]
+        left = sequence.read_left(int(k))[0]
+        # Points that have been seen often enough need no further test.
+        candidate = np.flatnonzero(found < min_frames)
+        lit = candidate[_bright(left, transform_points(X_CG, p_G[candidate]), sequence)]
+        eye_G = inverse_pose(X_CG)[:3, 3]
+        found[lit[caster.sees(eye_G, p_G[lit], normal_G[lit], CLEARANCE * mesh.scale)]] += 1
+    return np.asarray(found >= min_frames)
+
+
+def _bright(left: NDArray[np.uint8], p_C: Array, sequence: StereoSequence) -> Bools:
+    """(n,) true where a point projects onto a pixel of the recorded image that is brighter than the sky."""
+    rig = sequence.calibration
+    front = p_C[:, 2] > 1e-6
+    uv = np.full((len(p_C), 2), -1.0)
+    if front.any():
+        projected, _ = cv2.projectPoints(p_C[front], np.zeros(3), np.zeros(3), rig.K0, rig.dist0)
+        uv[front] = projected.reshape(-1, 2)
+    smooth = cv2.blur(left.astype(np.float32), (3, 3))
+    level = light_level(left)
+    column, row = np.round(np.nan_to_num(uv, nan=-1.0)).clip(-1, 1e6).astype(np.int64).T
+    inside = front & (column >= 0) & (column < rig.width_px) & (row >= 0) & (row < rig.height_px)
+    bright = np.zeros(len(p_C), dtype=bool)
+    bright[inside] = smooth[row[inside], column[inside]] > level
+    return bright
+
 
 HORIZONS_S = (10, 30, 60)
 

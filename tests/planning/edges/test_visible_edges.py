@@ -4,8 +4,8 @@ import numpy as np
 import trimesh
 
 from polhode.lie import exp_so3, make_pose
-from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.edges.model.visible_edges import (
+from polhode.planning.edges.edge_model import edge_model
+from polhode.planning.edges.visible_edges import (
     SPACING_PX,
     beside_edge_on_face,
     clear_points,

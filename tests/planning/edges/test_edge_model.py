@@ -8,11 +8,9 @@ from numpy.testing import assert_allclose
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, make_pose
-from polhode.planning.edges.model.chains import chains_of, straight_pieces
-from polhode.planning.edges.model.edge_model import EdgeKind, edge_model
-from polhode.planning.edges.model.measured_edges import measured_edge_model, simplified
-from polhode.planning.edges.model.outlines import outlines
-from polhode.planning.edges.model.visible_edges import control_points
+from polhode.planning.edges.edge_model import EdgeKind, chains_of, edge_model, straight_pieces
+from polhode.planning.edges.measured_edges import measured_edge_model, simplified
+from polhode.planning.edges.visible_edges import control_points, outlines
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 

@@ -7,10 +7,15 @@ from numpy.testing import assert_allclose
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose, transform_points
-from polhode.planning.edges.metric.edge_motion import edge_motion, moved, pose_error
-from polhode.planning.edges.metric.observability_metric import EdgeObservability, observability
-from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.edges.model.visible_edges import ControlPoints, control_points
+from polhode.planning.edges.edge_model import edge_model
+from polhode.planning.edges.observability_metric import (
+    EdgeObservability,
+    edge_motion,
+    moved,
+    observability,
+    pose_error,
+)
+from polhode.planning.edges.visible_edges import ControlPoints, control_points
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 X_RG = make_pose(exp_so3([0.4, 0.5, 0.2]), [0.05, 0.02, 3.0])

@@ -29,8 +29,8 @@ import numpy as np
 
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.planning.edges.model.edge_model import EdgeModel
-from polhode.planning.edges.model.outlines import outlines
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.visible_edges import outlines
 from polhode.records import Bools, Ints
 
 Value = Literal["log_det", "trace"]

@@ -6,10 +6,15 @@ import trimesh
 
 from benchmarks.edges.trajectory.view_table import camera_attitude
 from polhode.lie import Array, make_pose
-from polhode.planning.edges.metric.information import feature_information
-from polhode.planning.edges.model.edge_contrast import contrast, contrast_weight, in_sunlight
-from polhode.planning.edges.model.edge_model import edge_model
-from polhode.planning.edges.model.visible_edges import ControlPoints, control_points
+from polhode.planning.edges.edge_model import edge_model
+from polhode.planning.edges.information import feature_information
+from polhode.planning.edges.visible_edges import (
+    ControlPoints,
+    contrast,
+    contrast_weight,
+    control_points,
+    in_sunlight,
+)
 from tests.planning.edges.views import RIG
 
 
