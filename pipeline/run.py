@@ -11,7 +11,7 @@ from polhode.backend import align_online_estimate, estimate_online, window_warni
 from polhode.config import Config
 from polhode.frontend.extract import extract_depth
 from polhode.lie import transform_points
-from polhode.mapping.fusion.fuse import fuse
+from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.find_motion import find_motion, pose_RG

@@ -1,14 +1,14 @@
 """Simulated datasets with truth. In: the scene of a configuration. Out: a dataset on disk, or figures of it.
 
-figures/      pictures of scenes and of their motion
-dataset/      plan of a scene, its frames, truth of every pixel, the dataset on disk
-monte_carlo/  stereo measurements of landmarks without images
-sky/          Earth and stars behind the target
-rendering/    rays, light, reflection: one image
-motion/       target and inspector over time
-bodies/       the target's shape, textures and mass
-camera/       the stereo rig and its sensor
-surface/      materials and solid noise
+figures/          pictures of scenes and of their motion
+dataset/          plan of a scene, its frames, truth of every pixel, the dataset on disk
+monte_carlo.py    stereo measurements of landmarks without images
+sky.py            Earth and stars behind the target
+rendering/        rays, light, reflection: one image
+motion/           target and inspector over time
+bodies/           the target's shape, textures and mass
+stereo_camera.py  the stereo rig and its sensor
+surface/          materials and solid noise
 """
 
 from polhode.simulation.dataset.sequence import simulate

@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.simulation.bodies import Body, build_body
-from polhode.simulation.bodies.parts.facets import SMOOTH_BELOW_DEG
-from polhode.simulation.bodies.parts.part import Part, assemble, join
-from polhode.simulation.bodies.parts.solids import hull, prism
+from polhode.simulation.bodies.part import Part, assemble, join
+from polhode.simulation.bodies.solids import SMOOTH_BELOW_DEG, hull, prism
 from polhode.simulation.surface.materials import Material
 
 

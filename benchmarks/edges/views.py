@@ -39,9 +39,8 @@ from polhode.config import scene as config
 from polhode.dataset_writer import write_png
 from polhode.images import Grey
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
-from polhode.simulation.camera.cameras import Camera
-from polhode.simulation.camera.sensor import expose
 from polhode.simulation.rendering.render import Renderer
+from polhode.simulation.stereo_camera import Camera, expose
 
 SUN_TO_EARTH_DEG = 100.0
 """Between Sun and Earth, on either side of the direction to the camera."""

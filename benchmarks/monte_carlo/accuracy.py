@@ -78,7 +78,7 @@ def measure(case: Case) -> Case:
     from polhode.config.backend import Backend
     from polhode.errors import RunFailure
     from polhode.progress import Silent
-    from polhode.simulation.monte_carlo.measurements import generate
+    from polhode.simulation.monte_carlo import generate
 
     noise = case["noise_px"]
     scene = replace(MOTIONS[case["motion"]], sigma_uv_px=noise, sigma_d_px=noise)

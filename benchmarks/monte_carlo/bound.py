@@ -27,7 +27,7 @@ from polhode.config.backend import Backend
 from polhode.lie import Array, hat, inverse_pose, log_so3
 from polhode.records import MotionEstimate
 from polhode.rigid_body import HALF_TURNS, best_half_turn
-from polhode.simulation.monte_carlo.measurements import SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticSequence, generate
 
 QUANTITIES = ("position", "velocity", "attitude", "angular velocity", "centre of mass", "inertia")
 """r along N [m], v along N [m/s], theta in P [rad], w along N [rad/s], com_G [m], the five numbers xi."""

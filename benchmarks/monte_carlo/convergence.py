@@ -23,7 +23,7 @@ from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.record import Case, complete
 from polhode.lie import Array
 from polhode.records import MotionEstimate
-from polhode.simulation.monte_carlo.measurements import RPM, SyntheticScene, random_scene
+from polhode.simulation.monte_carlo import RPM, SyntheticScene, random_scene
 
 RECORD = RECORDS / "convergence.jsonl"
 KINDS = (*["any"] * 8, "spin", "equal moments", "slow", "short")
@@ -82,7 +82,7 @@ def measure(case: Case) -> Case:
     from polhode.config.backend import Backend
     from polhode.errors import RunFailure
     from polhode.progress import Silent
-    from polhode.simulation.monte_carlo.measurements import generate
+    from polhode.simulation.monte_carlo import generate
 
     kind, scene = scene_of(case["seed"])
     sequence = generate(scene, case["seed"])

@@ -20,7 +20,7 @@ from polhode.lie import Array, log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from polhode.rigid_body import HALF_TURNS
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, Vector, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, Vector, generate
 
 RECORD = RECORDS / "pushes.jsonl"
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])

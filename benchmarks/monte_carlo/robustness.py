@@ -31,7 +31,7 @@ from benchmarks.monte_carlo.disturbances import state_errors
 from benchmarks.record import Case, complete
 from polhode.lie import Array, inverse_pose, log_so3
 from polhode.records import MotionEstimate
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence
 
 RECORD = RECORDS / "robustness.jsonl"
 """Kept in the repository, like that of the accuracy."""
@@ -113,7 +113,7 @@ def measure(case: Case) -> Case:
     from polhode.config.backend import Backend
     from polhode.errors import RunFailure
     from polhode.progress import Silent
-    from polhode.simulation.monte_carlo.measurements import generate
+    from polhode.simulation.monte_carlo import generate
 
     scene = scene_of(case["condition"], case["motion"])
     # the same draws of motion and landmarks in every condition

@@ -77,7 +77,7 @@ def _estimate(seed: int) -> dict[str, Any]:
     from polhode.backend import estimate_motion, initialize_motion
     from polhode.config.backend import Backend
     from polhode.progress import Silent
-    from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
+    from polhode.simulation.monte_carlo import SyntheticScene, generate
 
     scene = SyntheticScene(
         frames=60, landmarks=400, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9]),

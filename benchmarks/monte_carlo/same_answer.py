@@ -55,7 +55,7 @@ def measure(case: Case) -> Case:
     from polhode.backend.solvers.ipopt import MotionProgram
     from polhode.backend.solvers.solve import refine
     from polhode.progress import Silent
-    from polhode.simulation.monte_carlo.measurements import generate
+    from polhode.simulation.monte_carlo import generate
 
     noise = case["noise_px"]
     scene = replace(MOTIONS[case["motion"]], sigma_uv_px=noise, sigma_d_px=noise)

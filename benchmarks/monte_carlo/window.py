@@ -26,7 +26,7 @@ from benchmarks.monte_carlo.accuracy import MOTIONS
 from benchmarks.record import Case, complete
 from polhode.config.backend import Backend
 from polhode.lie import Array
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 RECORD = RECORDS / "window.jsonl"
 TIMES = ROOT / "runs" / "window_times.jsonl"

@@ -21,10 +21,10 @@ from benchmarks.rendering.mitsuba_scene import PeerLights, deck, render
 from polhode.config import scene as config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.records import Bools
-from polhode.simulation.bodies.parts.part import assemble
-from polhode.simulation.camera.cameras import Camera, build_cameras
-from polhode.simulation.dataset.products import Products, render_products
+from polhode.simulation.bodies.part import assemble
+from polhode.simulation.dataset.frame_renderer import Products, render_products
 from polhode.simulation.rendering.render import Renderer
+from polhode.simulation.stereo_camera import Camera, build_cameras
 
 FULL_SCALE = 255.0 / config.Sensor().white_dn
 """Level of a saturated pixel."""

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.records import Ints
-from polhode.simulation.bodies.parts.part import Chart, Part, assemble
-from polhode.simulation.camera.cameras import Camera
+from polhode.simulation.bodies.part import Chart, Part, assemble
+from polhode.simulation.stereo_camera import Camera
 from polhode.simulation.surface.materials import Material
 
 mi.set_variant("scalar_rgb")

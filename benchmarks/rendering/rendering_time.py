@@ -25,7 +25,7 @@ from polhode.config.loader import load_config
 from polhode.config.scene import Render, Scene
 from polhode.dataset_writer import image_path
 from polhode.simulation.bodies import Body
-from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster

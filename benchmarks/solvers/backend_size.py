@@ -45,7 +45,7 @@ from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, transform_points
 from polhode.progress import Advance
 from polhode.records import MotionEstimate
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 FRAMES = (29, 58, 115, 230, 345)
 LANDMARKS = (600, 1200, 2430, 4860, 9720)

@@ -25,7 +25,7 @@ from benchmarks.presentation import markdown_table
 from polhode.backend.initialization.pose_graph import REJECT_RAD, REJECT_SHIFT, connect
 from polhode.lie import Array, inverse_pose, log_so3
 from polhode.records import RelativePoses
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(
     frames=60, landmarks=400, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9]),

@@ -14,7 +14,7 @@ from polhode.errors import InputError
 from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses
 from polhode.progress import Progress
 from polhode.records import Ints, Truth
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 BOX = np.diag([1.5, 1.2, 0.9])
 THESIS = SyntheticScene(detection=0.35, station_keeping=True, min_inliers=20)

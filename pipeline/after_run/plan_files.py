@@ -22,7 +22,7 @@ from matplotlib.patheffects import withStroke
 
 from polhode.atomic import write_bytes, write_text
 from polhode.lie import Array
-from polhode.mapping.mesh_viewer import MeshView, MeshViewer
+from polhode.mapping.visibility import MeshView, MeshViewer
 from polhode.pipeline.after_run.plan import Plan
 from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, Direction, round_length_mm
 from polhode.pipeline.report.figures.plot import FAINT, INK

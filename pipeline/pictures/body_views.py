@@ -16,7 +16,7 @@ from matplotlib.patheffects import withStroke
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from polhode.lie import Array
-from polhode.mapping.mesh_viewer import MeshView, MeshViewer
+from polhode.mapping.visibility import MeshView, MeshViewer
 from polhode.pipeline.report.figures.plot import AXIS_COLORS, FAINT, GRID, INK, SIGMA_SCALE
 from polhode.pipeline.report.figures.shape import stretched, vertex_rgb
 from polhode.records import Bools, Landmarks, MassProperties, SurfaceModel

@@ -23,7 +23,7 @@ from polhode.camera import RectifiedRig
 from polhode.dataset import StereoSequence
 from polhode.frontend.rectification.rectify import Rectifier, rectified_left
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.mapping.mesh_viewer import MeshViewer
+from polhode.mapping.visibility import MeshViewer
 from polhode.pipeline.report.figures.shape import vertex_rgb
 from polhode.records import Bools, Ints, MotionEstimate, StereoTracks
 

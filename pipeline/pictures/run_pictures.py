@@ -16,7 +16,7 @@ from polhode.dataset import StereoSequence
 from polhode.frontend.rectification.rectify import Rectifier, rectified_left
 from polhode.frontend.rectification.target import Crop, target_crop
 from polhode.lie import Array
-from polhode.mapping.mesh_viewer import MeshViewer
+from polhode.mapping.visibility import MeshViewer
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.pictures.body_views import body_frame, draw_landmarks, draw_mesh
 from polhode.pipeline.pictures.model_comparison import (

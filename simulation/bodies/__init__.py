@@ -1,15 +1,16 @@
 """Target bodies: shape, surface and mass in the geometric frame G. In: ``scene.body``. Out: a ``Body``.
 
-build.py     the body that a scene describes
-families/    spacecraft and a rock, one family a file
-imported/    bodies from mesh files
-components/  equipment that families share
-textures/    texture generators and how charts are laid onto parts
-parts/       solids, parts, their mass
+build.py      the body that a scene describes
+families/     spacecraft and a rock, one family a file
+mesh_file.py  bodies from mesh files
+layout.py     positions on a wall, and a fully equipped wall
+equipment.py  equipment that families share
+textures/     texture generators, and how charts are laid onto parts
+part.py       parts, their mass, and the body that they are assembled to
+solids.py     boxes, solids of revolution, bars; plane and smooth regions of a mesh
 """
 
 from polhode.simulation.bodies.build import build_body
-from polhode.simulation.bodies.parts.mass import PartMass
-from polhode.simulation.bodies.parts.part import Body, describe
+from polhode.simulation.bodies.part import Body, PartMass, describe
 
 __all__ = ["Body", "PartMass", "build_body", "describe"]

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Bools
-from polhode.simulation.camera.cameras import Camera
 from polhode.simulation.dataset.plan import SequencePlan
 from polhode.simulation.rendering.raycast import Hits, RayCaster
+from polhode.simulation.stereo_camera import Camera
 
 MIN_DISTANCE_M = 1e-6
 """Points nearer to the camera's plane than this, or behind it, have no image [m]."""

@@ -1,20 +1,32 @@
-"""Rendering the pairs of a plan, in this process or in several."""
+"""Rendering of the pairs of a plan, and the truth of every pixel: depth, normals, masks, shadow, albedo.
 
-from collections.abc import Sequence
+For the truth, one ray is cast through the centre of each pixel, distortion included, at the time of the
+timestamp: neither motion nor the lens blurs it. Off the target, numbers are NaN.
+"""
+
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
+from numpy.typing import NDArray
 
+from polhode.atomic import replaced
+from polhode.config.scene import Product
 from polhode.dataset_writer import image_path, mask_path, write_png
-from polhode.lie import Array
+from polhode.errors import InputError
+from polhode.lie import Array, inverse_pose
 from polhode.processes import in_order
 from polhode.progress import Advance
-from polhode.simulation.camera.cameras import sample_times
-from polhode.simulation.camera.sensor import Image, expose
+from polhode.records import Bools, Ints
 from polhode.simulation.dataset.plan import SequencePlan
-from polhode.simulation.dataset.products import products_path, render_products, write_products
 from polhode.simulation.dataset.staging import StagedDataset
+from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.render import RenderedLight, Renderer
+from polhode.simulation.stereo_camera import Camera, Image, expose, sample_times
 
 
 class FrameRenderer:
@@ -81,3 +93,103 @@ class _RenderFrame:
             self._renderer = FrameRenderer(self._plan)
         with self._staged.frame(k) as mav0:
             self._renderer.write_pair(k, mav0)
+
+
+T = TypeVar("T", bound=np.generic)
+
+CAST_SHADOW, FACING_AWAY = 1, 2
+"""Values of the shadow mask: another part blocks the Sun; the surface faces away from it."""
+
+
+@dataclass(frozen=True)
+class Products:
+    """Truth of one image (H, W); what was not requested is None."""
+
+    depth: Array | None = None
+    """(H, W) along the optical axis [m]"""
+    normals: Array | None = None
+    """(H, W, 3) unit, in the camera's axes, towards the camera: of the mesh's faces, consistent with the
+    depth
+    """
+    mask: Bools | None = None
+    """(H, W) the target"""
+    shadow: NDArray[np.uint8] | None = None
+    """(H, W) 1: another part blocks the Sun's centre; 2: facing away from it; 0: lit, or off the target.
+    Only shadows of the body itself: independent of eclipses"""
+    albedo: Array | None = None
+    """(H, W) diffuse reflectance"""
+
+
+def render_products(
+    renderer: Renderer, camera: Camera, X_NK: Array, X_NG: Array, names: Iterable[Product]
+) -> Products:
+    """The products ``names`` of a camera at X_NK (4, 4) and the target at X_NG (4, 4)."""
+    asked = set(names)
+    X_GN = inverse_pose(X_NG)
+    X_GK = X_GN @ X_NK
+    hits = renderer.caster.first_hits(X_GK[:3, 3], camera.pixel_directions @ X_GK[:3, :3].T)
+    sun_N = np.array(renderer.light.sun_direction_N)
+    sun_G = X_GN[:3, :3] @ (sun_N / np.linalg.norm(sun_N))
+    shape = (camera.height_px, camera.width_px)
+    depth = normals = mask = shadow = albedo = None
+    if "depth" in asked:
+        along_axis = hits.distance_m * camera.pixel_directions[hits.ray, 2]
+        depth = _image(shape, hits.ray, along_axis, np.nan)
+    if "normals" in asked:
+        normals = _image(shape, hits.ray, hits.flat_normal_G @ X_GK[:3, :3], np.nan)
+    if "mask" in asked:
+        mask = _image(shape, hits.ray, np.ones(len(hits.ray), np.bool_), False)
+    if "shadow" in asked:
+        shadow = _image(shape, hits.ray, _shadow(renderer.caster, hits, sun_G), 0)
+    if "albedo" in asked:
+        surface = renderer.appearance.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+        albedo = _image(shape, hits.ray, surface.albedo, np.nan)
+    return Products(depth, normals, mask, shadow, albedo)
+
+
+def _shadow(caster: RayCaster, hits: Hits, sun_G: Array) -> NDArray[np.uint8]:
+    away = hits.normal_G @ sun_G <= 0
+    return np.where(away, FACING_AWAY, np.where(caster.lit(hits, sun_G), 0, CAST_SHADOW)).astype(np.uint8)
+
+
+def _image(shape: tuple[int, int], pixel: Ints, values: NDArray[T], beside: float) -> NDArray[T]:
+    """Values (n, ...) at pixels (n,), indexed row by row -> (H, W, ...)."""
+    image = np.full((shape[0] * shape[1], *values.shape[1:]), beside, values.dtype)
+    image[pixel] = values
+    return image.reshape(*shape, *values.shape[1:])
+
+
+def products_path(mav0: Path, camera_index: int, timestamp_ns: int) -> Path:
+    """File of one image's products, camera_index 0 (left) or 1 (right)."""
+    return mav0 / f"truth{camera_index}" / f"{timestamp_ns}.npz"
+
+
+def write_products(path: Path, products: Products) -> None:
+    """Write the products compressed, numbers as float32; the file is complete or absent."""
+    arrays = {f.name: getattr(products, f.name) for f in fields(Products)}
+    narrow = {
+        name: values.astype(np.float32) if values.dtype == np.float64 else values
+        for name, values in arrays.items()
+        if values is not None
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replaced(path) as partial:
+        np.savez_compressed(partial, **narrow)
+
+
+def read_products(path: Path) -> Products:
+    """Read a file of ``write_products``. Raises InputError if it is missing or damaged."""
+    try:
+        with np.load(path) as archive:
+            arrays = {f.name: archive[f.name] for f in fields(Products) if f.name in archive.files}
+    except (OSError, EOFError, ValueError, BadZipFile, zlib.error) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{path}: no truth of pixels ({reason}); simulate with scene.render.products"
+        ) from None
+    return Products(
+        **{
+            name: values.astype(np.float64) if values.dtype == np.float32 else values
+            for name, values in arrays.items()
+        }
+    )

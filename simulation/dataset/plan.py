@@ -1,17 +1,21 @@
-"""All that is decided before rendering: body, mass, cameras, motion, and which frames are dropped."""
+"""All that is decided before rendering: body, mass, cameras, motion, and which frames are dropped.
 
+Scenes in which the target is never in view, or a camera comes too near to it, are refused.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import trimesh
 
 from polhode.config import scene as config
 from polhode.config.scene import Scene
 from polhode.errors import InputError
-from polhode.lie import Array
+from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Truth
 from polhode.simulation.bodies import Body, build_body
-from polhode.simulation.camera.cameras import Camera, build_cameras
-from polhode.simulation.dataset.view_check import require_target_in_view
 from polhode.simulation.motion import (
     InspectorMotion,
     MassDistribution,
@@ -20,7 +24,10 @@ from polhode.simulation.motion import (
     mass_distribution,
     target_motion,
 )
-from polhode.simulation.sky.background import Sky
+from polhode.simulation.rendering.raycast import RayCaster
+from polhode.simulation.rendering.sampling import even_directions
+from polhode.simulation.sky import Sky
+from polhode.simulation.stereo_camera import Camera, build_cameras
 
 
 @dataclass(frozen=True)
@@ -97,3 +104,94 @@ def truth_of(plan: SequencePlan) -> Truth:
         mesh=plan.body.mesh,
         mass_kg=mass.mass_kg,
     )
+
+
+MIN_DISTANCE_M = 5e-3
+MIN_DISTANCE_SHARE = 1e-3
+"""A camera is too near if its distance is less than either, in metres or relative to the target's length."""
+ENCLOSED_SHARE = 0.9
+"""A camera is inside if this share of all directions hits the target; less than 1, as real meshes have
+holes.
+"""
+MAX_SAMPLE_VERTICES = 4000
+"""Vertices that are projected into the image; rays find what these miss."""
+NAMES = ("left", "right")
+
+
+def require_target_in_view(
+    body: Body, cameras: Sequence[Camera], X_NC: Array, X_NG: Array, t_s: Array
+) -> None:
+    """Raise InputError if a camera is inside the target or too near, or the target is never in view.
+
+    X_NC, X_NG: (F, 4, 4) left camera and target at the times t_s (F,). The target may leave the view.
+    """
+    check = ViewCheck(body)
+    seen = ahead = False
+    for X_NC_k, X_NG_k, t in zip(X_NC, X_NG, t_s, strict=True):
+        for name, camera in zip(NAMES, cameras, strict=True):
+            X_GK = inverse_pose(X_NG_k) @ X_NC_k @ camera.X_CK
+            check.require_distance(X_GK[:3, 3], name, float(t))
+            seen = seen or check.sees(camera, X_GK)
+            ahead = ahead or bool((transform_points(inverse_pose(X_GK), check.corners_G)[:, 2] > 0).any())
+    if seen:
+        return
+    where = "beside the images" if ahead else "behind the cameras"
+    raise InputError(
+        f"scene: the target is never in view, at none of {len(X_NC)} frames: it stays {where}; change "
+        "scene.motion.position_m (z is forward) or scene.inspector"
+    )
+
+
+class ViewCheck:
+    """Distances of cameras from a body, and whether they see it."""
+
+    def __init__(self, body: Body) -> None:
+        self._sample_G = np.asarray(body.mesh.vertices)[:: 1 + len(body.mesh.vertices) // MAX_SAMPLE_VERTICES]
+        self._triangles = np.asarray(body.mesh.triangles)
+        self._caster = RayCaster(body)
+        low, high = np.asarray(body.mesh.bounds)
+        self.corners_G = np.asarray(trimesh.bounds.corners(body.mesh.bounds))
+        self._middle_G = 0.5 * (low + high)
+        self._radius_m = float(np.linalg.norm(body.mesh.vertices - self._middle_G, axis=1).max())
+        self._nearest_m = max(MIN_DISTANCE_M, MIN_DISTANCE_SHARE * float((high - low).max()))
+        self._around = even_directions(256)
+
+    def require_distance(self, p_G: Array, name: str, t_s: float) -> None:
+        """Raise InputError if the point (3,) is inside the body or too near its surface."""
+        if np.linalg.norm(p_G - self._middle_G) > self._radius_m + self._nearest_m:
+            return
+        hint = "move scene.motion.position_m away, or check scene.body.size_m and metres_per_unit"
+        if len(self._caster.first_hits(p_G, self._around).ray) >= ENCLOSED_SHARE * len(self._around):
+            size = f"it is {2 * self._radius_m:.3g} m long"
+            raise InputError(f"scene: the {name} camera is inside the target at {t_s:g} s ({size}); {hint}")
+        distance_m = self.distance_m(p_G)
+        if distance_m < self._nearest_m:
+            raise InputError(
+                f"scene: the {name} camera comes within {1e3 * distance_m:.3g} mm of the target at {t_s:g} "
+                f"s, nearer than {1e3 * self._nearest_m:.3g} mm; {hint}"
+            )
+
+    def distance_m(self, p_G: Array) -> float:
+        """Distance from a point (3,) to the surface: exact, on the triangles that can be the nearest."""
+        centres, reach = self._spheres
+        to_centre = np.linalg.norm(centres - p_G, axis=1)
+        candidates = self._triangles[to_centre - reach <= to_centre.min()]
+        closest = trimesh.triangles.closest_point(candidates, np.broadcast_to(p_G, (len(candidates), 3)))
+        return float(np.linalg.norm(closest - p_G, axis=1).min())
+
+    @cached_property
+    def _spheres(self) -> tuple[Array, Array]:
+        """Centre (F, 3) and radius (F,) around each triangle."""
+        centres = self._triangles.mean(axis=1)
+        return centres, np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
+
+    def sees(self, camera: Camera, X_GK: Array) -> bool:
+        """Whether a vertex projects into the image or, for faces larger than the view, a ray of a coarse
+        grid hits.
+        """
+        p_K = transform_points(inverse_pose(X_GK), self._sample_G)
+        if len(camera.project_visible(p_K)[1]) > 0:
+            return True
+        v, u = np.meshgrid(np.arange(0, camera.height_px, 8), np.arange(0, camera.width_px, 8), indexing="ij")
+        rays_K = camera.directions(np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64))
+        return len(self._caster.first_hits(X_GK[:3, 3], rays_K @ X_GK[:3, :3].T).ray) > 0

@@ -21,7 +21,6 @@ from polhode.errors import InputError
 from polhode.images import to_grey
 from polhode.lie import Array
 from polhode.records import Bools, Ints
-from polhode.simulation.camera.sensor import Image as Grey
 from polhode.simulation.dataset.correspondence import (
     Correspondence,
     Reason,
@@ -34,6 +33,7 @@ from polhode.simulation.dataset.correspondence import (
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
+from polhode.simulation.stereo_camera import Image as Grey
 
 Rgb = NDArray[np.uint8]
 UNSEEN = (110, 110, 110)

@@ -1,12 +1,10 @@
 """Motion over time: the truth of a sequence. In: scene and mass properties. Out: poses, rates, forces.
 
 target.py     the target's states
-inspector.py  the camera's path, its jitter, and the poses that the inspector reports
+inspector.py  the camera's path, the jitter of its control, and the poses that the inspector reports
 mass.py       mass properties, by density or by hand
-forces.py     known and white forces and torques
-energy.py     loss of rotational energy, by drag or by friction inside
-integrate.py  the rigid body under forces that jump
-deadband.py   limit cycle of a dead-band control
+forces.py     known and white forces and torques, loss of rotational energy
+integrate.py  the rigid body under discontinuous forces
 poinsot.py    torque-free motion: precession, polhode, herpolhode
 """
 

@@ -10,8 +10,7 @@ from polhode.config import scene as config
 from polhode.lie import Array, exp_so3, make_pose, matrix_from_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 from polhode.rigid_body import propagate
-from polhode.simulation.motion.energy import momentum_of_rate
-from polhode.simulation.motion.forces import acting_forces, is_free
+from polhode.simulation.motion.forces import acting_forces, is_free, momentum_of_rate
 from polhode.simulation.motion.integrate import Forces, advance, body_rate
 from polhode.simulation.motion.mass import MassDistribution
 

@@ -10,8 +10,7 @@ from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.bodies import Body
-from polhode.simulation.bodies.parts.file_colours import packed_images
-from polhode.simulation.bodies.parts.part import SLOPE_STEP, Chart
+from polhode.simulation.bodies.part import SLOPE_STEP, Chart, packed_images
 from polhode.simulation.surface.materials import MaterialTable, Surface
 
 

@@ -15,7 +15,7 @@ from polhode.lie import Array
 from polhode.simulation.bodies import Body
 from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.light import Lights, disc_irradiance
-from polhode.simulation.rendering.probes import DARK, DIRECTIONS, PROBES, SKY, place_probes
+from polhode.simulation.rendering.probes import DARK, DIRECTIONS, PROBES, SKY, Neighbours, place_probes
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.reflection import glossy, lobe_ray
 from polhode.simulation.rendering.sampling import (
@@ -24,7 +24,6 @@ from polhode.simulation.rendering.sampling import (
     nearest_direction_map,
     spiral_points,
 )
-from polhode.simulation.rendering.surface_interpolation import Neighbours
 from polhode.simulation.surface.materials import Surface
 
 CELL_RAD = float(np.sqrt(4.0 / DIRECTIONS))

@@ -9,13 +9,13 @@ from polhode.config import scene as config
 from polhode.lie import Array, inverse_pose
 from polhode.records import Ints
 from polhode.simulation.bodies import Body
-from polhode.simulation.camera.cameras import Camera, sample_offsets
 from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.indirect import IndirectLight
 from polhode.simulation.rendering.light import Lights, lights_in_body
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.sampling import Stratum, rays_over_disc
 from polhode.simulation.rendering.shading import IncidentLight, SpecularTracer, shade
+from polhode.simulation.stereo_camera import Camera, sample_offsets
 from polhode.simulation.surface.materials import Surface
 
 PIXELS_A_PROBE = 60

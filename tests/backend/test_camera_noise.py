@@ -11,7 +11,7 @@ from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(
     frames=40, landmarks=300, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9]),

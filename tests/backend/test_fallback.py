@@ -23,7 +23,7 @@ from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearizati
 from polhode.backend.solvers.solve import refine, solve
 from polhode.config.backend import Backend
 from polhode.progress import Silent
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 SCENE = SyntheticScene(
     frames=24, landmarks=200, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9])

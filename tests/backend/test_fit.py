@@ -11,7 +11,7 @@ from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.progress import Silent
 from polhode.records import Bools, InitialMotion, MotionEstimate, StereoTracks
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 GAP = range(26, 46)
 SCENE = SyntheticScene(

@@ -13,7 +13,7 @@ from polhode.config.backend import Backend
 from polhode.lie import Array, inverse_pose, log_so3
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 SEEDS = (100, 101, 102)
 """Not those of the benchmark."""

@@ -15,7 +15,7 @@ from polhode.compare.rows import read_comparison
 from polhode.config.compare import Motion
 from polhode.errors import InputError
 from polhode.pipeline.run_directory.archives import write_measurements
-from polhode.simulation.monte_carlo.measurements import SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticSequence, generate
 
 Capture = pytest.CaptureFixture[str]
 SOLVERS = ["--compare.solvers", "gauss_newton,odometry"]

@@ -6,7 +6,7 @@ import trimesh
 
 from polhode.camera import RectifiedRig
 from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
-from polhode.mapping.mesh_viewer import MeshViewer
+from polhode.mapping.visibility import MeshViewer
 
 RIG = RectifiedRig(200.0, 63.5, 47.5, 0.1, 128, 96)
 COLUMNS, ROWS = np.arange(128.0), np.arange(96.0)

@@ -17,7 +17,7 @@ from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import PairMatch
 from polhode.lie import make_pose
 from polhode.records import SurfaceModel
-from polhode.simulation.monte_carlo.measurements import RIG, SyntheticSequence
+from polhode.simulation.monte_carlo import RIG, SyntheticSequence
 
 PICTURE = "patch.png"
 NOTHING = StereoFeatures(

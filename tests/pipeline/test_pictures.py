@@ -20,7 +20,7 @@ from polhode.config import Config, Pictures
 from polhode.dataset import StereoImages, StereoSequence
 from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import inverse_pose
-from polhode.mapping.mesh_viewer import MeshViewer
+from polhode.mapping.visibility import MeshViewer
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.pictures import run_pictures as pictures
 from polhode.pipeline.pictures.body_views import (

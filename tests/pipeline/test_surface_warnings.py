@@ -16,7 +16,7 @@ from polhode.config import Config
 from polhode.config.mapping import Mapping
 from polhode.frontend.extract import extract_depth
 from polhode.lie import Array, make_pose
-from polhode.mapping.fusion.fuse import Frame, fuse
+from polhode.mapping.fusion.field import Frame, fuse
 from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.find_motion import find_motion
 from polhode.progress import Progress, Silent

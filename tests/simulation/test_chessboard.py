@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from polhode.config import scene as config
 from polhode.lie import Array, exp_so3, make_pose, transform_points
-from polhode.simulation.bodies.parts.part import Body, Part, assemble, join
-from polhode.simulation.camera.cameras import Camera, build_cameras
-from polhode.simulation.camera.sensor import expose
+from polhode.simulation.bodies.part import Body, Part, assemble, join
 from polhode.simulation.rendering.render import Renderer
+from polhode.simulation.stereo_camera import Camera, build_cameras, expose
 from polhode.simulation.surface.materials import Material
 
 COLUMNS, ROWS, SQUARE_M = 9, 6, 0.025

@@ -10,9 +10,9 @@ from polhode.config import scene as config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.records import Ints
 from polhode.simulation.bodies import build_body
-from polhode.simulation.camera.cameras import Camera, build_cameras
-from polhode.simulation.dataset.products import render_products
+from polhode.simulation.dataset.frame_renderer import render_products
 from polhode.simulation.rendering.render import Renderer
+from polhode.simulation.stereo_camera import Camera, build_cameras
 
 FAMILIES = [
     family

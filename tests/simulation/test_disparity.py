@@ -14,11 +14,11 @@ from scipy.ndimage import map_coordinates
 from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.records import Bools
-from polhode.simulation.camera.sensor import expose
 from polhode.simulation.dataset.correspondence import Correspondence, dense_correspondence, view_of
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.render import Renderer
+from polhode.simulation.stereo_camera import expose
 
 PARALLEL = {"width_px": 240, "height_px": 180, "focal_px": 250.0}
 TOED_IN = PARALLEL | {

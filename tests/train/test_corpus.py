@@ -10,7 +10,7 @@ from polhode.config.train import Corpus
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.progress import Silent
-from polhode.simulation.dataset.products import read_products
+from polhode.simulation.dataset.frame_renderer import read_products
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.train.corpus import main, render_corpus, scene_folder, split
 from polhode.train.random_scene import random_scene

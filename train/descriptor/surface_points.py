@@ -28,14 +28,14 @@ from polhode.processes import in_order
 from polhode.progress import Progress
 from polhode.records import Bools, Ints
 from polhode.simulation.dataset.correspondence import CameraView, correspond, view_of
-from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
-from polhode.simulation.dataset.products import (
+from polhode.simulation.dataset.frame_renderer import (
     CAST_SHADOW,
     Products,
     products_path,
     read_products,
     render_products,
 )
+from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.render import Renderer

@@ -17,7 +17,7 @@ from polhode.frontend.disparity.crop import Floats
 from polhode.frontend.rectification.rectify import Rectifier
 from polhode.lie import Array, inverse_pose
 from polhode.records import Bools
-from polhode.simulation.dataset.products import products_path, read_products
+from polhode.simulation.dataset.frame_renderer import products_path, read_products
 
 _SAME_SURFACE_PX = 1.0
 """Largest difference of the disparities of a point that both cameras see."""

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from polhode.lie import Array, exp_so3
 from polhode.records import Ints
-from polhode.simulation.bodies.parts.part import Part
+from polhode.simulation.bodies.part import Part
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import REGOLITH
 from polhode.simulation.surface.noise import fractal

@@ -5,12 +5,10 @@ from functools import partial
 import numpy as np
 
 from polhode.lie import Array
-from polhode.simulation.bodies.components.antennas import horn, small_dish
-from polhode.simulation.bodies.components.layout import Deck, decks_of_box, fit_out
-from polhode.simulation.bodies.components.propulsion import engine, thruster
-from polhode.simulation.bodies.components.wing import solar_wing
-from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import box, frame, pose, revolve
+from polhode.simulation.bodies.equipment import engine, horn, small_dish, solar_wing, thruster
+from polhode.simulation.bodies.layout import Deck, decks_of_box, fit_out
+from polhode.simulation.bodies.part import Part
+from polhode.simulation.bodies.solids import box, frame, pose, revolve
 from polhode.simulation.bodies.textures.canvas import Draw
 from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
 from polhode.simulation.surface.materials import ANODISED, FOIL_BLACK, FOIL_GOLD, FOIL_SILVER, Material

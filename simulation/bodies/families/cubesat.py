@@ -6,18 +6,18 @@ from functools import partial
 import numpy as np
 
 from polhode.lie import Array, hat
-from polhode.simulation.bodies.components.antennas import patch
-from polhode.simulation.bodies.components.equipment import (
+from polhode.simulation.bodies.equipment import (
     camera_lens,
     electronics_box,
+    patch,
     star_tracker,
     sun_sensor,
+    thruster,
     umbilical,
 )
-from polhode.simulation.bodies.components.layout import Deck, decks_of_box
-from polhode.simulation.bodies.components.propulsion import thruster
-from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import box, drum, pose, tube
+from polhode.simulation.bodies.layout import Deck, decks_of_box
+from polhode.simulation.bodies.part import Part
+from polhode.simulation.bodies.solids import box, drum, pose, tube
 from polhode.simulation.bodies.textures.canvas import Draw
 from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
 from polhode.simulation.surface.materials import (

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from polhode.simulation.bodies.components.antennas import paraboloid
-from polhode.simulation.bodies.components.layout import decks_of_box, fit_out
-from polhode.simulation.bodies.components.wing import solar_wing
-from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import box, drum, frame, pose, radial, revolve, ring, strut, tube
+from polhode.simulation.bodies.equipment import paraboloid, solar_wing
+from polhode.simulation.bodies.layout import decks_of_box, fit_out
+from polhode.simulation.bodies.part import Part
+from polhode.simulation.bodies.solids import box, drum, frame, pose, radial, revolve, ring, strut, tube
 from polhode.simulation.bodies.textures.canvas import Draw
 from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
 from polhode.simulation.surface.materials import (

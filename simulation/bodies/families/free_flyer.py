@@ -4,9 +4,8 @@ import numpy as np
 from scipy.spatial import HalfspaceIntersection
 
 from polhode.lie import Array
-from polhode.simulation.bodies.parts.facets import flat_facets
-from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import ball, box, drum, hull, pose, revolve
+from polhode.simulation.bodies.part import Part
+from polhode.simulation.bodies.solids import ball, box, drum, flat_facets, hull, pose, revolve
 from polhode.simulation.bodies.textures.canvas import chart_of_facet
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import (

@@ -3,13 +3,19 @@
 import numpy as np
 
 from polhode.lie import Array
-from polhode.simulation.bodies.components.antennas import small_dish, whip
-from polhode.simulation.bodies.components.equipment import cable, electronics_box, grapple_pin, handrail
-from polhode.simulation.bodies.components.layout import decks_of_box, fit_out
-from polhode.simulation.bodies.components.propulsion import bottle
-from polhode.simulation.bodies.components.wing import solar_wing
-from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import ball, box, drum, frame, pose, strut
+from polhode.simulation.bodies.equipment import (
+    bottle,
+    cable,
+    electronics_box,
+    grapple_pin,
+    handrail,
+    small_dish,
+    solar_wing,
+    whip,
+)
+from polhode.simulation.bodies.layout import decks_of_box, fit_out
+from polhode.simulation.bodies.part import Part
+from polhode.simulation.bodies.solids import ball, box, drum, frame, pose, strut
 from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
 from polhode.simulation.surface.materials import (
     ANODISED,

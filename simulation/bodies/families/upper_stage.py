@@ -3,11 +3,17 @@
 import numpy as np
 
 from polhode.lie import Array
-from polhode.simulation.bodies.components.antennas import patch
-from polhode.simulation.bodies.components.equipment import cable, electronics_box, umbilical
-from polhode.simulation.bodies.components.propulsion import bottle, engine, thruster_block
-from polhode.simulation.bodies.parts.part import Part
-from polhode.simulation.bodies.parts.solids import (
+from polhode.simulation.bodies.equipment import (
+    bottle,
+    cable,
+    electronics_box,
+    engine,
+    patch,
+    thruster_block,
+    umbilical,
+)
+from polhode.simulation.bodies.part import Part
+from polhode.simulation.bodies.solids import (
     ellipsoid_cap,
     frame,
     pose,

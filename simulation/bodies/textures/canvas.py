@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from polhode.lie import Array
 from polhode.records import Ints
-from polhode.simulation.bodies.parts.part import SLOPE_STEP, Chart
-from polhode.simulation.bodies.parts.solids import Revolved
+from polhode.simulation.bodies.part import SLOPE_STEP, Chart
+from polhode.simulation.bodies.solids import Revolved
 from polhode.simulation.surface.materials import Material
 
 Code = NDArray[np.uint8]

@@ -10,7 +10,7 @@ from polhode.config.backend import Backend
 from polhode.lie import log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 SCENE = SyntheticScene(

@@ -15,7 +15,7 @@ from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
 from polhode.progress import Silent
 from polhode.records import Impulse, MotionEstimate
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, Vector, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, Vector, generate
 
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 FREE = SyntheticScene(

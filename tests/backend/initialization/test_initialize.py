@@ -10,7 +10,7 @@ from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.records import RelativePoses
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(frames=30, landmarks=400, detection=0.4, sigma_uv_px=0.3, sigma_d_px=0.2)
 

@@ -13,7 +13,7 @@ from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.config.backend import Backend
 from polhode.errors import RunFailure
 from polhode.records import Bools
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(frames=20, landmarks=300, detection=0.4, outliers=0.1, J_G=np.diag([1.5, 1.2, 0.9]))
 

@@ -11,7 +11,7 @@ from polhode.config.backend import Backend
 from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
-from polhode.simulation.monte_carlo.measurements import RIG, SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import RIG, SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(
     frames=25, landmarks=300, detection=0.5, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9]),

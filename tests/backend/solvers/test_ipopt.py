@@ -14,7 +14,7 @@ from polhode.backend.solvers.linearization_point import LOOSE_GAUGE, TIGHT_GAUGE
 from polhode.backend.solvers.robust_kernel import kernel_curvature
 from polhode.backend.solvers.solve import refine
 from polhode.config.backend import Backend
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=6, landmarks=60, detection=0.6, outliers=0.05, J_G=np.diag([1.5, 1.2, 0.9]))
 

@@ -12,7 +12,7 @@ from polhode.backend.solvers.stereo_terms import StereoTerms
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.records import StereoTracks
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=4, landmarks=25, detection=0.7, camera_moves=True)
 

@@ -8,7 +8,7 @@ from polhode.lie import Array, hat, inverse_pose, log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from polhode.rigid_fit import mean_rotation
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 BOX = np.diag([1.5, 1.2, 0.9])
 

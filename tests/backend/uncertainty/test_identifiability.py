@@ -9,7 +9,7 @@ from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.config.backend import Backend
 from polhode.progress import Silent
 from polhode.records import Identifiability, MotionEstimate
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 BOX = np.diag([1.5, 1.2, 0.9])
 SYMMETRIC = np.diag([1.3, 1.3, 0.8])

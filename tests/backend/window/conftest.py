@@ -12,7 +12,7 @@ from polhode.backend.window.frame import camera_noise_of, frames_of
 from polhode.backend.window.problem import WindowProblem
 from polhode.config.backend import Backend
 from polhode.lie import Array
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 TUMBLE = SyntheticScene(
     frames=40,

@@ -6,7 +6,7 @@ import pytest
 from polhode.backend.window.add_frame import KnownLandmarks, locate
 from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
 from polhode.records import Bools
-from polhode.simulation.monte_carlo.measurements import RIG
+from polhode.simulation.monte_carlo import RIG
 
 RNG = np.random.default_rng(3)
 X_RG = make_pose(exp_so3([0.3, -0.8, 0.2]), [0.02, -0.01, 0.6])

@@ -16,7 +16,7 @@ from polhode.backend.window.frame import FrameMeasurements, frames_of
 from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
 from polhode.rigid_body import HALF_TURNS
-from polhode.simulation.monte_carlo.measurements import SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticSequence, generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
 SMALL = {"frames": 6, "key_frames": 10, "history": 14}

@@ -8,7 +8,7 @@ import pytest
 from polhode.backend.window.estimator import SlidingWindow
 from polhode.backend.window.newton import NewtonSolver
 from polhode.backend.window.solve import expand_arrival, solve_history, solve_window
-from polhode.simulation.monte_carlo.measurements import generate
+from polhode.simulation.monte_carlo import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
 

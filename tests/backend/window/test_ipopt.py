@@ -5,7 +5,7 @@ import pytest
 
 from polhode.backend.window.ipopt import IpoptSolver
 from polhode.backend.window.newton import NewtonSolver
-from polhode.simulation.monte_carlo.measurements import SyntheticSequence
+from polhode.simulation.monte_carlo import SyntheticSequence
 from tests.backend.window.conftest import Feed, problem_of
 
 

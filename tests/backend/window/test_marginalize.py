@@ -6,7 +6,7 @@ import numpy as np
 
 from polhode.backend.window.marginalize import least_valuable
 from polhode.lie import log_so3
-from polhode.simulation.monte_carlo.measurements import generate
+from polhode.simulation.monte_carlo import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
 

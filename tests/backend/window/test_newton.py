@@ -8,7 +8,7 @@ import pytest
 from polhode.backend.window.newton import NewtonSolver
 from polhode.backend.window.problem import WindowProblem
 from polhode.lie import Array
-from polhode.simulation.monte_carlo.measurements import SyntheticSequence
+from polhode.simulation.monte_carlo import SyntheticSequence
 from tests.backend.window.conftest import Feed, problem_of
 
 

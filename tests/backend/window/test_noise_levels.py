@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.window.noise_levels import Grid, estimate_levels, estimate_noise, most_likely
-from polhode.simulation.monte_carlo.measurements import generate
+from polhode.simulation.monte_carlo import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 
 

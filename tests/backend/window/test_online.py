@@ -17,7 +17,7 @@ from polhode.config.backend import Backend
 from polhode.lie import inverse_pose, transform_points
 from polhode.progress import Silent
 from polhode.records import MotionEstimate, OnlineEstimate
-from polhode.simulation.monte_carlo.measurements import SyntheticSequence
+from polhode.simulation.monte_carlo import SyntheticSequence
 
 FAST = Backend.model_validate({"solver": "gauss_newton", "process_noise": "given"})
 

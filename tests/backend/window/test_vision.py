@@ -20,7 +20,7 @@ from polhode.backend.window.vision import (
 )
 from polhode.config.backend import Backend
 from polhode.lie import Array
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 RNG = np.random.default_rng(5)
 

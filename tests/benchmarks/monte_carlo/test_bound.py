@@ -17,7 +17,7 @@ from polhode.config.backend import Backend
 from polhode.lie import Array
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 SCENE = SyntheticScene(
     frames=24, landmarks=250, detection=0.5, J_G=np.diag([1.5, 1.2, 0.9]), w_G=(0.5, 0.6, 0.5), dt_s=1.0

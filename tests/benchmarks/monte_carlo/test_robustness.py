@@ -21,7 +21,7 @@ from benchmarks.monte_carlo.robustness import (
 from benchmarks.record import Case
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, make_pose
-from polhode.simulation.monte_carlo.measurements import generate
+from polhode.simulation.monte_carlo import generate
 
 TUMBLE = "triaxial tumble, 7 RPM"
 GIVEN = Backend(accel_psd=1e-7, torque_psd=1e-7)

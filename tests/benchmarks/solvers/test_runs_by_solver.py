@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.solvers.runs_by_solver import print_runs, solve_run
 from polhode.pipeline.run_directory.archives import write_measurements
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 SCENE = SyntheticScene(
     frames=12, landmarks=150, detection=0.5, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9])

@@ -12,8 +12,7 @@ from polhode.config.mapping import Mapping
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.mapping.fusion.block_grid import FREE, VIEWS, BlockGrid, Truncation
 from polhode.mapping.fusion.depth_frame import frame_tensors
-from polhode.mapping.fusion.field import Field
-from polhode.mapping.fusion.fuse import fuse
+from polhode.mapping.fusion.field import Field, fuse
 from polhode.mapping.fusion.integration import allocate, integrate
 from polhode.mesh_metrics import distance_to_surface
 from polhode.records import DepthMap, SurfaceModel

@@ -10,10 +10,16 @@ import trimesh
 from polhode.config.mapping import Mapping
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.mapping.fusion.depth_frame import frame_tensors
-from polhode.mapping.fusion.field import Field
-from polhode.mapping.fusion.frame_alignment import DepthPoints, FrameAlignment, align, depth_points, distances
-from polhode.mapping.fusion.fuse import fuse
-from polhode.mapping.fusion.interpolation import FieldLookup, FieldSamples
+from polhode.mapping.fusion.field import Field, fuse
+from polhode.mapping.fusion.frame_alignment import (
+    DepthPoints,
+    FieldLookup,
+    FieldSamples,
+    FrameAlignment,
+    align,
+    depth_points,
+    distances,
+)
 from polhode.mesh_metrics import distance_to_surface
 from polhode.records import DepthMap
 from tests.mapping.analytic_depth import DISTANCE_M, FINE_RIG, depth_of, views_of

@@ -19,7 +19,7 @@ from polhode.progress import Silent
 from polhode.records import Truth
 from polhode.rigid_body import HALF_TURNS, best_half_turn, propagate
 from polhode.rigid_fit import mean_rotation
-from polhode.simulation.monte_carlo.measurements import SyntheticScene, generate
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.pipeline.conftest import Example
 from tests.pipeline.stored_run import write_run
 

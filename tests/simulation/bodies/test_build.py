@@ -9,8 +9,8 @@ import trimesh
 from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.simulation.bodies import Body, build_body
-from polhode.simulation.bodies.parts.facets import flat_facets, smooth_corner_normals
-from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.bodies.part import Part, assemble
+from polhode.simulation.bodies.solids import flat_facets, smooth_corner_normals
 from polhode.simulation.rendering.appearance import ChartAtlas
 from polhode.simulation.surface.materials import PAINT_GREY, PAINT_WHITE
 

@@ -8,9 +8,9 @@ import pytest
 from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.simulation.bodies import Body, build_body
+from polhode.simulation.bodies.build import FAMILIES
 from polhode.simulation.bodies.families.asteroid import asteroid_parts
-from polhode.simulation.bodies.families.registry import FAMILIES
-from polhode.simulation.bodies.parts.part import Part, join
+from polhode.simulation.bodies.part import Part, join
 from polhode.simulation.bodies.textures.part_builder import PartBuilder, texture_generator
 
 BUILT = ["free_flyer", "bus", "upper_stage", "dish", "truss", "cubesat"]

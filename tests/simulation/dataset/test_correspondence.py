@@ -9,8 +9,7 @@ import trimesh
 
 from polhode.config import scene as config
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
-from polhode.simulation.bodies.parts.part import Part, assemble
-from polhode.simulation.camera.cameras import Camera, build_cameras
+from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.dataset.correspondence import (
     CameraView,
     Reason,
@@ -22,6 +21,7 @@ from polhode.simulation.dataset.correspondence import (
 )
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
+from polhode.simulation.stereo_camera import Camera, build_cameras
 from polhode.simulation.surface.materials import Material
 
 MATT = Material(0.4, specular=0.0)

@@ -13,10 +13,8 @@ from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.progress import Silent
-from polhode.simulation.bodies.parts.part import Body, Part, assemble
-from polhode.simulation.camera.cameras import Camera, build_cameras
-from polhode.simulation.dataset.plan import plan_sequence
-from polhode.simulation.dataset.products import (
+from polhode.simulation.bodies.part import Body, Part, assemble
+from polhode.simulation.dataset.frame_renderer import (
     CAST_SHADOW,
     FACING_AWAY,
     Products,
@@ -25,8 +23,10 @@ from polhode.simulation.dataset.products import (
     render_products,
     write_products,
 )
+from polhode.simulation.dataset.plan import plan_sequence
 from polhode.simulation.dataset.sequence import simulate
 from polhode.simulation.rendering.render import Renderer
+from polhode.simulation.stereo_camera import Camera, build_cameras
 from polhode.simulation.surface.materials import Material
 
 ALL: tuple[config.Product, ...] = get_args(config.Product)

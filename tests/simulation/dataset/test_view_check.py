@@ -9,8 +9,7 @@ import trimesh
 from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.simulation.bodies import build_body
-from polhode.simulation.dataset.plan import plan_sequence
-from polhode.simulation.dataset.view_check import ViewCheck
+from polhode.simulation.dataset.plan import ViewCheck, plan_sequence
 
 
 def _plan(**changes: object) -> None:

@@ -11,7 +11,7 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.rigid_body import angular_momentum_N, rotational_energy
 from polhode.simulation.motion import TargetMotion, target_motion
-from polhode.simulation.motion.energy import (
+from polhode.simulation.motion.forces import (
     energy_of_momentum,
     excess_energy,
     friction_for_loss,

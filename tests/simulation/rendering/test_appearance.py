@@ -12,9 +12,8 @@ import trimesh
 from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.simulation.bodies import Body, build_body
-from polhode.simulation.bodies.parts.facets import flat_facets
-from polhode.simulation.bodies.parts.part import SLOPE_STEP, Chart, Part, assemble
-from polhode.simulation.bodies.parts.solids import box, revolve
+from polhode.simulation.bodies.part import SLOPE_STEP, Chart, Part, assemble
+from polhode.simulation.bodies.solids import box, flat_facets, revolve
 from polhode.simulation.bodies.textures.canvas import Canvas, chart_of_facet, charts_around, code
 from polhode.simulation.rendering.appearance import ChartAtlas, SurfaceAppearance
 from polhode.simulation.surface.materials import (

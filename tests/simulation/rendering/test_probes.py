@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.rendering.probes import BELOW, DARK, SKY, Probes, place_probes
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.surface.materials import PAINT_WHITE

@@ -6,7 +6,7 @@ import trimesh
 
 from polhode.lie import Array
 from polhode.simulation.bodies import Body
-from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.sampling import Stratum, rays_over_disc
 from polhode.simulation.surface.materials import PAINT_WHITE

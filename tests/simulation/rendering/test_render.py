@@ -5,8 +5,8 @@ import numpy as np
 from polhode.config import scene as config
 from polhode.lie import exp_so3, make_pose
 from polhode.simulation.bodies import build_body
-from polhode.simulation.camera.cameras import build_cameras
 from polhode.simulation.rendering.render import Renderer
+from polhode.simulation.stereo_camera import build_cameras
 
 SCENE = config.Scene(
     rig=config.Rig(width_px=96, height_px=72, focal_px=90.0), render=config.Render(samples=4, bounces=0)

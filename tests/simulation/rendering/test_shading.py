@@ -15,7 +15,7 @@ import trimesh
 from polhode.config import scene as config
 from polhode.lie import Array
 from polhode.records import Bools
-from polhode.simulation.bodies.parts.part import Part, assemble
+from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.indirect import IndirectLight
 from polhode.simulation.rendering.light import Lights

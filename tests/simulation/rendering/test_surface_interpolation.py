@@ -3,7 +3,7 @@
 import numpy as np
 
 from polhode.lie import Array
-from polhode.simulation.rendering.surface_interpolation import SurfaceInterpolation
+from polhode.simulation.rendering.probes import SurfaceInterpolation
 
 UP = np.array([0.0, 0.0, 1.0])
 

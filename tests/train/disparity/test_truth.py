@@ -8,7 +8,7 @@ from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
 from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
 from polhode.progress import Silent
-from polhode.simulation.dataset.products import products_path, read_products
+from polhode.simulation.dataset.frame_renderer import products_path, read_products
 from polhode.simulation.dataset.sequence import simulate
 from polhode.train.disparity.truth import true_disparities
 

@@ -1,0 +1,80 @@
+"""Solids against closed forms."""
+
+import numpy as np
+import pytest
+
+from polhode.simulation.bodies.solids import (
+    ball,
+    box,
+    drum,
+    ellipsoid_cap,
+    frame,
+    pose,
+    prism,
+    revolve,
+    strut,
+    tube,
+)
+
+
+def test_all_solids_are_closed_and_wound_outwards() -> None:
+    bent = tube(np.array([[0, 0, 0], [0, 0, 1.0], [0.5, 0, 1.5], [0.5, 1.0, 1.5]]), 0.1)
+    ring = revolve([(1.0, 0.0), (1.2, 0.0), (1.2, 0.1), (1.0, 0.1)], 24, closed=True).mesh
+    for solid in (
+        box([1, 2, 3]),
+        drum(1.0, 2.0),
+        ball(1.0),
+        prism([(0, 0), (1, 0), (0, 1)], 2.0, 0.5),
+        bent,
+        ring,
+    ):
+        assert solid.is_watertight and solid.is_winding_consistent and solid.volume > 0
+
+
+def test_a_profile_that_runs_down_is_turned_outwards_too() -> None:
+    assert revolve([(0, 1.0), (1.0, 1.0), (1.0, 0.0), (0, 0)], 12).mesh.volume > 0
+
+
+def test_volumes_are_those_of_the_closed_forms() -> None:
+    n = 40
+    polygon = 0.5 * n * np.sin(2 * np.pi / n)
+    assert revolve([(0, 0), (0.3, 0), (0.3, 0.5), (0, 0.5)], n).mesh.volume == pytest.approx(
+        polygon * 0.3**2 * 0.5
+    )
+    ring = revolve([(1.0, 0), (1.2, 0), (1.2, 0.1), (1.0, 0.1)], n, closed=True).mesh
+    assert ring.volume == pytest.approx(polygon * (1.2**2 - 1.0) * 0.1)
+    assert strut([0, 0, 0], [1.0, 2.0, 2.0], 0.05, n).volume == pytest.approx(polygon * 0.05**2 * 3.0)
+    assert ball(1.0, 80, 40).volume == pytest.approx(4 / 3 * np.pi, rel=0.01)
+    assert prism([(0, 0), (1, 0), (1, 1), (0, 1)], 3.0).volume == pytest.approx(3.0)
+
+
+def test_a_bevelled_box_keeps_its_extents_and_loses_its_edges() -> None:
+    for extents in ([0.3, 0.2, 0.1], [1.0, 1.0, 0.01]):
+        solid = box(extents, bevel=0.1)
+        np.testing.assert_allclose(solid.extents, extents)
+        assert 0.8 * np.prod(extents) < solid.volume < np.prod(extents)
+        slanted = np.abs(solid.face_normals).max(axis=1) < 0.9
+        assert 0 < solid.area_faces[slanted].sum() < 0.5 * solid.area
+
+
+def test_each_panel_of_a_revolved_solid_is_flat() -> None:
+    solid = revolve([(0, 0), (1.0, 0.2), (0.6, 0.8), (0, 1.0)], 16)
+    assert (solid.panels[[0, 2]] >= 0).sum() == 2 * 16 and (solid.panels[1] >= 0).all()
+    normals = solid.mesh.face_normals[solid.panels[1]]
+    np.testing.assert_allclose(normals[:, 0], normals[:, 1], atol=1e-12)
+
+
+def test_a_cap_runs_from_the_axis_to_the_rim() -> None:
+    cap = ellipsoid_cap(2.0, 0.5)
+    np.testing.assert_allclose(cap[[0, -1]], [[0, 0.5], [2.0, 0]], atol=1e-12)
+    np.testing.assert_allclose((cap[:, 0] / 2.0) ** 2 + (cap[:, 1] / 0.5) ** 2, 1.0)
+
+
+@pytest.mark.parametrize("direction", [[0, 0, 1.0], [0, 0, -2.0], [1.0, 0, 0], [-1, 2, 3]])
+def test_poses_are_rigid_and_turn_z_to_the_direction(direction: list[float]) -> None:
+    X = pose(direction, [1, 2, 3], 0.7)
+    np.testing.assert_allclose(X[:3, :3] @ X[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(X[:3, :3]) == pytest.approx(1.0)
+    np.testing.assert_allclose(X[:3, 2], np.array(direction) / np.linalg.norm(direction))
+    np.testing.assert_allclose(X[:3, 3], [1, 2, 3])
+    np.testing.assert_allclose(frame(X[:3, 0], X[:3, 2], [1, 2, 3]), X, atol=1e-12)
