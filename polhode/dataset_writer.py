@@ -1,4 +1,4 @@
-"""Writing a sequence in the layout of docs/dataset.md: what ``polhode simulate`` and ``import`` produce."""
+"""Writing a sequence in the layout of docs/dataset.md: what ``polhode simulate`` produces."""
 
 from collections.abc import Iterable
 from pathlib import Path

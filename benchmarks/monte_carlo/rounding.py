@@ -3,9 +3,10 @@
     python -m benchmarks.monte_carlo.rounding [--seeds 8] [--workers 2] [--short]
 
 Sequences of 60 frames with 20 % gross outliers and 35 % of the relative poses wrong, each estimated in
-processes of its own with OPENBLAS_CORETYPE Haswell and Zen, and with one and two threads; the kernels sum in
-different orders. "largest difference" is that of an attitude between any two of these, "error" the largest
-attitude error of a frame, "k" the errors of k1 and k2 over their standard deviations, the worst setting each.
+processes of its own with OPENBLAS_CORETYPE Nehalem, Haswell and Zen, and with BLAS on one thread and on two
+(a run has one; here the limit is set to two): the kernels sum in different orders. "largest difference" is
+that of an attitude between any two of these, "error" the largest attitude error of a frame, "k" the errors of
+k1 and k2 over their standard deviations, the worst setting each.
 """
 
 import json
@@ -23,8 +24,9 @@ from tyro.conf import arg
 from benchmarks.command import Short, Workers, command
 from benchmarks.presentation import markdown_table
 from polhode.lie import Array, log_so3
+from polhode.threads import limit_threads
 
-CORES, THREADS = ("Haswell", "Zen"), (1, 2)
+CORES, THREADS = ("Nehalem", "Haswell", "Zen"), (1, 2)
 FIRST_SEED = 43
 
 
@@ -33,9 +35,11 @@ def main(
     workers: Workers = 2,
     short: Short = False,
     seed: Annotated[int | None, arg(help="Estimate this one here and print it as JSON.")] = None,
+    threads: Annotated[int, arg(help="Of BLAS, with --seed.")] = 1,
 ) -> None:
     """Measure every sequence with every setting and print the table."""
     if seed is not None:
+        limit_threads(threads)
         print(json.dumps(_estimate(seed)))
         return
     numbers = range(FIRST_SEED, FIRST_SEED + (1 if short else seeds))
@@ -65,9 +69,11 @@ def main(
 
 
 def _in_a_process(seed: int, core: str, threads: int) -> dict[str, Any]:
-    setting = {"OPENBLAS_CORETYPE": core, "OPENBLAS_NUM_THREADS": str(threads)}
-    words = [sys.executable, "-m", "benchmarks.monte_carlo.rounding", "--seed", str(seed)]
-    done = subprocess.run(words, env={**os.environ, **setting}, capture_output=True, text=True, check=False)
+    call = ["benchmarks.monte_carlo.rounding", "--seed", str(seed), "--threads", str(threads)]
+    kernels = {**os.environ, "OPENBLAS_CORETYPE": core}
+    done = subprocess.run(
+        [sys.executable, "-m", *call], env=kernels, capture_output=True, text=True, check=False
+    )
     if done.returncode:
         return {"error": done.stderr.strip().splitlines()[-1:]}
     return dict(json.loads(done.stdout.splitlines()[-1]))

@@ -46,23 +46,27 @@ class PeerLights:
     earth_radius_deg: float = 66.0
 
 
-def render(
+def load(
     parts: Sequence[Part],
     lights: PeerLights,
     camera: Camera,
     X_GK: Array,
     samples: int,
     bounces: int = 0,
-    seed: int = 0,
-) -> Array:
-    """Levels (H, W) of Mitsuba's path tracer: light that has met the body at most ``bounces`` times more."""
+) -> Any:
+    """Mitsuba's scene, for a path tracer of light that has met the body at most ``bounces`` times more."""
     scene: dict[str, Any] = {"type": "scene", "camera": _sensor(camera, X_GK, samples)}
     scene["integrator"] = {"type": "path", "max_depth": 2 + bounces, "rr_depth": 100, "hide_emitters": True}
     scene |= _emitters(lights)
     for i, part in enumerate(parts):
         for j, mesh in enumerate(_meshes(part)):
             scene[f"part_{i}_{j}"] = mesh
-    image = np.array(mi.render(mi.load_dict(scene), seed=seed), dtype=np.float64)
+    return mi.load_dict(scene)
+
+
+def render(scene: Any, samples: int = 0, seed: int = 0) -> Array:
+    """Levels (H, W); ``samples`` a pixel, 0 for the scene's own number."""
+    image = np.array(mi.render(scene, seed=seed, spp=samples), dtype=np.float64)
     return np.asarray(image[..., 0])
 
 

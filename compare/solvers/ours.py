@@ -1,4 +1,4 @@
-"""polhode's own Gauss-Newton (``backend.gauss_newton``) in either form of the inertia."""
+"""polhode's own Gauss-Newton (``backend.solvers.gauss_newton``) in either form of the inertia."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
