@@ -68,7 +68,7 @@ class Caster:
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         self.middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self.radius_m = float(np.linalg.norm(vertices - self.middle, axis=1).max())
-        self._scene = RayScene((vertices - self.middle)[mesh.faces], robust=False)
+        self._scene = RayScene((vertices - self.middle)[mesh.faces])
 
     def first(self, origin: Array, direction: Array) -> tuple[Array, Ints]:
         """Distance to the first hit (n,) [m], inf where there is none, and its face (n,), -1 where none.

@@ -26,10 +26,10 @@ class FirstHits:
 
 
 class RayScene:
-    """Triangles (T, 3, 3) in embree's hierarchy; ``robust``: no ray slips through between two triangles."""
+    """Triangles (T, 3, 3) in embree's hierarchy; no ray slips through between two that share an edge."""
 
-    def __init__(self, triangles: ArrayLike, robust: bool = True) -> None:
-        self._scene = EmbreeScene(robust=robust)
+    def __init__(self, triangles: ArrayLike) -> None:
+        self._scene = EmbreeScene(robust=True)
         corners = _floats(triangles)
         if len(corners):
             TriangleMesh(self._scene, corners)
