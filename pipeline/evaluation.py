@@ -195,10 +195,10 @@ def inertia_parameter_error(J: Array, J_true: Array, form: InertiaForm) -> Array
     """Estimate minus truth (5,) in the solver's parameters around the estimate; J (3, 3) in G, any scale."""
     xi, R_ref = form.coordinates(_second_moments(J))
     target = unit_determinant(_second_moments(J_true))
-    x = xi.copy()
+    x, upper = xi.copy(), np.triu_indices(3)
     for _ in range(30):
-        residual = (form.second_moments(x, R_ref) - target)[np.triu_indices(3)]
-        jacobian = _differences(lambda y: form.second_moments(y, R_ref)[np.triu_indices(3)], x)
+        residual = (form.second_moments(x, R_ref) - target)[upper]
+        jacobian = form.derivative(x, R_ref)[:, *upper].T
         step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
         x = x + step * min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-12))
         if np.abs(step).max() < 1e-12:
@@ -208,12 +208,6 @@ def inertia_parameter_error(J: Array, J_true: Array, form: InertiaForm) -> Array
 
 def _second_moments(J: Array) -> Array:
     return np.asarray(0.5 * np.trace(J) * np.eye(3) - J)
-
-
-def _differences(function: Any, x: Array, step: float = 1e-6) -> Array:
-    """Central differences of a vector function at x (n,) -> (m, n)."""
-    columns = [(function(x + e) - function(x - e)) / (2 * step) for e in step * np.eye(len(x))]
-    return np.stack(columns, axis=1)
 
 
 def _prediction_errors(estimate: States, true_states: States, truth: Truth, summary: Summary) -> Metrics:

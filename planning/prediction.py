@@ -19,6 +19,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from polhode.lie import Array, exp_so3, hat, log_so3, make_pose, matrix_from_wxyz, wxyz_from_matrix
+from polhode.records import Ints
 from polhode.rigid_body import angular_acceleration, propagate
 
 PAIRS = 128
@@ -67,7 +68,22 @@ class Prediction:
     covariance: Array
     """of the centre of mass and the principal axes: large where those are hardly known"""
     covariance_of_marks: Array
-    """of the body: the estimated centre of mass and axes are marks on it, and exact"""
+    """of the body: the estimated centre of mass and axes are exact marks on it; all inf: unknown"""
+
+    @property
+    def has_covariance(self) -> bool:
+        """Whether the uncertainty is known."""
+        return bool(np.isfinite(self.covariance_of_marks).all())
+
+
+@dataclass(frozen=True)
+class PredictedMotion(Prediction):
+    """The prediction of a run, with the timestamps of its dataset."""
+
+    timestamps_ns: Ints
+    """(T,)"""
+    undetermined: tuple[str, ...]
+    """Names of the quantities that the run's motion does not determine; inf on the covariance's diagonal"""
 
 
 def predict(last: FinalState, time_s: ArrayLike, accel_psd: float, torque_psd: float) -> Prediction:

@@ -78,7 +78,7 @@ def compare(run: Path, sequence: Path, horizon_s: float) -> Comparison:
     at_frames = truth_at(truth, estimate.timestamps_ns)
     half_turn = motion_errors(estimate, at_frames).half_turn
     R_fit = constant_body_rotation(turned(estimate, half_turn), at_frames)
-    states = prediction.states
+    states = prediction
     ahead = States(prediction.timestamps_ns, states.r_N, states.v_N, states.R_NP, states.w_P)
     came = truth_at(truth, prediction.timestamps_ns)
     R_NP = turned(ahead, half_turn).R_NP @ R_fit

@@ -24,7 +24,7 @@ from polhode.planning.exports.convex_pieces import (
     CUT_FACES,
     ROUNDING,
     WITHIN,
-    SurfaceReach,
+    OutwardDistance,
     _beyond,
     _grown_pieces,
     _hull,
@@ -52,7 +52,7 @@ def main(
     )
     for run in runs:
         shape = shape_of_surface(surface_of(run), frame_G())
-        reach = SurfaceReach(shape.mesh())
+        reach = OutwardDistance(shape.mesh())
         corners = shape.mesh().convex_hull.vertices
         diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))
         for most in pieces:
@@ -87,7 +87,7 @@ def _coacd(shape: ExportShape, most: int) -> Sequence[trimesh.Trimesh]:
 
 
 def _coacd_grown(shape: ExportShape, most: int) -> Sequence[trimesh.Trimesh]:
-    reach = SurfaceReach(shape.mesh())
+    reach = OutwardDistance(shape.mesh())
     seeds = [np.asarray(piece.vertices) for piece in _coacd(shape, most)]
     return [_hull(piece.corners, ROUNDING * reach.size_m) for piece in _grown_pieces(shape, seeds, reach)]
 

@@ -1,14 +1,19 @@
 """The predicted motion of a run's target: the last state propagated, as a table, an archive and text."""
 
-from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from polhode.backend.problem.inertia import FORMS, InertiaForm, inertia_from_second_moments
+from polhode.backend.problem.inertia import (
+    FORMS,
+    InertiaForm,
+    inertia_derivative,
+    inertia_from_second_moments,
+)
 from polhode.config.loader import load_config
 from polhode.errors import InputError
 from polhode.lie import Array, continuous_wxyz, wxyz_from_matrix
@@ -26,62 +31,36 @@ from polhode.pipeline.run_directory.trajectory_file import (
     standard_deviations,
     write_trajectory,
 )
-from polhode.planning.prediction import FinalState, Prediction, predict
+from polhode.planning.prediction import FinalState, PredictedMotion, Prediction, predict
 from polhode.records import Ints
+from polhode.rigid_body import propagate
 
 MAX_ROWS = 100_000
 SHOWN_ROWS = 6
 """Of the printed table, evenly spaced."""
 SEEN_FRAMES = 20
-"""Of the past that an undetermined inertia is held against."""
+"""Past frames that bound an undetermined inertia."""
 MIN_POSITION_SHARE = 0.1
-"""A component of the position is undetermined when so much of it lies along a direction that is."""
+"""A component of the position is undetermined when at least this share of it lies along one that is."""
 MIN_RATE_SHARE = 0.002
-"""The same of the rate, as a share of it."""
+"""The same for the angular velocity."""
 
 
 class NoCovariance(InputError):
     """The run has a motion, but no covariance of it."""
 
 
-@dataclass(frozen=True)
-class RunPrediction:
-    """What ``polhode predict`` shows and writes."""
-
-    timestamps_ns: Ints
-    """(T,)"""
-    states: Prediction
-    covariance: Array
-    """(T, 12, 12) as in covariance.npz; ``inf`` on the diagonal where undetermined"""
-    undetermined: tuple[str, ...]
-    """Names of what the run's motion does not determine."""
-
-    def trajectory(self, marks: bool) -> Trajectory:
-        """The columns of trajectory.csv; ``marks``: with the standard deviations of the body itself."""
-        sigma = standard_deviations(self.states.covariance_of_marks if marks else self.covariance)
-        return Trajectory(
-            self.timestamps_ns,
-            self.states.r_N,
-            self.states.v_N,
-            continuous_wxyz(wxyz_from_matrix(self.states.R_NP)),
-            self.states.w_P,
-            *np.split(sigma, 4, axis=1),
-        )
-
-
 def predict_run(
     run_folder: Path, horizon_s: float, step_s: float | None = None, from_last: bool = False
-) -> RunPrediction:
+) -> PredictedMotion:
     """Predict to ``horizon_s`` after the last pair, every ``step_s`` (the run's own interval unless given).
 
-    The last row is at the horizon; ``from_last``: the first one is the last pair's. Raises InputError when
-    the run has no estimate or the times are invalid.
+    The last row is at the horizon; ``from_last``: the first one is the last pair's. The covariance is as in
+    covariance.npz, ``inf`` on the diagonal where undetermined. Raises InputError when the run has no estimate
+    or the times are invalid.
     """
     last, summary = last_body(run_folder)
-    table = read_trajectory(run_folder)
-    time_s = prediction_times(horizon_s, step_or_own(table, step_s))
-    if from_last:
-        time_s = np.concatenate([[0.0], time_s])
+    time_s, timestamps_ns = _instants(run_folder, horizon_s, step_s, from_last)
     assert summary.noise is not None and summary.identifiable_components is not None
     states = predict(last, time_s, summary.noise.accel_psd, summary.noise.torque_psd)
     joint = read_covariance(run_folder).last_joint[:12, :12]
@@ -89,22 +68,42 @@ def predict_run(
     lost = undetermined_components(joint, ~np.array(parts.com_P), ~np.array(parts.axes_P), states)
     covariance = states.covariance.copy()
     covariance[:, np.arange(12), np.arange(12)] = np.where(lost, np.inf, np.diagonal(covariance, 0, 1, 2))
-    return RunPrediction(
-        table.timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64),
-        states,
-        undetermined_as_inf(covariance),
-        undetermined_names(summary),
+    found = vars(states) | {"covariance": undetermined_as_inf(covariance)}
+    return PredictedMotion(**found, timestamps_ns=timestamps_ns, undetermined=undetermined_names(summary))
+
+
+def predict_without_covariance(run_folder: Path, horizon_s: float, step_s: float | None) -> PredictedMotion:
+    """The same states, from the last pair on, from the summary and the last row of the trajectory."""
+    summary, table = read_summary(run_folder), read_trajectory(run_folder)
+    assert summary.inertia is not None
+    time_s, timestamps_ns = _instants(run_folder, horizon_s, step_s, from_last=True)
+    R_GP, J_G = np.array(summary.R_GP), np.array(summary.inertia.J_G)
+    r_N, v_N, R_NG, w_G = propagate(
+        time_s, table.r_N[-1], table.v_N[-1], table.R_NP[-1] @ R_GP.T, R_GP @ table.w_P[-1], J_G
+    )
+    unknown = np.full((len(time_s), 12, 12), np.inf)
+    return PredictedMotion(
+        *(time_s, r_N, v_N, R_NG @ R_GP, w_G @ R_GP, unknown, unknown),
+        timestamps_ns=timestamps_ns,
+        undetermined=undetermined_names(summary),
     )
 
 
+def _instants(
+    run_folder: Path, horizon_s: float, step_s: float | None, from_last: bool
+) -> tuple[Array, Ints]:
+    """Seconds after the last pair (T,) and timestamps (T,) of a prediction."""
+    stamps = read_trajectory(run_folder).timestamps_ns
+    step_s = float(np.median(np.diff(stamps))) * 1e-9 if step_s is None else step_s
+    time_s = prediction_times(horizon_s, step_s)
+    if from_last:
+        time_s = np.concatenate([[0.0], time_s])
+    return time_s, stamps[-1] + np.round(time_s * 1e9).astype(np.int64)
+
+
 def undetermined_names(summary: Summary) -> tuple[str, ...]:
-    """Of what the run's motion does not determine."""
+    """Names of the quantities that the run's motion does not determine."""
     return tuple(name for name, words in summary.identifiable_detail.items() if words.startswith("not"))
-
-
-def step_or_own(table: Trajectory, step_s: float | None) -> float:
-    """The step, or the run's own interval [s]."""
-    return float(np.median(np.diff(table.timestamps_ns))) * 1e-9 if step_s is None else step_s
 
 
 def prediction_times(horizon_s: float, step_s: float) -> Array:
@@ -163,13 +162,8 @@ def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
 def inertia_by_parameters(J_G: Array, form: InertiaForm) -> tuple[Array, Array]:
     """J_G (3, 3) in the scale of the solver's parameters, and its derivative (5, 3, 3) by them."""
     xi, R_ref = form.coordinates(0.5 * np.trace(J_G) * np.eye(3) - J_G)
-
-    def inertia(x: Array) -> Array:
-        return inertia_from_second_moments(form.second_moments(x, R_ref))
-
-    step = 1e-6
-    slopes = [(inertia(xi + e) - inertia(xi - e)) / (2 * step) for e in step * np.eye(len(xi))]
-    return inertia(xi), np.stack(slopes)
+    J = inertia_from_second_moments(form.second_moments(xi, R_ref))
+    return J, inertia_derivative(form, xi, R_ref)
 
 
 def undetermined_components(last: Array, com_lost: Array, axes_lost: Array, states: Prediction) -> Array:
@@ -190,49 +184,46 @@ def undetermined_components(last: Array, com_lost: Array, axes_lost: Array, stat
     return lost
 
 
-def write_prediction(prediction: RunPrediction, path: Path, marks: bool) -> None:
-    """The table of ``RunPrediction.trajectory``, or with the ending .npz all arrays with full covariances.
+def write_prediction(prediction: PredictedMotion, path: Path, marks: bool) -> None:
+    """The columns of trajectory.csv, or with the suffix .npz all arrays with full covariances.
 
-    Raises InputError when the file cannot be there.
+    ``marks``: the table has the standard deviations of the body itself. Raises InputError when the file
+    cannot be written there.
     """
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder: choose another -o")
     if path.is_dir():
         raise InputError(f"{path} is a folder: -o names a file, such as prediction.csv")
-    if path.suffix != ".npz":
-        write_trajectory(prediction.trajectory(marks), path)
+    states: dict[str, Any] = {
+        "timestamps_ns": prediction.timestamps_ns,
+        "r_N": prediction.r_N,
+        "v_N": prediction.v_N,
+        "q_NP_wxyz": continuous_wxyz(wxyz_from_matrix(prediction.R_NP)),
+        "w_P": prediction.w_P,
+    }
+    if path.suffix == ".npz":
+        covariances = {name: getattr(prediction, name) for name in ("covariance", "covariance_of_marks")}
+        write_arrays(path, states | covariances | {"order": np.array(STATE_ORDER)})
         return
-    states = prediction.states
-    write_arrays(
-        path,
-        {
-            "timestamps_ns": prediction.timestamps_ns,
-            "r_N": states.r_N,
-            "v_N": states.v_N,
-            "q_NP_wxyz": continuous_wxyz(wxyz_from_matrix(states.R_NP)),
-            "w_P": states.w_P,
-            "covariance": prediction.covariance,
-            "covariance_of_marks": states.covariance_of_marks,
-            "order": np.array(STATE_ORDER),
-        },
-    )
+    sigma = standard_deviations(prediction.covariance_of_marks if marks else prediction.covariance)
+    write_trajectory(Trajectory(*states.values(), *np.split(sigma, 4, axis=1)), path)
 
 
-def format_prediction(prediction: RunPrediction) -> str:
-    """A few rows as text: the predicted centre of mass, and how well position and attitude are known."""
-    time_s, states = prediction.states.time_s, prediction.states
+def format_prediction(prediction: PredictedMotion) -> str:
+    """A few rows as text: the predicted centre of mass, and standard deviations of position and attitude."""
+    time_s = prediction.time_s
     rows = np.unique(np.linspace(0, len(time_s) - 1, SHOWN_ROWS + 1).round().astype(int)[1:])
-    marks = standard_deviations(states.covariance_of_marks)
+    marks = standard_deviations(prediction.covariance_of_marks)
     table = Table(title="After the last pair (one standard deviation, worst axis)")
     for name in ("seconds", "r_N [m]", "position of the body", "attitude of the body", "rate [deg/s]"):
         table.add_column(name, justify="right", no_wrap=True)
     for k in rows:
         table.add_row(
             f"{time_s[k]:g}",
-            " ".join(f"{x:.4f}" for x in states.r_N[k]),
+            " ".join(f"{x:.4f}" for x in prediction.r_N[k]),
             f"± {1e3 * marks[k, 0:3].max():.2g} mm",
             f"± {np.rad2deg(marks[k, 6:9].max()):.2g} deg",
-            f"{np.rad2deg(np.linalg.norm(states.w_P[k])):.2f}",
+            f"{np.rad2deg(np.linalg.norm(prediction.w_P[k])):.2f}",
         )
     console = Console(width=100, file=StringIO(), force_terminal=False)
     with console.capture() as capture:

@@ -3,8 +3,6 @@
 Every summary is validated against the models of ``summary_schema`` when it is written and read.
 """
 
-import json
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,13 +14,8 @@ from pydantic import ValidationError
 from polhode.atomic import write_text
 from polhode.errors import InputError
 from polhode.pipeline.run_directory.archives import undetermined_as_inf
-from polhode.pipeline.run_directory.summary_schema import (
-    Noise,
-    ShapeFindings,
-    Status,
-    Summary,
-)
-from polhode.records import MassProperties, MotionEstimate, StereoTracks, SurfaceModel
+from polhode.pipeline.run_directory.summary_schema import Noise, ShapeFindings, Status, Summary, json_text
+from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
 
 STAGES: tuple[str, ...] = ("frontend", "initialization", "backend", "depth", "fusion", "report", "total")
 MANY_CONTRADICTED = 0.4
@@ -63,7 +56,6 @@ def build_summary(
         texts.sort(key=lambda text: not text.startswith(failure))
     times = {stage: float(timing_s.get(stage, 0.0)) for stage in STAGES}
     times["total"] = times["total"] or sum(times.values())
-    found: dict[str, Any] = dict.fromkeys(_OF_THE_ESTIMATE)
     return Summary.model_validate(
         {
             "status": status,
@@ -79,7 +71,7 @@ def build_summary(
             "coverage": shape.coverage,
             "physics": shape.physics,
             "identifiable_detail": dict(estimate.mass.identifiable.detail) if estimate else {},
-            **(found if estimate is None else _found(estimate)),
+            **(dict.fromkeys(_FOUND) if estimate is None else _found(estimate)),
         }
     )
 
@@ -118,12 +110,9 @@ def _undetermined(estimate: MotionEstimate | None) -> list[str]:
 
 def write_summary(summary: Summary, path: Path) -> None:
     """Write summary.json, validated once more (pydantic.ValidationError if a copy got a wrong value)."""
-    content = summary.model_dump(mode="json", by_alias=True)
-    Summary.model_validate(content)
-    text = json.dumps(content, indent=2, allow_nan=False)
-    # One row of numbers, one line: no JSON string holds a raw line feed, so only arrays are touched.
-    text = re.sub(r"\[\n\s*([-+.,\w\s]*?)\n\s*\]", lambda row: f"[{' '.join(row[1].split())}]", text)
-    write_text(path, text + "\n")
+    text = json_text(summary)
+    Summary.model_validate_json(text)
+    write_text(path, text)
 
 
 def read_summary(path: Path) -> Summary:
@@ -139,87 +128,48 @@ def read_summary(path: Path) -> Summary:
         raise InputError(f"{file}: {where}: {first['msg']}; not a summary that polhode wrote") from error
 
 
-_OF_THE_ESTIMATE = (
-    "inertia",
-    "identifiable",
-    "identifiable_components",
-    "com_G",
-    "cov_com_G",
-    "R_GP",
-    "cov_R_GP",
-    "solver",
-    "noise",
+_FOUND = (
+    *("inertia", "identifiable", "identifiable_components", "com_G", "cov_com_G", "R_GP", "cov_R_GP"),
+    *("solver", "noise"),
 )
 
 
 def _found(estimate: MotionEstimate) -> dict[str, Any]:
+    """The parts of the summary that take an estimate."""
     mass, known, solver = estimate.mass, estimate.mass.identifiable, estimate.solver
+    first_ns = int(estimate.timestamps_ns[0])
+    impulses = estimate.disturbances.impulses if estimate.disturbances is not None else ()
     return {
-        "inertia": _inertia(mass),
+        "inertia": {
+            **{name: getattr(mass, name) for name in ("k1", "k2", "J_G", "moments", "sigma_moments")},
+            "cov": nullable(mass.cov_k),
+            "cov_J": nullable(mass.cov_J),
+            "mass_kg": mass.mass_kg,
+            "sigma_mass_kg": mass.sigma_mass_kg,
+            "scale_kg_m2": mass.inertia_scale_kg_m2,
+            "sigma_scale_kg_m2": mass.sigma_inertia_scale_kg_m2,
+        },
         "identifiable": {name: bool(getattr(known, name)) for name in ("k1", "k2", "com", "axes")},
         "identifiable_components": {"com_P": known.com_P.tolist(), "axes_P": known.axes_P.tolist()},
-        "com_G": mass.com_G.tolist(),
-        "cov_com_G": _nullable(mass.cov_com_G),
-        "R_GP": mass.R_GP.tolist(),
-        "cov_R_GP": _nullable(mass.cov_R_GP),
-        "solver": {
-            "name": solver.name,
-            "iterations": solver.iterations,
-            "cost": float(solver.cost),
-            "converged": bool(solver.converged),
-            "reduced_chi2": _number(solver.reduced_chi2),
-            "message": solver.message,
-            "runner_up": {name: _number(cost) for name, cost in solver.runner_up.items()},
-        },
-        "noise": {name: float(getattr(estimate.noise, name)) for name in Noise.model_fields},
-        "unknown_pushes": _pushes(estimate),
+        "com_G": mass.com_G,
+        "cov_com_G": nullable(mass.cov_com_G),
+        "R_GP": mass.R_GP,
+        "cov_R_GP": nullable(mass.cov_R_GP),
+        "solver": vars(solver) | {"converged": bool(solver.converged)},
+        "noise": {name: getattr(estimate.noise, name) for name in Noise.model_fields},
+        "unknown_pushes": [
+            {
+                "start_s": (impulse.start_ns - first_ns) * 1e-9,
+                "end_s": (impulse.end_ns - first_ns) * 1e-9,
+                **{name: value for name, value in vars(impulse).items() if not name.endswith("_ns")},
+            }
+            for impulse in impulses
+        ],
     }
 
 
-def _pushes(estimate: MotionEstimate) -> list[dict[str, Any]]:
-    first_ns = int(estimate.timestamps_ns[0])
-    return [
-        {
-            "start_s": (push.start_ns - first_ns) * 1e-9,
-            "end_s": (push.end_ns - first_ns) * 1e-9,
-            "delta_v_N": push.delta_v_N.tolist(),
-            "sigma_delta_v_N": [_number(sigma) for sigma in push.sigma_delta_v_N],
-            "delta_w_P": push.delta_w_P.tolist(),
-            "sigma_delta_w_P": [_number(sigma) for sigma in push.sigma_delta_w_P],
-        }
-        for push in (estimate.disturbances.impulses if estimate.disturbances is not None else ())
-    ]
-
-
-def _inertia(mass: MassProperties) -> dict[str, Any]:
-    return {
-        "k1": float(mass.k1),
-        "k2": float(mass.k2),
-        "cov": _nullable(mass.cov_k),
-        "J_G": mass.J_G.tolist(),
-        "cov_J": _nullable(mass.cov_J),
-        "moments": mass.moments.tolist(),
-        "sigma_moments": [_number(sigma) for sigma in mass.sigma_moments],
-        "mass_kg": mass.mass_kg,
-        "sigma_mass_kg": _sigma(mass.sigma_mass_kg),
-        "scale_kg_m2": mass.inertia_scale_kg_m2,
-        "sigma_scale_kg_m2": _sigma(mass.sigma_inertia_scale_kg_m2),
-    }
-
-
-def _sigma(value: float | None) -> float | None:
-    return None if value is None else _number(value)
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _nullable(covariance: NDArray[np.float64]) -> list[list[float | None]]:
+def nullable(covariance: NDArray[np.float64]) -> list[list[float | None]]:
     """Undetermined rows and columns are null as a whole: their covariances mean nothing."""
     unknown = np.isinf(np.diagonal(undetermined_as_inf(covariance)))
     hidden = unknown[:, None] | unknown[None, :]
-    return [
-        [None if hide else float(value) for value, hide in zip(row, hide_row, strict=True)]
-        for row, hide_row in zip(covariance, hidden, strict=True)
-    ]
+    return np.where(hidden, None, covariance).tolist()  # type: ignore[call-overload,no-any-return]

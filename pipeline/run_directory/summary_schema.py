@@ -6,22 +6,34 @@ of undetermined quantities are ``null``; there is no NaN or infinity.
 """
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from polhode.atomic import write_text
 
 SCHEMA_FILE = Path(__file__).with_name("summary.schema.json")
 
+
+def _plain(value: Any) -> Any:
+    """An array as lists."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _finite_or_none(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Variance = Finite | None
-"""null: undetermined."""
-Vector = tuple[Finite, Finite, Finite]
-Matrix = tuple[Vector, Vector, Vector]
-VarianceRow = tuple[Variance, Variance, Variance]
+Variance = Annotated[Finite | None, BeforeValidator(_finite_or_none)]
+"""null: undetermined; taken from inf or NaN."""
+Vector = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(_plain)]
+Matrix = Annotated[tuple[Vector, Vector, Vector], BeforeValidator(_plain)]
+VarianceRow = Annotated[tuple[Variance, Variance, Variance], BeforeValidator(_plain)]
 VarianceMatrix = tuple[VarianceRow, VarianceRow, VarianceRow]
 Flags = tuple[bool, bool, bool]
 Status = Literal["ok", "degraded", "failed"]
@@ -98,7 +110,7 @@ class SolverSummary(StrictModel):
     iterations: int
     cost: Finite
     converged: bool
-    reduced_chi2: Finite | None
+    reduced_chi2: Variance
     message: str = ""
     runner_up: dict[str, Variance] = {}
     """Cost of the other hypotheses, by name, minus that of the one chosen; null: did not end."""
@@ -287,11 +299,18 @@ class ShapeFindings:
     warnings: tuple[str, ...] = ()
 
 
-def summary_schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of summary.json."""
-    schema = Summary.model_json_schema(by_alias=True, mode="serialization")
+def json_text(model: StrictModel, indent: int = 2) -> str:
+    """The content of a file."""
+    text = json.dumps(model.model_dump(mode="json", by_alias=True), indent=indent, allow_nan=False)
+    # One row of numbers, one line: no JSON string holds a raw line feed, so only arrays are touched.
+    return re.sub(r"\[\n\s*([-+.,\w\s]*?)\n\s*\]", lambda row: f"[{' '.join(row[1].split())}]", text) + "\n"
+
+
+def json_schema(model: type[StrictModel]) -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of a model's file."""
+    schema = model.model_json_schema(by_alias=True, mode="serialization")
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
 if __name__ == "__main__":
-    write_text(SCHEMA_FILE, json.dumps(summary_schema(), indent=2) + "\n")
+    write_text(SCHEMA_FILE, json.dumps(json_schema(Summary), indent=2) + "\n")

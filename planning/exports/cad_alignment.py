@@ -1,4 +1,4 @@
-"""Where the target lies in a CAD model: from corresponding points, or from the surfaces.
+"""Pose of the target in a CAD model: from corresponding points, or from the surfaces.
 
 Points: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976. Surfaces: the
 iterative closest point to plane of Chen and Medioni, "Object modelling by registration of multiple range
@@ -16,17 +16,17 @@ from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
 from polhode.rigid_fit import fit_rigid
 
 KEPT = 0.9
-"""Share of the points that a step looks at: the scan may hold what the model does not."""
+"""Share of the points that a step uses: the scan may contain what the model does not."""
 MODEL_POINTS = 20_000
 FIRST_POINTS, LAST_POINTS = 250, 2_000
 FIRST_STEPS, LAST_STEPS, FINALISTS = 12, 40, 6
 DISTINCT_DEG = 15.0
 MIRRORED = 5.0
-"""Points that fit so many times better after a reflection are given mirrored, where the fit is poor."""
+"""Points with a poor fit that is better by this factor after a reflection are mirrored."""
 POOR = 0.02
-"""Of the points' spread: a fit that leaves more is poor."""
-ALIKE = 1.3
-"""Another pose that fits worse by less than this factor is as good: the model is symmetric for us."""
+"""Share of the points' spread: a fit with a larger residual is poor."""
+AMBIGUOUS = 1.3
+"""Another pose whose residual is larger by less than this factor is as good: the model is symmetric."""
 
 
 @dataclass(frozen=True)
@@ -36,26 +36,26 @@ class CadAlignment:
     X_cadG: Array
     """(4, 4)"""
     rms_m: float
-    """Root mean square of what is left: between points, or from the surface (of the better 90 %)"""
+    """Root mean square residual: between points, or from the surface (of the better 90 %)"""
     rival_deg: float | None
     """Angle to another pose that fits as well; None: there is none"""
 
 
 def align_points(p_G: Array, p_cad: Array) -> CadAlignment:
-    """From corresponding points (n, 3) each. Raises ValueError when they do not tell the pose.
+    """From corresponding points (n, 3) each.
 
-    So it does when they fit after a reflection only: a pose cannot undo that.
+    Raises ValueError when they do not determine the pose, or fit only after a reflection.
     """
     if len(p_G) < 3:
         raise ValueError(f"{len(p_G)} pairs of points; give three or more")
-    middle_G, middle_cad = p_G.mean(axis=0), p_cad.mean(axis=0)
-    spread = np.linalg.svd((p_cad - middle_cad).T @ (p_G - middle_G), compute_uv=False)
+    mean_G, mean_cad = p_G.mean(axis=0), p_cad.mean(axis=0)
+    spread = np.linalg.svd((p_cad - mean_cad).T @ (p_G - mean_G), compute_uv=False)
     if spread[1] < 1e-6 * spread[0]:
         raise ValueError("the points lie on a line; give one beside it")
     X, X_mirrored = fit_rigid(p_cad, p_G), fit_rigid(p_cad, -p_G)
     rms = _rms(transform_points(X, p_G) - p_cad)
     other = _rms(transform_points(X_mirrored, -p_G) - p_cad)
-    if rms > POOR * _rms(p_cad - middle_cad) and rms > MIRRORED * other:
+    if rms > POOR * _rms(p_cad - mean_cad) and rms > MIRRORED * other:
         raise ValueError(
             f"the points are mirrored: {1e3 * rms:.3g} mm rms are left by any rotation, {1e3 * other:.3g} mm "
             "after a reflection; one sign is wrong, or two coordinates are exchanged"
@@ -68,7 +68,7 @@ def _rms(vectors: Array) -> float:
 
 
 def align_surfaces(scan: trimesh.Trimesh, model: trimesh.Trimesh, start: Array | None = None) -> CadAlignment:
-    """From the surfaces [m]; ``start`` (4, 4) is X_cadG so far, without it many rotations are tried.
+    """From the surfaces [m], starting at ``start`` (4, 4), X_cadG; without it many rotations are tried.
 
     Deterministic. The scan may be a part of the model.
     """
@@ -84,7 +84,7 @@ def align_surfaces(scan: trimesh.Trimesh, model: trimesh.Trimesh, start: Array |
     last = [_fit(X, many, many_normals, target, LAST_STEPS) for X, _ in _distinct(first)[:FINALISTS]]
     last.sort(key=lambda each: each[1])
     best, rms = last[0]
-    rival = next((_degrees(best, X) for X, other in _distinct(last)[1:] if other < ALIKE * rms), None)
+    rival = next((_degrees(best, X) for X, other in _distinct(last)[1:] if other < AMBIGUOUS * rms), None)
     return CadAlignment(best, rms, rival)
 
 
@@ -101,39 +101,39 @@ def _sampled(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
 
 
 def _starts(scan: trimesh.Trimesh, model: trimesh.Trimesh) -> list[Array]:
-    """Middle on middle; rotations of octahedron and icosahedron between the principal frames."""
-    turns = np.concatenate([Rotation.create_group(name).as_matrix() for name in ("O", "I")])
-    R_scan, middle_scan = _principal(scan)
-    R_model, middle_model = _principal(model)
+    """Centroid on centroid; rotations of octahedron and icosahedron between the principal frames."""
+    rotations = np.concatenate([Rotation.create_group(name).as_matrix() for name in ("O", "I")])
+    R_scan, mean_scan = _principal(scan)
+    R_model, mean_model = _principal(model)
     found = []
-    for turn in turns:
-        R = R_model @ turn @ R_scan.T
-        found.append(make_pose(R, middle_model - R @ middle_scan))
+    for rotation in rotations:
+        R = R_model @ rotation @ R_scan.T
+        found.append(make_pose(R, mean_model - R @ mean_scan))
     return found
 
 
 def _principal(mesh: trimesh.Trimesh) -> tuple[Array, Array]:
     points, _ = trimesh.sample.sample_surface(mesh, 4_000, seed=2)
-    middle = np.asarray(points).mean(axis=0)
-    _, _, Vt = np.linalg.svd(np.asarray(points) - middle, full_matrices=False)
-    return np.asarray(Vt.T * [1.0, 1.0, np.linalg.det(Vt)]), middle
+    mean = np.asarray(points).mean(axis=0)
+    _, _, Vt = np.linalg.svd(np.asarray(points) - mean, full_matrices=False)
+    return np.asarray(Vt.T * [1.0, 1.0, np.linalg.det(Vt)]), mean
 
 
 def _fit(X: Array, points: Array, normals: Array, target: _Target, steps: int) -> tuple[Array, float]:
     """The pose after some steps, and the root mean square distance of the better part of the points."""
     for _ in range(steps):
-        moved, turned = transform_points(X, points), normals @ X[:3, :3].T
+        moved, rotated = transform_points(X, points), normals @ X[:3, :3].T
         distance, near = target.tree.query(moved)
         n = target.normals[near]
         # the other side of a thin panel is no counterpart
-        same = np.sum(turned * n, axis=1) > 0.0
+        same = np.sum(rotated * n, axis=1) > 0.0
         use = same & (distance <= np.quantile(distance, KEPT))
         if use.sum() < 12:
             break
         middle = moved[use].mean(axis=0)
         A = np.hstack([np.cross(moved[use] - middle, n[use]), n[use]])
         gap = np.sum((target.points[near[use]] - moved[use]) * n[use], axis=1)
-        # along what the surface does not tell (a sphere's turns) nothing moves
+        # nothing moves along what the surface does not determine (rotations of a sphere)
         x = np.linalg.lstsq(A, gap, rcond=1e-6)[0]
         R = exp_so3(x[:3])
         step = make_pose(R, middle - R @ middle + x[3:])
@@ -143,9 +143,9 @@ def _fit(X: Array, points: Array, normals: Array, target: _Target, steps: int) -
     moved = transform_points(X, points)
     distance, near = target.tree.query(moved)
     flat = np.abs(np.sum((target.points[near] - moved) * target.normals[near], axis=1))
-    # between the samples of the model the plane tells; far from them the point does
-    left = np.sort(np.where(distance < 3.0 * np.median(distance), flat, distance))
-    return X, float(np.sqrt(np.mean(left[: int(KEPT * len(left))] ** 2)))
+    # near the samples of the model the distance to the plane counts; far from them, that to the point
+    residual = np.sort(np.where(distance < 3.0 * np.median(distance), flat, distance))
+    return X, float(np.sqrt(np.mean(residual[: int(KEPT * len(residual))] ** 2)))
 
 
 def _distinct(fits: list[tuple[Array, float]]) -> list[tuple[Array, float]]:

@@ -4,7 +4,7 @@ OEM 2.0: CCSDS 502.0-B-2, orbit data messages: km, km/s, covariance as lower tri
 504.0-B-2, attitude data messages: QUATERNION/ANGVEL, deg/s. TUM: the format of the TUM RGB-D benchmark,
 ``timestamp tx ty tz qx qy qz qw`` in seconds and metres.
 
-The quaternion of an AEM turns coordinates in REF_FRAME_A into those in REF_FRAME_B (ADM, annex on
+The quaternion of an AEM rotates coordinates in REF_FRAME_A into those in REF_FRAME_B (ADM, annex on
 conventions): with A = N and B = F its four numbers are those of our Hamilton q_NF, scalar last.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.lie import Array, continuous_wxyz, wxyz_from_matrix
-from polhode.planning.exports.records import PredictedMotion
+from polhode.planning.prediction import PredictedMotion
 from polhode.records import Ints
 
 KM_PER_M = 1e-3
@@ -25,7 +25,7 @@ COMMENT_WIDTH = 120
 
 @dataclass(frozen=True)
 class MessageHeader:
-    """What the data do not hold."""
+    """What the data do not contain."""
 
     object_name: str
     object_id: str
@@ -45,32 +45,19 @@ def oem(motion: PredictedMotion, header: MessageHeader) -> str:
     Where the run does not determine the centre of mass, the covariance is that of the estimated one as a mark
     on the body, and a comment says so. Without covariances the file has none.
     """
-    own = motion.covariance[:, :6, :6]
-    finite = bool(np.isfinite(own).all())
-    covariance = own if finite else motion.covariance_of_marks[:, :6, :6]
-    of = (
-        "covariance: of the centre of mass, along N"
-        if finite
-        else "covariance: of the estimated centre of mass as a mark on the body, along N; the run does not "
-        "determine the centre of mass itself in every direction"
-    )
+    covariance, note = motion.covariance[:, :6, :6], "covariance: of the centre of mass, along N"
     if not motion.has_covariance:
-        of = "no covariance: the run has none"
+        note = "no covariance: the run has none"
+    elif not np.isfinite(covariance).all():
+        covariance = motion.covariance_of_marks[:, :6, :6]
+        note = (
+            "covariance: of the estimated centre of mass as a mark on the body, along N; the run does not "
+            "determine the centre of mass itself in every direction"
+        )
     times = utc(motion.timestamps_ns, header.epoch)
-    lines = _head("OEM", "2.0", header)
-    lines += ["META_START"]
-    lines += _comments((*_frame_words(header), of))
-    lines += [
-        f"OBJECT_NAME = {header.object_name}",
-        f"OBJECT_ID = {header.object_id}",
-        f"CENTER_NAME = {header.center_name}",
-        f"REF_FRAME = {header.frame_name}",
-        *_span(times),
-        "INTERPOLATION = HERMITE",
-        "INTERPOLATION_DEGREE = 3",
-        "META_STOP",
-        "",
-    ]
+    frame = [f"REF_FRAME = {header.frame_name}"]
+    interpolation = ["INTERPOLATION = HERMITE", "INTERPOLATION_DEGREE = 3"]
+    lines = [*_metadata("OEM", header, [note], frame, times, interpolation), ""]
     states = KM_PER_M * np.hstack([motion.r_N, motion.v_N])
     lines += [f"{time} {_numbers(row)}" for time, row in zip(times, states, strict=True)]
     if not motion.has_covariance:
@@ -83,26 +70,18 @@ def oem(motion: PredictedMotion, header: MessageHeader) -> str:
 
 
 def aem(
-    timestamps_ns: Ints, R_NF: Array, w_F: Array, header: MessageHeader, body_frame: str, words: Sequence[str]
+    timestamps_ns: Ints,
+    R_NF: Array,
+    w_F: Array,
+    header: MessageHeader,
+    body_frame: str,
+    comments: Sequence[str],
 ) -> str:
-    """Attitude of F in N and its angular velocity along F [rad/s here, deg/s there]; ``words``: comments."""
+    """Attitude of F in N and its angular velocity along F, given in rad/s and written in deg/s."""
     times = utc(timestamps_ns, header.epoch)
-    lines = _head("AEM", "2.0", header)
-    lines += ["META_START"]
-    lines += _comments((*_frame_words(header), *words))
-    lines += [
-        f"OBJECT_NAME = {header.object_name}",
-        f"OBJECT_ID = {header.object_id}",
-        f"CENTER_NAME = {header.center_name}",
-        f"REF_FRAME_A = {header.frame_name}",
-        f"REF_FRAME_B = {body_frame}",
-        *_span(times),
-        "ATTITUDE_TYPE = QUATERNION/ANGVEL",
-        f"ANGVEL_FRAME = {body_frame}",
-        "META_STOP",
-        "",
-        "DATA_START",
-    ]
+    frames = [f"REF_FRAME_A = {header.frame_name}", f"REF_FRAME_B = {body_frame}"]
+    attitude = ["ATTITUDE_TYPE = QUATERNION/ANGVEL", f"ANGVEL_FRAME = {body_frame}"]
+    lines = [*_metadata("AEM", header, comments, frames, times, attitude), "", "DATA_START"]
     wxyz = continuous_wxyz(wxyz_from_matrix(R_NF))
     rows = np.hstack([wxyz[:, [1, 2, 3, 0]], np.rad2deg(w_F)])
     lines += [f"{time} {_numbers(row)}" for time, row in zip(times, rows, strict=True)]
@@ -127,30 +106,40 @@ def utc(timestamps_ns: Ints, epoch: np.datetime64) -> list[str]:
     ]
 
 
-def _head(kind: str, version: str, header: MessageHeader) -> list[str]:
+def _metadata(
+    kind: str,
+    header: MessageHeader,
+    comments: Sequence[str],
+    frames: list[str],
+    times: list[str],
+    more: list[str],
+) -> list[str]:
+    """Header and metadata section of a message."""
+    frame_comments = (
+        f"{header.frame_name} is a local inertial frame, by agreement: the left camera at the first frame "
+        "(x right, y down, z forward), or the frame of the inspector's poses where those were given",
+        f"{header.center_name} is its origin",
+    )
     return [
-        f"CCSDS_{kind}_VERS = {version}",
+        f"CCSDS_{kind}_VERS = 2.0",
         *_comments(header.comments),
         f"CREATION_DATE = {header.created}",
         "ORIGINATOR = POLHODE",
         "",
+        "META_START",
+        *_comments((*frame_comments, *comments)),
+        f"OBJECT_NAME = {header.object_name}",
+        f"OBJECT_ID = {header.object_id}",
+        f"CENTER_NAME = {header.center_name}",
+        *frames,
+        *("TIME_SYSTEM = UTC", f"START_TIME = {times[0]}", f"STOP_TIME = {times[-1]}"),
+        *more,
+        "META_STOP",
     ]
 
 
 def _comments(texts: Iterable[str]) -> list[str]:
     return [f"COMMENT {line}" for text in texts for line in textwrap.wrap(text, COMMENT_WIDTH)]
-
-
-def _frame_words(header: MessageHeader) -> tuple[str, ...]:
-    return (
-        f"{header.frame_name} is a local inertial frame, by agreement: the left camera at the first frame "
-        "(x right, y down, z forward), or the frame of the inspector's poses where those were given",
-        f"{header.center_name} is its origin",
-    )
-
-
-def _span(times: list[str]) -> list[str]:
-    return ["TIME_SYSTEM = UTC", f"START_TIME = {times[0]}", f"STOP_TIME = {times[-1]}"]
 
 
 def _numbers(values: Array) -> str:

@@ -7,10 +7,10 @@ each triangle of the full mesh is assigned to the piece that it protrudes from l
 the hull of its triangles and of its own points inside the body: the union contains every triangle by
 construction.
 
-Pieces that reach too far beyond the surface are then split by planes until they do not. A plane cuts
+Pieces that protrude too far from the surface are then split by planes until they do not. A plane cuts
 triangles exactly, so the pieces still contain the surface after each split. Among a few planes, through the
-bottom of the concavity that the piece bridges and through its middle, the one is taken that leaves least
-beyond the surface (as in approximate convex decomposition: Lien and Amato, Computational Geometry 35, 2006).
+bottom of the concavity that the piece bridges and through its centre, the one is taken whose halves protrude
+least (as in approximate convex decomposition: Lien and Amato, Computational Geometry 35, 2006).
 """
 
 import heapq
@@ -25,34 +25,34 @@ from polhode.planning.exports.records import ExportShape
 from polhode.records import Bools, Ints
 
 CUT_FACES = 12_000
-"""Of the thinned mesh that V-HACD cuts."""
+"""Of the simplified mesh that V-HACD decomposes."""
 VOXELS = 400_000
 FIRST_PIECES = 32
-"""Of V-HACD; more follow where they reach too far."""
+"""Of V-HACD; those that protrude too far are split further."""
 MIN_VOLUME_PERCENT = 0.5
-"""A piece is cut no more by V-HACD when its hull has so little more volume than its voxels."""
+"""V-HACD stops splitting a piece when the volumes of its hull and its voxels differ by less."""
 NEARLY_CONVEX = 0.01
-"""Share of its volume that the hull of a convex body may have more."""
+"""Largest excess volume of the hull of a convex body, as a share."""
 WITHIN = 0.01
-"""Of the body's diameter: pieces that reach farther beyond the surface are cut."""
-LOOKED_AT = 0.9
-"""Of that: a cut looks at some points only."""
+"""Of the body's diameter: pieces that protrude farther from the surface are split."""
+SAMPLED_WITHIN = 0.9
+"""Of that, as the protrusion is evaluated at some points only."""
 MAX_GROWTH = 10.0
-"""Volume of a piece over what it was when it was cut."""
+"""Volume of a piece over that of its seed."""
 INNER_SAMPLES = 200
 ROUNDING = 2e-6
-"""Each piece is larger by this share of the body's size: more than single precision moves it."""
+"""Each piece is enlarged by this share of the body's size: more than the rounding to single precision."""
 SAMPLES = 20_000
 
 
-class SurfaceReach:
-    """How far points reach beyond a surface, outwards."""
+class OutwardDistance:
+    """Distance of points from a surface, outwards; 0 inside."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        """Samples the surface: faces may be long, so their corners alone would not tell where it is."""
-        # about its middle: rays are of single precision
-        self._middle = np.asarray(mesh.bounds.mean(axis=0))
-        V = np.asarray(mesh.vertices) - self._middle
+        """Sample the surface: faces may be long, so their corners alone do not represent it."""
+        # relative to its centre: rays are of single precision
+        self._centre = np.asarray(mesh.bounds.mean(axis=0))
+        V = np.asarray(mesh.vertices) - self._centre
         self._mesh = trimesh.Trimesh(V, np.asarray(mesh.faces), process=False)
         self.size_m = float(np.ptp(V, axis=0).max())
         points, face = trimesh.sample.sample_surface(mesh, SURFACE_SAMPLES, seed=0)
@@ -61,23 +61,23 @@ class SurfaceReach:
         self._normal = np.concatenate([np.asarray(mesh.face_normals)[face], np.asarray(mesh.vertex_normals)])
         self._tree = cKDTree(self._on)
 
-    def of(self, points: Array, sure: bool = False) -> tuple[Array, Array, Array]:
-        """Of points (n, 3): distance beyond (n,) [m], 0 inside; nearest place of the surface (n, 3), normal
-        there (n, 3).
+    def of(self, points: Array, by_rays: bool = False) -> tuple[Array, Array, Array]:
+        """Of points (n, 3): distance (n,) [m], nearest surface point (n, 3), normal there (n, 3).
 
-        Outside is what lies before the nearest place; ``sure``: and does not look at the surface's back all
-        around, as the nearest normal errs deep inside, beside edges and fragments.
+        A point is outside if it lies in front of the nearest surface point; ``by_rays``: and if at most half
+        of the rays from it hit the surface's back, as the nearest normal errs deep inside, beside edges and
+        fragments.
         """
         distance, near = self._tree.query(points)
         before = np.sum((points - self._on[near]) * self._normal[near], axis=1) > 0.0
-        if sure:
+        if by_rays:
             far = np.flatnonzero(before & (distance > 0.002 * self.size_m))
             before[far] = self._in_front(points[far])
         return np.where(before, distance, 0.0), self._on[near], self._normal[near]
 
     def _in_front(self, points: Array) -> Bools:
-        """Whether at most half of the directions look at the surface's back."""
-        start = np.repeat(points - self._middle, len(DIRECTIONS), axis=0)
+        """Whether at most half of the rays hit the surface's back."""
+        start = np.repeat(points - self._centre, len(DIRECTIONS), axis=0)
         along = np.tile(DIRECTIONS, (len(points), 1))
         face = self._mesh.ray.intersects_first(start, along)
         facing = np.einsum("ij,ij->i", self._mesh.face_normals[face], along)
@@ -87,7 +87,7 @@ class SurfaceReach:
 
 @dataclass(frozen=True)
 class ConvexPiece:
-    """A convex hull and how far it reaches."""
+    """A convex hull and how far it protrudes from the surface."""
 
     triangles: Array
     """(n, 3, 3) of the surface"""
@@ -95,10 +95,10 @@ class ConvexPiece:
     """(m, 3) points inside the body"""
     hull: ConvexHull
     worst_m: float
-    """Farthest beyond the surface, of the points looked at"""
+    """Largest protrusion of the sampled points"""
     mean_m: float
     dent: Array
-    """(3,) the surface's place nearest to the worst point"""
+    """(3,) surface point nearest to the worst point"""
     dent_normal: Array
     """(3,)"""
 
@@ -113,50 +113,49 @@ class Decomposition:
     """Convex pieces in F."""
 
     pieces: tuple[trimesh.Trimesh, ...]
-    words: str
+    description: str
     """How they were made"""
     beyond_m: float
-    """How far they reach beyond the surface [m], outwards: 95 % of their area reaches less"""
+    """95th percentile of their protrusion from the surface [m], by area"""
     max_beyond_m: float
     """The largest found"""
     far_share: float
-    """Of their area that reaches farther than WITHIN of the diameter"""
+    """Share of their area that protrudes by more than WITHIN of the diameter"""
     diameter_m: float
     """Of the surface: its two points farthest from each other"""
 
-    @property
-    def reach_words(self) -> str:
-        """How far they reach, in words."""
+    def describe_protrusion(self) -> str:
+        """How far they protrude."""
         share = self.max_beyond_m / self.diameter_m
         return (
-            f"they reach at most {1e3 * self.max_beyond_m:.2g} mm beyond the surface, {share:.1%} of its "
-            f"diameter; 95 % of their area less than {1e3 * self.beyond_m:.2g} mm, and {self.far_share:.2%} "
-            f"of it farther than {WITHIN:.0%} of the diameter"
+            f"they protrude from the surface by at most {1e3 * self.max_beyond_m:.2g} mm, {share:.1%} of its "
+            f"diameter; 95 % of their area by less than {1e3 * self.beyond_m:.2g} mm, and "
+            f"{self.far_share:.2%} of it by more than {WITHIN:.0%} of the diameter"
         )
 
 
 def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
-    """Cut, grow, cut again. Raises ValueError when the points are flat: there is no volume."""
+    """Decompose, grow, split. Raises ValueError when the points are coplanar: there is no volume."""
     points = shape.vertices[np.unique(shape.faces)]
     try:
         corners = points[ConvexHull(points).vertices]
     except QhullError as error:
         raise ValueError("the surface is flat: it has no convex hull with a volume") from error
     diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))
-    reach = SurfaceReach(shape.mesh())
+    outward = OutwardDistance(shape.mesh())
     seeds, words = _initial_pieces(shape.mesh(), min(max(max_pieces // 4, 2), FIRST_PIECES, max_pieces))
     pieces = [corners]
     if seeds:
         grown = split_until_near(
-            _grown_pieces(shape, seeds, reach), reach, LOOKED_AT * WITHIN * diameter, max_pieces
+            _grown_pieces(shape, seeds, outward), outward, SAMPLED_WITHIN * WITHIN * diameter, max_pieces
         )
         pieces = [each.corners for each in grown]
-    hulls = tuple(_hull(each, ROUNDING * reach.size_m) for each in pieces)
-    pieces_in_words = "the convex hull" if len(hulls) == 1 else f"{len(hulls)} convex pieces"
-    beyond = _beyond(hulls, reach)
+    hulls = tuple(_hull(each, ROUNDING * outward.size_m) for each in pieces)
+    count = "the convex hull" if len(hulls) == 1 else f"{len(hulls)} convex pieces"
+    beyond = _beyond(hulls, outward)
     return Decomposition(
         hulls,
-        f"collision geometry: {pieces_in_words} {words}",
+        f"collision geometry: {count} {words}",
         float(np.quantile(beyond, 0.95)),
         float(beyond.max()),
         float(np.mean(beyond > WITHIN * diameter)),
@@ -186,20 +185,20 @@ def _initial_pieces(mesh: trimesh.Trimesh, max_pieces: int) -> tuple[list[Array]
     thickness_m = PANEL * float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
     found = [with_volume(np.asarray(vertices, dtype=np.float64), thickness_m) for vertices, _ in parts]
     found = [vertices for vertices in found if has_volume(vertices)]
-    return found, "by V-HACD, grown until they contain the surface and cut where they reach far beyond it"
+    return found, "by V-HACD, grown until they contain the surface and split where they protrude far from it"
 
 
-def _grown_pieces(shape: ExportShape, seeds: list[Array], reach: SurfaceReach) -> list[ConvexPiece]:
-    """Each piece with the triangles that it takes, and with what it has inside the body.
+def _grown_pieces(shape: ExportShape, seeds: list[Array], outward: OutwardDistance) -> list[ConvexPiece]:
+    """Each piece with the triangles assigned to it, and with its points inside the body.
 
-    A sliver between two other pieces takes triangles from all around it: those that grow out of all
-    proportion are left out, and the others share what they had.
+    A sliver between two other pieces attracts triangles from all around it: pieces that grow out of
+    proportion are left out, and their triangles are assigned to the others.
     """
     hulls = [ConvexHull(seed) for seed in seeds]
     used, index = np.unique(shape.faces, return_inverse=True)
     corner: Ints = index.reshape(-1, 3)
     points = shape.vertices[used]
-    # how far each triangle leaves each piece (T, pieces): the largest over its corners
+    # protrusion of each triangle from each piece (T, pieces): the largest over its corners
     leaves = np.stack([outside(points, hull.equations)[corner].max(axis=1) for hull in hulls], axis=1)
     kept = np.arange(len(seeds))
     while True:
@@ -217,30 +216,24 @@ def _grown_pieces(shape: ExportShape, seeds: list[Array], reach: SurfaceReach) -
         inner = np.concatenate(
             [seeds[k], rng.dirichlet(np.full(len(seeds[k]), 0.3), INNER_SAMPLES) @ seeds[k]]
         )
-        inner = inner[reach.of(inner, sure=True)[0] == 0.0]
+        inner = inner[outward.of(inner, by_rays=True)[0] == 0.0]
         triangles = points[corner[owner == k]]
         if len(triangles) or len(inner) > 3:
-            pieces.append(convex_piece(triangles, inner, reach))
+            pieces.append(convex_piece(triangles, inner, outward))
     return pieces
 
 
 def _hull(points: Array, margin_m: float) -> trimesh.Trimesh:
-    """The convex hull, each vertex moved away from the middle by ``margin_m``, faces outwards."""
+    """The convex hull, each vertex moved away from the centroid by ``margin_m``."""
     corners = points[ConvexHull(points).vertices]
     away = corners - corners.mean(axis=0)
     corners = corners + margin_m * away / np.linalg.norm(away, axis=1, keepdims=True)
-    hull = ConvexHull(corners)
-    used, faces = np.unique(hull.simplices, return_inverse=True)
-    faces = faces.reshape(-1, 3)
-    corners = corners[used]
-    a, b, c = (corners[faces[:, k]] for k in range(3))
-    inwards = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) < 0.0
-    faces[inwards] = faces[inwards][:, ::-1]
-    return trimesh.Trimesh(corners, faces, process=False)
+    hull: trimesh.Trimesh = trimesh.convex.convex_hull(corners)
+    return hull
 
 
-def _beyond(hulls: tuple[trimesh.Trimesh, ...], reach: SurfaceReach) -> Array:
-    """Of points on the pieces that no other piece covers, how far beyond the surface [m]."""
+def _beyond(hulls: tuple[trimesh.Trimesh, ...], outward: OutwardDistance) -> Array:
+    """Protrusion from the surface [m] of points on the pieces that no other piece covers."""
     planes = [ConvexHull(np.asarray(hull.vertices)).equations for hull in hulls]
     boxes = np.stack([np.asarray(hull.bounds) for hull in hulls])
     areas = np.array([hull.area for hull in hulls])
@@ -253,56 +246,56 @@ def _beyond(hulls: tuple[trimesh.Trimesh, ...], reach: SurfaceReach) -> Array:
         for other in np.flatnonzero(meets):
             if other != k:
                 covered |= outside(points, planes[other]) < 0.0
-        found.append(reach.of(points[~covered], sure=True)[0])
+        found.append(outward.of(points[~covered], by_rays=True)[0])
     return np.concatenate(found)
 
 
 SURFACE_SAMPLES = 100_000
 PIECE_SAMPLES = 250
-"""Points of a piece whose distance from the surface is looked at, at each cut."""
-SURE_SAMPLES = 2_000
-"""The same once no piece seems to reach too far."""
+"""Points of a piece at which its protrusion is evaluated at each split."""
+FINAL_SAMPLES = 2_000
+"""The same before a piece is accepted."""
 DIRECTIONS = trimesh.creation.icosphere(1).vertices
-"""Lines of sight that tell whether a point lies inside."""
+"""Rays that decide whether a point lies inside."""
 AREA_WEIGHT = 2.0
-"""Of the mean reach against the largest, when planes are compared."""
+"""Weight of the mean protrusion against the largest, when planes are compared."""
 SECTION_POINTS = 60
 PANEL = 1e-3
 """Thickness of a flat piece, over the body's size."""
 
 
 def convex_piece(
-    triangles: Array, inner: Array, reach: SurfaceReach, samples: int = PIECE_SAMPLES
+    triangles: Array, inner: Array, outward: OutwardDistance, samples: int = PIECE_SAMPLES
 ) -> ConvexPiece:
     """Raises QhullError when there are too few points."""
-    points = with_volume(np.concatenate([triangles.reshape(-1, 3), inner]), PANEL * reach.size_m)
+    points = with_volume(np.concatenate([triangles.reshape(-1, 3), inner]), PANEL * outward.size_m)
     hull = ConvexHull(points)
-    beyond, place, normal = reach.of(_on_hull(hull, samples), sure=True)
+    beyond, nearest, normal = outward.of(_on_hull(hull, samples), by_rays=True)
     k = int(beyond.argmax())
-    return ConvexPiece(triangles, inner, hull, float(beyond[k]), float(beyond.mean()), place[k], normal[k])
+    return ConvexPiece(triangles, inner, hull, float(beyond[k]), float(beyond.mean()), nearest[k], normal[k])
 
 
 def split_until_near(
-    pieces: list[ConvexPiece], reach: SurfaceReach, within_m: float, most: int
+    pieces: list[ConvexPiece], outward: OutwardDistance, within_m: float, most: int
 ) -> list[ConvexPiece]:
-    """The worst piece is cut, and the worst then, until all reach less far or there are so many."""
+    """Split the worst piece repeatedly until all protrude less or there are ``most``."""
     waiting = [(-piece.worst_m, number, piece) for number, piece in enumerate(pieces)]
     heapq.heapify(waiting)
-    number, done, sure = len(waiting), list[ConvexPiece](), set[int]()
+    number, done, confirmed = len(waiting), list[ConvexPiece](), set[int]()
     while waiting and len(waiting) + len(done) < most:
         worst, own, piece = heapq.heappop(waiting)
-        if -worst <= within_m and own in sure:
+        if -worst <= within_m and own in confirmed:
             done.append(piece)
             continue
         if -worst > within_m and len(piece.triangles) == 0:
-            # it holds nothing of the surface, and fills the inside where others do
+            # without a part of the surface it only fills the inside, as others do
             continue
         halves: list[ConvexPiece] | None
         if -worst > within_m:
-            halves = _best_split(piece, reach)
+            halves = _best_split(piece, outward)
         else:
-            halves = [convex_piece(piece.triangles, piece.inner, reach, SURE_SAMPLES)]
-            sure.add(number)
+            halves = [convex_piece(piece.triangles, piece.inner, outward, FINAL_SAMPLES)]
+            confirmed.add(number)
         if halves is None:
             done.append(piece)
             continue
@@ -312,21 +305,21 @@ def split_until_near(
     return done + [each[2] for each in sorted(waiting, key=lambda each: each[1])]
 
 
-def _best_split(piece: ConvexPiece, reach: SurfaceReach) -> list[ConvexPiece] | None:
-    """By the best of some planes; None: none cuts it."""
+def _best_split(piece: ConvexPiece, outward: OutwardDistance) -> list[ConvexPiece] | None:
+    """By the best of some planes; None: none splits it."""
     corners = piece.corners
-    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     axes = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2]
     along = np.linalg.svd(piece.dent_normal[None])[2][1:]
-    planes = [(n, float(n @ at)) for n in axes for at in (piece.dent, middle)]
+    planes = [(n, float(n @ at)) for n in axes for at in (piece.dent, centre)]
     planes += [(n, float(n @ piece.dent)) for n in along]
     best, found = np.inf, None
     for n, offset in planes:
         height = corners @ n - offset
-        if min(height.max(), -height.min()) < PANEL * reach.size_m:
+        if min(height.max(), -height.min()) < PANEL * outward.size_m:
             continue
         try:
-            halves = _split(piece, n, offset, reach)
+            halves = _split(piece, n, offset, outward)
         except QhullError:
             continue
         if not halves:
@@ -338,8 +331,8 @@ def _best_split(piece: ConvexPiece, reach: SurfaceReach) -> list[ConvexPiece] | 
     return found
 
 
-def _split(piece: ConvexPiece, n: Array, offset: float, reach: SurfaceReach) -> list[ConvexPiece]:
-    """Both sides of the plane; inside the body both reach up to it."""
+def _split(piece: ConvexPiece, n: Array, offset: float, outward: OutwardDistance) -> list[ConvexPiece]:
+    """Both sides of the plane; inside the body both extend up to it."""
     below, above = clip(piece.triangles, n, offset)
     height = piece.inner @ n - offset
     low, high = piece.inner[height <= 0.0], piece.inner[height > 0.0]
@@ -348,15 +341,15 @@ def _split(piece: ConvexPiece, n: Array, offset: float, reach: SurfaceReach) -> 
         a, b = low[:count], high[-count:]
         share = (offset - a @ n) / ((b - a) @ n)
         section = a + share[:, None] * (b - a)
-        section = section[reach.of(section, sure=True)[0] == 0.0]
+        section = section[outward.of(section, by_rays=True)[0] == 0.0]
         low, high = np.concatenate([section, low]), np.concatenate([high, section])
     sides = [(below, low), (above, high)]
     kept = [(tri, inner) for tri, inner in sides if len(tri) or len(inner) > 3]
-    return [convex_piece(tri, inner, reach) for tri, inner in kept]
+    return [convex_piece(tri, inner, outward) for tri, inner in kept]
 
 
 def clip(triangles: Array, n: Array, offset: float) -> tuple[Array, Array]:
-    """Triangles (k, 3, 3) below and above the plane n . p = offset; those across it are cut."""
+    """Triangles (k, 3, 3) below and above the plane n . p = offset; those that cross it are cut."""
     height = triangles @ n - offset
     over = height > 0.0
     count = over.sum(axis=1)
@@ -379,7 +372,7 @@ def clip(triangles: Array, n: Array, offset: float) -> tuple[Array, Array]:
 
 
 def with_volume(points: Array, thickness_m: float) -> Array:
-    """The points; of a panel seen from one side, which has no volume, two sheets of them."""
+    """The points; those of a panel seen from one side, which has no volume, as two sheets."""
     if has_volume(points):
         return points
     across = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]

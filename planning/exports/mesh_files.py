@@ -4,10 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from polhode.lie import Array
 from polhode.planning.exports.records import ExportShape
 from polhode.ply import surface_ply
-from polhode.records import Ints
 
 
 def ply(shape: ExportShape, comments: Sequence[str], per_m: float, unit: str) -> bytes:
@@ -43,7 +41,7 @@ def stl(shape: ExportShape, comment: str, per_m: float) -> bytes:
 
 
 def obj(shape: ExportShape, comments: Sequence[str], per_m: float) -> bytes:
-    """Wavefront OBJ with normals; each vertex line goes on with red, green, blue in 0..1, as most read it."""
+    """Wavefront OBJ with normals; vertex lines end with red, green, blue in 0..1, as is common."""
     lines = [f"# {ascii_line(text)}" for text in comments]
     positions = (per_m * shape.vertices).tolist()
     colours = np.round(shape.rgba[:, :3] / 255.0, 4).tolist()
@@ -62,14 +60,6 @@ def obj(shape: ExportShape, comments: Sequence[str], per_m: float) -> bytes:
     return ("\n".join(lines) + "\n").encode("ascii")
 
 
-def plain_obj(vertices: Array, faces: Ints, comments: Sequence[str]) -> bytes:
-    """Wavefront OBJ of triangles alone [m]: vertices (V, 3), faces (T, 3)."""
-    lines = [f"# {ascii_line(text)}" for text in comments]
-    lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
-    return ("\n".join(lines) + "\n").encode("ascii")
-
-
 def ascii_line(text: str) -> str:
-    """One line of ASCII; what is none becomes a question mark."""
+    """One line of ASCII; other characters become question marks."""
     return " ".join(text.split()).encode("ascii", "replace").decode("ascii")

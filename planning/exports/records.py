@@ -1,4 +1,4 @@
-"""What the formats are written from. F is the frame that the user chose: G, P or that of a CAD model."""
+"""What the formats are written from. F is the frame of the file: G, P or that of a CAD model."""
 
 from dataclasses import dataclass
 
@@ -12,14 +12,14 @@ from polhode.records import Bools, Ints, Landmarks, SurfaceModel
 
 @dataclass(frozen=True)
 class Placement:
-    """Where F lies in the body."""
+    """The frame F in the body."""
 
     name: str
     """G, P or cad"""
     X_FG: Array
     """(4, 4) p_F = X_FG @ p_G"""
-    words: str
-    """What F is, for the files' comments"""
+    description: str
+    """For the files' comments"""
 
     @property
     def R_FG(self) -> Array:
@@ -29,7 +29,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class ExportShape:
-    """A surface in F [m]; without faces a cloud of points."""
+    """A surface in F [m]; without faces a point cloud."""
 
     vertices: Array
     """(V, 3)"""
@@ -55,7 +55,7 @@ class ExportShape:
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass and inertia as the files have them, with what they rest on."""
+    """Mass and inertia as the files have them, and their origin."""
 
     mass_kg: float
     com_F: Array
@@ -68,8 +68,8 @@ class Inertial:
     """given, determined, assumed or relative"""
     scale_is: str
     """determined, given, assumed or relative: that of the moments"""
-    words: tuple[str, ...]
-    """What was assumed, sentence by sentence"""
+    notes: tuple[str, ...]
+    """Origin of each number and what was assumed, a sentence each"""
 
 
 @dataclass(frozen=True)
@@ -83,39 +83,6 @@ class LastState:
     """(3,) velocity of the origin of F [m/s]"""
     w_F: Array
     """(3,) angular velocity, in F [rad/s]"""
-
-
-@dataclass(frozen=True)
-class PredictedMotion:
-    """States at T instants, the last one of the run first."""
-
-    timestamps_ns: Ints
-    """(T,)"""
-    r_N: Array
-    """(T, 3) centre of mass [m]"""
-    v_N: Array
-    """(T, 3) [m/s]"""
-    R_NP: Array
-    """(T, 3, 3)"""
-    w_P: Array
-    """(T, 3) [rad/s]"""
-    covariance: Array
-    """(T, 12, 12) of r (N), v (N), theta (P), w (P); inf on the diagonal where undetermined"""
-    covariance_of_marks: Array
-    """(T, 12, 12) of the body itself: the estimated centre of mass and axes are marks on it; finite, or all
-    inf where the run has no covariances"""
-    undetermined: tuple[str, ...]
-    """Names of what the run's motion does not determine"""
-
-    @property
-    def has_covariance(self) -> bool:
-        """Whether anything tells how sure it is."""
-        return bool(np.isfinite(self.covariance_of_marks).all())
-
-    @property
-    def time_s(self) -> Array:
-        """(T,) since the last state of the run"""
-        return np.asarray((self.timestamps_ns - self.timestamps_ns[0]) * 1e-9)
 
 
 def shape_of_surface(surface: SurfaceModel, at: Placement) -> ExportShape:
@@ -150,15 +117,6 @@ def shape_of_landmarks(landmarks: Landmarks, at: Placement) -> ExportShape:
     )
 
 
-def poses_of(r_N: Array, R_NP: Array, R_GP: Array, com_G: Array, at: Placement) -> Array:
-    """X_NF (T, 4, 4) of states (T, ...)."""
-    R_NG = R_NP @ R_GP.T
-    X_NG = np.zeros((len(r_N), 4, 4))
-    X_NG[:, :3, :3], X_NG[:, 3, 3] = R_NG, 1.0
-    X_NG[:, :3, 3] = r_N - R_NG @ com_G
-    return np.asarray(X_NG @ np.linalg.inv(at.X_FG))
-
-
 def frame_G() -> Placement:
     """The geometric frame of the run: its mesh and landmarks as they are."""
     return Placement("G", np.eye(4), "G, the geometric frame of the run, fixed to the target")
@@ -166,10 +124,10 @@ def frame_G() -> Placement:
 
 def frame_P(R_GP: Array, com_G: Array) -> Placement:
     """Principal axes at the centre of mass."""
-    words = "P, the principal axes of the target (Jxx >= Jyy >= Jzz), origin at its centre of mass"
-    return Placement("P", inverse_pose(make_pose(R_GP, com_G)), words)
+    description = "P, the principal axes of the target (Jxx >= Jyy >= Jzz), origin at its centre of mass"
+    return Placement("P", inverse_pose(make_pose(R_GP, com_G)), description)
 
 
-def frame_cad(X_cadG: Array, words: str) -> Placement:
+def frame_cad(X_cadG: Array, alignment: str) -> Placement:
     """The frame of a CAD model."""
-    return Placement("cad", X_cadG, f"that of the CAD model; {words}")
+    return Placement("cad", X_cadG, f"that of the CAD model; {alignment}")

@@ -21,7 +21,7 @@ Attributes = dict[str, str]
 
 @dataclass(frozen=True)
 class Robot:
-    """What the three formats say."""
+    """The content of the three formats."""
 
     name: str
     folder: str
@@ -44,7 +44,7 @@ def urdf(robot: Robot) -> str:
     # MuJoCo otherwise looks for meshes beside the file, not in their folder
     compiler = ET.SubElement(ET.SubElement(root, "mujoco"), "compiler")
     compiler.attrib |= {"strippath": "false", "balanceinertia": "false"}
-    # the name that simulators know: the link is N
+    # simulators know this name; the link is N
     ET.SubElement(root, "link", name="world")
     joint = ET.SubElement(root, "joint", name="N_to_target", type="floating")
     X_NF = np.eye(4) if robot.state is None else robot.state.X_NF
@@ -137,8 +137,8 @@ def sdf(robot: Robot) -> str:
     return _text(root)
 
 
-def state_words(state: LastState) -> str:
-    """The last state, for formats that have no place for velocities."""
+def describe_state(state: LastState) -> str:
+    """The last state, for formats without velocities."""
     return (
         f"last state of the run, at timestamp {state.timestamp_ns} ns, in N: velocity of the link's origin "
         f"{_row(state.v_N)} m/s, angular velocity along the link's axes {_row(state.w_F)} rad/s"

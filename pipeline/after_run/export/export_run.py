@@ -1,6 +1,7 @@
 """A run in the format of another program: what it has is exported, what it lacks is left out with a warning.
 
-Each writer below takes the run as far as it got, returns the files' contents, and names what it left out.
+Each function below takes the run as far as it got, returns the files' contents, and names what it left out.
+The formats themselves are written by ``planning/exports``.
 """
 
 import logging
@@ -9,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from trimesh.exchange.obj import export_obj
 
 from polhode.atomic import write_bytes
 from polhode.errors import InputError
-from polhode.pipeline.after_run.export.job import ExportJob, Files, last_state, read_run
+from polhode.pipeline.after_run.export.job import ExportJob, Files, failure_of, open_job
+from polhode.pipeline.after_run.export.json_document import json_document
 from polhode.pipeline.after_run.export.options import (
     MESHES,
     METRES,
@@ -22,18 +25,8 @@ from polhode.pipeline.after_run.export.options import (
     check,
     creation_date,
 )
-from polhode.pipeline.after_run.export.placement import placement
 from polhode.planning.exports import ccsds, glb, mesh_files, robot_xml
 from polhode.planning.exports.convex_pieces import WITHIN, decompose
-from polhode.planning.exports.json_document import (
-    Document,
-    MassPropertiesOut,
-    frame_out,
-    inertial_out,
-    shape_out,
-    states_out,
-    text_of,
-)
 from polhode.planning.exports.records import ExportShape, shape_of_landmarks, shape_of_surface
 
 LIGHT_LEVEL = 2
@@ -41,89 +34,8 @@ LIGHT_LEVEL = 2
 SURFACE_FILE = "surface.obj"
 FAR_SHARE = 1e-3
 """Share of the pieces' area that protrudes too far, above which there is a warning."""
-
-_log = logging.getLogger(__name__)
-
-
-def robot_files(job: ExportJob) -> Files:
-    """The XML, and in a folder beside it the surface and the convex pieces. Raises InputError."""
-    options, shape = job.options, job.shape(LIGHT_LEVEL)
-    inertial = job.inertial()
-    state = last_state(job.source, job.at) if job.source.has_motion else None
-    if shape is None and inertial is None:
-        raise InputError(
-            f"{job.source.folder}: this run has neither mesh nor mass properties; nothing to export"
-            f"{job.source.words}"
-        )
-    if state is None:
-        job.leave_out("the state is left out: this run has no motion; the body rests at the origin")
-    folder = options.output.with_name(f"{options.output.stem}_meshes")
-    files: Files = {}
-    words = [*job.comments, *(inertial.words if inertial is not None else ())]
-    visual, collision = None, []
-    if shape is None:
-        job.leave_out("surface and collision geometry are left out: this run has no mesh")
-    else:
-        visual = SURFACE_FILE
-        files[folder / visual] = mesh_files.obj(shape, job.comments, 1.0)
-        full = job.source.surface
-        assert full is not None
-        try:
-            # of the full mesh, whatever level is shown: a lighter one may lie inside it
-            cut = decompose(shape_of_surface(full, job.at), options.pieces)
-        except ValueError as error:
-            job.leave_out(f"collision geometry is left out: {error}")
-        else:
-            words.append(f"{cut.words}; {cut.reach_words}")
-            _log.info("%s", words[-1])
-            if cut.far_share > FAR_SHARE:
-                job.leave_out(
-                    f"{cut.far_share:.1%} of the collision geometry protrudes from the surface by more than "
-                    f"{WITHIN:.0%} of its diameter: more --pieces protrude less"
-                )
-            for number, piece in enumerate(cut.pieces):
-                collision.append(f"collision_{number:03d}.obj")
-                files[folder / collision[-1]] = mesh_files.plain_obj(
-                    np.asarray(piece.vertices),
-                    np.asarray(piece.faces, dtype=np.int64),
-                    [f"convex piece, frame {job.at.name}, metres"],
-                )
-    words += [robot_xml.state_words(state)] if state is not None else []
-    # Assumptions are shown on the terminal, too.
-    for sentence in inertial.words if inertial is not None else ():
-        job.leave_out(sentence)
-    robot = robot_xml.Robot(
-        name=options.object_name,
-        folder=folder.name,
-        visual=visual,
-        collision=tuple(collision),
-        inertial=inertial,
-        state=state,
-        comments=tuple(words),
-    )
-    write: dict[str, Callable[[robot_xml.Robot], str]] = {
-        "urdf": robot_xml.urdf,
-        "mjcf": robot_xml.mjcf,
-        "sdf": robot_xml.sdf,
-    }
-    files[options.output] = write[options.to](robot).encode()
-    return files
-
-
-def remove_old_pieces(files: Files) -> None:
-    """Pieces of an earlier export under the same name that this one does not replace."""
-    for folder in {path.parent for path in files if path.name == SURFACE_FILE}:
-        for path in folder.glob("collision_[0-9][0-9][0-9].obj"):
-            if path not in files:
-                path.unlink()
-
-
-TURN_PER_KEY_RAD = np.deg2rad(5.0)
-"""Between two keys of an animation: viewers go straight from one to the next."""
-FRAME_N = (
-    "N, inertial: the left camera at the first frame (x right, y down, z forward), or the frame of the "
-    "inspector's poses where those were given"
-)
+MAX_KEY_ROTATION_RAD = np.deg2rad(5.0)
+"""Between two keys of an animation, which viewers interpolate linearly."""
 
 _log = logging.getLogger(__name__)
 
@@ -131,25 +43,13 @@ _log = logging.getLogger(__name__)
 def export_run(run: Path, options: ExportOptions) -> list[Path]:
     """Write the files, the one that was named last. Raises InputError when nothing can be written."""
     check(options)
-    found = read_run(run)
-    if options.to in MOTIONS and not found.has_motion:
-        raise InputError(f"{run}: {found.no_motion}; nothing for {options.to}, json has what there is")
-    at, warnings = placement(
-        options.frame_name,
-        found.summary,
-        found.surface,
-        options.cad,
-        options.cad_points,
-        METRES[options.cad_unit],
-    )
-    job = ExportJob(options, found, at, list(warnings))
-    if found.summary.status == "failed":
-        reason = found.summary.warnings[0] if found.summary.warnings else "no reason is known"
-        job.leave_out(f"this run failed ({reason}): what it had found by then is exported")
-    files = _WRITERS[options.to](job)
-    for words in job.left_out:
-        _log.warning("%s", words)
-    remove_old_pieces(files)
+    job = open_job(run, options)
+    if job.summary.status == "failed":
+        job.leave_out(f"this run failed ({failure_of(job.summary)}): what it had found by then is exported")
+    files = _CONTENT[options.to](job)
+    for reason in job.left_out:
+        _log.warning("%s", reason)
+    _remove_old_pieces(files)
     for path, content in files.items():
         try:
             path.parent.mkdir(exist_ok=True)
@@ -159,27 +59,8 @@ def export_run(run: Path, options: ExportOptions) -> list[Path]:
     return list(files)
 
 
-def _drawn(job: ExportJob) -> ExportShape:
-    """The mesh, or else the landmarks. Raises InputError when there are neither."""
-    shape, to = job.shape(), job.options.to
-    if shape is not None:
-        return shape
-    if job.source.landmarks is None:
-        raise InputError(
-            f"{job.source.folder}: this run has neither mesh nor landmarks; nothing for {to}"
-            f"{job.source.words}"
-        )
-    if to == "stl":
-        raise InputError(
-            f"{job.source.folder}: this run has no mesh, and STL has triangles only; "
-            "ply, glb and obj have its landmarks"
-        )
-    job.leave_out("the surface is left out, as this run has no mesh: the file holds the landmarks, as points")
-    return shape_of_landmarks(job.source.landmarks, job.at)
-
-
 def _mesh(job: ExportJob) -> Files:
-    options, shape = job.options, _drawn(job)
+    options, shape = job.options, _mesh_or_landmarks(job)
     unit, per_m = options.unit, 1.0 / METRES[options.unit]
     comments = [*job.comments, f"unit: {unit}"]
     if options.to == "ply":
@@ -195,6 +76,22 @@ def _mesh(job: ExportJob) -> Files:
     return {options.output: content}
 
 
+def _mesh_or_landmarks(job: ExportJob) -> ExportShape:
+    """The mesh, or else the landmarks. Raises InputError when there are neither."""
+    shape, to = job.shape(), job.options.to
+    if shape is not None:
+        return shape
+    if job.landmarks is None:
+        raise job.nothing(f"this run has neither mesh nor landmarks; nothing for {to}")
+    if to == "stl":
+        raise InputError(
+            f"{job.folder}: this run has no mesh, and STL has triangles only; "
+            "ply, glb and obj have its landmarks"
+        )
+    job.leave_out("the surface is left out, as this run has no mesh: the file holds the landmarks, as points")
+    return shape_of_landmarks(job.landmarks, job.at)
+
+
 def _glb(job: ExportJob, shape: ExportShape, per_m: float) -> bytes:
     options = job.options
     extras: dict[str, Any] = {"comments": job.comments, "frame": job.at.name, "unit": options.unit}
@@ -203,13 +100,13 @@ def _glb(job: ExportJob, shape: ExportShape, per_m: float) -> bytes:
     animation = None
     if options.animate:
         step = options.step_s
-        if job.source.has_motion:
-            rate = float(np.linalg.norm(last_state(job.source, job.at).w_F))
-            smooth = TURN_PER_KEY_RAD / max(rate, 1e-6)
-            # never coarser than the turn allows, and no more keys than that takes
+        if not job.no_motion:
+            rate = float(np.linalg.norm(job.last_state().w_F))
+            smooth = MAX_KEY_ROTATION_RAD / max(rate, 1e-6)
+            # never coarser than the rotation allows, and no more keys than that takes
             step = min(smooth, options.horizon) if step is None else min(step, smooth)
         motion = job.motion(step)
-        animation = glb.Animation(motion.time_s, job.poses(motion))
+        animation = glb.Animation(motion.time_s, job.poses(motion.r_N, motion.R_NP))
         extras["animation"] = {
             "words": "the node target moves in N: at time 0 it is at the last state of the run",
             "horizon_s": options.horizon,
@@ -223,6 +120,72 @@ def _glb(job: ExportJob, shape: ExportShape, per_m: float) -> bytes:
     return glb.glb(shape, extras, per_m, options.unit, animation)
 
 
+def _robot(job: ExportJob) -> Files:
+    """The XML, and in a folder beside it the surface and the convex pieces. Raises InputError."""
+    options, shape = job.options, job.shape(LIGHT_LEVEL)
+    inertial = job.inertial()
+    if shape is None and inertial is None:
+        raise job.nothing("this run has neither mesh nor mass properties; nothing to export")
+    state = None
+    if job.no_motion:
+        job.leave_out("the state is left out: this run has no motion; the body rests at the origin")
+    else:
+        state = job.last_state()
+    folder = options.output.with_name(f"{options.output.stem}_meshes")
+    files: Files = {}
+    notes = inertial.notes if inertial is not None else ()
+    comments = [*job.comments, *notes]
+    visual, collision = None, []
+    if shape is None or job.surface is None:
+        job.leave_out("surface and collision geometry are left out: this run has no mesh")
+    else:
+        visual = SURFACE_FILE
+        files[folder / visual] = mesh_files.obj(shape, job.comments, 1.0)
+        try:
+            # of the full mesh, whatever level is shown: a lighter one may lie inside it
+            cut = decompose(shape_of_surface(job.surface, job.at), options.pieces)
+        except ValueError as error:
+            job.leave_out(f"collision geometry is left out: {error}")
+        else:
+            comments.append(f"{cut.description}; {cut.describe_protrusion()}")
+            _log.info("%s", comments[-1])
+            if cut.far_share > FAR_SHARE:
+                job.leave_out(
+                    f"{cut.far_share:.1%} of the collision geometry protrudes from the surface by more than "
+                    f"{WITHIN:.0%} of its diameter: more --pieces protrude less"
+                )
+            for number, piece in enumerate(cut.pieces):
+                collision.append(f"collision_{number:03d}.obj")
+                header = f"convex piece, frame {job.at.name}, metres"
+                content = export_obj(
+                    piece, include_normals=False, include_color=False, header=header, digits=12
+                )
+                files[folder / collision[-1]] = content.encode("ascii")
+    comments += [robot_xml.describe_state(state)] if state is not None else []
+    # Assumptions are shown on the terminal, too.
+    for note in notes:
+        job.leave_out(note)
+    robot = robot_xml.Robot(
+        name=options.object_name,
+        folder=folder.name,
+        visual=visual,
+        collision=tuple(collision),
+        inertial=inertial,
+        state=state,
+        comments=tuple(comments),
+    )
+    files[options.output] = getattr(robot_xml, options.to)(robot).encode()
+    return files
+
+
+def _remove_old_pieces(files: Files) -> None:
+    """Remove pieces of an earlier export under the same name that this one does not replace."""
+    for folder in {path.parent for path in files if path.name == SURFACE_FILE}:
+        for path in folder.glob("collision_[0-9][0-9][0-9].obj"):
+            if path not in files:
+                path.unlink()
+
+
 def _motion(job: ExportJob) -> Files:
     options = job.options
     motion = job.motion(options.step_s)
@@ -231,15 +194,15 @@ def _motion(job: ExportJob) -> Files:
             f"the run does not determine {', '.join(motion.undetermined)}: estimated axes and centre of mass "
             "are taken as marks on the body"
         )
-    X_NF = job.poses(motion)
-    marks = ["the run has no covariances: the uncertainty is unknown"]
+    X_NF = job.poses(motion.r_N, motion.R_NP)
+    uncertainty = "the run has no covariances: the uncertainty is unknown"
     if motion.has_covariance:
         sigma = np.sqrt(np.diagonal(motion.covariance_of_marks, axis1=1, axis2=2))
-        marks = [
+        uncertainty = (
             f"standard deviation of the body's attitude, worst axis: {np.rad2deg(sigma[0, 6:9].max()):.3g} "
             f"deg at the start, {np.rad2deg(sigma[-1, 6:9].max()):.3g} deg at the end; the JSON export has "
-            "all covariances",
-        ]
+            "all covariances"
+        )
     header = ccsds.MessageHeader(
         object_name=options.object_name,
         object_id=options.object_id,
@@ -257,71 +220,25 @@ def _motion(job: ExportJob) -> Files:
     if options.to == "oem":
         text = ccsds.oem(motion, header)
     elif options.to == "aem":
-        R_FP = job.at.R_FG @ np.array(job.source.summary.R_GP)
-        names = {"G": "TARGET_G", "P": "TARGET_P", "cad": "TARGET_CAD"}
-        words = [*job.comments[1:], *marks]
+        R_FP = job.at.R_FG @ np.array(job.summary.R_GP)
+        comments = [*job.comments[1:], uncertainty]
+        body_frame = f"TARGET_{job.at.name.upper()}"
         text = ccsds.aem(
-            motion.timestamps_ns, X_NF[:, :3, :3], motion.w_P @ R_FP.T, header, names[job.at.name], words
+            motion.timestamps_ns, X_NF[:, :3, :3], motion.w_P @ R_FP.T, header, body_frame, comments
         )
     else:
-        text = ccsds.tum(
-            motion.timestamps_ns,
-            X_NF,
-            [
-                *job.comments,
-                "poses of the frame in N [m], predicted from the last state of the run on",
-                *marks,
-            ],
-        )
+        origin = "poses of the frame in N [m], predicted from the last state of the run on"
+        text = ccsds.tum(motion.timestamps_ns, X_NF, [*job.comments, origin, uncertainty])
     return {options.output: text.encode("ascii", "replace")}
 
 
 def _json(job: ExportJob) -> Files:
-    options, summary = job.options, job.source.summary
-    last, ahead, undetermined = None, [], []
-    if job.source.has_motion:
-        motion = job.motion(options.step_s)
-        states = states_out(motion, job.poses(motion), ccsds.utc(motion.timestamps_ns, options.epoch_utc))
-        last, ahead, undetermined = states[0], states[1:], list(motion.undetermined)
-    else:
-        job.leave_out(f"states and prediction are left out: {job.source.no_motion}")
-    shape = job.shape()
-    if shape is None:
-        job.leave_out("the shape is left out: this run has no mesh")
-    inertial = job.inertial()
-    found = summary.inertia
-    document = Document(
-        run_status=summary.status,
-        run_warnings=summary.warnings,
-        left_out=job.left_out,
-        epoch_utc=str(options.epoch_utc.astype("datetime64[s]")),
-        frame_N=FRAME_N,
-        frame=frame_out(job.at),
-        last=last,
-        prediction=ahead,
-        undetermined=undetermined,
-        mass_properties=MassPropertiesOut(
-            moments=found.moments if found else None,
-            sigma_moments=found.sigma_moments if found else None,
-            k1=found.k1 if found else None,
-            k2=found.k2 if found else None,
-            cov_k=found.cov if found else None,
-            com_G=summary.com_G,
-            cov_com_G=summary.cov_com_G,
-            R_GP=summary.R_GP,
-            cov_R_GP=summary.cov_R_GP,
-            identifiable=summary.identifiable.model_dump() if summary.identifiable else None,
-            identifiable_detail=summary.identifiable_detail,
-        ),
-        inertial=inertial_out(inertial) if inertial is not None else None,
-        shape=shape_out(shape) if shape is not None else None,
-    )
-    return {options.output: text_of(document).encode()}
+    return {job.options.output: json_document(job).encode()}
 
 
-_WRITERS: dict[str, Callable[[ExportJob], Files]] = {
+_CONTENT: dict[str, Callable[[ExportJob], Files]] = {
     **dict.fromkeys(MESHES, _mesh),
-    **dict.fromkeys(ROBOTS, robot_files),
+    **dict.fromkeys(ROBOTS, _robot),
     **dict.fromkeys(MOTIONS, _motion),
     "json": _json,
 }

@@ -91,10 +91,10 @@ def check(options: ExportOptions) -> None:
     if options.object_name in ("N", "P", "world"):
         raise InputError(f"--object-name {options.object_name}: this is the name of a frame; give another")
     _ = options.epoch_utc
-    _require_place(options.output)
+    _require_writable(options.output)
 
 
-def _require_place(path: Path) -> None:
+def _require_writable(path: Path) -> None:
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder: choose another -o")
     if path.is_dir():

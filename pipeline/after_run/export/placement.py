@@ -1,13 +1,13 @@
-"""The frame that the user asked for, and the CAD files that it takes."""
+"""The frame of the exported file: G, P, or that of a CAD model, to which the run is aligned."""
 
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.mapping.mesh_files import read_mesh
+from polhode.pipeline.after_run.export.options import METRES, ExportOptions
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.exports.cad_alignment import CadAlignment, align_points, align_surfaces
 from polhode.planning.exports.records import Placement, frame_cad, frame_G, frame_P
@@ -16,56 +16,52 @@ from polhode.records import SurfaceModel
 POOR_SHARE = 0.02
 """Share of the body's size: a larger residual of the alignment gives a warning."""
 SIZES = (0.25, 4.0)
-"""Model over scan: beyond, the unit is wrong."""
+"""Size of the model over that of the mesh: outside this range the unit is wrong."""
 
 
 def placement(
-    name: str,
-    summary: Summary,
-    surface: SurfaceModel | None,
-    cad: Path | None,
-    cad_points: Path | None,
-    cad_m: float,
+    options: ExportOptions, summary: Summary, surface: SurfaceModel | None
 ) -> tuple[Placement, list[str]]:
-    """The frame, and warnings. ``cad_m``: metres of a unit of the CAD files. Raises InputError, one line."""
-    if name != "cad":
-        if cad is not None or cad_points is not None:
-            option = "--cad" if cad is not None else "--cad-points"
-            raise InputError(f"{option} is for --frame cad, and this is --frame {name}")
-        if name == "G":
-            return frame_G(), []
-        if summary.R_GP is None or summary.com_G is None:
-            raise InputError(
-                "--frame P: this run has no estimate, so no principal axes; --frame G has no need of it"
-            )
-        warnings = []
-        if summary.identifiable is not None and not (summary.identifiable.axes and summary.identifiable.com):
-            warnings.append(
-                "the run does not determine every principal axis or every component of the centre of mass: "
-                "frame P is the best finite one"
-            )
-        return frame_P(np.array(summary.R_GP), np.array(summary.com_G)), warnings
-    if cad is None and cad_points is None:
-        raise InputError("--frame cad: give --cad MESH or --cad-points FILE, which define that frame")
-    start = None if cad_points is None else _from_points(cad_points, cad_m)
-    found = start
-    if cad is not None:
+    """The frame, and warnings. Raises InputError, one line."""
+    name = options.frame_name
+    if name == "cad":
+        return _cad_frame(options, surface)
+    if options.cad is not None or options.cad_points is not None:
+        option = "--cad" if options.cad is not None else "--cad-points"
+        raise InputError(f"{option} is for --frame cad, and this is --frame {name}")
+    if name == "G":
+        return frame_G(), []
+    if summary.R_GP is None or summary.com_G is None:
+        raise InputError(
+            "--frame P: this run has no estimate, so no principal axes; --frame G has no need of it"
+        )
+    warnings = []
+    if summary.identifiable is not None and not (summary.identifiable.axes and summary.identifiable.com):
+        warnings.append(
+            "the run does not determine every principal axis or every component of the centre of mass: "
+            "frame P is the best finite one"
+        )
+    return frame_P(np.array(summary.R_GP), np.array(summary.com_G)), warnings
+
+
+def _cad_frame(options: ExportOptions, surface: SurfaceModel | None) -> tuple[Placement, list[str]]:
+    """The CAD frame by corresponding points, by the surfaces, or by the surfaces from those points on."""
+    found, unit_m = None, METRES[options.cad_unit]
+    if options.cad_points is not None:
+        found, by, file = _from_points(options.cad_points, unit_m), "corresponding points", options.cad_points
+    if options.cad is not None:
         if surface is None or len(surface.mesh.faces) == 0:
             raise InputError("--cad: this run has no mesh to lay on the model; give --cad-points FILE")
-        model = read_mesh(cad, cad_m)
-        _require_size(cad, surface.mesh, model)
-        found = align_surfaces(surface.mesh, model, None if start is None else start.X_cadG)
-    assert found is not None
-    return _told(found, cad, cad_points, surface)
-
-
-def _told(
-    found: CadAlignment, cad: Path | None, cad_points: Path | None, surface: SurfaceModel | None
-) -> tuple[Placement, list[str]]:
-    by = "surface on surface" if cad is not None else "corresponding points"
-    file = cad if cad is not None else cad_points
-    assert file is not None
-    words = f"{file.name}, aligned by {by}; {1e3 * found.rms_m:.3g} mm rms residual"
+        model, scan = read_mesh(options.cad, unit_m), surface.mesh
+        if not SIZES[0] < float(model.scale / scan.scale) < SIZES[1]:
+            raise InputError(
+                f"{options.cad}: {model.scale:.3g} m across, and the run's mesh is {scan.scale:.3g} m: "
+                "check --cad-unit, m or mm"
+            )
+        found = align_surfaces(scan, model, None if found is None else found.X_cadG)
+        by, file = "surface on surface", options.cad
+    if found is None:
+        raise InputError("--frame cad: give --cad MESH or --cad-points FILE, which define that frame")
     warnings = []
     size = None if surface is None else float(surface.mesh.scale)
     if size is not None and found.rms_m > POOR_SHARE * size:
@@ -78,7 +74,8 @@ def _told(
             f"the model fits as well turned by {found.rival_deg:.0f} deg: the scan cannot distinguish them; "
             "--cad-points resolves the ambiguity"
         )
-    return frame_cad(found.X_cadG, words), warnings
+    residual = f"{1e3 * found.rms_m:.3g} mm rms residual"
+    return frame_cad(found.X_cadG, f"{file.name}, aligned by {by}; {residual}"), warnings
 
 
 def _from_points(file: Path, cad_m: float) -> CadAlignment:
@@ -110,12 +107,3 @@ def _rows(file: Path) -> Array:
             raise ValueError(f"line {number} has {len(values)} numbers, not six finite ones")
         rows.append(values)
     return np.array(rows).reshape(-1, 6)
-
-
-def _require_size(file: Path, scan: trimesh.Trimesh, model: trimesh.Trimesh) -> None:
-    ratio = float(model.scale / scan.scale)
-    if not SIZES[0] < ratio < SIZES[1]:
-        raise InputError(
-            f"{file}: {model.scale:.3g} m across, and the run's mesh is {scan.scale:.3g} m: "
-            "check --cad-unit, m or mm"
-        )

@@ -16,7 +16,8 @@ from polhode.cli.main import main
 from polhode.config import Config
 from polhode.lie import exp_so3, log_so3, make_pose, matrix_from_wxyz, transform_points
 from polhode.mesh_metrics import distance_to_surface
-from polhode.planning.exports.json_document import SCHEMA_FILE, schema
+from polhode.pipeline.after_run.export.json_document import SCHEMA_FILE, Document
+from polhode.pipeline.run_directory.summary_schema import json_schema
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import BOX_M, Example
 from tests.pipeline.stored_run import write_run
@@ -66,13 +67,13 @@ def export(run: Path, to: str, output: Path, *more: str) -> Path:
 
 def document(run: Path, folder: Path, *more: str) -> dict[str, Any]:
     content = json.loads(export(run, "json", folder / "run.json", *more).read_text())
-    jsonschema.Draft202012Validator(schema()).validate(content)
+    jsonschema.Draft202012Validator(json_schema(Document)).validate(content)
     assert isinstance(content, dict)
     return content
 
 
 def test_the_shipped_schema_is_that_of_the_models() -> None:
-    assert json.loads(SCHEMA_FILE.read_text()) == schema()
+    assert json.loads(SCHEMA_FILE.read_text()) == json_schema(Document)
 
 
 def test_json_has_states_with_covariances_and_mass_properties(
