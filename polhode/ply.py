@@ -57,15 +57,18 @@ def surface_ply(
 def binary_ply(
     vertex: NDArray[np.void], comments: Sequence[str], face: NDArray[np.void] | None = None
 ) -> bytes:
-    """A little-endian PLY of structured arrays: a property per field of ``vertex``; ``face`` as in _FACE."""
+    """A little-endian PLY of structured arrays: a property per field.
+
+    The first two fields of ``face`` are the count, 3, and the three indices of vertices.
+    """
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
     lines += [f"element vertex {len(vertex)}", *_properties(vertex.dtype)]
     if face is not None:
         lines += [f"element face {len(face)}", "property list uchar int vertex_indices"]
-        lines += ["property uchar invented"]
+        lines += _properties(face.dtype, skipped=2)
     header = ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
     return header + vertex.tobytes() + (b"" if face is None else face.tobytes())
 
 
-def _properties(dtype: np.dtype[Any]) -> list[str]:
-    return [f"property {_TYPES[dtype[name].str]} {name}" for name in dtype.names or ()]
+def _properties(dtype: np.dtype[Any], skipped: int = 0) -> list[str]:
+    return [f"property {_TYPES[dtype[name].str]} {name}" for name in (dtype.names or ())[skipped:]]

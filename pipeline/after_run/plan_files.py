@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import trimesh
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -24,21 +23,28 @@ from polhode.atomic import write_bytes, write_text
 from polhode.lie import Array
 from polhode.mapping.visibility import MeshView, MeshViewer
 from polhode.pipeline.after_run.plan import Plan
-from polhode.pipeline.pictures.body_views import ALONG_AXES, OBLIQUE, Direction, round_length_mm
+from polhode.pipeline.pictures.body_views import (
+    ALONG_AXES,
+    DPI,
+    GROUND,
+    OBLIQUE,
+    Direction,
+    add_scale_bar,
+    cosine_to_light,
+    png,
+)
 from polhode.pipeline.report.figures.plot import FAINT, INK
 from polhode.planning.approach.corridor import Corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, slowest_points
 from polhode.planning.approach.tumbling_threshold import fuel_share
 from polhode.planning.keep_out.volumes import KeepOut
+from polhode.ply import binary_ply
 from polhode.records import SurfaceModel
 
-SIDE_PX, DPI = 340, 100
-GROUND = np.array((0.925, 0.94, 0.95))
+SIDE_PX = 340
 VOLUME, NOW, END = (np.array(rgb) for rgb in ((0.27, 0.45, 0.72), (0.93, 0.93, 0.90), (0.95, 0.62, 0.25)))
 VEIL = 0.35
 """How much of a body's colour the volume before it takes."""
-LIGHT = np.array((-0.35, 0.45, 0.82))
-"""Left, above, towards the eye."""
 SPEED_MAP = "viridis"
 
 _log = logging.getLogger(__name__)
@@ -72,7 +78,11 @@ def draw_keepout(keep: KeepOut, surface: SurfaceModel, horizon_s: float, confide
     sides = (ALONG_AXES[2], ALONG_AXES[0], ALONG_AXES[1], OBLIQUE[0])
     corners = np.asarray(volume.vertices) - middle
     half = 1.05 * max(float(np.abs(corners @ np.stack([d.right, d.up]).T).max()) for d in sides)
-    figure, all_axes = _page(2, 2, f"Keep-out volume over {horizon_s:g} s at {confidence:.1%}")
+    figure, all_axes = _page(
+        *(2, 2, f"Keep-out volume over {horizon_s:g} s at {confidence:.1%}"),
+        f"Blue: the volume, {1e3 * keep.swept.volume_m3:.3g} litres, shown translucent. White: the target at "
+        "the last pair; orange: at the horizon, as predicted.",
+    )
     for axes, side in zip(all_axes, sides, strict=True):
         outer = around.orthographic(middle, side.right, side.up, half, SIDE_PX)
         layers = []
@@ -80,13 +90,9 @@ def draw_keepout(keep: KeepOut, surface: SurfaceModel, horizon_s: float, confide
             R, p = motion.R_NG[k], motion.p_NG[k]
             view = body.orthographic(R.T @ (middle - p), R.T @ side.right, R.T @ side.up, half, SIDE_PX)
             layers.append((view, _shaded(view, normal_G @ R.T, side, colour)))
-        axes.imshow(_veiled(outer, _shaded(outer, normal_N, side, VOLUME), layers), interpolation="nearest")
-        _dress(axes, f"from {side.name} of N", half)
-    words = (
-        f"Blue: the volume, {1e3 * keep.swept.volume_m3:.3g} litres, shown translucent. White: the target at "
-        "the last pair; orange: at the horizon, as predicted."
-    )
-    return _png(figure, words)
+        image = _veiled(outer, _shaded(outer, normal_N, side, VOLUME), layers)
+        _show(axes, image, f"from {side.name} of N", half)
+    return png(figure)
 
 
 def _veiled(outer: MeshView, blue: Array, layers: list[tuple[MeshView, Array]]) -> Array:
@@ -114,19 +120,20 @@ def draw_speed(
     scale = ScalarMappable(
         Normalize(float(values.min()), float(max(values.max(), values.min() + 1e-9))), SPEED_MAP
     )
-    figure, all_axes = _page(2, 3, f"Largest speed of the surface over {horizon_s:g} s")
+    figure, all_axes = _page(
+        *(2, 3, f"Largest speed of the surface over {horizon_s:g} s"),
+        "Numbers: the slowest points that are reachable along their normal, as in planning.json.",
+    )
     for axes, side in zip(all_axes, ALONG_AXES, strict=True):
         view = viewer.orthographic(middle, side.right, side.up, half, SIDE_PX)
-        light = 0.65 + 0.35 * _cosine(view, normal, side)
+        light = 0.65 + 0.35 * np.abs(cosine_to_light(view, normal, side))
         colours = np.asarray(scale.to_rgba(view.values(values)))[..., :3] * light[..., None]
-        axes.imshow(np.where(view.hit[..., None], colours, GROUND), interpolation="nearest")
+        _show(axes, np.where(view.hit[..., None], colours, GROUND), f"from {side.name} of G", half)
         for number, one in enumerate(grapples, start=1):
             _mark(axes, view, side, np.array(one["p_G"]) - middle, half, str(number))
-        _dress(axes, f"from {side.name} of G", half)
     bar = figure.colorbar(scale, ax=all_axes, shrink=0.8, pad=0.02)
     bar.set_label("largest speed [mm/s]", color=INK)
-    words = "Numbers: the slowest points that are reachable along their normal, as in planning.json."
-    return _png(figure, words)
+    return png(figure)
 
 
 def _mark(axes: Axes, view: MeshView, side: Direction, p: Array, half: float, text: str) -> None:
@@ -150,7 +157,9 @@ def draw_corridor(plan: Plan) -> bytes:
     path, docking = plan.corridor, plan.docking
     assert path is not None and docking is not None
     figure, (above, beside, time) = _page(
-        1, 3, f"Station keeping at {docking.stand_off_m:g} m in the corridor"
+        *(1, 3, f"Station keeping at {docking.stand_off_m:g} m in the corridor"),
+        "Dots: the inspector, black where it starts; orange: the docking point; grey: the axis. "
+        f"{path.delta_v_m_s:.3g} m/s over {plan.horizon_s:g} s.",
     )
     lines = np.unique(np.linspace(0, len(path.time_s) - 1, 25).round().astype(int))
     for axes, (a, b) in ((above, (0, 2)), (beside, (2, 1))):
@@ -179,52 +188,28 @@ def draw_corridor(plan: Plan) -> bytes:
     for axes in (above, beside, time):
         axes.grid(color="0.92")
         axes.tick_params(labelsize=8)
-    words = (
-        f"Dots: the inspector, black where it starts; orange: the docking point; grey: the axis. "
-        f"{path.delta_v_m_s:.3g} m/s over {plan.horizon_s:g} s."
-    )
-    return _png(figure, words)
+    return png(figure)
 
 
 def _shaded(view: MeshView, normals: Array, side: Direction, colour: Array) -> Array:
     """(H, W, 3)"""
-    return np.asarray(colour * (0.5 + 0.5 * _cosine(view, normals, side))[..., None])
+    return np.asarray(colour * (0.5 + 0.5 * np.abs(cosine_to_light(view, normals, side)))[..., None])
 
 
-def _cosine(view: MeshView, normals: Array, side: Direction) -> Array:
-    """(H, W) between surface and light; normals (V, 3) in the axes of the side."""
-    turned = view.values(normals @ np.stack([side.right, side.up, side.eye]).T)
-    length = np.linalg.norm(turned, axis=2)
-    cosine = turned @ (LIGHT / np.linalg.norm(LIGHT)) / np.where(length > 0.0, length, 1.0)
-    return np.asarray(np.abs(cosine))
-
-
-def _page(rows: int, columns: int, title: str) -> tuple[Figure, list[Axes]]:
-    figure = Figure(
-        figsize=(4.3 * columns, 4.3 * rows + 0.9), dpi=DPI, facecolor="white", layout="constrained"
-    )
-    FigureCanvasAgg(figure)
+def _page(rows: int, columns: int, title: str, caption: str) -> tuple[Figure, list[Axes]]:
+    size_in = (4.3 * columns, 4.3 * rows + 0.9)
+    figure = Figure(figsize=size_in, dpi=DPI, facecolor="white", layout="constrained")
     figure.suptitle(title, size=14, weight="bold", color=INK)
+    figure.supxlabel(caption, size=9, color=INK)
     return figure, [figure.add_subplot(rows, columns, k + 1) for k in range(rows * columns)]
 
 
-def _dress(axes: Axes, title: str, half: float) -> None:
-    """No ticks, but a length."""
+def _show(axes: Axes, image: Array, title: str, half_m: float) -> None:
+    """An orthographic view, with a length instead of ticks."""
+    axes.imshow(image, interpolation="nearest")
     axes.set_title(title, size=10, color=INK)
     axes.set_axis_off()
-    length_m = 1e-3 * round_length_mm(2e3 * half)
-    x, y = 0.04 * SIDE_PX, 0.96 * SIDE_PX
-    axes.plot(
-        (x, x + SIDE_PX * length_m / (2.0 * half)), (y, y), color=INK, linewidth=3, solid_capstyle="butt"
-    )
-    axes.text(x, y - 7, f"{1e3 * length_m:g} mm", size=8, color=INK)
-
-
-def _png(figure: Figure, words: str) -> bytes:
-    figure.supxlabel(words, size=9, color=INK)
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=DPI)
-    return content.getvalue()
+    add_scale_bar(axes, 2e3 * half_m, SIDE_PX)
 
 
 GRAPPLES = 5
@@ -264,22 +249,16 @@ def _bytes(mesh: trimesh.Trimesh, name: str) -> bytes:
 
 def speed_ply(mesh: trimesh.Trimesh, speed: SurfaceSpeed) -> bytes:
     """Binary PLY in G: position, normal; current, largest, mean and normal speed, sigma [m/s]."""
-    columns = {
-        **{name: np.asarray(mesh.vertices)[:, i] for i, name in enumerate("xyz")},
-        **{f"n{name}": np.asarray(mesh.vertex_normals)[:, i] for i, name in enumerate("xyz")},
-        "speed_m_s": speed.now_m_s,
-        "largest_m_s": speed.largest_m_s,
-        "mean_m_s": speed.mean_m_s,
-        "normal_m_s": speed.normal_m_s,
-        "sigma_m_s": speed.sigma_m_s,
-    }
-    vertices = np.stack(list(columns.values()), axis=1).astype("<f4")
+    names = ("now_m_s", "largest_m_s", "mean_m_s", "normal_m_s", "sigma_m_s")
+    values = np.hstack([mesh.vertices, mesh.vertex_normals]).T
+    columns = dict(zip(("x", "y", "z", "nx", "ny", "nz"), values, strict=True))
+    columns |= {name.replace("now", "speed"): getattr(speed, name) for name in names}
+    vertices = np.zeros(len(mesh.vertices), dtype=[(name, "<f4") for name in columns])
+    for name, values in columns.items():
+        vertices[name] = values
     faces = np.zeros(len(mesh.faces), dtype=[("count", "u1"), ("index", "<i4", (3,))])
     faces["count"], faces["index"] = 3, mesh.faces
-    lines = ["ply", "format binary_little_endian 1.0", "comment frame G, metres, speeds relative to N in m/s"]
-    lines += [f"element vertex {len(vertices)}", *(f"property float {name}" for name in columns)]
-    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
-    return ("\n".join(lines) + "\n").encode("ascii") + vertices.tobytes() + faces.tobytes()
+    return binary_ply(vertices, ["frame G, metres, speeds relative to N in m/s"], faces)
 
 
 CORRIDOR_COLUMNS = ("time_s", *(f"{name}_{a}" for name in ("tip_N", "axis_N", "place_N", "velocity_N",

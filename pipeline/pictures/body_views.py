@@ -1,17 +1,13 @@
 """Landmarks and mesh from all sides, along the principal axes or those of G: thesis figure 6-28."""
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
@@ -21,6 +17,18 @@ from polhode.pipeline.report.figures.plot import AXIS_COLORS, FAINT, GRID, INK, 
 from polhode.pipeline.report.figures.shape import stretched, vertex_rgb
 from polhode.records import Bools, Landmarks, MassProperties, SurfaceModel
 
+DPI = 100
+KEPT_SHARE = 0.995
+"""Share of the landmarks that the drawing contains, with a margin: one far away shrinks nothing."""
+SIGMA_MAP = LinearSegmentedColormap.from_list(
+    "sigma", [(float(str(place)), str(colour)) for place, colour in SIGMA_SCALE]
+)
+TILE_PX = 216
+GROUND = np.array((0.925, 0.94, 0.95))
+INNER = np.array((0.86, 0.66, 0.64))
+LIGHT = np.array((-0.35, 0.45, 0.82))
+"""Direction of the light in a view: left, above, towards the eye."""
+
 
 @dataclass(frozen=True)
 class BodyFrame:
@@ -28,8 +36,7 @@ class BodyFrame:
 
     name: str
     """P or G: whose axes these are"""
-    words: str
-    """the same in a sentence"""
+    description: str
     R_GA: Array
     """(3, 3)"""
     com_G: Array
@@ -42,7 +49,7 @@ class BodyFrame:
 
 @dataclass(frozen=True)
 class Direction:
-    """Where the eye stands, and what is to its right and above; axes of A."""
+    """A direction of view: the unit vectors to the right and up in the picture, in axes of A."""
 
     name: str
     right: Array
@@ -57,11 +64,11 @@ class Direction:
 def body_frame(mass: MassProperties) -> BodyFrame:
     """P where the motion determines it, else the axes of G, always at the centre of mass."""
     known = mass.identifiable
-    place = "centre of mass" if known.com else "centre of mass, which is not fully determined"
+    origin = "centre of mass" if known.com else "centre of mass, which is not fully determined"
     if known.axes:
-        return BodyFrame("P", f"Principal axes x, y, z at the {place}.", mass.R_GP, mass.com_G)
-    words = f"Axes of G at the {place}: the motion does not determine the principal axes."
-    return BodyFrame("G", words, np.eye(3), mass.com_G)
+        return BodyFrame("P", f"Principal axes x, y, z at the {origin}.", mass.R_GP, mass.com_G)
+    description = f"Axes of G at the {origin}: the motion does not determine the principal axes."
+    return BodyFrame("G", description, np.eye(3), mass.com_G)
 
 
 def _direction(name: str, right: tuple[float, ...], up: tuple[float, ...]) -> Direction:
@@ -91,12 +98,27 @@ def round_length_mm(size_mm: float) -> float:
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= size_mm / 3.0))
 
 
-SIZE_IN, DPI = (12.0, 8.3), 100
-KEPT_SHARE = 0.995
-"""The drawing ends where this share of the landmarks does, with a margin: one far away shrinks nothing."""
-SIGMA_MAP = LinearSegmentedColormap.from_list(
-    "sigma", [(float(str(place)), str(colour)) for place, colour in SIGMA_SCALE]
-)
+def add_scale_bar(axes: Axes, width_mm: float, width: float) -> None:
+    """A round length at the lower left of axes that show ``width_mm`` over ``width`` of their units."""
+    length = round_length_mm(width_mm)
+    style = {"frameon": False, "color": INK, "pad": 0.4, "sep": 4}
+    size = length * width / width_mm
+    axes.add_artist(AnchoredSizeBar(axes.transData, size, f"{length:g} mm", "lower left", **style))
+
+
+def cosine_to_light(view: MeshView, normals: Array, direction: Direction) -> Array:
+    """(H, W) between surface normal and light; normals (V, 3) in the axes of the direction."""
+    axes = np.stack([direction.right, direction.up, direction.eye])
+    normal = view.values(normals @ axes.T)
+    length = np.linalg.norm(normal, axis=2)
+    return np.asarray(normal @ (LIGHT / np.linalg.norm(LIGHT)) / np.where(length > 0.0, length, 1.0))
+
+
+def png(figure: Figure) -> bytes:
+    """The file; the same bytes for the same figure."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=DPI, metadata={"Software": None})
+    return content.getvalue()
 
 
 def draw_landmarks(landmarks: Landmarks, frame: BodyFrame) -> bytes:
@@ -108,30 +130,26 @@ def draw_landmarks(landmarks: Landmarks, frame: BodyFrame) -> bytes:
     known = np.isfinite(sigma_mm)
     low, top = np.quantile(sigma_mm[known], (0.05, 0.95)) if known.any() else (0.0, 1.0)
     half_mm = 1.12 * max(float(np.quantile(np.abs(p_mm).max(axis=1), KEPT_SHARE)), 1e-3)
-    figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = Figure(figsize=(12.0, 8.3), dpi=DPI, facecolor="white")
     grid = figure.add_gridspec(2, 3, left=0.055, right=0.895, bottom=0.08, top=0.89, wspace=0.22, hspace=0.24)
     norm = Normalize(float(low), float(max(top, 1.001 * low, 1e-6)))
     for k, direction in enumerate(ALONG_AXES):
         axes = figure.add_subplot(grid[k // 3, k % 3])
         _draw_side(axes, direction, p_mm, sigma_mm, known, norm, half_mm)
-    _add_scale_bar(figure.axes[0], half_mm)
+    add_scale_bar(figure.axes[0], 2.0 * half_mm, 2.0 * half_mm)
     bar_axes = figure.add_axes((0.92, 0.08, 0.014, 0.81))
     bar = figure.colorbar(ScalarMappable(norm, SIGMA_MAP), cax=bar_axes, extend="both")
     bar.set_label("standard deviation of a landmark [mm]", color=INK)
     outside = int((np.abs(p_mm).max(axis=1) > half_mm).sum())
     notes = [f"Beyond the drawing: {outside}."] if outside else []
     notes += [f"Without a standard deviation (grey): {int((~known).sum())}."] if not known.all() else []
-    words = f"{frame.words} Each view shows the half that faces the eye."
     for height, text, style in (
         (0.965, f"{len(p_mm)} landmarks from six sides", {"size": 14, "weight": "bold"}),
-        (0.937, words, {"size": 10}),
+        (0.937, f"{frame.description} Each view shows the half that faces the eye.", {"size": 10}),
         (0.015, " ".join(notes), {"size": 9}),
     ):
         figure.text(0.055, height, text, color=INK, va="center", **style)
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=DPI)
-    return content.getvalue()
+    return png(figure)
 
 
 def _draw_side(
@@ -158,9 +176,7 @@ def _draw_side(
     axes.plot(0.0, 0.0, marker="D", markersize=6, color=INK, markeredgecolor="white", zorder=6)
     # An axis that points to the left counts to the left.
     sign = float(np.sign(direction.right[across]))
-    axes.set_xlim(-sign * half_mm, sign * half_mm)
-    axes.set_ylim(-half_mm, half_mm)
-    axes.set_aspect("equal")
+    axes.set(xlim=(-sign * half_mm, sign * half_mm), ylim=(-half_mm, half_mm), aspect="equal")
     axes.set_title(f"from {direction.name}: {len(facing)} landmarks", size=10, color=INK, loc="left", pad=4)
     axes.grid(color=GRID, linewidth=0.7)
     axes.set_axisbelow(True)
@@ -182,25 +198,10 @@ def _draw_axis(axes: Axes, axis: int, plane: tuple[int, int], length_mm: float) 
     label.set_path_effects([withStroke(linewidth=3, foreground="white")])
 
 
-def _add_scale_bar(axes: Axes, half_mm: float) -> None:
-    length = round_length_mm(2.0 * half_mm)
-    bar = AnchoredSizeBar(
-        axes.transData, length, f"{length:g} mm", "lower left", frameon=False, color=INK, pad=0.4, sep=4
-    )
-    axes.add_artist(bar)
-
-
-DIRECTIONS = ALONG_AXES + OBLIQUE
-TILE_PX, GAP_PX, LEFT_PX, RIGHT_PX, HEAD_PX, TITLE_PX, FOOT_PX = 216, 6, 16, 74, 76, 26, 34
-PITCH_PX, ROW_PX, DPI = TILE_PX + GAP_PX, TITLE_PX + TILE_PX, 100
-GROUND = np.array((0.925, 0.94, 0.95))
-INNER = np.array((0.86, 0.66, 0.64))
-LIGHT = np.array((-0.35, 0.45, 0.82))
-"""Where the light stands in a tile: left, above, towards the eye."""
-
-
 @dataclass(frozen=True)
-class _Row:
+class _Quantity:
+    """A row of the mesh sheet."""
+
     title: str
     values: Array
     """(V, 3) colours 0..1, or numbers (V,) for the scale"""
@@ -212,87 +213,51 @@ class _Row:
 
 def draw_mesh(surface: SurfaceModel, viewer: MeshViewer, frame: BodyFrame) -> bytes:
     """A PNG: a column for each direction, a row for each quantity. ``viewer`` looks at the mesh."""
-    mesh = surface.mesh
+    mesh, directions = surface.mesh, ALONG_AXES + OBLIQUE
     p_A, normal_A = frame.points(np.asarray(mesh.vertices)), np.asarray(mesh.vertex_normals) @ frame.R_GA
     middle_A = 0.5 * (p_A.min(axis=0) + p_A.max(axis=0))
-    middle_G, screens = frame.com_G + frame.R_GA @ middle_A, [(each.right, each.up) for each in DIRECTIONS]
+    middle_G, screens = frame.com_G + frame.R_GA @ middle_A, [(each.right, each.up) for each in directions]
     half_m = 1.05 * float(np.abs((p_A - middle_A) @ np.concatenate(screens).T).max())
     views = [
         viewer.orthographic(middle_G, frame.R_GA @ right, frame.R_GA @ up, half_m, TILE_PX)
         for right, up in screens
     ]
-    light = [_light(view, normal_A, each) for view, each in zip(views, DIRECTIONS, strict=True)]
-    rows = _rows(surface)
-    page = _Page(LEFT_PX + len(DIRECTIONS) * PITCH_PX + RIGHT_PX, HEAD_PX + len(rows) * ROW_PX + FOOT_PX)
-    page.write(LEFT_PX, 18, f"Mesh: {len(mesh.faces)} triangles", size=13, weight="bold")
-    page.write(LEFT_PX, 40, f"Orthographic. {frame.words}", size=10)
-    for k, direction in enumerate(DIRECTIONS):
-        middle_px = LEFT_PX + k * PITCH_PX + 0.5 * TILE_PX
-        page.write(middle_px, 64, f"from {direction.name}", size=10, ha="center")
-    for number, row in enumerate(rows):
-        tiles = [_tile(view, shade, row) for view, shade in zip(views, light, strict=True)]
-        page.add_row(HEAD_PX + number * ROW_PX, row, tiles)
-    page.add_scale_bar(1e-3 * round_length_mm(2e3 * half_m), TILE_PX / (2.0 * half_m))
-    return page.png()
+    lights = [
+        cosine_to_light(view, normal_A, each).clip(0.0, 1.0)
+        for view, each in zip(views, directions, strict=True)
+    ]
+    quantities = _quantities(surface)
+    size_in = (0.01 * len(directions) * (TILE_PX + 6) + 0.9, 0.01 * len(quantities) * (TILE_PX + 44) + 0.5)
+    figure = Figure(figsize=size_in, dpi=DPI, facecolor="white", layout="constrained")
+    title = f"Mesh: {len(mesh.faces)} triangles, orthographic. {frame.description}"
+    figure.suptitle(title, size=13, weight="bold", color=INK)
+    for part, quantity in zip(np.ravel(figure.subfigures(len(quantities), 1)), quantities, strict=True):
+        part.suptitle(quantity.title, x=0.01, ha="left", size=10, weight="bold", color=INK)
+        panels = part.subplots(1, len(directions))
+        for panel, view, light, direction in zip(panels, views, lights, directions, strict=True):
+            panel.imshow(_tile(view, light, quantity), interpolation="nearest")
+            panel.set_title(f"from {direction.name}", size=10, color=INK)
+            panel.set_axis_off()
+        if quantity.scale is not None:
+            part.colorbar(quantity.scale, ax=panels, pad=0.005, aspect=15).ax.tick_params(labelsize=9)
+    add_scale_bar(panels[0], 2e3 * half_m, TILE_PX)
+    return png(figure)
 
 
-class _Page:
-    """A matplotlib figure that is laid out in pixels from the top left corner."""
-
-    def __init__(self, width_px: int, height_px: int) -> None:
-        self._size = width_px, height_px
-        self._figure = Figure(figsize=(width_px / DPI, height_px / DPI), dpi=DPI, facecolor="white")
-        FigureCanvasAgg(self._figure)
-
-    def write(self, x_px: float, y_px: float, words: str, **style: Any) -> None:
-        width, height = self._size
-        self._figure.text(x_px / width, 1.0 - y_px / height, words, color=INK, va="center", **style)
-
-    def add_row(self, top_px: int, row: _Row, tiles: Sequence[Array]) -> None:
-        self.write(LEFT_PX, top_px + TITLE_PX / 2, row.title, size=10, weight="bold")
-        strip = np.ones((TILE_PX, len(tiles) * PITCH_PX - GAP_PX, 3))
-        for k, tile in enumerate(tiles):
-            strip[:, k * PITCH_PX : k * PITCH_PX + TILE_PX] = tile
-        axes = self._axes(LEFT_PX, top_px + TITLE_PX, strip.shape[1])
-        axes.imshow(strip, interpolation="nearest", aspect="auto")
-        axes.set_axis_off()
-        if row.scale is not None:
-            bar = self._axes(LEFT_PX + strip.shape[1] + 10, top_px + TITLE_PX, 12)
-            self._figure.colorbar(row.scale, cax=bar).ax.tick_params(labelsize=9)
-
-    def add_scale_bar(self, length_m: float, px_per_m: float) -> None:
-        width, height = self._size
-        end = LEFT_PX + length_m * px_per_m
-        x, y = (LEFT_PX / width, end / width), 0.5 * FOOT_PX / height
-        self._figure.add_artist(Line2D(x, (y, y), color=INK, linewidth=3, solid_capstyle="butt"))
-        self.write(end + 8, height - 0.5 * FOOT_PX, f"{1e3 * length_m:g} mm", size=10)
-
-    def png(self) -> bytes:
-        content = io.BytesIO()
-        self._figure.savefig(content, format="png", dpi=DPI)
-        return content.getvalue()
-
-    def _axes(self, left_px: float, top_px: float, width_px: float) -> Axes:
-        """Of the height of a tile."""
-        width, height = self._size
-        bottom = height - top_px - TILE_PX
-        return self._figure.add_axes((left_px / width, bottom / height, width_px / width, TILE_PX / height))
-
-
-def _rows(surface: SurfaceModel) -> tuple[_Row, ...]:
+def _quantities(surface: SurfaceModel) -> tuple[_Quantity, ...]:
     sigma_mm = 1e3 * surface.sigma_m
     known = np.isfinite(sigma_mm)
     top_mm = max(float(np.quantile(sigma_mm[known], 0.95)) if known.any() else 1.0, 1e-6)
     most = max(float(np.quantile(surface.views, 0.99)), 2.0)
     brightness = stretched(vertex_rgb(surface.mesh)) / 255.0
     return (
-        _Row("colours of the vertices, shaded; pink: the inner side, seen through holes", brightness, 0.45),
-        _Row(
+        _Quantity("colours of the vertices, shaded; pink: inner side, seen through holes", brightness, 0.45),
+        _Quantity(
             "standard deviation [mm]; the scale ends at the 95th percentile",
             np.where(known, sigma_mm, top_mm),
             *(0.8, ScalarMappable(Normalize(0.0, top_mm), SIGMA_MAP)),
         ),
-        _Row(
+        _Quantity(
             "number of frames that saw it; the scale ends at the 99th percentile",
             surface.views.astype(np.float64),
             *(0.8, ScalarMappable(Normalize(0.0, most), "viridis")),
@@ -300,19 +265,10 @@ def _rows(surface: SurfaceModel) -> tuple[_Row, ...]:
     )
 
 
-def _light(view: MeshView, normal_A: Array, direction: Direction) -> Array:
-    """(H, W) cosine between the surface and the light, 0 on the side that is turned away."""
-    axes = np.stack([direction.right, direction.up, direction.eye])
-    normal = view.values(normal_A @ axes.T)
-    length = np.linalg.norm(normal, axis=2)
-    cosine = normal @ (LIGHT / np.linalg.norm(LIGHT)) / np.where(length > 0.0, length, 1.0)
-    return np.asarray(cosine.clip(0.0, 1.0))
-
-
-def _tile(view: MeshView, light: Array, row: _Row) -> Array:
-    values = view.values(row.values)
-    colours = values if row.scale is None else np.asarray(row.scale.to_rgba(values))[..., :3]
-    shaded = colours * (row.ambient + (1.0 - row.ambient) * light)[..., None]
+def _tile(view: MeshView, light: Array, quantity: _Quantity) -> Array:
+    values = view.values(quantity.values)
+    colours = values if quantity.scale is None else np.asarray(quantity.scale.to_rgba(values))[..., :3]
+    shaded = colours * (quantity.ambient + (1.0 - quantity.ambient) * light)[..., None]
     tile = np.where(view.hit[..., None], shaded.clip(0.0, 1.0), GROUND)
     tile[view.hit] = np.where(view.front[:, None], tile[view.hit], INNER)
     return tile

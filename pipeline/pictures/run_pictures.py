@@ -67,12 +67,12 @@ def make_pictures(
         if config.views:
             with _optional("landmarks.png"):
                 if len(estimate.landmarks.p_G):
-                    words = f"Landmarks from six sides. {frame.words}"
+                    words = f"Landmarks from six sides. {frame.description}"
                     write_picture(folder, "landmarks.png", draw_landmarks(estimate.landmarks, frame), words)
             advance()
             with _optional("mesh.png"):
                 if viewer is not None:
-                    words = f"Mesh from eight sides. {frame.words}"
+                    words = f"Mesh from eight sides. {frame.description}"
                     write_picture(folder, "mesh.png", draw_mesh(surface, viewer, frame), words)
             advance()
         if viewer is not None and frames:

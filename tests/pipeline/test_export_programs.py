@@ -143,7 +143,7 @@ def test_without_vhacd_there_is_the_convex_hull_and_it_is_said(
 ) -> None:
     monkeypatch.setitem(sys.modules, "vhacdx", None)
     found = convex_pieces.decompose(shape_of_surface(cross, Placement("G", np.eye(4), "")), 16)
-    assert len(found.pieces) == 1 and "V-HACD is not installed" in found.words
+    assert len(found.pieces) == 1 and "V-HACD is not installed" in found.description
     flat = trimesh.creation.box((1.0, 1.0, 0.0))
     count = len(flat.vertices)
     plate = SurfaceModel(flat, np.ones(count), np.ones(count, dtype=np.int64))

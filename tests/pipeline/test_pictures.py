@@ -196,7 +196,7 @@ def test_the_frame_of_the_views_is_p_where_it_is_known_and_g_elsewhere(
     assert known.name == "P"
     np.testing.assert_allclose(known.points(mass.com_G[None]), 0.0, atol=1e-15)
     other = body_frame(undetermined.estimate.mass)
-    assert other.name == "G" and "not fully determined" in other.words
+    assert other.name == "G" and "not fully determined" in other.description
     np.testing.assert_array_equal(other.R_GA, np.eye(3))
 
 

@@ -1,13 +1,11 @@
 """Figures of the metric along a trajectory; edges in the colours of a value, in views and as tubes."""
 
-import io
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
@@ -16,6 +14,7 @@ from matplotlib.figure import Figure
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.pipeline.after_run.observability.assess import Assessment
+from polhode.pipeline.pictures.body_views import png
 from polhode.planning.edges.edge_model import EdgeModel
 from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
 from polhode.planning.edges.visible_edges import ControlPoints, control_points
@@ -96,7 +95,6 @@ def picture(
     columns = min(3, values.shape[1])
     rows = -(-values.shape[1] // columns)
     figure = Figure(figsize=(4.4 * columns, 3.5 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
     low, high = points.uv_px.min(axis=0) - 20.0, points.uv_px.max(axis=0) + 20.0
     for k in range(values.shape[1]):
         panel = figure.add_subplot(rows, columns, k + 1)
@@ -167,14 +165,12 @@ def _rgba(rgb: Array) -> Array:
 
 
 VIEWS = 6
-DPI = 100
 _COLOURS = ("C0", "C1", "C2")
 
 
 def draw_metric(assessment: Assessment) -> bytes:
     """A PNG: sigmas of translations and rotations, length of visible edges and range, over time."""
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(3, 1, sharex=True)
     time, sigma = assessment.subject.time_s, assessment.sigma
     for panel, first, scale, quantity in (
@@ -208,7 +204,7 @@ def draw_metric(assessment: Assessment) -> bytes:
     distance.plot(time, [view.range_m for view in assessment.views], "--", color="C3", linewidth=1.2)
     distance.ticklabel_format(axis="y", useOffset=False)
     distance.set_ylabel("range [m]", color="C3")
-    return _png(figure)
+    return png(figure)
 
 
 def draw_views(assessment: Assessment) -> bytes:
@@ -218,7 +214,6 @@ def draw_views(assessment: Assessment) -> bytes:
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
     figure = Figure(figsize=(4.4 * columns, 3.7 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
     for place, k in enumerate(chosen):
         view = assessment.views[k]
         panel = figure.add_subplot(rows, columns, place + 1)
@@ -227,7 +222,7 @@ def draw_views(assessment: Assessment) -> bytes:
             f"{assessment.subject.time_s[k]:g} s, {view.range_m:.2f} m, {view.expected_edges} edges",
             fontsize=10,
         )
-    return _png(figure)
+    return png(figure)
 
 
 def draw_contributions(assessment: Assessment, k: int) -> bytes:
@@ -235,10 +230,4 @@ def draw_contributions(assessment: Assessment, k: int) -> bytes:
     shares = np.nan_to_num(assessment.edges.share)
     subject = assessment.subject
     unit = f"share of the variance along the trajectory, seen at {subject.time_s[k]:g} s"
-    return _png(picture(subject.model, subject.rig, assessment.views[k].X_RG, shares, unit=unit))
-
-
-def _png(figure: Figure) -> bytes:
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=DPI, metadata={"Software": None})
-    return content.getvalue()
+    return png(picture(subject.model, subject.rig, assessment.views[k].X_RG, shares, unit=unit))
