@@ -40,7 +40,7 @@ class CompareCommand:
     def execute(self) -> int:
         """Compare and print the tables. Raises RunFailure when no solver converged."""
         from polhode.compare.comparison import compare
-        from polhode.compare.tables.table import print_tables
+        from polhode.compare.tables import print_tables
 
         comparison = compare(self.values, self.output, choose_progress(), self.data, self.run, self.truth)
         print_tables(comparison)

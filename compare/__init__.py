@@ -3,14 +3,14 @@
 In: a dataset, a stored run or generated measurements. Out: a row for each solver and start (compare.json),
 tables and a page.
 
-    comparison        the flow of ``polhode compare``; a row on disk is not measured again
+    comparison        the flow of ``polhode compare``, which uses stored rows again
+    page              compare.html
+    tables            the tables at the terminal, compare.csv
+    ranking           performance profiles, growth with size, Pareto front
+    solver_process    each solver in a process of its own
     registry          the solvers by name
-    ranking           performance profiles, growth, Pareto front
+    solver            the protocol of the adapters, and the record of their progress
     rows              compare.json: the record of the results, and its schema
-    solver            what a solver is given and what it returns
-    solver_progress   files that outlive the process of a solver
+    solvers/          the adapters
     problem/          the frozen problem, its sources, and the assessment of a point
-    solvers/          one adapter a module
-    processes/        each solver in a process of its own
-    tables/           the tables at the terminal and the page
 """

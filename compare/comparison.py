@@ -1,6 +1,6 @@
-"""``polhode compare`` as the data flows: measurements, frozen problems, one row a solver and start, the page.
+"""The flow of ``polhode compare``: measurements, frozen problems, a row for each solver and start, the page.
 
-Every row is a file of DIR/rows as soon as it is known: an interrupted comparison goes on where it stopped.
+Each row is written to a file of DIR/rows as soon as it is known: an interrupted comparison can be resumed.
 """
 
 import json
@@ -13,16 +13,17 @@ from time import perf_counter
 from typing import Any
 
 from polhode.atomic import write_text
+from polhode.compare.page import write_page
 from polhode.compare.problem.assessment import assess, reference_covariance, sigmas
+from polhode.compare.problem.blocks import compile_block
 from polhode.compare.problem.fingerprint import BASE, code_of, machine, of_problem, versions
 from polhode.compare.problem.measured_problem import MeasuredProblem, load, save
-from polhode.compare.problem.single_blocks import compile_block
 from polhode.compare.problem.sources import Source, sources
-from polhode.compare.processes.isolation import empty_row, row_of
 from polhode.compare.ranking import performance_profiles
 from polhode.compare.registry import Entry, entries
 from polhode.compare.rows import Case, Comparison, ProblemSummary, Row, write_comparison
-from polhode.compare.tables.table import csv_text
+from polhode.compare.solver_process import empty_row, row_of
+from polhode.compare.tables import csv_text
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
 from polhode.pipeline.run_directory.outputs import write_config
@@ -30,7 +31,7 @@ from polhode.progress import Progress
 
 FILE = "compare.json"
 MARK, MARK_TEXT = ".polhode-compare", "An output folder of polhode compare, which may write here again.\n"
-"""A folder with this file is ours, whatever else it holds."""
+"""A folder with this file is ours, whatever else it contains."""
 
 _log = logging.getLogger(__name__)
 
@@ -48,7 +49,7 @@ def compare(
     wanted = list(sources(config, data, run, truth))
     claim(folder)
     write_config(folder, config)
-    # the first use on a machine compiles; that is no solver's time
+    # the first use on a machine compiles: that must not count as time of a solver
     compile_block()
     deadline = perf_counter() + config.compare.total_s
     problems: list[ProblemSummary] = []
@@ -68,7 +69,7 @@ def compare(
                 own.append(_row(file, key, folder, entry, case, config, deadline))
                 advance()
         rows += own
-        problems.append(_words(source, problem, key, own))
+        problems.append(_summary(source, problem, key, own))
         comparison = Comparison(
             limit_s=config.compare.limit_s,
             machine=machine(),
@@ -79,8 +80,6 @@ def compare(
         comparison = comparison.model_copy(update={"profiles": performance_profiles(comparison)})
         write_comparison(comparison, folder / FILE)
         write_text(folder / "compare.csv", csv_text(rows))
-    from polhode.compare.tables.page import write_page
-
     write_page(comparison, folder / "compare.html")
     return comparison
 
@@ -96,13 +95,13 @@ def _cases(problem: str, config: Config, chosen: tuple[Entry, ...]) -> Iterator[
 
 
 def claim(folder: Path) -> None:
-    """Make the folder and mark it as ours; refuse one that holds anything else. Raises InputError."""
+    """Make the folder and mark it as ours; refuse one with anything else in it. Raises InputError."""
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: a file stands here; choose another folder for -o")
+        raise InputError(f"{folder}: this is a file; choose another folder for -o")
     mark = folder / MARK
     ours = mark.is_file() and mark.read_text() == MARK_TEXT
     if folder.is_dir() and any(folder.iterdir()) and not ours:
-        raise InputError(f"{folder}: holds files that are not a comparison; choose another folder")
+        raise InputError(f"{folder}: contains files that are not a comparison; choose another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_text(mark, MARK_TEXT)
@@ -113,7 +112,7 @@ def claim(folder: Path) -> None:
 
 
 def _prepared(source: Source, folder: Path, config: Config, progress: Progress) -> Path:
-    """The file of a frozen problem, made anew each time: the same measurements give the same bytes."""
+    """The file of a frozen problem, written each time: the same measurements give the same bytes."""
     file = folder / "problems" / f"{source.name}.pickle"
     with progress.stage(f"freezing {source.name}", 1) as advance:
         save(source.problem(config, progress, file.with_suffix("")), file)
@@ -124,22 +123,22 @@ def _prepared(source: Source, folder: Path, config: Config, progress: Progress) 
 def _row(
     file: Path, key: str, folder: Path, entry: Entry, case: Case, config: Config, deadline: float
 ) -> Row:
-    """The row on disk, when all that determines it is the same; else a new one."""
+    """The stored row, when all that determines it is the same; else a new one."""
     name = f"{case.problem}.{case.solver}.{case.start}{case.seed}.json"
     path, wanted = folder / "rows" / name, stamp(key, entry, config.compare.limit_s)
     if path.is_file():
-        # a row that another version wrote counts as none
+        # a row that another version wrote may not be readable
         with suppress(ValueError, KeyError):
             known = json.loads(path.read_text())
             if known["stamp"] == wanted and known["row"]["status"] != "missing":
                 return Row.model_validate(known["row"])
     left_s = deadline - perf_counter()
     if left_s <= 0.0:
-        return empty_row(entry, case, "timeout", "its turn did not come: the comparison's time was up")
+        return empty_row(entry, case, "timeout", "not started: the time of the comparison was up")
     limit_s = min(config.compare.limit_s, left_s)
     row = row_of(file, entry, case, limit_s)
     if row.status == "timeout" and limit_s < config.compare.limit_s:
-        # with its whole time it might have come to an end: measured again when the comparison goes on
+        # with the full limit it might have converged: measured again when the comparison resumes
         return row
     write_text(path, json.dumps({"stamp": wanted, "row": row.model_dump(mode="json")}) + "\n")
     _log.info("%s: %s, %s", name, row.status, row.message)
@@ -147,28 +146,24 @@ def _row(
 
 
 def stamp(problem: str, entry: Entry, limit_s: float) -> dict[str, Any]:
-    """What a stored row must have in common with a new one; ``problem`` is its fingerprint."""
+    """All that a stored row must share with a new one; ``problem`` is the fingerprint."""
     return {
         "fingerprint": problem,
         "limit_s": limit_s,
-        "entry": {
-            **asdict(entry),
-            "options": [list(pair) for pair in entry.options],
-            "needs": [*entry.needs],
-        },
-        "versions": versions((*BASE, *entry.needs)),
+        "entry": asdict(entry),
+        "versions": versions((*BASE, entry.needs) if entry.needs else BASE),
         "code": code_of(),
         "machine": machine(),
     }
 
 
-def _words(source: Source, problem: MeasuredProblem, key: str, rows: Sequence[Row]) -> ProblemSummary:
+def _summary(source: Source, problem: MeasuredProblem, key: str, rows: Sequence[Row]) -> ProblemSummary:
     reference = sigmas(problem, problem.solution, reference_covariance(problem, problem.solution))
     cost = assess(problem, problem.solution).cost
     known = [each for each in (cost, *(row.cost for row in rows)) if each is not None]
     return ProblemSummary(
         name=source.name,
-        source=source.words,
+        source=source.description,
         fingerprint=key,
         **problem.size,
         accel_psd=problem.data.accel_psd,

@@ -1,4 +1,4 @@
-"""What many rows say together: performance profiles, growth, the Pareto front, success over starts."""
+"""Statistics over the rows: performance profiles, growth with size, Pareto front, success over starts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,27 +9,27 @@ from polhode.compare.problem.assessment import AGREED
 from polhode.compare.rows import Comparison, Profile, Row, Tally, gap, least_costs
 from polhode.lie import Array
 
-Case = tuple[str, str, int]
+CaseKey = tuple[str, str, int]
 """Problem, start, seed."""
 NOISE = 0.1
-"""Times that differ by no more than this share count as equal."""
-LONGEST = 100.0
+"""Relative difference of times up to which they count as equal."""
+MAX_FACTOR = 100.0
 """Largest factor of time in a profile."""
 MIN_SIZES, MIN_RANGE = 3, 2.0
-"""Sizes that an exponent is fitted to, and the largest over the smallest of them."""
+"""Smallest number of sizes for an exponent, and smallest ratio of the largest to the smallest of them."""
 
 
 def solved(row: Row, least: float | None) -> bool:
-    """It claims convergence and is at the least cost known of its problem."""
+    """Whether it claims convergence at the least known cost of its problem."""
     over = gap(row, least)
     return row.status == "ok" and over is not None and over <= AGREED
 
 
 def performance_profiles(comparison: Comparison) -> list[Profile]:
-    """One for each solver that claims convergence. What did not run counts neither for nor against it."""
+    """A profile for each solver that claims convergence, over the cases that it ran."""
     least = least_costs(comparison)
     rows = [row for row in comparison.rows if row.claim == "ok"]
-    fastest: dict[Case, float] = {}
+    fastest: dict[CaseKey, float] = {}
     for row in rows:
         if solved(row, least[row.problem]):
             fastest[_case(row)] = min(fastest.get(_case(row), np.inf), row.wall_s or 0.0)
@@ -45,16 +45,16 @@ def performance_profiles(comparison: Comparison) -> list[Profile]:
 
 
 def curve(profile: Profile) -> tuple[Array, Array]:
-    """Factors of time (n,) from 1, and the share of the cases it ran that it solved within them (n,)."""
+    """Factors of time (n,) from 1, and the share of the cases solved within them (n,)."""
     factors = np.array(profile.factors)
     share = np.arange(1, len(factors) + 1) / max(profile.ran, 1)
     return (
-        np.concatenate([[1.0], factors, [max([LONGEST, *factors])]]),
+        np.concatenate([[1.0], factors, [max([MAX_FACTOR, *factors])]]),
         np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]]),
     )
 
 
-def _case(row: Row) -> Case:
+def _case(row: Row) -> CaseKey:
     return row.problem, row.start, row.seed
 
 
@@ -76,8 +76,11 @@ class Growth:
 
 
 def growths(comparison: Comparison) -> list[Growth]:
-    """Of the solvers that solved problems of three numbers of frames or more, cold; medians where these are
-    equal. The size is the number of observations: landmarks seen again and again add no unknowns."""
+    """Growth of the solvers that solved problems of ``MIN_SIZES`` numbers of frames from the cold start.
+
+    Medians over problems with equally many frames. The size is the number of observations, as landmarks that
+    are seen repeatedly add no unknowns.
+    """
     problems = {problem.name: problem for problem in comparison.problems}
     least, out = least_costs(comparison), []
     for solver in dict.fromkeys(row.solver for row in comparison.rows):
@@ -97,7 +100,7 @@ def growths(comparison: Comparison) -> list[Growth]:
 
 
 def front(rows: Sequence[Row], least: float | None) -> list[Row]:
-    """The Pareto front of time against accuracy, by time: the rows of one problem that none other beats."""
+    """Rows of one problem on the Pareto front of time and accuracy, by time: no other row beats them."""
     ended = [row for row in rows if row.status in ("ok", "baseline") and row.wall_s is not None]
     kept = [row for row in ended if not any(beats(other, row, least) for other in ended if other is not row)]
     return sorted(kept, key=lambda row: row.wall_s or 0.0)
@@ -115,12 +118,12 @@ class Standing:
 
     @property
     def on_front(self) -> bool:
-        """It ended, and nobody beats it."""
+        """It finished, and no other row beats it."""
         return self.row is not None and self.row.status == "ok" and not self.beaten_by
 
 
 def standings(comparison: Comparison, solver: str) -> list[Standing]:
-    """One for each problem."""
+    """The standing of a solver on each problem."""
     out = []
     for problem in comparison.problems:
         rows = [row for row in comparison.rows if row.problem == problem.name and row.start == "cold"]
@@ -133,9 +136,10 @@ def standings(comparison: Comparison, solver: str) -> list[Standing]:
 
 
 def beats(row: Row, other: Row, least: float | None) -> bool:
-    """Costs within ``AGREED`` of the least are equally accurate, times within ``NOISE`` equally long.
+    """Whether it is not slower and more accurate, or faster and not less accurate.
 
-    Who did not end is beaten by all who did.
+    Costs within ``AGREED`` of the least are equally accurate, times within ``NOISE`` equally long. A row that
+    did not finish is beaten by all that did.
     """
     if row.wall_s is None or row.cost is None:
         return False
@@ -148,7 +152,7 @@ def beats(row: Row, other: Row, least: float | None) -> bool:
 
 
 def standing_lines(found: Sequence[Standing], solver: str) -> list[str]:
-    """A table, and a sentence before it."""
+    """A sentence and a table, Markdown."""
     n = sum(each.on_front for each in found)
     head = (
         f"{solver}, the default: on the front of time against accuracy on {n} of {len(found)} problems "
@@ -161,9 +165,11 @@ def standing_lines(found: Sequence[Standing], solver: str) -> list[str]:
             lines.append(f"| {each.problem} | not run | | | |")
             continue
         time = "" if row.wall_s is None else f"{row.wall_s:.2f}"
-        # the fastest few say enough
+        # the three fastest are named
         names = [f"{one.solver} ({one.wall_s or 0.0:.2f} s)" for one in each.beaten_by[:3]]
         more = [f"{len(each.beaten_by) - 3} more"] if len(each.beaten_by) > 3 else []
-        told = "yes" if each.on_front else "no"
-        lines.append(f"| {each.problem} | {row.status} | {time} | {told} | {', '.join([*names, *more])} |")
+        on_front = "yes" if each.on_front else "no"
+        lines.append(
+            f"| {each.problem} | {row.status} | {time} | {on_front} | {', '.join([*names, *more])} |"
+        )
     return lines

@@ -1,7 +1,7 @@
-"""The solvers by name. Each adapter is imported when its turn comes, in its own process."""
+"""The solvers by name. Each adapter is imported only in the process that runs it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
 
@@ -14,193 +14,120 @@ HOME = "polhode.compare.solvers"
 
 @dataclass(frozen=True)
 class Entry:
-    """Where an adapter is, and what is known of it without importing it."""
+    """An adapter, described without importing it."""
 
     name: str
     family: str
-    claim: Claim
-    words: str
-    module: str
-    make: str
-    """Name of a class or function of the module; called with ``options``"""
-    options: tuple[tuple[str, str], ...] = ()
-    needs: tuple[str, ...] = ()
-    """Packages beyond those that polhode always has"""
+    adapter: str
+    """MODULE:NAME of a class that is called with the options; the module is in ``HOME`` or has a dot"""
+    description: str
+    options: dict[str, str] = field(default_factory=dict)
+    claim: Claim = "ok"
+    needs: str = ""
+    """A package beyond those that polhode always has"""
 
     def missing(self) -> str | None:
-        """The first package that it needs and that is not installed."""
-        return next((package for package in self.needs if find_spec(package) is None), None)
+        """The package that it needs, if it is not installed."""
+        return self.needs if self.needs and find_spec(self.needs) is None else None
 
     def load(self) -> Solver:
         """Import the adapter."""
-        module = self.module if "." in self.module else f"{HOME}.{self.module}"
-        make: Callable[..., Solver] = getattr(import_module(module), self.make)
-        return make(**dict(self.options))
+        module, _, name = self.adapter.partition(":")
+        make: Callable[..., Solver] = getattr(
+            import_module(module if "." in module else f"{HOME}.{module}"), name
+        )
+        return make(**self.options)
 
 
-def _entry(
-    name: str, family: str, claim: Claim, words: str, where: str, needs: tuple[str, ...] = (), **options: str
-) -> Entry:
-    module, _, make = where.partition(":")
-    return Entry(name, family, claim, words, module, make, tuple(options.items()), needs)
-
+_VARIANT, _SQP = "casadi_solvers:Variant", "casadi_solvers:Sqp"
+_EXACT, _SLACK = {"hessian": "exact"}, {"dynamics": "slack", "code": "c"}
 
 ENTRIES: tuple[Entry, ...] = (
-    _entry("gauss_newton", "ours", "ok", "Gauss-Newton/Levenberg, landmarks eliminated", "ours:Ours"),
-    _entry(
-        "gauss_newton_ratios",
-        "ours",
-        "ok",
-        "the same, inertia as ratios and axes",
-        "ours:Ours",
-        form="ratios_axes",
+    Entry("gauss_newton", "ours", "ours:Ours", "Gauss-Newton/Levenberg, landmarks eliminated"),
+    Entry(
+        "gauss_newton_ratios", "ours", "ours:Ours", "the same, inertia as ratios and axes",
+        {"form": "ratios_axes"},
     ),
-    _entry("ipopt", "ipopt", "ok", "IPOPT as polhode runs it: stereo in compiled loops", "ipopt:Shipped"),
-    _entry("ipopt_condensed", "ipopt", "ok", "IPOPT, landmarks condensed", "condensed:Condensed"),
-    _entry("ipopt_vm", "ipopt", "ok", "Gauss-Newton Hessian, virtual machine", "ipopt:Variant"),
-    _entry("ipopt_c", "ipopt", "ok", "Gauss-Newton Hessian, generated C", "ipopt:Variant", code="c"),
-    _entry(
-        "ipopt_exact_vm", "ipopt", "ok", "exact Hessian, virtual machine", "ipopt:Variant", hessian="exact"
+    Entry("ipopt", "ipopt", "casadi_solvers:Shipped", "IPOPT as polhode runs it: stereo in compiled loops"),
+    Entry("ipopt_condensed", "ipopt", "condensed:Condensed", "IPOPT, landmarks condensed"),
+    Entry("ipopt_vm", "ipopt", _VARIANT, "Gauss-Newton Hessian, virtual machine"),
+    Entry("ipopt_c", "ipopt", _VARIANT, "Gauss-Newton Hessian, generated C", {"code": "c"}),
+    Entry("ipopt_exact_vm", "ipopt", _VARIANT, "exact Hessian, virtual machine", _EXACT),
+    Entry("ipopt_exact_c", "ipopt", _VARIANT, "exact Hessian, generated C", {**_EXACT, "code": "c"}),
+    Entry(
+        "ipopt_slack", "ipopt", _VARIANT, "dynamics as equalities with slack, Gauss-Newton Hessian", _SLACK
     ),
-    _entry(
-        "ipopt_exact_c",
-        "ipopt",
-        "ok",
-        "exact Hessian, generated C",
-        "ipopt:Variant",
-        hessian="exact",
-        code="c",
+    Entry(
+        "ipopt_slack_exact", "ipopt", _VARIANT, "dynamics as equalities with slack, exact Hessian",
+        {**_EXACT, **_SLACK},
     ),
-    _entry(
-        "ipopt_slack",
-        "ipopt",
-        "ok",
-        "dynamics as equalities with slack, Gauss-Newton Hessian",
-        "ipopt:Variant",
-        dynamics="slack",
-        code="c",
+    Entry("sqp_osqp", "sqp", _SQP, "CasADi sqpmethod, OSQP", {"qp": "osqp"}),
+    Entry("sqp_ipqp", "sqp", _SQP, "CasADi sqpmethod, its interior-point QP", {"qp": "ipqp"}),
+    Entry(
+        "scipy_trf", "scipy", "scipy_least_squares:TrustRegion", "least_squares, sparse Jacobian, LSMR"
     ),
-    _entry(
-        "ipopt_slack_exact",
-        "ipopt",
-        "ok",
-        "dynamics as equalities with slack, exact Hessian",
-        "ipopt:Variant",
-        hessian="exact",
-        dynamics="slack",
-        code="c",
+    Entry("ceres", "ceres", "ceres:Ceres", "Levenberg-Marquardt, sparse Schur complement", needs="pyceres"),
+    Entry(
+        "gtsam_lm", "gtsam", "gtsam_solvers:Batch", "Levenberg-Marquardt, own stereo factors", needs="gtsam"
     ),
-    _entry("sqp_osqp", "sqp", "ok", "CasADi sqpmethod, OSQP", "sqp:Sqp", qp="osqp"),
-    _entry("sqp_ipqp", "sqp", "ok", "CasADi sqpmethod, its interior-point QP", "sqp:Sqp", qp="ipqp"),
-    _entry(
-        "scipy_trf", "scipy", "ok", "least_squares, sparse Jacobian, LSMR", "scipy_least_squares:TrustRegion"
+    Entry("gtsam_isam2", "gtsam", "gtsam_solvers:Incremental", "iSAM2 frame by frame", needs="gtsam"),
+    Entry(
+        "odometry", "baselines", "thesis_methods:Odometry", "no dynamics in the map (thesis 7.2)",
+        claim="baseline",
     ),
-    _entry(
-        "ceres", "ceres", "ok", "Levenberg-Marquardt, sparse Schur complement", "ceres:Ceres", ("pyceres",)
+    Entry(
+        "dynamic_isam", "baselines", "thesis_methods:DynamicIsam", "the method of the thesis",
+        claim="baseline",
     ),
-    _entry(
-        "gtsam_lm",
-        "gtsam",
-        "ok",
-        "Levenberg-Marquardt, own stereo factors",
-        "gtsam_solvers:Batch",
-        ("gtsam",),
-    ),
-    _entry("gtsam_isam2", "gtsam", "ok", "iSAM2 frame by frame", "gtsam_solvers:Incremental", ("gtsam",)),
-    _entry("odometry", "baselines", "baseline", "no dynamics in the map (thesis 7.2)", "odometry:Odometry"),
-    _entry("dynamic_isam", "baselines", "baseline", "the thesis's own way", "dynamic_isam:DynamicIsam"),
-    _entry(
-        "belief_propagation",
-        "baselines",
-        "ok",
+    Entry(
+        "belief_propagation", "baselines", "belief_propagation:BeliefPropagation",
         "Gaussian belief propagation (thesis 7.2)",
-        "belief_propagation:BeliefPropagation",
     ),
-    _entry("sqp_qrqp", "sqp", "ok", "CasADi sqpmethod, its sparse QR active set", "sqp:Sqp", qp="qrqp"),
-)
-"""Those that may need all of their time stand last."""
+    Entry("sqp_qrqp", "sqp", _SQP, "CasADi sqpmethod, its sparse QR active set", {"qp": "qrqp"}),
+)  # fmt: skip
+"""Those that may need all of their time are last."""
 ABLATIONS: tuple[Entry, ...] = (
-    _entry(
-        "ablation_log_ratios",
-        "ablations",
-        "baseline",
-        "inertia as k1, k2 and axes",
-        "ablations:Ablation",
-        variant="log_ratios",
-    ),
-    _entry(
-        "ablation_constant_noise",
-        "ablations",
-        "baseline",
-        "process noise of a body at rest",
-        "ablations:Ablation",
-        variant="constant_noise",
-    ),
-    _entry(
-        "ablation_open_loop",
-        "ablations",
-        "baseline",
-        "no loop closure",
-        "ablations:Ablation",
-        variant="open_loop",
-    ),
-    _entry(
-        "unknowns_rotation_vector",
-        "ablations",
-        "ok",
-        "sparse LM, attitude as rotation vector",
-        "changed_unknowns:ChangedUnknowns",
-    ),
-    _entry(
-        "unknowns_mrp",
-        "ablations",
-        "ok",
-        "sparse LM, attitude as MRP",
-        "changed_unknowns:ChangedUnknowns",
-        unknowns="mrp",
-    ),
-    _entry(
-        "unknowns_body",
-        "ablations",
-        "ok",
-        "sparse LM, features from the centre of mass",
-        "changed_unknowns:ChangedUnknowns",
-        unknowns="body",
-    ),
     *(
-        _entry(
-            f"unknowns_{kind}",
-            "ablations",
-            "baseline" if kind == "aghili_free" else "ok",
-            words,
-            "changed_unknowns:ChangedUnknowns",
-            unknowns=kind,
-        )
-        for kind, words in (
-            ("log_ratios", "sparse LM, inertia as k1, k2 and axes"),
-            ("aghili", "sparse LM, inertia as Aghili's three and axes"),
-            ("aghili_held", "the same, their dependence held"),
-            ("aghili_free", "the same, free in the dynamics"),
-            ("lichter", "sparse LM, inertia as Lichter's quaternion and axes"),
-        )
-    ),
-    *(
-        _entry(
-            f"window_{frames}",
-            "ablations",
+        Entry(
+            f"ablation_{variant}", "ablations", "ablations:Ablation", description, {"variant": variant},
             "baseline",
-            f"sliding window of {frames} frames",
-            "sliding_window:WindowLength",
-            frames=frames,
+        )
+        for variant, description in (
+            ("log_ratios", "inertia as k1, k2 and axes"),
+            ("constant_noise", "process noise of a body at rest"),
+            ("open_loop", "no loop closure"),
+        )
+    ),
+    *(
+        Entry(
+            f"unknowns_{unknowns}", "ablations", "changed_unknowns:ChangedUnknowns",
+            f"sparse LM, {description}", {"unknowns": unknowns},
+            "baseline" if unknowns == "aghili_free" else "ok",
+        )
+        for unknowns, description in (
+            ("rotation_vector", "attitude as rotation vector"),
+            ("mrp", "attitude as MRP"),
+            ("body", "features relative to the centre of mass"),
+            ("log_ratios", "inertia as k1, k2 and axes"),
+            ("aghili", "inertia as Aghili's three and axes"),
+            ("aghili_held", "inertia as Aghili's three, their dependence enforced"),
+            ("aghili_free", "inertia as Aghili's three, free in the dynamics"),
+            ("lichter", "inertia as Lichter's quaternion and axes"),
+        )
+    ),
+    *(
+        Entry(
+            f"window_{frames}", "ablations", "sliding_window:WindowLength",
+            f"sliding window of {frames} frames", {"frames": frames}, "baseline",
         )
         for frames in ("6", "12", "24", "48")
     ),
-)
-"""Variants of the formulation: only those that are named are run."""
+)  # fmt: skip
+"""Variants of the formulation, which run only when they are named."""
 
 
 def entries(names: tuple[str, ...] = ()) -> tuple[Entry, ...]:
-    """Those named, in that order; all of them without a name. Raises InputError for an unknown one."""
+    """The entries named, in that order; without names, all but the ablations. Raises InputError."""
     if not names:
         return ENTRIES
     known = {entry.name: entry for entry in (*ENTRIES, *ABLATIONS)}

@@ -1,8 +1,8 @@
-"""compare.json: what every solver did with every problem, one row each.
+"""compare.json: a row for each solver, problem and start.
 
 The pydantic models are the only definition; ``compare.schema.json`` beside this file is generated from them
-(``python -m polhode.compare.rows``) and shipped, and every file is validated when it is written and
-read. There is no NaN or infinity: what a solver does not tell is null.
+(``python -m polhode.compare.rows``) and shipped, and every file is validated when it is written and read.
+There is no NaN or infinity: what is unknown is null.
 """
 
 import json
@@ -21,7 +21,7 @@ StartKind = Literal["cold", "perturbed", "near"]
 SCHEMA_FILE = Path(__file__).with_name("compare.schema.json")
 
 
-class Errors(StrictModel):
+class EstimateErrors(StrictModel):
     """Estimate minus truth: root mean squares over the frames; attitude after the best constant rotation."""
 
     position_mm: Finite
@@ -34,7 +34,7 @@ class Errors(StrictModel):
 
 
 class Case(StrictModel):
-    """What a row is about."""
+    """Problem, solver and start of a row."""
 
     problem: str
     solver: str
@@ -43,44 +43,44 @@ class Case(StrictModel):
 
 
 class Row(Case):
-    """What one solver did with one problem from one start."""
+    """Result of one solver for one problem from one start."""
 
     family: str
     claim: Literal["ok", "baseline"]
     status: Status
     message: str
     ran: bool
-    """False: its package is missing, or its turn did not come"""
+    """False: its package is missing, or the time of the comparison was up"""
     kept: Kept
-    """Whose cost, ratios and errors these are: the solver's answer, or, where it did not converge, the best
-    point it noted, or the last one (of a method whose own cost on the way is another)"""
+    """The point to which cost, ratios and errors belong: the solver's result, or, of one that did not finish,
+    the best point it recorded, or the last one (of a method whose own cost is not the common one)"""
     cost: Finite | None
-    """The common cost of what is kept"""
+    """The common cost of the point that is kept"""
     gain_left: Finite | None
-    """What one more Gauss-Newton step promises there, over the cost"""
+    """Decrease that one more Gauss-Newton step predicts there, over the cost"""
     iterations: int | None = Field(ge=0)
     wall_s: Finite | None
-    """Building and solving; start of the process and preparation of the problem are not in it"""
+    """Building and solving, without the start of the process and the preparation of the problem"""
     build_s: Finite | None
     evaluation_s: Finite | None
-    """Of costs, residuals, Jacobians, normal equations"""
+    """Costs, residuals, Jacobians, normal equations"""
     linear_s: Finite | None
-    """The rest: linear algebra and the solver's own work"""
+    """The remaining time: linear algebra and the solver's own work"""
     not_separable: str
-    """Why evaluation and linear algebra are not told apart; empty: they are"""
+    """Why evaluation and linear algebra are not timed separately; empty: they are"""
     callback_s: Finite | None
     """Spent in Python functions that a foreign library calls for blocks, factors or the reduced cost"""
     memory_mb: Finite | None
     """Largest resident size of the process"""
     memory_before_mb: Finite | None
-    """The same before it started to solve: interpreter, libraries, the problem"""
+    """The same before it began to solve: interpreter, libraries, the problem"""
     k1: Finite | None
     k2: Finite | None
     sigma_k1: Finite | None
     """By the solver's own linear algebra"""
     sigma_k2: Finite | None
     sigma_com_mm: Finite | None
-    errors: Errors | None
+    errors: EstimateErrors | None
     trace: list[tuple[Finite, Finite]]
     """Seconds since the start, cost, at each iteration"""
 
@@ -91,7 +91,7 @@ class ProblemSummary(StrictModel):
     name: str
     source: str
     fingerprint: str
-    """Rows with the same one had the same measurements and the same cost"""
+    """Equal for the same measurements and the same cost"""
     frames: int
     landmarks: int
     observations: int
@@ -104,22 +104,22 @@ class ProblemSummary(StrictModel):
     reference_cost: Finite | None
     """The common cost of the reference solution: ours, from the back end's own estimate"""
     least_cost: Finite | None
-    """The least cost known, of the rows and the reference solution: what "solved" is judged by"""
+    """The least cost known, of the rows and the reference solution; "solved" refers to it"""
     sigma_k1: Finite | None
-    """Reference: of the whole Gauss-Newton Hessian of the common cost at the least cost found"""
+    """Reference: by the whole Gauss-Newton Hessian of the common cost at the reference solution"""
     sigma_k2: Finite | None
     sigma_com_mm: Finite | None
 
 
 class Tally(StrictModel):
-    """Cases of one kind of start; a case is a problem with a start."""
+    """Numbers of cases of one kind of start; a case is a problem with a start."""
 
     solved: int = Field(ge=0)
-    """Convergence was claimed at the least cost known"""
+    """Convergence is claimed, at the least cost known"""
     ran: int = Field(ge=0)
-    """It was run on so many: the denominator"""
+    """Cases that the solver ran: the denominator"""
     not_run: int = Field(ge=0)
-    """Its package was missing, or its turn did not come: counted nowhere else"""
+    """Its package was missing, or the time of the comparison was up: not counted elsewhere"""
 
 
 class Profile(Tally):
@@ -128,7 +128,7 @@ class Profile(Tally):
     solver: str
     starts: dict[StartKind, Tally]
     factors: list[Finite]
-    """(solved,) ascending: its time over that of the fastest solver of the same case"""
+    """(solved,) ascending: time over that of the fastest solver of the same case"""
 
 
 class Comparison(StrictModel):
@@ -138,19 +138,19 @@ class Comparison(StrictModel):
     limit_s: Finite
     machine: str
     versions: dict[str, str]
-    """Of the packages whose solvers were asked for"""
+    """Of the packages with solvers"""
     problems: list[ProblemSummary]
     rows: list[Row]
     profiles: list[Profile] = Field(default_factory=list)
 
 
 def least_costs(comparison: Comparison) -> dict[str, float | None]:
-    """By problem: the least of its rows and its reference solution."""
+    """By problem: the least cost of its rows and its reference solution."""
     return {problem.name: problem.least_cost for problem in comparison.problems}
 
 
 def gap(row: Row, least: float | None) -> float | None:
-    """Cost over the least one of its problem, minus 1."""
+    """Cost over the least one of its problem, minus 1; None where one of them is unknown."""
     if row.cost is None or least is None:
         return None
     return row.cost / least - 1.0
@@ -164,7 +164,7 @@ def write_comparison(comparison: Comparison, path: Path) -> None:
 
 
 def read_comparison(path: Path) -> Comparison:
-    """Raises InputError, one line, when it is missing or is not what it should be."""
+    """Raises InputError, one line, when the file is missing or invalid."""
     try:
         return Comparison.model_validate_json(path.read_text())
     except FileNotFoundError:
@@ -176,7 +176,7 @@ def read_comparison(path: Path) -> Comparison:
 
 
 def schema_text() -> str:
-    """The JSON Schema as it is shipped."""
+    """The JSON Schema that is shipped."""
     return json.dumps(Comparison.model_json_schema(by_alias=True), indent=1) + "\n"
 
 

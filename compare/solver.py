@@ -1,40 +1,110 @@
-"""What a solver is given and what it hands back: one adapter a module, all behind one protocol."""
+"""The protocol of the adapters: what a solver gets, what it returns, and the record of its progress.
+
+A solver runs in a process of its own that may be killed at any moment; its progress is written to files that
+outlive it.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from time import perf_counter
+from pathlib import Path
+from time import perf_counter, time
 from typing import Literal, Protocol
 
 import numpy as np
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver_progress import ProgressFiles
+from polhode.compare.rows import Kept
 from polhode.lie import Array
 
 Claim = Literal["ok", "baseline"]
-"""Convergence on the common cost, or an answer by another formulation."""
+"""Convergence on the common cost, or a result of another formulation."""
 Part = Literal["build", "evaluation"]
-Kept = Literal["answer", "best", "last", "nothing"]
-"""Whose cost a row tells: the solver's answer, the best or the last point of one that did not converge."""
 
 
 class OutOfTime(Exception):
-    """The time of a solver is up; what it noted is kept."""
+    """The solver has reached its time limit; the points that it recorded are kept."""
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SolverResult:
     """Where a solver stopped, in the common unknowns."""
 
     x: Array
-    """(n,) around the reference that is held"""
+    """(n,) about the fixed reference"""
     converged: bool
     """What the solver itself claims"""
     iterations: int
     message: str
     cov_constants: Array | None = None
-    """(8, 8) of com_G, xi by the solver's own linear algebra; None: it has none"""
+    """(8, 8) of com_G, xi by the solver's own linear algebra; None: it computes none"""
+
+
+class ProgressFiles:
+    """Files of one solver's process: ``stem`` with the suffixes .started, .trace, .reached, .status.
+
+    The unknowns are in a memory-mapped file with two slots that are written in turn; the first number names
+    the complete one. A write costs one copy, and a process that dies during it leaves the point before.
+    """
+
+    def __init__(self, stem: Path, n: int) -> None:
+        """Create them, for points of n unknowns."""
+        self._trace, self._status = stem.with_suffix(".trace"), stem.with_suffix(".status")
+        self._numbers = np.memmap(
+            stem.with_suffix(".reached"), dtype=np.float64, mode="w+", shape=(1 + 2 * n,)
+        )
+        self._n = n
+        stem.with_suffix(".started").write_text(f"{time():.6f}")
+
+    def point(self, x: Array, kind: Literal["best", "last"]) -> None:
+        """Keep the unknowns (n,) instead of those before. Raises ValueError for another length."""
+        slot = 1 if abs(self._numbers[0]) != 1.0 else 2
+        at = 1 + (slot - 1) * self._n
+        self._numbers[at : at + self._n] = x.reshape(self._n)
+        self._numbers[0] = slot if kind == "best" else -slot
+
+    def cost(self, seconds: float, cost: float) -> None:
+        """Append a point of the trace."""
+        with self._trace.open("a") as file:
+            file.write(f"{seconds:.6f} {cost:.17g}\n")
+
+    def status(self, status: str) -> None:
+        """Record the progress of a method that has no complete iterate before its end."""
+        self._status.write_text(status)
+
+
+def read_point(stem: Path) -> tuple[Literal["best", "last"], Array] | None:
+    """The unknowns (n,) that were kept, and whether they are the best or the last; None: none."""
+    file = stem.with_suffix(".reached")
+    if not file.is_file():
+        return None
+    numbers = np.fromfile(file)
+    slot, n = int(abs(numbers[0])), (len(numbers) - 1) // 2
+    if slot not in (1, 2):
+        return None
+    return "best" if numbers[0] > 0.0 else "last", numbers[1 + (slot - 1) * n : 1 + slot * n]
+
+
+def read_trace(stem: Path) -> list[tuple[float, float]]:
+    """Seconds and cost; an incomplete last line is left out."""
+    file = stem.with_suffix(".trace")
+    if not file.is_file():
+        return []
+    lines = file.read_text().splitlines(keepends=True)
+    points = [line.split() for line in lines if line.endswith("\n")]
+    return [(float(point[0]), float(point[1])) for point in points if len(point) == 2]
+
+
+def seconds_since_start(stem: Path) -> float | None:
+    """Time since the solver's clock started [s]; None: the process ended before that."""
+    file = stem.with_suffix(".started")
+    return time() - float(file.read_text()) if file.is_file() else None
+
+
+def read_status(stem: Path) -> str:
+    """The progress that the method recorded; empty: none."""
+    file = stem.with_suffix(".status")
+    return file.read_text() if file.is_file() else ""
 
 
 @dataclass
@@ -47,23 +117,23 @@ class SolveMonitor:
     trace: list[tuple[float, float]] = field(default_factory=list)
     """(seconds since the start, cost) at each iteration"""
     best: tuple[float, Array] | None = None
-    """Least common cost that was noted, and where"""
+    """Least common cost that was recorded, and its point"""
     last: Array | None = None
-    """Last point of a method whose own cost on the way is not the common one"""
+    """Last point of a method whose own cost during the iterations is not the common one"""
     end: float | None = None
     """When the solution was reached"""
     callback_s: float = 0.0
-    """Spent in functions written in Python that a foreign library calls"""
-    reached: ProgressFiles | None = None
-    """Files to which all this is also written as it comes: what is left of a process that dies"""
+    """Spent in Python functions that a foreign library calls"""
+    files: ProgressFiles | None = None
+    """Where all this is also written, at once"""
     not_separable: str = ""
-    """Why evaluation and linear algebra cannot be told apart; empty: they can"""
-    words: str = ""
-    """How far a method is that has no whole point on its way"""
+    """Why evaluation and linear algebra are not timed separately; empty: they are"""
+    status: str = ""
+    """Progress of a method that has no complete iterate before its end"""
 
     @contextmanager
     def part(self, name: Part) -> Iterator[None]:
-        """Seconds of the block count as that part."""
+        """Count the seconds of the block as that part."""
         begin = perf_counter()
         try:
             yield
@@ -72,7 +142,7 @@ class SolveMonitor:
 
     @contextmanager
     def callback(self, part: Part | None = "evaluation") -> Iterator[None]:
-        """Seconds that a foreign library spent in Python: an evaluation, or linear algebra of ours (None)."""
+        """Count the seconds that a foreign library spends in Python; None: in linear algebra of ours."""
         begin = perf_counter()
         try:
             yield
@@ -83,11 +153,11 @@ class SolveMonitor:
             self.callback_s += spent
 
     def elapsed(self) -> float:
-        """Seconds since the start; until it was stopped."""
+        """Seconds from the start to now, or to ``stop``."""
         return (self.end or perf_counter()) - self.start
 
     def stop(self) -> bool:
-        """The solution is reached: covariances do not count. Whether there is time for them."""
+        """End the measured time: covariances do not count. Whether there is time left for them."""
         self.end = perf_counter()
         return self.left() > 0.25 * self.elapsed()
 
@@ -95,34 +165,34 @@ class SolveMonitor:
         """Seconds until the limit."""
         return self.limit_s - self.elapsed()
 
-    def note(self, cost: float, x: Array | None = None, common: bool = True) -> None:
-        """One iteration ended at this cost, with the common unknowns x (n,).
+    def record(self, cost: float, x: Array | None = None, common: bool = True) -> None:
+        """Record an iteration that ended at this cost, with the common unknowns x (n,).
 
         ``common``: it is the common cost. If not, the last point is kept instead of the best.
         """
         self.trace.append((self.elapsed(), float(cost)))
-        if self.reached is not None:
-            self.reached.cost(*self.trace[-1])
+        if self.files is not None:
+            self.files.cost(*self.trace[-1])
         if x is None or (common and not cost < (np.inf if self.best is None else self.best[0])):
             return
         if common:
             self.best = (float(cost), x.copy())
         else:
             self.last = x.copy()
-        if self.reached is not None:
-            self.reached.point(x, "best" if common else "last")
+        if self.files is not None:
+            self.files.point(x, "best" if common else "last")
 
     def kept(self) -> tuple[Kept, Array | None]:
-        """What is left when there is no answer."""
+        """The point that is kept of a solver that did not finish."""
         if self.best is not None:
             return "best", self.best[1]
         return ("nothing", None) if self.last is None else ("last", self.last)
 
-    def tell(self, words: str) -> None:
-        """How far it is, for a method that has no whole point on its way."""
-        self.words = words
-        if self.reached is not None:
-            self.reached.words(words)
+    def report(self, status: str) -> None:
+        """Record the progress of a method that has no complete iterate before its end."""
+        self.status = status
+        if self.files is not None:
+            self.files.status(status)
 
     def check(self) -> None:
         """Raises OutOfTime when the limit is passed."""
@@ -131,8 +201,8 @@ class SolveMonitor:
 
 
 class Solver(Protocol):
-    """One method; a new object for each solve. What is known of it without importing it: ``registry``."""
+    """One method; a new object for each solve. ``registry`` describes it without importing it."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
         """Minimise from x (n,). Raises OutOfTime at the limit; any other error is a failed row."""
         ...

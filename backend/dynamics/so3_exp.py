@@ -117,6 +117,7 @@ def _jacobians(theta: Array, inverse: bool) -> Array:
     return out
 
 
+@compiled
 def right_jacobians(theta: Array) -> Array:
     """``Exp(theta + d) ~ Exp(theta) Exp(Jr(theta) d)``: (n, 3) -> (n, 3, 3)."""
     return _jacobians(theta, False)

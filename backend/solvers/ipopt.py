@@ -150,18 +150,8 @@ class MotionProgram:
         d, s, step = self.data, at.n_state, at.step
         of_constants = s * d.n_frames + np.arange(step.n_constants)
         terms = []
-        for series, index in series_groups(self._series):
-            states = s * index[:, None] + np.arange(2 * s)
-            constants = np.broadcast_to(of_constants, (len(index), step.n_constants))
-            slots = np.concatenate([states, constants], axis=1)
-            arguments = [
-                gather(x, slots),
-                gather(p, at.steps + step.n_p * index[:, None] + np.arange(step.n_p)),
-            ]
-            if step.with_wrench:
-                torque = gather(p, at.torque + at.n_torque * index[:, None] + np.arange(6 * series))
-                arguments.append(ca.reshape(torque, 6, series * len(index)))
-            kernel = dynamics_kernel(d.form, series, output, step).map(len(index))
+        for series, slots, arguments in self.steps(x, p, at):
+            kernel = dynamics_kernel(d.form, series, output, step).map(len(slots))
             terms.append(ProgramTerm(slots, *kernel.call(arguments)))
         body = of_constants[None, :N_CONSTANTS]
         prior = prior_kernel(d.form, output)
@@ -181,6 +171,22 @@ class MotionProgram:
             unknowns, wrench = of_constants[None, 3:], wrench_kernel(d.form, output)
             terms.append(ProgramTerm(unknowns, *wrench.call([gather(x, unknowns), p[at.wrench : at.n_p]])))
         return terms
+
+    def steps(self, x: Any, p: Any, at: "ProgramLayout") -> list[tuple[int, Ints, list[Any]]]:
+        """For each number of series: the unknowns of its steps, and the arguments of the kernel."""
+        s, step, steps = at.n_state, at.step, []
+        of_constants = s * self.data.n_frames + np.arange(step.n_constants)
+        for series, index in series_groups(self._series):
+            states = s * index[:, None] + np.arange(2 * s)
+            constants = np.broadcast_to(of_constants, (len(index), step.n_constants))
+            slots = np.concatenate([states, constants], axis=1)
+            of_p = at.steps + step.n_p * index[:, None] + np.arange(step.n_p)
+            arguments = [gather(x, slots), gather(p, of_p)]
+            if step.with_wrench:
+                torque = gather(p, at.torque + at.n_torque * index[:, None] + np.arange(6 * series))
+                arguments.append(ca.reshape(torque, 6, series * len(index)))
+            steps.append((series, slots, arguments))
+        return steps
 
 
 class ProgramLayout:

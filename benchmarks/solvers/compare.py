@@ -22,7 +22,7 @@ from polhode.cli.console import choose_progress
 from polhode.compare.comparison import FILE, compare
 from polhode.compare.ranking import curve, front, growths, standing_lines, standings
 from polhode.compare.rows import Comparison, ProblemSummary, Row, read_comparison
-from polhode.compare.tables.table import ERROR_COLUMNS, cells, error_cells, not_separable, told, verdict
+from polhode.compare.tables import ERROR_COLUMNS, cells, error_cells, not_separable, tally_text, verdict
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.threads import limit_threads
@@ -89,10 +89,10 @@ def solver_table(found: Comparison, problem: ProblemSummary) -> str:
         return ""
     lines = []
     for row in rows:
-        told = cells(row, problem.least_cost)
+        shown = cells(row, problem.least_cost)
         callback = "" if row.callback_s is None else f"{row.callback_s:.2f}"
         before = "" if row.memory_before_mb is None else f"{row.memory_before_mb:.0f}"
-        lines.append([told[0], *told[2:9], callback, told[9], before, *told[10:]])
+        lines.append([shown[0], *shown[2:9], callback, shown[9], before, *shown[10:]])
     below = [*not_separable(rows), verdict(rows, problem.least_cost)]
     return _headed(problem, markdown_table(SHOWN, lines)) + "".join(f"\n\n{line}" for line in below)
 
@@ -118,8 +118,8 @@ def growth_table(found: Comparison) -> str:
     lines = []
     for each in grown:
         seconds = dict(zip(each.size.astype(int).tolist(), each.seconds.tolist(), strict=True))
-        told = [f"{seconds[n]:.2f}" if n in seconds else "" for n in sizes]
-        lines.append([each.solver, *told, f"{each.exponent:.2f}"])
+        times = [f"{seconds[n]:.2f}" if n in seconds else "" for n in sizes]
+        lines.append([each.solver, *times, f"{each.exponent:.2f}"])
     return markdown_table(["seconds at observations", *map(str, sizes), "exponent"], lines)
 
 
@@ -129,7 +129,7 @@ def starts_table(found: Comparison) -> str:
     if len({(row.start, row.seed) for row in found.rows}) < 2:
         return ""
     lines = [
-        [each.solver, *(told(each.starts[kind]) if kind in each.starts else "" for kind in kinds)]
+        [each.solver, *(tally_text(each.starts[kind]) if kind in each.starts else "" for kind in kinds)]
         for each in found.profiles
     ]
     return markdown_table(["solved", *(f"{kind} starts" for kind in kinds)], lines)

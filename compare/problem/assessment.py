@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.spatial.transform import Rotation
 
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.problem.iterate import Iterate
@@ -12,42 +11,44 @@ from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.schur import mirror
 from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.compare.problem.measured_problem import MeasuredProblem, ratios
-from polhode.compare.rows import Errors
-from polhode.lie import Array, inverse_pose, log_so3, make_pose, transform_points
+from polhode.compare.rows import EstimateErrors
+from polhode.lie import Array, inverse_pose, make_pose, transform_points
+from polhode.metrics import angle_deg, rms
 from polhode.records import Truth
+from polhode.rigid_fit import mean_rotation
 
 AGREED = 1e-6
 """Relative difference of costs within which solvers agree; more than that left to gain is no convergence."""
 
 
 @dataclass(frozen=True)
-class Assessment:
-    """What the common functions say of a point."""
+class PointAssessment:
+    """A point by the common functions; None outside their domain."""
 
-    cost: float | None
-    gain_left: float | None
-    k1: float | None
-    k2: float | None
-    errors: Errors | None
+    cost: float | None = None
+    gain_left: float | None = None
+    k1: float | None = None
+    k2: float | None = None
+    errors: EstimateErrors | None = None
 
 
-def assess(problem: MeasuredProblem, x: Array) -> Assessment:
-    """Everything by the common functions; None where a point lies outside their domain."""
+def assess(problem: MeasuredProblem, x: Array) -> PointAssessment:
+    """Evaluate the common functions at the point x (n,)."""
     solver = GaussNewton(problem.data)
     with np.errstate(all="ignore"):
-        cost = solver.cost(problem.held, x) if np.isfinite(x).all() else np.inf
+        cost = solver.cost(problem.fixed, x) if np.isfinite(x).all() else np.inf
         if not np.isfinite(cost):
-            return Assessment(None, None, None, None, None)
+            return PointAssessment()
         at = problem.iterate(x)
         k1, k2 = ratios(at, problem.data)
-        errors = errors_of(at, problem) if problem.truth is not None else None
-        return Assessment(float(cost), gain_left(problem, x), k1, k2, errors)
+        errors = errors_of(at, problem, problem.truth) if problem.truth is not None else None
+        return PointAssessment(float(cost), gain_left(problem, x), k1, k2, errors)
 
 
 def gain_left(problem: MeasuredProblem, x: Array) -> float | None:
-    """Decrease that a Gauss-Newton step promises at x, over the cost; None where it has no solution."""
+    """Decrease that a Gauss-Newton step predicts at x, over the cost; None where it has no solution."""
     solver = GaussNewton(problem.data)
-    system = solver.normal_equations(problem.held, x)
+    system = solver.normal_equations(problem.fixed, x)
     S, g, C_inv = solver.reduced(system)
     try:
         factor = cho_factor(S, lower=True, overwrite_a=True)
@@ -69,32 +70,29 @@ def sigmas(problem: MeasuredProblem, x: Array, cov_constants: Array | None) -> l
 
 
 def reference_covariance(problem: MeasuredProblem, x: Array) -> Array:
-    """(8, 8) of com_G, xi: inverse of the whole Gauss-Newton Hessian, priors and hold of G included."""
+    """(8, 8) of com_G, xi: inverse of the whole Gauss-Newton Hessian, with priors and gauge."""
     solver = GaussNewton(problem.data)
-    S, _, _ = solver.reduced(solver.normal_equations(problem.held, x))
+    S, _, _ = solver.reduced(solver.normal_equations(problem.fixed, x))
     mirror(S)
-    n = problem.held.reference.n_states
+    n = problem.fixed.reference.n_states
     columns = np.eye(len(S))[:, n : n + 8]
     return np.asarray(np.linalg.solve(S, columns)[n : n + 8])
 
 
-def errors_of(at: Iterate, problem: MeasuredProblem) -> Errors | None:
-    """Against the truth; vectors compared in N."""
-    truth = problem.truth
-    assert truth is not None
+def errors_of(at: Iterate, problem: MeasuredProblem, truth: Truth) -> EstimateErrors:
+    """Estimate minus truth; vectors are compared in N."""
     numbers = at.vector()[: at.n_states].reshape(-1, at.n_state)
     states = FrameStates(numbers, at.R_NG, problem.data.camera_N, at.com_G)
     r_N, R_NG = states.centres(), states.true_attitudes()
-    D = np.swapaxes(R_NG, 1, 2) @ truth.R_NP
-    best = Rotation.from_matrix(D).mean().as_matrix()
-    attitude = np.linalg.norm(log_so3(best.T @ D), axis=1)
+    R_GP = np.swapaxes(R_NG, 1, 2) @ truth.R_NP
+    attitude_deg = angle_deg(mean_rotation(R_GP).T @ R_GP)
     w_N = np.einsum("fij,fj->fi", R_NG, at.w_G) - np.einsum("fij,fj->fi", truth.R_NP, truth.w_P)
     k1, k2 = ratios(at, problem.data)
-    return Errors(
-        position_mm=1e3 * _rms(r_N - truth.r_N),
-        velocity_mm_s=1e3 * _rms(at.v_N - truth.v_N),
-        attitude_deg=float(np.rad2deg(np.sqrt(np.mean(attitude**2)))),
-        angular_velocity_deg_s=float(np.rad2deg(_rms(w_N))),
+    return EstimateErrors(
+        position_mm=1e3 * rms(r_N - truth.r_N),
+        velocity_mm_s=1e3 * rms(at.v_N - truth.v_N),
+        attitude_deg=rms(attitude_deg[:, None]),
+        angular_velocity_deg_s=float(np.rad2deg(rms(w_N))),
         com_mm=1e3 * float(np.linalg.norm(_offset(at, truth))),
         k1=k1 - truth.k1,
         k2=k2 - truth.k2,
@@ -105,7 +103,3 @@ def _offset(at: Iterate, truth: Truth) -> Array:
     """Estimated minus true centre of mass in the body, mean over the frames [m]."""
     in_G = transform_points(inverse_pose(make_pose(at.R_NG, at.p_NG)), truth.r_N[:, None])[:, 0]
     return np.asarray(at.com_G - in_G.mean(axis=0))
-
-
-def _rms(errors: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))

@@ -1,16 +1,20 @@
-"""Residuals and Jacobians of the common cost, all at once: what external solvers are fed with.
+"""Residuals and Jacobians of the common cost as blocks of a factor graph, for external solvers.
 
-The cost is that of ``backend.gauss_newton.GaussNewton``; here it is split into the blocks of a factor graph.
+The cost is that of ``backend.solvers.gauss_newton.GaussNewton``. ``Blocks`` evaluates all blocks of a kind at
+once; ``SingleSteps`` and ``landmark_block`` evaluate one, for libraries that call Python for every block.
+There, all measurements of a landmark are one block, which needs a tenth of the calls, and Ceres can still
+eliminate the landmarks.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from polhode.backend.dynamics.kernels import prior_kernel
-from polhode.backend.dynamics.residuals import dynamics_jacobians
+from polhode.backend.dynamics.residuals import FrameStates, Steps, dynamics_jacobians, dynamics_residuals
+from polhode.backend.dynamics.so3_exp import right_jacobians, rotation_matrices
 from polhode.backend.problem.inertia import inertia_derivative
 from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE
 from polhode.backend.problem.motion_data import MotionData
@@ -18,7 +22,9 @@ from polhode.backend.problem.wrench import wrench_residual
 from polhode.backend.solvers.gauss_newton import GaussNewton, camera_errors
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.robust_kernel import robust_weight
-from polhode.lie import Array, hat, right_jacobian_so3
+from polhode.camera import stereo_jacobian
+from polhode.compiled import compiled
+from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 from polhode.records import Ints
 
 
@@ -39,18 +45,18 @@ class Block:
 class Blocks:
     """The common cost of a frozen problem, as blocks."""
 
-    def __init__(self, data: MotionData, held: LinearizationPoint) -> None:
-        self.data, self.held = data, held
+    def __init__(self, data: MotionData, fixed: LinearizationPoint) -> None:
+        self.data, self.fixed = data, fixed
         self._newton = GaussNewton(data)
         self._prior = prior_kernel(data.form, "jacobian")
-        at = held.reference
+        at = fixed.reference
         self.n_state, self.n_states, self.n_dense = at.n_state, at.n_states, at.n_dense
         self.n_x = at.n_dense + 3 * data.n_landmarks
 
     def cost(self, x: Array) -> float:
-        """The one function that every solver is judged by."""
+        """The function by which every solver is assessed."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._newton.cost(self.held, x)
+            return self._newton.cost(self.fixed, x)
 
     def all(self, x: Array) -> list[Block]:
         """Stereo, dynamics, then the others."""
@@ -73,16 +79,11 @@ class Blocks:
     def stereo(self, x: Array) -> Block:
         """(M, 3) of u, v, disparity, with derivatives in p_NG, theta, p_G."""
         d = self.data
-        residual, (A, p_NG, p_G) = self._newton.residuals(self.held, x)
+        residual, (A, p_NG, p_G) = self._newton.residuals(self.fixed, x)
         theta = x[: self.n_states].reshape(-1, self.n_state)[:, 3:6]
         marks, k = p_G[d.landmark], d.frame
         p_R = (A[k] @ marks[:, :, None] + (d.R_RN @ p_NG[:, :, None])[k])[:, :, 0] + d.t_R[k]
-        f, baseline = d.rig[0], d.rig[3]
-        D, z = np.zeros((len(k), 3, 3)), p_R[:, 2]
-        D[:, 0, 0] = D[:, 1, 1] = -f / z
-        D[:, 0, 2], D[:, 1, 2] = f * p_R[:, 0] / z**2, f * p_R[:, 1] / z**2
-        D[:, 2, 2] = f * baseline / z**2
-        D *= d.inv_sigma[:, :, None]
+        D = -d.inv_sigma[:, :, None] * stereo_jacobian(p_R, d.rig[0], d.rig[3])
         of_marks = D @ A[k]
         of_theta = -of_marks @ (hat(marks) @ right_jacobian_so3(theta)[k])
         jacobian = np.concatenate([D @ d.R_RN[k], of_theta, of_marks], axis=2)
@@ -90,29 +91,29 @@ class Blocks:
 
     def dynamics(self, x: Array) -> Block:
         """(F - 1, 12)"""
-        states, at = self._newton.states(self.held, x)
+        states, at = self._newton.states(self.fixed, x)
         form = self.data.form
         dJ = inertia_derivative(form, at.xi, at.R_inertia)
-        residual, jacobian = dynamics_jacobians(states, self.held.steps, at.J_G(form), dJ)
+        residual, jacobian = dynamics_jacobians(states, self.fixed.steps, at.J_G(form), dJ)
         return Block(residual, jacobian, self.step_slots())
 
     def others(self, x: Array) -> list[Block]:
-        """Weak prior, hold of the first pose; errors of the camera and what is known of a wrench, if any."""
-        held, n = self.held, self.n_states
-        residual, jacobian = (np.asarray(out) for out in self._prior(x[n : n + N_CONSTANTS], held.prior))
+        """Weak prior, gauge of the first pose; errors of the camera and prior of a known wrench, if any."""
+        fixed, n = self.fixed, self.n_states
+        residual, jacobian = (np.asarray(out) for out in self._prior(x[n : n + N_CONSTANTS], fixed.prior))
         blocks = [Block(residual.T, jacobian[None], np.arange(n, n + N_CONSTANTS)[None])]
-        root = np.sqrt(held.gauge_information)
-        offset = np.concatenate([x[:3] - held.reference.p_NG[0], x[3:6]])
+        root = np.sqrt(fixed.gauge_information)
+        offset = np.concatenate([x[:3] - fixed.reference.p_NG[0], x[3:6]])
         blocks.append(Block((root * offset)[None], np.diag(root)[None], np.arange(6)[None]))
-        errors = camera_errors(held, x)
+        errors = camera_errors(fixed, x)
         if len(errors):
-            root = np.sqrt(held.camera_information)
+            root = np.sqrt(fixed.camera_information)
             slots = self.n_state * np.arange(len(errors))[:, None] + N_STATE + np.arange(N_CAMERA)
             blocks.append(Block(root * errors, np.tile(np.diag(root), (len(errors), 1, 1)), slots))
-        at, form = held.reference.moved_to(x), self.data.form
+        at, form = fixed.reference.moved_to(x), self.data.form
         if at.wrench is not None and at.R_torque is not None:
             dJ = inertia_derivative(form, at.xi, at.R_inertia)
-            r, J = wrench_residual(at.J_G(form), dJ, at.wrench, at.R_torque, held.bias_sigma)
+            r, J = wrench_residual(at.J_G(form), dJ, at.wrench, at.R_torque, fixed.bias_sigma)
             blocks.append(Block(r[None], J[None], np.arange(n + 3, n + 3 + J.shape[1])[None]))
         return blocks
 
@@ -149,3 +150,96 @@ def stacked(blocks: list[Block], n_x: int) -> tuple[Array, Any]:
     starts = np.concatenate([[0], np.cumsum(np.concatenate(lengths))])
     matrix = csr_matrix((np.concatenate(values), np.concatenate(columns), starts), shape=(len(residual), n_x))
     return residual, matrix
+
+
+class SingleSteps:
+    """Residual (12) and Jacobian (12, 2 s + c) of step k at its own unknowns (2 s + c)."""
+
+    def __init__(self, blocks: Blocks) -> None:
+        self.data, self.reference = blocks.data, blocks.fixed.reference
+        steps = blocks.fixed.steps
+        self._steps = [part_of_steps(steps, slice(k, k + 1)) for k in range(len(steps.dt_s))]
+
+    def residual(self, k: int, x: Array) -> Array:
+        """(12,)"""
+        states, J_G, _ = self._at(k, x)
+        return np.asarray(dynamics_residuals(states, self._steps[k], J_G)[0])
+
+    def jacobian(self, k: int, x: Array) -> tuple[Array, Array]:
+        """(12,), (12, 2 s + c)"""
+        states, J_G, constants = self._at(k, x)
+        dJ = inertia_derivative(self.data.form, constants[3:N_CONSTANTS], self.reference.R_inertia)
+        residual, jacobian = dynamics_jacobians(states, self._steps[k], J_G, dJ)
+        return np.asarray(residual[0]), np.asarray(jacobian[0])
+
+    def _at(self, k: int, x: Array) -> tuple[FrameStates, Array, Array]:
+        at, s = self.reference, self.reference.n_state
+        numbers, constants = x[: 2 * s].reshape(2, s), x[2 * s :]
+        R_NG = at.R_NG[k : k + 2] @ exp_so3(numbers[:, 3:6])
+        wrench = None if at.wrench is None else constants[N_CONSTANTS:]
+        states = FrameStates(numbers, R_NG, self.data.camera_N[k : k + 2], constants[:3], wrench, at.R_torque)
+        second = self.data.form.second_moments(constants[3:N_CONSTANTS], at.R_inertia)
+        return states, np.trace(second) * np.eye(3) - second, constants
+
+
+def part_of_steps(steps: Steps, only: slice) -> Steps:
+    """The steps of a slice."""
+    return replace(
+        steps,
+        dt_s=steps.dt_s[only],
+        series=steps.series[only],
+        W_t=steps.W_t[only],
+        W_r=steps.W_r[only],
+        force_increments=None if steps.force_increments is None else steps.force_increments[only],
+        torque_P=None if steps.torque_P is None else steps.torque_P[only],
+    )
+
+
+@compiled
+def landmark_block(
+    poses: Array, p_G: Array, A_ref: Array, R_RN: Array, t_R: Array, uvd: Array, inv_sigma: Array, rig: Array,
+    scale: float, of_poses: Array, of_landmark: Array,
+) -> Array:  # fmt: skip
+    """Residuals (n, 3) of n frames that see the landmark; fills of_poses (n, 3, 6) and of_landmark (n, 3, 3).
+
+    poses (n, 6): p_NG, theta around the reference; A_ref (n, 3, 3) = R_RN R_ref.
+    """
+    n = len(poses)
+    out = np.empty((n, 3))
+    rotation, right = rotation_matrices(poses[:, 3:6]), right_jacobians(poses[:, 3:6])
+    D, T = np.zeros((3, 3)), np.empty((3, 3))
+    for m in range(n):
+        A = A_ref[m] @ rotation[m]
+        p = A @ p_G + R_RN[m] @ np.ascontiguousarray(poses[m, 0:3]) + t_R[m]
+        x, y, z = p[0], p[1], p[2]
+        f, fb = rig[0], rig[0] * rig[3]
+        predicted = np.array([f * x / z + rig[1], f * y / z + rig[2], fb / z + rig[4]])
+        r = (uvd[m] - predicted) * inv_sigma[m]
+        D[0, 0], D[0, 2] = -f / z * inv_sigma[m, 0], f * x / z**2 * inv_sigma[m, 0]
+        D[1, 1], D[1, 2] = -f / z * inv_sigma[m, 1], f * y / z**2 * inv_sigma[m, 1]
+        D[2, 2] = fb / z**2 * inv_sigma[m, 2]
+        J_landmark = D @ A
+        T[0, 0], T[0, 1], T[0, 2] = 0.0, p_G[2], -p_G[1]
+        T[1, 0], T[1, 1], T[1, 2] = -p_G[2], 0.0, p_G[0]
+        T[2, 0], T[2, 1], T[2, 2] = p_G[1], -p_G[0], 0.0
+        J_rotation, J_position = J_landmark @ T @ right[m], D @ R_RN[m]
+        # the kernel: r' = g r with g^2 s = c^2 ln(1 + s / c^2)
+        s = r @ r
+        ratio = s / scale**2
+        if ratio < 1e-8:
+            g, slope = 1.0 - ratio / 4.0, -0.25 / scale**2
+        else:
+            g = np.sqrt(np.log1p(ratio) / ratio)
+            slope = 0.5 / (1.0 + ratio) / (g * g * s) - 0.5 / s
+        J = np.concatenate((J_position, J_rotation, J_landmark), axis=1)
+        J = g * (J + 2.0 * slope * np.outer(r, r @ J))
+        of_poses[m], of_landmark[m] = J[:, :6], J[:, 6:]
+        out[m] = g * r
+    return out
+
+
+def compile_block() -> None:
+    """Compile the loop, or load it: the first time on a machine takes seconds."""
+    one, three = np.ones((1, 3, 3)), np.ones((1, 3))
+    fixed = (one, one, three, three, three, np.ones(5))
+    landmark_block(np.zeros((1, 6)), np.ones(3), *fixed, 3.0, np.empty((1, 3, 6)), np.empty((1, 3, 3)))

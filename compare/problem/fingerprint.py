@@ -1,7 +1,7 @@
-"""Everything that determines a row, in a few characters: a stored row with another stamp is measured again.
+"""Digests of all that determines a row: a stored row whose digests differ is measured again.
 
-The problem: measurements, what is held of the cost (references, whitening, prior, hold of G), all starts, the
-truth. The solver: its entry, its packages' versions, our code that it runs. The machine, as rows tell times.
+The problem: measurements, fixed part of the cost (references, whitening, prior, gauge), all starts, truth.
+The solver: its entry, the versions of its packages, our code that it runs. The machine: rows contain times.
 """
 
 import hashlib
@@ -21,15 +21,16 @@ from polhode.compare.problem.measured_problem import MeasuredProblem
 BASE = ("polhode", "numpy", "scipy", "numba", "casadi")
 """Distributions that every row depends on; IPOPT with its linear algebra and OSQP come with CasADi."""
 SHOWN = ("casadi", "scipy", "gtsam", "pyceres")
+"""Those whose versions are shown."""
 CODE = (
     "polhode.backend", "polhode.config.backend", "polhode.lie", "polhode.threads",
     *(f"polhode.compare.{name}" for name in (
-        "problem.assessment", "problem.blocks", "problem.measured_problem", "problem.single_blocks",
-        "processes", "solver", "solver_progress", "solvers")),
+        "problem.assessment", "problem.blocks", "problem.measured_problem", "solver", "solver_process",
+        "solvers")),
 )  # fmt: skip
-"""Our modules, and packages with all of theirs, whose code a row depends on."""
+"""Our modules, and packages with all their modules, that a row depends on."""
 UNIMPORTANT: dict[type, tuple[str, ...]] = {MeasuredProblem: ("name", "prepared_s")}
-"""Fields that say nothing of what is solved."""
+"""Fields that do not affect the solution."""
 
 
 class _Digest(Protocol):
@@ -37,14 +38,14 @@ class _Digest(Protocol):
 
 
 def of_problem(problem: MeasuredProblem) -> str:
-    """Rows of the same one had the same measurements, cost, starts and truth."""
+    """Digest of measurements, cost, starts and truth."""
     digest = hashlib.sha256()
     _add(digest, problem)
     return digest.hexdigest()[:16]
 
 
 def versions(distributions: Iterable[str] = SHOWN) -> dict[str, str]:
-    """Of those that are installed."""
+    """Versions of those distributions that are installed."""
     found = {}
     for name in distributions:
         try:
@@ -61,7 +62,7 @@ def machine() -> str:
 
 @cache
 def code_of(names: tuple[str, ...] = CODE) -> str:
-    """Of the source of modules, and of packages with all of theirs."""
+    """Digest of the source of modules, and of packages with all their modules."""
     digest = hashlib.sha256()
     for name in names:
         spec = find_spec(name)
@@ -74,7 +75,7 @@ def code_of(names: tuple[str, ...] = CODE) -> str:
 
 
 def _add(digest: _Digest, value: Any) -> None:
-    """Content with its kind, so that no two different values look alike. Raises TypeError for a new kind."""
+    """Add a value with its type, so that different values differ. Raises TypeError for an unknown type."""
     digest.update(type(value).__name__.encode())
     if isinstance(value, np.ndarray):
         digest.update(f"{value.dtype}{value.shape}".encode())
@@ -90,7 +91,7 @@ def _add(digest: _Digest, value: Any) -> None:
     elif value is None or isinstance(value, bool | int | float | str | np.generic):
         digest.update(repr(value).encode())
     elif hasattr(value, "name") and hasattr(value, "second_moments"):
-        # a form of the inertia has no numbers of its own
+        # a form of the inertia has no values of its own
         digest.update(str(value.name).encode())
     else:
         raise TypeError(f"no fingerprint of {type(value).__name__}")

@@ -1,14 +1,13 @@
-"""One frozen problem: measurements, what is held of their cost, a cold start. The same for every solver.
+"""The frozen problem, the same for every solver: measurements, the fixed part of their cost, a cold start.
 
-What the cost leaves to choose (which observations count, the noise, the process noise at the body's rate) is
-what polhode's back end chooses from the same measurements; it is frozen before the first solver starts. The
-unknowns are counted from the cold start: its attitudes are the reference, its first pose holds G.
+Observations, noise levels and process noise at the body's rate are those that polhode's back end chooses from
+the same measurements, before the first solver starts. The unknowns are relative to the cold start, whose
+attitudes are the reference and whose first pose defines G.
 """
 
 import pickle
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import permutations, product
 from pathlib import Path
 from time import perf_counter
 
@@ -19,7 +18,7 @@ from polhode.backend import initialize_motion
 from polhode.backend.fit import fit
 from polhode.backend.initialization.multistart import initial_guesses
 from polhode.backend.noise.outlier_observations import PrunedProblem
-from polhode.backend.problem.inertia import unit_determinant
+from polhode.backend.problem.inertia import FORMS, unit_determinant
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
@@ -30,10 +29,11 @@ from polhode.config.backend import Backend
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array, log_so3
 from polhode.records import RelativePoses, StereoTracks, Truth
+from polhode.rigid_body import HALF_TURNS
 
 GAUGE = 0.01
-"""How firmly G is held at the first frame [rad, body radii]: it costs nothing at the solution. Ten times
-looser, the solvers creep along the curved valley in which G may move; ten times firmer, starts get stuck."""
+"""Standard deviation of G at the first frame [rad, body radii]: it costs nothing at the solution. With ten
+times as much, solvers move slowly along the curved valley in which G is free; with a tenth, starts fail."""
 PERTURBATION = {
     "p_NG": 2e-3,
     "theta": 0.02,
@@ -45,26 +45,26 @@ PERTURBATION = {
 }
 """Standard deviations of a perturbed start: m, rad, m/s, rad/s, m, -, m."""
 NEAR = 0.1
-"""So much of them off the solution is near it."""
+"""Share of these standard deviations for starts near the solution."""
 
 
 @dataclass(frozen=True)
 class MeasuredProblem:
-    """What a solver's process reads."""
+    """Input of a solver's process."""
 
     name: str
     """Of the measurements"""
     data: MotionData
-    held: LinearizationPoint
+    fixed: LinearizationPoint
     cold: Array
-    """(n,) the cold start, around ``held.reference``"""
+    """(n,) the cold start, around ``fixed.reference``"""
     solution: Array
-    """(n,) by Gauss-Newton from the back end's own estimate: for starts near it, never shown to a solver"""
+    """(n,) by Gauss-Newton from the back end's own estimate: for starts near it, unknown to the solvers"""
     relative: RelativePoses | None
     """Of the target between frames, for methods that use nothing else"""
     truth: Truth | None
     prepared_s: float
-    """What it took to freeze the problem"""
+    """Time to freeze the problem"""
 
     @property
     def size(self) -> dict[str, int]:
@@ -79,14 +79,14 @@ class MeasuredProblem:
 
     def iterate(self, x: Array) -> Iterate:
         """The unknowns by name."""
-        return self.held.reference.moved_to(x)
+        return self.fixed.reference.moved_to(x)
 
     def vector(self, at: Iterate) -> Array:
-        """The common unknowns (n,) of an iterate: its G is carried to the held first pose."""
-        return coordinates(aligned(at, self.iterate(self.cold), self.data), self.held, self.data)
+        """The common unknowns (n,) of an iterate, whose G is moved to the fixed first pose."""
+        return coordinates(aligned(at, self.iterate(self.cold), self.data), self.fixed, self.data)
 
     def start(self, kind: str, seed: int) -> Array:
-        """Cold; off it; or near the solution (n,)."""
+        """The start (n,): cold, perturbed, or near the solution."""
         if kind == "cold":
             return self.cold
         if kind == "perturbed":
@@ -94,7 +94,7 @@ class MeasuredProblem:
         return self.perturbed(self.solution, seed, NEAR)
 
     def perturbed(self, x: Array, seed: int, size: float = 1.0) -> Array:
-        """A start off ``x`` (n,) by random errors, ``PERTURBATION`` times size."""
+        """``x`` (n,) with random errors of ``PERTURBATION`` times size."""
         at, rng = self.iterate(x), np.random.default_rng([seed, 91])
         out, n = x.copy(), at.n_states
         states = out[:n].reshape(-1, at.n_state)
@@ -108,7 +108,7 @@ class MeasuredProblem:
 
 
 def aligned(at: Iterate, target: Iterate, data: MotionData) -> Iterate:
-    """The same motion with G moved, body and landmarks with it, to ``target``'s first pose."""
+    """The same motion with G, and in it body and landmarks, moved to ``target``'s first pose."""
     turn = at.R_NG[0].T @ target.R_NG[0]
     shift = at.R_NG[0].T @ (target.p_NG[0] - at.p_NG[0])
     second = turn.T @ at.second_moments(data.form) @ turn
@@ -126,9 +126,9 @@ def aligned(at: Iterate, target: Iterate, data: MotionData) -> Iterate:
     )
 
 
-def coordinates(at: Iterate, held: LinearizationPoint, data: MotionData) -> Array:
-    """The vector (n,) around the held reference that stands for an iterate in the same G."""
-    reference = held.reference
+def coordinates(at: Iterate, fixed: LinearizationPoint, data: MotionData) -> Array:
+    """An iterate in the same G as a vector (n,) about the fixed reference."""
+    reference = fixed.reference
     x = at.vector()
     states = x[: at.n_states].reshape(-1, at.n_state)
     states[:, 3:6] = log_so3(np.swapaxes(reference.R_NG, 1, 2) @ at.R_NG)
@@ -143,27 +143,16 @@ def inertia_around(second: Array, data: MotionData, reference: Iterate) -> Array
     if data.form.name == "second_moments":
         return data.form.coordinates(second)[0]
     values, axes = np.linalg.eigh(unit_determinant(second))
-    # of all orders and half-turns of the axes the one nearest to the reference
+    # of all orders and half-turns of the axes, the one nearest to the reference
     best, out = np.inf, np.zeros(5)
-    for order in ([0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]):
-        for signs in ([1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]):
-            R = axes[:, order] * np.array(signs)
-            R = R * np.array([1.0, 1.0, np.linalg.det(R)])
-            eta = log_so3(reference.R_inertia.T @ R)
-            if np.linalg.norm(eta) < best:
-                d = values[order]
-                best = float(np.linalg.norm(eta))
-                out = np.concatenate([[np.log(d[0] / d[2]), np.log(d[1] / d[2])], eta])
+    for order, signs in product(map(list, permutations(range(3))), HALF_TURNS):
+        R = axes[:, order] * signs
+        R = R * np.array([1.0, 1.0, np.linalg.det(R)])
+        eta, d = log_so3(reference.R_inertia.T @ R), values[order]
+        if np.linalg.norm(eta) < best:
+            best = float(np.linalg.norm(eta))
+            out = np.concatenate([[np.log(d[0] / d[2]), np.log(d[1] / d[2])], eta])
     return out
-
-
-@contextmanager
-def _solvable(name: str) -> Iterator[None]:
-    """Raises RunFailure where the measurements' equations have no solution."""
-    try:
-        yield
-    except np.linalg.LinAlgError as error:
-        raise RunFailure(f"{name}: no consistent motion: its equations have no solution") from error
 
 
 def freeze(
@@ -173,35 +162,38 @@ def freeze(
     config: Backend,
     truth: Truth | None = None,
 ) -> MeasuredProblem:
-    """The problem that polhode's back end makes of the measurements, with a cold start.
+    """The problem as polhode's back end poses it, with a cold start.
 
     Raises InputError without relative poses to start from; RunFailure when no motion is found.
     """
     if relative is None or not len(relative.i):
         raise InputError(f"{name}: the measurements hold no relative poses to start from; run it again")
     begin = perf_counter()
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"), _solvable(name):
-        initial = initialize_motion(tracks, relative, config)
-        data = motion_data(tracks, config)
-        found = fit(data, tracks, initial, config, lambda: None)
-        start = initial_guesses(tracks, initial, data)[0].iterate
-        kept = found.kept
-        end, _, _ = refine(GaussNewton(kept.data), kept.data, kept.restrict(found.iterate), 200)
+    try:
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            initial = initialize_motion(tracks, relative, config)
+            data = motion_data(tracks, config)
+            found = fit(data, tracks, initial, config, lambda: None)
+            start = initial_guesses(tracks, initial, data)[0].iterate
+            kept = found.kept
+            end, _, _ = refine(GaussNewton(kept.data), kept.data, kept.restrict(found.iterate), 200)
+    except np.linalg.LinAlgError as error:
+        raise RunFailure(f"{name}: no consistent motion: its equations have no solution") from error
     # unknowns of a known wrench have no cold start of their own
     start = replace(kept.restrict(start), wrench=end.wrench, R_torque=end.R_torque)
     if not np.isfinite(start.vector()).all():
         raise RunFailure(f"{name}: the first poses give no finite start")
-    held = _hold_around(kept, start, end)
+    fixed = _fixed_about(kept, start, end)
     if truth is not None and len(truth.timestamps_ns) != tracks.n_frames:
         raise InputError(f"{name}: truth and measurements have different frames")
-    x = coordinates(aligned(end, start, kept.data), held, kept.data)
+    x = coordinates(aligned(end, start, kept.data), fixed, kept.data)
     for _ in range(MAX_PASSES):
-        x = GaussNewton(kept.data).solve(held, x, 200).x
-    return MeasuredProblem(name, kept.data, held, start.vector(), x, relative, truth, perf_counter() - begin)
+        x = GaussNewton(kept.data).solve(fixed, x, 200).x
+    return MeasuredProblem(name, kept.data, fixed, start.vector(), x, relative, truth, perf_counter() - begin)
 
 
-def _hold_around(kept: PrunedProblem, start: Iterate, end: Iterate) -> LinearizationPoint:
-    """Whitening at the rates of ``end``; references, gauge and prior around ``start``."""
+def _fixed_about(kept: PrunedProblem, start: Iterate, end: Iterate) -> LinearizationPoint:
+    """Whitening at the rates of ``end``; references, gauge and prior at ``start``."""
     in_start = aligned(end, start, kept.data)
     at_end = linearization_point(kept.data, in_start, GAUGE)
     xi, R_inertia = kept.data.form.coordinates(np.eye(3))
@@ -215,22 +207,20 @@ def _hold_around(kept: PrunedProblem, start: Iterate, end: Iterate) -> Lineariza
 
 
 def with_form(problem: MeasuredProblem, form_name: str, at: Iterate) -> MeasuredProblem:
-    """The same problem in another form of the inertia, its reference rotation that of ``at``."""
-    from polhode.backend.problem.inertia import FORMS
-
+    """The same problem in another form of the inertia, with the reference rotation of ``at``."""
     form = FORMS[form_name]
     old, data = problem.data.form, replace(problem.data, form=form)
-    reference = problem.held.reference
+    reference = problem.fixed.reference
     xi, R_inertia = form.coordinates(at.second_moments(old))
-    held = replace(
-        problem.held,
+    fixed = replace(
+        problem.fixed,
         reference=replace(reference, xi=xi, R_inertia=R_inertia),
-        prior=np.concatenate([problem.held.prior[:4], R_inertia.T.ravel()]),
+        prior=np.concatenate([problem.fixed.prior[:4], R_inertia.T.ravel()]),
     )
     x = problem.cold.copy()
     n = reference.n_states
     x[n + 3 : n + 8] = xi
-    return replace(problem, data=data, held=held, cold=x)
+    return replace(problem, data=data, fixed=fixed, cold=x)
 
 
 def ratios(at: Iterate, data: MotionData) -> tuple[float, float]:
@@ -240,12 +230,12 @@ def ratios(at: Iterate, data: MotionData) -> tuple[float, float]:
 
 
 def save(problem: MeasuredProblem, path: Path) -> None:
-    """Write for the solvers' processes."""
+    """Write the file that the solvers' processes read."""
     write_bytes(path, pickle.dumps(problem, protocol=4))
 
 
 def load(path: Path) -> MeasuredProblem:
-    """Read what ``save`` wrote: only ever a file that this program has just written itself."""
+    """Read a file that ``save`` has written in the same comparison, never one from elsewhere."""
     with path.open("rb") as stream:
         problem = pickle.load(stream)
     assert isinstance(problem, MeasuredProblem)

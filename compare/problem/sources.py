@@ -1,19 +1,30 @@
-"""Where the measurements come from: a dataset, a stored run, or the Monte Carlo generator."""
+"""Where the measurements come from: a dataset, a stored run, or the Monte Carlo generator.
 
+Those of a dataset are made as by ``polhode run``: by the front end and the iterations with the back end,
+without depth, fusion, online estimate and report. They are stored beside the problems, as they take most of
+the time of a comparison that is resumed.
+"""
+
+import hashlib
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
+from polhode.atomic import write_text
+from polhode.compare.problem.fingerprint import BASE, code_of, versions
 from polhode.compare.problem.measured_problem import MeasuredProblem, freeze
 from polhode.config import Config
 from polhode.config.backend import Backend
 from polhode.config.compare import MonteCarlo, Motion
+from polhode.config.loader import dump_config
 from polhode.errors import InputError
-from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses
+from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses, write_measurements
 from polhode.progress import Progress
-from polhode.records import Ints, Truth
+from polhode.records import Ints, RelativePoses, StereoTracks, Truth
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 BOX = np.diag([1.5, 1.2, 0.9])
@@ -30,38 +41,43 @@ SCENES: dict[Motion, SyntheticScene] = {
     "fast_tumble": replace(THESIS, J_G=BOX, w_G=(0.8, 1.8, 0.7), dt_s=0.25),
 }
 """The motions of the benchmark of accuracy."""
+CODE = (
+    "polhode", "polhode.frontend", "polhode.backend", "polhode.pipeline.context",
+    "polhode.pipeline.correspondences", "polhode.pipeline.find_motion", "polhode.pipeline.consistency_check",
+)  # fmt: skip
+"""Our code by which the measurements of a dataset are made."""
+DISTRIBUTIONS = (*BASE, "torch", "opencv-python-headless", "kornia")
 
 
 @dataclass(frozen=True)
 class Source:
-    """One set of measurements that is not read yet."""
+    """One set of measurements, before it is read."""
 
     name: str
-    words: str
-    kind: str
-    """data, run or monte_carlo"""
+    description: str
     folder: Path | None = None
+    is_run: bool = False
+    """Whether ``folder`` is that of a run; if not, that of a dataset"""
     truth: Path | None = None
-    """Folder of a sequence whose truth the rows are judged by, if it has one"""
+    """Folder of a sequence whose truth gives the errors of the rows, if it has one"""
     scene: SyntheticScene | None = None
+    """To be generated; None: read from ``folder``"""
     seed: int = 0
 
     def problem(self, config: Config, progress: Progress, store: Path) -> MeasuredProblem:
-        """Read or make the measurements and freeze their problem. ``store``: where to keep what was made."""
+        """Read or make the measurements and freeze their problem. ``store``: where they are kept."""
         backend = config.backend.model_copy(update={"process_noise": config.compare.process_noise})
         if self.scene is not None:
             return synthetic_problem(self.name, self.scene, self.seed, backend)
         assert self.folder is not None
-        if self.kind == "run":
+        if self.is_run:
             tracks, relative = read_measurements(self.folder), read_relative_poses(self.folder)
         else:
-            from polhode.compare.problem.dataset import measure
-
             tracks, relative = measure(self.folder, config, progress, store)
         return freeze(self.name, tracks, relative, backend, self._truth(tracks.timestamps_ns))
 
     def _truth(self, timestamps_ns: Ints) -> Truth | None:
-        """Read by evaluation alone; it reaches the assessment, no solver."""
+        """Read by evaluation alone; it is passed to the assessment, to no solver."""
         if self.truth is None:
             return None
         from polhode.pipeline.evaluation import truth_of_frames
@@ -87,31 +103,28 @@ def sources(
             f"{truth}: has no truth (mav0/target0); give the sequence that the run was made from"
         )
     if data is not None:
-        yield Source(data.resolve().name, f"dataset {data}", "data", folder=data, truth=data)
+        yield Source(data.resolve().name, f"dataset {data}", data, truth=data)
     elif run is not None:
-        yield Source(run.resolve().name, f"run {run}", "run", folder=run, truth=truth)
+        yield Source(run.resolve().name, f"run {run}", run, is_run=True, truth=truth)
     else:
         yield from _generated(config.compare.monte_carlo)
 
 
 def _generated(wanted: MonteCarlo) -> Iterator[Source]:
-    for motion in wanted.motions:
-        for frames in wanted.frames:
-            for landmarks in wanted.landmarks:
-                scene = replace(
-                    SCENES[motion],
-                    frames=frames,
-                    landmarks=landmarks,
-                    sigma_uv_px=wanted.noise_px,
-                    sigma_d_px=wanted.noise_px,
-                    outliers=wanted.outliers,
-                    loop_closure=wanted.loop_closure,
-                )
-                # small problems keep their links between frames
-                scene = replace(scene, min_inliers=min(scene.min_inliers, max(6, landmarks // 120)))
-                name = f"{motion}-{frames}-{landmarks}"
-                words = f"Monte Carlo, {motion}, seed {wanted.seed}"
-                yield Source(name, words, "monte_carlo", scene=scene, seed=wanted.seed)
+    for motion, frames, landmarks in product(wanted.motions, wanted.frames, wanted.landmarks):
+        scene = replace(
+            SCENES[motion],
+            frames=frames,
+            landmarks=landmarks,
+            sigma_uv_px=wanted.noise_px,
+            sigma_d_px=wanted.noise_px,
+            outliers=wanted.outliers,
+            loop_closure=wanted.loop_closure,
+            # few enough for the links between frames of small problems
+            min_inliers=min(SCENES[motion].min_inliers, max(6, landmarks // 120)),
+        )
+        description = f"Monte Carlo, {motion}, seed {wanted.seed}"
+        yield Source(f"{motion}-{frames}-{landmarks}", description, scene=scene, seed=wanted.seed)
 
 
 def synthetic_problem(name: str, scene: SyntheticScene, seed: int, backend: Backend) -> MeasuredProblem:
@@ -121,3 +134,42 @@ def synthetic_problem(name: str, scene: SyntheticScene, seed: int, backend: Back
         update={"accel_psd": scene.accel_psd, "torque_psd": scene.torque_psd, "unknown_wrench": "none"}
     )
     return freeze(name, sequence.tracks, sequence.relative, config, sequence.truth)
+
+
+def measure(
+    sequence: Path, config: Config, progress: Progress, store: Path
+) -> tuple[StereoTracks, RelativePoses | None]:
+    """Tracks and relative poses of a sequence on disk, or those in ``store`` if they are of the same images.
+
+    Raises InputError for a folder that is no dataset; RunFailure when no motion is found.
+    """
+    # torch and OpenCV are loaded only for a dataset
+    from polhode.pipeline.context import open_context
+    from polhode.pipeline.correspondences import match_frames
+    from polhode.pipeline.find_motion import find_motion
+
+    file, stamp_file = store.with_suffix(".npz"), store.with_suffix(".json")
+    stamp = _stamp(sequence, config)
+    if file.is_file() and stamp_file.is_file() and json.loads(stamp_file.read_text()) == stamp:
+        return read_measurements(file), read_relative_poses(file)
+    stamp_file.unlink(missing_ok=True)
+    context = open_context(sequence, config, progress)
+    # The last solution has the best measurements.
+    for solution in find_motion(context, match_frames(context)):
+        tracks, links = solution.tracks, solution.links
+    write_measurements(tracks, file, links)
+    write_text(stamp_file, json.dumps(stamp) + "\n")
+    return read_measurements(file), read_relative_poses(file)
+
+
+def _stamp(sequence: Path, config: Config) -> dict[str, object]:
+    """Digest of the files of a dataset except its truth, with the settings and our code."""
+    digest = hashlib.sha256()
+    mav0 = sequence / "mav0"
+    for file in sorted(mav0.rglob("*")):
+        if file.is_file() and file.relative_to(mav0).parts[0] != "target0":
+            found = file.stat()
+            digest.update(f"{file.relative_to(mav0)} {found.st_size} {found.st_mtime_ns}\n".encode())
+    settings = dump_config(config.model_copy(update={"compare": type(config.compare)()}))
+    return {"files": digest.hexdigest(), "settings": settings, "code": code_of(CODE),
+            "versions": versions(DISTRIBUTIONS)}  # fmt: skip

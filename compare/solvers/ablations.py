@@ -1,4 +1,4 @@
-"""Variants of the formulation, solved by polhode's Gauss-Newton, judged by the common cost all the same.
+"""Variants of the formulation, solved by polhode's Gauss-Newton and assessed by the common cost.
 
 ``log_ratios``: the thesis's k1, k2 with axes and its wide prior. ``constant_noise``: the process noise of a
 body at rest, not along its motion. ``open_loop``: a landmark that comes back into view is a new one.
@@ -20,9 +20,9 @@ from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, SolveMonitor
-from polhode.compare.solvers.dynamic_isam import LogRatios, possible, wide_prior
+from polhode.compare.solver import SolveMonitor, SolverResult
 from polhode.compare.solvers.ours import MonitoredGaussNewton
+from polhode.compare.solvers.thesis_methods import LogRatios, possible, wide_prior
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -37,20 +37,19 @@ class Ablation:
 
     variant: str
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
         """The variant's optimum, in the common unknowns."""
         if self.variant == "log_ratios":
             return _log_ratios(problem, x, monitor)
         if self.variant == "constant_noise":
-            held = replace(problem.held, steps=_at_rest(problem))
-            found = MonitoredGaussNewton(problem.data, monitor).solve(held, x, MAX_ITERATIONS, monitor.left())
-            monitor.check()
-            return Outcome(found.x, found.converged, found.iterations, found.message)
+            fixed = replace(problem.fixed, steps=_at_rest(problem))
+            found = MonitoredGaussNewton(problem.data, monitor).solve_in_time(fixed, x, MAX_ITERATIONS)
+            return SolverResult(found.x, found.converged, found.iterations, found.message)
         return _open_loop(problem, x, monitor)
 
 
 class _WidePrior(MonitoredGaussNewton):
-    """The thesis's, on its own numbers."""
+    """With the prior of the thesis."""
 
     def __init__(self, data: MotionData, monitor: SolveMonitor, common: Callable[[Array], Array]) -> None:
         super().__init__(data, monitor, common)
@@ -62,71 +61,68 @@ def _at_rest(problem: MeasuredProblem) -> Steps:
     still = np.zeros((len(data.dt_s), 3))
     levels = np.full(len(data.dt_s), data.accel_psd), np.full(len(data.dt_s), data.torque_psd)
     W_t, W_r, _ = whitening(still, np.eye(3), data.dt_s, *levels)
-    return replace(problem.held.steps, W_t=W_t, W_r=W_r)
+    return replace(problem.fixed.steps, W_t=W_t, W_r=W_r)
 
 
 def _in_common(problem: MeasuredProblem, data: MotionData, around: Iterate, x: Array) -> Array:
-    """Unknowns x counted from an iterate, in the data's form of the inertia -> the common unknowns."""
+    """Unknowns x about an iterate, in the data's form of the inertia -> the common unknowns."""
     at = around.moved_to(x)
     J = inertia_from_second_moments(at.second_moments(data.form))
     xi, R_inertia = problem.data.form.coordinates(second_moments_from_inertia(J))
     return problem.vector(replace(at, xi=xi, R_inertia=R_inertia))
 
 
-def _log_ratios(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
+def _log_ratios(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
     data = replace(problem.data, form=LogRatios())
     start = problem.iterate(x)
     xi, R_inertia = data.form.coordinates(start.second_moments(problem.data.form))
     begin = replace(start, xi=xi, R_inertia=R_inertia)
     total, before = 0, np.inf
     while True:
-        # references are renewed, as the axes of nearly equal moments turn far
+        # references are renewed, as the axes of nearly equal moments rotate far
         solver = _WidePrior(data, monitor, partial(_in_common, problem, data, begin))
-        held = _around(problem.held, data, begin)
-        found = solver.solve(held, begin.vector(), 15, monitor.left())
-        monitor.check()
+        fixed = _around(problem.fixed, data, begin)
+        found = solver.solve_in_time(fixed, begin.vector(), 15)
         total, begin = total + found.iterations, begin.moved_to(found.x)
-        resting = before - found.cost <= 1e-8 * found.cost
-        if (found.converged and resting) or total >= MAX_ITERATIONS:
+        stationary = before - found.cost <= 1e-8 * found.cost
+        if (found.converged and stationary) or total >= MAX_ITERATIONS:
             break
         before = found.cost
-    words = "a possible body" if possible(begin.xi) else "an impossible body"
+    body = "a possible body" if possible(begin.xi) else "an impossible body"
     end = _in_common(problem, data, begin, begin.vector())
-    return Outcome(end, found.converged, total, f"{found.message}; {words}")
+    return SolverResult(end, found.converged, total, f"{found.message}; {body}")
 
 
-def _around(held: LinearizationPoint, data: MotionData, at: Iterate) -> LinearizationPoint:
-    return replace(held, reference=at, A=data.R_RN @ at.R_NG)
+def _around(fixed: LinearizationPoint, data: MotionData, at: Iterate) -> LinearizationPoint:
+    return replace(fixed, reference=at, A=data.R_RN @ at.R_NG)
 
 
 def passages(data: MotionData) -> tuple[Ints, Ints]:
-    """(M,) landmark of each observation when those that come back are new, and the old one of each new."""
+    """(M,) landmark of each observation, new after an absence, and the old landmark of each new one."""
     new, old, number = np.empty(len(data.frame), dtype=np.int64), [], -1
-    for mark in range(data.n_landmarks):
-        at = np.arange(data.start[mark], data.start[mark + 1])
+    for landmark in range(data.n_landmarks):
+        at = np.arange(data.start[landmark], data.start[landmark + 1])
         for m, gap in zip(at, np.diff(data.frame[at], prepend=-(10**6)), strict=True):
             if gap > ABSENT:
                 number += 1
-                old.append(mark)
+                old.append(landmark)
             new[m] = number
     return new, np.array(old, dtype=np.int64)
 
 
-def _open_loop(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
-    data, at = problem.data, problem.held.reference
+def _open_loop(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    data, at = problem.data, problem.fixed.reference
     new, old = passages(data)
     split = replace(data, landmark=new, start=np.searchsorted(new, np.arange(len(old) + 1)).astype(np.int64))
-    marks = x[at.n_dense :].reshape(-1, 3)
-    start = np.concatenate([x[: at.n_dense], marks[old].ravel()])
-    held = replace(problem.held, reference=replace(at, p_G=at.p_G[old]))
-    # the first passage of a landmark stands for it
+    landmarks = x[at.n_dense :].reshape(-1, 3)
+    start = np.concatenate([x[: at.n_dense], landmarks[old].ravel()])
+    fixed = replace(problem.fixed, reference=replace(at, p_G=at.p_G[old]))
+    # a landmark is represented by its first passage
     first = np.searchsorted(old, np.arange(data.n_landmarks))
 
     def common(z: Array) -> Array:
         return np.concatenate([z[: at.n_dense], z[at.n_dense :].reshape(-1, 3)[first].ravel()])
 
-    found = MonitoredGaussNewton(split, monitor, common).solve(held, start, MAX_ITERATIONS, monitor.left())
-    monitor.check()
-    end = common(found.x)
-    words = f"{found.message}; {data.n_landmarks} landmarks became {len(old)}"
-    return Outcome(end, found.converged, found.iterations, words)
+    found = MonitoredGaussNewton(split, monitor, common).solve_in_time(fixed, start, MAX_ITERATIONS)
+    message = f"{found.message}; {data.n_landmarks} landmarks became {len(old)}"
+    return SolverResult(common(found.x), found.converged, found.iterations, message)

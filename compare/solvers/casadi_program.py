@@ -40,7 +40,7 @@ Code = Literal["vm", "c"]
 
 @dataclass(frozen=True)
 class Formulation:
-    """What is chosen."""
+    """One choice of Hessian, dynamics and code."""
 
     hessian: Hessian = "gauss_newton"
     dynamics: Dynamics = "weighted"
@@ -48,28 +48,28 @@ class Formulation:
 
 
 class VariantProgram(MotionProgram):
-    """Expressions of one formulation; ``functions`` are what CasADi's solvers want to be given."""
+    """Expressions of one formulation; ``functions`` are those that CasADi's solvers take."""
 
     def __init__(self, problem: MeasuredProblem, formulation: Formulation, folder: Path) -> None:
         super().__init__(problem.data)
         self.problem, self.formulation = problem, formulation
-        held, data = problem.held, problem.data
-        self._series = held.steps.series
-        self.layout = ProgramLayout(held.reference, int(held.steps.series.max()))
-        self.blocks = Blocks(data, held)
+        fixed, data = problem.fixed, problem.data
+        self._series = fixed.steps.series
+        self.layout = ProgramLayout(fixed.reference, int(fixed.steps.series.max()))
+        self.blocks = Blocks(data, fixed)
         self.n_x = self.blocks.n_x
         self.n_slack = 12 * (data.n_frames - 1) if formulation.dynamics == "slack" else 0
         kernels = stereo_kernels(data.robust_scale, formulation.hessian)
         self._stereo = compile_kernels(kernels, folder) if formulation.code == "c" else kernels
-        self._measurements = ca.DM(stereo_parameters(data, held))
-        self.p = program_parameters(data, held, self._series)
+        self._measurements = ca.DM(stereo_parameters(data, fixed))
+        self.p = program_parameters(data, fixed, self._series)
 
     def start(self, x: Array) -> Array:
-        """Unknowns with slack, zero: the constraints do not hold yet."""
+        """The unknowns with slack zero, at which the constraints are violated."""
         return np.concatenate([x, np.zeros(self.n_slack)])
 
     def terms(self, x: Any, p: Any, at: ProgramLayout, output: Output) -> list[ProgramTerm]:
-        """Those of the back end's program, exact second derivatives where asked for; slack for dynamics."""
+        """Terms of the back end's program, with exact second derivatives or slack as chosen."""
         terms = super().terms(x, p, at, output)
         steps = len(series_groups(self._series))
         exact = self.formulation.hessian == "exact" and output == "quadratic"
@@ -80,7 +80,7 @@ class VariantProgram(MotionProgram):
                 ProgramTerm(
                     slots, *exact_step_kernel(self.data.form, n, at.step).map(len(slots)).call(arguments)
                 )
-                for n, slots, arguments in self._steps(x, p, at)
+                for n, slots, arguments in self.steps(x, p, at)
             ]
         if exact:
             prior = 0 if self.formulation.dynamics == "slack" else steps
@@ -94,21 +94,8 @@ class VariantProgram(MotionProgram):
         kernel = self._stereo[output].map(len(slots))
         return ProgramTerm(slots, *kernel.call([gather(x, slots), self._measurements]))
 
-    def _steps(self, x: Any, p: Any, at: ProgramLayout) -> list[tuple[int, Ints, list[Any]]]:
-        """Of each number of series: the unknowns of its steps, and the arguments of a kernel."""
-        out, all_slots = [], self.blocks.step_slots()
-        for n, index in series_groups(self._series):
-            slots = all_slots[index]
-            of_p = at.steps + at.step.n_p * index[:, None] + np.arange(at.step.n_p)
-            arguments = [gather(x, slots), gather(p, of_p)]
-            if at.step.with_wrench:
-                torque = gather(p, at.torque + at.n_torque * index[:, None] + np.arange(6 * n))
-                arguments.append(ca.reshape(torque, 6, n * len(index)))
-            out.append((n, slots, arguments))
-        return out
-
     def functions(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The program and the derivatives to hand to ``nlpsol``."""
+        """The program and its derivatives, for ``nlpsol``."""
         n = self.n_x + self.n_slack
         z, p = ca.MX.sym("x", n), ca.MX.sym("p", len(self.p))
         x, slack = z[: self.n_x], z[self.n_x :]
@@ -117,29 +104,29 @@ class VariantProgram(MotionProgram):
         terms = self.terms(x, p, at, "gradient")
         slots = np.concatenate([term.slots.ravel() for term in terms])
         gradient = scatter(slots, self.n_x) @ ca.vertcat(*[ca.vec(term.gradient) for term in terms])
-        # with slack the states' own entries are empty; IPOPT reads a gradient as if it had none
+        # with slack, the states' own entries are structural zeros, which IPOPT does not expect in a gradient
         gradient = ca.densify(ca.vertcat(gradient, slack))
         with_cost = sum(ca.sum2(term.cost) for term in terms) + 0.5 * ca.sumsqr(slack)
         program: dict[str, Any] = {"x": z, "p": p, "f": cost}
-        given: dict[str, Any] = {
+        derivatives: dict[str, Any] = {
             "grad_f": ca.Function("nlp_grad_f", [z, p], [with_cost, gradient], ["x", "p"], ["f", "grad_f_x"])
         }
         if self.n_slack:
-            program["g"], given["jac_g"] = self._constraints(z, x, slack, p)
-        given["hess_lag"] = self._hessian(z, x, p, n)
-        return program, given
+            program["g"], derivatives["jac_g"] = self._constraints(z, x, slack, p)
+        derivatives["hess_lag"] = self._hessian(z, x, p, n)
+        return program, derivatives
 
     def _constraints(self, z: Any, x: Any, slack: Any, p: Any) -> tuple[Any, Any]:
         """Residual minus slack of every step, in the order of the groups, and its Jacobian."""
         values, blocks, cells, rows = [], [], [], 0
-        for n, slots, arguments in self._steps(x, p, self.layout):
+        for n, slots, arguments in self.steps(x, p, self.layout):
             kernel = dynamics_kernel(self.data.form, n, "jacobian", self.layout.step).map(len(slots))
             residual, jacobian = kernel.call(arguments)
             values.append(ca.vec(residual))
             blocks.append(ca.vec(jacobian))
             count, width = slots.shape
             row = rows + 12 * np.arange(count)[:, None, None] + np.arange(12)
-            # by columns within a block, as CasADi stores it
+            # by columns within a block, as CasADi stores matrices
             cells.append((slots[:, :, None] * 10**6 + row).reshape(count, width * 12).ravel())
             rows += 12 * count
         own = (self.n_x + self._slack_order()) * 10**6 + np.arange(rows)
@@ -154,7 +141,7 @@ class VariantProgram(MotionProgram):
         return g, ca.Function("nlp_jac_g", [z, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"])
 
     def _slack_order(self) -> Ints:
-        """Slack of each constraint: these are sorted by the number of series, slack by time."""
+        """Slack of each constraint: constraints are sorted by the number of series, slack by time."""
         index = np.concatenate([index for _, index in series_groups(self._series)])
         return np.asarray((12 * index[:, None] + np.arange(12)).ravel())
 
@@ -169,10 +156,10 @@ class VariantProgram(MotionProgram):
             values.append(lam_f * ca.DM.ones(self.n_slack))
         if self.n_slack and self.formulation.hessian == "exact":
             first = 0
-            for series, slots, arguments in self._steps(x, p, self.layout):
+            for series, slots, arguments in self.steps(x, p, self.layout):
                 count = len(slots)
                 multipliers = ca.reshape(lam_g[first : first + 12 * count], 12, count)
-                kernel = bent_step_kernel(self.data.form, series, self.layout.step).map(count)
+                kernel = curvature_kernel(self.data.form, series, self.layout.step).map(count)
                 values.append(ca.vec(kernel.call([*arguments, multipliers])[0]))
                 keys.append(upper_keys(slots, n))
                 first += 12 * count
@@ -198,19 +185,19 @@ def stereo_kernels(scale: float, hessian: Hessian) -> dict[str, Any]:
     A = ca.reshape(q[0:9], 3, 3) @ rotation_sx(x[3:6])
     p = A @ x[6:9] + ca.reshape(q[9:18], 3, 3) @ x[0:3] + q[18:21]
     f, cx, cy, baseline, offset = (q[27 + i] for i in range(5))
-    seen = ca.vertcat(f * p[0] / p[2] + cx, f * p[1] / p[2] + cy, f * baseline / p[2] + offset)
-    r = (q[21:24] - seen) * q[24:27]
+    predicted = ca.vertcat(f * p[0] / p[2] + cx, f * p[1] / p[2] + cy, f * baseline / p[2] + offset)
+    r = (q[21:24] - predicted) * q[24:27]
     s = ca.sumsqr(r)
     cost = 0.5 * scale**2 * ca.log1p(s / scale**2)
     gradient = ca.gradient(cost, x)
     if hessian == "exact":
         second, _ = ca.hessian(cost, x)
     else:
-        # as kernels.kernel_bend: the kernel's curvature as far as the block stays positive
+        # as in robust_kernel: second-order correction, limited so that the block stays positive
         J, weight = ca.jacobian(r, x), 1.0 / (1.0 + s / scale**2)
         limited = ca.fmin(2.0 / (scale**2 + s), MAX_CURVATURE / (s + 1e-12))
-        bend = limited / (1.0 + ca.sqrt(1.0 - limited * s))
-        B = J - bend * r @ (r.T @ J)
+        correction = limited / (1.0 + ca.sqrt(1.0 - limited * s))
+        B = J - correction * r @ (r.T @ J)
         second = weight * B.T @ B
     outputs = [cost, ca.densify(gradient), upper(ca.densify(second))]
     return {
@@ -235,10 +222,10 @@ def compile_kernels(kernels: dict[str, Any], folder: Path) -> dict[str, Any]:
     return {name: ca.external(kernel.name(), str(library)) for name, kernel in kernels.items()}
 
 
-def stereo_parameters(data: MotionData, held: LinearizationPoint) -> Array:
+def stereo_parameters(data: MotionData, fixed: LinearizationPoint) -> Array:
     """(32, M) one column a measurement."""
     d, k = data, data.frame
-    by_columns = [np.swapaxes(R, 1, 2).reshape(-1, 9)[k] for R in (held.A, d.R_RN)]
+    by_columns = [np.swapaxes(R, 1, 2).reshape(-1, 9)[k] for R in (fixed.A, d.R_RN)]
     rig = np.broadcast_to(d.rig, (len(k), 5))
     return np.ascontiguousarray(np.hstack([*by_columns, d.t_R[k], d.uvd_px, d.inv_sigma, rig]).T)
 
@@ -252,14 +239,14 @@ def exact_step_kernel(form: InertiaForm, n_series: int, layout: StepLayout) -> A
     return ca.Function("exact_step", arguments, [cost, gradient, upper(second)])
 
 
-def bent_step_kernel(form: InertiaForm, n_series: int, layout: StepLayout) -> Any:
+def curvature_kernel(form: InertiaForm, n_series: int, layout: StepLayout) -> Any:
     """Upper Hessian of the residuals of a step, each times its multiplier (last argument, 12)."""
     kernel = dynamics_kernel(form, n_series, "jacobian", layout).expand()
     arguments = [ca.SX.sym(f"a{i}", kernel.size1_in(i), kernel.size2_in(i)) for i in range(kernel.n_in())]
     multiplier = ca.SX.sym("multiplier", 12)
     _, jacobian = kernel.call(arguments)
     second = ca.densify(ca.jacobian(jacobian.T @ multiplier, arguments[0]))
-    return ca.Function("bent_step", [*arguments, multiplier], [upper(second)])
+    return ca.Function("curvature", [*arguments, multiplier], [upper(second)])
 
 
 def exact_prior_kernel(form: InertiaForm) -> Any:

@@ -1,7 +1,7 @@
 """Ceres through pyceres: blocks of the common cost as cost functions.
 
-pyceres calls a Python function for every block and has no hook before an evaluation. So the measurements of a
-landmark are one block (``landmark_block``); what the calls cost is stated.
+pyceres calls a Python function for every block, so that all measurements of a landmark are one block
+(``landmark_block``). The time of the calls is in the rows.
 """
 
 from collections.abc import Callable
@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from polhode.compare.problem.blocks import Blocks
+from polhode.compare.problem.blocks import Blocks, SingleSteps, compile_block, landmark_block
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.problem.single_blocks import SingleSteps, compile_block, landmark_block
-from polhode.compare.solver import Outcome, SolveMonitor
+from polhode.compare.solver import SolveMonitor, SolverResult
 from polhode.lie import Array
 
 TOLERANCE = 1e-10
@@ -23,10 +22,10 @@ class Ceres:
     """Levenberg-Marquardt, landmarks eliminated by Ceres's own Schur complement."""
 
     def __init__(self) -> None:
-        """The compiled loop is loaded before any clock starts."""
+        """Load the compiled loop before the clock starts."""
         compile_block()
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
         """Levenberg-Marquardt to a relative decrease of TOLERANCE."""
         import pyceres
 
@@ -45,7 +44,7 @@ class Ceres:
             options.callbacks = [callback]
         summary = pyceres.SolverSummary()
         pyceres.solve(options, graph.problem, summary)
-        # with what Ceres itself does around each call
+        # with Ceres's own work around each call
         own = summary.residual_evaluation_time_in_seconds + summary.jacobian_evaluation_time_in_seconds
         monitor.seconds["evaluation"] = max(monitor.callback_s, own)
         converged = summary.termination_type == pyceres.TerminationType.CONVERGENCE
@@ -55,19 +54,19 @@ class Ceres:
             monitor.check()
         spare = monitor.stop()
         cov = graph.covariance() if converged and spare else None
-        return Outcome(end, converged, iterations, str(summary.message), cov)
+        return SolverResult(end, converged, iterations, str(summary.message), cov)
 
 
 class _Graph:
-    """As Ceres knows it: a parameter block for each pose, rest of a state, constants, landmark."""
+    """Ceres's problem: parameter blocks are poses, other components of states, constants, landmarks."""
 
     def __init__(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> None:
         import pyceres
 
         self.problem = pyceres.Problem()
-        self.blocks, self.monitor = Blocks(problem.data, problem.held), monitor
+        self.blocks, self.monitor = Blocks(problem.data, problem.fixed), monitor
         self.parts = self._parts()
-        # Ceres holds the addresses of these and writes to them: never to x
+        # Ceres keeps their addresses and writes to them, so they are copies of x
         self.values = [x[part].copy() for part in self.parts]
         self._costs: list[Any] = []
         self._add_landmarks(problem)
@@ -80,14 +79,14 @@ class _Graph:
         self.problem.add_residual_block(cost, None, [self.values[owner] for owner in owners])
 
     def _add_landmarks(self, problem: MeasuredProblem) -> None:
-        d, held = problem.data, problem.held
+        d, fixed = problem.data, problem.fixed
         first = 2 * d.n_frames + 1
-        for mark in range(d.n_landmarks):
-            at = slice(d.start[mark], d.start[mark + 1])
+        for landmark in range(d.n_landmarks):
+            at = slice(d.start[landmark], d.start[landmark + 1])
             frames = d.frame[at]
-            fixed = (held.A[frames], d.R_RN[frames], d.t_R[frames], d.uvd_px[at], d.inv_sigma[at], d.rig)
-            evaluate = _of_landmark(fixed, d.robust_scale)
-            self._add(evaluate, 3 * len(frames), [first + mark, *(2 * frames).tolist()])
+            data = (fixed.A[frames], d.R_RN[frames], d.t_R[frames], d.uvd_px[at], d.inv_sigma[at], d.rig)
+            evaluate = _of_landmark(data, d.robust_scale)
+            self._add(evaluate, 3 * len(frames), [first + landmark, *(2 * frames).tolist()])
 
     def _add_steps(self) -> None:
         steps = SingleSteps(self.blocks)
@@ -97,7 +96,7 @@ class _Graph:
             self._add(_of_step(steps, k), 12, owners)
 
     def _add_others(self, x: Array) -> None:
-        """They are linear or small: evaluated with the others frozen where they do not matter."""
+        """Priors: linear or small, evaluated with the unknowns of other blocks at the start."""
         owner = np.empty(len(x), dtype=np.int64)
         for number, part in enumerate(self.parts):
             owner[part] = number
@@ -115,7 +114,7 @@ class _Graph:
         return parts + [slice(at, at + 3) for at in range(b.n_dense, b.n_x, 3)]
 
     def vector(self) -> Array:
-        """The unknowns as they stand (n,)."""
+        """The current unknowns (n,)."""
         return np.concatenate(self.values)
 
     def covariance(self) -> Array | None:
@@ -131,28 +130,28 @@ class _Graph:
         return np.asarray(found.get_covariance_block(constants, constants))[:8, :8]
 
 
-Fixed = tuple[Array, Array, Array, Array, Array, Array]
+LandmarkData = tuple[Array, Array, Array, Array, Array, Array]
 """Of a landmark's measurements: A_ref, R_RN, t_R, uvd, 1 / sigma, rig."""
 Evaluate = Callable[[list[Array], list[Array | None] | None], Array]
-"""Parameters, where to write the Jacobians: residuals."""
+"""(Parameters, arrays to fill with the Jacobians) -> residuals."""
 
 
-def _of_landmark(fixed: Fixed, scale: float) -> Evaluate:
-    n = len(fixed[0])
-    of_poses, of_mark = np.empty((n, 3, 6)), np.empty((n, 3, 3))
+def _of_landmark(data: LandmarkData, scale: float) -> Evaluate:
+    n = len(data[0])
+    of_poses, of_landmark = np.empty((n, 3, 6)), np.empty((n, 3, 3))
 
     def evaluate(parameters: list[Array], out: list[Array | None] | None) -> Array:
         poses = np.array(parameters[1:])
-        residual = landmark_block(poses, np.array(parameters[0]), *fixed, scale, of_poses, of_mark)
+        residual = landmark_block(poses, np.array(parameters[0]), *data, scale, of_poses, of_landmark)
         if out is not None:
             if out[0] is not None:
-                out[0][:] = of_mark.ravel()
+                out[0][:] = of_landmark.ravel()
             for m in range(n):
-                place = out[1 + m]
-                if place is not None:
+                target = out[1 + m]
+                if target is not None:
                     # rows of the other frames do not depend on this pose
-                    place[:] = 0.0
-                    place[18 * m : 18 * m + 18] = of_poses[m].ravel()
+                    target[:] = 0.0
+                    target[18 * m : 18 * m + 18] = of_poses[m].ravel()
         return residual.ravel()
 
     return evaluate
@@ -187,9 +186,9 @@ def _of_other(blocks: Blocks, kind: int, row: int, x: Array, parts: list[slice])
 
 def _write(out: list[Array | None], jacobian: Array, sizes: list[int]) -> None:
     start = 0
-    for place, size in zip(out, sizes, strict=True):
-        if place is not None:
-            place[:] = jacobian[:, start : start + size].ravel()
+    for target, size in zip(out, sizes, strict=True):
+        if target is not None:
+            target[:] = jacobian[:, start : start + size].ravel()
         start += size
 
 
@@ -197,10 +196,10 @@ def _on_iteration(graph: _Graph, monitor: SolveMonitor) -> Any:
     import pyceres
 
     class OnIteration(pyceres.IterationCallback):  # type: ignore[misc]
-        """Notes the cost; ends the solve at the limit."""
+        """Records the iteration; ends the solve at the limit."""
 
         def __call__(self, summary: Any) -> Any:
-            monitor.note(summary.cost, graph.vector() if summary.step_is_successful else None)
+            monitor.record(summary.cost, graph.vector() if summary.step_is_successful else None)
             stop = pyceres.CallbackReturnType.SOLVER_ABORT
             return stop if monitor.left() <= 0.0 else pyceres.CallbackReturnType.SOLVER_CONTINUE
 
@@ -211,7 +210,7 @@ def _cost_function(evaluate: Evaluate, rows: int, sizes: list[int], monitor: Sol
     import pyceres
 
     class OneBlock(pyceres.CostFunction):  # type: ignore[misc]
-        """What Ceres calls."""
+        """The function that Ceres calls."""
 
         def __init__(self) -> None:
             super().__init__()
@@ -219,7 +218,7 @@ def _cost_function(evaluate: Evaluate, rows: int, sizes: list[int], monitor: Sol
             self.set_parameter_block_sizes(sizes)
 
         def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
-            """False where the model has no value."""
+            """False where the model is undefined."""
             with monitor.callback(), np.errstate(all="ignore"):
                 found = evaluate(parameters, jacobians)
                 residuals[:] = found

@@ -1,9 +1,9 @@
-"""The same cost over other unknowns: a sparse Levenberg-Marquardt that solves in z, where x = x(z).
+"""The same cost over other unknowns: a sparse Levenberg-Marquardt method in z, where x = x(z).
 
-``rotation_vector``: x itself, to compare with. ``mrp``: attitudes as modified Rodrigues parameters (thesis
-4.5). ``body``: features from the centre of mass and the path of the centre of mass, instead of a geometric
-frame: what the thesis's section 4.6 avoids, as every change of com_G then moves all features. Others change
-the inertia: ``changed_inertia.py``.
+``rotation_vector``: x itself, for comparison. ``mrp``: attitudes as modified Rodrigues parameters (thesis
+4.5). ``body``: features relative to the centre of mass and the path of the centre of mass, instead of a
+geometric frame; section 4.6 of the thesis avoids it, as every change of com_G then moves all features.
+Others change the inertia: ``changed_inertia.py``.
 """
 
 from collections.abc import Callable
@@ -16,16 +16,15 @@ from scipy.sparse.linalg import splu
 
 from polhode.compare.problem.blocks import Blocks, root_of_kernel, stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, SolveMonitor
-from polhode.compare.solvers.aghili_dynamics import AghiliDynamics
-from polhode.compare.solvers.changed_inertia import KINDS, ChangedInertia
+from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solvers.changed_inertia import KINDS, AghiliDynamics, ChangedInertia
 from polhode.lie import Array, hat, right_jacobian_so3
 
 TOLERANCE, MAX_ITERATIONS = 1e-9, 300
 RENEWED = 15
-"""Iterations after which z counts from new references."""
-FIRST, LEAST, MOST = 1e-4, 1e-10, 1e10
-"""Damping, in units of the Hessian's diagonal."""
+"""Iterations after which the references of z are renewed."""
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-4, 1e-10, 1e10
+"""Relative to the Hessian's diagonal."""
 
 
 @dataclass
@@ -34,12 +33,12 @@ class ChangedUnknowns:
 
     unknowns: str = "rotation_vector"
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
         """Until the relative decrease of an accepted step is below TOLERANCE."""
-        blocks = Blocks(problem.data, problem.held)
+        blocks = Blocks(problem.data, problem.fixed)
         change = changes(self.unknowns, problem)
         to_x, to_z, rows = change.to_x, change.to_z, change.rows
-        z, damping, cost, iterations = to_z(x), FIRST, np.inf, 0
+        z, damping, cost, iterations = to_z(x), FIRST_DAMPING, np.inf, 0
         for iterations in range(1, MAX_ITERATIONS + 1):
             with monitor.part("evaluation"):
                 x, of_z = to_x(z)
@@ -55,7 +54,7 @@ class ChangedUnknowns:
                 residual = np.concatenate([residual, own])
                 jacobian = vstack([jacobian @ of_z, of_own], format="csr")
                 cost = 0.5 * float(residual @ residual)
-            monitor.note(cost, x)
+            monitor.record(cost, x)
             H, g = (jacobian.T @ jacobian).tocsc(), jacobian.T @ residual
             while True:
                 monitor.check()
@@ -65,25 +64,25 @@ class ChangedUnknowns:
                 if np.isfinite(after) and after <= cost:
                     break
                 damping *= 10.0
-                if damping > MOST:
-                    return Outcome(x, True, iterations, "no further decrease" + change.words(z))
+                if damping > MAX_DAMPING:
+                    return SolverResult(x, True, iterations, "no further decrease" + change.message(z))
             decrease, cost, z = cost - after, after, z + step
-            damping = max(damping / 10.0, LEAST)
+            damping = max(damping / 10.0, MIN_DAMPING)
             if iterations % RENEWED == 0:
-                # the references of the axes; others come back as they were
+                # renews the reference of the axes; the other unknowns stay the same
                 z = to_z(to_x(z)[0])
             if decrease <= TOLERANCE * cost:
-                return Outcome(to_x(z)[0], True, iterations, "converged" + change.words(z))
-        return Outcome(to_x(z)[0], False, iterations, "limit of iterations" + change.words(z))
+                return SolverResult(to_x(z)[0], True, iterations, "converged" + change.message(z))
+        return SolverResult(to_x(z)[0], False, iterations, "limit of iterations" + change.message(z))
 
     @staticmethod
     def _cost(blocks: Blocks, change: "Change", z: Array) -> float:
-        """The common cost, and what is held beside it; infinite where z is no possible body's."""
+        """The common cost and the additional terms; infinite where z is not that of a possible body."""
         x, _ = change.to_x(z)
         if not np.isfinite(x).all():
             return np.inf
-        instead = 0.0 if change.dynamics is None else change.dynamics.instead(x, z)
-        return blocks.cost(x) + instead + 0.5 * float(np.sum(change.rows(z)[0] ** 2))
+        extra = 0.0 if change.dynamics is None else change.dynamics.extra_cost(x, z)
+        return blocks.cost(x) + extra + 0.5 * float(np.sum(change.rows(z)[0] ** 2))
 
 
 @dataclass(frozen=True)
@@ -94,19 +93,19 @@ class Change:
     """x, and dx/dz (sparse)"""
     to_z: Callable[[Array], Array]
     rows: Callable[[Array], tuple[Array, Any]]
-    """Residuals of z beside the common cost, and their Jacobian (sparse)"""
-    words: Callable[[Array], str] = lambda z: ""
-    """What there is to say at the end"""
+    """Additional residuals of z, and their Jacobian (sparse)"""
+    message: Callable[[Array], str] = lambda z: ""
+    """Part of the message at the end"""
     dynamics: AghiliDynamics | None = None
-    """In the place of the common ones; None: those"""
+    """Replaces the common dynamics; None: the common ones"""
 
 
 def changes(unknowns: str, problem: MeasuredProblem) -> Change:
-    """By name."""
+    """The choice of a name."""
     if unknowns in KINDS:
         inertia = ChangedInertia(unknowns, problem)
         own = AghiliDynamics(problem, inertia) if unknowns == "aghili_free" else None
-        return Change(inertia.to_x, inertia.to_z, inertia.rows, lambda z: f"; {inertia.words(z)}", own)
+        return Change(inertia.to_x, inertia.to_z, inertia.rows, inertia.message, own)
     none = np.zeros(0), csc_matrix((0, len(problem.cold)))
     if unknowns == "mrp":
         return Change(*_of_mrp(problem), lambda z: none)
@@ -117,7 +116,7 @@ def changes(unknowns: str, problem: MeasuredProblem) -> Change:
 
 
 def _of_mrp(problem: MeasuredProblem) -> tuple[Any, Any]:
-    at = problem.held.reference
+    at = problem.fixed.reference
     slots = (at.n_state * np.arange(at.n_frames)[:, None] + np.arange(3, 6)).ravel()
 
     def to_x(z: Array) -> tuple[Array, Any]:
@@ -148,17 +147,17 @@ def _of_mrp(problem: MeasuredProblem) -> tuple[Any, Any]:
 
 
 def _of_body(problem: MeasuredProblem) -> tuple[Any, Any]:
-    """z holds r_N = p_NG + R_NG com_G for p_NG, and p_G - com_G for p_G."""
-    at = problem.held.reference
+    """z contains r_N = p_NG + R_NG com_G instead of p_NG, and p_G - com_G instead of p_G."""
+    at = problem.fixed.reference
     s, F, com = at.n_state, at.n_frames, slice(at.n_states, at.n_states + 3)
-    places = s * np.arange(F)[:, None] + np.arange(3)
+    positions = s * np.arange(F)[:, None] + np.arange(3)
 
     def moved(vector: Array, sign: float) -> Array:
         R = problem.iterate(vector).R_NG
         out = vector.copy()
-        out[places] += sign * (R @ vector[com])
-        marks = out[at.n_dense :].reshape(-1, 3)
-        marks -= sign * vector[com]
+        out[positions] += sign * (R @ vector[com])
+        landmarks = out[at.n_dense :].reshape(-1, 3)
+        landmarks -= sign * vector[com]
         return out
 
     def to_x(z: Array) -> tuple[Array, Any]:
@@ -168,12 +167,12 @@ def _of_body(problem: MeasuredProblem) -> tuple[Any, Any]:
         of_turn = R @ hat(z[com]) @ right_jacobian_so3(theta)
         constants = np.broadcast_to(np.arange(com.start, com.stop), (F, 3))
         change = identity(n, format="csr")
-        for columns, block in ((places + 3, of_turn), (constants, -R)):
-            rows = np.repeat(places, 3, axis=1)
+        for columns, block in ((positions + 3, of_turn), (constants, -R)):
+            rows = np.repeat(positions, 3, axis=1)
             change = change + _block(rows, np.tile(columns, (1, 3)), block, n)
-        marks = np.arange(at.n_dense, n)
-        which = com.start + (marks - at.n_dense) % 3
-        return x, change + csc_matrix((np.ones(len(marks)), (marks, which)), shape=(n, n)).tocsr()
+        landmarks = np.arange(at.n_dense, n)
+        which = com.start + (landmarks - at.n_dense) % 3
+        return x, change + csc_matrix((np.ones(len(landmarks)), (landmarks, which)), shape=(n, n)).tocsr()
 
     return to_x, (lambda x: moved(x, 1.0))
 

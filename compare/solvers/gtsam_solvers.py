@@ -8,16 +8,15 @@ import numpy as np
 from gtsam.symbol_shorthand import C, L, V, X
 
 from polhode.backend.dynamics.so3_exp import inverse_right_jacobians
-from polhode.compare.problem.blocks import Blocks
+from polhode.compare.problem.blocks import Blocks, SingleSteps
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.problem.single_blocks import SingleSteps
-from polhode.compare.solver import Outcome, SolveMonitor
+from polhode.compare.solver import SolveMonitor, SolverResult
 from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 300
 RELINEARIZE, WILDFIRE = 1e-5, 1e-8
-"""Smallest change of an unknown that iSAM2 linearises again for, and that it passes on."""
+"""Smallest change of an unknown for which iSAM2 relinearizes, and that it propagates."""
 LAST_UPDATES = 40
 NOT_SEPARABLE = "GTSAM evaluates its stereo factors in C++ inside its own steps"
 
@@ -25,7 +24,7 @@ NOT_SEPARABLE = "GTSAM evaluates its stereo factors in C++ inside its own steps"
 class Batch:
     """Levenberg-Marquardt with Marquardt's scaling."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
         """Until the relative decrease is below TOLERANCE."""
         monitor.not_separable = NOT_SEPARABLE
         with monitor.part("build"):
@@ -36,30 +35,30 @@ class Batch:
             parameters.setlambdaUpperBound(1e12)
             optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
         before, converged, iterations = optimizer.error(), False, 0
-        monitor.note(before, x)
+        monitor.record(before, x)
         while iterations < MAX_ITERATIONS and not converged:
             optimizer.iterate()
             iterations += 1
             after = optimizer.error()
-            monitor.note(after, own.vector(optimizer.values()))
+            monitor.record(after, own.vector(optimizer.values()))
             monitor.check()
             converged = before - after <= TOLERANCE * after
             before = after
         values = optimizer.values()
         cov = _covariance(lambda: gtsam.Marginals(graph, values)) if monitor.stop() else None
         message = "converged" if converged else "limit of iterations"
-        return Outcome(own.vector(values), converged, iterations, message, cov)
+        return SolverResult(own.vector(values), converged, iterations, message, cov)
 
 
 class Incremental:
-    """iSAM2: frames come one by one, with the same first values; in the end updates until the cost rests."""
+    """iSAM2: frames are added one by one, from the same start; then updates until the cost is stationary."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
-        """The cost is noted when all frames are in."""
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+        """The cost is recorded once all frames have been added."""
         monitor.not_separable = NOT_SEPARABLE
         with monitor.part("build"):
             own = Graph(problem, monitor)
-            # small steps must reach every unknown, or the cost rests too early
+            # small steps must reach every unknown, or the cost is stationary too early
             parameters = gtsam.ISAM2Params()
             parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(WILDFIRE))
             parameters.setRelinearizeThreshold(RELINEARIZE)
@@ -73,19 +72,19 @@ class Incremental:
                 own.add_step(new, k - 1)
             else:
                 own.add_others(new, x)
-            marks = np.unique(d.landmark[d.frame == k])
-            values = own.values(x, range(k, k + 1), marks[~seen[marks]])
-            seen[marks] = True
+            landmarks = np.unique(d.landmark[d.frame == k])
+            values = own.values(x, range(k, k + 1), landmarks[~seen[landmarks]])
+            seen[landmarks] = True
             isam.update(new, values)
             iterations += 1
-            monitor.tell(f"{k + 1} of {d.n_frames} frames were in")
+            monitor.report(f"{k + 1} of {d.n_frames} frames were in")
             monitor.check()
-        monitor.tell("")
+        monitor.report("")
         cost, converged = np.inf, False
         for _ in range(LAST_UPDATES):
             found = own.vector(isam.calculateEstimate())
             after = own.blocks.cost(found)
-            monitor.note(after, found)
+            monitor.record(after, found)
             converged = bool(abs(cost - after) <= TOLERANCE * after)
             if converged:
                 break
@@ -94,27 +93,29 @@ class Incremental:
             iterations += 1
             monitor.check()
         cov = _covariance(lambda: isam) if monitor.stop() else None
-        return Outcome(found, converged, iterations, "converged" if converged else "limit of updates", cov)
+        return SolverResult(
+            found, converged, iterations, "converged" if converged else "limit of updates", cov
+        )
 
 
 def _covariance(solved: Callable[[], Any]) -> Array | None:
-    """(8, 8) of com_G, xi by GTSAM; None where its Hessian has no inverse."""
+    """(8, 8) of com_G, xi by GTSAM; None for a singular Hessian."""
     try:
         return np.asarray(solved().marginalCovariance(C(0)))[:8, :8]
     except RuntimeError:
         return None
 
 
-Errors = Callable[[Array, bool], tuple[Array, Array]]
-"""Unknowns of the keys, whether the Jacobian is wanted: residuals, Jacobian."""
+Evaluation = Callable[[Array, bool], tuple[Array, Array]]
+"""(Unknowns of the keys, whether the Jacobian is needed) -> residuals, Jacobian."""
 
 
 class Graph:
-    """Factors by frame, and values to and from the common vector."""
+    """Factors by frame, and conversion of values from and to the common vector."""
 
     def __init__(self, problem: MeasuredProblem, monitor: SolveMonitor) -> None:
-        self.blocks, self.monitor = Blocks(problem.data, problem.held), monitor
-        self.data, self.held = problem.data, problem.held
+        self.blocks, self.monitor = Blocks(problem.data, problem.fixed), monitor
+        self.data, self.fixed = problem.data, problem.fixed
         self.X_NR = inverse_pose(make_pose(self.data.R_RN, self.data.t_R))
         self._steps = SingleSteps(self.blocks)
         self._models: dict[tuple[float, ...], Any] = {}
@@ -138,17 +139,8 @@ class Graph:
         for m in np.flatnonzero(d.frame == k):
             u, v, disparity = d.uvd_px[m]
             measured = gtsam.StereoPoint2(u, u - (disparity - self._offset), v)
-            graph.add(
-                gtsam.GenericStereoFactor3D(
-                    measured,
-                    self._model(d.inv_sigma[m]),
-                    X(k),
-                    L(int(d.landmark[m])),
-                    self._camera,
-                    False,
-                    False,
-                )
-            )
+            model, keys = self._model(d.inv_sigma[m]), (X(k), L(int(d.landmark[m])))
+            graph.add(gtsam.GenericStereoFactor3D(measured, model, *keys, self._camera, False, False))
 
     def _model(self, inv_sigma: Array) -> Any:
         key = tuple(inv_sigma.tolist())
@@ -162,16 +154,15 @@ class Graph:
     def add_step(self, graph: Any, k: int) -> None:
         """Dynamics from frame k to the next."""
 
-        def errors(x: Array, wanted: bool) -> tuple[Array, Array]:
-            if wanted:
+        def evaluate(x: Array, with_jacobian: bool) -> tuple[Array, Array]:
+            if with_jacobian:
                 return self._steps.jacobian(k, x)
             return self._steps.residual(k, x), np.zeros((0, 0))
 
-        keys = [X(k), V(k), X(k + 1), V(k + 1), C(0)]
-        self._add(graph, keys, 12, errors)
+        self._add(graph, [X(k), V(k), X(k + 1), V(k + 1), C(0)], 12, evaluate)
 
     def add_others(self, graph: Any, x: Array) -> None:
-        """Prior, hold of the first pose, errors of the camera, what is known of a wrench."""
+        """Prior, gauge of the first pose, errors of the camera, prior of a known wrench."""
         b, s = self.blocks, self.blocks.n_state
         for kind, block in enumerate(b.others(x)):
             for row, slots in enumerate(block.slots):
@@ -182,21 +173,21 @@ class Graph:
                     key, start, size = X(first // s), first, 6
                 else:
                     key, start, size = V(first // s), first - first % s + 6, s - 6
-                errors = self._other(kind, row, x.copy(), slice(start, start + size), slots - start)
-                self._add(graph, [key], block.residual.shape[1], errors)
+                evaluate = self._other(kind, row, x.copy(), slice(start, start + size), slots - start)
+                self._add(graph, [key], block.residual.shape[1], evaluate)
 
-    def _other(self, kind: int, row: int, x: Array, at: slice, columns: Any) -> Errors:
-        def errors(own: Array, wanted: bool) -> tuple[Array, Array]:
+    def _other(self, kind: int, row: int, x: Array, at: slice, columns: Any) -> Evaluation:
+        def evaluate(own: Array, _: bool) -> tuple[Array, Array]:
             x[at] = own
             block = self.blocks.others(x)[kind]
             jacobian = np.zeros((block.residual.shape[1], at.stop - at.start))
             jacobian[:, columns] = block.jacobian[row]
             return block.residual[row], jacobian
 
-        return errors
+        return evaluate
 
-    def _add(self, graph: Any, keys: list[int], rows: int, errors: Errors) -> None:
-        """A factor in Python; its Jacobian in the tangent of GTSAM's poses."""
+    def _add(self, graph: Any, keys: list[int], rows: int, evaluate: Evaluation) -> None:
+        """A factor in Python; its Jacobian is converted to the tangent space of GTSAM's poses."""
 
         def call(this: Any, values: Any, jacobians: Any) -> Array:
             with self.monitor.callback(), np.errstate(all="ignore"):
@@ -205,20 +196,20 @@ class Graph:
                     numbers, tangent = self._numbers(values, key)
                     own.append(numbers)
                     tangents.append(tangent)
-                residual, jacobian = errors(np.concatenate(own), jacobians is not None)
+                residual, jacobian = evaluate(np.concatenate(own), jacobians is not None)
                 if jacobians is not None:
                     start = 0
                     for n, (numbers, tangent) in enumerate(zip(own, tangents, strict=True)):
                         part = jacobian[:, start : start + len(numbers)]
                         jacobians[n] = np.asfortranarray(part if tangent is None else part @ tangent)
                         start += len(numbers)
-                # GTSAM takes a factor that is not a number for a good one
+                # GTSAM accepts steps to NaN
                 return np.where(np.isfinite(residual), residual, 1e30)
 
         graph.add(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), keys, call))
 
     def _numbers(self, values: Any, key: int) -> tuple[Array, Array | None]:
-        """Common unknowns of a key; of a pose also their derivative (6, 6) in its tangent (turn, shift)."""
+        """Common unknowns of a key; of a pose, their derivative (6, 6) in GTSAM's tangent space."""
         symbol = gtsam.Symbol(key)
         if chr(symbol.chr()) != "x":
             return np.asarray(values.atVector(key)), None
@@ -226,16 +217,16 @@ class Graph:
         X_GR = values.atPose3(key).matrix()
         X_NG = self.X_NR[k] @ inverse_pose(X_GR)
         R_NG, R_GR = X_NG[:3, :3], X_GR[:3, :3]
-        theta = log_so3(self.held.reference.R_NG[k].T @ R_NG)
+        theta = log_so3(self.fixed.reference.R_NG[k].T @ R_NG)
         tangent = np.zeros((6, 6))
         tangent[:3, :3], tangent[:3, 3:] = -R_NG @ hat(X_GR[:3, 3]) @ R_GR, -R_NG @ R_GR
         tangent[3:, :3] = -inverse_right_jacobians(theta[None])[0] @ R_GR
         return np.concatenate([X_NG[:3, 3], theta]), tangent
 
-    def values(self, x: Array, frames: range | None = None, marks: Any = None) -> Any:
-        """GTSAM's values of frames and landmarks (all unless given); constants with frame 0."""
+    def values(self, x: Array, frames: range | None = None, landmarks: Any = None) -> Any:
+        """GTSAM's values of frames and landmarks (all by default); constants with frame 0."""
         b, out = self.blocks, gtsam.Values()
-        at = self.held.reference.moved_to(x)
+        at = self.fixed.reference.moved_to(x)
         X_GR = inverse_pose(make_pose(at.R_NG, at.p_NG)) @ self.X_NR
         states = x[: b.n_states].reshape(-1, b.n_state)
         frames = range(self.data.n_frames) if frames is None else frames
@@ -244,8 +235,8 @@ class Graph:
             out.insert(V(k), states[k, 6:].copy())
         if 0 in frames:
             out.insert(C(0), x[b.n_states : b.n_dense].copy())
-        for mark in range(self.data.n_landmarks) if marks is None else marks:
-            out.insert(L(int(mark)), at.p_G[mark].copy())
+        for landmark in range(self.data.n_landmarks) if landmarks is None else landmarks:
+            out.insert(L(int(landmark)), at.p_G[landmark].copy())
         return out
 
     def vector(self, values: Any) -> Array:
@@ -255,5 +246,5 @@ class Graph:
         for k in range(self.data.n_frames):
             states[k, :6] = self._numbers(values, X(k))[0]
             states[k, 6:] = values.atVector(V(k))
-        marks = np.array([values.atPoint3(L(mark)) for mark in range(self.data.n_landmarks)])
-        return np.concatenate([states.ravel(), values.atVector(C(0)), marks.ravel()])
+        landmarks = np.array([values.atPoint3(L(landmark)) for landmark in range(self.data.n_landmarks)])
+        return np.concatenate([states.ravel(), values.atVector(C(0)), landmarks.ravel()])

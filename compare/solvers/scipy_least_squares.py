@@ -7,27 +7,27 @@ from scipy.optimize import least_squares
 
 from polhode.compare.problem.blocks import Block, Blocks, root_of_kernel, stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, SolveMonitor
+from polhode.compare.solver import SolveMonitor, SolverResult
 from polhode.lie import Array
 
 TOLERANCE = 1e-11
 MAX_EVALUATIONS = 2000
 UNREACHABLE = 1e30
-"""Residual where the model cannot be evaluated: the step there is refused."""
+"""Residual where the model cannot be evaluated: the step there is rejected."""
 
 
 class TrustRegion:
     """Trust region reflective, steps by LSMR."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
-        """The kernel is in the residuals: SciPy's own losses act on single numbers, not on vectors."""
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+        """With the kernel in the residuals: SciPy's own losses act on single numbers, not on vectors."""
         with monitor.part("build"):
-            blocks = Blocks(problem.data, problem.held)
-            memory = _Memory(blocks, monitor)
+            blocks = Blocks(problem.data, problem.fixed)
+            cached = _CachedBlocks(blocks, monitor)
         found: Any = least_squares(
-            memory.residual,
+            cached.residual,
             x,
-            jac=memory.jacobian,
+            jac=cached.jacobian,
             method="trf",
             tr_solver="lsmr",
             x_scale="jac",
@@ -36,11 +36,11 @@ class TrustRegion:
             gtol=1e-6,
             max_nfev=MAX_EVALUATIONS,
         )
-        return Outcome(found.x, found.status > 0, int(found.njev), " ".join(str(found.message).split()))
+        return SolverResult(found.x, found.status > 0, int(found.njev), " ".join(str(found.message).split()))
 
 
-class _Memory:
-    """Evaluates blocks once a point, though residuals and Jacobian are asked for apart."""
+class _CachedBlocks:
+    """Evaluates the blocks once a point, for separate calls of residuals and Jacobian."""
 
     def __init__(self, blocks: Blocks, monitor: SolveMonitor) -> None:
         self.blocks, self.monitor = blocks, monitor
@@ -54,9 +54,9 @@ class _Memory:
         return residual if np.isfinite(residual).all() else np.full_like(residual, UNREACHABLE)
 
     def jacobian(self, x: Array) -> Any:
-        """Sparse (n, n_x); asked for once an iteration."""
+        """Sparse (n, n_x); called once an iteration."""
         residual, jacobian = self._at(x)
-        self.monitor.note(0.5 * float(residual @ residual), x)
+        self.monitor.record(0.5 * float(residual @ residual), x)
         return jacobian
 
     def _at(self, x: Array) -> tuple[Array, Any]:

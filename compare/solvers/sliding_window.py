@@ -1,8 +1,8 @@
-"""The sliding window of the back end in different lengths, against smoothing everything at once.
+"""The sliding window of the back end in different lengths, compared with batch smoothing.
 
-The window sees the frames one by one. A state counts as it was when its frame left the window, or when the
-frames ended: it is smoothed by at most so many frames after its own. Landmarks are then put where they fit
-these poses best, and the common cost is judged. The window starts from nothing but the measurements.
+The window gets the frames one by one. Each state is taken when its frame leaves the window, or after the last
+frame: it is smoothed by at most that many frames after its own. Landmarks are then optimized for these poses,
+and the common cost is assessed. The window starts from the measurements alone.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.window import CameraNoise, FrameMeasurements, OnlineState, SlidingWindow
 from polhode.camera import RectifiedRig
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, SolveMonitor
+from polhode.compare.solver import SolveMonitor, SolverResult
 from polhode.compare.solvers.condensed import ReducedCost
 from polhode.config.backend import Backend, Window
 from polhode.lie import Array, inverse_pose, make_pose
@@ -29,8 +29,8 @@ class WindowLength:
 
     frames: str = "12"
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
-        """Where each state was when it left the window; ``x`` serves frames that were never placed."""
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+        """Each state when it left the window; those of ``x`` for frames whose pose was not found."""
         data, start = problem.data, problem.iterate(x)
         window = SlidingWindow(
             rig_of(data), settings_of(data, int(self.frames)), CameraNoise(*data.camera_sigma)
@@ -45,9 +45,9 @@ class WindowLength:
                 n = frame.number - 1
                 states[n], R_NG[n], placed[n] = frame.x, frame.R_NG, True
                 centres[n] = frame.x[:3] + frame.R_NG @ state.active.constants[:3]
-            monitor.tell(f"{k + 1} of {data.n_frames} frames were in")
+            monitor.report(f"{k + 1} of {data.n_frames} frames were in")
             monitor.check()
-        monitor.tell("")
+        monitor.report("")
         monitor.stop()
         assert last is not None
         xi, R_inertia = data.form.coordinates(second_moments_of(last))
@@ -63,12 +63,12 @@ class WindowLength:
         )
         end = problem.vector(at)
         end[start.n_dense :] = x[start.n_dense :]
-        words = f"{np.sum(~placed)} frames were not placed, the window restarted {restarts} times"
-        return Outcome(with_landmarks(problem, end), True, data.n_frames, words)
+        message = f"{np.sum(~placed)} frames have no pose, the window restarted {restarts} times"
+        return SolverResult(with_landmarks(problem, end), True, data.n_frames, message)
 
 
 def settings_of(data: MotionData, frames: int) -> Backend:
-    """Of the window: its length, as long a history, the noise of the problem."""
+    """Settings of the window: its length, a history of the same length, the noise of the problem."""
     return Backend(
         window=Window(frames=frames, history=max(frames, MIN_HISTORY)),
         process_noise="given",
@@ -80,7 +80,7 @@ def settings_of(data: MotionData, frames: int) -> Backend:
 
 
 def rig_of(data: MotionData) -> RectifiedRig:
-    """The camera; the size of its images plays no part."""
+    """The camera; the size of its images does not matter."""
     f, cx, cy, baseline, offset = (float(value) for value in data.rig)
     return RectifiedRig(f, cx, cy, baseline, int(2.0 * cx), int(2.0 * cy), offset)
 
@@ -93,8 +93,8 @@ def frames_of_data(data: MotionData) -> Iterator[FrameMeasurements]:
     start = np.searchsorted(data.frame[order], np.arange(data.n_frames + 1))
     for k in range(data.n_frames):
         use = order[start[k] : start[k + 1]]
-        marks, uvd, sigma = data.landmark[use], data.uvd_px[use], 1.0 / data.inv_sigma[use]
-        yield FrameMeasurements(int(time_ns[k]), X_NR[k], marks, uvd, sigma)
+        landmarks, uvd, sigma = data.landmark[use], data.uvd_px[use], 1.0 / data.inv_sigma[use]
+        yield FrameMeasurements(int(time_ns[k]), X_NR[k], landmarks, uvd, sigma)
 
 
 def second_moments_of(state: OnlineState) -> Array:
@@ -104,8 +104,8 @@ def second_moments_of(state: OnlineState) -> Array:
 
 
 def with_landmarks(problem: MeasuredProblem, x: Array) -> Array:
-    """x with the landmarks where they fit its poses best."""
-    n = problem.held.reference.n_dense
+    """x with the landmarks that minimize the cost at its poses."""
+    n = problem.fixed.reference.n_dense
     reduced = ReducedCost(problem, x, SolveMonitor(np.inf))
     reduced.cost(x[:n])
-    return np.concatenate([x[:n], reduced.marks])
+    return np.concatenate([x[:n], reduced.landmarks])

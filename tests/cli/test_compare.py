@@ -146,7 +146,7 @@ def test_our_own_folder_is_gone_on_with_and_a_new_one_is_marked(tmp_path: Path) 
     (tmp_path / "empty").mkdir()
     claim(tmp_path / "empty")
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="a file stands here"):
+    with pytest.raises(InputError, match="this is a file"):
         claim(tmp_path / "file")
 
 

@@ -4,7 +4,7 @@ import os
 import time
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import Outcome, SolveMonitor
+from polhode.compare.solver import SolveMonitor, SolverResult
 from polhode.lie import Array
 
 
@@ -14,13 +14,13 @@ class Faulty:
     def __init__(self, how: str) -> None:
         self.how = how
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Outcome:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
         """Never well."""
         if self.how == "hangs dumbly":
-            monitor.note(1.0)
-            monitor.tell(f"3 of {problem.data.n_frames} frames were in")
+            monitor.record(1.0)
+            monitor.report(f"3 of {problem.data.n_frames} frames were in")
             time.sleep(3600.0)
-        monitor.note(problem.held.half_log_det, x)
+        monitor.record(problem.fixed.half_log_det, x)
         if self.how == "crashes":
             os.abort()
         if self.how == "exits":
@@ -30,5 +30,5 @@ class Faulty:
         if self.how == "raises":
             raise ValueError("no such\nluck")
         if self.how == "nonsense":
-            return Outcome(x * float("nan"), True, 1, "converged")
-        return Outcome(x, True, 1, "converged")
+            return SolverResult(x * float("nan"), True, 1, "converged")
+        return SolverResult(x, True, 1, "converged")

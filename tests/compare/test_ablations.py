@@ -10,11 +10,11 @@ from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.registry import ABLATIONS, entries
 from polhode.compare.solver import SolveMonitor
 from polhode.compare.solvers.ablations import ABSENT, passages
-from polhode.compare.solvers.aghili_dynamics import flow_in_G
 from polhode.compare.solvers.changed_inertia import (
     KINDS,
     aghili_of,
     dependence,
+    flow_in_G,
     lichter_of,
     of_aghili,
     of_lichter,
@@ -97,8 +97,8 @@ def test_the_dynamics_of_aghilis_free_numbers_have_their_derivatives(small: Meas
     z = change.to_z(small.solution)
     assert change.dynamics is not None
     # on the surface they are the common ones
-    assert abs(change.dynamics.instead(small.solution, z)) < 1e-6
-    rng, n = np.random.default_rng(5), small.held.reference.n_dense + 1
+    assert abs(change.dynamics.extra_cost(small.solution, z)) < 1e-6
+    rng, n = np.random.default_rng(5), small.fixed.reference.n_dense + 1
     z[:n] += 1e-3 * rng.normal(size=n)
     along, step = np.where(np.arange(len(z)) < n, rng.normal(size=len(z)), 0.0), 1e-7
     _, jacobian = stacked([change.dynamics.block(z)], len(z))
@@ -156,7 +156,7 @@ def test_a_longer_window_comes_nearer_to_full_smoothing(small: MeasuredProblem) 
     for frames in ("6", "48"):
         found = entries((f"window_{frames}",))[0].load().solve(small, small.cold, SolveMonitor(120.0))
         assert found.iterations == small.data.n_frames
-        assert found.message == "0 frames were not placed, the window restarted 0 times"
+        assert found.message == "0 frames have no pose, the window restarted 0 times"
         errors = assess(small, found.x).errors
         assert errors is not None
         position[frames] = errors.position_mm

@@ -12,8 +12,8 @@ from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import SolveMonitor
 from polhode.compare.solvers.casadi_program import Formulation, VariantProgram
 from polhode.compare.solvers.condensed import ReducedCost
-from polhode.compare.solvers.dynamic_isam import LogRatios, possible
 from polhode.compare.solvers.gtsam_solvers import Graph
+from polhode.compare.solvers.thesis_methods import LogRatios, possible
 
 FORMULATIONS = [
     Formulation("gauss_newton", "weighted", "vm"),
@@ -30,7 +30,7 @@ def test_a_program_has_the_common_cost_and_its_derivatives(
     program = VariantProgram(small, formulation, tmp_path)
     _, given = program.functions()
     rng, x = np.random.default_rng(1), small.start("near", 0)
-    slack = Blocks(small.data, small.held).dynamics(x).residual.ravel() if program.n_slack else np.zeros(0)
+    slack = Blocks(small.data, small.fixed).dynamics(x).residual.ravel() if program.n_slack else np.zeros(0)
     z = np.concatenate([x, slack])
     multiplier = rng.normal(size=program.n_slack)
 
@@ -41,7 +41,7 @@ def test_a_program_has_the_common_cost_and_its_derivatives(
         return gradient
 
     cost = float(given["grad_f"](z, program.p)[0])
-    assert np.isclose(cost, Blocks(small.data, small.held).cost(x), rtol=1e-10)
+    assert np.isclose(cost, Blocks(small.data, small.fixed).cost(x), rtol=1e-10)
     if program.n_slack:
         violation = np.asarray(given["jac_g"](z, program.p)[0]).ravel()
         assert np.abs(violation).max() < 1e-6
@@ -61,7 +61,7 @@ def test_the_graph_has_the_common_cost_and_its_gradient(small: MeasuredProblem) 
     graph = Graph(small, SolveMonitor(60.0))
     x = small.start("near", 2)
     factors, values = graph.all(x), graph.values(x)
-    blocks = Blocks(small.data, small.held)
+    blocks = Blocks(small.data, small.fixed)
     assert np.isclose(factors.error(values), blocks.cost(x), rtol=1e-10)
     assert np.allclose(graph.vector(values), x, atol=1e-12)
     linear = factors.linearize(values)
@@ -89,11 +89,11 @@ def test_the_reduced_cost_is_the_least_over_the_landmarks(small: MeasuredProblem
     reduced = ReducedCost(small, small.cold, SolveMonitor(60.0))
     y = small.start("near", 5)[: reduced.n]
     cost = reduced.cost(y)
-    blocks = Blocks(small.data, small.held)
-    assert np.isclose(blocks.cost(np.concatenate([y, reduced.marks])), cost, rtol=1e-12)
+    blocks = Blocks(small.data, small.fixed)
+    assert np.isclose(blocks.cost(np.concatenate([y, reduced.landmarks])), cost, rtol=1e-12)
     rng = np.random.default_rng(0)
     for _ in range(3):
-        moved = reduced.marks + 1e-4 * rng.normal(size=len(reduced.marks))
+        moved = reduced.landmarks + 1e-4 * rng.normal(size=len(reduced.landmarks))
         assert blocks.cost(np.concatenate([y, moved])) > cost
     along, step = rng.normal(size=reduced.n), 1e-6
     gradient = reduced.gradient(y)

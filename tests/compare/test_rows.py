@@ -6,6 +6,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from polhode.compare.page import write_page
 from polhode.compare.ranking import curve, front, growths, performance_profiles
 from polhode.compare.rows import (
     SCHEMA_FILE,
@@ -17,8 +18,7 @@ from polhode.compare.rows import (
     schema_text,
     write_comparison,
 )
-from polhode.compare.tables.page import write_page
-from polhode.compare.tables.table import cells, csv_text, not_separable, tallies, verdict
+from polhode.compare.tables import cells, csv_text, not_separable, tallies, verdict
 from polhode.errors import InputError
 
 

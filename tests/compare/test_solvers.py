@@ -9,8 +9,8 @@ import pytest
 from polhode.compare.problem.assessment import AGREED, assess, reference_covariance, sigmas
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.registry import ABLATIONS, ENTRIES, entries
-from polhode.compare.solver import Outcome, OutOfTime, SolveMonitor
-from polhode.compare.solvers.ipopt import evaluation_s
+from polhode.compare.solver import OutOfTime, SolveMonitor, SolverResult
+from polhode.compare.solvers.casadi_solvers import evaluation_s
 
 AGREEING = (
     "gauss_newton", "gauss_newton_ratios", "ipopt", "ipopt_condensed", "ipopt_vm", "ipopt_c",
@@ -20,7 +20,7 @@ AGREEING = (
 BASELINES = ("odometry", "dynamic_isam")
 
 
-def solve(name: str, problem: MeasuredProblem, start: str = "cold", limit_s: float = 120.0) -> Outcome:
+def solve(name: str, problem: MeasuredProblem, start: str = "cold", limit_s: float = 120.0) -> SolverResult:
     return entries((name,))[0].load().solve(problem, problem.start(start, 0), SolveMonitor(limit_s))
 
 
@@ -94,7 +94,7 @@ def test_each_keeps_a_whole_point_on_its_way_or_tells_how_far_it_was(
         entries((name,))[0].load().solve(small, small.cold, monitor)
     kept, x = monitor.kept()
     if (name in ("dynamic_isam", "gtsam_isam2") or name.startswith("window_")) and x is None:
-        assert kept == "nothing" and monitor.words.endswith("of 20 frames were in")
+        assert kept == "nothing" and monitor.status.endswith("of 20 frames were in")
         return
     assert kept == ("last" if name in KEEP_THE_LAST else "best")
     assert x is not None and x.shape == small.cold.shape

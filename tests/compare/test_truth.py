@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from polhode.cli.main import main
-from polhode.compare.problem import dataset
-from polhode.compare.problem.dataset import measure
+from polhode.compare.problem import sources
+from polhode.compare.problem.sources import measure
 from polhode.compare.rows import Comparison, read_comparison
 from polhode.config import Config
 from polhode.errors import InputError
+from polhode.pipeline import correspondences
 from polhode.pipeline.evaluation import truth_of_frames
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.progress import Silent
@@ -106,13 +107,13 @@ def test_the_front_end_runs_once_for_the_same_images_and_settings(
     for suffix in (".npz", ".json"):
         shutil.copy(of_data / "problems" / f"sequence{suffix}", store.with_suffix(suffix))
     stamp = json.loads(store.with_suffix(".json").read_text())
-    monkeypatch.setattr(dataset, "_stamp", lambda *_: stamp)
-    monkeypatch.setattr(dataset, "match_frames", lambda *_: pytest.fail("matched again"))
+    monkeypatch.setattr(sources, "_stamp", lambda *_: stamp)
+    monkeypatch.setattr(correspondences, "match_frames", lambda *_: pytest.fail("matched again"))
     tracks, relative = measure(sequence, config, Silent(), store)
     assert tracks.n_frames == 12 and relative is not None
     # other settings are other measurements
-    monkeypatch.setattr(dataset, "_stamp", lambda *_: {**stamp, "settings": ""})
-    monkeypatch.setattr(dataset, "match_frames", _matched)
+    monkeypatch.setattr(sources, "_stamp", lambda *_: {**stamp, "settings": ""})
+    monkeypatch.setattr(correspondences, "match_frames", _matched)
     with pytest.raises(InputError, match="matched again"):
         measure(sequence, config, Silent(), store)
 

@@ -10,7 +10,7 @@ from polhode.compare.problem.measured_problem import MeasuredProblem
 def test_the_decrease_that_is_left_counts_the_landmarks(small: MeasuredProblem) -> None:
     """Landmarks alone are moved off the solution: what a step promises is what they have to gain."""
     x = small.solution.copy()
-    first = small.held.reference.n_dense
+    first = small.fixed.reference.n_dense
     x[first:] += 1e-4 * np.random.default_rng(0).normal(size=len(x) - first)
     moved, least = assess(small, x), assess(small, small.solution)
     assert moved.cost is not None and least.cost is not None and moved.gain_left is not None

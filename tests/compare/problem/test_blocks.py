@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from polhode.compare.problem.blocks import Block, Blocks, root_of_kernel, stacked
+from polhode.compare.problem.blocks import Block, Blocks, SingleSteps, landmark_block, root_of_kernel, stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.problem.single_blocks import SingleSteps, landmark_block
 from polhode.lie import Array
 
 
 def roots(problem: MeasuredProblem, x: Array) -> tuple[Array, Array]:
-    blocks = Blocks(problem.data, problem.held)
+    blocks = Blocks(problem.data, problem.fixed)
     residual, jacobian = stacked(
         [root_of_kernel(block, problem.data.robust_scale) for block in blocks.all(x)], blocks.n_x
     )
@@ -17,7 +16,7 @@ def roots(problem: MeasuredProblem, x: Array) -> tuple[Array, Array]:
 
 
 def test_the_squares_of_the_blocks_are_the_cost(small: MeasuredProblem) -> None:
-    blocks = Blocks(small.data, small.held)
+    blocks = Blocks(small.data, small.fixed)
     for x in (small.cold, small.solution, small.start("perturbed", 3)):
         residual, _ = roots(small, x)
         assert np.isclose(0.5 * residual @ residual, blocks.cost(x), rtol=1e-10)
@@ -44,24 +43,24 @@ def test_the_kernel_has_no_jump_where_its_series_begins() -> None:
 
 
 def test_one_landmark_alone_is_the_same(small: MeasuredProblem) -> None:
-    d, held, x = small.data, small.held, small.start("perturbed", 0)
-    blocks = Blocks(d, held)
+    d, fixed, x = small.data, small.fixed, small.start("perturbed", 0)
+    blocks = Blocks(d, fixed)
     whole = root_of_kernel(blocks.stereo(x), d.robust_scale)
     for mark in (0, d.n_landmarks // 2, d.n_landmarks - 1):
         at = slice(d.start[mark], d.start[mark + 1])
         frames = d.frame[at]
         poses = x[: blocks.n_states].reshape(-1, blocks.n_state)[frames, :6]
         p_G = x[blocks.n_dense + 3 * mark : blocks.n_dense + 3 * mark + 3]
-        fixed = (held.A[frames], d.R_RN[frames], d.t_R[frames], d.uvd_px[at], d.inv_sigma[at], d.rig)
+        measured = (fixed.A[frames], d.R_RN[frames], d.t_R[frames], d.uvd_px[at], d.inv_sigma[at], d.rig)
         of_poses, of_mark = np.empty((len(frames), 3, 6)), np.empty((len(frames), 3, 3))
-        residual = landmark_block(poses.copy(), p_G.copy(), *fixed, d.robust_scale, of_poses, of_mark)
+        residual = landmark_block(poses.copy(), p_G.copy(), *measured, d.robust_scale, of_poses, of_mark)
         assert np.allclose(residual, whole.residual[at], rtol=1e-9, atol=1e-11)
         assert np.allclose(of_poses, whole.jacobian[at, :, :6], rtol=1e-7, atol=1e-7)
         assert np.allclose(of_mark, whole.jacobian[at, :, 6:], rtol=1e-7, atol=1e-7)
 
 
 def test_one_step_alone_is_the_same(small: MeasuredProblem) -> None:
-    blocks, x = Blocks(small.data, small.held), small.start("perturbed", 0)
+    blocks, x = Blocks(small.data, small.fixed), small.start("perturbed", 0)
     whole, steps = blocks.dynamics(x), SingleSteps(blocks)
     for k in (0, 7, len(whole.residual) - 1):
         own = x[whole.slots[k]]

@@ -40,9 +40,9 @@ def with_another(value: Any, path: tuple[str, ...]) -> Any:
 
 def test_every_number_of_a_problem_is_in_its_fingerprint(small: MeasuredProblem) -> None:
     known, found = of_problem(small), {path: path for path in numbers(small)}
-    held = {path[1] for path in found if path[0] == "held" and len(path) == 2}
-    assert {"prior", "gauge_information", "A"} <= held
-    assert ("held", "steps", "W_t") in found and ("held", "steps", "W_r") in found
+    fixed = {path[1] for path in found if path[0] == "fixed" and len(path) == 2}
+    assert {"prior", "gauge_information", "A"} <= fixed
+    assert ("fixed", "steps", "W_t") in found and ("fixed", "steps", "W_r") in found
     assert ("truth", "r_N") in found and ("truth", "k1") in found and ("solution",) in found
     for path in found:
         same = of_problem(with_another(small, path)) == known
@@ -67,7 +67,7 @@ def test_a_stamp_holds_solver_limit_versions_code_and_machine(monkeypatch: pytes
     assert known["versions"].keys() >= {"casadi", "numpy", "scipy", "pyceres"}
     assert "gtsam" in stamp("p", gtsam, 60.0)["versions"]
     others = [stamp("q", ceres, 60.0), stamp("p", gtsam, 60.0), stamp("p", ceres, 61.0)]
-    others.append(stamp("p", replace(ceres, options=(("a", "b"),)), 60.0))
+    others.append(stamp("p", replace(ceres, options={"a": "b"}), 60.0))
     monkeypatch.setattr(fingerprint, "version", lambda name: "another" if name == "pyceres" else "0")
     others.append(stamp("p", ceres, 60.0))
     monkeypatch.setattr(comparison, "code_of", lambda: "another")

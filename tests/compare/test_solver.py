@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.compare.solver import SolveMonitor
-from polhode.compare.solver_progress import (
+from polhode.compare.solver import (
     ProgressFiles,
+    SolveMonitor,
     read_point,
+    read_status,
     read_trace,
-    read_words,
     seconds_since_start,
 )
 
@@ -43,25 +43,25 @@ def test_a_line_that_was_cut_short_is_no_point_of_the_trace(tmp_path: Path) -> N
     with stem.with_suffix(".trace").open("a") as file:
         file.write("2.5 1")
     assert read_trace(stem) == [(0.5, 12.0), (1.5, 11.0)]
-    assert read_words(stem) == ""
-    reached.words("half")
-    assert read_words(stem) == "half"
+    assert read_status(stem) == ""
+    reached.status("half")
+    assert read_status(stem) == "half"
 
 
 def test_a_watch_keeps_the_best_of_the_common_cost_and_the_last_of_another(tmp_path: Path) -> None:
     stem = tmp_path / "row.json"
-    monitor = SolveMonitor(10.0, reached=ProgressFiles(stem, 2))
+    monitor = SolveMonitor(10.0, files=ProgressFiles(stem, 2))
     assert monitor.kept() == ("nothing", None)
     for cost, value in ((float("nan"), 9.0), (3.0, 0.0), (1.0, 1.0), (2.0, 2.0), (float("inf"), 3.0)):
-        monitor.note(cost, np.full(2, value))
+        monitor.record(cost, np.full(2, value))
     kept, x = monitor.kept()
     assert kept == "best" and x is not None and x.tolist() == [1.0, 1.0]
     stored = read_point(stem)
     assert stored is not None and stored[0] == "best" and stored[1].tolist() == [1.0, 1.0]
     assert len(monitor.trace) == 5
 
-    other = SolveMonitor(10.0, reached=ProgressFiles(tmp_path / "other.json", 2))
+    other = SolveMonitor(10.0, files=ProgressFiles(tmp_path / "other.json", 2))
     for cost, value in ((3.0, 0.0), (1.0, 1.0), (2.0, 2.0)):
-        other.note(cost, np.full(2, value), common=False)
+        other.record(cost, np.full(2, value), common=False)
     kept, x = other.kept()
     assert kept == "last" and x is not None and x.tolist() == [2.0, 2.0]

@@ -1,4 +1,4 @@
-"""compare.html: one self-contained page."""
+"""compare.html: one page that needs no other file."""
 
 from pathlib import Path
 from typing import Any
@@ -9,14 +9,14 @@ from polhode.atomic import write_text
 from polhode.compare.problem.assessment import AGREED
 from polhode.compare.ranking import NOISE, curve, front, growths
 from polhode.compare.rows import Comparison, Row, gap, least_costs
-from polhode.compare.tables.table import (
+from polhode.compare.tables import (
     COLUMNS,
     ERROR_COLUMNS,
     cells,
     error_cells,
     not_separable,
-    start_words,
-    told,
+    start_text,
+    tally_text,
     verdict,
 )
 from polhode.pipeline.report.figures.plot import Figure, Trace, axis, layout, line
@@ -26,36 +26,36 @@ COLORS = (
     "#5b3f8c", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#22303c", "#a05195",
     "#8c564b",
 )  # fmt: skip
-"""Taken in turn; the pattern of the line changes with each round."""
+"""Colours of the solvers in their order; the pattern of the line changes after the last one."""
 DASHES = ("solid", "dash", "dot")
+LEGEND = {"orientation": "v", "x": 1.01, "y": 1.0}
 FLOOR = 1e-12
-"""Lowest cost over the least that is drawn."""
+"""Smallest relative distance from the least cost that is drawn."""
 MAX_TRACES = 12
-"""Problems whose traces are drawn."""
+"""Largest number of problems whose figures are drawn."""
 
 
 def write_page(comparison: Comparison, path: Path) -> None:
     """Cost against time, performance profiles, growth, time against accuracy, the tables."""
     names = list(dict.fromkeys(row.solver for row in comparison.rows))
-    figures = []
-    for number, problem in enumerate(comparison.problems[:MAX_TRACES]):
-        figures += _cost_against_time(comparison, problem.name, names, number)
-    figures += [*_profiles(comparison, names), *_growth(comparison, names)]
-    for number, problem in enumerate(comparison.problems[:MAX_TRACES]):
-        figures += _time_against_accuracy(comparison, problem.name, names, number)
-    write_text(
-        path,
-        fill(
-            "compare.html.j2",
-            title="Optimizers side by side",
-            comparison=comparison,
-            figures=figures,
-            columns=COLUMNS,
-            error_columns=ERROR_COLUMNS,
-            tables=[_table(comparison, problem.name) for problem in comparison.problems],
-            successes=_success_rows(comparison),
-        ),
+    drawn = [problem.name for problem in comparison.problems[:MAX_TRACES]]
+    figures = [
+        *(_cost_against_time(comparison, problem, names, number) for number, problem in enumerate(drawn)),
+        _profiles(comparison, names),
+        _growth(comparison, names),
+        *(_time_against_accuracy(comparison, problem, names, number) for number, problem in enumerate(drawn)),
+    ]
+    page = fill(
+        "compare.html.j2",
+        title="Optimizers side by side",
+        comparison=comparison,
+        figures=[figure for figure in figures if figure is not None],
+        columns=COLUMNS,
+        error_columns=ERROR_COLUMNS,
+        tables=[_table(comparison, problem.name) for problem in comparison.problems],
+        successes=_success_rows(comparison),
     )
+    write_text(path, page)
 
 
 def _table(comparison: Comparison, problem: str) -> dict[str, object]:
@@ -66,9 +66,7 @@ def _table(comparison: Comparison, problem: str) -> dict[str, object]:
         "rows": [(cells(row, least), row) for row in rows],
         "verdict": verdict(rows, least),
         "not_separable": not_separable(rows),
-        "errors": [
-            (row, start_words(row), error_cells(row.errors)) for row in rows if row.errors is not None
-        ],
+        "errors": [(row, start_text(row), error_cells(row.errors)) for row in rows if row.errors is not None],
     }
 
 
@@ -78,15 +76,15 @@ def _success_rows(comparison: Comparison) -> list[tuple[str, list[str]]]:
     kinds = list(dict.fromkeys(row.start for row in comparison.rows))
     out = [("", [*(f"{kind} starts" for kind in kinds), "all"])]
     for each in comparison.profiles:
-        cells = [told(each.starts[kind]) if kind in each.starts else "" for kind in kinds]
-        out.append((each.solver, [*cells, told(each)]))
+        cells = [tally_text(each.starts[kind]) if kind in each.starts else "" for kind in kinds]
+        out.append((each.solver, [*cells, tally_text(each)]))
     return out
 
 
 def style(name: str, names: list[str]) -> tuple[str, str]:
-    """Colour and pattern of a solver, the same in every drawing."""
-    place = names.index(name)
-    return COLORS[place % len(COLORS)], DASHES[place // len(COLORS) % len(DASHES)]
+    """Colour and pattern of a solver, the same in every figure."""
+    number = names.index(name)
+    return COLORS[number % len(COLORS)], DASHES[number // len(COLORS) % len(DASHES)]
 
 
 def _line(x: object, y: object, name: str, names: list[str], **more: Any) -> Trace:
@@ -96,12 +94,12 @@ def _line(x: object, y: object, name: str, names: list[str], **more: Any) -> Tra
     return trace
 
 
-def _cost_against_time(comparison: Comparison, problem: str, names: list[str], number: int) -> list[Figure]:
+def _cost_against_time(comparison: Comparison, problem: str, names: list[str], number: int) -> Figure | None:
     least = least_costs(comparison)[problem]
-    # what a baseline notes on its way is its own cost, of the frames so far
+    # the trace of a baseline is its own cost, of the frames so far
     rows = [row for row in comparison.rows if row.problem == problem and row.trace and row.claim == "ok"]
     if least is None or not rows:
-        return []
+        return None
     kind = rows[0].start
     data = []
     for row in rows:
@@ -112,28 +110,28 @@ def _cost_against_time(comparison: Comparison, problem: str, names: list[str], n
         data.append(_line(np.maximum(points[:, 0], 1e-3), over, row.solver, names))
     caption = (
         f"{kind.capitalize()} start. Cost over the least one found, minus 1, at each iteration; a line "
-        f"begins when the solver is built. Below {AGREED:g} solvers agree. Slack formulations count what "
-        "their slack says, not the common cost, until the constraints hold."
+        f"begins when the solver is built. Below {AGREED:g} solvers agree. Formulations with slack show the "
+        "cost of their slack instead of the common cost until the constraints are satisfied."
     )
     drawing = layout(
         xaxis=axis("seconds", type="log"),
         yaxis=axis("cost over the least - 1", type="log", exponentformat="power"),
-        legend={"orientation": "v", "x": 1.01, "y": 1.0},
+        legend=LEGEND,
     )
-    return [Figure(f"cost{number}", f"Cost against time, {problem}", caption, data, drawing, 480)]
+    return Figure(f"cost{number}", f"Cost against time, {problem}", caption, data, drawing, 480)
 
 
-def _profiles(comparison: Comparison, names: list[str]) -> list[Figure]:
+def _profiles(comparison: Comparison, names: list[str]) -> Figure | None:
     cases = {(row.problem, row.start, row.seed) for row in comparison.rows}
     if len(cases) < 2:
-        return []
+        return None
     data = []
     for profile in comparison.profiles:
         if not profile.ran:
             continue
         trace = _line(*curve(profile), profile.solver, names, mode="lines")
         trace["line"] = {**trace["line"], "shape": "hv"}
-        trace["name"] = f"{profile.solver}: {told(profile)}"
+        trace["name"] = f"{profile.solver}: {tally_text(profile)}"
         data.append(trace)
     caption = (
         f"{len(cases)} cases (problems and starts). For each solver the share of the cases it ran (the "
@@ -145,15 +143,15 @@ def _profiles(comparison: Comparison, names: list[str]) -> list[Figure]:
     drawing = layout(
         xaxis=axis("time over the fastest", type="log"),
         yaxis=axis("share of the cases it ran", range=[-0.02, 1.04]),
-        legend={"orientation": "v", "x": 1.01, "y": 1.0},
+        legend=LEGEND,
     )
-    return [Figure("profiles", "Performance profiles", caption, data, drawing, 460)]
+    return Figure("profiles", "Performance profiles", caption, data, drawing, 460)
 
 
-def _growth(comparison: Comparison, names: list[str]) -> list[Figure]:
+def _growth(comparison: Comparison, names: list[str]) -> Figure | None:
     found = growths(comparison)
     if not found:
-        return []
+        return None
     data = []
     for each in found:
         trace = _line(each.size, each.seconds, each.solver, names)
@@ -162,20 +160,20 @@ def _growth(comparison: Comparison, names: list[str]) -> list[Figure]:
     drawing = layout(
         xaxis=axis("observations", type="log"),
         yaxis=axis("seconds", type="log"),
-        legend={"orientation": "v", "x": 1.01, "y": 1.0},
+        legend=LEGEND,
     )
     caption = "Cold starts that were solved; the exponent is fitted to all sizes."
-    return [Figure("growth", "Time against size", caption, data, drawing, 460)]
+    return Figure("growth", "Time against size", caption, data, drawing, 460)
 
 
 def _time_against_accuracy(
     comparison: Comparison, problem: str, names: list[str], number: int
-) -> list[Figure]:
+) -> Figure | None:
     rows = [row for row in comparison.rows if row.problem == problem and row.start == "cold"]
     least = least_costs(comparison)[problem]
     ended = [row for row in rows if row.status in ("ok", "baseline")]
     if not ended:
-        return []
+        return None
     data = [_point(row, least, names) for row in ended]
     best = front(rows, least)
     over = [max(gap(row, least) or 0.0, AGREED) for row in best]
@@ -191,10 +189,10 @@ def _time_against_accuracy(
     drawing = layout(
         xaxis=axis("seconds", type="log"),
         yaxis=axis("cost over the least - 1", type="log"),
-        legend={"orientation": "v", "x": 1.01, "y": 1.0},
+        legend=LEGEND,
     )
     title = f"Time against accuracy, {problem}"
-    return [Figure(f"front{number}", title, caption, [step, *data], drawing, 420)]
+    return Figure(f"front{number}", title, caption, [step, *data], drawing, 420)
 
 
 def _point(row: Row, least: float | None, names: list[str]) -> Trace:

@@ -1,13 +1,13 @@
-"""The comparison at the terminal and as CSV."""
+"""The tables of a comparison: at the terminal, and as CSV."""
 
 import csv
 import io
 from collections.abc import Sequence
 
-from rich.console import Console, JustifyMethod
+from rich.console import Console
 from rich.table import Table
 
-from polhode.compare.rows import Comparison, Errors, Row, Tally, gap
+from polhode.compare.rows import Comparison, EstimateErrors, Row, Tally, gap
 
 COLUMNS = (
     "solver", "start", "status", "over least", "iter", "time s", "build", "eval", "linear", "MB",
@@ -15,13 +15,13 @@ COLUMNS = (
 )  # fmt: skip
 ERROR_COLUMNS = ("r mm", "v mm/s", "attitude deg", "w deg/s", "com mm", "k1", "k2")
 NOT_SEPARABLE = "n/s"
-"""In the place of a time that is not told apart; why stands below the table."""
+"""Shown for a time that is not separable; the reason is below the table."""
 WIDTH = 132
-"""Characters of the table where no terminal says how many there are."""
+"""Characters of the table where the output is no terminal."""
 
 
 def print_tables(comparison: Comparison) -> None:
-    """A table for each problem, and a sentence on what agrees."""
+    """A table for each problem, and a sentence on the agreement of the solvers."""
     console = Console()
     if not console.is_terminal:
         console = Console(width=WIDTH)
@@ -32,32 +32,31 @@ def print_tables(comparison: Comparison) -> None:
             f"{problem.name}: {problem.frames} frames, {problem.landmarks} landmarks, "
             f"{problem.observations} observations"
         )
-        table = Table(title=title, title_justify="left")
-        for column in COLUMNS:
-            justify: JustifyMethod = "left" if column in COLUMNS[:3] else "right"
-            table.add_column(column, justify=justify, no_wrap=True)
-        for row in rows:
-            table.add_row(*cells(row, least))
-        console.print(table)
-        judged = [(row, error_cells(row.errors)) for row in rows if row.errors is not None]
-        if judged:
-            console.print(_errors_table(judged))
+        console.print(_table(title, COLUMNS, [cells(row, least) for row in rows]))
+        errors = [
+            [row.solver, start_text(row), row.status, *error_cells(row.errors)]
+            for row in rows
+            if row.errors is not None
+        ]
+        if errors:
+            title = "Estimate minus truth, at the point that is kept"
+            console.print(_table(title, (*COLUMNS[:3], *ERROR_COLUMNS), errors))
         for row in rows:
             if row.status in ("failed", "timeout", "missing"):
                 console.print(f"  {row.solver} ({row.start} {row.seed}): {row.message}", markup=False)
-        for told in not_separable(rows):
-            console.print(f"  {told}", markup=False)
+        for reason in not_separable(rows):
+            console.print(f"  {reason}", markup=False)
         console.print(verdict(rows, least), markup=False)
     for line in tallies(comparison):
         console.print(line, markup=False)
 
 
 def cells(row: Row, least: float | None) -> list[str]:
-    """One row in words."""
+    """The row in the order of ``COLUMNS``."""
     over = gap(row, least)
     return [
         row.solver,
-        start_words(row),
+        start_text(row),
         row.status,
         "" if over is None else f"{over:.1e}",
         "" if row.iterations is None else str(row.iterations),
@@ -73,7 +72,7 @@ def cells(row: Row, least: float | None) -> list[str]:
 
 
 def not_separable(rows: Sequence[Row]) -> list[str]:
-    """Why times are not told apart, and whose."""
+    """Why times are not separable, and for which solvers."""
     reasons: dict[str, list[str]] = {}
     for row in rows:
         if row.not_separable and row.solver not in reasons.setdefault(row.not_separable, []):
@@ -82,22 +81,22 @@ def not_separable(rows: Sequence[Row]) -> list[str]:
 
 
 def tallies(comparison: Comparison) -> list[str]:
-    """Cases solved, of how many that were run, by kind of start; nothing for a single case."""
+    """Cases solved of those that were run, by kind of start; nothing for a single case."""
     if len({(row.problem, row.start, row.seed) for row in comparison.rows}) < 2:
         return []
     return [
         f"  {each.solver}: solved "
-        + ", ".join(f"{kind} {told(tally)}" for kind, tally in each.starts.items())
+        + ", ".join(f"{kind} {tally_text(tally)}" for kind, tally in each.starts.items())
         for each in comparison.profiles
     ]
 
 
-def told(tally: Tally) -> str:
+def tally_text(tally: Tally) -> str:
     """As in "3 of 5 (2 not run)"."""
     return f"{tally.solved} of {tally.ran}" + (f" ({tally.not_run} not run)" if tally.not_run else "")
 
 
-def error_cells(errors: Errors) -> list[str]:
+def error_cells(errors: EstimateErrors) -> list[str]:
     """Estimate minus truth, in the order of ``ERROR_COLUMNS``."""
     return [
         f"{errors.position_mm:.2f}", f"{errors.velocity_mm_s:.2f}", f"{errors.attitude_deg:.3f}",
@@ -106,22 +105,22 @@ def error_cells(errors: Errors) -> list[str]:
     ]  # fmt: skip
 
 
-def _errors_table(judged: Sequence[tuple[Row, list[str]]]) -> Table:
-    table = Table(title="Estimate minus truth, of what is kept", title_justify="left")
-    for column in (*COLUMNS[:3], *ERROR_COLUMNS):
+def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    table = Table(title=title, title_justify="left")
+    for column in columns:
         table.add_column(column, justify="left" if column in COLUMNS[:3] else "right", no_wrap=True)
-    for row, numbers in judged:
-        table.add_row(row.solver, start_words(row), row.status, *numbers)
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
-def start_words(row: Row) -> str:
-    """Kind of start, with its seed."""
+def start_text(row: Row) -> str:
+    """Kind of start, and its seed."""
     return row.start if row.start == "cold" else f"{row.start} {row.seed}"
 
 
 def verdict(rows: Sequence[Row], least: float | None) -> str:
-    """How far the costs of those that claim convergence are apart."""
+    """Largest difference of the costs of those that claim convergence, and the fastest of them."""
     good = [row for row in rows if row.status == "ok"]
     if not good or least is None:
         return "No solver claims convergence."
@@ -135,16 +134,16 @@ def verdict(rows: Sequence[Row], least: float | None) -> str:
 
 
 def csv_text(rows: Sequence[Row]) -> str:
-    """All rows, one line each; the trace stays in the JSON."""
+    """All rows, one line each, without the traces."""
     stream = io.StringIO()
     names = [name for name in Row.model_fields if name not in ("trace", "errors")]
-    errors = ("position_mm", "velocity_mm_s", "attitude_deg", "angular_velocity_deg_s", "com_mm", "k1", "k2")
+    errors = tuple(EstimateErrors.model_fields)
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([*names, *(f"error_{name}" for name in errors)])
     for row in rows:
         content = row.model_dump()
-        told = content["errors"] or {}
-        values = [*(content[name] for name in names), *(told.get(name) for name in errors)]
+        known = content["errors"] or {}
+        values = [*(content[name] for name in names), *(known.get(name) for name in errors)]
         writer.writerow(["" if value is None else value for value in values])
     return stream.getvalue()
 

@@ -7,17 +7,16 @@ import pytest
 
 from polhode.compare.problem.assessment import assess
 from polhode.compare.problem.measured_problem import load
-from polhode.compare.processes.isolation import row_of
-from polhode.compare.processes.solver_process import storable
 from polhode.compare.registry import ENTRIES, Entry, entries
 from polhode.compare.rows import Case, Row
+from polhode.compare.solver_process import row_of, storable
 from polhode.errors import InputError
 
 CASE = Case(problem="small", solver="faulty", start="cold", seed=0)
 
 
 def row(small_file: Path, how: str, limit_s: float = 60.0) -> Row:
-    entry = Entry("faulty", "tests", "ok", "misbehaves", "tests.compare.faulty", "Faulty", (("how", how),))
+    entry = Entry("faulty", "tests", "tests.compare.faulty:Faulty", "misbehaves", {"how": how})
     return row_of(small_file, entry, CASE, limit_s)
 
 
@@ -109,7 +108,7 @@ def test_the_child_takes_our_packages_wherever_it_is_started(
 
 
 def test_a_missing_package_is_a_row_that_names_it(small_file: Path) -> None:
-    entry = Entry("x", "tests", "ok", "", "ours", "Ours", needs=("no_such_package_anywhere",))
+    entry = Entry("x", "tests", "ours:Ours", "", needs="no_such_package_anywhere")
     found = row_of(small_file, entry, CASE, 10.0)
     assert found.status == "missing"
     assert "no_such_package_anywhere" in found.message
