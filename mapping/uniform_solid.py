@@ -9,8 +9,7 @@ import numpy as np
 import trimesh
 
 from polhode.lie import Array
-from polhode.mapping.mesh_geometry import volume_moments
-from polhode.mapping.visibility import Caster
+from polhode.mapping.visibility import Caster, directions
 
 MIN_COVERAGE = 0.6
 """Share of the directions from the middle in which there is a surface; below, no volume is told."""
@@ -55,14 +54,10 @@ def solid_body(mesh: trimesh.Trimesh, words: str) -> Solid:
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     # about a point within: far from the origin the products would cancel
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    sums = volume_moments(vertices - middle, np.asarray(mesh.faces, dtype=np.int64))
+    own = trimesh.triangles.mass_properties((vertices - middle)[mesh.faces])
     # faces that are wound inwards give a negative volume
-    volume, first, second = np.sign(sums[0]) * sums[0], np.sign(sums[0]) * sums[1:4], np.zeros((3, 3))
-    second[np.triu_indices(3)] = np.sign(sums[0]) * sums[4:]
-    second += np.triu(second, 1).T
-    centre = first / volume
-    about = second - volume * np.outer(centre, centre)
-    return Solid(float(volume), middle + centre, np.trace(about) * np.eye(3) - about, words)
+    sign = float(np.sign(own.volume))
+    return Solid(sign * float(own.volume), middle + own.center_mass, sign * np.asarray(own.inertia), words)
 
 
 def principal_axes(inertia: Array) -> tuple[Array, Array]:
@@ -75,8 +70,5 @@ def principal_axes(inertia: Array) -> tuple[Array, Array]:
 
 def coverage(caster: Caster, middle_G: Array) -> float:
     """Share of the directions from a point in which the mesh stands."""
-    n = np.arange(DIRECTIONS) + 0.5
-    polar, turn = np.arccos(1.0 - 2.0 * n / DIRECTIONS), np.pi * (1.0 + 5.0**0.5) * n
-    direction = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
-    _, face = caster.first(middle_G, direction)
+    _, face = caster.first(middle_G, directions(DIRECTIONS))
     return float(np.mean(face >= 0))

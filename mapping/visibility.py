@@ -303,3 +303,10 @@ def _meet(origin: Array, ray: Array, triangle: Array) -> tuple[Array, Array, Boo
     c = (np.einsum("nk,nk->n", ray, turned) / scale).clip(0.0, 1.0)
     travelled = np.einsum("nk,nk->n", ac, turned) / scale
     return travelled, np.stack([1.0 - b - c, b, c], axis=1), volume > 0.0
+
+
+def directions(count: int) -> Array:
+    """(count, 3) unit vectors spread evenly over the sphere."""
+    n = np.arange(count) + 0.5
+    polar, turn = np.arccos(1.0 - 2.0 * n / count), np.pi * (1.0 + 5.0**0.5) * n
+    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)

@@ -18,7 +18,7 @@ from trimesh.visual import ColorVisuals
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
-from polhode.mapping.mesh_geometry import neighbours, piece_areas, rim_edges
+from polhode.mapping.mesh_geometry import boundary_edges, piece_areas
 from polhode.mapping.visibility import MIN_COSINE, Caster, FrameView, pixels_of
 from polhode.records import Bools, Ints, SurfaceModel
 
@@ -88,11 +88,8 @@ def _holes(faces: Ints) -> list[Ints]:
 def boundary_loops(faces: Ints) -> list[Ints]:
     """Loops of vertices along the edges with one face, against the faces' winding, so that a face wound as
     the loop runs continues the surface. Where a loop touches itself it falls into several."""
-    whole = np.asarray(faces, dtype=np.int64)
-    near = neighbours(whole, int(whole.max()) + 1 if len(whole) else 0)
-    rim: list[list[int]] = rim_edges(whole, *near).tolist()
     after: dict[int, list[int]] = {}
-    for a, b in rim:
+    for a, b in boundary_edges(np.asarray(faces, dtype=np.int64)).tolist():
         after.setdefault(b, []).append(a)
     loops: list[Ints] = []
     for start in sorted(after):

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.lie import Array
+from polhode.mapping.visibility import directions
 from polhode.records import Bools, Ints
 
 Lit = Callable[[Array], Bools]
@@ -217,10 +218,3 @@ class _Problem:
         most = (3.0 * self.scale) ** 2
         left = float(np.minimum(residual**2, most).sum())
         return 1.0 - left / max(float(np.minimum(self.change**2, most).sum()), 1e-12)
-
-
-def directions(count: int) -> Array:
-    """(count, 3) unit vectors spread evenly over the sphere."""
-    n = np.arange(count) + 0.5
-    polar, turn = np.arccos(1.0 - 2.0 * n / count), np.pi * (1.0 + 5.0**0.5) * n
-    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)

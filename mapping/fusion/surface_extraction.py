@@ -39,7 +39,7 @@ from polhode.mapping.fusion.block_grid import (
     pack_keys,
     unpack_keys,
 )
-from polhode.mapping.mesh_geometry import averaged, min_spread, neighbours, piece_areas
+from polhode.mapping.mesh_geometry import min_spread, neighbour_sums, piece_areas
 from polhode.records import Bools, Ints, SurfaceModel
 
 _CHUNK = 8
@@ -279,15 +279,15 @@ def roughness(mesh: trimesh.Trimesh, radius_m: float) -> Array:
     V, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
     if len(faces) == 0:
         return np.zeros(len(V))
-    start, other = neighbours(faces, len(V))
-    degree = np.diff(start) + 1
+    sums = neighbour_sums(faces, len(V))
+    share = 1.0 / np.diff(sums.indptr)
     # one averaging spreads by the mean square of the steps; a disc by half its radius squared
-    along = np.sum((V[np.repeat(np.arange(len(V)), degree - 1)] - V[other]) ** 2, axis=1)
-    step = np.mean(along) * np.mean(1.0 - 1.0 / degree)
+    along = np.sum((V[faces] - V[np.roll(faces, -1, axis=1)]) ** 2, axis=2)
+    step = np.mean(along) * np.mean(1.0 - share)
     rounds = int(np.clip(np.ceil(0.5 * radius_m**2 / step), 1, 60))
     moved = V - V.mean(axis=0)
     a, b = np.triu_indices(3)
     moments = np.concatenate([moved, moved[:, a] * moved[:, b]], axis=1)
     for _ in range(rounds):
-        moments = averaged(moments, start, other)
+        moments = (sums @ moments) * share[:, None]
     return np.asarray(np.sqrt(min_spread(moments)))

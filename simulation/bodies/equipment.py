@@ -6,8 +6,8 @@ engines is along z. The root of a solar wing lies at the origin, the wing runs a
 
 import numpy as np
 
-from polhode.lie import Array
-from polhode.simulation.bodies.part import Part
+from polhode.lie import Array, make_pose
+from polhode.simulation.bodies.part import Part, moved, named
 from polhode.simulation.bodies.solids import (
     Revolved,
     ball,
@@ -23,19 +23,7 @@ from polhode.simulation.bodies.solids import (
 )
 from polhode.simulation.bodies.textures.canvas import Draw
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
-from polhode.simulation.surface.materials import (
-    ANODISED,
-    BRUSHED_METAL,
-    COMPOSITE,
-    DARK_METAL,
-    FOIL_BLACK,
-    FOIL_GOLD,
-    GLASS,
-    PAINT_BLACK,
-    PAINT_GREY,
-    PAINT_WHITE,
-    SOLAR_CELL,
-)
+from polhode.simulation.surface import materials as mat
 
 SINK = 0.08
 """Share of an item's height that lies below the wall."""
@@ -47,16 +35,16 @@ def electronics_box(builder: PartBuilder, width_m: float, depth_m: float, height
     base = float(rng.choice([0.06, 0.2, 0.35, 0.6]))
     body = box([width_m, depth_m, height_m * (1 + SINK)], bevel=0.05, at=[0, 0, 0.5 * height_m * (1 - SINK)])
     draw = builder.textures.panel(base, 0.8) if rng.random() < 0.75 else builder.textures.machined_plate()
-    parts = [builder.flat_part(body, PAINT_GREY if base > 0.1 else PAINT_BLACK, draw, "equipment")]
+    parts = [builder.flat_part(body, mat.PAINT_GREY if base > 0.1 else mat.PAINT_BLACK, draw, "equipment")]
     flange = box([1.14 * width_m, 1.14 * depth_m, 0.14 * height_m], bevel=0.1)
-    parts.append(Part(flange, ANODISED, name="equipment"))
+    parts.append(Part(flange, mat.ANODISED, name="equipment"))
     count = int(rng.integers(2, 5))
     size = min(0.2 * height_m, 0.5 * width_m / count)
     for k in range(count):
         socket = drum(0.5 * size, 0.6 * size, 12)
         x = (k + 0.5) / count * 0.8 * width_m - 0.4 * width_m
         socket.apply_transform(pose([0, 1, 0], [x, 0.5 * depth_m - 0.1 * size, 0.5 * height_m]))
-        parts.append(Part(socket, BRUSHED_METAL, name="equipment"))
+        parts.append(Part(socket, mat.BRUSHED_METAL, name="equipment"))
     return parts
 
 
@@ -73,20 +61,16 @@ def star_tracker(builder: PartBuilder, size_m: float) -> list[Part]:
                       (outer - 2 * wall, 0.97 * s), (outer - 2 * wall, 0.74 * s), (0.12 * s, 0.22 * s)],
                      24, closed=True).mesh  # fmt: skip
     lens = ball(0.13 * s, 16, 8, at=[0, 0, 0.13 * s])
-    return [
-        builder.flat_part(block, PAINT_BLACK, builder.textures.panel(0.1, 0.5), "star_tracker"),
-        *(
-            Part(mesh, material, name="star_tracker").moved(lean)
-            for mesh, material in ((baffle, PAINT_WHITE), (inside, PAINT_BLACK), (lens, GLASS))
-        ),
-    ]
+    tube = named("star_tracker", (baffle, mat.PAINT_WHITE), (inside, mat.PAINT_BLACK), (lens, mat.GLASS))
+    base = builder.flat_part(block, mat.PAINT_BLACK, builder.textures.panel(0.1, 0.5), "star_tracker")
+    return [base, *moved(tube, lean)]
 
 
 def sun_sensor(size_m: float) -> list[Part]:
     """A small box with a glass window."""
     body = box([size_m, size_m, 0.5 * size_m], bevel=0.12, at=[0, 0, 0.2 * size_m])
     window = drum(0.3 * size_m, 0.1 * size_m, 16, at=[0, 0, 0.4 * size_m])
-    return [Part(body, BRUSHED_METAL, name="sensor"), Part(window, GLASS, name="sensor")]
+    return named("sensor", (body, mat.BRUSHED_METAL), (window, mat.GLASS))
 
 
 def camera_lens(size_m: float) -> list[Part]:
@@ -99,11 +83,7 @@ def camera_lens(size_m: float) -> list[Part]:
                     (0, 0.85 * s)], 32).mesh  # fmt: skip
     ring = revolve([(0.98 * s, 0.3 * s), (1.06 * s, 0.32 * s), (1.06 * s, 0.5 * s), (0.98 * s, 0.52 * s)],
                    32, closed=True).mesh  # fmt: skip
-    return [
-        Part(barrel, PAINT_BLACK, name="lens"),
-        Part(lens, GLASS, name="lens"),
-        Part(ring, BRUSHED_METAL, name="lens"),
-    ]
+    return named("lens", (barrel, mat.PAINT_BLACK), (lens, mat.GLASS), (ring, mat.BRUSHED_METAL))
 
 
 def handrail(length_m: float, radius_m: float) -> list[Part]:
@@ -112,30 +92,28 @@ def handrail(length_m: float, radius_m: float) -> list[Part]:
     up = 5.0 * radius_m
     path = [[-h, 0, -radius_m], [-h, 0, 0.8 * up], [-h + 0.2 * up, 0, up], [h - 0.2 * up, 0, up],
             [h, 0, 0.8 * up], [h, 0, -radius_m]]  # fmt: skip
-    return [Part(tube(path, radius_m, 10), PAINT_WHITE, name="handrail")]
+    return [Part(tube(path, radius_m, 10), mat.PAINT_WHITE, name="handrail")]
 
 
 def grapple_pin(size_m: float) -> list[Part]:
     """A grapple fixture for a robot arm: a round base with a pin on three legs."""
     base = drum(0.5 * size_m, 0.12 * size_m, 28, bevel=0.2, at=[0, 0, -0.03 * size_m])
-    parts = [Part(base, BRUSHED_METAL, name="grapple")]
     top = np.array([0, 0, 0.45 * size_m])
-    for angle in (0.3, 2.4, 4.5):
-        foot = np.array([0.32 * np.cos(angle), 0.32 * np.sin(angle), 0.05]) * size_m
-        parts.append(Part(strut(foot, top, 0.03 * size_m), ANODISED, name="grapple"))
+    feet = [np.array([0.32 * np.cos(a), 0.32 * np.sin(a), 0.05]) * size_m for a in (0.3, 2.4, 4.5)]
+    legs = [(strut(foot, top, 0.03 * size_m), mat.ANODISED) for foot in feet]
     pin = drum(0.06 * size_m, 0.35 * size_m, 14, at=[0, 0, 0.4 * size_m])
     knob = ball(0.09 * size_m, 14, 8, at=[0, 0, 0.77 * size_m])
-    return [*parts, Part(pin, ANODISED, name="grapple"), Part(knob, PAINT_WHITE, name="grapple")]
+    return named("grapple", (base, mat.BRUSHED_METAL), *legs, (pin, mat.ANODISED), (knob, mat.PAINT_WHITE))
 
 
 def umbilical(builder: PartBuilder, size_m: float) -> list[Part]:
     """A plate with two round connectors and a few sockets."""
     plate = box([size_m, 0.7 * size_m, 0.12 * size_m], bevel=0.2)
-    parts = [builder.flat_part(plate, ANODISED, builder.textures.machined_plate(), "connector")]
+    parts = [builder.flat_part(plate, mat.ANODISED, builder.textures.machined_plate(), "connector")]
     for x in (-0.24, 0.24):
         shell = ring(0.1 * size_m, 0.17 * size_m, 0.0, 0.16 * size_m, 20).mesh
         core = drum(0.09 * size_m, 0.12 * size_m, 16)
-        for mesh, material in ((shell, BRUSHED_METAL), (core, PAINT_BLACK)):
+        for mesh, material in ((shell, mat.BRUSHED_METAL), (core, mat.PAINT_BLACK)):
             mesh.apply_translation([x * size_m, 0, -0.01 * size_m])
             parts.append(Part(mesh, material, name="connector"))
     return parts
@@ -143,11 +121,11 @@ def umbilical(builder: PartBuilder, size_m: float) -> list[Part]:
 
 def cable(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], radius_m: float) -> list[Part]:
     """A harness along points (n, 3) with clamps at every other one."""
-    parts = [Part(tube(points, radius_m, 8), PAINT_BLACK, name="harness")]
+    parts = [Part(tube(points, radius_m, 8), mat.PAINT_BLACK, name="harness")]
     for point, ahead in zip(points[1:-1:2], points[2::2], strict=False):
         clamp = box([3.4 * radius_m, 3.4 * radius_m, 1.6 * radius_m], bevel=0.1)
         clamp.apply_transform(pose(ahead - point, point))
-        parts.append(Part(clamp, BRUSHED_METAL, name="harness"))
+        parts.append(Part(clamp, mat.BRUSHED_METAL, name="harness"))
     return parts
 
 
@@ -160,8 +138,8 @@ def hexagonal_can(builder: PartBuilder, size_m: float) -> list[Part]:
     lid = drum(0.3 * size_m, 0.14 * size_m, 20, at=[0, 0, 0.96 * height])
     base = float(builder.rng.choice([0.08, 0.4, 0.7]))
     return [
-        builder.flat_part(can, PAINT_GREY, builder.textures.panel(base, 1.0), "equipment"),
-        Part(lid, COMPOSITE if base > 0.3 else BRUSHED_METAL, name="equipment"),
+        builder.flat_part(can, mat.PAINT_GREY, builder.textures.panel(base, 1.0), "equipment"),
+        Part(lid, mat.COMPOSITE if base > 0.3 else mat.BRUSHED_METAL, name="equipment"),
     ]
 
 
@@ -172,9 +150,9 @@ def patch(builder: PartBuilder, size_m: float) -> list[Part]:
     feed = drum(0.04 * size_m, 0.05 * size_m, 10, at=[0.1 * size_m, 0.06 * size_m, 0.14 * size_m])
     base = float(builder.rng.choice([0.3, 0.7]))
     return [
-        Part(plate, ANODISED, name="antenna"),
-        builder.flat_part(tile, PAINT_GREY, builder.textures.plain(base), "antenna"),
-        Part(feed, BRUSHED_METAL, name="antenna"),
+        Part(plate, mat.ANODISED, name="antenna"),
+        builder.flat_part(tile, mat.PAINT_GREY, builder.textures.plain(base), "antenna"),
+        Part(feed, mat.BRUSHED_METAL, name="antenna"),
     ]
 
 
@@ -185,20 +163,16 @@ def helix(length_m: float, radius_m: float) -> list[Part]:
     path = np.column_stack([radius_m * np.cos(angle), radius_m * np.sin(angle),
                             0.06 * length_m + 0.92 * length_m * angle / angle[-1]])  # fmt: skip
     plate = drum(1.8 * radius_m, 0.14 * length_m, 28, at=[0, 0, -0.1 * length_m])
-    return [
-        Part(plate, BRUSHED_METAL, name="antenna"),
-        Part(tube(path, 0.1 * radius_m, 6), BRUSHED_METAL, name="antenna"),
-        Part(strut([0, 0, -0.02 * length_m], [0, 0, length_m], 0.16 * radius_m), PAINT_WHITE, name="antenna"),
-    ]
+    post = strut([0, 0, -0.02 * length_m], [0, 0, length_m], 0.16 * radius_m)
+    wire = tube(path, 0.1 * radius_m, 6)
+    return named("antenna", (plate, mat.BRUSHED_METAL), (wire, mat.BRUSHED_METAL), (post, mat.PAINT_WHITE))
 
 
 def whip(length_m: float, radius_m: float) -> list[Part]:
     """A rod on an insulator."""
     foot = drum(4.0 * radius_m, 8.0 * radius_m, 12, bevel=0.2, at=[0, 0, -2.0 * radius_m])
-    return [
-        Part(foot, PAINT_BLACK, name="antenna"),
-        Part(strut([0, 0, -0.9 * radius_m], [0, 0, length_m], radius_m, 6), BRUSHED_METAL, name="antenna"),
-    ]
+    rod = strut([0, 0, -0.9 * radius_m], [0, 0, length_m], radius_m, 6)
+    return named("antenna", (foot, mat.PAINT_BLACK), (rod, mat.BRUSHED_METAL))
 
 
 def horn(size_m: float) -> list[Part]:
@@ -207,7 +181,7 @@ def horn(size_m: float) -> list[Part]:
     outer = [(0, -0.05 * s), (0.16 * s, -0.05 * s), (0.16 * s, 0.2 * s), (0.32 * s, 0.7 * s),
              (0.35 * s, 0.72 * s), (0.35 * s, 0.78 * s), (0.4 * s, s)]  # fmt: skip
     inner = [(0.375 * s, s), (0.28 * s, 0.66 * s), (0.12 * s, 0.25 * s), (0, 0.25 * s)]
-    return [Part(revolve([*outer, *inner], 32).mesh, ANODISED, name="antenna")]
+    return [Part(revolve([*outer, *inner], 32).mesh, mat.ANODISED, name="antenna")]
 
 
 def paraboloid(diameter_m: float, focal_m: float, wall_m: float, sections: int, steps: int) -> Revolved:
@@ -231,18 +205,17 @@ def small_dish(builder: PartBuilder, diameter_m: float) -> list[Part]:
     base = float(rng.choice([0.75, 0.75, 0.3]))
     last = len(solid.profile) - 1
     draw = builder.textures.reflector(base, int(rng.integers(6, 13)))
-    reflector = builder.revolved_part(solid, [(last - steps, last - 1, draw)], PAINT_WHITE, "dish")
-    parts = [reflector]
+    parts = [builder.revolved_part(solid, [(last - steps, last - 1, draw)], mat.PAINT_WHITE, "dish")]
     for angle in np.arange(3) * 2 * np.pi / 3 + rng.uniform(0, 2):
         edge = 0.42 * diameter_m * radial(angle)
         edge[2] = 0.42**2 * diameter_m**2 / (4 * focal)
-        parts.append(Part(strut(edge, [0, 0, focal], 0.008 * diameter_m), PAINT_WHITE, name="dish"))
+        parts.append(Part(strut(edge, [0, 0, focal], 0.008 * diameter_m), mat.PAINT_WHITE, name="dish"))
     feed = drum(0.05 * diameter_m, 0.12 * diameter_m, 16, bevel=0.2, at=[0, 0, focal - 0.06 * diameter_m])
     hub = ball(0.07 * diameter_m, 16, 8, at=[0, 0, -0.07 * diameter_m])
-    parts += [Part(feed, COMPOSITE, name="dish"), Part(hub, ANODISED, name="dish")]
+    parts += named("dish", (feed, mat.COMPOSITE), (hub, mat.ANODISED))
     X = pose([rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), 1.0], [0, 0, mast + 0.07 * diameter_m])
     post = strut([0, 0, -0.04 * diameter_m], [0, 0, mast], 0.03 * diameter_m, 14)
-    return [*(part.moved(X) for part in parts), Part(post, BRUSHED_METAL, name="mast")]
+    return [*moved(parts, X), Part(post, mat.BRUSHED_METAL, name="mast")]
 
 
 def bell(
@@ -270,21 +243,18 @@ def thruster(size_m: float) -> list[Part]:
     nozzle = bell(0.3 * r, r, 2.2 * r, 0.12 * r, 20, 6).mesh
     nozzle.apply_translation([0, 0, 1.4 * r])
     valve = drum(0.75 * r, 1.1 * r, 14, bevel=0.15, at=[0, 0, -0.2 * r])
-    return [Part(nozzle, DARK_METAL, name="thruster"), Part(valve, BRUSHED_METAL, name="thruster")]
+    return named("thruster", (nozzle, mat.DARK_METAL), (valve, mat.BRUSHED_METAL))
 
 
 def thruster_block(builder: PartBuilder, size_m: float) -> list[Part]:
     """A block with thrusters on its sides and one on top; size_m is the block's width."""
     block = box([size_m, size_m, 0.85 * size_m], bevel=0.12, at=[0, 0, 0.34 * size_m])
-    parts = [
-        builder.flat_part(
-            block, PAINT_BLACK, builder.textures.panel(float(builder.rng.choice([0.1, 0.6])), 0.6), "thruster"
-        )
-    ]
+    draw = builder.textures.panel(float(builder.rng.choice([0.1, 0.6])), 0.6)
+    parts = [builder.flat_part(block, mat.PAINT_BLACK, draw, "thruster")]
     directions = [np.array([1.0, 0, 0.15]), np.array([-1.0, 0, 0.15]), np.array([0, 1.0, 0.15])]
     for direction in directions[: int(builder.rng.integers(2, 4))]:
         at = np.array([0, 0, 0.42 * size_m]) + 0.48 * size_m * direction
-        parts += [part.moved(pose(direction, at)) for part in thruster(0.42 * size_m)]
+        parts += moved(thruster(0.42 * size_m), pose(direction, at))
     return parts
 
 
@@ -298,46 +268,39 @@ def engine(builder: PartBuilder, exit_m: float, length_m: float) -> list[Part]:
     solid = bell(throat, exit_m, length_m, 0.022 * exit_m, 56, 11)
     # Points 3 .. 13 of the profile are the outer skin from the throat down to the exit.
     parts = [
-        builder.revolved_part(solid, [(3, 13, builder.textures.nozzle_wall())], DARK_METAL, "nozzle", 2.0)
+        builder.revolved_part(solid, [(3, 13, builder.textures.nozzle_wall())], mat.DARK_METAL, "nozzle", 2.0)
     ]
     t, ell = throat, length_m
     chamber = revolve([(0, -0.5 * ell), (1.3 * t, -0.5 * ell), (1.9 * t, -0.42 * ell), (1.9 * t, -0.22 * ell),
                        (1.1 * t, -0.04 * ell), (0, -0.04 * ell)], 32).mesh  # fmt: skip
-    parts.append(Part(chamber, DARK_METAL, name="engine", density_factor=2.0))
+    parts.append(Part(chamber, mat.DARK_METAL, name="engine", density_factor=2.0))
     for angle in rng.uniform(0, 2 * np.pi) + np.array([0.0, 2.2, 4.0]):
         out = radial(angle)
         pump = drum(0.9 * throat, 0.3 * length_m, 20, bevel=0.25)
         pump.apply_transform(pose([0, 0, 1.0], 2.6 * throat * out + [0, 0, -0.48 * length_m]))
-        parts.append(Part(pump, BRUSHED_METAL if rng.random() < 0.6 else PAINT_BLACK, name="engine"))
+        pump_material = mat.BRUSHED_METAL if rng.random() < 0.6 else mat.PAINT_BLACK
         line = np.array([2.6, 2.7, 2.0, 1.0])[:, None] * t * out
         line[:, 2] = np.array([-0.2, -0.1, 0.02, 0.06]) * ell
-        parts.append(Part(tube(line, 0.22 * throat, 10), BRUSHED_METAL, name="engine"))
-        foot = 4.2 * throat * out + [0, 0, -0.5 * length_m]
-        parts.append(
-            Part(
-                strut(foot, 1.8 * throat * out + [0, 0, -0.25 * length_m], 0.16 * throat),
-                BRUSHED_METAL,
-                name="engine",
-            )
+        feed_line = tube(line, 0.22 * throat, 10)
+        foot, top = 4.2 * throat * out + [0, 0, -0.5 * ell], 1.8 * throat * out + [0, 0, -0.25 * ell]
+        gimbal = strut(foot, top, 0.16 * throat)
+        parts += named(
+            "engine", (pump, pump_material), (feed_line, mat.BRUSHED_METAL), (gimbal, mat.BRUSHED_METAL)
         )
     rim = ring(1.12 * exit_m, 1.17 * exit_m, 0.0, 0.035 * exit_m, 56).mesh
     rim.apply_scale([0.885, 0.885, 1.0])
     rim.apply_translation([0, 0, length_m - 0.036 * exit_m])
-    parts.append(Part(rim, BRUSHED_METAL, name="nozzle", density_factor=2.0))
+    parts.append(Part(rim, mat.BRUSHED_METAL, name="nozzle", density_factor=2.0))
     return parts
 
 
 def bottle(radius_m: float, rng: np.random.Generator) -> list[Part]:
     """A pressure bottle around the origin with a band and two bosses."""
-    material = [COMPOSITE, FOIL_GOLD, FOIL_BLACK, BRUSHED_METAL][int(rng.integers(4))]
+    material = [mat.COMPOSITE, mat.FOIL_GOLD, mat.FOIL_BLACK, mat.BRUSHED_METAL][int(rng.integers(4))]
     sphere = ball(radius_m, 28, 16)
     band = ring(0.99 * radius_m, 1.03 * radius_m, -0.08 * radius_m, 0.08 * radius_m, 28).mesh
     boss = drum(0.16 * radius_m, 2.2 * radius_m, 12, at=[0, 0, -1.1 * radius_m])
-    return [
-        Part(sphere, material, name="bottle"),
-        Part(band, BRUSHED_METAL, name="bottle"),
-        Part(boss, BRUSHED_METAL, name="bottle"),
-    ]
+    return named("bottle", (sphere, material), (band, mat.BRUSHED_METAL), (boss, mat.BRUSHED_METAL))
 
 
 def solar_wing(
@@ -357,15 +320,16 @@ def solar_wing(
     for k in range(panels):
         middle = yoke_m + k * (each + gap) + 0.5 * each
         # Hinges do not all open by exactly the same angle.
-        bend = pose([0, 0, 1.0], [middle, 0, 0])
-        bend[:3, :3] = _turn_y(rng.normal(0, 0.012))
-        parts += [part.moved(bend) for part in _panel(builder, each, width_m, thickness_m, cell)]
+        angle = rng.normal(0, 0.012)
+        c, s = np.cos(angle), np.sin(angle)
+        bend = make_pose(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), [middle, 0, 0])
+        parts += moved(_panel(builder, each, width_m, thickness_m, cell), bend)
         if k > 0:
             for side in (-0.3, 0.3):
                 hinge = drum(1.4 * thickness_m, 0.12 * width_m, 12)
                 at = [middle - 0.5 * (each + gap), side * width_m - 0.06 * width_m, -0.5 * thickness_m]
                 hinge.apply_transform(pose([0, 1.0, 0], at))
-                parts.append(Part(hinge, BRUSHED_METAL, name="hinge"))
+                parts.append(Part(hinge, mat.BRUSHED_METAL, name="hinge"))
     return parts + _yoke(builder, width_m, thickness_m, yoke_m)
 
 
@@ -373,32 +337,21 @@ def _panel(
     builder: PartBuilder, length_m: float, width_m: float, thickness_m: float, cell: int
 ) -> list[Part]:
     board = box([length_m, width_m, thickness_m], bevel=0.15)
-    front, back, edge = builder.textures.cells(cell), _back(builder), 0.9
+    front = builder.textures.cells(cell)
+    back = builder.textures.panel(float(builder.rng.choice([0.12, 0.25, 0.35, 0.6])), 0.45)
 
     def draw(normal: Array) -> Draw | None:
-        if normal[2] > edge:
-            return front
-        return back if normal[2] < -edge else None
+        return front if normal[2] > 0.9 else back if normal[2] < -0.9 else None
 
-    parts = [
-        builder.flat_part_by_side(board, SOLAR_CELL, draw, "panel", 0.6, down_G=np.array([0.0, 1.0, 0.0]))
-    ]
+    parts = [builder.flat_part_by_side(board, mat.SOLAR_CELL, draw, "panel", 0.6, np.array([0.0, 1.0, 0.0]))]
     # Stiffeners and a harness on the back, so that it is not a bare sheet.
     for y in (-0.32, 0.32):
-        rib = box(
-            [0.94 * length_m, 0.035 * width_m, 1.2 * thickness_m],
-            bevel=0.2,
-            at=[0, y * width_m, -0.9 * thickness_m],
-        )
-        parts.append(Part(rib, COMPOSITE, name="panel", density_factor=0.6))
+        extents = [0.94 * length_m, 0.035 * width_m, 1.2 * thickness_m]
+        rib = box(extents, bevel=0.2, at=[0, y * width_m, -0.9 * thickness_m])
+        parts += named("panel", (rib, mat.COMPOSITE), density_factor=0.6)
     lead = strut([-0.48 * length_m, 0.05 * width_m, -0.7 * thickness_m],
                  [0.48 * length_m, 0.02 * width_m, -0.7 * thickness_m], 0.35 * thickness_m)  # fmt: skip
-    return [*parts, Part(lead, PAINT_BLACK, name="panel", density_factor=0.6)]
-
-
-def _back(builder: PartBuilder) -> Draw:
-    rng = builder.rng
-    return builder.textures.panel(float(rng.choice([0.12, 0.25, 0.35, 0.6])), 0.45)
+    return parts + named("panel", (lead, mat.PAINT_BLACK), density_factor=0.6)
 
 
 def _yoke(builder: PartBuilder, width_m: float, thickness_m: float, yoke_m: float) -> list[Part]:
@@ -406,15 +359,9 @@ def _yoke(builder: PartBuilder, width_m: float, thickness_m: float, yoke_m: floa
     radius = max(0.6 * thickness_m, 0.012 * width_m)
     drive = drum(0.05 * width_m + radius, 0.2 * width_m, 20)
     drive.apply_transform(pose([1.0, 0, 0], [-0.1 * width_m, 0, 0]))
-    parts = [Part(drive, ANODISED, name="hinge")]
+    parts = [Part(drive, mat.ANODISED, name="hinge")]
     for side in (-0.36, 0.36):
-        bar = strut(
-            [0.0, 0.06 * np.sign(side) * width_m, 0], [yoke_m + 0.01 * width_m, side * width_m, 0], radius, 10
-        )
-        parts.append(Part(bar, COMPOSITE if builder.rng.random() < 0.5 else BRUSHED_METAL, name="hinge"))
+        root, tip = [0.0, 0.06 * np.sign(side) * width_m, 0], [yoke_m + 0.01 * width_m, side * width_m, 0]
+        material = mat.COMPOSITE if builder.rng.random() < 0.5 else mat.BRUSHED_METAL
+        parts.append(Part(strut(root, tip, radius, 10), material, name="hinge"))
     return parts
-
-
-def _turn_y(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])

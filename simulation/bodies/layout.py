@@ -10,20 +10,8 @@ from functools import partial
 import numpy as np
 
 from polhode.lie import Array
-from polhode.simulation.bodies.equipment import (
-    electronics_box,
-    grapple_pin,
-    handrail,
-    helix,
-    hexagonal_can,
-    patch,
-    star_tracker,
-    sun_sensor,
-    thruster_block,
-    umbilical,
-    whip,
-)
-from polhode.simulation.bodies.part import Part
+from polhode.simulation.bodies import equipment
+from polhode.simulation.bodies.part import Part, moved
 from polhode.simulation.bodies.solids import box, frame, pose
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import BRUSHED_METAL
@@ -57,7 +45,7 @@ class Deck:
     def put(self, parts: list[Part], x_m: float, y_m: float, turn: float = 0.0) -> list[Part]:
         """The parts at a position on the wall, rotated about its normal [rad]."""
         X = self.X_G @ pose([0, 0, 1.0], [x_m, y_m, 0.0], turn)
-        return [part.moved(X) for part in parts]
+        return moved(parts, X)
 
     def place(self, make: Callable[[], list[Part]], radius_m: float, rng: np.random.Generator) -> list[Part]:
         """The parts that ``make`` returns, at a free position, rotated by 0 to 270 degrees; none if there
@@ -88,7 +76,7 @@ def fit_out(deck: Deck, size_m: float, builder: PartBuilder, boxes: int, small: 
     parts = []
     for _ in range(boxes):
         w, d, h = s * rng.uniform((0.12, 0.12, 0.05), (0.26, 0.26, 0.1))
-        boxed = partial(electronics_box, builder, w, d, h)
+        boxed = partial(equipment.electronics_box, builder, w, d, h)
         parts += deck.place(boxed, 0.6 * float(np.hypot(w, d)), rng)
     for _ in range(small):
         make, radius = _small_thing(s, builder)
@@ -101,16 +89,16 @@ def fit_out(deck: Deck, size_m: float, builder: PartBuilder, boxes: int, small: 
 def _small_thing(s: float, builder: PartBuilder) -> tuple[Callable[[], list[Part]], float]:
     """A function that makes a random small item, and the radius [m] that it needs."""
     catalogue: list[tuple[Callable[[], list[Part]], float]] = [
-        (partial(star_tracker, builder, 0.17 * s), 0.12 * s),
-        (partial(thruster_block, builder, 0.08 * s), 0.1 * s),
-        (partial(sun_sensor, 0.05 * s), 0.04 * s),
-        (partial(patch, builder, 0.11 * s), 0.08 * s),
-        (partial(handrail, 0.2 * s, 0.006 * s), 0.12 * s),
-        (partial(hexagonal_can, builder, 0.12 * s), 0.08 * s),
-        (partial(umbilical, builder, 0.14 * s), 0.1 * s),
-        (partial(helix, 0.16 * s, 0.03 * s), 0.06 * s),
-        (partial(whip, 0.3 * s, 0.004 * s), 0.03 * s),
-        (partial(grapple_pin, 0.12 * s), 0.08 * s),
+        (partial(equipment.star_tracker, builder, 0.17 * s), 0.12 * s),
+        (partial(equipment.thruster_block, builder, 0.08 * s), 0.1 * s),
+        (partial(equipment.sun_sensor, 0.05 * s), 0.04 * s),
+        (partial(equipment.patch, builder, 0.11 * s), 0.08 * s),
+        (partial(equipment.handrail, 0.2 * s, 0.006 * s), 0.12 * s),
+        (partial(equipment.hexagonal_can, builder, 0.12 * s), 0.08 * s),
+        (partial(equipment.umbilical, builder, 0.14 * s), 0.1 * s),
+        (partial(equipment.helix, 0.16 * s, 0.03 * s), 0.06 * s),
+        (partial(equipment.whip, 0.3 * s, 0.004 * s), 0.03 * s),
+        (partial(equipment.grapple_pin, 0.12 * s), 0.08 * s),
     ]
     return catalogue[int(builder.rng.integers(len(catalogue)))]
 

@@ -24,21 +24,8 @@ from polhode.records import Ints
 from polhode.simulation.bodies.part import FileColours, Part
 from polhode.simulation.bodies.solids import flat_regions
 from polhode.simulation.bodies.textures.part_builder import PartBuilder, charts_for_mesh, texel_size_for
-from polhode.simulation.surface.materials import (
-    BRUSHED_METAL,
-    DARK_METAL,
-    FOIL_BLACK,
-    FOIL_GOLD,
-    FOIL_SILVER,
-    GLASS,
-    PAINT_BLACK,
-    PAINT_GREY,
-    PAINT_WHITE,
-    REGOLITH,
-    SOLAR_CELL,
-    WORN_PANEL,
-    Material,
-)
+from polhode.simulation.surface import materials as mat
+from polhode.simulation.surface.materials import Material
 
 MIN_RADIUS_M, MAX_RADIUS_M = 1e-3, 1e3
 """Range of plausible radii of a body."""
@@ -270,21 +257,21 @@ def _roughness_of_phong(exponent: object) -> float | None:
 
 
 NAMES: tuple[tuple[str, Material], ...] = (
-    (r"radiator|osr", PAINT_WHITE),
-    (r"asteroid|comet|rock|regolith|terrain|lunar|moon|eros|itokawa|bennu|ryugu|67p", REGOLITH),
-    (r"nozzle|engine|thruster|thr_|bell", DARK_METAL),
-    (r"silver.*(mli|foil|kapton|blanket)|(mli|foil|kapton|blanket).*silver", FOIL_SILVER),
-    (r"black.*(mli|foil|kapton|blanket)|(mli|foil|kapton|blanket).*black", FOIL_BLACK),
-    (r"mli|foil|kapton|gold|blanket|insulat", FOIL_GOLD),
-    (r"white|dish|antenna|reflector", PAINT_WHITE),
-    (r"solar|cell|panel|array", SOLAR_CELL),
-    (r"glass|lens|optic|camera|window", GLASS),
-    (r"black", PAINT_BLACK),
-    (r"gr[ae]y|paint", PAINT_GREY),
-    (r"metal|alumin|steel|titan|strut|truss|boom|mast|hinge|rail|bolt", BRUSHED_METAL),
+    (r"radiator|osr", mat.PAINT_WHITE),
+    (r"asteroid|comet|rock|regolith|terrain|lunar|moon|eros|itokawa|bennu|ryugu|67p", mat.REGOLITH),
+    (r"nozzle|engine|thruster|thr_|bell", mat.DARK_METAL),
+    (r"silver.*(mli|foil|kapton|blanket)|(mli|foil|kapton|blanket).*silver", mat.FOIL_SILVER),
+    (r"black.*(mli|foil|kapton|blanket)|(mli|foil|kapton|blanket).*black", mat.FOIL_BLACK),
+    (r"mli|foil|kapton|gold|blanket|insulat", mat.FOIL_GOLD),
+    (r"white|dish|antenna|reflector", mat.PAINT_WHITE),
+    (r"solar|cell|panel|array", mat.SOLAR_CELL),
+    (r"glass|lens|optic|camera|window", mat.GLASS),
+    (r"black", mat.PAINT_BLACK),
+    (r"gr[ae]y|paint", mat.PAINT_GREY),
+    (r"metal|alumin|steel|titan|strut|truss|boom|mast|hinge|rail|bolt", mat.BRUSHED_METAL),
 )
 """The first pattern found in a piece's name, regardless of case, decides."""
-CHOICES = (WORN_PANEL, WORN_PANEL, PAINT_WHITE, PAINT_GREY, BRUSHED_METAL)
+CHOICES = (mat.WORN_PANEL, mat.WORN_PANEL, mat.PAINT_WHITE, mat.PAINT_GREY, mat.BRUSHED_METAL)
 """Materials of separate pieces whose names match no pattern; the largest is a worn panel, which has
 texture.
 """
@@ -306,7 +293,7 @@ def material_by_name(name: str) -> Material | None:
 
 def random_material(largest: bool, rng: np.random.Generator) -> Material:
     """One of ``CHOICES``."""
-    return WORN_PANEL if largest else CHOICES[int(rng.integers(len(CHOICES)))]
+    return mat.WORN_PANEL if largest else CHOICES[int(rng.integers(len(CHOICES)))]
 
 
 def material_with_appearance(material: Material, appearance: FileAppearance) -> Material:
@@ -347,7 +334,7 @@ def _parts_of_piece(
     named = material_by_name(piece.name) or material_by_name(stem)
     if appearance.colours is not None:
         # The colours of the file are the texture; none is added.
-        plain = replace(named or PAINT_GREY, grain=0.0, patch=0.0)
+        plain = replace(named or mat.PAINT_GREY, grain=0.0, patch=0.0)
         material = material_with_appearance(plain, appearance)
         return [Part(piece.mesh, material, name=piece.label, colours=appearance.colours)]
     if named is not None:
@@ -359,11 +346,11 @@ def _parts_of_piece(
         piece_mesh = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces[faces], process=False)
         piece_mesh.remove_unreferenced_vertices()
         if _is_rock(piece_mesh):
-            material = REGOLITH
+            material = mat.REGOLITH
         elif order < MAX_PIECES:
             material = random_material(first and order == 0, builder.rng)
         else:
-            material = PAINT_GREY
+            material = mat.PAINT_GREY
         parts.append(
             _part_with_charts(
                 piece_mesh, material_with_appearance(material, appearance), piece.label, builder

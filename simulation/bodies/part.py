@@ -1,6 +1,6 @@
 """Parts with a material, charts and mass, and the body that they are assembled to."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -253,6 +253,16 @@ class Part:
         mesh = self.mesh.copy()
         mesh.apply_transform(X)
         return replace(self, mesh=mesh, charts=tuple((chart.moved(X), faces) for chart, faces in self.charts))
+
+
+def moved(parts: Iterable[Part], X: Array) -> list[Part]:
+    """The parts after a rigid transform (4, 4)."""
+    return [part.moved(X) for part in parts]
+
+
+def named(name: str, *meshes: tuple[trimesh.Trimesh, Material], density_factor: float = 1.0) -> list[Part]:
+    """Parts of one name without charts, of a mesh and a material each."""
+    return [Part(mesh, material, density_factor=density_factor, name=name) for mesh, material in meshes]
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ nothing acts inside the band; at its edge a minimum impulse of the thrusters rev
 slightly different rate each time.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple, Protocol
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from polhode.config import scene as config
 from polhode.errors import InputError
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose, right_jacobian_so3
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.simulation.motion.target import timestamps
 
 PULSE_S = 0.1
@@ -47,15 +47,6 @@ class LimitCycle:
         line = start + self.rate[index] * (t_s - start_s)
         since, turn = self._pulse(t_s)
         return np.asarray(line + turn * (0.5 * self.pulse_s - abs(since)) ** 2 / (2.0 * self.pulse_s))
-
-    def slope(self, t_s: Array) -> Array:
-        """Its rate at times (m,): continuous."""
-        if len(self.corner_s) == 0:
-            return np.zeros(len(t_s))
-        index = np.searchsorted(self.corner_s, t_s, side="right")
-        since, turn = self._pulse(t_s)
-        side = np.where(since < 0.0, 1.0, -1.0)
-        return np.asarray(self.rate[index] + side * turn * (0.5 * self.pulse_s - abs(since)) / self.pulse_s)
 
     def _pulse(self, t_s: Array) -> tuple[Array, Array]:
         """Time since the nearest pulse, clipped to the pulse [s], and the change of rate by that pulse."""
@@ -94,132 +85,59 @@ _MARGIN_S = 60.0
 """The jitter continues for this long after the last frame, for long exposures [s]."""
 
 
-class CameraStates(NamedTuple):
-    """Left camera at n times."""
-
-    X_NC: Array
-    """(n, 4, 4)"""
-    v_N: Array
-    """(n, 3) [m/s]"""
-    w_C: Array
-    """(n, 3) angular velocity relative to N, in the camera's axes [rad/s]"""
+CameraPath = Callable[[Array], Array]
+"""Poses X_NC (n, 4, 4) of the left camera at times (n,) after the first frame [s], also before it."""
 
 
-class CameraPath(Protocol):
-    """A motion of the camera."""
-
-    def at(self, t_s: Array) -> CameraStates:
-        """States at times (n,) after the first frame [s], also before it."""
-        ...
+def _drift(X_NC0: Array, v_N: Array, w_C: Array, t_s: Array) -> Array:
+    """Constant velocity [m/s] and constant rate in the camera's axes [rad/s]; rest when both are zero."""
+    R_NC = X_NC0[:3, :3] @ exp_so3(t_s[:, None] * w_C)
+    return make_pose(R_NC, X_NC0[:3, 3] + t_s[:, None] * v_N)
 
 
-@dataclass(frozen=True)
-class DriftPath:
-    """Constant velocity and constant angular velocity in the camera's axes; rest when both are zero."""
-
-    X_NC0: Array
-    """(4, 4) at the first frame"""
-    v_N: Array
-    """(3,) [m/s]"""
-    w_C: Array
-    """(3,) [rad/s]"""
-
-    def at(self, t_s: Array) -> CameraStates:
-        R_NC = self.X_NC0[:3, :3] @ exp_so3(t_s[:, None] * self.w_C)
-        X_NC = make_pose(R_NC, self.X_NC0[:3, 3] + t_s[:, None] * self.v_N)
-        return CameraStates(X_NC, np.tile(self.v_N, (len(t_s), 1)), np.tile(self.w_C, (len(t_s), 1)))
+def _circle(X_NC0: Array, centre_N: Array, w_N: Array, t_s: Array) -> Array:
+    """The first pose rotated about an axis through a centre, at a constant rate (3,) [rad/s]."""
+    turn = exp_so3(t_s[:, None] * w_N)
+    return np.asarray(make_pose(turn, centre_N - turn @ centre_N) @ X_NC0)
 
 
-@dataclass(frozen=True)
-class CirclePath:
-    """The first pose rotated about an axis through a centre, at a constant rate."""
-
-    X_NC0: Array
-    """(4, 4) at the first frame"""
-    centre_N: Array
-    """(3,) [m]"""
-    w_N: Array
-    """(3,) [rad/s]"""
-
-    def at(self, t_s: Array) -> CameraStates:
-        turn = exp_so3(t_s[:, None] * self.w_N)
-        X_NC = np.asarray(make_pose(turn, self.centre_N - turn @ self.centre_N) @ self.X_NC0)
-        v_N = np.cross(self.w_N, X_NC[:, :3, 3] - self.centre_N)
-        return CameraStates(X_NC, v_N, np.tile(self.X_NC0[:3, :3].T @ self.w_N, (len(t_s), 1)))
-
-
-@dataclass(frozen=True)
-class ApproachPath:
+def _approach(X_NC0: Array, direction_N: Array, length_m: float, speed_m_s: float, t_s: Array) -> Array:
     """Along a line at a constant speed, then uniform braking to a stop; constant attitude."""
-
-    X_NC0: Array
-    """(4, 4) at the first frame"""
-    direction_N: Array
-    """(3,) unit"""
-    length_m: float
-    """Length of the line [m]"""
-    speed_m_s: float
-
-    def at(self, t_s: Array) -> CameraStates:
-        brake_s = min(BRAKE_S, 2.0 * self.length_m / self.speed_m_s)
-        cruise_s = self.length_m / self.speed_m_s - 0.5 * brake_s
-        braking_s = np.clip(t_s - cruise_s, 0.0, brake_s)
-        slowed = braking_s / brake_s if brake_s > 0 else np.ones(len(t_s))
-        distance_m = self.speed_m_s * (np.minimum(t_s, cruise_s) + braking_s * (1.0 - 0.5 * slowed))
-        speed_m_s = self.speed_m_s * (1.0 - slowed)
-        if brake_s == 0.0:
-            distance_m = np.zeros(len(t_s))
-        p_N = self.X_NC0[:3, 3] + distance_m[:, None] * self.direction_N
-        X_NC = make_pose(np.tile(self.X_NC0[:3, :3], (len(t_s), 1, 1)), p_N)
-        return CameraStates(X_NC, speed_m_s[:, None] * self.direction_N, np.zeros((len(t_s), 3)))
+    brake_s = min(BRAKE_S, 2.0 * length_m / speed_m_s)
+    cruise_s = length_m / speed_m_s - 0.5 * brake_s
+    braking_s = np.clip(t_s - cruise_s, 0.0, brake_s)
+    slowed = braking_s / brake_s if brake_s > 0 else np.ones(len(t_s))
+    distance_m = speed_m_s * (np.minimum(t_s, cruise_s) + braking_s * (1.0 - 0.5 * slowed))
+    if brake_s == 0.0:
+        distance_m = np.zeros(len(t_s))
+    p_N = X_NC0[:3, 3] + distance_m[:, None] * direction_N
+    return make_pose(np.tile(X_NC0[:3, :3], (len(t_s), 1, 1)), p_N)
 
 
-@dataclass(frozen=True)
-class WaypointPath:
-    """Splines through given poses, from rest to rest, constant before the first and after the last pose.
+def _through_waypoints(knots_s: Array, p_N: Array, R_NC: Array, t_s: Array) -> Array:
+    """Splines through n >= 2 poses, from rest to rest, constant before the first and after the last pose.
 
     Cubic in position; in attitude scipy's RotationSpline, whose angular velocity is continuous. Time on the
     splines starts and stops smoothly, so that the velocity is continuous at departure and arrival.
     """
+    clock_s = _time_on_splines(knots_s, t_s)
+    attitude = RotationSpline(knots_s, Rotation.from_matrix(R_NC))
+    return make_pose(attitude(clock_s).as_matrix(), CubicSpline(knots_s, p_N, bc_type="natural")(clock_s))
 
-    knots_s: Array
-    """(n,) increasing, n >= 2 [s]"""
-    p_N: Array
-    """(n, 3) [m]"""
-    R_NC: Array
-    """(n, 3, 3)"""
 
-    @cached_property
-    def _position(self) -> CubicSpline:
-        return CubicSpline(self.knots_s, self.p_N, bc_type="natural")
-
-    @cached_property
-    def _attitude(self) -> RotationSpline:
-        return RotationSpline(self.knots_s, Rotation.from_matrix(self.R_NC))
-
-    def at(self, t_s: Array) -> CameraStates:
-        clock_s, pace = self._clock(t_s)
-        X_NC = make_pose(self._attitude(clock_s).as_matrix(), self._position(clock_s))
-        v_N = self._position(clock_s, 1) * pace[:, None]
-        # scipy gives the angular velocity in the rotating axes, which are the camera's.
-        w_C = self._attitude(clock_s, 1) * pace[:, None]
-        return CameraStates(X_NC, v_N, w_C)
-
-    def _clock(self, t_s: Array) -> tuple[Array, Array]:
-        """Time on the splines and its rate: true time at every knot, at rest at the first and the last."""
-        first, last = float(self.knots_s[0]), float(self.knots_s[-1])
-        t = np.clip(t_s, first, last)
-        outside = (t_s <= first) | (t_s >= last)
-        if len(self.knots_s) == 2:
-            x = (t - first) / (last - first)
-            return first + (last - first) * x * x * (3 - 2 * x), np.where(outside, 0.0, 6 * x * (1 - x))
-        clock, pace = t.copy(), np.ones(len(t))
-        for end, neighbour in ((first, self.knots_s[1]), (last, self.knots_s[-2])):
-            x = (t - end) / (neighbour - end)
-            near = x < 1.0
-            clock[near] = (end + (neighbour - end) * x * x * (2 - x))[near]
-            pace[near] = (x * (4 - 3 * x))[near]
-        return clock, np.where(outside, 0.0, pace)
+def _time_on_splines(knots_s: Array, t_s: Array) -> Array:
+    """The true time at every knot, and between inner knots; at rest at the first and the last."""
+    first, last = float(knots_s[0]), float(knots_s[-1])
+    t = np.clip(t_s, first, last)
+    if len(knots_s) == 2:
+        x = (t - first) / (last - first)
+        return np.asarray(first + (last - first) * x * x * (3 - 2 * x))
+    clock = t.copy()
+    for end, neighbour in ((first, knots_s[1]), (last, knots_s[-2])):
+        x = (t - end) / (neighbour - end)
+        near = x < 1.0
+        clock[near] = (end + (neighbour - end) * x * x * (2 - x))[near]
+    return clock
 
 
 def camera_path(scene: config.Scene) -> CameraPath:
@@ -229,14 +147,13 @@ def camera_path(scene: config.Scene) -> CameraPath:
     target_N = np.array(scene.motion.position_m)
     match inspector.profile:
         case "rest":
-            return DriftPath(X_NC0, np.zeros(3), np.zeros(3))
+            return partial(_drift, X_NC0, np.zeros(3), np.zeros(3))
         case "drift":
-            return DriftPath(
-                X_NC0, np.array(inspector.velocity_mm_s) * 1e-3, np.deg2rad(inspector.rate_deg_s)
-            )
+            v_N = np.array(inspector.velocity_mm_s) * 1e-3
+            return partial(_drift, X_NC0, v_N, np.deg2rad(inspector.rate_deg_s))
         case "circle":
             axis_N = np.array(inspector.circle_axis) / np.linalg.norm(inspector.circle_axis)
-            return CirclePath(X_NC0, target_N, axis_N * (2 * np.pi / inspector.circle_period_s))
+            return partial(_circle, X_NC0, target_N, axis_N * (2 * np.pi / inspector.circle_period_s))
         case "approach":
             line_N = target_N - X_NC0[:3, 3]
             distance_m = float(np.linalg.norm(line_N))
@@ -245,36 +162,38 @@ def camera_path(scene: config.Scene) -> CameraPath:
                     "scene.inspector.position_m is the target's position: an approach must start away from it"
                 )
             length_m = max(distance_m - inspector.approach_stop_m, 0.0)
-            return ApproachPath(X_NC0, line_N / distance_m, length_m, inspector.approach_mm_s * 1e-3)
+            return partial(_approach, X_NC0, line_N / distance_m, length_m, inspector.approach_mm_s * 1e-3)
         case "waypoints":
             points = inspector.waypoints
-            return WaypointPath(
-                np.array([point.t_s for point in points]),
-                np.array([point.position_m for point in points]),
-                exp_so3(np.deg2rad([point.attitude_deg for point in points])),
-            )
+            knots_s, p_N = np.array([point.t_s for point in points]), [point.position_m for point in points]
+            R_NC = exp_so3(np.deg2rad([point.attitude_deg for point in points]))
+            return partial(_through_waypoints, knots_s, np.array(p_N), R_NC)
 
 
 @dataclass(frozen=True)
 class InspectorMotion:
     """The left camera at the F frames, and between them."""
 
-    X_NC: Array
-    """(F, 4, 4)"""
-    v_N: Array
-    """(F, 3) [m/s]"""
-    w_C: Array
-    """(F, 3) angular velocity relative to N, in the camera's axes [rad/s]"""
     t_s: Array
     """(F,) time after the first frame [s]"""
     path: CameraPath
     jitter: tuple[LimitCycle, ...]
     """Position in N [m], then rotation vector in the camera's axes [rad]: x, y, z of each"""
 
+    @cached_property
+    def X_NC(self) -> Array:
+        """(F, 4, 4)"""
+        return self._poses(self.t_s)
+
     def poses_during(self, k: int, offsets_s: ArrayLike) -> Array:
         """X_NC (S, 4, 4) at times (S,) after, or before, frame k [s]."""
-        t_s = self.t_s[k] + np.atleast_1d(np.asarray(offsets_s, dtype=np.float64))
-        return camera_states(self.path, self.jitter, t_s).X_NC
+        return self._poses(self.t_s[k] + np.atleast_1d(np.asarray(offsets_s, dtype=np.float64)))
+
+    def _poses(self, t_s: Array) -> Array:
+        """Path and jitter together at times (n,) [s]: (n, 4, 4)."""
+        X_NC = self.path(t_s)
+        deviation = np.stack([cycle.value(t_s) for cycle in self.jitter], axis=1)
+        return make_pose(X_NC[:, :3, :3] @ exp_so3(deviation[:, 3:]), X_NC[:, :3, 3] + deviation[:, :3])
 
 
 def inspector_motion(scene: config.Scene, seed: int) -> InspectorMotion:
@@ -285,21 +204,9 @@ def inspector_motion(scene: config.Scene, seed: int) -> InspectorMotion:
     """
     stamps = timestamps(scene)[: scene.frames]
     t_s = np.asarray((stamps - stamps[0]) / 1e9)
-    path, jitter = camera_path(scene), _jitter(scene.inspector, float(t_s[-1]) + _MARGIN_S, seed)
-    states = camera_states(path, jitter, t_s)
-    return InspectorMotion(states.X_NC, states.v_N, states.w_C, t_s, path, jitter)
-
-
-def camera_states(path: CameraPath, jitter: tuple[LimitCycle, ...], t_s: Array) -> CameraStates:
-    """CameraPath and jitter together at times (n,) [s]."""
-    X_NC, v_N, w_C = path.at(t_s)
-    deviation = np.stack([cycle.value(t_s) for cycle in jitter], axis=1)
-    rate = np.stack([cycle.slope(t_s) for cycle in jitter], axis=1)
-    theta = deviation[:, 3:]
-    turn = exp_so3(theta)
-    w_C = np.einsum("nji,nj->ni", turn, w_C) + (right_jacobian_so3(theta) @ rate[:, 3:, None])[..., 0]
-    X_NC = make_pose(X_NC[:, :3, :3] @ turn, X_NC[:, :3, 3] + deviation[:, :3])
-    return CameraStates(X_NC, v_N + rate[:, :3], w_C)
+    return InspectorMotion(
+        t_s, camera_path(scene), _jitter(scene.inspector, float(t_s[-1]) + _MARGIN_S, seed)
+    )
 
 
 def reported_inspector(scene: config.Scene, X_NC: Array, X_BC: Array, rng: np.random.Generator) -> Array:

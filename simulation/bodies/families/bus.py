@@ -7,7 +7,7 @@ import numpy as np
 from polhode.lie import Array
 from polhode.simulation.bodies.equipment import engine, horn, small_dish, solar_wing, thruster
 from polhode.simulation.bodies.layout import Deck, decks_of_box, fit_out
-from polhode.simulation.bodies.part import Part
+from polhode.simulation.bodies.part import Part, moved
 from polhode.simulation.bodies.solids import box, frame, pose, revolve
 from polhode.simulation.bodies.textures.canvas import Draw
 from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
@@ -52,9 +52,8 @@ def _wings(box_m: Array, size_m: float, builder: PartBuilder) -> list[Part]:
     parts = []
     for side in sides:
         wing = solar_wing(builder, length, width, 0.014 * size_m, panels, 0.22 * size_m, cell)
-        front = [np.sin(tilt), 0.0, np.cos(tilt)]
-        X = frame([0.0, side, 0.0], front, [0.0, side * 0.5 * box_m[1], 0.0])
-        parts += [part.moved(X) for part in wing]
+        root = [0.0, side * 0.5 * box_m[1], 0.0]
+        parts += moved(wing, frame([0.0, side, 0.0], [np.sin(tilt), 0.0, np.cos(tilt)], root))
     return parts
 
 
@@ -69,8 +68,8 @@ def _aft(size_m: float, box_m: Array, deck: Deck, builder: PartBuilder) -> list[
     parts = deck.put([builder.revolved_part(ring, [(1, 2, wall)], ANODISED, "adapter")], 0, 0)
     deck.reserve(0, 0, 1.1 * radius)
     if rng.random() < 0.8:
-        nozzle = engine(builder, 0.5 * radius, 0.9 * radius)
-        parts += deck.put([part.moved(pose([0, 0, 1.0], [0, 0, 0.4 * radius])) for part in nozzle], 0, 0)
+        raised = pose([0, 0, 1.0], [0, 0, 0.4 * radius])
+        parts += deck.put(moved(engine(builder, 0.5 * radius, 0.9 * radius), raised), 0, 0)
     for x in (-0.42, 0.42):
         for y in (-0.42, 0.42):
             parts += deck.put(thruster(0.045 * size_m), x * deck.width_m, y * deck.height_m)

@@ -4,20 +4,10 @@ import numpy as np
 
 from polhode.simulation.bodies.equipment import paraboloid, solar_wing
 from polhode.simulation.bodies.layout import decks_of_box, fit_out
-from polhode.simulation.bodies.part import Part
+from polhode.simulation.bodies.part import Part, moved, named
 from polhode.simulation.bodies.solids import box, drum, frame, pose, radial, revolve, ring, strut, tube
-from polhode.simulation.bodies.textures.canvas import Draw
 from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
-from polhode.simulation.surface.materials import (
-    ANODISED,
-    BRUSHED_METAL,
-    COMPOSITE,
-    FOIL_BLACK,
-    FOIL_GOLD,
-    FOIL_SILVER,
-    PAINT_GREY,
-    PAINT_WHITE,
-)
+from polhode.simulation.surface import materials as mat
 
 SECTIONS, STEPS = 72, 10
 
@@ -27,12 +17,9 @@ def dish_parts(size_m: float, builder: PartBuilder) -> list[Part]:
     rng = builder.rng
     focal = size_m * float(rng.uniform(0.32, 0.46))
     gores = int(rng.integers(8, 19))
-    parts = _reflector(builder, size_m, focal, gores)
-    parts += _feed(builder, size_m, focal)
     hub = 0.10 * size_m
-    parts += _hub(size_m, hub)
-    parts += _bus(builder, size_m, hub)
-    return parts
+    parts = _reflector(builder, size_m, focal, gores) + _feed(builder, size_m, focal)
+    return parts + _hub(size_m, hub) + _bus(builder, size_m, hub)
 
 
 def _depth(r: float, focal: float) -> float:
@@ -46,29 +33,23 @@ def _reflector(builder: PartBuilder, size_m: float, focal: float, gores: int) ->
     last = len(solid.profile) - 1
     base = float(rng.choice([0.78, 0.78, 0.6, 0.3]))
     front = builder.textures.reflector(base, gores)
-    back: Draw = (
-        builder.textures.blanket(FOIL_BLACK)
-        if rng.random() < 0.4
-        else builder.textures.reflector(0.08, gores)
-    )
-    material = PAINT_WHITE if base > 0.2 else COMPOSITE
-    parts = [
-        builder.revolved_part(
-            solid, [(last - STEPS, last - 1, front), (1, STEPS, back)], material, "reflector", 0.5
-        )
-    ]
+    wrapped = rng.random() < 0.4
+    back = builder.textures.blanket(mat.FOIL_BLACK) if wrapped else builder.textures.reflector(0.08, gores)
+    material = mat.PAINT_WHITE if base > 0.2 else mat.COMPOSITE
+    walls = [(last - STEPS, last - 1, front), (1, STEPS, back)]
+    parts = [builder.revolved_part(solid, walls, material, "reflector", 0.5)]
     radii = np.linspace(0.13, 0.5, 7) * size_m
     for k in range(gores):
         angle = 2 * np.pi * k / gores
         spine = np.column_stack([
             radii * np.cos(angle), radii * np.sin(angle), radii**2 / (4 * focal) - 1.6 * wall_m,
         ])  # fmt: skip
-        parts.append(Part(tube(spine, 1.1 * wall_m, 6), COMPOSITE, name="rib"))
+        parts.append(Part(tube(spine, 1.1 * wall_m, 6), mat.COMPOSITE, name="rib"))
     for share in (0.22, 0.36):
         r = share * size_m
         z = _depth(r, focal) - 1.8 * wall_m
         stiffener = ring(r - wall_m, r + wall_m, z - wall_m, z + 0.6 * wall_m, SECTIONS)
-        parts.append(Part(stiffener.mesh, COMPOSITE, name="rib"))
+        parts.append(Part(stiffener.mesh, mat.COMPOSITE, name="rib"))
     return parts
 
 
@@ -84,37 +65,34 @@ def _feed(builder: PartBuilder, size_m: float, focal: float) -> list[Part]:
         angle = start + 2 * np.pi * k / legs
         out = radial(angle)
         a, b = foot * out + [0, 0, _depth(foot, focal)], 0.05 * size_m * out + [0, 0, top]
-        parts.append(Part(strut(a, b, 0.007 * size_m, 10), PAINT_WHITE, name="feed"))
         shoe = drum(0.016 * size_m, 0.02 * size_m, 12)
         shoe.apply_transform(pose(b - a, a - 0.004 * (b - a)))
-        parts.append(Part(shoe, BRUSHED_METAL, name="feed"))
+        leg = strut(a, b, 0.007 * size_m, 10)
+        parts += named("feed", (leg, mat.PAINT_WHITE), (shoe, mat.BRUSHED_METAL))
     if rng.random() < 0.5:
         d, r = size_m, 0.085 * size_m
         mirror = revolve([(0, top - 0.035 * d), (0.6 * r, top - 0.02 * d), (r, top + 0.012 * d),
                           (r, top + 0.025 * d), (0, top + 0.045 * d)], 40)  # fmt: skip
         horn = revolve([(0, -0.02 * d), (0.04 * d, -0.02 * d), (0.045 * d, 0.1 * d), (0.065 * d, 0.17 * d),
                         (0.06 * d, 0.17 * d), (0.035 * d, 0.1 * d), (0, 0.1 * d)], 36)  # fmt: skip
-        return [*parts, Part(mirror.mesh, PAINT_WHITE, name="feed"), Part(horn.mesh, ANODISED, name="feed")]
+        return parts + named("feed", (mirror.mesh, mat.PAINT_WHITE), (horn.mesh, mat.ANODISED))
     can = box([0.1 * size_m, 0.1 * size_m, 0.09 * size_m], bevel=0.08, at=[0, 0, top + 0.03 * size_m])
-    draw = builder.textures.panel(0.6, 0.8) if rng.random() < 0.5 else builder.textures.blanket(FOIL_GOLD)
+    draw = builder.textures.panel(0.6, 0.8) if rng.random() < 0.5 else builder.textures.blanket(mat.FOIL_GOLD)
     horn = revolve([(0, top), (0.02 * size_m, top), (0.045 * size_m, top - 0.06 * size_m),
                     (0.04 * size_m, top - 0.06 * size_m), (0, top - 0.02 * size_m)], 28)  # fmt: skip
-    return [
-        *parts,
-        builder.flat_part(can, FOIL_GOLD, draw, "feed"),
-        Part(horn.mesh, ANODISED, name="feed"),
-    ]
+    parts.append(builder.flat_part(can, mat.FOIL_GOLD, draw, "feed"))
+    return parts + named("feed", (horn.mesh, mat.ANODISED))
 
 
 def _hub(size_m: float, depth_m: float) -> list[Part]:
     """A drum behind the vertex and six struts that carry the dish."""
     can = drum(0.13 * size_m, depth_m, 40, at=[0, 0, -depth_m - 0.004 * size_m])
-    parts = [Part(can, PAINT_GREY, name="hub")]
+    parts = [Part(can, mat.PAINT_GREY, name="hub")]
     for k in range(6):
         angle = 2 * np.pi * (k + 0.25) / 6
         out = radial(angle)
         a, b = 0.15 * size_m * out + [0, 0, -1.1 * depth_m], 0.3 * size_m * out + [0, 0, 0.03 * size_m]
-        parts.append(Part(strut(a, b, 0.008 * size_m), COMPOSITE, name="hub"))
+        parts.append(Part(strut(a, b, 0.008 * size_m), mat.COMPOSITE, name="hub"))
     return parts
 
 
@@ -123,7 +101,7 @@ def _bus(builder: PartBuilder, size_m: float, hub: float) -> list[Part]:
     rng, textures = builder.rng, builder.textures
     sides = size_m * rng.uniform((0.24, 0.24, 0.2), (0.36, 0.36, 0.42))
     middle = np.array([0.0, 0.0, -hub - 0.5 * sides[2]])
-    foil = [FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(3))]
+    foil = [mat.FOIL_GOLD, mat.FOIL_SILVER, mat.FOIL_BLACK][int(rng.integers(3))]
     sheets = [textures.blanket(foil), textures.panel(0.35, 0.8), textures.radiator(), textures.blanket(foil)]
     order = rng.permutation(6) % 4
     hull = box(sides, bevel=0.025, at=middle)
@@ -132,15 +110,13 @@ def _bus(builder: PartBuilder, size_m: float, hub: float) -> list[Part]:
     wings = [1.0] if rng.random() < 0.55 else [1.0, -1.0]
     tilt, cell = float(rng.uniform(-1.2, 1.2)), int(rng.integers(34, 56))
     panels = int(rng.integers(1, 3))
-    length, width = (
-        size_m * float(rng.uniform(0.34, 0.5)) * (0.5 + 0.5 * panels),
-        size_m * float(rng.uniform(0.24, 0.36)),
-    )
+    length = size_m * float(rng.uniform(0.34, 0.5)) * (0.5 + 0.5 * panels)
+    width = size_m * float(rng.uniform(0.24, 0.36))
     for side in wings:
         root = middle + np.array([0.5 * side * sides[0], 0, -0.1 * sides[2]])
         X = frame([side, 0, 0], [0, np.sin(tilt), np.cos(tilt)], root)
         wing = solar_wing(builder, length, width, 0.008 * size_m, panels, 0.1 * size_m, cell)
-        parts += [part.moved(X) for part in wing]
+        parts += moved(wing, X)
         decks["+x" if side > 0 else "-x"].reserve(0, 0, 0.1 * size_m)
     for name, deck in decks.items():
         if name != "+z":

@@ -4,18 +4,11 @@ import numpy as np
 from scipy.spatial import HalfspaceIntersection
 
 from polhode.lie import Array
-from polhode.simulation.bodies.part import Part
+from polhode.simulation.bodies.part import Part, moved, named
 from polhode.simulation.bodies.solids import ball, box, drum, flat_facets, hull, pose, revolve
 from polhode.simulation.bodies.textures.canvas import chart_of_facet
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
-from polhode.simulation.surface.materials import (
-    ANODISED,
-    BRUSHED_METAL,
-    GLASS,
-    PAINT_BLACK,
-    PAINT_GREY,
-    PLASTIC,
-)
+from polhode.simulation.surface import materials as mat
 
 PLAIN_FACES = 3
 """Number of the 18 faces without stickers."""
@@ -27,13 +20,8 @@ def free_flyer_parts(size_m: float, builder: PartBuilder) -> list[Part]:
     parts = [_shell(size_m, builder)]
     for position, direction in _thruster_places(size_m):
         parts += _thruster(position, direction, scale)
-    return (
-        parts
-        + _tank(size_m, scale, builder)
-        + _boxes(size_m, scale, builder)
-        + _sonar_buttons(size_m, scale, builder)
-        + _window(size_m, scale)
-    )
+    parts += _tank(size_m, scale, builder) + _boxes(size_m, scale, builder)
+    return parts + _sonar_buttons(size_m, scale, builder) + _window(size_m, scale)
 
 
 def _shell(size_m: float, builder: PartBuilder) -> Part:
@@ -54,7 +42,7 @@ def _shell(size_m: float, builder: PartBuilder) -> Part:
         base = float(rng.choice([0.26, 0.32, 0.4]))
         draw = builder.textures.plain(base) if index in plain else builder.textures.panel(base, 1.5)
         charts.append(chart_of_facet(mesh, faces, builder.texel_m, draw, builder.texture_rng))
-    return Part(mesh, PLASTIC, tuple(charts), name="shell")
+    return Part(mesh, mat.PLASTIC, tuple(charts), name="shell")
 
 
 def _thruster_places(size_m: float) -> list[tuple[Array, Array]]:
@@ -74,11 +62,8 @@ def _thruster(position_G: Array, direction_G: Array, scale: float) -> list[Part]
     profile = np.array([[0.0, -2.0], [4.5, -2.0], [4.5, 1.5], [6.5, 7.0], [5.6, 7.0], [3.0, 1.5], [0.0, 1.5]])
     nozzle = revolve(profile * 1e-3 * scale, 20).mesh
     nut = drum(8.5e-3 * scale, 3.2e-3 * scale, 6, bevel=0.15, at=[0, 0, -1.6e-3 * scale])
-    X = pose(direction_G, position_G)
-    return [
-        Part(nozzle, BRUSHED_METAL, name="thruster").moved(X),
-        Part(nut, ANODISED, name="thruster").moved(X),
-    ]
+    both = named("thruster", (nozzle, mat.BRUSHED_METAL), (nut, mat.ANODISED))
+    return moved(both, pose(direction_G, position_G))
 
 
 def _tank(size_m: float, scale: float, builder: PartBuilder) -> list[Part]:
@@ -92,7 +77,7 @@ def _tank(size_m: float, scale: float, builder: PartBuilder) -> list[Part]:
     tank = revolve(profile, 56)
     # The wall above the dome carries a label of its own.
     label = builder.textures.panel(0.36, 0.7)
-    wall = builder.revolved_part(tank, [(12, 13, label)], PAINT_GREY, "tank", 2.0)
+    wall = builder.revolved_part(tank, [(12, 13, label)], mat.PAINT_GREY, "tank", 2.0)
     collar = revolve(
         np.array([[0.033, -0.004], [0.041, -0.004], [0.041, 0.006], [0.033, 0.008]]) * scale, 56, closed=True
     )
@@ -101,9 +86,8 @@ def _tank(size_m: float, scale: float, builder: PartBuilder) -> list[Part]:
     cap = drum(0.010 * scale, 0.004 * scale, 20, at=[0.01 * scale, 0, 0.5 * size_m + 0.0165 * scale])
     return [
         wall.moved(pose([0, 0, 1.0], [0, 0, -0.5 * size_m])),
-        Part(collar.mesh, PAINT_BLACK, name="collar"),
-        Part(knob, PAINT_BLACK, name="knob"),
-        Part(cap, BRUSHED_METAL, name="knob"),
+        Part(collar.mesh, mat.PAINT_BLACK, name="collar"),
+        *named("knob", (knob, mat.PAINT_BLACK), (cap, mat.BRUSHED_METAL)),
     ]
 
 
@@ -120,7 +104,7 @@ def _boxes(size_m: float, scale: float, builder: PartBuilder) -> list[Part]:
         place = 0.5 * size_m * n + np.array(offset_mm) * 1e-3 * scale * (1 - np.abs(n))
         mesh.apply_transform(pose(n, place))
         draw = builder.textures.panel(float(builder.rng.uniform(0.12, 0.5)), 2.2)
-        parts.append(builder.flat_part(mesh, PAINT_GREY, draw, "box"))
+        parts.append(builder.flat_part(mesh, mat.PAINT_GREY, draw, "box"))
     return parts
 
 
@@ -135,14 +119,10 @@ def _sonar_buttons(size_m: float, scale: float, builder: PartBuilder) -> list[Pa
             disc = drum(0.007 * scale, 0.006 * scale, 20)
             middle = drum(0.0042 * scale, 0.0038 * scale, 16)
             bright = bool(rng.random() < 0.5)
-            low, high = (
-                pose(normal, 0.4865 * size_m * normal + side),
-                pose(normal, 0.4995 * size_m * normal + side),
-            )
-            parts += [
-                Part(disc, BRUSHED_METAL if bright else PAINT_BLACK, name="receiver").moved(low),
-                Part(middle, PAINT_BLACK if bright else BRUSHED_METAL, name="receiver").moved(high),
-            ]
+            colours = (mat.BRUSHED_METAL, mat.PAINT_BLACK) if bright else (mat.PAINT_BLACK, mat.BRUSHED_METAL)
+            for mesh, colour, lift in zip((disc, middle), colours, (0.4865, 0.4995), strict=True):
+                X = pose(normal, lift * size_m * normal + side)
+                parts.append(Part(mesh, colour, name="receiver").moved(X))
     return parts
 
 
@@ -151,5 +131,5 @@ def _window(size_m: float, scale: float) -> list[Part]:
     parts = []
     for y in (-0.03, 0.03):
         lamp = ball(0.005 * scale, 14, 8, at=[-0.03 * scale, y * scale, 0.5 * size_m])
-        parts.append(Part(lamp, GLASS, name="lamp"))
+        parts.append(Part(lamp, mat.GLASS, name="lamp"))
     return parts

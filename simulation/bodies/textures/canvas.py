@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec
 
 import cv2
 import numpy as np
@@ -82,6 +83,19 @@ class Canvas:
 
 Draw = Callable[[Canvas, np.random.Generator], None]
 """Fills a blank canvas."""
+Parameters = ParamSpec("Parameters")
+
+
+def drawing(
+    draw: Callable[Concatenate[Canvas, np.random.Generator, Parameters], None],
+) -> Callable[Parameters, Draw]:
+    """Decorator: ``draw(canvas, rng, ...)`` becomes a function of its other parameters; it returns a Draw."""
+
+    @wraps(draw)
+    def with_parameters(*args: Parameters.args, **named: Parameters.kwargs) -> Draw:
+        return lambda canvas, rng: draw(canvas, rng, *args, **named)
+
+    return with_parameters
 
 
 def code(reflectance: float) -> int:

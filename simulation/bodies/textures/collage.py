@@ -11,16 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.lie import Array
-from polhode.simulation.bodies.textures.canvas import Canvas, Code, Draw, code
-from polhode.simulation.surface.materials import (
-    ANODISED,
-    MIRROR,
-    PAINT_WHITE,
-    SOLAR_CELL,
-    TAPE,
-    VINYL,
-    Material,
-)
+from polhode.simulation.bodies.textures.canvas import Canvas, Code, code, drawing
+from polhode.simulation.surface import materials as mat
+from polhode.simulation.surface.materials import Material
 
 COVERINGS = 2.5
 """Area of all leaves over that of the sheet: what is left of the ground is exp(-COVERINGS)."""
@@ -174,98 +167,83 @@ def inscriptions(canvas: Canvas, per_texel: float, rng: np.random.Generator, tal
         inscription(canvas, at, size, int(rng.integers(2, 9)), tone, float(rng.uniform(0, 2 * np.pi)))
 
 
-def panel(base: float, richness: float = 1.0) -> Draw:
+@drawing
+def panel(canvas: Canvas, rng: np.random.Generator, base: float, richness: float = 1.0) -> None:
     """A collage of flat patches with glyphs, strokes and combs on it."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        canvas.code[:] = code(base)
-        kind = Leaves(smallest=4.0 / np.sqrt(richness), spread=0.75, coverings=1.6 + 0.6 * min(richness, 2.5))
-        scatter_leaves(canvas, 1.15 * base, kind, rng, canvas.layer_of(VINYL))
-        inscriptions(canvas, 1.2e-4 * richness, rng)
-        strokes(canvas, 1.0e-4 * richness, rng)
-        combs(canvas, 0.6e-4 * richness, rng)
-
-    return draw
+    canvas.code[:] = code(base)
+    kind = Leaves(smallest=4.0 / np.sqrt(richness), spread=0.75, coverings=1.6 + 0.6 * min(richness, 2.5))
+    scatter_leaves(canvas, 1.15 * base, kind, rng, canvas.layer_of(mat.VINYL))
+    inscriptions(canvas, 1.2e-4 * richness, rng)
+    strokes(canvas, 1.0e-4 * richness, rng)
+    combs(canvas, 0.6e-4 * richness, rng)
 
 
-def plain(base: float) -> Draw:
+@drawing
+def plain(canvas: Canvas, rng: np.random.Generator, base: float) -> None:
     """Large pale patches, hardly to be told apart."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        canvas.code[:] = code(base)
-        scatter_leaves(
-            canvas, base, Leaves(smallest=14.0, largest=120.0, spread=0.05, coverings=1.5, relief=0.0), rng
-        )
-
-    return draw
+    canvas.code[:] = code(base)
+    scatter_leaves(
+        canvas, base, Leaves(smallest=14.0, largest=120.0, spread=0.05, coverings=1.5, relief=0.0), rng
+    )
 
 
-def machined_plate() -> Draw:
+@drawing
+def machined_plate(canvas: Canvas, rng: np.random.Generator) -> None:
     """Metal with round lands of all sizes, turned and bored."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(0.12)
-        canvas.layer[:] = canvas.layer_of(ANODISED)
-        for _ in range(int(9e-4 * canvas.area)):
-            at = tuple(rng.uniform((0, 0), (width, height)).astype(int).tolist())
-            radius = int(3.0 / np.sqrt(1.0 - 0.985 * rng.random()))
-            cv2.circle(canvas.code, at, radius, code(float(rng.uniform(0.05, 0.3))), -1, cv2.LINE_AA)
-            cv2.circle(canvas.height, at, radius, float(rng.uniform(-1.5, 1.0)), -1)
-        strokes(canvas, 4e-5, rng)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(0.12)
+    canvas.layer[:] = canvas.layer_of(mat.ANODISED)
+    for _ in range(int(9e-4 * canvas.area)):
+        at = tuple(rng.uniform((0, 0), (width, height)).astype(int).tolist())
+        radius = int(3.0 / np.sqrt(1.0 - 0.985 * rng.random()))
+        cv2.circle(canvas.code, at, radius, code(float(rng.uniform(0.05, 0.3))), -1, cv2.LINE_AA)
+        cv2.circle(canvas.height, at, radius, float(rng.uniform(-1.5, 1.0)), -1)
+    strokes(canvas, 4e-5, rng)
 
 
-def blanket(foil: Material) -> Draw:
+@drawing
+def blanket(canvas: Canvas, rng: np.random.Generator, foil: Material) -> None:
     """Foil: patches of tape of all sizes and straight wrinkles across the sheet."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(foil.albedo)
-        canvas.layer[:] = canvas.layer_of(foil)
-        few = Leaves(smallest=9.0, largest=60.0, spread=0.5, coverings=0.25, relief=0.8)
-        scatter_leaves(canvas, 0.15, few, rng, canvas.layer_of(TAPE))
-        folds = np.zeros(canvas.shape, np.float32)
-        i, j = np.mgrid[:height, :width].astype(np.float32)
-        for _ in range(9):
-            angle, where = rng.uniform(0, np.pi), rng.uniform((0, 0), (width, height))
-            across = (j - where[0]) * np.float32(np.cos(angle)) + (i - where[1]) * np.float32(np.sin(angle))
-            folds += np.float32(rng.normal(0, 0.06)) * np.abs(across)
-        canvas.height += folds
-        inscriptions(canvas, 1e-5, rng)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(foil.albedo)
+    canvas.layer[:] = canvas.layer_of(foil)
+    few = Leaves(smallest=9.0, largest=60.0, spread=0.5, coverings=0.25, relief=0.8)
+    scatter_leaves(canvas, 0.15, few, rng, canvas.layer_of(mat.TAPE))
+    folds = np.zeros(canvas.shape, np.float32)
+    i, j = np.mgrid[:height, :width].astype(np.float32)
+    for _ in range(9):
+        angle, where = rng.uniform(0, np.pi), rng.uniform((0, 0), (width, height))
+        across = (j - where[0]) * np.float32(np.cos(angle)) + (i - where[1]) * np.float32(np.sin(angle))
+        folds += np.float32(rng.normal(0, 0.06)) * np.abs(across)
+    canvas.height += folds
+    inscriptions(canvas, 1e-5, rng)
 
 
-def cells(cell: int = 60) -> Draw:
+@drawing
+def cells(canvas: Canvas, rng: np.random.Generator, cell: int = 60) -> None:
     """Cells in rows that are shifted against each other, each row of its own height."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(float(rng.uniform(0.1, 0.4)))
-        canvas.layer[:] = canvas.layer_of(PAINT_WHITE)
-        glass = canvas.layer_of(SOLAR_CELL)
-        scatter_leaves(canvas, 0.2, Leaves(spread=0.4, coverings=0.6), rng)
-        row = int(rng.integers(2, 5))
-        while row < height - 4:
-            tall = int(cell * rng.uniform(0.4, 0.8))
-            column = int(rng.integers(-cell, 2))
-            while column < width:
-                wide = int(cell * rng.uniform(0.7, 1.1))
-                window = (
-                    slice(row, min(row + tall - 2, height - 2)),
-                    slice(max(column, 2), min(column + wide - 2, width - 2)),
-                )
-                if canvas.code[window].size > 0:
-                    canvas.code[window] = _ramp(canvas.code[window].shape, rng)
-                    canvas.layer[window] = glass
-                    canvas.tilt[window] = 0.011 * rng.standard_t(5, 2)
-                column += wide
-            row += tall
-        inscriptions(canvas, 1.5e-5, rng)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(float(rng.uniform(0.1, 0.4)))
+    canvas.layer[:] = canvas.layer_of(mat.PAINT_WHITE)
+    glass = canvas.layer_of(mat.SOLAR_CELL)
+    scatter_leaves(canvas, 0.2, Leaves(spread=0.4, coverings=0.6), rng)
+    row = int(rng.integers(2, 5))
+    while row < height - 4:
+        tall = int(cell * rng.uniform(0.4, 0.8))
+        column = int(rng.integers(-cell, 2))
+        while column < width:
+            wide = int(cell * rng.uniform(0.7, 1.1))
+            window = (
+                slice(row, min(row + tall - 2, height - 2)),
+                slice(max(column, 2), min(column + wide - 2, width - 2)),
+            )
+            if canvas.code[window].size > 0:
+                canvas.code[window] = _ramp(canvas.code[window].shape, rng)
+                canvas.layer[window] = glass
+                canvas.tilt[window] = 0.011 * rng.standard_t(5, 2)
+            column += wide
+        row += tall
+    inscriptions(canvas, 1.5e-5, rng)
 
 
 def _ramp(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -276,26 +254,23 @@ def _ramp(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.uint8]
     return np.asarray(np.clip(sheet, 0, 255), np.uint8)
 
 
-def radiator() -> Draw:
+@drawing
+def radiator(canvas: Canvas, rng: np.random.Generator) -> None:
     """A mosaic: the cells of random points, mirrors or white paint, each askew in its own way."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        mirrors = rng.random() < 0.5
-        canvas.layer[:] = canvas.layer_of(MIRROR if mirrors else PAINT_WHITE)
-        count = max(4, int(canvas.area / rng.uniform(500, 1400)))
-        labels = _mosaic(height, width, rng.uniform((0, 0), (width, height), (count, 2)).astype(np.float32))
-        low, high = (0.02, 0.06) if mirrors else (0.6, 0.8)
-        tone = np.array([code(float(r)) for r in rng.uniform(low, high, count)], np.uint8)
-        canvas.code[:] = tone[labels]
-        canvas.tilt[:] = (0.012 * rng.normal(0, 1, (count, 2)))[labels]
-        edge = (np.diff(labels, axis=0, append=labels[-1:]) != 0) | (
-            np.diff(labels, axis=1, append=labels[:, -1:]) != 0
-        )
-        canvas.code[edge] = code(0.3)
-        inscriptions(canvas, 3e-5, rng)
-
-    return draw
+    height, width = canvas.shape
+    mirrors = rng.random() < 0.5
+    canvas.layer[:] = canvas.layer_of(mat.MIRROR if mirrors else mat.PAINT_WHITE)
+    count = max(4, int(canvas.area / rng.uniform(500, 1400)))
+    labels = _mosaic(height, width, rng.uniform((0, 0), (width, height), (count, 2)).astype(np.float32))
+    low, high = (0.02, 0.06) if mirrors else (0.6, 0.8)
+    tone = np.array([code(float(r)) for r in rng.uniform(low, high, count)], np.uint8)
+    canvas.code[:] = tone[labels]
+    canvas.tilt[:] = (0.012 * rng.normal(0, 1, (count, 2)))[labels]
+    edge = (np.diff(labels, axis=0, append=labels[-1:]) != 0) | (
+        np.diff(labels, axis=1, append=labels[:, -1:]) != 0
+    )
+    canvas.code[edge] = code(0.3)
+    inscriptions(canvas, 3e-5, rng)
 
 
 def _mosaic(height: int, width: int, points: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -307,85 +282,73 @@ def _mosaic(height: int, width: int, points: NDArray[np.float32]) -> NDArray[np.
     return np.asarray(np.minimum(nearest - 1, len(points) - 1), dtype=np.int64)
 
 
-def tank_wall(base: float) -> Draw:
+@drawing
+def tank_wall(canvas: Canvas, rng: np.random.Generator, base: float) -> None:
     """Large patches, lines of tall glyphs along the tank, darker towards the lower end."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(base)
-        large = Leaves(smallest=10.0, largest=0.3 * height, spread=0.3, coverings=1.2)
-        scatter_leaves(canvas, base, large, rng, canvas.layer_of(PAINT_WHITE))
-        scatter_leaves(
-            canvas,
-            base,
-            Leaves(smallest=4.0, largest=30.0, spread=0.8, coverings=0.25),
-            rng,
-            canvas.layer_of(VINYL),
-        )
-        tone = 0.04 if base > 0.2 else 0.7
-        for column in np.linspace(0.1, 0.9, 3) * width:
-            size = 0.075 * width
-            count = max(2, int(0.7 * height / (0.8 * size)))
-            start = np.array([column, 0.86 * height])
-            inscription(canvas, start, size, count, tone, -0.5 * np.pi)
-        inscriptions(canvas, 4e-5, rng)
-        combs(canvas, 2e-5, rng)
-        fade = 1.0 - 0.5 * np.linspace(0, 1, height)[:, None] ** 6
-        canvas.code[...] = (canvas.code * fade).astype(np.uint8)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(base)
+    large = Leaves(smallest=10.0, largest=0.3 * height, spread=0.3, coverings=1.2)
+    scatter_leaves(canvas, base, large, rng, canvas.layer_of(mat.PAINT_WHITE))
+    scatter_leaves(
+        canvas,
+        base,
+        Leaves(smallest=4.0, largest=30.0, spread=0.8, coverings=0.25),
+        rng,
+        canvas.layer_of(mat.VINYL),
+    )
+    tone = 0.04 if base > 0.2 else 0.7
+    for column in np.linspace(0.1, 0.9, 3) * width:
+        size = 0.075 * width
+        count = max(2, int(0.7 * height / (0.8 * size)))
+        start = np.array([column, 0.86 * height])
+        inscription(canvas, start, size, count, tone, -0.5 * np.pi)
+    inscriptions(canvas, 4e-5, rng)
+    combs(canvas, 2e-5, rng)
+    fade = 1.0 - 0.5 * np.linspace(0, 1, height)[:, None] ** 6
+    canvas.code[...] = (canvas.code * fade).astype(np.uint8)
 
 
-def ring_wall(base: float) -> Draw:
+@drawing
+def ring_wall(canvas: Canvas, rng: np.random.Generator, base: float) -> None:
     """Triangles of a space frame in relief, patches between them."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(base)
-        scatter_leaves(canvas, base, Leaves(smallest=4.0, largest=24.0, spread=0.35, coverings=1.0), rng)
-        count = max(3, round(width / (1.2 * height + 8)))
-        for k in range(count + 1):
-            for a, b in (((k - 0.5), k), ((k + 0.5), k)):
-                top, bottom = (round(a * width / count), 0), (round(b * width / count), height - 1)
-                cv2.line(canvas.height, top, bottom, 1.5, 3)
-                cv2.line(canvas.code, top, bottom, code(0.7 * base), 2, cv2.LINE_AA)
-        inscriptions(canvas, 8e-5, rng, tallest=0.5 * height + 8)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(base)
+    scatter_leaves(canvas, base, Leaves(smallest=4.0, largest=24.0, spread=0.35, coverings=1.0), rng)
+    count = max(3, round(width / (1.2 * height + 8)))
+    for k in range(count + 1):
+        for a, b in (((k - 0.5), k), ((k + 0.5), k)):
+            top, bottom = (round(a * width / count), 0), (round(b * width / count), height - 1)
+            cv2.line(canvas.height, top, bottom, 1.5, 3)
+            cv2.line(canvas.code, top, bottom, code(0.7 * base), 2, cv2.LINE_AA)
+    inscriptions(canvas, 8e-5, rng, tallest=0.5 * height + 8)
 
 
-def nozzle_wall() -> Draw:
+@drawing
+def nozzle_wall(canvas: Canvas, rng: np.random.Generator) -> None:
     """Rings of different heat, crossed by a winding groove."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        edges = np.sort(rng.uniform(0, height, 14)).astype(int)
-        tone = np.repeat(rng.uniform(0.05, 0.22, 15), np.diff([0, *edges, height]))
-        canvas.code[:] = (255.0 * np.sqrt(tone))[:, None].astype(np.uint8)
-        scatter_leaves(canvas, 0.12, Leaves(smallest=3.0, largest=12.0, spread=0.5, coverings=0.3), rng)
-        i, j = np.mgrid[:height, :width].astype(np.float32)
-        phase = 2 * np.pi * (i / rng.uniform(9, 16) + 3.0 * j / width)
-        canvas.height += (0.9 * np.maximum(np.sin(phase), 0.3)).astype(np.float32)
-
-    return draw
+    height, width = canvas.shape
+    edges = np.sort(rng.uniform(0, height, 14)).astype(int)
+    tone = np.repeat(rng.uniform(0.05, 0.22, 15), np.diff([0, *edges, height]))
+    canvas.code[:] = (255.0 * np.sqrt(tone))[:, None].astype(np.uint8)
+    scatter_leaves(canvas, 0.12, Leaves(smallest=3.0, largest=12.0, spread=0.5, coverings=0.3), rng)
+    i, j = np.mgrid[:height, :width].astype(np.float32)
+    phase = 2 * np.pi * (i / rng.uniform(9, 16) + 3.0 * j / width)
+    canvas.height += (0.9 * np.maximum(np.sin(phase), 0.3)).astype(np.float32)
 
 
-def reflector(base: float, gores: int) -> Draw:
+@drawing
+def reflector(canvas: Canvas, rng: np.random.Generator, base: float, gores: int) -> None:
     """Crossing seams in a net, patches and glyphs along the rim."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(base)
-        scatter_leaves(
-            canvas, base, Leaves(smallest=12.0, largest=90.0, spread=0.1, coverings=1.0, relief=0.0), rng
-        )
-        for k in range(-gores, 2 * gores):
-            for lean in (-1, 1):
-                start = round(k * width / gores)
-                end = (start + lean * width // gores, height - 1)
-                cv2.line(canvas.code, (start, 0), end, code(0.7 * base), 1, cv2.LINE_AA)
-                cv2.line(canvas.height, (start, 0), end, -0.8, 2)
-        strokes(canvas, 2e-5, rng)
-        inscriptions(canvas, 4e-5, rng)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(base)
+    scatter_leaves(
+        canvas, base, Leaves(smallest=12.0, largest=90.0, spread=0.1, coverings=1.0, relief=0.0), rng
+    )
+    for k in range(-gores, 2 * gores):
+        for lean in (-1, 1):
+            start = round(k * width / gores)
+            end = (start + lean * width // gores, height - 1)
+            cv2.line(canvas.code, (start, 0), end, code(0.7 * base), 1, cv2.LINE_AA)
+            cv2.line(canvas.height, (start, 0), end, -0.8, 2)
+    strokes(canvas, 2e-5, rng)
+    inscriptions(canvas, 4e-5, rng)

@@ -8,32 +8,10 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from polhode.simulation.bodies.textures.canvas import Canvas, Draw, code
-from polhode.simulation.bodies.textures.drawn_marks import (
-    border,
-    fill,
-    groove,
-    lettering,
-    resized,
-    rivets,
-    scratches,
-    screw,
-    smudges,
-    stamp,
-    stickers,
-    write,
-)
-from polhode.simulation.surface.materials import (
-    ANODISED,
-    BRUSHED_METAL,
-    MIRROR,
-    PAINT_BLACK,
-    PAINT_WHITE,
-    SOLAR_CELL,
-    TAPE,
-    VINYL,
-    Material,
-)
+from polhode.simulation.bodies.textures import drawn_marks as marks
+from polhode.simulation.bodies.textures.canvas import Canvas, code, drawing
+from polhode.simulation.surface import materials as mat
+from polhode.simulation.surface.materials import Material
 
 Tile = tuple[int, int, int, int]
 """Left, top, right, bottom in texels."""
@@ -46,57 +24,48 @@ CELL_TILT = 0.012
 """Standard deviation of a cell's slope: each glints at its own moment."""
 
 
-def panel(base: float, richness: float = 1.0) -> Draw:
+@drawing
+def panel(canvas: Canvas, rng: np.random.Generator, base: float, richness: float = 1.0) -> None:
     """A painted panel: plates of slightly different shade, seams, screws, doors, vents, labels."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(base)
-        for tile in _split((0, 0, width, height), rng):
-            _plate(canvas, tile, base, rng)
-        stickers(canvas, richness * STICKERS_PER_TEXEL, rng)
-        _edge(canvas, rng)
-        smudges(canvas, 0.02, rng)
-        scratches(canvas, 1.5e-4, rng)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(base)
+    for tile in _split((0, 0, width, height), rng):
+        _plate(canvas, tile, base, rng)
+    marks.stickers(canvas, richness * STICKERS_PER_TEXEL, rng)
+    _edge(canvas, rng)
+    marks.smudges(canvas, 0.02, rng)
+    marks.scratches(canvas, 1.5e-4, rng)
 
 
-def plain(base: float) -> Draw:
+@drawing
+def plain(canvas: Canvas, rng: np.random.Generator, base: float) -> None:
     """A painted panel with nothing on it but a seam and a few scratches: hard to track, as real ones are."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        canvas.code[:] = code(base)
-        smudges(canvas, 0.012, rng)
-        _edge(canvas, rng)
-        scratches(canvas, 6e-5, rng)
-
-    return draw
+    canvas.code[:] = code(base)
+    marks.smudges(canvas, 0.012, rng)
+    _edge(canvas, rng)
+    marks.scratches(canvas, 6e-5, rng)
 
 
-def machined_plate() -> Draw:
+@drawing
+def machined_plate(canvas: Canvas, rng: np.random.Generator) -> None:
     """Bare metal: milled pockets, bolt rows, holes, a part number."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(0.09)
-        layer = canvas.layer_of(ANODISED if rng.random() < 0.4 else BRUSHED_METAL)
-        canvas.layer[:] = layer
-        pitch = int(rng.integers(26, 60))
-        for top in range(8, height - pitch, pitch):
-            for left in range(8, width - pitch, pitch):
-                if rng.random() < 0.75:
-                    pocket = slice(top + 4, top + pitch - 3), slice(left + 4, left + pitch - 3)
-                    canvas.height[pocket] -= 0.9
-                    canvas.code[pocket] = (canvas.code[pocket] * rng.uniform(0.75, 0.95)).astype(np.uint8)
-        canvas.height[:] = cv2.GaussianBlur(canvas.height, (5, 5), 1.0)
-        _edge(canvas, rng)
-        for _ in range(int(rng.poisson(1.2e-4 * canvas.area))):
-            at = rng.uniform((0, 0), (width, height)).astype(int).tolist()
-            cv2.circle(canvas.code, tuple(at), int(rng.integers(1, 5)), code(0.01), -1, cv2.LINE_AA)
-        stickers(canvas, 2e-5, rng)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(0.09)
+    layer = canvas.layer_of(mat.ANODISED if rng.random() < 0.4 else mat.BRUSHED_METAL)
+    canvas.layer[:] = layer
+    pitch = int(rng.integers(26, 60))
+    for top in range(8, height - pitch, pitch):
+        for left in range(8, width - pitch, pitch):
+            if rng.random() < 0.75:
+                pocket = slice(top + 4, top + pitch - 3), slice(left + 4, left + pitch - 3)
+                canvas.height[pocket] -= 0.9
+                canvas.code[pocket] = (canvas.code[pocket] * rng.uniform(0.75, 0.95)).astype(np.uint8)
+    canvas.height[:] = cv2.GaussianBlur(canvas.height, (5, 5), 1.0)
+    _edge(canvas, rng)
+    for _ in range(int(rng.poisson(1.2e-4 * canvas.area))):
+        at = rng.uniform((0, 0), (width, height)).astype(int).tolist()
+        cv2.circle(canvas.code, tuple(at), int(rng.integers(1, 5)), code(0.01), -1, cv2.LINE_AA)
+    marks.stickers(canvas, 2e-5, rng)
 
 
 def _split(tile: Tile, rng: np.random.Generator) -> list[Tile]:
@@ -119,8 +88,8 @@ def _plate(canvas: Canvas, tile: Tile, base: float, rng: np.random.Generator) ->
     left, top, right, bottom = tile
     w, h = right - left, bottom - top
     shade = base * float(np.exp(rng.normal(0, 0.07)))
-    fill(canvas, tile, code(shade))
-    groove(canvas, tile, 0.6)
+    marks.fill(canvas, tile, code(shade))
+    marks.groove(canvas, tile, 0.6)
     if min(w, h) < 20:
         return
     kind = rng.random()
@@ -133,10 +102,12 @@ def _plate(canvas: Canvas, tile: Tile, base: float, rng: np.random.Generator) ->
     elif kind < 0.52:
         _tape(canvas, tile, rng)
     elif kind < 0.58:
-        fill(canvas, (left + 1, top + 1, right, bottom), code(float(rng.choice([0.05, 0.1, 0.6, 0.75]))))
+        marks.fill(
+            canvas, (left + 1, top + 1, right, bottom), code(float(rng.choice([0.05, 0.1, 0.6, 0.75])))
+        )
     elif kind < 0.75:
         for v in (top + 5, bottom - 5):
-            rivets(canvas, np.array([left + 5.0, v]), np.array([right - 5.0, v]), 9.0, 1.7)
+            marks.rivets(canvas, np.array([left + 5.0, v]), np.array([right - 5.0, v]), 9.0, 1.7)
 
 
 def _door(canvas: Canvas, tile: Tile, shade: float, rng: np.random.Generator) -> None:
@@ -144,16 +115,16 @@ def _door(canvas: Canvas, tile: Tile, shade: float, rng: np.random.Generator) ->
     left, top, right, bottom = tile
     m = 6
     corners = (left + m, top + m, right - m, bottom - m)
-    fill(canvas, corners, code(shade * float(rng.choice([0.8, 1.0, 1.15]))))
-    groove(canvas, corners, 1.0, 0.6)
+    marks.fill(canvas, corners, code(shade * float(rng.choice([0.8, 1.0, 1.15]))))
+    marks.groove(canvas, corners, 1.0, 0.6)
     columns = np.linspace(left + m + 5, right - m - 5, max(2, (right - left) // 24))
     for u in columns:
         for v in (top + m + 5, bottom - m - 5):
-            screw(canvas, np.array([u, v]), 1.6, rng)
+            marks.screw(canvas, np.array([u, v]), 1.6, rng)
     size = int(min(0.2 * (bottom - top), 0.12 * (right - left)))
     if size >= 5:
         middle = np.array([0.5 * (left + right), 0.5 * (top + bottom)])
-        write(canvas, f"{rng.choice(list('ABCDEFGHJKL'))}{rng.integers(10, 99)}", size, middle,
+        marks.write(canvas, f"{rng.choice(list('ABCDEFGHJKL'))}{rng.integers(10, 99)}", size, middle,
               0.06 if shade > 0.2 else 0.6)  # fmt: skip
 
 
@@ -163,7 +134,7 @@ def _vent(canvas: Canvas, tile: Tile, shade: float, rng: np.random.Generator) ->
     dark = code(0.25 * shade)
     if rng.random() < 0.5:
         for v in range(top, bottom, 6):
-            fill(canvas, (left, v, right, v + 3), dark)
+            marks.fill(canvas, (left, v, right, v + 3), dark)
             canvas.height[v : v + 3, left:right] -= 1.2
     else:
         for v in range(top + 2, bottom, 7):
@@ -174,8 +145,8 @@ def _vent(canvas: Canvas, tile: Tile, shade: float, rng: np.random.Generator) ->
 def _connectors(canvas: Canvas, tile: Tile, rng: np.random.Generator) -> None:
     """A black plate with rows of sockets, bright rims around them."""
     left, top, right, bottom = (tile[0] + 5, tile[1] + 5, tile[2] - 5, tile[3] - 5)
-    fill(canvas, (left, top, right, bottom), code(0.05), canvas.layer_of(PAINT_BLACK))
-    metal = canvas.layer_of(BRUSHED_METAL)
+    marks.fill(canvas, (left, top, right, bottom), code(0.05), canvas.layer_of(mat.PAINT_BLACK))
+    metal = canvas.layer_of(mat.BRUSHED_METAL)
     radius = int(rng.integers(4, 8))
     for v in range(top + radius + 3, bottom - radius - 1, 2 * radius + 5):
         for u in range(left + radius + 3, right - radius - 1, 2 * radius + 5):
@@ -189,7 +160,7 @@ def _connectors(canvas: Canvas, tile: Tile, rng: np.random.Generator) -> None:
 def _tape(canvas: Canvas, tile: Tile, rng: np.random.Generator) -> None:
     """Strips of metal tape over a cable or a sensor."""
     left, top, right, bottom = tile
-    layer = canvas.layer_of(TAPE)
+    layer = canvas.layer_of(mat.TAPE)
     across = rng.random() < 0.5
     for _ in range(int(rng.integers(1, 3))):
         wide = int(rng.integers(5, 12))
@@ -199,7 +170,7 @@ def _tape(canvas: Canvas, tile: Tile, rng: np.random.Generator) -> None:
         else:
             u = int(rng.integers(left + 2, max(left + 3, right - wide)))
             corners = (u, top + 3, u + wide, bottom - 3)
-        fill(canvas, corners, code(0.1), layer)
+        marks.fill(canvas, corners, code(0.1), layer)
         canvas.height[corners[1] : corners[3], corners[0] : corners[2]] += 0.4
 
 
@@ -211,46 +182,43 @@ def _edge(canvas: Canvas, rng: np.random.Generator) -> None:
     inset, pitch = 7.0, float(rng.uniform(32, 56))
     for u in np.linspace(inset, width - inset, max(2, int(width / pitch))):
         for v in (inset, height - inset):
-            screw(canvas, np.array([u, v]), 2.0, rng)
+            marks.screw(canvas, np.array([u, v]), 2.0, rng)
     for v in np.linspace(inset, height - inset, max(2, int(height / pitch)))[1:-1]:
         for u in (inset, width - inset):
-            screw(canvas, np.array([u, v]), 2.0, rng)
+            marks.screw(canvas, np.array([u, v]), 2.0, rng)
 
 
-def cells(cell: int = 60) -> Draw:
+@drawing
+def cells(canvas: Canvas, rng: np.random.Generator, cell: int = 60) -> None:
     """Strings of cells, ``cell`` texels long, with cut corners, on a substrate with wires and hold-downs."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        substrate = float(rng.choice([0.09, 0.16, 0.5]))
-        canvas.code[:] = code(substrate)
-        canvas.layer[:] = canvas.layer_of(PAINT_WHITE)
-        glass, metal = canvas.layer_of(SOLAR_CELL), canvas.layer_of(BRUSHED_METAL)
-        margin = max(3, cell // 14)
-        long, short = cell, max(6, int(cell * rng.choice([0.5, 0.55, 0.98])))
-        if rng.random() < 0.5:
-            long, short = short, long
-        gap = max(1, cell // 40)
-        columns, rows = (
-            max(1, round((width - 2 * margin) / long)),
-            max(1, round((height - 2 * margin) / short)),
-        )
-        lefts = np.linspace(margin, width - margin, columns + 1).astype(int)
-        tops = np.linspace(margin, height - margin, rows + 1).astype(int)
-        corner = int(0.13 * min(long, short)) if rng.random() < 0.8 else 0
-        tone = float(rng.uniform(0.025, 0.05))
-        string = int(rng.integers(3, 7))
-        for row in range(rows):
-            for column in range(columns):
-                # A wider gap parts the strings.
-                wide = gap + (2 * gap if (column + 1) % string == 0 and column + 1 < columns else 0)
-                corners = (lefts[column], tops[row], lefts[column + 1] - wide, tops[row + 1] - gap)
-                if corners[2] - corners[0] > 3 and corners[3] - corners[1] > 3:
-                    _cell(canvas, corners, corner, tone, (glass, metal), rng)
-        _hold_downs(canvas, rng)
-        stickers(canvas, 1.2e-5, rng)
-
-    return draw
+    height, width = canvas.shape
+    substrate = float(rng.choice([0.09, 0.16, 0.5]))
+    canvas.code[:] = code(substrate)
+    canvas.layer[:] = canvas.layer_of(mat.PAINT_WHITE)
+    glass, metal = canvas.layer_of(mat.SOLAR_CELL), canvas.layer_of(mat.BRUSHED_METAL)
+    margin = max(3, cell // 14)
+    long, short = cell, max(6, int(cell * rng.choice([0.5, 0.55, 0.98])))
+    if rng.random() < 0.5:
+        long, short = short, long
+    gap = max(1, cell // 40)
+    columns, rows = (
+        max(1, round((width - 2 * margin) / long)),
+        max(1, round((height - 2 * margin) / short)),
+    )
+    lefts = np.linspace(margin, width - margin, columns + 1).astype(int)
+    tops = np.linspace(margin, height - margin, rows + 1).astype(int)
+    corner = int(0.13 * min(long, short)) if rng.random() < 0.8 else 0
+    tone = float(rng.uniform(0.025, 0.05))
+    string = int(rng.integers(3, 7))
+    for row in range(rows):
+        for column in range(columns):
+            # A wider gap parts the strings.
+            wide = gap + (2 * gap if (column + 1) % string == 0 and column + 1 < columns else 0)
+            corners = (lefts[column], tops[row], lefts[column + 1] - wide, tops[row + 1] - gap)
+            if corners[2] - corners[0] > 3 and corners[3] - corners[1] > 3:
+                _cell(canvas, corners, corner, tone, (glass, metal), rng)
+    _hold_downs(canvas, rng)
+    marks.stickers(canvas, 1.2e-5, rng)
 
 
 def _cell(
@@ -275,7 +243,7 @@ def _cell(
     canvas.tilt[top:bottom, left:right] = rng.normal(0, CELL_TILT, 2)
     for share in (0.2, 0.5, 0.8):
         u = left + int(share * (right - left))
-        fill(canvas, (u - 1, bottom - 1, u + 2, bottom + 2), code(0.3), layers[1])
+        marks.fill(canvas, (u - 1, bottom - 1, u + 2, bottom + 2), code(0.3), layers[1])
     middle = (top + bottom) // 2
     if bottom - top > 20:
         canvas.code[middle, left + 2 : right - 2] = code(own + 0.03)
@@ -289,7 +257,7 @@ def _hold_downs(canvas: Canvas, rng: np.random.Generator) -> None:
     height, width = canvas.shape
     if min(height, width) < 80:
         return
-    metal = canvas.layer_of(BRUSHED_METAL)
+    metal = canvas.layer_of(mat.BRUSHED_METAL)
     for v in (0.25, 0.75):
         for u in (0.3, 0.7):
             at = (int(u * width), int(v * height))
@@ -298,29 +266,26 @@ def _hold_downs(canvas: Canvas, rng: np.random.Generator) -> None:
             cv2.circle(canvas.code, at, radius, code(0.35), -1, cv2.LINE_AA)
             cv2.circle(canvas.code, at, max(2, radius // 2), code(0.03), -1, cv2.LINE_AA)
     edge = max(2, min(height, width) // 90)
-    border(canvas, edge, code(0.25), metal)
+    marks.border(canvas, edge, code(0.25), metal)
 
 
-def radiator() -> Draw:
+@drawing
+def radiator(canvas: Canvas, rng: np.random.Generator) -> None:
     """A heat radiator: small mirror tiles, each a little askew, or white paint over heat pipes."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        if rng.random() < 0.55:
-            _mirrors(canvas, rng)
-        else:
-            _white_paint(canvas, rng)
-        height, width = canvas.shape
-        if min(height, width) > 60:
-            for at in ((9.0, 9.0), (width - 9.0, 9.0), (9.0, height - 9.0), (width - 9.0, height - 9.0)):
-                screw(canvas, np.array(at), 3.0, rng)
-
-    return draw
+    if rng.random() < 0.55:
+        _mirrors(canvas, rng)
+    else:
+        _white_paint(canvas, rng)
+    height, width = canvas.shape
+    if min(height, width) > 60:
+        for at in ((9.0, 9.0), (width - 9.0, 9.0), (9.0, height - 9.0), (width - 9.0, height - 9.0)):
+            marks.screw(canvas, np.array(at), 3.0, rng)
 
 
 def _mirrors(canvas: Canvas, rng: np.random.Generator) -> None:
     height, width = canvas.shape
     canvas.code[:] = code(0.35)
-    layer = canvas.layer_of(MIRROR)
+    layer = canvas.layer_of(mat.MIRROR)
     tile = int(rng.integers(20, 34))
     for top in range(4, height - 4, tile + 1):
         for left in range(4, width - 4, tile + 1):
@@ -333,40 +298,37 @@ def _mirrors(canvas: Canvas, rng: np.random.Generator) -> None:
 def _white_paint(canvas: Canvas, rng: np.random.Generator) -> None:
     height, width = canvas.shape
     canvas.code[:] = code(0.76)
-    canvas.layer[:] = canvas.layer_of(PAINT_WHITE)
-    smudges(canvas, 0.02, rng)
+    canvas.layer[:] = canvas.layer_of(mat.PAINT_WHITE)
+    marks.smudges(canvas, 0.02, rng)
     pitch = int(rng.integers(40, 80))
     for v in range(pitch // 2, height, pitch):
         i = np.arange(height)[:, None]
         canvas.height += (2.5 * np.exp(-(((i - v) / 7.0) ** 2))).astype(np.float32)
         for side in (-11, 11):
-            rivets(canvas, np.array([6.0, v + side]), np.array([width - 6.0, v + side]), 14.0, 1.6)
-    stickers(canvas, 4e-5, rng)
+            marks.rivets(canvas, np.array([6.0, v + side]), np.array([width - 6.0, v + side]), 14.0, 1.6)
+    marks.stickers(canvas, 4e-5, rng)
 
 
-def blanket(foil: Material) -> Draw:
+@drawing
+def blanket(canvas: Canvas, rng: np.random.Generator, foil: Material) -> None:
     """Foil in sheets, under tape, buttons and labels."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(foil.albedo)
-        canvas.layer[:] = canvas.layer_of(foil)
-        _sheets(canvas, rng)
-        _quilting(canvas, rng)
-        _pull_lines(canvas, rng)
-        _buttons(canvas, rng)
-        stickers(canvas, 2.2e-5, rng, askew_deg=8.0)
-        edge = max(3, min(height, width) // 60)
-        tape = canvas.layer_of(TAPE)
-        border(canvas, edge, code(0.12), tape)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(foil.albedo)
+    canvas.layer[:] = canvas.layer_of(foil)
+    _sheets(canvas, rng)
+    _quilting(canvas, rng)
+    _pull_lines(canvas, rng)
+    _buttons(canvas, rng)
+    marks.stickers(canvas, 2.2e-5, rng, askew_deg=8.0)
+    edge = max(3, min(height, width) // 60)
+    tape = canvas.layer_of(mat.TAPE)
+    marks.border(canvas, edge, code(0.12), tape)
 
 
 def _sheets(canvas: Canvas, rng: np.random.Generator) -> None:
     """Seams of tape where the sheets overlap, none quite straight."""
     height, width = canvas.shape
-    tape = canvas.layer_of(TAPE)
+    tape = canvas.layer_of(mat.TAPE)
     for along, across in ((width, height), (height, width)):
         for place in np.arange(rng.uniform(60, 160), across, rng.uniform(110, 220)):
             wide = int(rng.integers(7, 13))
@@ -416,7 +378,7 @@ def _buttons(canvas: Canvas, rng: np.random.Generator) -> None:
     """Stand-offs that hold the blanket, in a loose grid."""
     height, width = canvas.shape
     pitch = float(rng.uniform(70, 120))
-    layer = canvas.layer_of(VINYL)
+    layer = canvas.layer_of(mat.VINYL)
     for v in np.arange(0.3 * pitch, height - 8, pitch):
         for u in np.arange(0.3 * pitch, width - 8, pitch):
             at = tuple(np.rint(np.array([u, v]) + rng.normal(0, 3, 2)).astype(int).tolist())
@@ -428,104 +390,90 @@ def _buttons(canvas: Canvas, rng: np.random.Generator) -> None:
 NAMES = ("STAGE 2", "UPPER STAGE", "POLHODE", "BLOCK 7", "K-3M", "L-14", "NORD", "ALTAIR", "HERPOL", "TS-38")
 
 
-def tank_wall(base: float) -> Draw:
+@drawing
+def tank_wall(canvas: Canvas, rng: np.random.Generator, base: float) -> None:
     """A painted tank: weld rings, stiffeners, black fields, large lettering down the side, a scorched end."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        canvas.code[:] = code(base)
-        _weld_rings(canvas, base, rng)
-        if rng.random() < 0.45:
-            _corrugation(canvas, rng)
-        _livery(canvas, base, rng)
-        _doors(canvas, rng)
-        stickers(canvas, 2.5e-5, rng)
-        smudges(canvas, 0.05, rng, streak=5)
-        _scorch(canvas, float(rng.uniform(0.1, 0.3)), rng)
-        scratches(canvas, 6e-5, rng)
-
-    return draw
+    canvas.code[:] = code(base)
+    _weld_rings(canvas, base, rng)
+    if rng.random() < 0.45:
+        _corrugation(canvas, rng)
+    _livery(canvas, base, rng)
+    _doors(canvas, rng)
+    marks.stickers(canvas, 2.5e-5, rng)
+    marks.smudges(canvas, 0.05, rng, streak=5)
+    _scorch(canvas, float(rng.uniform(0.1, 0.3)), rng)
+    marks.scratches(canvas, 6e-5, rng)
 
 
-def ring_wall(base: float) -> Draw:
+@drawing
+def ring_wall(canvas: Canvas, rng: np.random.Generator, base: float) -> None:
     """An interstage or adapter: stringers, rows of rivets at both rims, holes, labels."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(base)
-        pitch = float(rng.uniform(16, 30))
-        j = np.arange(width)[None]
-        count = max(4, round(width / pitch))
-        ridge = np.clip(np.cos(2 * np.pi * j * count / width) * 3.0 - 1.6, 0, 1)
-        canvas.height += (1.6 * ridge).astype(np.float32) * np.ones((height, 1), np.float32)
-        for v in (3.0, 7.0, height - 4.0, height - 8.0):
-            rivets(canvas, np.array([3.0, v]), np.array([width - 3.0, v]), 7.0, 1.5)
-        for u in np.arange(40, width - 40, rng.uniform(90, 200)):
-            kind = rng.random()
-            at = (int(u), int(rng.uniform(0.35, 0.65) * height))
-            if kind < 0.4:
-                cv2.circle(canvas.code, at, max(2, height // 7), code(0.02), -1, cv2.LINE_AA)
-            elif kind < 0.7:
-                write(
-                    canvas,
-                    str(rng.integers(1, 32)),
-                    max(6, height // 4),
-                    np.array(at),
-                    0.05 if base > 0.2 else 0.7,
-                )
-        stickers(canvas, 4e-5, rng)
-        smudges(canvas, 0.06, rng, streak=3)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(base)
+    pitch = float(rng.uniform(16, 30))
+    j = np.arange(width)[None]
+    count = max(4, round(width / pitch))
+    ridge = np.clip(np.cos(2 * np.pi * j * count / width) * 3.0 - 1.6, 0, 1)
+    canvas.height += (1.6 * ridge).astype(np.float32) * np.ones((height, 1), np.float32)
+    for v in (3.0, 7.0, height - 4.0, height - 8.0):
+        marks.rivets(canvas, np.array([3.0, v]), np.array([width - 3.0, v]), 7.0, 1.5)
+    for u in np.arange(40, width - 40, rng.uniform(90, 200)):
+        kind = rng.random()
+        at = (int(u), int(rng.uniform(0.35, 0.65) * height))
+        if kind < 0.4:
+            cv2.circle(canvas.code, at, max(2, height // 7), code(0.02), -1, cv2.LINE_AA)
+        elif kind < 0.7:
+            marks.write(
+                canvas,
+                str(rng.integers(1, 32)),
+                max(6, height // 4),
+                np.array(at),
+                0.05 if base > 0.2 else 0.7,
+            )
+    marks.stickers(canvas, 4e-5, rng)
+    marks.smudges(canvas, 0.06, rng, streak=3)
 
 
-def nozzle_wall() -> Draw:
+@drawing
+def nozzle_wall(canvas: Canvas, rng: np.random.Generator) -> None:
     """A nozzle's appearance: fine tubes, stiffening bands, colours of heat."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        v = np.linspace(0, 1, height)[:, None]
-        heat = 0.10 + 0.10 * np.sin(7.0 * v + rng.uniform(0, 3)) * (1 - v) + 0.06 * v
-        canvas.code[:] = np.clip(255 * np.sqrt(np.clip(heat, 0.03, 1)), 0, 255).astype(np.uint8)
-        j = np.arange(width)[None]
-        count = width // int(rng.integers(5, 9))
-        canvas.height += (0.8 * np.abs(np.sin(np.pi * j * count / width))).astype(np.float32) * np.ones(
-            (height, 1), np.float32
-        )
-        metal = canvas.layer_of(BRUSHED_METAL)
-        for place in np.linspace(0.12, 0.97, int(rng.integers(3, 7))):
-            top = int(place * (height - 5))
-            fill(canvas, (0, top, width, top + 4), code(0.12), metal)
-            canvas.height[top : top + 4] += 2.0
-        smudges(canvas, 0.12, rng, streak=4)
-
-    return draw
+    height, width = canvas.shape
+    v = np.linspace(0, 1, height)[:, None]
+    heat = 0.10 + 0.10 * np.sin(7.0 * v + rng.uniform(0, 3)) * (1 - v) + 0.06 * v
+    canvas.code[:] = np.clip(255 * np.sqrt(np.clip(heat, 0.03, 1)), 0, 255).astype(np.uint8)
+    j = np.arange(width)[None]
+    count = width // int(rng.integers(5, 9))
+    canvas.height += (0.8 * np.abs(np.sin(np.pi * j * count / width))).astype(np.float32) * np.ones(
+        (height, 1), np.float32
+    )
+    metal = canvas.layer_of(mat.BRUSHED_METAL)
+    for place in np.linspace(0.12, 0.97, int(rng.integers(3, 7))):
+        top = int(place * (height - 5))
+        marks.fill(canvas, (0, top, width, top + 4), code(0.12), metal)
+        canvas.height[top : top + 4] += 2.0
+    marks.smudges(canvas, 0.12, rng, streak=4)
 
 
-def reflector(base: float, gores: int) -> Draw:
+@drawing
+def reflector(canvas: Canvas, rng: np.random.Generator, base: float, gores: int) -> None:
     """A dish's surface: gores with seams and rivets, targets for photogrammetry, slight dirt."""
-
-    def draw(canvas: Canvas, rng: np.random.Generator) -> None:
-        height, width = canvas.shape
-        canvas.code[:] = code(base)
-        edges = np.linspace(0, width, gores + 1).astype(int)
-        for left, right in pairwise(edges.tolist()):
-            fill(canvas, (left, 0, right, height), code(base * float(np.exp(rng.normal(0, 0.035)))))
-            canvas.tilt[:, left:right] += rng.normal(0, 0.006, 2).astype(np.float32)
-            groove(canvas, (left, 0, right, height), 0.5, 0.7)
-            for u in (left + 4.0, right - 4.0):
-                rivets(canvas, np.array([u, 4.0]), np.array([u, height - 4.0]), 10.0, 1.4)
-        for ring in rng.uniform(0.25, 0.8, int(rng.integers(1, 3))):
-            v = int(ring * height)
-            canvas.code[v : v + 1] = (canvas.code[v : v + 1] * 0.75).astype(np.uint8)
-        for v in np.linspace(0.15, 0.95, int(rng.integers(3, 6))) * (height - 1):
-            for u in 0.5 * (edges[:-1] + edges[1:])[:: int(rng.integers(1, 3))]:
-                cv2.circle(
-                    canvas.code, (int(u), int(v)), 3, code(0.04 if base > 0.2 else 0.8), -1, cv2.LINE_AA
-                )
-        stickers(canvas, 1e-5, rng)
-        smudges(canvas, 0.008, rng)
-
-    return draw
+    height, width = canvas.shape
+    canvas.code[:] = code(base)
+    edges = np.linspace(0, width, gores + 1).astype(int)
+    for left, right in pairwise(edges.tolist()):
+        marks.fill(canvas, (left, 0, right, height), code(base * float(np.exp(rng.normal(0, 0.035)))))
+        canvas.tilt[:, left:right] += rng.normal(0, 0.006, 2).astype(np.float32)
+        marks.groove(canvas, (left, 0, right, height), 0.5, 0.7)
+        for u in (left + 4.0, right - 4.0):
+            marks.rivets(canvas, np.array([u, 4.0]), np.array([u, height - 4.0]), 10.0, 1.4)
+    for ring in rng.uniform(0.25, 0.8, int(rng.integers(1, 3))):
+        v = int(ring * height)
+        canvas.code[v : v + 1] = (canvas.code[v : v + 1] * 0.75).astype(np.uint8)
+    for v in np.linspace(0.15, 0.95, int(rng.integers(3, 6))) * (height - 1):
+        for u in 0.5 * (edges[:-1] + edges[1:])[:: int(rng.integers(1, 3))]:
+            cv2.circle(canvas.code, (int(u), int(v)), 3, code(0.04 if base > 0.2 else 0.8), -1, cv2.LINE_AA)
+    marks.stickers(canvas, 1e-5, rng)
+    marks.smudges(canvas, 0.008, rng)
 
 
 def _weld_rings(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
@@ -537,10 +485,10 @@ def _weld_rings(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
             int
         )
         for left, right in pairwise(edges.tolist()):
-            fill(canvas, (left, top, right, bottom), code(base * float(np.exp(rng.normal(0, 0.025)))))
-            groove(canvas, (left, top, right, bottom), 0.7, 0.8)
-        rivets(canvas, np.array([2.0, top + 4.0]), np.array([width - 2.0, top + 4.0]), 8.0, 1.5)
-        rivets(canvas, np.array([2.0, bottom - 4.0]), np.array([width - 2.0, bottom - 4.0]), 8.0, 1.5)
+            marks.fill(canvas, (left, top, right, bottom), code(base * float(np.exp(rng.normal(0, 0.025)))))
+            marks.groove(canvas, (left, top, right, bottom), 0.7, 0.8)
+        marks.rivets(canvas, np.array([2.0, top + 4.0]), np.array([width - 2.0, top + 4.0]), 8.0, 1.5)
+        marks.rivets(canvas, np.array([2.0, bottom - 4.0]), np.array([width - 2.0, bottom - 4.0]), 8.0, 1.5)
 
 
 def _corrugation(canvas: Canvas, rng: np.random.Generator) -> None:
@@ -557,20 +505,20 @@ def _livery(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
     """Bands, chequers that show the roll angle, and lettering down the side."""
     height, width = canvas.shape
     ink = 0.04 if base > 0.2 else 0.72
-    paint = canvas.layer_of(PAINT_WHITE)
+    paint = canvas.layer_of(mat.PAINT_WHITE)
     style = rng.integers(4)
     if style == 0:
         band = int(rng.uniform(0.1, 0.2) * height)
         for k in range(8):
             top = int(rng.uniform(0.0, 0.03) * height) + (band if k % 2 else 0)
-            fill(canvas, (k * width // 8, top, (k + 1) * width // 8, top + band), code(ink), paint)
+            marks.fill(canvas, (k * width // 8, top, (k + 1) * width // 8, top + band), code(ink), paint)
     elif style == 1:
         for top in rng.uniform(0.05, 0.9, int(rng.integers(1, 4))):
             wide = rng.uniform(0.015, 0.07)
-            fill(canvas, (0, int(top * height), width, int((top + wide) * height)), code(ink), paint)
+            marks.fill(canvas, (0, int(top * height), width, int((top + wide) * height)), code(ink), paint)
     elif style == 2:
         for left in (0.0, 0.5):
-            fill(
+            marks.fill(
                 canvas,
                 (int(left * width), 0, int((left + 0.25) * width), int(0.45 * height)),
                 code(ink),
@@ -581,19 +529,19 @@ def _livery(canvas: Canvas, base: float, rng: np.random.Generator) -> None:
     start = float(rng.random())
     for share in (start, (start + rng.uniform(0.4, 0.6)) % 1.0):
         canvas.taken.append((share * width, 0.5 * height, 0.2 * height))
-        letters = lettering(name, size)
+        letters = marks.lettering(name, size)
         scale = min(1.0, 0.8 * height / letters.shape[1])
         h, w = letters.shape
-        letters = resized(letters, (max(1, round(scale * w)), max(1, round(scale * h))))
+        letters = marks.resized(letters, (max(1, round(scale * w)), max(1, round(scale * h))))
         plate = np.full(letters.shape, code(ink), np.uint8)
-        stamp(canvas, plate, np.array([share * width, 0.5 * height]), 90.0, letters, paint)
+        marks.stamp(canvas, plate, np.array([share * width, 0.5 * height]), 90.0, letters, paint)
     _emblem(canvas, ink, rng)
 
 
 def _emblem(canvas: Canvas, ink: float, rng: np.random.Generator) -> None:
     """Fields of stripes and a disc, large enough to tell the sides apart."""
     height, _ = canvas.shape
-    paint = canvas.layer_of(PAINT_WHITE)
+    paint = canvas.layer_of(mat.PAINT_WHITE)
     for _ in range(2):
         h = int(rng.uniform(0.1, 0.16) * height) + 6
         w = int(1.5 * h)
@@ -605,7 +553,7 @@ def _emblem(canvas: Canvas, ink: float, rng: np.random.Generator) -> None:
             cv2.circle(plate, (w // 2, h // 2), int(0.35 * h), code(ink), -1, cv2.LINE_AA)
         at = canvas.free_place(0.6 * w, rng)
         if at is not None:
-            stamp(canvas, plate, at, 0.0, layer=paint)
+            marks.stamp(canvas, plate, at, 0.0, layer=paint)
 
 
 def _doors(canvas: Canvas, rng: np.random.Generator) -> None:
@@ -619,10 +567,10 @@ def _doors(canvas: Canvas, rng: np.random.Generator) -> None:
         corners = (left, top, left + int(w), top + int(h))
         window = canvas.code[max(top, 0) : top + h, max(left, 0) : left + w]
         window[...] = np.clip(window * float(rng.choice([0.75, 0.92, 1.05])), 0, 255)
-        groove(canvas, corners, 1.0, 0.6)
+        marks.groove(canvas, corners, 1.0, 0.6)
         for u in np.linspace(left + 4, left + w - 4, 4):
             for v in (top + 4.0, top + h - 4.0):
-                screw(canvas, np.array([u, v]), 1.6, rng)
+                marks.screw(canvas, np.array([u, v]), 1.6, rng)
 
 
 def _scorch(canvas: Canvas, reach: float, rng: np.random.Generator) -> None:

@@ -15,15 +15,8 @@ from polhode.simulation.bodies.part import Chart, Part, merge_uniform_parts
 from polhode.simulation.bodies.solids import Revolved, flat_facets, flat_regions
 from polhode.simulation.bodies.textures import collage, drawn
 from polhode.simulation.bodies.textures.canvas import Draw, chart_of_facet, charts_around
-from polhode.simulation.surface.materials import (
-    BRUSHED_METAL,
-    FOIL_SILVER,
-    GLASS,
-    PAINT_WHITE,
-    REGOLITH,
-    SOLAR_CELL,
-    Material,
-)
+from polhode.simulation.surface import materials as mat
+from polhode.simulation.surface.materials import Material
 
 
 def texture_generator(name: Literal["drawn", "collage"]) -> "TextureGenerator":
@@ -149,25 +142,25 @@ CELL_TEXELS = 46
 
 Name = Literal["paint", "solar_cell", "foil", "metal", "regolith"]
 MATERIALS = {
-    "paint": PAINT_WHITE,
-    "solar_cell": SOLAR_CELL,
-    "foil": FOIL_SILVER,
-    "metal": BRUSHED_METAL,
-    "regolith": REGOLITH,
+    "paint": mat.PAINT_WHITE,
+    "solar_cell": mat.SOLAR_CELL,
+    "foil": mat.FOIL_SILVER,
+    "metal": mat.BRUSHED_METAL,
+    "regolith": mat.REGOLITH,
 }
-KEPT = (SOLAR_CELL, GLASS)
+KEPT = (mat.SOLAR_CELL, mat.GLASS)
 """Parts of these materials keep them, except under regolith."""
 
 
 def sheet_for_material(material: Material, textures: TextureGenerator) -> Draw | None:
     """The sheet that suits a material, or None."""
-    if material.specular == REGOLITH.specular and material.roughness == REGOLITH.roughness:
+    if material.specular == mat.REGOLITH.specular and material.roughness == mat.REGOLITH.roughness:
         return None
     if material.crease > 0:
         return textures.blanket(material)
     if material.specular > 0.2:
         return textures.machined_plate()
-    if material.albedo <= SOLAR_CELL.albedo and material.roughness < 0.3:
+    if material.albedo <= mat.SOLAR_CELL.albedo and material.roughness < 0.3:
         return textures.cells(CELL_TEXELS) if material.grain > 0 else None
     return textures.panel(material.albedo, 0.6)
 

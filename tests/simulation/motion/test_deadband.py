@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from polhode.lie import Array
 from polhode.simulation.motion.inspector import PULSE_S, RATE_VARIATION, LimitCycle, limit_cycle
 
 T_S = np.linspace(0.0, 300.0, 300_000)
@@ -10,6 +11,11 @@ T_S = np.linspace(0.0, 300.0, 300_000)
 
 def _cycle(half_width: float = 0.01, rate: float = 0.004, stop_s: float = 301.0, seed: int = 1) -> LimitCycle:
     return limit_cycle(half_width, rate, stop_s, np.random.default_rng(seed))
+
+
+def _slope(cycle: LimitCycle) -> Array:
+    """Rate (n,) at ``T_S``, by central differences."""
+    return np.asarray((cycle.value(T_S + 1e-6) - cycle.value(T_S - 1e-6)) / 2e-6)
 
 
 @pytest.mark.parametrize(("half_width", "rate"), [(0.01, 0.004), (0.001, 0.02)])
@@ -26,9 +32,9 @@ def test_it_starts_in_the_middle_and_fills_its_band_without_leaving_it(
 
 def test_between_pulses_it_drifts_at_rates_near_the_nominal_one() -> None:
     cycle = _cycle()
-    slope = cycle.slope(T_S)
+    slope = _slope(cycle)
     pulsing = np.abs(T_S[:, None] - cycle.corner_s).min(axis=1) < PULSE_S / 2
-    rates = np.unique(np.abs(slope[~pulsing]).round(12))
+    rates = np.unique(np.abs(slope[~pulsing]).round(8))
     assert 40 < len(rates) < 80
     assert 0.004 * (1 - RATE_VARIATION) <= rates.min() < rates.max() <= 0.004 * (1 + RATE_VARIATION)
     assert pulsing.mean() == pytest.approx(
@@ -41,12 +47,9 @@ def test_every_pulse_turns_the_drift_around() -> None:
     assert (rate[1:] * rate[:-1] < 0).all()
 
 
-def test_velocity_is_continuous_and_the_derivative_of_the_value() -> None:
-    cycle = _cycle()
+def test_velocity_is_continuous() -> None:
     largest_step = 2 * 0.004 * (1 + RATE_VARIATION) / PULSE_S * (T_S[1] - T_S[0])
-    assert np.abs(np.diff(cycle.slope(T_S))).max() <= largest_step * 1.001
-    numeric = (cycle.value(T_S + 1e-6) - cycle.value(T_S - 1e-6)) / 2e-6
-    np.testing.assert_allclose(numeric, cycle.slope(T_S), atol=1e-7)
+    assert np.abs(np.diff(_slope(_cycle()))).max() <= largest_step * 1.001 + 1e-8
 
 
 def test_a_longer_cycle_begins_the_same_and_another_seed_does_not() -> None:
@@ -58,4 +61,3 @@ def test_a_longer_cycle_begins_the_same_and_another_seed_does_not() -> None:
 def test_without_band_or_drift_it_rests(half_width: float, rate: float) -> None:
     cycle = _cycle(half_width, rate)
     np.testing.assert_array_equal(cycle.value(T_S), 0.0)
-    np.testing.assert_array_equal(cycle.slope(T_S), 0.0)

@@ -1,4 +1,4 @@
-"""The inspector takes the path that the scene names; its velocities are derivatives of its poses."""
+"""The inspector takes the path that the scene names."""
 
 import pickle
 from typing import Any
@@ -37,23 +37,23 @@ def _motion(
     return inspector_motion(Scene.model_validate(scene), seed)
 
 
-@pytest.mark.parametrize("jitter", [{}, JITTER], ids=["steady", "jitters"])
-@pytest.mark.parametrize("profile", COURSES)
-def test_velocities_are_the_derivatives_of_the_poses(profile: str, jitter: dict[str, Any]) -> None:
-    motion = _motion(profile, **jitter)
+def _velocities(motion: InspectorMotion) -> tuple[Array, Array]:
+    """v_N and w_C (F, 3) at the frames, by central differences."""
     e = 1e-5
-    for k in range(0, 41, 3):
-        before, after = motion.poses_during(k, [-e, e])
-        np.testing.assert_allclose((after - before)[:3, 3] / (2 * e), motion.v_N[k], atol=1e-6)
-        turn = log_so3(before[:3, :3].T @ after[:3, :3]) / (2 * e)
-        np.testing.assert_allclose(turn, motion.w_C[k], atol=1e-5)
+    pairs = np.stack([motion.poses_during(k, [-e, e]) for k in range(len(motion.t_s))])
+    turn = np.swapaxes(pairs[:, 0, :3, :3], 1, 2) @ pairs[:, 1, :3, :3]
+    return (pairs[:, 1, :3, 3] - pairs[:, 0, :3, 3]) / (2 * e), log_so3(turn) / (2 * e)
 
 
 @pytest.mark.parametrize("profile", COURSES)
 def test_the_camera_never_jumps_and_never_jerks_its_velocity(profile: str) -> None:
     motion = _motion(profile, frames=20_001, interval_s=0.001, **JITTER)
-    assert np.abs(np.diff(motion.v_N, axis=0)).max() < 0.1 * 0.001
-    assert np.abs(np.diff(motion.w_C, axis=0)).max() < 0.3 * 0.001
+    v_N, w_C = (
+        np.diff(motion.X_NC[:, :3, 3], axis=0) / 0.001,
+        log_so3(np.swapaxes(motion.X_NC[:-1, :3, :3], 1, 2) @ motion.X_NC[1:, :3, :3]) / 0.001,
+    )
+    assert np.abs(np.diff(v_N, axis=0)).max() < 0.1 * 0.001
+    assert np.abs(np.diff(w_C, axis=0)).max() < 0.3 * 0.001
 
 
 @pytest.mark.parametrize("profile", COURSES)
@@ -100,8 +100,8 @@ def test_a_circle_keeps_the_target_where_the_first_frame_has_it() -> None:
     motion = _motion("circle")
     p_C = [X_NC[:3, :3].T @ (TARGET_N - X_NC[:3, 3]) for X_NC in motion.X_NC]
     np.testing.assert_allclose(p_C, np.tile(p_C[0], (41, 1)), atol=1e-12)
-    speed = np.linalg.norm(motion.v_N, axis=1)
-    np.testing.assert_allclose(speed, 2 * np.pi / 40.0 * np.hypot(0.1, 0.7), rtol=1e-12)
+    speed = np.linalg.norm(_velocities(motion)[0], axis=1)
+    np.testing.assert_allclose(speed, 2 * np.pi / 40.0 * np.hypot(0.1, 0.7), rtol=1e-9)
 
 
 def test_an_approach_closes_in_at_its_speed_and_stops_at_its_distance() -> None:
@@ -118,7 +118,7 @@ def test_an_approach_closes_in_at_its_speed_and_stops_at_its_distance() -> None:
 def test_an_approach_that_starts_near_its_stop_goes_no_further(stop_m: float, reached_m: float) -> None:
     motion = _motion("approach", approach_stop_m=stop_m)
     assert np.linalg.norm(TARGET_N - motion.X_NC[-1, :3, 3]) == pytest.approx(reached_m, abs=1e-12)
-    np.testing.assert_array_equal(motion.v_N[-1], 0.0)
+    np.testing.assert_allclose(_velocities(motion)[0][-1], 0.0, atol=1e-9)
 
 
 def test_waypoints_are_met_in_time_and_the_ends_hold() -> None:
@@ -130,8 +130,8 @@ def test_waypoints_are_met_in_time_and_the_ends_hold() -> None:
         np.testing.assert_allclose(motion.X_NC[k, :3, :3], R_NC, atol=1e-14)
     for held in (slice(0, 5), slice(36, None)):
         np.testing.assert_allclose(motion.X_NC[held], motion.X_NC[held][:1].repeat(5, axis=0), atol=1e-14)
-        np.testing.assert_array_equal(motion.v_N[held], 0.0)
-        np.testing.assert_array_equal(motion.w_C[held], 0.0)
+        for velocity in _velocities(motion):
+            np.testing.assert_allclose(velocity[held], 0.0, atol=2e-5)
 
 
 def test_two_waypoints_are_joined_by_a_straight_line() -> None:
