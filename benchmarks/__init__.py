@@ -5,8 +5,7 @@ are not installed with the package. Each folder is a topic. ``python -m benchmar
 
     registry       every benchmark: its arguments, the page that quotes it, how long it takes
     __main__       ``python -m benchmarks``: runs them, stores what they print
-    record         long measurements that can be interrupted, one JSON line per case
-    provenance     which commit and configuration made a stored result, and whether it is old
+    record         long measurements that can be interrupted; which commit made a result, whether it is old
     command        the command line of a benchmark
     presentation   tables in Markdown, figures
 """

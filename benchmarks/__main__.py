@@ -5,8 +5,8 @@
     python -m benchmarks [TOPIC|NAME ...] --stored      print the stored results instead of measuring
 
 What a benchmark prints is stored in runs/benchmarks/NAME.md (NAME-short.md), under a head that names the
-commit and the configuration that made it; a result that is old by now is shown as old. A benchmark that needs
-something which is not there is left out; one that fails does not stop the others.
+commit and the configuration that made it; an old result is shown as old. A benchmark whose requirements are
+missing is skipped; one that fails does not stop the others.
 """
 
 import json
@@ -20,10 +20,9 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, command
-from benchmarks.presentation import markdown_table
-from benchmarks.provenance import provenance, state
+from benchmarks.presentation import print_table
+from benchmarks.record import provenance, state
 from benchmarks.registry import Benchmark, chosen, code_of
-from polhode.threads import limit_threads
 
 STORE = ROOT / "runs" / "benchmarks"
 MARK = "<!-- made: "
@@ -35,15 +34,21 @@ def main(
     list_: Annotated[bool, arg(name="list", help="List the benchmarks instead of running them.")] = False,
     stored: Annotated[bool, arg(help="Print what was stored instead of running them.")] = False,
 ) -> None:
-    """Run, list or print what was chosen."""
+    """Run, list or print the selected benchmarks."""
     benchmarks = chosen(names)
     if list_:
-        print(listing(benchmarks))
+        head = "topic | name | what it prints | minutes | page | stored"
+        print_table(
+            head,
+            (
+                (each.topic, each.name, each.prints, f"{each.minutes:g}", each.page, stored_state(each))
+                for each in benchmarks
+            ),
+        )
     elif stored:
         for benchmark in benchmarks:
             print_stored(benchmark, short)
     else:
-        limit_threads(1)
         failed = [each.name for each in benchmarks if not run(each, short)]
         if failed:
             sys.exit(f"failed: {', '.join(failed)}")
@@ -53,10 +58,10 @@ def run(benchmark: Benchmark, short: bool) -> bool:
     """Run one in a process of its own, show and store what it prints; False after a failure."""
     arguments, missing = benchmark.arguments(short), benchmark.missing(short)
     if arguments is None:
-        print(f"\n# {benchmark.name}: left out, it has no small version", flush=True)
+        print(f"\n# {benchmark.name}: skipped, it has no small version", flush=True)
         return True
     if missing:
-        print(f"\n# {benchmark.name}: left out, it needs {missing}", flush=True)
+        print(f"\n# {benchmark.name}: skipped, it needs {missing}", flush=True)
         return True
     words = ["-m", f"benchmarks.{benchmark.module}", *arguments]
     print(f"\n# {benchmark.name}: python {' '.join(words)}\n", flush=True)
@@ -76,15 +81,6 @@ def run(benchmark: Benchmark, short: bool) -> bool:
     STORE.mkdir(parents=True, exist_ok=True)
     file_of(benchmark, short).write_text(f"{MARK}{json.dumps(head)} -->\n\n" + "".join(lines))
     return True
-
-
-def listing(benchmarks: list[Benchmark]) -> str:
-    """A table of the benchmarks."""
-    rows = [
-        (each.topic, each.name, each.prints, f"{each.minutes:g}", each.page, stored_state(each))
-        for each in benchmarks
-    ]
-    return markdown_table(("topic", "name", "what it prints", "minutes", "page", "stored"), rows)
 
 
 def print_stored(benchmark: Benchmark, short: bool) -> None:

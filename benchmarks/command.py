@@ -1,8 +1,9 @@
 """The command line of a benchmark: the parameters of its ``main`` are the options."""
 
+import json
+import subprocess
 import sys
 from collections.abc import Callable
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,21 +18,44 @@ RECORDS = Path(__file__).with_name("records")
 
 Short = Annotated[bool, arg(help="A small version that takes seconds to minutes.")]
 Workers = Annotated[int, arg(help="Processes.")]
-Record = Annotated[Path, arg(help="File of what was measured; what it holds is not measured again.")]
+Record = Annotated[Path, arg(help="File of the results; cases that it holds are not measured again.")]
 Png = Annotated[Path | None, arg(aliases=["-o"], metavar="PNG", help="Draw the figure to this file.")]
 Runs = Positional[Annotated[tuple[Path, ...], arg(metavar="RUN", help="Folders of runs.")]]
 Sequences = Positional[Annotated[tuple[Path, ...], arg(metavar="SEQ", help="Folders of sequences.")]]
+Configuration = Annotated[Path, arg(help="Configuration.")]
+Seeds = Annotated[int, arg(help="Generated sequences of each kind.")]
+DEFAULT = Path("configs/default.yaml")
 
 
 def command(main: Callable[..., None]) -> None:
-    """Call ``main`` with the options of the command line; the help is the docstring of its module."""
+    """Call ``main`` with the options of the command line; the help is the docstring of its module.
+
+    BLAS, OpenCV and torch use one thread each.
+    """
+    limit_threads(1)
     module = sys.modules[main.__module__]
     name = module.__spec__.name if module.__spec__ is not None else module.__name__
     tyro.cli(main, prog=f"python -m {name}", description=module.__doc__, config=(FlagCreatePairsOff,))
 
 
-def single_threaded(work: Callable[..., Any], *arguments: Any) -> Any:
-    """Call ``work`` in a new process, which reads the limit of one thread before it loads NumPy."""
-    limit_threads(1)
-    with get_context("spawn").Pool(1) as pool:
-        return pool.apply(work, arguments)
+def in_process(module: str, *arguments: object, environment: dict[str, str] | None = None) -> Any:
+    """Run ``python -m module arguments`` and parse the last line that it prints as JSON."""
+    words = [sys.executable, "-m", module, *map(str, arguments)]
+    done = subprocess.run(words, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def polhode(*arguments: object, may_fail: bool = False) -> None:
+    """Run the program as a user does; with ``may_fail`` a failed run (exit code 1) is accepted."""
+    words = [sys.executable, "-m", "polhode", *map(str, arguments)]
+    done = subprocess.run(words, cwd=ROOT, check=False)
+    if done.returncode > (1 if may_fail else 0):
+        raise SystemExit(done.returncode)
+
+
+def simulated(config: Path, folder: Path) -> Path:
+    """The sequence of a scene, simulated unless it is there."""
+    if not (folder / "mav0").is_dir():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        polhode("simulate", config, "-o", folder)
+    return folder

@@ -22,7 +22,7 @@ CODE: dict[str, tuple[str, ...]] = {
     "rendering": ("simulation", "polhode"),
     "mutation": (*ALL, "cli", "tests"),
 }
-"""By topic: the folders whose changes make a stored result old. The folder of the topic itself is one too."""
+"""By topic: the folders whose changes make a stored result old, besides the topic's own folder."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Benchmark:
     short: str | None = "--short"
     """Arguments of the small version; None: there is none"""
     needs: tuple[str, ...] = ()
-    """Folders (with a slash) and Python packages without which it is left out"""
+    """Folders (with a slash) and Python packages without which it is skipped"""
 
     @property
     def topic(self) -> str:
@@ -62,7 +62,7 @@ class Benchmark:
         return None if self.short is None else self.short.split()
 
     def missing(self, short: bool) -> str:
-        """The first thing that it needs and that is missing; empty: nothing. Small versions need no runs."""
+        """The first missing requirement; empty: none. Small versions need no runs."""
         for need in self.needs:
             if short and need.startswith(("runs/", "data/")):
                 continue
@@ -110,7 +110,7 @@ BENCHMARKS = (
               "--short -o runs/backend_growth.png"),
     _of_runs("runs_by_solver", "solvers.runs_by_solver", "docs/backend.md", 10, _BY_SOLVER),
     Benchmark("compare", "solvers.compare", "docs/compare.md", 180),
-    Benchmark("pose_graph", "solvers.pose_graph", "", 2, needs=("gtsam",)),
+    Benchmark("pose_graph", "solvers.pose_graph", "docs/architecture.md", 2, needs=("gtsam",)),
     Benchmark("rounding", "monte_carlo.rounding", "", 20),
     Benchmark("bound", "monte_carlo.bound", "docs/accuracy.md", 2, short=""),
     Benchmark("same_answer", "monte_carlo.same_answer", "docs/accuracy.md", 10),
@@ -127,7 +127,6 @@ BENCHMARKS = (
     _of_runs("observability_of_run", "edges.observability_of_run", "docs/observability.md", 5, _WITH_TRUTH),
     Benchmark("planar", "edges.planar", "docs/observability_planar.md", 1, "-o runs/observability_planar.png",
               "-o runs/observability_planar.png"),
-    Benchmark("edge_views", "edges.views", "", 1, "-o runs/edge_views", "block --views 1 -o runs/edge_views"),
     Benchmark("edge_selection", "edges.selection", "docs/observability_planning.md", 10,
               short="block --views 3 --budget 6"),
     Benchmark("best_trajectory", "edges.best_trajectory", "docs/observability_planning.md", 120,
@@ -136,19 +135,18 @@ BENCHMARKS = (
               "-o runs/observability_trends.png"),
     Benchmark("visp_tracker", "edges.visp_tracker", "docs/observability_tracking.md", 20, "--views 20",
               "block --views 2", _VISP),
-    Benchmark("visp_settings", "edges.visp_settings", "", 30, short="block --views 2", needs=_VISP),
     Benchmark("navigation", "navigation.compare_filters", "docs/observability_navigation.md", 240,
               "--plot runs/navigation_filter.png"),
     Benchmark("against_mitsuba", "rendering.against_mitsuba", "docs/simulation.md", 20, "-o runs/mitsuba.png",
               "--width 64 --samples 64", ("mitsuba",)),
     Benchmark("rendering_time", "rendering.rendering_time", "docs/simulation.md", 20),
-    Benchmark("mutation", "mutation.catch", "", 30, short=None),
+    Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),
 )  # fmt: skip
 """The scenes come first: they make the runs that others need."""
 
 
 def chosen(words: tuple[str, ...]) -> list[Benchmark]:
-    """Those of the topics and names, in the order of the registry; all without a word.
+    """Benchmarks of these topics and names, in the order of the registry; all if there are none.
 
     Raises SystemExit for a word that is neither.
     """

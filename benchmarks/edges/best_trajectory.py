@@ -3,41 +3,56 @@
     python -m benchmarks.edges.best_trajectory [BODY ...] [--short] [--record FILE] [--pictures DIR]
 
 A body tumbles; a camera starts 4 m away and approaches to where the body just fills the image, in 60 s, in
-sunlight with black shadows. Three ways: the straight one; the best one with the range of the straight one at
-each step, so that only the direction is chosen; the best one with any range. Along each, images with noise
-are made at even times, and each is tracked on its own from a guess near by. On the images of the straight
-way the tracker then uses fewer edges: those chosen by the metric along that way, the longest, random ones.
+sunlight with black shadows. There are three trajectories: the straight one; the best one with the range of
+the straight one at each step, so that only the direction is chosen; the best one with any range. Along each,
+images with noise are made at even times, and each is tracked on its own from a guess with a known error. On
+the images of the straight trajectory the tracker then uses fewer edges: those chosen by the metric along that
+trajectory, the longest, random ones.
 
-Errors are of the middle of the body along the camera's axes, and turns. A pose farther off than HOME (radii,
-radians) is told apart: the tracker did not come home; the others give root mean squares. The metric is the
-root of tr (I + C)^-1, shifts in radii, for one pixel: its root mean square over the way, which was minimised,
-and its median, beside root mean square and median of the measured errors, in thousandths of a radius and
-millirad. What was measured before is read from the record.
+Errors are translations of the body's centre along the camera's axes, and rotations. A pose with an error
+beyond CONVERGED (radii, radians) did not converge; root mean squares are of the others. The metric is the
+root of tr (I + C)^-1, translations in radii, for one pixel: its root mean square over the trajectory, which
+was minimised, and its median, beside root mean square and median of the measured errors, in thousandths of a
+radius and millirad.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
 from tyro.conf import Positional, arg
 
 from benchmarks.command import Record, Short, Workers, command
-from benchmarks.edges.bodies import edge_body
-from benchmarks.edges.trajectory.camera_path import camera_poses, sun_in_G, target_centres
-from benchmarks.edges.views import edge_rig
+from benchmarks.edges.tracking.tracker import track
+from benchmarks.edges.trajectory_optimization import (
+    CameraPathTask,
+    best_trajectory,
+    camera_poses,
+    min_range,
+    path_metric,
+    sun_in_G,
+    table_for,
+    target_centres,
+    trace_of_inverse,
+)
+from benchmarks.edges.views import EdgeViews, ViewOptions, edge_body, edge_rig, perturbed
+from benchmarks.presentation import numbers, print_table, save_figure, subplots
 from benchmarks.record import Case, complete
 from polhode.pipeline.after_run.observability.pictures import coloured_body, picture
 from polhode.planning.edges.edge_model import edge_model
 from polhode.planning.edges.information import contributions, feature_information
-from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
-from polhode.planning.prediction import nominal_motion
+from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM, pose_error
+from polhode.planning.edges.selection import edge_lengths, greedy, improved_by_exchange
+from polhode.planning.edges.smallest_set import smallest_set
+from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
+from polhode.planning.prediction import FinalEstimate, FinalState, nominal_motion
+from polhode.records import SurfaceModel
 
 RECORD = Path("runs/best_trajectory.jsonl")
 BODIES = ("steps", "satellite")
-HOME = 0.03
+CONVERGED = 0.03
 DURATION_S, STEPS = 60.0, 12
 START_N, SUN_N = np.array([0.0, 0.0, -4.0]), np.array([0.8, -0.3, -0.6])
 RATE_G = np.array([0.02, 0.03, 0.05])
@@ -62,9 +77,9 @@ def main(
     count = 12 if short else images
     cases: list[Case] = [{"body": body, "images": count} for body in bodies]
     lines = complete(record, cases, measure, workers)
-    print(table(lines, "ways", "trajectory"))
+    show(lines, "ways", "trajectory")
     print()
-    print(table(lines, "sets", "edges"))
+    show(lines, "sets", "edges")
     if pictures:
         pictures.mkdir(parents=True, exist_ok=True)
         for line in lines:
@@ -73,52 +88,45 @@ def main(
 
 def measure(case: Case) -> dict[str, Any]:
     """One body."""
-    from dataclasses import replace
-
-    from benchmarks.edges.bodies import edge_body
-    from benchmarks.edges.trajectory.camera_path import path_metric
-    from benchmarks.edges.trajectory.trajectory_optimization import best_trajectory, table_for
-    from benchmarks.edges.views import edge_rig
-    from polhode.planning.edges.edge_model import edge_model
 
     target, rig = edge_body(case["body"]), edge_rig()
     model = edge_model(target.mesh)
     estimate, volume = tumbling(target.mesh)
-    task = camera_path_task(model, rig)
+    ranges_m = (min_range(model, rig) + 0.02, 4.3)
+    task = CameraPathTask(START_N, DURATION_S, STEPS, 0.01, ranges_m, 0.15, 0.1, sun_N=SUN_N)
     table = table_for(model, rig, estimate, task)
-    held, free = (
-        best_trajectory(model, rig, estimate, volume, replace(task, fixed_range=hold), TURNS_DEG, table=table)
-        for hold in (True, False)
+    same_range, free = (
+        best_trajectory(
+            model, rig, estimate, volume, replace(task, fixed_range=fixed), TURNS_DEG, table=table
+        )
+        for fixed in (True, False)
     )
-    ways = {
-        "straight": held.straight_path,
-        "best at the same range": held.best,
+    paths = {
+        "straight": same_range.straight_path,
+        "best at the same range": same_range.best,
         "best": path_metric(model, rig, estimate, task, free.best.path),
     }
-    trials = {name: Trial(target, rig, seen, case["images"]) for name, seen in ways.items()}
+    trials = {name: Trial(target, rig, seen, case["images"]) for name, seen in paths.items()}
     out: dict[str, Any] = {
         "ways": [
             {
                 "name": name,
-                **metric(ways[name].C, model.radius_m),
-                "delta_v_m_s": ways[name].path.delta_v_m_s,
+                **metric(paths[name].C, model.radius_m),
+                "delta_v_m_s": paths[name].path.delta_v_m_s,
                 **trial.errors(model),
             }
             for name, trial in trials.items()
         ],
-        "places_N": {name: seen.p_N.tolist() for name, seen in ways.items()},
-        "starts": [held.starts, held.tried, free.starts, free.tried],
-        "gap_m": [held.gap_m, free.gap_m],
+        "places_N": {name: seen.p_N.tolist() for name, seen in paths.items()},
+        "starts": [same_range.starts, same_range.tried, free.starts, free.tried],
+        "gap_m": [same_range.gap_m, free.gap_m],
     }
-    out["sets"] = edge_sets(model, rig, ways["straight"], trials["straight"])
+    out["sets"] = edge_sets(model, rig, paths["straight"], trials["straight"])
     return out
 
 
 def tumbling(mesh: Any) -> tuple[Any, Any]:
-    """The motion of a body with small covariances about its middle, and its keep-out volume."""
-    from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
-    from polhode.planning.prediction import FinalEstimate, FinalState
-    from polhode.records import SurfaceModel
+    """The motion of a body with small covariances about its centre, and its keep-out volume."""
 
     basis = np.zeros((5, 3, 3))
     for n, (i, j) in enumerate([(0, 0), (1, 1), (0, 1), (0, 2), (1, 2)]):
@@ -137,20 +145,11 @@ def tumbling(mesh: Any) -> tuple[Any, Any]:
     ).instant
 
 
-def camera_path_task(model: Any, rig: Any) -> Any:
-    """What is asked of a way."""
-    from benchmarks.edges.trajectory.camera_path import CameraPathTask, min_range
-
-    nearest = min_range(model, rig) + 0.02
-    return CameraPathTask(START_N, DURATION_S, STEPS, 0.01, (nearest, 4.3), 0.15, 0.1, sun_N=SUN_N)
-
-
 class Trial:
-    """Images along a way."""
+    """Images along a path."""
 
     def __init__(self, target: Any, rig: Any, seen: Any, images: int) -> None:
         """At even times, with independent noise."""
-        from benchmarks.edges.views import EdgeViews, ViewOptions
 
         self.rig = rig
         rows = np.linspace(0, len(seen.time_s) - 1, images).round().astype(int)
@@ -159,31 +158,26 @@ class Trial:
 
     def errors(self, model: Any) -> dict[str, Any]:
         """Root mean squares (6,) [m, rad] of the poses that converged, and the share of those."""
-        from benchmarks.edges.tracking.tracker import track
-        from benchmarks.edges.views import perturbed
-        from polhode.planning.edges.observability_metric import pose_error
 
         start = perturbed(self.X_RG, model.middle_G, seed=4)
-        e, home = np.zeros((len(start), 6)), np.zeros(len(start), dtype=bool)
+        e, converged = np.zeros((len(start), 6)), np.zeros(len(start), dtype=bool)
+        scale = np.array([model.radius_m] * 3 + [1.0] * 3)
         for k, (image, guess) in enumerate(zip(self.images, start, strict=True)):
             found = track(model, self.rig, np.asarray(image, dtype=np.float64), guess)
             e[k] = pose_error(found.X_RG, self.X_RG[k], model.middle_G)
-            scaled = e[k] / np.array([model.radius_m] * 3 + [1.0] * 3)
-            home[k] = found.converged and float(np.linalg.norm(scaled)) < HOME
-        scale = np.array([model.radius_m] * 3 + [1.0] * 3)
+            converged[k] = found.converged and float(np.linalg.norm(e[k] / scale)) < CONVERGED
         return {
-            "rms": np.sqrt(np.mean(e[home] ** 2, axis=0)).tolist() if home.any() else [float("nan")] * 6,
+            "rms": np.sqrt(np.mean(e[converged] ** 2, axis=0)).tolist()
+            if converged.any()
+            else [float("nan")] * 6,
             "median": float(np.median(np.linalg.norm(e / scale, axis=1))),
-            "all": float(np.sqrt(np.mean(np.sum((e[home] / scale) ** 2, axis=1)))),
-            "home": float(home.mean()),
+            "all": float(np.sqrt(np.mean(np.sum((e[converged] / scale) ** 2, axis=1)))),
+            "home": float(converged.mean()),
         }
 
 
 def edge_sets(model: Any, rig: Any, seen: Any, trial: Trial) -> list[dict[str, Any]]:
     """All edges, the smallest set within 10 %, and sets of one size."""
-    from polhode.planning.edges.information import feature_information
-    from polhode.planning.edges.selection import edge_lengths, greedy, improved_by_exchange
-    from polhode.planning.edges.smallest_set import smallest_set
 
     sun_G = np.einsum("tji,tj->ti", seen.X_RG[:, :3, :3], seen.sun_R)
     information = feature_information(model, rig, seen.X_RG, sun_G, clear=True)
@@ -204,48 +198,40 @@ def edge_sets(model: Any, rig: Any, seen: Any, trial: Trial) -> list[dict[str, A
         ("longest", longest),
         *((f"random {n + 1}", one) for n, one in enumerate(random)),
     ]
-    out = []
-    for name, features in sets:
-        out.append(
-            {
-                "name": name,
-                "count": len(features),
-                **metric(information.C[:, features].sum(axis=1), model.radius_m),
-                **trial.errors(model.only(np.asarray(features))),
-            }
-        )
-    return out
+    return [
+        {
+            "name": name,
+            "count": len(features),
+            **metric(information.C[:, features].sum(axis=1), model.radius_m),
+            **trial.errors(model.only(np.asarray(features))),
+        }
+        for name, features in sets
+    ]
 
 
 def metric(C: Any, radius_m: float) -> dict[str, float]:
     """Root mean square and median over views (F, 6, 6)."""
     scale = np.array([radius_m] * 3 + [1.0] * 3)
-    trace = np.trace(np.linalg.inv(C * np.outer(scale, scale) + np.eye(6)), axis1=1, axis2=2)
+    trace = trace_of_inverse(C * np.outer(scale, scale))
     return {"metric": float(np.sqrt(trace.mean())), "metric_median": float(np.sqrt(np.median(trace)))}
 
 
-def table(lines: list[Case], key: str, what: str) -> str:
-    """Markdown."""
-    head = [
-        "body",
-        what,
-        "metric",
-        "its median",
-        "converged",
-        "error",
-        "its median",
-        *(f"{c} [mm]" for c in "xyz"),
+def show(lines: list[Case], key: str, what: str) -> None:
+    """Print a row for each trajectory, or set of edges."""
+    head = ["body", what, "metric", "its median", "converged", "error", "its median"]
+    head += [f"{c} [mm]" for c in "xyz"] + [f"about {c} [mrad]" for c in "xyz"]
+    rows = [
+        [
+            line["case"]["body"],
+            one["name"] + (f", {one['count']}" if "count" in one else ""),
+            *(f"{1e3 * one[value]:.2f}" for value in ("metric", "metric_median")),
+            f"{one['home']:.0%}",
+            *numbers(1e3 * np.array([one["all"], one["median"], *one["rms"]]), ".2f"),
+        ]
+        for line in lines
+        for one in line[key]
     ]
-    head += [f"about {c} [mrad]" for c in "xyz"]
-    rows = ["| " + " | ".join(head) + " |", "|---|---" + "|---:" * (len(head) - 2) + "|"]
-    for line in lines:
-        for one in line[key]:
-            name = one["name"] + (f", {one['count']}" if "count" in one else "")
-            cells = [f"{1e3 * one['metric']:.2f}", f"{1e3 * one['metric_median']:.2f}", f"{one['home']:.0%}"]
-            cells += [f"{1e3 * one['all']:.2f}", f"{1e3 * one['median']:.2f}"]
-            cells += [f"{1e3 * value:.2f}" for value in one["rms"]]
-            rows.append(f"| {line['case']['body']} | {name} | " + " | ".join(cells) + " |")
-    return "\n".join(rows)
+    print_table(head, rows, right_from=2)
 
 
 UP_N = np.array([0.0, -1.0, 0.0])
@@ -256,22 +242,17 @@ def draw_pictures(line: Case, folder: Path) -> None:
     name = line["case"]["body"]
     mesh, rig = edge_body(name).mesh, edge_rig()
     model, estimate = edge_model(mesh), tumbling(mesh)[0]
-    places = {way: np.asarray(p) for way, p in line["places_N"].items()}
+    places = {path: np.asarray(p) for path, p in line["places_N"].items()}
     time = np.linspace(0.0, DURATION_S, len(places["straight"]))
     motion = nominal_motion(estimate, time)
     o_N, sun_G = target_centres(model, motion), sun_in_G(motion, SUN_N)
-    figure = Figure(figsize=(11.5, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    space = figure.add_subplot(1, 2, 1)
-    over_time = figure.add_subplot(1, 2, 2)
-    scale = np.array([model.radius_m] * 3 + [1.0] * 3)
-    for n, (way, p_N) in enumerate(places.items()):
+    figure, (space, over_time) = subplots(1, 2, (11.5, 4.4), layout="constrained")
+    for n, (path, p_N) in enumerate(places.items()):
         X_RG = camera_poses(p_N, o_N, motion, UP_N)
-        C = feature_information(model, rig, X_RG, sun_G, clear=True).total * np.outer(scale, scale)
-        trace = np.trace(np.linalg.inv(C + np.eye(6)), axis1=1, axis2=2)
-        space.plot(*p_N[:, [0, 2]].T, color=f"C{n}", label=way)
+        trace = trace_of_inverse(feature_information(model, rig, X_RG, sun_G, clear=True).scaled.sum(axis=1))
+        space.plot(*p_N[:, [0, 2]].T, color=f"C{n}", label=path)
         space.plot(*p_N[-1, [0, 2]], "o", color=f"C{n}")
-        over_time.semilogy(time, 1e3 * np.sqrt(trace), color=f"C{n}", label=way)
+        over_time.semilogy(time, 1e3 * np.sqrt(trace), color=f"C{n}", label=path)
     corners = np.asarray(mesh.vertices) @ motion.R_NG[-1].T + motion.p_NG[-1]
     shadows = list(corners[np.asarray(mesh.faces)][:, :, [0, 2]])
     space.add_collection(PolyCollection(shadows, facecolor="0.75", edgecolor="none"))
@@ -282,7 +263,7 @@ def draw_pictures(line: Case, folder: Path) -> None:
     over_time.set(xlabel="time [s]", ylabel="root of tr (I + C)^-1, thousandths for one pixel")
     over_time.legend(fontsize=8)
     over_time.grid(alpha=0.3)
-    figure.savefig(folder / f"{name}_ways.png", dpi=90)
+    save_figure(figure, folder / f"{name}_ways.png", 90)
     k = len(time) // 2
     X_RG = camera_poses(places["straight"], o_N, motion, UP_N)[k : k + 1]
     found = contributions(feature_information(model, rig, X_RG))

@@ -12,7 +12,6 @@ import numpy as np
 from tyro.conf import arg
 
 from benchmarks.command import Png, Record, Short, Workers, command
-from benchmarks.edges.bodies import NAMES, SOLIDS, edge_body
 from benchmarks.edges.observability_tables import (
     Spot,
     good_and_bad_table,
@@ -22,13 +21,15 @@ from benchmarks.edges.observability_tables import (
     trend_table,
     wrong_table,
 )
-from benchmarks.edges.tracking.against_sky import body_beside, polarity
 from benchmarks.edges.tracking.calibrated_covariance import noise_parts, parts_of
 from benchmarks.edges.tracking.residual import support
-from benchmarks.edges.tracking.tracker import TrackingResult, track
+from benchmarks.edges.tracking.tracker import TrackingResult, body_beside, polarity, track
 from benchmarks.edges.views import (
+    NAMES,
+    SOLIDS,
     EdgeViews,
     ViewOptions,
+    edge_body,
     edge_rig,
     perturbed,
     random_poses,

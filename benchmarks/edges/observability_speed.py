@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from tyro.conf import arg
 
 from benchmarks.command import Short, command
-from benchmarks.edges.bodies import KINDS, edge_body
+from benchmarks.edges.views import KINDS, edge_body
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.edge_model import edge_model

@@ -16,10 +16,9 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from benchmarks.command import command
-from benchmarks.edges.bodies import edge_body
-from benchmarks.edges.trajectory.camera_path import min_range
-from benchmarks.edges.trajectory.view_table import camera_attitude, view_table
-from benchmarks.edges.views import edge_rig, random_poses
+from benchmarks.edges.trajectory_optimization import min_range
+from benchmarks.edges.view_table import camera_attitude, view_table
+from benchmarks.edges.views import edge_body, edge_rig, random_poses
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import make_pose

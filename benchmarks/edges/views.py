@@ -1,6 +1,4 @@
-"""Single views of a body for trials of edge trackers: random poses, sunlight, the sensor's noise.
-
-    python -m benchmarks.edges.views [BODY ...] [--rich] [--views 3] -o DIR  PNGs; prints seconds a view
+"""Rendered views of a body for trials of edge trackers: solids, bodies of the simulator, poses, light.
 
 What a trial needs, in this order:
 
@@ -13,39 +11,212 @@ What a trial needs, in this order:
     X_start = perturbed(X_CG, middle(target.mesh), seed=4)
     error = pose_errors(X_found, X_CG, middle(target.mesh))
 
-``target.mesh`` is the very mesh that the rays meet, in G. The parts of a body of the simulator overlap and
-are not joined, as those of a CAD model: where two meet there is an edge in the image but none in the mesh.
-Faces that share vertices and meet at less than ``CREASE_DEG`` are shaded smoothly: only sharper edges, and
-outlines, are edges in the image.
+``target.mesh`` is the mesh that the rays meet, in G. The parts of a body of the simulator overlap and are not
+joined, as in a CAD model: where two meet there is an edge in the image but none in the mesh. Faces that share
+vertices and meet at less than ``CREASE_DEG`` are shaded smoothly: only sharper edges, and outlines, are edges
+in the image.
 
 Camera frame C: x right, y down, z forward; pixel centres are integers, no distortion. The Sun's direction is
 given in C, from the target to the Sun. The Earth fills the shadows, from the other side of the camera.
-Everything is determined by the seeds, an image by its number, too: views can be made in any order.
+The seeds determine everything, and the number of an image its noise: views can be made in any order.
 """
 
-import time
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import trimesh
-from tyro.conf import Positional, arg
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
-from benchmarks.command import command
-from benchmarks.edges.bodies import NAMES, EdgeBody, edge_body
 from polhode.camera import RectifiedRig
 from polhode.config import scene as config
-from polhode.dataset_writer import write_png
+from polhode.errors import InputError
 from polhode.images import Grey
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.planning.edges.observability_metric import pose_error
+from polhode.simulation.bodies import Body, build_body
+from polhode.simulation.bodies.part import Part, assemble, join
+from polhode.simulation.bodies.solids import SMOOTH_BELOW_DEG, hull, prism
 from polhode.simulation.rendering.render import Renderer
 from polhode.simulation.stereo_camera import Camera, expose
+from polhode.simulation.surface.materials import Material
+
+
+def block() -> trimesh.Trimesh:
+    """A box of three different sides with one corner cut off."""
+    half = np.array([0.45, 0.3, 0.21])
+    corners = half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    kept = corners[~(corners > 0).all(axis=1)]
+    cut = half - np.diag([0.3, 0.22, 0.2])
+    return hull(np.vstack([kept, cut]))
+
+
+def wedge() -> trimesh.Trimesh:
+    """A tapered prism on an uneven quadrangle: few edges are parallel."""
+    return _middled(prism([[-0.5, -0.3], [0.5, -0.35], [0.4, 0.3], [-0.35, 0.36]], 0.55, taper=0.62))
+
+
+def house() -> trimesh.Trimesh:
+    """A pentagonal prism with an uneven roof."""
+    return _middled(prism([[-0.45, -0.25], [0.45, -0.25], [0.45, 0.1], [0.1, 0.34], [-0.45, 0.16]], 0.6))
+
+
+def ell() -> trimesh.Trimesh:
+    """An L with unequal arms."""
+    outline = [[-0.5, -0.3], [0.5, -0.3], [0.5, -0.02], [-0.15, -0.02], [-0.15, 0.4], [-0.5, 0.4]]
+    return extruded(outline, [-0.3, -0.15], 0.36)
+
+
+def tee() -> trimesh.Trimesh:
+    """A T whose stem stands aside of its middle."""
+    outline = [[-0.5, 0.1], [0.55, 0.1], [0.55, 0.34], [-0.5, 0.34]]
+    stem = [[0.05, 0.1], [0.05, -0.42], [-0.2, -0.42], [-0.2, 0.1]]
+    return extruded([outline[0], *stem[::-1], *outline[1:]], [-0.1, 0.2], 0.3)
+
+
+def steps() -> trimesh.Trimesh:
+    """A staircase of three unequal steps."""
+    outline = [[-0.5, -0.3], [0.5, -0.3], [0.5, -0.14], [0.12, -0.14], [0.12, 0.1], [-0.2, 0.1], [-0.2, 0.3],
+               [-0.5, 0.3]]  # fmt: skip
+    return extruded(outline, [-0.35, -0.22], 0.5)
+
+
+def drum() -> trimesh.Trimesh:
+    """A tapered drum of seven unequal sides."""
+    angle = np.deg2rad([0, 48, 102, 150, 205, 262, 310])
+    return _middled(prism(0.38 * np.column_stack([np.cos(angle), np.sin(angle)]), 0.6, taper=0.75))
+
+
+def satellite() -> trimesh.Trimesh:
+    """A box with an instrument on it and two thin panels of unequal length on bars."""
+    parts = [
+        ([0.5, 0.42, 0.6], [0, 0, 0]),
+        ([0.2, 0.16, 0.14], [0.1, 0.05, 0.36]),
+        ([0.36, 0.5, 0.012], [0, 0.56, 0.06]),
+        ([0.36, 0.36, 0.012], [0, -0.49, 0.06]),
+        ([0.03, 0.24, 0.03], [0, 0.27, 0.06]),
+        ([0.03, 0.24, 0.03], [0, -0.27, 0.06]),
+    ]
+    boxes = [trimesh.creation.box(extents) for extents, _ in parts]
+    for box, (_, place) in zip(boxes, parts, strict=True):
+        box.apply_translation(place)
+    return join(boxes)
+
+
+SOLIDS: dict[str, Callable[[], trimesh.Trimesh]] = {
+    solid.__name__: solid for solid in (block, wedge, house, ell, tee, steps, drum, satellite)
+}
+
+
+def extruded(outline: ArrayLike, inside: ArrayLike, height: float) -> trimesh.Trimesh:
+    """An outline (n, 2), counter-clockwise, all of it visible from the point ``inside`` (2,), made a solid.
+
+    z from -height / 2 to height / 2; each end is a fan around the point.
+    """
+    flat = np.vstack([np.asarray(outline, dtype=np.float64), np.asarray(inside, dtype=np.float64)])
+    n = len(flat) - 1
+    vertices = np.vstack([np.column_stack([flat, np.full(n + 1, z)]) for z in (-0.5 * height, 0.5 * height)])
+    faces = []
+    for a in range(n):
+        b = (a + 1) % n
+        up_a, up_b = a + n + 1, b + n + 1
+        faces += [[b, a, n], [up_a, up_b, 2 * n + 1], [a, b, up_b], [a, up_b, up_a]]
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def _middled(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    mesh.apply_translation(-np.asarray(mesh.bounds).mean(axis=0))
+    return mesh
+
+
+CREASE_DEG = SMOOTH_BELOW_DEG
+"""Faces that share vertices and meet at less than this look like one curved surface."""
+MATTE = Material(0.5, 0.0, 1.0)
+"""A diffuse grey without any texture: only shape makes edges."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A body of the simulator as trials use it."""
+
+    family: str
+    size_m: float
+    seed: int
+
+
+KINDS = {
+    "bus": Kind("bus", 0.42, 1),
+    "cubesat": Kind("cubesat", 0.5, 4),
+    "truss": Kind("truss", 1.0, 3),
+    "upper_stage": Kind("upper_stage", 1.2, 3),
+    "free_flyer": Kind("free_flyer", 0.5, 1),
+    "dish": Kind("dish", 0.6, 2),
+}
+"""Bodies of simulation/bodies, 0.6 to 1.2 m over all."""
+
+
+@dataclass(frozen=True)
+class EdgeBody:
+    """A body to be seen."""
+
+    name: str
+    body: Body
+    config: config.TargetBody
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """What the rays meet, in G [m]."""
+        return self.body.mesh
+
+
+def edge_body(source: str | Path | trimesh.Trimesh, plain: bool = True, name: str = "mesh") -> EdgeBody:
+    """A body by its name (``NAMES``), from a mesh file in metres, or from a mesh in G.
+
+    plain: one matte grey without any texture, so that shape alone makes edges; else the body's own surface
+    (paint, cells, foil, stickers), which solids have not. Raises InputError (files).
+    """
+    described = config.TargetBody(contrast=0.0)
+    if isinstance(source, trimesh.Trimesh):
+        body = assemble([Part(source, MATTE)])
+    elif isinstance(source, str) and source in SOLIDS:
+        name, body = source, assemble([Part(SOLIDS[source](), MATTE)])
+    elif isinstance(source, str) and source in KINDS:
+        kind, name = KINDS[source], source
+        described = config.TargetBody.model_validate(
+            {"family": kind.family, "size_m": kind.size_m, "seed": kind.seed}
+        )
+        body = build_body(described, kind.seed)
+    elif isinstance(source, Path):
+        described, name = config.TargetBody(family="mesh", path=str(source), metres_per_unit=1.0), source.stem
+        body = build_body(described, 0)
+    else:
+        raise InputError(f"{source}: no such body; choose from {', '.join(NAMES)}, or give a mesh file")
+    return EdgeBody(name, in_matte(body) if plain else body, described)
+
+
+def in_matte(body: Body) -> Body:
+    """The same shape, of one material."""
+    faces = len(body.mesh.faces)
+    return replace(
+        body,
+        face_material=np.zeros(faces, dtype=np.int64),
+        materials=(MATTE,),
+        face_chart=np.full(faces, -1),
+        charts=(),
+        chart_layers=np.zeros((0, 0), dtype=np.int64),
+        colours=None,
+    )
+
+
+NAMES = (*SOLIDS, *KINDS)
+
 
 SUN_TO_EARTH_DEG = 100.0
 """Between Sun and Earth, on either side of the direction to the camera."""
-SUN_N = np.array([0.0, 0.0, 1.0])
-EARTH_N = np.array([np.sin(np.deg2rad(SUN_TO_EARTH_DEG)), 0.0, np.cos(np.deg2rad(SUN_TO_EARTH_DEG))])
+SUN_N = (0.0, 0.0, 1.0)
+EARTH_N = (float(np.sin(np.deg2rad(SUN_TO_EARTH_DEG))), 0.0, float(np.cos(np.deg2rad(SUN_TO_EARTH_DEG))))
 
 
 @dataclass(frozen=True)
@@ -88,8 +259,8 @@ class EdgeViews:
         light = config.Light(
             sun=chosen.sun,
             earth=chosen.earth,
-            sun_direction_N=_triple(SUN_N),
-            earth_direction_N=_triple(EARTH_N),
+            sun_direction_N=SUN_N,
+            earth_direction_N=EARTH_N,
         )
         section = config.Rig(width_px=rig.width_px, height_px=rig.height_px, focal_px=rig.focal_px)
         scene = config.Scene(
@@ -163,11 +334,8 @@ def random_poses(
 
 
 def random_rotation(rng: np.random.Generator) -> Array:
-    """A rotation (3, 3), evenly over all: from a normally distributed quaternion."""
-    w, x, y, z = (q := rng.standard_normal(4)) / np.linalg.norm(q)
-    v = np.array([x, y, z])
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray((w * w - v @ v) * np.eye(3) + 2.0 * np.outer(v, v) + 2.0 * w * K)
+    """A rotation (3, 3), uniform over all: from a normally distributed quaternion."""
+    return np.asarray(Rotation.from_quat(rng.standard_normal(4), scalar_first=True).as_matrix())
 
 
 def random_suns(count: int, seed: int, within_deg: tuple[float, float] = (20.0, 75.0)) -> Array:
@@ -192,46 +360,5 @@ def perturbed(X_CG: Array, about_G: Array, seed: int, angle_deg: float = 2.0, sh
 
 
 def pose_errors(X_found: Array, X_CG: Array, about_G: Array) -> Array:
-    """Errors (V, 6) of poses (V, 4, 4): of the place of ``about_G`` [m], then rotation vector [rad], in C.
-
-    X_found is X_CG turned by the rotation vector about ``about_G`` and moved.
-    """
-    errors = np.empty((len(X_CG), 6))
-    for error, found, true in zip(errors, X_found, X_CG, strict=True):
-        error[:3] = (found - true)[:3] @ np.append(about_G, 1.0)
-        error[3:] = log_so3(found[:3, :3] @ true[:3, :3].T)
-    return errors
-
-
-def _triple(v: Array) -> tuple[float, float, float]:
-    return float(v[0]), float(v[1]), float(v[2])
-
-
-def main(
-    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR", help="Folder of the images.")],
-    bodies: Positional[tuple[str, ...]] = (),
-    rich: Annotated[bool, arg(help="The surfaces of the bodies themselves.")] = False,
-    views: Annotated[int, arg(help="Views of each body.")] = 3,
-    samples: Annotated[int, arg(help="Rays a pixel: 1, 4, 9 or 16.")] = 4,
-) -> None:
-    """Write PNGs of every body."""
-    rig = edge_rig()
-    output.mkdir(parents=True, exist_ok=True)
-    print("| body | faces | length [m] | s to prepare | s per view |\n|---|---:|---:|---:|---:|")
-    for name in bodies or NAMES:
-        start = time.process_time()
-        target = edge_body(name, plain=not rich)
-        scene = EdgeViews(target, rig, 0, ViewOptions(samples=samples))
-        poses = random_poses(target.mesh, rig, views + 1, seed=1)
-        suns = random_suns(len(poses), seed=2)
-        scene.image(poses[-1], suns[-1], views)
-        ready = time.process_time()
-        images = scene.images(poses[:-1], suns[:-1])
-        each_s = (time.process_time() - ready) / views
-        length = float(np.ptp(target.mesh.vertices, axis=0).max())
-        print(f"| {name} | {len(target.mesh.faces):,} | {length:.2f} | {ready - start:.1f} | {each_s:.2f} |")
-        write_png(output / f"{name}{'_rich' if rich else ''}.png", np.hstack(images))
-
-
-if __name__ == "__main__":
-    command(main)
+    """`edge_motion.pose_error` (V, 6) [m, rad] of poses (V, 4, 4), about ``about_G`` (3,), along C's axes."""
+    return np.array([pose_error(found, true, about_G) for found, true in zip(X_found, X_CG, strict=True)])

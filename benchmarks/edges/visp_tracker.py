@@ -38,12 +38,13 @@ from PIL import Image
 from tyro.conf import Positional, arg
 
 from benchmarks.command import command
-from benchmarks.edges.bodies import SOLIDS, edge_body
-from benchmarks.edges.tracking.calibrated_covariance import LEVELS, parts_of
+from benchmarks.edges.tracking.calibrated_covariance import LEVELS, nees, parts_of
 from benchmarks.edges.tracking.residual import TRUSTED, probability, support
 from benchmarks.edges.tracking.tracker import track
 from benchmarks.edges.views import (
+    SOLIDS,
     EdgeViews,
+    edge_body,
     edge_rig,
     middle,
     perturbed,
@@ -307,12 +308,6 @@ def row(body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array, se
     cells += [f"{1e3 * np.median(place_m[good]):.2f}", f"{np.median(turn_deg[good]):.3f}"]
     cells.append(f"{seconds / len(X_CG):.3f}")
     return f"| {' | '.join(cells)} |"
-
-
-def nees(errors: Array, covariance: Array) -> Array:
-    """Squared errors (V, 6) over covariances (V, 6, 6), summed: (V,)."""
-    solved = np.linalg.solve(covariance, errors[:, :, None])[:, :, 0]
-    return np.asarray(np.einsum("vk,vk->v", errors, solved))
 
 
 def main(

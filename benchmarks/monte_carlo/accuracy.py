@@ -1,11 +1,11 @@
-"""Monte Carlo at the thesis's size: errors against the Cramer-Rao bound, and whether the sigmas are honest.
+"""Monte Carlo at the thesis's size: errors against the Cramer-Rao bound, and consistency of the sigmas.
 
     python -m benchmarks.monte_carlo.accuracy [--seeds 100] [--motions 6] [--workers 2] [--short]
                                   [--estimated] [--record FILE]
 
 Per motion and noise: 115 frames, about 2,400 landmarks and 24,700 stereo observations, a cold start from
 relative poses, full smoothing. ``--estimated``: the strength of the process noise is estimated too; else it
-is given. What was measured before is read from the record: an interrupted benchmark goes on where it stopped.
+is given.
 
 "RMSE / bound" divides the root mean squared error over seeds and frames by that of the bound at the true
 state (``benchmarks/monte_carlo/bound.py``). "NEES" is the mean normalised squared error over its expectation;
@@ -21,14 +21,25 @@ import numpy as np
 from scipy.stats import chi2
 from tyro.conf import arg
 
-from benchmarks.command import RECORDS, Record, Short, Workers, command
-from benchmarks.presentation import table_head, table_row
+from benchmarks.command import RECORDS, Record, Seeds, Short, Workers, command
+from benchmarks.monte_carlo.bound import (
+    COMPONENTS,
+    UNITS,
+    cold_start,
+    cramer_rao_bound,
+    errors_of,
+    normalised_squares,
+)
+from benchmarks.presentation import numbers, print_table
 from benchmarks.record import Case, complete, measured
 from polhode.compare.problem.sources import SCENES
+from polhode.config.backend import Backend
+from polhode.errors import RunFailure
 from polhode.lie import Array
+from polhode.simulation.monte_carlo import generate
 
 RECORD = RECORDS / "accuracy.jsonl"
-"""Kept in the repository: a thousand sequences take an hour, and any machine can go on with them."""
+"""Kept in the repository: a thousand sequences take an hour, and any machine can continue."""
 MOTIONS = {
     "spin of 10 RPM near the middle axis (TS38)": SCENES["ts38"],
     "flip of a box, 8 RPM": SCENES["flip"],
@@ -41,11 +52,12 @@ MOTIONS = {
 }
 NOISES_PX = (1.0, 0.3)
 SHORT_MOTIONS, SHORT_SEEDS = 3, 2
-HEAD = ("motion", "noise [px]", "seeds", "r", "v", "attitude", "w", "com", "inertia")
+QUANTITIES = ("r", "v", "attitude", "w", "com", "inertia")
+HEAD = ("motion", "noise [px]", "seeds", *QUANTITIES)
 
 
 def main(
-    seeds: Annotated[int, arg(help="Sequences per cell.")] = 100,
+    seeds: Seeds = 100,
     motions: Annotated[int, arg(help="So many of the motions.")] = len(MOTIONS),
     workers: Workers = 2,
     short: Short = False,
@@ -54,12 +66,11 @@ def main(
 ) -> None:
     """Measure what the record lacks, print the tables."""
     names = list(MOTIONS)[: SHORT_MOTIONS if short else motions]
-    draws = range(SHORT_SEEDS if short else seeds)
     mode = "estimated" if estimated else "given"
     # seeds outermost: an interrupted benchmark has as many of each cell
     cases = [
         {"motion": motion, "noise_px": noise, "process_noise": mode, "seed": seed}
-        for seed in draws
+        for seed in range(SHORT_SEEDS if short else seeds)
         for motion in names
         for noise in NOISES_PX
     ]
@@ -73,16 +84,9 @@ def main(
 
 def measure(case: Case) -> Case:
     """One sequence: squared errors, those of the bound, normalised squares, degrees of freedom."""
-    from benchmarks.monte_carlo.bound import cramer_rao_bound, errors_of, normalised_squares
-    from polhode.backend import estimate_motion, initialize_motion
-    from polhode.config.backend import Backend
-    from polhode.errors import RunFailure
-    from polhode.progress import Silent
-    from polhode.simulation.monte_carlo import generate
-
     noise = case["noise_px"]
     scene = replace(MOTIONS[case["motion"]], sigma_uv_px=noise, sigma_d_px=noise)
-    # other draws in every cell
+    # other seeds in every cell
     cell = list(MOTIONS).index(case["motion"]) * len(NOISES_PX) + NOISES_PX.index(noise)
     sequence = generate(scene, 1000 * cell + case["seed"])
     known = {"accel_psd": scene.accel_psd, "torque_psd": scene.torque_psd}
@@ -93,8 +97,7 @@ def measure(case: Case) -> Case:
     config = given if case["process_noise"] == "given" else estimated
     start = time.perf_counter()
     try:
-        initial = initialize_motion(sequence.tracks, sequence.relative, config)
-        estimate = estimate_motion(sequence.tracks, initial, config, Silent())
+        _, estimate = cold_start(sequence, config)
     except RunFailure as failure:
         return {"failure": str(failure)}
     seconds = time.perf_counter() - start
@@ -114,46 +117,44 @@ def measure(case: Case) -> Case:
 
 
 def print_tables(cells: list[tuple[tuple[str, float], list[Case]]]) -> None:
-    """Errors, errors over the bound, consistency; and in a sentence how many cells hold."""
+    """Errors, errors over the bound, consistency; and in how many cells these hold."""
+    names = [(*name, _count(lines)) for name, lines in cells]
+    good_cells = [good(lines) for _, lines in cells]
+    all_lines = [line for _, lines in cells for line in lines]
+    all_good = good(all_lines)
     print("\nRoot mean squared errors: mm, mm/s, deg, deg/s, mm, and of k1, k2\n")
-    print(table_head((*HEAD[:-1], "k1", "k2")))
-    for (motion, noise), lines in cells:
-        good = _good(lines)
-        squares = np.mean([line["squares"] for line in good], axis=0)[:5]
-        ratios = np.sqrt(np.mean(np.square([line["ratios"] for line in good]), axis=0))
-        unit = np.array([1e3, 1e3, np.rad2deg(1.0), np.rad2deg(1.0), 1e3])
-        numbers = [f"{x:.3g}" for x in (*(unit * np.sqrt(squares)), *ratios)]
-        print(table_row((motion, noise, _count(lines), *numbers)))
+    rows = []
+    for name, lines in zip(names, good_cells, strict=True):
+        squares = np.mean([line["squares"] for line in lines], axis=0)[:5]
+        ratios = np.sqrt(np.mean(np.square([line["ratios"] for line in lines]), axis=0))
+        rows.append([*name, *numbers((*(UNITS[:5] * np.sqrt(squares)), *ratios), ".3g")])
+    print_table((*HEAD[:-1], "k1", "k2"), rows)
+    over = [over_bound(lines) for lines in good_cells]
+    everything = ("all", "", _count(all_lines))
+    together = np.sqrt(np.mean([np.divide(line["squares"], line["bound"]) for line in all_good], axis=0))
     print("\nRMSE / bound\n")
-    print(table_head(HEAD))
-    over = [over_bound(_good(lines)) for _, lines in cells]
-    for ((motion, noise), lines), values in zip(cells, over, strict=True):
-        print(
-            table_row((motion, noise, _count(lines), *(f"{x:.3f}{'*' if x > 1.15 else ''}" for x in values)))
-        )
-    runs = [line for _, lines in cells for line in lines]
-    together = np.sqrt(np.mean([np.divide(line["squares"], line["bound"]) for line in _good(runs)], axis=0))
-    print(table_row(("all", "", _count(runs), *(f"{x:.3f}" for x in together))))
+    rows = [
+        [*name, *(f"{x:.3f}{'*' if x > 1.15 else ''}" for x in values)]
+        for name, values in zip(names, over, strict=True)
+    ]
+    print_table(HEAD, [*rows, [*everything, *numbers(together, ".3f")]])
     print("\nNEES over its expectation (95 % band)\n")
-    print(table_head(HEAD))
-    inside = []
-    for (motion, noise), lines in cells:
-        nees, low, high = consistency(_good(lines))
-        inside += list((nees >= low) & (nees <= high))
-        print(table_row((motion, noise, _count(lines), *_with_band(nees, low, high))))
-    print(table_row(("all", "", _count(runs), *_with_band(*consistency(_good(runs))))))
-    seconds = np.median([line["seconds"] for line in _good(runs)])
+    consistent = [consistency(lines) for lines in good_cells]
+    inside = [(low <= nees) & (nees <= high) for nees, low, high in consistent]
+    rows = [[*name, *with_band(lines)] for name, lines in zip(names, good_cells, strict=True)]
+    print_table(HEAD, [*rows, [*everything, *with_band(all_good)]])
+    seconds = np.median([line["seconds"] for line in all_good])
     print(
         f"\nRMSE at most {np.max(over):.3f} of the bound, "
         f"at most 1.15 in {np.mean(np.array(over) <= 1.15):.1%} "
         f"of the cells; NEES inside its band in {np.mean(inside):.1%}; "
-        f"{len(runs) - len(_good(runs))} of {len(runs)} runs failed; {seconds:.1f} s a run."
+        f"{len(all_lines) - len(all_good)} of {len(all_lines)} runs failed; {seconds:.1f} s a run."
     )
 
 
 def print_cost_of_estimating(estimated: list[Case], given: list[Case]) -> None:
     """The same sequences with the process noise estimated and given, all together."""
-    pairs = same_sequences(_good(estimated), _good(given))
+    pairs = same_sequences(good(estimated), good(given))
     if not pairs:
         return
     ours, theirs = (list(lines) for lines in zip(*pairs, strict=True))
@@ -162,10 +163,12 @@ def print_cost_of_estimating(estimated: list[Case], given: list[Case]) -> None:
         for some in (ours, theirs)
     ]
     print(f"\nThe same {len(pairs)} sequences with the process noise given\n")
-    print(table_head(("", *HEAD[3:])))
-    print(table_row(("RMSE, estimated over given", *(f"{x:.3f}" for x in np.sqrt(squares[0] / squares[1])))))
-    for name, some in (("NEES, estimated", ours), ("NEES, given", theirs)):
-        print(table_row((name, *_with_band(*consistency(some)))))
+    rows = [
+        ["RMSE, estimated over given", *numbers(np.sqrt(squares[0] / squares[1]), ".3f")],
+        ["NEES, estimated", *with_band(ours)],
+        ["NEES, given", *with_band(theirs)],
+    ]
+    print_table(("", *QUANTITIES), rows)
 
 
 def same_sequences(estimated: list[Case], given: list[Case]) -> list[tuple[Case, Case]]:
@@ -183,8 +186,6 @@ def over_bound(lines: list[Case]) -> Array:
 
 def consistency(lines: list[Case]) -> tuple[Array, Array, Array]:
     """Mean NEES over its expectation (6,), with the ends of its 95 % band (6,) each."""
-    from benchmarks.monte_carlo.bound import COMPONENTS
-
     nees, freedom = (np.array([line[name] for line in lines]) for name in ("nees", "freedom"))
     known = np.isfinite(nees)
     total = np.sum(freedom * known, axis=0)
@@ -193,10 +194,11 @@ def consistency(lines: list[Case]) -> tuple[Array, Array, Array]:
     return np.asarray(mean), chi2.ppf(0.025, total) / total, chi2.ppf(0.975, total) / total
 
 
-def _with_band(values: Array, low: Array, high: Array) -> list[str]:
+def with_band(lines: list[Case]) -> list[str]:
+    """Cells of `consistency`; * marks what lies outside of its band."""
     return [
         f"{x:.2f}{'' if a <= x <= b else '*'} ({a:.2f}-{b:.2f})"
-        for x, a, b in zip(values, low, high, strict=True)
+        for x, a, b in zip(*consistency(lines), strict=True)
     ]
 
 
@@ -204,12 +206,13 @@ def _cell(line: Case) -> tuple[str, float]:
     return line["case"]["motion"], line["case"]["noise_px"]
 
 
-def _good(lines: list[Case]) -> list[Case]:
+def good(lines: list[Case]) -> list[Case]:
+    """Those of runs that did not fail."""
     return [line for line in lines if "failure" not in line]
 
 
 def _count(lines: list[Case]) -> str:
-    failed = len(lines) - len(_good(lines))
+    failed = len(lines) - len(good(lines))
     return f"{len(lines)}" + (f" ({failed} failed)" if failed else "")
 
 

@@ -1,37 +1,48 @@
-"""The Cramer-Rao bound of a Monte Carlo sequence, and the errors of an estimate beside it.
-
-The bound is the inverse of the Gauss-Newton information at the true state: the measurements' true noise, and
-the true process noise as prior on the motion (posterior Cramer-Rao bound of Van Trees, for the states that
-were drawn). G is held at its pose in the first frame, as in the estimate's covariance.
+"""The Cramer-Rao bound of a Monte Carlo sequence against the noise of pixels and the disturbances.
 
     python -m benchmarks.monte_carlo.bound
 
-prints how it falls with the noise of the pixels and with the disturbances.
+The bound is the inverse of the Gauss-Newton information at the true state: the measurements' true noise, and
+the true process noise as prior on the motion (posterior Cramer-Rao bound of Van Trees, for the simulated
+states). G is fixed at its pose in the first frame, as in the estimate's covariance. Other benchmarks take the
+cold start of a sequence and the errors of its estimate from here.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from benchmarks.command import command
+from benchmarks.presentation import numbers, print_table
+from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.problem.inertia import FORMS, InertiaForm, second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CONSTANTS, Iterate
-from polhode.backend.problem.motion_data import motion_data
+from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
-from polhode.backend.uncertainty.covariance import marginals, state_jacobians
+from polhode.backend.uncertainty.covariance import Marginals, marginals, state_jacobians
 from polhode.backend.uncertainty.identifiability import analyse
 from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.config.backend import Backend
 from polhode.lie import Array, hat, inverse_pose, log_so3
-from polhode.records import MotionEstimate
+from polhode.progress import Silent
+from polhode.records import InitialMotion, MotionEstimate
 from polhode.rigid_body import HALF_TURNS, best_half_turn
 from polhode.simulation.monte_carlo import SyntheticSequence, generate
 
 QUANTITIES = ("position", "velocity", "attitude", "angular velocity", "centre of mass", "inertia")
 """r along N [m], v along N [m/s], theta in P [rad], w along N [rad/s], com_G [m], the five numbers xi."""
 COMPONENTS = np.array([3, 3, 3, 3, 3, 5])
+UNITS = np.array([1e3, 1e3, np.rad2deg(1.0), np.rad2deg(1.0), 1e3, 1.0])
+"""To mm, mm/s, deg, deg/s, mm."""
+
+
+def cold_start(sequence: SyntheticSequence, config: Backend) -> tuple[InitialMotion, MotionEstimate]:
+    """Initial motion from the relative poses, and the estimate. Raises RunFailure."""
+    initial = initialize_motion(sequence.tracks, sequence.relative, config)
+    return initial, estimate_motion(sequence.tracks, initial, config, Silent())
 
 
 @dataclass(frozen=True)
@@ -61,10 +72,7 @@ def cramer_rao_bound(sequence: SyntheticSequence, config: Backend, frames: slice
 
     Outliers carry no information. ``frames``: those whose states are wanted, from the measurements of all.
     """
-    data, truth = motion_data(sequence.tracks, config), true_iterate(sequence, config)
-    # next to nothing, so that a landmark of outliers alone can still be eliminated
-    weight = np.where(sequence.outlier[data.order], 1e-6, 1.0)
-    m = marginals(GaussNewton(data), linearization_point(data, truth, TIGHT_GAUGE), truth.vector(), weight)
+    data, truth, m = _marginals_at_truth(sequence, config)
     joint = joint_of_states(truth, data.form, m.dense, data.camera_N)
     F, n = truth.n_frames, truth.n_states
     joint = joint.reshape(F, 12, F, 12)[frames, :, frames]
@@ -72,6 +80,16 @@ def cramer_rao_bound(sequence: SyntheticSequence, config: Backend, frames: slice
     states, joint = joint[np.arange(F), :, np.arange(F)], joint.reshape(12 * F, 12 * F)
     freedom = np.array([*(_freedom(joint, quantity) for quantity in range(4)), 3.0, 5.0])
     return Bound(states, m.dense[n : n + 3, n : n + 3], m.dense[n + 3 :, n + 3 :], freedom)
+
+
+def _marginals_at_truth(
+    sequence: SyntheticSequence, config: Backend
+) -> tuple[MotionData, Iterate, Marginals]:
+    data, truth = motion_data(sequence.tracks, config), true_iterate(sequence, config)
+    # nearly 0, so that a landmark of outliers alone can still be eliminated
+    weight = np.where(sequence.outlier[data.order], 1e-6, 1.0)
+    fixed = linearization_point(data, truth, TIGHT_GAUGE)
+    return data, truth, marginals(GaussNewton(data), fixed, truth.vector(), weight)
 
 
 def true_iterate(sequence: SyntheticSequence, config: Backend) -> Iterate:
@@ -229,9 +247,7 @@ def _nees(errors: Array, covariance: Array) -> float:
 
 def determined_at_truth(sequence: SyntheticSequence, config: Backend) -> list[bool]:
     """What the information at the truth determines (8): com along x, y, z of P, k1, k2, axes about them."""
-    data, truth = motion_data(sequence.tracks, config), true_iterate(sequence, config)
-    weight = np.where(sequence.outlier[data.order], 1e-6, 1.0)
-    m = marginals(GaussNewton(data), linearization_point(data, truth, TIGHT_GAUGE), truth.vector(), weight)
+    data, truth, m = _marginals_at_truth(sequence, config)
     derivative = axes_derivative(data.form, truth)
     record = analyse(m.constants_information, derivative, truth.w_G @ derivative.R_GP).record
     return [*map(bool, record.com_P), record.k1, record.k2, *map(bool, record.axes_P)]
@@ -252,14 +268,14 @@ PIXELS, DISTURBANCES = (1.0, 0.3, 0.1), (1e-6, 1e-8, 1e-10)
 
 
 def main() -> None:
-    """Root mean squared bounds over the frames, for noises of pixels and disturbances."""
+    """Root mean square bounds over the frames."""
+    head = "motion | noise [px] | disturbances | r mm | v mm/s | attitude deg | w deg/s | com mm | inertia"
+    print_table(head, _rows())
+
+
+def _rows() -> Iterator[list[object]]:
     from benchmarks.monte_carlo.accuracy import MOTIONS
 
-    unit = np.array([1e3, 1e3, np.rad2deg(1.0), np.rad2deg(1.0), 1e3, 1.0])
-    print(
-        "| motion | noise [px] | disturbances | r mm | v mm/s | attitude deg | w deg/s | com mm | inertia |"
-    )
-    print("|" + "---|" * 9)
     for motion in SHOWN:
         for psd in DISTURBANCES:
             for noise in PIXELS:
@@ -267,8 +283,8 @@ def main() -> None:
                     MOTIONS[motion], sigma_uv_px=noise, sigma_d_px=noise, accel_psd=psd, torque_psd=psd
                 )
                 bound = cramer_rao_bound(generate(scene, 0), Backend(accel_psd=psd, torque_psd=psd))
-                numbers = " | ".join(f"{x:.2g}" for x in unit * np.sqrt(bound.mean_squares))
-                print(f"| {motion} | {noise} | {psd:.0e} | {numbers} |", flush=True)
+                rms = UNITS * np.sqrt(bound.mean_squares)
+                yield [motion, noise, f"{psd:.0e}", *numbers(rms, ".2g")]
 
 
 if __name__ == "__main__":

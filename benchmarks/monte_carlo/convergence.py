@@ -1,10 +1,10 @@
-"""Does a cold start end at the truth, and does it know what it cannot know? Random bodies and spins.
+"""Does a cold start end at the truth, and does it report what is undetermined? Random bodies and spins.
 
     python -m benchmarks.monte_carlo.convergence [--scenes 480] [--workers 2] [--short] [--record FILE]
 
 Two of three scenes are any body with any spin; the others are hard to tell: nearly a pure spin, nearly equal
 moments, slow, or short. Each has 1 px or 0.3 px of noise, 5 % gross errors, 10 % wrong relative poses; the
-process noise is estimated. What was measured before is read from the record.
+process noise is estimated.
 
 A quantity is wrong when its error exceeds five of the standard deviations that were stated and a tolerance
 (1 mm, 0.02 of a ratio, 2 degrees). "converge": of the scenes in which the information at the truth determines
@@ -20,10 +20,14 @@ from scipy.spatial.transform import Rotation
 from tyro.conf import arg
 
 from benchmarks.command import RECORDS, Record, Short, Workers, command
+from benchmarks.monte_carlo.bound import cold_start, constants_errors, determined_at_truth
+from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
+from polhode.config.backend import Backend
+from polhode.errors import RunFailure
 from polhode.lie import Array
 from polhode.records import MotionEstimate
-from polhode.simulation.monte_carlo import RPM, SyntheticScene, random_scene
+from polhode.simulation.monte_carlo import RPM, SyntheticScene, generate, random_scene
 
 RECORD = RECORDS / "convergence.jsonl"
 KINDS = (*["any"] * 8, "spin", "equal moments", "slow", "short")
@@ -41,7 +45,7 @@ def main(
 ) -> None:
     """Measure what the record lacks, print the table and the seeds that went wrong."""
     seeds = range(SHORT_SCENES if short else scenes)
-    print_table(complete(record, [{"seed": seed} for seed in seeds], measure, workers))
+    print_tables(complete(record, [{"seed": seed} for seed in seeds], measure, workers))
 
 
 def scene_of(seed: int) -> tuple[str, SyntheticScene]:
@@ -77,13 +81,6 @@ def _spin(scene: SyntheticScene, axes: Array, rng: np.random.Generator) -> Synth
 
 def measure(case: Case) -> Case:
     """Errors, stated standard deviations and verdicts of one scene."""
-    from benchmarks.monte_carlo.bound import constants_errors, determined_at_truth
-    from polhode.backend import estimate_motion, initialize_motion
-    from polhode.config.backend import Backend
-    from polhode.errors import RunFailure
-    from polhode.progress import Silent
-    from polhode.simulation.monte_carlo import generate
-
     kind, scene = scene_of(case["seed"])
     sequence = generate(scene, case["seed"])
     config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0))
@@ -91,8 +88,7 @@ def measure(case: Case) -> Case:
     known = determined_at_truth(sequence, given)
     start = time.perf_counter()
     try:
-        initial = initialize_motion(sequence.tracks, sequence.relative, config)
-        estimate = estimate_motion(sequence.tracks, initial, config, Silent())
+        initial, estimate = cold_start(sequence, config)
     except RunFailure as failure:
         return {"kind": kind, "failure": str(failure), "determined_at_truth": known}
     return {
@@ -122,44 +118,49 @@ def wrong(line: Case) -> Array:
 
 
 def missed(line: Case) -> bool:
-    """Everything could be known, but something is wrong, or was not told."""
+    """Everything is determined, but something is wrong or was reported as undetermined."""
     if "failure" in line:
         return True
-    told = all(s is not None for s in line["sigma"])
-    return bool(wrong(line).any()) or not (told or np.all(np.abs(line["errors"]) < SIGMAS * TOLERANCE))
+    reported = all(s is not None for s in line["sigma"])
+    return bool(wrong(line).any()) or not (reported or np.all(np.abs(line["errors"]) < SIGMAS * TOLERANCE))
 
 
-def print_table(lines: list[Case]) -> None:
-    """One row a kind of scene, then what went wrong."""
-    print("| scenes | number | determined at the truth | of them converge | called determined | falsely |")
-    print("|" + "---|" * 6)
-    for kind in (*dict.fromkeys(KINDS), "all"):
-        some = [line for line in lines if kind in ("all", line["kind"])]
-        known = [line for line in some if all(line["determined_at_truth"])]
-        converge = sum(not missed(line) for line in known)
-        verdicts = [sigma is not None for line in some if "failure" not in line for sigma in line["sigma"]]
-        false = sum(int(wrong(line).sum()) for line in some if "failure" not in line)
-        share = f"{converge} ({converge / len(known):.1%})" if known else "-"
-        print(
-            f"| {kind} | {len(some)} | {len(known)} | {share} | {sum(verdicts)} of {8 * len(some)} "
-            f"quantities | {false} |"
-        )
+def print_tables(lines: list[Case]) -> None:
+    """One row for each kind of scene, then what went wrong."""
+    head = "scenes | number | determined at the truth | of them converge | called determined | falsely"
+    print_table(head, (_row(kind, lines) for kind in (*dict.fromkeys(KINDS), "all")))
+    print_failures(lines)
+
+
+def _row(kind: str, lines: list[Case]) -> list[object]:
+    some = [line for line in lines if kind in ("all", line["kind"])]
+    known = [line for line in some if all(line["determined_at_truth"])]
+    converge = sum(not missed(line) for line in known)
+    verdicts = [sigma is not None for line in some if "failure" not in line for sigma in line["sigma"]]
+    false = sum(int(wrong(line).sum()) for line in some if "failure" not in line)
+    share = f"{converge} ({converge / len(known):.1%})" if known else "-"
+    return [kind, len(some), len(known), share, f"{sum(verdicts)} of {8 * len(some)} quantities", false]
+
+
+def print_failures(lines: list[Case]) -> None:
+    """A line for each run that failed, and for each quantity that is wrong or falsely undetermined."""
     for line in lines:
-        seed = line["case"]["seed"]
+        case = line["case"]
+        name = (
+            f"seed {case['seed']} ({line['kind']})" if len(case) == 1 else ", ".join(map(str, case.values()))
+        )
         if "failure" in line:
-            print(f"seed {seed} ({line['kind']}): {line['failure']}")
+            print(f"{name}: {line['failure']}")
         elif wrong(line).any():
             for n in np.flatnonzero(wrong(line)):
                 how = "" if line["determined_at_truth"][n] else "not "
                 print(
-                    f"seed {seed} ({line['kind']}): {NAMES[n]} off by {line['errors'][n]:.3g}, "
+                    f"{name}: {NAMES[n]} off by {line['errors'][n]:.3g}, "
                     f"stated {line['sigma'][n]:.2g}, {how}determined at the truth"
                 )
         elif all(line["determined_at_truth"]) and missed(line):
             lost = [name for name, sigma in zip(NAMES, line["sigma"], strict=True) if sigma is None]
-            print(
-                f"seed {seed} ({line['kind']}): reported as undetermined though determined: {', '.join(lost)}"
-            )
+            print(f"{name}: reported as undetermined though determined: {', '.join(lost)}")
 
 
 if __name__ == "__main__":

@@ -1,23 +1,22 @@
-"""Known forces and torques, and unknown pushes: how well they are followed, Monte Carlo on measurements.
+"""Known forces and torques, and unknown disturbances: how well they are estimated, Monte Carlo.
 
     python -m benchmarks.monte_carlo.disturbances [--seeds 20] [--workers 1] [--short] [--record FILE]
 
 60 frames of 0.5 s, 300 landmarks, pixel noise 1 px, process noise 1e-8, both estimated. NEES: mean normalised
-squared error, 1 is expected; coverage: share of the states' components within three standard deviations. What
-was measured before is read from the record.
+squared error, 1 is expected; coverage: share of the states' components within three standard deviations.
 """
 
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from tyro.conf import arg
 
-from benchmarks.command import RECORDS, Record, Short, Workers, command
+from benchmarks.command import RECORDS, Record, Seeds, Short, Workers, command
+from benchmarks.monte_carlo.bound import cold_start
+from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
 from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
-from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from polhode.rigid_body import HALF_TURNS
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, Vector, generate
@@ -41,7 +40,7 @@ UNKNOWN: dict[str, tuple[tuple[float, float, Vector, Vector], ...]] = {
 
 
 def main(
-    seeds: Annotated[int, arg(help="Sequences per row.")] = 20,
+    seeds: Seeds = 20,
     workers: Workers = 1,
     short: Short = False,
     record: Record = RECORD,
@@ -61,16 +60,13 @@ def main(
 
 def measure(case: Case) -> Case:
     """One sequence: what the estimate says over what is true."""
-    from polhode.backend import estimate_motion, initialize_motion
-
     known = case["push"] == "known"
     pushes = KNOWN if known else UNKNOWN[case["push"]]
     sequence = generate(replace(FREE, pushes=pushes), 400 + case["seed"])
     if not known:
         sequence = replace(sequence, tracks=replace(sequence.tracks, wrench=None))
     config = Backend(solver="gauss_newton", unknown_wrench=case["search"])
-    initial = initialize_motion(sequence.tracks, sequence.relative, config)
-    estimate = estimate_motion(sequence.tracks, initial, config, Silent())
+    _, estimate = cold_start(sequence, config)
     errors, h = state_errors(sequence, estimate)
     sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
     mass = estimate.mass
@@ -122,37 +118,37 @@ def whole_pushes(
 def print_known(lines: list[Case]) -> None:
     """Mass and middle moment with a known wrench."""
     values = np.array([line["kilograms"] for line in lines])
-    print("| known forces and torques | sigma | NEES | largest error over sigma |\n|---|---|---|---|")
+    rows: list[list[object]] = []
     for n, name in enumerate(("mass", "middle moment")):
         z, sigma = values[:, n, 0], values[:, n, 1]
-        print(f"| {name} | {100 * np.median(sigma):.2f} % | {np.mean(z**2):.2f} | {np.abs(z).max():.1f} |")
-    print(f"| states | | {np.mean([line['nees'] for line in lines]):.2f} | |\n")
+        rows.append(
+            [name, f"{100 * np.median(sigma):.2f} %", f"{np.mean(z**2):.2f}", f"{np.abs(z).max():.1f}"]
+        )
+    rows.append(["states", "", f"{np.mean([line['nees'] for line in lines]):.2f}", ""])
+    print_table("known forces and torques | sigma | NEES | largest error over sigma", rows)
 
 
 def print_unknown(lines: list[Case]) -> None:
-    """Runs that look for pushes, and runs that do not."""
-    print(
-        "| unknown disturbance | search | found | false | states: NEES, coverage | rms error k1, k2 "
-        "| disturbance: NEES |"
+    """Runs that look for disturbances, and runs that do not."""
+    head = (
+        "unknown disturbance | search | found | false | states: NEES, coverage | rms error k1, k2 "
+        "| disturbance: NEES"
     )
-    print("|---|---|---|---|---|---|---|")
-    for name in UNKNOWN:
-        for search in ("none", "found"):
-            rows = [
-                line for line in lines
-                if (line["case"]["push"], line["case"]["search"]) == (name, search)
-            ]  # fmt: skip
-            found = [push for row in rows for push in row["found"]]
-            true = np.array([push[:6] for push in found if push[6]])
-            right = sum(any(push[6] for push in row["found"]) for row in rows)
-            k = np.sqrt(np.mean(np.square([row["error_k"] for row in rows]), axis=0))
-            push_nees = f"{np.mean(true**2):.2f}" if len(true) else ""
-            print(
-                f"| {name} | {search} | {right}/{len(rows)} | {len(found) - len(true)} "
-                f"| {np.mean([row['nees'] for row in rows]):.2f}, "
-                f"{100 * np.mean([row['inside'] for row in rows]):.1f} % "
-                f"| {k[0]:.4f}, {k[1]:.4f} | {push_nees} |"
-            )
+    print()
+    print_table(head, (_row(name, search, lines) for name in UNKNOWN for search in ("none", "found")))
+
+
+def _row(name: str, search: str, lines: list[Case]) -> list[object]:
+    rows = [line for line in lines if (line["case"]["push"], line["case"]["search"]) == (name, search)]
+    found = [push for row in rows for push in row["found"]]
+    true = np.array([push[:6] for push in found if push[6]])
+    right = sum(any(push[6] for push in row["found"]) for row in rows)
+    k = np.sqrt(np.mean(np.square([row["error_k"] for row in rows]), axis=0))
+    nees, inside = (np.mean([row[key] for row in rows]) for key in ("nees", "inside"))
+    return [
+        name, search, f"{right}/{len(rows)}", len(found) - len(true), f"{nees:.2f}, {100 * inside:.1f} %",
+        f"{k[0]:.4f}, {k[1]:.4f}", f"{np.mean(true**2):.2f}" if len(true) else "",
+    ]  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Gross outliers, ten seconds of nothing, an inspector that jitters: Monte Carlo on measurements, cold start.
+"""Gross outliers, a gap of ten seconds, an inspector that jitters: Monte Carlo on measurements, cold start.
 
     python -m benchmarks.monte_carlo.robustness [--seeds 12] [--workers 1] [--short] [--record FILE]
 
 80 pairs, 600 landmarks, about 50 observations a pair, 0.5 px, disturbances of 1e-7; 12 sequences of each of
 five motions, the same in every row but for what is wrong. Disturbances and noise of the pixels are estimated,
-from a stated 1e-6. What was measured before is read from the record.
+from a stated 1e-6.
 
 "outliers": 30 % of the observations are off by up to 40 px, 10 % of the relative poses are wrong. "gap": no
 measurement in the ten seconds in the middle. "jitter": the inspector swings within a dead band of 4 mm and
@@ -18,20 +18,30 @@ count.
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from scipy.stats import t as student
-from tyro.conf import arg
 
-from benchmarks.command import RECORDS, Record, Short, Workers, command
-from benchmarks.monte_carlo.accuracy import MOTIONS, consistency
-from benchmarks.monte_carlo.convergence import NAMES, missed, stated_sigma, wrong
+from benchmarks.command import RECORDS, Record, Seeds, Short, Workers, command
+from benchmarks.monte_carlo.accuracy import MOTIONS, QUANTITIES, good, with_band
+from benchmarks.monte_carlo.bound import (
+    cold_start,
+    constants_errors,
+    cramer_rao_bound,
+    determined_at_truth,
+    errors_of,
+    normalised_squares,
+    rate_along_N,
+)
+from benchmarks.monte_carlo.convergence import missed, print_failures, stated_sigma, wrong
 from benchmarks.monte_carlo.disturbances import state_errors
+from benchmarks.presentation import numbers, print_table
 from benchmarks.record import Case, complete
+from polhode.config.backend import Backend
+from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose, log_so3
 from polhode.records import MotionEstimate
-from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 RECORD = RECORDS / "robustness.jsonl"
 """Kept in the repository, like that of the accuracy."""
@@ -49,7 +59,6 @@ SIGMA_P_M, SIGMA_THETA_RAD = 5e-4, float(np.deg2rad(0.02))
 CONDITIONS = (
     "no fault", "outliers", "gap", "gap and outliers", "jitter, reported poses", "jitter, exact poses",
 )  # fmt: skip
-QUANTITIES = ("r", "v", "attitude", "w", "com", "inertia")
 NEEDS = (range(3), range(3), range(5, 8), range(0), range(3), range(3, 8))
 """Of each of them: which of convergence.NAMES must be determined at the truth for it to count."""
 SIGNED = (*(f"{name}_{axis}" for name in QUANTITIES[:5] for axis in "xyz"), "k1", "k2")
@@ -60,22 +69,21 @@ SHORT_MOTIONS, SHORT_SEEDS = 2, 2
 
 
 def main(
-    seeds: Annotated[int, arg(help="Sequences per motion and row.")] = 12,
+    seeds: Seeds = 12,
     workers: Workers = 1,
     short: Short = False,
     record: Record = RECORD,
 ) -> None:
     """Measure what the record lacks, print the tables."""
     motions = CHOSEN[:SHORT_MOTIONS] if short else CHOSEN
-    draws = range(SHORT_SEEDS if short else seeds)
     # seeds outermost: an interrupted benchmark has as many of each row
     cases: list[Case] = [
         {"condition": condition, "motion": motion, "seed": seed}
-        for seed in draws
+        for seed in range(SHORT_SEEDS if short else seeds)
         for motion in motions
         for condition in CONDITIONS
     ]
-    print_table(complete(record, cases, measure, workers))
+    print_tables(complete(record, cases, measure, workers))
 
 
 def gap_of(scene: SyntheticScene) -> slice:
@@ -102,44 +110,45 @@ def scene_of(condition: str, motion: str) -> SyntheticScene:
 
 def measure(case: Case) -> Case:
     """One sequence: errors and sigmas of the constants, squares over the frames, signed means."""
-    from benchmarks.monte_carlo.bound import (
-        constants_errors,
-        cramer_rao_bound,
-        determined_at_truth,
-        errors_of,
-        normalised_squares,
-    )
-    from polhode.backend import estimate_motion, initialize_motion
-    from polhode.config.backend import Backend
-    from polhode.errors import RunFailure
-    from polhode.progress import Silent
-    from polhode.simulation.monte_carlo import generate
-
     scene = scene_of(case["condition"], case["motion"])
-    # the same draws of motion and landmarks in every condition
+    # the same motion and landmarks in every condition
     sequence = generate(scene, 1000 * CHOSEN.index(case["motion"]) + case["seed"])
     config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0))
     given = Backend(accel_psd=PSD, torque_psd=PSD)
     known = determined_at_truth(sequence, given)
     start = time.perf_counter()
     try:
-        initial = initialize_motion(sequence.tracks, sequence.relative, config)
-        estimate = estimate_motion(sequence.tracks, initial, config, Silent())
+        _, estimate = cold_start(sequence, config)
     except RunFailure as failure:
         return {"failure": str(failure), "determined_at_truth": known}
     seconds = time.perf_counter() - start
-    bound, errors = cramer_rao_bound(sequence, given), errors_of(estimate, sequence, config)
+    errors = errors_of(estimate, sequence, config)
     counts = np.array([all(known[n] for n in needs) for needs in NEEDS])
     noise = estimate.noise
+
+    def squares(frames: slice) -> Case:
+        """Of the states in these frames and of the constants."""
+        of_frames = replace(errors, states=errors.states[frames])
+        part = replace(
+            estimate,
+            R_NP=estimate.R_NP[frames],
+            w_P=estimate.w_P[frames],
+            covariance=estimate.covariance[frames],
+        )
+        bound = cramer_rao_bound(sequence, given, frames)
+        return {
+            "squares": np.where(counts, of_frames.mean_squares, np.nan).tolist(),
+            "bound": bound.mean_squares.tolist(),
+            "nees": np.where(counts, normalised_squares(of_frames, part), np.nan).tolist(),
+            "freedom": bound.freedom.tolist(),
+            "inside": inside(sequence, estimate, frames),
+        }
+
     out: Case = {
         "errors": constants_errors(estimate, sequence).tolist(),
         "sigma": stated_sigma(estimate),
         "determined_at_truth": known,
-        "squares": np.where(counts, errors.mean_squares, np.nan).tolist(),
-        "bound": bound.mean_squares.tolist(),
-        "nees": np.where(counts, normalised_squares(errors, estimate), np.nan).tolist(),
-        "freedom": bound.freedom.tolist(),
-        "inside": inside(sequence, estimate, slice(None)),
+        **squares(slice(None)),
         "signed": signed_means(sequence, estimate),
         "pixels": noise.pixel_sigma_px / NOISE_PX,
         "levels": [noise.accel_psd / PSD, noise.torque_psd / PSD],
@@ -147,17 +156,8 @@ def measure(case: Case) -> Case:
     }
     if scene.dropped:
         gap = gap_of(scene)
-        there = replace(errors, states=errors.states[gap])
-        within = replace(
-            estimate, R_NP=estimate.R_NP[gap], w_P=estimate.w_P[gap], covariance=estimate.covariance[gap]
-        )
-        bound = cramer_rao_bound(sequence, given, gap)
         out["gap"] = {
-            "nees": np.where(counts, normalised_squares(there, within), np.nan).tolist(),
-            "freedom": bound.freedom.tolist(),
-            "squares": np.where(counts, there.mean_squares, np.nan).tolist(),
-            "bound": bound.mean_squares.tolist(),
-            "inside": inside(sequence, estimate, gap),
+            **squares(gap),
             "sigma": sigma_about(estimate, gap),
             "behind": placed_off(sequence, estimate, gap.stop),
         }
@@ -182,8 +182,6 @@ def signed_means(sequence: SyntheticSequence, estimate: MotionEstimate) -> list[
 
 def sigma_about(estimate: MotionEstimate, gap: slice) -> list[list[float]]:
     """Sigma of r [m], attitude [rad] and w along N [rad/s], beside the gap and the largest in it."""
-    from benchmarks.monte_carlo.bound import rate_along_N
-
     T = rate_along_N(estimate.R_NP, estimate.w_P)
     covariance = T @ estimate.covariance @ np.swapaxes(T, 1, 2)
     variance = np.diagonal(covariance, axis1=1, axis2=2).reshape(-1, 4, 3)[:, [0, 2, 3]]
@@ -193,7 +191,7 @@ def sigma_about(estimate: MotionEstimate, gap: slice) -> list[list[float]]:
 
 
 def placed_off(sequence: SyntheticSequence, estimate: MotionEstimate, first: int) -> list[float]:
-    """Largest error of the body's place [m] and attitude [rad] from a frame on, G held at the first frame."""
+    """Largest error of position [m] and attitude [rad] from a frame on, G fixed at the first frame."""
     D = inverse_pose(sequence.X_NG) @ estimate.X_NG
     # where G itself was put at the first frame is free
     off = (sequence.X_NG @ D @ inverse_pose(D[0]))[first:]
@@ -202,14 +200,14 @@ def placed_off(sequence: SyntheticSequence, estimate: MotionEstimate, first: int
     return [float(shift.max()), float(np.linalg.norm(turn, axis=1).max())]
 
 
-def print_table(lines: list[Case]) -> None:
+def print_tables(lines: list[Case]) -> None:
     """Convergence, errors, consistency, the gap, the bias; then what went wrong."""
     rows = [(name, [line for line in lines if line["case"]["condition"] == name]) for name in CONDITIONS]
     print("\nConvergence, and the noise that was estimated over the true one (median)\n")
     _print(("", "runs", "failed", "determined at the truth", "of them converge", "falsely", "pixels",
             "acceleration", "torque", "seconds"), rows, _convergence)  # fmt: skip
     print("\nRMSE over the bound of the same measurements; in brackets over the RMSE without a fault\n")
-    reference = _good(rows[0][1])
+    reference = good(rows[0][1])
     _print(("", *QUANTITIES), rows, lambda some: _over_bound(some, reference))
     print("\nNEES over its expectation, in brackets the 95 % band; states within three sigma\n")
     _print(("", *QUANTITIES, "inside"), rows, _consistency)
@@ -220,34 +218,31 @@ def print_table(lines: list[Case]) -> None:
     _print(("", "r mm", "attitude deg", "w deg/s", "runs with right poses", "largest error"), gaps, _growth)
     print("\nMean signed error over its standard error: the largest, and what chance exceeds in 5 %\n")
     _print(("", "each motion", "all motions together", "the worst of these"), rows, _bias)
-    for line in lines:
-        _tell(line)
+    print_failures(lines)
 
 
 def _print(
     head: tuple[str, ...], rows: list[tuple[str, list[Case]]], cells: Callable[[list[Case]], list[str]]
 ) -> None:
-    print("| " + " | ".join(head) + " |\n|" + "---|" * len(head))
-    for name, lines in rows:
-        print("| " + " | ".join([name, *cells(lines)]) + " |")
+    print_table(head, ([name, *cells(lines)] for name, lines in rows))
 
 
 def _convergence(lines: list[Case]) -> list[str]:
-    good, known = _good(lines), [line for line in lines if all(line["determined_at_truth"])]
+    runs, known = good(lines), [line for line in lines if all(line["determined_at_truth"])]
     converge = sum(not missed(line) for line in known)
     share = f"{converge} ({converge / max(len(known), 1):.0%})"
-    false = sum(int(wrong(line).sum()) for line in good)
-    levels = np.median([[line["pixels"], *line["levels"]] for line in good], axis=0)
-    seconds = np.median([line["seconds"] for line in good])
-    counts = (len(lines), len(lines) - len(good), len(known), share, false)
-    return [*map(str, counts), *(f"{x:.2f}" for x in levels), f"{seconds:.1f}"]
+    false = sum(int(wrong(line).sum()) for line in runs)
+    levels = np.median([[line["pixels"], *line["levels"]] for line in runs], axis=0)
+    seconds = np.median([line["seconds"] for line in runs])
+    counts = (len(lines), len(lines) - len(runs), len(known), share, false)
+    return [*map(str, counts), *numbers(levels, ".2f"), f"{seconds:.1f}"]
 
 
 def _over_bound(lines: list[Case], reference: list[Case]) -> list[str]:
     """Every sequence with its own bound; against the reference the sequences that both have."""
-    good, by_name = _good(lines), {_sequence(line): line for line in reference}
-    over = np.sqrt(np.nanmean([np.divide(line["squares"], line["bound"]) for line in good], axis=0))
-    pairs = [(line, by_name[_sequence(line)]) for line in good if _sequence(line) in by_name]
+    runs, by_name = good(lines), {_sequence(line): line for line in reference}
+    over = np.sqrt(np.nanmean([np.divide(line["squares"], line["bound"]) for line in runs], axis=0))
+    pairs = [(line, by_name[_sequence(line)]) for line in runs if _sequence(line) in by_name]
     ours, theirs = (
         np.nanmean([np.divide(pair[n]["squares"], pair[1]["bound"]) for pair in pairs], axis=0)
         for n in (0, 1)
@@ -256,27 +251,19 @@ def _over_bound(lines: list[Case], reference: list[Case]) -> list[str]:
 
 
 def _consistency(lines: list[Case]) -> list[str]:
-    good = _good(lines)
-    return [*_with_band(good), f"{np.mean([line['inside'] for line in good]):.2%}"]
-
-
-def _with_band(lines: list[Case]) -> list[str]:
-    """A star marks what lies outside."""
-    return [
-        f"{x:.2f}{'' if a <= x <= b else '*'} ({a:.2f}-{b:.2f})"
-        for x, a, b in zip(*consistency(lines), strict=True)
-    ]
+    runs = good(lines)
+    return [*with_band(runs), f"{np.mean([line['inside'] for line in runs]):.2%}"]
 
 
 def _gap(lines: list[Case]) -> list[str]:
-    parts = [line["gap"] for line in _good(lines)]
+    parts = [line["gap"] for line in good(lines)]
     over = np.sqrt(np.nanmean([np.divide(part["squares"], part["bound"]) for part in parts], axis=0))
     share = np.mean([part["inside"] for part in parts])
-    return [*(f"{x:.3f}" for x in over[:4]), *_with_band(parts)[:4], f"{share:.2%}"]
+    return [*numbers(over[:4], ".3f"), *with_band(parts)[:4], f"{share:.2%}"]
 
 
 def _growth(lines: list[Case]) -> list[str]:
-    parts = [line["gap"] for line in _good(lines)]
+    parts = [line["gap"] for line in good(lines)]
     beside, within = np.nanmedian([part["sigma"] for part in parts], axis=0) * [1e3, *[np.rad2deg(1.0)] * 2]
     off = np.array([part["behind"] for part in parts])
     right = np.all(off < [PLACED_M, PLACED_RAD], axis=1).sum()
@@ -302,7 +289,7 @@ def _mean_over_error(values: Array) -> Array:
 
 
 def _bias(lines: list[Case]) -> list[str]:
-    known = [line for line in _good(lines) if all(line["determined_at_truth"])]
+    known = [line for line in good(lines) if all(line["determined_at_truth"])]
     each, together = bias(known)
     out = []
     for values, count in ((each, len(known) // len(each)), (together, len(known))):
@@ -314,28 +301,6 @@ def _bias(lines: list[Case]) -> list[str]:
 
 def _sequence(line: Case) -> tuple[str, int]:
     return line["case"]["motion"], line["case"]["seed"]
-
-
-def _good(lines: list[Case]) -> list[Case]:
-    return [line for line in lines if "failure" not in line]
-
-
-def _tell(line: Case) -> None:
-    """A sentence for a run that went wrong."""
-    name = ", ".join(str(value) for value in line["case"].values())
-    if "failure" in line:
-        print(f"{name}: {line['failure']}")
-    elif wrong(line).any():
-        at = np.flatnonzero(wrong(line))
-        print(
-            f"{name}: "
-            + ", ".join(
-                f"{NAMES[n]} off by {line['errors'][n]:.3g}, stated {line['sigma'][n]:.2g}" for n in at
-            )
-        )
-    elif all(line["determined_at_truth"]) and missed(line):
-        lost = [n for n, sigma in zip(NAMES, line["sigma"], strict=True) if sigma is None]
-        print(f"{name}: reported as undetermined though determined: {', '.join(lost)}")
 
 
 if __name__ == "__main__":

@@ -11,19 +11,21 @@ k1 and k2 over their standard deviations, the worst setting each.
 
 import json
 import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import product
+from subprocess import CalledProcessError
 from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import arg
 
-from benchmarks.command import Short, Workers, command
-from benchmarks.presentation import markdown_table
+from benchmarks.command import Seeds, Short, Workers, command, in_process
+from benchmarks.monte_carlo.bound import cold_start
+from benchmarks.presentation import print_table
+from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 from polhode.threads import limit_threads
 
 CORES, THREADS = ("Nehalem", "Haswell", "Zen"), (1, 2)
@@ -31,7 +33,7 @@ FIRST_SEED = 43
 
 
 def main(
-    seeds: Annotated[int, arg(help="Sequences.")] = 8,
+    seeds: Seeds = 8,
     workers: Workers = 2,
     short: Short = False,
     seed: Annotated[int | None, arg(help="Estimate this one here and print it as JSON.")] = None,
@@ -65,34 +67,26 @@ def main(
             )
         )
     head = ("seed", "frames connected", "largest difference [deg]", "error [deg]", "k [sigma]")
-    print(markdown_table(head, rows, right_from=2))
+    print_table(head, rows, right_from=2)
 
 
 def _in_a_process(seed: int, core: str, threads: int) -> dict[str, Any]:
-    call = ["benchmarks.monte_carlo.rounding", "--seed", str(seed), "--threads", str(threads)]
-    kernels = {**os.environ, "OPENBLAS_CORETYPE": core}
-    done = subprocess.run(
-        [sys.executable, "-m", *call], env=kernels, capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        return {"error": done.stderr.strip().splitlines()[-1:]}
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+    kernels = os.environ | {"OPENBLAS_CORETYPE": core}
+    try:
+        call = ("benchmarks.monte_carlo.rounding", "--seed", seed, "--threads", threads)
+        return dict(in_process(*call, environment=kernels))
+    except CalledProcessError as error:
+        return {"error": str(error)}
 
 
 def _estimate(seed: int) -> dict[str, Any]:
-    from polhode.backend import estimate_motion, initialize_motion
-    from polhode.config.backend import Backend
-    from polhode.progress import Silent
-    from polhode.simulation.monte_carlo import SyntheticScene, generate
-
     scene = SyntheticScene(
         frames=60, landmarks=400, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9]),
         sigma_uv_px=0.3, sigma_d_px=0.3,
     )  # fmt: skip
     sequence = generate(replace(scene, outliers=0.2, wrong_pairs=0.35), seed)
     config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0))
-    initial = initialize_motion(sequence.tracks, sequence.relative, config)
-    estimate = estimate_motion(sequence.tracks, initial, config, Silent())
+    initial, estimate = cold_start(sequence, config)
     error = np.array([estimate.mass.k1 - sequence.truth.k1, estimate.mass.k2 - sequence.truth.k2])
     return {
         "connected": int(initial.connected.sum()),

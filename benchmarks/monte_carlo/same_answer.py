@@ -7,21 +7,27 @@ each four times: by Gauss-Newton and by IPOPT, with ``backend.inertia`` ``second
 ``ratios_axes``. "one problem": the whole data with the stated noise, from the truth; relative difference of
 the final cost from that of Gauss-Newton with ``second_moments``. "cold start": all that a run does, with its
 own noise of the pixels and observations left out; observations left out otherwise, and the largest difference
-of a state, k1 or k2 over its standard deviation. What was measured before is read from the record.
+of a state, k1 or k2 over its standard deviation.
 """
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
-from tyro.conf import arg
 
-from benchmarks.command import RECORDS, Record, Short, Workers, command
+from benchmarks.command import RECORDS, Record, Seeds, Short, Workers, command
 from benchmarks.monte_carlo.accuracy import MOTIONS, NOISES_PX
+from benchmarks.monte_carlo.bound import cold_start, true_iterate
+from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
+from polhode.backend.problem.motion_data import motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.ipopt import MotionProgram
+from polhode.backend.solvers.solve import refine
 from polhode.config.backend import Backend
 from polhode.lie import Array, log_so3
 from polhode.records import MotionEstimate
+from polhode.rigid_body import nearest_half_turn
+from polhode.simulation.monte_carlo import generate
 
 RECORD = RECORDS / "same_answer.jsonl"
 N_MOTIONS = 6
@@ -31,7 +37,7 @@ WANTED = 1e-6
 
 
 def main(
-    seeds: Annotated[int, arg(help="Sequences per motion and noise.")] = 1,
+    seeds: Seeds = 1,
     workers: Workers = 2,
     short: Short = False,
     record: Record = RECORD,
@@ -43,20 +49,11 @@ def main(
         for motion in list(MOTIONS)[: 1 if short else N_MOTIONS]
         for noise in NOISES_PX[: 1 if short else None]
     ]
-    print_table(complete(record, cases, measure, workers))
+    print_costs(complete(record, cases, measure, workers))
 
 
 def measure(case: Case) -> Case:
     """One sequence four times: costs, and differences from the first."""
-    from benchmarks.monte_carlo.bound import true_iterate
-    from polhode.backend import estimate_motion, initialize_motion
-    from polhode.backend.problem.motion_data import motion_data
-    from polhode.backend.solvers.gauss_newton import GaussNewton
-    from polhode.backend.solvers.ipopt import MotionProgram
-    from polhode.backend.solvers.solve import refine
-    from polhode.progress import Silent
-    from polhode.simulation.monte_carlo import generate
-
     noise = case["noise_px"]
     scene = replace(MOTIONS[case["motion"]], sigma_uv_px=noise, sigma_d_px=noise)
     sequence = generate(scene, 7000 + case["seed"])
@@ -72,8 +69,7 @@ def measure(case: Case) -> Case:
             data = motion_data(sequence.tracks, config)
             program = MotionProgram(data) if solver == "ipopt" else GaussNewton(data)
             costs[name] = refine(program, data, true_iterate(sequence, config), 50)[1].cost
-            initial = initialize_motion(sequence.tracks, sequence.relative, config)
-            found[name] = estimate_motion(sequence.tracks, initial, config, Silent())
+            _, found[name] = cold_start(sequence, config)
     first = next(iter(found.values()))
     return {
         name: {
@@ -92,8 +88,6 @@ def largest_difference(first: MotionEstimate, other: MotionEstimate) -> float:
 
     Both have their axes in the order of the moments; of the four half-turns the nearest is taken.
     """
-    from polhode.rigid_body import nearest_half_turn
-
     turn = nearest_half_turn(other.R_NP[0], first.R_NP[0])
     states: Array = np.concatenate(
         [
@@ -110,26 +104,27 @@ def largest_difference(first: MotionEstimate, other: MotionEstimate) -> float:
     return float(np.max(np.abs([*(states / sigma).ravel(), *of_ratios])))
 
 
-def print_table(lines: list[Case]) -> None:
-    """One row a solver and form: the worst over all sequences."""
+def print_costs(lines: list[Case]) -> None:
+    """One row for each solver and form: the worst over all sequences."""
     names = [f"{solver}, {form}" for solver in SOLVERS for form in FORMS]
-    print(
-        "| solver, inertia | sequences | one problem: cost difference | cold start: converged | iterations ",
-        end="",
-    )
-    print("| observations left out differently | difference in sigmas |\n|" + "---|" * 7)
+    rows: list[list[object]] = []
     worst = 0.0
     for name in names:
         some = [line[name] for line in lines]
-        apart = max(abs(line[name]["cost"] / line[names[0]]["cost"] - 1.0) for line in lines)
-        worst = max(worst, apart)
+        difference = max(abs(line[name]["cost"] / line[names[0]]["cost"] - 1.0) for line in lines)
+        worst = max(worst, difference)
         otherwise = [one["left_out_otherwise"] for one in some if one["left_out_otherwise"]]
-        print(
-            f"| {name} | {len(some)} | {apart:.1e} | {sum(one['converged'] for one in some)} "
-            f"| {np.mean([one['iterations'] for one in some]):.1f} "
-            f"| {sum(otherwise)} in {len(otherwise)} sequences "
-            f"| {max(one['sigmas_apart'] for one in some):.1e} |"
-        )
+        rows.append([
+            name, len(some), f"{difference:.1e}", sum(one["converged"] for one in some),
+            f"{np.mean([one['iterations'] for one in some]):.1f}",
+            f"{sum(otherwise)} in {len(otherwise)} sequences",
+            f"{max(one['sigmas_apart'] for one in some):.1e}",
+        ])  # fmt: skip
+    head = (
+        "solver, inertia | sequences | one problem: cost difference | cold start: converged | iterations "
+        "| observations left out differently | difference in sigmas"
+    )
+    print_table(head, rows)
     print(f"\nOn one problem the costs differ by at most {worst:.1e}, goal at most {WANTED:.0e}.")
 
 

@@ -1,15 +1,15 @@
-"""The sliding window against full smoothing of the same frames; its time and memory as frames go by.
+"""The sliding window against full smoothing of the same frames; growth of its time and memory.
 
     python -m benchmarks.monte_carlo.window [--seeds 5] [--workers 1] [--short] [--estimated]
                                 [--record FILE] [--times FILE]
 
 Accuracy: sequences at the thesis's size. At some frames the window's causal state is compared with the last
-state of full smoothing of all frames up to then, started at the truth: the best that could be known. Pixel
+state of full smoothing of all frames up to then, started at the truth: the best possible estimate. Pixel
 and process noise are given; ``--estimated``: the window estimates both. RMSE over seeds and these frames; of
 com_G and of the five inertia parameters at the last frame.
 
 Growth: one sequence of 1,000 frames by each solver; ms on the clock, and of one core's own time in brackets,
-which does not count what else the machine does. What was measured before is read from the record.
+which does not count what else the machine does.
 """
 
 import os
@@ -21,11 +21,19 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from benchmarks.command import RECORDS, ROOT, Record, Short, Workers, command
+from benchmarks.command import RECORDS, ROOT, Record, Seeds, Short, Workers, command
 from benchmarks.monte_carlo.accuracy import MOTIONS
+from benchmarks.monte_carlo.bound import UNITS, true_iterate
+from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
+from polhode.backend.problem.inertia import FORMS, principal_axes, second_moments_from_inertia
+from polhode.backend.problem.motion_data import motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.solve import refine
+from polhode.backend.window import SlidingWindow, frames_of
 from polhode.config.backend import Backend
-from polhode.lie import Array
+from polhode.lie import Array, log_so3
+from polhode.rigid_body import HALF_TURNS
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 RECORD = RECORDS / "window.jsonl"
@@ -46,7 +54,7 @@ SOLVERS = ("gauss_newton", "ipopt")
 
 
 def main(
-    seeds: Annotated[int, arg(help="Sequences per motion.")] = 5,
+    seeds: Seeds = 5,
     workers: Workers = 1,
     short: Short = False,
     estimated: Annotated[bool, arg(help="The window estimates both noises; else they are given.")] = False,
@@ -71,8 +79,6 @@ def main(
 
 def measure_accuracy(case: Case) -> Case:
     """One sequence: squared errors (frames, 6) of the window and of full smoothing."""
-    from polhode.backend.window import SlidingWindow, frames_of
-
     sequence = generate(MOTIONS[case["motion"]], 9000 + case["seed"])
     given = _config(MOTIONS[case["motion"]], "given")
     config = given if case["process_noise"] == "given" else Backend()
@@ -80,7 +86,7 @@ def measure_accuracy(case: Case) -> Case:
     X_NG = np.eye(4)
     for k, measurements in enumerate(frames_of(sequence.tracks)):
         state = window.add(measurements)
-        # G is held where it was seen first
+        # G stays at its pose of the first frame
         X_NG = state.X_NG if k == 0 else X_NG
         if k in FRAMES:
             motion = (state.r_N, state.v_N, state.R_NP, state.w_P)
@@ -90,12 +96,6 @@ def measure_accuracy(case: Case) -> Case:
 
 def smoothed(sequence: SyntheticSequence, k: int, config: Backend) -> list[float]:
     """Squared errors (6,) of full smoothing of the frames 0 to k."""
-    from benchmarks.monte_carlo.bound import true_iterate
-    from polhode.backend.problem.inertia import principal_axes
-    from polhode.backend.problem.motion_data import motion_data
-    from polhode.backend.solvers.gauss_newton import GaussNewton
-    from polhode.backend.solvers.solve import refine
-
     part = first_frames(sequence, k + 1)
     data, start = motion_data(part.tracks, config), true_iterate(part, config)
     found, _, _ = refine(GaussNewton(data), data, start, 50)
@@ -108,7 +108,7 @@ def smoothed(sequence: SyntheticSequence, k: int, config: Backend) -> list[float
 
 
 def first_frames(sequence: SyntheticSequence, n: int) -> SyntheticSequence:
-    """The first n frames, landmarks numbered anew."""
+    """The first n frames, with landmarks renumbered."""
     tracks, truth = sequence.tracks, sequence.truth
     use = tracks.frame < n
     marks, landmark = np.unique(tracks.landmark[use], return_inverse=True)
@@ -145,10 +145,6 @@ def squares(
     X_NG (4, 4) is the pose of the estimate's G in the first frame; motion is r_N, v_N, R_NP, w_P; mass is k1,
     k2, R_GP.
     """
-    from polhode.backend.problem.inertia import FORMS, second_moments_from_inertia
-    from polhode.lie import log_so3
-    from polhode.rigid_body import HALF_TURNS
-
     truth, (r_N, v_N, R_NP, w_P), (k1, k2, R_GP) = sequence.truth, motion, mass
     turns = [log_so3(R_NP.T @ (truth.R_NP[k] * turn)) for turn in HALF_TURNS]
     theta = min(turns, key=lambda turn: float(turn @ turn))
@@ -171,13 +167,11 @@ def squares(
 
 
 def measure_growth(case: Case) -> Case:
-    """One long sequence: milliseconds of each step, and what the process and the window hold."""
-    from polhode.backend.window import SlidingWindow, frames_of
-
+    """One long sequence: milliseconds of each step, and the size of the window and the process."""
     scene = replace(GROWTH, frames=case["frames"])
     config = _config(scene, "given", case["solver"])
     sequence = generate(scene, 9)
-    window, wall_ms, cpu_ms, held = SlidingWindow(sequence.tracks.rig, config), [], [], {}
+    window, wall_ms, cpu_ms, sizes = SlidingWindow(sequence.tracks.rig, config), [], [], {}
     for k, measurements in enumerate(frames_of(sequence.tracks), start=1):
         wall, cpu = time.perf_counter(), time.process_time()
         window.add(measurements)
@@ -186,14 +180,14 @@ def measure_growth(case: Case) -> Case:
         if k in {end for _, end in PARTS} | {case["frames"]}:
             active, marks = window.state.active, window.state.landmarks
             resident = Path("/proc/self/statm").read_text().split()[1]
-            held[str(k)] = {
+            sizes[str(k)] = {
                 "frames": len(active.frames),
                 "observations": sum(len(frame.slot) for frame in active.frames),
                 "landmarks": len(marks.used),
                 "unknowns": len(active.arrival.g),
                 "resident_mb": round(int(resident) * os.sysconf("SC_PAGE_SIZE") / 2**20, 1),
             }
-    return {"wall_ms": wall_ms, "cpu_ms": cpu_ms, "held": held}
+    return {"wall_ms": wall_ms, "cpu_ms": cpu_ms, "held": sizes}
 
 
 def _config(scene: SyntheticScene, process_noise: str, solver: str = "gauss_newton") -> Backend:
@@ -212,32 +206,33 @@ def ratios(lines: list[Case]) -> Array:
 def print_accuracy(cells: dict[str, list[Case]]) -> None:
     """RMSE of the window, and over that of full smoothing up to then."""
     print(f"\nRMSE of the window (over that of full smoothing), frames {', '.join(map(str, FRAMES))}\n")
-    print("| motion | seeds | r mm | v mm/s | attitude deg | w deg/s | com mm | inertia |\n|" + "---|" * 8)
-    unit = np.array([1e3, 1e3, np.rad2deg(1.0), np.rad2deg(1.0), 1e3, 1.0])
+    rows = []
     for motion, lines in [*cells.items(), ("all", [line for cell in cells.values() for line in cell])]:
         window = np.array([line["window"] for line in lines])
         squares_of = np.concatenate([window[:, :, :4].mean(axis=(0, 1)), window[:, -1, 4:].mean(axis=0)])
-        numbers = zip(unit * np.sqrt(squares_of), ratios(lines), strict=True)
-        shown = " | ".join(f"{rmse:.3g} ({ratio:.2f})" for rmse, ratio in numbers)
-        print(f"| {motion} | {len(lines)} | {shown} |")
+        both = zip(UNITS * np.sqrt(squares_of), ratios(lines), strict=True)
+        rows.append([motion, len(lines), *(f"{rmse:.3g} ({ratio:.2f})" for rmse, ratio in both)])
+    print_table("motion | seeds | r mm | v mm/s | attitude deg | w deg/s | com mm | inertia", rows)
     worst = np.array([ratios(lines) for lines in cells.values()])
     print(f"\nAt most {worst[:, :4].max():.2f} for a current state, {worst[:, 4:].max():.2f} for a constant.")
 
 
 def print_growth(lines: list[Case]) -> None:
-    """Median milliseconds of a step in parts of the sequence, and what is held at their ends."""
-    print("\n| solver | frames | ms/step (one core) | longest | MB | landmarks | observations | unknowns |")
-    print("|" + "---|" * 8)
+    """Median milliseconds of a step in parts of the sequence, and the sizes at their ends."""
+    rows: list[list[object]] = []
     for line in lines:
         for start, end in PARTS:
             if end > line["case"]["frames"]:
                 continue
-            wall, cpu, held = line["wall_ms"][start:end], line["cpu_ms"][start:end], line["held"][str(end)]
-            print(
-                f"| {line['case']['solver']} | {start}-{end} | {np.median(wall):.1f} ({np.median(cpu):.1f}) "
-                f"| {max(wall):.0f} ({max(cpu):.0f}) | {held['resident_mb']:.0f} | {held['landmarks']} "
-                f"| {held['observations']} | {held['unknowns']} |"
-            )
+            wall, cpu, size = line["wall_ms"][start:end], line["cpu_ms"][start:end], line["held"][str(end)]
+            rows.append([
+                line["case"]["solver"], f"{start}-{end}", f"{np.median(wall):.1f} ({np.median(cpu):.1f})",
+                f"{max(wall):.0f} ({max(cpu):.0f})", f"{size['resident_mb']:.0f}", size["landmarks"],
+                size["observations"], size["unknowns"],
+            ])  # fmt: skip
+    print()
+    head = "solver | frames | ms/step (one core) | longest | MB | landmarks | observations | unknowns"
+    print_table(head, rows)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,17 +20,30 @@ from queue import SimpleQueue
 from time import perf_counter
 from typing import Annotated
 
+import yaml
 from tyro.conf import arg
 
 from benchmarks.command import ROOT, command
-from benchmarks.mutation.faults import FAULTS, Fault
+from benchmarks.presentation import markdown_table
 
+FAULTS = Path(__file__).with_name("faults.yaml")
 LEFT_OUT = (".git", ".venv", "runs", "data", ".mypy_cache", ".ruff_cache", ".pytest_cache")
 FAULTY = ("backend", "cli", "compare", "frontend", "mapping", "pipeline", "planning", "polhode", "simulation")
 LONGEST_S = 1500.0
-"""The tests of a fault that makes a loop endless are stopped."""
+"""Limit for the tests of a fault that makes a loop endless."""
 _COMPILED = re.compile(r"^@(njit|compiled|fused)", re.MULTILINE)
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One of ``faults.yaml``, which explains the fields."""
+
+    kind: str
+    file: str
+    old: str
+    new: str
+    tests: Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -53,13 +67,14 @@ def main(
 ) -> None:
     """tree: the repository whose tests are tried; only: faults whose file or kind contains this text; jobs:
     copies of the repository that are tested at a time; output: a file for the table as well."""
-    chosen = [fault for fault in FAULTS if only in fault.file or only in fault.kind]
+    faults = [Fault(**each) for each in yaml.safe_load(FAULTS.read_text())]
+    chosen = [fault for fault in faults if only in fault.file or only in fault.kind]
     with tempfile.TemporaryDirectory(prefix="polhode-faults-") as folder:
         outcomes = try_all(chosen, tree.resolve(), Path(folder), jobs)
-    lines = table(outcomes)
-    print("\n".join(lines))
+    text = table(outcomes)
+    print(text)
     if output:
-        output.write_text("\n".join(lines) + "\n")
+        output.write_text(text + "\n")
     sys.exit(any(not outcome.caught_by for outcome in outcomes))
 
 
@@ -93,7 +108,7 @@ def try_one(fault: Fault, copy: Path, tree: Path) -> Outcome:
         return Outcome(fault, "", 0.0, "the piece of code does not occur exactly once: renew the fault")
     code = file.read_text().replace(fault.old, fault.new)
     file.write_text(code)
-    # callers elsewhere keep compiled code of the function in the cache: they are compiled anew
+    # callers elsewhere have compiled code of the function in the cache: recompile them
     cache = tempfile.mkdtemp(dir=copy.parent) if _COMPILED.search(code) else None
     try:
         said = run_tests(copy, fault.tests, cache)
@@ -122,7 +137,7 @@ def place_of(fault: Fault, tree: Path) -> Path | None:
     return found[0] if len(found) == 1 and found[0].read_text().count(fault.old) == 1 else None
 
 
-def run_tests(copy: Path, tests: tuple[str, ...], cache: str | None) -> str:
+def run_tests(copy: Path, tests: Sequence[str], cache: str | None) -> str:
     """What pytest prints of one file or folder after the other, until the first failure."""
     environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
     if cache:
@@ -142,14 +157,15 @@ def run_tests(copy: Path, tests: tuple[str, ...], cache: str | None) -> str:
     return said
 
 
-def table(outcomes: list[Outcome]) -> list[str]:
+def table(outcomes: list[Outcome]) -> str:
     """In Markdown; a sentence at the end."""
-    lines = ["| file | fault | caught by |", "|---|---|---|"]
+    rows = []
     for outcome in outcomes:
         by = f"`{outcome.caught_by.removeprefix('tests/')}`" if outcome.caught_by else "**nothing**"
-        lines.append(f"| `{outcome.fault.file}` | {outcome.fault.kind} | {outcome.trouble or by} |")
+        rows.append((f"`{outcome.fault.file}`", outcome.fault.kind, outcome.trouble or by))
     caught = sum(bool(outcome.caught_by) for outcome in outcomes)
-    return [*lines, "", f"{caught} of {len(outcomes)} faults are caught."]
+    summary = f"{caught} of {len(outcomes)} faults are caught."
+    return f"{markdown_table('file | fault | caught by', rows)}\n\n{summary}"
 
 
 if __name__ == "__main__":

@@ -11,8 +11,7 @@ from functools import cache
 import numpy as np
 import trimesh
 
-from benchmarks.edges.bodies import edge_body
-from benchmarks.edges.views import edge_rig
+from benchmarks.edges.views import edge_body, edge_rig
 from benchmarks.navigation.error_state_filter import State, Target, predict, predicted_pose
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.planning.prediction import process_noise

@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.edges.bodies import edge_body
 from benchmarks.edges.observability import LENS
-from benchmarks.edges.tracking.against_sky import polarity
 from benchmarks.edges.tracking.calibrated_covariance import NoiseParts
 from benchmarks.edges.tracking.residual import probability, support
-from benchmarks.edges.tracking.tracker import TrackerOptions, TrackingResult, track
-from benchmarks.edges.views import EdgeViews, ViewOptions
+from benchmarks.edges.tracking.tracker import TrackerOptions, TrackingResult, polarity, track
+from benchmarks.edges.views import EdgeViews, ViewOptions, edge_body
 from benchmarks.navigation.flights import Flight, sun_R
 from benchmarks.navigation.found_pose import FoundPose, spread
 from polhode.camera import RectifiedRig

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from benchmarks.command import ROOT, Short, command, single_threaded
+from benchmarks.command import ROOT, Short, command
 from polhode.config.loader import load_config
 from polhode.config.scene import Render, Scene
 from polhode.dataset_writer import image_path
@@ -60,11 +60,6 @@ class Timing:
 
 
 def main(short: Short = False) -> None:
-    """In a new process, which reads the limit of threads before it loads NumPy."""
-    single_threaded(print_tables, short)
-
-
-def print_tables(short: bool) -> None:
     """Print both tables."""
     loaded = load_config(CONFIG)
     assert loaded.scene is not None

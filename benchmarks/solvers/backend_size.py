@@ -1,4 +1,4 @@
-"""Time of the back end on measurements of the thesis's size: each part, both solvers, growth; errors beside.
+"""Time of the back end on measurements of the thesis's size: each part, both solvers, growth.
 
     python -m benchmarks.solvers.backend_size [--seeds 1] [--short] [-o PNG]
 
@@ -7,9 +7,6 @@ thread. First the solvers alone on one problem, then whole cold starts with the 
 process noise is estimated) by either solver, then the growth, drawn with ``-o``. ``--short``: one scene, the
 growth at small sizes. Seconds are those of the processor, on one thread: of a free core, those of the clock.
 
-Attitude and angular velocity are compared in N after the one constant body rotation that fits best
-(docs/run_directory.md). "error / sigma" divides each error by the stated standard deviation; for attitude and
-rate that would include the rotation of the axes, which the comparison takes out, so it is not printed.
 """
 
 import time
@@ -17,16 +14,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
 
-import matplotlib as mpl
 import numpy as np
-from scipy.spatial.transform import Rotation
-from tyro.conf import arg
 
-from benchmarks.command import Png, Short, command, single_threaded
+from benchmarks.command import Png, Seeds, Short, command
 from benchmarks.monte_carlo.bound import true_iterate
-from benchmarks.presentation import save_figure
+from benchmarks.presentation import numbers, print_table, save_figure, subplots
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
@@ -42,7 +35,7 @@ from polhode.backend.uncertainty.covariance import (
 from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.compare.problem.sources import THESIS
 from polhode.config.backend import Backend
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, transform_points
+from polhode.lie import Array, exp_so3
 from polhode.progress import Advance
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
@@ -82,78 +75,25 @@ class Clock:
         return np.asarray(np.diff(ends))
 
 
-def figures(sequence: SyntheticSequence, estimate: MotionEstimate) -> Array:
-    """Errors: r mm, v mm/s, attitude deg, w deg/s, com mm, k1, k2."""
-    truth, mass = sequence.truth, estimate.mass
-    D = np.swapaxes(estimate.R_NP, 1, 2) @ truth.R_NP
-    fit = Rotation.from_matrix(D).mean().as_matrix()
-    attitude = np.median(np.linalg.norm(log_so3(fit.T @ D), axis=1))
-    w_error = np.einsum("fij,fj->fi", estimate.R_NP, estimate.w_P) - np.einsum(
-        "fij,fj->fi", truth.R_NP, truth.w_P
-    )
-    in_G = transform_points(inverse_pose(estimate.X_NG), truth.r_N[:, None])[:, 0].mean(axis=0)
-
-    def rms(e: Array) -> float:
-        return float(np.sqrt(np.mean(np.sum(e**2, axis=1))))
-
-    return np.array(
-        [
-            1e3 * rms(estimate.r_N - truth.r_N),
-            1e3 * rms(estimate.v_N - truth.v_N),
-            np.rad2deg(attitude),
-            np.rad2deg(rms(w_error)),
-            1e3 * float(np.linalg.norm(mass.com_G - in_G)),
-            mass.k1 - truth.k1,
-            mass.k2 - truth.k2,
-        ]
-    )
-
-
-def stated(estimate: MotionEstimate) -> Array:
-    """Standard deviations of the figures, in their order; not a number for attitude and rate."""
-    variance = np.diagonal(estimate.covariance, axis1=1, axis2=2).reshape(-1, 4, 3).sum(axis=2)
-    r, v = np.sqrt(np.mean(variance[:, :2], axis=0))
-    com = np.sqrt(np.trace(estimate.mass.cov_com_G))
-    k = np.sqrt(np.diag(estimate.mass.cov_k))
-    return np.array([1e3 * r, 1e3 * v, np.nan, np.nan, 1e3 * com, *k])
-
-
 def print_scenes(seeds: int, scenes: dict[str, SyntheticScene]) -> None:
-    """Three rows per scene, solver and seed: errors, errors over stated standard deviations, seconds."""
-    names = ["r mm", "v mm/s", "att deg", "w deg/s", "com mm", "err k1", "err k2"]
-    header = "".join(f"{name:>9s}" for name in names)
+    """Seconds of each part of a cold start."""
+    head = ("scene", "solver", "seed", "first motion", *PARTS, "together", "iterations at the end")
+    print()
+    print_table(head, _cold_starts(seeds, scenes))
+
+
+def _cold_starts(seeds: int, scenes: dict[str, SyntheticScene]) -> Iterator[list[object]]:
     for title, scene in scenes.items():
-        print(f"\n{title}\nsolver        seed  {header}")
         for seed in range(seeds):
             sequence = generate(scene, seed)
             for solver in SOLVERS:
-                _print_scene(sequence, solver, seed)
-
-
-def _print_scene(sequence: SyntheticSequence, solver: str, seed: int) -> None:
-    config, clock = Backend.model_validate({"solver": solver}), Clock()
-    start = time.process_time()
-    initial = initialize_motion(sequence.tracks, sequence.relative, config)
-    middle = time.process_time()
-    estimate = estimate_motion(sequence.tracks, initial, config, clock)
-    end = time.process_time()
-    errors = figures(sequence, estimate)
-    ratios = np.abs(errors) / stated(estimate)
-    print(
-        f"{solver:13s} {seed:4d}  "
-        + "".join(f"{value:9.3f}" for value in errors[:5])
-        + "".join(f"  {value:+.4f}" for value in errors[5:])
-    )
-    print(
-        "     error / sigma  " + "".join(" " * 9 if np.isnan(value) else f"{value:9.2f}" for value in ratios)
-    )
-    parts = zip(PARTS, clock.parts_s(), strict=True)
-    print(
-        f"     seconds: first motion {middle - start:.2f}, "
-        + ", ".join(f"{name} {seconds:.2f}" for name, seconds in parts)
-        + f"; together {end - start:.2f}; {estimate.solver.iterations} iterations at the end",
-        flush=True,
-    )
+                config, clock = Backend.model_validate({"solver": solver}), Clock()
+                start = time.process_time()
+                initial = initialize_motion(sequence.tracks, sequence.relative, config)
+                first_s = time.process_time() - start
+                estimate = estimate_motion(sequence.tracks, initial, config, clock)
+                seconds = (first_s, *clock.parts_s(), time.process_time() - start)
+                yield [title, solver, seed, *numbers(seconds, ".2f"), estimate.solver.iterations]
 
 
 def warm() -> list[MotionEstimate]:
@@ -167,25 +107,16 @@ def warm() -> list[MotionEstimate]:
     return estimates
 
 
-def run(seeds: int, short: bool, png: Path | None) -> None:
-    """Everything that is printed."""
+def main(seeds: Seeds = 1, short: Short = False, output: Png = None) -> None:
+    """Print the tables, draw the growth where a figure is asked for."""
     warm()
     print_solvers(measure(THESIS))
     print_scenes(1 if short else seeds, dict([*SCENES.items()][:1]) if short else SCENES)
     sizes = (SHORT_FRAMES, SHORT_LANDMARKS) if short else (FRAMES, LANDMARKS)
     grown = growth(*sizes)
     print_growth(*grown)
-    if png is not None:
-        draw_growth(png, *grown)
-
-
-def main(
-    seeds: Annotated[int, arg(help="Sequences per scene.")] = 1,
-    short: Short = False,
-    output: Png = None,
-) -> None:
-    """In a new process, which reads the limit of threads before it loads NumPy."""
-    single_threaded(run, seeds, short, output)
+    if output is not None:
+        draw_growth(output, *grown)
 
 
 @dataclass(frozen=True)
@@ -281,14 +212,16 @@ def exponent(sizes: Array, seconds: Array) -> float:
 def print_solvers(times: Times) -> None:
     """The table of one problem, and how it compares with what was asked for."""
     print(f"\n{times.frames} frames, {times.landmarks} landmarks, {times.observations} observations\n")
-    print("| | iterations | seconds | ms per iteration |\n|---|---|---|---|")
-    for name, seconds, iterations in (
-        ("Gauss-Newton", times.gauss_newton_s, times.gauss_newton_iterations),
-        ("IPOPT, solving", times.ipopt_s, times.ipopt_iterations),
-    ):
-        print(f"| {name} | {iterations} | {seconds:.2f} | {1e3 * seconds / iterations:.0f} |")
-    print(f"| IPOPT, building | | {times.build_s:.2f} | |")
-    print(f"| all marginals and the joint covariance | | {times.covariance_s:.3f} | |")
+    rows = [
+        [name, iterations, f"{seconds:.2f}", f"{1e3 * seconds / iterations:.0f}"]
+        for name, seconds, iterations in (
+            ("Gauss-Newton", times.gauss_newton_s, times.gauss_newton_iterations),
+            ("IPOPT, solving", times.ipopt_s, times.ipopt_iterations),
+        )
+    ]
+    rows.append(["IPOPT, building", "", f"{times.build_s:.2f}", ""])
+    rows.append(["all marginals and the joint covariance", "", f"{times.covariance_s:.3f}", ""])
+    print_table(" | iterations | seconds | ms per iteration", rows)
     a, b = times.costs
     print(f"\nThe costs differ by a relative {abs(a - b) / a:.1e}.")
     found = (times.ipopt_s / times.gauss_newton_s, times.ipopt_s + times.build_s, times.covariance_s)
@@ -306,14 +239,14 @@ def growth(frames: tuple[int, ...], landmarks: tuple[int, ...]) -> tuple[list[Ti
 
 def print_growth(over_frames: list[Times], over_landmarks: list[Times]) -> None:
     """Rows of times, and the exponents."""
-    print("\n| frames | landmarks | observations | Gauss-Newton ms/step | IPOPT ms/step | covariance s |")
-    print("|" + "---|" * 6)
+    rows = []
     for t in [*over_frames, *over_landmarks]:
         newton, ipopt, covariance = curves([t])[:, 0]
-        print(
-            f"| {t.frames} | {t.landmarks} | {t.observations} | {1e3 * newton:.0f} | {1e3 * ipopt:.0f} "
-            f"| {covariance:.3f} |"
-        )
+        steps = numbers((1e3 * newton, 1e3 * ipopt), ".0f")
+        rows.append([t.frames, t.landmarks, t.observations, *steps, f"{covariance:.3f}"])
+    head = "frames | landmarks | observations | Gauss-Newton ms/step | IPOPT ms/step | covariance s"
+    print()
+    print_table(head, rows)
     for name, times, sizes in _axes(over_frames, over_landmarks):
         found = ", ".join(f"{exponent(sizes, c):.2f}" for c in curves(times))
         print(f"exponents over {name}: {found}")
@@ -330,10 +263,7 @@ def curves(times: list[Times]) -> Array:
 
 def draw_growth(path: Path, over_frames: list[Times], over_landmarks: list[Times]) -> None:
     """Both curves, with the exponents in the legend."""
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, panels = plt.subplots(1, 2, figsize=(11.0, 4.4), sharey=True)
+    figure, panels = subplots(1, 2, (11.0, 4.4), sharey=True)
     names = ("Gauss-Newton, an iteration", "IPOPT, an iteration", "all covariances")
     for axes, (title, times, sizes) in zip(panels, _axes(over_frames, over_landmarks), strict=True):
         for seconds, name, color in zip(curves(times), names, COLORS, strict=True):

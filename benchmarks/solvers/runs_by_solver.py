@@ -4,13 +4,12 @@
 
 Each RUN is a folder that ``polhode run`` made: its measurements and its own configuration are read. What
 comes before the last step (hypotheses, pruning, noise, pushes) is done once; then Gauss-Newton and IPOPT
-solve as ``backend.estimate`` has them solve, IPOPT with the time to build its program, and after them the
-default (Gauss-Newton; where that comes to no end, IPOPT). "to gain" is what one more Gauss-Newton step
+solve as ``backend.estimate`` does, IPOPT with the time to build its program, and after them the default
+(Gauss-Newton; where that does not converge, IPOPT). "to gain" is what one more Gauss-Newton step
 promises where a solver stopped, over the cost. Seconds are those of the processor, on one thread.
 """
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,8 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from benchmarks.command import Runs, command, single_threaded
+from benchmarks.command import Runs, command
+from benchmarks.presentation import table_head
 from polhode.backend import initialize_motion
 from polhode.backend.fit import fit
 from polhode.backend.problem.iterate import Iterate
@@ -61,13 +61,8 @@ class Stopped:
 
 
 def main(runs: Runs) -> None:
-    """In a new process, which reads the limit of threads before it loads NumPy."""
-    single_threaded(print_runs, runs)
-
-
-def print_runs(runs: Sequence[Path]) -> None:
-    """One row a run, and what is to be said of it."""
-    print(f"| {' | '.join(COLUMNS)} |\n|" + "---|" * len(COLUMNS))
+    """One row per run, and remarks on solvers that did not converge."""
+    print(table_head(COLUMNS))
     apart: list[float] = []
     for run in runs:
         try:

@@ -64,16 +64,6 @@ class FeatureInformation:
         """(T, n, 6, 6) with translations in radii, rotations in radians."""
         return np.asarray(self.C * np.outer(_scale(self.radius_m), _scale(self.radius_m)))
 
-    def accumulated(self, R_RG: Array) -> "FeatureInformation":
-        """Sum over the views R_RG (T, 3, 3): (1, n, 6, 6) along G's axes, for a known motion of the target.
-
-        A tracker that does not know the motion estimates each pose on its own, and the views stay separate.
-        """
-        turn = np.zeros((len(R_RG), 6, 6))
-        turn[:, :3, :3] = turn[:, 3:, 3:] = R_RG
-        along_G = np.einsum("tji,tnjk,tkl->nil", turn, self.C, turn, optimize=True)
-        return FeatureInformation(along_G[None], self.radius_m)
-
 
 def feature_information(
     model: EdgeModel,

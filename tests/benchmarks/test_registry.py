@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import provenance
+from benchmarks import record
 from benchmarks.command import ROOT
 from benchmarks.registry import BENCHMARKS, CODE, chosen, code_of
 
@@ -60,19 +60,19 @@ def test_a_result_is_old_when_its_code_has_changed(tmp_path: Path, monkeypatch: 
         (tmp_path / file).write_text(text)
         git("add", "-A")
         git("commit", "-m", file)
-        for cached in (provenance.provenance, provenance.last_change):
+        for cached in (record.provenance, record.last_change):
             cached.cache_clear()
 
-    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    monkeypatch.setattr(record, "ROOT", tmp_path)
     git("init")
     commit("backend/a.py", "1")
-    made = provenance.provenance(("backend",))
-    assert provenance.state(made, ("backend",)).startswith("current, made at ")
+    made = record.provenance(("backend",))
+    assert record.state(made, ("backend",)).startswith("current, made at ")
     commit("docs/a.md", "1")
-    assert provenance.state(made, ("backend",)).startswith("current")
+    assert record.state(made, ("backend",)).startswith("current")
     commit("backend/a.py", "2")
-    assert "backend changed in" in provenance.state(made, ("backend",))
-    other = {**provenance.provenance(("backend",)), "configuration": "another"}
-    assert "with another default configuration" in provenance.state(other, ("backend",))
-    assert "uncommitted" in provenance.state({**made, "changed": True}, ("backend",))
-    assert provenance.state(None, ("backend",)) == "recorded before records named their commit"
+    assert "backend changed in" in record.state(made, ("backend",))
+    other = {**record.provenance(("backend",)), "configuration": "another"}
+    assert "with another default configuration" in record.state(other, ("backend",))
+    assert "uncommitted" in record.state({**made, "changed": True}, ("backend",))
+    assert record.state(None, ("backend",)) == "recorded before records named their commit"

@@ -4,7 +4,6 @@ In: an edge model, a camera and an image; out: the pose, its residuals and its c
 
     tracker                 pose from the edges of one image
     edge_search             edges of the image along the normals of control points
-    against_sky             on which side of a control point the body is
     residual                whether the tracker converged to the right pose
     calibrated_covariance   covariance of the pose, with errors that whole edges share
 """

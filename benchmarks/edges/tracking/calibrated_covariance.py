@@ -20,8 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from benchmarks.edges.tracking.against_sky import polarity
-from benchmarks.edges.tracking.tracker import TrackingResult
+from benchmarks.edges.tracking.tracker import TrackingResult, polarity
 from polhode.lie import Array
 from polhode.records import Ints
 

@@ -10,9 +10,8 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from benchmarks.edges.tracking.against_sky import polarity
 from benchmarks.edges.tracking.edge_search import Levels, as_levels, gradients, levels, search
-from benchmarks.edges.tracking.tracker import TrackerOptions, TrackingResult
+from benchmarks.edges.tracking.tracker import TrackerOptions, TrackingResult, polarity
 from polhode.lie import Array
 from polhode.records import Bools
 

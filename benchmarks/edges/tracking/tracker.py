@@ -11,19 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from benchmarks.edges.tracking.against_sky import body_beside, polarity
 from benchmarks.edges.tracking.edge_search import Candidates, Levels, as_levels, search
 from polhode.camera import RectifiedRig
-from polhode.lie import Array, transform_points
+from polhode.lie import Array, inverse_pose, transform_points
 from polhode.planning.edges.edge_model import EdgeModel
 from polhode.planning.edges.observability_metric import EdgeObservability, edge_motion, moved, observability
 from polhode.planning.edges.visible_edges import SEPARATION_PX, SPACING_PX, ControlPoints, clear_points
-from polhode.records import Bools
+from polhode.records import Bools, Ints
 
 TUKEY = 4.685
 """Width in sigmas: 95 % efficient for Gaussian noise (Huber and Ronchetti, Robust Statistics, 2009)."""
 CAUCHY = 2.385
 MAD_TO_SIGMA = 1.4826
+BESIDE_PX = 3.0
+"""How far from the edge either side is looked at."""
 
 
 @dataclass(frozen=True)
@@ -315,3 +316,24 @@ def _nothing(X_RG: Array, radius_m: float, told: str) -> TrackingResult:
     return TrackingResult(
         X_RG, points, f, empty, empty, empty, np.zeros((0, 2), dtype=bool), information, 0, False, told
     )
+
+
+def body_beside(points: ControlPoints, model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> Bools:
+    """(m, 2) whether a ray BESIDE_PX behind and before each point along its normal meets the body."""
+    p_R = transform_points(X_RG, points.p_G)
+    X_GR = inverse_pose(X_RG)
+    out = np.zeros((len(points), 2), dtype=bool)
+    for column, side in enumerate((-BESIDE_PX, BESIDE_PX)):
+        beside = p_R.copy()
+        beside[:, :2] += side * points.normal_px * (p_R[:, 2:] / rig.focal_px)
+        # The occluder looks 2.5 radii back from a place: first before the point, then behind it.
+        reach = 1.0 + 2.4 * model.radius_m / np.maximum(np.linalg.norm(beside, axis=1), 1e-9)
+        for factor in np.ones_like(reach), reach:
+            place_G = transform_points(X_GR, beside * factor[:, None])
+            out[:, column] |= model.occluder.hides(X_GR[:3, 3], place_G, 0.0)
+    return out
+
+
+def polarity(beside: Bools) -> Ints:
+    """(m,) 1 where the light grows along the normal, from a dark sky to the body; -1 the reverse; else 0."""
+    return beside[:, 1].astype(np.int64) - beside[:, 0].astype(np.int64)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.edges.bodies import edge_body
 from benchmarks.edges.observability import LEVELS, levels
 from benchmarks.edges.observability_tables import (
     Spot,
@@ -15,6 +14,7 @@ from benchmarks.edges.observability_tables import (
     trend_table,
     trusted,
 )
+from benchmarks.edges.views import edge_body
 from polhode.planning.edges.edge_model import edge_model
 
 

@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edges.bodies import NAMES, SOLIDS, edge_body, extruded
 from benchmarks.edges.views import (
+    NAMES,
+    SOLIDS,
     EdgeViews,
     ViewOptions,
+    edge_body,
     edge_rig,
+    extruded,
     lights_to_camera,
     middle,
     perturbed,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edges.bodies import SOLIDS
-from benchmarks.edges.views import middle, perturbed, pose_errors, random_poses
+from benchmarks.edges.tracking.calibrated_covariance import nees
+from benchmarks.edges.views import SOLIDS, middle, perturbed, pose_errors, random_poses
 from benchmarks.edges.visp_tracker import (
     Answer,
     NoVispError,
@@ -18,7 +18,6 @@ from benchmarks.edges.visp_tracker import (
     Trial,
     about_camera_axes,
     cao_text,
-    nees,
     our_answer,
     polygons_of,
     program,

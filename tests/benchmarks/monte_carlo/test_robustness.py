@@ -15,7 +15,7 @@ from benchmarks.monte_carlo.robustness import (
     bias,
     gap_of,
     placed_off,
-    print_table,
+    print_tables,
     scene_of,
 )
 from benchmarks.record import Case
@@ -109,7 +109,7 @@ def test_the_tables_name_what_went_wrong(capsys: pytest.CaptureFixture[str]) -> 
     failed = lines[9]
     failed["failure"] = "no consistent motion"
     lines[15]["errors"][3] = 0.3
-    print_table(lines)
+    print_tables(lines)
     text = capsys.readouterr().out
     assert "| outliers | 6 | 1 | 6 | 5 (83%) | 0 |" in text
     assert "| gap | 6 | 0 | 6 | 5 (83%) | 1 |" in text

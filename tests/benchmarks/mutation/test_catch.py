@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from benchmarks.mutation.catch import table, try_all
-from benchmarks.mutation.faults import Fault
+from benchmarks.mutation.catch import Fault, table, try_all
 
 MODULE = "def double(x):\n    return 2 * x\n"
 TEST = "from module import double\n\n\ndef test_it_doubles():\n    assert double(3) == 6\n"
@@ -25,6 +24,6 @@ def test_a_fault_is_caught_survives_or_is_out_of_date(tmp_path: Path) -> None:
     assert not survived.caught_by and not survived.trouble
     assert not renamed.caught_by and "renew the fault" in renamed.trouble
     assert (copies / "0" / "module.py").read_text() == (tree / "module.py").read_text() == MODULE
-    lines = table([caught, survived, renamed])
+    lines = table([caught, survived, renamed]).splitlines()
     assert "`test_module.py::test_it_doubles`" in lines[2] and "**nothing**" in lines[3]
     assert lines[-1] == "1 of 3 faults are caught."

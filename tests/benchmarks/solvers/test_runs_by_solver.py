@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.solvers.runs_by_solver import print_runs, solve_run
+from benchmarks.solvers.runs_by_solver import main, solve_run
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 
@@ -39,7 +39,7 @@ def test_a_run_that_cannot_be_solved_costs_its_row_only(
     sequence = generate(replace(SCENE, frames=4), 2)
     write_measurements(sequence.tracks, tmp_path / "measurements.npz")
     (tmp_path / "config.yaml").write_text("{}\n")
-    print_runs([tmp_path, run])
+    main((tmp_path, run))
     told = capsys.readouterr().out
     assert "no relative poses are stored" in told
     rows = [line for line in told.splitlines() if line.startswith("|")]

@@ -72,21 +72,6 @@ def test_what_nothing_else_tells_rises_without_bound() -> None:
     assert 3 <= len(told) <= 6 and np.isfinite(found.sigma).all()
 
 
-def test_known_motion_joins_views_along_G() -> None:
-    model, X = block(), poses(3)
-    information = feature_information(model, RIG, X)
-    joined = information.accumulated(X[:, :3, :3])
-    assert joined.C.shape == (1, model.size, 6, 6)
-    # the sum of traces does not depend on axes
-    np.testing.assert_allclose(
-        np.trace(joined.total[0][:3, :3]), np.trace(information.total[:, :3, :3], axis1=1, axis2=2).sum()
-    )
-    np.testing.assert_array_less(
-        variances(joined.total, model.radius_m)[0, 3:].sum(),
-        variances(information.total, model.radius_m)[:, 3:].sum(axis=1).min(),
-    )
-
-
 def test_painted_edges_have_the_colours_of_the_legend(tmp_path: Path) -> None:
     model = block()
     values = np.linspace(0.0, 0.8, model.size)

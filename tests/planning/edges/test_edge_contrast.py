@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edges.trajectory.view_table import camera_attitude
+from benchmarks.edges.view_table import camera_attitude
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.edge_model import edge_model
 from polhode.planning.edges.information import feature_information

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edges.tracking.against_sky import body_beside, polarity
 from benchmarks.edges.tracking.calibrated_covariance import (
     NoiseLevels,
     NoiseParts,
@@ -13,7 +12,7 @@ from benchmarks.edges.tracking.calibrated_covariance import (
     noise_parts,
     parts_of,
 )
-from benchmarks.edges.tracking.tracker import track
+from benchmarks.edges.tracking.tracker import body_beside, polarity, track
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.planning.edges.edge_model import edge_model
 from polhode.planning.edges.observability_metric import edge_motion, observability

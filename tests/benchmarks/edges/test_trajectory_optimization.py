@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edges.trajectory.camera_path import (
+from benchmarks.edges.trajectory_optimization import (
+    BestTrajectory,
     CameraPathTask,
+    best_trajectory,
     camera_poses,
     min_range,
     path_metric,
     straight_path,
     target_centres,
 )
-from benchmarks.edges.trajectory.trajectory_optimization import BestTrajectory, best_trajectory
-from benchmarks.edges.trajectory.view_table import UPPER, camera_attitude, trace_of_inverse, view_table
+from benchmarks.edges.view_table import camera_attitude, view_table
 from polhode.errors import InputError
 from polhode.lie import transform_points
 from polhode.planning.edges.edge_model import EdgeModel
@@ -90,8 +91,8 @@ def test_all_of_the_body_is_in_the_image_all_the_way(
 
 def test_with_the_range_held_only_the_direction_is_chosen() -> None:
     model, target = block(), near_origin(tumbling())
-    task = replace(WATCH, fixed_range=True, objective="together", goal_N=None)
-    found = best_trajectory(model, RIG, target, volume(model, target), task, (), subdivisions=1)
+    task = replace(WATCH, fixed_range=True)
+    found = best_trajectory(model, RIG, target, volume(model, target), task, (60.0,), subdivisions=2)
     assert found.best.value < found.straight_path.value
     np.testing.assert_allclose(found.best.range_m, found.straight_path.range_m, rtol=0.03)
 
@@ -99,22 +100,20 @@ def test_with_the_range_held_only_the_direction_is_chosen() -> None:
 def test_a_goal_is_reached_at_rest() -> None:
     model, target = block(), near_origin(tumbling())
     goal = np.array([1.1, 0.2, -2.4])
-    task = replace(WATCH, goal_N=goal, objective="end")
+    task = replace(WATCH, goal_N=goal)
     found = best_trajectory(model, RIG, target, volume(model, target), task, (), subdivisions=1)
     np.testing.assert_allclose(found.best.path.p_N[-1], goal, atol=1e-7)
     np.testing.assert_allclose(found.best.path.v_N[-1], 0.0, atol=1e-7)
-    assert found.best.value == pytest.approx(found.straight_path.value, rel=1e-3)
 
 
 def test_between_its_views_the_table_is_smooth_and_near_the_metric() -> None:
     model = block()
     table = view_table(model, RIG, (2.2, 3.6), subdivisions=2, spacing_px=20.0)
-    value, tell, trace = table.log_trace_of(), table.information_of(), trace_of_inverse()
-    row, rows = ca.DM(table.log_trace[0]), ca.DM(table.information[0])
+    value, row = table.log_trace_of(), ca.DM(table.log_trace[0])
     p, r = ca.SX.sym("p", 3), ca.SX.sym("r", len(table.log_trace[0]))
     derivative = ca.Function("derivative", [p, r], [ca.jacobian(value(p, r), p)])
     rng = np.random.default_rng(0)
-    found, joined, true = [], [], []
+    found, true = [], []
     for _ in range(25):
         d = rng.normal(size=3)
         p_G = rng.uniform(2.3, 3.5) * d / np.linalg.norm(d)
@@ -124,21 +123,13 @@ def test_between_its_views_the_table_is_smooth_and_near_the_metric() -> None:
         C = feature_information(model, RIG, X[None], spacing_px=20.0, clear=True).scaled.sum(axis=1)[0]
         true.append(np.log(np.trace(np.linalg.inv(C + np.eye(6)))))
         found.append(float(value(p_G, row)))
-        joined.append(float(np.log(float(trace(tell(p_G, rows))))))
         # derivative against finite differences
         slope = np.asarray(derivative(p_G, row))
         step = 1e-5 * rng.normal(size=3)
         change = float(value(p_G + step, row)) - float(value(p_G - step, row))
         assert change == pytest.approx(2.0 * float(slope.reshape(-1) @ step), rel=1e-4, abs=1e-9)
     assert np.sqrt(np.mean((np.array(found) - true) ** 2)) < 0.6
-    assert np.corrcoef(found, true)[0, 1] > 0.7 and np.corrcoef(joined, true)[0, 1] > 0.5
-
-
-def test_the_trace_of_the_inverse() -> None:
-    A = np.random.default_rng(0).normal(size=(6, 9))
-    C = A @ A.T
-    found = float(trace_of_inverse()(C[UPPER]))
-    assert found == pytest.approx(np.trace(np.linalg.inv(C + np.eye(6))))
+    assert np.corrcoef(found, true)[0, 1] > 0.7
 
 
 def test_the_straight_way_is_what_it_says() -> None:

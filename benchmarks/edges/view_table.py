@@ -1,12 +1,11 @@
-"""What a camera would see of the target from all around, tabulated, and smooth between the views.
+"""The metric of a target for views from all around, tabulated, and smooth between the views.
 
-What is in sight changes in jumps with the view, and an optimizer needs derivatives. So the metric, with
-hidden lines removed and the light of each instant, is computed from directions spread over a sphere around
-the target and from some ranges. Between them it is the mean with weights that fall as a Gaussian (Nadaraya
-and Watson, 1964), smooth of any order. Means are taken of two things: of log tr (I + C)^-1 (shifts in radii,
-turns in radians, one pixel of noise), less its main trend 3 log(range); and of C range^3, along G's axes,
-where neighbouring views agree and means stay positive. The camera points at o, the model's middle, with all
-of the body in its image: turning about the optical axis then changes neither.
+Visibility changes in jumps with the view, and an optimizer needs derivatives. So the metric, with hidden
+lines removed and the light of each instant, is computed from directions spread over a sphere around the
+target from some ranges. Between them it is a mean with Gaussian weights (Nadaraya and Watson, 1964), which
+has all derivatives. The mean is that of log tr (I + C)^-1 (translations in radii, rotations in radians, one
+pixel of noise), less its main trend 3 log(range). The camera points at o, the model's centre, with all of the
+body in its image: rotations about the optical axis then do not change the metric.
 
 Edges beside faces seen edge-on count here, though a tracker leaves them out (`visible_edges.clear_points`):
 that happens in bands that are narrower than the table's steps, and would be smeared over all of it.
@@ -32,7 +31,6 @@ WIDTH = 0.6
 """Sigma of the weights, as a share of the distance between the views."""
 TREND = 3.0
 """C falls about as range^-3: f f^T with range^-2, the number of control points with range^-1."""
-UPPER = np.triu_indices(6)
 
 
 @dataclass(frozen=True)
@@ -45,9 +43,7 @@ class ViewTable:
     """(Q,) evenly spaced in the logarithm"""
     log_trace: Array
     """(T, D Q) less TREND log(range)"""
-    information: Array
-    """(T, D Q, 21) upper triangle of the scaled C along G, times range^TREND"""
-    apart_rad: float
+    spacing_rad: float
     """mean distance of neighbouring directions"""
 
     def at(self, k: int) -> int:
@@ -55,10 +51,10 @@ class ViewTable:
         return k if len(self.log_trace) > 1 else 0
 
     def weights(self) -> ca.Function:
-        """From the camera's place from o along G (3,) [m] to the weights (D Q,) of the views, sum 1."""
+        """From the camera's position from o along G (3,) [m] to the weights (D Q,) of the views, sum 1."""
         p = ca.SX.sym("p", 3)
         r = ca.norm_2(p)
-        near = 1.0 / (WIDTH * self.apart_rad) ** 2
+        near = 1.0 / (WIDTH * self.spacing_rad) ** 2
         of_direction = ca.exp(near * (ca.mtimes(ca.DM(self.towards_G), p / r) - 1.0))
         logs = np.log(self.range_m)
         gap = float(logs[1] - logs[0]) if len(logs) > 1 else 1.0
@@ -67,37 +63,10 @@ class ViewTable:
         return ca.Function("weights", [p], [both / ca.sum1(both)])
 
     def log_trace_of(self) -> ca.Function:
-        """From place (3,) and a row of ``log_trace`` to log tr (I + C)^-1."""
+        """From a position (3,) and a row of ``log_trace`` to log tr (I + C)^-1."""
         p, row = ca.SX.sym("p", 3), ca.SX.sym("row", self.log_trace.shape[1])
         value = ca.dot(self.weights()(p), row) + TREND * ca.log(ca.norm_2(p))
         return ca.Function("log_trace", [p, row], [value])
-
-    def information_of(self) -> ca.Function:
-        """From place (3,) and a row of ``information``, as (D Q, 21), to the 21 numbers of C along G."""
-        p, row = ca.SX.sym("p", 3), ca.SX.sym("row", self.information.shape[1], 21)
-        value = ca.mtimes(self.weights()(p).T, row) * ca.norm_2(p) ** (-TREND)
-        return ca.Function("information", [p, row], [value.T])
-
-
-def trace_of_inverse() -> ca.Function:
-    """From the 21 numbers of C to tr (I + C)^-1, by Cholesky."""
-    c = ca.SX.sym("c", 21)
-    C = ca.SX.zeros(6, 6)
-    for n, (row, column) in enumerate(zip(UPPER[0].tolist(), UPPER[1].tolist(), strict=True)):
-        C[row, column] = c[n]
-        C[column, row] = c[n]
-    L = ca.SX.zeros(6, 6)
-    M = C + ca.SX.eye(6)
-    for j in range(6):
-        L[j, j] = ca.sqrt(M[j, j] - sum((L[j, k] ** 2 for k in range(j)), ca.SX(0)))
-        for i in range(j + 1, 6):
-            L[i, j] = (M[i, j] - sum((L[i, k] * L[j, k] for k in range(j)), ca.SX(0))) / L[j, j]
-    inverse = ca.SX.zeros(6, 6)
-    for j in range(6):
-        for i in range(j, 6):
-            before = sum((L[i, k] * inverse[k, j] for k in range(j, i)), ca.SX(0))
-            inverse[i, j] = ((1.0 if i == j else 0.0) - before) / L[i, i]
-    return ca.Function("trace_of_inverse", [c], [ca.sumsqr(inverse)])
 
 
 def view_table(
@@ -115,31 +84,27 @@ def view_table(
     sphere = trimesh.creation.icosphere(subdivisions)
     towards = np.asarray(sphere.vertices)
     edges = towards[sphere.edges_unique]
-    apart = float(np.arccos(np.einsum("ek,ek->e", edges[:, 0], edges[:, 1])).mean())
+    spacing = float(np.arccos(np.einsum("ek,ek->e", edges[:, 0], edges[:, 1])).mean())
     # one step beyond either end: means at the ends need views on both sides
     step = np.log(high / low) / (RANGES - 1)
     ranges = np.exp(np.log(low) + step * np.arange(-1, RANGES + 1))
     T = 1 if sun_G is None else len(sun_G)
     log_trace = np.empty((T, len(towards), len(ranges)))
-    information = np.empty((T, len(towards), len(ranges), 21))
     scale = np.array([model.radius_m] * 3 + [1.0] * 3)
     for d, towards_G in enumerate(towards):
         R_RG = camera_attitude(-towards_G, np.array([0.31, 0.52, 0.79]))
-        turn = np.zeros((6, 6))
-        turn[:3, :3] = turn[3:, 3:] = R_RG
         for q, r in enumerate(ranges):
             eye_G = model.middle_G + r * towards_G
             X_RG = make_pose(R_RG, -R_RG @ eye_G)
             points = control_points(model, rig, X_RG, spacing_px)
-            f = (edge_motion(points, rig, X_RG, model.middle_G) * scale) @ turn
+            f = edge_motion(points, rig, X_RG, model.middle_G) * scale
             weight = np.tile(points.weight, (T, 1))
             if sun_G is not None:
                 weight *= np.array([contrast_weight(contrast(model, points, eye_G, sun)) for sun in sun_G])
             C = np.einsum("tm,mi,mj->tij", weight, f, f, optimize=True)
             trace = np.trace(np.linalg.inv(C + np.eye(6)), axis1=1, axis2=2)
             log_trace[:, d, q] = np.log(trace) - TREND * np.log(r)
-            information[:, d, q] = C[:, UPPER[0], UPPER[1]] * r**TREND
-    return ViewTable(towards, ranges, log_trace.reshape(T, -1), information.reshape(T, -1, 21), apart)
+    return ViewTable(towards, ranges, log_trace.reshape(T, -1), spacing)
 
 
 def camera_attitude(ahead: Array, up: Array) -> Array:

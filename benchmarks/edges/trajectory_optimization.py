@@ -1,18 +1,18 @@
-"""Where to fly so that the pose can be told best: the metric along the way, minimised by IPOPT.
+"""The camera trajectory from which the pose of a tumbling target is best observable, by IPOPT.
 
-    min   mean_k exp(L_k(R_GN (p_k - o_N,k)))         objective "each": L_k = log tr (I + C)^-1 at instant k
-          exp(L_K)                                                "end"
-          tr (I + sum_k C_k)^-1                                   "together", along G
-          + EFFORT mean |a_k|^2 / most^2
+    min   mean_k exp(L_k(R_GN (p_k - o_N,k))) + EFFORT mean |a_k|^2 / most^2       L_k = log tr (I + C)^-1
     s.t.  p, v from a, constant over each step; p_0, v_0 = 0 given; p_K and v_K = 0 with a goal
           |a_k| <= most
           low <= |p_k - o_k| <= high                    low: all of the body in the image
           cos of the phase and of the angle to the Sun within their limits
           a plane between inspector and keep-out hull, HOLD_CLEAR times a step (`planning.approach`)
 
-L and C are smooth tables of the metric around the target (`view_table.py`). A minimum of such a program is a
-local one, so it is solved from several guesses on all sides, and each answer is judged by the true metric:
-the best that keeps all limits between the instants, too, is returned, and the straight way beside it.
+L is a smooth table of the metric around the target (`view_table.py`). A minimum of such a program is a local
+one, so it is solved from several guesses on all sides, and each result is evaluated by the true metric: the
+best that keeps all limits between the instants, too, is returned, with the straight path for comparison.
+
+The camera is at the inspector's centre and points at o, the centre of the target's model. N does not rotate;
+the Sun is fixed in it.
 """
 
 from dataclasses import dataclass, replace
@@ -21,19 +21,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from benchmarks.edges.trajectory.camera_path import (
-    CameraPathMetric,
-    CameraPathTask,
-    min_range,
-    path_metric,
-    straight_path,
-    sun_in_G,
-    target_centres,
-)
-from benchmarks.edges.trajectory.view_table import SUBDIVISIONS, ViewTable, trace_of_inverse, view_table
+from benchmarks.edges.view_table import SUBDIVISIONS, ViewTable, camera_attitude, view_table
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
-from polhode.lie import Array, exp_so3
+from polhode.lie import Array, exp_so3, inverse_pose
 from polhode.planning.approach.trajectory import (
     HULL_POINTS,
     ApproachTrajectory,
@@ -44,6 +35,7 @@ from polhode.planning.approach.trajectory import (
     point_mass,
 )
 from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.information import feature_information, variances
 from polhode.planning.keep_out.volumes import InstantKeepOut
 from polhode.planning.prediction import BodyMotion, FinalEstimate, nominal_motion
 
@@ -55,18 +47,167 @@ SIDES = 4
 ROUNDS = 3
 CLOSE_TO_LIMITS = 1e-4
 MAX_ITERATIONS = 300
+LOOKED_AT = 4
+"""Instants per step at which a path is evaluated."""
+
+
+@dataclass(frozen=True)
+class CameraPathTask:
+    """A path from rest, in N."""
+
+    start_N: Array
+    duration_s: float
+    steps: int
+    max_accel_m_s2: float
+    range_m: tuple[float, float]
+    """of the camera from o; the nearer one at least `min_range`"""
+    radius_m: float
+    """of the inspector"""
+    clearance_m: float
+    """between its surface and the keep-out volume"""
+    goal_N: Array | None = None
+    """(3,) end, at rest; without it anywhere within the ranges, at any speed"""
+    fixed_range: bool = False
+    """At each step the range of the straight path, to RANGE_SLACK: only the direction is chosen"""
+    sun_N: Array | None = None
+    """(3,) towards the Sun; without it all edges are in even light"""
+    sun_exclusion_deg: float = 30.0
+    """least angle between the optical axis and the Sun"""
+    phase_deg: tuple[float, float] = (15.0, 120.0)
+    """between Sun and camera, seen from the target: below, the inspector shades it"""
+    up_N: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    """the camera's y axis points away from it"""
+
+
+@dataclass(frozen=True)
+class CameraPathMetric:
+    """The true metric along a path: visible edges, separate from others, in the light of each instant."""
+
+    path: ApproachTrajectory
+    time_s: Array
+    """(F,)"""
+    p_N: Array
+    """(F, 3) of the camera"""
+    X_RG: Array
+    """(F, 4, 4)"""
+    sun_R: Array | None
+    """(F, 3)"""
+    C: Array
+    """(F, 6, 6) along R's axes"""
+    range_m: Array
+    """(F,)"""
+    value: float
+    """of the objective"""
+    sigma: Array
+    """(6,) root of the mean variance over the views that determine the degree of freedom [m/px, rad/px]"""
+    determined: Array
+    """(6,) share of the views that determine it"""
+
+
+def min_range(model: EdgeModel, rig: RectifiedRig, border_px: float = 5.0) -> float:
+    """Range from which all of the body is in the image of a camera that points at o, in any orientation."""
+    radius = float(np.linalg.norm(np.asarray(model.surface.vertices) - model.middle_G, axis=1).max())
+    sides = [
+        rig.cx_px + 0.5,
+        rig.width_px - 0.5 - rig.cx_px,
+        rig.cy_px + 0.5,
+        rig.height_px - 0.5 - rig.cy_px,
+    ]
+    return radius / float(np.sin(np.arctan((min(sides) - border_px) / rig.focal_px)))
+
+
+def target_centres(model: EdgeModel, motion: BodyMotion) -> Array:
+    """o in N (T, 3)."""
+    return np.asarray(motion.p_NG + motion.R_NG @ model.middle_G)
+
+
+def sun_in_G(motion: BodyMotion, sun_N: Array) -> Array:
+    """(T, 3) unit."""
+    return np.asarray(np.einsum("tji,j->ti", motion.R_NG, sun_N / np.linalg.norm(sun_N)))
+
+
+def straight_path(model: EdgeModel, estimate: FinalEstimate, task: CameraPathTask) -> ApproachTrajectory:
+    """The straight path to the goal, or to the nearest range: accelerating, then braking.
+
+    Raises InputError when the thrust is too small for the distance.
+    """
+    K, dt = task.steps, task.duration_s / task.steps
+    goal = task.goal_N
+    if goal is None:
+        end = target_centres(model, nominal_motion(estimate, np.array([0.0, task.duration_s])))[1]
+        away = task.start_N - end
+        goal = end + task.range_m[0] * away / np.linalg.norm(away)
+    # ones, then minus ones; a middle step of an odd number rests
+    push = np.sign(0.5 * (K - 1) - np.arange(K))
+    reach = dt**2 * float((push * (K - 0.5 - np.arange(K))).sum())
+    accel = push[:, None] * (goal - task.start_N) / reach
+    if np.linalg.norm(accel[0]) > task.max_accel_m_s2:
+        most = task.max_accel_m_s2 * reach
+        raise InputError(
+            f"the goal is {np.linalg.norm(goal - task.start_N):.3g} m away; from rest to rest the thrust "
+            f"reaches {most:.3g} m in {task.duration_s:g} s"
+        )
+    v = np.vstack([np.zeros(3), np.cumsum(dt * accel, axis=0)])
+    p = task.start_N + np.vstack([np.zeros(3), np.cumsum(dt * v[:-1] + 0.5 * dt**2 * accel, axis=0)])
+    time = np.linspace(0.0, task.duration_s, K + 1)
+    return ApproachTrajectory(time, p, v, accel, float(dt * np.linalg.norm(accel, axis=1).sum()))
+
+
+def path_metric(
+    model: EdgeModel,
+    rig: RectifiedRig,
+    estimate: FinalEstimate,
+    task: CameraPathTask,
+    path: ApproachTrajectory,
+) -> CameraPathMetric:
+    """The true metric along a path, LOOKED_AT times per step."""
+    time = np.linspace(0.0, task.duration_s, LOOKED_AT * task.steps + 1)
+    motion = nominal_motion(estimate, time)
+    p_N = path.at(time)[0]
+    o_N = target_centres(model, motion)
+    X_RG = camera_poses(p_N, o_N, motion, np.asarray(task.up_N))
+    sun_G = sun_R = None
+    far = np.linalg.norm(p_N - o_N, axis=1)
+    if task.sun_N is not None:
+        sun_G = sun_in_G(motion, task.sun_N)
+        sun_R = np.einsum("tij,tj->ti", X_RG[:, :3, :3], sun_G)
+    information = feature_information(model, rig, X_RG, sun_G, clear=True)
+    total = information.total
+    each = variances(total, model.radius_m)
+    determined = np.isfinite(each)
+    with np.errstate(invalid="ignore"):
+        mean = np.where(determined, each, 0.0).sum(axis=0) / determined.sum(axis=0)
+    sigma = np.where(determined.any(axis=0), np.sqrt(mean), np.inf)
+    value = float(trace_of_inverse(information.scaled.sum(axis=1)).mean())
+    return CameraPathMetric(
+        path, time, p_N, X_RG, sun_R, total, far, value, np.asarray(sigma), determined.mean(axis=0)
+    )
+
+
+def camera_poses(p_N: Array, o_N: Array, motion: BodyMotion, up_N: Array) -> Array:
+    """X_RG (T, 4, 4) of cameras at p_N (T, 3) that point at o_N (T, 3)."""
+    X_NR = np.tile(np.eye(4), (len(p_N), 1, 1))
+    for X, p, o in zip(X_NR, p_N, o_N, strict=True):
+        X[:3, :3] = camera_attitude(o - p, up_N).T
+        X[:3, 3] = p
+    return np.asarray(inverse_pose(X_NR) @ motion.X_NG)
+
+
+def trace_of_inverse(C: Array) -> Array:
+    """tr (I + C)^-1 (...,) of information C (..., 6, 6) with translations in radii."""
+    return np.asarray(np.trace(np.linalg.inv(C + np.eye(6)), axis1=-2, axis2=-1))
 
 
 @dataclass(frozen=True)
 class BestTrajectory:
-    """The best way that was found, and the straight one; both by the true metric."""
+    """The best path found, and the straight one; both by the true metric."""
 
     best: CameraPathMetric
     straight_path: CameraPathMetric
     expected: float
-    """the objective of the best way by the tables"""
+    """the objective of the best path by the table"""
     starts: int
-    """guesses from which a way was found that keeps the limits"""
+    """guesses that led to a path within the limits"""
     tried: int
     gap_m: float
     """least distance of the inspector's middle from the keep-out volume"""
@@ -82,12 +223,12 @@ def best_trajectory(
     subdivisions: int = SUBDIVISIONS,
     table: ViewTable | None = None,
 ) -> BestTrajectory:
-    """The way of the least objective from several guesses; the same input gives the same way.
+    """The path of the least objective from several guesses; the same input gives the same path.
 
-    Guesses are the straight way and those that turn around the target by turns_deg, to SIDES sides each;
+    Guesses are the straight path and those that turn around the target by turns_deg, to SIDES sides each;
     ``subdivisions`` of the table's directions. A table of the same task saves making it.
 
-    Raises InputError where the start or the limits contradict each other, or no way keeps them.
+    Raises InputError where the start or the limits contradict each other, or no path keeps them.
     """
     nodes = nominal_motion(estimate, np.linspace(0.0, task.duration_s, 2 * task.steps + 1))
     _check(model, rig, keep_out, nodes, task)
@@ -129,12 +270,12 @@ def table_for(
 
 
 class _NoPath(Exception):
-    """No way from one guess."""
+    """No path from one guess."""
 
 
 @dataclass(frozen=True)
 class _Margins:
-    """What is asked beyond the limits, for what happens between the instants of the program."""
+    """Added to the limits, to allow for violations between the instants of the program."""
 
     clearance_m: float = 0.0
     range_m: float = 0.0
@@ -185,7 +326,7 @@ def _phases(task: CameraPathTask) -> tuple[float, float]:
 
 
 def _guesses(p_N: Array, o_N: Array, turns_deg: tuple[float, ...]) -> list[Array]:
-    """Places (K + 1, 3): the straight ones, and turned around the target to all sides, more and more."""
+    """Positions (K + 1, 3): the straight path, and turned around the target to all sides, more and more."""
     away = p_N - o_N
     first = away[0] / np.linalg.norm(away[0])
     aside = np.cross(first, np.eye(3)[int(np.argmin(np.abs(first)))])
@@ -212,7 +353,7 @@ def _path_within_limits(
     baseline: ApproachTrajectory,
     guess: Array,
 ) -> tuple[ApproachTrajectory, float]:
-    """A way from a guess that keeps the limits between the instants, too, and its objective."""
+    """A path from a guess that keeps the limits between the instants, too, and its objective."""
     margins = _Margins()
     for _ in range(ROUNDS):
         path, expected = _solve(model, keep_out, nodes, table, task, baseline, guess, margins)
@@ -226,7 +367,7 @@ def _path_within_limits(
             angle_rad=margins.angle_rad + _more(short.angle_rad),
         )
         guess = path.p_N
-    raise _NoPath("limits are broken between the instants of the program")
+    raise _NoPath("limits are violated between the instants of the program")
 
 
 def _more(short: float) -> float:
@@ -240,7 +381,7 @@ def _shortfall(
     task: CameraPathTask,
     path: ApproachTrajectory,
 ) -> _Margins:
-    """By how much a way breaks its limits between the instants."""
+    """By how much a path violates its limits between the instants."""
     time = keep_out.motion.time_s
     inside = time <= task.duration_s
     p_N, o_N = path.at(time[inside])[0], target_centres(model, keep_out.motion)[inside]
@@ -266,7 +407,7 @@ def _solve(
     guess: Array,
     margins: _Margins,
 ) -> tuple[ApproachTrajectory, float]:
-    """The program of the module's head."""
+    """The program of the module's docstring."""
     K, dt = task.steps, task.duration_s / task.steps
     o_N = target_centres(model, nodes)
     flight = point_mass(K, dt, task.start_N, task.max_accel_m_s2)
@@ -286,9 +427,6 @@ def _solve(
     size = float(ca.Function("size", [p], [metric])(guess.T))
     program.minimize(metric / size + EFFORT * ca.sumsqr(a) / (K * task.max_accel_m_s2**2))
     options: dict[str, Any] = {"print_level": 0, "sb": "yes", "max_iter": MAX_ITERATIONS, "tol": 1e-6}
-    if task.objective == "together":
-        # second derivatives of the sum take longer than the steps that they save
-        options["hessian_approximation"] = "limited-memory"
     program.solver("ipopt", {"print_time": False}, options)
     try:
         found = program.solve()
@@ -303,9 +441,9 @@ def _within_limits(
     """Range and Sun at the ends and the middles of the steps; o_N (2 K + 1, 3)."""
     program, K, dt = flight.program, task.steps, flight.dt_s
     places_N, _, _ = baseline.at(np.linspace(0.0, K * dt, 2 * K + 1))
-    held = np.linalg.norm(places_N - o_N, axis=1)
+    straight_m = np.linalg.norm(places_N - o_N, axis=1)
     low_rad, high_rad = _phases(task)
-    # the given goal is what it is
+    # no limits at a given goal
     last = 2 * K if task.goal_N is None else 2 * K - 1
     for n in range(1, last + 1):
         k = n // 2
@@ -315,8 +453,8 @@ def _within_limits(
         away = place - o_N[n]
         low, high = task.range_m[0] + margins.range_m, task.range_m[1] - margins.range_m
         if task.fixed_range:
-            low = max(low, (1.0 - RANGE_SLACK) * float(held[n]))
-            high = max(min(high, (1.0 + RANGE_SLACK) * float(held[n])), (1.0 + RANGE_SLACK) * low)
+            low = max(low, (1.0 - RANGE_SLACK) * float(straight_m[n]))
+            high = max(min(high, (1.0 + RANGE_SLACK) * float(straight_m[n])), (1.0 + RANGE_SLACK) * low)
         program.subject_to(program.bounded(low**2, ca.sumsqr(away), high**2))
         if task.sun_N is not None:
             towards_sun = ca.dot(away, task.sun_N / np.linalg.norm(task.sun_N))
@@ -326,20 +464,9 @@ def _within_limits(
 
 
 def _metric(p: ca.MX, o_N: Array, nodes: BodyMotion, table: ViewTable, task: CameraPathTask) -> ca.MX:
-    """The objective by the tables; nodes at 2 K + 1 instants."""
-    K = task.steps
-    p_G = [ca.mtimes(ca.DM(nodes.R_NG[2 * k].T), p[:, k] - o_N[k]) for k in range(K + 1)]
-    if task.objective == "together":
-        tell, D = table.information_of(), len(table.towards_G) * len(table.range_m)
-        rows = [ca.DM(table.information[table.at(k)].reshape(D, 21)) for k in range(K + 1)]
-        told: ca.MX = tell(p_G[0], rows[0])
-        for k in range(1, K + 1):
-            told = told + tell(p_G[k], rows[k])
-        trace: ca.MX = trace_of_inverse()(told)
-        return trace
-    value = table.log_trace_of()
-    chosen = [K] if task.objective == "end" else list(range(K + 1))
-    total = ca.MX(0.0)
-    for k in chosen:
-        total = total + ca.exp(value(p_G[k], ca.DM(table.log_trace[table.at(k)])))
-    return total / len(chosen)
+    """The objective by the table; nodes at 2 K + 1 instants."""
+    value, total = table.log_trace_of(), ca.MX(0.0)
+    for k in range(task.steps + 1):
+        p_G = ca.mtimes(ca.DM(nodes.R_NG[2 * k].T), p[:, k] - o_N[k])
+        total = total + ca.exp(value(p_G, ca.DM(table.log_trace[table.at(k)])))
+    return total / (task.steps + 1)
