@@ -24,9 +24,9 @@ from polhode.rigid_body import angular_acceleration, propagate
 
 PAIRS = 128
 UNKNOWN_RAD = float(np.sqrt((np.pi**2 / 3.0 + 2.0) / 3.0))
-"""Root mean square of each component of the rotation vector of a random attitude, all equally likely."""
+"""Root mean square of each component of the rotation vector of a uniformly distributed attitude."""
 MIN_SECOND_MOMENT = 0.02
-"""Of the largest: a drawn inertia is pulled towards the estimate until it is a possible body."""
+"""Share of the largest: a sampled inertia is moved towards the estimate until it is physically possible."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class FinalState:
     covariance: Array
     """(20, 20): r_N, v_N, theta in R_NG Exp(theta), w_G, the five parameters, com_G; finite"""
     past_s: Array | None = None
-    """(H,) instants < 0 before the last one, descending: what an undetermined inertia is held against"""
+    """(H,) instants < 0 before the last one, descending, that bound an undetermined inertia"""
     past_R_NG: Array | None = None
     """(H, 3, 3) attitudes there"""
 
@@ -66,7 +66,7 @@ class Prediction:
     R_NP: Array
     w_P: Array
     covariance: Array
-    """of the centre of mass and the principal axes: large where those are hardly known"""
+    """of the centre of mass and the principal axes: large where those are poorly known"""
     covariance_of_marks: Array
     """of the body: the estimated centre of mass and axes are exact marks on it; all inf: unknown"""
 
@@ -102,7 +102,7 @@ def predict(last: FinalState, time_s: ArrayLike, accel_psd: float, torque_psd: f
     dr = deviation[:, 0:3] + time[:, None, None] * deviation[:, 3:6]
     dv = np.broadcast_to(deviation[:, 3:6], dr.shape)
 
-    # how each member's principal axes lie against the estimated ones
+    # rotation of each member's principal axes relative to the estimated ones
     turn = exp_so3(deviation[:, 12:17] @ axes_jacobian(last).T)
     R_NP, R_GP = R_NG @ last.R_GP, last.R_GP
     back = np.swapaxes(R_NP, 1, 2)[:, None]
@@ -132,7 +132,7 @@ def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Arra
         z = z @ np.linalg.inv(np.linalg.cholesky(z.T @ z / PAIRS)).T
         normal = np.concatenate([z, -z])
     deviation = normal @ root.T
-    # linear in the parameters: what the motion forbids stays so, such as a spin about no principal axis
+    # linear in the parameters, so that directions without variance, such as off a spin axis, stay without
     change = np.einsum("nk,kij->nij", deviation[:, 12:17], last.J_jacobian)
     share = _largest_share(last.J_G, change)
     deviation[:, 12:17] *= share[:, None]
@@ -162,10 +162,10 @@ def _largest_share(J: Array, change: Array) -> Array:
 def _share_consistent_with_past(
     last: FinalState, deviation: Array, change: Array, past_s: Array, past_R_NG: Array
 ) -> Array:
-    """Shares (N,) of the changes of J, halved until the member's past is the one that was seen.
+    """Shares (N,) of the changes of J, halved until the member's past agrees with the observed one.
 
-    A linear covariance lets through bodies whose spin would have tipped over long ago. A past may differ from
-    the one seen twice as much as the estimate's own, and by three standard deviations of attitude and rate.
+    A linear covariance admits bodies whose spin would have flipped long ago. The past may differ from the
+    observed one by twice the estimate's own difference and three standard deviations of attitude and rate.
     """
 
     def past(members: Array, J: Array) -> Array:
@@ -187,7 +187,7 @@ def _share_consistent_with_past(
 
 
 def axes_jacobian(last: FinalState) -> Array:
-    """Derivative (3, 5) of theta in R_GP Exp(theta); of equal moments it has no meaning, and is zero."""
+    """Derivative (3, 5) of theta in R_GP Exp(theta); zero for equal moments, whose axes are undefined."""
     changes = last.R_GP.T @ last.J_jacobian @ last.R_GP
     values = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
     gaps = np.array([values[1] - values[2], values[2] - values[0], values[0] - values[1]])
@@ -231,7 +231,7 @@ def _second_moments(*deviations: Array) -> Array:
 
 
 def _no_worse_than_unknown(covariance: Array) -> Array:
-    """(T, 12, 12), the attitude's standard deviations at most those of one of which nothing is known."""
+    """(T, 12, 12), the attitude's standard deviations limited to those of a uniform distribution."""
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 6:9])
     factor = np.ones(covariance.shape[:2])
     factor[:, 6:9] = UNKNOWN_RAD / np.maximum(sigma, UNKNOWN_RAD)
@@ -239,17 +239,14 @@ def _no_worse_than_unknown(covariance: Array) -> Array:
 
 
 def process_noise(moments: Array, w_P: Array, time_s: Array, accel_psd: float, torque_psd: float) -> Array:
-    """What white disturbances add to the covariance (T, 12, 12) of r (N), v (N), theta (P), w (P).
+    """Covariance (T, 12, 12) of r (N), v (N), theta (P), w (P) due to white disturbances.
 
     moments (3,), middle one 1; w_P (3,) [rad/s] at the start; time_s (T,) >= 0 [s], increasing.
-    theta' = -w x theta + dw;  dw' = J^-1 ((J w) x - w x J) dw.
     """
 
     def derivative(_: float, y: Array) -> Array:
         w, Q = y[:3], y[3:].reshape(6, 6)
-        A = np.zeros((6, 6))
-        A[:3, :3], A[:3, 3:] = -hat(w), np.eye(3)
-        A[3:, 3:] = (hat(moments * w) - hat(w) * moments) / moments[:, None]
+        A = _attitude_error_dynamics(w, moments)
         Q_dot = A @ Q + Q @ A.T
         Q_dot[3:, 3:] += torque_psd * np.diag(1.0 / moments**2)
         return np.concatenate([np.cross(moments * w, w) / moments, Q_dot.ravel()])
@@ -263,8 +260,16 @@ def process_noise(moments: Array, w_P: Array, time_s: Array, accel_psd: float, t
     return out
 
 
+def _attitude_error_dynamics(w: Array, moments: Array) -> Array:
+    """A (..., 6, 6) of theta' = -w x theta + dw;  dw' = J^-1 ((J w) x - w x J) dw, with w (..., 3) in P."""
+    A = np.zeros((*w.shape[:-1], 6, 6))
+    A[..., :3, :3], A[..., :3, 3:] = -hat(w), np.eye(3)
+    A[..., 3:, 3:] = (hat(moments * w) - hat(w) * moments) / moments[:, None]
+    return A
+
+
 def _integrate(derivative: Callable[[float, Array], Array], start: Array, time: Array) -> Array:
-    """States (T, n) at the times, which go away from 0, from ``start`` at 0."""
+    """States (T, n) at times that move monotonically away from 0, where the state is ``start``."""
     end = float(time[-1])
     if end == 0.0:
         return np.tile(start, (len(time), 1))
@@ -280,7 +285,7 @@ MAX_MEMBERS = 100_000
 
 @dataclass(frozen=True)
 class FinalEstimate:
-    """What is known of the target at the end of a run: where members come from."""
+    """The target at the end of a run, from which members are sampled."""
 
     last: FinalState
     com_G: Array
@@ -293,7 +298,7 @@ class FinalEstimate:
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """The estimate, carried on to T instants."""
+    """The estimate, propagated to T instants."""
 
     time_s: Array
     """(T,) after the last pair"""
@@ -318,7 +323,7 @@ class BodyMotion:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Poses of G in n drawn members at T instants."""
+    """Poses of G in n sampled members at T instants."""
 
     R_NG: Array
     """(n, T, 3, 3)"""
@@ -326,7 +331,7 @@ class Ensemble:
     """(n, T, 3) [m]"""
 
     def part(self, chosen: slice) -> "Ensemble":
-        """Some of them."""
+        """A subset."""
         return Ensemble(self.R_NG[chosen], self.p_NG[chosen])
 
 
@@ -352,12 +357,12 @@ def draw_ensemble(estimate: FinalEstimate, time_s: Array, count: int, seed: int)
     rng = np.random.default_rng([seed, 8])
     R_all = np.empty((count, len(time_s), 3, 3))
     p_all = np.empty((count, len(time_s), 3))
-    pushed = DisturbancePaths(estimate, time_s)
+    disturbed = DisturbancePaths(estimate, time_s)
     for start in range(0, count, MEMBERS_AT_ONCE):
         n = min(MEMBERS_AT_ONCE, count - start)
         deviation, J = draw_deviations(estimate.last, rng.normal(size=(n, 20)))
         R, _ = propagate_members(estimate.last, deviation, J, time_s)
-        shift, turn_G = pushed.paths(n, rng)
+        shift, turn_G = disturbed.paths(n, rng)
         R = np.swapaxes(R, 0, 1) @ exp_so3(turn_G)
         r = estimate.last.r_N + deviation[:, None, 0:3]
         r = r + time_s[:, None] * (estimate.last.v_N + deviation[:, None, 3:6]) + shift
@@ -368,10 +373,10 @@ def draw_ensemble(estimate: FinalEstimate, time_s: Array, count: int, seed: int)
 
 
 class DisturbancePaths:
-    """White accelerations and torques, as paths of the place and the attitude about the estimate's motion."""
+    """White accelerations and torques, as random paths of position and attitude about the nominal motion."""
 
     def __init__(self, estimate: FinalEstimate, time_s: Array) -> None:
-        """Prepares the steps between times (T,) > 0 [s], the first one from 0."""
+        """Prepare the steps between times (T,) > 0 [s], the first one from 0."""
         last = estimate.last
         self.step_s = np.diff(time_s, prepend=0.0)
         self.accel_psd, self.R_GP = estimate.accel_psd, last.R_GP
@@ -388,22 +393,20 @@ class DisturbancePaths:
             rtol=1e-8,
         )
         w = states[3][1:] @ last.R_GP
-        # theta' = -w x theta + dw;  dw' = J^-1 ((J w) x - w x J) dw, the rate of the middle held over a step
-        A = np.zeros((len(time_s), 6, 6))
-        A[:, :3, :3], A[:, :3, 3:] = -hat(w), np.eye(3)
-        A[:, 3:, 3:] = (hat(moments * w) - hat(w) * moments) / moments[:, None]
+        # at the rate in the middle of each step
+        A = _attitude_error_dynamics(w, moments)
         S = np.zeros((6, 6))
         S[3:, 3:] = estimate.torque_psd * np.diag(1.0 / moments**2)
         half = expm(0.5 * self.step_s[:, None, None] * A)
         self.flow = half @ half
-        # Simpson's rule for the integral of what each instant adds
+        # Simpson's rule for the integrated process noise
         grown = self.flow @ S @ np.swapaxes(self.flow, 1, 2) + S
         grown = grown + 4.0 * half @ S @ np.swapaxes(half, 1, 2)
         values, vectors = np.linalg.eigh(self.step_s[:, None, None] / 6.0 * grown)
         self.root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
 
     def paths(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Shifts of the place along N [m] and turns along G [rad], (count, T, 3) each."""
+        """Translations along N [m] and rotations along G [rad], (count, T, 3) each."""
         T = len(self.step_s)
         shift, turn = np.empty((count, T, 3)), np.empty((count, T, 3))
         x, r, v = np.zeros((count, 6)), np.zeros((count, 3)), np.zeros((count, 3))

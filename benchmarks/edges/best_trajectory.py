@@ -159,12 +159,12 @@ class Trial:
     def errors(self, model: Any) -> dict[str, Any]:
         """Root mean squares (6,) [m, rad] of the poses that converged, and the share of those."""
 
-        start = perturbed(self.X_RG, model.middle_G, seed=4)
+        start = perturbed(self.X_RG, model.centre_G, seed=4)
         e, converged = np.zeros((len(start), 6)), np.zeros(len(start), dtype=bool)
         scale = np.array([model.radius_m] * 3 + [1.0] * 3)
         for k, (image, guess) in enumerate(zip(self.images, start, strict=True)):
             found = track(model, self.rig, np.asarray(image, dtype=np.float64), guess)
-            e[k] = pose_error(found.X_RG, self.X_RG[k], model.middle_G)
+            e[k] = pose_error(found.X_RG, self.X_RG[k], model.centre_G)
             converged[k] = found.converged and float(np.linalg.norm(e[k] / scale)) < CONVERGED
         return {
             "rms": np.sqrt(np.mean(e[converged] ** 2, axis=0)).tolist()

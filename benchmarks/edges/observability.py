@@ -172,12 +172,12 @@ def poses_of(case: Case, model: EdgeModel) -> Array:
         return random_poses(model.surface, RIG, count, case["seed"], (near, far))
     R = random_rotation(np.random.default_rng([case["seed"], 0xA99]))
     ranges_m = np.linspace(far, near, count)
-    return np.array([make_pose(R, np.array([0.0, 0.0, z]) - R @ model.middle_G) for z in ranges_m])
+    return np.array([make_pose(R, np.array([0.0, 0.0, z]) - R @ model.centre_G) for z in ranges_m])
 
 
 def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, Any]]:
     """For each pose and level: the metric, and errors on images of that pose, a little moved."""
-    o_G = model.middle_G
+    o_G = model.centre_G
     models = levels(model)
     for number, X_RG in enumerate(poses_of(case, model)):
         rng = np.random.default_rng([case["seed"], 7, number])
@@ -203,7 +203,7 @@ def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, 
 def foreseen(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> tuple[EdgeObservability, Array]:
     """The metric of a pose before there is an image, and its noise parts (3, 6, 6)."""
     points = clear_points(model, rig, X_RG, SPACING_PX)
-    f = edge_motion(points, rig, X_RG, model.middle_G)
+    f = edge_motion(points, rig, X_RG, model.centre_G)
     known = observability(f, points.weight, model.radius_m)
     if len(points) == 0 or len(known.unobservable):
         return known, np.full((3, 6, 6), np.nan)
@@ -251,7 +251,7 @@ def off_px(tracked: TrackingResult, true: Array) -> float:
 
 def wrong_starts(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, Any]]:
     """Tracks from near the truth, and from poses that look alike: turned by quarters, moved aside."""
-    o_G = model.middle_G
+    o_G = model.centre_G
     suns = random_suns(case["poses"], case["seed"])
     for number, X_RG in enumerate(poses_of(case, model)):
         image = views.image(X_RG, suns[number], number)
@@ -263,7 +263,7 @@ def wrong_starts(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dic
 
 def _starts(X_RG: Array, model: EdgeModel, rng: np.random.Generator) -> Iterator[tuple[str, Array]]:
     """Named starts; all but the first kind are meant to be wrong."""
-    o_G, R, radius_m = model.middle_G, X_RG[:3, :3], model.radius_m
+    o_G, R, radius_m = model.centre_G, X_RG[:3, :3], model.radius_m
 
     def off(shift: Array, turn: Array) -> Array:
         near = np.concatenate(

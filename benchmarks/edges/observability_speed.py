@@ -46,12 +46,12 @@ def row(name: str, mesh: trimesh.Trimesh, count: int) -> str:
     start = process_time()
     model = edge_model(mesh)
     made = process_time() - start
-    X_RG = places(model.middle_G, 2.0 * DIAMETERS_AWAY * model.radius_m, count)
+    X_RG = places(model.centre_G, 2.0 * DIAMETERS_AWAY * model.radius_m, count)
     times, points = np.full((ROUNDS, count), np.inf), []
     for n in range(ROUNDS):
         for k in range(count):
             start = process_time()
-            view = next(views_along(model, RIG, X_RG[k : k + 1], model.middle_G))
+            view = next(views_along(model, RIG, X_RG[k : k + 1], model.centre_G))
             _ = view.metric.covariance
             times[n, k] = process_time() - start
             points.append(len(view.points))
@@ -60,10 +60,10 @@ def row(name: str, mesh: trimesh.Trimesh, count: int) -> str:
     return f"| {name} | {numbers} | {np.median(best):.1f} | {best.max():.1f} |"
 
 
-def places(middle_G: Array, distance_m: float, count: int) -> Array:
+def places(centre_G: Array, distance_m: float, count: int) -> Array:
     """Poses X_RG (count, 4, 4) from all around, the middle on the optical axis."""
     R = Rotation.random(count, random_state=0).as_matrix()
-    return make_pose(R, np.array([0.0, 0.0, distance_m]) - R @ middle_G)
+    return make_pose(R, np.array([0.0, 0.0, distance_m]) - R @ centre_G)
 
 
 def finer(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:

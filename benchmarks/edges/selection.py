@@ -119,7 +119,7 @@ def between(model: EdgeModel, rig: RectifiedRig) -> str:
         found, true = np.empty(BETWEEN), np.empty(BETWEEN)
         for k, p_G in enumerate(far[:, None] * towards):
             R_RG = camera_attitude(-p_G, np.array([0.0, 0.0, 1.0]))
-            X_RG = make_pose(R_RG, -R_RG @ (p_G + model.middle_G))
+            X_RG = make_pose(R_RG, -R_RG @ (p_G + model.centre_G))
             C = feature_information(model, rig, X_RG[None], sun, clear=True).scaled.sum(axis=1)[0]
             true[k] = np.log(np.trace(np.linalg.inv(C + np.eye(6))))
             found[k] = float(value(p_G, table.log_trace[0]))

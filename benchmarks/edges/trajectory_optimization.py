@@ -5,7 +5,7 @@
           |a_k| <= most
           low <= |p_k - o_k| <= high                    low: all of the body in the image
           cos of the phase and of the angle to the Sun within their limits
-          a plane between inspector and keep-out hull, HOLD_CLEAR times a step (`planning.approach`)
+          a plane between inspector and keep-out hull, SEPARATIONS_PER_STEP times a step (`planning.approach`)
 
 L is a smooth table of the metric around the target (`view_table.py`). A minimum of such a program is a local
 one, so it is solved from several guesses on all sides, and each result is evaluated by the true metric: the
@@ -106,7 +106,7 @@ class CameraPathMetric:
 
 def min_range(model: EdgeModel, rig: RectifiedRig, border_px: float = 5.0) -> float:
     """Range from which all of the body is in the image of a camera that points at o, in any orientation."""
-    radius = float(np.linalg.norm(np.asarray(model.surface.vertices) - model.middle_G, axis=1).max())
+    radius = float(np.linalg.norm(np.asarray(model.surface.vertices) - model.centre_G, axis=1).max())
     sides = [
         rig.cx_px + 0.5,
         rig.width_px - 0.5 - rig.cx_px,
@@ -118,7 +118,7 @@ def min_range(model: EdgeModel, rig: RectifiedRig, border_px: float = 5.0) -> fl
 
 def target_centres(model: EdgeModel, motion: BodyMotion) -> Array:
     """o in N (T, 3)."""
-    return np.asarray(motion.p_NG + motion.R_NG @ model.middle_G)
+    return np.asarray(motion.p_NG + motion.R_NG @ model.centre_G)
 
 
 def sun_in_G(motion: BodyMotion, sun_N: Array) -> Array:

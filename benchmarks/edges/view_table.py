@@ -94,10 +94,10 @@ def view_table(
     for d, towards_G in enumerate(towards):
         R_RG = camera_attitude(-towards_G, np.array([0.31, 0.52, 0.79]))
         for q, r in enumerate(ranges):
-            eye_G = model.middle_G + r * towards_G
+            eye_G = model.centre_G + r * towards_G
             X_RG = make_pose(R_RG, -R_RG @ eye_G)
             points = control_points(model, rig, X_RG, spacing_px)
-            f = edge_motion(points, rig, X_RG, model.middle_G) * scale
+            f = edge_motion(points, rig, X_RG, model.centre_G) * scale
             weight = np.tile(points.weight, (T, 1))
             if sun_G is not None:
                 weight *= np.array([contrast_weight(contrast(model, points, eye_G, sun)) for sun in sun_G])

@@ -70,7 +70,7 @@ def drawn_pose(
     points = seen[contrast(model, seen, eye_G, sun_G) > errors.min_contrast]
     if len(points) < 6:
         return None
-    f = edge_motion(points, rig, X_RG, model.middle_G)
+    f = edge_motion(points, rig, X_RG, model.centre_G)
     edges, of_edge = np.unique(points.feature, return_inverse=True)
     offset = errors.sigma_px * rng.standard_normal(len(points))
     offset += errors.tau_px * rng.standard_normal(len(edges))[of_edge]
@@ -90,7 +90,7 @@ def drawn_pose(
     freedom = 1.0 - 6.0 / max(len(f), 7)
     residual = float(np.sqrt((weight * left**2).sum() / weight.sum() / freedom))
     return FoundPose(
-        moved(X_RG, step, model.middle_G),
+        moved(X_RG, step, model.centre_G),
         NoiseParts(parts[None], np.array([residual])),
         float(weight.sum() / seen.weight.sum()),
         {"residual": residual},

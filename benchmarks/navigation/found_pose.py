@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, NoiseParts
 from benchmarks.navigation.pose_weights import TrackedPose
 from polhode.lie import Array
-from polhode.planning.edges.observability_metric import observability
+from polhode.planning.edges.observability_metric import observable_covariance
 from polhode.records import Ints
 
 TOLD = 1e-9
@@ -58,11 +58,8 @@ def spread(f: Array, weight: Array, of_edge: Ints, sign: Ints, radius_m: float) 
 
     `calibrated.noise_parts` where all is told. Along motions that edges do not tell the fit makes no step.
     """
-    metric = observability(f, weight, radius_m)
-    values, directions = metric.scaled
-    told = np.arange(6) >= len(metric.unobservable)
-    D = directions[:, told] * metric.scale[:, None]
-    gain = (D / values[told]) @ D.T @ (f * weight[:, None]).T
+    weighted = f * weight[:, None]
+    gain = observable_covariance(weighted.T @ f, radius_m) @ weighted.T
     shared = np.zeros((6, int(of_edge.max(initial=-1)) + 1))
     np.add.at(shared.T, of_edge, gain.T)
     limb = gain @ sign

@@ -46,7 +46,7 @@ def tracked_poses(
         X_RG = course.X_RG(k)
         image = _image(views, X_RG, sun_R(course.R_NR[k]), k, folder).astype(np.float64)
         for sigma, poses in (NEAR, usual), (FAR, bad):
-            start = moved(X_RG, sigma * rng.standard_normal(6), model.middle_G)
+            start = moved(X_RG, sigma * rng.standard_normal(6), model.centre_G)
             tracked = track(model, rig, image, start, TRACKING)
             poses.append(_found(tracked, image, model.radius_m))
     return usual, bad

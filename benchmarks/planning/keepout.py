@@ -96,7 +96,7 @@ def measure(case: Case) -> dict[str, Any]:
             field = np.full((*shape, 1), FAR, dtype=np.float32)
             sweep(
                 field, level.origin, step, np.zeros(1), few.R_NG[n], few.p_NG[n], np.zeros((times, 6, 6)),
-                none, values, body.grid.origin, body.grid.step_m, body.middle_G, body.radius_m,
+                none, values, body.grid.origin, body.grid.step_m, body.centre_G, body.radius_m,
             )  # fmt: skip
             count += field[..., 0] <= 0.0
         return float((count > (1.0 - case["confidence"]) * NEEDED_DRAWS).sum()) * step**3
@@ -109,7 +109,7 @@ def measure(case: Case) -> dict[str, Any]:
         sweep(
             field, level.origin, level.step_m, np.zeros(1), states.R_NG, states.p_NG,
             np.zeros((len(fine), 6, 6)), np.zeros(len(fine)), body.grid.values, body.grid.origin,
-            body.grid.step_m, body.middle_G, body.radius_m,
+            body.grid.step_m, body.centre_G, body.radius_m,
         )  # fmt: skip
         return np.asarray(field[..., 0])
 

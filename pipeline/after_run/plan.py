@@ -68,12 +68,12 @@ def surface_of(run: Path) -> SurfaceModel:
     return surface
 
 
-def plan_run(run: Path, wanted: KeepOutOptions, docking: Docking | None) -> Plan:
+def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Plan:
     """Everything that the run allows; what it does not is named with the reason."""
-    if not (np.isfinite(wanted.horizon_s) and wanted.horizon_s > 0.0):
-        raise InputError(f"--horizon {wanted.horizon_s:g}: give the seconds to look ahead, a number above 0")
-    if not 0.5 <= wanted.confidence <= 0.999:
-        raise InputError(f"--confidence {wanted.confidence:g}: give a share from 0.5 to 0.999")
+    if not (np.isfinite(options.horizon_s) and options.horizon_s > 0.0):
+        raise InputError(f"--horizon {options.horizon_s:g}: give the seconds to look ahead, a number above 0")
+    if not 0.5 <= options.confidence <= 0.999:
+        raise InputError(f"--confidence {options.confidence:g}: give a share from 0.5 to 0.999")
     estimate, summary = final_estimate(run)
     left_out: dict[str, str] = {}
     notes = [*summary.warnings[:1]] if summary.status == "failed" else []
@@ -82,7 +82,7 @@ def plan_run(run: Path, wanted: KeepOutOptions, docking: Docking | None) -> Plan
         words = ", ".join(hidden)
         notes.append(f"The run does not determine {words}: the sampled motions are bounded by what was seen.")
     found, speed, surface = None, None, None
-    motion = nominal_motion(estimate, np.concatenate([[0.0], member_times(estimate, wanted.horizon_s)]))
+    motion = nominal_motion(estimate, np.concatenate([[0.0], member_times(estimate, options.horizon_s)]))
     try:
         surface = surface_of(run)
     except InputError as error:
@@ -90,9 +90,9 @@ def plan_run(run: Path, wanted: KeepOutOptions, docking: Docking | None) -> Plan
     odd = [] if docking is None else _docking_words(docking, surface, run)
     if surface is not None:
         try:
-            found = keep_out(surface, estimate, wanted)
+            found = keep_out(surface, estimate, options)
         except ValueError as error:
-            raise InputError(f"--members {wanted.members}: {error}") from None
+            raise InputError(f"--members {options.members}: {error}") from None
         notes += _coverage_words(found, summary)
         mesh = surface.mesh
         speed = surface_speed(
@@ -107,7 +107,7 @@ def plan_run(run: Path, wanted: KeepOutOptions, docking: Docking | None) -> Plan
             motion, docking.point_G, docking.axis_G, docking.stand_off_m, np.deg2rad(docking.half_angle_deg)
         )
     return Plan(
-        wanted.horizon_s, wanted.confidence, found, speed, surface, path, docking, left_out, tuple(notes)
+        options.horizon_s, options.confidence, found, speed, surface, path, docking, left_out, tuple(notes)
     )
 
 

@@ -2,6 +2,7 @@
 
 import io
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -231,7 +232,8 @@ def draw_mesh(surface: SurfaceModel, viewer: MeshViewer, frame: BodyFrame) -> by
     figure = Figure(figsize=size_in, dpi=DPI, facecolor="white", layout="constrained")
     title = f"Mesh: {len(mesh.faces)} triangles, orthographic. {frame.description}"
     figure.suptitle(title, size=13, weight="bold", color=INK)
-    for part, quantity in zip(np.ravel(figure.subfigures(len(quantities), 1)), quantities, strict=True):
+    parts: Any = figure.subfigures(len(quantities), 1)
+    for part, quantity in zip(parts, quantities, strict=True):
         part.suptitle(quantity.title, x=0.01, ha="left", size=10, weight="bold", color=INK)
         panels = part.subplots(1, len(directions))
         for panel, view, light, direction in zip(panels, views, lights, directions, strict=True):

@@ -1,9 +1,9 @@
-"""Flying beside a tumbling target.
+"""Station keeping and approach at a tumbling target.
 
-In: the predicted motion, the keep-out volume, the thrust. Out: what an approach costs and where it may go.
+In: the predicted motion, the keep-out volume, the thrust. Out: the cost of an approach, and trajectories.
 
     tumbling_threshold   rates above which station keeping costs too much
     corridor             the cone of a docking point, and the acceleration that staying in it takes
-    surface_speed        speed of the surface past an inspector, and the slowest places
+    surface_speed        speed of the surface past an inspector, and the slowest points
     trajectory           an inspector's trajectory around the keep-out volume
 """

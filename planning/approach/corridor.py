@@ -1,9 +1,8 @@
-"""The approach corridor of a docking point: a cone that turns with the target, and what it takes to stay in
-it.
+"""The approach corridor of a docking point: a cone that rotates with the target, and the cost of staying in.
 
-An inspector that keeps its place in the corridor at a stand-off moves with the target: besides the motion of
-the centre of mass, which is free, it needs the acceleration dw/dt x r + w x (w x r), r from the centre of
-mass (Euler and centripetal terms; thesis eq. 1.1 has the second one alone).
+An inspector at a fixed stand-off in the corridor moves with the target: besides the motion of the centre of
+mass, which is free, it needs the acceleration dw/dt x r + w x (w x r), r from the centre of mass (Euler and
+centripetal terms; thesis eq. 1.1 has the second one alone).
 """
 
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from polhode.planning.prediction import BodyMotion
 
 @dataclass(frozen=True)
 class Corridor:
-    """The axis of the cone over T instants, along N."""
+    """The cone and an inspector at the stand-off, at T instants, in N."""
 
     time_s: Array
     tip_N: Array
@@ -24,7 +23,7 @@ class Corridor:
     axis_N: Array
     """(T, 3) unit vector outwards"""
     place_N: Array
-    """(T, 3) of the inspector at the stand-off [m]"""
+    """(T, 3) position of the inspector [m]"""
     velocity_N: Array
     """(T, 3) [m/s]"""
     acceleration_N: Array
@@ -36,11 +35,11 @@ class Corridor:
         """Change of velocity over the whole time, by the trapezoidal rule."""
         return float(np.trapezoid(np.linalg.norm(self.acceleration_N, axis=1), self.time_s))
 
-    def holds(self, p_N: Array) -> Array:
-        """(T,) whether a place (T, 3) at each instant lies in the cone."""
-        away = p_N - self.tip_N
-        along = np.einsum("ti,ti->t", away, self.axis_N)
-        return np.asarray(along >= np.cos(self.half_angle_rad) * np.linalg.norm(away, axis=1))
+    def contains(self, p_N: Array) -> Array:
+        """(T,) whether a point (T, 3) at each instant lies in the cone."""
+        offset = p_N - self.tip_N
+        along = np.einsum("ti,ti->t", offset, self.axis_N)
+        return np.asarray(along >= np.cos(self.half_angle_rad) * np.linalg.norm(offset, axis=1))
 
 
 def corridor(

@@ -1,4 +1,4 @@
-"""How fast the surface moves past an inspector, and where a grapple would meet it most gently."""
+"""Speed of the surface past an inspector, and the points where a grapple would meet it most slowly."""
 
 from dataclasses import dataclass
 
@@ -21,9 +21,9 @@ class SurfaceSpeed:
     mean_m_s: Array
     """(V,)"""
     normal_m_s: Array
-    """(V,) along the outward normal at the last pair: positive, it comes towards whoever stands before it"""
+    """(V,) along the outward normal at the last pair; positive: towards an observer in front of it"""
     sigma_m_s: Array
-    """(V,) standard deviation of the speed at the last pair, and of what moves with the unknown"""
+    """(V,) standard deviation of the speed at the last pair"""
 
 
 def surface_speed(
@@ -42,7 +42,7 @@ def surface_speed(
     chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MAX_INSTANTS).round().astype(int))
     total, largest = np.zeros(len(p_G)), np.zeros(len(p_G))
     for k in chosen:
-        # the same as velocity(), with one product for each point: u = p_G A + b
+        # as velocity(), with one product per point: u = p_G A + b
         R, spin = motion.R_NG[k], hat(motion.w_N[k])
         lever = motion.p_NG[k] - motion.com_N[k]
         u = p_G @ (spin @ R).T + (motion.v_N[k] - own + spin @ lever)
@@ -77,11 +77,11 @@ def _sigma(motion: BodyMotion, R: Array, p_G: Array, along_G: Array, covariance:
     return np.asarray(np.sqrt(np.maximum(np.einsum("vi,ij,vj->v", slopes, part, slopes), 0.0)))
 
 
-def slowest_points(speed: Array, p_G: Array, apart_m: float, count: int) -> list[int]:
-    """Indices of the slowest points (V,), each at least so far from the others."""
+def slowest_points(speed: Array, p_G: Array, separation_m: float, count: int) -> list[int]:
+    """Indices of the slowest points (V,), with at least this separation."""
     chosen: list[int] = []
     for n in np.argsort(speed, kind="stable"):
-        if all(np.linalg.norm(p_G[n] - p_G[m]) >= apart_m for m in chosen):
+        if all(np.linalg.norm(p_G[n] - p_G[m]) >= separation_m for m in chosen):
             chosen.append(int(n))
             if len(chosen) == count:
                 break

@@ -1,8 +1,8 @@
-"""An inspector's way around a tumbling target, out of its keep-out volume at every instant.
+"""An inspector's trajectory around a tumbling target, outside its keep-out volume at every instant.
 
-The inspector is a ball that its thrusters push along straight axes of N; its acceleration is constant over
-each step. Beside the convex hull of the grown body there is, at each instant, a plane that separates the
-two; its normal is an unknown of the program, so the constraint is smooth and holds for the hull exactly.
+The inspector is a sphere whose acceleration, in N, is constant over each step. At each instant a plane
+separates it from the convex hull of the grown body; the plane's normal is an unknown of the program, so the
+constraint is smooth and exact for the hull.
 """
 
 from dataclasses import dataclass, replace
@@ -16,24 +16,24 @@ from polhode.planning.keep_out.volumes import InstantKeepOut
 
 HULL_POINTS = 100
 ROUNDS = 4
-HOLD_CLEAR = 2
-"""Instants inside each step at which the separation is asked for."""
+SEPARATIONS_PER_STEP = 2
+"""Instants inside each step at which the separation is required."""
 
 
 @dataclass(frozen=True)
 class ApproachTask:
-    """Where to fly, from rest to rest."""
+    """A transfer from rest to rest."""
 
     start_N: Array
     goal_N: Array
     via_N: Array
-    """(3,) the side on which to pass"""
+    """(3,) point near which to pass"""
     duration_s: float
     steps: int
     radius_m: float
     """of the inspector"""
     clearance_m: float
-    """left between its surface and the keep-out volume"""
+    """between its surface and the keep-out volume"""
     max_accel_m_s2: float
 
 
@@ -50,7 +50,7 @@ class ApproachTrajectory:
     delta_v_m_s: float
 
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
-        """Place, velocity, acceleration (n, 3) at times inside the plan."""
+        """Position, velocity, acceleration (n, 3) at times within the plan."""
         k = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.accel_N) - 1)
         dt = (time_s - self.time_s[k])[:, None]
         a = self.accel_N[k]
@@ -58,20 +58,20 @@ class ApproachTrajectory:
 
 
 def plan_trajectory(keep_out: InstantKeepOut, task: ApproachTask) -> ApproachTrajectory:
-    """Least acceleration, squared, with the clearance at every instant. Raises ValueError without a way."""
-    asked = task
+    """Minimize the squared acceleration, with the clearance at every instant; ValueError if infeasible."""
+    tightened = task
     for _ in range(ROUNDS):
-        trajectory = _solve(keep_out, asked)
+        trajectory = _solve(keep_out, tightened)
         short = task.radius_m + task.clearance_m - min_distance(keep_out, trajectory)
         if short <= 0.0:
             return trajectory
-        # what came closer between the instants of the program
-        asked = replace(asked, clearance_m=asked.clearance_m + 1.2 * short + 1e-4)
-    raise ValueError("no way was found that keeps the clearance between the instants of the program")
+        # closer between the instants of the program than at them
+        tightened = replace(tightened, clearance_m=tightened.clearance_m + 1.2 * short + 1e-4)
+    raise ValueError("no trajectory was found that keeps the clearance between the instants of the program")
 
 
 def min_distance(keep_out: InstantKeepOut, trajectory: ApproachTrajectory) -> float:
-    """Least distance [m] of the inspector's middle from the volume, over the instants of its motion."""
+    """Smallest distance [m] of the inspector's centre from the volume, over the instants of its motion."""
     p, _, _ = trajectory.at(keep_out.motion.time_s)
     return min(float(keep_out.signed_distance(k, p[k : k + 1])[0]) for k in range(len(p)))
 
@@ -81,7 +81,7 @@ def _solve(keep_out: InstantKeepOut, task: ApproachTask) -> ApproachTrajectory:
     farthest = 0.25 * task.max_accel_m_s2 * task.duration_s**2
     if np.linalg.norm(task.goal_N - task.start_N) > farthest:
         raise ValueError(
-            f"no way was found: from rest to rest the thrust reaches {farthest:.3g} m in this time"
+            f"no trajectory was found: from rest to rest the thrust reaches {farthest:.3g} m in this time"
         )
     hull, short_m = hull_points(keep_out.body.points_G, HULL_POINTS)
     margin = keep_out.margin_m() + short_m + task.radius_m + task.clearance_m
@@ -97,13 +97,13 @@ def _solve(keep_out: InstantKeepOut, task: ApproachTask) -> ApproachTrajectory:
     try:
         found = program.solve()
     except RuntimeError as error:
-        raise ValueError(f"no way was found: {str(error).splitlines()[-1].strip()}") from None
+        raise ValueError(f"no trajectory was found: {str(error).splitlines()[-1].strip()}") from None
     return flight.trajectory(found)
 
 
 @dataclass(frozen=True)
 class PointMass:
-    """A program with the motion of an inspector whose acceleration is constant over each step, in N."""
+    """An optimization program with the motion of an inspector, its acceleration constant over each step."""
 
     program: ca.Opti
     a: ca.MX
@@ -128,7 +128,7 @@ class PointMass:
 
 
 def point_mass(steps: int, dt_s: float, start_N: Array, max_accel_m_s2: float) -> PointMass:
-    """From rest at start_N (3,), with a bounded thrust."""
+    """The program from rest at start_N (3,), with bounded thrust."""
     program = ca.Opti()
     a, p, v = program.variable(3, steps), program.variable(3, steps + 1), program.variable(3, steps + 1)
     program.subject_to(p[:, 0] == start_N)
@@ -143,30 +143,30 @@ def point_mass(steps: int, dt_s: float, start_N: Array, max_accel_m_s2: float) -
 def keep_clear(
     flight: PointMass, keep_out: InstantKeepOut, hull: Array, margin_m: Array, guess: Array
 ) -> None:
-    """Ask for a plane between the inspector and the hull (m, 3) in G at instants inside each step.
+    """Require a separating plane between the inspector and the hull (m, 3) in G at instants inside each step.
 
-    margin_m (T,) at the instants of the volume's motion; guess (K + 1, 3) of the inspector's places.
+    margin_m (T,) at the instants of the volume's motion; guess (K + 1, 3) of the inspector's positions.
     """
     program, dt, motion = flight.program, flight.dt_s, keep_out.motion
     K = flight.a.shape[1]
-    u = program.variable(3, K * HOLD_CLEAR)
+    u = program.variable(3, K * SEPARATIONS_PER_STEP)
     for k in range(K):
-        for h in range(HOLD_CLEAR):
-            share = (h + 0.5) / HOLD_CLEAR
+        for h in range(SEPARATIONS_PER_STEP):
+            share = (h + 0.5) / SEPARATIONS_PER_STEP
             n = int(np.argmin(np.abs(motion.time_s - (k + share) * dt)))
-            place = flight.p[:, k] + share * dt * flight.v[:, k] + 0.5 * (share * dt) ** 2 * flight.a[:, k]
+            position = flight.p[:, k] + share * dt * flight.v[:, k] + 0.5 * (share * dt) ** 2 * flight.a[:, k]
             corners = hull @ motion.R_NG[n].T + motion.p_NG[n]
-            normal = u[:, k * HOLD_CLEAR + h]
+            normal = u[:, k * SEPARATIONS_PER_STEP + h]
             program.subject_to(ca.sumsqr(normal) <= 1)
             # the plane through the corner that is farthest along the normal
-            gap = ca.dot(normal, place) - ca.mtimes(ca.DM(corners), normal)
+            gap = ca.dot(normal, position) - ca.mtimes(ca.DM(corners), normal)
             program.subject_to(gap >= float(margin_m[n]))
             away = (1 - share) * guess[k] + share * guess[k + 1] - motion.com_N[n]
             program.set_initial(normal, away / np.linalg.norm(away))
 
 
 def hull_points(points: Array, count: int) -> tuple[Array, float]:
-    """Points (m, 3) of the hull, spread over it, and how far the hull goes beyond theirs [m]."""
+    """Points (m, 3) spread over the hull, and how far the hull protrudes from theirs [m]."""
     corners = np.asarray(trimesh.convex.convex_hull(points).vertices)
     chosen = [int(np.argmax(np.linalg.norm(corners - corners.mean(axis=0), axis=1)))]
     away = np.linalg.norm(corners - corners[chosen[0]], axis=1)
@@ -174,7 +174,7 @@ def hull_points(points: Array, count: int) -> tuple[Array, float]:
         chosen.append(int(np.argmax(away)))
         away = np.minimum(away, np.linalg.norm(corners - corners[chosen[-1]], axis=1))
     few = corners[chosen]
-    # a support function is the largest at a corner of the hull: how far each corner is from the smaller hull
+    # the support function is largest at a corner of the hull: distance of each corner from the smaller hull
     planes = trimesh.convex.convex_hull(few)
     beyond = np.einsum(
         "fi,nfi->nf", planes.face_normals, corners[:, None] - planes.triangles_center[None]

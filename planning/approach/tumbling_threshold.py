@@ -1,4 +1,4 @@
-"""Is a target tumbling or spinning: the rate above which station keeping beside it costs too much.
+"""Tumbling or spinning: the rate above which station keeping at a target costs too much.
 
 Thesis 1.2, eqs. 1.1-1.12: an inspector that follows a point at a radius from the axis needs a centripetal
 force; either the thrusters cannot give it, or it uses more than a share of the inspector's mass as fuel.
@@ -12,19 +12,19 @@ STANDARD_GRAVITY = 9.81
 """[m/s^2], as the thesis rounds it"""
 RPM = 2.0 * np.pi / 60.0
 MAX_DIGITS = 15.0
-"""A rate [rad/s] of more, or of less than the inverse, is a slip of the units."""
+"""A rate above 10^15 rad/s, or below the inverse, indicates wrong units."""
 
 
 @dataclass(frozen=True)
 class StationKeeping:
-    """An inspector that keeps its place beside a turning target."""
+    """An inspector at a fixed position relative to a rotating target."""
 
     radius_m: float
     """from the spin axis"""
     mass_kg: float
     """of the inspector, with its fuel"""
     force_n: float
-    """most that its thrusters give"""
+    """maximum of its thrusters"""
     isp_s: float
     """specific impulse"""
     duration_s: float
@@ -50,7 +50,7 @@ class Threshold:
 def threshold(given: StationKeeping) -> Threshold:
     """Eq. 1.12; all values positive, the fuel fraction below 1.
 
-    Raises ValueError when a rate is beyond what numbers can hold.
+    Raises ValueError for a rate that is too large or too small to be meant.
     """
     by_force = _root([given.force_n], [given.radius_m, given.mass_kg])
     burnt = float(-np.log1p(-given.fuel_fraction))
@@ -59,7 +59,7 @@ def threshold(given: StationKeeping) -> Threshold:
 
 
 def _root(above: list[float], below: list[float]) -> float:
-    """Root of a quotient of products, by logarithms: a product may underflow where the root is sound."""
+    """Root of a quotient of products, by logarithms: a product may underflow where the root does not."""
     digits = 0.5 * float(np.log10(above).sum() - np.log10(below).sum())
     if abs(digits) > MAX_DIGITS:
         raise ValueError(f"a rate of 10^{digits:.0f} rad/s")

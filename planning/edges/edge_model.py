@@ -223,7 +223,7 @@ class EdgeModel:
         return np.asarray(np.linalg.norm(self.ends_G[:, 1] - self.ends_G[:, 0], axis=1))
 
     @property
-    def middle_G(self) -> Array:
+    def centre_G(self) -> Array:
         """(3,) centre of the surface's bounding box [m]: the default reference point of motions."""
         return np.asarray(self.surface.bounds.mean(axis=0))
 

@@ -29,11 +29,13 @@ from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
 from polhode.planning.edges.edge_model import EdgeModel
 from polhode.planning.edges.observability_metric import (
-    UNOBSERVABLE_INFORMATION,
-    UNOBSERVABLE_SIGMA,
     EdgeObservability,
     edge_motion,
+    is_unobservable,
+    motion_scale,
     observability,
+    observable_covariance,
+    spectrum,
 )
 from polhode.planning.edges.visible_edges import (
     SPACING_PX,
@@ -42,7 +44,7 @@ from polhode.planning.edges.visible_edges import (
     control_points,
     in_sunlight,
 )
-from polhode.records import Bools, Ints
+from polhode.records import Ints
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class FeatureInformation:
     @property
     def scaled(self) -> Array:
         """(T, n, 6, 6) with translations in radii, rotations in radians."""
-        return np.asarray(self.C * np.outer(_scale(self.radius_m), _scale(self.radius_m)))
+        return np.asarray(self.C * np.outer(motion_scale(self.radius_m), motion_scale(self.radius_m)))
 
 
 def feature_information(
@@ -79,7 +81,7 @@ def feature_information(
     About o_G (3,), by default the model's centre. ``clear``: without points that a tracker confuses with
     adjacent edges (`visible_edges.clear_points`), as a selection of edges requires.
     """
-    about = model.middle_G if o_G is None else o_G
+    about = model.centre_G if o_G is None else o_G
     C = np.zeros((len(X_RG), model.size, 6, 6))
     for k, X in enumerate(X_RG):
         points = (clear_points if clear else control_points)(model, rig, X, spacing_px)
@@ -101,32 +103,10 @@ def variances(C: Array, radius_m: float) -> Array:
 
     As `EdgeObservability.covariance`, for many matrices at once.
     """
-    values, directions, observable = _spectrum(C, radius_m)
-    square = directions**2
+    values, directions, observable = spectrum(C, radius_m)
     inverse_values = np.where(observable, 1.0 / np.where(observable, values, 1.0), 0.0)
-    variance = np.einsum("...ij,...j->...i", square, inverse_values) * _scale(radius_m) ** 2
-    unobservable = np.einsum("...ij,...j->...i", square, (~observable).astype(np.float64)) > 1e-6
-    return np.where(unobservable, np.inf, variance)
-
-
-def observable_covariance(C: Array, radius_m: float) -> Array:
-    """(..., 6, 6) pseudoinverses of C (..., 6, 6) over its observable directions."""
-    values, directions, observable = _spectrum(C, radius_m)
-    inverse_values = np.where(observable, 1.0 / np.where(observable, values, 1.0), 0.0)
-    inverse = (directions * inverse_values[..., None, :]) @ np.swapaxes(directions, -1, -2)
-    return np.asarray(inverse * np.outer(_scale(radius_m), _scale(radius_m)))
-
-
-def _scale(radius_m: float) -> Array:
-    """(6,) radius for translations [m], 1 for rotations [rad]."""
-    return np.array([radius_m] * 3 + [1.0] * 3)
-
-
-def _spectrum(C: Array, radius_m: float) -> tuple[Array, Array, Bools]:
-    """Eigenvalues (..., 6) with translations in radii, directions (..., 6, 6), and which are observable."""
-    values, directions = np.linalg.eigh(C * np.outer(_scale(radius_m), _scale(radius_m)))
-    observable = values > np.maximum(UNOBSERVABLE_INFORMATION * values[..., -1:], 1.0 / UNOBSERVABLE_SIGMA**2)
-    return values, directions, np.asarray(observable)
+    variance = np.einsum("...ij,...j->...i", directions**2, inverse_values) * motion_scale(radius_m) ** 2
+    return np.where(is_unobservable(directions, observable), np.inf, variance)
 
 
 @dataclass(frozen=True)

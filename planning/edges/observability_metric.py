@@ -57,6 +57,32 @@ UNOBSERVABLE_SIGMA = 5.0
 """So is one whose sigma, for a noise of one pixel, exceeds this many radii or radians."""
 
 
+def motion_scale(radius_m: float) -> Array:
+    """(6,) radius for translations [m], 1 for rotations [rad]."""
+    return np.array([radius_m] * 3 + [1.0] * 3)
+
+
+def spectrum(C: Array, radius_m: float) -> tuple[Array, Array, Bools]:
+    """Eigenvalues (..., 6) with translations in radii, directions (..., 6, 6), and which are observable."""
+    scale = motion_scale(radius_m)
+    values, directions = np.linalg.eigh(C * np.outer(scale, scale))
+    observable = values > np.maximum(UNOBSERVABLE_INFORMATION * values[..., -1:], 1.0 / UNOBSERVABLE_SIGMA**2)
+    return values, directions, np.asarray(observable)
+
+
+def observable_covariance(C: Array, radius_m: float) -> Array:
+    """(..., 6, 6) pseudoinverses of C (..., 6, 6) over its observable directions."""
+    values, directions, observable = spectrum(C, radius_m)
+    inverse_values = np.where(observable, 1.0 / np.where(observable, values, 1.0), 0.0)
+    inverse = (directions * inverse_values[..., None, :]) @ np.swapaxes(directions, -1, -2)
+    return np.asarray(inverse * np.outer(motion_scale(radius_m), motion_scale(radius_m)))
+
+
+def is_unobservable(directions: Array, observable: Bools) -> Bools:
+    """(..., 6) degrees of freedom with a component along an unobservable direction."""
+    return np.asarray(np.einsum("...ij,...j->...i", directions**2, (~observable).astype(np.float64)) > 1e-6)
+
+
 @dataclass(frozen=True)
 class EdgeObservability:
     """Information that the edges of one view, or of several together, give about the pose."""
@@ -69,21 +95,10 @@ class EdgeObservability:
     """number of control points"""
 
     @property
-    def scale(self) -> Array:
-        """(6,) radius for translations [m], 1 for rotations [rad]."""
-        return np.array([self.radius_m] * 3 + [1.0] * 3)
-
-    @property
-    def scaled(self) -> tuple[Array, Array]:
-        """Ascending eigenvalues (6,), with translations in radii, rotations in radians; directions (6, 6)."""
-        values, directions = np.linalg.eigh(self.C * np.outer(self.scale, self.scale))
-        return np.maximum(values, 0.0), directions
-
-    @property
     def unobservable(self) -> Array:
         """(k, 6) unobservable directions: translations in radii, rotations in radians, unit length."""
-        values, directions = self.scaled
-        return np.asarray(directions[:, ~_is_observable(values)].T)
+        _, directions, observable = spectrum(self.C, self.radius_m)
+        return np.asarray(directions[:, ~observable].T)
 
     @property
     def covariance(self) -> Array:
@@ -91,15 +106,13 @@ class EdgeObservability:
 
         The covariances of an unobservable degree of freedom are NaN.
         """
-        values, directions = self.scaled
-        observable = _is_observable(values)
-        inverse = (directions[:, observable] / values[observable]) @ directions[:, observable].T
-        covariance = inverse * np.outer(self.scale, self.scale)
-        unobservable = (directions[:, ~observable] ** 2).sum(axis=1) > 1e-6
+        _, directions, observable = spectrum(self.C, self.radius_m)
+        covariance = observable_covariance(self.C, self.radius_m)
+        unobservable = is_unobservable(directions, observable)
         covariance[unobservable, :] = np.nan
         covariance[:, unobservable] = np.nan
         covariance[unobservable, unobservable] = np.inf
-        return np.asarray(covariance)
+        return covariance
 
     @property
     def sigma(self) -> Array:
@@ -119,13 +132,13 @@ class EdgeObservability:
     @property
     def geometric_dop(self) -> float:
         """Root of the sum of all variances, translations in radii [1/px]."""
-        return float(np.linalg.norm(self.sigma / self.scale))
+        return float(np.linalg.norm(self.sigma / motion_scale(self.radius_m)))
 
     @property
     def condition(self) -> float:
         """Largest over smallest eigenvalue, translations in radii; inf where a direction is unobservable."""
-        values, _ = self.scaled
-        return float(values[-1] / values[0]) if _is_observable(values).all() else np.inf
+        values, _, observable = spectrum(self.C, self.radius_m)
+        return float(values[-1] / values[0]) if observable.all() else np.inf
 
     def describe_unobservable(self) -> str:
         """Description of the unobservable directions; empty where the whole pose is observable."""
@@ -137,12 +150,6 @@ class EdgeObservability:
 def observability(f: Array, weight: Array, radius_m: float) -> EdgeObservability:
     """C = sum of w f f^T over f (m, 6), weights (m,)."""
     return EdgeObservability((f * weight[:, None]).T @ f, radius_m, len(f))
-
-
-def _is_observable(values: Array) -> Bools:
-    """(6,) of ascending eigenvalues: true where the direction is observable."""
-    lower = max(UNOBSERVABLE_INFORMATION * float(values[-1]), 1.0 / UNOBSERVABLE_SIGMA**2)
-    return np.asarray(values > lower)
 
 
 def _describe(direction: Array) -> str:

@@ -167,7 +167,7 @@ def edge_lengths(model: EdgeModel) -> Array:
     z, around = 1.0 - 2.0 * k / OUTLINE_VIEWS, np.pi * (3.0 - np.sqrt(5.0)) * k
     towards = np.column_stack([np.sqrt(1 - z**2) * np.cos(around), np.sqrt(1 - z**2) * np.sin(around), z])
     if model.outlined.any():
-        for eye_G in model.middle_G + 20.0 * model.radius_m * towards:
+        for eye_G in model.centre_G + 20.0 * model.radius_m * towards:
             seen = outlines(model, eye_G)
             np.add.at(total, seen.part, np.linalg.norm(seen.ends_G[:, 1] - seen.ends_G[:, 0], axis=1))
     # a flat part has no outline: any positive length serves

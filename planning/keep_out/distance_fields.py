@@ -20,7 +20,7 @@ ROUNDS = 2
 
 
 def closest(origin: Array, step_m: float, shape: tuple[int, int, int], q: Array, radius: Array) -> Ints:
-    """Index (nx, ny, nz) of the point (m, 3) whose distance less its radius (m,) is the least."""
+    """Index (nx, ny, nz) of the point (m, 3) with the smallest distance minus radius (m,)."""
     best = np.full(shape, -1, dtype=np.int64)
     value = np.full(shape, np.inf)
     place = np.ascontiguousarray((q - origin) / step_m)
@@ -76,17 +76,17 @@ def _sweep(best: Ints, value: Array, place: Array, reach: Array, si: int, sj: in
 
 Floats = NDArray[np.float32]
 FAR = 1e3
-"""[m] of a cell that the body never came near"""
+"""[m] of a cell that the body does not approach"""
 DEEP_CELLS = 2.0
-"""A cell so far inside is not looked at again."""
+"""A cell this far inside is not updated."""
 REACH_CELLS = 3.0
 
 
 @compiled_ieee
 def linear(values: Floats, origin: Array, step: float, x: float, y: float, z: float, out: Array) -> None:
-    """out (4,): value at a place, and its gradient; outside, a lower bound of a distance, and its direction.
+    """out (4,): value at a point and its gradient; outside the grid a lower bound of a distance.
 
-    What is far off lies behind the border's nearest place x0: no nearer than sqrt(|x - x0|^2 + value(x0)^2).
+    With x0 the nearest point of the border the distance is at least sqrt(|x - x0|^2 + value(x0)^2).
     """
     nx, ny, nz = values.shape
     a, b, c = (x - origin[0]) / step, (y - origin[1]) / step, (z - origin[2]) / step
@@ -129,7 +129,7 @@ def values_at(values: Floats, origin: Array, step: float, points: Array) -> Arra
 
 @compiled_ieee
 def sigma_along(P: Array, x: float, y: float, z: float, found: Array) -> float:
-    """Sigma of the surface nearest to a place of G, along the direction to it; found (4,) of ``linear``."""
+    """Sigma of the surface nearest to a point in G, along the direction to it; found (4,) of ``linear``."""
     size = np.sqrt(found[1] ** 2 + found[2] ** 2 + found[3] ** 2)
     if size < 1e-6:
         return float(np.sqrt(P[0, 0] + P[1, 1] + P[2, 2]))
@@ -161,7 +161,7 @@ def sweep(
 ) -> None:
     """Lower fields (nx, ny, nz, C) by the body at T instants: R (T, 3, 3), p (T, 3), P (T, 6, 6).
 
-    factors (C,) ascending from 0; reach_m (T,) how far around the body the fields must be right.
+    factors (C,) ascending from 0; reach_m (T,): distance from the body within which the fields must be valid.
     """
     nx, ny, nz, C = fields.shape
     found = np.empty(4)
@@ -196,7 +196,7 @@ def sweep(
                     linear(body, body_origin, body_step, gx, gy, gz, found)
                     if found[0] > reach_m[t] + REACH_CELLS * step + fields[i, j, k, 0]:
                         continue
-                    # no sigma is larger than this: where it lowers no field, the true one does not either
+                    # an upper bound of sigma: where it lowers no field, sigma does not either
                     lever = np.sqrt(gx * gx + gy * gy + gz * gz) + abs(found[0])
                     most = 1.000001 * (shift[t] + lever * turn[t])
                     lower = False
@@ -215,7 +215,7 @@ def sweep(
 def protrusion(
     fields: Floats, origin: Array, step: float, R: Array, p: Array, pairs: Ints, points: Array
 ) -> Array:
-    """How far members stick out (n, C) [m]: the largest value of each field at any of their points.
+    """Protrusion of members (n, C) [m]: the largest value of each field at any of their points.
 
     R (n, T, 3, 3), p (n, T, 3); pairs (k, 2): instant, and which of the points (m, 3) in G.
     """
@@ -255,7 +255,7 @@ def protrusion_at_instants(
     body_step: float,
     points: Array,
 ) -> Array:
-    """How far members stick out of the body at the same instant (n, C) [m], less c sigma."""
+    """Protrusion of members from the body at the same instant (n, C) [m], minus c sigma."""
     out = np.full((len(R), len(factors)), -FAR)
     found = np.empty(4)
     for n in range(len(R)):

@@ -1,8 +1,8 @@
-"""The body as it was measured, grown by how uncertain its surface is: a signed distance on a grid in G.
+"""The measured body, grown by the uncertainty of its surface: a signed distance on a grid in G.
 
-Each point of the surface is off by at most so many of its sigmas that all points hold at once: for Gaussian
+The margin is a number of sigmas within which all points of the surface lie simultaneously: for Gaussian
 errors independent from point to point the number follows from their count, and positive correlation makes the
-event likelier (Slepian's inequality, Bell Syst. Tech. J. 41, 1962).
+event more likely (Slepian's inequality, Bell Syst. Tech. J. 41, 1962).
 """
 
 from dataclasses import dataclass
@@ -24,19 +24,19 @@ from polhode.records import SurfaceModel
 Floats = NDArray[np.float32]
 Cover = Literal["auto", "surface", "hull"]
 OPEN_SHARE = 0.01
-"""A mesh whose open rims span more than this share of its area is not closed: its hull is kept out of."""
+"""A mesh whose open boundaries span more than this share of its area is replaced by its hull."""
 CHUNK = 500
-"""Points at once: so many stay in the cache."""
+"""Points at a time, which fit into the processor's cache."""
 PLANES = 600
-"""Largest faces of the hull whose planes bound it, beside those all around."""
+"""Largest faces of the hull whose planes bound it, besides those in evenly spread directions."""
 
 
 @dataclass(frozen=True)
 class ScalarGrid:
-    """Numbers at the corners of cubes, linear in between."""
+    """Values at the corners of cubes, interpolated linearly."""
 
     origin: Array
-    """(3,) place of the first corner [m]"""
+    """(3,) position of the first corner [m]"""
     step_m: float
     values: Floats
     """(nx, ny, nz)"""
@@ -62,41 +62,40 @@ class ScalarGrid:
 
 @dataclass(frozen=True)
 class MeasuredBody:
-    """What must be kept out of, fixed to the target."""
+    """The volume to be kept out of, fixed to the target."""
 
     grid: ScalarGrid
     """signed distance to the grown surface [m]"""
     points_G: Array
-    """(m, 3) places on the grown surface, about a cell apart"""
+    """(m, 3) points on the grown surface, about a cell apart"""
     sigmas: float
-    """of the surface, by which it was grown"""
+    """number of the surface's sigmas by which it was grown"""
     margin_m: float
     """median growth"""
     pad_m: float
-    """added to all of it for what the grid cannot resolve"""
+    """added everywhere for what the grid cannot resolve"""
     covers: Literal["surface", "hull"]
     open_share: float
-    """what open rims span, over the area"""
+    """area that open boundaries span, over the area of the surface"""
 
     @property
     def radius_m(self) -> float:
-        """Of the smallest ball around ``middle_G`` that holds it."""
-        return float(np.linalg.norm(self.points_G - self.middle_G, axis=1).max())
+        """Of the smallest sphere about ``centre_G`` that contains it."""
+        return float(np.linalg.norm(self.points_G - self.centre_G, axis=1).max())
 
     @property
-    def middle_G(self) -> Array:
-        """(3,) middle of its box"""
+    def centre_G(self) -> Array:
+        """(3,) centre of its bounding box"""
         return np.asarray(0.5 * (self.points_G.min(axis=0) + self.points_G.max(axis=0)))
 
 
 def simultaneous_sigmas(count: int, miss: float) -> float:
-    """Sigmas within which ``count`` independent errors all stay, but for a probability ``miss``;
-    one-sided."""
+    """Sigmas below which ``count`` independent errors all stay with the probability 1 - ``miss``."""
     return float(norm.isf(-np.expm1(np.log1p(-miss) / max(count, 1))))
 
 
 def grown_body(surface: SurfaceModel, miss: float, cells: int = 64, cover: Cover = "auto") -> MeasuredBody:
-    """The body that holds the true surface but for a probability ``miss``.
+    """The body that contains the true surface with the probability 1 - ``miss``.
 
     ``cells`` along its longest side. Raises ValueError when the surface has no faces.
     """
@@ -130,27 +129,27 @@ def grown_body(surface: SurfaceModel, miss: float, cells: int = 64, cover: Cover
 
 
 def continuous_sigma(surface: SurfaceModel) -> Array:
-    """Sigma (V,) of each vertex, no larger than a neighbour's and the way to it [m].
+    """Sigma (V,) of each vertex, no larger than a neighbour's plus the distance to it [m].
 
-    A vertex that few frames saw at a slant may have a sigma of many times that of the vertices a millimetre
-    away. The surface hangs together: at one sigma it turns away from the mesh by 45 degrees at most. Vertices
-    without a sigma start from the 99th percentile of the others.
+    A vertex that few frames saw obliquely may have many times the sigma of vertices a millimetre away. The
+    surface is continuous: at one sigma it deviates from the mesh by 45 degrees at most. Vertices without a
+    sigma start from the 99th percentile of the others.
     """
     known = np.isfinite(surface.sigma_m)
     unknown = float(np.quantile(surface.sigma_m[known], 0.99)) if known.any() else 0.0
     sigma = np.where(known, surface.sigma_m, unknown)
     V, edges = np.asarray(surface.mesh.vertices), np.asarray(surface.mesh.edges_unique)
     count, length = len(V), np.linalg.norm(V[edges[:, 0]] - V[edges[:, 1]], axis=1)
-    # shortest ways along edges from a node that is sigma away from each vertex; no edge of length nought
+    # shortest paths along edges from a node at the distance sigma from each vertex; no edge has length 0
     start = np.concatenate([edges[:, 0], np.full(count, count)])
     end = np.concatenate([edges[:, 1], np.arange(count)])
-    ways = np.maximum(np.concatenate([length, sigma]), 1e-12)
-    graph = coo_matrix((ways, (start, end)), shape=(count + 1, count + 1)).tocsr()
+    lengths = np.maximum(np.concatenate([length, sigma]), 1e-12)
+    graph = coo_matrix((lengths, (start, end)), shape=(count + 1, count + 1)).tocsr()
     return np.asarray(np.minimum(sigma, dijkstra(graph, directed=False, indices=count)[:count]))
 
 
 def rim_share(mesh: trimesh.Trimesh) -> float:
-    """Area that open rims span, by their vector areas, over the area of the surface."""
+    """Area that open boundaries span, by their vector areas, over the area of the surface."""
     edges = np.asarray(mesh.edges)
     key = np.sort(edges, axis=1)
     _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
@@ -165,15 +164,15 @@ def rim_share(mesh: trimesh.Trimesh) -> float:
     return float(np.linalg.norm(area, axis=1).sum() / mesh.area)
 
 
-def sample_surface(mesh: trimesh.Trimesh, margin: Array, apart_m: float) -> tuple[Array, Array, Array]:
-    """Points (n, 3) at most so far apart, their normals (n, 3), the margin there (n,) [m].
+def sample_surface(mesh: trimesh.Trimesh, margin: Array, spacing_m: float) -> tuple[Array, Array, Array]:
+    """Points (n, 3) at most this far apart, their normals (n, 3), the margin there (n,) [m].
 
     Vertices, and on faces that are larger a lattice.
     """
     V, F, N = np.asarray(mesh.vertices), np.asarray(mesh.faces), np.asarray(mesh.vertex_normals)
     corner = V[F]
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
-    divisions = np.ceil(longest / apart_m).astype(int)
+    divisions = np.ceil(longest / spacing_m).astype(int)
     points, normals, margins = [V], [N], [margin]
     for n in np.unique(divisions[divisions > 1]):
         chosen = F[divisions == n]
@@ -188,47 +187,45 @@ def sample_surface(mesh: trimesh.Trimesh, margin: Array, apart_m: float) -> tupl
     return np.concatenate(points), np.concatenate(normals), np.concatenate(margins)
 
 
-def thinned_vertices(mesh: trimesh.Trimesh, apart_m: float) -> Array:
-    """Vertices (m, 3), one in each cube of this size: the one farthest from the middle."""
+def thinned_vertices(mesh: trimesh.Trimesh, cell_m: float) -> Array:
+    """Vertices (m, 3), one in each cube of this size: the one farthest from the centre."""
     p = np.asarray(mesh.vertices, dtype=np.float64)
     far = np.linalg.norm(p - 0.5 * (p.min(axis=0) + p.max(axis=0)), axis=1)
-    return p[_thinned(p, far, apart_m)]
+    return p[_thinned(p, far, cell_m)]
 
 
-def _thinned(q: Array, margin: Array, apart_m: float) -> NDArray[np.int64]:
+def _thinned(q: Array, margin: Array, cell_m: float) -> NDArray[np.int64]:
     """One point (m,) of each cube of this size: that of the largest margin."""
     order = np.argsort(-margin, kind="stable")
-    cell = np.floor((q[order] - q.min(axis=0)) / apart_m).astype(np.int64)
+    cell = np.floor((q[order] - q.min(axis=0)) / cell_m).astype(np.int64)
     size = cell.max(axis=0) + 1
     _, first = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_index=True)
     return np.sort(order[first])
 
 
 def _grown_distance(grid: ScalarGrid, q: Array, normal: Array, margin: Array) -> Array:
-    """Least of distance minus margin over the points, negative inside (cells,)."""
+    """Minimum of distance minus margin over the points, negative inside (cells,)."""
     corners, shape = grid.corners(), grid.values.shape
     nearest = closest(grid.origin, grid.step_m, shape, q, np.zeros(len(q))).reshape(-1)
     grown = closest(grid.origin, grid.step_m, shape, q, margin).reshape(-1)
     distance = np.linalg.norm(corners - q[nearest], axis=1)
-    inside = _enclosed(distance.reshape(shape), grid.step_m).reshape(-1)
+    # cells that no path from the border reaches without crossing the surface
+    inside = cavities(distance.reshape(shape) - 0.5 * grid.step_m).reshape(-1)
     behind = np.einsum("ij,ij->i", corners - q[nearest], normal[nearest]) < 0.0
     inside |= behind & (distance <= 0.87 * grid.step_m)
     out = np.linalg.norm(corners - q[grown], axis=1) - margin[grown]
     return np.asarray(np.where(inside, np.minimum(out, -distance - margin[nearest]), out))
 
 
-def _enclosed(distance: Array, step: float) -> NDArray[np.bool_]:
-    """Cells that no path from the border reaches without crossing the surface."""
-    free, _ = label(distance > 0.5 * step)
-    enclosed: NDArray[np.bool_] = (free != free[0, 0, 0]) & (free != 0)
-    return enclosed
+def cavities(values: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Cells > 0 without a connection to the outside."""
+    free, _ = label(values > 0.0)
+    return np.asarray((free != free[0, 0, 0]) & (values > 0.0))
 
 
 def _filled(values: Floats) -> Floats:
-    """Hollows that nothing outside reaches count as inside."""
-    free, _ = label(values > 0.0)
-    hollow = (free != free[0, 0, 0]) & (values > 0.0)
-    return np.where(hollow, -np.abs(values) - np.float32(1e-6), values)
+    """Cavities count as inside."""
+    return np.where(cavities(values), -np.abs(values) - np.float32(1e-6), values)
 
 
 def _hull_distance(corners: Array, q: Array, margin: Array) -> Array:

@@ -1,11 +1,11 @@
-"""Where nothing may be: the space that the target sweeps over a horizon, at a confidence.
+"""The keep-out volume: the space that the target may sweep over a horizon, at a confidence.
 
-Three steps. The measured surface is grown until it holds the true one (``measured_body``). What the
-estimate's motion sweeps is grown by c sigma of the pose, instant by instant. Then members drawn from the
-covariance tell how much more is needed: by so much that all but the wanted share of them stay inside with
+Three steps. The measured surface is grown until it contains the true one (``measured_body``). The volume that
+it sweeps by the estimated motion is grown by c sigma of the pose, instant by instant. Members sampled from
+the covariance then give the margin to be added: with it, all but the allowed share of them stay inside with
 their whole sweep (split conformal prediction: Vovk, Gammerman, Shafer 2005; Lei et al., J. Am. Stat. Assoc.
-113, 2018). What the grid and the linear sigma get wrong is thereby made up for. One half of the members
-chooses c, the one of the least volume; the other half, which had no say in it, tells the rest.
+113, 2018). This also compensates errors of the grid and of the linearised sigma. One half of the members
+chooses the c of the smallest volume; the other half, independent of that choice, gives the margin.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from polhode.lie import Array
@@ -32,6 +31,7 @@ from polhode.planning.keep_out.measured_body import (
     Cover,
     MeasuredBody,
     ScalarGrid,
+    cavities,
     grown_body,
     thinned_vertices,
 )
@@ -47,25 +47,25 @@ from polhode.records import SurfaceModel
 
 Floats = NDArray[np.float32]
 FACTORS = np.array([0.0, 1.5, 2.5, 3.5])
-"""Of the pose's sigma; what is still missing is added evenly."""
+"""Candidates of c; the remaining margin is added uniformly."""
 SURFACE_SHARE = 0.1
-"""Of the allowed misses: those that the surface may have, the pose has the others."""
+"""Of the allowed probability of a miss: the surface's; the pose has the rest."""
 MAX_STEPS = 4000
 MAX_MEMBER_STEPS = 1000
 MAX_INSTANTS = 40
-MEMBER_TURN_RAD = 0.05
-"""Members are looked at this often, or at the most steps."""
+MEMBER_ROTATION_RAD = 0.05
+"""Between two instants of the members, unless that takes too many steps."""
 BAND_SIGMAS = 3.0
 PARTS_OF_HORIZON = 6
-"""Errors change slowly: of the points near a place, one in each part of the horizon stands for the others."""
+"""Errors change slowly: of the points in a cell, one represents the others in each part of the horizon."""
 INSTANT_POINTS_CELLS = 4.0
 BEYOND_CELLS = 2.0
-"""Farther off than this the points of the surface tell the distance, not the grid."""
+"""Beyond this the distance is that to the points of the surface, not the grid's."""
 
 
 @dataclass(frozen=True)
 class KeepOutOptions:
-    """What is asked of a keep-out."""
+    """Options of a keep-out volume."""
 
     horizon_s: float
     confidence: float
@@ -77,7 +77,7 @@ class KeepOutOptions:
 
     @property
     def pose_miss(self) -> float:
-        """Probability that the pose may leave."""
+        """Allowed probability that the pose leaves the volume."""
         return (1.0 - self.confidence) * (1.0 - SURFACE_SHARE)
 
 
@@ -88,9 +88,9 @@ class SweptKeepOut:
     level: ScalarGrid
     """negative inside; within two cells of the surface nearly the distance [m]"""
     factor: float
-    """sigmas of the pose"""
+    """c: sigmas of the pose"""
     added_m: float
-    """beyond them, for the confidence"""
+    """margin in addition, for the confidence"""
 
     @cached_property
     def mesh(self) -> trimesh.Trimesh:
@@ -125,8 +125,7 @@ class SweptKeepOut:
 
 @dataclass(frozen=True)
 class InstantKeepOut:
-    """The volume at each instant, for a planner that knows the time. All instants at once hold with the
-    confidence."""
+    """The volume at each instant, for a planner with a clock; the confidence is that of all instants."""
 
     body: MeasuredBody
     motion: BodyMotion
@@ -142,7 +141,7 @@ class InstantKeepOut:
         out, found, grid = np.empty(len(p_G)), np.empty(4), self.body.grid
         for n, g in enumerate(p_G):
             if away[n] > BEYOND_CELLS * grid.step_m:
-                # far off, or inside: the sign is that of the grid, the distance that to the nearest point
+                # far from the surface: the sign is that of the grid, the distance that to the nearest point
                 q = self.body.points_G[nearest[n]]
                 found[0] = away[n] * np.sign(grid.at(g[None])[0])
                 found[1:] = (g - q) / found[0]
@@ -156,52 +155,51 @@ class InstantKeepOut:
         return cKDTree(self.body.points_G)
 
     def margin_m(self) -> Array:
-        """(T,) the most by which the body is grown for its pose."""
-        lever = self.body.points_G
+        """(T,) the largest growth of the body for its pose."""
+        lever_m = np.linalg.norm(self.body.points_G, axis=1).max()
         biggest = np.empty(len(self.covariance))
         for k, P in enumerate(self.covariance):
             # the largest eigenvalue of each point's covariance, bounded by parts
             shift, turn = np.linalg.eigvalsh(P[:3, :3])[-1], np.linalg.eigvalsh(P[3:, 3:])[-1]
-            biggest[k] = np.sqrt(shift) + np.sqrt(turn) * np.linalg.norm(lever, axis=1).max()
+            biggest[k] = np.sqrt(shift) + np.sqrt(turn) * lever_m
         return np.asarray(self.factor * biggest + self.added_m)
 
 
 @dataclass(frozen=True)
 class KeepOut:
-    """Both, with what they were made of."""
+    """Both volumes and the body that they were made of."""
 
-    wanted: KeepOutOptions
     body: MeasuredBody
     swept: SweptKeepOut
     instant: InstantKeepOut
 
 
-def keep_out(surface: SurfaceModel, estimate: FinalEstimate, wanted: KeepOutOptions) -> KeepOut:
+def keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOptions) -> KeepOut:
     """Both volumes. Raises ValueError without a surface, or with too few members for the confidence."""
-    half = wanted.members // 2
-    needed = int(np.ceil(1.0 / wanted.pose_miss)) + 1
+    half = options.members // 2
+    needed = int(np.ceil(1.0 / options.pose_miss)) + 1
     if half < needed:
-        raise ValueError(f"a confidence of {wanted.confidence:g} needs {2 * needed} members")
-    body = grown_body(surface, (1.0 - wanted.confidence) * SURFACE_SHARE, cover=wanted.cover)
-    times = member_times(estimate, wanted.horizon_s)
-    members = draw_ensemble(estimate, times, wanted.members, wanted.seed)
+        raise ValueError(f"a confidence of {options.confidence:g} needs {2 * needed} members")
+    body = grown_body(surface, (1.0 - options.confidence) * SURFACE_SHARE, cover=options.cover)
+    times = member_times(estimate, options.horizon_s)
+    members = draw_ensemble(estimate, times, options.members, options.seed)
     motion = nominal_motion(estimate, times)
-    covariance = pose_covariance(members.part(slice(0, half)), motion)
     halves = members.part(slice(0, half)), members.part(slice(half, None))
-    instant = _instant(body, motion, covariance, halves, wanted)
-    swept = _swept(body, estimate, motion, covariance, members, half, wanted)
-    return KeepOut(wanted, body, swept, instant)
+    covariance = pose_covariance(halves[0], motion)
+    instant = _instant(body, motion, covariance, halves, options)
+    swept = _swept(body, estimate, motion, covariance, halves, options)
+    return KeepOut(body, swept, instant)
 
 
 def member_times(estimate: FinalEstimate, horizon_s: float) -> Array:
     """Instants (T,) > 0, the last at the horizon [s]."""
     rate = float(np.linalg.norm(estimate.last.w_G))
-    steps = int(np.clip(np.ceil(horizon_s * rate / MEMBER_TURN_RAD), 100, MAX_MEMBER_STEPS))
+    steps = int(np.clip(np.ceil(horizon_s * rate / MEMBER_ROTATION_RAD), 100, MAX_MEMBER_STEPS))
     return np.asarray(np.linspace(horizon_s / steps, horizon_s, steps))
 
 
 def conformal(scores: Array, miss: float) -> Array:
-    """The least bound (C,) on scores (n, C) that one more exceeds with at most the probability ``miss``."""
+    """Bound (C,) that a further row of scores (n, C) exceeds with at most the probability ``miss``."""
     rank = int(np.ceil((len(scores) + 1) * (1.0 - miss)))
     return np.asarray(np.sort(scores, axis=0)[rank - 1])
 
@@ -211,7 +209,7 @@ def _instant(
     motion: BodyMotion,
     P: Array,
     halves: tuple[Ensemble, Ensemble],
-    wanted: KeepOutOptions,
+    options: KeepOutOptions,
 ) -> InstantKeepOut:
     chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MAX_INSTANTS).round().astype(int))
     grid = body.grid
@@ -231,14 +229,14 @@ def _instant(
             points,
         )
 
-    first = conformal(scores(halves[0], FACTORS), wanted.pose_miss)
+    first = conformal(scores(halves[0], FACTORS), options.pose_miss)
     lever = np.sqrt(np.mean(np.sum(points**2, axis=1)) / 3.0)
     typical = np.sqrt((np.trace(P[:, :3, :3], axis1=1, axis2=2) / 3.0).mean()) + lever * np.sqrt(
         (np.trace(P[:, 3:, 3:], axis1=1, axis2=2) / 3.0).mean()
     )
     best = int(np.argmin(first + FACTORS * typical))
     chosen_factor = FACTORS[best : best + 1]
-    added = max(float(conformal(scores(halves[1], chosen_factor), wanted.pose_miss)[0]), 0.0)
+    added = max(float(conformal(scores(halves[1], chosen_factor), options.pose_miss)[0]), 0.0)
     return InstantKeepOut(body, motion, P, float(FACTORS[best]), added)
 
 
@@ -247,48 +245,46 @@ def _swept(
     estimate: FinalEstimate,
     motion: BodyMotion,
     P: Array,
-    members: Ensemble,
-    half: int,
-    wanted: KeepOutOptions,
+    halves: tuple[Ensemble, Ensemble],
+    options: KeepOutOptions,
 ) -> SweptKeepOut:
-    middles = members.p_NG + members.R_NG @ body.middle_G
+    centres = np.concatenate([half.p_NG + half.R_NG @ body.centre_G for half in halves])
     radius = body.radius_m
-    low, high = middles.min(axis=(0, 1)) - radius, middles.max(axis=(0, 1)) + radius
-    step = float((high - low).max()) / wanted.cells
+    low, high = centres.min(axis=(0, 1)) - radius, centres.max(axis=(0, 1)) + radius
+    step = float((high - low).max()) / options.cells
     low, high = low - 4.0 * step, high + 4.0 * step
     shape = tuple(np.ceil((high - low) / step).astype(int) + 1)
     spread_m = np.sqrt(np.trace(P[:, :3, :3], axis1=1, axis2=2)) + radius * np.sqrt(
         np.trace(P[:, 3:, 3:], axis1=1, axis2=2)
     )
-    fine = fine_times(motion, radius, step, wanted.horizon_s)
+    fine = fine_times(motion, radius, step, options.horizon_s)
     at = np.clip(np.searchsorted(motion.time_s, fine), 0, len(motion.time_s) - 1)
     states = nominal_motion(estimate, fine)
     fields = np.full((*shape, len(FACTORS)), FAR, dtype=np.float32)
     grid = body.grid
     sweep(
         fields, low, step, FACTORS, states.R_NG, states.p_NG, P[at], FACTORS[-1] * spread_m[at],
-        grid.values, grid.origin, grid.step_m, body.middle_G, radius,
+        grid.values, grid.origin, grid.step_m, body.centre_G, radius,
     )  # fmt: skip
     pairs = points_near_surface(fields[..., 0], low, step, motion, body.points_G, BAND_SIGMAS * spread_m)
-    first, second = members.part(slice(0, half)), members.part(slice(half, None))
-    stick = protrusion(fields, low, step, first.R_NG, first.p_NG, pairs, body.points_G)
-    allowed = np.maximum(conformal(stick, wanted.pose_miss), -step)
+    first, second = halves
+    beyond = protrusion(fields, low, step, first.R_NG, first.p_NG, pairs, body.points_G)
+    allowed = np.maximum(conformal(beyond, options.pose_miss), -step)
     cells = [int((fields[..., c] <= allowed[c]).sum()) for c in range(len(FACTORS))]
     best = int(np.argmin(cells))
     one = np.ascontiguousarray(fields[..., best : best + 1])
-    stick = protrusion(one, low, step, second.R_NG, second.p_NG, pairs, body.points_G)
-    added = max(float(conformal(stick, wanted.pose_miss)[0]), -step)
+    beyond = protrusion(one, low, step, second.R_NG, second.p_NG, pairs, body.points_G)
+    added = max(float(conformal(beyond, options.pose_miss)[0]), -step)
     level = fields[..., best] - np.float32(added)
-    free, _ = label(level > 0.0)
-    level = np.where((free != free[0, 0, 0]) & (level > 0.0), -np.float32(step), level)
-    # a far cell is not farther than the grid is wide: finite slopes for the surface between
+    level = np.where(cavities(level), -np.float32(step), level)
+    # bounded values: finite slopes at the surface between far cells and near ones
     return SweptKeepOut(
         ScalarGrid(low, step, np.minimum(level, np.float32(8.0 * step))), float(FACTORS[best]), added
     )
 
 
 def fine_times(motion: BodyMotion, radius: float, step: float, horizon_s: float) -> Array:
-    """Instants (T,) from 0 so close that no point moves more than about a cell between them."""
+    """Instants (T,) from 0, between which no point moves by more than about a cell."""
     fastest = np.linalg.norm(motion.v_N, axis=1) + radius * np.linalg.norm(motion.w_N, axis=1)
     steps = int(np.clip(np.ceil(horizon_s * fastest.max() / (0.75 * step)), 50, MAX_STEPS))
     return np.asarray(np.linspace(0.0, horizon_s, steps + 1))
@@ -297,15 +293,17 @@ def fine_times(motion: BodyMotion, radius: float, step: float, horizon_s: float)
 def points_near_surface(
     field: Floats, origin: Array, step: float, motion: BodyMotion, points: Array, band_m: Array
 ) -> NDArray[np.int64]:
-    """Pairs (k, 2) of instant and point within the band of the sweep's surface: of each place and part of the
-    horizon the one that sticks out most."""
+    """Pairs (k, 2) of instant and point within the band of the swept surface.
+
+    Of each cell and part of the horizon the one that protrudes most.
+    """
     grid, shape = np.ascontiguousarray(field), np.array(field.shape)
     values, keys, pairs = [], [], []
     for k, (R, p) in enumerate(zip(motion.R_NG, motion.p_NG, strict=True)):
-        places = points @ R.T + p
-        value = values_at(grid, origin, step, places)
+        p_N = points @ R.T + p
+        value = values_at(grid, origin, step, p_N)
         near = np.flatnonzero(value > -band_m[k] - step)
-        cell = np.clip(((places[near] - origin) / step).astype(np.int64), 0, shape - 1)
+        cell = np.clip(((p_N[near] - origin) / step).astype(np.int64), 0, shape - 1)
         key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
         keys.append(key * PARTS_OF_HORIZON + k * PARTS_OF_HORIZON // len(band_m))
         values.append(value[near])

@@ -15,7 +15,14 @@ from benchmarks.edges.tracking.edge_search import Candidates, Levels, as_levels,
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.planning.edges.edge_model import EdgeModel
-from polhode.planning.edges.observability_metric import EdgeObservability, edge_motion, moved, observability
+from polhode.planning.edges.observability_metric import (
+    EdgeObservability,
+    edge_motion,
+    motion_scale,
+    moved,
+    observability,
+    spectrum,
+)
 from polhode.planning.edges.visible_edges import SEPARATION_PX, SPACING_PX, ControlPoints, clear_points
 from polhode.records import Bools, Ints
 
@@ -133,7 +140,7 @@ def track(
         step = rng.standard_normal(6)
         step *= wanted.restart_px / max(float(np.sqrt(np.mean((found.f @ step) ** 2))), 1e-12)
         other = _track(
-            model, rig, grey, moved(found.X_RG, step, model.middle_G), wanted, wanted.ranges_px[-1:]
+            model, rig, grey, moved(found.X_RG, step, model.centre_G), wanted, wanted.ranges_px[-1:]
         )
         if other.converged and (_agreement(other, wanted) > _agreement(found, wanted) or not found.converged):
             found = other
@@ -155,7 +162,7 @@ def _track(
     ranges_px: tuple[float, ...],
 ) -> TrackingResult:
     """From one guess, without restarts."""
-    o_G = model.middle_G
+    o_G = model.centre_G
     if transform_points(X_RG, o_G[None])[0, 2] <= 0.0:
         return _nothing(X_RG, model.radius_m, "the target is behind the camera")
     view = _view(model, rig, X_RG, wanted)
@@ -256,12 +263,11 @@ def _robust(u: Array, narrow: bool) -> Array:
 
 def _solve(f: Array, d: Array, weight: Array, radius_m: float, scale: float) -> Array:
     """Weighted least squares in the directions that are seen; a step of half a radius is a sigma too far."""
-    known = observability(f, weight, radius_m)
-    values, directions = known.scaled
-    seen = np.arange(6) >= len(known.unobservable)
-    v = directions.T @ (known.scale * (f.T @ (weight * d)))
-    part = np.where(seen, v / (values + (scale / 0.5) ** 2), 0.0)
-    return np.asarray(known.scale * (directions @ part))
+    values, directions, seen = spectrum(observability(f, weight, radius_m).C, radius_m)
+    unit = motion_scale(radius_m)
+    v = directions.T @ (unit * (f.T @ (weight * d)))
+    part = np.where(seen, v / (np.maximum(values, 0.0) + (scale / 0.5) ** 2), 0.0)
+    return np.asarray(unit * (directions @ part))
 
 
 def _told(
@@ -283,7 +289,7 @@ def _told(
     robust = np.zeros(len(points))
     if seen.any():
         robust[seen] = _robust(d[seen] / wanted.min_sigma_px, narrow=True)
-    f = edge_motion(points, rig, X_RG, model.middle_G)
+    f = edge_motion(points, rig, X_RG, model.centre_G)
     information = observability(f, points.weight * robust, model.radius_m)
     if few or seen.sum() < wanted.min_found:
         told = f"edges were found at {seen.sum()} of {len(points)} control points: too few for a pose"

@@ -97,7 +97,7 @@ def subject_of(
     model = edge_model(read_mesh(path, unit_m), crease_deg)
     poses = read_poses(trajectory)
     o_G, about = (
-        (model.middle_G, "the centre of the bounding box") if about_G is None else (about_G, "--about")
+        (model.centre_G, "the centre of the bounding box") if about_G is None else (about_G, "--about")
     )
     X_RG = inverse_pose(poses.X_FR)
     sun_G = None if sun is None else np.tile(sun, (len(X_RG), 1))
@@ -142,7 +142,7 @@ def _of_run(
     elif summary.com_G is not None and np.isfinite(summary.com_G).all():
         o_G, about = np.array(summary.com_G), "the run's centre of mass"
     else:
-        o_G, about = model.middle_G, "the centre of the bounding box"
+        o_G, about = model.centre_G, "the centre of the bounding box"
     rig = _rig(camera, tracks.rig)
     return Subject(str(run), model, rig, time_s, X_RG, about, o_G, sun_G, tuple(notes))
 

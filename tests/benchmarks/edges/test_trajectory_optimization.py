@@ -85,7 +85,7 @@ def test_all_of_the_body_is_in_the_image_all_the_way(
     for X in found.best.X_RG[::4]:
         uv = RIG.project(transform_points(X, model.surface.vertices))[:, :2]
         assert (uv > 0.0).all() and (uv < [639.0, 479.0]).all()
-        o = RIG.project(transform_points(X, model.middle_G[None]))[0, :2]
+        o = RIG.project(transform_points(X, model.centre_G[None]))[0, :2]
         np.testing.assert_allclose(o, [319.5, 239.5], atol=1e-6)
 
 
@@ -119,7 +119,7 @@ def test_between_its_views_the_table_is_smooth_and_near_the_metric() -> None:
         p_G = rng.uniform(2.3, 3.5) * d / np.linalg.norm(d)
         R = camera_attitude(-p_G, np.array([0.0, 0.0, 1.0]))
         X = np.eye(4)
-        X[:3, :3], X[:3, 3] = R, -R @ (p_G + model.middle_G)
+        X[:3, :3], X[:3, 3] = R, -R @ (p_G + model.centre_G)
         C = feature_information(model, RIG, X[None], spacing_px=20.0, clear=True).scaled.sum(axis=1)[0]
         true.append(np.log(np.trace(np.linalg.inv(C + np.eye(6)))))
         found.append(float(value(p_G, row)))

@@ -62,7 +62,7 @@ def test_the_target_stays_in_sight(scenario: str) -> None:
 def test_spread_is_the_trackers_where_all_is_told(model: EdgeModel) -> None:
     X = flight("approach", BODY, 3).X_RG(0)
     points = control_points(model, RIG, X)
-    f = edge_motion(points, RIG, X, model.middle_G)
+    f = edge_motion(points, RIG, X, model.centre_G)
     sign = np.random.default_rng(0).integers(-1, 2, len(points))
     _, of_edge = np.unique(points.feature, return_inverse=True)
     gain, parts = spread(f, points.weight, of_edge, sign, model.radius_m)
@@ -80,7 +80,7 @@ def test_drawn_poses_have_the_covariance_that_they_claim(model: EdgeModel) -> No
         tracked = from_line(json.loads(json.dumps(found.line()))).tracked(
             TRUE_LEVELS, "residual", model.radius_m
         )
-        error = pose_error(tracked.X_RG, X, model.middle_G)
+        error = pose_error(tracked.X_RG, X, model.centre_G)
         distances.append(error @ tracked.information @ error)
     low, high = chi2.ppf([0.005, 0.995], 6 * len(distances)) / len(distances)
     assert low < np.mean(distances) < high
@@ -96,7 +96,7 @@ def test_wrong_poses_are_off_and_leave_residuals(model: EdgeModel) -> None:
             found = drawn_pose(model, RIG, X, sun, bool(wrong), rng, EdgeErrors())
             assert found is not None
             tracked = found.tracked(TRUE_LEVELS, "residual", model.radius_m)
-            error = pose_error(tracked.X_RG, X, model.middle_G)
+            error = pose_error(tracked.X_RG, X, model.centre_G)
             off[wrong, k], residual[wrong, k] = error @ tracked.information @ error, tracked.residual
     assert off[0].max() < 30.0 < np.median(off[1])
     assert np.median(residual[1]) > 1.5 * np.median(residual[0])

@@ -23,10 +23,10 @@ def test_a_pure_spin_needs_the_centripetal_acceleration_alone() -> None:
     lever = found.place_N - motion.com_N
     across = lever - np.sum(lever * axis_N, axis=1, keepdims=True) * axis_N
     np.testing.assert_allclose(found.acceleration_N, -(SPIN**2) * across, atol=1e-9)
-    assert found.holds(found.place_N).all()
+    assert found.contains(found.place_N).all()
     sideways = np.cross(found.axis_N, axis_N)
-    assert found.holds(found.place_N + 0.5 * np.tan(np.deg2rad(9.9)) * sideways).all()
-    assert not found.holds(found.place_N + 0.5 * np.tan(np.deg2rad(10.1)) * sideways).any()
+    assert found.contains(found.place_N + 0.5 * np.tan(np.deg2rad(9.9)) * sideways).all()
+    assert not found.contains(found.place_N + 0.5 * np.tan(np.deg2rad(10.1)) * sideways).any()
 
 
 def test_a_tumble_needs_what_differences_of_the_place_say() -> None:

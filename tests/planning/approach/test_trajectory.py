@@ -36,7 +36,7 @@ def test_without_thrust_there_is_no_way() -> None:
     volume = keep_out(
         ball(), estimate((0.0, 0.4, 0.1)), KeepOutOptions(20.0, 0.97, members=120, cells=32)
     ).instant
-    with pytest.raises(ValueError, match="no way was found"):
+    with pytest.raises(ValueError, match="no trajectory was found"):
         plan_trajectory(volume, task(max_accel_m_s2=1e-4))
 
 

@@ -25,7 +25,7 @@ def test_features_add_up_to_the_metric() -> None:
     total = feature_information(model, RIG, X).total
     for k, pose in enumerate(X):
         points = control_points(model, RIG, pose)
-        whole = observability(edge_motion(points, RIG, pose, model.middle_G), points.weight, model.radius_m)
+        whole = observability(edge_motion(points, RIG, pose, model.centre_G), points.weight, model.radius_m)
         np.testing.assert_allclose(total[k], whole.C, rtol=1e-9, atol=1e-6)
         np.testing.assert_allclose(variances(total[k], model.radius_m), whole.sigma**2, rtol=1e-6)
 

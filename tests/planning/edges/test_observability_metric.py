@@ -24,7 +24,7 @@ X_RG = make_pose(exp_so3([0.4, 0.5, 0.2]), [0.05, 0.02, 3.0])
 def seen(mesh: trimesh.Trimesh, X: Array = X_RG) -> EdgeObservability:
     model = edge_model(mesh)
     points = control_points(model, RIG, X)
-    return observability(edge_motion(points, RIG, X, model.middle_G), points.weight, model.radius_m)
+    return observability(edge_motion(points, RIG, X, model.centre_G), points.weight, model.radius_m)
 
 
 def test_motion_across_edges_against_finite_differences() -> None:
@@ -143,7 +143,7 @@ def test_one_edge_tells_two_of_six() -> None:
     whole = control_points(model, RIG, X_RG)
     feature = np.bincount(whole.feature).argmax()
     points = control_points(model.only(np.array([feature])), RIG, X_RG)
-    found = observability(edge_motion(points, RIG, X_RG, model.middle_G), points.weight, model.radius_m)
+    found = observability(edge_motion(points, RIG, X_RG, model.centre_G), points.weight, model.radius_m)
     assert len(found.unobservable) == 4
     assert np.isinf(found.sigma).any()
     assert found.describe_unobservable().count("unobservable") == 4

@@ -29,7 +29,7 @@ def seen(seed: int) -> tuple[ControlPoints, Array, Ints]:
     X = make_pose(exp_so3(rng.uniform(-2, 2, 3)), [0.0, 0.0, rng.uniform(2.0, 4.0)])
     points = control_points(MODEL, RIG, X)
     sign = polarity(body_beside(points, MODEL, RIG, X))
-    return points, edge_motion(points, RIG, X, MODEL.middle_G), sign
+    return points, edge_motion(points, RIG, X, MODEL.centre_G), sign
 
 
 def drawn_error(seed: int, levels: tuple[float, float, float]) -> tuple[Array, Array]:

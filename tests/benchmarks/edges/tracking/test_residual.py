@@ -23,7 +23,7 @@ def test_the_right_pose_is_supported_by_nearly_all_edges() -> None:
 
 
 def test_a_pose_moved_aside_is_not() -> None:
-    aside = moved(POSE, np.array([0.06, 0.03, 0.0, 0.0, 0.0, 0.0]), MODEL.middle_G)
+    aside = moved(POSE, np.array([0.06, 0.03, 0.0, 0.0, 0.0, 0.0]), MODEL.centre_G)
     shown = support(track(MODEL, RIG, IMAGE, aside, STILL), IMAGE)
     assert shown.supported < 0.4 and shown.whole < 0.4 and shown.limb < 0.4
 

@@ -28,8 +28,8 @@ def image(box: EdgeModel) -> Array:
 def test_a_pose_that_is_a_little_off_is_mended(box: EdgeModel, image: Array, seed: int) -> None:
     rng = np.random.default_rng(seed)
     step = np.concatenate([0.01 * rng.standard_normal(3), np.deg2rad(1.0) * rng.standard_normal(3)])
-    found = track(box, RIG, image, moved(POSE, step, box.middle_G))
-    error = np.abs(pose_error(found.X_RG, POSE, box.middle_G))
+    found = track(box, RIG, image, moved(POSE, step, box.centre_G))
+    error = np.abs(pose_error(found.X_RG, POSE, box.centre_G))
     assert found.converged and found.told == ""
     assert found.found_share > 0.95 and found.sigma_px < 0.15
     # 0.1 px at 2.5 m; depth and turns through the metric
@@ -39,7 +39,7 @@ def test_a_pose_that_is_a_little_off_is_mended(box: EdgeModel, image: Array, see
 def test_with_unit_weights_its_information_is_the_metric(box: EdgeModel, image: Array) -> None:
     found = track(box, RIG, image, POSE)
     points = clear_points(box, RIG, found.X_RG, SPACING_PX)
-    f = edge_motion(points, RIG, found.X_RG, box.middle_G)
+    f = edge_motion(points, RIG, found.X_RG, box.centre_G)
     alone = observability(f, points.weight, box.radius_m)
     unweighted = observability(found.f, found.points.weight, box.radius_m)
     weighted = observability(found.f, found.points.weight * found.robust, box.radius_m)
@@ -58,7 +58,7 @@ def test_with_unit_weights_its_information_is_the_metric(box: EdgeModel, image: 
 
 def _metric_at(model: EdgeModel, X_RG: Array) -> Array:
     points = clear_points(model, RIG, X_RG, SPACING_PX)
-    f = edge_motion(points, RIG, X_RG, model.middle_G)
+    f = edge_motion(points, RIG, X_RG, model.centre_G)
     return observability(f, points.weight, model.radius_m).C
 
 
@@ -68,7 +68,7 @@ def test_the_covariance_is_that_of_repeated_noise_where_contrast_is_even(box: Ed
     for seed in range(40):
         noisy = clean + 2.0 * np.random.default_rng(seed).standard_normal(clean.shape)
         found = track(box, RIG, noisy, POSE)
-        errors.append(pose_error(found.X_RG, POSE, box.middle_G) / np.sqrt(np.diagonal(found.covariance)))
+        errors.append(pose_error(found.X_RG, POSE, box.centre_G) / np.sqrt(np.diagonal(found.covariance)))
     spread = np.std(errors, axis=0)
     # To a factor of about two: residuals hold what is common to an edge, too.
     assert (spread > 0.4).all() and (spread < 2.0).all()
@@ -94,10 +94,10 @@ def test_an_empty_image_is_said(box: EdgeModel) -> None:
 def test_a_sphere_gives_its_place_and_says_that_turns_are_not_seen() -> None:
     ball = edge_model(trimesh.creation.icosphere(4, 0.4))
     picture = drawn(ball.surface, POSE)
-    found = track(ball, RIG, picture, moved(POSE, np.array([0.01, -0.008, 0.02, 0, 0, 0]), ball.middle_G))
+    found = track(ball, RIG, picture, moved(POSE, np.array([0.01, -0.008, 0.02, 0, 0, 0]), ball.centre_G))
     assert found.converged and "rotation about" in found.told
     assert np.isinf(found.information.sigma[3:]).all()
-    assert (np.abs(pose_error(found.X_RG, POSE, ball.middle_G)[:3]) < [5e-4, 5e-4, 4e-3]).all()
+    assert (np.abs(pose_error(found.X_RG, POSE, ball.centre_G)[:3]) < [5e-4, 5e-4, 4e-3]).all()
 
 
 def test_one_edge_says_what_it_does_not_tell(box: EdgeModel, image: Array) -> None:
@@ -109,7 +109,7 @@ def test_one_edge_says_what_it_does_not_tell(box: EdgeModel, image: Array) -> No
 
 
 def test_a_view_takes_well_under_a_tenth_of_a_second(box: EdgeModel, image: Array) -> None:
-    start = moved(POSE, np.array([0.01, 0.0, 0.02, 0.01, 0.01, 0.0]), box.middle_G)
+    start = moved(POSE, np.array([0.01, 0.0, 0.02, 0.01, 0.01, 0.0]), box.centre_G)
     fine = TrackerOptions(spacing_px=4.0)
     points = len(track(box, RIG, image, start, fine).points)
     begin = time.process_time()
