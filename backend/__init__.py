@@ -1,7 +1,6 @@
 """The back end: feature tracks in; motion, mass properties and their covariances out.
 
-- ``estimate``: full smoothing over the sequence; ``fit``: noise levels and disturbances; ``result``: what is
-  reported of a solution.
+- ``estimate``: full smoothing over the sequence; ``result``: what is reported of a solution.
 - ``window``: the causal estimate by a sliding window.
 - ``disturbances``: known and unknown forces and torques.
 - ``noise``: noise levels and outliers, from the data.
@@ -14,7 +13,7 @@
 
 from polhode.backend.estimate import estimate_motion
 from polhode.backend.initialization.initialize import consistent_links, initialize_motion
-from polhode.backend.window.online import align_online_estimate, estimate_online, window_warnings
+from polhode.backend.window.estimator import align_online_estimate, estimate_online, window_warnings
 
 __all__ = [
     "align_online_estimate",

@@ -5,9 +5,8 @@ import numpy as np
 from polhode.backend.disturbances.known_wrench import with_absolute_scale
 from polhode.backend.disturbances.unknown_wrench import describe_impulses, estimate_impulses
 from polhode.backend.dynamics.residuals import FrameStates
-from polhode.backend.initialization.rotation_direction import FAST_HINT
-from polhode.backend.noise.measurement_noise import NoiseScales
-from polhode.backend.noise.outlier_observations import PrunedProblem, whitened_residuals
+from polhode.backend.initialization.rates import FAST_HINT
+from polhode.backend.noise.measurement_noise import NoiseScales, PrunedProblem, whitened_residuals
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton

@@ -11,8 +11,7 @@ from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
 from polhode.frontend.features.surface_features import with_patch_size
 from polhode.frontend.matching.methods import READS_IMAGES, match_method
-from polhode.frontend.rectification.rectify import RectifiedPair, Rectifier, rectified_pair
-from polhode.frontend.rectification.target import target_crop
+from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair, target_crop
 from polhode.processes import in_order
 from polhode.records import DepthMap
 

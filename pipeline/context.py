@@ -14,7 +14,7 @@ from polhode.camera import RectifiedRig
 from polhode.config import Config
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.frontend.rectification import Rectifier, make_rectifier
 from polhode.frontend.tracks.tracks import Association, to_tracks
 from polhode.lie import Array
 from polhode.processes import worker_count

@@ -12,10 +12,16 @@ from polhode.errors import RunFailure
 from polhode.frontend.extract import extract_features
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.combined import combine_features, offset_matches
 from polhode.frontend.matching.methods import match_method
-from polhode.frontend.matching.pairs import PairMatch, match_pairs, relative_poses
-from polhode.frontend.matching.retrieval import pairs_in_view, pairs_to_match
+from polhode.frontend.matching.pairs import (
+    PairMatch,
+    combine_features,
+    match_pairs,
+    offset_matches,
+    pairs_in_view,
+    pairs_to_match,
+    relative_poses,
+)
 from polhode.frontend.tracks.tracks import join_matches
 from polhode.lie import Array
 from polhode.pipeline.context import RunContext

@@ -10,7 +10,7 @@ from polhode.backend import estimate_motion, initialize_motion
 from polhode.config.frontend import Frontend
 from polhode.errors import RunFailure
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.combined import is_from_second
+from polhode.frontend.matching.pairs import is_from_second
 from polhode.frontend.tracks.duplicates import merge_duplicates
 from polhode.frontend.tracks.guided import consistent_matches, reconnect
 from polhode.frontend.tracks.track_refinement import refine_tracks

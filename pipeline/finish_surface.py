@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from polhode.camera import RectifiedRig
-from polhode.frontend.rectification.rectify import rectified_left
+from polhode.frontend.rectification import rectified_left
 from polhode.lie import Array, transform_points
 from polhode.mapping.finishing.albedo import Colouring, divide_shading
 from polhode.mapping.finishing.detail_levels import DetailLevel, levels_of

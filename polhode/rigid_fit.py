@@ -1,6 +1,6 @@
 """Rotations and rigid transforms of least squares (Kabsch 1976), weighted where asked.
 
-``frontend/matching/soft_assignment.py`` has a deliberate twin in torch, which can be differentiated.
+``frontend/matching/matchers.py`` has a deliberate twin in torch, which can be differentiated.
 """
 
 import numpy as np

@@ -4,8 +4,7 @@ run.py              ``polhode train``: corpus, task, loop, weights
 loop.py             the training loop and its checkpoints
 task.py             the interface and the registry of tasks
 curves.py           curves in TensorBoard's format, and plots of them
-corpus.py           the simulated training sequences
-random_scene.py     a random scene of the corpus
+corpus.py           the simulated training sequences, of random scenes
 feature_noise.py    constants of the front end's noise model
 descriptor/         the descriptor of surface patches
 disparity/          the refinement of disparities

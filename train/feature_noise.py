@@ -1,4 +1,4 @@
-"""Estimation of the constants of ``frontend.features.feature_noise`` from simulated scenes, and their
+"""Estimation of the constants of ``frontend.features.surface_features`` from simulated scenes, and their
 validation.
 
     python -m polhode.train.feature_noise configs/train/features.yaml [--scenes 24] [--check SEQUENCE ...]
@@ -19,12 +19,16 @@ from polhode.config.frontend import Features, Frontend
 from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
-from polhode.frontend.features.feature_noise import confidence_logit, match_sigma
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.features.surface_features import SurfaceFeatureMethod, with_patch_size
+from polhode.frontend.features.surface_features import (
+    SurfaceFeatureMethod,
+    confidence_logit,
+    match_sigma,
+    with_patch_size,
+)
 from polhode.frontend.matching.matchers import SoftmaxMatcher
 from polhode.frontend.matching.ransac import ransac_rigid
-from polhode.frontend.rectification.rectify import Rectifier, make_rectifier, rectified_pair
+from polhode.frontend.rectification import Rectifier, make_rectifier, rectified_pair
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Ints
 from polhode.simulation.dataset.plan import plan_sequence

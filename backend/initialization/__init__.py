@@ -2,9 +2,7 @@
 
 - ``initialize``: initial poses from pose graph, bundle adjustment and interpolation.
 - ``pose_graph``: one pose per frame from relative poses, by consensus and robust averaging.
-- ``link_consensus``: which links between frames agree with each other.
-- ``attitude_outliers``: frames whose attitude jumps by a symmetry of the body.
-- ``rotation_direction``: body rates from attitudes, in both directions where rotations are large.
+- ``rates``: body rates from attitudes, in both directions where rotations are large; attitudes that jump.
 - ``gaps``: long stretches without poses, bridged by Euler's equation.
 - ``shooting``: rates and inertia of fast bodies, from their attitudes alone.
 - ``multistart``: brief solves from several inertias and directions of rotation.

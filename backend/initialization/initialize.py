@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from polhode.backend.initialization.attitude_outliers import jumping_frames
 from polhode.backend.initialization.pose_graph import connect
+from polhode.backend.initialization.rates import interval_rates, jumping_frames
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import motion_data
@@ -197,13 +197,6 @@ def bridge(time_s: Array, X_NG: Array, connected: Bools) -> Array:
     return X
 
 
-def interval_rates(time_s: Array, R_NG: Array) -> tuple[Array, Array]:
-    """Mean body rate (n - 1, 3) [rad/s] over each interval, below half a revolution, and its middle time."""
-    dt = np.diff(time_s)
-    turn = log_so3(np.swapaxes(R_NG[:-1], 1, 2) @ R_NG[1:])
-    return turn / dt[:, None], 0.5 * (time_s[:-1] + time_s[1:])
-
-
 def nearest_branch(turn: Array, expected: Array) -> Array:
     """The rotation vector equal to ``turn`` (3,) up to full revolutions, nearest to ``expected`` (3,)."""
     angle = float(np.linalg.norm(turn))
@@ -212,13 +205,3 @@ def nearest_branch(turn: Array, expected: Array) -> Array:
     axis = turn / angle
     revolutions = np.round((float(axis @ expected) - angle) / (2.0 * np.pi))
     return np.asarray(axis * (angle + 2.0 * np.pi * revolutions))
-
-
-def frame_rates(time_s: Array, X_NG: Array, connected: Bools) -> Array:
-    """Body rate at each frame (F, 3) [rad/s] by differences between connected neighbours."""
-    index: Ints = np.flatnonzero(connected)
-    rates, centres = interval_rates(time_s[index], X_NG[index, :3, :3])
-    short = np.diff(index) <= 3
-    if short.any():
-        rates, centres = rates[short], centres[short]
-    return np.stack([np.interp(time_s, centres, rates[:, axis]) for axis in range(3)], axis=1)

@@ -20,7 +20,7 @@ from polhode.backend.initialization.gaps import (
     propagate_through_gaps,
 )
 from polhode.backend.initialization.initialize import robust_landmarks
-from polhode.backend.initialization.rotation_direction import (
+from polhode.backend.initialization.rates import (
     FAST_HINT,
     OPPOSITE_DIRECTION,
     rate_branches,

@@ -4,18 +4,32 @@ One link in ten is wrong at 30 degrees between frames, and a wrong link looks li
 therefore joined to connected components, and these to larger ones, always by the largest group of links that
 agree with each other: two agreeing links of seven inliers are worth more than one of fifteen. Then all poses
 are averaged robustly.
+
+Sides of a body that look alike (a truss after a half-turn, a drum after any rotation) give links that are
+wrong by that symmetry, many of them, and they close triangles among themselves. But no body jumps to another
+side and back: of the links between near frames those are right that agree on one rate of rotation.
 """
 
 import numpy as np
 
-from polhode.backend.initialization.link_consensus import (
-    closed_triangles,
-    smooth_links,
-    update_link_consensus,
-)
+from polhode.compiled import compiled
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, RelativePoses
 
+MAX_LINKS = 16
+"""Number of links between two components that are compared, those of the largest weight."""
+MAX_TRIANGLES = 40
+NEAR = 3
+"""Largest number of frames between the ends of a link that shows the rate; beyond it nutation changes the
+rate."""
+AROUND = 2.5
+"""Links whose middles are at most so many frames apart should show the same rate."""
+SAME_TURN_RAD = np.deg2rad(20.0)
+"""Links whose rotations differ by less continue each other; symmetries of bodies are larger."""
+MIN_SHARE = 0.6
+"""Share of the inliers around a link that are in links that agree with it."""
+MIN_LINKS = 2
+"""Number of links that agree with it."""
 MIN_INLIERS = 5
 AGREEING = 100.0
 """Weight of a link that agrees with another one, in inliers."""
@@ -26,6 +40,154 @@ MIN_AVERAGED_FRAMES = 4
 REJECT_RAD = np.deg2rad(10.0)
 REJECT_SHIFT = 0.1
 """Largest error of a translation, as a share of the distance to the target."""
+
+
+@compiled
+def update_link_consensus(
+    a: int, order: Ints, i: Ints, j: Ints, X_ij: Array, inliers: Ints, weight: Array, X: Array,
+    component: Ints, bound_rad: float, bound_shift: float, agreeing: float, score: Array, T: Array,
+) -> None:  # fmt: skip
+    """Largest group of agreeing links between component a and every other one b, in place.
+
+    order (E,) of the links i, j, X_ij (E, 4, 4) by falling weight; X (F, 4, 4), component (F,). Written above
+    the diagonal, at (min(a, b), max(a, b)): score (F, F), ``agreeing`` plus its inliers for each link of the
+    group, the weight of a single link, -inf without links; T (F, F, 4, 4) with p_Gmin = T p_Gmax.
+    """
+    n = len(score)
+    count, member = np.zeros(n, dtype=np.int64), np.empty((n, MAX_LINKS), dtype=np.int64)
+    for e in order:
+        p, q = component[i[e]], component[j[e]]
+        if (p == a) != (q == a):
+            other = q if p == a else p
+            if count[other] < MAX_LINKS:
+                member[other, count[other]] = e
+                count[other] += 1
+    R, t = np.empty((MAX_LINKS, 3, 3)), np.empty((MAX_LINKS, 3))
+    centre, distance = np.empty((MAX_LINKS, 3)), np.empty(MAX_LINKS)
+    for other in range(n):
+        low, high, size = min(a, other), max(a, other), count[other]
+        if size == 0:
+            if other != a:
+                score[low, high] = -np.inf
+            continue
+        for m in range(size):
+            e = member[other, m]
+            ahead = component[i[e]] == low
+            A, B = (X[i[e]], X[j[e]]) if ahead else (X[j[e]], X[i[e]])
+            distance[m] = _between(A, X_ij[e], B, ahead, R[m], t[m], centre[m])
+        scale = 0.3 * np.median(distance[:size])
+        best, most, links = 0, -1.0, 0
+        for s in range(size):
+            total, agree = 0.0, 0
+            for m in range(size):
+                allowed = 2.0 * bound_shift * max(distance[m], scale)
+                if s == m or _agree(R[s], t[s], R[m], t[m], centre[m], bound_rad, allowed):
+                    total += agreeing + inliers[member[other, m]]
+                    agree += 1
+            if total > most:
+                best, most, links = s, total, agree
+        if links == 1:
+            best = 0
+        score[low, high] = weight[member[other, 0]] if links == 1 else most
+        T[low, high] = np.eye(4)
+        T[low, high, :3, :3], T[low, high, :3, 3] = R[best], t[best]
+
+
+@compiled
+def _between(A: Array, X_ij: Array, B: Array, ahead: bool, R: Array, t: Array, centre: Array) -> float:
+    """R, t = A^-1 L B, the link L = X_ij or its inverse; centre of B's camera in G. Returns L's distance."""
+    L, p = np.empty((3, 3)), np.empty(3)
+    for r in range(3):
+        p[r] = 0.0
+        for c in range(3):
+            L[r, c] = X_ij[r, c] if ahead else X_ij[c, r]
+            p[r] -= 0.0 if ahead else X_ij[c, r] * X_ij[c, 3]
+        if ahead:
+            p[r] = X_ij[r, 3]
+    M, q = np.zeros((3, 3)), np.empty(3)
+    for r in range(3):
+        q[r] = p[r] - A[r, 3]
+        for c in range(3):
+            q[r] += L[r, c] * B[c, 3]
+            for k in range(3):
+                M[r, c] += L[r, k] * B[k, c]
+    for r in range(3):
+        t[r] = A[0, r] * q[0] + A[1, r] * q[1] + A[2, r] * q[2]
+        centre[r] = -(B[0, r] * B[0, 3] + B[1, r] * B[1, 3] + B[2, r] * B[2, 3])
+        for c in range(3):
+            R[r, c] = A[0, r] * M[0, c] + A[1, r] * M[1, c] + A[2, r] * M[2, c]
+    return float(max(np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2), 1e-9))
+
+
+@compiled
+def _agree(
+    R_a: Array, t_a: Array, R_b: Array, t_b: Array, point: Array, bound_rad: float, bound_shift: float
+) -> bool:
+    """Whether two poses differ by less than an angle, and their images of a point by less than a distance."""
+    trace = square = 0.0
+    for r in range(3):
+        shift = t_a[r] - t_b[r]
+        for c in range(3):
+            trace += R_a[r, c] * R_b[r, c]
+            shift += (R_a[r, c] - R_b[r, c]) * point[c]
+        square += shift**2
+    turn = np.arccos(min(max(0.5 * (trace - 1.0), -1.0), 1.0))
+    return bool(turn < bound_rad and np.sqrt(square) < bound_shift)
+
+
+@compiled
+def closed_triangles(
+    i: Ints, j: Ints, X_ij: Array, linked: Array, X: Array, bound_rad: float, bound_shift: float
+) -> tuple[Array, Array]:
+    """The first ``MAX_TRIANGLES`` triangles on each link i, j (E,), X_ij (E, 4, 4); how many agree with it.
+
+    linked (F, F) of frames, X (F, F, 4, 4) their relative poses, of two links one; bound_shift as a share of
+    the distance.
+    """
+    agree, seen = np.zeros(len(i)), np.zeros(len(i))
+    R, t, zero = np.empty((3, 3)), np.empty(3), np.zeros(3)
+    for e in range(len(i)):
+        direct = X_ij[e]
+        p = direct[:3, 3]
+        allowed = bound_shift * max(np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2), 1e-9)
+        for third in range(len(linked)):
+            if not (linked[i[e], third] and linked[j[e], third]):
+                continue
+            A, B = X[i[e], third], X[third, j[e]]
+            for r in range(3):
+                t[r] = A[r, 3]
+                for c in range(3):
+                    t[r] += A[r, c] * B[c, 3]
+                    R[r, c] = A[r, 0] * B[0, c] + A[r, 1] * B[1, c] + A[r, 2] * B[2, c]
+            seen[e] += 1.0
+            if _agree(R, t, direct[:3, :3], p, zero, bound_rad, allowed):
+                agree[e] += 1.0
+            if seen[e] == MAX_TRIANGLES:
+                break
+    return agree, seen
+
+
+def smooth_links(relative: RelativePoses, usable: Bools, time_s: Array, R_NR: Array) -> Bools:
+    """Which links (E,) others continue; time_s (F,) [s], R_NR (F, 3, 3) attitudes of the camera."""
+    near = np.flatnonzero(usable & (np.abs(relative.j - relative.i) <= NEAR))
+    smooth = np.zeros(len(usable), dtype=np.bool_)
+    if len(near) <= MIN_LINKS:
+        return smooth
+    i, j, inliers = relative.i[near], relative.j[near], relative.inliers[near].astype(np.float64)
+    # the rotation of the target in N from frame j back to frame i
+    turn = R_NR[i] @ relative.X_RiRj[near, :3, :3] @ np.swapaxes(R_NR[j], 1, 2)
+    dt_s = time_s[j] - time_s[i]
+    rate = log_so3(turn) / dt_s[:, None]
+    middle = 0.5 * (i + j)
+    for n, link in enumerate(near):
+        others = np.flatnonzero(np.abs(middle - middle[n]) <= AROUND)
+        others = others[others != n]
+        expected = exp_so3(rate[n] * dt_s[others, None])
+        off = np.linalg.norm(log_so3(np.swapaxes(expected, 1, 2) @ turn[others]), axis=1)
+        agree = off < SAME_TURN_RAD
+        share = np.sum(inliers[others][agree]) / max(np.sum(inliers[others]), 1.0)
+        smooth[link] = agree.sum() >= MIN_LINKS and share >= MIN_SHARE
+    return smooth
 
 
 def connect(relative: RelativePoses, time_s: Array, R_NR: Array) -> tuple[Array, Bools, Bools]:

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from polhode.backend.dynamics.propagation import propagate_rotations
-from polhode.backend.initialization.rotation_direction import AMBIGUOUS_TURN_RAD, OPPOSITE_DIRECTION
+from polhode.backend.initialization.rates import AMBIGUOUS_TURN_RAD, OPPOSITE_DIRECTION
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
 from polhode.lie import Array, log_so3, matrix_from_wxyz
 from polhode.records import Bools, Ints

@@ -7,6 +7,5 @@
 - ``robust_kernel``: the Cauchy kernel of the stereo residuals.
 - ``schur``: normal equations of the stereo measurements, elimination of the landmarks.
 - ``chain``: elimination of velocities and rates, which couple neighbouring frames only.
-- ``stereo_terms``: the stereo terms as CasADi reads them.
 - ``casadi_nlp``: assembly of CasADi programs from blocks, and the set-up of IPOPT.
 """

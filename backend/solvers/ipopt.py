@@ -1,4 +1,9 @@
-"""The whole optimization problem as a CasADi nonlinear program, solved by IPOPT."""
+"""The whole optimization problem as a CasADi nonlinear program, solved by IPOPT.
+
+Nearly all terms of the program are stereo measurements. On CasADi's virtual machine they took two thirds of
+IPOPT's time, and building their expressions took longer than solving; here they are external functions, whose
+cost, gradient and Hessian entries come from the compiled loops of ``schur``.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -30,8 +35,9 @@ from polhode.backend.solvers.casadi_nlp import (
 )
 from polhode.backend.solvers.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, Solution
 from polhode.backend.solvers.linearization_point import LinearizationPoint
-from polhode.backend.solvers.stereo_terms import StereoTerms
-from polhode.lie import Array, wxyz_from_matrix
+from polhode.backend.solvers.robust_kernel import kernel_curvature, robust_cost, robust_weight
+from polhode.backend.solvers.schur import stereo_normal_equations, stereo_residuals
+from polhode.lie import Array, exp_so3, right_jacobian_so3, wxyz_from_matrix
 from polhode.records import Ints
 
 MESSAGES = {
@@ -45,6 +51,76 @@ TOLERANCE = 1e-3
 """Largest gradient at the optimum; whitened residuals are of order one."""
 STATIONARY_COST_CHANGE = 1e-7
 """The iterations end when the relative change of the cost stays below this three times in a row."""
+
+
+class StereoTerms:
+    """Robust cost of all stereo measurements as a function of the program's unknowns.
+
+    x (n,): per frame ``n_state`` numbers, the pose p_NG, theta first; landmarks from ``n_dense`` on.
+    A (9 F,): R_RN R_ref of each frame, by columns.
+    """
+
+    def __init__(self, data: MotionData, n_state: int, n_dense: int) -> None:
+        self.data, self.n_state, self.n_dense = data, n_state, n_dense
+        self.n_x = n_dense + 3 * data.n_landmarks
+
+    def cost(self, x: Array, A: Array) -> float:
+        """Sum of the Cauchy kernel over the measurements."""
+        residuals, *_ = self._residuals(x, A)
+        return robust_cost(np.sum(residuals**2, axis=1), self.data.robust_scale)
+
+    def gradient(self, x: Array, A: Array) -> Array:
+        """(n,)"""
+        _, g, _, h, _ = self._blocks(x, A)
+        out = np.zeros(self.n_x)
+        np.add.at(out, self._of_poses(), g)
+        out[self.n_dense :] += h.ravel()
+        return out
+
+    def keys(self) -> Ints:
+        """Cells ``column * n + row`` of the entries of ``hessian``, all on or above the diagonal."""
+        d, n = self.data, self.n_x
+        cols, rows = np.tril_indices(6)
+        poses = self._of_poses()
+        marks = self.n_dense + np.arange(3 * d.n_landmarks).reshape(-1, 3)
+        own_cols, own_rows = np.tril_indices(3)
+        return np.concatenate(
+            [
+                (poses[:, cols] * n + poses[:, rows]).ravel(),
+                (marks[d.landmark][:, None, :] * n + poses[d.frame][:, :, None]).ravel(),
+                (marks[:, own_cols] * n + marks[:, own_rows]).ravel(),
+            ]
+        )
+
+    def hessian(self, x: Array, A: Array) -> Array:
+        """Entries of the Gauss-Newton Hessian with the kernel's curvature, in the order of ``keys``."""
+        H, _, C, _, E = self._blocks(x, A)
+        cols, rows = np.tril_indices(6)
+        own_cols, own_rows = np.tril_indices(3)
+        return np.concatenate([H[:, cols, rows].ravel(), E.ravel(), C[:, own_cols, own_rows].ravel()])
+
+    def _of_poses(self) -> Ints:
+        return self.n_state * np.arange(self.data.n_frames)[:, None] + np.arange(6)
+
+    def _residuals(self, x: Array, A: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Whitened residuals (M, 3); attitudes in the camera (F, 3, 3), theta (F, 3), p_NG, p_G."""
+        d = self.data
+        poses = x[self._of_poses()]
+        p_NG, theta = np.ascontiguousarray(poses[:, :3]), poses[:, 3:]
+        now = np.swapaxes(A.reshape(-1, 3, 3), 1, 2) @ exp_so3(theta)
+        p_G = x[self.n_dense :].reshape(-1, 3)
+        fixed = (d.frame, d.landmark, d.uvd_px, d.inv_sigma, d.rig)
+        return stereo_residuals(*fixed, now, d.R_RN, d.t_R, p_NG, p_G), now, theta, p_NG, p_G
+
+    def _blocks(self, x: Array, A: Array) -> tuple[Array, Array, Array, Array, Array]:
+        d = self.data
+        residuals, now, theta, p_NG, p_G = self._residuals(x, A)
+        s = np.sum(residuals**2, axis=1)
+        fixed = (d.frame, d.landmark, d.inv_sigma, d.rig)
+        point = (now, d.R_RN, d.t_R, p_NG, p_G, right_jacobian_so3(theta), residuals)
+        return stereo_normal_equations(
+            *fixed, *point, robust_weight(s, d.robust_scale), kernel_curvature(s, d.robust_scale)
+        )
 
 
 @dataclass(frozen=True)
@@ -86,7 +162,7 @@ class MotionProgram:
 
     Each term of the dynamics and the priors is a small kernel that returns cost, gradient and Gauss-Newton
     Hessian; constant sparse matrices scatter the stacked blocks into the program's gradient and Hessian. The
-    stereo terms come from compiled loops (``stereo_terms.py``). CasADi never differentiates the whole.
+    stereo terms come from compiled loops (``StereoTerms``). CasADi never differentiates the whole.
     """
 
     name = "ipopt"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polhode.backend.initialization.multistart import HypothesisFit
-from polhode.backend.initialization.rotation_direction import OPPOSITE_DIRECTION
+from polhode.backend.initialization.rates import OPPOSITE_DIRECTION
 from polhode.backend.uncertainty.covariance import with_infinite
 from polhode.lie import Array
 from polhode.records import MotionEstimate

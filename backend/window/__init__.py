@@ -1,8 +1,7 @@
 """The sliding window: frames in, one by one, and the causal estimate at each frame out, in bounded time.
 
-- ``online``: the window over a whole sequence.
-- ``estimator``: the sliding window, frame by frame.
-- ``frame``: measurements of a frame, and a frame while the window keeps it.
+- ``estimator``: the sliding window, frame by frame and over a whole sequence.
+- ``frame``: measurements of a frame, a frame while the window keeps it, slots of the landmarks.
 - ``add_frame``: pose and landmarks of a new frame.
 - ``solve``: the solves of one frame's update; the choice among several inertias.
 - ``marginalize``: key frames are chosen, other frames leave the window.
@@ -11,18 +10,19 @@
 - ``estimator_state``: frames, landmarks, constants and noise levels of the window.
 - ``history``: the first frames as a whole, until the inertia is known.
 - ``active``: the unknowns of the window and the arrival cost about them.
-- ``newton``, ``ipopt``: solvers of the window's program.
-- ``problem``: the nonlinear program of one update.
-- ``dynamics_factors``: the dynamics between consecutive states.
+- ``problem``: the nonlinear program of one update, its dynamics and quadratic parts, and Gauss-Newton on it.
+- ``ipopt``: IPOPT on the same program.
 - ``vision``: the observations, condensed to information on the poses.
-- ``landmarks``: landmark positions in a bounded set of slots.
-- ``quadratic``: Gaussian information and its marginals.
 """
 
 from polhode.backend.window.causal_state import OnlineState
-from polhode.backend.window.estimator import SlidingWindow
+from polhode.backend.window.estimator import (
+    SlidingWindow,
+    align_online_estimate,
+    estimate_online,
+    window_warnings,
+)
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
-from polhode.backend.window.online import align_online_estimate, estimate_online, window_warnings
 
 __all__ = [
     "CameraNoise",

@@ -6,9 +6,16 @@ import numpy as np
 
 from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
-from polhode.backend.window.dynamics_factors import NO_FACTORS, DynamicsFactors, factor_jacobians
 from polhode.backend.window.frame import Frame, states_of
-from polhode.backend.window.quadratic import Quadratic, add_block, eliminate, others
+from polhode.backend.window.problem import (
+    NO_FACTORS,
+    DynamicsFactors,
+    Quadratic,
+    add_block,
+    eliminate,
+    factor_jacobians,
+    others,
+)
 from polhode.lie import Array
 from polhode.records import Ints
 

@@ -12,11 +12,9 @@ from polhode.backend.solvers.linearization_point import COM_PRIOR_M, middle_and_
 from polhode.backend.solvers.robust_kernel import robust_gain
 from polhode.backend.window.active import ActiveWindow
 from polhode.backend.window.causal_state import LastInformation
-from polhode.backend.window.dynamics_factors import DisturbanceLevels, make_factors
-from polhode.backend.window.frame import CameraNoise
+from polhode.backend.window.frame import CameraNoise, LandmarkSlots
 from polhode.backend.window.history import History
-from polhode.backend.window.landmarks import LandmarkSlots
-from polhode.backend.window.problem import InertiaModel
+from polhode.backend.window.problem import DisturbanceLevels, InertiaModel, make_factors
 from polhode.backend.window.vision import (
     CondensedVision,
     WindowObservations,

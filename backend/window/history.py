@@ -14,16 +14,20 @@ import numpy as np
 from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
 from polhode.backend.window.active import ActiveWindow, add_parts, camera_part
-from polhode.backend.window.dynamics_factors import (
+from polhode.backend.window.frame import Frame
+from polhode.backend.window.problem import (
     NO_FACTORS,
     DisturbanceLevels,
     DynamicsFactors,
+    Elimination,
+    Quadratic,
+    add_block,
     add_factors,
+    eliminate,
     factor_jacobians,
     make_factors,
+    others,
 )
-from polhode.backend.window.frame import Frame
-from polhode.backend.window.quadratic import Elimination, Quadratic, add_block, eliminate, others
 from polhode.backend.window.vision import CondensedVision
 from polhode.lie import Array
 from polhode.records import Ints

@@ -25,8 +25,7 @@ from polhode.backend.noise.process_level import (
 )
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.history import History
-from polhode.backend.window.newton import NewtonSolver
-from polhode.backend.window.problem import WindowProblem
+from polhode.backend.window.problem import NewtonSolver, WindowProblem
 from polhode.backend.window.vision import WindowObservations, poses_of, residuals
 from polhode.camera import stereo_jacobian
 from polhode.lie import Array

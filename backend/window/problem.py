@@ -1,18 +1,222 @@
-"""The nonlinear program of one step of the window, landmarks and key poses already eliminated."""
+"""The nonlinear program of one update of the window, its parts, and its default solver.
+
+The observations, with landmarks and key poses eliminated, and the arrival cost are a quadratic; the dynamics
+between consecutive states are whitened factors (``dynamics.residuals``). Gauss-Newton solves the program,
+with damping of the centre of mass and the inertia.
+"""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_triangular
 
 from polhode.backend.dynamics.kernels import prior_kernel
-from polhode.backend.dynamics.residuals import add_steps
-from polhode.backend.problem.inertia import FORMS, InertiaForm
+from polhode.backend.dynamics.process_noise import whitening
+from polhode.backend.dynamics.propagation import series_steps
+from polhode.backend.dynamics.residuals import (
+    FrameStates,
+    Steps,
+    add_steps,
+    dynamics_jacobians,
+    dynamics_residuals,
+)
+from polhode.backend.dynamics.so3_exp import rotation_matrices
+from polhode.backend.problem.inertia import (
+    FORMS,
+    InertiaForm,
+    inertia_derivative,
+    inertia_from_second_moments,
+)
 from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
-from polhode.backend.solvers.gauss_newton import Solution
-from polhode.backend.window.dynamics_factors import DynamicsFactors, factor_jacobians, factor_residuals
-from polhode.backend.window.quadratic import Quadratic
+from polhode.backend.solvers.gauss_newton import CONSTANT_SCALE, Solution
+from polhode.compiled import compiled
 from polhode.lie import Array
+from polhode.records import Ints
+
+AT_REST = 1e-3
+"""Negligible difference of the cost, which is half a squared number of standard deviations."""
+DAMPINGS = (0.0, 1e-1, 1e1, 1e3, 1e5)
+"""Damping of the constants, in units of ``CONSTANT_SCALE``."""
+SHORTEST = 1e-3
+"""Smallest fraction of a step that is tried."""
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """The cost 1/2 (x - x0)^T H (x - x0) + g^T (x - x0)."""
+
+    H: Array
+    """(n, n) symmetric"""
+    g: Array
+    """(n,) gradient at x0"""
+    x0: Array
+    """(n,)"""
+
+    def gradient(self, x: Array) -> Array:
+        """Gradient (n,) at x."""
+        return np.asarray(self.g + self.H @ (x - self.x0))
+
+    def value(self, x: Array) -> float:
+        """Cost at x, without the constant."""
+        d = x - self.x0
+        return float(d @ (self.g + 0.5 * (self.H @ d)))
+
+
+@dataclass(frozen=True)
+class Elimination:
+    """Information on the ``kept`` entries, the ``gone`` ones minimized over: the marginal of a Gaussian."""
+
+    H: Array
+    """(k, k)"""
+    g: Array
+    """(k,)"""
+    factor: Array
+    """(n - k, n - k) lower L with L L^T = H[gone, gone]"""
+    across: Array
+    """(n - k, k + 1) of L^-1 [H[gone, kept], g[gone]]"""
+
+    def follow(self, step: Array) -> Array:
+        """Step of the eliminated entries (n - k,) that follows from that of the kept ones (k,)."""
+        if len(self.factor) == 0:
+            return np.zeros(0)
+        right = self.across[:, :-1] @ step + self.across[:, -1]
+        return np.asarray(-solve_triangular(self.factor, right, lower=True, trans=1, check_finite=False))
+
+
+def eliminate(H: Array, g: Array, gone: Ints, kept: Ints) -> Elimination:
+    """Eliminate entries of a quadratic about 0. H[gone, gone] must be positive definite."""
+    left, force = block_of(H, kept, kept), g[kept]
+    if len(gone) == 0:
+        return Elimination(left, force, np.zeros((0, 0)), np.zeros((0, len(kept) + 1)))
+    factor = cholesky(block_of(H, gone, gone), lower=True, check_finite=False)
+    both = np.empty((len(gone), len(kept) + 1))
+    both[:, :-1], both[:, -1] = block_of(H, gone, kept), g[gone]
+    across = solve_triangular(factor, both, lower=True, check_finite=False)
+    from_kept, from_force = np.ascontiguousarray(across[:, :-1]), across[:, -1]
+    left -= from_kept.T @ from_kept
+    return Elimination(left, force - from_kept.T @ from_force, factor, across)
+
+
+@compiled
+def add_block(H: Array, entries: Ints, block: Array) -> None:
+    """H[entries, entries] += block (n, n), in place."""
+    n = len(entries)
+    for a in range(n):
+        row = entries[a]
+        for b in range(n):
+            H[row, entries[b]] += block[a, b]
+
+
+@compiled
+def block_of(H: Array, rows: Ints, columns: Ints) -> Array:
+    """H[rows, columns] (n, m)."""
+    out = np.empty((len(rows), len(columns)))
+    for a in range(len(rows)):
+        row = rows[a]
+        for b in range(len(columns)):
+            out[a, b] = H[row, columns[b]]
+    return out
+
+
+def others(entries: Ints, size: int) -> Ints:
+    """The indices below ``size`` that are not among the entries."""
+    rest = np.ones(size, bool)
+    rest[entries] = False
+    return np.flatnonzero(rest)
+
+
+@dataclass(frozen=True)
+class DynamicsFactors:
+    """n steps between n + 1 states, with what is fixed during a solve."""
+
+    steps: Steps
+    half_log_det: float
+    """Normalization of the process noise, as in ``LinearizationPoint``; of all steps made at once"""
+
+    def __len__(self) -> int:
+        return len(self.steps.dt_s)
+
+    def part(self, chosen: slice) -> "DynamicsFactors":
+        """Some of the steps."""
+        s = self.steps
+        return DynamicsFactors(Steps(s.dt_s[chosen], s.series[chosen], s.W_t[chosen], s.W_r[chosen]), 0.0)
+
+    def and_then(self, other: "DynamicsFactors") -> "DynamicsFactors":
+        """These steps, then the others."""
+        a, b = self.steps, other.steps
+        joined = Steps(
+            np.concatenate([a.dt_s, b.dt_s]),
+            np.concatenate([a.series, b.series]),
+            np.concatenate([a.W_t, b.W_t]),
+            np.concatenate([a.W_r, b.W_r]),
+        )
+        return DynamicsFactors(joined, self.half_log_det + other.half_log_det)
+
+
+NO_FACTORS = DynamicsFactors(
+    Steps(np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 2, 2)), np.zeros((0, 6, 6))), 0.0
+)
+
+
+@dataclass(frozen=True)
+class DisturbanceLevels:
+    """Power spectral densities of the disturbing acceleration and torque."""
+
+    accel_psd: float
+    torque_psd: float
+
+
+def make_factors(
+    w_G: Array, J_G: Array, J_noise: Array, dt_s: Array, noise: DisturbanceLevels
+) -> DynamicsFactors:
+    """n steps with the rates (n, 3) at their starts; the disturbing torque acts on J_noise (3, 3)."""
+    if len(dt_s) == 0:
+        return NO_FACTORS
+    W_t, W_r, half_log = whitening(w_G, J_noise, dt_s, noise.accel_psd, noise.torque_psd)
+    return DynamicsFactors(Steps(dt_s, series_steps(w_G, J_G, dt_s, noise.torque_psd), W_t, W_r), half_log)
+
+
+def _states(x: Array, R_ref: Array) -> FrameStates:
+    of_frames = x[:-N_CONSTANTS].reshape(-1, N_STATE)
+    return FrameStates(
+        of_frames, R_ref @ rotation_matrices(of_frames[:, 3:6]), np.zeros((len(R_ref), 3)), x[-8:-5]
+    )
+
+
+def _inertia(x: Array, form: InertiaForm, R_inertia: Array) -> Array:
+    return inertia_from_second_moments(form.second_moments(x[-5:], R_inertia))
+
+
+def factor_residuals(
+    x: Array, R_ref: Array, factors: DynamicsFactors, form: InertiaForm, R_inertia: Array
+) -> Array:
+    """Whitened residuals (n, 12) of the steps between n + 1 states, x (12 (n + 1) + 8,) around R_ref."""
+    return dynamics_residuals(_states(x, R_ref), factors.steps, _inertia(x, form, R_inertia))
+
+
+def factor_jacobians(
+    x: Array, R_ref: Array, factors: DynamicsFactors, form: InertiaForm, R_inertia: Array
+) -> tuple[Array, Array]:
+    """Whitened residuals (n, 12) and Jacobians (n, 12, 32) in state before, state after, com_G, xi."""
+    J_G, dJ = _inertia(x, form, R_inertia), inertia_derivative(form, x[-5:], R_inertia)
+    return dynamics_jacobians(_states(x, R_ref), factors.steps, J_G, dJ)
+
+
+def add_factors(H: Array, g: Array, r: Array, D: Array, at: Ints) -> None:
+    """Add D^T D and D^T r of each step to H and g in place; step e joins the states at at[e], at[e] + 12."""
+    if len(r) == 0:
+        return
+    blocks, forces = np.swapaxes(D, 1, 2) @ D, (np.swapaxes(D, 1, 2) @ r[:, :, None])[:, :, 0]
+    c = len(g) - N_CONSTANTS
+    for e, start in enumerate(at):
+        both = slice(start, start + 2 * N_STATE)
+        H[both, both] += blocks[e, :24, :24]
+        H[both, c:] += blocks[e, :24, 24:]
+        H[c:, both] += blocks[e, 24:, :24]
+        g[both] += forces[e, :24]
+    H[c:, c:] += blocks[:, 24:, 24:].sum(axis=0)
+    g[c:] += forces[:, 24:].sum(axis=0)
 
 
 class InertiaModel:
@@ -103,3 +307,59 @@ class WindowSolver(Protocol):
     def solve(self, problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
         """Minimize from x (12 W + 8,)."""
         ...
+
+
+class NewtonSolver:
+    """Reference solver; near the solution one step is enough.
+
+    Given the constants the states are almost linear, and stiff at high frame rates: only the constants are
+    damped, the states follow them freely. If that is not enough the step is shortened.
+    """
+
+    name = "gauss_newton"
+
+    def solve(self, problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
+        """Minimize from x (12 W + 8,), until the cost after a step agrees with its quadratic model."""
+        level, iteration = 0, 0
+        cost, H, g = problem.normal_equations(x)
+        candidate = cost
+        for iteration in range(1, max_iterations + 1):
+            step, candidate, level = _descending_step(problem, x, cost, H, g, level)
+            if step is None:
+                return Solution(x, cost, iteration, False, "no further decrease")
+            expected = cost + float(g @ step + 0.5 * step @ (H @ step))
+            x, exact = x + step, level == 0 and abs(candidate - expected) < AT_REST
+            if exact:
+                return Solution(x, candidate, iteration, True, "converged")
+            level = max(level - 1, 0)
+            if iteration < max_iterations:
+                cost, H, g = problem.normal_equations(x)
+        return Solution(x, candidate, iteration, False, "iteration limit")
+
+
+def _descending_step(
+    problem: WindowProblem, x: Array, cost: float, H: Array, g: Array, level: int
+) -> tuple[Array | None, float, int]:
+    """A step after which the cost is no higher, that cost, and the level of damping that was needed."""
+    step = None
+    for tried in range(level, len(DAMPINGS)):
+        step = _damped_step(H, g, DAMPINGS[tried])
+        if step is not None and (candidate := problem.cost(x + step)) <= cost + AT_REST:
+            return step, candidate, tried
+    share = 0.5
+    while step is not None and share > SHORTEST:
+        if (candidate := problem.cost(x + share * step)) <= cost + AT_REST:
+            return share * step, candidate, len(DAMPINGS) - 1
+        share *= 0.5
+    return None, cost, level
+
+
+def _damped_step(H: Array, g: Array, damping: float) -> Array | None:
+    if damping > 0.0:
+        H = H.copy()
+        np.einsum("ii->i", H)[-N_CONSTANTS:] += damping / CONSTANT_SCALE**2
+    try:
+        factor = cho_factor(H, lower=True, check_finite=False)
+    except LinAlgError:
+        return None
+    return np.asarray(-cho_solve(factor, g, check_finite=False))

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.initialization.initialize import interval_rates
 from polhode.backend.initialization.multistart import inertia_hypotheses
+from polhode.backend.initialization.rates import interpolated_rates, interval_rates
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
 from polhode.backend.solvers.gauss_newton import Solution
@@ -17,9 +17,7 @@ from polhode.backend.window.active import add_parts
 from polhode.backend.window.causal_state import last_information
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.history import History, HistoryVision
-from polhode.backend.window.newton import NewtonSolver
-from polhode.backend.window.problem import WindowProblem, WindowSolver
-from polhode.backend.window.quadratic import Quadratic, eliminate
+from polhode.backend.window.problem import NewtonSolver, Quadratic, WindowProblem, WindowSolver, eliminate
 from polhode.backend.window.vision import GATE, CondensedVision
 from polhode.lie import Array
 
@@ -150,8 +148,7 @@ def _differenced_rates(history: History, x: Array) -> tuple[Array, Array, Array]
     """The unknowns with the rates by differences of the attitudes; attitudes (N, 3, 3) and rates (N, 3)."""
     R_NG = np.stack([frame.R_NG for frame in history.frames])
     time_s = np.array([frame.time_s for frame in history.frames])
-    rates, centres = interval_rates(time_s, R_NG)
-    w_G = np.stack([np.interp(time_s, centres, rates[:, axis]) for axis in range(3)], axis=1)
+    w_G = interpolated_rates(time_s, *interval_rates(time_s, R_NG)[::-1])
     fresh = x.copy()
     fresh[:-N_CONSTANTS].reshape(-1, N_STATE)[:, 9:12] = w_G
     return fresh, R_NG, w_G

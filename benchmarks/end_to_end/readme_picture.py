@@ -23,8 +23,7 @@ from benchmarks.command import command
 from polhode.camera import RectifiedRig
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
-from polhode.frontend.rectification.rectify import make_rectifier, rectified_pair
-from polhode.frontend.rectification.target import Crop, target_crop
+from polhode.frontend.rectification import Crop, make_rectifier, rectified_pair, target_crop
 from polhode.lie import Array, exp_so3, inverse_pose, transform_points
 from polhode.pipeline.report.figures.plot import TIME_SCALE
 from polhode.pipeline.report.figures.rotation import look_at, torque_free_path

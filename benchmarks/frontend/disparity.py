@@ -29,12 +29,10 @@ from tyro.conf import arg
 from benchmarks.command import ROOT, Short, command
 from polhode.config.frontend import Depth
 from polhode.dataset import open_sequence
-from polhode.frontend.disparity.crop import StereoCrop, cut_crop
 from polhode.frontend.disparity.depth import crop_disparity
-from polhode.frontend.disparity.sgbm import match_checked
-from polhode.frontend.rectification.rectify import make_rectifier
-from polhode.frontend.rectification.target import target_mask
-from polhode.train.disparity.truth import TrueDisparity, true_disparities
+from polhode.frontend.disparity.sgbm import StereoCrop, cut_crop, match_checked
+from polhode.frontend.rectification import make_rectifier, target_mask
+from polhode.train.disparity.samples import TrueDisparity, true_disparities
 
 Floats = NDArray[np.float32]
 Method = Callable[[StereoCrop], tuple[Floats, Floats | None]]

@@ -15,7 +15,7 @@ from benchmarks.end_to_end.scenes import polhode
 from polhode.camera import RectifiedRig
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
-from polhode.frontend.rectification.rectify import RectifiedPair, Rectifier, make_rectifier, rectified_pair
+from polhode.frontend.rectification import RectifiedPair, Rectifier, make_rectifier, rectified_pair
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.simulation.dataset.correspondence import view_of
 from polhode.simulation.dataset.plan import plan_sequence

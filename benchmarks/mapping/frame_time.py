@@ -29,7 +29,7 @@ from benchmarks.mapping.mesh_quality import depth_maps, true_poses
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
-from polhode.frontend.rectification.rectify import make_rectifier
+from polhode.frontend.rectification import make_rectifier
 from polhode.lie import Array, inverse_pose
 from polhode.mapping.fusion.field import Field
 from polhode.pipeline.context import RunContext

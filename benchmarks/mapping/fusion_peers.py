@@ -41,7 +41,7 @@ from polhode.camera import RectifiedRig
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
-from polhode.frontend.rectification.rectify import make_rectifier
+from polhode.frontend.rectification import make_rectifier
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.mapping.fusion.field import Field, choose_voxel_m, fuse
 from polhode.mesh_metrics import compare_surfaces

@@ -31,7 +31,7 @@ from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.frontend.extract import extract_depth
-from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.frontend.rectification import Rectifier, make_rectifier
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.mapping.fusion.field import fuse
 from polhode.mapping.mesh_files import write_ply

@@ -20,7 +20,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from benchmarks.command import Runs, command
 from benchmarks.presentation import table_head
 from polhode.backend import initialize_motion
-from polhode.backend.fit import fit
+from polhode.backend.estimate import fit
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton

@@ -1,18 +1,32 @@
 """The classical method: least squares refine semi-global disparities, planes and facets smooth them.
 
-Refinement is windowed least squares (Lucas and Kanade 1981) along the epipolar line: in a window,
-left = gain * right(u - d - delta) + offset. The right image is warped with every pixel's own disparity, so
-slanted surfaces do not bias delta. The information of the normal equations gives sigma.
+Refinement is windowed least squares (Lucas and Kanade 1981) along the epipolar line: in a window, left = gain
+* right(u - d - delta) + offset. The right image is warped with every pixel's own disparity, so slanted
+surfaces do not bias delta. The information of the normal equations gives sigma.
+
+Smoothing is piecewise planar: a flat facet of the target is exactly a plane in disparity. ``fit_planes``:
+around every pixel a plane is fitted in several windows, centred and shifted; the one with the smallest
+scatter is used (as in Kuwahara's filter), so edges between facets are not rounded. Where even that plane
+leaves residuals above the noise, the surface is rough at this scale and windows of half the size are used.
+
+``fit_facets``: inside a uniformly lit panel without texture no window determines the disparity, but the
+panel's outline and the marks on it do. Each textureless patch of the image gets the plane on which its
+surroundings agree (iteratively reweighted least squares); the plane's covariance limits how far it is
+extrapolated.
 """
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import find_objects
 
 from polhode.config.frontend import Depth
-from polhode.frontend.disparity.crop import Floats, StereoCrop
-from polhode.frontend.disparity.planes import fit_facets, fit_planes
-from polhode.frontend.disparity.sgbm import match_checked
-from polhode.frontend.rectification.target import Image
+from polhode.frontend.disparity.sgbm import Floats, StereoCrop, match_checked
+from polhode.frontend.rectification import Image
+from polhode.lie import Array
+from polhode.records import Bools
 
 REFINEMENTS = 3
 """Rounds of sub-pixel refinement and smoothing."""
@@ -23,6 +37,27 @@ SIGMA_FLOOR_PX = 0.05
 MIN_MATCHED_PIXELS = 50
 """With fewer matched pixels there is no disparity."""
 _MAX_STEP_PX = 0.5
+_MIN_AREA_PX = 40
+_MAX_BRIGHTNESS_RANGE = 0.15
+"""Largest spread of the intensity over a facet, as a share of the intensity."""
+_EDGE_PX = 4
+"""Pixels within this distance of a textureless patch still belong to its facet."""
+_MAX_TEXTURE_SLOPE = 0.025
+"""Largest slope of the intensity of a textureless pixel, as a share of the intensity [1/px]."""
+_MAX_NOISE_SLOPE = 2.0
+"""Largest slope that is attributed to noise [8-bit levels/px]."""
+_SCALES_PX = (2.0, 1.0, 0.5, 0.3)
+"""Scale of the robust kernel in each round."""
+_MIN_AGREEMENT = 0.6
+"""Share of the information around a patch that must agree with its plane."""
+_AGREEMENT_PX = 0.3
+"""Windows along an edge mix two facets: their disparities may deviate by this in addition to their noise."""
+_MODEL_PX = 0.12
+"""Deviation of a facet from a plane."""
+_MIN_FILLED_SHARE = 0.3
+_OUTLIER_SIGMAS = 3.0
+_ROUGH_CHI2 = 2.0
+"""Mean squared distance from the plane, in variances, above which the surface is not planar at this scale."""
 
 
 def classical_disparity(crop: StereoCrop, config: Depth) -> tuple[Floats, Floats]:
@@ -120,3 +155,198 @@ def _mean(image: Floats, window_px: int) -> Floats:
     """Mean over a square window; pixels outside the image count as 0."""
     blurred = cv2.blur(image, (window_px, window_px), borderType=cv2.BORDER_CONSTANT)
     return np.asarray(blurred, dtype=np.float32)
+
+
+def fit_planes(
+    disparity: Floats, sigma: Floats, radius_px: int, correlated_px2: float
+) -> tuple[Floats, Floats]:
+    """Smoothed disparity and its sigma (h, w) [px] from noisy ones; NaN stays NaN.
+
+    correlated_px2: area over which the errors of neighbours are equal, so that averaging does not reduce
+    them.
+    """
+    known = np.isfinite(disparity) & np.isfinite(sigma)
+    d = np.where(known, disparity, 0.0).astype(np.float64)
+    weight = np.where(known, 1.0 / (np.square(np.where(known, sigma, 1.0), dtype=np.float64) + 0.05**2), 0.0)
+    plane, _, _ = _best_plane(d, weight, radius_px, correlated_px2)
+    limit = _OUTLIER_SIGMAS * np.hypot(np.where(known, sigma, 1.0), 0.1)
+    robust = np.where(np.abs(d - plane) < limit, weight, 0.01 * weight)
+    plane, variance, good = _best_plane(d, robust, radius_px, correlated_px2)
+    rough = cv2.blur(np.square(d - plane) * weight, (5, 5)) > _ROUGH_CHI2
+    if rough.any():
+        near, near_variance, near_good = _best_plane(d, robust, max(radius_px // 2, 1), correlated_px2)
+        rough &= near_good
+        plane, variance = np.where(rough, near, plane), np.where(rough, near_variance, variance)
+        good |= rough
+    out = known & good
+    return (
+        np.where(out, plane, np.nan).astype(np.float32),
+        np.where(out, np.sqrt(variance), np.nan).astype(np.float32),
+    )
+
+
+def _best_plane(
+    d: Array, weight: Array, radius_px: int, correlated_px2: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Value of the best window's plane at each pixel, its variance, and whether there is such a window."""
+    h, w = d.shape
+    v, u = np.mgrid[:h, :w].astype(np.float64)
+    a, b, value, scatter, variance, share = _plane_per_window(d, weight, u, v, radius_px, correlated_px2)
+    usable = share > _MIN_FILLED_SHARE
+    score = np.where(usable, scatter, np.inf)
+    best, best_value, best_variance = score.copy(), value.copy(), variance.copy()
+    r = max(1, round(0.7 * radius_px))
+    for dv in (-r, 0, r):
+        for du in (-r, 0, r):
+            if du == dv == 0:
+                continue
+            # The window centred at (u + du, v + dv) extrapolates its plane to (u, v).
+            shifted_score = 1.15 * _shift(score, du, dv, np.inf)
+            shifted = _shift(value, du, dv, 0.0) - du * _shift(a, du, dv, 0.0) - dv * _shift(b, du, dv, 0.0)
+            better = shifted_score < best
+            best = np.where(better, shifted_score, best)
+            best_value = np.where(better, shifted, best_value)
+            best_variance = np.where(better, 3.0 * _shift(variance, du, dv, 0.0), best_variance)
+    return best_value, best_variance, np.isfinite(best)
+
+
+def _plane_per_window(
+    d: Array, weight: Array, u: Array, v: Array, radius_px: int, correlated_px2: float
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Slopes a, b, value at the centre, mean squared scatter, the value's variance, filled share; (h, w)."""
+    size = 2 * radius_px + 1
+
+    def total(image: Array) -> Array:
+        return np.asarray(cv2.boxFilter(image, cv2.CV_64F, (size, size), normalize=False, borderType=0))
+
+    s, su, sv = total(weight), total(weight * u), total(weight * v)
+    safe = np.maximum(s, 1e-9)
+    mu, mv, md = su / safe, sv / safe, total(weight * d) / safe
+    uu = total(weight * u * u) / safe - mu * mu + 1e-3
+    vv = total(weight * v * v) / safe - mv * mv + 1e-3
+    uv = total(weight * u * v) / safe - mu * mv
+    ud = total(weight * u * d) / safe - mu * md
+    vd = total(weight * v * d) / safe - mv * md
+    dd = total(weight * d * d) / safe - md * md
+    determinant = np.maximum(uu * vv - uv * uv, 1e-6)
+    a = (ud * vv - vd * uv) / determinant
+    b = (vd * uu - ud * uv) / determinant
+    value = md + a * (u - mu) + b * (v - mv)
+    scatter = np.maximum(dd - a * ud - b * vd, 0.0) + 1e-4
+    count = total((weight > 0).astype(np.float64))
+    # Disparities of neighbours come from overlapping windows: far fewer are independent.
+    independent = np.maximum(count / correlated_px2, 1.0)
+    variance = np.maximum(scatter, 0.0) / independent + correlated_px2 / np.maximum(s, 1e-9)
+    return a, b, value, scatter, variance, count / size**2
+
+
+def _shift(image: Array, du: int, dv: int, outside: float) -> Array:
+    """out[v, u] = image[v + dv, u + du]; ``outside`` where that is not in the image."""
+    out = np.full_like(image, outside)
+    h, w = image.shape
+    rows, columns = slice(max(0, -dv), min(h, h - dv)), slice(max(0, -du), min(w, w - du))
+    source = (slice(max(0, dv), min(h, h + dv)), slice(max(0, du), min(w, w + du)))
+    out[rows, columns] = image[source]
+    return out
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """d = value + a (u - u0) + b (v - v0), with the covariance of (value, a, b)."""
+
+    theta: Array
+    covariance: Array
+    centre: tuple[float, float]
+
+    def at(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Disparity and sigma (n,) [px] at pixels."""
+        basis = np.stack([np.ones_like(u), u - self.centre[0], v - self.centre[1]], axis=1)
+        variance = np.einsum("ni,ij,nj->n", basis, self.covariance, basis)
+        return basis @ self.theta, np.sqrt(variance + _MODEL_PX**2)
+
+
+def textureless_patches(image: Image, inside: Bools) -> tuple[NDArray[np.int32], int]:
+    """Labels (h, w) of connected patches of nearly constant intensity, 0 elsewhere; and their number."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
+    slope_u = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3) / 8.0
+    slope_v = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3) / 8.0
+    slope = np.hypot(slope_u, slope_v)
+    # The smallest slopes show the sensor's noise, unless there is texture everywhere.
+    noise = float(np.percentile(slope[inside], 20)) if inside.any() else 0.0
+    even = inside & (slope < np.maximum(min(2.5 * noise, _MAX_NOISE_SLOPE), _MAX_TEXTURE_SLOPE * smooth))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(even.astype(np.uint8), connectivity=4)
+    small = np.flatnonzero(np.asarray(stats)[:, cv2.CC_STAT_AREA] < _MIN_AREA_PX)
+    labels = np.asarray(labels, dtype=np.int32)
+    labels[np.isin(labels, small)] = 0
+    return labels, count
+
+
+def fit_facets(
+    image: Image,
+    inside: Bools,
+    disparity: Floats,
+    sigma: Floats,
+    correlated_px2: float,
+    darkest: float,
+) -> tuple[Floats, Floats]:
+    """Disparity and sigma (h, w) [px] on textureless planar patches of the image; NaN elsewhere.
+
+    inside (h, w): lit pixels of the target; disparity, sigma (h, w): of every pixel by its own window, NaN
+    where there is none; correlated_px2: as for ``fit_planes``; darkest: intensity below which facets are
+    omitted.
+    """
+    labels, count = textureless_patches(image, inside)
+    value = np.full(disparity.shape, np.nan, dtype=np.float32)
+    value_sigma = np.full(disparity.shape, np.nan, dtype=np.float32)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _EDGE_PX + 1, 2 * _EDGE_PX + 1))
+    known = np.isfinite(disparity) & np.isfinite(sigma)
+    for label, bounds in enumerate(find_objects(labels, max_label=count - 1), start=1):
+        if bounds is None:
+            continue
+        rows, columns = np.nonzero(labels[bounds] == label)
+        rows, columns = rows + bounds[0].start, columns + bounds[1].start
+        box = (
+            slice(max(rows.min() - _EDGE_PX, 0), rows.max() + _EDGE_PX + 1),
+            slice(max(columns.min() - _EDGE_PX, 0), columns.max() + _EDGE_PX + 1),
+        )
+        if not _uniformly_lit(image[rows, columns], darkest):
+            continue
+        patch = cv2.dilate((labels[box] == label).astype(np.uint8), kernel) > 0
+        v, u = np.nonzero(patch & known[box])
+        v, u = v + box[0].start, u + box[1].start
+        plane = _fit(u, v, disparity[v, u], sigma[v, u], correlated_px2)
+        if plane is not None:
+            at = plane.at(columns.astype(np.float64), rows.astype(np.float64))
+            value[rows, columns], value_sigma[rows, columns] = at
+    return value, value_sigma
+
+
+def _uniformly_lit(intensity: Image, darkest: float) -> bool:
+    """A flat facet in sunlight has one brightness, a curved one is shaded; dark pixels show nothing."""
+    low, middle, high = np.percentile(intensity, [5.0, 50.0, 95.0])
+    return bool(middle > darkest and high - low < _MAX_BRIGHTNESS_RANGE * middle + 4.0)
+
+
+def _fit(
+    u: NDArray[np.int64], v: NDArray[np.int64], d: Floats, sigma: Floats, correlated_px2: float
+) -> _Plane | None:
+    """The plane on which most of the information agrees, or None."""
+    if len(u) < _MIN_AREA_PX:
+        return None
+    centre = (float(u.mean()), float(v.mean()))
+    basis = np.stack([np.ones(len(u)), u - centre[0], v - centre[1]], axis=1).astype(np.float64)
+    information = 1.0 / (sigma.astype(np.float64) ** 2 + 0.05**2)
+    weight = information
+    values = d.astype(np.float64)
+    for scale in _SCALES_PX:
+        normal = (basis * weight[:, None]).T @ basis + 1e-9 * np.eye(3)
+        theta = np.asarray(np.linalg.solve(normal, basis.T @ (weight * values)), dtype=np.float64)
+        residual = values - basis @ theta
+        weight = information / (1.0 + (residual / scale) ** 2) ** 2
+    agrees = np.abs(residual) < 2.5 * np.hypot(sigma, _AGREEMENT_PX)
+    if information[agrees].sum() < _MIN_AGREEMENT * information.sum():
+        return None
+    normal = (basis * weight[:, None]).T @ basis + 1e-9 * np.eye(3)
+    scatter = float(np.sum(weight * residual**2) / max(len(u) - 3, 1))
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64) * correlated_px2 * max(1.0, scatter)
+    return _Plane(theta, covariance, centre)

@@ -11,10 +11,9 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Depth
 from polhode.frontend.disparity.classical import classical_disparity
-from polhode.frontend.disparity.crop import Floats, StereoCrop, cut_crop
 from polhode.frontend.disparity.learned import network_disparity
-from polhode.frontend.disparity.sgbm import match_checked
-from polhode.frontend.rectification.target import Image
+from polhode.frontend.disparity.sgbm import Floats, StereoCrop, cut_crop, match_checked
+from polhode.frontend.rectification import Image
 from polhode.records import Bools, DepthMap
 
 JUMP_PX = 1.5

@@ -1,31 +1,44 @@
 """The learned method: a network refines semi-global disparities and fills their holes.
 
+Input: every pixel gets six hypotheses of its disparity: the checked and refined classical disparity with its
+holes filled; the farthest and the nearest disparity in the neighbourhood (a pixel at an occluding edge
+belongs to one of the two); the disparity of semi-global matching before the left-right check; the plane of a
+textureless facet; and the disparity of matching at half the resolution, where weak texture counts more. The
+right image is warped to the left one by Kornia's differentiable remap, for a small slice of the cost volume
+around the first hypothesis and for each of the others; the matching costs are the channels.
+
 The network decides which surface a pixel belongs to; windowed least squares measure better where there is
 texture. Both are averaged by their variances, and local planes reduce the noise, as in the classical method.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
+from kornia.geometry.transform import remap
+from numpy.typing import NDArray
 from torch import Tensor
 
 from polhode.config.frontend import Depth
-from polhode.frontend.disparity.classical import refine_dense
-from polhode.frontend.disparity.crop import Floats, StereoCrop
-from polhode.frontend.disparity.network_input import (
-    InitialDisparity,
-    hypotheses,
-    initial_disparity,
-    input_channels,
-)
-from polhode.frontend.disparity.planes import fit_planes
-from polhode.frontend.networks.disparity import STRIDE, DisparityNet, mixture_from_outputs
+from polhode.frontend.disparity.classical import MIN_MATCHED_PIXELS, fit_facets, fit_planes, refine_dense
+from polhode.frontend.disparity.sgbm import Floats, StereoCrop, match_coarse, match_left_right
+from polhode.frontend.networks.disparity import OFFSETS_PX, STRIDE, DisparityNet, mixture_from_outputs
 from polhode.frontend.networks.weights import load_weights, shipped_path
 from polhode.records import Bools
 
+REACH_PX = 5
+"""Radius of the neighbourhood of the nearest and the farthest disparity."""
+_CONTRAST_WINDOW_PX = 9
+_TRUST_PX = 0.3
+_MAX_COST = 3.0
+_GREY_SCALE = 32.0
+_ALTERNATIVE_SCALE_PX = 8.0
+_PLANE_SCALE_PX = 16.0
+_CONTRAST_FLOOR = 4.0
+"""Added to the standard deviation of a window [8-bit levels], so that noise is not amplified to texture."""
 NAME = "disparity"
 """Name of the shipped weights."""
 _COMPONENTS = 3
@@ -34,6 +47,212 @@ _WINDOW_PX = 7
 _PLANE_RADIUS_PX = 6
 _CORRELATED_PX2 = 25.0
 _SIGMA_FLOOR_PX = 0.05
+
+
+@dataclass(frozen=True)
+class InitialDisparity:
+    """Images and hypotheses on the crop (h, w)."""
+
+    left: Floats
+    """(h, w) grey levels above the sky"""
+    right: Floats
+    """(h, w + 2 margin) grey levels above the sky"""
+    even_left: Floats
+    """(h, w) the local mean subtracted, divided by the local contrast"""
+    even_right: Floats
+    """(h, w + 2 margin)"""
+    filled: Floats
+    """(h, w) [px] finite everywhere"""
+    far: Floats
+    near: Floats
+    unchecked: Floats
+    facet: Floats
+    coarse: Floats
+    facet_trust: Floats
+    """(h, w) from 1 on a facet whose plane is certain to 0 outside facets"""
+    sigma: Floats
+    """(h, w) of ``filled`` [px] from the least squares; NaN in filled holes"""
+    lit: Bools
+    target: Bools
+    margin_px: int
+
+    def part(self, rows: slice, columns: slice) -> "InitialDisparity":
+        """The rectangle of the given rows and columns of the crop, with the margins of the right images."""
+        wide = slice(columns.start, columns.stop + 2 * self.margin_px)
+        cut = {
+            f.name: getattr(self, f.name)[rows, wide if "right" in f.name else columns]
+            for f in fields(self)
+            if f.name != "margin_px"
+        }
+        return InitialDisparity(**cut, margin_px=self.margin_px)
+
+    def padded(self, more: tuple[int, int]) -> "InitialDisparity":
+        """With copies of the last rows and columns added below and on the right; none of them is target."""
+        pads = ((0, more[0]), (0, more[1]))
+        grown: dict[str, NDArray[np.generic]] = {}
+        for f in fields(self):
+            if f.name in ("lit", "target"):
+                grown[f.name] = np.pad(getattr(self, f.name), pads)
+            elif f.name != "margin_px":
+                grown[f.name] = np.pad(getattr(self, f.name), pads, mode="edge")
+        return InitialDisparity(**grown, margin_px=self.margin_px)  # type: ignore[arg-type]
+
+
+def initial_disparity(crop: StereoCrop, config: Depth) -> InitialDisparity | None:
+    """Match, refine once, fill holes; None when almost nothing matches."""
+    matched = match_left_right(crop, config)
+    if np.isfinite(matched.checked).sum() < MIN_MATCHED_PIXELS:
+        return None
+    refined, sigma = refine_dense(crop.left, crop.right, matched.checked, crop.search_px, config.window_px)
+    filled = fill_holes(refined)
+    facet, sigma_facet = fit_facets(
+        crop.image,
+        crop.lit,
+        refined,
+        sigma,
+        float(config.window_px**2),
+        crop.sky + 2.0 * config.min_intensity,
+    )
+    flat = np.isfinite(facet)
+    known = np.isfinite(refined)
+    kernel = np.ones((2 * REACH_PX + 1, 2 * REACH_PX + 1), dtype=np.uint8)
+    near = np.asarray(cv2.dilate(np.where(known, refined, -1e9).astype(np.float32), kernel))
+    far = np.asarray(cv2.erode(np.where(known, refined, 1e9).astype(np.float32), kernel))
+    n, w = crop.search_px, crop.target.shape[1]
+    levels = [image.astype(np.float32) - np.float32(crop.sky) for image in (crop.left, crop.right)]
+    even = [normalise_contrast(image) for image in levels]
+    return InitialDisparity(
+        left=levels[0][:, n : n + w],
+        right=levels[1],
+        even_left=even[0][:, n : n + w],
+        even_right=even[1],
+        filled=filled,
+        far=np.where(far < 1e8, far, filled),
+        near=np.where(near > -1e8, near, filled),
+        unchecked=np.where(np.isfinite(matched.unchecked), matched.unchecked, filled),
+        facet=np.where(flat, facet, filled),
+        coarse=fill_holes(match_coarse(crop, config)),
+        facet_trust=np.where(flat, np.exp(-sigma_facet / _TRUST_PX), 0.0).astype(np.float32),
+        sigma=sigma,
+        lit=crop.lit,
+        target=crop.target,
+        margin_px=n,
+    )
+
+
+def normalise_contrast(image: Floats) -> Floats:
+    """Grey levels minus the local mean, in units of the local contrast."""
+    size = (_CONTRAST_WINDOW_PX, _CONTRAST_WINDOW_PX)
+    mean = cv2.blur(image, size)
+    variance = np.maximum(cv2.blur(image * image, size) - mean * mean, 0.0)
+    return np.asarray((image - mean) / (np.sqrt(variance) + _CONTRAST_FLOOR), dtype=np.float32)
+
+
+def fill_holes(disparity: Floats) -> Floats:
+    """NaN replaced by a smooth surface through the known values: means of successively coarser images."""
+    known = np.isfinite(disparity)
+    value, weight = np.where(known, disparity, 0.0).astype(np.float32), known.astype(np.float32)
+    if known.all() or not known.any():
+        return value
+    h, w = disparity.shape
+    if max(h, w) == 1:
+        return value
+    half = ((w + 1) // 2, (h + 1) // 2)
+    weight_half = cv2.resize(weight, half, interpolation=cv2.INTER_AREA)
+    value_half = cv2.resize(value * weight, half, interpolation=cv2.INTER_AREA)
+    seen = weight_half > 1e-6
+    coarse = np.where(seen, value_half / np.where(seen, weight_half, 1.0), np.nan).astype(np.float32)
+    below = cv2.resize(fill_holes(coarse), (w, h), interpolation=cv2.INTER_LINEAR)
+    return np.where(known, value, below).astype(np.float32)
+
+
+def hypotheses(start: InitialDisparity) -> Tensor:
+    """(6, h, w) [px]: filled, far, near, unchecked, facet, coarse."""
+    named = [start.filled, start.far, start.near, start.unchecked, start.facet, start.coarse]
+    return torch.from_numpy(np.stack(named))
+
+
+def input_channels(start: InitialDisparity) -> Tensor:
+    """Channels (1, CHANNELS, h, w), each of order one."""
+    guess = hypotheses(start)
+    left = torch.from_numpy(np.ascontiguousarray(start.even_left))
+    right = torch.from_numpy(np.ascontiguousarray(start.even_right))
+    steps = torch.tensor(OFFSETS_PX)[:, None, None]
+    warped = warp_right(right, torch.cat([guess[:1] + steps, guess[1:]]), start.margin_px)
+    cost = (warped - left).abs().clamp(max=_MAX_COST)
+    middle = OFFSETS_PX.index(0.0)
+    difference = left - warped[middle]
+    # The products of difference and slope, and the squared slopes, are the terms that least squares sum.
+    slope = warped[middle - 1] - warped[middle + 1]
+    alternatives = ((guess[1:] - guess[:1]) / _ALTERNATIVE_SCALE_PX).clamp(-2.0, 2.0)
+    channels = [
+        cost,
+        alternatives,
+        torch.stack([left, difference.clamp(-3.0, 3.0), (difference * slope).clamp(-4.0, 4.0), slope**2]),
+        _grey(start, guess[:1]),
+        _shape(guess[0], torch.from_numpy(np.ascontiguousarray(start.target))),
+        _certainty(start),
+    ]
+    return torch.cat(channels)[None]
+
+
+def warp_right(right: Tensor, disparity: Tensor, margin_px: int) -> Tensor:
+    """The right image (h, w + 2 margin) warped to the left one by k disparities (k, h, w) [px].
+
+    Differentiable in both.
+    """
+    k, h, w = disparity.shape
+    u = torch.arange(w, dtype=disparity.dtype) + margin_px - disparity
+    v = torch.arange(h, dtype=disparity.dtype)[None, :, None].expand(k, h, w)
+    # One tall image holds the k maps below each other.
+    warped: Tensor = remap(
+        right[None, None],
+        u.reshape(1, k * h, w),
+        v.reshape(1, k * h, w),
+        mode="bilinear",
+        padding_mode="border",
+        align_corners=True,
+    )
+    return warped.reshape(k, h, w)
+
+
+def _grey(start: InitialDisparity, disparity: Tensor) -> Tensor:
+    """(2, h, w) logarithmic brightness, and by how much the right image is brighter."""
+    left = _log(torch.from_numpy(np.ascontiguousarray(start.left)))
+    right = _log(torch.from_numpy(np.ascontiguousarray(start.right)))
+    warped = warp_right(right, disparity, start.margin_px)
+    return torch.stack([left - 1.0, warped[0] - left])
+
+
+def _log(levels: Tensor) -> Tensor:
+    return torch.log1p(levels.clamp(min=0.0) / _GREY_SCALE)
+
+
+def _shape(disparity: Tensor, target: Tensor) -> Tensor:
+    """(3, h, w) the first hypothesis relative to its mean, and its slopes."""
+    mean = disparity[target].mean() if bool(target.any()) else disparity.mean()
+    du = torch.nn.functional.pad((disparity[:, 2:] - disparity[:, :-2]) / 2.0, (1, 1))
+    dv = torch.nn.functional.pad((disparity[2:] - disparity[:-2]) / 2.0, (0, 0, 1, 1))
+    around = ((disparity - mean) / _PLANE_SCALE_PX).clamp(-2.0, 2.0)
+    return torch.stack([around, (2.0 * du).clamp(-1.0, 1.0), (2.0 * dv).clamp(-1.0, 1.0)])
+
+
+def _certainty(start: InitialDisparity) -> Tensor:
+    """(7, h, w) matched, log sigma, lit, target, range of the alternatives, effect of the check, facet."""
+    known = np.isfinite(start.sigma)
+    spread = np.log(np.clip(np.where(known, start.sigma, 2.0), 0.01, 2.0)) / 2.0
+    reach = np.clip((start.near - start.far) / _ALTERNATIVE_SCALE_PX, 0.0, 2.0)
+    moved = np.clip(np.abs(start.unchecked - start.filled), 0.0, 2.0)
+    flags: list[NDArray[np.generic]] = [
+        known,
+        spread,
+        start.lit,
+        start.target,
+        reach,
+        moved,
+        start.facet_trust,
+    ]
+    return torch.from_numpy(np.stack([flag.astype(np.float32) for flag in flags]))
 
 
 @dataclass(frozen=True)

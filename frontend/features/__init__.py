@@ -4,8 +4,7 @@ noise.
 methods.py              the interface and the registry of feature methods
 stereo.py               ``StereoFeatures``; the method ``rootsift``; sub-pixel disparity of points
 keypoints.py            detection of key points, RootSIFT
-surface_features.py     the method ``polhode``: features with surface axes from dense disparity
+surface_features.py     the method ``polhode``: features with surface axes from dense disparity; their noise
 patches.py              patches in the tangent plane of the surface
 patch_descriptors.py    descriptors of patches
-feature_noise.py        noise model of surface features
 """

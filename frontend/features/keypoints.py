@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.config.frontend import Features
-from polhode.frontend.rectification.target import Crop, Image, target_crop
+from polhode.frontend.rectification import Crop, Image, target_crop
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Frontend
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.rectification.rectify import RectifiedPair
+from polhode.frontend.rectification import RectifiedPair
 
 
 class FeatureMethod(Protocol):

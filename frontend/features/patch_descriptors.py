@@ -25,7 +25,7 @@ from polhode.frontend.features.patches import (
 )
 from polhode.frontend.networks.descriptor import DIMENSIONS, DescriptorNet
 from polhode.frontend.networks.weights import load_weights, shipped_path
-from polhode.frontend.rectification.target import Image
+from polhode.frontend.rectification import Image
 from polhode.lie import Array
 
 NAME = "descriptor"

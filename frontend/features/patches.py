@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
-from polhode.frontend.rectification.target import Image
+from polhode.frontend.rectification import Image
 from polhode.lie import Array
 
 Patches = NDArray[np.float32]

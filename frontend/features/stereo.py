@@ -14,8 +14,7 @@ from scipy.ndimage import spline_filter1d
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Frontend, StereoMatching
 from polhode.frontend.features.keypoints import Descriptors, KeyPoints, detect, no_key_points
-from polhode.frontend.rectification.rectify import RectifiedPair
-from polhode.frontend.rectification.target import Image, target_crop
+from polhode.frontend.rectification import Image, RectifiedPair, target_crop
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 

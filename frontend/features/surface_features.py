@@ -12,6 +12,18 @@ belong to another surface and are left out.
 Patches have one size in metres for the whole sequence. If the size followed each frame's median distance,
 solar panels that swing to and fro would change it by a fifth, and a spacecraft with panels would lose half
 its matches; patches tolerate a tenth.
+
+Noise. A feature's position scatters between views more than its disparity, because the detector also responds
+to the light. Both variances follow from the sharpness of the texture, as the least squares of the disparity
+measure it: variance = floor^2 + gain * sigma_ls. (With the square of sigma_ls, as least squares suggest,
+sigmas of sharp textures are too small on new bodies.) The confidence of a match adds information. The numbers
+are those that
+
+    python -m polhode.train.feature_noise configs/train/features.yaml
+
+prints: maximum likelihood over the true residuals of matches that pass the geometric check, on the training
+bodies, with equal weight for each scene. The form of the model was chosen among four by their results on
+bodies, textures and light of other scenes, so a check on these is not entirely independent.
 """
 
 from dataclasses import replace
@@ -22,17 +34,25 @@ from numpy.typing import NDArray
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Depth, Frontend
 from polhode.dataset import StereoSequence
-from polhode.frontend.disparity.crop import Floats, cut_crop
 from polhode.frontend.disparity.depth import find_disparity_range
-from polhode.frontend.disparity.sgbm import match_checked
-from polhode.frontend.features.feature_noise import feature_sigma
+from polhode.frontend.disparity.sgbm import Floats, cut_crop, match_checked
 from polhode.frontend.features.keypoints import Candidates, find_candidates
 from polhode.frontend.features.patch_descriptors import SurfaceDescriptor, make_descriptor
 from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals, tangent_affines
 from polhode.frontend.features.stereo import StereoFeatures, refine_disparity
-from polhode.frontend.rectification.rectify import RectifiedPair, Rectifier, rectified_pair
+from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair
 from polhode.lie import Array
+from polhode.records import Ints
 
+UV_FLOOR_PX, UV_GAIN_PX = 0.293, 3.287
+"""In the image [px]."""
+DISPARITY_FLOOR_PX, DISPARITY_GAIN_PX = 0.0, 0.189
+"""Of the disparity [px]."""
+UV_CONFIDENCE = (-0.165, -0.126)
+DISPARITY_CONFIDENCE = (-0.051, -0.049)
+"""Log of a match's variance over the sum of its features': first + second * logit(confidence)."""
+_MIN_SIGMA_LS_PX = 0.01
+_MIN_CONFIDENCE, _MAX_CONFIDENCE = 1e-4, 1.0 - 1e-4
 PLANE_RADIUS_PX = 12
 """Half side of the windows whose disparities give the normal of the surface [px]."""
 PATCH_HALF_PX = 12.0
@@ -46,6 +66,33 @@ _MIN_SUPPORT = 0.15
 """Smallest share of the window's weight that lies on a plane."""
 _MAX_DISPARITY_CHANGE_PX = 1.5
 """A refined disparity that differs by more belongs to another surface [px]."""
+
+
+def feature_sigma(sigma_ls_px: Array) -> Array:
+    """Standard deviations (n, 3) [px] of u, v and disparity between views, of single features.
+
+    sigma_ls_px (n,): standard deviation of the disparity according to its least squares.
+    """
+    sigma_ls = np.maximum(sigma_ls_px, _MIN_SIGMA_LS_PX)
+    uv = np.sqrt(UV_FLOOR_PX**2 + UV_GAIN_PX * sigma_ls)
+    return np.column_stack([uv, uv, np.sqrt(DISPARITY_FLOOR_PX**2 + DISPARITY_GAIN_PX * sigma_ls)])
+
+
+def match_sigma(a: StereoFeatures, b: StereoFeatures, pairs: Ints, confidence: Array) -> Array:
+    """Standard deviations (m, 3) [px] of u, v and disparity between matched features, pairs (m, 2).
+
+    They are those of a's measurement minus the projection of b's point, transformed to frame a.
+    """
+    variance = a.sigma_px[pairs[:, 0]] ** 2 + b.sigma_px[pairs[:, 1]] ** 2
+    logit = confidence_logit(confidence)
+    change = [first + slope * logit for first, slope in (UV_CONFIDENCE, UV_CONFIDENCE, DISPARITY_CONFIDENCE)]
+    return np.asarray(np.sqrt(variance * np.exp(np.stack(change, axis=1))))
+
+
+def confidence_logit(confidence: Array) -> Array:
+    """Log odds (m,) of confidences, finite for 0 and 1."""
+    p = np.clip(confidence, _MIN_CONFIDENCE, _MAX_CONFIDENCE)
+    return np.asarray(np.log(p / (1.0 - p)))
 
 
 class SurfaceFeatureMethod:

@@ -1,22 +1,44 @@
 """Matching of two frames by descriptors: mutual nearest neighbours, and dual softmax with a common motion.
 
 The dual softmax considers more pairs than mutual nearest neighbours: where texture repeats, the second or
-third best may be correct, and the common motion decides. See ``soft_assignment`` and ``consensus`` in this
-package.
+third best may be correct, and the common motion decides. The probability of a match is the product of the
+probabilities that each feature is the best match of the other (Rocco et al., "Neighbourhood consensus
+networks", 2018; LoFTR, Sun et al. 2021). Features without a match are assigned to the dustbin (SuperGlue,
+Sarlin et al. 2020). Softmax and rigid fit (Kabsch's, by SVD) are differentiable, so descriptors can be
+trained for the motion (Wang and Solomon, "Deep closest point", 2019).
+
+The common motion: every correct match of two surface features determines the motion between the frames
+approximately: the surface axes give the rotation, the points the translation. Correct matches propose similar
+motions, while wrong ones scatter over all rotations, so a handful of correct matches among hundreds is found
+(voting in pose space, as in Ballard, "Generalizing the Hough transform to detect arbitrary shapes", 1981).
+Distances between points, which are invariant to the motion, are compared as well.
 """
+
+import math
+from dataclasses import dataclass
 
 import kornia.feature
 import numpy as np
 import torch
+from torch import Tensor, nn
 
 from polhode.config.frontend import Frontend
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.consensus import MotionMode, motion_modes
 from polhode.frontend.matching.methods import Matches, one_to_one
-from polhode.frontend.matching.soft_assignment import DUSTBIN, TEMPERATURE, root_probabilities
 from polhode.lie import Array, transform_points
 from polhode.records import Bools, Ints
+from polhode.rigid_fit import fit_rigid
 
+TEMPERATURE = 0.03
+"""Divisor of the similarities."""
+DUSTBIN = 0.6
+"""Similarity to the dustbin."""
+AXES_DEG = 25.0
+"""Largest rotation between two proposals that agree [deg]; the axes have errors of 5 to 15 degrees."""
+SEEDS = 12
+"""Number of proposals, those with the largest support, that are refined."""
+_SHRINK = (3.0, 2.0, 1.5, 1.0, 1.0)
+"""Gates of the rounds of refinement, relative to the last one."""
 PROPOSING_PAIRS = 500
 """Number of the most probable pairs, which propose motions."""
 CONSIDERED_PAIRS = 3000
@@ -33,6 +55,148 @@ STATIC_PX = 4.0
 _MAX_STATIC_SHARE = 0.6
 _MIN_MOVING_INLIERS = 12
 _MIN_MOVING_SHARE = 0.1
+
+
+class DualSoftmax(nn.Module):
+    """Descriptors (n, d) and (m, d) of unit length -> log probability (n, m) of each match; learns both
+    constants."""
+
+    def __init__(self, temperature: float = TEMPERATURE, dustbin: float = DUSTBIN) -> None:
+        super().__init__()
+        self.log_temperature = nn.Parameter(torch.tensor(temperature).log())
+        self.dustbin = nn.Parameter(torch.tensor(dustbin))
+
+    def forward(self, a: Tensor, b: Tensor) -> Tensor:
+        """Logarithm of the product of the probabilities in both directions."""
+        score = (a @ b.T) * torch.exp(-self.log_temperature)
+        none = self.dustbin * torch.exp(-self.log_temperature)
+        along_rows = torch.logaddexp(torch.logsumexp(score, dim=1), none)
+        along_columns = torch.logaddexp(torch.logsumexp(score, dim=0), none)
+        return 2.0 * score - along_rows[:, None] - along_columns[None, :]
+
+
+def root_probabilities(a: Tensor, b: Tensor, temperature: float, dustbin: float) -> Tensor:
+    """Square root (n, m) of the probabilities of ``DualSoftmax`` for descriptors (n, d) and (m, d) of unit
+    length.
+
+    Without a gradient, and several times as fast: one exponential per pair.
+    """
+    with torch.inference_mode():
+        root = torch.addmm(torch.tensor(-1.0), a, b.T).div_(temperature).exp_()
+        none = math.exp((dustbin - 1.0) / temperature)
+        along_rows, along_columns = root.sum(dim=1) + none, root.sum(dim=0) + none
+        return root.mul_(along_rows.rsqrt()[:, None]).mul_(along_columns.rsqrt()[None, :])
+
+
+def rigid_fit(p_A: Tensor, p_B: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """R_AB (..., 3, 3) and t (..., 3) that minimise sum w |p_A - R p_B - t|^2 over points (..., n, 3).
+
+    weight (..., n) >= 0. The points must not be collinear. This is the differentiable twin of
+    ``polhode.rigid_fit.fit_rigid``; a test compares the two.
+    """
+    w = weight / weight.sum(dim=-1, keepdim=True)
+    mean_A, mean_B = (torch.einsum("...n,...nk->...k", w, p) for p in (p_A, p_B))
+    away_A, away_B = p_A - mean_A[..., None, :], p_B - mean_B[..., None, :]
+    U, _, Vh = torch.linalg.svd(torch.einsum("...n,...ni,...nj->...ij", w, away_A, away_B))
+    # On noisy planar points a reflection may fit better than a rotation: it is excluded.
+    sign = torch.det(U @ Vh).detach().sign()
+    flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], dim=-1)
+    R = (U * flip[..., None, :]) @ Vh
+    return R, mean_A - torch.einsum("...ij,...j->...i", R, mean_B)
+
+
+@dataclass(frozen=True)
+class MotionMode:
+    """A motion between two frames, and the matches that agree with it."""
+
+    X_AB: Array
+    """(4, 4)"""
+    inlier: Bools
+    """(m,)"""
+    weight: float
+    """Sum of the agreeing matches' weights"""
+
+
+def motion_modes(
+    p_A: Array, p_B: Array, R_AS: Array, R_BS: Array, weight: Array, gate_m: Array
+) -> list[MotionMode]:
+    """Motions that the m matches support, strongest first; each match supports at most one of them.
+
+    p_A, p_B (m, 3) [m]: points, and R_AS, R_BS (m, 3, 3): surface axes in both frames; weight (m,);
+    gate_m (m,): largest distance between a transformed point and its match [m].
+    """
+    if len(p_A) < 3:
+        return []
+    support = _proposal_support(p_A, p_B, R_AS, R_BS, weight, gate_m)
+    modes: list[MotionMode] = []
+    waiting, free = support.total.copy(), np.ones(len(p_A), dtype=bool)
+    for _ in range(min(SEEDS, len(p_A))):
+        seed = int(waiting.argmax())
+        if waiting[seed] <= 0.0:
+            break
+        waiting[seed] = 0.0
+        mode = _refined(support.agrees[seed] & free, free, p_A, p_B, weight, gate_m)
+        if mode is not None:
+            modes.append(mode)
+            # The agreeing matches would draw every other proposal to the same motion.
+            free &= ~mode.inlier
+            waiting[mode.inlier] = 0.0
+    return sorted(modes, key=lambda mode: -mode.weight)
+
+
+@dataclass(frozen=True)
+class _Support:
+    """Agreement with the proposal of each match."""
+
+    agrees: Bools
+    """(m, m) symmetric"""
+    total: Array
+    """(m,) weight of the agreeing matches, each multiplied by its own support among them"""
+
+
+def _proposal_support(
+    p_A: Array, p_B: Array, R_AS: Array, R_BS: Array, weight: Array, gate_m: Array
+) -> _Support:
+    """Agreement between the motions that the matches propose; arguments as ``motion_modes``."""
+    m = len(p_A)
+    # Single precision is a millionth of the target's size.
+    centre_A, centre_B = p_A.mean(axis=0), p_B.mean(axis=0)
+    a, b = (p_A - centre_A).astype(np.float32), (p_B - centre_B).astype(np.float32)
+    R = np.einsum("nij,nkj->nik", R_AS, R_BS).astype(np.float32)
+    flat = R.reshape(m, 9)
+    alike = flat @ flat.T > np.float32(1.0 + 2.0 * np.cos(np.deg2rad(AXES_DEG)))
+    away_A, away_B = _distances(a), _distances(b)
+    gate = np.add.outer(gate_m, gate_m).astype(np.float32)
+    same_length = np.abs(away_A - away_B) < gate
+    # Position of point k of frame B by the proposal of match n, relative to its position in frame A.
+    moved = (R.reshape(3 * m, 3) @ b.T).reshape(m, 3, m)
+    miss = moved - a.T[None] - (np.einsum("nij,nj->ni", R, b) - a)[:, :, None]
+    reach = np.float32(2.0 * np.sin(np.deg2rad(AXES_DEG) / 2.0))
+    hits = np.einsum("nik,nik->nk", miss, miss) < (reach * away_A + gate) ** 2
+    agrees = alike & same_length & hits & hits.T
+    pull = agrees.astype(np.float32) * weight.astype(np.float32)
+    # Supporters are counted by their own support within the group, which chance agreements lack.
+    total = np.einsum("nk,nk->n", pull @ agrees.astype(np.float32), pull)
+    return _Support(agrees, total.astype(np.float64))
+
+
+def _distances(p: np.ndarray[tuple[int, int], np.dtype[np.float32]]) -> Array:
+    square = np.sum(p * p, axis=1)
+    return np.asarray(np.sqrt(np.maximum(square[:, None] + square[None, :] - 2.0 * (p @ p.T), 0.0)))
+
+
+def _refined(
+    start: Bools, free: Bools, p_A: Array, p_B: Array, weight: Array, gate_m: Array
+) -> MotionMode | None:
+    """Fit to the agreeing matches, then repeatedly to the free matches within a shrinking gate of the fit."""
+    inlier = start
+    for shrink in _SHRINK:
+        if inlier.sum() < 3:
+            return None
+        X_AB = fit_rigid(p_A[inlier], p_B[inlier], weight[inlier] / gate_m[inlier] ** 2)
+        miss = np.linalg.norm(p_A - transform_points(X_AB, p_B), axis=1)
+        inlier = np.asarray((miss < shrink * gate_m) & free)
+    return MotionMode(X_AB, inlier, float(weight[inlier].sum())) if inlier.sum() >= 3 else None
 
 
 class MutualNearest:

@@ -44,8 +44,8 @@ class MatchMethod(Protocol):
 MATCH_METHODS: Mapping[str, str] = {
     "nearest": "polhode.frontend.matching.matchers:MutualNearest",
     "polhode": "polhode.frontend.matching.matchers:SoftmaxMatcher",
-    "lightglue": "polhode.frontend.peers.lightglue:LightGlueMatcher",
-    "loftr": "polhode.frontend.peers.loftr:LoftrMatcher",
+    "lightglue": "polhode.frontend.peers.matchers:LightGlueMatcher",
+    "loftr": "polhode.frontend.peers.matchers:LoftrMatcher",
 }
 """Name in ``frontend.pairs.method`` -> module:class, called with the configuration."""
 

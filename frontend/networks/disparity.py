@@ -1,7 +1,7 @@
 """The network that refines a classical disparity: a U-Net at half resolution, and the meaning of its output.
 
 At each pixel it weights, corrects and estimates the uncertainty of six hypotheses of the disparity
-(``frontend.disparity.network_input``): a mixture of Laplace distributions. Its mode is the disparity, so that
+(``frontend.disparity.learned``): a mixture of Laplace distributions. Its mode is the disparity, so that
 edges stay sharp where a mean would lie between near and far (Tosi et al., "SMD-Nets", 2021). A further output
 is whether the right camera sees the pixel's surface. Full resolution is restored by pixel shuffle (Shi et
 al., 2016).
@@ -19,7 +19,7 @@ OFFSETS_PX = (-3.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0)
 HYPOTHESES = 6
 """Hypotheses of the disparity at each pixel."""
 CHANNELS = len(OFFSETS_PX) + 2 * (HYPOTHESES - 1) + 16
-"""Input channels, which ``frontend.disparity.network_input`` computes."""
+"""Input channels, which ``frontend.disparity.learned`` computes."""
 OUTPUTS = 3 * HYPOTHESES + 1
 """Output channels: weight, correction and scale of each hypothesis, and the visibility."""
 WIDTHS = (48, 64, 96, 128)

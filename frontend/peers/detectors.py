@@ -20,8 +20,7 @@ from polhode.config.frontend import Frontend
 from polhode.frontend.features.keypoints import KeyPoints, enlarge, no_key_points, strongest_in_mask
 from polhode.frontend.features.stereo import StereoFeatures, match_stereo
 from polhode.frontend.peers.weights import fill, load_weights
-from polhode.frontend.rectification.rectify import RectifiedPair
-from polhode.frontend.rectification.target import Image, target_crop
+from polhode.frontend.rectification import Image, RectifiedPair, target_crop
 from polhode.records import Bools
 
 SIZE_MULTIPLE_PX = 32

@@ -16,8 +16,7 @@ from polhode.camera import RectifiedRig
 from polhode.config.frontend import GuidedMatching
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.tracks.landmark_map import LandmarkMap, add_observations
-from polhode.frontend.tracks.tracks import Association
+from polhode.frontend.tracks.tracks import Association, LandmarkMap, add_observations
 from polhode.lie import Array
 from polhode.records import Bools, InitialMotion, Ints
 

@@ -16,17 +16,17 @@ from scipy.spatial import cKDTree
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import GuidedMatching
 from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.matchers import DUSTBIN, TEMPERATURE
 from polhode.frontend.matching.methods import mutual_best
 from polhode.frontend.matching.pairs import PairMatch
 from polhode.frontend.matching.ransac import fit_noisy, ransac_rigid, reprojection_error_px
-from polhode.frontend.matching.soft_assignment import DUSTBIN, TEMPERATURE
-from polhode.frontend.tracks.landmark_map import (
+from polhode.frontend.tracks.tracks import (
+    Association,
     LandmarkMap,
     add_observations,
     descriptor_distance,
     viewing_direction,
 )
-from polhode.frontend.tracks.tracks import Association
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Bools, InitialMotion, Ints
 

@@ -21,7 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 from polhode.atomic import replaced, write_bytes
 from polhode.camera import RectifiedRig
 from polhode.dataset import StereoSequence
-from polhode.frontend.rectification.rectify import Rectifier, rectified_left
+from polhode.frontend.rectification import Rectifier, rectified_left
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.mapping.visibility import MeshViewer
 from polhode.pipeline.report.figures.shape import vertex_rgb

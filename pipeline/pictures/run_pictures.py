@@ -13,8 +13,7 @@ import numpy as np
 
 from polhode.atomic import write_text
 from polhode.dataset import StereoSequence
-from polhode.frontend.rectification.rectify import Rectifier, rectified_left
-from polhode.frontend.rectification.target import Crop, target_crop
+from polhode.frontend.rectification import Crop, Rectifier, rectified_left, target_crop
 from polhode.lie import Array
 from polhode.mapping.visibility import MeshViewer
 from polhode.pipeline.context import RunContext

@@ -18,7 +18,7 @@ from PIL import Image
 
 from polhode.config import Config, Pictures
 from polhode.dataset import StereoImages, StereoSequence
-from polhode.frontend.rectification.rectify import Rectifier
+from polhode.frontend.rectification import Rectifier
 from polhode.lie import inverse_pose
 from polhode.mapping.visibility import MeshViewer
 from polhode.pipeline.context import RunContext

@@ -12,8 +12,7 @@ from polhode.errors import InputError
 from polhode.progress import Silent
 from polhode.simulation.dataset.frame_renderer import read_products
 from polhode.simulation.dataset.sequence import SCENE_FILE
-from polhode.train.corpus import main, render_corpus, scene_folder, split
-from polhode.train.random_scene import random_scene
+from polhode.train.corpus import main, random_scene, render_corpus, scene_folder, split
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("features.yaml", "depth.yaml")

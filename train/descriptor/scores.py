@@ -26,10 +26,13 @@ from polhode.frontend.networks.descriptor import DescriptorNet
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 from polhode.simulation.dataset.sequence import SCENE_FILE
-from polhode.train.descriptor.batches import FramePair, distractor_points, frame_pairs, perturbed_normals
-from polhode.train.descriptor.patch_correspondence import (
+from polhode.train.descriptor.batches import (
+    FramePair,
     camera_rotation,
+    distractor_points,
+    frame_pairs,
     patch_rotation,
+    perturbed_normals,
     same_appearance,
     scene_rig,
 )

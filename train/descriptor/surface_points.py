@@ -21,7 +21,7 @@ from polhode.config.scene import Product
 from polhode.config.train import Corpus
 from polhode.dataset_writer import image_path
 from polhode.frontend.features.keypoints import detect, no_key_points
-from polhode.frontend.rectification.target import target_crop
+from polhode.frontend.rectification import target_crop
 from polhode.images import Grey
 from polhode.lie import Array, inverse_pose
 from polhode.processes import in_order

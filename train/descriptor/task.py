@@ -1,20 +1,161 @@
-"""The descriptor network as a task of the training loop."""
+"""The descriptor network as a task of the training loop, and its loss.
+
+The loss: contrast, reliability, direction, and end to end the matches and the motion.
+
+Contrast is InfoNCE (van den Oord et al., "Representation learning with contrastive predictive coding", 2018)
+in both directions. In addition each frame pair of a batch is matched by the dual softmax of
+``frontend.matching.matchers``: true pairs should be probable, distractors should be assigned to the dustbin,
+and the motion that is fitted to the matches should be the true one. The gradient passes from the motion
+through the fit and the matches to the network.
+"""
 
 from collections.abc import Mapping
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from polhode.config.train import DescriptorTraining, Train
 from polhode.errors import InputError
-from polhode.frontend.networks.descriptor import DescriptorNet
+from polhode.frontend.matching.matchers import DualSoftmax, rigid_fit
+from polhode.frontend.networks.descriptor import DescriptorNet, DescriptorOutput
 from polhode.progress import Progress
 from polhode.train.corpus import split
 from polhode.train.descriptor.batches import PatchBatches
-from polhode.train.descriptor.loss import Heads, descriptor_loss
 from polhode.train.descriptor.scores import ValidationPair, describe_patches, score, validation_pairs
 from polhode.train.descriptor.surface_points import prepare_points
 from polhode.train.task import Batch
+
+SAME_POINT_PX = 4.0
+"""Points of one frame pair that are this close to each other are not used as negatives of each other [px]."""
+START_TEMPERATURE = 0.07
+MIN_POINTS = 8
+"""Frame pairs with fewer points do not determine a motion."""
+MAX_MOTION_LOSS = 2.0
+"""Largest useful motion loss: a motion with larger errors is merely wrong and contributes no gradient."""
+
+
+class Heads(nn.Module):
+    """Further trained parameters: the temperature of the contrast, and the matcher's temperature and
+    dustbin."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.logarithm = nn.Parameter(torch.tensor(START_TEMPERATURE).log())
+        self.matcher = DualSoftmax()
+
+    def temperature(self) -> Tensor:
+        """Divisor of the similarities, at least 0.02."""
+        return self.logarithm.exp().clamp(min=0.02)
+
+
+def descriptor_loss(
+    described: DescriptorOutput, batch: Batch, heads: Heads, config: DescriptorTraining
+) -> tuple[Tensor, Mapping[str, Tensor]]:
+    """Loss and its terms for a batch of ``PatchBatches``; the n patches are described in the order of the
+    batch."""
+    temperature = heads.temperature()
+    m = len(batch["pair"])
+    descriptors = described.descriptor
+    a, b, distractor = descriptors[:m].float(), descriptors[m : 2 * m].float(), descriptors[2 * m :].float()
+    same = _same_place(batch)
+    forward = (a @ b.T).masked_fill(same, -1.0)
+    backward = forward.T.masked_fill(same.T, -1.0)
+    # Distractors were found in the second frames: they compete with the second patches.
+    logits_ab = torch.cat([forward, a @ distractor.T], dim=1) / temperature
+    logits_ba = backward / temperature
+    truth = torch.arange(m, device=a.device)
+    contrast = 0.5 * (functional.cross_entropy(logits_ab, truth) + functional.cross_entropy(logits_ba, truth))
+    right = (logits_ab.argmax(dim=1) == truth) & (logits_ba.argmax(dim=1) == truth)
+    label = torch.cat([right, right, right.new_zeros(len(distractor))]).float()
+    trust = functional.binary_cross_entropy_with_logits(described.reliability.float(), label)
+    found = (logits_ab.argmax(dim=1) == truth).float().mean()
+    direction = described.direction.float()
+    rotation_error = (1.0 - rotation_agreement(direction[:m], direction[m : 2 * m], batch["rotation"])).mean()
+    assignment, motion = matching_loss(described, batch, heads.matcher)
+    loss = contrast + config.reliability_weight * trust + config.direction_weight * rotation_error
+    end_to_end = config.matching_weight * assignment + config.motion_weight * motion
+    loss = loss + batch["late"] * end_to_end
+    return loss, {
+        "contrast": contrast,
+        "reliability": trust,
+        "direction": rotation_error,
+        "assignment": assignment,
+        "motion": motion,
+        "rank_1": found,
+        "temperature": temperature,
+    }
+
+
+def rotation_agreement(first: Tensor, second: Tensor, turn_rad: Tensor) -> Tensor:
+    """Cosine (m,) of the error of the second directions (m, 2), by the first ones and the true rotation."""
+    c, s = torch.cos(turn_rad), torch.sin(turn_rad)
+    expected = torch.stack([c * first[:, 0] - s * first[:, 1], s * first[:, 0] + c * first[:, 1]], dim=1)
+    return (expected * second).sum(dim=1)
+
+
+def _same_place(batch: Batch) -> Tensor:
+    """(m, m): different pairs that show nearly the same point."""
+    together = batch["pair"][:, None] == batch["pair"][None, :]
+    near = torch.zeros_like(together)
+    for name in ("uv_a", "uv_b"):
+        near |= torch.cdist(batch[name], batch[name]) < SAME_POINT_PX
+    same: Tensor = together & near
+    return same.fill_diagonal_(False)
+
+
+def matching_loss(described: DescriptorOutput, batch: Batch, matcher: DualSoftmax) -> tuple[Tensor, Tensor]:
+    """Loss of the assignment and loss of the motion: means over the frame pairs of a ``PatchBatches``
+    batch."""
+    pair, owner = batch["pair"], batch["distractors"]
+    m = len(pair)
+    a, b, distractor = (each.float() for each in described.descriptor.split([m, m, len(owner)]))
+    assignments, motions = [], []
+    for k, X_AB in enumerate(batch["X_AB"]):
+        own, lost = pair == k, owner == k
+        if int(own.sum()) < MIN_POINTS:
+            continue
+        columns = torch.cat([b[own], distractor[lost]])
+        log_p = matcher(a[own], columns)
+        alone = _log_without_partner(a[own], distractor[lost], matcher)
+        assignments.append(-0.5 * log_p.diagonal().mean() - (alone.mean() if len(alone) else 0.0))
+        p_B = torch.cat([batch["p_b"][own], batch["p_distractor"][lost]])
+        motion = motion_loss(log_p, batch["p_a"][own], p_B, X_AB[:3, :3], X_AB[:3, 3])
+        motions.append(
+            motion if bool(motion < MAX_MOTION_LOSS) else motion.detach().clamp(max=MAX_MOTION_LOSS)
+        )
+    nothing = a.new_zeros(())
+    if not assignments:
+        return nothing, nothing
+    return torch.stack(assignments).mean(), torch.stack(motions).mean()
+
+
+def motion_loss(
+    log_probability: Tensor, p_A: Tensor, p_B: Tensor, R_AB: Tensor, t_AB: Tensor, most: int = 256
+) -> Tensor:
+    """Error of the motion of the soft matches: the mean displacement of points, over their spread.
+
+    log_probability (n, m) of ``DualSoftmax``; p_A (n, 3), p_B (m, 3) [m]; R_AB, t_AB: the true motion.
+    Mutually best pairs are fitted with their probabilities as weights; the choice of pairs has no gradient.
+    """
+    best = log_probability.argmax(dim=1)
+    rows = torch.arange(len(best), device=best.device)
+    mutual = rows[log_probability.argmax(dim=0)[best] == rows]
+    strongest = log_probability[mutual, best[mutual]].argsort(descending=True)[:most]
+    i = mutual[strongest]
+    j = best[i]
+    R, t = rigid_fit(p_A[i], p_B[j], log_probability[i, j].exp() + 1e-6)
+    miss = torch.linalg.vector_norm(p_B @ (R - R_AB).T + t - t_AB, dim=1)
+    spread = torch.linalg.vector_norm(p_B - p_B.mean(dim=0), dim=1).mean()
+    loss: Tensor = miss.mean() / spread
+    return loss
+
+
+def _log_without_partner(a: Tensor, distractors: Tensor, matcher: DualSoftmax) -> Tensor:
+    """Log probability (k,) that distractors are assigned to the dustbin rather than to one of a."""
+    none = matcher.dustbin * torch.exp(-matcher.log_temperature)
+    score = (distractors @ a.T) * torch.exp(-matcher.log_temperature)
+    return none - torch.logaddexp(torch.logsumexp(score, dim=1), none)
 
 
 class DescriptorTask:

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.initialization.initialize import consistent_links
-from polhode.backend.initialization.link_consensus import smooth_links
-from polhode.backend.initialization.pose_graph import connect, join_components, triangle_support
+from polhode.backend.initialization.pose_graph import connect, join_components, smooth_links, triangle_support
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.records import Bools, Ints, RelativePoses
 

@@ -8,7 +8,7 @@ import pytest
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.casadi_nlp import ExternalFunction
-from polhode.backend.solvers.stereo_terms import StereoTerms
+from polhode.backend.solvers.ipopt import StereoTerms
 from polhode.config.backend import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.records import StereoTracks

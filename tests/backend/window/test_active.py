@@ -4,7 +4,7 @@ import numpy as np
 
 from polhode.backend.window.active import ActiveWindow, Part, add_parts
 from polhode.backend.window.frame import Frame
-from polhode.backend.window.quadratic import Quadratic
+from polhode.backend.window.problem import Quadratic
 from polhode.lie import Array
 
 

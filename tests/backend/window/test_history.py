@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.window.estimator import SlidingWindow
-from polhode.backend.window.newton import NewtonSolver
+from polhode.backend.window.problem import NewtonSolver
 from polhode.backend.window.solve import expand_arrival, solve_history, solve_window
 from polhode.simulation.monte_carlo import generate
 from tests.backend.window.conftest import TUMBLE, Feed

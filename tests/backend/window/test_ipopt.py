@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.window.ipopt import IpoptSolver
-from polhode.backend.window.newton import NewtonSolver
+from polhode.backend.window.problem import NewtonSolver
 from polhode.simulation.monte_carlo import SyntheticSequence
 from tests.backend.window.conftest import Feed, problem_of
 

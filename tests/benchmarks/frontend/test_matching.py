@@ -30,7 +30,7 @@ from polhode.frontend.extract import extract_pair
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import with_patch_size
 from polhode.frontend.matching.methods import Matches
-from polhode.frontend.rectification.rectify import make_rectifier
+from polhode.frontend.rectification import make_rectifier
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.simulation.dataset.correspondence import dense_correspondence, pixel_grid, view_of
 from polhode.simulation.dataset.plan import plan_sequence

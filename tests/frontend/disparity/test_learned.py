@@ -10,17 +10,17 @@ from safetensors.torch import save_file
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Depth
 from polhode.errors import InputError
-from polhode.frontend.disparity.crop import cut_crop
 from polhode.frontend.disparity.depth import compute_depth, dense_disparity
-from polhode.frontend.disparity.learned import refine
-from polhode.frontend.disparity.network_input import (
+from polhode.frontend.disparity.learned import (
     InitialDisparity,
     fill_holes,
     hypotheses,
     initial_disparity,
     input_channels,
+    refine,
     warp_right,
 )
+from polhode.frontend.disparity.sgbm import cut_crop
 from polhode.frontend.networks.disparity import (
     CHANNELS,
     OFFSETS_PX,

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from polhode.config.frontend import Features
 from polhode.frontend.features.keypoints import KeyPoints, detect, stretch
-from polhode.frontend.rectification.target import Crop, Image
+from polhode.frontend.rectification import Crop, Image
 
 WHOLE = Crop(0, 0, 220, 200)
 

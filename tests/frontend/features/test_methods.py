@@ -16,8 +16,13 @@ from polhode.frontend.features.keypoints import detect
 from polhode.frontend.features.methods import FEATURE_METHODS, feature_method
 from polhode.frontend.features.stereo import StereoFeatures, match_stereo
 from polhode.frontend.matching.methods import MATCH_METHODS, match_method
-from polhode.frontend.rectification.rectify import RectifiedPair, Rectifier, make_rectifier, rectified_pair
-from polhode.frontend.rectification.target import target_crop
+from polhode.frontend.rectification import (
+    RectifiedPair,
+    Rectifier,
+    make_rectifier,
+    rectified_pair,
+    target_crop,
+)
 from tests.frontend.feature_world import make_world
 
 SAMPLE = Path(__file__).resolve().parents[3] / "sample"

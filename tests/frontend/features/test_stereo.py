@@ -8,7 +8,7 @@ from polhode.camera import RectifiedRig
 from polhode.config.frontend import Features, StereoMatching
 from polhode.frontend.features.keypoints import KeyPoints, detect
 from polhode.frontend.features.stereo import _match_on_lines, match_stereo, refine_disparity
-from polhode.frontend.rectification.target import Image, target_crop
+from polhode.frontend.rectification import Image, target_crop
 from polhode.lie import Array
 
 RIG = RectifiedRig(467.0, 159.5, 119.5, 0.09, 320, 240)

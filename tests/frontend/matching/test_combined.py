@@ -7,13 +7,15 @@ import pytest
 
 from polhode.config.frontend import Features, Frontend, GuidedMatching, PairMatching
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.combined import combine_features, is_from_second, offset_matches
 from polhode.frontend.matching.matchers import MutualNearest
-from polhode.frontend.matching.pairs import match_pairs
-from polhode.frontend.matching.retrieval import (
+from polhode.frontend.matching.pairs import (
     MAX_NEIGHBOUR_STEPS,
     MAX_VIEW_ANGLE_DEG,
+    combine_features,
     frame_vectors,
+    is_from_second,
+    match_pairs,
+    offset_matches,
     pairs_in_view,
 )
 from polhode.frontend.tracks.guided import reconnect

@@ -8,13 +8,17 @@ import torch
 from polhode.config.frontend import Frontend
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.consensus import motion_modes
-from polhode.frontend.matching.matchers import SoftmaxMatcher
+from polhode.frontend.matching.matchers import (
+    DualSoftmax,
+    SoftmaxMatcher,
+    motion_modes,
+    rigid_fit,
+    root_probabilities,
+)
 from polhode.frontend.matching.methods import one_to_one
-from polhode.frontend.matching.soft_assignment import DualSoftmax, rigid_fit, root_probabilities
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.rigid_fit import fit_rigid
-from polhode.train.descriptor.loss import motion_loss
+from polhode.train.descriptor.task import motion_loss
 from tests.frontend.feature_world import RIG
 
 X_AB = make_pose(exp_so3([0.3, -0.7, 0.2]), [0.05, 0.02, -0.03])

@@ -18,9 +18,9 @@ from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
 from polhode.frontend.matching.methods import match_method
 from polhode.frontend.matching.ransac import ransac_rigid
 from polhode.frontend.peers import weights as peer_weights
-from polhode.frontend.peers.loftr import snap
+from polhode.frontend.peers.matchers import snap
 from polhode.frontend.peers.weights import NETWORKS, weights_path
-from polhode.frontend.rectification.rectify import make_rectifier, rectified_pair
+from polhode.frontend.rectification import make_rectifier, rectified_pair
 from polhode.lie import log_so3
 from polhode.truth import read_truth
 from tests.frontend.feature_world import RIG, make_world

@@ -7,18 +7,19 @@ import pytest
 import torch
 
 from polhode.config.frontend import Frontend, GuidedMatching, Tracks
-from polhode.frontend.matching.pairs import PairMatch, match_pairs, relative_poses
+from polhode.frontend.matching.matchers import DualSoftmax
+from polhode.frontend.matching.pairs import PairMatch, match_pairs, pairs_to_match, relative_poses
 from polhode.frontend.matching.ransac import NOISE_PX, fit_noisy, ransac_rigid
-from polhode.frontend.matching.retrieval import pairs_to_match
-from polhode.frontend.matching.soft_assignment import DualSoftmax
 from polhode.frontend.tracks.guided import consistent_matches, match_improbability, reconnect
-from polhode.frontend.tracks.landmark_map import (
+from polhode.frontend.tracks.tracks import (
+    Association,
     LandmarkMap,
     add_observations,
     descriptor_distance,
+    join_matches,
+    to_tracks,
     viewing_direction,
 )
-from polhode.frontend.tracks.tracks import Association, join_matches, to_tracks
 from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import InitialMotion
 from polhode.rigid_fit import fit_rigid

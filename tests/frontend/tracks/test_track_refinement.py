@@ -15,9 +15,8 @@ from polhode.frontend.features.surface_features import SurfaceFeatureMethod
 from polhode.frontend.matching.matchers import SoftmaxMatcher
 from polhode.frontend.matching.pairs import PairMatch
 from polhode.frontend.matching.ransac import ransac_rigid
-from polhode.frontend.rectification.rectify import make_rectifier, rectified_pair
-from polhode.frontend.tracks.patch_alignment import align_patches
-from polhode.frontend.tracks.track_refinement import disparity_slopes, refine_tracks
+from polhode.frontend.rectification import make_rectifier, rectified_pair
+from polhode.frontend.tracks.track_refinement import align_patches, disparity_slopes, refine_tracks
 from polhode.frontend.tracks.tracks import Association, join_matches
 from polhode.lie import inverse_pose, transform_points
 from polhode.records import InitialMotion

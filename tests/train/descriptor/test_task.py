@@ -14,14 +14,13 @@ from polhode.config.train import Corpus, DescriptorTraining
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.patch_descriptors import descriptor_network
 from polhode.frontend.features.patches import Patches, tangent_affines
-from polhode.frontend.matching.soft_assignment import DualSoftmax
+from polhode.frontend.matching.matchers import DualSoftmax
 from polhode.frontend.networks.descriptor import DescriptorOutput
 from polhode.lie import Array, exp_so3
 from polhode.progress import Silent
 from polhode.train.curves import read_curves
-from polhode.train.descriptor.batches import PatchBatches
-from polhode.train.descriptor.loss import Heads, descriptor_loss, matching_loss, rotation_agreement
-from polhode.train.descriptor.patch_correspondence import (
+from polhode.train.descriptor.batches import (
+    PatchBatches,
     correlation,
     patch_rotation,
     same_appearance,
@@ -29,6 +28,7 @@ from polhode.train.descriptor.patch_correspondence import (
 )
 from polhode.train.descriptor.scores import area_under_curve, score, validation_pairs
 from polhode.train.descriptor.surface_points import REPEAT_PX, ScenePoints, prepare_points
+from polhode.train.descriptor.task import Heads, descriptor_loss, matching_loss, rotation_agreement
 from polhode.train.loop import CHECKPOINT
 from polhode.train.task import Batch
 

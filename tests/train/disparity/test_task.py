@@ -9,10 +9,9 @@ import torch
 
 from polhode.config.frontend import Depth
 from polhode.config.train import DepthTraining
-from polhode.frontend.disparity.crop import cut_crop
-from polhode.frontend.disparity.network_input import initial_disparity
+from polhode.frontend.disparity.learned import initial_disparity
+from polhode.frontend.disparity.sgbm import cut_crop
 from polhode.frontend.networks.disparity import CHANNELS, OUTPUTS, DisparityMixture
-from polhode.train.disparity.loss import LossPixels, disparity_loss, loss_pixels
 from polhode.train.disparity.samples import (
     DisparityBatch,
     DisparitySample,
@@ -26,7 +25,15 @@ from polhode.train.disparity.samples import (
     stack,
     write_sample,
 )
-from polhode.train.disparity.task import DisparityTask, ValidationErrors, scores, validation_errors
+from polhode.train.disparity.task import (
+    DisparityTask,
+    LossPixels,
+    ValidationErrors,
+    disparity_loss,
+    loss_pixels,
+    scores,
+    validation_errors,
+)
 
 SETTINGS = DepthTraining(batch=2, crop_px=64, validation_samples=1)
 

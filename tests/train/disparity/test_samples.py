@@ -6,11 +6,11 @@ import pytest
 from polhode.config.scene import Light, Motion, Render, Rig, Scene, TargetBody
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
-from polhode.frontend.rectification.rectify import Rectifier, make_rectifier
+from polhode.frontend.rectification import Rectifier, make_rectifier
 from polhode.progress import Silent
 from polhode.simulation.dataset.frame_renderer import products_path, read_products
 from polhode.simulation.dataset.sequence import simulate
-from polhode.train.disparity.truth import true_disparities
+from polhode.train.disparity.samples import true_disparities
 
 
 @pytest.fixture(scope="module")

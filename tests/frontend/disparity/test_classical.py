@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from polhode.frontend.disparity.planes import fit_facets, fit_planes, textureless_patches
+from polhode.frontend.disparity.classical import fit_facets, fit_planes, textureless_patches
 from polhode.lie import Array
 from polhode.records import Bools
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polhode.backend.window.landmarks import FIRST_SLOTS, LandmarkSlots
+from polhode.backend.window.frame import FIRST_SLOTS, LandmarkSlots
 
 
 def test_forgotten_landmarks_make_room_for_new_ones() -> None:

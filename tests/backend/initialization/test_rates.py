@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.backend.initialization.attitude_outliers import jumping_frames
+from polhode.backend.initialization.rates import jumping_frames
 from polhode.lie import Array, exp_so3
 from polhode.records import Bools
 from polhode.rigid_body import propagate

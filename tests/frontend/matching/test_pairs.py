@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from polhode.config.frontend import Frontend, PairMatching
-from polhode.frontend.matching.pairs import match_pairs, relative_poses
-from polhode.frontend.matching.retrieval import frame_vectors, most_similar, pairs_to_match
+from polhode.frontend.matching.pairs import (
+    frame_vectors,
+    match_pairs,
+    most_similar,
+    pairs_to_match,
+    relative_poses,
+)
 from tests.frontend.feature_world import RIG, World, make_world
 
 REVOLUTION = 24

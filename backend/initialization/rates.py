@@ -1,0 +1,146 @@
+"""Body rates from attitudes, in both directions where rotations are large; frames whose attitude jumps.
+
+Near half a revolution between frames, poses alone do not determine the direction of rotation: a rotation by
+200 degrees leads to the same attitude as one by 160 degrees in the opposite direction. Euler's equation
+distinguishes the two if the axis of rotation moves in the body; otherwise both fit.
+
+A body whose sides look alike (by a half-turn about the axis of a panel, for example) may give frames with few
+features a pose that is wrong by that symmetry. No rigid body jumps and jumps back; such frames are better
+interpolated, and located again later.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+
+from polhode.lie import Array, exp_so3, log_so3
+from polhode.records import Bools, Ints
+
+AMBIGUOUS_TURN_RAD = np.deg2rad(90.0)
+"""Median rotation between neighbouring frames above which both directions are tried."""
+OPPOSITE_DIRECTION = ", the other way round"
+"""Suffix of the name of a hypothesis with the longer rotations."""
+MIN_INTERVALS = 3
+FAST_HINT = "a possible cause: the target rotates by more than half a revolution between pairs"
+"""Beyond the rotations that are tried in both directions, poses show the shorter one, which no body
+follows."""
+JUMP_RAD = np.deg2rad(60.0)
+"""A larger deviation from the local rate is a jump; nutation causes smaller ones."""
+FAR_RAD = np.deg2rad(75.0)
+"""With larger rotations between frames any tumbling motion seems to jump."""
+NEIGHBOURS = 9
+"""Number of intervals whose median is the local rate."""
+MAX_SHARE = 0.25
+"""Share of the connected frames; a longer stretch is not the outlier."""
+
+
+def interval_rates(time_s: Array, R_NG: Array) -> tuple[Array, Array]:
+    """Mean body rate (n - 1, 3) [rad/s] over each interval, below half a revolution, and its middle time."""
+    dt = np.diff(time_s)
+    turn = log_so3(np.swapaxes(R_NG[:-1], 1, 2) @ R_NG[1:])
+    return turn / dt[:, None], 0.5 * (time_s[:-1] + time_s[1:])
+
+
+def frame_rates(time_s: Array, X_NG: Array, connected: Bools) -> Array:
+    """Body rate at each frame (F, 3) [rad/s] by differences between connected neighbours."""
+    index: Ints = np.flatnonzero(connected)
+    rates, centres = interval_rates(time_s[index], X_NG[index, :3, :3])
+    short = np.diff(index) <= 3
+    if short.any():
+        rates, centres = rates[short], centres[short]
+    return interpolated_rates(time_s, centres, rates)
+
+
+def interpolated_rates(time_s: Array, centres_s: Array, rates: Array) -> Array:
+    """Rates (F, 3) at times (F,), interpolated linearly between those (n, 3) at centres_s (n,)."""
+    return np.stack([np.interp(time_s, centres_s, rates[:, axis]) for axis in range(3)], axis=1)
+
+
+def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Array]:
+    """Body rates (F, 3) [rad/s] by suffix of the hypothesis: one, or both directions of large rotations.
+
+    time_s (F,), X_NG (F, 4, 4), connected (F,).
+    """
+    short = frame_rates(time_s, X_NG, connected)
+    index: Ints = np.flatnonzero(connected[:-1] & connected[1:])
+    if len(index) < MIN_INTERVALS:
+        return {"": short}
+    R, dt = X_NG[:, :3, :3], np.diff(time_s)[index]
+    turn = log_so3(np.swapaxes(R[index], 1, 2) @ R[index + 1])
+    if np.median(np.linalg.norm(turn, axis=1)) < AMBIGUOUS_TURN_RAD:
+        return {"": short}
+    centre = 0.5 * (time_s[index] + time_s[index + 1])
+    both = {}
+    for sense in (1.0, -1.0):
+        rate = _along(turn, sense * _axis(turn)) / dt[:, None]
+        both[float(np.median(np.linalg.norm(rate, axis=1)))] = interpolated_rates(time_s, centre, rate)
+    return {"": both[min(both)], OPPOSITE_DIRECTION: both[max(both)]}
+
+
+def _axis(turn: Array) -> Array:
+    """Direction (3,) that most of the rotations (n, 3) share up to sign."""
+    unit = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(unit.T @ unit)
+    return np.asarray(vectors[:, -1])
+
+
+def _along(turn: Array, axis: Array) -> Array:
+    """The same rotations (n, 3), below a revolution, in the direction of the axis."""
+    angle = np.linalg.norm(turn, axis=1, keepdims=True)
+    against = turn @ axis < 0.0
+    return np.where(against[:, None], turn * (1.0 - 2.0 * np.pi / angle), turn)
+
+
+def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
+    """(F,) frames without which the rotation is smooth; time_s (F,), R_NG (F, 3, 3), connected (F,)."""
+    index: Ints = np.flatnonzero(connected)
+    odd = np.zeros(len(time_s), dtype=np.bool_)
+    if len(index) < NEIGHBOURS:
+        return odd
+    local = _local_rates(time_s[index], R_NG[index])
+    if np.median(np.linalg.norm(local[0], axis=1)) * np.median(np.diff(time_s[index])) > FAR_RAD:
+        return odd
+    strays = [_prediction_error_rad(time_s, R_NG, a, b, local) for a, b in pairwise(index)]
+    stretches: list[Ints] = list(np.split(index, np.flatnonzero(np.array(strays) > JUMP_RAD) + 1))
+    limit = MAX_SHARE * len(index)
+    while len(stretches) > 1:
+        n = _odd_one(time_s, R_NG, stretches, local)
+        if n is None or len(stretches[n]) > limit:
+            break
+        odd[stretches[n]] = True
+        inner = [np.concatenate([stretches[n - 1], stretches[n + 1]])] if 0 < n < len(stretches) - 1 else []
+        stretches = (
+            [*stretches[: max(n - 1, 0)], *inner, *stretches[n + 2 :]]
+            if inner
+            else (stretches[1:] if n == 0 else stretches[:-1])
+        )
+    return odd
+
+
+def _odd_one(time_s: Array, R_NG: Array, stretches: list[Ints], local: tuple[Array, Array]) -> int | None:
+    """The shortest stretch without which its neighbours fit together; else the shorter one at the ends."""
+    joining = [
+        n
+        for n in range(1, len(stretches) - 1)
+        if _prediction_error_rad(time_s, R_NG, stretches[n - 1][-1], stretches[n + 1][0], local) < JUMP_RAD
+    ]
+    if joining:
+        return min(joining, key=lambda n: len(stretches[n]))
+    return min((0, len(stretches) - 1), key=lambda n: len(stretches[n]))
+
+
+def _local_rates(time_s: Array, R_NG: Array) -> tuple[Array, Array]:
+    """Median body rate (n - 1, 3) [rad/s] around each interval, and the intervals' middles (n - 1,) [s]."""
+    rate, middle = interval_rates(time_s, R_NG)
+    half = NEIGHBOURS // 2
+    windows = [rate[max(0, k - half) : k + half + 1] for k in range(len(rate))]
+    return np.stack([np.median(window, axis=0) for window in windows]), middle
+
+
+def _prediction_error_rad(time_s: Array, R_NG: Array, a: int, b: int, local: tuple[Array, Array]) -> float:
+    """Angle [rad] between the attitude of frame b and its prediction from frame a by the local rate."""
+    rate, centre = local
+    middle = 0.5 * (time_s[a] + time_s[b])
+    here = interpolated_rates(np.array([middle]), centre, rate)[0]
+    expected = R_NG[a] @ exp_so3(here * (time_s[b] - time_s[a]))
+    return float(np.linalg.norm(log_so3(expected.T @ R_NG[b])))

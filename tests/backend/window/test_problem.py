@@ -1,0 +1,150 @@
+"""The reference solver: exact derivatives, descent from far away, the same as IPOPT (test_ipopt)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from polhode.backend.problem.inertia import FORMS
+from polhode.backend.window.problem import (
+    NO_FACTORS,
+    DisturbanceLevels,
+    NewtonSolver,
+    Quadratic,
+    WindowProblem,
+    add_factors,
+    eliminate,
+    factor_jacobians,
+    factor_residuals,
+    make_factors,
+)
+from polhode.lie import Array, exp_so3
+from polhode.simulation.monte_carlo import SyntheticSequence
+from tests.backend.window.conftest import Feed, problem_of
+
+RNG = np.random.default_rng(1)
+DT_S = np.array([0.5, 0.3, 0.7])
+
+
+def information(n: int, seed: int) -> tuple[Array, Array]:
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n))
+    return A @ A.T + 0.1 * np.eye(n), rng.normal(size=n)
+
+
+def test_what_is_left_is_the_marginal() -> None:
+    H, g = information(9, 0)
+    gone, kept = np.array([1, 4, 5]), np.array([0, 2, 3, 6, 7, 8])
+    left = eliminate(H, g, gone, kept)
+    np.testing.assert_allclose(np.linalg.inv(left.H), np.linalg.inv(H)[np.ix_(kept, kept)], rtol=1e-9)
+    np.testing.assert_allclose(np.linalg.solve(left.H, -left.g), np.linalg.solve(H, -g)[kept], rtol=1e-9)
+
+
+def test_the_eliminated_entries_follow_to_the_joint_optimum() -> None:
+    H, g = information(9, 1)
+    gone, kept = np.arange(4), np.arange(4, 9)
+    left, best = eliminate(H, g, gone, kept), np.asarray(np.linalg.solve(H, -g), dtype=np.float64)
+    np.testing.assert_allclose(left.follow(best[kept]), best[gone], rtol=1e-9)
+
+
+def test_nothing_to_eliminate_leaves_all() -> None:
+    H, g = information(4, 2)
+    left = eliminate(H, g, np.zeros(0, np.int64), np.arange(4))
+    np.testing.assert_array_equal(left.H, H)
+    assert left.follow(np.ones(4)).shape == (0,)
+
+
+def test_gradient_is_that_of_the_value() -> None:
+    H, g = information(5, 3)
+    rng = np.random.default_rng(4)
+    quadratic, x, d = Quadratic(H, g, rng.normal(size=5)), rng.normal(size=5), rng.normal(size=5)
+    slope = (quadratic.value(x + 1e-5 * d) - quadratic.value(x - 1e-5 * d)) / 2e-5
+    np.testing.assert_allclose(quadratic.gradient(x) @ d, slope, rtol=1e-7)
+
+
+def unknowns() -> tuple[Array, Array]:
+    """States of four frames that follow each other roughly, and the constants."""
+    states = np.zeros((4, 12))
+    w_G = np.array([0.3, 0.5, -0.2])
+    R_ref = exp_so3(np.outer(np.concatenate([[0.0], np.cumsum(DT_S)]), w_G))
+    states[:, :9], states[:, 9:] = RNG.normal(0.0, 0.02, (4, 9)), w_G + RNG.normal(0.0, 0.02, (4, 3))
+    return np.concatenate([states.ravel(), [4e-3, -1e-3, 2e-3], RNG.normal(0.0, 0.1, 5)]), R_ref
+
+
+@pytest.mark.parametrize("name", ["second_moments", "ratios_axes"])
+def test_gradient_of_the_steps_cost(name: str) -> None:
+    form = FORMS[name]
+    x, R_ref = unknowns()
+    xi, R_inertia = form.coordinates(np.diag([1.0, 1.4, 2.0]))
+    x[-5:] += xi
+    factors = make_factors(
+        x[:-8].reshape(-1, 12)[:-1, 9:], np.eye(3), np.eye(3), DT_S, DisturbanceLevels(1e-6, 1e-6)
+    )
+    r, D = factor_jacobians(x, R_ref, factors, form, R_inertia)
+    np.testing.assert_allclose(factor_residuals(x, R_ref, factors, form, R_inertia), r)
+    H, g = np.zeros((56, 56)), np.zeros(56)
+    add_factors(H, g, r, D, 12 * np.arange(3))
+    step = 1e-6
+
+    def cost(x: Array) -> float:
+        return 0.5 * float(np.sum(factor_residuals(x, R_ref, factors, form, R_inertia) ** 2))
+
+    slope = [(cost(x + step * e) - cost(x - step * e)) / (2 * step) for e in np.eye(56)]
+    np.testing.assert_allclose(g, slope, rtol=1e-5, atol=1e-5 * np.abs(g).max())
+    assert np.linalg.eigvalsh(H)[0] > -1e-9 * H.max()
+
+
+def test_links_are_split_and_joined() -> None:
+    w_G = np.tile([0.3, 0.5, -0.2], (3, 1))
+    factors = make_factors(w_G, np.eye(3), np.eye(3), DT_S, DisturbanceLevels(1e-6, 1e-6))
+    again = NO_FACTORS.and_then(factors.part(slice(0, 1))).and_then(factors.part(slice(1, None)))
+    assert len(again) == 3
+    np.testing.assert_array_equal(again.steps.W_r, factors.steps.W_r)
+
+
+@pytest.fixture(scope="module")
+def solved(tumble: SyntheticSequence, feed: Feed) -> tuple[WindowProblem, Array]:
+    window, _ = feed(tumble, 14, frames=30)
+    return problem_of(window)
+
+
+def test_gradient_is_that_of_the_cost(solved: tuple[WindowProblem, Array]) -> None:
+    problem, x = solved
+    x = x + np.random.default_rng(0).normal(0.0, 1e-3, len(x))
+    cost, _, g = problem.normal_equations(x)
+    assert cost == pytest.approx(problem.cost(x), rel=1e-9)
+    for at in (0, 3, 7, 10, 40, len(x) - 7, len(x) - 4, len(x) - 1):
+        e = np.zeros_like(x)
+        e[at] = 1e-6
+        slope = (problem.cost(x + e) - problem.cost(x - e)) / 2e-6
+        assert g[at] == pytest.approx(slope, rel=1e-4, abs=1e-6 * np.abs(g).max())
+
+
+def test_the_window_rests_at_the_optimum(solved: tuple[WindowProblem, Array]) -> None:
+    problem, x = solved
+    solution = NewtonSolver().solve(problem, x, 20)
+    assert solution.converged
+    assert problem.cost(x) - solution.cost < 0.02
+
+
+def test_a_wrong_inertia_is_corrected(solved: tuple[WindowProblem, Array]) -> None:
+    problem, x = solved
+    wrong = x.copy()
+    wrong[-5:] += [0.3, -0.2, 0.1, 0.2, -0.1]
+    wrong[-8:-5] += 0.02
+    solution = NewtonSolver().solve(problem, wrong, 40)
+    assert solution.converged
+    best = NewtonSolver().solve(problem, x, 40)
+    assert solution.cost == pytest.approx(best.cost, abs=0.01)
+
+
+def test_rates_far_off_do_not_stop_it_where_frames_follow_fast(solved: tuple[WindowProblem, Array]) -> None:
+    problem, x = solved
+    # as after 10 ms: steps so stiff that only the states may follow
+    as_it_is = problem.factors.steps
+    steps = replace(as_it_is, W_t=30.0 * as_it_is.W_t, W_r=30.0 * as_it_is.W_r)
+    stiff = replace(problem, factors=replace(problem.factors, steps=steps))
+    wrong = x.copy()
+    wrong[:-8].reshape(-1, 12)[:, 9:] += np.random.default_rng(1).normal(0.0, 0.05, (14, 3))
+    best = NewtonSolver().solve(stiff, x, 40)
+    assert NewtonSolver().solve(stiff, wrong, 60).cost == pytest.approx(best.cost, abs=0.05)
