@@ -10,7 +10,7 @@ from polhode.backend import estimate_motion, initialize_motion
 from polhode.config.frontend import Frontend
 from polhode.errors import RunFailure
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.pairs import is_from_second
+from polhode.frontend.matching.pairs import MIN_INLIERS, is_from_second
 from polhode.frontend.tracks.duplicates import merge_duplicates
 from polhode.frontend.tracks.guided import consistent_matches, reconnect
 from polhode.frontend.tracks.track_refinement import refine_tracks
@@ -137,7 +137,7 @@ def solve_repeatedly(context: RunContext, correspondences: Correspondences) -> I
     """Solve, match again with the solved motion, and repeat while lost frames are recovered."""
     config, guided = context.config, context.config.frontend.guided
     features, links = correspondences.features, correspondences.links
-    correspondences.require_features(config.frontend.pairs.min_inliers)
+    correspondences.require_features(MIN_INLIERS)
     with context.clock("initialization"), context.progress.stage("first motion", 1) as advance:
         motion = initialize_motion(correspondences.tracks(context), links, config.backend)
         advance()
@@ -194,10 +194,7 @@ RefinementStep = Callable[[RunContext, MotionSolution], ChangedTracks | None]
 
 def _merge_duplicate_landmarks(context: RunContext, solution: MotionSolution) -> ChangedTracks | None:
     """Merge landmarks that the motion shows to be the same point; None: there are none."""
-    guided = context.config.frontend.guided
-    if not guided.merge:
-        return None
-    before = solution.association
+    before, guided = solution.association, context.config.frontend.guided
     merged = merge_duplicates(solution.features, before, solution.motion, context.rig, guided)
     n_merged = before.n_landmarks - merged.n_landmarks
     _log.info("%d of %d landmarks are duplicates and merged", n_merged, before.n_landmarks)
@@ -206,8 +203,7 @@ def _merge_duplicate_landmarks(context: RunContext, solution: MotionSolution) ->
 
 def _refine_track_positions(context: RunContext, solution: MotionSolution) -> ChangedTracks | None:
     """Align each landmark to the same surface point in every view; None: the surface is not known there."""
-    frontend = context.config.frontend
-    if not frontend.tracks.refine or not any(seen.on_surface.any() for seen in solution.features):
+    if not any(seen.on_surface.any() for seen in solution.features):
         return None
     return refine_tracks(
         context.sequence,
@@ -215,6 +211,6 @@ def _refine_track_positions(context: RunContext, solution: MotionSolution) -> Ch
         solution.features,
         solution.association,
         solution.motion,
-        frontend,
+        context.config.frontend,
         context.workers,
     )

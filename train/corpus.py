@@ -34,6 +34,8 @@ MATERIALS = {
 }
 """Materials that may cover a whole body of a family; other families use ``ANY_MATERIAL``."""
 ANY_MATERIAL = ("paint", "foil", "solar_cell", "metal")
+FIRST_BODY_SEED = 1000
+"""Scene i shows the body of this seed plus i; smaller seeds are left to the tests."""
 MAX_HARD_EARTH = 0.02
 """Largest earthlight in a scene with hard light."""
 MAX_OFFSET = 0.5
@@ -78,7 +80,7 @@ def _body(corpus: Corpus, index: int, rng: np.random.Generator) -> TargetBody:
         {
             "family": family,
             "size_m": _uniform(rng, corpus.size_m),
-            "seed": corpus.first_body_seed + index,
+            "seed": FIRST_BODY_SEED + index,
             "material": other,
             "texture": corpus.texture,
             "contrast": _logarithmic(rng, corpus.contrast),

@@ -27,6 +27,7 @@ from polhode.frontend.features.surface_features import (
     with_patch_size,
 )
 from polhode.frontend.matching.matchers import SoftmaxMatcher
+from polhode.frontend.matching.pairs import MIN_INLIERS
 from polhode.frontend.matching.ransac import ransac_rigid
 from polhode.frontend.rectification import Rectifier, make_rectifier, rectified_pair
 from polhode.lie import Array, inverse_pose, transform_points
@@ -68,7 +69,7 @@ def scene_residuals(folder: Path) -> MatchResiduals | None:
     for k in range(len(frames) - 1):
         a, b = frames[k], frames[k + 1]
         found = match(a, b)
-        if len(found.features) < config.pairs.min_inliers:
+        if len(found.features) < MIN_INLIERS:
             continue
         agreed = _true_residuals(
             a, b, found.features, rectifier, config, X_RG[k] @ inverse_pose(X_RG[k + 1]), k
@@ -106,11 +107,11 @@ def _true_residuals(
 ) -> tuple[Array, Ints] | None:
     """Errors (m, 3) of the matches that pass the geometric check, and their indices (m,)."""
     i, j = pairs.T
-    rig, pairing = rectifier.rig, config.pairs
+    rig = rectifier.rig
     rng = np.random.default_rng(seed)
-    fit = ransac_rigid(a.uvd_px[i], a.p_R[i], b.p_R[j], rig, pairing.hypotheses, pairing.gate_px, rng)
+    fit = ransac_rigid(a.uvd_px[i], a.p_R[i], b.p_R[j], rig, rng)
     turn = (np.trace(fit.X_RiRj[:3, :3].T @ X_AB[:3, :3]) - 1.0) / 2.0
-    if fit.inlier.sum() < pairing.min_inliers or turn < np.cos(np.deg2rad(MAX_MOTION_ERROR_DEG)):
+    if fit.inlier.sum() < MIN_INLIERS or turn < np.cos(np.deg2rad(MAX_MOTION_ERROR_DEG)):
         return None
     residual = rig.project(transform_points(X_AB, b.p_R[j])) - a.uvd_px[i]
     return residual[fit.inlier], np.flatnonzero(fit.inlier)

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from polhode.atomic import replaced
+from polhode.config.loader import REMOVED
 from polhode.config.train import Schedule
 from polhode.errors import InputError, RunFailure
 from polhode.progress import Progress
@@ -26,6 +27,9 @@ from polhode.train.curves import Curves
 from polhode.train.task import Batch, Task
 
 CHECKPOINT = "checkpoint.pt"
+WEIGHT_DECAY = 1e-2
+CLIP_NORM = 1.0
+"""Largest norm of a gradient; a larger one is scaled down."""
 PREFETCHED = 4
 """Batches that are prepared while a GPU is busy."""
 
@@ -53,9 +57,7 @@ class TrainingLoop:
         decayed = [p for p in task.model.parameters() if p.ndim > 1]
         others = [p for p in task.model.parameters() if p.ndim <= 1]
         groups: list[dict[str, Any]] = [{"params": decayed}, {"params": others, "weight_decay": 0.0}]
-        self._optimizer = torch.optim.AdamW(
-            groups, lr=schedule.learning_rate, weight_decay=schedule.weight_decay
-        )
+        self._optimizer = torch.optim.AdamW(groups, lr=schedule.learning_rate, weight_decay=WEIGHT_DECAY)
         on_gpu = self._device.type == "cuda"
         wanted = schedule.precision
         self._mixed = wanted == "mixed" or (wanted == "automatic" and on_gpu)
@@ -151,7 +153,7 @@ class TrainingLoop:
         self._optimizer.zero_grad(set_to_none=True)
         self._scaler.scale(loss).backward()
         self._scaler.unscale_(self._optimizer)
-        norm = nn.utils.clip_grad_norm_(self._task.model.parameters(), self._schedule.clip_norm)
+        norm = nn.utils.clip_grad_norm_(self._task.model.parameters(), CLIP_NORM)
         # The gradient of a fit to collinear points is not finite: such a step is skipped.
         if torch.isfinite(norm) or self._scaler.is_enabled():
             self._scaler.step(self._optimizer)
@@ -218,7 +220,8 @@ def read_checkpoint(output: Path, setting: Mapping[str, Any]) -> Checkpoint | No
         raise InputError(
             f"{path} cannot be read ({' '.join(str(error).split())[:80]}): remove it to start again"
         ) from None
-    keys = [*setting, *(key for key in checkpoint.setting if key not in setting)]
+    former = (key for key in checkpoint.setting if f"train.{key}" not in REMOVED)
+    keys = [*setting, *(key for key in former if key not in setting)]
     other = [key for key in keys if checkpoint.setting.get(key) != setting.get(key)]
     if other:
         raise InputError(

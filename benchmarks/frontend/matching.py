@@ -39,6 +39,7 @@ from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import with_patch_size
 from polhode.frontend.matching.methods import Matches, match_method
+from polhode.frontend.matching.pairs import MIN_INLIERS
 from polhode.frontend.matching.ransac import ransac_rigid
 from polhode.frontend.tracks.guided import reconnect
 from polhode.frontend.tracks.tracks import Association
@@ -220,19 +221,17 @@ def motion_of(
 ) -> tuple[float | None, Bools]:
     """Error of the rotation [deg], None where no motion is found, and the matches that agree with it."""
     left, right = matches.features.T
-    pairing, none = config.pairs, np.zeros(len(left), dtype=bool)
-    if len(left) < pairing.min_inliers:
+    none = np.zeros(len(left), dtype=bool)
+    if len(left) < MIN_INLIERS:
         return None, none
     fit = ransac_rigid(
         a.uvd_px[left],
         a.p_R[left],
         b.p_R[right],
         scene.rig,
-        pairing.hypotheses,
-        pairing.gate_px,
         np.random.default_rng([0, i, j]),
     )
-    if fit.inlier.sum() < pairing.min_inliers:
+    if fit.inlier.sum() < MIN_INLIERS:
         return None, none
     turn = fit.X_RiRj[:3, :3].T @ scene.motion(i, j)[:3, :3]
     return float(np.rad2deg(np.linalg.norm(log_so3(turn)))), fit.inlier

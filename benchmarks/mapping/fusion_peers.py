@@ -43,7 +43,7 @@ from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.frontend.rectification import make_rectifier
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.mapping.fusion.field import Field, choose_voxel_m, fuse
+from polhode.mapping.fusion.field import TRUNCATION_VOXELS, Field, choose_voxel_m, fuse
 from polhode.mesh_metrics import compare_surfaces
 from polhode.pipeline.evaluation import seen_truth
 from polhode.records import DepthMap
@@ -108,7 +108,7 @@ def _open3d(
         given = {
             "depth_scale": 1.0,
             "depth_max": far,
-            "trunc_voxel_multiplier": config.mapping.truncation_voxels,
+            "trunc_voxel_multiplier": TRUNCATION_VOXELS,
         }
         blocks = grid.compute_unique_block_coordinates(depth, K, pose, **given)
         grid.integrate(blocks, depth, K, pose, **given)

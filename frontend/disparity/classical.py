@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
 from polhode.config.frontend import Depth
-from polhode.frontend.disparity.sgbm import Floats, StereoCrop, match_checked
+from polhode.frontend.disparity.sgbm import MIN_INTENSITY, WINDOW_PX, Floats, StereoCrop, match_checked
 from polhode.frontend.rectification import Image
 from polhode.lie import Array
 from polhode.records import Bools
@@ -67,24 +67,17 @@ def classical_disparity(crop: StereoCrop, config: Depth) -> tuple[Floats, Floats
         return np.full_like(disparity, np.nan), np.full_like(disparity, np.nan)
     sigma = np.full_like(disparity, 0.3)
     by_window, sigma_window = disparity, sigma
-    correlated_px2 = float(config.window_px**2)
     for _ in range(REFINEMENTS):
-        by_window, sigma_window = refine_dense(
-            crop.left, crop.right, disparity, crop.search_px, config.window_px
-        )
-        disparity, sigma = fit_planes(by_window, sigma_window, PLANE_RADIUS_PX, correlated_px2)
-    if config.facets:
-        darkest = crop.sky + 2.0 * config.min_intensity
-        facet, sigma_facet = fit_facets(
-            crop.image, crop.lit, by_window, sigma_window, correlated_px2, darkest
-        )
-        flat = sigma_facet < np.where(np.isfinite(sigma), sigma, np.inf)
-        disparity, sigma = np.where(flat, facet, disparity), np.where(flat, sigma_facet, sigma)
+        by_window, sigma_window = refine_dense(crop.left, crop.right, disparity, crop.search_px)
+        disparity, sigma = fit_planes(by_window, sigma_window, PLANE_RADIUS_PX, float(WINDOW_PX**2))
+    facet, sigma_facet = crop_facets(crop, by_window, sigma_window)
+    flat = sigma_facet < np.where(np.isfinite(sigma), sigma, np.inf)
+    disparity, sigma = np.where(flat, facet, disparity), np.where(flat, sigma_facet, sigma)
     return disparity.astype(np.float32), np.hypot(sigma, SIGMA_FLOOR_PX).astype(np.float32)
 
 
 def refine_dense(
-    left: Image | Floats, right: Image | Floats, disparity: Floats, margin_px: int, window_px: int
+    left: Image | Floats, right: Image | Floats, disparity: Floats, margin_px: int
 ) -> tuple[Floats, Floats]:
     """One least-squares step for every pixel.
 
@@ -105,11 +98,11 @@ def refine_dense(
     gradient = 0.5 * (slope_left + slope_right)
 
     weight = known.astype(np.float32)
-    count = _mean(weight, window_px)
+    count = _mean(weight)
     safe = np.maximum(count, 1e-6)
 
     def mean(image: Floats) -> Floats:
-        return np.asarray(_mean(weight * image, window_px) / safe, dtype=np.float32)
+        return np.asarray(_mean(weight * image) / safe, dtype=np.float32)
 
     m_left, m_warped, m_gradient = mean(reference), mean(warped), mean(gradient)
     var_left = mean(reference * reference) - m_left * m_left
@@ -128,7 +121,7 @@ def refine_dense(
     delta = -gain * error_gradient / information
     residual = var_left - 2 * gain * covariance + gain * gain * var_warped - delta * delta * information
     noise = np.maximum(residual, 1.0)
-    samples = np.maximum(count * window_px**2, 1.0)
+    samples = np.maximum(count * WINDOW_PX**2, 1.0)
     sigma = np.sqrt(noise / (information * samples))
     delta = np.clip(delta, -_MAX_STEP_PX, _MAX_STEP_PX)
     # An uncertain step is shortened.
@@ -151,9 +144,9 @@ def _slope(image: Floats) -> Floats:
     return np.asarray(cv2.filter2D(image, cv2.CV_32F, kernel), dtype=np.float32)
 
 
-def _mean(image: Floats, window_px: int) -> Floats:
+def _mean(image: Floats) -> Floats:
     """Mean over a square window; pixels outside the image count as 0."""
-    blurred = cv2.blur(image, (window_px, window_px), borderType=cv2.BORDER_CONSTANT)
+    blurred = cv2.blur(image, (WINDOW_PX, WINDOW_PX), borderType=cv2.BORDER_CONSTANT)
     return np.asarray(blurred, dtype=np.float32)
 
 
@@ -319,6 +312,12 @@ def fit_facets(
             at = plane.at(columns.astype(np.float64), rows.astype(np.float64))
             value[rows, columns], value_sigma[rows, columns] = at
     return value, value_sigma
+
+
+def crop_facets(crop: StereoCrop, disparity: Floats, sigma: Floats) -> tuple[Floats, Floats]:
+    """``fit_facets`` of a crop, given disparity and sigma (h, w) [px] of every pixel by its own window."""
+    darkest = crop.sky + 2.0 * MIN_INTENSITY
+    return fit_facets(crop.image, crop.lit, disparity, sigma, float(WINDOW_PX**2), darkest)
 
 
 def _uniformly_lit(intensity: Image, darkest: float) -> bool:

@@ -16,6 +16,10 @@ from polhode.frontend.disparity.sgbm import Floats, StereoCrop, cut_crop, match_
 from polhode.frontend.rectification import Image
 from polhode.records import Bools, DepthMap
 
+MAX_DISPARITY_SHARE = 0.4
+"""Largest disparity that is searched when the range is not known, as a share of the image's width."""
+RIM_PX = {"sgbm": 2, "network": 1}
+"""Width that is removed along the silhouette and along jumps of depth, by method."""
 JUMP_PX = 1.5
 """A difference of disparity between neighbours that counts as a jump."""
 
@@ -94,7 +98,7 @@ def find_disparity_range(
         for image in (left, right)
     ]
     inside = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    share = config.max_disparity_share * left.shape[1] / scale
+    share = MAX_DISPARITY_SHARE * left.shape[1] / scale
     far = offset_px / scale
     coarse = cut_crop(small[0], small[1], inside, (far, far + share), config)
     disparity = match_checked(coarse, config)
@@ -108,9 +112,7 @@ def find_disparity_range(
 
 def _discontinuities(disparity: Floats, target: Bools, config: Depth) -> Bools:
     """Pixels along the silhouette and along jumps of disparity, where windows mix near and far surfaces."""
-    if config.rim_width_px == 0:
-        return np.zeros(target.shape, dtype=bool)
-    size = 2 * config.rim_width_px + 1
+    size = 2 * RIM_PX[config.method] + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     framed = cv2.copyMakeBorder(target.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     outside = cv2.erode(framed, kernel)[1:-1, 1:-1] == 0

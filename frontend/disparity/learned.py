@@ -23,7 +23,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from polhode.config.frontend import Depth
-from polhode.frontend.disparity.classical import MIN_MATCHED_PIXELS, fit_facets, fit_planes, refine_dense
+from polhode.frontend.disparity.classical import (
+    MIN_MATCHED_PIXELS,
+    PLANE_RADIUS_PX,
+    SIGMA_FLOOR_PX,
+    crop_facets,
+    fit_planes,
+    refine_dense,
+)
 from polhode.frontend.disparity.sgbm import Floats, StereoCrop, match_coarse, match_left_right
 from polhode.frontend.networks.disparity import OFFSETS_PX, STRIDE, DisparityNet, mixture_from_outputs
 from polhode.frontend.networks.weights import load_weights, shipped_path
@@ -43,10 +50,7 @@ NAME = "disparity"
 """Name of the shipped weights."""
 _COMPONENTS = 3
 """Components of the mixture that are evaluated: the weaker ones change almost nothing and cost time."""
-_WINDOW_PX = 7
-_PLANE_RADIUS_PX = 6
 _CORRELATED_PX2 = 25.0
-_SIGMA_FLOOR_PX = 0.05
 
 
 @dataclass(frozen=True)
@@ -103,16 +107,9 @@ def initial_disparity(crop: StereoCrop, config: Depth) -> InitialDisparity | Non
     matched = match_left_right(crop, config)
     if np.isfinite(matched.checked).sum() < MIN_MATCHED_PIXELS:
         return None
-    refined, sigma = refine_dense(crop.left, crop.right, matched.checked, crop.search_px, config.window_px)
+    refined, sigma = refine_dense(crop.left, crop.right, matched.checked, crop.search_px)
     filled = fill_holes(refined)
-    facet, sigma_facet = fit_facets(
-        crop.image,
-        crop.lit,
-        refined,
-        sigma,
-        float(config.window_px**2),
-        crop.sky + 2.0 * config.min_intensity,
-    )
+    facet, sigma_facet = crop_facets(crop, refined, sigma)
     flat = np.isfinite(facet)
     known = np.isfinite(refined)
     kernel = np.ones((2 * REACH_PX + 1, 2 * REACH_PX + 1), dtype=np.uint8)
@@ -316,10 +313,10 @@ def _refine_subpixel(start: InitialDisparity, disparity: Floats, sigma: Floats) 
     """Disparity (h, w) [px] from the network's disparity and sigma; NaN stays NaN."""
     margin = ((0, 0), (start.margin_px, start.margin_px))
     left = np.pad(start.left, margin, mode="edge")
-    measured, sigma_window = refine_dense(left, start.right, disparity, start.margin_px, _WINDOW_PX)
-    weight = sigma**2 / (sigma**2 + sigma_window**2 + _SIGMA_FLOOR_PX**2)
+    measured, sigma_window = refine_dense(left, start.right, disparity, start.margin_px)
+    weight = sigma**2 / (sigma**2 + sigma_window**2 + SIGMA_FLOOR_PX**2)
     mean = (disparity + weight * (measured - disparity)).astype(np.float32)
     mean_sigma = (sigma * np.sqrt(1.0 - weight)).astype(np.float32)
-    plane, _ = fit_planes(mean, mean_sigma, _PLANE_RADIUS_PX, _CORRELATED_PX2)
+    plane, _ = fit_planes(mean, mean_sigma, PLANE_RADIUS_PX, _CORRELATED_PX2)
     # Where no window holds enough of one surface, the pixel keeps its own value.
     return np.where(np.isfinite(plane), plane, mean).astype(np.float32)

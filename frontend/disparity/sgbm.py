@@ -15,6 +15,12 @@ from polhode.frontend.rectification import Image
 from polhode.records import Bools
 
 Floats = NDArray[np.float32]
+WINDOW_PX = 7
+"""Side of the window of the sub-pixel refinement, odd."""
+MIN_INTENSITY = 6.0
+"""Pixels that exceed the sky's level by less are unlit: they have no depth."""
+CONSISTENCY_PX = 1.0
+"""Largest difference between the left and the right image's disparity."""
 SPECKLE_PX = 60
 """Patches of disparity with fewer pixels are removed."""
 
@@ -61,7 +67,7 @@ def cut_crop(
 
     range_px: smallest and largest disparity of the target.
     """
-    margin = max(config.block_px, config.window_px) + 2
+    margin = max(config.block_px, WINDOW_PX) + 2
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     height, width = mask.shape
     v0, v1 = max(int(rows[0]) - margin, 0), min(int(rows[-1]) + 1 + margin, height)
@@ -74,7 +80,7 @@ def cut_crop(
     target = mask[v0:v1, u0:u1]
     smooth = cv2.blur(left[v0:v1, u0:u1].astype(np.float32), (config.block_px, config.block_px))
     sky = float(np.percentile(left, 5))
-    lit = target & (smooth > sky + config.min_intensity)
+    lit = target & (smooth > sky + MIN_INTENSITY)
     return StereoCrop(cut_left, cut_right, lit, target, v0, u0, shift, search, sky)
 
 
@@ -109,7 +115,7 @@ def match_left_right(crop: StereoCrop, config: Depth) -> SgbmDisparity:
     right = _match(_mirrored(crop.right), _mirrored(crop.left), n, config.block_px)[:, ::-1]
     w = crop.target.shape[1]
     left = left[:, n : n + w]
-    agrees = _agree(left, right, n, config.consistency_px)
+    agrees = _agree(left, right, n)
     disparity = np.where(agrees & crop.lit, left, -1.0).astype(np.float32)
     speckled = np.round(disparity * 16).astype(np.int16)
     cv2.filterSpeckles(speckled, -16, SPECKLE_PX, 16)
@@ -160,9 +166,9 @@ def _mirrored(image: Image) -> Image:
     return np.ascontiguousarray(image[:, ::-1])
 
 
-def _agree(left: Floats, right: Floats, margin_px: int, tolerance_px: float) -> Bools:
+def _agree(left: Floats, right: Floats, margin_px: int) -> Bools:
     """Pixels whose match in the right image (H, w + 2 margin) has the same disparity."""
     w = left.shape[1]
     columns = np.arange(w)[None, :] + margin_px - np.round(left).astype(np.int64)
     back = np.take_along_axis(right, np.clip(columns, 0, right.shape[1] - 1), axis=1)
-    return np.asarray((left > 0) & (back > 0) & (np.abs(left - back) <= tolerance_px))
+    return np.asarray((left > 0) & (back > 0) & (np.abs(left - back) <= CONSISTENCY_PX))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Frontend, StereoMatching
+from polhode.config.frontend import Frontend
 from polhode.frontend.features.keypoints import Descriptors, KeyPoints, detect, no_key_points
 from polhode.frontend.rectification import Image, RectifiedPair, target_crop
 from polhode.lie import Array
@@ -22,6 +22,12 @@ ROW_GATE_PX = 0.8
 """Largest difference of rows between left and right key points of the finest scale."""
 MAX_DISPARITY_SHARE = 0.7
 """Largest disparity of a match, as a share of the image's width."""
+RATIO = 0.95
+"""Largest ratio of best to second best descriptor distance among the candidates on the line."""
+WINDOW_PX = 13
+"""Side of the window of the disparity's least-squares refinement, odd."""
+MIN_CORRELATION = 0.85
+"""Smallest normalised correlation of the refined windows."""
 SIGMA_UV_PX = 0.30
 """Scatter of a key point between views of the target, before the back end estimates it [px]."""
 MIN_SIGMA_DISPARITY_PX = 0.10
@@ -84,7 +90,7 @@ class RootSift:
         """Stereo measurements of one rectified pair; none when the target is out of view."""
         left = self._key_points(pair.left, pair.mask_left)
         right = self._key_points(pair.right, pair.mask_right)
-        return match_stereo(pair.left, pair.right, left, right, rig, self._config.stereo)
+        return match_stereo(pair.left, pair.right, left, right, rig)
 
     def _key_points(self, image: Image, mask: Bools) -> KeyPoints:
         crop = target_crop(mask)
@@ -97,15 +103,14 @@ def match_stereo(
     points_left: KeyPoints,
     points_right: KeyPoints,
     rig: RectifiedRig,
-    config: StereoMatching,
 ) -> StereoFeatures:
     """Stereo measurements of one rectified pair."""
-    index_left, disparity = _match_on_lines(points_left, points_right, rig, config)
+    index_left, disparity = _match_on_lines(points_left, points_right, rig)
     uv = points_left.uv_px[index_left]
-    refined, sigma_d, correlation = refine_disparity(left, right, uv, disparity, config.window_px)
+    refined, sigma_d, correlation = refine_disparity(left, right, uv, disparity)
     depth_positive = refined - rig.disparity_offset_px > 0.5
     near_start = np.abs(refined - disparity) < 1.5
-    good = (correlation > config.min_correlation) & near_start & depth_positive
+    good = (correlation > MIN_CORRELATION) & near_start & depth_positive
     uvd = np.column_stack([uv[good], refined[good]])
     sigma_uv = np.full(len(uvd), SIGMA_UV_PX)
     return StereoFeatures(
@@ -118,14 +123,12 @@ def match_stereo(
     )
 
 
-def _match_on_lines(
-    left: KeyPoints, right: KeyPoints, rig: RectifiedRig, config: StereoMatching
-) -> tuple[NDArray[np.intp], Array]:
+def _match_on_lines(left: KeyPoints, right: KeyPoints, rig: RectifiedRig) -> tuple[NDArray[np.intp], Array]:
     """Mutually best descriptors among the candidates on the epipolar line: left index (m,), disparity
     (m,)."""
     if len(left) == 0 or len(right) == 0:
         return np.zeros(0, dtype=np.intp), np.zeros(0)
-    allowed = _candidates(left, right, rig, config)
+    allowed = _candidates(left, right, rig)
     similarity = np.where(allowed, left.descriptors @ right.descriptors.T, -1.0)
     best = similarity.argmax(axis=1)
     rows = np.arange(len(left))
@@ -134,11 +137,11 @@ def _match_on_lines(
     similarity[rows, best] = -1.0
     distance = np.sqrt(np.maximum(2.0 - 2.0 * top, 0.0))
     second = np.sqrt(np.maximum(2.0 - 2.0 * similarity.max(axis=1), 0.0))
-    keep = np.flatnonzero(mutual & (top > 0.0) & (distance < config.ratio * second))
+    keep = np.flatnonzero(mutual & (top > 0.0) & (distance < RATIO * second))
     return keep, left.uv_px[keep, 0] - right.uv_px[best[keep], 0]
 
 
-def _candidates(left: KeyPoints, right: KeyPoints, rig: RectifiedRig, config: StereoMatching) -> Bools:
+def _candidates(left: KeyPoints, right: KeyPoints, rig: RectifiedRig) -> Bools:
     """(n_left, n_right): close rows, positive disparity, similar scale and orientation."""
     row = np.abs(left.uv_px[:, None, 1] - right.uv_px[None, :, 1])
     gate = ROW_GATE_PX * np.maximum(1.0, 0.4 * left.scale_px)[:, None]
@@ -154,7 +157,6 @@ def refine_disparity(
     right: Image,
     uv_px: Array,
     disparity_px: Array,
-    window_px: int,
     iterations: int = 8,
     slope: Array | None = None,
 ) -> tuple[Array, Array, Array]:
@@ -166,7 +168,7 @@ def refine_disparity(
     n = len(uv_px)
     if n == 0:
         return np.zeros(0), np.zeros(0), np.zeros(0)
-    half = window_px // 2
+    half = WINDOW_PX // 2
     y, x = (a.ravel() for a in np.mgrid[-half : half + 1, -half : half + 1])
     weight = np.exp(-(x**2 + y**2) / (2 * (0.6 * half) ** 2))
     # Windows are centred on whole pixels, so that the left image is not interpolated, and the right one only

@@ -39,7 +39,7 @@ from polhode.frontend.disparity.sgbm import Floats, cut_crop, match_checked
 from polhode.frontend.features.keypoints import Candidates, find_candidates
 from polhode.frontend.features.patch_descriptors import SurfaceDescriptor, make_descriptor
 from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals, tangent_affines
-from polhode.frontend.features.stereo import StereoFeatures, refine_disparity
+from polhode.frontend.features.stereo import MIN_CORRELATION, StereoFeatures, refine_disparity
 from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair
 from polhode.lie import Array
 from polhode.records import Ints
@@ -180,10 +180,10 @@ def _measure(
     known = np.flatnonzero(np.isfinite(planes[:, 0]))
     uv, plane = candidates.uv_px[known], planes[known]
     refined, sigma_d, correlation = refine_disparity(
-        pair.left, pair.right, uv, plane[:, 0], config.stereo.window_px, _REFINEMENTS, plane[:, 1:]
+        pair.left, pair.right, uv, plane[:, 0], _REFINEMENTS, plane[:, 1:]
     )
     good = (
-        (correlation > config.stereo.min_correlation)
+        (correlation > MIN_CORRELATION)
         & (np.abs(refined - plane[:, 0]) < _MAX_DISPARITY_CHANGE_PX)
         & (refined - rig.disparity_offset_px > 0.5)
     )

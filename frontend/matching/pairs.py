@@ -33,6 +33,8 @@ from polhode.records import Ints, RelativePoses
 
 Tick = Callable[[], None]
 Floats = NDArray[np.float32]
+MIN_INLIERS = 8
+"""Pairs of frames with fewer inliers are no link."""
 VOCABULARY_SAMPLE = 20_000
 """Number of descriptors of the whole sequence from which the visual words are learned."""
 VOCABULARY_SIZE = 48
@@ -102,22 +104,19 @@ def _match_pair(
     config: Frontend,
     seed: int,
 ) -> PairMatch | None:
-    pairing = config.pairs
-    if min(len(frames[i]), len(frames[j])) < pairing.min_inliers:
+    if min(len(frames[i]), len(frames[j])) < MIN_INLIERS:
         return None
     pairs = match_method(config)(frames[i], frames[j]).features
-    if len(pairs) < pairing.min_inliers:
+    if len(pairs) < MIN_INLIERS:
         return None
     fit = ransac_rigid(
         frames[i].uvd_px[pairs[:, 0]],
         frames[i].p_R[pairs[:, 0]],
         frames[j].p_R[pairs[:, 1]],
         rig,
-        pairing.hypotheses,
-        pairing.gate_px,
         np.random.default_rng([seed, i, j]),
     )
-    if fit.inlier.sum() < pairing.min_inliers:
+    if fit.inlier.sum() < MIN_INLIERS:
         return None
     return PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier])
 

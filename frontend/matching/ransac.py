@@ -9,6 +9,10 @@ from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.records import Bools
 from polhode.rigid_fit import fit_rigid
 
+HYPOTHESES = 300
+"""Number of minimal samples."""
+GATE_PX = 2.0
+"""Largest reprojection error of an inlier."""
 NOISE_PX = np.array([0.7, 0.7, 0.25])
 """Noise of u, v and disparity of features [px]; only the ratios matter."""
 ROBUST = 9.0
@@ -30,20 +34,18 @@ def ransac_rigid(
     p_Ri: Array,
     p_Rj: Array,
     rig: RectifiedRig,
-    hypotheses: int,
-    gate_px: float,
     rng: np.random.Generator,
 ) -> RigidFit:
     """The motion with most inliers among matches (n, 3) of frames i and j, n >= 3.
 
-    The point of an inlier in frame j, transformed to frame i, projects within gate_px of the measured (u, v)
-    and of the disparity: the gate is in pixels, so it is valid at every distance. ``uvd_i``: measurements of
-    frame i.
+    The point of an inlier in frame j, transformed to frame i, projects within ``GATE_PX`` of the measured
+    (u, v) and of the disparity: the gate is in pixels, so it is valid at every distance. ``uvd_i``:
+    measurements of frame i.
     """
-    triples = _sample_triples(len(uvd_i), hypotheses, rng)
+    triples = _sample_triples(len(uvd_i), rng)
     R, t = _triads(p_Ri[triples], p_Rj[triples])
     moved = np.einsum("hab,nb->hna", R, p_Rj) + t[:, None]
-    agreement = _inliers(moved, uvd_i, rig, gate_px)
+    agreement = _inliers(moved, uvd_i, rig)
     X = make_pose(R[(best := int(agreement.sum(axis=1).argmax()))], t[best])
     inlier = agreement[best]
     for _ in range(4):
@@ -51,7 +53,7 @@ def ransac_rigid(
             break
         # The error of stereo is largest along the ray, and proportional to the square of the range.
         X = fit_rigid(p_Ri[inlier], p_Rj[inlier], 1.0 / np.maximum(p_Ri[inlier, 2], 1e-6) ** 4)
-        update = _inliers(transform_points(X, p_Rj), uvd_i, rig, gate_px)
+        update = _inliers(transform_points(X, p_Rj), uvd_i, rig)
         if np.array_equal(update, inlier):
             break
         inlier = update
@@ -59,7 +61,7 @@ def ransac_rigid(
         if inlier.sum() < 4:
             break
         X = fit_noisy(X, p_Ri[inlier], p_Rj[inlier], rig)
-        inlier = _inliers(transform_points(X, p_Rj), uvd_i, rig, gate_px)
+        inlier = _inliers(transform_points(X, p_Rj), uvd_i, rig)
     return RigidFit(X, inlier)
 
 
@@ -103,18 +105,16 @@ def reprojection_error_px(p_R: Array, uvd_px: Array, rig: RectifiedRig) -> Array
     return np.asarray(np.where(in_front, worst, np.inf))
 
 
-def _inliers(p_Ri: Array, uvd_i: Array, rig: RectifiedRig, gate_px: float) -> Bools:
-    return np.asarray(reprojection_error_px(p_Ri, uvd_i, rig) < gate_px)
+def _inliers(p_Ri: Array, uvd_i: Array, rig: RectifiedRig) -> Bools:
+    return np.asarray(reprojection_error_px(p_Ri, uvd_i, rig) < GATE_PX)
 
 
-def _sample_triples(
-    n: int, hypotheses: int, rng: np.random.Generator
-) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
-    """Minimal samples (hypotheses, 3) without repetition within a triple."""
-    first = rng.integers(0, n, hypotheses)
-    second = (first + rng.integers(1, max(n, 2), hypotheses)) % n
+def _sample_triples(n: int, rng: np.random.Generator) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
+    """Minimal samples (HYPOTHESES, 3) without repetition within a triple."""
+    first = rng.integers(0, n, HYPOTHESES)
+    second = (first + rng.integers(1, max(n, 2), HYPOTHESES)) % n
     low, high = np.minimum(first, second), np.maximum(first, second)
-    third = rng.integers(0, max(n - 2, 1), hypotheses)
+    third = rng.integers(0, max(n - 2, 1), HYPOTHESES)
     third = third + (third >= low)
     third = third + (third >= high)
     return np.stack([first, second, third % n], axis=1).astype(np.intp)

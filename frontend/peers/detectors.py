@@ -53,7 +53,7 @@ class PeerDetector:
         torch.set_num_threads(1)
         left = self._key_points(pair.left, pair.mask_left)
         right = self._key_points(pair.right, pair.mask_right)
-        return match_stereo(pair.left, pair.right, left, right, rig, self._config.stereo)
+        return match_stereo(pair.left, pair.right, left, right, rig)
 
     def _detect(self, image: torch.Tensor) -> Detections:
         """Key points of a grey image (1, 1, H, W) from 0 to 1; H and W are multiples of 32."""

@@ -34,6 +34,8 @@ COARSE_GATE_PX = 25.0
 """Search radius around a predicted pose."""
 FINE_GATE_PX = 2.0
 """Search radius around a pose that the frame's own features confirm."""
+MIN_INLIERS = 7
+"""A frame with fewer consistent associations is not connected."""
 MIN_PROBABILITY = 0.01
 """Smallest probability of an accepted association of features with known surface axes."""
 GATE_FACTORS = (1.0, 1.0 / 3.0, 1.0 / 5.0)
@@ -84,7 +86,7 @@ def reconnect(
     """
     X_RG, connected = motion.X_RG.copy(), motion.connected.copy()
     labels = [known.copy() for known in association.landmark]
-    waiting = [k for k in np.flatnonzero(~connected).tolist() if len(frames[k]) >= config.min_inliers]
+    waiting = [k for k in np.flatnonzero(~connected).tolist() if len(frames[k]) >= MIN_INLIERS]
     if not waiting or not np.any(connected):
         return GuidedResult(association, motion)
     model = LandmarkMap.empty(association.n_landmarks)
@@ -121,11 +123,11 @@ def _relocalise(
         # In a smaller window fewer other landmarks look similar, so more associations are unambiguous.
         gate_px = share * COARSE_GATE_PX
         feature, landmark = _search(model, features, X_found, rig, config, gate_px)
-        if len(feature) < config.min_inliers:
+        if len(feature) < MIN_INLIERS:
             return None
         p_R, p_G = features.p_R[feature], model.p_G[landmark]
-        fit = ransac_rigid(features.uvd_px[feature], p_R, p_G, rig, 300, 2.0, rng)
-        if fit.inlier.sum() < config.min_inliers:
+        fit = ransac_rigid(features.uvd_px[feature], p_R, p_G, rig, rng)
+        if fit.inlier.sum() < MIN_INLIERS:
             return None
         X_found = fit_noisy(fit.X_RiRj, p_R, p_G, rig)
     return X_found

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from polhode.camera import RectifiedRig
 from polhode.config.frontend import Frontend
 from polhode.dataset import StereoSequence
+from polhode.frontend.features import stereo
 from polhode.frontend.features.patches import PATCH_PX, Patches, axes_affines, cut_patches, root_image
 from polhode.frontend.features.stereo import StereoFeatures, refine_disparity
 from polhode.frontend.features.surface_features import feature_sigma, patch_half_m
@@ -221,7 +222,7 @@ class _AlignJob:
 
     def _align(self, k: int, found: StereoFeatures, feature: Ints, result: tuple[Array, Array, Ints]) -> None:
         """Write the result for the features (m,) into uvd (n, 3), sigma (n, 3) and landmarks (n,)."""
-        cut, rig, stereo = self.cut, self.cut.rectifier.rig, self.config.stereo
+        cut, rig = self.cut, self.cut.rectifier.rig
         uvd, sigma, kept = result
         pair = rectified_pair(cut.sequence, cut.rectifier, k)
         landmark = kept[feature]
@@ -234,12 +235,12 @@ class _AlignJob:
         shift = aligned.uv_px - uv
         start = found.uvd_px[feature, 2] + np.sum(slope * shift, axis=1)
         refined, sigma_ls, correlation = refine_disparity(
-            pair.left, pair.right, aligned.uv_px, start, stereo.window_px, 4, slope
+            pair.left, pair.right, aligned.uv_px, start, 4, slope
         )
         good = (
             (aligned.correlation > MIN_CORRELATION)
             & (np.linalg.norm(shift, axis=1) < MAX_SHIFT_PX)
-            & (correlation > stereo.min_correlation)
+            & (correlation > stereo.MIN_CORRELATION)
             & (np.abs(refined - start) < MAX_DISPARITY_CHANGE_PX)
             & (refined - rig.disparity_offset_px > 0.5)
         )

@@ -18,6 +18,8 @@ from polhode.frontend.matching.pairs import PairMatch
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Ints, StereoTracks
 
+MIN_VIEWS = 3
+"""Number of frames in which a landmark must be seen."""
 AXES_DEG = 50.0
 """Largest rotation between the axes of the same surface [deg]: the axes have errors of 5 to 15 degrees, and
 the prediction may have similar ones."""
@@ -95,7 +97,7 @@ def _longest_tracks(label: Ints, frame: Ints, n_frames: int, config: Tracks) -> 
     count = np.zeros(n_frames, dtype=np.int64)
     kept = []
     for index in np.argsort(-views, kind="stable").tolist():
-        if views[index] < config.min_views:
+        if views[index] < MIN_VIEWS:
             break
         seen = members[index]
         if np.any(count[seen] < config.enough_per_frame):

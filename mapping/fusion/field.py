@@ -31,9 +31,21 @@ from polhode.progress import Progress, Silent
 from polhode.records import AlignedPoses, DepthMap, SurfaceModel
 from polhode.rigid_fit import mean_rotation
 
+TRUNCATION_VOXELS = 4.0
+"""Distance at which the field is cut off in front of the surface."""
 TRUNCATION_BEHIND_VOXELS = 3.0
 """Distance at which the field is cut off behind the surface; short, so that the two sides of a thin panel do
 not mix."""
+FREE_SPACE_WEIGHT = 0.4
+"""Weight of the observation that space is empty far in front of a surface, over that of a surface."""
+MIN_PIECE_VOXELS = 25.0
+"""Pieces of less area are removed [faces of a voxel]."""
+MOVED_VOXELS = 0.1
+"""When poses improve, a frame is fused again if its pose moves a point of the body by more."""
+ALIGN_FROM = 0.5
+"""A pose is doubtful when its uncertainty moves the surface by more than this share of the depth's sigma."""
+ALIGN_OVERLAP = 0.3
+"""A frame is aligned if at least this share of its depth lies near known surface."""
 _log = logging.getLogger(__name__)
 _ROUNDS = 5
 _ALIGN_ROUNDS = 2
@@ -78,9 +90,9 @@ class Field:
     def _empty(self) -> BlockGrid:
         config, voxel_m = self.config, self._voxel_m
         cut = Truncation(
-            config.truncation_voxels * voxel_m,
+            TRUNCATION_VOXELS * voxel_m,
             TRUNCATION_BEHIND_VOXELS * voxel_m,
-            config.free_space_weight,
+            FREE_SPACE_WEIGHT,
         )
         return BlockGrid(voxel_m, cut, choose_device(config), config.memory_mib)
 
@@ -110,7 +122,7 @@ class Field:
         if tensors is None:
             self.without_depth += 1
             return False
-        doubtful = known and tensors.doubt > self.config.align_from
+        doubtful = known and tensors.doubt > ALIGN_FROM
         if not doubtful:
             tensors = replace(tensors, sigma_m=None)
         X_RF = X_RG @ inverse_pose(self._X_FG)
@@ -181,7 +193,7 @@ class Field:
     def align(self) -> AlignedPoses | None:
         """Align the frames whose poses are doubtful to the surface that the others show; None: none is.
 
-        A pose is doubtful when its covariance moves the surface by more than ``align_from`` of the depth's
+        A pose is doubtful when its covariance moves the surface by more than ``ALIGN_FROM`` of the depth's
         own sigma. All of these are taken away; then one after the other, the least doubtful first, is aligned
         and added, and once more when the others are. What cannot be aligned comes back as it was at the end,
         so that none is aligned to doubts.
@@ -218,7 +230,7 @@ class Field:
         if kept.covariance_G is None:
             return None
         points = depth_points(kept.tensors, kept.X_RG, self.rig)
-        aligned = align(points, kept.covariance_G, self.lookup(), self.config.align_overlap)
+        aligned = align(points, kept.covariance_G, self.lookup(), ALIGN_OVERLAP)
         if aligned.refused is not None:
             _log.debug("a pose stays as it was: %s", aligned.refused)
             return None
@@ -239,7 +251,7 @@ class Field:
         corners = self._corners()
         best = self._X_FG, np.ones(len(numbers), dtype=bool)
         between = inverse_pose(X_RF) @ X_RG
-        tolerance_m = self.config.moved_voxels * self._voxel_m
+        tolerance_m = MOVED_VOXELS * self._voxel_m
         trial, agree = self._X_FG, np.ones(len(numbers), dtype=bool)
         for _ in range(_ROUNDS):
             apart = _farthest(between, trial, corners)
@@ -290,7 +302,7 @@ class Field:
         config = self.config
         shares = SigmaShares(config.shared_sigma, config.relief_sigma)
         support = KnownVoxelCriteria.of(config, min_views)
-        return extract_surface(self._grid, support, config.least_piece_voxels, shares)
+        return extract_surface(self._grid, support, MIN_PIECE_VOXELS, shares)
 
     def _warnings(self) -> list[str]:
         out = []

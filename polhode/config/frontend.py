@@ -32,17 +32,6 @@ class Features(Section):
     """Longest side of the enlarged crop [px]; a larger target is enlarged less."""
 
 
-class StereoMatching(Section):
-    """Left to right, on epipolar lines."""
-
-    ratio: float = Field(0.95, gt=0, le=1)
-    """Distance ratio of best to second best descriptor among the candidates on the line."""
-    window_px: int = Field(13, ge=5)
-    """Side of the window of the disparity's least-squares refinement [px], odd."""
-    min_correlation: float = Field(0.85, ge=0, le=1)
-    """Smallest normalised correlation of the refined windows."""
-
-
 class PairMatching(Section):
     """Frame to frame, blind: descriptors, then RANSAC on absolute orientation (thesis 2.7, 6.3)."""
 
@@ -59,12 +48,6 @@ class PairMatching(Section):
     """Frames before and after that a frame of a long sequence is matched with."""
     retrieved: int = Field(30, ge=0)
     """Frames elsewhere that look most like it, which it is matched with too: what closes loops."""
-    hypotheses: int = Field(300, ge=10)
-    """Minimal samples drawn in a pair."""
-    gate_px: float = Field(2.0, gt=0)
-    """Largest reprojection error of an inlier [px]."""
-    min_inliers: int = Field(8, ge=4)
-    """Fewer inliers are no link."""
 
 
 class GuidedMatching(Section):
@@ -76,21 +59,11 @@ class GuidedMatching(Section):
     """Largest change of viewing direction between descriptors that are compared [deg]."""
     max_distance: float = Field(0.65, gt=0)
     """Largest descriptor distance of an accepted association of features that do not know their surface."""
-    min_inliers: int = Field(7, ge=4)
-    """Fewer consistent associations do not connect a frame."""
-    merge: bool = True
-    """Join landmarks that the solved motion shows to be one; undone when the fit gets worse for it."""
 
 
 class Tracks(Section):
     """Which landmarks the back end gets: the longest tracks, until every frame has enough."""
 
-    refine: bool = True
-    """Put each landmark to the same point of the surface in every view once the motion is known, where the
-    features know their surface; undone when the fit gets worse for it."""
-
-    min_views: int = Field(3, ge=2)
-    """Frames in which a landmark must be seen."""
     enough_per_frame: int = Field(200, ge=10)
     """Observations in a frame after which only landmarks that other frames need are added."""
 
@@ -130,22 +103,9 @@ class Depth(Section):
     """For method network: pixels that both cameras see with a smaller probability have no depth."""
     block_px: int = Field(3, ge=1)
     """Side of the window of the first, integer disparities [px], odd."""
-    max_disparity_share: float = Field(0.4, gt=0, le=1)
-    """Largest disparity that is searched when the range is not known, as a share of the image's width."""
-    consistency_px: float = Field(1.0, gt=0)
-    """Largest difference between the left and the right image's disparity [px]."""
-    window_px: int = Field(7, ge=3)
-    """Side of the window of the sub-pixel refinement [px], odd."""
-    facets: bool = True
-    """Carry planes across even, textureless patches from what surrounds them."""
-    min_intensity: float = Field(6.0, ge=0)
-    """Darker pixels (over the sky's level) are unlit: no depth there."""
     max_sigma_px: float | None = Field(None, gt=0)
     """Disparities that are less certain are dropped [px]; null: 0.5 for sgbm, 0.7 for network, whose sigmas
     at edges and in holes are larger and true."""
-    rim_px: int | None = Field(None, ge=0)
-    """Width that is removed along the silhouette and along jumps of depth [px]; null: 2 for sgbm, 1 for
-    network."""
 
     @property
     def largest_sigma_px(self) -> float:
@@ -154,19 +114,11 @@ class Depth(Section):
             return self.max_sigma_px
         return 0.7 if self.method == "network" else 0.5
 
-    @property
-    def rim_width_px(self) -> int:
-        """``rim_px``, or the method's own."""
-        if self.rim_px is not None:
-            return self.rim_px
-        return 1 if self.method == "network" else 2
-
 
 class Frontend(Section):
     """Images to stereo measurements, tracks and depth."""
 
     features: Features = Features()
-    stereo: StereoMatching = StereoMatching()
     pairs: PairMatching = PairMatching()
     guided: GuidedMatching = GuidedMatching()
     tracks: Tracks = Tracks()

@@ -22,11 +22,21 @@ DEFAULT_CONFIG = Path(__file__).with_name("default.yaml")
 """Fits any calibrated stereo sequence; part of the installed package."""
 REMOVED = frozenset(
     {
-        *(f"frontend.stereo.{name}" for name in ("row_gate_px", "max_disparity_share")),
+        "frontend.stereo",
+        *(f"frontend.pairs.{name}" for name in ("hypotheses", "gate_px", "min_inliers")),
         *(f"frontend.guided.{name}" for name in ("consistency_px", "coarse_gate_px", "fine_gate_px")),
-        "frontend.guided.merge_view_angle_deg",
+        *(f"frontend.guided.{name}" for name in ("merge_view_angle_deg", "min_inliers", "merge")),
+        *(f"frontend.tracks.{name}" for name in ("refine", "min_views")),
         *(f"frontend.depth.{name}" for name in ("speckle_px", "refinements", "plane_radius_px", "jump_px")),
-        *(f"mapping.{name}" for name in ("voxel_per_footprint", "truncation_behind_voxels")),
+        *(f"frontend.depth.{name}" for name in ("max_disparity_share", "consistency_px", "window_px")),
+        *(f"frontend.depth.{name}" for name in ("facets", "min_intensity", "rim_px")),
+        *(f"mapping.{name}" for name in ("voxel_per_footprint", "truncation_voxels")),
+        *(f"mapping.{name}" for name in ("truncation_behind_voxels", "free_space_weight", "moved_voxels")),
+        *(f"mapping.{name}" for name in ("least_piece_voxels", "align_from", "align_overlap")),
+        *(f"train.schedule.{name}" for name in ("weight_decay", "clip_norm")),
+        *(f"train.descriptor.{name}" for name in ("strays", "most_turn_deg", "half_px", "scale_noise")),
+        *(f"train.descriptor.{name}_weight" for name in ("reliability", "direction", "matching", "motion")),
+        *("train.descriptor.late_from", "train.corpus.first_body_seed"),
     }
 )
 """Settings of earlier versions that are constants now; the configuration of an old run may hold them."""
@@ -151,16 +161,23 @@ def _drop_empty_sections(values: dict[str, Any], path: config_keys.Path) -> None
 
 
 def _drop_removed(layered: _Layered) -> None:
-    """Leave out settings that are constants now, with a warning each."""
+    """Leave out settings that are constants now, with one warning for each source."""
+    found: dict[str, list[str]] = {}
     for key in sorted(REMOVED):
         *sections, name = key.split(".")
         values: Any = layered.values
         for section in sections:
             values = values.get(section) if isinstance(values, dict) else None
         if isinstance(values, dict) and name in values:
-            source = layered.source_of(tuple(key.split(".")))
-            _log.warning("%s: '%s' is no longer a setting and is ignored; remove it", source, key)
+            found.setdefault(layered.source_of(tuple(key.split("."))), []).append(f"'{key}'")
             del values[name]
+    for source, keys in found.items():
+        what, them = (
+            ("is no longer a setting and is", "it")
+            if len(keys) == 1
+            else ("are no longer settings and are", "them")
+        )
+        _log.warning("%s: %s %s ignored; remove %s", source, ", ".join(keys), what, them)
 
 
 def _validate(layered: _Layered) -> Config:

@@ -12,10 +12,6 @@ class Mapping(Section):
 
     voxel_mm: float | None = Field(None, gt=0)
     """Edge of a voxel [mm]; chosen from the depth's footprint when absent."""
-    truncation_voxels: float = Field(4.0, ge=2)
-    """Distance at which the field is cut off in front of the surface [voxels]."""
-    free_space_weight: float = Field(0.4, ge=0, le=1)
-    """Weight of "this is empty" far in front of a surface, over that of the surface itself."""
     min_views: int = Field(3, ge=1)
     """A surface seen in fewer frames is left out (fewer where the sequence is shorter), unless two agree."""
     agreeing_voxels: float = Field(0.7, ge=0)
@@ -24,16 +20,8 @@ class Mapping(Section):
     """Where frames scatter by more [voxels], and twice more than is usual in this run, nothing is known."""
     carved_share: float = Field(0.3, ge=0, le=1)
     """A surface is left out where frames that look through it have more of the weight."""
-    least_piece_voxels: float = Field(25.0, ge=0)
-    """Pieces of less area are removed [faces of a voxel]."""
-    moved_voxels: float = Field(0.1, gt=0)
-    """When poses improve, a frame is fused again once it moves the body by more than this [voxels]."""
     align: bool = True
     """Align frames whose poses are doubtful to the surface that the others show."""
-    align_from: float = Field(0.5, ge=0)
-    """A pose is doubtful when its uncertainty moves the surface by more than this [the depth's own sigma]."""
-    align_overlap: float = Field(0.3, gt=0, le=1)
-    """A frame is aligned where at least this share of what it shows lies near known surface."""
     hole_share: float = Field(0.04, ge=0, le=0.3)
     """Holes up to this share of the body's size (the diagonal of its box) across are closed, their faces
     flagged as invented; larger ones stay open. 0: none is closed."""

@@ -160,3 +160,15 @@ def test_a_setting_of_an_earlier_version_is_ignored_with_a_warning(
     assert [record.getMessage() for record in caplog.records] == [
         f"{file}: 'frontend.guided.fine_gate_px' is no longer a setting and is ignored; remove it"
     ]
+
+
+def test_settings_and_sections_of_an_earlier_version_share_one_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "old.yaml"
+    file.write_text("frontend: {stereo: {ratio: 0.9}, depth: {facets: false, block_px: 5}}\n")
+    assert load_config(file).frontend.depth.block_px == 5
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{file}: 'frontend.depth.facets', 'frontend.stereo' are no longer settings and are ignored; "
+        "remove them"
+    ]

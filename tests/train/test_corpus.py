@@ -12,7 +12,7 @@ from polhode.errors import InputError
 from polhode.progress import Silent
 from polhode.simulation.dataset.frame_renderer import read_products
 from polhode.simulation.dataset.sequence import SCENE_FILE
-from polhode.train.corpus import main, random_scene, render_corpus, scene_folder, split
+from polhode.train.corpus import FIRST_BODY_SEED, main, random_scene, render_corpus, scene_folder, split
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("features.yaml", "depth.yaml")
@@ -33,7 +33,7 @@ def test_scenes_keep_to_the_ranges() -> None:
         assert corpus.turn_deg[0] <= turn_deg <= corpus.turn_deg[1]
         disparity_px = scene.rig.baseline_m * scene.rig.focal_px / scene.motion.position_m[2]
         assert corpus.disparity_px[0] <= disparity_px <= corpus.disparity_px[1]
-        assert scene.body.seed == corpus.first_body_seed + index
+        assert scene.body.seed == FIRST_BODY_SEED + index
         sun = np.array(scene.light.sun_direction_N)
         phase_deg = np.rad2deg(np.arccos(-sun[2] / np.linalg.norm(sun)))
         assert corpus.sun_phase_deg[0] - 1e-6 <= phase_deg <= corpus.sun_phase_deg[1] + 1e-6
@@ -45,7 +45,7 @@ def test_what_ships_is_never_trained_on_what_tests_show(name: str) -> None:
     assert train is not None
     assert train.corpus.texture == "drawn"
     assert not {"truss", "dish"} & set(train.corpus.families)
-    assert train.corpus.first_body_seed >= 1000
+    assert FIRST_BODY_SEED >= 1000
 
 
 def test_no_body_is_on_both_sides_of_the_split() -> None:

@@ -36,6 +36,15 @@ HALF_PX = 12.0
 """Half the side of the patches at the median depth of the first frame [px]."""
 MIN_CORRELATION = 0.3
 """Correlation of the logarithms above which two patches show the same mark."""
+DISTRACTORS = 0.25
+"""Number of key points that are no surface feature, over the number of pairs."""
+MAX_TURN_DEG = 70.0
+"""Largest angle between the two views of a point."""
+HALF_RANGE_PX = (10.0, 15.0)
+"""Half the side of a patch at the scene's middle depth, least and most; on the surface, both patches of a
+pair have the same size."""
+SCALE_NOISE = 0.1
+"""Standard deviation of the logarithm of a patch's scale."""
 MIN_COMMON_POINTS = 12
 """Frame pairs with fewer common points are not used."""
 
@@ -150,7 +159,7 @@ class PatchBatches:
     def __init__(self, scenes: Mapping[int, ScenePoints], config: DescriptorTraining, seed: int) -> None:
         self._scenes, self._config, self._seed = scenes, config, seed
         same = {i: same_appearance(points) for i, points in scenes.items()}
-        max_angle_rad = np.deg2rad(config.most_turn_deg)
+        max_angle_rad = np.deg2rad(MAX_TURN_DEG)
         self._frame_pairs = {
             i: frame_pairs(points, same[i], i, max_angle_rad) for i, points in scenes.items()
         }
@@ -172,7 +181,7 @@ class PatchBatches:
         rng = np.random.default_rng([self._seed, 0xBA7C, step])
         count = self._config.frame_pairs
         each = self._config.batch // count
-        distractor = round(each * self._config.strays)
+        distractor = round(each * DISTRACTORS)
         first, second, distractors, rotations, motions = [], [], [], [], []
         places: dict[str, list[SurfacePoints]] = {"a": [], "b": [], "distractor": []}
         for _ in range(count):
@@ -211,7 +220,7 @@ class PatchBatches:
 
     def _half_m(self, points: ScenePoints, frame: int, rng: np.random.Generator) -> float:
         """Half the side of the patches on the surface, the same for both frames [m]."""
-        least, most = self._config.half_px
+        least, most = HALF_RANGE_PX
         half_px = float(np.exp(rng.uniform(np.log(least), np.log(most))))
         depth_m = float(np.nanmedian(points.p_K[points.frame == frame, 2]))
         return half_px * depth_m / float(points.focal_px)
@@ -221,7 +230,7 @@ class PatchBatches:
     ) -> Array:
         """Maps (n, 2, 2) of patches at the points, with the errors of a run and random rotations."""
         n, config = len(at.uv_px), self._config
-        half = half_m * np.exp(rng.normal(0.0, config.scale_noise, n))
+        half = half_m * np.exp(rng.normal(0.0, SCALE_NOISE, n))
         normal = perturbed_normals(at.normal_K, np.deg2rad(config.normal_noise_deg), rng)
         affine = tangent_affines(at.p_K, normal, scene_rig(points), half)
         flat = rng.random(n) < config.fronto_parallel

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from polhode.config.train import DescriptorTraining, Train
+from polhode.config.train import Train
 from polhode.errors import InputError
 from polhode.frontend.matching.matchers import DualSoftmax, rigid_fit
 from polhode.frontend.networks.descriptor import DescriptorNet, DescriptorOutput
@@ -26,6 +26,12 @@ from polhode.train.descriptor.scores import ValidationPair, describe_patches, sc
 from polhode.train.descriptor.surface_points import prepare_points
 from polhode.train.task import Batch
 
+RELIABILITY_WEIGHT = DIRECTION_WEIGHT = 0.3
+"""Weights of these losses beside that of the descriptor."""
+MATCHING_WEIGHT, MOTION_WEIGHT = 0.1, 0.5
+"""Weights of the losses of the soft matches and of the motion that they determine."""
+LATE_FROM = 0.6
+"""Share of the steps after which matches and motion are learned from: before, too few are correct."""
 SAME_POINT_PX = 4.0
 """Points of one frame pair that are this close to each other are not used as negatives of each other [px]."""
 START_TEMPERATURE = 0.07
@@ -50,7 +56,7 @@ class Heads(nn.Module):
 
 
 def descriptor_loss(
-    described: DescriptorOutput, batch: Batch, heads: Heads, config: DescriptorTraining
+    described: DescriptorOutput, batch: Batch, heads: Heads
 ) -> tuple[Tensor, Mapping[str, Tensor]]:
     """Loss and its terms for a batch of ``PatchBatches``; the n patches are described in the order of the
     batch."""
@@ -73,8 +79,8 @@ def descriptor_loss(
     direction = described.direction.float()
     rotation_error = (1.0 - rotation_agreement(direction[:m], direction[m : 2 * m], batch["rotation"])).mean()
     assignment, motion = matching_loss(described, batch, heads.matcher)
-    loss = contrast + config.reliability_weight * trust + config.direction_weight * rotation_error
-    end_to_end = config.matching_weight * assignment + config.motion_weight * motion
+    loss = contrast + RELIABILITY_WEIGHT * trust + DIRECTION_WEIGHT * rotation_error
+    end_to_end = MATCHING_WEIGHT * assignment + MOTION_WEIGHT * motion
     loss = loss + batch["late"] * end_to_end
     return loss, {
         "contrast": contrast,
@@ -163,11 +169,9 @@ class DescriptorTask:
 
     name = "descriptor"
 
-    def __init__(
-        self, batches: PatchBatches, trials: list[ValidationPair], config: DescriptorTraining, late_from: int
-    ) -> None:
+    def __init__(self, batches: PatchBatches, trials: list[ValidationPair], late_from: int) -> None:
         """``late_from``: first step whose loss contains matches and motion."""
-        self._batches, self._trials, self._config = batches, trials, config
+        self._batches, self._trials = batches, trials
         self._late_from = late_from
         self._network, self._heads = DescriptorNet(), Heads()
         self._model = nn.ModuleDict({"network": self._network, "heads": self._heads})
@@ -191,7 +195,7 @@ class DescriptorTask:
         described = self._network(batch["patches"])
         with torch.autocast(batch["patches"].device.type, enabled=False):
             # Similarities over a small temperature, and fits, need full precision.
-            return descriptor_loss(described, batch, self._heads, self._config)
+            return descriptor_loss(described, batch, self._heads)
 
     def validate(self) -> Mapping[str, float]:
         """Scores on the held-out bodies, and the matcher's parameters."""
@@ -212,5 +216,5 @@ def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Desc
             "train.corpus: no two frames show enough common points: more scenes or frames, or smaller turns"
         )
     trials = validation_pairs({i: scenes[i] for i in halves.validation}, seed)
-    late_from = round(train.descriptor.late_from * train.schedule.steps)
-    return DescriptorTask(batches, trials, train.descriptor, late_from)
+    late_from = round(LATE_FROM * train.schedule.steps)
+    return DescriptorTask(batches, trials, late_from)

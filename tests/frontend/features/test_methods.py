@@ -68,7 +68,7 @@ def test_rootsift_is_the_detector_left_and_right_matched_along_the_rows(
         crop = target_crop(mask)
         assert crop is not None
         points.append(detect(image, mask, crop, config.features))
-    expected = match_stereo(pair.left, pair.right, points[0], points[1], rectifier.rig, config.stereo)
+    expected = match_stereo(pair.left, pair.right, points[0], points[1], rectifier.rig)
     found = feature_method(configured("rootsift"))(pair, rectifier.rig)
     assert len(found) > 300
     np.testing.assert_array_equal(found.uvd_px, expected.uvd_px)

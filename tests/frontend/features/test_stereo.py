@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Features, StereoMatching
+from polhode.config.frontend import Features
 from polhode.frontend.features.keypoints import KeyPoints, detect
 from polhode.frontend.features.stereo import _match_on_lines, match_stereo, refine_disparity
 from polhode.frontend.rectification import Image, target_crop
@@ -45,7 +45,7 @@ def test_refined_disparity_is_unbiased_and_its_sigma_is_true(slope: float, gain:
     uv = np.column_stack([rng.uniform(110, 300, 400), rng.uniform(20, 220, 400)])
     truth = 40.3 + slope * (uv[:, 0] - 160) + 0.05 * (uv[:, 1] - 120)
     start = truth + rng.uniform(-0.8, 0.8, 400)
-    refined, sigma, correlation = refine_disparity(left, right, uv, start, 13)
+    refined, sigma, correlation = refine_disparity(left, right, uv, start)
     good = correlation > 0.9
     error = (refined - truth)[good]
     assert good.mean() > 0.95
@@ -57,7 +57,7 @@ def test_refined_disparity_is_unbiased_and_its_sigma_is_true(slope: float, gain:
 def test_a_window_without_texture_is_refused() -> None:
     flat = np.full((240, 320), 100, dtype=np.uint8)
     noisy = (flat + np.random.default_rng(0).integers(0, 3, flat.shape)).astype(np.uint8)
-    _, _, correlation = refine_disparity(noisy, flat, np.array([[160.0, 120.0]]), np.array([40.0]), 13)
+    _, _, correlation = refine_disparity(noisy, flat, np.array([[160.0, 120.0]]), np.array([40.0]))
     assert correlation[0] < 0.85
 
 
@@ -70,7 +70,7 @@ def test_a_match_is_refused_when_the_second_best_descriptor_is_nearly_as_near(
     looks = np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32)
     uv = np.array([[200.0, 100.0], [160.0, 100.0], [150.0, 100.0]])
     points = [KeyPoints(uv[k], np.full(n, 2.0), np.zeros(n), looks[k]) for k, n in (([0], 1), ([1, 2], 2))]
-    left, disparity = _match_on_lines(points[0], points[1], RIG, StereoMatching(ratio=0.95))
+    left, disparity = _match_on_lines(points[0], points[1], RIG)
     assert (left.tolist(), disparity.tolist()) == (([0], [40.0]) if kept else ([], []))
 
 
@@ -80,7 +80,7 @@ def test_matches_lie_on_the_surface() -> None:
     crop = target_crop(mask)
     assert crop is not None
     points = [detect(image, mask, crop, Features()) for image in (left, right)]
-    found = match_stereo(left, right, points[0], points[1], RIG, StereoMatching())
+    found = match_stereo(left, right, points[0], points[1], RIG)
     truth = 40.3 + 0.1 * (found.uvd_px[:, 0] - 160) + 0.05 * (found.uvd_px[:, 1] - 120)
     wrong = np.abs(found.uvd_px[:, 2] - truth) > 0.5
     assert len(found) > 200
@@ -96,4 +96,4 @@ def test_an_empty_image_gives_no_features() -> None:
     assert crop is not None
     points = detect(black, mask, crop, Features())
     assert len(points) == 0
-    assert len(match_stereo(black, black, points, points, RIG, StereoMatching())) == 0
+    assert len(match_stereo(black, black, points, points, RIG)) == 0

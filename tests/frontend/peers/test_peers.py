@@ -112,7 +112,7 @@ def test_a_peer_with_lightglue_finds_the_motion_of_the_sample(method: str, least
     i, j = matches.features.T
     assert len(set(i)) == len(i) > 40 and len(set(j)) == len(j)
     assert matches.confidence.min() >= config.pairs.min_confidence
-    fit = ransac_rigid(a.uvd_px[i], a.p_R[i], b.p_R[j], rectifier.rig, 300, 2.0, np.random.default_rng(0))
+    fit = ransac_rigid(a.uvd_px[i], a.p_R[i], b.p_R[j], rectifier.rig, np.random.default_rng(0))
     truth = read_truth(SAMPLE)
     stamps = [int(np.flatnonzero(truth.timestamps_ns == sequence.timestamps_ns[k])[0]) for k in (0, 1)]
     R_NP = truth.R_NP[stamps]

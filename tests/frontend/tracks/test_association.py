@@ -37,7 +37,7 @@ def test_ransac_finds_the_motion_among_half_outliers() -> None:
     p_Rj = rng.uniform([-0.1, -0.1, 0.5], [0.1, 0.1, 0.7], (60, 3))
     uvd_i = RIG.project(transform_points(X_ij, p_Rj)) + rng.normal(size=(60, 3)) * [0.3, 0.3, 0.1]
     uvd_i[:30] += rng.uniform(-60, 60, (30, 3)) * [1.0, 1.0, 0.3]
-    fit = ransac_rigid(uvd_i, RIG.triangulate(uvd_i), p_Rj, RIG, 300, 2.0, np.random.default_rng(3))
+    fit = ransac_rigid(uvd_i, RIG.triangulate(uvd_i), p_Rj, RIG, np.random.default_rng(3))
     assert fit.inlier[30:].mean() > 0.9
     assert fit.inlier[:30].sum() <= 1
     assert np.rad2deg(np.linalg.norm(log_so3(fit.X_RiRj[:3, :3].T @ X_ij[:3, :3]))) < 0.5

@@ -83,9 +83,7 @@ def refined() -> tuple[list[StereoFeatures], list[StereoFeatures], Association, 
         pairs = match(frames[0], frames[k]).features
         a, b = frames[0], frames[k]
         rng = np.random.default_rng(k)
-        fit = ransac_rigid(
-            a.uvd_px[pairs[:, 0]], a.p_R[pairs[:, 0]], b.p_R[pairs[:, 1]], rectifier.rig, 300, 2.0, rng
-        )
+        fit = ransac_rigid(a.uvd_px[pairs[:, 0]], a.p_R[pairs[:, 0]], b.p_R[pairs[:, 1]], rectifier.rig, rng)
         links.append(PairMatch(0, k, fit.X_RiRj, pairs[fit.inlier]))
         poses.append(inverse_pose(fit.X_RiRj))
     waiting = [
