@@ -7,7 +7,7 @@ from polhode.backend.disturbances.unknown_wrench import describe_impulses, estim
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.initialization.rates import FAST_HINT
 from polhode.backend.noise.measurement_noise import NoiseScales, PrunedProblem, whitened_residuals
-from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.iterate import COM, ERR_THETA, XI, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import linearization_point
@@ -114,13 +114,13 @@ def _state_covariances(
     jacobians = state_jacobians(iterate, derivative, data.camera_N)
     covariance, joint = state_covariances(iterate, m, jacobians)
     axes_lost = ~determined.record.axes_P
-    covariance[:, 6:9, 6:9] = free_axis_covariance(covariance[:, 6:9, 6:9], axes_lost)
-    joint[6:9, 6:9] = free_axis_covariance(joint[6:9, 6:9], axes_lost)
+    for whole in (*covariance, joint):
+        whole[ERR_THETA, ERR_THETA] = free_axis_covariance(whole[ERR_THETA, ERR_THETA], axes_lost)
     lost = undetermined_states(determined, jacobians, m.response, w_P)
     for k in range(iterate.n_frames):
         covariance[k] = with_infinite(covariance[k], lost[k])
     constants_lost = determined.lost_constants
-    joint = with_infinite(joint, np.concatenate([lost[-1], constants_lost[3:], constants_lost[:3]]))
+    joint = with_infinite(joint, np.concatenate([lost[-1], constants_lost[XI], constants_lost[COM]]))
     return covariance, joint
 
 
@@ -142,7 +142,7 @@ def _mass(
         k1=float(np.log(moments[0] / moments[1])),
         k2=float(np.log(moments[1] / moments[2])),
         cov_k=with_infinite(ratio_covariance(derivative, cov_J), ~np.array([known.k1, known.k2])),
-        cov_J=with_infinite(cov_J, determined.lost_constants[3:]),
+        cov_J=with_infinite(cov_J, determined.lost_constants[XI]),
         R_GP=R_GP,
         cov_R_GP=with_infinite(
             free_axis_covariance(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P), ~known.axes_P

@@ -20,7 +20,21 @@ from polhode.backend.dynamics.so3_exp import (
     rotation_vectors,
 )
 from polhode.backend.problem.inertia import N_INERTIA
-from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
+from polhode.backend.problem.iterate import (
+    CAMERA_ROTATION,
+    CAMERA_SHIFT,
+    COM,
+    ERR_R,
+    ERR_THETA,
+    ERR_V,
+    ERR_W,
+    N_CONSTANTS,
+    N_STATE,
+    POSITION,
+    RATE,
+    ROTATION,
+    VELOCITY,
+)
 from polhode.backend.problem.wrench import FORCE_BIAS, LN_MASS, N_OF_ROTATION, N_WRENCH, torque_in_G
 from polhode.compiled import compiled
 from polhode.lie import Array, hat
@@ -55,15 +69,19 @@ class FrameStates:
 
     def true_attitudes(self) -> Array:
         """(F, 3, 3) attitudes, corrected for the errors of the camera's attitude."""
-        return rotation_matrices(self.x[:, 15:18]) @ self.R_NG if self.x.shape[1] > N_STATE else self.R_NG
+        return (
+            rotation_matrices(self.x[:, CAMERA_ROTATION]) @ self.R_NG
+            if self.x.shape[1] > N_STATE
+            else self.R_NG
+        )
 
     def centres(self) -> Array:
         """(F, 3) true position of the centre of mass in N [m]."""
-        seen = self.x[:, 0:3] + self.R_NG @ self.com_G
+        seen = self.x[:, POSITION] + self.R_NG @ self.com_G
         if self.x.shape[1] == N_STATE:
             return np.asarray(seen)
-        arm = np.einsum("fij,fj->fi", rotation_matrices(self.x[:, 15:18]), seen - self.camera_N)
-        return np.asarray(self.camera_N + self.x[:, 12:15] + arm)
+        arm = np.einsum("fij,fj->fi", rotation_matrices(self.x[:, CAMERA_ROTATION]), seen - self.camera_N)
+        return np.asarray(self.camera_N + self.x[:, CAMERA_SHIFT] + arm)
 
 
 @dataclass(frozen=True)
@@ -86,9 +104,9 @@ class Steps:
     def whiten(self, errors: Array) -> Array:
         """Scale errors (F - 1, 12, ...) of position, velocity, attitude, rate to unit covariance."""
         W = np.zeros((len(self.dt_s), RESIDUALS, RESIDUALS))
-        W[:, 0:3, 0:3] = self.W_t[:, 0, 0, None, None] * np.eye(3)
-        W[:, 3:6, 0:3] = self.W_t[:, 1, 0, None, None] * np.eye(3)
-        W[:, 3:6, 3:6] = self.W_t[:, 1, 1, None, None] * np.eye(3)
+        W[:, ERR_R, ERR_R] = self.W_t[:, 0, 0, None, None] * np.eye(3)
+        W[:, ERR_V, ERR_R] = self.W_t[:, 1, 0, None, None] * np.eye(3)
+        W[:, ERR_V, ERR_V] = self.W_t[:, 1, 1, None, None] * np.eye(3)
         W[:, 6:, 6:] = self.W_r
         return np.asarray(W @ errors)
 
@@ -96,7 +114,7 @@ class Steps:
 def dynamics_residuals(states: FrameStates, steps: Steps, J_G: Array) -> Array:
     """Whitened residuals (F - 1, 12); J_G (3, 3) any scale. Infinite where rates are beyond reason."""
     torque, _ = _torque(states, steps)
-    q, w_end, _, _ = propagate_rotations(states.x[:-1, 9:12], J_G, steps.dt_s, steps.series, torque)
+    q, w_end, _, _ = propagate_rotations(states.x[:-1, RATE], J_G, steps.dt_s, steps.series, torque)
     if not (np.isfinite(q).all() and (np.linalg.norm(q, axis=1) > 0.5).all()):
         return np.full((len(q), RESIDUALS), np.inf)
     errors, _ = _errors(states, steps, matrices_from_quaternions(q), w_end)
@@ -107,10 +125,10 @@ def _errors(states: FrameStates, steps: Steps, R_step: Array, w_end: Array) -> t
     """State after minus predicted state (F - 1, 12), and the true attitudes (F, 3, 3)."""
     x, R, r_N = states.x, states.true_attitudes(), states.centres()
     by_force = _by_force(states, steps)
-    dr = r_N[1:] - r_N[:-1] - steps.dt_s[:, None] * x[:-1, 6:9] - by_force[:, 0]
-    dv = x[1:, 6:9] - x[:-1, 6:9] - by_force[:, 1]
+    dr = r_N[1:] - r_N[:-1] - steps.dt_s[:, None] * x[:-1, VELOCITY] - by_force[:, 0]
+    dv = x[1:, VELOCITY] - x[:-1, VELOCITY] - by_force[:, 1]
     dtheta = rotation_vectors(np.swapaxes(R[:-1] @ R_step, 1, 2) @ R[1:])
-    return np.hstack([dr, dv, dtheta, x[1:, 9:12] - w_end]), R
+    return np.hstack([dr, dv, dtheta, x[1:, RATE] - w_end]), R
 
 
 def _by_force(states: FrameStates, steps: Steps) -> Array:
@@ -139,7 +157,7 @@ def dynamics_jacobians(states: FrameStates, steps: Steps, J_G: Array, dJ: Array)
     torque, dtorque = _torque(states, steps)
     if dtorque is not None:
         dJ = np.concatenate([dJ, np.zeros((N_OF_ROTATION, 3, 3))])
-    flow = propagate_derivatives(x[:-1, 9:12], J_G, dJ, steps.dt_s, steps.series, torque, dtorque)
+    flow = propagate_derivatives(x[:-1, RATE], J_G, dJ, steps.dt_s, steps.series, torque, dtorque)
     return jacobians_of_propagation(states, steps, *flow)
 
 
@@ -155,51 +173,56 @@ def jacobians_of_propagation(
     errors, R = _errors(states, steps, R_step, w_end)
     of_centre, of_turn = state_derivatives(states)
     n_parameters = turn.shape[2] - 3
-    at = slice(2 * s + 3, 2 * s + 3 + n_parameters)
+    com, at = _shifted(COM, 2 * s), slice(2 * s + 3, 2 * s + 3 + n_parameters)
     D = np.zeros((n, RESIDUALS, at.stop + (N_OF_FORCE if states.wrench is not None else 0)))
-    D[:, 0:3, :s], D[:, 0:3, s : 2 * s] = -of_centre[:-1], of_centre[1:]
-    D[:, 0:3, 6:9] -= steps.dt_s[:, None, None] * np.eye(3)
-    D[:, 0:3, 2 * s : 2 * s + 3] = R[1:] - R[:-1]
-    D[:, 3:6, 6:9], D[:, 3:6, s + 6 : s + 9] = -np.eye(3), np.eye(3)
+    D[:, ERR_R, :s], D[:, ERR_R, s : 2 * s] = -of_centre[:-1], of_centre[1:]
+    D[:, ERR_R, VELOCITY] -= steps.dt_s[:, None, None] * np.eye(3)
+    D[:, ERR_R, com] = R[1:] - R[:-1]
+    D[:, ERR_V, VELOCITY], D[:, ERR_V, _shifted(VELOCITY, s)] = -np.eye(3), np.eye(3)
     # rotations before or within the step are expressed at its end
-    left = inverse_right_jacobians(errors[:, 6:9])
+    left = inverse_right_jacobians(errors[:, ERR_THETA])
     back = left @ np.swapaxes(R[1:], 1, 2) @ R[:-1]
-    D[:, 6:9, :s], D[:, 6:9, s : 2 * s] = -back @ of_turn[:-1], left @ of_turn[1:]
+    D[:, ERR_THETA, :s], D[:, ERR_THETA, s : 2 * s] = -back @ of_turn[:-1], left @ of_turn[1:]
     of_step = back @ R_step @ turn
-    D[:, 6:9, 9:12] -= of_step[:, :, :3]
-    D[:, 6:9, at] = -of_step[:, :, 3:]
-    D[:, 9:12, s + 9 : s + 12] = np.eye(3)
-    D[:, 9:12, 9:12] = -rate[:, :, :3]
-    D[:, 9:12, at] = -rate[:, :, 3:]
+    D[:, ERR_THETA, RATE] -= of_step[:, :, :3]
+    D[:, ERR_THETA, at] = -of_step[:, :, 3:]
+    D[:, ERR_W, _shifted(RATE, s)] = np.eye(3)
+    D[:, ERR_W, RATE] = -rate[:, :, :3]
+    D[:, ERR_W, at] = -rate[:, :, 3:]
     if states.wrench is not None:
         _add_force(D, states, steps)
     return steps.whiten(errors[:, :, None])[:, :, 0], steps.whiten(D)
+
+
+def _shifted(part: slice, by: int) -> slice:
+    """The part of the state after the step, or of the constants, among the variables of a step."""
+    return slice(part.start + by, part.stop + by)
 
 
 def _add_force(D: Array, states: FrameStates, steps: Steps) -> None:
     """Derivatives with respect to the logarithm of the mass and the force's bias: the last four columns."""
     assert states.wrench is not None
     D[:, 0:6, -4] = _by_force(states, steps).reshape(-1, 6)
-    D[:, 0:3, -3:] = -np.exp(-states.wrench[LN_MASS]) * 0.5 * steps.dt_s[:, None, None] ** 2 * np.eye(3)
-    D[:, 3:6, -3:] = -np.exp(-states.wrench[LN_MASS]) * steps.dt_s[:, None, None] * np.eye(3)
+    D[:, ERR_R, -3:] = -np.exp(-states.wrench[LN_MASS]) * 0.5 * steps.dt_s[:, None, None] ** 2 * np.eye(3)
+    D[:, ERR_V, -3:] = -np.exp(-states.wrench[LN_MASS]) * steps.dt_s[:, None, None] * np.eye(3)
 
 
 def state_derivatives(states: FrameStates) -> tuple[Array, Array]:
     """Derivatives of the true centre of mass and, on the right, of the true attitude: (F, 3, s) each."""
     x, s, R = states.x, states.x.shape[1], states.true_attitudes()
-    Jr = right_jacobians(x[:, 3:6])
+    Jr = right_jacobians(x[:, ROTATION])
     of_centre, of_turn = np.zeros((len(x), 3, s)), np.zeros((len(x), 3, s))
-    of_centre[:, :, 3:6] = -R @ hat(states.com_G) @ Jr
-    of_turn[:, :, 3:6] = Jr
+    of_centre[:, :, ROTATION] = -R @ hat(states.com_G) @ Jr
+    of_turn[:, :, ROTATION] = Jr
     if s == N_STATE:
-        of_centre[:, :, 0:3] = np.eye(3)
+        of_centre[:, :, POSITION] = np.eye(3)
         return of_centre, of_turn
-    alpha = x[:, 15:18]
-    arm = states.centres() - states.camera_N - x[:, 12:15]
+    alpha = x[:, CAMERA_ROTATION]
+    arm = states.centres() - states.camera_N - x[:, CAMERA_SHIFT]
     left = right_jacobians(-alpha)
-    of_centre[:, :, 0:3], of_centre[:, :, 12:15] = rotation_matrices(alpha), np.eye(3)
-    of_centre[:, :, 15:18] = -hat(arm) @ left
-    of_turn[:, :, 15:18] = np.swapaxes(R, 1, 2) @ left
+    of_centre[:, :, POSITION], of_centre[:, :, CAMERA_SHIFT] = rotation_matrices(alpha), np.eye(3)
+    of_centre[:, :, CAMERA_ROTATION] = -hat(arm) @ left
+    of_turn[:, :, CAMERA_ROTATION] = np.swapaxes(R, 1, 2) @ left
     return of_centre, of_turn
 
 

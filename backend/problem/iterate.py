@@ -20,6 +20,8 @@ POSE, POSITION, ROTATION = slice(0, 6), slice(0, 3), slice(3, 6)
 VELOCITY, RATE = slice(6, 9), slice(9, 12)
 CAMERA, CAMERA_SHIFT, CAMERA_ROTATION = slice(12, 18), slice(12, 15), slice(15, 18)
 """Where they stand among the unknowns of a frame."""
+ERR_R, ERR_V, ERR_THETA, ERR_W = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+"""Where position, velocity, attitude and rate stand in a residual of the dynamics and in a reported state."""
 COM, XI = slice(0, 3), slice(3, 8)
 """Where they stand among the constants."""
 

@@ -13,7 +13,19 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
 
 from polhode.backend.dynamics.residuals import FrameStates, state_derivatives
-from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE, Iterate
+from polhode.backend.problem.iterate import (
+    ERR_R,
+    ERR_THETA,
+    ERR_V,
+    ERR_W,
+    N_CONSTANTS,
+    N_STATE,
+    POSITION,
+    RATE,
+    ROTATION,
+    VELOCITY,
+    Iterate,
+)
 from polhode.backend.problem.wrench import LN_MASS, LN_SCALE
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import LinearizationPoint
@@ -98,12 +110,12 @@ def _first_pose_follows(iterate: Iterate, camera_N: Array) -> Array:
     """Derivative of the first pose (6) in the errors (0 or 6) of the camera's pose, the true one fixed."""
     if iterate.camera is None:
         return np.zeros((N_GAUGE, 0))
-    alpha = iterate.camera[0, 3:]
+    alpha = iterate.camera[0, ROTATION]
     turn, left = exp_so3(alpha), right_jacobian_so3(-alpha)
     arm = turn @ (iterate.p_NG[0] - camera_N[0])
     out = np.zeros((N_GAUGE, N_GAUGE))
-    out[0:3, 0:3], out[0:3, 3:6] = -turn.T, turn.T @ hat(arm) @ left
-    out[3:6, 3:6] = -(turn @ iterate.R_NG[0]).T @ left
+    out[POSITION, POSITION], out[POSITION, ROTATION] = -turn.T, turn.T @ hat(arm) @ left
+    out[ROTATION, ROTATION] = -(turn @ iterate.R_NG[0]).T @ left
     return out
 
 
@@ -131,9 +143,9 @@ def body_jacobians(iterate: Iterate, camera_N: Array | None = None) -> Array:
         numbers, iterate.R_NG, np.zeros((n, 3)) if camera_N is None else camera_N, iterate.com_G
     )
     out = np.zeros((n, 12, s + N_CONSTANTS))
-    out[:, 0:3, :s], out[:, 6:9, :s] = state_derivatives(states)
-    out[:, 0:3, s : s + 3] = states.true_attitudes()
-    out[:, 3:6, 6:9] = out[:, 9:12, 9:12] = np.eye(3)
+    out[:, ERR_R, :s], out[:, ERR_THETA, :s] = state_derivatives(states)
+    out[:, ERR_R, s : s + 3] = states.true_attitudes()
+    out[:, ERR_V, VELOCITY] = out[:, ERR_W, RATE] = np.eye(3)
     return out
 
 
@@ -141,9 +153,9 @@ def state_jacobians(iterate: Iterate, derivative: AxesDerivative, camera_N: Arra
     """As above (F, 12, s + 8), for r_N, v_N, theta_P, w_P: attitude and rate of the principal axes."""
     out, R_GP, s = body_jacobians(iterate, camera_N), derivative.R_GP, iterate.n_state
     # R_NG Exp(theta_G) R_GP Exp(theta_GP), and w_P = (R_GP Exp(theta_GP))^T w_G
-    out[:, 6:9], out[:, 9:12] = R_GP.T @ out[:, 6:9], R_GP.T @ out[:, 9:12]
-    out[:, 6:9, s + 3 :] += derivative.axes
-    out[:, 9:12, s + 3 :] += hat(iterate.w_G @ R_GP) @ derivative.axes
+    out[:, ERR_THETA], out[:, ERR_W] = R_GP.T @ out[:, ERR_THETA], R_GP.T @ out[:, ERR_W]
+    out[:, ERR_THETA, s + 3 :] += derivative.axes
+    out[:, ERR_W, s + 3 :] += hat(iterate.w_G @ R_GP) @ derivative.axes
     return out
 
 
@@ -183,7 +195,7 @@ def pose_covariances(iterate: Iterate, m: Marginals) -> Array:
     """
     n, s = iterate.n_frames, iterate.n_state
     turned = np.zeros((n, 6, 6))
-    turned[:, :3, :3], turned[:, 3:, 3:] = np.swapaxes(iterate.R_NG, 1, 2), np.eye(3)
+    turned[:, POSITION, POSITION], turned[:, ROTATION, ROTATION] = np.swapaxes(iterate.R_NG, 1, 2), np.eye(3)
     to_mean = np.zeros((len(m.dense), 6))
     for k, T in enumerate(turned):
         to_mean[s * k : s * k + 6] = T.T / n

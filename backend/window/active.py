@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polhode.backend.problem.inertia import InertiaForm
-from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
+from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, POSE
 from polhode.backend.window.frame import Frame, states_of
 from polhode.backend.window.problem import (
     NO_FACTORS,
@@ -141,7 +141,7 @@ def camera_part(frame: Frame, seen: Ints, true: Ints) -> Part:
     """Information on the seen pose minus the true one, by the camera's noise; entries (6,) of both."""
     assert frame.camera_information is not None
     one = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    force = frame.camera_information @ (frame.seen - frame.x[:N_POSE])
+    force = frame.camera_information @ (frame.seen - frame.x[POSE])
     entries = np.concatenate([seen, true])
     return entries, np.kron(one, frame.camera_information), np.concatenate([force, -force])
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.backend.initialization.initialize import ransac_orientation
+from polhode.backend.problem.iterate import COM, POSITION, RATE, ROTATION, VELOCITY
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.frame import Frame, FrameMeasurements, camera_of
 from polhode.camera import RectifiedRig, stereo_jacobian
@@ -80,13 +81,13 @@ def next_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s:
         state.landmarks.covariance[slot[index]],
     )
     x, R_NG = state.predict(time_s)
-    guess = inverse_pose(m.X_NR) @ make_pose(R_NG, x[:3]) if n_located >= 2 else None
+    guess = inverse_pose(m.X_NR) @ make_pose(R_NG, x[POSITION]) if n_located >= 2 else None
     found = locate(state.rig, known, guess, number)
     if found.by == "nothing" and n_located < STEADY_FRAMES:
         return None
     if found.by != "nothing":
         X_NG = m.X_NR @ found.X_RG
-        R_NG, x[:3] = X_NG[:3, :3], X_NG[:3, 3]
+        R_NG, x[POSITION] = X_NG[:3, :3], X_NG[:3, 3]
         if n_located < STEADY_FRAMES:
             _difference(state, before, x, R_NG, time_s - before.time_s, whole=n_located == 1)
     frame = _frame(state, m, number, time_s, R_NG, x)
@@ -102,7 +103,7 @@ def _frame(
 ) -> Frame:
     R_RN, t_R = camera_of(m.X_NR)
     nothing, none = np.zeros(0, np.int64), np.zeros((0, 3))
-    information = state.camera.information(m.X_NR, R_NG, x[:3])
+    information = state.camera.information(m.X_NR, R_NG, x[POSITION])
     return Frame(number, time_s, R_RN, t_R, nothing, none, none, R_NG, x, information)
 
 
@@ -110,11 +111,11 @@ def _difference(
     state: EstimatorState, before: Frame, x: Array, R_NG: Array, dt_s: float, whole: bool
 ) -> None:
     """Set velocities by the difference of two poses; ``whole``: of both frames."""
-    com_G = state.active.constants[:3]
-    shift = x[:3] + R_NG @ com_G - before.x[:3] - before.R_NG @ com_G
-    x[6:9], x[9:12] = shift / dt_s, log_so3(before.R_NG.T @ R_NG) / dt_s
+    com_G = state.active.constants[COM]
+    shift = x[POSITION] + R_NG @ com_G - before.x[POSITION] - before.R_NG @ com_G
+    x[VELOCITY], x[RATE] = shift / dt_s, log_so3(before.R_NG.T @ R_NG) / dt_s
     if whole:
-        before.x[6:12] = x[6:12]
+        before.x[VELOCITY], before.x[RATE] = x[VELOCITY], x[RATE]
 
 
 def _predicted_sigma(state: EstimatorState, time_s: float) -> float:
@@ -123,7 +124,7 @@ def _predicted_sigma(state: EstimatorState, time_s: float) -> float:
         return np.inf
     covariance = np.linalg.inv(state.last.joint)
     dt = time_s - state.active.recent[-1].time_s
-    turn = covariance[3:6, 3:6] + dt**2 * covariance[9:12, 9:12]
+    turn = covariance[ROTATION, ROTATION] + dt**2 * covariance[RATE, RATE]
     return float(np.sqrt(np.linalg.eigvalsh(turn)[-1] + state.disturbances.torque_psd * dt**3 / 3.0))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
 
 from polhode.backend.problem.inertia import InertiaForm
-from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE, Iterate
+from polhode.backend.problem.iterate import COM, N_CONSTANTS, N_STATE, POSITION, RATE, VELOCITY, XI, Iterate
 from polhode.backend.uncertainty.covariance import state_jacobian, with_infinite
 from polhode.backend.uncertainty.identifiability import analyse, undetermined_states
 from polhode.backend.uncertainty.principal_axes import (
@@ -89,12 +89,12 @@ def online_state(
     (3, 3), the axes R_GP of the previous frame, chooses among the four equivalent orientations.
     """
     at = Iterate(
-        frame.x[None, :3],
+        frame.x[None, POSITION],
         frame.R_NG[None],
-        frame.x[None, 6:9],
-        frame.x[None, 9:12],
-        constants[:3],
-        constants[3:],
+        frame.x[None, VELOCITY],
+        frame.x[None, RATE],
+        constants[COM],
+        constants[XI],
         R_inertia,
         np.zeros((0, 3)),
     )
@@ -118,27 +118,28 @@ def online_state(
     known = determined.record
     # along the curved valley of one undetermined ratio, the other one changes too
     ratios = known.k1 and known.k2
-    cov_com, cov_J = dense[12:15, 12:15], dense[15:, 15:]
+    of_body = dense[N_STATE:, N_STATE:]
+    cov_com, cov_J = of_body[COM, COM], of_body[XI, XI]
     com_lost: Bools = np.abs(derivative.R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
     cov_axes = free_axis_covariance(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P)
     moments = derivative.moments
     return OnlineState(
         timestamp_ns,
-        frame.x[:3] + frame.R_NG @ constants[:3],
-        frame.x[6:9].copy(),
+        frame.x[POSITION] + frame.R_NG @ constants[COM],
+        frame.x[VELOCITY].copy(),
         frame.R_NG @ R_GP,
-        R_GP.T @ frame.x[9:12],
+        R_GP.T @ frame.x[RATE],
         with_infinite(covariance, lost) * np.outer(flip, flip),
         frame.X_NG_seen,
         float(np.log(moments[0] / moments[1])),
         float(np.log(moments[1] / moments[2])),
         with_infinite(derivative.ratios @ cov_J @ derivative.ratios.T, np.repeat(not ratios, 2)),
-        constants[:3].copy(),
+        constants[COM].copy(),
         with_infinite(cov_com, com_lost),
         R_GP,
         with_infinite(cov_axes, ~known.axes_P) * np.outer(np.diag(turn), np.diag(turn)),
-        constants[3:].copy(),
-        with_infinite(cov_J, determined.lost_constants[3:]),
+        constants[XI].copy(),
+        with_infinite(cov_J, determined.lost_constants[XI]),
         np.array([ratios, ratios, known.com, known.axes]),
     )
 

@@ -9,6 +9,7 @@ from scipy.linalg import LinAlgError
 from scipy.spatial.transform import Rotation
 
 from polhode.backend.noise.systematic import online_with_systematic
+from polhode.backend.problem.iterate import COM, RATE
 from polhode.backend.window.add_frame import first_frame, next_frame
 from polhode.backend.window.causal_state import OnlineState, online_state, unknown_state
 from polhode.backend.window.estimator_state import EstimatorState, initial_estimator_state
@@ -134,16 +135,16 @@ class SlidingWindow:
             return unknown_state(m.timestamp_ns, m.X_NR)
         frame = first_frame(state, m, self._number, time_s)
         radius = state.update_weak_prior()
-        state.active.constants[:3] = state.weak_prior[:3]
+        state.active.constants[COM] = state.weak_prior[:3]
         state.active.recent.append(frame)
         state.history = History(frame, state.gauge_information(radius))
-        return unknown_state(m.timestamp_ns, m.X_NR, frame, state.active.constants[:3])
+        return unknown_state(m.timestamp_ns, m.X_NR, frame, state.active.constants[COM])
 
     def _wait(self, m: FrameMeasurements, time_s: float) -> OnlineState:
         """The frame cannot be located yet. If this continues, the first frames are wrong: restart."""
         self._missed += len(m.landmark) >= FIRST_FRAMES
         active = self.state.active
-        online = unknown_state(m.timestamp_ns, m.X_NR, active.recent[-1], active.constants[:3])
+        online = unknown_state(m.timestamp_ns, m.X_NR, active.recent[-1], active.constants[COM])
         if self._missed > 2:
             return self._restart(m, time_s, "its first frames had nothing in common with those that follow")
         return online
@@ -165,7 +166,7 @@ class SlidingWindow:
             state.R_inertia,
             state.shape.form,
             state.last,
-            np.stack([frame.x[9:12] for frame in active.recent]),
+            np.stack([frame.x[RATE] for frame in active.recent]),
             self._axes,
         )
         self._axes = online.R_GP

@@ -7,7 +7,7 @@ import numpy as np
 
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.problem.inertia import inertia_from_second_moments
-from polhode.backend.problem.iterate import N_CONSTANTS
+from polhode.backend.problem.iterate import COM, N_CONSTANTS, POSITION, RATE, VELOCITY, XI
 from polhode.backend.solvers.linearization_point import COM_PRIOR_M, middle_and_radius
 from polhode.backend.solvers.robust_kernel import robust_gain
 from polhode.backend.window.active import ActiveWindow
@@ -65,7 +65,7 @@ class EstimatorState:
     @property
     def xi(self) -> Array:
         """(5,)"""
-        return self.active.constants[3:]
+        return self.active.constants[XI]
 
     @property
     def J_G(self) -> Array:
@@ -135,7 +135,7 @@ class EstimatorState:
         """Set another inertia."""
         self.R_inertia = R_inertia
         self.weak_prior[4:] = R_inertia.T.ravel()
-        self.active.constants = np.concatenate([self.active.constants[:3], xi])
+        self.active.constants = np.concatenate([self.active.constants[COM], xi])
 
     def gauge_information(self, radius_m: float) -> Array:
         """(6,) information of the prior on the first pose."""
@@ -143,21 +143,21 @@ class EstimatorState:
 
     def predict(self, time_s: float) -> tuple[Array, Array]:
         """State (12,) and attitude R_NG (3, 3) at a later time, by the dynamics."""
-        last, com_G = self.active.recent[-1], self.active.constants[:3]
+        last, com_G = self.active.recent[-1], self.active.constants[COM]
         dt = time_s - last.time_s
-        w_G = last.x[9:12]
+        w_G = last.x[RATE]
         J_G, dt_s = self.J_G, np.array([dt])
         series = series_steps(w_G[None], J_G, dt_s, self.disturbances.torque_psd)
         q, w_after, _, _ = propagate_rotations(w_G[None], J_G, dt_s, series)
         R_NG = last.R_NG @ matrix_from_wxyz(q[0])
-        r_N = last.x[:3] + last.R_NG @ com_G + dt * last.x[6:9]
-        return np.concatenate([r_N - R_NG @ com_G, np.zeros(3), last.x[6:9], w_after[0]]), R_NG
+        r_N = last.x[POSITION] + last.R_NG @ com_G + dt * last.x[VELOCITY]
+        return np.concatenate([r_N - R_NG @ com_G, np.zeros(3), last.x[VELOCITY], w_after[0]]), R_NG
 
     def add_newest_factor(self) -> None:
         """Add the dynamics to the newest state, whitened at the present rates."""
         before, frame = self.active.recent[-2:]
         dt_s = np.array([frame.time_s - before.time_s])
-        factor = make_factors(before.x[None, 9:12], self.J_G, self.J_noise, dt_s, self.disturbances)
+        factor = make_factors(before.x[None, RATE], self.J_G, self.J_noise, dt_s, self.disturbances)
         self.active.factors = self.active.factors.and_then(factor)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polhode.backend.dynamics.so3_exp import rotation_matrices
-from polhode.backend.problem.iterate import N_STATE
+from polhode.backend.problem.iterate import N_STATE, POSE, POSITION, ROTATION
 from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, StereoTracks
 
@@ -72,9 +72,12 @@ class CameraNoise:
         shift, turn = max(self.sigma_p_m, EXACT) ** 2, max(self.sigma_theta_rad, EXACT) ** 2
         arm = hat(p_NG - (X_NR @ inverse_pose(self.X_BR))[:3, 3])
         covariance = np.zeros((6, 6))
-        covariance[:3, :3] = shift * np.eye(3) - turn * arm @ arm
-        covariance[:3, 3:], covariance[3:, :3] = -turn * arm @ R_NG, turn * R_NG.T @ arm
-        covariance[3:, 3:] = turn * np.eye(3)
+        covariance[POSITION, POSITION] = shift * np.eye(3) - turn * arm @ arm
+        covariance[POSITION, ROTATION], covariance[ROTATION, POSITION] = (
+            -turn * arm @ R_NG,
+            turn * R_NG.T @ arm,
+        )
+        covariance[ROTATION, ROTATION] = turn * np.eye(3)
         return np.asarray(np.linalg.inv(covariance))
 
 
@@ -112,25 +115,25 @@ class Frame:
     """(6,) the seen pose at which the observations are linearized, once the arrival cost depends on it"""
 
     def __post_init__(self) -> None:
-        self.seen = self.x[:6] if self.camera_information is None else self.x[:6].copy()
+        self.seen = self.x[POSE] if self.camera_information is None else self.x[POSE].copy()
 
     @property
     def R_NG(self) -> Array:
         """(3, 3) the true attitude."""
-        return np.asarray(self.R_ref @ rotation_matrices(self.x[None, 3:6])[0])
+        return np.asarray(self.R_ref @ rotation_matrices(self.x[None, ROTATION])[0])
 
     @property
     def X_NG_seen(self) -> Array:
         """(4, 4)"""
-        return make_pose(self.R_ref @ rotation_matrices(self.seen[None, 3:6])[0], self.seen[:3])
+        return make_pose(self.R_ref @ rotation_matrices(self.seen[None, ROTATION])[0], self.seen[POSITION])
 
     def recenter(self) -> None:
         """Make the present attitude the reference, unless something else depends on the reference."""
-        if self.linearized_at is None and np.any(self.x[3:6]):
+        if self.linearized_at is None and np.any(self.x[ROTATION]):
             R_NG, R_seen = self.R_NG, self.X_NG_seen[:3, :3]
-            self.R_ref, self.x[3:6] = R_NG, 0.0
+            self.R_ref, self.x[ROTATION] = R_NG, 0.0
             if self.camera_information is not None:
-                self.seen[3:6] = log_so3(R_NG.T @ R_seen)
+                self.seen[ROTATION] = log_so3(R_NG.T @ R_seen)
 
     def fix_linearization(self) -> None:
         """From now on linearize the observations at the present pose (first-estimate Jacobians)."""

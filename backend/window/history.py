@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.backend.problem.inertia import InertiaForm
-from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
+from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, POSE, RATE
 from polhode.backend.window.active import ActiveWindow, add_parts, camera_part
 from polhode.backend.window.frame import Frame
 from polhode.backend.window.problem import (
@@ -61,7 +61,7 @@ class History:
         self.frames: list[Frame] = [first]
         self.n_added = 1
         """number of frames so far, including removed ones"""
-        self._gauge, self._first = gauge_information, first.x[:N_POSE].copy()
+        self._gauge, self._first = gauge_information, first.x[POSE].copy()
         self._H, self._b = np.zeros((N_POSE, N_POSE)), np.zeros(N_POSE)
         self.steps: DynamicsFactors = NO_FACTORS
         """dynamics between all frames at the last solution"""
@@ -161,7 +161,7 @@ class History:
     def _hold_gauge(self, H: Array, g: Array, true: Ints) -> None:
         first = true[:N_POSE]
         H[first, first] += self._gauge
-        g[first] += self._gauge * (self.frames[0].x[:N_POSE] - self._first)
+        g[first] += self._gauge * (self.frames[0].x[POSE] - self._first)
 
     def _add_cameras(self, H: Array, g: Array, seen: Ints, true: Ints, n_frames: int) -> None:
         pairs = zip(self.frames[:n_frames], seen.reshape(-1, N_POSE), true.reshape(-1, N_POSE), strict=False)
@@ -171,7 +171,7 @@ class History:
         self, x: Array, J_G: Array, J_noise: Array, disturbances: DisturbanceLevels
     ) -> DynamicsFactors:
         """The dynamics between all frames, whitened at the rates in x (``make_factors``)."""
-        w_G = x[:-N_CONSTANTS].reshape(-1, N_STATE)[:-1, 9:12]
+        w_G = x[:-N_CONSTANTS].reshape(-1, N_STATE)[:-1, RATE]
         return make_factors(w_G, J_G, J_noise, np.diff([frame.time_s for frame in self.frames]), disturbances)
 
     def arrival(self, active: ActiveWindow, form: InertiaForm, R_inertia: Array) -> Quadratic:

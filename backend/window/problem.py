@@ -28,7 +28,7 @@ from polhode.backend.problem.inertia import (
     inertia_derivative,
     inertia_from_second_moments,
 )
-from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
+from polhode.backend.problem.iterate import COM, N_CONSTANTS, N_STATE, ROTATION
 from polhode.backend.solvers.gauss_newton import CONSTANT_SCALE, Solution
 from polhode.compiled import compiled
 from polhode.lie import Array
@@ -180,7 +180,10 @@ def make_factors(
 def _states(x: Array, R_ref: Array) -> FrameStates:
     of_frames = x[:-N_CONSTANTS].reshape(-1, N_STATE)
     return FrameStates(
-        of_frames, R_ref @ rotation_matrices(of_frames[:, 3:6]), np.zeros((len(R_ref), 3)), x[-8:-5]
+        of_frames,
+        R_ref @ rotation_matrices(of_frames[:, ROTATION]),
+        np.zeros((len(R_ref), 3)),
+        x[-N_CONSTANTS:][COM],
     )
 
 
@@ -208,15 +211,15 @@ def add_factors(H: Array, g: Array, r: Array, D: Array, at: Ints) -> None:
     if len(r) == 0:
         return
     blocks, forces = np.swapaxes(D, 1, 2) @ D, (np.swapaxes(D, 1, 2) @ r[:, :, None])[:, :, 0]
-    c = len(g) - N_CONSTANTS
+    c, n = len(g) - N_CONSTANTS, 2 * N_STATE
     for e, start in enumerate(at):
-        both = slice(start, start + 2 * N_STATE)
-        H[both, both] += blocks[e, :24, :24]
-        H[both, c:] += blocks[e, :24, 24:]
-        H[c:, both] += blocks[e, 24:, :24]
-        g[both] += forces[e, :24]
-    H[c:, c:] += blocks[:, 24:, 24:].sum(axis=0)
-    g[c:] += forces[:, 24:].sum(axis=0)
+        both = slice(start, start + n)
+        H[both, both] += blocks[e, :n, :n]
+        H[both, c:] += blocks[e, :n, n:]
+        H[c:, both] += blocks[e, n:, :n]
+        g[both] += forces[e, :n]
+    H[c:, c:] += blocks[:, n:, n:].sum(axis=0)
+    g[c:] += forces[:, n:].sum(axis=0)
 
 
 class InertiaModel:

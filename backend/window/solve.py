@@ -11,7 +11,7 @@ from scipy.linalg import LinAlgError
 from polhode.backend.initialization.multistart import inertia_hypotheses
 from polhode.backend.initialization.rates import interpolated_rates, interval_rates
 from polhode.backend.problem.inertia import inertia_from_second_moments
-from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE
+from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, RATE, ROTATION
 from polhode.backend.solvers.gauss_newton import Solution
 from polhode.backend.window.active import add_parts
 from polhode.backend.window.causal_state import last_information
@@ -108,7 +108,7 @@ def solve_window(state: EstimatorState, solver: WindowSolver) -> None:
 
 
 def _small(poses: Array) -> bool:
-    return bool(np.abs(poses.reshape(-1, N_POSE)[:, 3:]).max() < SMALL_TURN_RAD)
+    return bool(np.abs(poses.reshape(-1, N_POSE)[:, ROTATION]).max() < SMALL_TURN_RAD)
 
 
 def _remember(
@@ -150,7 +150,7 @@ def _differenced_rates(history: History, x: Array) -> tuple[Array, Array, Array]
     time_s = np.array([frame.time_s for frame in history.frames])
     w_G = interpolated_rates(time_s, *interval_rates(time_s, R_NG)[::-1])
     fresh = x.copy()
-    fresh[:-N_CONSTANTS].reshape(-1, N_STATE)[:, 9:12] = w_G
+    fresh[:-N_CONSTANTS].reshape(-1, N_STATE)[:, RATE] = w_G
     return fresh, R_NG, w_G
 
 

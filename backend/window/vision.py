@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.backend.dynamics.so3_exp import right_jacobians, rotation_matrices
+from polhode.backend.problem.iterate import N_POSE, POSITION, ROTATION
 from polhode.backend.solvers.robust_kernel import robust_weight
 from polhode.backend.solvers.schur import (
     back_substitute,
@@ -18,7 +19,6 @@ from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 
-N_POSE = 6
 GATE = 4.5
 """Largest norm of a whitened residual that agrees with the rest; of Gaussian ones 1 in 5700 is larger."""
 
@@ -99,11 +99,11 @@ def poses_of(frames: list[Frame]) -> FramePoses:
     return FramePoses(
         R_RN=R_RN,
         t_R=np.stack([f.t_R for f in frames]),
-        p_NG=np.ascontiguousarray(now[:, :3]),
-        A=R_RN @ R_ref @ rotation_matrices(now[:, 3:]),
-        p_linearized=np.ascontiguousarray(linearized[:, :3]),
-        A_linearized=R_RN @ R_ref @ rotation_matrices(linearized[:, 3:]),
-        Jr=right_jacobians(linearized[:, 3:]),
+        p_NG=np.ascontiguousarray(now[:, POSITION]),
+        A=R_RN @ R_ref @ rotation_matrices(now[:, ROTATION]),
+        p_linearized=np.ascontiguousarray(linearized[:, POSITION]),
+        A_linearized=R_RN @ R_ref @ rotation_matrices(linearized[:, ROTATION]),
+        Jr=right_jacobians(linearized[:, ROTATION]),
     )
 
 
