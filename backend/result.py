@@ -14,7 +14,7 @@ from polhode.backend.solvers.linearization_point import linearization_point
 from polhode.backend.solvers.robust_kernel import robust_information, robust_weight
 from polhode.backend.uncertainty.covariance import (
     Marginals,
-    last_body_covariance,
+    body_jacobians,
     marginals,
     pose_covariances,
     state_covariances,
@@ -66,7 +66,7 @@ def assemble(
     w_P = iterate.w_G @ R_GP
     determined = analyse(m.constants_information, derivative, w_P)
     covariance, joint = _state_covariances(data, iterate, m, derivative, determined, w_P)
-    true = FrameStates(_numbers(iterate), iterate.R_NG, data.camera_N, iterate.com_G)
+    true = FrameStates.of(iterate, data.camera_N)
     mass = _mass(iterate, m, derivative, determined)
     mass = with_absolute_scale(mass, iterate, data.form, m, derivative, data.impulses)
     disturbances = estimate_impulses(
@@ -84,7 +84,7 @@ def assemble(
         X_NG=make_pose(iterate.R_NG, iterate.p_NG),
         covariance=covariance,
         covariance_last_joint=joint,
-        covariance_last_body=last_body_covariance(iterate, m, data.camera_N),
+        covariance_last_body=state_covariances(iterate, m, body_jacobians(iterate, data.camera_N))[1],
         covariance_X_NG=pose_covariances(iterate, m),
         mass=mass,
         landmarks=_landmarks(kept.data, small, m),
@@ -122,10 +122,6 @@ def _state_covariances(
     constants_lost = determined.lost_constants
     joint = with_infinite(joint, np.concatenate([lost[-1], constants_lost[XI], constants_lost[COM]]))
     return covariance, joint
-
-
-def _numbers(iterate: Iterate) -> Array:
-    return iterate.vector()[: iterate.n_states].reshape(-1, iterate.n_state)
 
 
 def _mass(

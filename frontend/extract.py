@@ -1,10 +1,11 @@
 """Stereo features and depth maps of every pair of a sequence, computed in parallel processes."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Frontend
+from polhode.config.frontend import Depth, Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import compute_depth
 from polhode.frontend.features.methods import feature_method
@@ -38,7 +39,7 @@ def extract_features(
     feature_method(config), match_method(config)
     config = with_patch_size(config, sequence, rectifier)
     features: list[StereoFeatures] = []
-    job = _FeatureJob(sequence, rectifier, config)
+    job = partial(_features_of, sequence, rectifier, config)
     for extracted in in_order(job, range(len(sequence)), workers, PRELOADED):
         features.append(extracted)
         tick()
@@ -57,8 +58,8 @@ def extract_depth(
     disparity_ranges_px: for each pair, the range of the target's disparity that the sparse map predicts, if
     any.
     """
-    job = _DepthJob(sequence, rectifier, config, disparity_ranges_px)
-    return in_order(job, range(len(sequence)), workers)
+    jobs = list(enumerate(disparity_ranges_px))
+    return in_order(partial(_depth_of, sequence, rectifier, config.depth), jobs, workers)
 
 
 def extract_pair(pair: RectifiedPair, rig: RectifiedRig, config: Frontend) -> StereoFeatures:
@@ -70,25 +71,17 @@ def extract_pair(pair: RectifiedPair, rig: RectifiedRig, config: Frontend) -> St
     return replace(features, picture=ImageCrop(part, (crop.u0, crop.v0)))
 
 
-@dataclass(frozen=True)
-class _FeatureJob:
-    sequence: StereoSequence
-    rectifier: Rectifier
-    config: Frontend
-
-    def __call__(self, k: int) -> StereoFeatures:
-        pair = rectified_pair(self.sequence, self.rectifier, k)
-        return extract_pair(pair, self.rectifier.rig, self.config)
+def _features_of(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k: int) -> StereoFeatures:
+    return extract_pair(rectified_pair(sequence, rectifier, k), rectifier.rig, config)
 
 
-@dataclass(frozen=True)
-class _DepthJob:
-    sequence: StereoSequence
-    rectifier: Rectifier
-    config: Frontend
-    disparity_ranges_px: Sequence[tuple[float, float] | None]
-
-    def __call__(self, k: int) -> DepthMap:
-        pair = rectified_pair(self.sequence, self.rectifier, k)
-        rig, span = self.rectifier.rig, self.disparity_ranges_px[k]
-        return compute_depth(pair.left, pair.right, pair.mask_left, rig, self.config.depth, span)
+def _depth_of(
+    sequence: StereoSequence,
+    rectifier: Rectifier,
+    config: Depth,
+    job: tuple[int, tuple[float, float] | None],
+) -> DepthMap:
+    """The depth of pair k, given its range of disparity."""
+    k, span = job
+    pair = rectified_pair(sequence, rectifier, k)
+    return compute_depth(pair.left, pair.right, pair.mask_left, rectifier.rig, config, span)

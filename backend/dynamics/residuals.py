@@ -7,7 +7,7 @@ those seen from the stated camera pose, the true ones follow by the rotation ``E
 and the shift b.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -28,13 +28,13 @@ from polhode.backend.problem.iterate import (
     ERR_THETA,
     ERR_V,
     ERR_W,
-    N_CONSTANTS,
     N_STATE,
     POSITION,
     RATE,
     ROTATION,
     VELOCITY,
-)
+    Iterate,
+)  # fmt: skip
 from polhode.backend.problem.wrench import FORCE_BIAS, LN_MASS, N_OF_ROTATION, N_WRENCH, torque_in_G
 from polhode.compiled import compiled
 from polhode.lie import Array, hat
@@ -62,10 +62,11 @@ class FrameStates:
     R_torque: Array | None = None
     """(3, 3) reference of the torque's axes in G"""
 
-    @property
-    def n_constants(self) -> int:
-        """Number of constants: com_G, xi and the wrench's unknowns."""
-        return N_CONSTANTS if self.wrench is None else N_CONSTANTS + N_WRENCH
+    @staticmethod
+    def of(at: Iterate, camera_N: Array) -> "FrameStates":
+        """The states of an iterate, whose theta is 0; camera_N (F, 3) stated positions of the camera."""
+        numbers = at.vector()[: at.n_states].reshape(-1, at.n_state)
+        return FrameStates(numbers, at.R_NG, camera_N, at.com_G, at.wrench, at.R_torque)
 
     def true_attitudes(self) -> Array:
         """(F, 3, 3) attitudes, corrected for the errors of the camera's attitude."""
@@ -100,6 +101,16 @@ class Steps:
     """(F - 1, 2, 3) effect of a known force on position [N s^2] and velocity [N s] of 1 kg"""
     torque_P: Array | None = None
     """(F - 1, S, 2, 3) known torque over each series [N m]"""
+
+    def part(self, chosen: slice) -> "Steps":
+        """Some of the steps."""
+        parts = (getattr(self, each.name) for each in fields(self))
+        return Steps(*(None if part is None else part[chosen] for part in parts))
+
+    def and_then(self, other: "Steps") -> "Steps":
+        """These steps, then the others; without known wrench."""
+        names = ("dt_s", "series", "W_t", "W_r")
+        return Steps(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
 
     def whiten(self, errors: Array) -> Array:
         """Scale errors (F - 1, 12, ...) of position, velocity, attitude, rate to unit covariance."""

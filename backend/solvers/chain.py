@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+from polhode.backend.problem.iterate import N_POSE
 from polhode.compiled import compiled
 from polhode.lie import Array
 
-POSE = 6
 PANEL = 96
 """Columns that are updated at once."""
 
@@ -41,7 +41,7 @@ def eliminate_chain(H: Array, g: Array, n_frames: int, n_state: int, damping: fl
 
     Raises LinAlgError when the chain's block is not positive definite.
     """
-    d, n_poses = n_state - POSE, POSE * n_frames
+    d, n_poses = n_state - N_POSE, N_POSE * n_frames
     size = n_poses + len(g) - n_state * n_frames
     diagonal, below = np.zeros((n_frames, d, d)), np.zeros((n_frames, d, d))
     X, y = np.zeros((n_frames * d, size)), np.zeros(n_frames * d)
@@ -54,7 +54,7 @@ def eliminate_chain(H: Array, g: Array, n_frames: int, n_state: int, damping: fl
         for start in range(0, n_poses, PANEL):
             end = min(start + PANEL, n_poses)
             # rows of X above this one are zero in these columns
-            first = max(start // POSE - 1, 0) * d
+            first = max(start // N_POSE - 1, 0) * d
             dense[start:end, :end] -= X[first:, start:end].T @ X[first:, :end]
         dense[n_poses:] -= X[:, n_poses:].T @ X
         dense_gradient -= X.T @ y
@@ -71,9 +71,9 @@ def solve_with_chain(chain: ChainFactor, n_state: int) -> Array:
     along = chain.gradient + chain.coupling @ rest
     n_frames = len(chain.diagonal)
     states = np.empty((n_frames, n_state))
-    states[:, :POSE] = rest[: POSE * n_frames].reshape(-1, POSE)
-    states[:, POSE:] = _back_substitute(chain.diagonal, chain.below, along)
-    return np.concatenate([states.ravel(), rest[POSE * n_frames :]])
+    states[:, :N_POSE] = rest[: N_POSE * n_frames].reshape(-1, N_POSE)
+    states[:, N_POSE:] = _back_substitute(chain.diagonal, chain.below, along)
+    return np.concatenate([states.ravel(), rest[N_POSE * n_frames :]])
 
 
 @compiled
@@ -81,10 +81,10 @@ def _gather(
     H: Array, g: Array, n_frames: int, s: int, damping: float, dense: Array, dense_gradient: Array
 ) -> None:
     """Poses and constants of H, lower triangle."""
-    size, n_poses, n_states = len(dense), POSE * n_frames, s * n_frames
+    size, n_poses, n_states = len(dense), N_POSE * n_frames, s * n_frames
     at = np.empty(size, dtype=np.int64)
     for a in range(size):
-        at[a] = s * (a // POSE) + a % POSE if a < n_poses else n_states + a - n_poses
+        at[a] = s * (a // N_POSE) + a % N_POSE if a < n_poses else n_states + a - n_poses
     for a in range(size):
         dense_gradient[a] = g[at[a]]
         for b in range(a + 1):
@@ -97,23 +97,23 @@ def _factor(
     H: Array, g: Array, n_frames: int, s: int, grow: float, diagonal: Array, below: Array, X: Array, y: Array
 ) -> bool:
     """Fill the fields of ``ChainFactor``; False if a pivot is not positive."""
-    d, n_poses, n_states = s - POSE, POSE * n_frames, s * n_frames
+    d, n_poses, n_states = s - N_POSE, N_POSE * n_frames, s * n_frames
     constants = len(g) - n_states
     for k in range(n_frames):
-        at, row = s * k + POSE, d * k
+        at, row = s * k + N_POSE, d * k
         L = diagonal[k]
         for i in range(d):
             for j in range(i + 1):
                 L[i, j] = H[at + i, at + j] * (grow if i == j else 1.0)
             for p in range(max(k - 1, 0), min(k + 2, n_frames)):
-                for c in range(POSE):
+                for c in range(N_POSE):
                     b = s * p + c
-                    X[row + i, POSE * p + c] = H[at + i, b] if b < at else H[b, at + i]
+                    X[row + i, N_POSE * p + c] = H[at + i, b] if b < at else H[b, at + i]
             for c in range(constants):
                 X[row + i, n_poses + c] = H[n_states + c, at + i]
             y[row + i] = g[at + i]
         if k > 0:
-            left, filled = below[k - 1], POSE * (k + 1)
+            left, filled = below[k - 1], N_POSE * (k + 1)
             for i in range(d):
                 for j in range(d):
                     factor = left[i, j]
@@ -126,7 +126,7 @@ def _factor(
                     y[row + i] -= factor * y[row - d + j]
         if not _cholesky(L):
             return False
-        filled = POSE * min(k + 2, n_frames)
+        filled = N_POSE * min(k + 2, n_frames)
         for i in range(d):
             for j in range(i):
                 for c in range(filled):

@@ -1,18 +1,29 @@
 """Gauss-Newton with Levenberg damping, landmarks eliminated: reference solver and source of covariances."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
 from polhode.backend.dynamics.kernels import prior_kernel
 from polhode.backend.dynamics.residuals import FrameStates, add_steps, dynamics_jacobians, dynamics_residuals
-from polhode.backend.problem.inertia import N_INERTIA, inertia_derivative
-from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE, POSITION, ROTATION, Iterate
+from polhode.backend.problem.inertia import N_INERTIA, InertiaForm, inertia_derivative
+from polhode.backend.problem.iterate import (
+    N_CAMERA,
+    N_CONSTANTS,
+    N_POSE,
+    N_STATE,
+    POSE,
+    POSITION,
+    ROTATION,
+    Iterate,
+)  # fmt: skip
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import LN_MASS, LN_PRIOR, LN_SCALE, wrench_residual
-from polhode.backend.solvers.chain import POSE, eliminate_chain, solve_with_chain
+from polhode.backend.solvers.chain import eliminate_chain, solve_with_chain
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.robust_kernel import kernel_curvature, robust_cost, robust_weight
 from polhode.backend.solvers.schur import (
@@ -96,6 +107,27 @@ class NormalEquations:
     """unknowns of a frame in H and g"""
 
 
+class WeakPrior:
+    """The weak prior on com_G and xi (``kernels.prior_residual``), whose kernel is built once."""
+
+    def __init__(self, form: InertiaForm) -> None:
+        self.form = form
+        self._kernel: Any = prior_kernel(form)
+        self._known: tuple[bytes, tuple[float, Array, Array]] | None = None
+
+    def __call__(self, constants: Array, parameters: Array) -> tuple[float, Array, Array]:
+        """Cost, gradient (8,) and Hessian (8, 8) at com_G, xi (8,)."""
+        # it is evaluated repeatedly at the same point
+        at = constants.tobytes() + parameters.tobytes()
+        if self._known is None or self._known[0] != at:
+            cost, gradient, upper = self._kernel(constants, parameters)
+            cols, rows = np.tril_indices(N_CONSTANTS)
+            block = np.zeros((N_CONSTANTS, N_CONSTANTS))
+            block[rows, cols] = block[cols, rows] = np.asarray(upper).ravel()
+            self._known = at, (float(cost), np.asarray(gradient).ravel(), block)
+        return self._known[1]
+
+
 class GaussNewton:
     """Solver of the weighted problem that ``ipopt.MotionProgram`` states; kernels are built once."""
 
@@ -111,7 +143,7 @@ class GaussNewton:
         self.data = data
         self.with_dynamics = with_dynamics
         self.line_search = line_search
-        self._prior = prior_kernel(data.form)
+        self._prior: Callable[[Array, Array], tuple[float, Array, Array]] = WeakPrior(data.form)
 
     def solve(
         self, fixed: LinearizationPoint, x: Array, max_iterations: int, max_seconds: float = np.inf
@@ -184,7 +216,7 @@ class GaussNewton:
         total = robust_cost(np.sum(residuals**2, axis=1), self.data.robust_scale)
         n = fixed.reference.n_states
         total += self.dynamics_cost(fixed, x)
-        total += float(self._prior(x[n : n + 8], fixed.prior)[0])
+        total += self._prior(x[n : n + N_CONSTANTS], fixed.prior)[0]
         total += self.camera_cost(fixed, x) + self.wrench_cost(fixed, x)
         return total + 0.5 * float(np.sum(fixed.gauge_information * self._gauge_offset(fixed, x) ** 2))
 
@@ -207,9 +239,8 @@ class GaussNewton:
     def prior_information(self, fixed: LinearizationPoint, x: Array) -> Array:
         """Gauss-Newton Hessian (8, 8) of the weak prior on com_G and xi; (19, 19) with a known wrench."""
         n, c = fixed.reference.n_states, fixed.reference.n_constants
-        cols, rows = np.tril_indices(N_CONSTANTS)
-        block = np.zeros((c, c))
-        block[rows, cols] = block[cols, rows] = np.asarray(self._prior(x[n : n + 8], fixed.prior)[2]).ravel()
+        block, body = np.zeros((c, c)), slice(n, n + N_CONSTANTS)
+        block[:N_CONSTANTS, :N_CONSTANTS] = self._prior(x[body], fixed.prior)[2]
         logs = np.array([LN_SCALE, LN_MASS]) + N_CONSTANTS if c > N_CONSTANTS else np.zeros(0, dtype=int)
         block[logs, logs] = LN_PRIOR**-2
         return block
@@ -283,9 +314,9 @@ class GaussNewton:
                 C_inv = self._inverse_landmarks(system, damping)
                 chain = eliminate_chain(system.H, system.g, d.n_frames, system.n_state, damping)
                 S, g = chain.dense, chain.dense_gradient
-                at = POSE * d.n_frames + np.arange(N_CONSTANTS)
+                at = N_POSE * d.n_frames + np.arange(N_CONSTANTS)
                 S[at, at] += damped.of_constants / CONSTANT_SCALE**2
-                subtract_landmarks(S, g, d.frame, d.start, system.E, C_inv, system.h, POSE)
+                subtract_landmarks(S, g, d.frame, d.start, system.E, C_inv, system.h, N_POSE)
                 step = solve_with_chain(chain, system.n_state)
                 break
             except LinAlgError:
@@ -335,14 +366,15 @@ class GaussNewton:
         return 0.5 * float(np.sum(residual**2))
 
     def _add_prior(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array) -> float:
-        n = fixed.reference.n_states
-        cost, gradient, _ = self._prior(x[n : n + 8], fixed.prior)
-        H[n : n + 8, n : n + 8] += self.prior_information(fixed, x)[:8, :8]
-        g[n : n + 8] += np.asarray(gradient).ravel()
+        body = slice(fixed.reference.n_states, fixed.reference.n_states + N_CONSTANTS)
+        cost, gradient, hessian = self._prior(x[body], fixed.prior)
+        H[body, body] += hessian
+        g[body] += gradient
         offset = self._gauge_offset(fixed, x)
-        H[np.arange(6), np.arange(6)] += fixed.gauge_information
-        g[:6] += fixed.gauge_information * offset
-        return float(cost) + 0.5 * float(np.sum(fixed.gauge_information * offset**2))
+        pose = np.arange(N_POSE)
+        H[pose, pose] += fixed.gauge_information
+        g[POSE] += fixed.gauge_information * offset
+        return cost + 0.5 * float(np.sum(fixed.gauge_information * offset**2))
 
     def _gauge_offset(self, fixed: LinearizationPoint, x: Array) -> Array:
         return np.concatenate([x[POSITION] - fixed.reference.p_NG[0], x[ROTATION]])

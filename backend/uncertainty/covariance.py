@@ -6,7 +6,7 @@ absolute covariance: the camera's frame is known, and with G fixed the landmarks
 first pose.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -136,12 +136,11 @@ def body_jacobians(iterate: Iterate, camera_N: Array | None = None) -> Array:
     """Derivative (F, 12, s + 8) of r_N, v_N, theta in R_NG Exp(theta), w_G of each frame, true poses.
 
     In the s unknowns of the frame and in (com_G, xi). camera_N (F, 3), see MotionData, is needed when s = 18.
+    The principal axes are not involved, so the covariance of these states stays finite where the axes are
+    undetermined; the prior bounds it.
     """
     n, s = iterate.n_frames, iterate.n_state
-    numbers = iterate.vector()[: iterate.n_states].reshape(n, s)
-    states = FrameStates(
-        numbers, iterate.R_NG, np.zeros((n, 3)) if camera_N is None else camera_N, iterate.com_G
-    )
+    states = FrameStates.of(iterate, np.zeros((n, 3)) if camera_N is None else camera_N)
     out = np.zeros((n, 12, s + N_CONSTANTS))
     out[:, ERR_R, :s], out[:, ERR_THETA, :s] = state_derivatives(states)
     out[:, ERR_R, s : s + 3] = states.true_attitudes()
@@ -157,20 +156,6 @@ def state_jacobians(iterate: Iterate, derivative: AxesDerivative, camera_N: Arra
     out[:, ERR_THETA, s + 3 :] += derivative.axes
     out[:, ERR_W, s + 3 :] += hat(iterate.w_G @ R_GP) @ derivative.axes
     return out
-
-
-def state_jacobian(iterate: Iterate, k: int, derivative: AxesDerivative) -> tuple[Array, Array]:
-    """As above for frame k alone, the camera's pose exact: in its 12 unknowns, and in (com_G, xi) (12, 8)."""
-    only = slice(k, k + 1)
-    frame = replace(
-        iterate,
-        p_NG=iterate.p_NG[only],
-        R_NG=iterate.R_NG[only],
-        v_N=iterate.v_N[only],
-        w_G=iterate.w_G[only],
-    )
-    own, constants = np.split(state_jacobians(frame, derivative)[0], [N_STATE], axis=1)
-    return own, constants
 
 
 def state_covariances(iterate: Iterate, m: Marginals, jacobians: Array) -> tuple[Array, Array]:
@@ -207,15 +192,6 @@ def pose_covariances(iterate: Iterate, m: Marginals) -> Array:
         shared = T @ against_mean[at]
         out[k] = T @ m.dense[at, at] @ T.T - shared - shared.T + mean
     return out
-
-
-def last_body_covariance(iterate: Iterate, m: Marginals, camera_N: Array | None = None) -> Array:
-    """Covariance (20, 20) of the last r_N, v_N, theta in R_NG Exp(theta), w_G, then xi, com_G.
-
-    It does not involve the principal axes, so it stays finite where they are undetermined; the prior bounds
-    it.
-    """
-    return state_covariances(iterate, m, body_jacobians(iterate, camera_N))[1]
 
 
 def with_infinite(covariance: Array, lost: Bools) -> Array:

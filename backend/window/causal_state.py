@@ -7,7 +7,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
 
 from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import COM, N_CONSTANTS, N_STATE, POSITION, RATE, VELOCITY, XI, Iterate
-from polhode.backend.uncertainty.covariance import state_jacobian, with_infinite
+from polhode.backend.uncertainty.covariance import state_jacobians, with_infinite
 from polhode.backend.uncertainty.identifiability import analyse, undetermined_states
 from polhode.backend.uncertainty.principal_axes import (
     axes_derivative,
@@ -35,8 +35,8 @@ class OnlineState:
     covariance: Array
     """(12, 12) r, v, theta, w; inf on the diagonal where undetermined"""
     X_NG: Array
-    k1: float
-    k2: float
+    k: Array
+    """(2,) k1, k2"""
     cov_k: Array
     """(2, 2)"""
     com_G: Array
@@ -107,8 +107,7 @@ def online_state(
     constants_information = bare[N_STATE:, N_STATE:] + joint[N_STATE:, :N_STATE] @ response
     w_P = recent_w_G @ derivative.R_GP
     determined = analyse(0.5 * (constants_information + constants_information.T), derivative, w_P)
-    own, of_constants = state_jacobian(at, 0, derivative)
-    T = np.hstack([own, of_constants])
+    T = state_jacobians(at, derivative)[0]
     dense = np.asarray(np.linalg.inv(joint))
     covariance = T @ dense @ T.T
     lost = undetermined_states(determined, T[None], response, w_P[-1:])[0]
@@ -131,8 +130,7 @@ def online_state(
         R_GP.T @ frame.x[RATE],
         with_infinite(covariance, lost) * np.outer(flip, flip),
         frame.X_NG_seen,
-        float(np.log(moments[0] / moments[1])),
-        float(np.log(moments[1] / moments[2])),
+        np.log(moments[:2] / moments[1:]),
         with_infinite(derivative.ratios @ cov_J @ derivative.ratios.T, np.repeat(not ratios, 2)),
         constants[COM].copy(),
         with_infinite(cov_com, com_lost),
@@ -158,8 +156,7 @@ def unknown_state(
         np.zeros(3),
         np.diag(np.full(12, np.inf)),
         X_NG,
-        0.0,
-        0.0,
+        np.zeros(2),
         np.diag(np.full(2, np.inf)),
         com,
         np.diag(np.full(3, np.inf)),

@@ -1,7 +1,7 @@
 """The sliding window: the causal state with its covariance, frame by frame, in bounded time and memory."""
 
 import logging
-from dataclasses import replace
+from dataclasses import fields, replace
 from time import perf_counter
 
 import numpy as np
@@ -164,7 +164,7 @@ class SlidingWindow:
             active.recent[-1],
             active.constants,
             state.R_inertia,
-            state.shape.form,
+            state.prior.form,
             state.last,
             np.stack([frame.x[RATE] for frame in active.recent]),
             self._axes,
@@ -202,22 +202,9 @@ def window_warnings(n_frames: int, config: Backend) -> list[str]:
 
 def stack_states(states: list[OnlineState]) -> OnlineEstimate:
     """One record of the states of all frames."""
-    return OnlineEstimate(
-        timestamps_ns=np.array([s.timestamp_ns for s in states], dtype=np.int64),
-        r_N=np.stack([s.r_N for s in states]),
-        v_N=np.stack([s.v_N for s in states]),
-        R_NP=np.stack([s.R_NP for s in states]),
-        w_P=np.stack([s.w_P for s in states]),
-        covariance=np.stack([s.covariance for s in states]),
-        X_NG=np.stack([s.X_NG for s in states]),
-        k=np.array([[s.k1, s.k2] for s in states]),
-        cov_k=np.stack([s.cov_k for s in states]),
-        com_G=np.stack([s.com_G for s in states]),
-        cov_com_G=np.stack([s.cov_com_G for s in states]),
-        R_GP=np.stack([s.R_GP for s in states]),
-        cov_R_GP=np.stack([s.cov_R_GP for s in states]),
-        determined=np.stack([s.determined for s in states]),
-    )
+    names = (each.name for each in fields(OnlineEstimate) if each.name != "timestamps_ns")
+    stacked = {name: np.stack([getattr(state, name) for state in states]) for name in names}
+    return OnlineEstimate(np.array([s.timestamp_ns for s in states], dtype=np.int64), **stacked)
 
 
 def align_online_estimate(online: OnlineEstimate, final: MotionEstimate) -> OnlineEstimate:

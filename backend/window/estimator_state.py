@@ -6,15 +6,16 @@ from operator import is_
 import numpy as np
 
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
-from polhode.backend.problem.inertia import inertia_from_second_moments
+from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
 from polhode.backend.problem.iterate import COM, N_CONSTANTS, POSITION, RATE, VELOCITY, XI
+from polhode.backend.solvers.gauss_newton import WeakPrior
 from polhode.backend.solvers.linearization_point import COM_PRIOR_M, middle_and_radius
 from polhode.backend.solvers.robust_kernel import robust_gain
 from polhode.backend.window.active import ActiveWindow
 from polhode.backend.window.causal_state import LastInformation
 from polhode.backend.window.frame import CameraNoise, LandmarkSlots
 from polhode.backend.window.history import History
-from polhode.backend.window.problem import DisturbanceLevels, InertiaModel, make_factors
+from polhode.backend.window.problem import DisturbanceLevels, make_factors
 from polhode.backend.window.vision import (
     CondensedVision,
     WindowObservations,
@@ -36,7 +37,7 @@ class EstimatorState:
 
     rig: RectifiedRig
     robust_scale: float
-    shape: InertiaModel
+    prior: WeakPrior
     disturbances: DisturbanceLevels
     landmarks: LandmarkSlots = field(default_factory=LandmarkSlots)
     active: ActiveWindow = field(default_factory=ActiveWindow)
@@ -70,7 +71,7 @@ class EstimatorState:
     @property
     def J_G(self) -> Array:
         """(3, 3) up to scale."""
-        return inertia_from_second_moments(self.shape.form.second_moments(self.xi, self.R_inertia))
+        return inertia_from_second_moments(self.prior.form.second_moments(self.xi, self.R_inertia))
 
     @property
     def J_noise(self) -> Array:
@@ -128,7 +129,7 @@ class EstimatorState:
 
     def recenter_inertia(self) -> None:
         """Move the reference of the inertia to its value, while nothing else depends on the reference."""
-        xi, R_inertia = self.shape.form.coordinates(self.shape.form.second_moments(self.xi, self.R_inertia))
+        xi, R_inertia = self.prior.form.coordinates(self.prior.form.second_moments(self.xi, self.R_inertia))
         self.set_inertia(xi, R_inertia)
 
     def set_inertia(self, xi: Array, R_inertia: Array) -> None:
@@ -163,11 +164,11 @@ class EstimatorState:
 
 def initial_estimator_state(rig: RectifiedRig, config: Backend, camera: CameraNoise) -> EstimatorState:
     """State before the first frame, with the inertia of a sphere."""
-    shape = InertiaModel(config.inertia)
+    prior = WeakPrior(FORMS[config.inertia])
     state = EstimatorState(
-        rig, config.robust_scale, shape, DisturbanceLevels(config.accel_psd, config.torque_psd)
+        rig, config.robust_scale, prior, DisturbanceLevels(config.accel_psd, config.torque_psd)
     )
     state.camera, state.active.noisy_camera = camera, not camera.exact
-    xi, state.R_inertia = shape.form.coordinates(np.eye(3))
+    xi, state.R_inertia = prior.form.coordinates(np.eye(3))
     state.active.constants = np.concatenate([np.zeros(N_CONSTANTS - len(xi)), xi])
     return state

@@ -45,7 +45,7 @@ class IpoptSolver:
         series = int(problem.factors.steps.series.max(initial=1))
         if self._program is None or series > self._series:
             self._series = series
-            self._program = _build(_Layout(self.n_frames), problem.shape.form, series)
+            self._program = _build(_Layout(self.n_frames), problem.prior.form, series)
         at = _Layout(self.n_frames).entries(problem.n_frames)
         before, H, _ = problem.normal_equations(x)
         size = np.ones(N_STATE * self.n_frames + N_CONSTANTS)

@@ -49,7 +49,7 @@ def _marginalize(state: EstimatorState, dropped: int | None) -> None:
     ``dropped``: index of a key, or of the new one, that is marginalized completely.
     """
     active = state.active
-    parts = [active.oldest_step(state.shape.form, state.R_inertia), *active.camera_parts(1)]
+    parts = [active.oldest_step(state.prior.form, state.R_inertia), *active.camera_parts(1)]
     gone = [active.oldest_velocities()]
     if dropped is not None:
         parts.append((active.seen_entries, *_condense(state, dropped)))

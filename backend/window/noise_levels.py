@@ -50,7 +50,7 @@ def estimate_levels(state: EstimatorState, history: History, stated: tuple[float
             return np.inf
         noise = replace(state.disturbances, accel_psd=levels[0], torque_psd=levels[1])
         factors = history.factors(x, state.J_G, state.J_noise, noise)
-        problem = WindowProblem(vision, history.R_ref, factors, state.weak_prior, state.shape)
+        problem = WindowProblem(vision, history.R_ref, factors, state.weak_prior, state.prior)
         try:
             solution = NewtonSolver().solve(problem, x, ITERATIONS)
             factor = cholesky(problem.normal_equations(solution.x)[1], lower=True, check_finite=False)

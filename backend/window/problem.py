@@ -6,12 +6,11 @@ with damping of the centre of mass and the inertia.
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_triangular
 
-from polhode.backend.dynamics.kernels import prior_kernel
 from polhode.backend.dynamics.process_noise import whitening
 from polhode.backend.dynamics.propagation import series_steps
 from polhode.backend.dynamics.residuals import (
@@ -23,13 +22,12 @@ from polhode.backend.dynamics.residuals import (
 )
 from polhode.backend.dynamics.so3_exp import rotation_matrices
 from polhode.backend.problem.inertia import (
-    FORMS,
     InertiaForm,
     inertia_derivative,
     inertia_from_second_moments,
 )
 from polhode.backend.problem.iterate import COM, N_CONSTANTS, N_STATE, ROTATION
-from polhode.backend.solvers.gauss_newton import CONSTANT_SCALE, Solution
+from polhode.backend.solvers.gauss_newton import CONSTANT_SCALE, Solution, WeakPrior
 from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
@@ -139,19 +137,11 @@ class DynamicsFactors:
 
     def part(self, chosen: slice) -> "DynamicsFactors":
         """Some of the steps."""
-        s = self.steps
-        return DynamicsFactors(Steps(s.dt_s[chosen], s.series[chosen], s.W_t[chosen], s.W_r[chosen]), 0.0)
+        return DynamicsFactors(self.steps.part(chosen), 0.0)
 
     def and_then(self, other: "DynamicsFactors") -> "DynamicsFactors":
         """These steps, then the others."""
-        a, b = self.steps, other.steps
-        joined = Steps(
-            np.concatenate([a.dt_s, b.dt_s]),
-            np.concatenate([a.series, b.series]),
-            np.concatenate([a.W_t, b.W_t]),
-            np.concatenate([a.W_r, b.W_r]),
-        )
-        return DynamicsFactors(joined, self.half_log_det + other.half_log_det)
+        return DynamicsFactors(self.steps.and_then(other.steps), self.half_log_det + other.half_log_det)
 
 
 NO_FACTORS = DynamicsFactors(
@@ -222,30 +212,6 @@ def add_factors(H: Array, g: Array, r: Array, D: Array, at: Ints) -> None:
     g[c:] += forces[:, n:].sum(axis=0)
 
 
-class InertiaModel:
-    """The parametrization of the inertia and the weak prior on it, whose kernel is built once."""
-
-    def __init__(self, name: str) -> None:
-        self.form: InertiaForm = FORMS[name]
-        self._prior: Any = prior_kernel(self.form)
-        self._known: tuple[bytes, tuple[float, Array, Array]] | None = None
-
-    def weak_prior(self, x: Array, parameters: Array) -> tuple[float, Array, Array]:
-        """Cost, gradient (8,) and Hessian (8, 8) of the weak prior on com_G and xi."""
-        # it is evaluated repeatedly at the same point
-        at = x[-N_CONSTANTS:].tobytes() + parameters.tobytes()
-        if self._known is None or self._known[0] != at:
-            self._known = at, self._evaluated(x, parameters)
-        return self._known[1]
-
-    def _evaluated(self, x: Array, parameters: Array) -> tuple[float, Array, Array]:
-        cost, gradient, upper = self._prior(x[-N_CONSTANTS:], parameters)
-        cols, rows = np.tril_indices(N_CONSTANTS)
-        block = np.zeros((N_CONSTANTS, N_CONSTANTS))
-        block[rows, cols] = block[cols, rows] = np.asarray(upper).ravel()
-        return float(cost), np.asarray(gradient).ravel(), block
-
-
 @dataclass(frozen=True)
 class WindowProblem:
     r"""States of W consecutive frames and the constants (``Iterate`` has their meaning), 12 W + 8 numbers x.
@@ -265,7 +231,7 @@ class WindowProblem:
     factors: DynamicsFactors
     weak_prior: Array
     """(13,) parameters of ``kernels.prior_kernel``"""
-    shape: InertiaModel
+    prior: WeakPrior
 
     @property
     def n_frames(self) -> int:
@@ -281,10 +247,10 @@ class WindowProblem:
         # a very long step may overflow: it is rejected like any other
         with np.errstate(over="ignore", invalid="ignore"):
             try:
-                r = factor_residuals(x, self.R_ref, self.factors, self.shape.form, self.R_inertia)
+                r = factor_residuals(x, self.R_ref, self.factors, self.prior.form, self.R_inertia)
             except ValueError:
                 return np.inf
-            weak, _, _ = self.shape.weak_prior(x, self.weak_prior)
+            weak, _, _ = self.prior(x[-N_CONSTANTS:], self.weak_prior)
             return self.vision.value(x) + 0.5 * float(np.sum(r**2)) + weak
 
     def normal_equations(self, x: Array) -> tuple[float, Array, Array]:
@@ -293,10 +259,10 @@ class WindowProblem:
         along = self.vision.H @ d
         g, cost = self.vision.g + along, float(d @ (self.vision.g + 0.5 * along))
         if len(self.factors):
-            r, D = factor_jacobians(x, self.R_ref, self.factors, self.shape.form, self.R_inertia)
+            r, D = factor_jacobians(x, self.R_ref, self.factors, self.prior.form, self.R_inertia)
             add_steps(H, g, r, D, N_STATE)
             cost += 0.5 * float(np.sum(r**2))
-        weak, gradient, hessian = self.shape.weak_prior(x, self.weak_prior)
+        weak, gradient, hessian = self.prior(x[-N_CONSTANTS:], self.weak_prior)
         H[-N_CONSTANTS:, -N_CONSTANTS:] += hessian
         g[-N_CONSTANTS:] += gradient
         return cost + weak, H, g

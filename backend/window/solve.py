@@ -58,7 +58,7 @@ def solve_history(state: EstimatorState, history: History) -> None:
         x = history.vector(active.constants)
         factors = history.factors(x, state.J_G, state.J_noise, state.disturbances)
         vision = history.vision(active, condensed)
-        problem = WindowProblem(vision.quadratic, history.R_ref, factors, state.weak_prior, state.shape)
+        problem = WindowProblem(vision.quadratic, history.R_ref, factors, state.weak_prior, state.prior)
         solution = NewtonSolver().solve(problem, x, min(left, INNER_ITERATIONS))
         left -= solution.iterations
         step = set_history(state, history, vision, condensed, solution.x)
@@ -81,7 +81,7 @@ def set_history(
 def expand_arrival(state: EstimatorState, history: History) -> None:
     """Form the arrival cost from the history, about the present solution."""
     active = state.active
-    active.arrival = history.arrival(active, state.shape.form, state.R_inertia)
+    active.arrival = history.arrival(active, state.prior.form, state.R_inertia)
     active.factors = history.steps.part(slice(len(history.frames) - len(active.recent), None))
 
 
@@ -96,7 +96,7 @@ def solve_window(state: EstimatorState, solver: WindowSolver) -> None:
         add_parts(H, g, [(at, condensed.S, condensed.g), *active.camera_parts()])
         left = eliminate(H, g, np.arange(n), np.arange(n, len(x)))
         vision = Quadratic(left.H, left.g, x[n:])
-        problem = WindowProblem(vision, active.R_ref, active.factors, state.weak_prior, state.shape)
+        problem = WindowProblem(vision, active.R_ref, active.factors, state.weak_prior, state.prior)
         solution = solver.solve(problem, x[n:], INNER_ITERATIONS)
         step = solution.x - x[n:]
         step = np.concatenate([left.follow(step), step])
@@ -116,7 +116,7 @@ def _remember(
 ) -> None:
     _, H, _ = problem.normal_equations(solution.x)
     state.contradicted = float(np.mean(condensed.squared > GATE**2)) if len(condensed.squared) else 0.0
-    state.last = last_information(H, problem.shape.weak_prior(solution.x, problem.weak_prior)[2])
+    state.last = last_information(H, problem.prior(solution.x[-N_CONSTANTS:], problem.weak_prior)[2])
 
 
 def choose_inertia(state: EstimatorState, history: History) -> str:
@@ -125,7 +125,7 @@ def choose_inertia(state: EstimatorState, history: History) -> str:
     condensed = state.condensed(observations)
     vision = history.vision(state.active, condensed)
     before = history.vector(state.active.constants)
-    second = state.shape.form.second_moments(state.xi, state.R_inertia)
+    second = state.prior.form.second_moments(state.xi, state.R_inertia)
     present = _descend(state, history, vision.quadratic, before, second, [])
     found = [] if present is None else [present]
     best, name = present, "present"
@@ -140,7 +140,7 @@ def choose_inertia(state: EstimatorState, history: History) -> str:
     if best is None:
         return "none"
     set_history(state, history, vision, condensed, best.x)
-    state.set_inertia(*state.shape.form.coordinates(best.second))
+    state.set_inertia(*state.prior.form.coordinates(best.second))
     return name
 
 
@@ -163,7 +163,7 @@ def _descend(
     found: list[InertiaCandidate],
 ) -> InertiaCandidate | None:
     """A brief solve from one inertia; a candidate found before if it leads there, None if it diverges."""
-    form, cost = state.shape.form, np.inf
+    form, cost = state.prior.form, np.inf
     x = x.copy()
     for iterations in PASSES:
         xi, R_inertia = form.coordinates(second)
@@ -172,7 +172,7 @@ def _descend(
         weak[4:] = R_inertia.T.ravel()
         J_G = inertia_from_second_moments(second)
         factors = history.factors(x, J_G, state.J_noise, state.disturbances)
-        problem = WindowProblem(vision, history.R_ref, factors, weak, state.shape)
+        problem = WindowProblem(vision, history.R_ref, factors, weak, state.prior)
         try:
             solution = NewtonSolver().solve(problem, x, iterations)
         except LinAlgError:

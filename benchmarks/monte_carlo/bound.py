@@ -121,8 +121,7 @@ def joint_of_states(
 ) -> Array:
     """Covariance (12 F, 12 F) of (r_N, v_N, theta_P, w_N) of all frames from that of the unknowns."""
     derivative, n, s = axes_derivative(form, iterate), iterate.n_states, iterate.n_state
-    numbers = iterate.vector()[:n].reshape(-1, s)
-    R_NG = FrameStates(numbers, iterate.R_NG, np.zeros((len(numbers), 3)), iterate.com_G).true_attitudes()
+    R_NG = FrameStates.of(iterate, np.zeros((iterate.n_frames, 3))).true_attitudes()
     R_NP, w_P = R_NG @ derivative.R_GP, iterate.w_G @ derivative.R_GP
     jacobians, parts = state_jacobians(iterate, derivative, camera_N), []
     for k in range(iterate.n_frames):

@@ -90,7 +90,9 @@ def measure_accuracy(case: Case) -> Case:
         X_NG = state.X_NG if k == 0 else X_NG
         if k in FRAMES:
             motion = (state.r_N, state.v_N, state.R_NP, state.w_P)
-            online.append(squares(sequence, k, X_NG, motion, state.com_G, (state.k1, state.k2, state.R_GP)))
+            online.append(
+                squares(sequence, k, X_NG, motion, state.com_G, (state.k[0], state.k[1], state.R_GP))
+            )
     return {"window": online, "smoothing": [smoothed(sequence, k, given) for k in FRAMES]}
 
 

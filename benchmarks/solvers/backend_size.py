@@ -27,7 +27,7 @@ from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.backend.uncertainty.covariance import (
-    last_body_covariance,
+    body_jacobians,
     marginals,
     state_covariances,
     state_jacobians,
@@ -191,7 +191,7 @@ def covariances(solver: GaussNewton, data: MotionData, at: Iterate, weight: Arra
     """What a run does for its covariances."""
     m = marginals(solver, linearization_point(data, at), at.vector(), weight)
     state_covariances(at, m, state_jacobians(at, axes_derivative(data.form, at)))
-    last_body_covariance(at, m)
+    state_covariances(at, m, body_jacobians(at))
 
 
 def least(work: Callable[[], object]) -> float:

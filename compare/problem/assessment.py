@@ -81,8 +81,7 @@ def reference_covariance(problem: MeasuredProblem, x: Array) -> Array:
 
 def errors_of(at: Iterate, problem: MeasuredProblem, truth: Truth) -> EstimateErrors:
     """Estimate minus truth; vectors are compared in N."""
-    numbers = at.vector()[: at.n_states].reshape(-1, at.n_state)
-    states = FrameStates(numbers, at.R_NG, problem.data.camera_N, at.com_G)
+    states = FrameStates.of(at, problem.data.camera_N)
     r_N, R_NG = states.centres(), states.true_attitudes()
     R_GP = np.swapaxes(R_NG, 1, 2) @ truth.R_NP
     attitude_deg = angle_deg(mean_rotation(R_GP).T @ R_GP)

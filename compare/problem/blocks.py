@@ -6,14 +6,14 @@ There, all measurements of a landmark are one block, which needs a tenth of the 
 eliminate the landmarks.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from polhode.backend.dynamics.kernels import prior_kernel
-from polhode.backend.dynamics.residuals import FrameStates, Steps, dynamics_jacobians, dynamics_residuals
+from polhode.backend.dynamics.residuals import FrameStates, dynamics_jacobians, dynamics_residuals
 from polhode.backend.dynamics.so3_exp import right_jacobians, rotation_matrices
 from polhode.backend.problem.inertia import inertia_derivative
 from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE
@@ -158,7 +158,7 @@ class SingleSteps:
     def __init__(self, blocks: Blocks) -> None:
         self.data, self.reference = blocks.data, blocks.fixed.reference
         steps = blocks.fixed.steps
-        self._steps = [part_of_steps(steps, slice(k, k + 1)) for k in range(len(steps.dt_s))]
+        self._steps = [steps.part(slice(k, k + 1)) for k in range(len(steps.dt_s))]
 
     def residual(self, k: int, x: Array) -> Array:
         """(12,)"""
@@ -180,19 +180,6 @@ class SingleSteps:
         states = FrameStates(numbers, R_NG, self.data.camera_N[k : k + 2], constants[:3], wrench, at.R_torque)
         second = self.data.form.second_moments(constants[3:N_CONSTANTS], at.R_inertia)
         return states, np.trace(second) * np.eye(3) - second, constants
-
-
-def part_of_steps(steps: Steps, only: slice) -> Steps:
-    """The steps of a slice."""
-    return replace(
-        steps,
-        dt_s=steps.dt_s[only],
-        series=steps.series[only],
-        W_t=steps.W_t[only],
-        W_r=steps.W_r[only],
-        force_increments=None if steps.force_increments is None else steps.force_increments[only],
-        torque_P=None if steps.torque_P is None else steps.torque_P[only],
-    )
 
 
 @compiled

@@ -99,7 +99,7 @@ def frames_of_data(data: MotionData) -> Iterator[FrameMeasurements]:
 
 def second_moments_of(state: OnlineState) -> Array:
     """(3, 3) in G, from the ratios and the axes."""
-    moments = np.array([np.exp(state.k1), 1.0, np.exp(-state.k2)])
+    moments = np.array([np.exp(state.k[0]), 1.0, np.exp(-state.k[1])])
     return second_moments_from_inertia(state.R_GP @ np.diag(moments) @ state.R_GP.T)
 
 

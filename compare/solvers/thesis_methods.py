@@ -26,11 +26,10 @@ from polhode.backend.problem.inertia import (
     rotation_sx,
     second_moments_from_inertia,
 )
-from polhode.backend.problem.iterate import N_CONSTANTS, Iterate
+from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import NormalEquations
 from polhode.backend.solvers.linearization_point import LinearizationPoint
-from polhode.compare.problem.blocks import part_of_steps
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import SolveMonitor, SolverResult
 from polhode.compare.solvers.changed_inertia import of_log_ratios
@@ -120,10 +119,9 @@ class _FixedLandmark(TimedGaussNewton):
 
 
 def wide_prior(x: Array, _: Array) -> tuple[float, Array, Array]:
-    """Cost, gradient, upper Hessian by columns, as the prior kernel of the back end."""
+    """Cost, gradient and Hessian, as ``WeakPrior`` of the back end."""
     gradient = x / PRIOR_SIGMA**2
-    cols, rows = np.tril_indices(N_CONSTANTS)
-    return 0.5 * float(x @ gradient), gradient, np.diag(PRIOR_SIGMA**-2.0)[rows, cols]
+    return 0.5 * float(x @ gradient), gradient, np.diag(PRIOR_SIGMA**-2.0)
 
 
 def _grown(at: Iterate | None, first: Iterate, n: int, data: MotionData) -> Iterate:
@@ -191,7 +189,7 @@ def _fixed(fixed: LinearizationPoint, reference: Iterate, R_RN: Array) -> Linear
         fixed,
         reference=reference,
         A=R_RN @ reference.R_NG,
-        steps=part_of_steps(fixed.steps, slice(len(R_RN) - 1)),
+        steps=fixed.steps.part(slice(len(R_RN) - 1)),
         gauge_information=information,
     )
 

@@ -17,6 +17,7 @@ geometric check.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,51 +75,35 @@ def match_pairs(
     workers.
     """
     matches: list[PairMatch] = []
-    for found in in_order(_RowJob(frames, partners, rig, config, seed), range(len(frames)), workers):
+    job = partial(_match_row, frames, partners, rig, config, seed)
+    for found in in_order(job, range(len(frames)), workers):
         matches.extend(found)
         tick()
     return matches
 
 
-@dataclass(frozen=True)
-class _RowJob:
-    """Matches frame i with its partners."""
-
-    frames: Sequence[StereoFeatures]
-    partners: Sequence[Ints]
-    rig: RectifiedRig
-    config: Frontend
-    seed: int
-
-    def __call__(self, i: int) -> list[PairMatch]:
-        later = self.partners[i].tolist()
-        found = (_match_pair(i, j, self.frames, self.rig, self.config, self.seed) for j in later)
-        return [match for match in found if match is not None]
-
-
-def _match_pair(
-    i: int,
-    j: int,
+def _match_row(
     frames: Sequence[StereoFeatures],
+    partners: Sequence[Ints],
     rig: RectifiedRig,
     config: Frontend,
     seed: int,
-) -> PairMatch | None:
-    if min(len(frames[i]), len(frames[j])) < MIN_INLIERS:
-        return None
-    pairs = match_method(config)(frames[i], frames[j]).features
-    if len(pairs) < MIN_INLIERS:
-        return None
-    fit = ransac_rigid(
-        frames[i].uvd_px[pairs[:, 0]],
-        frames[i].p_R[pairs[:, 0]],
-        frames[j].p_R[pairs[:, 1]],
-        rig,
-        np.random.default_rng([seed, i, j]),
-    )
-    if fit.inlier.sum() < MIN_INLIERS:
-        return None
-    return PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier])
+    i: int,
+) -> list[PairMatch]:
+    """Matches of frame i with its partners."""
+    found = []
+    for j in partners[i].tolist():
+        if min(len(frames[i]), len(frames[j])) < MIN_INLIERS:
+            continue
+        pairs = match_method(config)(frames[i], frames[j]).features
+        if len(pairs) < MIN_INLIERS:
+            continue
+        a, b = pairs.T
+        rng = np.random.default_rng([seed, i, j])
+        fit = ransac_rigid(frames[i].uvd_px[a], frames[i].p_R[a], frames[j].p_R[b], rig, rng)
+        if fit.inlier.sum() >= MIN_INLIERS:
+            found.append(PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier]))
+    return found
 
 
 def relative_poses(matches: Sequence[PairMatch]) -> RelativePoses:

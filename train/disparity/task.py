@@ -5,6 +5,7 @@ The loss is the log density of the true disparity, and the visibility.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -181,15 +182,9 @@ def scores(samples: Sequence[ValidationErrors]) -> dict[str, float]:
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 
 
-class _Builder:
-    """Builds the samples of one scene."""
-
-    def __init__(self, train: Train, seed: int) -> None:
-        self.train, self.seed = train, seed
-
-    def __call__(self, scene: int) -> tuple[int, list[Path]]:
-        folder, cache = scene_folder(self.train.corpus, scene), Path(self.train.depth.cache)
-        return scene, build_samples(folder, cache, Depth(), self.seed, self.train.depth.every)
+def _samples_of(train: Train, seed: int, scene: int) -> list[Path]:
+    folder, cache = scene_folder(train.corpus, scene), Path(train.depth.cache)
+    return build_samples(folder, cache, Depth(), seed, train.depth.every)
 
 
 def make_task(train: Train, seed: int, progress: Progress, workers: int) -> DisparityTask:
@@ -198,7 +193,8 @@ def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Disp
     scenes = sorted([*parts.training, *parts.validation])
     files: dict[int, list[Path]] = {}
     with progress.stage("matching pairs", len(scenes)) as advance:
-        for scene, paths in in_order(_Builder(train, seed), scenes, workers):
+        job = partial(_samples_of, train, seed)
+        for scene, paths in zip(scenes, in_order(job, scenes, workers), strict=True):
             files[scene] = paths
             advance()
     training = [path for scene in parts.training for path in files[scene]]

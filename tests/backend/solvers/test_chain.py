@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import LinAlgError
 
-from polhode.backend.solvers.chain import POSE, eliminate_chain, solve_with_chain
+from polhode.backend.problem.iterate import N_POSE
+from polhode.backend.solvers.chain import eliminate_chain, solve_with_chain
 from polhode.lie import Array
 
 
@@ -13,7 +14,7 @@ def system(n_frames: int, n_state: int, constants: int, seed: int = 0) -> tuple[
     rng = np.random.default_rng(seed)
     n = n_state * n_frames + constants
     H = np.zeros((n, n))
-    poses = (n_state * np.arange(n_frames)[:, None] + np.arange(POSE)).ravel()
+    poses = (n_state * np.arange(n_frames)[:, None] + np.arange(N_POSE)).ravel()
     J = rng.normal(size=(2 * len(poses), len(poses)))
     H[np.ix_(poses, poses)] += J.T @ J
     for k in range(n_frames - 1):

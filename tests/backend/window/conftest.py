@@ -53,4 +53,4 @@ def problem_of(window: SlidingWindow) -> tuple[WindowProblem, Array]:
     assert history is not None
     x = history.vector(state.active.constants)
     vision = history.vision(state.active, state.condensed(state.observations())).quadratic
-    return WindowProblem(vision, history.R_ref, history.steps, state.weak_prior, state.shape), x
+    return WindowProblem(vision, history.R_ref, history.steps, state.weak_prior, state.prior), x
