@@ -7,7 +7,8 @@ those seen from the stated camera pose, the true ones follow by the rotation ``E
 and the shift b.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -104,8 +105,9 @@ class Steps:
 
     def part(self, chosen: slice) -> "Steps":
         """Some of the steps."""
-        parts = (getattr(self, each.name) for each in fields(self))
-        return Steps(*(None if part is None else part[chosen] for part in parts))
+        parts: dict[str, Any] = vars(self)
+        cut: dict[str, Any] = {name: part if part is None else part[chosen] for name, part in parts.items()}
+        return Steps(**cut)
 
     def and_then(self, other: "Steps") -> "Steps":
         """These steps, then the others; without known wrench."""

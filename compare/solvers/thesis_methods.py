@@ -19,8 +19,8 @@ import numpy as np
 
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.dynamics.so3_exp import matrices_from_quaternions
-from polhode.backend.initialization.initialize import interval_rates
 from polhode.backend.initialization.multistart import inertia_from_momentum
+from polhode.backend.initialization.rates import interval_rates
 from polhode.backend.problem.inertia import (
     inertia_from_second_moments,
     rotation_sx,
