@@ -48,31 +48,27 @@ def assumed_properties(
         else "inertia: uniform density, as the motion does not determine all ratios and axes"
     )
     moments, R_GP = principal_axes(uniform)
-    com_G = None if known.com else _completed_com(mass, solid)
     for name, determined in (("k1", known.k1), ("k2", known.k2), ("axes", known.axes), ("com", known.com)):
         if not determined:
             words.append(f"{name}: uniform density, as the motion does not determine it")
-    return Assumed(
-        words=words,
-        volume_m3=solid.volume_m3,
-        density_kg_m3=density,
-        mass_kg=kilograms,
-        inertia_kg_m2=_matrix(inertia),
-        com_G=None if com_G is None else (com_G[0], com_G[1], com_G[2]),
-        k1=None if known.k1 else float(np.log(moments[0] / moments[1])),
-        k2=None if known.k2 else float(np.log(moments[1] / moments[2])),
-        R_GP=None if known.axes else _matrix(R_GP),
-    ), []
+    found = {
+        "words": words,
+        "volume_m3": solid.volume_m3,
+        "density_kg_m3": density,
+        "mass_kg": kilograms,
+        "inertia_kg_m2": inertia,
+        "com_G": None if known.com else _completed_com(mass, solid),
+        "k1": None if known.k1 else float(np.log(moments[0] / moments[1])),
+        "k2": None if known.k2 else float(np.log(moments[1] / moments[2])),
+        "R_GP": None if known.axes else R_GP,
+    }
+    return Assumed.model_validate(found), []
 
 
 def _completed_com(mass: MassProperties, solid: Solid) -> Array:
     """The estimate, its undetermined components along the principal axes taken from the solid."""
     lost = mass.R_GP[:, ~mass.identifiable.com_P]
     return np.asarray(mass.com_G + lost @ (lost.T @ (solid.com_G - mass.com_G)))
-
-
-def _matrix(values: Array) -> tuple[tuple[float, float, float], ...]:
-    return tuple((float(a), float(b), float(c)) for a, b, c in values)
 
 
 CLEAR_SIGMAS = 3.0
@@ -136,19 +132,21 @@ def check_physics(
     words += _ratio_words(
         mass, differences, k, max(_MIN_K, float(np.abs(np.subtract(k, _ratios(other))).max()))
     )
-    return Physics(
-        words=words,
-        volume_m3=solid.volume_m3,
-        com_uniform_G=_vector(solid.com_G),
-        com_offset_G=None if offset_G is None else _vector(offset_G),
-        com_offset_sigma_m=com_sigma_m,
-        R_GP_uniform=(_vector(R_GP[0]), _vector(R_GP[1]), _vector(R_GP[2])),
-        axes_angle_deg=None if axes is None else float(np.rad2deg(axes.angle_rad)),
-        axes_angle_sigma_deg=None if axes_sigma_rad is None else float(np.rad2deg(axes_sigma_rad)),
-        k1_uniform=k[0],
-        k2_uniform=k[1],
-        k1_difference=differences[0],
-        k2_difference=differences[1],
+    return Physics.model_validate(
+        {
+            "words": words,
+            "volume_m3": solid.volume_m3,
+            "com_uniform_G": solid.com_G,
+            "com_offset_G": offset_G,
+            "com_offset_sigma_m": com_sigma_m,
+            "R_GP_uniform": R_GP,
+            "axes_angle_deg": None if axes is None else np.rad2deg(axes.angle_rad),
+            "axes_angle_sigma_deg": None if axes_sigma_rad is None else np.rad2deg(axes_sigma_rad),
+            "k1_uniform": k[0],
+            "k2_uniform": k[1],
+            "k1_difference": differences[0],
+            "k2_difference": differences[1],
+        }
     )
 
 
@@ -260,7 +258,3 @@ def _ratio_words(
 
 def _mm(metres: float) -> str:
     return f"{1e3 * metres:.2g} mm" if metres < 0.1 else f"{1e3 * metres:.0f} mm"
-
-
-def _vector(values: Array) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])

@@ -2,15 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from polhode.atomic import write_text
 from polhode.lie import Array
 from polhode.pipeline.report import tables
-from polhode.pipeline.report.figures.plot import Figure, Trace, axis, layout, line, translucent
-from polhode.pipeline.report.figures.rotation import confidence_ellipse, possible_bodies
+from polhode.pipeline.report.figures.plot import TIME_TITLE, Figure, Trace, axis, layout, line
+from polhode.pipeline.report.figures.rotation import possible_bodies, ratio_ellipse, ratio_traces
 from polhode.pipeline.report.page import fill, run_name
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 
@@ -82,23 +81,10 @@ def _ratios(contents: Sequence[StoredRun]) -> list[Figure]:
     points: list[Array] = []
     for k, content in enumerate(contents):
         inertia = content.summary.inertia
-        if inertia is None:
-            continue
-        mean = np.array([inertia.k1, inertia.k2])
-        covariance = np.array([[np.inf if v is None else v for v in row] for row in inertia.cov])
-        determined = bool(np.all(np.isfinite(covariance)))
-        points.append(mean[None])
-        if determined:
-            ellipse = confidence_ellipse(mean, covariance, 3.0)
-            points.append(ellipse)
-            inside: dict[str, Any] = {
-                "fill": "toself",
-                "fillcolor": translucent(_color(k), 0.18),
-                "mode": "lines",
-            }
-            data.append(line(ellipse[:, 0], ellipse[:, 1], "3\u03c3", _color(k), showlegend=False, **inside))
-        marker = {"color": _color(k), "size": 8, "symbol": "circle" if determined else "circle-open"}
-        data.append(line(mean[:1], mean[1:], content.name, _color(k), mode="markers", marker=marker))
+        if inertia is not None:
+            data += ratio_traces(inertia, content.name, _color(k))
+            ellipse = ratio_ellipse(inertia)
+            points.append(np.array([[inertia.k1, inertia.k2]]) if ellipse is None else ellipse)
     if not points:
         return []
     low, high = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)
@@ -127,9 +113,7 @@ def _rates(contents: Sequence[StoredRun]) -> list[Figure]:
             data.append(line(path.time_s, rate, content.name, _color(k)))
     if not data:
         return []
-    figure = layout(
-        xaxis=axis("time since the first frame [s]"), yaxis=axis("angular velocity, magnitude [deg/s]")
-    )
+    figure = layout(xaxis=axis(TIME_TITLE), yaxis=axis("angular velocity, magnitude [deg/s]"))
     caption = (
         "Its magnitude is the same in every frame and for every choice of axes, so runs can be compared."
     )

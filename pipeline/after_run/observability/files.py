@@ -10,7 +10,6 @@ import numpy as np
 
 from polhode.atomic import write_bytes
 from polhode.errors import InputError
-from polhode.lie import Array
 from polhode.pipeline.after_run.observability import pictures
 from polhode.pipeline.after_run.observability.assess import Assessment, Choice
 from polhode.pipeline.after_run.observability.pictures import Legend, coloured_body
@@ -66,37 +65,45 @@ def write_assessment(assessment: Assessment, folder: Path) -> list[str]:
     return list(files)
 
 
+def pose_rows(assessment: Assessment) -> list[dict[str, Any]]:
+    """Numbers of each view: the columns of observability.csv and, with matrices, the poses of the JSON file.
+
+    sigma (6,) is inf where the visible edges do not determine it.
+    """
+    return [
+        {
+            "time_s": float(time),
+            "range_m": view.range_m,
+            "edges_expected": view.expected_edges,
+            "points": len(view.points),
+            "edge_length_px": view.length_px,
+            "sigma": sigma,
+            "position_dop_m_per_px": view.metric.position_dop,
+            "attitude_dop_rad_per_px": view.metric.attitude_dop,
+            "geometric_dop_per_px": view.metric.geometric_dop,
+            "condition": view.metric.condition,
+            "not_told": view.metric.describe_unobservable(),
+        }
+        for time, sigma, view in zip(
+            assessment.subject.time_s, assessment.sigma, assessment.views, strict=True
+        )
+    ]
+
+
 def table(assessment: Assessment) -> str:
-    """observability.csv: one row per pose; sigma is inf where the visible edges do not determine it."""
+    """observability.csv: one row per pose."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
-    columns = (
-        "time_s",
-        "range_m",
-        "edges_expected",
-        "points",
-        "edge_length_px",
-        *(f"sigma_{name}" for name in NAMES),
-        "position_dop_m_per_px",
-        "attitude_dop_rad_per_px",
-        "geometric_dop_per_px",
-        "condition",
-        "not_told",
-    )
-    out.writerow(columns)
-    for time, sigma, view in zip(assessment.subject.time_s, assessment.sigma, assessment.views, strict=True):
-        metric = view.metric
-        numbers = (view.length_px, *sigma, metric.position_dop, metric.attitude_dop, metric.geometric_dop)
-        counts = view.expected_edges, len(view.points)
-        out.writerow(
-            [
-                f"{time:.9f}",
-                f"{view.range_m:.6g}",
-                *counts,
-                *(f"{value:.6g}" for value in (*numbers, metric.condition)),
-                metric.describe_unobservable(),
-            ]
-        )
+    for number, row in enumerate(pose_rows(assessment)):
+        cells = {"time_s": f"{row['time_s']:.9f}"}
+        for name, value in row.items():
+            if name == "sigma":
+                cells |= {f"sigma_{each}": f"{part:.6g}" for each, part in zip(NAMES, value, strict=True)}
+            elif name not in cells:
+                cells[name] = f"{value:.6g}" if isinstance(value, float) else str(value)
+        if number == 0:
+            out.writerow(cells)
+        out.writerow(cells.values())
     return text.getvalue()
 
 
@@ -137,11 +144,7 @@ def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
         "schema": SCHEMA,
         "source": subject.source,
         "camera": {
-            "focal_px": rig.focal_px,
-            "cx_px": rig.cx_px,
-            "cy_px": rig.cy_px,
-            "width_px": rig.width_px,
-            "height_px": rig.height_px,
+            name: getattr(rig, name) for name in ("focal_px", "cx_px", "cy_px", "width_px", "height_px")
         },
         "model": {
             "segments": len(model.ends_G),
@@ -163,22 +166,12 @@ def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
         "sunlit": subject.sun_G is not None,
         "poses": [
             {
-                "time_s": float(time),
-                "range_m": view.range_m,
+                **{name: _numbers(value) for name, value in row.items()},
                 "X_RG": view.X_RG.tolist(),
-                "edges_expected": view.expected_edges,
-                "points": len(view.points),
-                "edge_length_px": view.length_px,
                 "C": view.metric.C.tolist(),
                 "covariance": _numbers(assessment.sigma_px**2 * view.metric.covariance),
-                "sigma": _numbers(sigma),
-                "position_dop_m_per_px": _number(view.metric.position_dop),
-                "attitude_dop_rad_per_px": _number(view.metric.attitude_dop),
-                "geometric_dop_per_px": _number(view.metric.geometric_dop),
-                "condition": _number(view.metric.condition),
-                "not_told": view.metric.describe_unobservable(),
             }
-            for time, sigma, view in zip(subject.time_s, assessment.sigma, assessment.views, strict=True)
+            for row, view in zip(pose_rows(assessment), assessment.views, strict=True)
         ],
         "along": along(assessment),
         "edges": {
@@ -228,9 +221,9 @@ def along(assessment: Assessment) -> dict[str, Any]:
     determined = np.isfinite(sigma)
     values = {
         name: {
-            "median": _number(np.median(sigma[determined[:, k], k]) if determined[:, k].any() else np.inf),
-            "best": _number(sigma[:, k].min()),
-            "worst": _number(sigma[:, k].max()),
+            "median": _numbers(np.median(sigma[determined[:, k], k]) if determined[:, k].any() else np.inf),
+            "best": _numbers(sigma[:, k].min()),
+            "worst": _numbers(sigma[:, k].max()),
             "poses_that_do_not_tell": int((~determined[:, k]).sum()),
         }
         for k, name in enumerate(NAMES)
@@ -238,12 +231,11 @@ def along(assessment: Assessment) -> dict[str, Any]:
     return {"sigma": values, "poses": len(sigma), "poses_that_tell_all": int(determined.all(axis=1).sum())}
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _numbers(values: Array) -> list[Any]:
-    return [_number(value) if np.ndim(value) == 0 else _numbers(value) for value in values]
+def _numbers(value: Any) -> Any:
+    """Arrays as lists; null where a number is infinite or unknown."""
+    if isinstance(value, np.ndarray):
+        return [_numbers(each) for each in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def format_assessment(assessment: Assessment) -> str:

@@ -5,12 +5,12 @@ import numpy as np
 from polhode.lie import Array, log_so3, transform_points
 from polhode.pipeline.report.figures.plot import (
     AXIS_COLORS,
-    FAINT,
     INK,
     Figure,
     Layout,
     Trace,
     band,
+    dashed,
     line,
     panels,
 )
@@ -53,16 +53,17 @@ def _mass(content: StoredRun, online: OnlineEstimate) -> Figure:
     )
     data: list[Trace] = []
     final = (inertia.k1, inertia.k2)
+    ratio_sigma = _known_sigma(online.cov_k, online.determined[:, :2])
     for k in (0, 1):
-        sigma = _sigma(online.cov_k[:, k, k], online.determined[:, k])
+        sigma = ratio_sigma[:, k]
         data += _history(frames, online.k[:, k], sigma, final[k], RATIO_COLORS[k], f"k{k + 1}", k + 1)
         data.append(line(frames, sigma, f"k{k + 1}", RATIO_COLORS[k], k + 5))
         figure[_y(k + 1)]["range"] = _range(online.k[:, k], sigma, final[k])
-    com_sigma = np.stack([_sigma(v, online.determined[:, 2]) for v in _variances(online.cov_com_G).T], axis=1)
+    com_sigma = _known_sigma(online.cov_com_G, online.determined[:, 2:3])
     offset = _offset_in_final_G(content.motion, online)
     data += _vector_history(frames, 1e3 * offset, 1e3 * com_sigma, (3, 7), figure)
     turn = log_so3(content.motion.R_GP.T @ online.R_GP)
-    axes_sigma = np.stack([_sigma(v, np.isfinite(v)) for v in _variances(online.cov_R_GP).T], axis=1)
+    axes_sigma = standard_deviations(online.cov_R_GP)
     data += _vector_history(frames, DEG * turn, DEG * axes_sigma, (4, 8), figure)
     for panel in (5, 6, 7, 8):
         figure[_y(panel)]["type"] = "log"
@@ -87,8 +88,7 @@ def _vector_history(
     for axis, name in enumerate("xyz"):
         data += _history(frames, difference[:, axis], sigma[:, axis], 0.0, AXIS_COLORS[axis], name, panel[0])
         data.append(line(frames, sigma[:, axis], name, AXIS_COLORS[axis], panel[1]))
-    ranges = [_range(difference[:, axis], sigma[:, axis], 0.0) for axis in range(3)]
-    figure[_y(panel[0])]["range"] = [min(low for low, _ in ranges), max(high for _, high in ranges)]
+    figure[_y(panel[0])]["range"] = _common_range(difference, sigma)
     return data
 
 
@@ -132,12 +132,10 @@ def _differences(motion: StoredMotion, online: OnlineEstimate) -> Figure:
     )
     data: list[Trace] = []
     for n, (difference, (_, scale, _)) in enumerate(zip(differences, STATES, strict=True)):
-        sigma, ranges = scale * causal[:, 3 * n : 3 * n + 3], []
+        sigma, values = scale * causal[:, 3 * n : 3 * n + 3], scale * difference
         for axis, name in enumerate("xyz"):
-            values = scale * difference[:, axis]
-            data += _history(frames, values, sigma[:, axis], 0.0, AXIS_COLORS[axis], name, n + 1)
-            ranges.append(_range(values, sigma[:, axis], 0.0))
-        figure[_y(n + 1)]["range"] = [min(low for low, _ in ranges), max(high for _, high in ranges)]
+            data += _history(frames, values[:, axis], sigma[:, axis], 0.0, AXIS_COLORS[axis], name, n + 1)
+        figure[_y(n + 1)]["range"] = _common_range(values, sigma)
     figure["xaxis"]["range"] = [1, int(frames[-1])]
     return Figure(
         "convergence-differences",
@@ -154,23 +152,16 @@ def _history(
     frames: Array, value: Array, sigma: Array, final: float, color: str, name: str, panel: int
 ) -> list[Trace]:
     known = np.where(np.isfinite(sigma), value, np.nan)
-    dashes = {"mode": "lines", "line": {"color": FAINT, "width": 1.2, "dash": "dash"}}
     return [
         *band(frames, value, 3 * sigma, color, panel),
-        line(frames[[0, -1]], [final, final], "final", FAINT, panel, **dashes),
+        dashed(frames[[0, -1]], [final, final], "final", panel),
         line(frames, known, name, color, panel),
     ]
 
 
-def _variances(covariance: Array) -> Array:
-    """(F, 3) from (F, 3, 3)."""
-    return np.asarray(np.diagonal(covariance, axis1=1, axis2=2))
-
-
-def _sigma(variance: Array, determined: Bools) -> Array:
-    """Standard deviations (F,); infinite where undetermined."""
-    known = determined & np.isfinite(variance) & (variance >= 0.0)
-    return np.where(known, np.sqrt(np.where(known, variance, 0.0)), np.inf)
+def _known_sigma(covariance: Array, determined: Bools) -> Array:
+    """Standard deviations (F, n) of covariances (F, n, n); infinite where undetermined."""
+    return np.where(determined, standard_deviations(covariance), np.inf)
 
 
 def _range(value: Array, sigma: Array, final: float) -> list[float]:
@@ -183,6 +174,12 @@ def _range(value: Array, sigma: Array, final: float) -> list[float]:
         float(np.max(np.abs(value[late] - final) + 3.0 * sigma[late])), WIDEST * float(sigma[known[-1]])
     )
     return [final - 1.1 * reach, final + 1.1 * reach]
+
+
+def _common_range(values: Array, sigma: Array) -> list[float]:
+    """Of a panel with three components (F, 3) about 0."""
+    ranges = [_range(values[:, axis], sigma[:, axis], 0.0) for axis in range(3)]
+    return [min(low for low, _ in ranges), max(high for _, high in ranges)]
 
 
 def _offset_in_final_G(motion: StoredMotion, online: OnlineEstimate) -> Array:

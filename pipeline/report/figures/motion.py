@@ -3,7 +3,16 @@
 import numpy as np
 
 from polhode.lie import Array
-from polhode.pipeline.report.figures.plot import AXIS_COLORS, Figure, Layout, band, gap_shapes, line, panels
+from polhode.pipeline.report.figures.plot import (
+    AXIS_COLORS,
+    TIME_TITLE,
+    Figure,
+    Layout,
+    band,
+    gap_shapes,
+    line,
+    panels,
+)
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 
 
@@ -50,7 +59,7 @@ def _centre_of_mass(motion: StoredMotion, shapes: list[Layout]) -> Figure:
     titles = [(f"r<sub>{a}</sub> [m]", f"Δr<sub>{a}</sub> [mm]", f"v<sub>{a}</sub> [mm/s]") for a in "xyz"]
     figure = panels(
         titles,
-        "time since the first frame [s]",
+        TIME_TITLE,
         ("position in N", "position minus a straight line", "velocity in N"),
         showlegend=False,
         shapes=shapes,
@@ -80,7 +89,7 @@ def _angular_velocity(motion: StoredMotion, shapes: list[Layout]) -> Figure:
     w_deg_s, sigma_deg_s = np.rad2deg(path.w_P), np.rad2deg(path.sigma_w)
     figure = panels(
         [(f"ω<sub>{a}</sub> [deg/s]",) for a in "xyz"],
-        "time since the first frame [s]",
+        TIME_TITLE,
         showlegend=False,
         shapes=shapes,
     )
@@ -106,7 +115,7 @@ def _attitude(motion: StoredMotion, shapes: list[Layout]) -> Figure:
     sigma_deg = np.rad2deg(path.sigma_theta)
     figure = panels(
         [("quaternion q<sub>NP</sub>",), ("3σ of attitude [deg]",)],
-        "time since the first frame [s]",
+        TIME_TITLE,
         shapes=shapes,
     )
     colors = ("#5d6b78", *AXIS_COLORS)

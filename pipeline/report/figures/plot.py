@@ -14,6 +14,7 @@ from polhode.records import Bools
 Trace = dict[str, Any]
 Layout = dict[str, Any]
 
+TIME_TITLE = "time since the first frame [s]"
 AXIS_COLORS: tuple[str, str, str] = ("#d55e00", "#009e73", "#0072b2")
 """x, y, z: vermillion, green, blue of Okabe and Ito, distinguishable for colour-blind readers too."""
 INK, FAINT, ACCENT = "#22303c", "#8a97a3", "#5b3f8c"
@@ -68,6 +69,18 @@ def line(x: ArrayLike, y: ArrayLike, name: str, color: str, panel: int = 1, **mo
         **on(panel),
         **more,
     }
+
+
+def dashed(x: ArrayLike, y: ArrayLike, name: str, panel: int = 1) -> Trace:
+    """A thin dashed line: a mean or a final value."""
+    style = {"color": FAINT, "width": 1.2, "dash": "dash"}
+    return line(x, y, name, FAINT, panel, mode="lines", line=style)
+
+
+def points3d(points: ArrayLike, name: str, **more: Any) -> Trace:
+    """Points (n, 3) of a scene, markers unless ``mode`` says otherwise."""
+    xyz = {key: packed(column) for key, column in zip("xyz", np.asarray(points).T, strict=True)}
+    return {"type": "scatter3d", "mode": "markers", **xyz, "name": name, **more}
 
 
 def band(x: ArrayLike, y: ArrayLike, half: ArrayLike, color: str, panel: int = 1, **more: Any) -> list[Trace]:
@@ -235,18 +248,21 @@ def scene(
 def axis_arrows(origin: Array, R: Array, length: float, names: Sequence[str]) -> list[Trace]:
     """Three coloured lines from an origin (3,), along the columns of R (3, 3), named at their ends."""
     return [
-        {
-            "type": "scatter3d",
-            "mode": "lines+text",
-            "x": [float(origin[0]), float(tip[0])],
-            "y": [float(origin[1]), float(tip[1])],
-            "z": [float(origin[2]), float(tip[2])],
-            "text": ["", name],
-            "textfont": {"color": color, "size": 13},
-            "line": {"color": color, "width": 6},
-            "hoverinfo": "name",
-            "name": f"principal axis {name}",
-            "showlegend": False,
-        }
+        points3d(
+            np.stack([origin, tip]),
+            f"principal axis {name}",
+            mode="lines+text",
+            text=["", name],
+            textfont={"color": color, "size": 13},
+            line={"color": color, "width": 6},
+            hoverinfo="name",
+            showlegend=False,
+        )
         for tip, name, color in zip((origin + length * R.T), names, AXIS_COLORS, strict=True)
     ]
+
+
+def scene_layout(**more: Any) -> Layout:
+    """A drawing that is one scene, with its legend below."""
+    margin, legend = {"l": 0, "r": 0, "t": 8, "b": 0}, {"orientation": "h", "x": 0, "y": 0}
+    return layout(scene=scene(**more), margin=margin, legend=legend)

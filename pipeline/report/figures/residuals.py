@@ -7,6 +7,7 @@ from polhode.pipeline.report.figures.plot import (
     AXIS_COLORS,
     FAINT,
     INK,
+    TIME_TITLE,
     Figure,
     Trace,
     axis,
@@ -90,7 +91,7 @@ def _histogram(content: StoredRun, tracks: StereoTracks, residuals: MeasurementR
 def _rms_per_frame(tracks: StereoTracks, residuals: MeasurementResiduals) -> Figure:
     rms = rms_per_frame(tracks, residuals)
     figure = layout(
-        xaxis=axis("time since the first frame [s]"),
+        xaxis=axis(TIME_TITLE),
         yaxis=axis("residual, root mean square [px]", rangemode="tozero"),
     )
     data = [line(tracks.time_s, rms[:, k], name, AXIS_COLORS[k]) for k, name in enumerate(NAMES)]
@@ -113,7 +114,7 @@ def _observations(tracks: StereoTracks) -> Figure:
         [
             ("landmarks seen",),
         ],
-        "time since the first frame [s]",
+        TIME_TITLE,
         showlegend=False,
     )
     figure["xaxis"] |= {"domain": [0, 0.52]}
@@ -154,7 +155,7 @@ def _landmarks_over_time(tracks: StereoTracks) -> Figure:
     seen = np.zeros((rows, tracks.n_frames), dtype=np.uint8)
     seen[rank[tracks.landmark] * rows // tracks.n_landmarks, tracks.frame] = 1
     figure = layout(
-        xaxis=axis("time since the first frame [s]", showgrid=False),
+        xaxis=axis(TIME_TITLE, showgrid=False),
         yaxis=axis("landmarks, by first observation", showgrid=False, autorange="reversed"),
     )
     data: list[Trace] = [

@@ -10,20 +10,25 @@ from polhode.pipeline.report.figures.plot import (
     FAINT,
     INK,
     TIME_SCALE,
+    TIME_TITLE,
     Figure,
     Trace,
     axis,
     band,
     color_bar,
+    dashed,
     layout,
     line,
     note,
     on,
     packed,
     panels,
-    scene,
+    points3d,
+    scene_layout,
+    translucent,
 )
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
+from polhode.pipeline.run_directory.summary_schema import Inertia
 from polhode.rigid_body import angular_acceleration, angular_momentum_N, rotational_energy
 
 FLAT_LIMIT = float(np.log(2.0))
@@ -78,37 +83,25 @@ def _polhode(motion: StoredMotion) -> Figure:
     energy = float(np.mean(rotational_energy(J, path.w_P)))
     momentum = float(np.mean(np.linalg.norm(path.w_P * moments, axis=1)))
     dense = np.rad2deg(torque_free_path(path.time_s, path.w_P, moments))
-    points = np.rad2deg(path.w_P)
     data = [
         _ellipsoid(np.rad2deg(np.sqrt(2.0 * energy / moments)), "energy ellipsoid"),
         _wires(np.rad2deg(momentum / moments), "momentum ellipsoid"),
-        {
-            "type": "scatter3d",
-            "mode": "lines",
-            **_xyz(dense),
-            "line": {"color": INK, "width": 4},
-            "name": "path between frames",
-            "hoverinfo": "skip",
-        },
-        {
-            "type": "scatter3d",
-            "mode": "markers",
-            **_xyz(points),
-            "marker": {
+        points3d(
+            *(dense, "path between frames"), mode="lines", line={"color": INK, "width": 4}, hoverinfo="skip"
+        ),
+        points3d(
+            np.rad2deg(path.w_P),
+            "ω at the frames",
+            marker={
                 "size": 3.5,
                 "color": packed(path.time_s),
                 "colorscale": TIME_SCALE,
                 "colorbar": color_bar("time [s]"),
             },
-            "name": "ω at the frames",
-        },
+        ),
     ]
     names = ("ω<sub>x</sub>", "ω<sub>y</sub>", "ω<sub>z</sub>")
-    figure = layout(
-        scene=scene("deg/s", names, look_at(path.w_P)),
-        margin={"l": 0, "r": 0, "t": 8, "b": 0},
-        legend={"orientation": "h", "x": 0, "y": 0},
-    )
+    figure = scene_layout(unit="deg/s", names=names, eye=look_at(path.w_P))
     return Figure(
         "polhode",
         "Polhode",
@@ -162,23 +155,14 @@ def _wires(semi_axes: Array, name: str) -> Trace:
         wires.append(np.stack([np.sin(t) * np.cos(azimuth), np.sin(t) * np.sin(azimuth), np.cos(t)]))
     gap = np.full((3, 1), np.nan)
     points = np.concatenate([part for wire in wires for part in (wire, gap)], axis=1).T * semi_axes
-    return {
-        "type": "scatter3d",
-        "mode": "lines",
-        **_xyz(points),
-        "line": {"color": "#7a8b99", "width": 1.5},
-        "hoverinfo": "skip",
-        "name": name,
-    }
+    return points3d(points, name, mode="lines", line={"color": "#7a8b99", "width": 1.5}, hoverinfo="skip")
 
 
 def _ratios(content: StoredRun) -> Figure:
     inertia, known = content.summary.inertia, content.summary.identifiable
     assert inertia is not None and known is not None
     mean = np.array([inertia.k1, inertia.k2])
-    covariance = np.array([[np.inf if v is None else v for v in row] for row in inertia.cov])
-    determined = bool(np.all(np.isfinite(covariance)))
-    ellipse = confidence_ellipse(mean, covariance, 3.0) if determined else None
+    ellipse = ratio_ellipse(inertia)
     truth = _truth(content.metrics, mean)
     figure = layout(
         xaxis=axis("k<sub>1</sub> = ln(Jxx / Jyy)", domain=[0, 0.45], range=[0, 0.78], anchor="y"),
@@ -203,17 +187,13 @@ def _ratios(content: StoredRun) -> Figure:
     data = []
     for panel in (1, 2):
         data += possible_bodies(panel)
-        if ellipse is not None:
-            fill = {"fill": "toself", "fillcolor": "rgba(91,63,140,0.20)", "mode": "lines"}
-            data.append(line(ellipse[:, 0], ellipse[:, 1], "3σ", ACCENT, panel, **fill))
-        marker = {"color": ACCENT, "size": 9, "symbol": "circle" if determined else "circle-open"}
-        data.append(line(mean[:1], mean[1:], "estimate", ACCENT, panel, mode="markers", marker=marker))
+        data += ratio_traces(inertia, "estimate", ACCENT, panel)
         if truth is not None:
             marker = {"color": INK, "size": 11, "symbol": "x-thin", "line": {"width": 2, "color": INK}}
             data.append(line(truth[:1], truth[1:], "truth", INK, panel, mode="markers", marker=marker))
     words = (
         "Dot: estimate; ellipse: where it is three standard deviations away."
-        if determined
+        if ellipse is not None
         else "The motion does not determine the ratios: the open dot is the best guess and has no ellipse."
     )
     return Figure(
@@ -227,6 +207,26 @@ def _ratios(content: StoredRun) -> Figure:
         height_px=520,
         wide=False,
     )
+
+
+def ratio_ellipse(inertia: Inertia) -> Array | None:
+    """Points (200, 2) at three standard deviations; None: undetermined."""
+    covariance = np.array([[np.inf if v is None else v for v in row] for row in inertia.cov])
+    if not np.all(np.isfinite(covariance)):
+        return None
+    return confidence_ellipse(np.array([inertia.k1, inertia.k2]), covariance, 3.0)
+
+
+def ratio_traces(inertia: Inertia, name: str, color: str, panel: int = 1) -> list[Trace]:
+    """A dot for the estimate in its ellipse; an open dot without one where undetermined."""
+    ellipse = ratio_ellipse(inertia)
+    data: list[Trace] = []
+    if ellipse is not None:
+        fill: dict[str, Any] = {"fill": "toself", "fillcolor": translucent(color, 0.2), "mode": "lines"}
+        data.append(line(ellipse[:, 0], ellipse[:, 1], "3σ", color, panel, showlegend=False, **fill))
+    marker = {"color": color, "size": 9, "symbol": "circle" if ellipse is not None else "circle-open"}
+    data.append(line([inertia.k1], [inertia.k2], name, color, panel, mode="markers", marker=marker))
+    return data
 
 
 def possible_bodies(panel: int) -> list[Trace]:
@@ -248,10 +248,6 @@ def _truth(metrics: dict[str, Any], mean: Array) -> Array | None:
     if not all(isinstance(error, int | float) for error in errors):
         return None
     return mean - np.array(errors, dtype=np.float64)
-
-
-def _xyz(points: Array) -> dict[str, Any]:
-    return {name: packed(points[:, k]) for k, name in enumerate("xyz")}
 
 
 def _conserved(motion: StoredMotion) -> Figure:
@@ -277,15 +273,13 @@ def _conserved(motion: StoredMotion) -> Figure:
             ("rotation [%]", "½ v² [mm²/s²]"),
             ("momentum [%]", "direction [deg]"),
         ],
-        "time since the first frame [s]",
+        TIME_TITLE,
         showlegend=False,
     )
-    ends = path.time_s[[0, -1]]
-    dashes = {"mode": "lines", "line": {"color": FAINT, "width": 1.2, "dash": "dash"}}
     data = []
     for panel, (value, sigma, mean) in enumerate(curves, start=1):
         data += band(path.time_s, value, 3 * sigma, ACCENT, panel)
-        data.append(line(ends, [mean, mean], "mean", FAINT, panel, **dashes))
+        data.append(dashed(path.time_s[[0, -1]], [mean, mean], "mean", panel))
         data.append(line(path.time_s, value, "", ACCENT, panel))
     data.append(line(path.time_s, np.rad2deg(tilt), "", ACCENT, 4))
     figure["yaxis4"]["rangemode"] = "tozero"

@@ -15,9 +15,9 @@ from polhode.pipeline.report.figures.plot import (
     Trace,
     axis_arrows,
     color_bar,
-    layout,
     packed,
-    scene,
+    points3d,
+    scene_layout,
 )
 from polhode.pipeline.run_directory.stored_run import StoredRun
 from polhode.records import Ints, Landmarks
@@ -79,11 +79,10 @@ def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
     known = np.isfinite(sigma_mm)
     top = float(np.quantile(sigma_mm[known], 0.95)) if np.any(known) else 1.0
     data: list[Trace] = [
-        {
-            "type": "scatter3d",
-            "mode": "markers",
-            **{name: packed(p_mm[:, k]) for k, name in enumerate("xyz")},
-            "marker": {
+        points3d(
+            p_mm,
+            "landmarks",
+            marker={
                 "size": 2.6 if len(p_mm) < 3000 else 1.7,
                 "color": packed(np.where(known, np.minimum(sigma_mm, top), top)),
                 "colorscale": SIGMA_SCALE,
@@ -91,9 +90,8 @@ def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
                 "cmax": top,
                 "colorbar": color_bar("σ [mm]"),
             },
-            "name": "landmarks",
-            "hovertemplate": "(%{x:.1f}, %{y:.1f}, %{z:.1f}) mm<extra></extra>",
-        },
+            hovertemplate="(%{x:.1f}, %{y:.1f}, %{z:.1f}) mm<extra></extra>",
+        ),
         *_body_axes(content, p_mm),
     ]
     unknown = f" {int(np.sum(~known))} have no determined σ." if not np.all(known) else ""
@@ -168,13 +166,8 @@ def _body_axes(content: StoredRun, p_mm: Array) -> list[Trace]:
         return []
     com_mm = 1e3 * content.motion.com_G
     length = 0.75 * float(np.median(np.linalg.norm(p_mm - com_mm, axis=1))) * 2.0
-    centre: Trace = {
-        "type": "scatter3d",
-        "mode": "markers",
-        **{name: [float(com_mm[k])] for k, name in enumerate("xyz")},
-        "marker": {"size": 6, "color": INK, "symbol": "diamond"},
-        "name": "centre of mass",
-    }
+    marker = {"size": 6, "color": INK, "symbol": "diamond"}
+    centre = points3d(com_mm[None], "centre of mass", marker=marker)
     return [centre, *axis_arrows(com_mm, content.motion.R_GP, length, "xyz")]
 
 
@@ -191,22 +184,13 @@ def _cameras(content: StoredRun, p_mm: Array) -> list[Trace]:
     bar = color_bar("time [s]")
     marker = {"size": 3, "color": time, "colorscale": TIME_SCALE}
     return [
-        _points(close, "camera direction", marker | {"colorbar": bar}, visible="legendonly"),
-        _points(1e3 * positions, "camera position", marker, visible="legendonly"),
+        points3d(close, "camera direction", marker=marker | {"colorbar": bar}, visible="legendonly"),
+        points3d(1e3 * positions, "camera position", marker=marker, visible="legendonly"),
     ]
-
-
-def _points(p_mm: Array, name: str, marker: dict[str, Any], **more: Any) -> Trace:
-    xyz = {key: packed(p_mm[:, k]) for k, key in enumerate("xyz")}
-    return {"type": "scatter3d", "mode": "markers", **xyz, "name": name, "marker": marker, **more}
 
 
 def _body_layout(content: StoredRun) -> dict[str, Any]:
     """Seen from where the left camera stood at the first frame, so that a side that was seen is in front."""
     positions = cameras_in_target(content)
     away = positions[0] - content.motion.com_G if positions is not None and content.motion else np.zeros(3)
-    return layout(
-        scene=scene("mm", eye=away) if np.any(away) else scene("mm"),
-        margin={"l": 0, "r": 0, "t": 8, "b": 0},
-        legend={"orientation": "h", "x": 0, "y": 0},
-    )
+    return scene_layout(unit="mm", **({"eye": away} if np.any(away) else {}))
