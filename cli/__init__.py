@@ -1,6 +1,6 @@
-"""The command line: words in, one call of a room's function, one line of result or of error out.
+"""The command line: arguments in, one call of a room's function, one line of result or of error out.
 
-``main.py`` parses the words and runs the command; every command is a dataclass of its options in a file
+``main.py`` parses the arguments and runs the command; every command is a dataclass of its options in a file
 of its own, whose ``execute`` checks them and calls the room that does the work. Heavy imports wait for that
 call, so that ``--help`` is quick.
 

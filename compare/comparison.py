@@ -21,7 +21,7 @@ from polhode.compare.problem.measured_problem import MeasuredProblem, load, save
 from polhode.compare.problem.sources import Source, sources
 from polhode.compare.ranking import performance_profiles
 from polhode.compare.registry import Entry, entries
-from polhode.compare.rows import Case, Comparison, ProblemSummary, Row, write_comparison
+from polhode.compare.rows import Case, Comparison, ProblemSummary, Row, StartKind, write_comparison
 from polhode.compare.solver_process import empty_row, row_of
 from polhode.compare.tables import csv_text
 from polhode.config import Config
@@ -85,13 +85,16 @@ def compare(
 
 
 def _cases(problem: str, config: Config, chosen: tuple[Entry, ...]) -> Iterator[tuple[Entry, Case]]:
+    wanted = config.compare
+    counts: dict[StartKind, int] = {
+        "cold": int(wanted.cold),
+        "perturbed": wanted.perturbed,
+        "near": wanted.near,
+    }
     for entry in chosen:
-        if config.compare.cold:
-            yield entry, Case(problem=problem, solver=entry.name, start="cold", seed=0)
-        for seed in range(config.compare.perturbed):
-            yield entry, Case(problem=problem, solver=entry.name, start="perturbed", seed=seed)
-        for seed in range(config.compare.near):
-            yield entry, Case(problem=problem, solver=entry.name, start="near", seed=seed)
+        for start, count in counts.items():
+            for seed in range(count):
+                yield entry, Case(problem=problem, solver=entry.name, start=start, seed=seed)
 
 
 def claim(folder: Path) -> None:

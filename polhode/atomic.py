@@ -1,4 +1,4 @@
-"""Files that are never seen half-written: written beside their place, then renamed onto it."""
+"""Atomic writing of files: written under a temporary name beside the target, then renamed to it."""
 
 import os
 from collections.abc import Iterator
@@ -10,12 +10,12 @@ from polhode.errors import InputError
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """Yield a path beside ``path``, of the same suffix; rename it onto ``path`` when the block ends well.
+    """Yield a path beside ``path``, with the same suffix; rename it to ``path`` when the block succeeds.
 
-    Raises InputError when a device or a pipe stands there: a renamed file would take its place.
+    Raises InputError when ``path`` is a device or a pipe, which a renamed file would replace.
     """
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise InputError(f"{path}: is no file but a device or a pipe; give a file's name")
+        raise InputError(f"{path} is a device or a pipe; give the name of a file")
     partial = path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}")
     try:
         yield partial

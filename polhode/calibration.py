@@ -47,7 +47,7 @@ class _Camera:
 def read_calibration(mav0: Path) -> StereoCalibration:
     """Read ``cam0/sensor.yaml`` and ``cam1/sensor.yaml`` below the folder ``mav0``.
 
-    Raises InputError when a file or key is missing, holds NaN, T_BS is not a rigid transform, the two
+    Raises InputError when a file or key is missing, a value is NaN, T_BS is not a rigid transform, the two
     resolutions differ, or the cameras coincide.
     """
     left, right = (_read_camera(mav0 / name / "sensor.yaml") for name in ("cam0", "cam1"))
@@ -56,7 +56,7 @@ def read_calibration(mav0: Path) -> StereoCalibration:
         raise InputError(f"{mav0}: cam0 and cam1 have different resolutions, {sizes}; resample one of them")
     baseline_m = float(np.linalg.norm(right.X_BC[:3, 3] - left.X_BC[:3, 3]))
     if baseline_m < MIN_BASELINE_M:
-        message = f"{mav0}: cam0 and cam1 are at one place (baseline {baseline_m:g} m); check their T_BS"
+        message = f"{mav0}: cam0 and cam1 coincide (baseline {baseline_m:g} m); check their T_BS"
         raise InputError(message)
     return StereoCalibration(
         K0=left.K,
@@ -71,19 +71,20 @@ def read_calibration(mav0: Path) -> StereoCalibration:
 
 
 def read_bits(mav0: Path) -> int | None:
-    """Depth of 16-bit image files, 8 to 16, where the cameras' ``sensor.yaml`` tell ``bits``; else None.
+    """Depth of 16-bit image files, 8 to 16, as ``bits`` of the cameras' ``sensor.yaml``; None: not stated.
 
     Raises InputError when it is no such number, or differs between the cameras.
     """
-    told: list[int | None] = []
+    depths: list[int | None] = []
     for path in (mav0 / name / "sensor.yaml" for name in ("cam0", "cam1")):
         bits = read_mapping(path, "a camera needs its calibration (see docs/dataset.md)").get("bits")
         if bits is not None and (type(bits) is not int or not 8 <= bits <= 16):
             raise InputError(f"{path} key 'bits': expected the depth of the images, 8 to 16, got {bits!r}")
-        told.append(bits)
-    if told[0] != told[1]:
-        raise InputError(f"{mav0}: cam0 and cam1 tell different 'bits', {told[0]} and {told[1]}; correct one")
-    return told[0]
+        depths.append(bits)
+    if depths[0] != depths[1]:
+        different = f"{depths[0]} and {depths[1]}"
+        raise InputError(f"{mav0}: 'bits' of cam0 and cam1 differ, {different}; correct one")
+    return depths[0]
 
 
 def _read_camera(path: Path) -> _Camera:
@@ -123,7 +124,7 @@ def _distortion(path: Path, sensor: dict[str, object]) -> Array:
 
 
 def _rigid_transform(path: Path, X: Array) -> Array:
-    """The nearest rigid transform; rounding in the file is forgiven, anything else is an error."""
+    """The nearest rigid transform; only rounding in the file is accepted."""
     R = X[:3, :3]
     off = float(np.abs(R.T @ R - np.eye(3)).max())
     last_row_off = float(np.abs(X[3] - [0.0, 0.0, 0.0, 1.0]).max())

@@ -1,8 +1,8 @@
-"""Just-in-time compilation by numba, kept on disk between runs, in a cache that knows its constants.
+"""Just-in-time compilation by numba, cached on disk between runs, with constants taken into account.
 
 Numba freezes the global constants that a function reads into the machine code, but decides by the function's
 own file alone whether the copy on disk is stale: after a change of a constant that is imported from another
-module, it would go on using the old value. Here, the name under which a function is stored ends with a digest
+module, it would keep using the old value. Here, the name under which a function is stored ends with a digest
 of every constant and compiled function that it reads, so that a changed constant leads to a new compilation.
 
 The variants differ in the floating-point rules that the compiler may apply; they give different bytes.
@@ -73,7 +73,7 @@ def _content(value: object) -> str:
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     inner = getattr(value, "py_func", None)
     if isinstance(inner, FunctionType):
-        # Its qualified name ends with the digest of the constants that it reads in its turn.
+        # Its qualified name ends with the digest of the constants that it reads itself.
         code = inner.__code__
         constants = [repr(part) for part in code.co_consts if not isinstance(part, CodeType)]
         return f"{inner.__qualname__}{code.co_code.hex()}{constants}"

@@ -55,9 +55,9 @@ class StereoSequence:
     """Standard deviation of the inspector's position [m]; 0: exact"""
     sigma_camera_theta_rad: float
     n_listed: int
-    """Timestamps that the two data.csv list together"""
+    """Number of timestamps in either data.csv"""
     dropped: tuple[tuple[int, str], ...]
-    """(timestamp_ns, reason) of what is listed but not usable"""
+    """(timestamp_ns, reason) of frames that are listed but not usable"""
     warnings: tuple[str, ...]
     wrench: Wrench | None
     """Known force and torque on the target, of ``wrench0``; None when there is none"""
@@ -119,10 +119,10 @@ class _Checked:
 def open_sequence(folder: Path) -> StereoSequence:
     """Open and check a sequence.
 
-    Unpaired and unreadable frames are dropped, counted in ``dropped`` and warned of. Raises InputError,
-    one line, when the folder, a camera or its calibration is missing or wrong, timestamps do not increase,
-    more than 60 % of the listed frames are lost, fewer than 3 pairs remain, all frames are black, a mask
-    has the wrong size, or ``inspector0`` or ``wrench0`` is wrong or does not cover the frames.
+    Unpaired and unreadable frames are dropped, listed in ``dropped`` and reported in ``warnings``. Raises
+    InputError, one line, when the folder, a camera or its calibration is missing or wrong, timestamps do not
+    increase, more than 60 % of the listed frames are lost, fewer than 3 pairs remain, all frames are black, a
+    mask has the wrong size, or ``inspector0`` or ``wrench0`` is wrong or does not cover the frames.
     """
     mav0 = _require_folders(folder)
     calibration, bits = read_calibration(mav0), read_bits(mav0)
@@ -167,7 +167,9 @@ def open_sequence(folder: Path) -> StereoSequence:
 
 def _require_folders(folder: Path) -> Path:
     if not folder.is_dir():
-        raise InputError(f"{folder} is not a folder: give the folder that holds mav0/ (see docs/dataset.md)")
+        raise InputError(
+            f"{folder} is not a folder: give the folder that contains mav0/ (see docs/dataset.md)"
+        )
     mav0 = folder / "mav0"
     for name in ("cam0", "cam1"):
         if not (mav0 / name).is_dir():
@@ -256,9 +258,10 @@ def _warnings(
 
 
 def read_wrench(folder: Path, timestamps_ns: Ints) -> Wrench:
-    """Read ``wrench0/data.csv``: timestamp, force_N (3) [N], torque_P (3) [N m]. A row holds until the next.
+    """Read ``wrench0/data.csv``: timestamp, force_N (3) [N], torque_P (3) [N m]. A row applies until the
+    next.
 
-    Raises InputError when a row holds no numbers, timestamps do not increase, or no row is as early as the
+    Raises InputError when a row contains no numbers, timestamps do not increase, or no row is as early as the
     last frame (F,).
     """
     path = folder / "data.csv"
@@ -274,7 +277,7 @@ def read_wrench(folder: Path, timestamps_ns: Ints) -> Wrench:
 def read_inspector(folder: Path, timestamps_ns: Ints) -> InspectorPoses:
     """Read ``inspector0`` and interpolate it to the frames (F,): linear in position, slerp in attitude.
 
-    Raises InputError when the poses hold NaN, a quaternion is not of unit length, or a frame has no pose
+    Raises InputError when a pose is NaN, a quaternion is not of unit length, or a frame has no pose
     within one interval between frames.
     """
     path = folder / "data.csv"
@@ -321,7 +324,7 @@ def _read_sigmas(path: Path) -> tuple[float, float, tuple[str, ...]]:
     warnings: tuple[str, ...] = ()
     if "T_BS" in sensor and not np.allclose(numbers_at(path, sensor, "T_BS", (16,)), np.eye(4).ravel()):
         warnings = (
-            f"{path}: T_BS is not applied; data.csv must hold the pose of the body B that cameras refer to",
+            f"{path}: T_BS is not applied; data.csv must have the pose of the body B that cameras refer to",
         )
     return sigmas[0], sigmas[1], warnings
 

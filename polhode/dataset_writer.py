@@ -55,7 +55,7 @@ def write_sensor(
 ) -> None:
     """Write ``sensor.yaml`` of a camera folder: K (3, 3) [px], dist (n,) in OpenCV's order, X_BC (4, 4).
 
-    More than 8 ``bits`` are told: dark images do not show them.
+    More than 8 ``bits`` are stated, because they cannot be inferred from dark images.
     """
     camera.mkdir(parents=True, exist_ok=True)
     K, dist = np.asarray(K, dtype=np.float64), np.asarray(dist, dtype=np.float64)

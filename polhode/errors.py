@@ -1,8 +1,8 @@
-"""The two ways in which a command ends early, each with its exit code."""
+"""The two errors that end a command, with their exit codes."""
 
 
 class InputError(Exception):
-    """The user's mistake: bad usage or bad input. One line: what, where, what to do. Exit code 2."""
+    """A user's mistake: wrong usage or input. One line: what, where, what to do. Exit code 2."""
 
     exit_code = 2
 

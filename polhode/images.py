@@ -1,9 +1,11 @@
-"""Reading images from disk as 8-bit grey, and telling damaged or empty ones.
+"""Reading images from disk as 8-bit grey, and detecting damaged or empty ones.
 
 Pillow, not OpenCV: a damaged file raises, where OpenCV's decoder also prints to standard error, and it
 decodes outside the interpreter's lock.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,22 +24,18 @@ CONTENT_SPREAD_LEVELS = 24.0
 
 
 class UnreadableImage(Exception):
-    """The file is missing, damaged, or of the wrong size; the message says which, in a few words."""
+    """The file is missing, damaged, or of the wrong size, as the message states."""
 
 
-def read_raw(path: Path, width_px: int, height_px: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Decode the whole image (H, W): 8-bit grey, or 16-bit grey as stored. Colour becomes grey.
-
-    Raises UnreadableImage.
-    """
+@contextmanager
+def _opened(path: Path, width_px: int, height_px: int) -> Iterator[Image.Image]:
+    """The image file, for decoding in the block. Raises UnreadableImage."""
     try:
         with Image.open(path) as image:
             if image.size != (width_px, height_px):
                 wrong = f"{image.size[0]}x{image.size[1]} px instead of {width_px}x{height_px} px"
                 raise UnreadableImage(f"wrong size, {wrong}")
-            if image.mode.startswith("I"):
-                return np.asarray(image).astype(np.uint16)
-            return np.asarray(image.convert("L"), dtype=np.uint8)
+            yield image
     except FileNotFoundError:
         raise UnreadableImage("file missing") from None
     except UnidentifiedImageError:
@@ -47,8 +45,19 @@ def read_raw(path: Path, width_px: int, height_px: int) -> NDArray[np.uint8] | N
         raise UnreadableImage("damaged or truncated") from None
 
 
+def read_raw(path: Path, width_px: int, height_px: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Decode the whole image (H, W): 8-bit grey, or 16-bit grey as stored. Colour becomes grey.
+
+    Raises UnreadableImage.
+    """
+    with _opened(path, width_px, height_px) as image:
+        if image.mode.startswith("I"):
+            return np.asarray(image).astype(np.uint16)
+        return np.asarray(image.convert("L"), dtype=np.uint8)
+
+
 def bit_depth(largest_value: int) -> int:
-    """Depth of the sensor behind 16-bit files: the smallest usual one that holds the largest value."""
+    """Depth of the sensor behind 16-bit files: the smallest common one that contains the largest value."""
     return next(bits for bits in (8, 10, 12, 14, 16) if largest_value < 2**bits)
 
 
@@ -61,28 +70,17 @@ def to_grey(raw: NDArray[np.uint8] | NDArray[np.uint16], bits: int) -> Grey:
 
 def read_mask(path: Path, width_px: int, height_px: int) -> Bools:
     """A mask (H, W), true where the file is not zero. Raises UnreadableImage."""
-    try:
-        with Image.open(path) as image:
-            if image.mode == "P":
-                # The index is the label; converting the palette to grey could turn labels into black.
-                mask = np.asarray(image) != 0
-            elif image.mode in ("RGBA", "LA"):
-                mask = np.asarray(image)[..., :-1].any(axis=-1)
-            else:
-                pixels = np.asarray(image)
-                mask = pixels.any(axis=-1) if pixels.ndim == 3 else pixels != 0
-    except FileNotFoundError:
-        raise UnreadableImage("file missing") from None
-    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError):
-        raise UnreadableImage("damaged or truncated") from None
-    if mask.shape != (height_px, width_px):
-        wrong = f"{mask.shape[1]}x{mask.shape[0]} px instead of {width_px}x{height_px} px"
-        raise UnreadableImage(f"wrong size, {wrong}")
-    return np.asarray(mask, dtype=np.bool_)
+    with _opened(path, width_px, height_px) as image:
+        # The index of a palette is the label; converted to grey, labels could become black.
+        pixels = np.asarray(image)
+        if image.mode in ("RGBA", "LA"):
+            pixels = pixels[..., :-1]
+        mask = pixels.any(axis=-1) if pixels.ndim == 3 else pixels != 0
+        return np.asarray(mask, dtype=np.bool_)
 
 
 def has_content(grey: Grey) -> bool:
-    """False for a frame that is black or even but for sensor noise and single hot pixels.
+    """False for a frame that is black or uniform except for sensor noise and single hot pixels.
 
     Works on means of 4x4 blocks, where noise of a few levels is averaged out: content is a handful of
     blocks well above the median, or a wide spread over the image.

@@ -1,4 +1,4 @@
-"""How far two surfaces are apart: accuracy, completion, chamfer, Hausdorff."""
+"""Distances between two surfaces: accuracy, completion, chamfer, Hausdorff."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from polhode.lie import Array
 
 SAMPLES = 60_000
-"""Points drawn on each surface."""
+"""Number of points sampled on each surface."""
 _CANDIDATES = 6
 
 
@@ -33,7 +33,7 @@ def sample_surface(mesh: trimesh.Trimesh, count: int, seed: int = 0) -> tuple[Ar
 def distance_to_surface(mesh: trimesh.Trimesh, points: Array, seed: int = 0) -> Array:
     """Distance of points (n, 3) to the triangles of a mesh (n,), both in one frame [m].
 
-    Exact to the triangles that hold the nearest samples and vertices of a dense sampling of the surface.
+    Exact for the triangles with the nearest samples and centres in a dense sampling of the surface.
     """
     count = int(np.clip(2 * len(mesh.faces), SAMPLES, 400_000))
     samples, face = trimesh.sample.sample_surface(mesh, count, seed=seed)
@@ -50,12 +50,12 @@ def distance_to_surface(mesh: trimesh.Trimesh, points: Array, seed: int = 0) -> 
 
 
 def quick_tree(points: Array) -> cKDTree:
-    """For far fewer questions than points (n, 3): made in half the time, asked a little slower."""
+    """For far fewer queries than points (n, 3): built in half the time, with slightly slower queries."""
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
 def compare_surfaces(estimate: trimesh.Trimesh, truth: trimesh.Trimesh, truth_points: Array) -> MeshMetrics:
-    """Both meshes in one frame [m]; ``truth_points`` (n, 3) is the part of the truth that could be found.
+    """Both meshes in one frame [m]; ``truth_points`` (n, 3) is the part of the truth that could be observed.
 
     Accuracy is measured to the whole true surface, completion from ``truth_points`` alone; hausdorff95 is the
     larger of the two 95th percentiles.

@@ -1,6 +1,6 @@
-"""How far an estimate is from the truth: estimate minus truth.
+"""Errors of an estimate: estimate minus truth.
 
-A half-turn about a principal axis changes the names of the axes, not the answer: the best of the four is
+A half-turn about a principal axis changes the signs of the axes, not the motion: the best of the four is
 taken. Nothing else is aligned, except where a metric's definition says so.
 """
 
@@ -38,9 +38,9 @@ class States:
 
 
 def truth_at(truth: Truth, timestamps_ns: Ints) -> States:
-    """The truth at (F,) instants: its own row within 1 us, else carried on from the last row before.
+    """The truth at (F,) instants: its own row within 1 us, else propagated from the last row before.
 
-    Between rows the target moves as a free rigid body of the true inertia, so coarse rows do no harm.
+    Between rows the target moves as a free rigid body of the true inertia, so coarse rows are sufficient.
     Raises InputError when an instant lies outside the truth.
     """
     own = truth.timestamps_ns
@@ -61,7 +61,7 @@ def truth_at(truth: Truth, timestamps_ns: Ints) -> States:
 
 
 def turned(states: States, half_turn: int) -> States:
-    """The same motion with the principal axes named otherwise."""
+    """The same motion with the principal axes rotated by a half-turn."""
     s = HALF_TURNS[half_turn]
     return States(states.timestamps_ns, states.r_N, states.v_N, states.R_NP * s, states.w_P * s)
 

@@ -1,4 +1,4 @@
-"""Binary PLY files: the surface of a run with what each vertex and face knows, and point clouds.
+"""Binary PLY files: the surface of a run with the properties of its vertices and faces, and point clouds.
 
 The same content gives the same bytes. trimesh reads these files; it writes no properties of our own.
 """

@@ -1,6 +1,6 @@
-"""One piece of work on many items, spread over processes: results in order, memory bounded.
+"""One function applied to many items by parallel processes: results in order, memory bounded.
 
-The processes end with their parent, leave Ctrl-C to it, and use one thread each: the items fill the cores.
+The processes end with their parent, leave Ctrl-C to it, and use one thread each.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 WAITING_PER_WORKER = 3
-"""Items that are submitted, or whose results wait for their turn, per process."""
+"""Items per process that are submitted or whose results are not yet taken."""
 
 
 def worker_count(workers: int) -> int:
@@ -38,8 +38,8 @@ def in_order(
 
     ``work`` must be picklable; every process receives it once. With one worker or one item, no process is
     started. ``preload`` names modules that every process will need. Raises what ``work`` raises, after the
-    results of the items before, and RunFailure when a process is killed. After an error or an interrupt, what
-    has begun is finished and nothing else is begun.
+    results of the items before, and RunFailure when a process is killed. After an error or an interrupt,
+    items in progress are finished and no others are started.
     """
     if workers <= 1 or len(items) <= 1:
         for item in items:
@@ -112,7 +112,7 @@ def _interrupts_blocked() -> Iterator[None]:
 
 
 _work: Callable[[Any], Any] | None = None
-"""What this process does with each item."""
+"""The function that this process applies to each item."""
 
 
 def _begin(work: Callable[[Any], Any]) -> None:

@@ -1,4 +1,4 @@
-"""How a stage tells that it advances, without knowing who listens."""
+"""The interface through which stages report their progress."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -8,7 +8,7 @@ Advance = Callable[[], None]
 
 
 class Progress(Protocol):
-    """A listener: one bar per stage."""
+    """Shows progress: one bar per stage."""
 
     def stage(self, title: str, total: int) -> AbstractContextManager[Advance]:
         """Open a bar of ``total`` steps; call what it yields once per step."""
@@ -16,7 +16,7 @@ class Progress(Protocol):
 
 
 class Silent:
-    """Nobody listens: for tests and for use as a library."""
+    """Shows nothing: for tests and for use as a library."""
 
     @contextmanager
     def stage(self, title: str, total: int) -> Iterator[Advance]:

@@ -13,10 +13,10 @@ from polhode.records import Bools, Ints
 
 @dataclass(frozen=True)
 class FirstHits:
-    """What each of n rays meets first."""
+    """The first hit of each of n rays."""
 
     face: Ints
-    """(n,) -1 where it meets nothing; the other values mean nothing there"""
+    """(n,) -1 without a hit; the other values are meaningless there"""
     distance: Array
     """(n,) along the ray, in single precision"""
     u: Array
@@ -41,7 +41,7 @@ class RayScene:
         return FirstHits(np.asarray(answer["primID"], dtype=np.int64), *floats)
 
     def blocked(self, start: Array, direction: Array, reach: Array | None = None) -> Bools:
-        """(n,) whether rays (n, 3) meet anything within ``reach`` (n,); None: at any distance."""
+        """(n,) whether rays (n, 3) hit anything within ``reach`` (n,); None: at any distance."""
         limits = () if reach is None else (_floats(reach),)
         found = self._scene.run(_floats(start), _floats(direction), *limits, query="OCCLUDED")
         return np.asarray(found >= 0)

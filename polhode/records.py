@@ -17,12 +17,12 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 UNSEEN, SEEN_UNLIT, SEEN_LIT = 0, 1, 2
-"""Classes of coverage: no frame saw it; frames saw it, but never in light; seen in light."""
+"""Classes of coverage: in no frame's view; in view, but never lit; in view and lit."""
 
 
 @dataclass(frozen=True)
 class Wrench:
-    """Known force and torque on the target. A row holds until the next, the last one on."""
+    """Known force and torque on the target. A row applies until the next, the last one until the end."""
 
     time_ns: Ints
     """(n,) strictly increasing, on the clock of the frames"""
@@ -34,10 +34,10 @@ class Wrench:
 
 @dataclass(frozen=True)
 class StereoTracks:
-    """Stereo measurements with data association: all that the back end sees of the images.
+    """Stereo measurements with data association: all that the back end gets from the images.
 
     F frames, M observations, L landmarks. Frames without observations are allowed (bridged by the
-    dynamics). Also what ``measurements.npz`` holds.
+    dynamics). Stored as ``measurements.npz``.
     """
 
     rig: RectifiedRig
@@ -105,7 +105,7 @@ class InitialMotion:
 
 @dataclass(frozen=True)
 class NoiseLevels:
-    """Noise that the estimate was made with."""
+    """Noise levels of the estimate."""
 
     pixel_sigma_px: float
     """Residual standard deviation of u and v, robust [px]."""
@@ -132,14 +132,14 @@ class SolverOutcome:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the data can tell. ``com`` and ``axes`` are true only when every component is determined."""
+    """What the data determine. ``com`` and ``axes`` are true only when every component is determined."""
 
     k1: bool
     k2: bool
     com: bool
     axes: bool
     detail: dict[str, str]
-    """Per direction, the reason in words."""
+    """The reason, by direction."""
     com_P: Bools
     """(3,) each component of the centre of mass, along the principal axes."""
     axes_P: Bools
@@ -174,7 +174,7 @@ class MassProperties:
     """(3, 3) [m^2]; inf on the diagonal where undetermined."""
     identifiable: Identifiability
     mass_kg: float | None = None
-    """From known forces; None: none are known. So too the others; a sigma of inf: undetermined."""
+    """From known forces; None: no forces are known. Likewise the following; a sigma of inf: undetermined."""
     sigma_mass_kg: float | None = None
     inertia_scale_kg_m2: float | None = None
     """Middle moment, from known torques: times J_G it gives the inertia in kg m^2"""
@@ -236,7 +236,7 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class MotionEstimate:
-    """The back end's answer, one state per frame; r, v are absolute, the attitude is R_NP Exp(theta)."""
+    """The result of the back end, one state per frame; r, v are absolute, the attitude is R_NP Exp(theta)."""
 
     timestamps_ns: Ints
     """(F,)"""
@@ -249,8 +249,8 @@ class MotionEstimate:
     w_P: Array
     """(F, 3) [rad/s]"""
     X_NG: Array
-    """(F, 4, 4) as seen from the camera's stated poses, which joins landmarks and depth. Where those poses
-    are noisy, r_N and R_NP are freed from their noise, and differ by it."""
+    """(F, 4, 4) as seen from the camera's stated poses; landmarks and depth refer to it. Where those poses
+    are noisy, r_N and R_NP are corrected for their noise and differ from it."""
     covariance: Array
     """(F, 12, 12) in the order r (N), v (N), theta (P), w (P); inf on the diagonal where undetermined."""
     covariance_last_joint: Array
@@ -266,20 +266,20 @@ class MotionEstimate:
     warnings: tuple[str, ...] = ()
     covariance_last_body: Array | None = None
     """(20, 20): the last r_N, v_N, theta in R_NG Exp(theta), w_G, then the 5 inertia parameters, com_G (3).
-    Always finite: nothing in it is expressed in the principal axes; a weak prior bounds the undetermined."""
+    Always finite: independent of the principal axes; a weak prior bounds what is undetermined."""
     covariance_X_NG: Array | None = None
-    """(F, 6, 6) of X_NG, shift [m] and turn [rad] along the axes of G: p_N = X_NG (Exp(turn) p_G + shift).
-    Without what all poses have in common, so always finite. None: not known"""
+    """(F, 6, 6) of X_NG, translation t [m] and rotation a [rad] along the axes of G:
+    p_N = X_NG (Exp(a) p_G + t). Without errors common to all poses, so always finite. None: unknown"""
     disturbances: Disturbances | None = None
     """By unknown forces and torques; None: not sought, or none found"""
 
 
 @dataclass(frozen=True)
 class OnlineEstimate:
-    """The causal estimate, one row per frame, from the frames up to it. G is held at the first frame.
+    """The causal estimate, one row per frame, from the frames up to it. G is fixed at the first frame.
 
-    Undetermined quantities hold the best finite numbers; their variance is inf. ``MotionEstimate`` has the
-    meaning of the states.
+    Undetermined quantities have finite values and a variance of inf. The states are those of
+    ``MotionEstimate``.
     """
 
     timestamps_ns: Ints
@@ -314,7 +314,7 @@ class OnlineEstimate:
 
 @dataclass(frozen=True)
 class Truth:
-    """Truth of a simulated sequence; read by ``evaluate`` alone."""
+    """Truth of a simulated sequence, which only ``evaluate`` reads."""
 
     timestamps_ns: Ints
     r_N: Array
@@ -346,16 +346,16 @@ class DepthMap:
 
 @dataclass(frozen=True)
 class AlignedPoses:
-    """Poses that the surface tells better than the motion did: of frames that the motion knows poorly."""
+    """Poses aligned with the surface, of frames whose pose the motion determines poorly."""
 
     doubtful: int
-    """Frames whose poses were worth it; those that are not aligned keep theirs"""
+    """Number of frames with poorly determined poses; those that are not aligned keep theirs"""
     frames: Ints
     """(n,) aligned ones, by the order in which they were added"""
     X_RG: Array
     """(n, 4, 4) the target in the rectified left camera"""
     covariance_G: Array
-    """(n, 6, 6) p_R = X_RG (Exp(turn) p_G + shift): shift [m], turn [rad]"""
+    """(n, 6, 6) of translation t [m] and rotation a [rad]: p_R = X_RG (Exp(a) p_G + t)"""
 
     def put_into(self, X_RG: Array) -> Array:
         """All poses (F, 4, 4), those of the aligned frames replaced."""
@@ -379,9 +379,9 @@ class SurfaceModel:
     coverage: NDArray[np.uint8] | None = None
     """(V,) UNSEEN, SEEN_UNLIT or SEEN_LIT; None: all was measured, so seen in light"""
     warnings: tuple[str, ...] = ()
-    """What is missing of the surface, and why"""
+    """Missing parts of the surface, and the reason"""
     aligned: AlignedPoses | None = None
-    """None: no pose was in doubt"""
+    """None: all poses were well determined"""
 
     @property
     def is_invented(self) -> Bools:

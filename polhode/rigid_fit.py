@@ -1,4 +1,4 @@
-"""Rotations and rigid transforms of least squares (Kabsch 1976), weighted where asked.
+"""Least-squares rotations and rigid transforms (Kabsch 1976), optionally weighted.
 
 ``frontend/matching/matchers.py`` has a deliberate twin in torch, which can be differentiated.
 """

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from polhode.config.loader import read_yaml
 from polhode.errors import InputError
 from polhode.lie import Array, matrix_from_wxyz
 from polhode.records import Ints
@@ -16,14 +16,14 @@ UNIT_TOLERANCE = 1e-2
 def read_rows(path: Path) -> list[tuple[int, list[str]]]:
     """Rows of a CSV file as (line number, stripped fields); skips blanks, ``#`` comments and a header.
 
-    Raises InputError when the file is missing, is not text, or holds no row.
+    Raises InputError when the file is missing, is not text, or has no rows.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{path} is missing: add it (see docs/dataset.md)") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} cannot be read as text: {_one_line(error)}") from None
+        raise InputError(f"{path} cannot be read as text: {' '.join(str(error).split())}") from None
     rows = [
         (number, [field.strip() for field in line.split(",")])
         for number, line in enumerate(text.splitlines(), start=1)
@@ -86,20 +86,9 @@ def attitudes_of(path: Path, rows: list[tuple[int, list[str]]], q_wxyz: Array, n
 
 def read_mapping(path: Path, purpose: str) -> dict[str, Any]:
     """A YAML file whose top level is a mapping; raises InputError naming file, purpose and YAML line."""
-    try:
-        loaded = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing: {purpose}") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" line {mark.line + 1}" if mark is not None else ""
-        raise InputError(
-            f"{path}{where}: not valid YAML: {getattr(error, 'problem', None) or 'syntax error'}"
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} cannot be read: {_one_line(error)}") from None
+    loaded = read_yaml(path, f"{path} is missing: {purpose}")
     if not isinstance(loaded, dict):
-        raise InputError(f"{path} holds no keys: {purpose}")
+        raise InputError(f"{path} has no keys: {purpose}")
     return loaded
 
 
@@ -121,9 +110,5 @@ def numbers_at(path: Path, mapping: dict[str, Any], key: str, count: tuple[int, 
         expected = " or ".join(str(n) for n in count)
         raise InputError(f"{path} key '{key}': {len(numbers)} numbers, expected {expected}")
     if not np.isfinite(numbers).all():
-        raise InputError(f"{path} key '{key}': holds NaN or infinity; give the calibrated values")
+        raise InputError(f"{path} key '{key}': contains NaN or infinity; give the calibrated values")
     return numbers
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -1,4 +1,4 @@
-"""How many threads BLAS, OpenMP, OpenCV and torch may use: one, unless the configuration asks for more.
+"""Number of threads of BLAS, OpenMP, OpenCV and torch: one, unless the configuration sets more.
 
 More than one thread each was 5-8 times slower on problems of this size, and workers are processes anyway. The
 number also decides the rounding of large products, and so the last digits of a result.
@@ -29,7 +29,7 @@ VARIABLES = (
 )
 
 _count = 1
-"""What ``single_threaded`` functions may use; ``limit_threads`` sets it."""
+"""Threads of ``single_threaded`` functions; ``limit_threads`` sets it."""
 _limited = False
 """Whether a ``single_threaded`` function is running, so that those it calls need not limit again."""
 
@@ -57,10 +57,10 @@ def limited_threads(count: int) -> Iterator[None]:
 
 
 def single_threaded(function: Callable[P, T]) -> Callable[P, T]:
-    """Run the function with one thread for each library, or with as many as ``limit_threads`` said last.
+    """Run the function with one thread for each library, or with the number that ``limit_threads`` set.
 
-    For the entry points of the work: it then takes as long and gives the same digits whatever was imported
-    before this package, and whatever the environment says.
+    For the entry points: time and digits of the result are then independent of what was imported before this
+    package, and of the environment.
     """
 
     @functools.wraps(function)

@@ -1,4 +1,4 @@
-"""The truth of a simulated sequence, ``target0/``. Only ``pipeline.evaluation.evaluate`` may import it.
+"""The truth of a simulated sequence, ``target0/``. Only ``pipeline.evaluation`` may import it.
 
 An import-linter contract and a test keep the estimate blind to it.
 """
@@ -60,7 +60,7 @@ def _read_mesh(path: Path) -> trimesh.Trimesh | None:
     except (ValueError, IndexError, KeyError, NotImplementedError) as error:
         raise InputError(f"{path} is not a readable mesh: {' '.join(str(error).split())}") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise InputError(f"{path} holds no triangles")
+        raise InputError(f"{path} has no triangles")
     if not np.isfinite(mesh.vertices).all():
-        raise InputError(f"{path} holds NaN or infinity")
+        raise InputError(f"{path} contains NaN or infinity")
     return mesh

@@ -1,11 +1,12 @@
 """Residuals and Jacobians of the common cost as blocks of a factor graph, for external solvers.
 
 The cost is that of ``backend.solvers.gauss_newton.GaussNewton``. ``Blocks`` evaluates all blocks of a kind at
-once; ``SingleSteps`` and ``landmark_block`` evaluate one, for libraries that call Python for every block.
+once; ``SingleBlocks`` and ``landmark_block`` evaluate one, for libraries that call Python for every block.
 There, all measurements of a landmark are one block, which needs a tenth of the calls, and Ceres can still
 eliminate the landmarks.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,7 @@ from scipy.sparse import csr_matrix
 from polhode.backend.dynamics.kernels import prior_kernel
 from polhode.backend.dynamics.residuals import FrameStates, dynamics_jacobians, dynamics_residuals
 from polhode.backend.dynamics.so3_exp import right_jacobians, rotation_matrices
-from polhode.backend.problem.inertia import inertia_derivative
+from polhode.backend.problem.inertia import inertia_derivative, inertia_from_second_moments
 from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import wrench_residual
@@ -152,34 +153,50 @@ def stacked(blocks: list[Block], n_x: int) -> tuple[Array, Any]:
     return residual, matrix
 
 
-class SingleSteps:
-    """Residual (12) and Jacobian (12, 2 s + c) of step k at its own unknowns (2 s + c)."""
+Evaluation = Callable[[Array, bool], tuple[Array, Array]]
+"""(Own unknowns of a block, whether the Jacobian is needed) -> residuals (rows,), Jacobian (rows, width)."""
+
+
+class SingleBlocks:
+    """Each step and each prior of the common cost as a function of its own unknowns."""
 
     def __init__(self, blocks: Blocks) -> None:
-        self.data, self.reference = blocks.data, blocks.fixed.reference
-        steps = blocks.fixed.steps
-        self._steps = [steps.part(slice(k, k + 1)) for k in range(len(steps.dt_s))]
+        self._blocks, self._reference = blocks, blocks.fixed.reference
 
-    def residual(self, k: int, x: Array) -> Array:
-        """(12,)"""
-        states, J_G, _ = self._at(k, x)
-        return np.asarray(dynamics_residuals(states, self._steps[k], J_G)[0])
+    def step(self, k: int) -> Evaluation:
+        """The 12 residuals of step k, of states before and after and constants (2 s + c)."""
+        at, s, form = self._reference, self._reference.n_state, self._blocks.data.form
+        camera_N = self._blocks.data.camera_N[k : k + 2]
+        steps = self._blocks.fixed.steps.part(slice(k, k + 1))
 
-    def jacobian(self, k: int, x: Array) -> tuple[Array, Array]:
-        """(12,), (12, 2 s + c)"""
-        states, J_G, constants = self._at(k, x)
-        dJ = inertia_derivative(self.data.form, constants[3:N_CONSTANTS], self.reference.R_inertia)
-        residual, jacobian = dynamics_jacobians(states, self._steps[k], J_G, dJ)
-        return np.asarray(residual[0]), np.asarray(jacobian[0])
+        def evaluate(x: Array, with_jacobian: bool) -> tuple[Array, Array]:
+            numbers, constants = x[: 2 * s].reshape(2, s), x[2 * s :]
+            R_NG = at.R_NG[k : k + 2] @ exp_so3(numbers[:, 3:6])
+            wrench = None if at.wrench is None else constants[N_CONSTANTS:]
+            states = FrameStates(numbers, R_NG, camera_N, constants[:3], wrench, at.R_torque)
+            xi = constants[3:N_CONSTANTS]
+            J_G = inertia_from_second_moments(form.second_moments(xi, at.R_inertia))
+            if not with_jacobian:
+                return np.asarray(dynamics_residuals(states, steps, J_G)[0]), np.zeros((0, 0))
+            dJ = inertia_derivative(form, xi, at.R_inertia)
+            residual, jacobian = dynamics_jacobians(states, steps, J_G, dJ)
+            return np.asarray(residual[0]), np.asarray(jacobian[0])
 
-    def _at(self, k: int, x: Array) -> tuple[FrameStates, Array, Array]:
-        at, s = self.reference, self.reference.n_state
-        numbers, constants = x[: 2 * s].reshape(2, s), x[2 * s :]
-        R_NG = at.R_NG[k : k + 2] @ exp_so3(numbers[:, 3:6])
-        wrench = None if at.wrench is None else constants[N_CONSTANTS:]
-        states = FrameStates(numbers, R_NG, self.data.camera_N[k : k + 2], constants[:3], wrench, at.R_torque)
-        second = self.data.form.second_moments(constants[3:N_CONSTANTS], at.R_inertia)
-        return states, np.trace(second) * np.eye(3) - second, constants
+        return evaluate
+
+    def prior(self, kind: int, row: int, x: Array, slots: Ints) -> Evaluation:
+        """A row of ``Blocks.others`` as a function of the unknowns ``slots``; the others are those of x."""
+        x, block = x.copy(), self._blocks.others(x)[kind]
+        columns = [int(np.flatnonzero(slots == slot)[0]) for slot in block.slots[row]]
+
+        def evaluate(own: Array, _: bool) -> tuple[Array, Array]:
+            x[slots] = own
+            block = self._blocks.others(x)[kind]
+            jacobian = np.zeros((block.residual.shape[1], len(slots)))
+            jacobian[:, columns] = block.jacobian[row]
+            return np.asarray(block.residual[row]), jacobian
+
+        return evaluate
 
 
 @compiled

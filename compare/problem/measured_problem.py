@@ -60,8 +60,6 @@ class MeasuredProblem:
     """(n,) the cold start, around ``fixed.reference``"""
     solution: Array
     """(n,) by Gauss-Newton from the back end's own estimate: for starts near it, unknown to the solvers"""
-    relative: RelativePoses | None
-    """Of the target between frames, for methods that use nothing else"""
     truth: Truth | None
     prepared_s: float
     """Time to freeze the problem"""
@@ -189,7 +187,7 @@ def freeze(
     x = coordinates(aligned(end, start, kept.data), fixed, kept.data)
     for _ in range(MAX_PASSES):
         x = GaussNewton(kept.data).solve(fixed, x, 200).x
-    return MeasuredProblem(name, kept.data, fixed, start.vector(), x, relative, truth, perf_counter() - begin)
+    return MeasuredProblem(name, kept.data, fixed, start.vector(), x, truth, perf_counter() - begin)
 
 
 def _fixed_about(kept: PrunedProblem, start: Iterate, end: Iterate) -> LinearizationPoint:

@@ -8,8 +8,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pyceres
 
-from polhode.compare.problem.blocks import Blocks, SingleSteps, compile_block, landmark_block
+from polhode.compare.problem.blocks import Blocks, Evaluation, SingleBlocks, compile_block, landmark_block
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import SolveMonitor, SolverResult
 from polhode.lie import Array
@@ -27,8 +28,6 @@ class Ceres:
 
     def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
         """Levenberg-Marquardt to a relative decrease of TOLERANCE."""
-        import pyceres
-
         with monitor.part("build"):
             graph = _Graph(problem, x, monitor)
             options = pyceres.SolverOptions()
@@ -40,7 +39,7 @@ class Ceres:
             options.num_threads = 1
             options.logging_type = pyceres.LoggingType.SILENT
             options.update_state_every_iteration = True
-            callback = _on_iteration(graph, monitor)
+            callback = _OnIteration(graph, monitor)
             options.callbacks = [callback]
         summary = pyceres.SolverSummary()
         pyceres.solve(options, graph.problem, summary)
@@ -61,10 +60,9 @@ class _Graph:
     """Ceres's problem: parameter blocks are poses, other components of states, constants, landmarks."""
 
     def __init__(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> None:
-        import pyceres
-
         self.problem = pyceres.Problem()
         self.blocks, self.monitor = Blocks(problem.data, problem.fixed), monitor
+        self.single = SingleBlocks(self.blocks)
         self.parts = self._parts()
         # Ceres keeps their addresses and writes to them, so they are copies of x
         self.values = [x[part].copy() for part in self.parts]
@@ -74,7 +72,7 @@ class _Graph:
         self._add_others(x)
 
     def _add(self, evaluate: "Evaluate", rows: int, owners: list[int]) -> None:
-        cost = _cost_function(evaluate, rows, [len(self.values[owner]) for owner in owners], self.monitor)
+        cost = _CostFunction(evaluate, rows, [len(self.values[owner]) for owner in owners], self.monitor)
         self._costs.append(cost)
         self.problem.add_residual_block(cost, None, [self.values[owner] for owner in owners])
 
@@ -89,11 +87,10 @@ class _Graph:
             self._add(evaluate, 3 * len(frames), [first + landmark, *(2 * frames).tolist()])
 
     def _add_steps(self) -> None:
-        steps = SingleSteps(self.blocks)
         constants = 2 * self.blocks.data.n_frames
         for k in range(self.blocks.data.n_frames - 1):
             owners = [2 * k, 2 * k + 1, 2 * k + 2, 2 * k + 3, constants]
-            self._add(_of_step(steps, k), 12, owners)
+            self._add(_of_block(self.single.step(k)), 12, owners)
 
     def _add_others(self, x: Array) -> None:
         """Priors: linear or small, evaluated with the unknowns of other blocks at the start."""
@@ -103,7 +100,8 @@ class _Graph:
         for kind, block in enumerate(self.blocks.others(x)):
             for row in range(len(block.residual)):
                 owners = list(dict.fromkeys(owner[block.slots[row]].tolist()))
-                evaluate = _of_other(self.blocks, kind, row, x.copy(), [self.parts[o] for o in owners])
+                slots = np.concatenate([np.r_[self.parts[owner]] for owner in owners])
+                evaluate = _of_block(self.single.prior(kind, row, x, slots))
                 self._add(evaluate, block.residual.shape[1], owners)
 
     def _parts(self) -> list[slice]:
@@ -119,8 +117,6 @@ class _Graph:
 
     def covariance(self) -> Array | None:
         """(8, 8) of com_G, xi by Ceres."""
-        import pyceres
-
         constants = self.values[2 * self.blocks.data.n_frames]
         options = pyceres.CovarianceOptions()
         options.num_threads = 1
@@ -157,71 +153,45 @@ def _of_landmark(data: LandmarkData, scale: float) -> Evaluate:
     return evaluate
 
 
-def _of_step(steps: SingleSteps, k: int) -> Evaluate:
+def _of_block(block: Evaluation) -> Evaluate:
     def evaluate(parameters: list[Array], out: list[Array | None] | None) -> Array:
-        x = np.concatenate(parameters)
-        if out is None:
-            return steps.residual(k, x)
-        residual, jacobian = steps.jacobian(k, x)
-        _write(out, jacobian, [len(each) for each in parameters])
+        residual, jacobian = block(np.concatenate(parameters), out is not None)
+        if out is not None:
+            ends = np.cumsum([len(each) for each in parameters])[:-1]
+            for target, part in zip(out, np.split(jacobian, ends, axis=1), strict=True):
+                if target is not None:
+                    target[:] = part.ravel()
         return residual
 
     return evaluate
 
 
-def _of_other(blocks: Blocks, kind: int, row: int, x: Array, parts: list[slice]) -> Evaluate:
-    def evaluate(parameters: list[Array], out: list[Array | None] | None) -> Array:
-        for part, values in zip(parts, parameters, strict=True):
-            x[part] = values
-        block = blocks.others(x)[kind]
-        if out is not None:
-            wide = np.zeros((block.jacobian.shape[1], len(x)))
-            wide[:, block.slots[row]] = block.jacobian[row]
-            jacobian = np.hstack([wide[:, part] for part in parts])
-            _write(out, jacobian, [part.stop - part.start for part in parts])
-        return np.asarray(block.residual[row])
+class _OnIteration(pyceres.IterationCallback):  # type: ignore[misc]
+    """Records each iteration; ends the solve at the limit."""
 
-    return evaluate
+    def __init__(self, graph: _Graph, monitor: SolveMonitor) -> None:
+        super().__init__()
+        self._graph, self._monitor = graph, monitor
 
-
-def _write(out: list[Array | None], jacobian: Array, sizes: list[int]) -> None:
-    start = 0
-    for target, size in zip(out, sizes, strict=True):
-        if target is not None:
-            target[:] = jacobian[:, start : start + size].ravel()
-        start += size
+    def __call__(self, summary: Any) -> Any:
+        self._monitor.record(summary.cost, self._graph.vector() if summary.step_is_successful else None)
+        stop = self._monitor.left() <= 0.0
+        types = pyceres.CallbackReturnType
+        return types.SOLVER_ABORT if stop else types.SOLVER_CONTINUE
 
 
-def _on_iteration(graph: _Graph, monitor: SolveMonitor) -> Any:
-    import pyceres
+class _CostFunction(pyceres.CostFunction):  # type: ignore[misc]
+    """One block, as a function that Ceres calls."""
 
-    class OnIteration(pyceres.IterationCallback):  # type: ignore[misc]
-        """Records the iteration; ends the solve at the limit."""
+    def __init__(self, evaluate: Evaluate, rows: int, sizes: list[int], monitor: SolveMonitor) -> None:
+        super().__init__()
+        self._evaluate, self._monitor = evaluate, monitor
+        self.set_num_residuals(rows)
+        self.set_parameter_block_sizes(sizes)
 
-        def __call__(self, summary: Any) -> Any:
-            monitor.record(summary.cost, graph.vector() if summary.step_is_successful else None)
-            stop = pyceres.CallbackReturnType.SOLVER_ABORT
-            return stop if monitor.left() <= 0.0 else pyceres.CallbackReturnType.SOLVER_CONTINUE
-
-    return OnIteration()
-
-
-def _cost_function(evaluate: Evaluate, rows: int, sizes: list[int], monitor: SolveMonitor) -> Any:
-    import pyceres
-
-    class OneBlock(pyceres.CostFunction):  # type: ignore[misc]
-        """The function that Ceres calls."""
-
-        def __init__(self) -> None:
-            super().__init__()
-            self.set_num_residuals(rows)
-            self.set_parameter_block_sizes(sizes)
-
-        def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
-            """False where the model is undefined."""
-            with monitor.callback(), np.errstate(all="ignore"):
-                found = evaluate(parameters, jacobians)
-                residuals[:] = found
-                return bool(np.isfinite(found).all())
-
-    return OneBlock()
+    def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
+        """False where the model is undefined."""
+        with self._monitor.callback(), np.errstate(all="ignore"):
+            found = self._evaluate(parameters, jacobians)
+            residuals[:] = found
+            return bool(np.isfinite(found).all())

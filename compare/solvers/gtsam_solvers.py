@@ -8,7 +8,7 @@ import numpy as np
 from gtsam.symbol_shorthand import C, L, V, X
 
 from polhode.backend.dynamics.so3_exp import inverse_right_jacobians
-from polhode.compare.problem.blocks import Blocks, SingleSteps
+from polhode.compare.problem.blocks import Blocks, Evaluation, SingleBlocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import SolveMonitor, SolverResult
 from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
@@ -106,10 +106,6 @@ def _covariance(solved: Callable[[], Any]) -> Array | None:
         return None
 
 
-Evaluation = Callable[[Array, bool], tuple[Array, Array]]
-"""(Unknowns of the keys, whether the Jacobian is needed) -> residuals, Jacobian."""
-
-
 class Graph:
     """Factors by frame, and conversion of values from and to the common vector."""
 
@@ -117,7 +113,7 @@ class Graph:
         self.blocks, self.monitor = Blocks(problem.data, problem.fixed), monitor
         self.data, self.fixed = problem.data, problem.fixed
         self.X_NR = inverse_pose(make_pose(self.data.R_RN, self.data.t_R))
-        self._steps = SingleSteps(self.blocks)
+        self._single = SingleBlocks(self.blocks)
         self._models: dict[tuple[float, ...], Any] = {}
         d = self.data
         f, cx, cy, baseline, self._offset = d.rig
@@ -153,13 +149,7 @@ class Graph:
 
     def add_step(self, graph: Any, k: int) -> None:
         """Dynamics from frame k to the next."""
-
-        def evaluate(x: Array, with_jacobian: bool) -> tuple[Array, Array]:
-            if with_jacobian:
-                return self._steps.jacobian(k, x)
-            return self._steps.residual(k, x), np.zeros((0, 0))
-
-        self._add(graph, [X(k), V(k), X(k + 1), V(k + 1), C(0)], 12, evaluate)
+        self._add(graph, [X(k), V(k), X(k + 1), V(k + 1), C(0)], 12, self._single.step(k))
 
     def add_others(self, graph: Any, x: Array) -> None:
         """Prior, gauge of the first pose, errors of the camera, prior of a known wrench."""
@@ -173,18 +163,8 @@ class Graph:
                     key, start, size = X(first // s), first, 6
                 else:
                     key, start, size = V(first // s), first - first % s + 6, s - 6
-                evaluate = self._other(kind, row, x.copy(), slice(start, start + size), slots - start)
-                self._add(graph, [key], block.residual.shape[1], evaluate)
-
-    def _other(self, kind: int, row: int, x: Array, at: slice, columns: Any) -> Evaluation:
-        def evaluate(own: Array, _: bool) -> tuple[Array, Array]:
-            x[at] = own
-            block = self.blocks.others(x)[kind]
-            jacobian = np.zeros((block.residual.shape[1], at.stop - at.start))
-            jacobian[:, columns] = block.jacobian[row]
-            return block.residual[row], jacobian
-
-        return evaluate
+                prior = self._single.prior(kind, row, x, np.arange(start, start + size))
+                self._add(graph, [key], block.residual.shape[1], prior)
 
     def _add(self, graph: Any, keys: list[int], rows: int, evaluate: Evaluation) -> None:
         """A factor in Python; its Jacobian is converted to the tangent space of GTSAM's poses."""

@@ -8,7 +8,7 @@ from polhode.config.section import Section
 
 
 class Window(Section):
-    """The sliding window: the causal estimate of each frame, as known when it came."""
+    """The sliding window: the causal estimate of each frame, from the frames up to it."""
 
     enabled: bool = True
     """Write trajectory_online.csv."""
@@ -17,10 +17,10 @@ class Window(Section):
     frames: int = Field(12, ge=2)
     """Latest frames whose whole state is estimated."""
     key_frames: int = Field(36, ge=2)
-    """Earlier frames whose pose and observations stay: the sides of the target that will come back."""
+    """Earlier frames whose pose and observations stay: they show sides of the target that will reappear."""
     history: int = Field(96, ge=4)
-    """So many frames are solved as a whole before the first state is marginalized; when the inertia is not
-    known by then, more, thinned out to this number."""
+    """Number of frames that are solved as a batch before the first state is marginalized; if the inertia is
+    not determined by then, more frames, thinned out to this number."""
 
 
 class Backend(Section):
@@ -29,40 +29,42 @@ class Backend(Section):
     inertia: Literal["second_moments", "ratios_axes"] = "second_moments"
     """Variables of the inertia: log-Cholesky second moments, or log-ratios and principal axes."""
     solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
-    """Solver of the whole problem; both reach the same optimum. Where gauss_newton comes to no end, ipopt
-    goes on."""
+    """Solver of the whole problem; both reach the same optimum. Where gauss_newton does not converge,
+    ipopt continues."""
     process_noise: Literal["estimated", "given"] = "estimated"
     """Strength of the disturbances: the most likely one given the data, or accel_psd and torque_psd."""
     accel_psd: float = Field(1e-6, gt=0)
-    """Disturbance acceleration, power spectral density [(m/s^2)^2/Hz] (thesis eq. 6.14, squared); where the
-    estimate of it starts."""
+    """Disturbance acceleration, power spectral density [(m/s^2)^2/Hz] (thesis eq. 6.14, squared); the
+    start of its estimate."""
     torque_psd: float = Field(1e-6, gt=0)
     """Disturbance torque over the middle moment, power spectral density [(rad/s^2)^2/Hz] (thesis eq. 6.15,
-    squared); where the estimate of it starts."""
+    squared); the start of its estimate."""
     systematic_px: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = (0.03, 0.03, 0.01)
-    """Standard deviations of constant errors of u, v and disparity that every frame shares [px]: calibration
-    and matching. No residual shows them; they widen the sigma of position."""
+    """Standard deviations of constant errors of u, v and disparity common to all frames [px]: calibration and
+    matching. They do not appear in the residuals, and increase the sigma of position."""
     wrench_bias: float = Field(0.02, gt=0)
     """Standard deviation of a constant bias of known forces and torques, over the largest of each."""
     unknown_wrench: Literal["none", "found", "everywhere"] = "found"
-    """Unknown pushes: none; in the steps between frames that contradict free motion; in every step."""
+    """Unknown disturbances: none; in the steps between frames that contradict free motion; in every step."""
     unknown_wrench_s: tuple[tuple[float, float], ...] = ()
-    """Times in which something unknown pushes, start and end of each in seconds since the first frame."""
+    """Intervals with an unknown disturbance, start and end of each in seconds since the first frame."""
     unknown_acceleration: float = Field(0.1, gt=0)
-    """Standard deviation of the acceleration of an unknown push [m/s^2]."""
+    """Standard deviation of the acceleration by an unknown disturbance [m/s^2]."""
     unknown_angular_acceleration: float = Field(1.0, gt=0)
     """Standard deviation of its angular acceleration [rad/s^2]."""
     mass_kg: float | None = Field(None, gt=0)
     """Mass of the target [kg], if known: with the mesh it sets the scale of the inertia, as an assumption."""
     density_kg_m3: float | None = Field(None, gt=0)
-    """Density of the target [kg/m^3], if known and the mass is not: the mesh then tells mass and inertia."""
+    """Density of the target [kg/m^3], if known and the mass is not: with the mesh it determines mass and
+    inertia."""
     robust_scale: float = Field(3.0, gt=0)
-    """Scale of the Cauchy kernel [standard deviations]; in the end it is as wide as the residuals allow."""
+    """Scale of the Cauchy kernel [standard deviations]; for the last solve it is increased as far as the
+    residuals allow."""
     max_iterations: int = Field(200, ge=1)
-    """Most iterations of a solver (half as many for gauss_newton before ipopt goes on); a run that needs more
-    fails and keeps the best motion found."""
+    """Largest number of iterations of a solver (half as many for gauss_newton before ipopt continues); a run
+    that needs more fails and keeps the best motion found."""
     max_seconds: float = Field(600.0, gt=0)
-    """Most time for the solution [s]; the same holds."""
+    """Time limit of the solution [s]; likewise."""
     window: Window = Window()
 
     @model_validator(mode="after")

@@ -11,7 +11,7 @@ Motion = Literal["ts38", "flip", "minor_wobble", "major_wobble", "tumble", "slow
 
 
 def _once(name: str, values: Sequence[object]) -> None:
-    twice = next((value for place, value in enumerate(values) if value in values[:place]), None)
+    twice = next((value for n, value in enumerate(values) if value in values[:n]), None)
     if twice is not None:
         raise ValueError(f"{name}: {twice} is named twice; name it once")
 
@@ -24,7 +24,7 @@ class MonteCarlo(Section):
     frames: tuple[Annotated[int, Field(ge=3)], ...] = Field((115,), min_length=1)
     """Stereo pairs."""
     landmarks: tuple[Annotated[int, Field(ge=10)], ...] = Field((2430,), min_length=1)
-    """Points on the body; about all of them are seen at some time."""
+    """Points on the body; nearly all of them are observed at some time."""
     noise_px: float = Field(1.0, gt=0)
     """Standard deviation of u, v and disparity [px]."""
     outliers: float = Field(0.0, ge=0, lt=0.5)
@@ -32,7 +32,7 @@ class MonteCarlo(Section):
     loop_closure: bool = True
     """False: a landmark that comes back into view is a new one."""
     seed: int = Field(0, ge=0)
-    """Of the measurements."""
+    """Seed of the measurements."""
 
     @model_validator(mode="after")
     def _named_once(self) -> Self:
@@ -42,32 +42,32 @@ class MonteCarlo(Section):
 
 
 class Compare(Section):
-    """The same measurements and the same cost through many optimizers."""
+    """The same measurements and the same cost, minimized by many optimizers."""
 
     solvers: tuple[str, ...] = ()
     """Names of the solvers and of variants of the formulation, in order; none: all solvers
     (docs/compare.md lists them)."""
     limit_s: float = Field(60.0, gt=0)
-    """Most time for one solver and start, its process from start to end [s]."""
+    """Time limit of one solver and start, with the start of its process [s]."""
     total_s: float = Field(900.0, gt=0)
-    """Most time for all [s]; solvers whose turn has not come by then get a row that says so."""
+    """Time limit of the comparison [s]; solvers that have not started by then get a row that states so."""
     process_noise: Literal["given", "estimated"] = "given"
     """Disturbances of the compared cost: those stated in backend.accel_psd and torque_psd, or the most likely
-    ones. Where the motion was hardly disturbed those make the cost so stiff that few solvers come in from a
-    cold start."""
+    ones, which for a nearly undisturbed motion make the cost so stiff that few solvers converge from a cold
+    start."""
     cold: bool = True
     """Solve from the cold start."""
     perturbed: int = Field(0, ge=0)
-    """So many starts off the cold one by random errors, seeds 0, 1, ..."""
+    """Number of starts with random errors added to the cold one, seeds 0, 1, ..."""
     near: int = Field(0, ge=0)
-    """So many starts near the solution."""
+    """Number of starts near the solution."""
     monte_carlo: MonteCarlo = MonteCarlo()
     """Measurements when neither --data nor --run is given."""
 
     @model_validator(mode="after")
     def _starts_are_asked_for(self) -> Self:
         if not (self.cold or self.perturbed or self.near):
-            raise ValueError("no starts are asked for: set cold to true, or perturbed or near to at least 1")
+            raise ValueError("no start is selected: set cold to true, or perturbed or near to at least 1")
         return self
 
     @model_validator(mode="after")

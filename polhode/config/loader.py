@@ -39,14 +39,14 @@ REMOVED = frozenset(
         *("train.descriptor.late_from", "train.corpus.first_body_seed"),
     }
 )
-"""Settings of earlier versions that are constants now; the configuration of an old run may hold them."""
+"""Settings of earlier versions that are constants now; the configuration of an old run may contain them."""
 EXTENDS = "extends"
 COMMAND_LINE = "command line"
 
 
 @dataclass
 class _Layered:
-    """Values merged so far, and who set each key last."""
+    """Values merged so far, and the last source of each key."""
 
     values: dict[str, Any] = field(default_factory=dict)
     source: dict[config_keys.Path, str] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class _Layered:
         self._merge_into(self.values, update, (), source)
 
     def source_of(self, path: Sequence[config_keys.Step]) -> str:
-        """Who set the key or the closest section above it."""
+        """Source of the key or of the closest section above it."""
         for length in range(len(path), -1, -1):
             if tuple(path[:length]) in self.source:
                 return self.source[tuple(path[:length])]
@@ -79,7 +79,7 @@ class _Layered:
 def load_config(path: Path | None, overrides: Mapping[str, Any] | None = None) -> Config:
     """Read ``path`` (None: the default) and what it extends, lay ``overrides`` (dotted key -> value) over it.
 
-    Raises InputError: a missing file, a YAML syntax error with its line, a circle of ``extends``, an
+    Raises InputError: a missing file, a YAML syntax error with its line, a circular ``extends``, an
     unknown key, a wrong type, a value out of range.
     """
     layered = _Layered()
@@ -106,8 +106,8 @@ def _chain(path: Path, above: tuple[Path, ...]) -> Iterator[tuple[Path, dict[str
     """The files of an ``extends`` chain, base first."""
     if path.resolve() in (other.resolve() for other in above):
         circle = " -> ".join(str(each) for each in (*above, path))
-        raise InputError(f"{above[0]}: '{EXTENDS}' goes in a circle: {circle}")
-    values = _read_yaml(path, above)
+        raise InputError(f"{above[0]}: '{EXTENDS}' is circular: {circle}")
+    values = _read_section(path, above)
     base = values.pop(EXTENDS, None)
     if base is not None:
         if not isinstance(base, str):
@@ -116,12 +116,12 @@ def _chain(path: Path, above: tuple[Path, ...]) -> Iterator[tuple[Path, dict[str
     yield path, values
 
 
-def _read_yaml(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+def read_yaml(path: Path, missing: str) -> Any:
+    """The content of a YAML file; raises InputError, for a missing file with the message ``missing``."""
     try:
-        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return yaml.safe_load(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
-        named = f", which {above[-1]} extends," if above else ""
-        raise InputError(f"{path}{named} is missing: give an existing configuration file") from None
+        raise InputError(missing) from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}" if mark is not None else ""
@@ -129,6 +129,11 @@ def _read_yaml(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         raise InputError(f"{path}{where}: not valid YAML: {' '.join(problem.split())}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+
+
+def _read_section(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+    named = f", which {above[-1]} extends," if above else ""
+    loaded = read_yaml(path, f"{path}{named} is missing: give an existing configuration file")
     if loaded is None:
         return {}
     if not isinstance(loaded, dict):
@@ -151,7 +156,7 @@ def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
 
 
 def _drop_empty_sections(values: dict[str, Any], path: config_keys.Path) -> None:
-    """``backend:`` with nothing below it is null to YAML; to its writer it is a section left as it is."""
+    """``backend:`` with nothing below it is null in YAML; here it is a section with its defaults."""
     for key, value in list(values.items()):
         options = config_keys.options_of(config_keys.annotation_at(Config, (*path, key)))
         if isinstance(value, dict):
@@ -229,7 +234,7 @@ def _path_in(values: Any, location: Sequence[config_keys.Step], kind: str) -> co
 
 
 def _expected(path: config_keys.Path) -> str:
-    """What the type at ``path`` takes, in words; an element of a list is described by its list."""
+    """Description of the valid values at ``path``; an element of a list is described by its list."""
     steps = list(path)
     while steps and not isinstance(steps[-1], str):
         steps.pop()
@@ -243,7 +248,7 @@ def _choice_hint(path: config_keys.Path, value: Any) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value of the user's, short and on one line, with its type in YAML's words."""
+    """A value of the user, short and on one line, with its type as named in YAML."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -255,7 +260,7 @@ def _shown(value: Any) -> str:
 
 
 def _refuse_booleans_as_numbers(layered: _Layered, raw: Any, valid: Any, path: config_keys.Path) -> None:
-    """Pydantic reads true as 1; a person who writes true for a number has the wrong key."""
+    """Pydantic reads true as 1, but who writes true for a number has the wrong key."""
     if isinstance(raw, bool) and not isinstance(valid, bool):
         where = f"{layered.source_of(path)}: key '{config_keys.dotted(path)}'"
         raise InputError(f"{where}: {_expected(path)}, got {_shown(raw)}")

@@ -15,22 +15,23 @@ class Mapping(Section):
     min_views: int = Field(3, ge=1)
     """A surface seen in fewer frames is left out (fewer where the sequence is shorter), unless two agree."""
     agreeing_voxels: float = Field(0.7, ge=0)
-    """Two frames are enough where what they say of a place scatters by less [voxels]."""
+    """Two frames are enough where their distances to the surface scatter by less [voxels]."""
     scatter_voxels: float = Field(1.6, gt=0)
-    """Where frames scatter by more [voxels], and twice more than is usual in this run, nothing is known."""
+    """Where frames scatter by more [voxels], and by more than twice the usual scatter, the field is
+    unknown."""
     carved_share: float = Field(0.3, ge=0, le=1)
-    """A surface is left out where frames that look through it have more of the weight."""
+    """A surface is left out where frames that look through it have a larger share of the weight."""
     align: bool = True
     """Align frames whose poses are doubtful to the surface that the others show."""
     hole_share: float = Field(0.04, ge=0, le=0.3)
     """Holes up to this share of the body's size (the diagonal of its box) across are closed, their faces
     flagged as invented; larger ones stay open. 0: none is closed."""
     divide_shading: bool = True
-    """Divide the Sun's shading out of the colours, where the images tell where the Sun is."""
+    """Divide the Sun's shading out of the colours, where the images determine the Sun's direction."""
     levels: tuple[Annotated[float, Field(gt=0, lt=1)], ...] = (0.25, 0.0625)
     """Shares of the faces that the lighter meshes keep: mesh_lod1.glb, mesh_lod2.glb, ...; (): none."""
     shared_sigma: float = Field(0.05, ge=0)
-    """Part of a single view's sigma that all views of a place share, and that does not average out."""
+    """Share of a single view's sigma that is common to all views of a point and does not average out."""
     relief_sigma: float = Field(1.0, ge=0)
     """Sigma of the relief that matching in windows smooths away, over the roughness of what is left."""
     memory_mib: float = Field(1024.0, gt=0)

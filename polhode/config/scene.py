@@ -28,8 +28,9 @@ class TargetBody(Section):
     material: Literal["automatic", "paint", "solar_cell", "foil", "metal", "regolith"] = "automatic"
     """Surface: as the family or the mesh file has it, or one material for the whole body."""
     texture: Literal["drawn", "collage"] = "drawn"
-    """Generator of the texture. Two that share nothing, so that training and testing can be kept apart:
-    stickers, lettering and lattice noise; or overlapping shapes of all sizes and noise of random spots."""
+    """Generator of the texture. Two that have nothing in common, so that training and testing can be
+    separated: stickers, lettering and lattice noise; or overlapping shapes of all sizes and noise of random
+    spots."""
     contrast: NonNegative = 1.0
     """Factor on the texture's variation of reflectance; 0: no texture."""
 
@@ -61,12 +62,12 @@ class Mass(Section):
 
 
 class WrenchPulse(Section):
-    """A force and a torque on the target over a span of time; spans that overlap add up."""
+    """A force and a torque on the target over an interval; those of overlapping intervals add up."""
 
     start_s: NonNegative = 0.0
     """Start after the first frame [s]."""
     duration_s: Positive = 1.0
-    """How long it lasts [s]."""
+    """Duration [s]."""
     force_N: Vector3 = (0.0, 0.0, 0.0)
     """Force on the centre of mass, in N [N]."""
     torque_P: Vector3 = (0.0, 0.0, 0.0)
@@ -76,7 +77,7 @@ class WrenchPulse(Section):
 
 
 class Motion(Section):
-    """The target's state at the first frame, and what acts on it: nothing, unless asked for."""
+    """The target's state at the first frame, and the disturbances: none by default."""
 
     position_m: Vector3 = (0.0, 0.0, 0.6)
     """Centre of mass in N [m]."""
@@ -95,7 +96,7 @@ class Motion(Section):
     pushes: tuple[WrenchPulse, ...] = ()
     """Known forces and torques, each with start_s, duration_s, force_N (in N), torque_P, period_s."""
     pushes_known: bool = True
-    """Write the pushes to wrench0/ for the estimator; false: it is not told."""
+    """Write them to wrench0/ for the estimator; false: they are unknown to it."""
     energy_loss: Share = 0.0
     """Share of the rotational energy lost in ``energy_loss_s``; the thesis's target lost 0.078 in 80 s."""
     energy_loss_by: Literal["drag", "friction"] = "drag"
@@ -107,7 +108,7 @@ class Motion(Section):
 
 
 class Waypoint(Section):
-    """Where the left camera is at one time."""
+    """Pose of the left camera at one time."""
 
     t_s: NonNegative = 0.0
     """Time after the first frame [s]."""
@@ -140,7 +141,8 @@ class Inspector(Section):
     approach_stop_m: Positive = 0.5
     """Approach: distance from that point at which the camera stops [m]."""
     waypoints: tuple[Waypoint, ...] = ()
-    """Waypoints: poses in order of time, joined by smooth curves; the first and last pose hold outside."""
+    """Waypoints: poses in order of time, joined by smooth curves; constant before the first and after the
+    last."""
     deadband_mm: NonNegative = 0.0
     """Limit cycle of the position control: half width of the band, each axis [mm]."""
     deadband_mm_s: NonNegative = 1.0
@@ -154,7 +156,8 @@ class Inspector(Section):
     sigma_theta_deg: NonNegative = 0.0
     """Standard deviation of the noise on the reported attitude [deg]."""
     reported: bool = True
-    """Write the poses to inspector0/; false: the estimator takes a camera at rest. Only for profile rest."""
+    """Write the poses to inspector0/; false: the estimator assumes a camera at rest. Only for profile
+    rest."""
 
     @model_validator(mode="after")
     def _rest_defines_N(self) -> Self:
@@ -214,7 +217,7 @@ class Sensor(Section):
     white_dn: Positive = 450.0
     """Grey value of a white diffuse surface that faces the Sun; above 255 it saturates [DN]."""
     exposure_ms: NonNegative = 1.0
-    """Time that the global shutter is open, centred on the timestamp: blurs what moves [ms]."""
+    """Exposure time of the global shutter, centred on the timestamp: motion blur [ms]."""
     electrons_per_dn: Positive = 40.0
     """Conversion gain: sets the shot noise [electrons/DN]."""
     read_noise_dn: NonNegative = 0.8
@@ -232,11 +235,11 @@ class Sensor(Section):
     vignetting: Share = 0.1
     """Loss of light in the corner of the image; grows with the square of the distance from the centre."""
     full_well_dn: Positive = 1500.0
-    """Charge that a pixel holds [DN]; what is beyond it blooms or is lost."""
+    """Full-well capacity of a pixel [DN]; charge beyond it blooms or is lost."""
     bloom: Share = 0.0
     """Share of the charge beyond the full well that spills along the column to the neighbours."""
     dropped_frames: tuple[int, ...] = ()
-    """Frames, counted from 0, that never reach the disk."""
+    """Frames, counted from 0, that are lost and not written."""
     drop_probability: Share = 0.0
     """Probability that any other frame is lost."""
 
@@ -245,7 +248,7 @@ Product = Literal["depth", "normals", "mask", "shadow", "albedo"]
 
 
 class Render(Section):
-    """Quality of the images, and what is written beside them."""
+    """Quality of the images, and additional files."""
 
     samples: Literal[1, 4, 9, 16] = 4
     """Rays a pixel."""
@@ -264,7 +267,7 @@ class Eclipse(Section):
     start_s: NonNegative = 10.0
     """First moment without direct sunlight, after the first frame [s]."""
     duration_s: NonNegative = 0.0
-    """How long the darkness lasts [s]; 0: no eclipse."""
+    """Duration of the darkness [s]; 0: no eclipse."""
     ramp_s: NonNegative = 1.0
     """Length of the fading before and after it, through the penumbra [s]."""
 
@@ -292,7 +295,7 @@ class Light(Section):
 
 
 class Background(Section):
-    """What is seen behind the target; black sky when nothing is asked for."""
+    """The background of the images; a black sky by default."""
 
     stars: bool = False
     """Stars, fixed in N, random by the scene's seed."""
@@ -312,7 +315,7 @@ class Scene(Section):
     interval_s: Positive = 0.5
     """Time between pairs [s]."""
     truth_horizon_s: NonNegative = 60.0
-    """How long the truth goes on after the last image [s]."""
+    """Time that the truth covers after the last image [s]."""
     start_ns: int = Field(1_600_000_000_000_000_000, ge=0)
     """Timestamp of the first pair [ns]."""
     body: TargetBody = TargetBody()

@@ -1,4 +1,4 @@
-"""What ``polhode train`` learns, from what, and for how long."""
+"""Settings of ``polhode train``: the task, the scenes, the schedule."""
 
 from typing import Literal, Self
 
@@ -12,7 +12,7 @@ RangeFromZero = tuple[NonNegative, NonNegative]
 
 
 class Corpus(Section):
-    """Random scenes. Ranges are (least, most); each scene draws its own values by the seed."""
+    """Random scenes. Ranges are (least, most); the values of each scene are drawn by the seed."""
 
     folder: str = "runs/corpus"
     """Folder of the sequences; what is missing there is rendered."""
@@ -23,7 +23,7 @@ class Corpus(Section):
     frames: int = Field(10, ge=3)
     """Stereo pairs a scene."""
     validation_every: int = Field(8, ge=2)
-    """One scene in so many is held out for validation: bodies that training never sees."""
+    """One scene in this number is held out for validation: its body is not used in training."""
     families: tuple[Family, ...] = Field(
         ("free_flyer", "bus", "upper_stage", "cubesat", "asteroid"), min_length=1
     )
@@ -53,7 +53,7 @@ class Corpus(Section):
     white_dn: Range = (320.0, 900.0)
     """Exposure, as ``scene.sensor.white_dn`` [DN]."""
     exposure_ms: RangeFromZero = (0.0, 4.0)
-    """Time that the shutter is open [ms]; frames are one second apart."""
+    """Exposure time [ms]; frames are one second apart."""
     electrons_per_dn: Range = (8.0, 60.0)
     """Conversion gain, which sets the shot noise [electrons/DN]."""
     read_noise_dn: RangeFromZero = (0.5, 2.5)
@@ -88,7 +88,7 @@ class Schedule(Section):
     warmup_steps: int = Field(100, ge=0)
     """Steps over which the learning rate grows from zero."""
     time_limit_s: Positive | None = None
-    """Stop after so much time in this call [s], with a checkpoint; the same command goes on from there."""
+    """Stop after this time in one call [s], with a checkpoint; the same command continues from it."""
     checkpoint_every: int = Field(250, ge=1)
     """Steps between checkpoints."""
     validate_every: int = Field(500, ge=1)
@@ -116,7 +116,7 @@ class DescriptorTraining(Section):
     fronto_parallel: Share = 0.05
     """Share of the patches cut as if the surface faced the camera."""
     place_noise_px: NonNegative = 0.5
-    """Standard deviation of the patch's place in the image [px], each axis."""
+    """Standard deviation of the patch's position in the image [px], each axis."""
 
     @model_validator(mode="after")
     def _pairs_fit(self) -> Self:
@@ -131,7 +131,7 @@ class DepthTraining(Section):
     cache: str = "runs/depth_samples"
     """Folder of the matched pairs, some 5 MB each; what is missing there is made."""
     every: int = Field(1, ge=1)
-    """Use one pair of a scene in so many."""
+    """Use one in this number of the pairs of a scene."""
     batch: int = Field(4, ge=1)
     """Crops a step."""
     crop_px: int = Field(192, ge=32, multiple_of=16)
@@ -148,7 +148,8 @@ class Train(Section):
     task: Literal["descriptor", "depth"] = "descriptor"
     """Which network: the descriptor of surface patches, or the one that refines disparities."""
     output: str = "runs/train"
-    """Folder of the results: checkpoint, curves, weights, scores. What was begun there goes on."""
+    """Folder of the results: checkpoint, curves, weights, scores. A training that was begun there
+    continues."""
     corpus: Corpus = Corpus()
     schedule: Schedule = Schedule()
     descriptor: DescriptorTraining = DescriptorTraining()

@@ -103,7 +103,7 @@ MISTAKES: dict[str, tuple[list[str], str]] = {
     ),
     "no starts": (
         ["--compare.cold", "False"],
-        "key 'compare': no starts are asked for: set cold to true, or perturbed or near to at least 1",
+        "key 'compare': no start is selected: set cold to true, or perturbed or near to at least 1",
     ),
     "truth of nothing": (["--truth", "."], ".: has no truth (mav0/target0); give the sequence"),
     "no such truth": (["--truth", "nowhere"], "nowhere: no such folder"),

@@ -160,7 +160,7 @@ def test_the_configuration_may_be_left_out(
 
 BAD_DATA: dict[str, tuple[Callable[[Path], None], str]] = {
     "no calibration": (no_calibration, "cam1/sensor.yaml is missing"),
-    "NaN in the calibration": (nan_calibration, "'intrinsics': holds NaN"),
+    "NaN in the calibration": (nan_calibration, "'intrinsics': contains NaN"),
     "empty data.csv": (empty_list, "cam0/data.csv is empty"),
     "time goes back": (time_goes_back, "goes back"),
     "images truncated": (truncated, "4 of 6 frames are missing, unpaired or unreadable"),

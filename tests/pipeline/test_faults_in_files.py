@@ -246,8 +246,8 @@ def test_a_file_of_a_run_is_refused_by_every_command_that_reads_it(
     [
         ("data.csv", cell(2, 1, "nan"), "line 4: NaN or infinity"),
         ("data.csv", repeated, "repeats"),
-        ("target.yaml", text("k1: ", "k1: .nan #"), "'k1': holds NaN"),
-        ("mesh.ply", point, "holds NaN or infinity"),
+        ("target.yaml", text("k1: ", "k1: .nan #"), "'k1': contains NaN"),
+        ("mesh.ply", point, "contains NaN or infinity"),
     ],
 )
 def test_the_truth_is_refused(

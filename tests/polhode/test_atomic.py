@@ -45,6 +45,6 @@ def test_line_feeds_and_umlauts_are_written_as_given(tmp_path: Path) -> None:
 def test_a_pipe_is_not_replaced(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(InputError, match="no file but a device or a pipe"):
+    with pytest.raises(InputError, match="is a device or a pipe"):
         write_text(pipe, "words")
     assert pipe.is_fifo() and list(tmp_path.iterdir()) == [pipe]

@@ -79,7 +79,7 @@ def test_a_missing_base_is_named_with_who_wants_it(tmp_path: Path) -> None:
 def test_a_circle_of_extends_is_told(tmp_path: Path) -> None:
     write(tmp_path / "a.yaml", "extends: b.yaml")
     write(tmp_path / "b.yaml", "extends: a.yaml")
-    assert "'extends' goes in a circle" in message_of(tmp_path / "a.yaml")
+    assert "'extends' is circular" in message_of(tmp_path / "a.yaml")
 
 
 def test_an_error_names_the_file_of_the_chain_that_made_it(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_it_is_the_same_for_the_same_problem(small: MeasuredProblem, tmp_path: A
 
 def test_what_has_no_fingerprint_is_not_passed_over(small: MeasuredProblem) -> None:
     with pytest.raises(TypeError, match="no fingerprint of object"):
-        of_problem(replace(small, relative=object()))  # type: ignore[arg-type]
+        of_problem(replace(small, truth=object()))  # type: ignore[arg-type]
 
 
 def test_a_stamp_holds_solver_limit_versions_code_and_machine(monkeypatch: pytest.MonkeyPatch) -> None:
