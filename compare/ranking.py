@@ -1,6 +1,6 @@
 """Statistics over the rows: performance profiles, growth with size, Pareto front, success over starts."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from polhode.lie import Array
 
 CaseKey = tuple[str, str, int]
 """Problem, start, seed."""
+FINISHED = ("ok", "baseline")
 NOISE = 0.1
 """Relative difference of times up to which they count as equal."""
 MAX_FACTOR = 100.0
@@ -101,38 +102,19 @@ def growths(comparison: Comparison) -> list[Growth]:
 
 def front(rows: Sequence[Row], least: float | None) -> list[Row]:
     """Rows of one problem on the Pareto front of time and accuracy, by time: no other row beats them."""
-    ended = [row for row in rows if row.status in ("ok", "baseline") and row.wall_s is not None]
-    kept = [row for row in ended if not any(beats(other, row, least) for other in ended if other is not row)]
-    return sorted(kept, key=lambda row: row.wall_s or 0.0)
+    finished = [row for row in rows if row.status in FINISHED and row.wall_s is not None]
+    return _by_time(row for row in finished if not beaten_by(row, finished, least))
 
 
-@dataclass(frozen=True)
-class Standing:
-    """One solver on one problem, from the cold start."""
-
-    problem: str
-    row: Row | None
-    """None: it was not run"""
-    beaten_by: tuple[Row, ...]
-    """Not slower and more accurate, or faster and not less accurate; by time"""
-
-    @property
-    def on_front(self) -> bool:
-        """It finished, and no other row beats it."""
-        return self.row is not None and self.row.status == "ok" and not self.beaten_by
+def beaten_by(row: Row, rows: Sequence[Row], least: float | None) -> list[Row]:
+    """The finished rows of the same problem that beat it, by time."""
+    return _by_time(
+        other for other in rows if other is not row and other.status in FINISHED and beats(other, row, least)
+    )
 
 
-def standings(comparison: Comparison, solver: str) -> list[Standing]:
-    """The standing of a solver on each problem."""
-    out = []
-    for problem in comparison.problems:
-        rows = [row for row in comparison.rows if row.problem == problem.name and row.start == "cold"]
-        own = next((row for row in rows if row.solver == solver), None)
-        others = [row for row in rows if row is not own and row.status in ("ok", "baseline")]
-        better = [row for row in others if own is not None and beats(row, own, problem.least_cost)]
-        better.sort(key=lambda row: row.wall_s or 0.0)
-        out.append(Standing(problem.name, own, tuple(better)))
-    return out
+def _by_time(rows: Iterable[Row]) -> list[Row]:
+    return sorted(rows, key=lambda row: row.wall_s or 0.0)
 
 
 def beats(row: Row, other: Row, least: float | None) -> bool:
@@ -143,33 +125,9 @@ def beats(row: Row, other: Row, least: float | None) -> bool:
     """
     if row.wall_s is None or row.cost is None:
         return False
-    if other.wall_s is None or other.status not in ("ok", "baseline"):
+    if other.wall_s is None or other.status not in FINISHED:
         return True
     over, over_other = (max(gap(one, least) or 0.0, AGREED) for one in (row, other))
     faster = (1.0 + NOISE) * row.wall_s < other.wall_s
     as_fast = row.wall_s <= (1.0 + NOISE) * other.wall_s
     return (faster and over <= over_other) or (as_fast and over < over_other)
-
-
-def standing_lines(found: Sequence[Standing], solver: str) -> list[str]:
-    """A sentence and a table, Markdown."""
-    n = sum(each.on_front for each in found)
-    head = (
-        f"{solver}, the default: on the front of time against accuracy on {n} of {len(found)} problems "
-        f"(cold starts; times within {NOISE:.0%} and costs within {AGREED:g} count as equal)"
-    )
-    lines = [head, "| problem | status | time s | on the front | beaten by |", "|" + "---|" * 5]
-    for each in found:
-        row = each.row
-        if row is None:
-            lines.append(f"| {each.problem} | not run | | | |")
-            continue
-        time = "" if row.wall_s is None else f"{row.wall_s:.2f}"
-        # the three fastest are named
-        names = [f"{one.solver} ({one.wall_s or 0.0:.2f} s)" for one in each.beaten_by[:3]]
-        more = [f"{len(each.beaten_by) - 3} more"] if len(each.beaten_by) > 3 else []
-        on_front = "yes" if each.on_front else "no"
-        lines.append(
-            f"| {each.problem} | {row.status} | {time} | {on_front} | {', '.join([*names, *more])} |"
-        )
-    return lines

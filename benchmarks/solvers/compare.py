@@ -20,7 +20,8 @@ from benchmarks.command import ROOT, Short, command
 from benchmarks.presentation import markdown_table
 from polhode.cli.console import choose_progress
 from polhode.compare.comparison import FILE, compare
-from polhode.compare.ranking import curve, front, growths, standing_lines, standings
+from polhode.compare.problem.assessment import AGREED
+from polhode.compare.ranking import NOISE, beaten_by, curve, front, growths
 from polhode.compare.rows import Comparison, ProblemSummary, Row, read_comparison
 from polhode.compare.tables import ERROR_COLUMNS, cells, error_cells, not_separable, tally_text, verdict
 from polhode.config import Config
@@ -78,7 +79,7 @@ def markdown(found: Comparison, default: str) -> str:
     )  # fmt: skip
     parts += [table(found) for table in tables]
     parts.append("\n".join(front_words(found, problem) for problem in found.problems))
-    parts.append("\n".join(standing_lines(standings(found, default), default)))
+    parts.append(default_table(found, default))
     return "\n\n".join(part for part in parts if part)
 
 
@@ -169,6 +170,31 @@ def front_words(found: Comparison, problem: ProblemSummary) -> str:
     rows = _cold(found, problem.name)
     names = [row.solver for row in front(rows, problem.least_cost)]
     return f"{problem.name}: on the front: {', '.join(names)}" if names else ""
+
+
+def default_table(found: Comparison, solver: str) -> str:
+    """The default solver on each problem from the cold start, and the solvers that beat it."""
+    lines, on_front = [], 0
+    for problem in found.problems:
+        rows = _cold(found, problem.name)
+        own = next((row for row in rows if row.solver == solver), None)
+        if own is None:
+            lines.append([problem.name, "not run", "", "", ""])
+            continue
+        better = beaten_by(own, rows, problem.least_cost)
+        good = own.status == "ok" and not better
+        on_front += good
+        # the three fastest are named
+        names = [f"{row.solver} ({row.wall_s or 0.0:.2f} s)" for row in better[:3]]
+        more = [f"{len(better) - 3} more"] if len(better) > 3 else []
+        time = "" if own.wall_s is None else f"{own.wall_s:.2f}"
+        lines.append([problem.name, own.status, time, "yes" if good else "no", ", ".join([*names, *more])])
+    head = (
+        f"{solver}, the default: on the front of time against accuracy on {on_front} of {len(lines)} "
+        f"problems (cold starts; times within {NOISE:.0%} and costs within {AGREED:g} count as equal)"
+    )
+    columns = ["problem", "status", "time s", "on the front", "beaten by"]
+    return f"{head}\n{markdown_table(columns, lines)}"
 
 
 def _outcome(found: Comparison, solver: str, problem: ProblemSummary) -> str:

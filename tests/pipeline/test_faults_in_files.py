@@ -67,16 +67,16 @@ IN_SEQUENCE: dict[str, tuple[str, Damage, str]] = {
     "NaN in a quaternion": ("inspector0/data.csv", cell(1, 4, "NaN"), "line 3: NaN or infinity"),
     "NaN in a force": ("wrench0/data.csv", cell(1, 1, "nan"), "line 3: NaN or infinity"),
     "infinite torque": ("wrench0/data.csv", cell(0, 6, "-inf"), "line 2: NaN or infinity"),
-    "NaN in the intrinsics": ("cam0/sensor.yaml", text("[50.0", "[.nan"), "'intrinsics': holds NaN"),
-    "NaN in T_BS": ("cam1/sensor.yaml", text("0.09", ".nan"), "'T_BS': holds NaN"),
+    "NaN in the intrinsics": ("cam0/sensor.yaml", text("[50.0", "[.nan"), "'intrinsics': contains NaN"),
+    "NaN in T_BS": ("cam1/sensor.yaml", text("0.09", ".nan"), "'T_BS': contains NaN"),
     "NaN in the distortion": (
         "cam1/sensor.yaml",
         text("-0.1", ".nan"),
-        "'distortion_coefficients': holds NaN",
+        "'distortion_coefficients': contains NaN",
     ),
-    "NaN in the resolution": ("cam0/sensor.yaml", text("[64,", "[.nan,"), "'resolution': holds NaN"),
+    "NaN in the resolution": ("cam0/sensor.yaml", text("[64,", "[.nan,"), "'resolution': contains NaN"),
     "NaN as bits": ("cam0/sensor.yaml", text("rate_hz", "bits: .nan\nrate_hz"), "'bits'"),
-    "NaN as the poses' sigma": ("inspector0/sensor.yaml", text("0.001", ".nan"), "'sigma_p_m': holds NaN"),
+    "NaN as the poses' sigma": ("inspector0/sensor.yaml", text("0.001", ".nan"), "'sigma_p_m': contains NaN"),
 }
 
 
