@@ -1,4 +1,4 @@
-"""Meshes on disk: PLY with what each vertex and face knows, GLB for viewers. Same mesh, same bytes."""
+"""Meshes on disk: PLY with properties of vertices and faces, GLB for viewers; deterministic."""
 
 from pathlib import Path
 
@@ -52,7 +52,7 @@ def read_ply(path: Path) -> SurfaceModel:
     if vertex is None or not {"sigma_m", "views"} <= set(vertex.dtype.names or ()):
         raise InputError(f"{path}: vertices without sigma_m and views: not a mesh of a run")
     if not np.isfinite(mesh.vertices).all():
-        raise InputError(f"{path}: a vertex holds NaN or infinity; run 'polhode run' again")
+        raise InputError(f"{path}: a vertex is NaN or infinite; run 'polhode run' again")
     flags = face["invented"] if face is not None and "invented" in (face.dtype.names or ()) else None
     classes = vertex["coverage"] if "coverage" in (vertex.dtype.names or ()) else None
     return SurfaceModel(

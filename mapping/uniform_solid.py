@@ -12,7 +12,7 @@ from polhode.lie import Array
 from polhode.mapping.visibility import Caster, directions
 
 MIN_COVERAGE = 0.6
-"""Share of the directions from the middle in which there is a surface; below, no volume is told."""
+"""Share of the directions from the centre with a surface below which no volume is given."""
 DIRECTIONS = 400
 NEARLY_CLOSED = 0.97
 
@@ -30,10 +30,10 @@ class Solid:
 
 
 def solid_of(mesh: trimesh.Trimesh, caster: Caster | None = None) -> tuple[Solid | None, str]:
-    """The mesh as a solid body, or why it is none.
+    """The mesh as a solid body, or the reason why it is not one.
 
-    A closed mesh as it is; an open one by its convex hull, if it surrounds its middle. ``caster``: of the
-    mesh, if there is one already.
+    A closed mesh as it is; an open one by its convex hull, if it surrounds its centre. ``caster``: of the
+    mesh, if available.
     """
     if len(mesh.faces) < 4:
         return None, "there is no surface"
@@ -42,17 +42,17 @@ def solid_of(mesh: trimesh.Trimesh, caster: Caster | None = None) -> tuple[Solid
     hull = mesh.convex_hull
     share = coverage(caster or Caster(mesh), np.asarray(hull.center_mass))
     if share < MIN_COVERAGE:
-        return None, f"the surface is open and covers only {share:.0%} of the directions from its middle"
-    filled = "" if share > NEARLY_CLOSED else f" (it covers {share:.0%} of the directions from its middle)"
+        return None, f"the surface is open and covers only {share:.0%} of the directions from its centre"
+    filled = "" if share > NEARLY_CLOSED else f" (it covers {share:.0%} of the directions from its centre)"
     return solid_body(
         hull, f"volume of the mesh's convex hull, as the mesh is open{filled}: an upper bound of that volume"
     ), ""
 
 
 def solid_body(mesh: trimesh.Trimesh, words: str) -> Solid:
-    """What a mesh encloses."""
+    """The body that a mesh encloses."""
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    # about a point within: far from the origin the products would cancel
+    # about a point inside: far from the origin the products would cancel
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     own = trimesh.triangles.mass_properties((vertices - middle)[mesh.faces])
     # faces that are wound inwards give a negative volume
@@ -69,6 +69,6 @@ def principal_axes(inertia: Array) -> tuple[Array, Array]:
 
 
 def coverage(caster: Caster, middle_G: Array) -> float:
-    """Share of the directions from a point in which the mesh stands."""
+    """Share of the directions from a point in which a ray hits the mesh."""
     _, face = caster.first(middle_G, directions(DIRECTIONS))
     return float(np.mean(face >= 0))

@@ -16,15 +16,15 @@ from polhode.records import Bools, Ints
 Floats = NDArray[np.float32]
 
 MIN_COSINE = 0.15
-"""Seen at more than 81 degrees from the normal does not count as seen."""
+"""Cosine to the normal below which, beyond 81 degrees, a point does not count as seen."""
 CLEARANCE = 2e-3
-"""A ray may end this far before its point, as a share of the body's size."""
+"""Distance before its point at which a ray may end, relative to the body's size."""
 LIT_OVER_SKY = 12.0
 """Intensity above the sky's that counts as lit [8-bit levels]."""
 _MAP_CLEARANCE = 8e-3
-"""The same where a depth map of few pixels stands for the rays."""
+"""The same where a coarse depth map replaces the rays."""
 _MAP_PIXELS = 160
-"""Pixels along the longer side of such a map."""
+"""Pixels along a side of such a map."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def light_level(left: NDArray[np.uint8]) -> float:
 
 
 class Caster:
-    """Rays against a mesh in G, in single precision around the mesh's middle."""
+    """Rays against a mesh in G, in single precision about the mesh's centre."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
@@ -85,7 +85,7 @@ class Caster:
         return np.where(hits.face >= 0, hits.distance + skipped, np.inf), hits.face
 
     def sees(self, eye_G: Array, p_G: Array, normal_G: Array, clearance_m: float | None = None) -> Bools:
-        """(n,) true where nothing stands between the eye and a point, and it is not seen edge-on.
+        """(n,) true where nothing occludes a point from the eye, and it is not seen edge-on.
 
         A ray may end ``clearance_m`` before its point. The cosine is not signed: sheets of a mesh are seen
         from both sides.
@@ -99,7 +99,7 @@ class Caster:
         return np.asarray((cosine > MIN_COSINE) & (first > distance - clearance_m))
 
     def lit_by(self, sun_G: Array, p_G: Array) -> Bools:
-        """(n,) true where nothing stands between points (n, 3) and a light far away, towards ``sun_G``."""
+        """(n,) true where nothing occludes points (n, 3) from a distant light in the direction ``sun_G``."""
         step = 4.0 * CLEARANCE * self.radius_m
         direction = np.broadcast_to(sun_G, p_G.shape)
         first, _ = self.first(p_G + step * direction, direction)
@@ -107,7 +107,7 @@ class Caster:
 
 
 class DepthPicture:
-    """The mesh's depth along a camera's rays, or a light's, in few pixels: to ask for many points at once."""
+    """A coarse depth map of the mesh from a camera or a distant light: visibility of many points at once."""
 
     def __init__(self, caster: Caster, towards: Array, eye_G: Array | None = None) -> None:
         """Looks along ``towards`` (3,), from ``eye_G`` or, without, along parallel rays."""
@@ -135,7 +135,7 @@ class DepthPicture:
             found, _ = caster.first(self._eye, (ray / length[:, None]) @ self._axes.T)
             depth = found / length
         picture = depth.reshape(_MAP_PIXELS, _MAP_PIXELS).astype(np.float32)
-        # A point hides only behind all the pixels around it: edges hide nothing that is in sight.
+        # A point is hidden only if all pixels around it are nearer: edges do not hide visible points.
         framed = np.pad(picture, 1, mode="edge")
         self._depth = np.maximum.reduce(
             [framed[1 + dv : 1 + dv + _MAP_PIXELS, 1 + du : 1 + du + _MAP_PIXELS] for dv, du in _AROUND]
@@ -237,7 +237,7 @@ class MeshView:
 
 
 class MeshViewer:
-    """Looks at one mesh, in its frame G [m], from many places."""
+    """Renders one mesh, in its frame G [m], from any pose."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         self._vertices = np.asarray(mesh.vertices, dtype=np.float64)
@@ -295,7 +295,7 @@ def _meet(origin: Array, ray: Array, triangle: Array) -> tuple[Array, Array, Boo
     ab, ac = triangle[:, 1] - a, triangle[:, 2] - a
     side = np.cross(ray, ac)
     volume = np.einsum("nk,nk->n", ab, side)
-    # A triangle seen exactly edge-on has no inside: its first corner stands for it.
+    # A triangle seen exactly edge-on has no interior point: its first corner is used.
     scale = np.where(np.abs(volume) > 0.0, volume, np.inf)
     from_a = origin - a
     turned = np.cross(from_a, ab)

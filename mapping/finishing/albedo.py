@@ -1,9 +1,9 @@
-"""Vertex colours with the Sun's shading divided out, where the images tell where the Sun is.
+"""Vertex colours without the Sun's shading, where the images determine the direction of the Sun.
 
 A sample of vertices over the frames gives the Sun's direction (``sun_direction``). When Lambert's law
-explains the changes of brightness clearly better than no law, every vertex gets its albedo from all frames
-that saw it, in the light that fell on it there; what the body itself shades counts as shade. Else the colours
-stay what they were: averages of the images.
+explains the changes of brightness clearly better than a constant, every vertex gets its albedo from all
+frames that saw it, given the light that fell on it, the body's own shadows included. Otherwise the colours
+remain averages of the images.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ _GRAZING = 0.25
 """Cosine between normal and ray below which a pixel mixes too much."""
 _SMOOTHINGS = 6
 _MIN_LIGHT = 0.15
-"""Share of full sunlight that an observation must have had to tell an albedo."""
+"""Minimum share of full sunlight for an observation to count for an albedo."""
 _BRIGHT = 235.0
 """Grey of the 99th percentile of the albedos."""
 
@@ -52,7 +52,7 @@ class Colouring:
     divided: bool
     """Whether the Sun's shading was divided out"""
     sun: Sunlight | None
-    """The light that fits best, used or not; None: nothing can be told"""
+    """The light that fits best, used or not; None: undetermined"""
     grey_per_albedo: float
     """Grey of a vertex over the grey that it would show facing the Sun; 1 where nothing was divided"""
 
@@ -80,14 +80,14 @@ def divide_shading(
     scale = _BRIGHT / max(float(np.percentile(albedo[measured], 99.0)), 1.0)
     grey = np.clip(np.round(_spread(mean, albedo, known) * scale), 0, 255).astype(np.uint8)
     rgba = np.column_stack([grey, grey, grey, np.full_like(grey, 255)])
-    # the same surface in other colours: what is known of its shape stays known
+    # the shape is the same: cached properties stay valid
     coloured = mesh.copy(include_cache=True)
     coloured.visual = ColorVisuals(coloured, vertex_colors=rgba)
     return Colouring(replace(surface, mesh=coloured), True, sun, scale)
 
 
 def smooth_normals(mesh: trimesh.Trimesh, mean: csr_array | None = None) -> Array:
-    """(V, 3) unit normals, averaged over a few rings of neighbours: a field's noise is in the first."""
+    """(V, 3) unit normals, averaged over a few rings of neighbours against the noise of the field."""
     normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
     mean = _mean_of_neighbours(mesh) if mean is None else mean
     for _ in range(_SMOOTHINGS):
@@ -145,7 +145,7 @@ def _find_sun(
 
 
 def _facing(n_G: Array) -> Ints:
-    """(m,) one of the body's six sides."""
+    """(m,) which of the body's six sides a normal faces."""
     axis = np.argmax(np.abs(n_G), axis=1)
     return np.asarray(2 * axis + (np.take_along_axis(n_G, axis[:, None], axis=1)[:, 0] > 0.0), dtype=np.int64)
 
@@ -158,7 +158,7 @@ def _albedos(
     caster: Caster,
     sun: Sunlight,
 ) -> tuple[Array, Bools]:
-    """(V,) grey that each vertex would show facing the Sun, and whether light told it."""
+    """(V,) grey that each vertex would show facing the Sun, and whether it was observed in light."""
     p_G, n_G = np.asarray(mesh.vertices, dtype=np.float32), normals.astype(np.float32)
     up, down = np.zeros(len(p_G)), np.zeros(len(p_G))
     lit = np.flatnonzero(sun.sunny)
@@ -188,7 +188,7 @@ def _albedos(
 
 
 def _spread(mean: csr_array, albedo: Array, known: Bools) -> Array:
-    """Albedos where light told none: from the neighbours, and the middle one of all where there are none."""
+    """Albedos where none was observed: from the neighbours, or the median of all where there are none."""
     if known.all():
         return albedo
     value, weight = np.where(known, albedo, 0.0), known.astype(np.float64)

@@ -1,7 +1,7 @@
 """Small holes of the surface are closed and every new face is flagged as invented; large holes stay open.
 
 A hole is a closed loop of edges that have a face on one side only. It is closed when it is small and no frame
-looked through it: a window between struts is a real opening. The patch is a Delaunay triangulation in the
+shows an opening there, such as a window between struts. The patch is a Delaunay triangulation in the
 loop's plane, or the triangulation of least area where the loop is not nearly flat.
 """
 
@@ -24,14 +24,14 @@ from polhode.records import Bools, Ints, SurfaceModel
 
 _MAX_CORNERS = 400
 _MIN_BODY = 2.0
-"""A hole must have this many times its own area of surface around it: a scrap's outline is no hole."""
+"""Minimum area of the piece around a hole, over that of the hole: the outline of a scrap is no hole."""
 _OUTSIDE_PX = 2.5
-"""A frame looks past the body where the nearest pixel of its silhouette is further."""
+"""A pixel shows the background where the nearest pixel of the silhouette is farther away."""
 _STEP_PX = np.arange(-int(_OUTSIDE_PX), int(_OUTSIDE_PX) + 1)
 _OUTSIDE = (np.hypot(_STEP_PX, _STEP_PX[:, None]) <= _OUTSIDE_PX).astype(np.uint8)
-"""The pixels so near"""
-_LOOKED_THROUGH = 0.25
-"""Share of a hole's sights that may look through it."""
+"""The pixels within this distance"""
+_MAX_THROUGH = 0.25
+"""Maximum share of unoccluded views of a hole that see through it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class ClosedHoles:
     surface: SurfaceModel
     closed: int
     left_open: int
-    """Small enough, but looked through or too crooked"""
+    """Small enough, but frames see through them, or no sound patch was found"""
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,7 @@ def close_small_holes(
     """Close the holes that are at most ``largest_m`` across.
 
     New vertices have no views and an infinite sigma, and the grey of the rim; new faces are ``invented``.
-    With views and rig, holes through which they looked stay open. ``caster``: of the surface's mesh, if there
-    is one already.
+    With views and rig, holes that they see through stay open. ``caster``: of the surface's mesh, if any.
     """
     mesh = surface.mesh
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
@@ -72,12 +71,12 @@ def close_small_holes(
     small = [loop for loop in _holes(faces) if _across(vertices[loop]) <= largest_m]
     patches = list(_patches(vertices, faces, small))
     if patches and views and rig is not None:
-        patches = _not_looked_through(mesh, patches, views, rig, caster or Caster(mesh))
+        patches = _not_seen_through(mesh, patches, views, rig, caster or Caster(mesh))
     return ClosedHoles(_with(surface, patches), len(patches), len(small) - len(patches))
 
 
 def _holes(faces: Ints) -> list[Ints]:
-    """The loops but for outlines of single faces, which hang on the rest by their corners."""
+    """The loops, except outlines of single faces that touch the rest at corners only."""
     loops = boundary_loops(faces)
     lone = np.array([np.sort(loop) for loop in loops if len(loop) == 3], dtype=np.int64).reshape(-1, 3)
     near = np.isin(faces, lone).all(axis=1)
@@ -87,7 +86,7 @@ def _holes(faces: Ints) -> list[Ints]:
 
 def boundary_loops(faces: Ints) -> list[Ints]:
     """Loops of vertices along the edges with one face, against the faces' winding, so that a face wound as
-    the loop runs continues the surface. Where a loop touches itself it falls into several."""
+    the loop runs continues the surface. A loop that touches itself is split."""
     after: dict[int, list[int]] = {}
     for a, b in boundary_edges(np.asarray(faces, dtype=np.int64)).tolist():
         after.setdefault(b, []).append(a)
@@ -110,7 +109,7 @@ def boundary_loops(faces: Ints) -> list[Ints]:
 
 
 def _across(points: Array) -> float:
-    """The largest extent of a loop [m]: the diagonal of its box about its own axes."""
+    """The largest distance between two points of a loop [m]; infinite for loops of too many corners."""
     if len(points) > _MAX_CORNERS:
         return float("inf")
     return float(np.linalg.norm(points[:, None] - points[None, :], axis=2).max())
@@ -157,17 +156,17 @@ def _neighbours(faces: Ints, of: Ints) -> dict[int, set[int]]:
     return near
 
 
-def _not_looked_through(
+def _not_seen_through(
     mesh: trimesh.Trimesh,
     patches: list[_Patch],
     views: Sequence[FrameView],
     rig: RectifiedRig,
     caster: Caster,
 ) -> list[_Patch]:
-    """The patches that stay when the frames are asked.
+    """The patches that the frames do not see through.
 
-    A sight of a patch that nothing hides looks through it when the image shows sky there, or when the next
-    surface behind it faces the camera: behind the skin of a body comes the inside of its other side.
+    An unoccluded view of a patch sees through it when the image shows the background there, or when the next
+    surface behind it faces the camera: behind the skin of a body is the inner side of the opposite wall.
     """
     vertices = np.asarray(mesh.vertices)
     middles, normals, owner = [], [], []
@@ -179,7 +178,7 @@ def _not_looked_through(
         owner.append(np.full(len(corner), k))
     p_G, normal_G, of = np.concatenate(middles), np.concatenate(normals), np.concatenate(owner)
     faces = np.asarray(mesh.faces)
-    sights, through = np.zeros(len(patches)), np.zeros(len(patches))
+    seen, through = np.zeros(len(patches)), np.zeros(len(patches))
     for view in views:
         ray = p_G - view.eye_G
         distance = np.linalg.norm(ray, axis=1)
@@ -193,14 +192,14 @@ def _not_looked_through(
         sky = near[row[towards], column[towards]] == 0
         a, b, c = vertices[faces[face]].transpose(1, 0, 2)
         behind = np.isfinite(first) & (np.einsum("nk,nk->n", direction, np.cross(b - a, c - a)) < 0.0)
-        sights += np.bincount(of[towards[clear]], minlength=len(patches))
+        seen += np.bincount(of[towards[clear]], minlength=len(patches))
         through += np.bincount(of[towards[clear & (sky | behind)]], minlength=len(patches))
-    kept = through <= _LOOKED_THROUGH * sights
+    kept = through <= _MAX_THROUGH * seen
     return [patch for patch, keep in zip(patches, kept, strict=True) if keep]
 
 
 def _with(surface: SurfaceModel, patches: list[_Patch]) -> SurfaceModel:
-    """The surface with the patches sewn in."""
+    """The surface with the patches joined to it."""
     mesh = surface.mesh
     colours = mesh.visual.vertex_colors if isinstance(mesh.visual, ColorVisuals) else None
     vertices, faces = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)]
@@ -230,14 +229,14 @@ def _with(surface: SurfaceModel, patches: list[_Patch]) -> SurfaceModel:
 _SIMPLE_SHARE = 0.02
 """Area by which a triangulation in the plane may differ from the loop's own."""
 _MAX_LEAST_AREA_CORNERS = 90
-"""A crooked loop with more corners is left open: the search for the least area grows with their cube."""
+"""A loop out of plane with more corners is left open: the search for the least area is cubic in them."""
 
 
 def fill_loop(loop: Array, taken: set[tuple[int, int]]) -> tuple[Array, Ints] | None:
     """New points (m, 3) and triangles (t, 3) over a loop (n, 3) [m], wound as the loop runs.
 
-    Triangles index the loop, then the new points. ``taken``: pairs of corners (a < b) that other faces join
-    already; no edge may be used a third time. None where no sound surface is found.
+    Triangles index the loop, then the new points. ``taken``: pairs of corners (a < b) that are edges of other
+    faces: no edge may have three faces. None where no valid surface is found.
     """
     if len(loop) == 3:
         return np.zeros((0, 3)), np.array([[0, 1, 2]])
@@ -265,7 +264,7 @@ def plane_of(loop: Array) -> tuple[Array, Array]:
 
 
 def _even(loop: Array) -> tuple[Array, Ints] | None:
-    """Delaunay triangles in the loop's plane, with points as far apart as the loop's; None: it overlaps."""
+    """Delaunay triangles in the loop's plane, with inner points at the loop's spacing; None: it overlaps."""
     middle, axes = plane_of(loop)
     flat = (loop - middle) @ axes[:, :2]
     area = _area(flat)
@@ -312,7 +311,7 @@ def _grid_inside(flat: Array, step: float) -> Array:
 
 
 def _membrane(loop: Array, inner: Array, faces: Ints) -> Array:
-    """Inner points (m, 3) along the plane's axes: heights as of a skin, each the mean of its neighbours."""
+    """Inner points (m, 3) along the plane's axes; the height of each is the mean of its neighbours'."""
     n, m = len(loop), len(inner)
     if m == 0:
         return np.zeros((0, 3))
@@ -365,7 +364,7 @@ def _inner_edges(faces: Ints, n: int) -> set[tuple[int, int]]:
 
 
 def _borders(faces: Ints, n: int) -> bool:
-    """Whether the triangles' border is the loop, each side once and in its direction."""
+    """Whether the boundary of the triangles is the loop, each side once and in its direction."""
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     ahead = {(int(a), int(b)) for a, b in edges}
     border = {(a, b) for a, b in ahead if (b, a) not in ahead}
@@ -373,7 +372,7 @@ def _borders(faces: Ints, n: int) -> bool:
 
 
 def _area(flat: Array) -> float:
-    """Of a polygon (n, 2) that runs to the left around it."""
+    """Area of a polygon (n, 2), positive if counterclockwise."""
     return 0.5 * float(_cross(flat, np.roll(flat, -1, axis=0)).sum())
 
 

@@ -1,10 +1,9 @@
-"""Where the Sun is, from how a turning body's surface brightens and darkens.
+"""Direction of the Sun from how the surface of a rotating body brightens and darkens.
 
 Lambert's law: at vertex v in frame f the image shows ``a_v (max(0, n_fv . s) + e)``, with the albedo a_v, the
-normal n_fv turned into N, one Sun direction s in N for the whole run and light from around,
-``e = e0 + b . n_fv`` (a planet fills one side); where the body shades itself, e alone. The albedos are
-eliminated (variable projection), so six unknowns are left. Fitted with a robust loss: highlights are no
-Lambert surface.
+normal n_fv in N, one Sun direction s in N for the whole run and ambient light ``e = e0 + b . n_fv`` (a planet
+fills one side); in the body's own shadow, e alone. The albedos are eliminated (variable projection), which
+leaves six unknowns. The loss is robust, because highlights do not follow Lambert's law.
 """
 
 from collections.abc import Callable
@@ -17,10 +16,10 @@ from polhode.mapping.visibility import directions
 from polhode.records import Bools, Ints
 
 Lit = Callable[[Array], Bools]
-"""Sun direction in N (3,) -> which observations (m,) the body itself does not shade from it"""
+"""Sun direction in N (3,) -> which observations (m,) are not in the body's own shadow"""
 
 CLEARLY_BETTER = 0.5
-"""Share of the variation over the frames that the law must explain to be used."""
+"""Minimum share of the variation over the frames that Lambert's law must explain."""
 _DIRECTIONS = 320
 _AMBIENT = (0.03, 0.15, 0.5)
 _GRID_VERTICES = 700
@@ -30,9 +29,9 @@ _MIN_VIEWS = 4
 _SUNLIT = 0.4
 _DARK_GAIN = 0.5
 _MIN_SIGMA_RAD = np.deg2rad(0.5)
-"""What errors common to all normals, and a camera that is not linear, may do at least."""
+"""Minimum, for errors common to all normals and a nonlinear camera."""
 _MIN_GROUP = 0.01
-"""Share of the data that makes a group."""
+"""Minimum share of the data in a group."""
 _MIN_VERTICES = 60
 
 
@@ -49,7 +48,7 @@ class Observations:
     intensity: Array
     """(m,)"""
     group: Ints
-    """(m,) part of the data, for instance a side of the body: its errors have one cause"""
+    """(m,) part of the data with common errors, for instance a side of the body"""
     n_frames: int
     """f"""
 
@@ -63,30 +62,30 @@ class Sunlight:
     sigma_rad: float
     """Standard deviation of the direction along each of two axes across it; inf where it is not determined"""
     ambient: Array
-    """(4,) light from around, over that of the Sun: the mean over all facings, then its slope along N"""
+    """(4,) ambient light over that of the Sun: the mean over all directions, then its gradient along N"""
     explained: float
     """Share of the variation of the vertices' intensities over the frames"""
     sunny: Bools
     """(f,) frames in which the Sun shone"""
 
     def ambient_on(self, normal_N: Array) -> Array:
-        """(n,) light from around on surfaces with these normals (n, 3), over that of the Sun."""
+        """(n,) ambient light on surfaces with these normals (n, 3), over that of the Sun."""
         return np.asarray(np.maximum(self.ambient[0] + normal_N @ self.ambient[1:], 0.0))
 
 
 def find_sun(seen: Observations, lit: Lit) -> Sunlight | None:
-    """The Sun's direction, or None: too few observations, or nothing turned."""
+    """The Sun's direction, or None: too few observations, or no rotation."""
     kept = np.bincount(seen.vertex)[seen.vertex] >= _MIN_VIEWS
     if len(np.unique(seen.vertex[kept])) < _MIN_VERTICES:
         return None
     problem, sunny = _Problem(seen, kept), np.ones(seen.n_frames, dtype=bool)
     s, e0 = problem.best_of_grid()
     e = np.array([e0, 0.0, 0.0, 0.0])
-    for turn in range(_ROUNDS):
+    for round_ in range(_ROUNDS):
         shone = lit(s)[kept]
         s, e = problem.refined(s, e, shone)
-        if turn == 0:
-            # in a planet's shadow the Sun does not shine, whatever the body turns to it
+        if round_ == 0:
+            # frames in the shadow of a planet say nothing about the direction
             sunny = problem.sunny(s, e, shone)
             kept &= sunny[seen.frame]
             if len(np.unique(seen.vertex[kept])) < _MIN_VERTICES:
@@ -166,10 +165,10 @@ class _Problem:
     def _jacobian(
         self, s: Array, light: Array, on: Bools, albedo: Array, weight: Array
     ) -> tuple[Array, Array]:
-        """(m, 6) of the prediction by two turns of s and by e, and the two directions across s (3, 2)."""
+        """(m, 6) of the prediction by two rotations of s and by e, and the directions (3, 2) across s."""
         across = np.linalg.svd(s[None, :])[2][1:].T
-        turns = np.where(on[:, None], self.normal @ across, 0.0)
-        J = np.column_stack([turns, np.ones(len(light)), self.normal])
+        rotations = np.where(on[:, None], self.normal @ across, 0.0)
+        J = np.column_stack([rotations, np.ones(len(light)), self.normal])
         J = J * albedo[self.vertex][:, None]
         down = np.maximum(self._sum(weight * light * light), 1e-12)
         for k in range(6):
@@ -177,26 +176,22 @@ class _Problem:
         return J, across
 
     def sunny(self, s: Array, e: Array, shone: Bools) -> Bools:
-        """(f,) where what should be in sunlight is about as bright as in the other frames."""
+        """(f,) frames in which sunlit vertices are about as bright as in the other frames."""
         light, on = self._light(s, e, shone)
         _, _, albedo = self._residual(light)
         bright = on & (light > _SUNLIT)
         ratio = self.intensity / np.maximum(albedo[self.vertex] * light, 1e-9)
         frame = self.seen.frame[self.kept]
-        gain = np.array(
-            [
-                np.median(ratio[bright & (frame == k)]) if np.any(bright & (frame == k)) else np.nan
-                for k in range(self.seen.n_frames)
-            ]
-        )
+        lit = [ratio[bright & (frame == k)] for k in range(self.seen.n_frames)]
+        gain = np.array([np.median(values) if len(values) else np.nan for values in lit])
         typical = np.nanmedian(gain) if np.isfinite(gain).any() else 0.0
         return np.asarray(~(gain < _DARK_GAIN * typical))
 
     def sigma_rad(self, s: Array, e: Array, shone: Bools) -> float:
-        """By the jackknife: how far the direction turns as one group of the data after another is left out.
+        """By the jackknife over the groups of the data.
 
-        What the law does not hold for (gloss, a curve of the camera, normals that are off) is common to a
-        group; the scatter of the residuals alone promises ten times too much.
+        Deviations from the law (gloss, a nonlinear camera, biased normals) are common to a group; the scatter
+        of the residuals alone would give a sigma ten times too small.
         """
         group = self.seen.group[self.kept]
         labels, size = np.unique(group, return_counts=True)

@@ -19,13 +19,13 @@ HALF = 1 << (_BITS - 1)
 WEIGHT, DISTANCE, SQUARE, FREE, VIEWS, COLOUR, COLOUR_WEIGHT = range(7)
 CHANNELS = 7
 BYTES_PER_BLOCK = VOXELS * 4 * CHANNELS
-_MIN_ROOM = 1024
+_MIN_RESERVED = 1024
 """Blocks, 14 MiB."""
 
 
 @dataclass(frozen=True)
 class Truncation:
-    """Where the field is cut off [m], and how much an empty voxel counts."""
+    """Truncation distances of the field [m], and the weight of an empty voxel."""
 
     front_m: float
     behind_m: float
@@ -53,11 +53,11 @@ def voxel_offsets(device: torch.device) -> Int64[Tensor, "512 3"]:
 class BlockGrid:
     """Blocks in the order of their allocation: keys (n,), and float32 values (n, 512, 7).
 
-    Memory grows with the blocks, up to ``memory_mib``; while it grows, old and new are held together.
+    Memory grows with the blocks, up to ``memory_mib``; while it grows, old and new values exist together.
 
     Of frames that saw the surface near a voxel: WEIGHT, DISTANCE, SQUARE, sums of w, w d, w d^2, d the signed
     distance [m]; VIEWS, their number; COLOUR, COLOUR_WEIGHT, weighted sum of intensities and of its weights.
-    FREE: sum of the weights of frames that saw through it; their distance is that of the cut in front.
+    FREE: sum of the weights of frames that saw through it, at the truncation distance in front.
     """
 
     def __init__(self, voxel_m: float, cut: Truncation, device: torch.device, memory_mib: float) -> None:
@@ -79,12 +79,12 @@ class BlockGrid:
             return torch.from_numpy(np.zeros((blocks, VOXELS, CHANNELS), dtype=np.float32))
         return torch.zeros((blocks, VOXELS, CHANNELS), device=self.device)
 
-    def _hold(self, blocks: int) -> None:
-        """Room for so many blocks, half more than before at least: copies cost little in the sum."""
+    def _reserve(self, blocks: int) -> None:
+        """Reserve memory for this many blocks; it grows by half at least, so that copies are rare."""
         room = len(self._values)
         if blocks <= room:
             return
-        room = min(self.most, max(blocks, room + room // 2, _MIN_ROOM))
+        room = min(self.most, max(blocks, room + room // 2, _MIN_RESERVED))
         values, keys = self._empty(room), torch.zeros(room, dtype=torch.int64, device=self.device)
         values[: self._n], keys[: self._n] = self.values, self.keys
         self._values, self._keys = values, keys
@@ -99,7 +99,7 @@ class BlockGrid:
 
     @property
     def values(self) -> Float32[Tensor, "n 512 7"]:
-        """(n, 512, 7), a view: written to in place, until the next ``allocate``."""
+        """(n, 512, 7), a view that may be written to, valid until the next ``allocate``."""
         return self._values[: self._n]
 
     @property
@@ -115,13 +115,13 @@ class BlockGrid:
         return torch.where(self._sorted[at] == keys, self._order[at], -1)
 
     def allocate(self, keys: Int64[Tensor, " m"]) -> None:
-        """Add empty blocks where ``keys`` (m,), each once, names new ones, as far as the memory goes."""
+        """Add empty blocks of the new ones among unique ``keys`` (m,), up to the limit of the memory."""
         new = keys[self.find(keys) < 0]
         self.refused += max(0, len(new) - (self.most - self._n))
         new = new[: self.most - self._n]
         if len(new) == 0:
             return
-        self._hold(self._n + len(new))
+        self._reserve(self._n + len(new))
         self._keys[self._n : self._n + len(new)] = new
         self._n += len(new)
         self._sorted, self._order = torch.sort(self.keys)

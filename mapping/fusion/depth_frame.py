@@ -1,4 +1,4 @@
-"""A depth map made ready for the field: cropped to the target, with the weight of every pixel.
+"""A depth map prepared for the field: cropped to the target, with the weight of every pixel.
 
 A pixel's weight is the squared cosine of the viewing angle over the variance of its distance along the
 normal: of the depth itself, foreshortened, and of the frame's pose.
@@ -19,7 +19,7 @@ from polhode.records import DepthMap
 _MARGIN_PX = 8
 _MIN_COSINE = 0.17
 _EVERY = 7
-"""Pixels looked at for the median: every seventh."""
+"""Pixels used for the median: every seventh."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class FrameTensors:
     u0: int
     v0: int
     sigma_m: Float32[Tensor, "h w"] | None = None
-    """of the depth itself; None: not kept, as ``doubt`` leaves nothing to gain"""
+    """of the depth itself; None: not kept, because ``doubt`` is low and the frame is not aligned"""
     doubt: float = 0.0
-    """What the pose's uncertainty does to the distances over the depth's own sigma, median"""
+    """Median ratio of the distances' sigma by the pose to the depth's own sigma"""
 
     @property
     def bytes(self) -> int:
@@ -62,8 +62,8 @@ def frame_tensors(
 ) -> FrameTensors | None:
     """Crop and upload a depth map; None when it has no depth.
 
-    covariance_R (6, 6): of the target's pose in the rectified camera, shift [m] and turn [rad] along R, the
-    turn about ``arm_R`` (3,) [m], the origin of G there; None: exact.
+    covariance_R (6, 6): of the target's pose in the rectified camera, translation [m] and rotation [rad] in
+    R, the rotation about ``arm_R`` (3,) [m], the origin of G in R; None: exact.
     """
     crop = _box(frame)
     if crop is None:
@@ -83,7 +83,7 @@ def frame_tensors(
         ratio = (of_pose / variance)[seen][::_EVERY]
         doubt = float(ratio.median().sqrt())
         variance = variance + of_pose
-    # no view knows a slant as well as its sigma along the normal says: windows see it compressed
+    # matching windows see slanted surfaces compressed: their depth is worse than sigma along the normal
     variance = variance / cosine.square()
     return FrameTensors(
         depth_m=depth,
@@ -98,7 +98,7 @@ def frame_tensors(
 
 
 def at_pose(frame: FrameTensors, rig: RectifiedRig, covariance_R: Array, arm_R: Array) -> FrameTensors:
-    """The same depth, whose ``sigma_m`` was kept, with the weights of another pose."""
+    """The same depth with the weights of another pose; its ``sigma_m`` must have been kept."""
     seen = frame.weight > 0
     normal, ray = _normals(frame.depth_m, seen, rig, frame.u0, frame.v0)
     of_pose = _pose_variance(frame.depth_m, normal, ray, covariance_R, arm_R)
@@ -113,7 +113,7 @@ def _known(depth_m: np.ndarray, sigma_m: np.ndarray) -> np.ndarray:
 
 
 def _box(frame: DepthMap) -> tuple[slice, slice] | None:
-    """Rows and columns that hold depth, with a margin."""
+    """Rows and columns with depth, and a margin."""
     known = _known(frame.depth_m, frame.sigma_m)
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     if len(rows) == 0:

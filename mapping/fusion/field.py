@@ -7,12 +7,13 @@ surface: it is kept as one transform between the field and G.
 """
 
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 
 import numpy as np
 import torch
+import trimesh
 
 from polhode.camera import RectifiedRig
 from polhode.config.mapping import Mapping
@@ -21,29 +22,21 @@ from polhode.mapping.fusion.block_grid import BYTES_PER_BLOCK, EDGE, BlockGrid, 
 from polhode.mapping.fusion.depth_frame import FrameTensors, at_pose, frame_tensors
 from polhode.mapping.fusion.frame_alignment import FieldLookup, FrameAlignment, align, depth_points
 from polhode.mapping.fusion.integration import allocate, integrate
-from polhode.mapping.fusion.surface_extraction import (
-    KnownVoxelCriteria,
-    SigmaShares,
-    empty_surface,
-    extract_surface,
-)
+from polhode.mapping.fusion.surface_extraction import empty_surface, extract_surface
 from polhode.progress import Progress, Silent
 from polhode.records import AlignedPoses, DepthMap, SurfaceModel
 from polhode.rigid_fit import mean_rotation
 
 TRUNCATION_VOXELS = 4.0
-"""Distance at which the field is cut off in front of the surface."""
+"""Truncation distance in front of the surface."""
 TRUNCATION_BEHIND_VOXELS = 3.0
-"""Distance at which the field is cut off behind the surface; short, so that the two sides of a thin panel do
-not mix."""
+"""Truncation distance behind the surface; short, so that the two sides of a thin panel do not mix."""
 FREE_SPACE_WEIGHT = 0.4
 """Weight of the observation that space is empty far in front of a surface, over that of a surface."""
-MIN_PIECE_VOXELS = 25.0
-"""Pieces of less area are removed [faces of a voxel]."""
 MOVED_VOXELS = 0.1
 """When poses improve, a frame is fused again if its pose moves a point of the body by more."""
 ALIGN_FROM = 0.5
-"""A pose is doubtful when its uncertainty moves the surface by more than this share of the depth's sigma."""
+"""A pose is uncertain when its covariance moves the surface by more than this share of the depth's sigma."""
 ALIGN_OVERLAP = 0.3
 """A frame is aligned if at least this share of its depth lies near known surface."""
 _log = logging.getLogger(__name__)
@@ -59,19 +52,18 @@ class _StoredFrame:
     X_RF: Array
     """Pose of the field's frame with which it was added"""
     blocks: int
-    """It has been added to so many of the field's blocks, the first ones"""
+    """Number of the field's blocks, from the first, to which it has been added"""
     X_RG: Array
     """The pose as given"""
     covariance_G: Array | None = None
-    """Of that pose; None: it leaves nothing to gain"""
+    """Of that pose; None: too small for an alignment to gain"""
 
 
 class Field:
-    """Depth maps fused in the field's frame F, which is G but for what all poses had in common since.
+    """Depth maps fused in the field's frame F, which differs from G by the later motion common to all poses.
 
-    The depth maps are held, some 0.2 to 1 MB each: so frames can be moved, and in the surface each frame
-    counts in all blocks, also those that only later frames needed. ``kept_mib`` bounds this: the oldest are
-    let go, and stay as they are.
+    The depth maps are kept, 0.2 to 1 MB each, so that frames can be moved, and each frame contributes to all
+    blocks, also those allocated later. ``kept_mib`` limits this: the oldest are dropped and remain as fused.
     """
 
     def __init__(
@@ -104,10 +96,10 @@ class Field:
     def add(self, frame: DepthMap, X_RG: Array, covariance_G: Array | None = None) -> bool:
         """Add a frame; false when it has no depth, or no finite pose, and is left out.
 
-        X_RG (4, 4) the target in the rectified left camera; covariance_G (6, 6) of that pose, shift [m] and
-        turn [rad] along the axes of G, the turn about its origin: p_R = X_RG (Exp(turn) p_G + shift). None:
-        exact. One that is not finite tells nothing of the pose: the frame counts little, as if it were off by
-        the width of the band in front of the surface, and a warning says so.
+        X_RG (4, 4) the target in the rectified left camera; covariance_G (6, 6) of that pose, translation [m]
+        and rotation [rad] in G, about its origin: p_R = X_RG (Exp(rotation) p_G + translation); None: exact.
+        Where it is not finite, the frame gets a low weight, as if its pose were off by the truncation
+        distance in front of the surface, and there is a warning.
         """
         number = self._frames
         self._frames += 1
@@ -139,7 +131,7 @@ class Field:
         return True
 
     def _unknown(self) -> Array:
-        """The covariance (6, 6) of a pose of which nothing is known: farther off it would miss the band."""
+        """The covariance (6, 6) of an unknown pose: with a larger error it would miss the truncation band."""
         return np.diag([self._grid.cut.front_m**2] * 3 + [0.0] * 3)
 
     def _put(self, kept: _StoredFrame) -> None:
@@ -147,18 +139,18 @@ class Field:
         self._complete(kept)
 
     def _complete(self, kept: _StoredFrame) -> None:
-        """Add a frame to the blocks that it does not know: those that later frames needed."""
+        """Add a frame to the blocks allocated since it was added."""
         most = len(self._grid)
         integrate(self._grid, kept.tensors, kept.X_RF, self.rig, (kept.blocks, most))
         kept.blocks = most
 
     def move(self, X_RG: Array) -> int:
-        """Put the frames where better poses (F, 4, 4) see them; how many had to be fused again.
+        """Move the frames to better poses (F, 4, 4); returns how many had to be fused again.
 
-        F: as many as were added, with those that were left out. A frame whose new pose is not finite leaves.
+        F: number of frames added, including rejected ones. A frame whose new pose is not finite is removed.
         """
         if self._evicted:
-            raise ValueError(f"{self._evicted} frames were let go and cannot be moved")
+            raise ValueError(f"{self._evicted} frames were dropped and cannot be moved")
         if len(X_RG) != self._frames:
             raise ValueError(f"{len(X_RG)} poses for {self._frames} frames")
         lost = [k for k in self._kept if not np.isfinite(X_RG[k]).all()]
@@ -173,7 +165,7 @@ class Field:
         if len(self._grid):
             self._X_FG, moved = self._displaced_frames(numbers, X_RG[numbers])
         if 2 * len(moved) > len(numbers):
-            # cheaper than taking away and adding
+            # cheaper than removing and adding
             self._grid, self._X_FG, moved = self._empty(), np.eye(4), numbers
         else:
             for k in moved.tolist():
@@ -191,12 +183,12 @@ class Field:
         kept.blocks = 0
 
     def align(self) -> AlignedPoses | None:
-        """Align the frames whose poses are doubtful to the surface that the others show; None: none is.
+        """Align the frames with uncertain poses to the surface that the others show; None: there is none.
 
-        A pose is doubtful when its covariance moves the surface by more than ``ALIGN_FROM`` of the depth's
-        own sigma. All of these are taken away; then one after the other, the least doubtful first, is aligned
-        and added, and once more when the others are. What cannot be aligned comes back as it was at the end,
-        so that none is aligned to doubts.
+        A pose is uncertain when its covariance moves the surface by more than ``ALIGN_FROM`` of the depth's
+        own sigma. These frames are all removed; then each, the least uncertain first, is aligned and added,
+        and aligned again after the others. Frames that cannot be aligned are added as they were at the end,
+        so that no frame is aligned to them.
         """
         doubtful = {k: each for k, each in self._kept.items() if each.covariance_G is not None}
         if not doubtful:
@@ -226,13 +218,13 @@ class Field:
         )
 
     def _aligned(self, kept: _StoredFrame) -> FrameAlignment | None:
-        """Add a frame that was taken away where the field as it is puts it; None: refused, and not added."""
+        """Align a removed frame to the field and add it; None: refused, and not added."""
         if kept.covariance_G is None:
             return None
         points = depth_points(kept.tensors, kept.X_RG, self.rig)
         aligned = align(points, kept.covariance_G, self.lookup(), ALIGN_OVERLAP)
         if aligned.refused is not None:
-            _log.debug("a pose stays as it was: %s", aligned.refused)
+            _log.debug("a pose is left unchanged: %s", aligned.refused)
             return None
         X_RG = aligned.apply(kept.X_RG)
         covariance_R = _turned(aligned.covariance_G, X_RG[:3, :3])
@@ -242,67 +234,58 @@ class Field:
         return aligned
 
     def lookup(self) -> FieldLookup:
-        """The field between its voxels, as it is now."""
+        """The present field, interpolated between its voxels."""
         return FieldLookup.of(self._grid, self._X_FG, self.config.carved_share)
 
     def _displaced_frames(self, numbers: Array, X_RG: Array) -> tuple[Array, Array]:
-        """G in F (4, 4) such that few frames are elsewhere than they were fused, and which ones those are."""
+        """G in F (4, 4) such that few frames are displaced since they were fused, and which those are."""
         X_RF = np.stack([self._kept[int(k)].X_RF for k in numbers])
         corners = self._corners()
         best = self._X_FG, np.ones(len(numbers), dtype=bool)
         between = inverse_pose(X_RF) @ X_RG
         tolerance_m = MOVED_VOXELS * self._voxel_m
-        trial, agree = self._X_FG, np.ones(len(numbers), dtype=bool)
+        trial = self._X_FG
         for _ in range(_ROUNDS):
-            apart = _farthest(between, trial, corners)
-            if (apart > tolerance_m).sum() < best[1].sum():
-                best = trial, apart > tolerance_m
-            # what most frames have in common, those that went elsewhere left out
-            agree = apart <= max(np.median(apart), tolerance_m)
+            displaced_m = _farthest(between, trial, corners)
+            if (displaced_m > tolerance_m).sum() < best[1].sum():
+                best = trial, displaced_m > tolerance_m
+            # the motion common to most frames, without outliers
+            agree = displaced_m <= max(np.median(displaced_m), tolerance_m)
             trial = _common(between[agree], corners.mean(axis=0))
         return best[0], numbers[best[1]]
 
     def _corners(self) -> Array:
         """(8, 3): of the box around the blocks, in F [m]."""
         centres = self._grid.centres_m().cpu().numpy().astype(np.float64)
-        low, high = centres.min(axis=0), centres.max(axis=0)
-        return np.array(
-            [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-        )
+        return np.asarray(trimesh.bounds.corners([centres.min(axis=0), centres.max(axis=0)]))
 
     def surface(self) -> SurfaceModel:
-        """The mesh in G of what frames agree on, with what is to be said about it."""
+        """The mesh in G of the surface that frames agree on, with warnings."""
         config = self.config
         for kept in self._kept.values():
             self._complete(kept)
-        told = self._warnings()
+        warnings = self._warnings()
         least = min(config.min_views, max(self.used, 1))
-        found = self._extract(least)
+        found = extract_surface(self._grid, config, least)
         if self.used > least and len(found.mesh.faces) == 0:
             # frames that do not overlap
-            found = self._extract(1)
+            found = extract_surface(self._grid, config, 1)
             if len(found.mesh.faces):
-                told.append(
+                warnings.append(
                     f"no part of the surface was seen in {config.min_views} frames: the mesh is what single "
                     "frames saw, and nothing confirms it"
                 )
         elif 0 < self.used < config.min_views:
-            told.append(
+            warnings.append(
                 f"the surface is made of {self.used} {'frame' if self.used == 1 else 'frames'}: nothing "
                 "confirms its parts, and what they did not see is open"
             )
         if len(found.mesh.faces) == 0:
             if self.used:
-                told.append("what the frames agree on is too small for a surface: there is none")
-            return empty_surface(tuple(told))
+                warnings.append("what the frames agree on is too small for a surface: there is none")
+            return empty_surface(tuple(warnings))
         found.mesh.apply_transform(inverse_pose(self._X_FG))
-        return replace(found, warnings=tuple(told))
-
-    def _extract(self, min_views: int) -> SurfaceModel:
-        config = self.config
-        shares = SigmaShares(config.shared_sigma, config.relief_sigma)
-        support = KnownVoxelCriteria.of(config, min_views)
-        return extract_surface(self._grid, support, MIN_PIECE_VOXELS, shares)
+        return replace(found, warnings=tuple(warnings))
 
     def _warnings(self) -> list[str]:
         out = []
@@ -336,13 +319,13 @@ def _turned(covariance: Array, R: Array) -> Array:
 
 
 def _farthest(between: Array, X_FG: Array, corners_F: Array) -> Array:
-    """(F,): how far the corners go when each frame's own G in F (F, 4, 4) is replaced by one for all [m]."""
+    """(F,): largest displacement of the corners if each frame's G in F is replaced by a common one [m]."""
     shift = transform_points(between @ inverse_pose(X_FG), corners_F) - corners_F
     return np.asarray(np.linalg.norm(shift, axis=-1).max(axis=-1))
 
 
 def _common(between: Array, centre_F: Array) -> Array:
-    """The mean (4, 4) of transforms (F, 4, 4) to F, exact where it puts ``centre_F``."""
+    """The mean (4, 4) of transforms (F, 4, 4) to F, exact at ``centre_F``."""
     R = mean_rotation(between[:, :3, :3])
     at_G = np.mean(transform_points(inverse_pose(between), centre_F[None])[:, 0], axis=0)
     return make_pose(R, centre_F - R @ at_G)
@@ -357,9 +340,9 @@ def choose_device(config: Mapping) -> torch.device:
 
 Frame = tuple[DepthMap, Array]
 _PEEK = 5
-"""Frames looked at to choose the voxel size."""
+"""Frames used to choose the voxel size."""
 _KEPT = 0.25
-"""Of the field's memory, for frames that wait for the blocks of later ones."""
+"""Share of the field's memory for the depth maps that are kept."""
 
 
 def fuse(
@@ -374,29 +357,20 @@ def fuse(
 
     frames: pairs of a DepthMap and X_RG (4, 4), the target's pose in the rectified left camera; read once,
     one at a time. Depth or poses with NaN are left out. n_frames: how many are coming, for the progress bar.
-    covariance_G (F, 6, 6): of the poses, as ``Field.add`` takes them; None: exact; not finite: unknown.
-    Frames whose poses are doubtful are aligned to the surface of the others; ``aligned`` of the result holds
-    their poses. Returns an empty mesh when nothing was seen; ``warnings`` of the result tells what is missing
-    and why.
+    covariance_G (F, 6, 6): of the poses, as for ``Field.add``; None: exact; not finite: unknown. Frames with
+    uncertain poses are aligned to the surface of the others; ``aligned`` of the result has their poses. The
+    mesh is empty when nothing was seen; ``warnings`` say what is missing and why.
     """
     stream = iter(frames)
     head = list(islice(stream, _PEEK))
-    field = Field(
-        rig, config, choose_voxel_m([frame for frame, _ in head], rig, config), _KEPT * config.memory_mib
-    )
+    voxel_m = choose_voxel_m([frame for frame, _ in head], rig, config)
+    field = Field(rig, config, voxel_m, _KEPT * config.memory_mib)
     with (progress or Silent()).stage("fusing depth", n_frames) as advance:
-        for k, (frame, X_RG) in enumerate(_stepping(chain(head, stream), advance)):
+        for k, (frame, X_RG) in enumerate(chain(head, stream)):
             field.add(frame, X_RG, None if covariance_G is None else covariance_G[k])
+            advance()
     aligned = field.align() if config.align else None
     return replace(field.surface(), aligned=aligned)
-
-
-def _stepping(frames: Iterable[Frame], advance: object) -> Iterator[Frame]:
-    """Pass frames on, advancing the bar after each."""
-    for frame in frames:
-        yield frame
-        if callable(advance):
-            advance()
 
 
 def choose_voxel_m(frames: list[DepthMap], rig: RectifiedRig, config: Mapping) -> float:

@@ -32,12 +32,12 @@ from polhode.records import Ints
 
 _BITS = HALF.bit_length()
 _MIN_VIEWS = 2
-"""What a single frame saw confirms nothing."""
+"""Voxels seen by a single frame are not used."""
 
 
 @dataclass(frozen=True)
 class FieldSamples:
-    """The surface as seen from points (n, 3) in G; NaN where it is not known."""
+    """The field at points (n, 3) in G; NaN where it is not known."""
 
     distance_m: Array
     """(n,) signed, positive in front of the surface"""
@@ -49,7 +49,7 @@ class FieldSamples:
 
 @dataclass(frozen=True)
 class FieldLookup:
-    """A field on the processor, in its frame F, asked at points of G."""
+    """A field on the processor, in its frame F, evaluated at points of G."""
 
     values: NDArray[np.float32]
     """(n, 512, 7)"""
@@ -60,13 +60,13 @@ class FieldLookup:
     voxel_m: float
     front_m: float
     carved_share: float
-    """Known is where frames that look through have no more of the weight"""
+    """Maximum share of the weight from frames that look through a known voxel"""
     X_FG: Array
     """(4, 4)"""
 
     @staticmethod
     def of(grid: BlockGrid, X_FG: Array, carved_share: float) -> "FieldLookup":
-        """A view of the field as it is now, not a copy where it is on the processor."""
+        """A view of the present field; a copy only where it is on another device."""
         keys = grid.keys.cpu().numpy()
         order = np.argsort(keys)
         values = grid.values.cpu().numpy()
@@ -88,7 +88,7 @@ def interpolate(
 ) -> None:
     """Fill ``out`` (n, 5): distance [m], gradient (3), variance [m^2], at ``points`` (n, 3) [voxels].
 
-    Rows whose eight voxels are not all known stay as they are. limits: front [m], most share of free weight,
+    Rows whose eight voxels are not all known are unchanged. limits: front [m], maximum share of free weight,
     voxel [m].
     """
     front, carved, voxel_m = limits
@@ -104,7 +104,7 @@ def interpolate(
             i = int(low[0]) + (corner >> 2)
             j = int(low[1]) + ((corner >> 1) & 1)
             k = int(low[2]) + (corner & 1)
-            # whole numbers are shifted to be positive, so that division rounds down
+            # shifted to be positive, so that integer division rounds down
             a, b, c = i + EDGE * HALF, j + EDGE * HALF, k + EDGE * HALF
             key = ((a // EDGE) << (2 * _BITS)) | ((b // EDGE) << _BITS) | (c // EDGE)
             if key != last_key:
@@ -121,7 +121,7 @@ def interpolate(
             mean = (cell[DISTANCE] + front * cell[FREE]) / weight
             scatter = (cell[SQUARE] + front * front * cell[FREE]) / weight - mean * mean
             distance[corner] = mean
-            # the larger of what the weights promise and what the frames' scatter shows
+            # the larger of the variance by the weights and that by the scatter over the frames
             variance[corner] = max(1.0 / weight, scatter / cell[VIEWS])
         if not known:
             continue
@@ -143,16 +143,16 @@ _STILL = 0.05
 """Converged when a step is less than this, in standard deviations."""
 _KERNEL = 2.5
 """Width of the robust kernel, over the residuals' own scale."""
-_ALIKE_PX = 12
-"""Errors of the depth are alike over squares of this width: disparities come from windows of 7 px, and what
-light and slant do is alike over more (docs/mapping.md has the figures)."""
+_CORRELATION_PX = 12
+"""Errors of the depth are correlated over squares of this width: disparities come from windows of 7 px, and
+effects of light and slant extend farther (docs/mapping.md has the figures)."""
 _MIN_SAMPLES = 50
 _SPREAD = 1.5
-"""Other starts are so many standard deviations away."""
+"""Distance of other starts in standard deviations."""
 _MISFIT = 4.0
-"""Squares of the distances, over what the sigmas say, of a frame that lies elsewhere."""
+"""Ratio of the squared distances to their variances above which a frame does not fit the surface."""
 _IMPLAUSIBLE = float(chi2.isf(2.0 * 3.167e-5, 6))
-"""Squared length of a correction of six numbers that is as rare as four sigma in one."""
+"""Squared length of a correction of six numbers with the probability of four sigma in one."""
 
 
 @dataclass(frozen=True)
@@ -169,14 +169,14 @@ class DepthPoints:
 
 @dataclass(frozen=True)
 class FrameAlignment:
-    """Where a frame is, by the surface; p_R = X_RG (Exp(turn) p_G + shift), X_RG the pose as given."""
+    """Correction of a frame's pose X_RG: p_R = X_RG (Exp(rotation) p_G + translation)."""
 
     correction: Array
-    """(6,) shift [m], turn [rad] along G; 0 where it is refused"""
+    """(6,) translation [m], rotation [rad] along G; 0 where it is refused"""
     covariance_G: Array
     """(6, 6) of the corrected pose, in the same convention about that pose; the prior's where refused"""
     refused: str | None
-    """Why the pose stays; None: it was aligned"""
+    """Why the pose is left unchanged; None: it was aligned"""
 
     def apply(self, X_RG: Array) -> Array:
         """The corrected pose (4, 4)."""
@@ -186,15 +186,15 @@ class FrameAlignment:
 def distances(
     correction: Array, p_G: Array, lookup: Callable[[Array], FieldSamples]
 ) -> tuple[Array, Array, Array]:
-    """Distances (n,) of the points (n, 3) from the surface once the pose is corrected by ``correction`` (6,),
-    their derivatives (n, 6), their variances (n,) by the surface's; NaN where it is not known."""
-    shift, turn = correction[:3], correction[3:]
-    R, away = exp_so3(-turn), p_G - shift
-    at = lookup(away @ R.T)
+    """Distances (n,) of points (n, 3) from the surface after ``correction`` (6,) of the pose, derivatives
+    (n, 6) and variances (n,) by that of the surface; NaN where it is not known."""
+    translation, rotation = correction[:3], correction[3:]
+    R, moved = exp_so3(-rotation), p_G - translation
+    at = lookup(moved @ R.T)
     along = at.gradient_G @ R
     # Exp(-(t + d)) q = Exp(-t) (q + hat(q) Jr(-t) d)
-    by_turn = np.cross(along, away) @ right_jacobian_so3(-turn)
-    return at.distance_m, np.hstack([-along, by_turn]), at.variance_m2
+    by_rotation = np.cross(along, moved) @ right_jacobian_so3(-rotation)
+    return at.distance_m, np.hstack([-along, by_rotation]), at.variance_m2
 
 
 def align(
@@ -211,7 +211,7 @@ def align(
         distance, J, variance = distances(x, points.p_G, lookup)
         known = np.isfinite(distance)
         if known.sum() < max(_MIN_SAMPLES, min_share * n):
-            return replace(stays, refused="too little of what it shows is known")
+            return replace(stays, refused="too little of it lies near known surface")
         J, distance = J[known], distance[known]
         weight, excess = _weights(distance, points.variance_m2[known] + variance[known])
         A = J.T @ (weight[:, None] * J)
@@ -226,7 +226,7 @@ def align(
         if step < _STILL:
             break
     if step >= _STILL:
-        return replace(stays, refused="it does not settle")
+        return replace(stays, refused="it does not converge")
     if excess > _MISFIT:
         return replace(stays, refused="it does not fit the surface")
     if x @ np.linalg.pinv(covariance_G, hermitian=True) @ x > _IMPLAUSIBLE:
@@ -247,14 +247,14 @@ def depth_points(frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> DepthPo
     return DepthPoints(
         p_G=transform_points(inverse_pose(X_RG), p_R),
         variance_m2=frame.own_sigma_m.cpu().numpy().astype(np.float64)[v, u] ** 2,
-        independent=min(1.0, len(pixel) / (_ALIKE_PX**2 * max(count, 1))),
+        independent=min(1.0, len(pixel) / (_CORRELATION_PX**2 * max(count, 1))),
     )
 
 
 def _start(
     points: DepthPoints, covariance: Array, lookup: Callable[[Array], FieldSamples], min_share: float
 ) -> Array:
-    """No correction (6,); where that lies beyond the band around the surface, a likely one that does not."""
+    """No correction (6,); if that is outside the truncation band, a probable one that is not."""
     variances, axes = np.linalg.eigh(covariance)
     spread = _SPREAD * np.sqrt(np.maximum(variances, 0.0))[:, None] * axes.T
     best, most = np.zeros(6), -1
@@ -276,7 +276,7 @@ def _weights(distance: Array, variance: Array) -> tuple[Array, float]:
 
 
 def _about(x: Array, covariance: Array) -> Array:
-    """The covariance (6, 6) of a correction x as that of the corrected pose."""
+    """The covariance (6, 6) of the corrected pose, from that of the correction x."""
     T = np.zeros((6, 6))
     T[:3, :3], T[3:, 3:] = exp_so3(-x[3:]), right_jacobian_so3(x[3:])
     return np.asarray(T @ covariance @ T.T)

@@ -1,7 +1,7 @@
-"""One frame into the field: it allocates the blocks near its surface, then every voxel in sight is updated.
+"""Integration of a frame into the field: blocks near its surface are allocated, all visible voxels updated.
 
-Surfaces: Curless and Levoy, SIGGRAPH 1996. Each operation is written twice, and tests hold the two to each
-other: compiled loops for the processor, and tensors for any other device.
+After Curless and Levoy, SIGGRAPH 1996. Each operation is written twice, and tests compare the two: compiled
+loops for the processor, and tensors for any other device.
 """
 
 import numpy as np
@@ -40,9 +40,9 @@ _CHUNK_BLOCKS = 2048
 def allocate(
     grid: BlockGrid, frame: FrameTensors, X_RG: Array, rig: RectifiedRig, in_tensors: bool = False
 ) -> None:
-    """Make the blocks that the frame's truncation band touches; X_RG (4, 4) target in rectified camera.
+    """Allocate the blocks that the frame's truncation band touches; X_RG (4, 4) target in rectified camera.
 
-    On a processor the loops are compiled, unless ``in_tensors``; elsewhere the same is said in tensors.
+    Compiled loops on the processor, unless ``in_tensors``; tensors on other devices.
     """
     near = _blocks_near_surface if in_tensors or grid.device.type != "cpu" else _blocks_touched
     grid.allocate(near(grid, frame, X_RG, rig))
@@ -57,12 +57,12 @@ def integrate(
     remove: bool = False,
     in_tensors: bool = False,
 ) -> None:
-    """Add one frame to the blocks from, to (None: all), in place, or take it away."""
+    """Add one frame to the blocks (first, end), None: all, in place, or remove it."""
     start, stop = blocks if blocks is not None else (0, len(grid))
     if start >= stop:
         return
     pose = torch.as_tensor(X_RG, dtype=torch.float32, device=grid.device)
-    index = start + _blocks_in_sight(grid, frame, pose, rig, slice(start, stop))
+    index = start + _visible_blocks(grid, frame, pose, rig, slice(start, stop))
     if in_tensors or grid.device.type != "cpu":
         _add_in_tensors(grid, index, frame, pose, rig, remove)
         return
@@ -144,10 +144,10 @@ def _blocks_near_surface(
     return keys
 
 
-def _blocks_in_sight(
+def _visible_blocks(
     grid: BlockGrid, frame: FrameTensors, pose: Float32[Tensor, "4 4"], rig: RectifiedRig, which: slice
 ) -> Int64[Tensor, " n"]:
-    """Which of the blocks ``which`` project onto depth and do not lie wholly behind the surface."""
+    """Indices within ``which`` of blocks that project onto depth and are not all behind the surface."""
     p = grid.centres_m(which) @ pose[:3, :3].T + pose[:3, 3]
     z = p[:, 2].clamp_min(1e-6)
     radius_m = 0.5 * EDGE * grid.voxel_m * 3**0.5
@@ -175,7 +175,7 @@ def _add_in_tensors(
     rig: RectifiedRig,
     remove: bool,
 ) -> None:
-    """Project every voxel of the blocks ``index`` (n,) into the frame; add what it sees, or take it away."""
+    """Project every voxel of the blocks ``index`` (n,) into the frame; add the frame there, or remove it."""
     offsets = voxel_offsets(grid.device).to(torch.float32) * grid.voxel_m
     sign = -1.0 if remove else 1.0
     for start in range(0, len(index), _CHUNK_BLOCKS):
@@ -202,7 +202,7 @@ def _add_part(
     cut = grid.cut
     corner = (unpack_keys(grid.keys[index]) * EDGE).to(torch.float32) * grid.voxel_m
     R, t = pose[:3, :3], pose[:3, 3]
-    # Rotating corners and offsets apart saves the large product over all voxels.
+    # Rotating corners and offsets separately saves the large product over all voxels.
     p = ((corner @ R.T + t)[:, None, :] + offsets @ R.T).reshape(-1, 3)
     z = p[:, 2]
     h, w = frame.depth_m.shape
@@ -233,7 +233,7 @@ def _add_part(
 
 
 def exposure_weight(intensity: Float32[Tensor, " n"]) -> Float32[Tensor, " n"]:
-    """Trust in an 8-bit intensity: low in shadow and near saturation, never zero."""
+    """Weight of an 8-bit intensity: low in shadow and near saturation, never zero."""
     rise = ((intensity - 8.0) / 40.0).clamp(0.0, 1.0)
     fall = ((252.0 - intensity) / 20.0).clamp(0.0, 1.0)
     return 0.01 + rise * fall
@@ -246,7 +246,7 @@ _BITS = HALF.bit_length()
 F32 = np.float32
 NEAR = (WEIGHT, DISTANCE, SQUARE, VIEWS, COLOUR, COLOUR_WEIGHT)
 RESIDUE = 1e-5
-"""Of a weight that was taken away: what is left of it is rounding."""
+"""Share of a removed weight below which the remainder is rounding."""
 
 
 @compiled_fused_ieee
@@ -276,7 +276,7 @@ def touched_keys(
                     continue
                 z = depth[v, u] + offsets_m[step]
                 x, y = (u - cx) / f * z, (v - cy) / f * z
-                # voxels are round their centres
+                # a voxel extends half its edge around its centre
                 a = np.floor(
                     (X_GR[0, 0] * x + X_GR[0, 1] * y + X_GR[0, 2] * z + X_GR[0, 3]) / edge_m + 0.0625
                 )
@@ -315,10 +315,10 @@ def update_blocks(
     cut: Array,
     sign: float,
 ) -> None:
-    """Add a frame to the blocks ``index``, or take it away (sign -1).
+    """Add a frame to the blocks ``index``, or remove it (sign -1).
 
     values (n, 512, 7), keys (n,); pose X_RG (4, 4); camera: focal length and centre [px] in ``pixels``
-    (h, w, 4): depth, cosine, weight, intensity, whose outermost pixels hold no depth; cut: front, behind [m],
+    (h, w, 4): depth, cosine, weight, intensity, no depth in the outermost pixels; cut: front, behind [m],
     weight of free space.
     """
     h, w = np.int32(pixels.shape[0]), np.int32(pixels.shape[1])
@@ -339,7 +339,7 @@ def update_blocks(
             x = F32(pose[0, 0] * i + pose[0, 1] * j + pose[0, 2] * k + pose[0, 3])
             y = F32(pose[1, 0] * i + pose[1, 1] * j + pose[1, 2] * k + pose[1, 3])
             z = F32(pose[2, 0] * i + pose[2, 1] * j + pose[2, 2] * k + pose[2, 3])
-            # no branches, and whole numbers clipped: the eight of a row are computed at once
+            # without branches, indices clipped, so that the eight of a row are vectorized
             for m in range(EDGE):
                 step = F32(m)
                 zm = z + step * dz
@@ -348,7 +348,7 @@ def update_blocks(
                 u, v = min(max(u, none), np.int32(w - 1)), min(max(v, none), np.int32(h - 1))
                 at[m], depth[m] = v * w + u, zm
             for m in range(EDGE):
-                # unsigned indices cannot count from the end, and slices are counted: both would cost time
+                # unsigned indices avoid the wrap-around of negative ones; slices would be slower
                 p = np.uint32(at[m])
                 distance = (flat[p, 0] - depth[m]) * flat[p, 1]
                 # -inf where the pixel has no depth
@@ -371,7 +371,7 @@ def update_blocks(
                     cells[voxel, COLOUR] += lit * grey
                     cells[voxel, COLOUR_WEIGHT] += lit
                 if plus < F32(0.0):
-                    # what taking away leaves of nothing is zero
+                    # removal leaves rounding, which is set to zero
                     if cells[voxel, FREE] < -residue * full:
                         cells[voxel, FREE] = F32(0.0)
                     if cells[voxel, VIEWS] < F32(0.5):

@@ -4,9 +4,9 @@ Marching cubes (Lewiner et al. 2003, scikit-image) runs over cubes of 64^3 voxel
 vertices on shared layers have the same coordinates and are merged, so there are no seams and memory
 follows the surface.
 
-A voxel is known where enough frames saw it, agree, and few frames look through it. The number of frames alone
-is a poor criterion: two frames that agree confirm each other, while many that disagree, as matching windows
-do on a slanted surface without texture, confirm nothing.
+A voxel is known where enough frames saw it and agree, and few frames look through it. The number of frames
+alone is a poor criterion: two frames that agree confirm each other, while many that disagree, as matching
+windows do on a slanted surface without texture, confirm nothing.
 
 A vertex's sigma has three parts: what independent noise leaves after averaging over the frames, a share of a
 single view's sigma, and a share of the roughness. The last two do not average out: disparities are matched in
@@ -14,8 +14,6 @@ windows, so relief finer than a window is lost in every view alike, and all view
 errors (texture, light, calibration). Both shares were tuned on four simulated bodies
 (``benchmarks/mapping/mesh_quality.py``).
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -46,68 +44,41 @@ _CHUNK = 8
 """Blocks along the edge of a chunk."""
 _EDGE = _CHUNK * EDGE + 1
 """Voxels along it: one layer is shared with the next chunk."""
+MIN_PIECE_VOXELS = 25.0
+"""Pieces of less area are removed [faces of a voxel]."""
 Floats = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class KnownVoxelCriteria:
-    """What a voxel must show to count."""
-
-    views: int
-    """Frames that saw it"""
-    agreeing: float
-    """Two frames are enough where they scatter by less [voxels]"""
-    scatter: float
-    """Frames that scatter by more say nothing [voxels]"""
-    carved: float
-    """Most of the weight may come from frames that look through: this share"""
-
-    @staticmethod
-    def of(config: Mapping, views: int) -> "KnownVoxelCriteria":
-        """As configured, with ``views`` frames."""
-        return KnownVoxelCriteria(views, config.agreeing_voxels, config.scatter_voxels, config.carved_share)
-
-
-@dataclass(frozen=True)
-class SigmaShares:
-    """What does not average out: of a single view's sigma, and over the roughness of the surface."""
-
-    of_view: float
-    of_relief: float
-
-
 def empty_surface(warnings: tuple[str, ...] = ()) -> SurfaceModel:
-    """What is returned when there is nothing to mesh."""
+    """A surface without faces."""
     mesh = trimesh.Trimesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64), process=False)
     return SurfaceModel(mesh=mesh, sigma_m=np.zeros(0), views=np.zeros(0, dtype=np.int64), warnings=warnings)
 
 
-def extract_surface(
-    grid: BlockGrid, support: KnownVoxelCriteria, least_piece_voxels: float, shares: SigmaShares
-) -> SurfaceModel:
-    """Mesh in G [m] of all voxels that count; empty when there are none.
+def extract_surface(grid: BlockGrid, config: Mapping, min_views: int) -> SurfaceModel:
+    """Mesh in G [m] of all known voxels, without small pieces; empty when there are none.
 
-    Pieces of less area than ``least_piece_voxels`` [faces of a voxel] are left out.
+    ``min_views`` replaces that of the configuration.
     """
     if len(grid) == 0:
         return empty_surface()
     values = grid.values.cpu().numpy()
-    distance = _distances(values, known_voxels(values, grid.voxel_m, support), grid.cut.front_m, grid.voxel_m)
+    known = known_voxels(values, grid.voxel_m, config, min_views)
+    distance = _distances(values, known, grid.cut.front_m, grid.voxel_m)
     first = np.unique(np.floor_divide(unpack_keys(grid.keys).cpu().numpy(), _CHUNK), axis=0) * _CHUNK
     parts = [part for corner in first if (part := _mesh_chunk(grid, corner, distance)) is not None]
     if not parts:
         return empty_surface()
     vertices, faces, edges, shares_of = _merge(parts)
-    faces = _large_pieces(vertices, faces, least_piece_voxels)
-    is_used = np.zeros(len(vertices), dtype=bool)
-    is_used[faces] = True
-    used = np.flatnonzero(is_used)
+    piece, area = piece_areas(vertices, faces)
+    faces = faces[area[piece[faces[:, 0]]] >= MIN_PIECE_VOXELS]
+    used, renumbered = np.unique(faces, return_inverse=True)
     if len(used) == 0:
         return empty_surface()
-    renumber = np.full(len(vertices), -1, dtype=np.int64)
-    renumber[used] = np.arange(len(used))
     of_vertices = _values_at(values, edges[used], shares_of[used], grid.cut.front_m)
-    return _surface_model(vertices[used] * grid.voxel_m, renumber[faces], of_vertices, grid.voxel_m, shares)
+    return _surface_model(
+        vertices[used] * grid.voxel_m, renumbered.reshape(-1, 3), of_vertices, grid.voxel_m, config
+    )
 
 
 def _distances(values: Floats, known: Bools, front_m: float, voxel_m: float) -> Floats:
@@ -127,7 +98,7 @@ def _values_at(values: Floats, edges: Ints, share: Floats, front_m: float) -> Fl
         mean = (c[:, DISTANCE] + front_m * c[:, FREE]) / weight
         variance = np.maximum((c[:, SQUARE] + front_m**2 * c[:, FREE]) / weight - mean**2, 0.0)
         views = np.maximum(c[:, VIEWS], 1.0)
-        # The larger of what the weights promise and what the frames' scatter shows.
+        # the larger of the variance by the weights and that by the scatter over the frames
         sigma = np.sqrt(np.maximum(1.0 / weight, variance / views))
         colour = c[:, COLOUR] / np.maximum(c[:, COLOUR_WEIGHT], 1e-30)
         ends.append(np.column_stack([sigma, sigma * np.sqrt(views), c[:, VIEWS], colour]))
@@ -176,12 +147,7 @@ def _voxel_index(voxel: Ints, at: Ints) -> Ints:
 
 def _merge(parts: list[tuple[Array, Ints, Ints, Floats]]) -> tuple[Array, Ints, Ints, Floats]:
     """Join chunks: vertices on the layers they share that have the same coordinates become one."""
-    vertices, faces, edges, share = (
-        np.concatenate([p[0] for p in parts]),
-        np.concatenate([p[1] for p in parts]),
-        np.concatenate([p[2] for p in parts]),
-        np.concatenate([p[3] for p in parts]),
-    )
+    vertices, faces, edges, share = (np.concatenate(column) for column in zip(*parts, strict=True))
     counts = [len(p[0]) for p in parts]
     faces += np.repeat(np.cumsum([0, *counts[:-1]]), [len(p[1]) for p in parts])[:, None]
     on_layer = np.flatnonzero((vertices % (_CHUNK * EDGE) == 0.0).any(axis=1))
@@ -197,15 +163,8 @@ def _merge(parts: list[tuple[Array, Ints, Ints, Floats]]) -> tuple[Array, Ints, 
     return vertices, faces[whole], edges, share
 
 
-def _large_pieces(vertices: Array, faces: Ints, least: float) -> Ints:
-    """Faces of the connected pieces of at least this area; vertices in voxels."""
-    piece, area = piece_areas(vertices, faces)
-    kept: Ints = faces[area[piece[faces[:, 0]]] >= least]
-    return kept
-
-
 def _surface_model(
-    vertices: Array, faces: Ints, values: Floats, voxel_m: float, shares: SigmaShares
+    vertices: Array, faces: Ints, values: Floats, voxel_m: float, config: Mapping
 ) -> SurfaceModel:
     """Assemble the record; values (V, 4) are sigma of the mean, of one view [m], views, grey."""
     grey = np.clip(np.round(values[:, 3]), 0, 255).astype(np.uint8)
@@ -215,31 +174,31 @@ def _surface_model(
     noise_m, single_view_m = values[:, :2].T.astype(np.float64)
     return SurfaceModel(
         mesh=mesh,
-        sigma_m=vertex_sigma(mesh, noise_m, single_view_m, voxel_m, shares),
+        sigma_m=vertex_sigma(mesh, noise_m, single_view_m, voxel_m, config),
         views=np.maximum(np.round(values[:, 2]), 1).astype(np.int64),
     )
 
 
 _TIMES_USUAL = 2.0
-"""Where all depth is poor the limits follow it: so many times the median scatter still counts."""
+"""Where all depth is poor, the limit is this many times the median scatter."""
 
 
-def known_voxels(values: Floats, voxel_m: float, support: KnownVoxelCriteria) -> Bools:
-    """(n, 512): which of the field's voxels (n, 512, 7) count."""
+def known_voxels(values: Floats, voxel_m: float, config: Mapping, min_views: int) -> Bools:
+    """(n, 512): which of the field's voxels (n, 512, 7) are known, from at least ``min_views`` frames."""
     weight, free, views = values[..., WEIGHT], values[..., FREE], values[..., VIEWS]
     scatter = scatter_m(values) / np.float32(voxel_m)
     usual = _usual(scatter, values, voxel_m)
-    seen = views + (free > 0) >= support.views
-    confirmed = (views >= 2) & (scatter < max(support.agreeing, usual))
-    agree = scatter < max(support.scatter, _TIMES_USUAL * usual)
-    # far in front of every surface all frames look through, and that is what they say
+    seen = views + (free > 0) >= min_views
+    confirmed = (views >= 2) & (scatter < max(config.agreeing_voxels, usual))
+    agree = scatter < max(config.scatter_voxels, _TIMES_USUAL * usual)
+    # far in front of every surface all frames look through, and the voxel is known to be empty
     empty = weight <= 0
-    solid = free <= support.carved * (weight + free)
+    solid = free <= config.carved_share * (weight + free)
     return np.asarray((weight + free > 0) & (seen | confirmed) & (empty | (agree & solid)))
 
 
 def scatter_m(values: Floats) -> Floats:
-    """(n, 512): standard deviation of what frames say of a voxel's distance from the surface [m]."""
+    """(n, 512): standard deviation over the frames of a voxel's distance from the surface [m]."""
     weight = np.maximum(values[..., WEIGHT], np.float32(1e-30))
     mean = values[..., DISTANCE] / weight
     scatter: Floats = np.sqrt(np.maximum(values[..., SQUARE] / weight - mean * mean, np.float32(0.0)))
@@ -254,27 +213,26 @@ def _usual(scatter: Floats, values: Floats, voxel_m: float) -> float:
 
 
 WINDOW_VOXELS = 6.0
-"""Radius of the disc over which roughness is told: a voxel is about a pixel, a window 7 of them wide."""
+"""Radius of the disc over which roughness is computed: a voxel is about a pixel, a window 7 of them wide."""
 
 
 def vertex_sigma(
-    mesh: trimesh.Trimesh, noise_m: Array, single_view_m: Array, voxel_m: float, shares: SigmaShares
+    mesh: trimesh.Trimesh, noise_m: Array, single_view_m: Array, voxel_m: float, config: Mapping
 ) -> Array:
     """Standard deviation (V,) of the distance along the normal [m].
 
-    noise_m (V,) what independent frames leave after averaging; single_view_m (V,) that of one view.
+    noise_m (V,) what remains of independent noise after averaging; single_view_m (V,) sigma of one view.
     """
-    relief = roughness(mesh, WINDOW_VOXELS * voxel_m) if shares.of_relief > 0.0 else 0.0 * noise_m
-    return np.asarray(
-        np.sqrt(noise_m**2 + (shares.of_view * single_view_m) ** 2 + (shares.of_relief * relief) ** 2)
-    )
+    relief = roughness(mesh, WINDOW_VOXELS * voxel_m) if config.relief_sigma > 0.0 else 0.0 * noise_m
+    shared, smoothed = config.shared_sigma * single_view_m, config.relief_sigma * relief
+    return np.asarray(np.sqrt(noise_m**2 + shared**2 + smoothed**2))
 
 
 def roughness(mesh: trimesh.Trimesh, radius_m: float) -> Array:
     """Root mean square (V,) of the surface's height over the plane that fits it around each vertex [m].
 
-    Second moments of the places around, by averaging over neighbours as often as the spread of a disc of this
-    radius takes.
+    Second moments of the vertices around, by repeated averaging over neighbours up to the spread of a disc of
+    this radius.
     """
     V, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
     if len(faces) == 0:

@@ -12,6 +12,7 @@ fluid", NASA TT F-665, 1972). The whole has h = J w - f dw/dt and the rate w = J
 Its momentum in N is constant exactly; its energy h.J^-1 h / 2 decreases at f |J^-1 (h x J^-1 h)|^2.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -139,6 +140,14 @@ def _slope(y: Array, time_s: float, segment: int, active: Array, forces: Forces,
     out[7] = 0.5 * (w * rate[0] + yq * rate[2] - z * rate[1])
     out[8] = 0.5 * (w * rate[1] + z * rate[0] - x * rate[2])
     out[9] = 0.5 * (w * rate[2] + x * rate[1] - yq * rate[0])
+
+
+def states_at(y: Array, t_s: Array, forces: Forces) -> Array:
+    """States (T, 13) at the times (T,), from the state y (13,) at the first of them."""
+    states = [y]
+    for before, after in pairwise(t_s):
+        states.append(advance(states[-1], before, after, forces))
+    return np.stack(states)
 
 
 def no_forces(moments: Array) -> Forces:

@@ -10,14 +10,13 @@ polhode and the herpolhode, which are curves of angular rates.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from scipy.special import ellipk, elliprj
 
 from polhode.lie import Array, matrix_from_wxyz
-from polhode.simulation.motion.integrate import Forces, advance, no_forces
+from polhode.simulation.motion.integrate import Forces, no_forces, states_at
 
 PrecessionDirection = Literal["prograde", "retrograde", "none"]
 RELATIVE_TOLERANCE = 1e-9
@@ -171,10 +170,7 @@ def free_rotation(moments: Array, w_P: Array, t_s: Array) -> tuple[Array, Array]
 
 def rotation_states(forces: Forces, h_P: Array, t_s: Array) -> tuple[Array, Array]:
     """Quaternion (n, 4) from the first attitude and momentum h_P (n, 3) at times (n,), under forces."""
-    states = [np.concatenate([np.zeros(6), [1.0, 0.0, 0.0, 0.0], h_P])]
-    for before, after in pairwise(t_s):
-        states.append(advance(states[-1], before, after, forces))
-    y = np.stack(states)
+    y = states_at(np.concatenate([np.zeros(6), [1.0, 0.0, 0.0, 0.0], h_P]), t_s, forces)
     return y[:, 6:10], y[:, 10:13]
 
 

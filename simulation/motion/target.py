@@ -1,7 +1,6 @@
 """Motion of the target over time: the truth of a sequence."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +10,7 @@ from polhode.lie import Array, exp_so3, make_pose, matrix_from_wxyz, wxyz_from_m
 from polhode.records import Ints
 from polhode.rigid_body import propagate
 from polhode.simulation.motion.forces import acting_forces, is_free, momentum_of_rate
-from polhode.simulation.motion.integrate import Forces, advance, body_rate
+from polhode.simulation.motion.integrate import Forces, advance, body_rate, states_at
 from polhode.simulation.motion.mass import MassDistribution
 
 RPM = 2.0 * np.pi / 60.0
@@ -72,7 +71,7 @@ def target_motion(scene: config.Scene, mass: MassDistribution, seed: int) -> Tar
         h_P_t = w_P_t * mass.moments
     else:
         h_P = momentum_of_rate(w_P, mass.moments, forces.friction)
-        y = _integrate(_state(np.array(start.position_m), v_N, R_NP, h_P), t_s, forces)
+        y = states_at(_state(np.array(start.position_m), v_N, R_NP, h_P), t_s, forces)
         r_N_t, v_N_t, R_NP_t, h_P_t = y[:, :3], y[:, 3:6], matrix_from_wxyz(y[:, 6:10]), y[:, 10:13]
         w_P_t = np.stack([body_rate(h, mass.moments, forces.friction) for h in h_P_t])
     X_NG = poses_of_target(r_N_t, R_NP_t, mass)
@@ -90,14 +89,6 @@ def poses_of_target(r_N: Array, R_NP: Array, mass: MassDistribution) -> Array:
     """X_NG (T, 4, 4) from the centre of mass (T, 3) [m] and the principal axes (T, 3, 3)."""
     R_NG = R_NP @ mass.R_GP.T
     return make_pose(R_NG, r_N - R_NG @ mass.com_G)
-
-
-def _integrate(y: Array, t_s: Array, forces: Forces) -> Array:
-    """States (T, 13) at the times (T,), from the first of them."""
-    states = [y]
-    for before, after in pairwise(t_s):
-        states.append(advance(states[-1], before, after, forces))
-    return np.stack(states)
 
 
 def _state(r_N: Array, v_N: Array, R_NP: Array, h_P: Array) -> Array:

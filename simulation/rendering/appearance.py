@@ -1,6 +1,6 @@
 """The surface of a body where rays have met it: charts, colours of a mesh file, textures and materials."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,54 +14,46 @@ from polhode.simulation.bodies.part import SLOPE_STEP, Chart, packed_images
 from polhode.simulation.surface.materials import MaterialTable, Surface
 
 
-@dataclass(frozen=True)
-class ChartSamples:
-    """Values of the charts at n points."""
+class ChartAtlas(NamedTuple):
+    """The charts of a body, packed into common buffers of T texels; C charts."""
 
-    reflectance: Array
-    """(n,), NaN without a chart"""
-    slope_G: Array
-    """(n, 3) gradient of the relief, along the surface"""
-    layer: Ints
-    """(n,) 0: the part's own material; k: the chart's k-th"""
-
-
-class ChartAtlas:
-    """The charts of a body, packed into common buffers."""
-
-    def __init__(self, charts: tuple[Chart, ...]) -> None:
-        self._start, self._shape, self._texels = packed_images([chart.image for chart in charts])
-        self._slopes = np.concatenate([np.zeros((0, 2), np.int8), *(_slopes(chart) for chart in charts)])
-        self._layers = np.concatenate([np.zeros(0, np.uint8), *(_layers(chart) for chart in charts)])
-        rows = [(c.origin_G, c.right_G / c.texel_m, c.down_G / c.texel_m) for c in charts]
-        self._planes = np.array(rows, dtype=np.float64).reshape(-1, 3, 3)
-
-    def look_up(self, chart: Ints, p_G: Array) -> ChartSamples:
-        """Bilinear samples at points (n, 3) of charts (n,); chart -1: none."""
-        places = (self._start, self._shape, self._planes)
-        return ChartSamples(*_look_up(chart, p_G, *places, self._texels, self._slopes, self._layers))
+    start: Ints
+    """(C + 1,) first texel of each chart"""
+    shape: Ints
+    """(C, 2) rows and columns"""
+    planes: Array
+    """(C, 3, 3) origin [m], and the axes to the right and down over the size of a texel"""
+    reflectance: NDArray[np.float32]
+    """(T,)"""
+    slopes: NDArray[np.int8]
+    """(T, 2) in SLOPE_STEP"""
+    layers: NDArray[np.uint8]
+    """(T,)"""
 
 
-def _slopes(chart: Chart) -> NDArray[np.int8]:
-    shape = (chart.image.size, 2)
-    return np.zeros(shape, np.int8) if chart.slope is None else chart.slope.reshape(shape)
-
-
-def _layers(chart: Chart) -> NDArray[np.uint8]:
-    return np.zeros(chart.image.size, np.uint8) if chart.layer is None else chart.layer.ravel()
+def chart_atlas(charts: tuple[Chart, ...]) -> ChartAtlas:
+    """Pack charts; those without relief or layers are flat, of the part's own material."""
+    start, shape, texels = packed_images([chart.image for chart in charts])
+    slopes, layers = np.zeros((len(texels), 2), np.int8), np.zeros(len(texels), np.uint8)
+    for chart, first in zip(charts, start, strict=False):
+        here = slice(first, first + chart.image.size)
+        if chart.slope is not None:
+            slopes[here] = chart.slope.reshape(-1, 2)
+        if chart.layer is not None:
+            layers[here] = chart.layer.ravel()
+    rows = [(c.origin_G, c.right_G / c.texel_m, c.down_G / c.texel_m) for c in charts]
+    planes = np.array(rows, dtype=np.float64).reshape(-1, 3, 3)
+    return ChartAtlas(start, shape, planes, texels, slopes, layers)
 
 
 @compiled
-def _look_up(
-    chart: Ints,
-    p: Array,
-    start: Ints,
-    shape: Ints,
-    planes: Array,
-    texels: NDArray[np.float32],
-    slopes: NDArray[np.int8],
-    layers: NDArray[np.uint8],
-) -> tuple[Array, Array, Ints]:
+def look_up(chart: Ints, p: Array, atlas: ChartAtlas) -> tuple[Array, Array, Ints]:
+    """Bilinear samples at points (n, 3) of charts (n,), -1: none.
+
+    Returns the reflectance (n,), NaN without a chart; the gradient (n, 3) of the relief, along the surface;
+    and the layer (n,), 0: the part's own material, k: the chart's k-th.
+    """
+    planes = atlas.planes
     count = len(chart)
     reflectance, slope = np.full(count, np.nan), np.zeros((count, 3))
     layer = np.zeros(count, np.int64)
@@ -74,21 +66,21 @@ def _look_up(
             d = p[n, k] - planes[c, 0, k]
             u += d * planes[c, 1, k]
             v += d * planes[c, 2, k]
-        height, width = shape[c]
+        height, width = atlas.shape[c]
         u = min(max(u, 0.0), width - 1.001)
         v = min(max(v, 0.0), height - 1.001)
         i, j = int(v), int(u)
         a, b = v - i, u - j
-        at = start[c] + i * width + j
+        at = atlas.start[c] + i * width + j
         weights = ((1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b)
         places = (at, at + 1, at + width, at + width + 1)
         value, right, down = 0.0, 0.0, 0.0
         for corner in range(4):
-            value += weights[corner] * texels[places[corner]]
-            right += weights[corner] * slopes[places[corner], 0]
-            down += weights[corner] * slopes[places[corner], 1]
+            value += weights[corner] * atlas.reflectance[places[corner]]
+            right += weights[corner] * atlas.slopes[places[corner], 0]
+            down += weights[corner] * atlas.slopes[places[corner], 1]
         reflectance[n] = value
-        layer[n] = layers[places[(2 if a > 0.5 else 0) + (1 if b > 0.5 else 0)]]
+        layer[n] = atlas.layers[places[(2 if a > 0.5 else 0) + (1 if b > 0.5 else 0)]]
         if right != 0.0 or down != 0.0:
             # The axes of the planes are divided by the size of a texel, so their length gives it back.
             texel = 1.0 / np.sqrt(planes[c, 1, 0] ** 2 + planes[c, 1, 1] ** 2 + planes[c, 1, 2] ** 2)
@@ -103,7 +95,7 @@ class SurfaceAppearance:
     def __init__(self, body: Body, description: config.TargetBody, seed: int) -> None:
         """``seed`` is used if the description has none."""
         self._body = body
-        self._atlas = ChartAtlas(body.charts)
+        self._atlas = chart_atlas(body.charts)
         surface_seed = seed if description.seed is None else description.seed
         self._materials = MaterialTable(
             body.materials,
@@ -121,14 +113,13 @@ class SurfaceAppearance:
         """
         body = self._body
         chart = body.face_chart[face]
-        drawn = self._atlas.look_up(chart, p_G)
+        reflectance, slope_G, layer = look_up(chart, p_G, self._atlas)
         ground = body.face_material[face]
         material = ground
         if body.chart_layers.shape[1] > 0:
-            own = body.chart_layers[chart, np.maximum(drawn.layer - 1, 0)]
-            material = np.where(drawn.layer > 0, own, ground)
-        reflectance = drawn.reflectance
+            own = body.chart_layers[chart, np.maximum(layer - 1, 0)]
+            material = np.where(layer > 0, own, ground)
         if body.colours is not None:
             coloured = body.colours.look_up(face, weights)
             reflectance = np.where(np.isfinite(coloured), coloured, reflectance)
-        return self._materials.evaluate(material, p_G, normal_G, reflectance, drawn.slope_G, ground)
+        return self._materials.evaluate(material, p_G, normal_G, reflectance, slope_G, ground)

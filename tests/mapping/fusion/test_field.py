@@ -129,7 +129,7 @@ def test_frames_that_memory_does_not_hold_stay_as_they_are(frames: Frames) -> No
         field.add(depth, X_RG)
     # what they miss are a few blocks at rims
     assert between(field.surface(), filled(frames).surface()) < 1.0
-    with pytest.raises(ValueError, match="frames were let go"):
+    with pytest.raises(ValueError, match="frames were dropped"):
         field.move(np.stack([X for _, X in frames]))
 
 

@@ -206,7 +206,7 @@ def test_what_is_refused_leaves_the_pose_as_it_was(body: trimesh.Trimesh, seen: 
     depth, truth, wrong = view(body, 2)
     elsewhere = wrong @ make_pose(np.eye(3), [0.5, 0.0, 0.0])
     for X_RG, prior, why in (
-        (elsewhere, PRIOR, "too little of what it shows is known"),
+        (elsewhere, PRIOR, "too little of it lies near known surface"),
         (truth @ make_pose(np.eye(3), [0.0, 0.0, 5e-3]), PRIOR * 0.07, "it contradicts the motion"),
         (truth @ make_pose(np.eye(3), [4e-3, 4e-3, 4e-3]), PRIOR * 0.01, "it does not fit the surface"),
     ):

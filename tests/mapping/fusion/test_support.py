@@ -11,12 +11,12 @@ from polhode.config.mapping import Mapping
 from polhode.lie import make_pose
 from polhode.mapping.fusion.block_grid import CHANNELS, DISTANCE, FREE, SQUARE, VIEWS, WEIGHT
 from polhode.mapping.fusion.field import Field
-from polhode.mapping.fusion.surface_extraction import KnownVoxelCriteria, known_voxels, scatter_m
+from polhode.mapping.fusion.surface_extraction import known_voxels, scatter_m
 from polhode.mesh_metrics import distance_to_surface
 from tests.mapping.analytic_depth import RIG, views_of
 
 VOXEL_M = 2e-3
-SUPPORT = KnownVoxelCriteria(views=3, agreeing=0.7, scatter=1.6, carved=0.3)
+CONFIG = Mapping(agreeing_voxels=0.7, scatter_voxels=1.6, carved_share=0.3)
 
 
 def voxel(said_voxels: list[float], through: float = 0.0) -> NDArray[np.float32]:
@@ -28,8 +28,8 @@ def voxel(said_voxels: list[float], through: float = 0.0) -> NDArray[np.float32]
     return out
 
 
-def is_known(said_voxels: list[float], through: float = 0.0, support: KnownVoxelCriteria = SUPPORT) -> bool:
-    return bool(known_voxels(voxel(said_voxels, through), VOXEL_M, support)[0, 0])
+def is_known(said_voxels: list[float], through: float = 0.0, min_views: int = 3) -> bool:
+    return bool(known_voxels(voxel(said_voxels, through), VOXEL_M, CONFIG, min_views)[0, 0])
 
 
 def test_scatter_is_the_standard_deviation() -> None:
@@ -42,7 +42,7 @@ def test_two_frames_count_where_they_agree() -> None:
     assert is_known([0.5, -0.5])
     assert not is_known([1.0, -1.0])
     assert not is_known([0.0])
-    assert is_known([0.0], support=KnownVoxelCriteria(1, 0.7, 1.6, 0.3))
+    assert is_known([0.0], min_views=1)
 
 
 def test_many_frames_do_not_count_where_they_contradict_each_other() -> None:
@@ -58,14 +58,14 @@ def test_what_frames_look_through_is_left_out() -> None:
 
 def test_empty_space_is_known_by_those_who_look_through() -> None:
     empty = np.zeros((1, 1, CHANNELS), dtype=np.float32)
-    assert not known_voxels(empty, VOXEL_M, KnownVoxelCriteria(1, 0.7, 1.6, 0.3)).any()
+    assert not known_voxels(empty, VOXEL_M, CONFIG, 1).any()
     empty[..., FREE] = 2.0
-    assert known_voxels(empty, VOXEL_M, KnownVoxelCriteria(1, 0.7, 1.6, 0.3)).all()
+    assert known_voxels(empty, VOXEL_M, CONFIG, 1).all()
 
 
 def test_where_all_depth_is_poor_the_limits_follow() -> None:
     poor = np.concatenate([voxel([3.0, -3.0, 3.0, -3.0])] * 9 + [voxel([9.0, -9.0, 9.0, -9.0])])
-    assert known_voxels(poor, VOXEL_M, SUPPORT).reshape(-1).tolist() == [True] * 9 + [False]
+    assert known_voxels(poor, VOXEL_M, CONFIG, 3).reshape(-1).tolist() == [True] * 9 + [False]
 
 
 def test_thin_parts_beside_the_body_stay() -> None:

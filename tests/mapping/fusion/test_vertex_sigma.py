@@ -3,7 +3,8 @@
 import numpy as np
 import trimesh
 
-from polhode.mapping.fusion.surface_extraction import SigmaShares, roughness, vertex_sigma
+from polhode.config.mapping import Mapping
+from polhode.mapping.fusion.surface_extraction import roughness, vertex_sigma
 
 SIDE_M, STEP_M = 0.2, 0.002
 
@@ -35,7 +36,7 @@ def test_a_plane_is_smooth_and_keeps_noise_and_the_share_of_one_view() -> None:
     plane.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.5, 0.7])))
     assert roughness(plane, 0.01).max() < 1e-6
     noise, view = (np.full(len(plane.vertices), sigma) for sigma in (3e-4, 1e-3))
-    sigma = vertex_sigma(plane, noise, view, 2e-3, SigmaShares(0.25, 1.5))
+    sigma = vertex_sigma(plane, noise, view, 2e-3, Mapping(shared_sigma=0.25, relief_sigma=1.5))
     np.testing.assert_allclose(sigma, np.hypot(3e-4, 0.25 * 1e-3), rtol=1e-4)
 
 

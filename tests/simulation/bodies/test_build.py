@@ -11,7 +11,7 @@ from polhode.errors import InputError
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.bodies.solids import flat_facets, smooth_corner_normals
-from polhode.simulation.rendering.appearance import ChartAtlas
+from polhode.simulation.rendering.appearance import chart_atlas, look_up
 from polhode.simulation.surface.materials import PAINT_GREY, PAINT_WHITE
 
 FAMILIES = ["free_flyer", "bus", "asteroid"]
@@ -111,12 +111,12 @@ def test_a_box_has_six_flat_facets() -> None:
 
 def test_a_chart_is_read_where_it_was_drawn() -> None:
     body = _build("free_flyer")
-    atlas = ChartAtlas(body.charts)
+    atlas = chart_atlas(body.charts)
     for index in (0, 7, 20):
         chart = body.charts[index]
         row, column = (size // 2 for size in chart.image.shape)
         p_G = chart.origin_G + chart.texel_m * (column * chart.right_G + row * chart.down_G)
-        read = atlas.look_up(np.array([index, -1]), np.stack([p_G, p_G])).reflectance
+        read, _, _ = look_up(np.array([index, -1]), np.stack([p_G, p_G]), atlas)
         assert read[0] == pytest.approx(chart.image[row, column], abs=1e-6)
         assert np.isnan(read[1])
 

@@ -15,7 +15,7 @@ from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.part import SLOPE_STEP, Chart, Part, assemble
 from polhode.simulation.bodies.solids import box, flat_facets, revolve
 from polhode.simulation.bodies.textures.canvas import Canvas, chart_of_facet, charts_around, code
-from polhode.simulation.rendering.appearance import ChartAtlas, SurfaceAppearance
+from polhode.simulation.rendering.appearance import SurfaceAppearance, chart_atlas, look_up
 from polhode.simulation.surface.materials import (
     FOIL_GOLD,
     FOIL_SILVER,
@@ -41,8 +41,8 @@ def _at(chart: Chart, row: float, column: float) -> Array:
 
 def test_reflectance_is_interpolated_between_texels() -> None:
     chart = _chart()
-    atlas = ChartAtlas((chart,))
-    read = atlas.look_up(np.zeros(1, np.int64), _at(chart, 1.25, 2.5)).reflectance[0]
+    atlas = chart_atlas((chart,))
+    read = look_up(np.zeros(1, np.int64), _at(chart, 1.25, 2.5), atlas)[0][0]
     (a, b), (c, d) = chart.image[1:3, 2:4]
     assert read == pytest.approx(0.75 * (0.5 * a + 0.5 * b) + 0.25 * (0.5 * c + 0.5 * d), abs=1e-6)
 
@@ -50,8 +50,9 @@ def test_reflectance_is_interpolated_between_texels() -> None:
 def test_a_relief_is_turned_into_the_charts_axes() -> None:
     slope = np.zeros((4, 5, 2), np.int8)
     slope[..., 0], slope[..., 1] = 30, -20
-    drawn = ChartAtlas((_chart(slope=slope),)).look_up(np.zeros(1, np.int64), _at(_chart(), 1, 1))
-    np.testing.assert_allclose(drawn.slope_G[0], SLOPE_STEP * (30 * RIGHT - 20 * DOWN), atol=1e-12)
+    atlas = chart_atlas((_chart(slope=slope),))
+    _, slope_G, _ = look_up(np.zeros(1, np.int64), _at(_chart(), 1, 1), atlas)
+    np.testing.assert_allclose(slope_G[0], SLOPE_STEP * (30 * RIGHT - 20 * DOWN), atol=1e-12)
 
 
 def test_layers_are_those_of_the_nearest_texel() -> None:
@@ -59,13 +60,13 @@ def test_layers_are_those_of_the_nearest_texel() -> None:
     layer[1, 2] = 2
     chart = _chart(layer=layer, materials=(GLASS, FOIL_GOLD))
     points = np.vstack([_at(chart, 1.4, 2.4), _at(chart, 1.6, 2.4), _at(chart, 1.4, 1.4)])
-    drawn = ChartAtlas((chart,)).look_up(np.array([0, 0, 0]), points)
-    np.testing.assert_array_equal(drawn.layer, [2, 0, 0])
+    _, _, layers = look_up(np.array([0, 0, 0]), points, chart_atlas((chart,)))
+    np.testing.assert_array_equal(layers, [2, 0, 0])
 
 
 def test_points_without_a_chart_have_no_drawing() -> None:
-    drawn = ChartAtlas((_chart(),)).look_up(np.array([-1]), np.zeros((1, 3)))
-    assert np.isnan(drawn.reflectance[0]) and not drawn.slope_G.any() and drawn.layer[0] == 0
+    reflectance, slope_G, layer = look_up(np.array([-1]), np.zeros((1, 3)), chart_atlas((_chart(),)))
+    assert np.isnan(reflectance[0]) and not slope_G.any() and layer[0] == 0
 
 
 def test_rows_run_along_the_direction_that_is_asked_for() -> None:
@@ -90,15 +91,15 @@ def test_a_drawing_around_a_wall_goes_on_across_its_panels(top: float) -> None:
     """Cylinder and cone: on either side of each edge the two charts read the same."""
     solid = revolve([(0, 0), (0.1, 0), (top, 0.2), (0, 0.2)], 24)
     charts = charts_around(solid, 1, 2, 0.002, _ramp, np.random.default_rng(0))
-    atlas = ChartAtlas(tuple(chart for chart, _ in charts))
+    atlas = chart_atlas(tuple(chart for chart, _ in charts))
     number = np.arange(24)
     for share in (0.2, 0.45, 0.8):
         edges = solid.mesh.triangles[solid.panels[1, :, 0]][:, 1]
         ends = solid.mesh.triangles[solid.panels[1, :, 0]][:, 2]
         points = edges + share * (ends - edges)
         # The edge at the end of panel k is the start of panel k + 1.
-        one = atlas.look_up(number, points).reflectance
-        other = atlas.look_up((number + 1) % 24, points).reflectance
+        one, _, _ = look_up(number, points, atlas)
+        other, _, _ = look_up((number + 1) % 24, points, atlas)
         np.testing.assert_allclose(one, other, atol=0.02)
         assert np.ptp(one) > 0.2
 
