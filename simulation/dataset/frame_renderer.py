@@ -142,7 +142,7 @@ def render_products(
     if "shadow" in asked:
         shadow = _image(shape, hits.ray, _shadow(renderer.caster, hits, sun_G), 0)
     if "albedo" in asked:
-        surface = renderer.appearance.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+        surface = renderer.appearance.at(hits)
         albedo = _image(shape, hits.ray, surface.albedo, np.nan)
     return Products(depth, normals, mask, shadow, albedo)
 

@@ -6,11 +6,13 @@ Scenes in which the target is never in view, or a camera comes too near to it, a
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import trimesh
 
 from polhode.config import scene as config
+from polhode.config.loader import load_config
 from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points
@@ -53,6 +55,14 @@ class SequencePlan:
     def time_s(self, k: int) -> float:
         """Time of frame k after the first one [s]."""
         return float((self.target.timestamps_ns[k] - self.target.timestamps_ns[0]) * 1e-9)
+
+
+def load_scene(path: Path) -> tuple[Scene, int]:
+    """Scene and seed of a configuration. Raises InputError if it has no scene."""
+    loaded = load_config(path)
+    if loaded.scene is None:
+        raise InputError(f"{path} has no scene: give a configuration for polhode simulate")
+    return loaded.scene, loaded.seed
 
 
 def plan_sequence(scene: Scene, seed: int) -> SequencePlan:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from rich.progress import Progress as RichProgress
 
-from polhode.config.loader import load_config
 from polhode.config.scene import Scene
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
@@ -25,7 +24,7 @@ from polhode.lie import inverse_pose, transform_points
 from polhode.processes import in_order
 from polhode.records import Bools
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
-from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
+from polhode.simulation.dataset.plan import SequencePlan, load_scene, plan_sequence
 
 Grey = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
@@ -80,11 +79,8 @@ def strips_of(files: Sequence[Path], workers: int, advance: Callable[[], None]) 
 
 
 def strip_of(file: Path) -> Strip:
-    """SequencePlan the scene of a configuration and render its frames for the sheet."""
-    loaded = load_config(file)
-    if loaded.scene is None:
-        raise InputError(f"{file}: no 'scene' to show; give configurations that have one")
-    plan = plan_sequence(loaded.scene, loaded.seed)
+    """Plan the scene of a configuration and render its frames for the sheet."""
+    plan = plan_sequence(*load_scene(file))
     frames = frames_to_show(plan)
     renderer = FrameRenderer(plan)
     images = [renderer.render_image(k, 0)[0] for k in frames]

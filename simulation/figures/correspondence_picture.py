@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from polhode.config.loader import load_config
 from polhode.errors import InputError
 from polhode.images import to_grey
 from polhode.lie import Array
@@ -31,7 +30,7 @@ from polhode.simulation.dataset.correspondence import (
     write_correspondence,
 )
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
-from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
+from polhode.simulation.dataset.plan import SequencePlan, load_scene, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.stereo_camera import Image as Grey
 
@@ -67,10 +66,7 @@ def _execute(options: argparse.Namespace) -> str:
     for path in filter(None, (options.output, options.picture)):
         if not path.parent.is_dir():
             raise InputError(f"{path.parent} is not a folder: make it, or write {path.name} elsewhere")
-    config = load_config(options.config)
-    if config.scene is None:
-        raise InputError(f"{options.config} has no scene: give a configuration for polhode simulate")
-    plan = plan_sequence(config.scene, config.seed)
+    plan = plan_sequence(*load_scene(options.config))
     a, b = (view_of(plan, k, c) for k, c in zip(options.frames, options.cameras, strict=True))
     found = dense_correspondence(RayCaster(plan.body), a, b)
     write_correspondence(options.output, pixel_grid(a.camera), found)

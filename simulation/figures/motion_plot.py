@@ -19,13 +19,13 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from polhode.config.loader import load_config
 from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.rays import RayScene
 from polhode.records import Bools
 from polhode.simulation.bodies import build_body
+from polhode.simulation.dataset.plan import load_scene
 from polhode.simulation.motion import TargetMotion, mass_distribution, target_motion
 from polhode.simulation.motion.forces import is_free
 from polhode.simulation.motion.poinsot import Poinsot, poinsot, polhodes, rotation_states, separatrix
@@ -431,11 +431,9 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.png")
     arguments = parser.parse_args()
     try:
-        config = load_config(arguments.config)
-        if config.scene is None:
-            raise InputError(f"{arguments.config} holds no scene: give the configuration of a simulation")
+        scene, seed = load_scene(arguments.config)
         arguments.output.parent.mkdir(parents=True, exist_ok=True)
-        save(motion_figure(config.scene, config.seed, arguments.config.stem), arguments.output)
+        save(motion_figure(scene, seed, arguments.config.stem), arguments.output)
     except InputError as error:
         parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
 

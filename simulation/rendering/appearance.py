@@ -11,6 +11,7 @@ from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.bodies import Body
 from polhode.simulation.bodies.part import SLOPE_STEP, Chart, packed_images
+from polhode.simulation.rendering.raycast import Hits
 from polhode.simulation.surface.materials import MaterialTable, Surface
 
 
@@ -105,13 +106,9 @@ class SurfaceAppearance:
             description.texture == "collage",
         )
 
-    def evaluate(self, face: Ints, weights: Array, p_G: Array, normal_G: Array) -> Surface:
-        """Surface at n hits.
-
-        face (n,); weights (n, 3) of the face's corners; p_G (n, 3) [m]; normal_G (n, 3) unit, turned to the
-        viewer.
-        """
-        body = self._body
+    def at(self, hits: Hits) -> Surface:
+        """Surface at n hits."""
+        body, face, p_G = self._body, hits.face, hits.p_G
         chart = body.face_chart[face]
         reflectance, slope_G, layer = look_up(chart, p_G, self._atlas)
         ground = body.face_material[face]
@@ -120,6 +117,6 @@ class SurfaceAppearance:
             own = body.chart_layers[chart, np.maximum(layer - 1, 0)]
             material = np.where(layer > 0, own, ground)
         if body.colours is not None:
-            coloured = body.colours.look_up(face, weights)
+            coloured = body.colours.look_up(face, hits.weights)
             reflectance = np.where(np.isfinite(coloured), coloured, reflectance)
-        return self._materials.evaluate(material, p_G, normal_G, reflectance, slope_G, ground)
+        return self._materials.evaluate(material, p_G, hits.normal_G, reflectance, slope_G, ground)

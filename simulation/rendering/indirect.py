@@ -90,11 +90,8 @@ class IndirectLight:
     ) -> None:
         self._caster, self._bounces = caster, bounces
         self._probes = place_probes(body.mesh, caster, probes)
-        places = self._probes.points
-        self._points = points = caster.hits_at(places.face, places.weights, places.normal_G)
-        self._surface = surface = appearance.evaluate(
-            points.face, points.weights, points.p_G, points.normal_G
-        )
+        self._points = points = self._probes.points
+        self._surface = surface = appearance.at(points)
         self._reflectance = surface.albedo * (1.0 - surface.specular)
         mean = self._probes.mean
         self._albedo, self._specular = mean(self._reflectance), mean(surface.specular)

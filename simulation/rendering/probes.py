@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Bools, Ints
-from polhode.simulation.rendering.raycast import RayCaster
+from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.sampling import even_directions
 
 MIN_AGREEMENT = 0.3
@@ -37,9 +37,6 @@ class Neighbours:
     """(n, K) of N points"""
     weight: NDArray[np.float32]
     """(n, K) adds up to 1; 0 where unused; all 0 where no point contributes"""
-
-    def __getitem__(self, which: Ints) -> "Neighbours":
-        return Neighbours(self.index[which], self.weight[which])
 
     def mean(self, values: NDArray[np.float32]) -> Array:
         """Mean (n, C) of the points' values (N, C); zero where no point contributes."""
@@ -236,28 +233,11 @@ NORMAL_FACTOR = 1.0
 
 
 @dataclass(frozen=True)
-class SurfacePoints:
-    """Points of the body's surface, of equal share in its area."""
-
-    face: Ints
-    """(n,)"""
-    weights: Array
-    """(n, 3) of the face's corners"""
-    p_G: Array
-    """(n, 3) [m]"""
-    normal_G: Array
-    """(n, 3) unit, of the face, on the side that light can reach"""
-
-    def __getitem__(self, which: Ints | Bools) -> "SurfacePoints":
-        return SurfacePoints(self.face[which], self.weights[which], self.p_G[which], self.normal_G[which])
-
-
-@dataclass(frozen=True)
 class Probes:
     """P probes, D directions."""
 
-    points: SurfacePoints
-    """(M,) points on the surface, for means around the probes"""
+    points: Hits
+    """(M,) points on the surface, of equal share in its area, for means around the probes"""
     owner: Ints
     """(M,) the probe that a point belongs to"""
     p_G: Array
@@ -284,43 +264,42 @@ def place_probes(mesh: trimesh.Trimesh, caster: RayCaster, count: int = PROBES) 
     inside other parts are dropped.
     """
     rng = np.random.default_rng([0x9B0B35])
-    scattered = _scatter(mesh, POINTS_A_PROBE * count, rng)
+    scattered = _scatter(mesh, caster, POINTS_A_PROBE * count, rng)
     points = _reachable(scattered, caster)
     reached_m2 = 2.0 * mesh.area * len(points.face) / len(scattered.face)
     spacing_m = float(np.sqrt(PACKING * reached_m2 / count))
     probes = points[_poisson_disc_sample(points, spacing_m, rng)]
-    around = SurfaceInterpolation(probes.p_G, probes.normal_G, 2.0 * spacing_m)
-    owner = around.nearest(points.p_G, points.normal_G).astype(np.int64)
+    around = SurfaceInterpolation(probes.p_G, probes.flat_normal_G, 2.0 * spacing_m)
+    owner = around.nearest(points.p_G, points.flat_normal_G).astype(np.int64)
     points, owner = points[owner >= 0], owner[owner >= 0]
     directions = even_directions(DIRECTIONS)
     sees = _seen_from(probes, directions, mesh, caster, around)
-    return Probes(points, owner, probes.p_G, probes.normal_G, directions, sees, around)
+    return Probes(points, owner, probes.p_G, probes.flat_normal_G, directions, sees, around)
 
 
-def _scatter(mesh: trimesh.Trimesh, n: int, rng: np.random.Generator) -> SurfacePoints:
+def _scatter(mesh: trimesh.Trimesh, caster: RayCaster, n: int, rng: np.random.Generator) -> Hits:
     """Points on both sides of all faces, n on each side, evenly over the area."""
     area = np.cumsum(mesh.area_faces)
     face = np.searchsorted(area, area[-1] * (np.arange(n) + rng.random(n)) / n)
     root, share = np.sqrt(rng.random(n)), rng.random(n)
     weights = np.stack([1.0 - root, root * (1.0 - share), root * share], axis=1)
-    p_G = np.einsum("nc,nck->nk", weights, np.asarray(mesh.triangles)[face])
     normal = np.asarray(mesh.face_normals)[face]
-    both = [np.concatenate([x, x]) for x in (face, weights, p_G)]
-    return SurfacePoints(both[0], both[1], both[2], np.concatenate([normal, -normal]))
+    sides = np.concatenate([normal, -normal])
+    return caster.hits_at(np.concatenate([face, face]), np.concatenate([weights, weights]), sides)
 
 
-def _reachable(points: SurfacePoints, caster: RayCaster) -> SurfacePoints:
+def _reachable(points: Hits, caster: RayCaster) -> Hits:
     """The points that see the sky; all of them if none does."""
     sky = np.zeros(len(points.face), np.bool_)
-    for rays in _rays(points, even_directions(PILOT_DIRECTIONS), caster):
-        sky[rays.point[rays.face < 0]] = True
+    for point, _, face, _ in _rays(points, even_directions(PILOT_DIRECTIONS), caster):
+        sky[point[face < 0]] = True
     return points[sky] if sky.any() else points
 
 
-def _poisson_disc_sample(points: SurfacePoints, spacing_m: float, rng: np.random.Generator) -> Ints:
+def _poisson_disc_sample(points: Hits, spacing_m: float, rng: np.random.Generator) -> Ints:
     """Indices of a Poisson-disc sample: points in random order, without those near an earlier one."""
     order = rng.permutation(len(points.p_G))
-    features = np.hstack([points.p_G, NORMAL_FACTOR * spacing_m * points.normal_G])[order]
+    features = np.hstack([points.p_G, NORMAL_FACTOR * spacing_m * points.flat_normal_G])[order]
     pairs = cKDTree(features).query_pairs(spacing_m, output_type="ndarray")
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     taken = _greedy(len(order), pairs)
@@ -338,7 +317,7 @@ def _greedy(count: int, pairs: Ints) -> Bools:
 
 
 def _seen_from(
-    points: SurfacePoints,
+    points: Hits,
     directions: Array,
     mesh: trimesh.Trimesh,
     caster: RayCaster,
@@ -346,37 +325,26 @@ def _seen_from(
 ) -> NDArray[np.int16]:
     """What n points see in D directions (n, D): a point of ``around``, or SKY, BELOW, DARK."""
     sees = np.full((len(points.face), len(directions)), BELOW, np.int16)
-    for rays in _rays(points, directions, caster):
-        met = np.full(len(rays.face), SKY, np.int32)
-        hit = np.flatnonzero(rays.face >= 0)
-        toward = directions[rays.direction[hit]]
-        normal = np.asarray(mesh.face_normals)[rays.face[hit]]
+    for point, direction, face, distance_m in _rays(points, directions, caster):
+        met = np.full(len(face), SKY, np.int32)
+        hit = np.flatnonzero(face >= 0)
+        toward = directions[direction[hit]]
+        normal = np.asarray(mesh.face_normals)[face[hit]]
         side = -np.sign(np.einsum("nk,nk->n", normal, toward))[:, None] * normal
-        found = around.nearest(points.p_G[rays.point[hit]] + rays.distance_m[hit, None] * toward, side)
+        found = around.nearest(points.p_G[point[hit]] + distance_m[hit, None] * toward, side)
         met[hit] = np.where(found >= 0, found, DARK)
-        sees[rays.point, rays.direction] = met
+        sees[point, direction] = met
     return sees
 
 
-@dataclass(frozen=True)
-class _Rays:
-    """First hits of m rays."""
+def _rays(points: Hits, directions: Array, caster: RayCaster) -> Iterator[tuple[Ints, Ints, Ints, Array]]:
+    """All rays from points in directions above their horizons, in batches of m.
 
-    point: Ints
-    """(m,) index of the point where each starts"""
-    direction: Ints
-    """(m,)"""
-    face: Ints
-    """(m,) -1: none"""
-    distance_m: Array
-    """(m,)"""
-
-
-def _rays(points: SurfacePoints, directions: Array, caster: RayCaster) -> Iterator[_Rays]:
-    """All rays from points in directions above their horizons, in batches."""
+    Yields indices (m,) of the points and directions, the face (m,) that is hit, -1: none, and its distance.
+    """
     rows = max(RAYS_AT_ONCE // len(directions), 1)
     for first in range(0, len(points.face), rows):
-        point, direction = np.nonzero(points.normal_G[first : first + rows] @ directions.T > LOWEST)
+        point, direction = np.nonzero(points.flat_normal_G[first : first + rows] @ directions.T > LOWEST)
         point += first
-        met = caster.meets(points.p_G[point], points.normal_G[point], directions[direction])
-        yield _Rays(point, direction, *met)
+        met = caster.meets(points.p_G[point], points.flat_normal_G[point], directions[direction])
+        yield point, direction, *met

@@ -113,8 +113,7 @@ class RayCaster:
 
         Returns face (n,), -1: none, and the distance (n,) [m], both in single precision.
         """
-        start = p_G + self._lift_m * normal_G
-        met = self._scene.first_hits(start, directions_G)
+        met = self._scene.first_hits(p_G + self._lift_m * normal_G, directions_G)
         return met.face, met.distance
 
     def _bulge(self, hits: Hits, which: Ints) -> Array:

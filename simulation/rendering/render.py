@@ -82,7 +82,7 @@ class Renderer:
             pixels = self._pixels_near_body(camera, X_GK)
             rays_G = _directions(camera, pixels, offsets[i]) @ X_GK[:3, :3].T
             hits = self._caster.first_hits(X_GK[:3, 3], rays_G)
-            surface = self._appearance.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+            surface = self._appearance.at(hits)
             to_viewer = -rays_G[hits.ray]
             stratum = Stratum(pixels[hits.ray], i, len(offsets))
             to_sun = rays_over_disc(lights.sun_direction_G, lights.sun_radius_rad, stratum)

@@ -147,7 +147,7 @@ class SpecularTracer:
 
     def _radiance(self, hits: Hits, to_viewer_G: Array, lights: Lights) -> Array:
         """Level (n,) of hits of traced rays, under Sun, Earth and lamp."""
-        surface = self._appearance.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+        surface = self._appearance.at(hits)
         surface = replace(surface, roughness=np.maximum(surface.roughness, MIN_TRACED_ROUGHNESS))
         incident = IncidentLight(earth_share=self._indirect.at(hits, lights).earth_share())
         return shade(hits, surface, to_viewer_G, lights, self._caster, incident=incident)

@@ -16,6 +16,7 @@ from polhode.records import Ints
 from polhode.simulation.bodies import Body, build_body, describe
 from polhode.simulation.bodies.mesh_file import linear_grey, material_by_name
 from polhode.simulation.rendering.appearance import SurfaceAppearance
+from polhode.simulation.rendering.raycast import Hits
 from polhode.simulation.surface.materials import (
     BRUSHED_METAL,
     DARK_METAL,
@@ -42,9 +43,9 @@ def _surface(path: Path, face: Ints, weights: Array, **more: object) -> Surface:
     body = _body(path, **more)
     points = np.einsum("nc,nck->nk", weights, body.mesh.triangles[face])
     normals = np.asarray(body.mesh.face_normals)[face]
-    return SurfaceAppearance(body, _description(path, **more), 0).evaluate(
-        np.asarray(face), weights, points, normals
-    )
+    n = len(face)
+    hits = Hits(np.arange(n), np.asarray(face), weights, np.zeros(n), points, normals, normals)
+    return SurfaceAppearance(body, _description(path, **more), 0).at(hits)
 
 
 def _box() -> trimesh.Trimesh:

@@ -101,7 +101,7 @@ def test_a_config_without_a_scene_gives_one_line(
         main()
     assert caught.value.code == 2
     error = capsys.readouterr().err
-    assert "holds no scene: give the configuration of a simulation" in error
+    assert "has no scene: give a configuration for polhode simulate" in error
     assert len(error.splitlines()) == 1
 
 

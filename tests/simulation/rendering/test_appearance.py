@@ -11,11 +11,13 @@ import trimesh
 
 from polhode.config import scene as config
 from polhode.lie import Array
+from polhode.records import Ints
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.part import SLOPE_STEP, Chart, Part, assemble
 from polhode.simulation.bodies.solids import box, flat_facets, revolve
 from polhode.simulation.bodies.textures.canvas import Canvas, chart_of_facet, charts_around, code
 from polhode.simulation.rendering.appearance import SurfaceAppearance, chart_atlas, look_up
+from polhode.simulation.rendering.raycast import Hits
 from polhode.simulation.surface.materials import (
     FOIL_GOLD,
     FOIL_SILVER,
@@ -114,11 +116,15 @@ def test_a_wall_reads_the_right_way_round_from_outside() -> None:
         assert chart.image[-3].mean() > chart.image[2].mean()
 
 
+def _hits(face: Ints, p_G: Array, normal_G: Array) -> Hits:
+    n = len(face)
+    return Hits(np.arange(n), face, np.full((n, 3), 1 / 3), np.zeros(n), p_G, normal_G, normal_G)
+
+
 def _on_all_faces(body: Body, description: config.TargetBody) -> Surface:
     face = np.arange(len(body.mesh.faces))
-    weights = np.full((len(face), 3), 1 / 3)
     centres, normals = np.asarray(body.mesh.triangles_center), np.asarray(body.mesh.face_normals)
-    return SurfaceAppearance(body, description, 0).evaluate(face, weights, centres, normals)
+    return SurfaceAppearance(body, description, 0).at(_hits(face, centres, normals))
 
 
 def test_a_layer_of_a_drawing_brings_its_own_material_and_slope() -> None:
@@ -132,9 +138,8 @@ def test_a_layer_of_a_drawing_brings_its_own_material_and_slope() -> None:
     body = assemble([Part(mesh, PAINT_GREY, ((chart, top),))])
     points = np.array([[-0.3, 0.0, 0.5], [0.3, 0.0, 0.5]])
     up = np.tile([0.0, 0.0, 1.0], (2, 1))
-    surface = SurfaceAppearance(body, config.TargetBody(contrast=0.0), 0).evaluate(
-        top[[0, 0]], np.full((2, 3), 1 / 3), points, up
-    )
+    appearance = SurfaceAppearance(body, config.TargetBody(contrast=0.0), 0)
+    surface = appearance.at(_hits(top[[0, 0]], points, up))
     np.testing.assert_allclose(surface.specular, [PAINT_GREY.specular, GLASS.specular])
     # Without contrast there is the part's own reflectance everywhere.
     np.testing.assert_allclose(surface.albedo, PAINT_GREY.albedo)

@@ -124,7 +124,7 @@ def _levels(
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     hits = caster.first_hits(np.array(seen_from_G), rays)
     assert len(hits.ray) == len(at_G)
-    surface = appearance.evaluate(hits.face, hits.weights, hits.p_G, hits.normal_G)
+    surface = appearance.at(hits)
     mirror, around = SpecularTracer(caster, appearance, indirect, 1), indirect.at(hits, lights)
     pixel = np.arange(len(rays))
     strata = [Stratum(pixel, i, samples) for i in range(samples)]
