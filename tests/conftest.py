@@ -1,10 +1,13 @@
-"""One thread for BLAS, as in the program; a tiny stereo sequence on disk, for tests to read and to damage."""
+"""One thread for BLAS, as in the program; stereo sequences on disk, for tests to read and to damage."""
 
 from polhode.threads import limit_threads
 
 limit_threads(1)  # of what is imported below, and of NumPy, which a plugin of pytest has imported
 
 # isort: split
+import fcntl
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +16,67 @@ import pytest
 from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
 
 WIDTH_PX, HEIGHT_PX, BASELINE_M = 64, 48, 0.09
+RENDERED_FRAMES = 14
 TIMESTAMPS_NS = 1_600_000_000_000_000_000 + 500_000_000 * np.arange(6, dtype=np.int64)
+
+LONGEST = (
+    "tests/test_package.py",
+    "tests/pipeline/test_run.py",
+    "tests/compare/test_truth.py",
+    "tests/compare/processes/test_isolation.py",
+)
+"""Files that begin, so that at the end no process waits long for the other."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first; the order is kept otherwise."""
+    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
+
+
+MakeOnce = Callable[[str, Callable[[Path], object]], Path]
+
+
+@pytest.fixture(scope="session")
+def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
+    """A folder by its name, filled by the first process of the suite that asks for it; the others wait.
+
+    Tests that change files take a copy of it.
+    """
+    base = tmp_path_factory.getbasetemp()
+    # with pytest-xdist every process has a folder of its own in one that they share
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def folder(name: str, fill: Callable[[Path], object]) -> Path:
+        path, complete = shared / name, shared / f"{name}.complete"
+        with (shared / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not complete.exists():
+                fill(path)
+                complete.touch()
+        return path
+
+    return folder
+
+
+@pytest.fixture(scope="session")
+def rendered_sequence(make_once: MakeOnce) -> Path:
+    """A tumbling free flyer, RENDERED_FRAMES pairs of 320x256 px, with its truth and depth maps."""
+    from polhode.config import Config
+    from polhode.progress import Silent
+    from polhode.simulation import simulate
+
+    scene = {
+        "frames": RENDERED_FRAMES,
+        "interval_s": 0.5,
+        "body": {"family": "free_flyer", "size_m": 0.22},
+        "motion": {"position_m": [0.04, 0.0, 0.5], "spin_rpm": [3.0, 9.0, 2.0], "spin_axes": "principal"},
+        "rig": {"width_px": 320, "height_px": 256, "focal_px": 288.0, "baseline_m": 0.09},
+        "truth_horizon_s": 15.0,
+        "render": {"products": ["depth"]},
+    }
+    found = Config.model_validate({"scene": scene}).scene
+    assert found is not None
+    return make_once("rendered", lambda folder: simulate(found, 3, folder, Silent(), 1, False))
 
 
 @pytest.fixture

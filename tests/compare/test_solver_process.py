@@ -1,6 +1,7 @@
 """A solver that crashes, hangs, lies or is missing costs its own row."""
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,14 @@ def assert_start_is_kept(found: Row, small_file: Path) -> None:
     assert found.evaluation_s is None and "before its times were read" in found.not_separable
 
 
+@pytest.fixture(scope="module", autouse=True)
+def hanging(small_file: Path) -> Iterator[dict[str, Future[Row]]]:
+    """Two that hang, beside the other tests: what they cost is waiting."""
+    how = ("hangs", "hangs dumbly")
+    with ThreadPoolExecutor(len(how)) as pool:
+        yield {each: pool.submit(row, small_file, each, limit_s=12.0) for each in how}
+
+
 def test_a_crash_is_a_failed_row_with_what_was_reached(small_file: Path) -> None:
     found = row(small_file, "crashes")
     assert found.status == "failed"
@@ -42,30 +51,6 @@ def test_a_process_that_ends_without_an_answer_is_a_failed_row(small_file: Path)
     found = row(small_file, "exits")
     assert found.status == "failed"
     assert "ended with 3" in found.message
-
-
-@pytest.fixture(scope="module")
-def hanging(small_file: Path) -> dict[str, Row]:
-    """Two that hang, beside each other: what they cost is waiting."""
-    how = ("hangs", "hangs dumbly")
-    with ThreadPoolExecutor(len(how)) as pool:
-        return dict(zip(how, pool.map(lambda each: row(small_file, each, limit_s=12.0), how), strict=True))
-
-
-def test_one_that_hangs_is_ended_at_its_limit(small_file: Path, hanging: dict[str, Row]) -> None:
-    found = hanging["hangs"]
-    assert found.status == "timeout"
-    assert "12 s" in found.message and "the best point is kept" in found.message
-    assert_start_is_kept(found, small_file)
-    # its clock began when its process had read the problem
-    assert found.wall_s is not None and 2.0 < found.wall_s < 12.5
-    assert found.memory_mb is not None and found.memory_mb > 50.0
-
-
-def test_of_one_that_notes_no_point_nothing_is_kept(hanging: dict[str, Row]) -> None:
-    found = hanging["hangs dumbly"]
-    assert (found.status, found.kept, found.cost) == ("timeout", "nothing", None)
-    assert "3 of 20 frames were in; nothing is kept" in found.message
 
 
 def test_an_exception_is_told_in_a_line(small_file: Path) -> None:
@@ -118,3 +103,19 @@ def test_names_of_solvers_are_unique_and_a_wrong_one_is_told() -> None:
     assert len({entry.name for entry in ENTRIES}) == len(ENTRIES)
     with pytest.raises(InputError, match="did you mean ceres"):
         entries(("ceress",))
+
+
+def test_one_that_hangs_is_ended_at_its_limit(small_file: Path, hanging: dict[str, Future[Row]]) -> None:
+    found = hanging["hangs"].result()
+    assert found.status == "timeout"
+    assert "12 s" in found.message and "the best point is kept" in found.message
+    assert_start_is_kept(found, small_file)
+    # its clock began when its process had read the problem
+    assert found.wall_s is not None and 2.0 < found.wall_s < 12.5
+    assert found.memory_mb is not None and found.memory_mb > 50.0
+
+
+def test_of_one_that_notes_no_point_nothing_is_kept(hanging: dict[str, Future[Row]]) -> None:
+    found = hanging["hangs dumbly"].result()
+    assert (found.status, found.kept, found.cost) == ("timeout", "nothing", None)
+    assert "3 of 20 frames were in; nothing is kept" in found.message

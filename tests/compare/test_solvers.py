@@ -1,7 +1,7 @@
 """From the same cold start the solvers end at the same cost; the baselines answer."""
 
 from contextlib import suppress
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 import pytest
@@ -21,7 +21,24 @@ BASELINES = ("odometry", "dynamic_isam")
 
 
 def solve(name: str, problem: MeasuredProblem, start: str = "cold", limit_s: float = 120.0) -> SolverResult:
-    return entries((name,))[0].load().solve(problem, problem.start(start, 0), SolveMonitor(limit_s))
+    x = problem.start(start, 0)
+    before = x.copy()
+    found = entries((name,))[0].load().solve(problem, x, SolveMonitor(limit_s))
+    np.testing.assert_array_equal(x, before)
+    return found
+
+
+class EnoughMonitor(SolveMonitor):
+    """Ends a solve at its limit, or as soon as its cost is this low."""
+
+    def __init__(self, limit_s: float, cost: float) -> None:
+        super().__init__(limit_s)
+        self.enough = cost
+
+    def check(self) -> None:
+        super().check()
+        if self.best is not None and self.best[0] < self.enough:
+            raise OutOfTime
 
 
 @pytest.mark.parametrize("name", AGREEING)
@@ -86,12 +103,15 @@ KEEP_THE_LAST = ("odometry", "ipopt_slack", "ipopt_slack_exact")
 
 
 @pytest.mark.parametrize("name", [entry.name for entry in (*ENTRIES, *ABLATIONS)])
-def test_each_keeps_a_whole_point_on_its_way_or_tells_how_far_it_was(
-    name: str, small: MeasuredProblem
+def test_each_keeps_a_whole_point_on_its_way_or_tells_how_far_it_was_and_leaves_its_start(
+    name: str, small: MeasuredProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monitor = SolveMonitor(0.7)
+    # the processor's time: on a busy machine, too, it gets as far
+    monkeypatch.setattr("polhode.compare.solver.perf_counter", process_time)
+    monitor, start = SolveMonitor(0.7, process_time()), small.cold.copy()
     with suppress(OutOfTime):
-        entries((name,))[0].load().solve(small, small.cold, monitor)
+        entries((name,))[0].load().solve(small, start, monitor)
+    np.testing.assert_array_equal(start, small.cold)
     kept, x = monitor.kept()
     if (name in ("dynamic_isam", "gtsam_isam2") or name.startswith("window_")) and x is None:
         assert kept == "nothing" and monitor.status.endswith("of 20 frames were in")
@@ -99,15 +119,6 @@ def test_each_keeps_a_whole_point_on_its_way_or_tells_how_far_it_was(
     assert kept == ("last" if name in KEEP_THE_LAST else "best")
     assert x is not None and x.shape == small.cold.shape
     assert assess(small, x).cost is not None
-
-
-@pytest.mark.parametrize("name", [entry.name for entry in ENTRIES])
-def test_none_writes_to_its_start(name: str, small: MeasuredProblem) -> None:
-    start = small.start("near", 0)
-    before = start.copy()
-    with suppress(OutOfTime):
-        entries((name,))[0].load().solve(small, start, SolveMonitor(1.0))
-    np.testing.assert_array_equal(start, before)
 
 
 @pytest.mark.parametrize("name", ["odometry", "dynamic_isam", "ceres", "sqp_osqp", "ipopt_condensed"])
@@ -139,9 +150,10 @@ def test_the_parts_of_an_sqp_step_are_all_counted(small: MeasuredProblem) -> Non
 
 
 def test_belief_propagation_comes_close(small: MeasuredProblem) -> None:
-    monitor = SolveMonitor(20.0)
+    least = assess(small, small.solution).cost
+    assert least is not None
+    monitor = EnoughMonitor(20.0, 1.1 * least)
     with suppress(OutOfTime):
         entries(("belief_propagation",))[0].load().solve(small, small.cold, monitor)
-    least = assess(small, small.solution).cost
-    assert monitor.best is not None and least is not None
+    assert monitor.best is not None
     assert monitor.best[0] < 1.1 * least

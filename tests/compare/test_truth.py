@@ -17,26 +17,11 @@ from polhode.pipeline import correspondences
 from polhode.pipeline.evaluation import truth_of_frames
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.progress import Silent
-from polhode.simulation import simulate
+from tests.conftest import RENDERED_FRAMES
 
-SCENE = {
-    "frames": 12,
-    "interval_s": 0.5,
-    "body": {"family": "free_flyer", "size_m": 0.22},
-    "motion": {"position_m": [0.04, 0.0, 0.5], "spin_rpm": [3.0, 9.0, 2.0], "spin_axes": "principal"},
-    "rig": {"width_px": 400, "height_px": 320, "focal_px": 360.0, "baseline_m": 0.09},
-}
-CONFIG = Config.model_validate({"scene": SCENE, "runtime": {"workers": 1}})
+CONFIG = Config.model_validate({"runtime": {"workers": 1}})
 OPTIONS = ["--runtime.workers", "1", "--compare.solvers", "gauss_newton,odometry"]
 Capture = pytest.CaptureFixture[str]
-
-
-@pytest.fixture(scope="module")
-def sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("data") / "sequence"
-    assert CONFIG.scene is not None
-    simulate(CONFIG.scene, 3, folder, Silent(), 1, False)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +32,9 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def of_data(sequence: Path, config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def of_data(rendered_sequence: Path, config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("compared") / "out"
-    assert main(["compare", str(config), "--data", str(sequence), "-o", str(out), *OPTIONS]) == 0
+    assert main(["compare", str(config), "--data", str(rendered_sequence), "-o", str(out), *OPTIONS]) == 0
     return out
 
 
@@ -58,13 +43,15 @@ def told(comparison: Comparison) -> list[tuple[object, ...]]:
     return [(row.solver, row.status, row.cost, row.k1, row.k2, row.iterations) for row in comparison.rows]
 
 
-def test_a_dataset_is_measured_solved_and_judged_by_its_truth(of_data: Path, sequence: Path) -> None:
+def test_a_dataset_is_measured_solved_and_judged_by_its_truth(of_data: Path, rendered_sequence: Path) -> None:
     found = read_comparison(of_data / "compare.json")
-    assert found.problems[0].truth and found.problems[0].frames == 12
+    assert found.problems[0].truth and found.problems[0].frames == RENDERED_FRAMES
     (ours, odometry) = found.rows
     assert ours.status == "ok" and ours.errors is not None and odometry.errors is not None
     assert ours.errors.position_mm < 2.0 and ours.errors.attitude_deg < 1.0
-    truth = truth_of_frames(sequence, read_measurements(of_data / "problems" / "sequence.npz").timestamps_ns)
+    truth = truth_of_frames(
+        rendered_sequence, read_measurements(of_data / "problems" / "rendered.npz").timestamps_ns
+    )
     assert truth is not None and ours.k1 is not None
     assert ours.errors.k1 == pytest.approx(ours.k1 - truth.k1, abs=1e-12)
     page = (of_data / "compare.html").read_text()
@@ -73,9 +60,11 @@ def test_a_dataset_is_measured_solved_and_judged_by_its_truth(of_data: Path, seq
     assert float(first[header.index("error_position_mm")]) == ours.errors.position_mm
 
 
-def test_the_truth_reaches_no_solver(of_data: Path, sequence: Path, config: Path, tmp_path: Path) -> None:
+def test_the_truth_reaches_no_solver(
+    of_data: Path, rendered_sequence: Path, config: Path, tmp_path: Path
+) -> None:
     blind = tmp_path / "sequence"
-    shutil.copytree(sequence, blind)
+    shutil.copytree(rendered_sequence, blind)
     shutil.rmtree(blind / "mav0" / "target0")
     out = tmp_path / "out"
     assert main(["compare", str(config), "--data", str(blind), "-o", str(out), *OPTIONS]) == 0
@@ -86,13 +75,13 @@ def test_the_truth_reaches_no_solver(of_data: Path, sequence: Path, config: Path
 
 
 def test_a_run_is_judged_by_the_truth_of_its_sequence(
-    of_data: Path, sequence: Path, config: Path, tmp_path: Path
+    of_data: Path, rendered_sequence: Path, config: Path, tmp_path: Path
 ) -> None:
     run, out = tmp_path / "sequence", tmp_path / "out"
     run.mkdir()
-    shutil.copy(of_data / "problems" / "sequence.npz", run / "measurements.npz")
+    shutil.copy(of_data / "problems" / "rendered.npz", run / "measurements.npz")
     command = ["compare", str(config), "--run", str(run), "-o", str(out), *OPTIONS]
-    assert main([*command, "--truth", str(sequence)]) == 0
+    assert main([*command, "--truth", str(rendered_sequence)]) == 0
     found, known = read_comparison(out / "compare.json"), read_comparison(of_data / "compare.json")
     assert told(found) == told(known)
     assert [row.errors for row in found.rows] == [row.errors for row in known.rows]
@@ -100,30 +89,30 @@ def test_a_run_is_judged_by_the_truth_of_its_sequence(
 
 
 def test_the_front_end_runs_once_for_the_same_images_and_settings(
-    of_data: Path, sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    of_data: Path, rendered_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = CONFIG.model_copy(update={"scene": None})
     store = tmp_path / "sequence"
     for suffix in (".npz", ".json"):
-        shutil.copy(of_data / "problems" / f"sequence{suffix}", store.with_suffix(suffix))
+        shutil.copy(of_data / "problems" / f"rendered{suffix}", store.with_suffix(suffix))
     stamp = json.loads(store.with_suffix(".json").read_text())
     monkeypatch.setattr(sources, "_stamp", lambda *_: stamp)
     monkeypatch.setattr(correspondences, "match_frames", lambda *_: pytest.fail("matched again"))
-    tracks, relative = measure(sequence, config, Silent(), store)
-    assert tracks.n_frames == 12 and relative is not None
+    tracks, relative = measure(rendered_sequence, config, Silent(), store)
+    assert tracks.n_frames == RENDERED_FRAMES and relative is not None
     # other settings are other measurements
     monkeypatch.setattr(sources, "_stamp", lambda *_: {**stamp, "settings": ""})
     monkeypatch.setattr(correspondences, "match_frames", _matched)
     with pytest.raises(InputError, match="matched again"):
-        measure(sequence, config, Silent(), store)
+        measure(rendered_sequence, config, Silent(), store)
 
 
 def _matched(*_: object) -> None:
     raise InputError("matched again")
 
 
-def test_a_truth_that_does_not_cover_the_frames_is_refused(sequence: Path) -> None:
+def test_a_truth_that_does_not_cover_the_frames_is_refused(rendered_sequence: Path) -> None:
     late = np.array([10**18, 10**18 + 10**9], dtype=np.int64)
     with pytest.raises(InputError, match="does not cover the run"):
-        truth_of_frames(sequence, late)
-    assert truth_of_frames(sequence / "mav0", late) is None
+        truth_of_frames(rendered_sequence, late)
+    assert truth_of_frames(rendered_sequence / "mav0", late) is None

@@ -1,13 +1,19 @@
-"""A run without images: torque-free motion of a solid box, its landmarks seen by one stereo camera."""
+"""A run without images: torque-free motion of a solid box, its landmarks seen by one stereo camera.
+
+And images of a target at rest, for runs that go wrong on purpose.
+"""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
 from polhode.camera import RectifiedRig
+from polhode.config import Config
 from polhode.lie import inverse_pose, make_pose, transform_points
+from polhode.progress import Silent
 from polhode.records import (
     Identifiability,
     Landmarks,
@@ -20,10 +26,21 @@ from polhode.records import (
     SurfaceModel,
 )
 from polhode.rigid_body import propagate
+from polhode.simulation import simulate
+from tests.conftest import MakeOnce
 
 BOX_M = np.array([0.12, 0.20, 0.24])
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
 N_FRAMES = 24
+REST_FRAMES = 6
+AT_REST = {
+    "frames": REST_FRAMES,
+    "interval_s": 0.5,
+    "body": {"family": "free_flyer", "size_m": 0.22},
+    "motion": {"position_m": [0.02, 0.0, 0.5], "spin_rpm": [0.0, 0.0, 0.0]},
+    "rig": {"width_px": 240, "height_px": 180, "focal_px": 230.0, "baseline_m": 0.09},
+    "render": {"products": []},
+}
 
 
 @dataclass(frozen=True)
@@ -76,6 +93,14 @@ def example() -> Example:
     eye = np.tile(np.eye(4), (N_FRAMES - 1, 1, 1))
     i = np.arange(N_FRAMES - 1, dtype=np.int64)
     return Example(tracks, RelativePoses(i, i + 1, eye, np.full(N_FRAMES - 1, 20)), estimate, surface)
+
+
+@pytest.fixture(scope="session")
+def at_rest(make_once: MakeOnce) -> Path:
+    """A sequence of REST_FRAMES pairs of a target that does not move."""
+    scene = Config.model_validate({"scene": AT_REST}).scene
+    assert scene is not None
+    return make_once("at_rest", lambda folder: simulate(scene, 3, folder, Silent(), 1, False))
 
 
 @pytest.fixture(scope="session")

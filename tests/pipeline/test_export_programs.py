@@ -105,8 +105,10 @@ def test_fcl_finds_every_point_of_the_surface_inside_the_pieces(
 
 
 def test_the_pieces_contain_the_surface_and_reach_little_beyond(
-    cross: SurfaceModel, capsys: pytest.CaptureFixture[str]
+    cross: SurfaceModel, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # coarse first pieces: what is asked here is how they are mended
+    monkeypatch.setattr(convex_pieces, "VOXELS", 50_000)
     shape = shape_of_surface(cross, Placement("G", np.eye(4), ""))
     pytest.importorskip("vhacdx")
     samples, _ = trimesh.sample.sample_surface(cross.mesh, 20_000, seed=5)
@@ -250,7 +252,10 @@ def test_evo_reads_the_tum_file(run: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("to", ["sdf", "urdf"])
-def test_drake_accepts_sdf_and_urdf_with_their_meshes(to: str, cross_run: Path, tmp_path: Path) -> None:
+def test_drake_accepts_sdf_and_urdf_with_their_meshes(
+    to: str, cross_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(convex_pieces, "VOXELS", 50_000)
     parsing = pytest.importorskip("pydrake.multibody.parsing")
     from pydrake.geometry import Role, SceneGraph
     from pydrake.multibody.plant import MultibodyPlant

@@ -11,35 +11,15 @@ import pytest
 
 from polhode.backend import estimate_motion
 from polhode.cli.main import main
-from polhode.config import Config
 from polhode.dataset_writer import write_png
 from polhode.errors import RunFailure
 from polhode.frontend.tracks.guided import reconnect
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
-from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
-from polhode.simulation import simulate
+from tests.pipeline.conftest import REST_FRAMES
 
-FRAMES = 6
-SCENE = {
-    "frames": FRAMES,
-    "interval_s": 0.5,
-    "body": {"family": "free_flyer", "size_m": 0.22},
-    "motion": {"position_m": [0.02, 0.0, 0.5], "spin_rpm": [0.0, 0.0, 0.0]},
-    "rig": {"width_px": 240, "height_px": 180, "focal_px": 230.0, "baseline_m": 0.09},
-    "render": {"products": []},
-}
 NO_PICTURES = ("--pictures.animation", "false", "--pictures.views", "false")
 Capture = pytest.CaptureFixture[str]
-
-
-@pytest.fixture(scope="module")
-def at_rest(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("data") / "sequence"
-    config = Config.model_validate({"scene": SCENE})
-    assert config.scene is not None
-    simulate(config.scene, 3, folder, Silent(), 1, False)
-    return folder
 
 
 def run(sequence: Path, folder: Path, *overrides: str) -> int:
@@ -60,7 +40,7 @@ def test_a_target_at_rest_is_a_complete_answer_with_a_warning(
     assert summary["status"] != "failed"
     assert any("does not determine" in text for text in summary["warnings"])
     trajectory = read_trajectory(tmp_path / "run")
-    assert len(trajectory.timestamps_ns) == FRAMES
+    assert len(trajectory.timestamps_ns) == REST_FRAMES
     assert np.linalg.norm(trajectory.w_P, axis=1).max() < np.deg2rad(2.0)
     assert capsys.readouterr().out.splitlines()[-1].endswith("report.html")
 
@@ -93,7 +73,7 @@ def test_what_an_earlier_round_found_stays_when_a_later_one_fails(
 
     monkeypatch.setattr("polhode.pipeline.find_motion.reconnect", failing)
     assert run(at_rest, tmp_path / "run", *NO_PICTURES) == 1
-    assert len(read_trajectory(tmp_path / "run").timestamps_ns) == FRAMES
+    assert len(read_trajectory(tmp_path / "run").timestamps_ns) == REST_FRAMES
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "failed" and summary["inertia"] is not None
 
@@ -106,8 +86,8 @@ def test_a_frame_that_shows_nothing_is_bridged_with_a_warning(at_rest: Path, tmp
     assert run(dark, tmp_path / "run", *NO_PICTURES) == 0
     summary = summary_of(tmp_path / "run")
     assert any("1 frame without measurements was bridged" in text for text in summary["warnings"])
-    assert (summary["frames"], summary["frames_used"]) == (FRAMES, FRAMES - 1)
-    assert len(read_trajectory(tmp_path / "run").timestamps_ns) == FRAMES
+    assert (summary["frames"], summary["frames_used"]) == (REST_FRAMES, REST_FRAMES - 1)
+    assert len(read_trajectory(tmp_path / "run").timestamps_ns) == REST_FRAMES
 
 
 def test_damaged_frames_are_dropped_counted_and_warned_of(at_rest: Path, tmp_path: Path) -> None:
@@ -117,5 +97,5 @@ def test_damaged_frames_are_dropped_counted_and_warned_of(at_rest: Path, tmp_pat
     left[4].unlink()
     assert run(damaged, tmp_path / "run", *NO_PICTURES) == 0
     summary = summary_of(tmp_path / "run")
-    assert len(read_trajectory(tmp_path / "run").timestamps_ns) == summary["frames"] == FRAMES - 2
-    assert any(f"2 of {FRAMES}" in text for text in summary["warnings"])
+    assert len(read_trajectory(tmp_path / "run").timestamps_ns) == summary["frames"] == REST_FRAMES - 2
+    assert any(f"2 of {REST_FRAMES}" in text for text in summary["warnings"])

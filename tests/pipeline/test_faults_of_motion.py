@@ -32,6 +32,8 @@ FOUND = {
 }
 NO_PICTURES = ("--pictures.animation", "false", "--pictures.views", "false")
 """The sequence on disk shows nothing of the motion."""
+NO_WINDOW = ("--backend.window.enabled", "false")
+"""What is asked is said of the whole sequence; one case of each goes through the window too."""
 STOPPED_EARLY = {"summary.json", "measurements.npz", "report.html", "config.yaml", "log.txt"}
 Capture = pytest.CaptureFixture[str]
 
@@ -173,11 +175,13 @@ def test_frames_that_nothing_links_fail_and_leave_what_there_is(run: Run) -> Non
     assert outcome.summary["frames"] == FRAMES
 
 
-@pytest.mark.parametrize(("turn_deg", "seed"), [(190.0, 5), (190.0, 190), (220.0, 5)])
+@pytest.mark.parametrize(
+    ("turn_deg", "seed", "options"), [(190.0, 5, ()), (190.0, 190, NO_WINDOW), (220.0, 5, NO_WINDOW)]
+)
 def test_about_half_a_turn_between_frames_is_said_whichever_way_it_ends(
-    run: Run, turn_deg: float, seed: int
+    run: Run, turn_deg: float, seed: int, options: tuple[str, ...]
 ) -> None:
-    outcome = run(fast(turn_deg, (0.5, 0.7, 0.5)), seed)
+    outcome = run(fast(turn_deg, (0.5, 0.7, 0.5)), seed, *options)
     if outcome.code == 0:
         assert_done(outcome)
         assert outcome.says("direction of rotation")
@@ -185,10 +189,12 @@ def test_about_half_a_turn_between_frames_is_said_whichever_way_it_ends(
         assert "by more than half a revolution between pairs" in assert_failed(outcome, STOPPED_EARLY)
 
 
-@pytest.mark.parametrize(("turn_deg", "seed"), [(260.0, 1), (280.0, 1)])
-def test_a_motion_a_revolution_off_is_never_believed(run: Run, turn_deg: float, seed: int) -> None:
+@pytest.mark.parametrize(("turn_deg", "seed", "options"), [(260.0, 1, ()), (280.0, 1, NO_WINDOW)])
+def test_a_motion_a_revolution_off_is_never_believed(
+    run: Run, turn_deg: float, seed: int, options: tuple[str, ...]
+) -> None:
     """Euler's equation with another inertia may fit too: nothing that hangs on it counts as determined."""
-    outcome = run(replace(fast(turn_deg, (0.5, 0.7, 0.5)), frames=20, landmarks=150), seed)
+    outcome = run(replace(fast(turn_deg, (0.5, 0.7, 0.5)), frames=20, landmarks=150), seed, *options)
     if outcome.code == 0:
         known = outcome.summary["identifiable"]
         assert not (known["k1"] or known["k2"] or known["axes"])

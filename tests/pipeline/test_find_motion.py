@@ -27,6 +27,10 @@ OTHER = replace(SCENE, landmarks=150)
 """What the second method measures."""
 
 
+NO_PICTURES = ("--pictures.animation", "false", "--pictures.views", "false")
+"""The sequence on disk shows nothing of the motion."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What a run left."""
@@ -50,7 +54,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
         put_in_place(generate(first, 1), tmp_path / "sequence", monkeypatch, other)
         folder = tmp_path / f"run{len(list(tmp_path.iterdir()))}"
         words = ["run", "configs/default.yaml", "--data", str(tmp_path / "sequence"), "-o", str(folder)]
-        code = main([*words, "--runtime.workers", "1"])
+        code = main([*words, "--runtime.workers", "1", *NO_PICTURES])
         return Outcome(
             code,
             json.loads((folder / "summary.json").read_text()),

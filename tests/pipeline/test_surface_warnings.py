@@ -12,26 +12,16 @@ import pytest
 
 from polhode.camera import RectifiedRig
 from polhode.cli.main import main
-from polhode.config import Config
 from polhode.config.mapping import Mapping
 from polhode.frontend.extract import extract_depth
 from polhode.lie import Array, make_pose
 from polhode.mapping.fusion.field import Frame, fuse
 from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.find_motion import find_motion
-from polhode.progress import Progress, Silent
+from polhode.progress import Progress
 from polhode.records import DepthMap, SurfaceModel
-from polhode.simulation import simulate
+from tests.pipeline.conftest import REST_FRAMES
 
-FRAMES = 6
-SCENE = {
-    "frames": FRAMES,
-    "interval_s": 0.5,
-    "body": {"family": "free_flyer", "size_m": 0.22},
-    "motion": {"position_m": [0.02, 0.0, 0.5], "spin_rpm": [0.0, 0.0, 0.0]},
-    "rig": {"width_px": 240, "height_px": 180, "focal_px": 230.0, "baseline_m": 0.09},
-    "render": {"products": []},
-}
 QUICK = {
     "frontend.depth.method": "sgbm",
     "backend.window.enabled": "false",
@@ -56,12 +46,14 @@ class Defect:
 
 
 DEFECTS = {
-    "no depth": Defect("no frame has valid depth: there is no surface", tuple(range(FRAMES)), has_mesh=False),
+    "no depth": Defect(
+        "no frame has valid depth: there is no surface", tuple(range(REST_FRAMES)), has_mesh=False
+    ),
     "little depth": Defect("4 of 6 frames have no valid depth", (0, 1, 3, 4)),
     "one frame": Defect("the surface is made of 1 frame: nothing confirms its parts", (0, 1, 2, 3, 5)),
     "no overlap": Defect(
         "no part of the surface was seen in 3 frames",
-        poses=lambda k, X_RG: X_RG @ make_pose(np.eye(3), [2.0 * k, 0.0, 0.0]),
+        poses=lambda k, X_RG: X_RG @ make_pose(np.eye(3), [0.4 * k, 0.0, 0.0]),
     ),
     "no pose": Defect(
         "1 of 6 frames have no finite pose", poses=lambda k, X_RG: X_RG * np.nan if k == 2 else X_RG
@@ -72,15 +64,6 @@ DEFECTS = {
         options=("--mapping.memory-mib", "3", "--mapping.voxel-mm", "1.5"),
     ),
 }
-
-
-@pytest.fixture(scope="module")
-def at_rest(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("data") / "sequence"
-    config = Config.model_validate({"scene": SCENE})
-    assert config.scene is not None
-    simulate(config.scene, 3, folder, Silent(), 1, False)
-    return folder
 
 
 @pytest.fixture(scope="module")

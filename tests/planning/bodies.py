@@ -22,9 +22,10 @@ def ball(radius_m: float = 0.1) -> SurfaceModel:
     return measured(trimesh.creation.icosphere(5, radius_m))
 
 
-def box() -> SurfaceModel:
+def box(edge_m: float = 0.01) -> SurfaceModel:
+    """With edges of the mesh so long, or shorter."""
     mesh = trimesh.creation.box((0.3, 0.15, 0.1))
-    return measured(mesh.subdivide_to_size(0.01))
+    return measured(mesh.subdivide_to_size(edge_m))
 
 
 def estimate(

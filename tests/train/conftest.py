@@ -7,13 +7,19 @@ import pytest
 from polhode.config.train import Corpus
 from polhode.progress import Silent
 from polhode.train.corpus import render_corpus
+from tests.conftest import MakeOnce
 
 
 @pytest.fixture(scope="session")
-def tiny_corpus(tmp_path_factory: pytest.TempPathFactory) -> Corpus:
+def tiny_corpus(make_once: MakeOnce) -> Corpus:
     """Two free flyers, four pairs each; the second is held out."""
-    corpus = Corpus(
-        folder=str(tmp_path_factory.mktemp("corpus") / "scenes"),
+    folder = make_once("corpus", lambda folder: render_corpus(_corpus(folder), Silent(), 1))
+    return _corpus(folder)
+
+
+def _corpus(folder: Path) -> Corpus:
+    return Corpus(
+        folder=str(folder),
         seed=3,
         scenes=2,
         frames=4,
@@ -25,8 +31,6 @@ def tiny_corpus(tmp_path_factory: pytest.TempPathFactory) -> Corpus:
         span_px=(240.0, 260.0),
         earth_behind=0.0,
     )
-    render_corpus(corpus, Silent(), 1)
-    return corpus
 
 
 @pytest.fixture

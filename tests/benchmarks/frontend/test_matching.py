@@ -22,7 +22,7 @@ from benchmarks.frontend.tables import (
     residual_variances,
     success,
 )
-from benchmarks.record import Case, complete, forget, measured
+from benchmarks.record import Case
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
@@ -205,17 +205,3 @@ def test_pairs_with_light_in_common_are_found_by_their_frames() -> None:
         "pairs": [{"gap": 1, "n": 0}, {"gap": 1, "n": 1}, {"gap": 2, "n": 2}],
     }
     assert [pair["n"] for gap in (1, 2) for pair in lit_of([line], gap, lit)] == [0, 2]
-
-
-def double(case: Case) -> Case:
-    return {"double": 2 * case["x"]}
-
-
-def test_what_is_forgotten_is_measured_anew(tmp_path: Path) -> None:
-    record = tmp_path / "record.jsonl"
-    cases: list[Case] = [{"x": 1}, {"x": 2}]
-    complete(record, cases, double, workers=1)
-    forget(record, lambda case: case["x"] == 1)
-    assert [line["double"] for line in measured(record, cases)] == [4]
-    assert [line["double"] for line in complete(record, cases, double, workers=1)] == [2, 4]
-    forget(tmp_path / "none.jsonl", lambda case: True)

@@ -41,6 +41,13 @@ def approach(count: int = 5, far: float = 4.0, near: float = 2.0) -> Array:
 
 
 @pytest.fixture
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numbers alone: drawing takes most of the time."""
+    for name in ("draw_metric", "draw_views", "draw_contributions"):
+        monkeypatch.setattr(f"polhode.pipeline.after_run.observability.pictures.{name}", lambda *_: b"")
+
+
+@pytest.fixture
 def box(tmp_path: Path) -> Path:
     path = tmp_path / "box.stl"
     trimesh.creation.box((1.0, 0.6, 0.4)).export(path)
@@ -87,6 +94,7 @@ def test_a_mesh_along_an_approach(box: Path, tmp_path: Path, capsys: Capture) ->
     assert isinstance(trimesh.load(out / "edges.glb"), trimesh.Scene)
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_noise_point_and_unit_scale_as_they_should(box: Path, tmp_path: Path) -> None:
     poses = trajectory(tmp_path / "poses.txt", approach(1, 3.0))
 
@@ -126,6 +134,7 @@ def test_the_best_few_edges_and_the_fewest_that_do(box: Path, tmp_path: Path, ca
     assert "--edges 0" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_sunlight_takes_edges_away(box: Path, tmp_path: Path, capsys: Capture) -> None:
     poses = trajectory(tmp_path / "poses.txt", approach(1, 3.0))
     word = ["observability", str(box), "--trajectory", str(poses), "-o", str(tmp_path)]
@@ -164,6 +173,7 @@ def test_what_is_not_told_is_infinite_and_said(
     assert "inf" in (out / "observability.csv").read_text()
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_run_by_its_own_places_and_by_planned_ones(
     example: Example, tmp_path: Path, capsys: Capture
 ) -> None:

@@ -81,8 +81,10 @@ def test_without_a_mesh_the_rest_is_given_and_the_reason_said(
 
 @pytest.mark.parametrize("mesh", [True, False])
 def test_a_docking_point_off_the_target_is_told_of(
-    mesh: bool, example: Example, tmp_path: Path, capsys: Capture
+    mesh: bool, example: Example, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # drawing takes most of the time
+    monkeypatch.setattr("polhode.pipeline.after_run.plan_files.plan_pictures", lambda *_: {})
     run = written(example, tmp_path / "run", example.surface if mesh else None)
     dock = ["--dock-point", "0.3", "0", "0", "--dock-axis", "-1", "0", "0"]
     assert main(["plan", str(run), "-o", str(tmp_path / "out"), *AHEAD, *dock]) == 0

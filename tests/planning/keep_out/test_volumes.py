@@ -48,7 +48,7 @@ def inside(surface: SurfaceModel, found_level: object, R: Array, p: Array, noise
 
 
 def test_independent_draws_stay_inside_as_often_as_promised() -> None:
-    surface, target = box(), estimate((0.05, 0.6, 0.1), (0.005, 0.0, 0.0), psd=1e-9)
+    surface, target = box(0.02), estimate((0.05, 0.6, 0.1), (0.005, 0.0, 0.0), psd=1e-9)
     found = keep_out(surface, target, KeepOutOptions(15.0, 0.97, members=400, cells=48))
     times = np.linspace(0.11, 15.0, 40)
     members = draw_ensemble(target, times, 200, 77)
