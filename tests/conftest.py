@@ -23,7 +23,7 @@ LONGEST = (
     "tests/test_package.py",
     "tests/pipeline/test_run.py",
     "tests/compare/test_truth.py",
-    "tests/compare/processes/test_isolation.py",
+    "tests/compare/test_solver_process.py",
 )
 """Files that begin, so that at the end no process waits long for the other."""
 
