@@ -46,7 +46,7 @@ from polhode.metrics import (
 from polhode.pipeline.run_directory.archives import Covariance, read_covariance
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
 from polhode.records import Bools, Ints, Truth
 from polhode.rigid_body import HALF_TURN_NAMES, propagate
 from polhode.rigid_fit import mean_rotation
@@ -149,12 +149,6 @@ def truth_of_frames(sequence_folder: Path, timestamps_ns: Ints) -> Truth | None:
         w_P=states.w_P,
         mesh=None,
     )
-
-
-def target_poses(states: States, R_GP: Array, com_G: Array) -> Array:
-    """X_NG (F, 4, 4) from the states of the principal frame: p_N = r_N + R_NP R_GP^T (p_G - com_G)."""
-    R_NG = states.R_NP @ R_GP.T
-    return make_pose(R_NG, states.r_N - R_NG @ com_G)
 
 
 def _motion_metrics(estimate: States, truth: States, covariance: Covariance) -> Metrics:

@@ -20,7 +20,7 @@ from polhode.pipeline.pictures import make_pictures
 from polhode.pipeline.report import finish_run, write_report
 from polhode.pipeline.run_directory import outputs
 from polhode.pipeline.run_directory.archives import write_measurements
-from polhode.pipeline.run_directory.run_folder import RunFolder
+from polhode.pipeline.run_directory.run_folder import atomic_run_folder
 from polhode.pipeline.run_directory.summary import build_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.progress import Progress
@@ -50,7 +50,7 @@ def run(
     Raises InputError for bad input and then writes nothing; RunFailure when no consistent motion is found,
     and then the run directory contains what was found before.
     """
-    with RunFolder(run_folder, overwrite, write_report) as folder:
+    with atomic_run_folder(run_folder, overwrite, write_report) as folder:
         context = open_context(sequence_folder, config, progress)
         clock = context.clock
         outputs.write_config(folder, config)
@@ -138,6 +138,6 @@ def _sentence(summary: Summary, estimate: MotionEstimate) -> str:
         spread = f"{value:.4f} +- {np.sqrt(variance):.4f}" if determined else "not determined by this motion"
         ratios.append(f"{name} {spread}")
     return (
-        f"{summary.frames_used} of {summary.frames} frames: the target turns at {rate_rpm:.2f} RPM; "
+        f"{summary.frames_used} of {summary.frames} frames: the target rotates at {rate_rpm:.2f} RPM; "
         f"{', '.join(ratios)}; {summary.landmarks} landmarks"
     )

@@ -37,10 +37,10 @@ from polhode.mapping.fusion.field import fuse
 from polhode.mapping.mesh_files import write_ply
 from polhode.mesh_metrics import MeshMetrics, compare_surfaces, distance_to_surface
 from polhode.metrics import States, truth_at
-from polhode.pipeline.evaluation import between_target_frames, seen_truth, target_poses
+from polhode.pipeline.evaluation import between_target_frames, seen_truth
 from polhode.pipeline.run_directory.archives import read_covariance
 from polhode.pipeline.run_directory.summary import read_summary
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
 from polhode.records import DepthMap, SurfaceModel, Truth
 from polhode.truth import read_truth
 

@@ -57,8 +57,8 @@ def measure(case: Case) -> dict[str, Any]:
     from polhode.mesh_metrics import distance_to_surface, sample_surface
     from polhode.metrics import truth_at
     from polhode.pipeline.after_run.plan import final_estimate, surface_of
-    from polhode.pipeline.evaluation import seen_and_lit, target_poses
-    from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+    from polhode.pipeline.evaluation import seen_and_lit
+    from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
     from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
     from polhode.planning.prediction import nominal_motion
     from polhode.truth import read_truth

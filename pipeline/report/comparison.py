@@ -117,4 +117,4 @@ def _rates(contents: Sequence[StoredRun]) -> list[Figure]:
     caption = (
         "Its magnitude is the same in every frame and for every choice of axes, so runs can be compared."
     )
-    return [Figure("rates", "Rate of turn", caption, data, figure, height_px=460, wide=False)]
+    return [Figure("rates", "Angular velocity", caption, data, figure, height_px=460, wide=False)]

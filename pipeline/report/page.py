@@ -85,7 +85,7 @@ def render(content: StoredRun) -> str:
         summary=summary,
         inertia_rows=tables.inertia_rows(summary),
         absolute_rows=tables.absolute_rows(summary),
-        push_rows=tables.push_rows(summary),
+        disturbance_rows=tables.disturbance_rows(summary),
         assumed_rows=tables.assumed_rows(summary.assumed),
         mesh_rows=tables.mesh_rows(summary),
         mesh_sentences=tables.mesh_sentences(summary),

@@ -13,7 +13,7 @@ from polhode.pipeline.run_directory.trajectory_file import Trajectory
 
 SAME_COST, AMBIGUOUS_COST = 0.01, 6.0
 """Excess over the best minimum: below the first it is the same, below the second the data hardly decide."""
-AXIS_WORDS = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
+AXIS_NAMES = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class TableRow:
     value: str
     unit: str = ""
     verdict: str = ""
-    sure: bool = True
+    determined: bool = True
 
 
 def with_sigma(value: float, sigma: float | None) -> str:
@@ -44,8 +44,8 @@ def finding(summary: Summary, trajectory: Trajectory | None) -> str:
         return f"No motion was found: {reason.rstrip('.')}."
     rate = float(np.median(np.linalg.norm(trajectory.w_P, axis=1)))
     speed_mm_s = 1e3 * float(np.median(np.linalg.norm(trajectory.v_N, axis=1)))
-    turns = f"The target turns at {rate * 30 / np.pi:.2f} RPM {_about(trajectory.w_P)}"
-    motion = f"{turns} and drifts at {speed_mm_s:.1f} mm/s"
+    rotation = f"The target rotates at {rate * 30 / np.pi:.2f} RPM {_about(trajectory.w_P)}"
+    motion = f"{rotation} and drifts at {speed_mm_s:.1f} mm/s"
     inertia, known = summary.inertia, summary.identifiable
     ratios = [
         f"{name} = {with_sigma(value, _root(variance))}"
@@ -91,9 +91,9 @@ def inertia_rows(summary: Summary) -> list[TableRow]:
     for k, name in enumerate("xyz"):
         root = None if summary.cov_R_GP is None else _root(summary.cov_R_GP[k][k])
         value, unit = ("no bound", "") if root is None else (f"± {np.rad2deg(root):.2g}", "deg")
-        sure = parts.axes_P[k]
-        verdict = _verdict(sure, detail.get(f"axes_{name}", ""))
-        rows.append(TableRow(f"principal axes, turned about {name}", value, unit, verdict, sure))
+        known_axis = parts.axes_P[k]
+        verdict = _verdict(known_axis, detail.get(f"axes_{name}", ""))
+        rows.append(TableRow(f"principal axes, rotated about {name}", value, unit, verdict, known_axis))
     return rows
 
 
@@ -112,17 +112,17 @@ def absolute_rows(summary: Summary) -> list[TableRow]:
     return rows
 
 
-def push_rows(summary: Summary) -> list[TableRow]:
-    """What unknown forces and torques did, two lines a push."""
+def disturbance_rows(summary: Summary) -> list[TableRow]:
+    """Effect of unknown forces and torques, two lines for each disturbance."""
     rows = []
-    for push in summary.unknown_pushes:
-        when = f"from {push.start_s:.1f} s to {push.end_s:.1f} s"
+    for impulse in summary.unknown_pushes:
+        when = f"from {impulse.start_s:.1f} s to {impulse.end_s:.1f} s"
         for name, change, sigma, scale, unit in (
-            ("change of velocity, along N", push.delta_v_N, push.sigma_delta_v_N, 1e3, "mm/s"),
+            ("change of velocity, along N", impulse.delta_v_N, impulse.sigma_delta_v_N, 1e3, "mm/s"),
             (
                 "change of rate, along P",
-                push.delta_w_P,
-                push.sigma_delta_w_P,
+                impulse.delta_w_P,
+                impulse.sigma_delta_w_P,
                 float(np.rad2deg(1.0)),
                 "deg/s",
             ),
@@ -136,7 +136,7 @@ def push_rows(summary: Summary) -> list[TableRow]:
 
 
 def assumed_rows(assumed: Assumed | None) -> list[TableRow]:
-    """What uniform density says, in kilograms; not estimated."""
+    """Mass properties at uniform density, in kilograms; not estimated."""
     if assumed is None:
         return []
     moments = np.linalg.eigvalsh(np.array(assumed.inertia_kg_m2))[::-1]
@@ -180,7 +180,7 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         solver = summary.solver
         ended = "converged" if solver.converged else f"stopped: {solver.message or 'not converged'}"
         rows.append(TableRow("solver", f"{solver.name}, {solver.iterations} iterations"))
-        rows.append(TableRow("solver's end", ended, sure=solver.converged))
+        rows.append(TableRow("solver's end", ended, determined=solver.converged))
         rows.append(TableRow("cost", f"{solver.cost:.6g}"))
         if solver.reduced_chi2 is not None:
             rows.append(TableRow("reduced chi-squared", f"{solver.reduced_chi2:.3f}"))
@@ -195,7 +195,7 @@ def motion_rows(motion: StoredMotion | None) -> list[TableRow]:
     path = motion.trajectory
     rate = np.linalg.norm(path.w_P, axis=1)
     return [
-        TableRow("rate of turn, median", f"{np.rad2deg(np.median(rate)):.2f}", "deg/s"),
+        TableRow("angular velocity, median", f"{np.rad2deg(np.median(rate)):.2f}", "deg/s"),
         TableRow("distance from the origin of N", f"{np.median(np.linalg.norm(path.r_N, axis=1)):.4f}", "m"),
         _median_row("σ position, worst axis", 1e3 * path.sigma_r, "mm"),
         _median_row("σ velocity, worst axis", 1e3 * path.sigma_v, "mm/s"),
@@ -236,20 +236,20 @@ def metric_rows(metrics: dict[str, Any]) -> list[TableRow]:
 
 
 def _about(w_P: Array) -> str:
-    """Near which principal axis the angular velocity lies, on the average."""
+    """The principal axis that is close to the angular velocity on average, if any."""
     share = np.mean(np.abs(w_P), axis=0) / max(float(np.mean(np.linalg.norm(w_P, axis=1))), 1e-12)
     k = int(np.argmax(share))
     if share[k] > 0.9:
-        return f"about its principal axis {AXIS_WORDS[k]}"
+        return f"about its principal axis {AXIS_NAMES[k]}"
     return "about an axis that moves through the body"
 
 
-def _row(name: str, value: float, sigma: float | None, unit: str, sure: bool, reason: str) -> TableRow:
-    return TableRow(name, with_sigma(value, sigma), unit, _verdict(sure, reason), sure)
+def _row(name: str, value: float, sigma: float | None, unit: str, determined: bool, reason: str) -> TableRow:
+    return TableRow(name, with_sigma(value, sigma), unit, _verdict(determined, reason), determined)
 
 
-def _verdict(sure: bool, reason: str) -> str:
-    return "determined" if sure else reason or "not determined by this motion"
+def _verdict(determined: bool, reason: str) -> str:
+    return "determined" if determined else reason or "not determined by this motion"
 
 
 def _diagonal_mm(covariance: Any, k: int) -> float | None:
@@ -267,7 +267,7 @@ def _median_row(name: str, sigma: Array, unit: str) -> TableRow:
 
 
 def _outcome(cost: float | None) -> str:
-    """Where another start of the inertia ended, by the cost that it has more than the one chosen."""
+    """Where another start of the inertia ended, by its excess cost over the chosen one."""
     if cost is None:
         return "did not converge"
     if cost < SAME_COST:
@@ -312,9 +312,9 @@ def mesh_rows(summary: Summary) -> list[TableRow]:
         ]
         if (sun := mesh.sun) is not None:
             direction = ", ".join(f"{part:.3f}" for part in sun.direction_N)
-            sure = "" if sun.sigma_deg is None else f" ± {sun.sigma_deg:.1f} deg"
+            spread = "" if sun.sigma_deg is None else f" ± {sun.sigma_deg:.1f} deg"
             used = "" if mesh.colour == "albedo" else ", not used"
-            rows.append(TableRow("direction of the Sun in N", f"{direction}{sure}"))
+            rows.append(TableRow("direction of the Sun in N", f"{direction}{spread}"))
             rows.append(TableRow("changes of brightness it explains", f"{sun.explained:.0%}{used}"))
         for level in mesh.levels:
             mean_mm, most_mm = 1e3 * level.mean_distance_m, 1e3 * level.largest_distance_m
@@ -332,7 +332,7 @@ def mesh_rows(summary: Summary) -> list[TableRow]:
 
 
 def mesh_sentences(summary: Summary) -> list[str]:
-    """What was not seen, and how the mass lies in the volume."""
+    """What was not seen, and the mass distribution compared with the volume."""
     sentences = [] if summary.coverage is None else [summary.coverage.words]
     return [*sentences, *(summary.physics.words if summary.physics is not None else ())]
 

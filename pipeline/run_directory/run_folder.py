@@ -11,9 +11,9 @@ import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 
 from polhode.errors import InputError
 from polhode.pipeline.run_directory.archives import read_measurements
@@ -21,103 +21,89 @@ from polhode.pipeline.run_directory.summary import build_summary, read_summary, 
 
 RESULTS: tuple[str, ...] = ("measurements.npz", "trajectory.csv", "landmarks.ply", "mesh.ply")
 """A failed run is worth publishing if it contains one of these."""
-PACKAGES: tuple[str, ...] = ("polhode",)
-"""Loggers whose messages go to log.txt."""
 
 _log = logging.getLogger(__name__)
 
 
-class RunFolder:
-    """``with RunFolder(path, ...) as folder:`` write into ``folder``; it becomes ``path`` at the end.
+@contextmanager
+def atomic_run_folder(
+    path: Path, overwrite: bool = False, write_report: Callable[[Path], None] | None = None
+) -> Iterator[Path]:
+    """The folder to write into, which becomes ``path`` at the end; messages of the program go to its log.txt.
 
-    The constructor raises InputError at once when ``path`` is a file, or a folder that is not empty, unless
-    it is a run and ``overwrite`` is set. ``write_report`` makes the report of a failed run from its files.
-    Log messages of the program go to ``folder/log.txt``.
+    Raises InputError when ``path`` is a file, or a folder that is not empty, unless it is a run and
+    ``overwrite`` is set. ``write_report`` makes the report of a failed run from its files.
     """
-
-    def __init__(
-        self, path: Path, overwrite: bool = False, write_report: Callable[[Path], None] | None = None
-    ) -> None:
-        self.path = path.absolute()
-        self.overwrite = overwrite
-        self.write_report = write_report
-        _require_usable(self.path, path, overwrite)
-        self.folder: Path | None = None
-        self._handler: logging.Handler | None = None
-        self._levels: dict[str, int] = {}
-
-    def __enter__(self) -> Path:
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            name = tempfile.mkdtemp(prefix=f".{self.path.name}.partial-", dir=self.path.parent)
-        except OSError as error:
-            raise InputError(
-                f"{self.path.parent}: cannot write here ({error.strerror}); choose another -o"
-            ) from error
-        self.folder = Path(name)
-        # mkdtemp makes the folder private; a run is readable like any other folder of the user.
-        self.folder.chmod(0o777 & ~_umask())
-        self._open_log(self.folder / "log.txt")
-        return self.folder
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        folder = self.folder
-        assert folder is not None
-        failed = isinstance(error, Exception) and not isinstance(error, InputError)
-        if error is not None and not (failed and self._worth_publishing(folder)):
-            self._close_log()
+    target = path.absolute()
+    _require_usable(target, path, overwrite)
+    folder, publish = _hidden_folder(target), False
+    try:
+        with _logging_to(folder / "log.txt"):
+            try:
+                yield folder
+                publish = True
+            except Exception as error:
+                failed = not isinstance(error, InputError)
+                has_results = any((folder / name).exists() for name in RESULTS)
+                publish = failed and (has_results or not _is_not_empty(target))
+                if publish:
+                    _log.error("the run failed: %s", error, exc_info=error)
+                    record_failure(folder, _one_line(error))
+                    if write_report is not None:
+                        write_report(folder)
+                raise
+    finally:
+        # The cause of the failure may break the report too: the files are published even then.
+        if publish:
+            _publish(folder, target, overwrite)
+        else:
             shutil.rmtree(folder, ignore_errors=True)
-            return
-        try:
-            if error is not None:
-                _log.error("the run failed: %s", error, exc_info=error)
-                record_failure(folder, _one_line(error))
-                if self.write_report is not None:
-                    self.write_report(folder)
-        finally:
-            # The cause of the failure may break the report too: the files are published even then.
-            self._close_log()
-            self._publish(folder)
 
-    def _worth_publishing(self, folder: Path) -> bool:
-        return any((folder / name).exists() for name in RESULTS) or not _is_not_empty(self.path)
 
-    def _publish(self, folder: Path) -> None:
-        if not _is_not_empty(self.path):
-            folder.rename(self.path)
-            return
-        if not self.overwrite:
-            raise InputError(
-                f"{self.path}: another run was written here in the meantime; this one is kept in {folder}"
-            )
-        old = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.old-", dir=self.path.parent))
-        self.path.rename(old)
-        try:
-            folder.rename(self.path)
-        except OSError:
-            old.rename(self.path)
-            raise
-        shutil.rmtree(old, ignore_errors=True)
+def _hidden_folder(target: Path) -> Path:
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
+    except OSError as error:
+        raise InputError(
+            f"{target.parent}: cannot write here ({error.strerror}); choose another -o"
+        ) from error
+    # mkdtemp makes the folder private; a run is readable like any other folder of the user.
+    folder.chmod(0o777 & ~_umask())
+    return folder
 
-    def _open_log(self, file: Path) -> None:
-        self._handler = logging.FileHandler(file, encoding="utf-8")
-        self._handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-        for name in PACKAGES:
-            logger = logging.getLogger(name)
-            self._levels[name] = logger.level
-            logger.setLevel(logging.INFO)
-            logger.addHandler(self._handler)
 
-    def _close_log(self) -> None:
-        if self._handler is None:
-            return
-        for name in PACKAGES:
-            logging.getLogger(name).removeHandler(self._handler)
-            logging.getLogger(name).setLevel(self._levels[name])
-        self._handler.close()
-        self._handler = None
+@contextmanager
+def _logging_to(file: Path) -> Iterator[None]:
+    handler, logger = logging.FileHandler(file, encoding="utf-8"), logging.getLogger("polhode")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    level = logger.level
+    logger.setLevel(logging.INFO)
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        handler.close()
+
+
+def _publish(folder: Path, target: Path, overwrite: bool) -> None:
+    if not _is_not_empty(target):
+        folder.rename(target)
+        return
+    if not overwrite:
+        raise InputError(
+            f"{target}: another run was written here in the meantime; this one is kept in {folder}"
+        )
+    old = Path(tempfile.mkdtemp(prefix=f".{target.name}.old-", dir=target.parent))
+    target.rename(old)
+    try:
+        folder.rename(target)
+    except OSError:
+        old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def record_failure(folder: Path, message: str) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from polhode.lie import Array, make_pose
+from polhode.lie import Array
 from polhode.mapping.mesh_files import read_ply
 from polhode.pipeline.run_directory.archives import (
     Covariance,
@@ -20,7 +20,7 @@ from polhode.pipeline.run_directory.archives import (
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
-from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory
+from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory, target_poses
 from polhode.records import Landmarks, OnlineEstimate, StereoTracks, SurfaceModel
 
 
@@ -40,8 +40,7 @@ class StoredMotion:
     @property
     def X_NG(self) -> Array:
         """(F, 4, 4) pose of the geometric frame."""
-        R_NG = self.trajectory.R_NP @ self.R_GP.T
-        return make_pose(R_NG, self.trajectory.r_N - R_NG @ self.com_G)
+        return target_poses(self.trajectory, self.R_GP, self.com_G)
 
 
 @dataclass(frozen=True)

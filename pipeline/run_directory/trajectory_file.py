@@ -11,7 +11,9 @@ import numpy as np
 
 from polhode.atomic import write_text
 from polhode.errors import InputError
-from polhode.lie import Array, continuous_wxyz, matrix_from_wxyz, wxyz_from_matrix
+from polhode.lie import Array, continuous_wxyz, make_pose, matrix_from_wxyz, wxyz_from_matrix
+from polhode.metrics import States
+from polhode.planning.prediction import Prediction
 from polhode.records import Ints, MotionEstimate, OnlineEstimate
 
 TRAJECTORY_COLUMNS: tuple[str, ...] = (
@@ -57,6 +59,12 @@ class Trajectory:
     def R_NP(self) -> Array:
         """(F, 3, 3)"""
         return matrix_from_wxyz(self.q_NP_wxyz)
+
+
+def target_poses(states: States | Trajectory | Prediction, R_GP: Array, com_G: Array) -> Array:
+    """X_NG (F, 4, 4) from the states of the principal frame: p_N = r_N + R_NP R_GP^T (p_G - com_G)."""
+    R_NG = states.R_NP @ R_GP.T
+    return make_pose(R_NG, states.r_N - R_NG @ com_G)
 
 
 def standard_deviations(covariance: Array) -> Array:

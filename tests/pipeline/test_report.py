@@ -209,7 +209,7 @@ def test_the_finding_names_rate_axis_and_ratios(example: Any) -> None:
     w_P = np.tile([0.0, 0.02, 1.0], (24, 1))
     path = replace(trajectory_of(example.estimate), w_P=w_P)
     assert finding(summary, path) == (
-        "The target turns at 9.55 RPM about its principal axis z (smallest moment) and drifts at 3.0 mm/s; "
+        "The target rotates at 9.55 RPM about its principal axis z (smallest moment) and drifts at 3.0 mm/s; "
         "its inertia ratios are k1 = 0.3042 ± 0.0020 and k2 = 0.2803 ± 0.0060."
     )
 

@@ -106,7 +106,7 @@ def _glb(job: ExportJob, shape: ExportShape, per_m: float) -> bytes:
             # never coarser than the rotation allows, and no more keys than that takes
             step = min(smooth, options.horizon) if step is None else min(step, smooth)
         motion = job.motion(step)
-        animation = glb.Animation(motion.time_s, job.poses(motion.r_N, motion.R_NP))
+        animation = glb.Animation(motion.time_s, job.poses(motion))
         extras["animation"] = {
             "words": "the node target moves in N: at time 0 it is at the last state of the run",
             "horizon_s": options.horizon,
@@ -194,7 +194,7 @@ def _motion(job: ExportJob) -> Files:
             f"the run does not determine {', '.join(motion.undetermined)}: estimated axes and centre of mass "
             "are taken as marks on the body"
         )
-    X_NF = job.poses(motion.r_N, motion.R_NP)
+    X_NF = job.poses(motion)
     uncertainty = "the run has no covariances: the uncertainty is unknown"
     if motion.has_covariance:
         sigma = np.sqrt(np.diagonal(motion.covariance_of_marks, axis1=1, axis2=2))

@@ -14,7 +14,7 @@ import numpy as np
 from polhode.config.loader import load_config
 from polhode.config.mapping import Mapping
 from polhode.errors import InputError
-from polhode.lie import Array, make_pose, transform_points
+from polhode.lie import Array, transform_points
 from polhode.mapping.finishing.detail_levels import levels_of
 from polhode.mapping.mesh_files import read_ply
 from polhode.mapping.uniform_solid import Solid, principal_axes, solid_of
@@ -24,7 +24,7 @@ from polhode.pipeline.after_run.predict import NoCovariance, predict_run, predic
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory, target_poses
 from polhode.planning.exports.records import ExportShape, Inertial, LastState, Placement, shape_of_surface
 from polhode.planning.prediction import PredictedMotion
 from polhode.records import Landmarks, SurfaceModel
@@ -83,16 +83,15 @@ class ExportJob:
             self.leave_out(f"covariances of the motion are left out: {error}")
             return predict_without_covariance(self.folder, self.options.horizon, step_s)
 
-    def poses(self, r_N: Array, R_NP: Array) -> Array:
-        """X_NF (T, 4, 4) of states (T, 3), (T, 3, 3)."""
-        R_NG = R_NP @ np.array(self.summary.R_GP).T
-        X_NG = make_pose(R_NG, r_N - R_NG @ np.array(self.summary.com_G))
+    def poses(self, states: Trajectory | PredictedMotion) -> Array:
+        """X_NF (T, 4, 4)."""
+        X_NG = target_poses(states, np.array(self.summary.R_GP), np.array(self.summary.com_G))
         return np.asarray(X_NG @ np.linalg.inv(self.at.X_FG))
 
     def last_state(self) -> LastState:
         """The last state of the run, which must have a motion."""
         table = read_trajectory(self.folder)
-        X_NF = self.poses(table.r_N[-1:], table.R_NP[-1:])[0]
+        X_NF = self.poses(table)[-1]
         w_N = table.R_NP[-1] @ table.w_P[-1]
         return LastState(
             timestamp_ns=int(table.timestamps_ns[-1]),

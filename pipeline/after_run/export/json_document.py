@@ -186,7 +186,7 @@ def json_document(job: ExportJob) -> str:
 def _states(job: ExportJob) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """The content of ``StateOut`` for each instant; what the motion does not determine."""
     motion = job.motion(job.options.step_s)
-    X_NF = job.poses(motion.r_N, motion.R_NP)
+    X_NF = job.poses(motion)
     columns = {
         "timestamp_ns": motion.timestamps_ns.tolist(),
         "time_s": motion.time_s,

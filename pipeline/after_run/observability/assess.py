@@ -13,7 +13,7 @@ from polhode.pipeline.after_run.plan import final_estimate, surface_of
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
 from polhode.planning.edges.edge_model import CREASE_DEG, EdgeModel, edge_model
 from polhode.planning.edges.information import (
     Contributions,
@@ -152,9 +152,8 @@ def _poses_of_run(run: Path, summary: Summary, X_NR: Array) -> tuple[Array, Arra
     if summary.R_GP is None or summary.com_G is None:
         raise InputError(f"{run}: this run has no motion, hence no camera poses; give --trajectory FILE")
     table = read_trajectory(run)
-    R_NG = table.R_NP @ np.array(summary.R_GP).T
-    X_NG = make_pose(R_NG, table.r_N - R_NG @ np.array(summary.com_G))
-    return table.time_s, inverse_pose(X_NR) @ X_NG, R_NG
+    X_NG = target_poses(table, np.array(summary.R_GP), np.array(summary.com_G))
+    return table.time_s, inverse_pose(X_NR) @ X_NG, X_NG[:, :3, :3]
 
 
 def _poses_of_predicted_target(run: Path, file: Path, poses: TimedPoses) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from polhode.errors import InputError, RunFailure
 from polhode.pipeline.report import finish_run, write_report
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.outputs import write_config, write_estimate
-from polhode.pipeline.run_directory.run_folder import RunFolder
+from polhode.pipeline.run_directory.run_folder import atomic_run_folder
 from polhode.pipeline.run_directory.summary import build_summary, read_summary
 
 
@@ -26,7 +26,7 @@ def _leftovers(parent: Path) -> list[str]:
 
 def test_the_folder_appears_only_when_it_is_complete(example: Any, tmp_path: Path) -> None:
     target = tmp_path / "deep" / "run"
-    with RunFolder(target) as folder:
+    with atomic_run_folder(target) as folder:
         assert folder.parent == target.parent and not target.exists()
         _finish(folder, example)
         assert not target.exists()
@@ -37,14 +37,14 @@ def test_the_folder_appears_only_when_it_is_complete(example: Any, tmp_path: Pat
 
 def test_an_empty_folder_may_be_filled(example: Any, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
-    with RunFolder(tmp_path / "run") as folder:
+    with atomic_run_folder(tmp_path / "run") as folder:
         _finish(folder, example)
     assert read_summary(tmp_path / "run").status == "ok"
 
 
 def test_the_run_is_as_readable_as_any_folder_of_the_user(example: Any, tmp_path: Path) -> None:
     (tmp_path / "plain").mkdir()
-    with RunFolder(tmp_path / "run") as folder:
+    with atomic_run_folder(tmp_path / "run") as folder:
         _finish(folder, example)
     assert (tmp_path / "run").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
@@ -61,8 +61,8 @@ def test_a_folder_in_use_is_refused_at_once_in_one_line(
     if words == "--overwrite":
         _finish(target, example)
     before = sorted(entry.name for entry in target.iterdir())
-    with pytest.raises(InputError, match=words) as caught:
-        RunFolder(target, overwrite)
+    with pytest.raises(InputError, match=words) as caught, atomic_run_folder(target, overwrite):
+        pass
     assert "\n" not in str(caught.value)
     assert sorted(entry.name for entry in target.iterdir()) == before
     assert _leftovers(tmp_path) == []
@@ -70,17 +70,20 @@ def test_a_folder_in_use_is_refused_at_once_in_one_line(
 
 def test_a_file_in_the_way_is_refused_even_with_overwrite(tmp_path: Path) -> None:
     (tmp_path / "run").write_text("mine")
-    with pytest.raises(InputError, match="this is a file"):
-        RunFolder(tmp_path / "run", overwrite=True)
+    with (
+        pytest.raises(InputError, match="this is a file"),
+        atomic_run_folder(tmp_path / "run", overwrite=True),
+    ):
+        pass
     assert (tmp_path / "run").read_text() == "mine"
 
 
 def test_overwriting_replaces_the_whole_run_and_only_at_the_end(example: Any, tmp_path: Path) -> None:
     target = tmp_path / "run"
-    with RunFolder(target) as folder:
+    with atomic_run_folder(target) as folder:
         _finish(folder, example, "the first")
         (folder / "metrics.json").write_text("{}")
-    with RunFolder(target, overwrite=True) as folder:
+    with atomic_run_folder(target, overwrite=True) as folder:
         _finish(folder, example, "the second")
         assert read_summary(target).warnings == ["the first"]
     assert read_summary(target).warnings == ["the second"]
@@ -95,7 +98,7 @@ def _run(
     overwrite: bool = False,
     write_report: Callable[[Path], None] = write_report,
 ) -> None:
-    with RunFolder(target, overwrite, write_report) as folder:
+    with atomic_run_folder(target, overwrite, write_report) as folder:
         work(folder)
         raise error
 
@@ -131,7 +134,7 @@ def test_a_failure_after_the_estimate_keeps_its_numbers(example: Any, tmp_path: 
 
 def test_a_failed_run_with_nothing_found_does_not_cost_the_old_one(example: Any, tmp_path: Path) -> None:
     target = tmp_path / "run"
-    with RunFolder(target) as folder:
+    with atomic_run_folder(target) as folder:
         _finish(folder, example, "the first")
     with pytest.raises(RunFailure):
         _run(target, lambda folder: write_config(folder, Config()), RunFailure("black"), overwrite=True)
@@ -173,7 +176,7 @@ def test_a_run_that_came_meanwhile_is_not_touched(example: Any, tmp_path: Path) 
     target = tmp_path / "run"
 
     def race() -> None:
-        with RunFolder(target) as folder:
+        with atomic_run_folder(target) as folder:
             _finish(folder, example, "mine")
             target.mkdir()
             _finish(target, example, "theirs")
@@ -187,7 +190,7 @@ def test_a_run_that_came_meanwhile_is_not_touched(example: Any, tmp_path: Path) 
 
 def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(InputError, match="cannot write here"), RunFolder(tmp_path / "file" / "run"):
+    with pytest.raises(InputError, match="cannot write here"), atomic_run_folder(tmp_path / "file" / "run"):
         pass
 
 
@@ -196,7 +199,7 @@ def test_the_log_holds_our_messages_and_the_loggers_are_left_as_they_were(
 ) -> None:
     logger = logging.getLogger("frontend")
     before = (logger.level, list(logger.handlers))
-    with RunFolder(tmp_path / "run") as folder:
+    with atomic_run_folder(tmp_path / "run") as folder:
         logging.getLogger("polhode.frontend.stereo").info("562 matches")
         logging.getLogger("some.library").warning("not ours")
         _finish(folder, example)
