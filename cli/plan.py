@@ -28,7 +28,7 @@ class PlanCommand:
     """Probability that the whole surface stays inside the volume at all instants, 0.5 to 0.999."""
     cover: Literal["auto", "surface", "hull"] = "auto"
     """The body that is kept out of: the measured surface and what it encloses, or its convex hull. auto: the
-    hull where open rims span more than 1 % of the area."""
+    hull where open boundaries span more than 1 % of the area."""
     members: Annotated[int, arg(metavar="N")] = 800
     """Motions drawn from the covariance."""
     dock_point: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None

@@ -1,8 +1,8 @@
 """How much of the body was seen, seen but never lit, and never seen: from poses, images and the mesh itself.
 
-Points spread over the surface are looked for in each frame: inside the image, nothing in between (rays), not
-edge-on; and the image brighter there than the sky. Where the mesh is open its convex hull stands for the
-unknown surface; self-shadowing and concavities cannot be distinguished then.
+Points spread over the surface are tested in each frame: inside the image, not occluded (rays), not edge-on;
+and the image brighter there than the sky. Where the mesh is open its convex hull replaces the unknown
+surface; self-shadowing and concavities cannot be distinguished then.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ SAMPLES = 6000
 MIN_WARNED_SHARE = 0.15
 """Share that was never seen, or never lit, above which there is a warning."""
 _ONE_SIDE = 0.6
-"""A part faces one way if its mean normal is at least so long, relative to a spherical cap of its share."""
+"""A part faces one direction if its mean normal is at least this long, relative to a spherical cap."""
 
 
 def classes_of(
@@ -48,7 +48,7 @@ def classes_of(
 def with_classes(
     surface: SurfaceModel, views: Sequence[FrameView], rig: RectifiedRig, caster: Caster
 ) -> Classes:
-    """(V,) classes of the vertices: what was measured was seen in light; the others are looked for."""
+    """(V,) classes of the vertices: measured ones were seen lit; the others are tested in every frame."""
     classes = np.full(len(surface.mesh.vertices), SEEN_LIT, dtype=np.uint8)
     unmeasured = np.flatnonzero(surface.views == 0)
     if len(unmeasured):

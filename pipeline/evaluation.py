@@ -63,7 +63,7 @@ def seen_and_lit(
     sequence: StereoSequence,
     min_frames: int = 1,
 ) -> Bools:
-    """(n,) true where a point of the true surface was seen and lit, in so many frames at least.
+    """(n,) true where a point of the true surface was seen and lit, in at least ``min_frames`` frames.
 
     mesh, p_G (n, 3), normal_G (n, 3) in the true G [m]; X_NG (F, 4, 4) true poses at the sequence's pairs.
     At most 60 frames are used, evenly spread.
@@ -74,7 +74,7 @@ def seen_and_lit(
     for k in np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).round().astype(int)):
         X_CG = inverse_pose(sequence.X_NC[k]) @ X_NG[k]
         left = sequence.read_left(int(k))[0]
-        # Points that have been seen often enough need no further test.
+        # Points seen often enough need no further test.
         candidate = np.flatnonzero(found < min_frames)
         lit = candidate[_bright(left, transform_points(X_CG, p_G[candidate]), sequence)]
         eye_G = inverse_pose(X_CG)[:3, 3]
@@ -169,7 +169,7 @@ def _mass_nees(
 ) -> dict[str, float | None]:
     """NEES of the five inertia parameters and of the centre of mass.
 
-    The estimate's G is held at the first frame, so the truth is expressed in G through the true state there.
+    The estimate's G is fixed at the first frame, so the truth is expressed in G through the true state there.
     """
     assert summary.inertia is not None
     R_GN = X_NG_first[:3, :3].T
@@ -255,7 +255,7 @@ def _mesh_metrics(
 def between_target_frames(X_NG: Array, X_NG_true: Array, centre_G: Array) -> Array:
     """X_G*G (4, 4): the estimate's G in the true one, averaged over the frames (F, 4, 4) each.
 
-    Rotations by their chordal mean; translations where ``centre_G``, the middle of the mesh, is carried to.
+    Rotations by their chordal mean; translations by the mean image of ``centre_G``, the centre of the mesh.
     """
     between = inverse_pose(X_NG_true) @ X_NG
     R = mean_rotation(between[:, :3, :3])
@@ -266,7 +266,7 @@ def between_target_frames(X_NG: Array, X_NG_true: Array, centre_G: Array) -> Arr
 def seen_truth(
     mesh: trimesh.Trimesh, X_NG_true: Array, sequence: StereoSequence, min_frames: int = 1
 ) -> Array:
-    """Points (n, 3) of the true surface, in the true G, that were seen and lit in so many frames."""
+    """Points (n, 3) of the true surface, in the true G, seen and lit in at least ``min_frames`` frames."""
     points, normals = sample_surface(mesh, SAMPLES)
     if len(sequence) != len(X_NG_true):
         raise InputError(f"{sequence.folder}: not the sequence of this run (other number of pairs)")

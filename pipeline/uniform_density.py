@@ -72,13 +72,13 @@ def _completed_com(mass: MassProperties, solid: Solid) -> Array:
 
 
 CLEAR_SIGMAS = 3.0
-"""A difference is significant from so many standard deviations on."""
+"""A difference is significant above this number of standard deviations."""
 MIN_LOG_RATIO = 0.03
 """Logarithm of the ratio of two moments of the mesh below which their axes are not distinguishable."""
 _MIN_SHARE, _MIN_DEG, _MIN_K = 0.005, 2.0, 0.02
 """How well a closed mesh determines its centre of volume (share of its size), axes and inertia ratios."""
 _MIN_LIDDED_SHARE = 0.3
-"""The volume of an open mesh is unknown if its openings, closed flat, leave a smaller share of its hull."""
+"""The volume of an open mesh is unknown if, its openings closed flat, it is a smaller share of its hull."""
 _MAX_DEG = 20.0
 _CAUSE = "mass is not spread evenly"
 _CAUSE_OPEN = "mass is not spread evenly, or the hull is not the body"
@@ -108,8 +108,8 @@ def check_physics(
     words = [f"compared with uniform density in the {solid.words}"]
     clear = other.volume_m3 > _MIN_LIDDED_SHARE * solid.volume_m3
     offset_G = _com_offset(mass, solid.com_G) if clear and known.com_P.any() else None
-    turns = known.axes_P & np.array([k[1] > MIN_LOG_RATIO, k[0] + k[1] > MIN_LOG_RATIO, k[0] > MIN_LOG_RATIO])
-    axes = _between(mass.R_GP, R_GP, turns) if clear else None
+    about = known.axes_P & np.array([k[1] > MIN_LOG_RATIO, k[0] + k[1] > MIN_LOG_RATIO, k[0] > MIN_LOG_RATIO])
+    axes = _between(mass.R_GP, R_GP, about) if clear else None
     differences = [
         value - uniform if flag and clear else None
         for value, uniform, flag in zip((mass.k1, mass.k2), k, (known.k1, known.k2), strict=True)
@@ -126,7 +126,7 @@ def check_physics(
         words.append(_com_words(mass, offset_G, com_sigma_m, least_m, bool(mesh.is_volume)))
     if axes is not None:
         axes_sigma_rad = _sigma_along(mass.cov_R_GP, axes.about_P)
-        closing = _between(R_GP, principal_axes(other.inertia)[1], turns)
+        closing = _between(R_GP, principal_axes(other.inertia)[1], about)
         least_deg = max(_MIN_DEG, float(np.rad2deg(closing.angle_rad)) if closing is not None else np.inf)
         words += _axes_words(axes, axes_sigma_rad, least_deg)
     words += _ratio_words(
@@ -151,7 +151,7 @@ def check_physics(
 
 
 def _lidded(mesh: trimesh.Trimesh) -> Solid:
-    """The mesh with every opening closed by a fan from its middle: another guess of the volume."""
+    """The mesh with every opening closed by a fan from its middle: another estimate of the volume."""
     vertices, faces = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)]
     count = len(mesh.vertices)
     for loop in boundary_loops(faces[0]):
@@ -175,7 +175,7 @@ def _com_offset(mass: MassProperties, com_G: Array) -> Array:
 
 def _com_sigma_m(mass: MassProperties, offset_G: Array) -> float:
     """Of the estimate along the offset. With one component undetermined no axis of G may have a finite
-    variance, so it is put together from those of P."""
+    variance, so it is computed from those of P."""
     if np.isfinite(mass.cov_com_G).all():
         return _sigma_along(mass.cov_com_G, offset_G)
     known = mass.identifiable.com_P
@@ -183,7 +183,7 @@ def _com_sigma_m(mass: MassProperties, offset_G: Array) -> float:
 
 
 def _sigma_along(covariance: Array, direction: Array) -> float:
-    """Along a direction (n,); what is undetermined has no part in it."""
+    """Along a direction (n,), without what is undetermined."""
     unit = direction / max(float(np.linalg.norm(direction)), 1e-300)
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     return float(np.sqrt(max(float(unit @ finite @ unit), 0.0)))
@@ -203,20 +203,19 @@ def _com_words(mass: MassProperties, offset_G: Array, sigma_m: float, volume_m: 
     )
 
 
-def _between(R_GP: Array, R_GP_other: Array, turns: Bools) -> _Axes | None:
-    """The smallest rotation between axes; ``turns`` (3,): about which axes both determine it.
+def _between(R_GP: Array, R_GP_other: Array, about: Bools) -> _Axes | None:
+    """The smallest rotation between axes; ``about`` (3,): the axes about which both determine it.
 
-    None: they do so about too few.
+    None: these are too few.
     """
-    if turns.all():
+    if about.all():
         found = np.array([log_so3(R_GP.T @ (R_GP_other * half_turn)) for half_turn in HALF_TURNS])
         angles = np.linalg.norm(found, axis=1)
         best = int(np.argmin(angles))
         return _Axes("axes", float(angles[best]), found[best] / max(float(angles[best]), 1e-300))
     for axis in range(3):
-        if np.delete(turns, axis).all():
-            mine, its = R_GP[:, axis], R_GP_other[:, axis]
-            across = R_GP.T @ np.cross(mine, its)
+        if np.delete(about, axis).all():
+            across = R_GP.T @ np.cross(R_GP[:, axis], R_GP_other[:, axis])
             angle = float(np.arcsin(min(float(np.linalg.norm(across)), 1.0)))
             return _Axes(f"axis {'xyz'[axis]}", angle, across / max(float(np.linalg.norm(across)), 1e-300))
     return None
@@ -231,7 +230,7 @@ def _axes_words(axes: _Axes, sigma_rad: float, volume_deg: float) -> list[str]:
         verb = "agree" if many else "agrees"
         return [f"the principal {axes.words} {verb} with the volume's within {least:.2g} deg"]
     return [
-        f"the principal {axes.words} {'are' if many else 'is'} turned by {angle_deg:.3g} deg from the "
+        f"the principal {axes.words} {'are' if many else 'is'} rotated by {angle_deg:.3g} deg from the "
         f"volume's (sigma {sigma_deg:.2g} deg; the volume's known to about {volume_deg:.2g} deg)"
     ]
 

@@ -1,4 +1,4 @@
-"""What planners need from a run: keep-out volume, speeds of the surface, the corridor of a docking point."""
+"""``polhode plan``: keep-out volume, speeds of the surface and the corridor of a docking point from a run."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.mapping.mesh_files import read_ply
 from polhode.mesh_metrics import distance_to_surface
-from polhode.pipeline.after_run.predict import last_body
+from polhode.pipeline.after_run.predict import last_body, undetermined_names
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.approach.corridor import Corridor, corridor
@@ -35,7 +35,7 @@ class Docking:
 
 @dataclass(frozen=True)
 class Plan:
-    """What was found, and what was left out and why."""
+    """The results, and what was left out and why."""
 
     horizon_s: float
     confidence: float
@@ -69,7 +69,7 @@ def surface_of(run: Path) -> SurfaceModel:
 
 
 def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Plan:
-    """Everything that the run allows; what it does not is named with the reason."""
+    """All parts that the run allows; the others are named with the reason."""
     if not (np.isfinite(options.horizon_s) and options.horizon_s > 0.0):
         raise InputError(f"--horizon {options.horizon_s:g}: give the seconds to look ahead, a number above 0")
     if not 0.5 <= options.confidence <= 0.999:
@@ -77,23 +77,22 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
     estimate, summary = final_estimate(run)
     left_out: dict[str, str] = {}
     notes = [*summary.warnings[:1]] if summary.status == "failed" else []
-    hidden = [name for name, words in summary.identifiable_detail.items() if words.startswith("not")]
-    if hidden:
-        words = ", ".join(hidden)
-        notes.append(f"The run does not determine {words}: the sampled motions are bounded by what was seen.")
+    if hidden := undetermined_names(summary):
+        names = ", ".join(hidden)
+        notes.append(f"The run does not determine {names}: the sampled motions agree with the observed one.")
     found, speed, surface = None, None, None
     motion = nominal_motion(estimate, np.concatenate([[0.0], member_times(estimate, options.horizon_s)]))
     try:
         surface = surface_of(run)
     except InputError as error:
         left_out["keepout"] = left_out["surface_speed"] = str(error)
-    odd = [] if docking is None else _docking_words(docking, surface, run)
+    doubts = [] if docking is None else _check_docking(docking, surface, run)
     if surface is not None:
         try:
             found = keep_out(surface, estimate, options)
         except ValueError as error:
             raise InputError(f"--members {options.members}: {error}") from None
-        notes += _coverage_words(found, summary)
+        notes += _describe_coverage(found, summary)
         mesh = surface.mesh
         speed = surface_speed(
             motion, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), estimate.last.covariance
@@ -102,7 +101,7 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
     if docking is None:
         left_out["corridor"] = "no --dock-point and --dock-axis"
     else:
-        notes += odd
+        notes += doubts
         path = corridor(
             motion, docking.point_G, docking.axis_G, docking.stand_off_m, np.deg2rad(docking.half_angle_deg)
         )
@@ -111,8 +110,8 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
     )
 
 
-def _docking_words(docking: Docking, surface: SurfaceModel | None, run: Path) -> list[str]:
-    """What is odd about the docking point. Raises InputError when it cannot be on the target."""
+def _check_docking(docking: Docking, surface: SurfaceModel | None, run: Path) -> list[str]:
+    """Doubts about the docking point and axis. Raises InputError for a point far from the target."""
     if surface is not None:
         points, what = np.asarray(surface.mesh.vertices), "surface"
     else:
@@ -126,13 +125,13 @@ def _docking_words(docking: Docking, surface: SurfaceModel | None, run: Path) ->
         if surface is not None
         else float(np.linalg.norm(points - docking.point_G, axis=1).min())
     )
-    place = " ".join(f"{x:g}" for x in docking.point_G)
-    words = f"--dock-point {place} is {away:.3g} m from the {what}, and the target is {size:.2g} m across"
+    point = " ".join(f"{x:g}" for x in docking.point_G)
+    distance = f"--dock-point {point} is {away:.3g} m from the {what}, and the target is {size:.2g} m across"
     if away > MAX_DOCK_DISTANCE * size:
-        raise InputError(f"{words}: give metres in G, the frame of mesh.ply")
+        raise InputError(f"{distance}: give metres in G, the frame of mesh.ply")
     found = []
     if away > DOUBTFUL_DOCK_DISTANCE * size:
-        found.append(f"{words}: the corridor belongs to a point off the target; is it in G, in metres?")
+        found.append(f"{distance}: the corridor belongs to a point off the target; is it in G, in metres?")
     if surface is not None:
         from polhode.mapping.visibility import Caster
 
@@ -143,13 +142,13 @@ def _docking_words(docking: Docking, surface: SurfaceModel | None, run: Path) ->
     return found
 
 
-def _coverage_words(found: KeepOut, summary: Summary) -> list[str]:
+def _describe_coverage(found: KeepOut, summary: Summary) -> list[str]:
     body = found.body
-    rims = f"open rims span {body.open_share:.1%} of its area"
-    words = [
+    rims = f"open boundaries span {body.open_share:.1%} of its area"
+    notes = [
         f"Keep-out applies to the convex hull of the mesh ({rims}), so concavities are filled."
         if body.covers == "hull"
         else f"Keep-out applies to the measured surface and what it encloses ({rims})."
     ]
     seen = summary.coverage.words if summary.coverage is not None else "the run does not say what was seen"
-    return [*words, f"Parts that protrude where nothing was seen are not covered: {seen}."]
+    return [*notes, f"Parts that protrude where nothing was seen are not covered: {seen}."]

@@ -44,7 +44,7 @@ from polhode.records import SurfaceModel
 SIDE_PX = 340
 VOLUME, NOW, END = (np.array(rgb) for rgb in ((0.27, 0.45, 0.72), (0.93, 0.93, 0.90), (0.95, 0.62, 0.25)))
 VEIL = 0.35
-"""How much of a body's colour the volume before it takes."""
+"""Opacity of the volume in front of a body."""
 SPEED_MAP = "viridis"
 
 _log = logging.getLogger(__name__)
@@ -141,7 +141,7 @@ def _mark(axes: Axes, view: MeshView, side: Direction, p: Array, half: float, te
     x, y = p @ side.right, p @ side.up
     u, v = (0.5 * SIDE_PX * (1.0 + float(each) / half) - 0.5 for each in (x, -y))
     row, column = (min(max(round(each), 0), SIDE_PX - 1) for each in (v, u))
-    # the depth counts from the plane through the middle, away from the eye
+    # the depth is measured from the plane through the centre, away from the eye
     depth = view.depth_m[row, column]
     if np.isfinite(depth) and -float(p @ side.eye) > depth + 0.03 * half:
         return

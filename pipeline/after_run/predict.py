@@ -167,15 +167,15 @@ def inertia_by_parameters(J_G: Array, form: InertiaForm) -> tuple[Array, Array]:
 
 
 def undetermined_components(last: Array, com_lost: Array, axes_lost: Array, states: Prediction) -> Array:
-    """Components (T, 12) that are expressed in what the run does not determine.
+    """Components (T, 12) that depend on what the run does not determine.
 
     last (12, 12) covariance of the last state, ``inf`` where undetermined; com_lost, axes_lost (3,) along P.
     """
     lost = np.tile(~np.isfinite(np.diagonal(last)), (len(states.time_s), 1))
-    # what is undetermined in the body turns with it
+    # undetermined directions of the body rotate with it
     lost[:, 0:3] = lost[:, 3:6] | (np.abs(states.R_NP[:, :, com_lost]) > MIN_POSITION_SHARE).any(axis=2)
     if axes_lost.sum() >= 2:
-        # the axes may even be exchanged: nothing expressed in them is known
+        # the axes may even be exchanged: nothing expressed in them is determined
         lost[:, 6:] = True
     elif axes_lost.any():
         rate = np.linalg.norm(states.w_P, axis=1, keepdims=True)

@@ -174,9 +174,9 @@ Rgb = NDArray[np.uint8]
 
 PANEL_PX, GAP_PX, HEAD_PX, FOOT_PX = 320, 8, 30, 54
 SIZE_PX = (3 * PANEL_PX + 2 * GAP_PX, HEAD_PX + PANEL_PX + FOOT_PX)
-"""(width, height), both even, as video codecs want them."""
+"""(width, height), both even, as video codecs require."""
 SPAN_GREY = 64.0
-"""Differences of this size and more have the full colour [grey levels]."""
+"""Differences of at least this size have the full colour [grey levels]."""
 STEPS = 64
 """Colours on either side of zero."""
 BAR_PX, BAR_INSET_PX = 140, 36
@@ -270,7 +270,7 @@ def _number(value: float, digits: int) -> str:
 
 @cache
 def _font(size_px: int) -> ImageFont.FreeTypeFont:
-    """The font that matplotlib brings along: the same picture on every machine."""
+    """The font that matplotlib ships: the same picture on every machine."""
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size_px)
 
 
@@ -282,7 +282,7 @@ GREYS, HUES = 48, 64
 
 @contextmanager
 def film(mp4: Path, gif: Path) -> Iterator[Callable[[Rgb], None]]:
-    """Yields what adds a picture (H, W, 3) of ``SIZE_PX``; both files appear when the block ends well.
+    """Yield a function that adds a picture (H, W, 3) of ``SIZE_PX``; the files appear if the block succeeds.
 
     Raises OSError when there is no encoder, ValueError when nothing was added.
     """
@@ -330,7 +330,7 @@ def _gif(images: Sequence[Image.Image]) -> bytes:
 
 
 def _palette() -> Image.Image:
-    """The colours that occur: those of the ground, greys, and the scale of the difference."""
+    """The colours that occur: the background, greys, and the scale of the difference."""
     grey = np.repeat(np.linspace(0, 255, GREYS).round().astype(np.uint8)[:, None], 3, axis=1)
     hues = signed_colours(np.linspace(-SPAN_GREY, SPAN_GREY, HUES), np.ones(HUES, dtype=bool))
     image = Image.new("P", (1, 1))

@@ -23,10 +23,10 @@ RUN_COLORS: tuple[str, ...] = (
     "#56b4e9",
     "#22303c",
 )
-"""Taken in turn."""
+"""Used cyclically."""
 NO_VALUE = "\u2013"
 OWN_FRAME = "centre of mass, "
-"""Rows in the frame G of one run say nothing beside another's."""
+"""Rows in the frame G of one run are not comparable with another's."""
 
 
 def write_comparison(folders: Sequence[Path], path: Path) -> None:
@@ -104,7 +104,7 @@ def _ratios(contents: Sequence[StoredRun]) -> list[Figure]:
 
 
 def _rates(contents: Sequence[StoredRun]) -> list[Figure]:
-    """The magnitude of the angular velocity: the same in every frame, so that runs can be laid together."""
+    """The magnitude of the angular velocity, which is independent of the frame and thus comparable."""
     data: list[Trace] = []
     for k, content in enumerate(contents):
         if content.motion is not None:

@@ -113,7 +113,7 @@ class SolverSummary(StrictModel):
     reduced_chi2: Variance
     message: str = ""
     runner_up: dict[str, Variance] = {}
-    """Cost of the other hypotheses, by name, minus that of the one chosen; null: did not end."""
+    """Cost of the other hypotheses, by name, minus that of the chosen one; null: did not converge."""
 
 
 class Noise(StrictModel):
@@ -128,7 +128,7 @@ class Noise(StrictModel):
 
 
 class UnknownPush(StrictModel):
-    """What unknown forces and torques did over steps that follow each other; pushes.csv has each step."""
+    """Effect of unknown forces and torques over consecutive steps; pushes.csv has each step."""
 
     start_s: Finite
     """Seconds since the first pair."""
@@ -143,7 +143,7 @@ class UnknownPush(StrictModel):
 
 
 class Assumed(StrictModel):
-    """What uniform density says; never mixed with the estimates. null: determined by the motion."""
+    """Mass properties at uniform density; never mixed with the estimates. null: determined by the motion."""
 
     words: list[str]
     """What was assumed, and where each number comes from."""
@@ -165,12 +165,12 @@ class MeshLevel(StrictModel):
     file: str
     faces: int
     largest_distance_m: Finite
-    """Largest distance between points of either mesh and the other, of those looked at."""
+    """Largest distance between sampled points of either mesh and the other."""
     mean_distance_m: Finite
 
 
 class Sun(StrictModel):
-    """The Sun, from how the turning surface brightens and darkens."""
+    """The Sun, from the changes of brightness of the rotating surface."""
 
     direction_N: Vector
     """Unit vector from the target towards the Sun."""
@@ -179,7 +179,7 @@ class Sun(StrictModel):
     explained: Finite
     """Share of the vertices' changes of brightness that Lambert's law explains."""
     frames_in_light: int
-    """Of the frames looked at, those in which the Sun shone."""
+    """Number of the evaluated frames in sunlight."""
 
 
 class Mesh(StrictModel):
@@ -192,7 +192,7 @@ class Mesh(StrictModel):
     holes_closed: int
     """Small holes that were closed; their faces are flagged as invented."""
     holes_left_open: int
-    """Small holes that frames looked through, or that no sound surface closes."""
+    """Small holes through which frames saw the background, or that no valid surface closes."""
     invented_faces: int
     invented_share: Finite
     """Of the area."""
@@ -201,10 +201,10 @@ class Mesh(StrictModel):
     grey_per_albedo: Finite
     """Grey of a vertex over the grey that it would show facing the Sun; 1 for intensity."""
     sun: Sun | None
-    """The light that fits best, used or not; null: nothing can be told."""
+    """The direction of light that fits best, used or not; null: undetermined."""
     levels: tuple[MeshLevel, ...]
     frames_doubtful: int = Field(0, ge=0)
-    """Frames whose poses the motion knows poorly against what their depth tells."""
+    """Frames whose poses are known less accurately by the motion than by their depth."""
     frames_aligned: int = Field(0, ge=0)
     """Of these, those that were aligned to the surface of the other frames."""
 
@@ -220,7 +220,7 @@ class Coverage(StrictModel):
     of: Literal["mesh", "hull"]
     """What the shares are of."""
     unseen_direction_G: Vector | None
-    """Unit vector around which the unseen part faces; null: none, or all around."""
+    """Mean direction that the unseen part faces; null: none, or all around."""
     words: str
 
 
@@ -228,7 +228,7 @@ class Physics(StrictModel):
     """The mesh at uniform density against the motion's mass properties; null: not determined."""
 
     words: list[str]
-    """What agrees and what differs; nothing is said about what the motion does not determine."""
+    """What agrees and what differs, among what the motion determines."""
     volume_m3: Finite
     com_uniform_G: Vector
     """[m]"""
@@ -238,7 +238,7 @@ class Physics(StrictModel):
     """Of the estimate, along the offset."""
     R_GP_uniform: Matrix
     axes_angle_deg: Finite | None
-    """Smallest rotation between the axes that are determined; half-turns are none."""
+    """Smallest rotation between the axes that are determined, up to half-turns."""
     axes_angle_sigma_deg: Variance
     k1_uniform: Finite
     k2_uniform: Finite
@@ -248,7 +248,7 @@ class Physics(StrictModel):
 
 
 class Summary(StrictModel):
-    """What a run found. Parts that a failed run did not reach are null."""
+    """The results of a run. Parts that a failed run did not reach are null."""
 
     schema_: Literal["polhode-summary/1"] = Field("polhode-summary/1", alias="schema")
     status: Status
@@ -265,7 +265,7 @@ class Summary(StrictModel):
     inertia: Inertia | None
     identifiable: Identifiable | None
     identifiable_detail: dict[str, str]
-    """Per direction, the reason in words."""
+    """Per direction, a description of the reason."""
     identifiable_components: IdentifiableComponents | None
     com_G: Vector | None
     """[m]"""
@@ -285,7 +285,7 @@ class Summary(StrictModel):
     coverage: Coverage | None = None
     """null: there is no mesh."""
     physics: Physics | None = None
-    """null: the mesh tells no volume."""
+    """null: the mesh encloses no volume."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ class Animation:
 
 @dataclass
 class _Buffer:
-    """The binary part, with the tables that tell where each array lies."""
+    """The binary part, with the tables of the arrays in it."""
 
     content: bytearray = field(default_factory=bytearray)
     views: list[dict[str, Any]] = field(default_factory=list)
@@ -132,7 +132,7 @@ def _attributes(
 
 
 def _tumble(buffer: _Buffer, animation: Animation, per_m: float, target: dict[str, Any]) -> dict[str, Any]:
-    """Channels of the target's node, which stands at its first pose; times are keys of both."""
+    """Channels of the target's node, which is at its first pose; both have the same key times."""
     wxyz = continuous_wxyz(wxyz_from_matrix(animation.X_NF[:, :3, :3]))
     xyzw = wxyz[:, [1, 2, 3, 0]].astype("<f4")
     place = (per_m * animation.X_NF[:, :3, 3]).astype("<f4")

@@ -61,7 +61,7 @@ def test_turned_axes_are_told_and_half_turns_are_none(example: Any) -> None:
         turned = replace(mass, R_GP=exp_so3([0.0, 0.0, np.deg2rad(10.0)]) * np.array(half_turn))
         found = check_physics(turned, surface_of(box()))
         assert found is not None and found.axes_angle_deg == pytest.approx(10.0, abs=1e-6)
-        assert "axes are turned by 10 deg" in sentence(found.words, "the principal axes")
+        assert "axes are rotated by 10 deg" in sentence(found.words, "the principal axes")
 
 
 def test_ratios_that_differ_are_told(example: Any) -> None:

@@ -65,7 +65,7 @@ class StateOut(StrictModel):
     v_N: Vector
     """[m/s]"""
     q_NP_wxyz: Row4
-    """Hamilton, scalar first; turns coordinates in P into those in N"""
+    """Hamilton, scalar first; rotates coordinates in P into those in N"""
     w_P: Vector
     """[rad/s]"""
     p_NF: Vector
@@ -98,7 +98,7 @@ class MassPropertiesOut(StrictModel):
     identifiable: dict[str, bool] | None
     """k1, k2, com, axes"""
     identifiable_detail: dict[str, str]
-    """Per direction, the reason in words"""
+    """Per direction, a description of the reason"""
 
 
 class InertialOut(StrictModel):
@@ -114,7 +114,7 @@ class InertialOut(StrictModel):
 
 
 class ShapeOut(StrictModel):
-    """Numbers of the mesh; the other formats hold the mesh itself."""
+    """Statistics of the mesh; the other formats contain the mesh itself."""
 
     vertices: int
     faces: int
