@@ -27,7 +27,7 @@ class OutOfTime(Exception):
 
 
 @dataclass(frozen=True)
-class SolverResult:
+class AdapterResult:
     """Where a solver stopped, in the common unknowns."""
 
     x: Array
@@ -203,6 +203,6 @@ class SolveMonitor:
 class Solver(Protocol):
     """One method; a new object for each solve. ``registry`` describes it without importing it."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Minimise from x (n,). Raises OutOfTime at the limit; any other error is a failed row."""
         ...

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2, mannwhitneyu, spearmanr
 
-from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, NoiseParts, fitted, nees
+from benchmarks.edges.tracking.calibrated_covariance import EdgeNoise, NoiseParts, fitted, nees
 from benchmarks.edges.tracking.residual import FEATURES, TRUSTED, probability
 from benchmarks.record import Case
 from polhode.lie import Array
@@ -191,7 +191,7 @@ def joined(spots: Sequence[Spot], keep: Any) -> tuple[NoiseParts, Array, Array]:
     return NoiseParts(take("parts"), take("sigma_px")), take("errors"), take("C")
 
 
-def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, NoiseLevels, NoiseLevels]:
+def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, EdgeNoise, EdgeNoise]:
     """Honesty of covariances on each body by what the others taught; the levels that all teach, and those
     without the image's residual.
     """

@@ -221,7 +221,7 @@ def _turned(state: Array, edges: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Errors:
+class PoseErrors:
     """Errors of estimates minus truth, (cases, 3) [m, m, rad]."""
 
     one_step: Array
@@ -240,14 +240,14 @@ def middles() -> Array:
     return np.asarray(HALF_HEIGHT_M * (1.0 - np.arange(1, MODELS + 1) / MODELS))
 
 
-def monte_carlo(edges: Array, cases: int, seed: Iterable[int], spread: float = 1.0) -> Errors:
+def monte_carlo(edges: Array, cases: int, seed: Iterable[int], spread: float = 1.0) -> PoseErrors:
     """Cases with their own noise and a priori, the latter ``spread`` times SPREAD from the truth."""
     rng = np.random.default_rng(list(seed))
     prior = TRUTH + spread * SPREAD * rng.normal(size=(cases, 3))
     measured = bearings(TRUTH, edges) + SIGMA_RAD * rng.normal(size=(cases, len(edges)))
     found = gauss_newton(prior, edges, measured)
     one_step = _error(linear_estimate(prior, edges, measured))
-    return Errors(one_step, _error(found.state), found.converged)
+    return PoseErrors(one_step, _error(found.state), found.converged)
 
 
 def _error(state: Array) -> Array:
@@ -256,14 +256,14 @@ def _error(state: Array) -> Array:
     return np.asarray(error)
 
 
-def six_models(cases: int, seed: int) -> tuple[Array, list[Errors]]:
+def six_models(cases: int, seed: int) -> tuple[Array, list[PoseErrors]]:
     """Diagonals of the metric at the truth (6, 3), and the errors for each model."""
     models = [model(middle) for middle in middles()]
     diagonal = np.array([np.diag(metric(TRUTH, edges)) for edges in models])
     return diagonal, [monte_carlo(edges, cases, (seed, k)) for k, edges in enumerate(models)]
 
 
-def mean_errors(errors: Sequence[Errors], one_step: bool = False) -> Array:
+def mean_errors(errors: Sequence[PoseErrors], one_step: bool = False) -> Array:
     """(models, 3) mean absolute errors."""
     return np.array([np.abs(each.one_step if one_step else each.converged).mean(axis=0) for each in errors])
 

@@ -98,7 +98,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrackerTrial:
     """Views of one body, as a tracker gets them."""
 
     mesh: trimesh.Trimesh
@@ -125,10 +125,10 @@ class Answer:
     """(V,) each: what else it tells of its pose"""
 
 
-Tracker = Callable[[Trial], Answer]
+Tracker = Callable[[TrackerTrial], Answer]
 
 
-def visp_answer(trial: Trial, settings: Settings | None = None) -> Answer:
+def visp_answer(trial: TrackerTrial, settings: Settings | None = None) -> Answer:
     """ViSP's poses, with the mesh's flat faces for a model. Raises NoVispError."""
     X_CG, covariance, statistics = visp_poses(
         polygons_of(trial.mesh), trial.rig, trial.images, trial.X_start, settings, trial.before
@@ -140,7 +140,7 @@ def visp_answer(trial: Trial, settings: Settings | None = None) -> Answer:
     return Answer(X_CG, lost, np.array(turned), statistics)
 
 
-def our_answer(trial: Trial, trusted: bool = False) -> Answer:
+def our_answer(trial: TrackerTrial, trusted: bool = False) -> Answer:
     """Our poses, with all edges of the mesh for a model."""
     model = edge_model(trial.mesh)
     X, lost, covariance = np.array(trial.X_start), np.zeros(len(trial.X_start), dtype=bool), []
@@ -268,7 +268,7 @@ class Options:
     seed: int = 0
 
 
-def trial_of(name: str, options: Options) -> tuple[Trial, Array]:
+def trial_of(name: str, options: Options) -> tuple[TrackerTrial, Array]:
     """Views of a body with starts, and the true X_CG (V, 4, 4)."""
     target, rig = edge_body(name, plain=not options.rich), edge_rig()
     views = EdgeViews(target, rig, options.seed)
@@ -281,7 +281,7 @@ def trial_of(name: str, options: Options) -> tuple[Trial, Array]:
             views.image(X, sun, options.views + k)
             for k, (X, sun) in enumerate(zip(X_start, suns, strict=True))
         ]
-    return Trial(target.mesh, rig, views.images(X_CG, suns), X_start, before), X_CG
+    return TrackerTrial(target.mesh, rig, views.images(X_CG, suns), X_start, before), X_CG
 
 
 HEAD = (

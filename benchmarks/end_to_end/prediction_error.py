@@ -29,7 +29,7 @@ SHOWN_S = (10.0, 30.0, 60.0)
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PredictionComparison:
     """A prediction beside what came."""
 
     time_s: Array
@@ -71,7 +71,7 @@ def main(
         print(f"{name}: {numbers}; inside three sigma {inside:.1%}")
 
 
-def compare(run: Path, sequence: Path, horizon_s: float) -> Comparison:
+def compare(run: Path, sequence: Path, horizon_s: float) -> PredictionComparison:
     """Predict and read what came. Raises InputError when the truth does not reach that far."""
     seen, prediction, truth = read_trajectory(run), predict_run(run, horizon_s), read_truth(sequence)
     estimate = States(seen.timestamps_ns, seen.r_N, seen.v_N, seen.R_NP, seen.w_P)
@@ -90,7 +90,7 @@ def compare(run: Path, sequence: Path, horizon_s: float) -> Comparison:
     q = continuous_wxyz(wxyz_from_matrix(came.R_NP))
     q_predicted = wxyz_from_matrix(R_NP)
     q_predicted *= np.sign(np.sum(q * q_predicted, axis=1, keepdims=True))
-    return Comparison(
+    return PredictionComparison(
         states.time_s,
         q_predicted,
         q,
@@ -101,7 +101,7 @@ def compare(run: Path, sequence: Path, horizon_s: float) -> Comparison:
     )
 
 
-def draw(found: Comparison, path: Path) -> None:
+def draw(found: PredictionComparison, path: Path) -> None:
     """Attitude, its error, the error of place."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt

@@ -40,7 +40,7 @@ HEAD = "scene | method | density | bad 1 px | at equal density | median px | in 
 
 
 @dataclass(frozen=True)
-class Errors:
+class DisparityErrors:
     """Of all asked pixels (n,) of a scene, in order of the pairs; NaN where the method gives none."""
 
     error: Floats
@@ -62,7 +62,7 @@ def all_methods(weights: Path | None) -> dict[str, Method]:
     return found
 
 
-def measure(folder: Path, method: Method, pairs: int | None) -> Errors:
+def measure(folder: Path, method: Method, pairs: int | None) -> DisparityErrors:
     """One method on the pairs of a sequence."""
     sequence = open_sequence(folder)
     rectifier = make_rectifier(sequence.calibration)
@@ -85,10 +85,12 @@ def measure(folder: Path, method: Method, pairs: int | None) -> Errors:
         errors.append(np.full(missed, np.nan, dtype=np.float32))
         if sigma is not None:
             sigmas.append(np.full(missed, np.nan, dtype=np.float32))
-    return Errors(np.concatenate(errors), np.concatenate(sigmas) if sigmas else None, seconds / max(count, 1))
+    return DisparityErrors(
+        np.concatenate(errors), np.concatenate(sigmas) if sigmas else None, seconds / max(count, 1)
+    )
 
 
-def row(scene: str, name: str, errors: Errors, peer_density: float) -> tuple[str, list[float]]:
+def row(scene: str, name: str, errors: DisparityErrors, peer_density: float) -> tuple[str, list[float]]:
     """A line of the table, and its numbers."""
     found = np.isfinite(errors.error)
     density = float(found.mean())

@@ -45,7 +45,7 @@ WARM = 3
 
 
 @dataclass(frozen=True)
-class Times:
+class FrameTimes:
     """Of so many frames: depth, fusion, meshing, finishing (4,) [s], on the wall's clock and of the core."""
 
     frames: int
@@ -79,7 +79,7 @@ def mass_of_nothing() -> MassProperties:
     )
 
 
-def measure(folder: Path, config: Config, voxel_m: float, most: int | None = None) -> Times:
+def measure(folder: Path, config: Config, voxel_m: float, most: int | None = None) -> FrameTimes:
     """The true poses bound the disparities, as the sparse map does in a run."""
     sequence, truth = open_sequence(folder), read_truth(folder)
     if truth.mesh is None:
@@ -103,7 +103,7 @@ def measure(folder: Path, config: Config, voxel_m: float, most: int | None = Non
     finished, _, _ = finish_surface(context, surface, X_RG, mass_of_nothing())
     wall_s, core_s = np.stack([depth, fusion, meshed - begin, now() - meshed]).T
     size = f"{rectifier.rig.width_px}x{rectifier.rig.height_px}"
-    return Times(count, size, wall_s, core_s, len(finished.mesh.faces))
+    return FrameTimes(count, size, wall_s, core_s, len(finished.mesh.faces))
 
 
 def main(

@@ -35,7 +35,7 @@ RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
 
 
 @dataclass(frozen=True)
-class Case:
+class FusionCase:
     """A solid, the edge of a voxel and how it is looked at."""
 
     voxel_m: float
@@ -44,7 +44,7 @@ class Case:
     memory_mib: float
 
 
-CASES = {"0.3 m": Case(1e-3, 0.5, 60, 1024.0), "10 m": Case(5e-3, 3.0, 300, 4096.0)}
+CASES = {"0.3 m": FusionCase(1e-3, 0.5, 60, 1024.0), "10 m": FusionCase(5e-3, 3.0, 300, 4096.0)}
 
 
 def solid(name: str) -> trimesh.Trimesh:
@@ -63,7 +63,12 @@ def solid(name: str) -> trimesh.Trimesh:
 
 
 def view(
-    mesh: trimesh.Trimesh, caster: Caster, place: Array, normal: Array, case: Case, rng: np.random.Generator
+    mesh: trimesh.Trimesh,
+    caster: Caster,
+    place: Array,
+    normal: Array,
+    case: FusionCase,
+    rng: np.random.Generator,
 ) -> tuple[DepthMap, Array]:
     """Depth from above a place of the surface, somewhat to the side, with the pose of the body."""
     away = normal + 0.4 * rng.normal(size=3)

@@ -70,7 +70,7 @@ LENGTHS = (
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredLength:
     """One line of the table [mm]."""
 
     name: str
@@ -81,7 +81,7 @@ class Measured:
     """of the face with fewer of them"""
 
 
-def measure(estimate: trimesh.Trimesh, truth: trimesh.Trimesh) -> list[Measured]:
+def measure(estimate: trimesh.Trimesh, truth: trimesh.Trimesh) -> list[MeasuredLength]:
     """All lengths on a mesh in the true frame G, both in metres."""
     true, found = Caster(truth), Caster(estimate)
     rows = []
@@ -92,7 +92,7 @@ def measure(estimate: trimesh.Trimesh, truth: trimesh.Trimesh) -> list[Measured]
         points = min(count for _, count in ends)
         known = points >= FEWEST
         rows.append(
-            Measured(
+            MeasuredLength(
                 length.name, true_mm, true_mm + sum(off for off, _ in ends) / MM if known else None, points
             )
         )
@@ -151,7 +151,7 @@ def in_true_frame(run: Path, folder: Path) -> tuple[trimesh.Trimesh, trimesh.Tri
     return mesh, truth.mesh
 
 
-def print_table(rows: list[Measured]) -> None:
+def print_table(rows: list[MeasuredLength]) -> None:
     """One line a length, and the mean of the errors."""
     print(f"{'length':<26}{'true mm':>9}{'mesh mm':>9}{'error mm':>10}{'points':>8}")
     errors = []

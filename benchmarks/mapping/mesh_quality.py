@@ -49,7 +49,7 @@ MAX_VERTICES = 15_000
 
 
 @dataclass(frozen=True)
-class Outcome:
+class MeshOutcome:
     """One line of the table."""
 
     name: str
@@ -172,7 +172,7 @@ def rebuild(
 
 def measure(
     folder: Path, run: Path | None, config: Config, save: Path | None, doubts: Doubts | None = None
-) -> Outcome:
+) -> MeshOutcome:
     """Rebuild one sequence's surface and compare it with the truth."""
     sequence, truth = open_sequence(folder), read_truth(folder)
     if truth.mesh is None:
@@ -196,7 +196,7 @@ def measure(
     )
     within, frames = within_sigma(mesh, surface.sigma_m, truth.mesh), len(sequence)
     name = folder.name if doubts is None else f"{folder.name}, {doubts.words}"
-    return Outcome(
+    return MeshOutcome(
         name, frames, metrics, thrice, within, len(mesh.vertices), depth_s / frames, fusion_s / frames, poses
     )
 
@@ -209,7 +209,7 @@ def within_sigma(mesh: trimesh.Trimesh, sigma_m: Array, truth: trimesh.Trimesh) 
     return float(np.mean(off < 1.0)), float(np.mean(off < 2.0))
 
 
-def print_table(outcomes: Iterable[Outcome]) -> None:
+def print_table(outcomes: Iterable[MeshOutcome]) -> None:
     """One line a sequence, as soon as it is known."""
     print(
         f"{'sequence':<22}{'frames':>7}{'accuracy':>10}{'completion':>11}{'chamfer':>9}{'hausdorff95':>12}"

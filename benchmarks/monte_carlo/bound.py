@@ -160,7 +160,7 @@ def _freedom(joint: Array, quantity: int) -> float:
 
 
 @dataclass(frozen=True)
-class Errors:
+class EstimateDeviation:
     """Estimate minus truth, half-turn resolved."""
 
     states: Array
@@ -181,7 +181,7 @@ class Errors:
         return np.array([*squares, self.com_G @ self.com_G, self.xi_true_G @ self.xi_true_G])
 
 
-def errors_of(estimate: MotionEstimate, sequence: SyntheticSequence, config: Backend) -> Errors:
+def errors_of(estimate: MotionEstimate, sequence: SyntheticSequence, config: Backend) -> EstimateDeviation:
     """Compare an estimate with the truth of its sequence."""
     truth, mass = sequence.truth, estimate.mass
     turn = HALF_TURNS[best_half_turn(estimate.R_NP, truth.R_NP)]
@@ -192,7 +192,7 @@ def errors_of(estimate: MotionEstimate, sequence: SyntheticSequence, config: Bac
     R_NG = estimate.R_NP[0] @ mass.R_GP.T
     between = sequence.X_NG[0, :3, :3].T @ R_NG
     J_true, form = truth.R_GP * truth.moments @ truth.R_GP.T, FORMS[config.inertia]
-    return Errors(
+    return EstimateDeviation(
         states,
         R_NG.T @ (estimate.r_N[0] - truth.r_N[0]),
         _difference(form, mass.J_G, between.T @ J_true @ between),
@@ -201,7 +201,7 @@ def errors_of(estimate: MotionEstimate, sequence: SyntheticSequence, config: Bac
     )
 
 
-def normalised_squares(errors: Errors, estimate: MotionEstimate) -> Array:
+def normalised_squares(errors: EstimateDeviation, estimate: MotionEstimate) -> Array:
     """(6,) mean normalised squared error over the frames under the estimate's own covariance.
 
     Expected: COMPONENTS. Not a number where a component is undetermined.

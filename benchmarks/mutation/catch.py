@@ -47,7 +47,7 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FaultOutcome:
     """What the tests said to one fault."""
 
     fault: Fault
@@ -78,7 +78,7 @@ def main(
     sys.exit(any(not outcome.caught_by for outcome in outcomes))
 
 
-def try_all(faults: list[Fault], tree: Path, folder: Path, jobs: int) -> list[Outcome]:
+def try_all(faults: list[Fault], tree: Path, folder: Path, jobs: int) -> list[FaultOutcome]:
     """Each fault in one of ``jobs`` copies of the tree."""
     free: SimpleQueue[Path] = SimpleQueue()
     for job in range(jobs):
@@ -87,7 +87,7 @@ def try_all(faults: list[Fault], tree: Path, folder: Path, jobs: int) -> list[Ou
         shutil.copytree(tree, copy, symlinks=True, ignore=lambda at, _: LEFT_OUT if Path(at) == tree else ())
         free.put(copy)
 
-    def attempt(fault: Fault) -> Outcome:
+    def attempt(fault: Fault) -> FaultOutcome:
         copy = free.get()
         try:
             outcome = try_one(fault, copy, tree)
@@ -101,11 +101,11 @@ def try_all(faults: list[Fault], tree: Path, folder: Path, jobs: int) -> list[Ou
         return list(pool.map(attempt, faults))
 
 
-def try_one(fault: Fault, copy: Path, tree: Path) -> Outcome:
+def try_one(fault: Fault, copy: Path, tree: Path) -> FaultOutcome:
     """Put the fault into the copy, run its tests, and take it out again."""
     begin, file = perf_counter(), place_of(fault, copy)
     if file is None:
-        return Outcome(fault, "", 0.0, "the piece of code does not occur exactly once: renew the fault")
+        return FaultOutcome(fault, "", 0.0, "the piece of code does not occur exactly once: renew the fault")
     code = file.read_text().replace(fault.old, fault.new)
     file.write_text(code)
     # callers elsewhere have compiled code of the function in the cache: recompile them
@@ -118,11 +118,11 @@ def try_one(fault: Fault, copy: Path, tree: Path) -> Outcome:
             shutil.rmtree(cache)
     failed = _FAILED.search(said)
     if failed is None:
-        return Outcome(fault, "", perf_counter() - begin, "" if " passed" in said else said[-300:])
+        return FaultOutcome(fault, "", perf_counter() - begin, "" if " passed" in said else said[-300:])
     name = failed.group(1)
     if " passed" not in run_tests(copy, (name.removeprefix("tests/"),), None):
-        return Outcome(fault, "", perf_counter() - begin, f"{name} fails without the fault too")
-    return Outcome(fault, name, perf_counter() - begin)
+        return FaultOutcome(fault, "", perf_counter() - begin, f"{name} fails without the fault too")
+    return FaultOutcome(fault, name, perf_counter() - begin)
 
 
 def place_of(fault: Fault, tree: Path) -> Path | None:
@@ -157,7 +157,7 @@ def run_tests(copy: Path, tests: Sequence[str], cache: str | None) -> str:
     return said
 
 
-def table(outcomes: list[Outcome]) -> str:
+def table(outcomes: list[FaultOutcome]) -> str:
     """In Markdown; a sentence at the end."""
     rows = []
     for outcome in outcomes:

@@ -75,7 +75,7 @@ def main(
         for wrong, gate in ((0.0, GATE), (WRONG, GATE), (WRONG, 1.0))
     ]
     compared = record.with_suffix(".filters.jsonl")
-    lines = complete(compared, cases, Compare(record), workers)
+    lines = complete(compared, cases, FilterComparison(record), workers)
     print(errors_table(lines))
     print(wrong_table(lines))
     print(tuning_table(lines))
@@ -116,7 +116,7 @@ class Poses:
         }
 
 
-class Compare:
+class FilterComparison:
     """Tune the filters and fly the test runs: mean squares, NEES and share of poses used, of each run."""
 
     def __init__(self, record: Path) -> None:

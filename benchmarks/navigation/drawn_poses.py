@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.edges.tracking.calibrated_covariance import NoiseParts
-from benchmarks.navigation.flights import Flight, sun_R
+from benchmarks.navigation.flights import SimulatedFlight, sun_R
 from benchmarks.navigation.found_pose import FoundPose, spread
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
@@ -39,7 +39,7 @@ class EdgeErrors:
 
 
 def drawn_poses(
-    course: Flight, model: EdgeModel, rig: RectifiedRig, seed: int
+    course: SimulatedFlight, model: EdgeModel, rig: RectifiedRig, seed: int
 ) -> tuple[list[FoundPose | None], list[FoundPose | None]]:
     """At each instant of a flight the usual pose, and one after a wrong convergence."""
     usual: list[FoundPose | None] = []

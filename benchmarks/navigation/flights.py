@@ -30,7 +30,7 @@ START_SIGMA = np.repeat([0.05, 0.005, np.deg2rad(3.0), np.deg2rad(0.2)], 3)
 
 
 @dataclass(frozen=True)
-class Flight:
+class SimulatedFlight:
     """One run's truth, at T instants."""
 
     target: Target
@@ -105,7 +105,7 @@ def inspector(scenario: str) -> tuple[Array, Array, Array, Array]:
     return accel, places, velocities, np.stack([right, np.cross(ahead, right), ahead], axis=2)
 
 
-def flight(scenario: str, body: str, seed: int) -> Flight:
+def flight(scenario: str, body: str, seed: int) -> SimulatedFlight:
     """A run: attitude, spin, disturbances and first error by the seed."""
     rng = np.random.default_rng([seed, 0xF11E])
     target = target_of(body)
@@ -126,7 +126,7 @@ def flight(scenario: str, body: str, seed: int) -> Flight:
         state = state.plus(np.linalg.cholesky(noise[0]) @ rng.standard_normal(12))
         states.append(state)
     start = states[0].plus(START_SIGMA * rng.standard_normal(12))
-    return Flight(target, states, R_NR, accel, start)
+    return SimulatedFlight(target, states, R_NR, accel, start)
 
 
 def sun_R(R_NR: Array) -> Array:

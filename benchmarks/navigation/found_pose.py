@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, NoiseParts
+from benchmarks.edges.tracking.calibrated_covariance import EdgeNoise, NoiseParts
 from benchmarks.navigation.pose_weights import TrackedPose
 from polhode.lie import Array
 from polhode.planning.edges.observability_metric import observable_covariance
@@ -26,7 +26,7 @@ class FoundPose:
     doubts: dict[str, float]
     """statistics that are larger on wrong poses"""
 
-    def tracked(self, levels: NoiseLevels, doubt: str, radius_m: float) -> TrackedPose:
+    def tracked(self, levels: EdgeNoise, doubt: str, radius_m: float) -> TrackedPose:
         """With the covariance of these levels, and one of the statistics."""
         scale = np.array([radius_m] * 3 + [1.0] * 3)
         covariance = levels.covariance(self.noise)[0] / np.outer(scale, scale)

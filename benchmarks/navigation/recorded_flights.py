@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import rankdata
 
-from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, NoiseParts, fitted, nees
+from benchmarks.edges.tracking.calibrated_covariance import EdgeNoise, NoiseParts, fitted, nees
 from benchmarks.navigation.error_state_filter import predict, update
-from benchmarks.navigation.flights import STEP_S, Flight, flight
+from benchmarks.navigation.flights import STEP_S, SimulatedFlight, flight
 from benchmarks.navigation.found_pose import from_line
 from benchmarks.navigation.pose_weights import (
     Calibrated,
@@ -48,7 +48,7 @@ UNITS = np.array([1e3, 1e3, 180.0 / np.pi, 180.0 / np.pi])
 class Run:
     """A flight with what was tracked at each instant; None where nothing was."""
 
-    flight: Flight
+    flight: SimulatedFlight
     poses: list[TrackedPose | None]
 
 
@@ -72,7 +72,7 @@ class Flown:
 class Belief:
     """How poses become tracked poses."""
 
-    levels: NoiseLevels
+    levels: EdgeNoise
     """of the calibrated covariance"""
     doubt: str
     """the statistic that tells wrong poses"""
@@ -147,12 +147,12 @@ def _area(statistic: Array, wrong: Bools) -> float:
     return float((rank[wrong].sum() - 0.5 * n * (n + 1)) / max(n * (len(rank) - n), 1))
 
 
-def _flight(case: Case) -> Flight:
+def _flight(case: Case) -> SimulatedFlight:
     return _cached_flight(case["scenario"], case["body"], case["seed"])
 
 
 @cache
-def _cached_flight(scenario: str, body: str, seed: int) -> Flight:
+def _cached_flight(scenario: str, body: str, seed: int) -> SimulatedFlight:
     return flight(scenario, body, seed)
 
 

@@ -13,7 +13,7 @@ from benchmarks.edges.tracking.calibrated_covariance import NoiseParts
 from benchmarks.edges.tracking.residual import probability, support
 from benchmarks.edges.tracking.tracker import TrackerOptions, TrackingResult, polarity, track
 from benchmarks.edges.views import EdgeViews, ViewOptions, edge_body
-from benchmarks.navigation.flights import Flight, sun_R
+from benchmarks.navigation.flights import SimulatedFlight, sun_R
 from benchmarks.navigation.found_pose import FoundPose, spread
 from polhode.camera import RectifiedRig
 from polhode.dataset_writer import write_png
@@ -32,7 +32,7 @@ FAR = np.repeat([0.06, np.deg2rad(6.0)], 3)
 
 
 def tracked_poses(
-    course: Flight, body: str, model: EdgeModel, rig: RectifiedRig, seed: int, folder: Path
+    course: SimulatedFlight, body: str, model: EdgeModel, rig: RectifiedRig, seed: int, folder: Path
 ) -> tuple[list[FoundPose | None], list[FoundPose | None]]:
     """At each instant the pose from a usual start, and from a bad one; None where the tracker gives none.
 

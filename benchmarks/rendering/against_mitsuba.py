@@ -43,7 +43,7 @@ EARTH_N = (-0.6, 0.5, -0.6)
 
 
 @dataclass(frozen=True)
-class Case:
+class RenderingCase:
     """What lights the deck."""
 
     name: str
@@ -54,17 +54,17 @@ class Case:
 
 
 CASES = (
-    Case("point Sun"),
-    Case("Sun of 0.533 deg", sun_diameter_deg=0.533),
-    Case("Sun of 5 deg", sun_diameter_deg=5.0),
-    Case("Earth alone", sun=0.0, earth=0.4),
-    Case("Sun, one bounce", sun_diameter_deg=0.533, bounces=1),
-    Case("Sun and Earth, one bounce", sun_diameter_deg=0.533, earth=0.15, bounces=1),
+    RenderingCase("point Sun"),
+    RenderingCase("Sun of 0.533 deg", sun_diameter_deg=0.533),
+    RenderingCase("Sun of 5 deg", sun_diameter_deg=5.0),
+    RenderingCase("Earth alone", sun=0.0, earth=0.4),
+    RenderingCase("Sun, one bounce", sun_diameter_deg=0.533, bounces=1),
+    RenderingCase("Sun and Earth, one bounce", sun_diameter_deg=0.533, earth=0.15, bounces=1),
 )
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ImageComparison:
     """Levels of both, and where they are compared."""
 
     ours: Array
@@ -101,7 +101,7 @@ HEAD = (
 )
 
 
-def compare(case: Case, width_px: int = 96, samples: int = 64) -> Comparison:
+def compare(case: RenderingCase, width_px: int = 96, samples: int = 64) -> ImageComparison:
     """Render the deck with both programs: ours with SAMPLES a pixel, Mitsuba's with ``samples``."""
     rig = config.Rig(width_px=width_px, height_px=width_px * 3 // 4, focal_px=1.15 * width_px)
     camera, _ = build_cameras(rig)
@@ -125,7 +125,7 @@ def compare(case: Case, width_px: int = 96, samples: int = 64) -> Comparison:
     truth = render_products(renderer, camera, np.eye(4), X_NG, ("depth", "normals", "shadow"))
     lit = minimum_filter(np.minimum(ours, theirs) > 1e-3, 2 * EDGE_PX + 1)
     edges = maximum_filter(_edges(truth, camera), 2 * EDGE_PX - 1)
-    return Comparison(ours, theirs, np.asarray(lit & ~edges), ours_s, theirs_s, few - theirs)
+    return ImageComparison(ours, theirs, np.asarray(lit & ~edges), ours_s, theirs_s, few - theirs)
 
 
 def _timed(image: Callable[[], Array]) -> tuple[Array, float]:
@@ -148,7 +148,7 @@ def _edges(truth: Products, camera: Camera) -> Bools:
     return edges
 
 
-def picture(comparison: Comparison) -> Image.Image:
+def picture(comparison: ImageComparison) -> Image.Image:
     """Ours, Mitsuba's, and the difference times ten around grey, side by side."""
     ours, theirs = (np.clip(level / FULL_SCALE, 0, 1) for level in (comparison.ours, comparison.theirs))
     panels = [ours, theirs, np.clip(0.5 + 10 * (ours - theirs), 0, 1)]

@@ -120,7 +120,7 @@ def main(seeds: Seeds = 1, short: Short = False, output: Png = None) -> None:
 
 
 @dataclass(frozen=True)
-class Times:
+class PhaseTimes:
     """Seconds, numbers of iterations, and the size of the problem."""
 
     frames: int
@@ -137,7 +137,7 @@ class Times:
     """Where Gauss-Newton and IPOPT end"""
 
 
-def measure(scene: SyntheticScene) -> Times:
+def measure(scene: SyntheticScene) -> PhaseTimes:
     """Time the parts on the measurements of a scene."""
     sequence, config = generate(scene, 0), Backend(solver="gauss_newton")
     data = motion_data(sequence.tracks, config)
@@ -152,7 +152,7 @@ def measure(scene: SyntheticScene) -> Times:
     by_ipopt = program.solve(fixed, x, ITERATIONS)
     end = start.moved_to(by_newton.x)
     weight = np.ones(len(data.frame))
-    return Times(
+    return PhaseTimes(
         scene.frames,
         data.n_landmarks,
         len(data.frame),
@@ -209,7 +209,7 @@ def exponent(sizes: Array, seconds: Array) -> float:
     return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
 
 
-def print_solvers(times: Times) -> None:
+def print_solvers(times: PhaseTimes) -> None:
     """The table of one problem, and how it compares with what was asked for."""
     print(f"\n{times.frames} frames, {times.landmarks} landmarks, {times.observations} observations\n")
     rows = [
@@ -229,7 +229,7 @@ def print_solvers(times: Times) -> None:
         print(f"{name}: {value:.2f}, goal at most {limit:g}{'' if value <= limit else ' *'}")
 
 
-def growth(frames: tuple[int, ...], landmarks: tuple[int, ...]) -> tuple[list[Times], list[Times]]:
+def growth(frames: tuple[int, ...], landmarks: tuple[int, ...]) -> tuple[list[PhaseTimes], list[PhaseTimes]]:
     """Times along both sizes, the other one that of the thesis."""
     return (
         [measure(replace(THESIS, frames=n)) for n in frames],
@@ -237,7 +237,7 @@ def growth(frames: tuple[int, ...], landmarks: tuple[int, ...]) -> tuple[list[Ti
     )
 
 
-def print_growth(over_frames: list[Times], over_landmarks: list[Times]) -> None:
+def print_growth(over_frames: list[PhaseTimes], over_landmarks: list[PhaseTimes]) -> None:
     """Rows of times, and the exponents."""
     rows = []
     for t in [*over_frames, *over_landmarks]:
@@ -252,7 +252,7 @@ def print_growth(over_frames: list[Times], over_landmarks: list[Times]) -> None:
         print(f"exponents over {name}: {found}")
 
 
-def curves(times: list[Times]) -> Array:
+def curves(times: list[PhaseTimes]) -> Array:
     """(3, n) seconds: an iteration of Gauss-Newton, one of IPOPT, the covariance."""
     rows = [
         (t.gauss_newton_s / t.gauss_newton_iterations, t.ipopt_s / t.ipopt_iterations, t.covariance_s)
@@ -261,7 +261,7 @@ def curves(times: list[Times]) -> Array:
     return np.array(rows).T
 
 
-def draw_growth(path: Path, over_frames: list[Times], over_landmarks: list[Times]) -> None:
+def draw_growth(path: Path, over_frames: list[PhaseTimes], over_landmarks: list[PhaseTimes]) -> None:
     """Both curves, with the exponents in the legend."""
     figure, panels = subplots(1, 2, (11.0, 4.4), sharey=True)
     names = ("Gauss-Newton, an iteration", "IPOPT, an iteration", "all covariances")
@@ -279,7 +279,9 @@ def draw_growth(path: Path, over_frames: list[Times], over_landmarks: list[Times
     save_figure(figure, path, 130)
 
 
-def _axes(over_frames: list[Times], over_landmarks: list[Times]) -> list[tuple[str, list[Times], Array]]:
+def _axes(
+    over_frames: list[PhaseTimes], over_landmarks: list[PhaseTimes]
+) -> list[tuple[str, list[PhaseTimes], Array]]:
     return [
         ("frames", over_frames, np.array([t.frames for t in over_frames], dtype=np.float64)),
         ("landmarks", over_landmarks, np.array([t.landmarks for t in over_landmarks], dtype=np.float64)),

@@ -20,7 +20,7 @@ from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.compare.solvers.ours import MonitoredGaussNewton
 from polhode.compare.solvers.thesis_methods import LogRatios, possible, wide_prior
 from polhode.lie import Array
@@ -37,14 +37,14 @@ class Ablation:
 
     variant: str
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """The variant's optimum, in the common unknowns."""
         if self.variant == "log_ratios":
             return _log_ratios(problem, x, monitor)
         if self.variant == "constant_noise":
             fixed = replace(problem.fixed, steps=_at_rest(problem))
             found = MonitoredGaussNewton(problem.data, monitor).solve_in_time(fixed, x, MAX_ITERATIONS)
-            return SolverResult(found.x, found.converged, found.iterations, found.message)
+            return AdapterResult(found.x, found.converged, found.iterations, found.message)
         return _open_loop(problem, x, monitor)
 
 
@@ -72,7 +72,7 @@ def _in_common(problem: MeasuredProblem, data: MotionData, around: Iterate, x: A
     return problem.vector(replace(at, xi=xi, R_inertia=R_inertia))
 
 
-def _log_ratios(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+def _log_ratios(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
     data = replace(problem.data, form=LogRatios())
     start = problem.iterate(x)
     xi, R_inertia = data.form.coordinates(start.second_moments(problem.data.form))
@@ -90,7 +90,7 @@ def _log_ratios(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> So
         before = found.cost
     body = "a possible body" if possible(begin.xi) else "an impossible body"
     end = _in_common(problem, data, begin, begin.vector())
-    return SolverResult(end, found.converged, total, f"{found.message}; {body}")
+    return AdapterResult(end, found.converged, total, f"{found.message}; {body}")
 
 
 def _around(fixed: LinearizationPoint, data: MotionData, at: Iterate) -> LinearizationPoint:
@@ -110,7 +110,7 @@ def passages(data: MotionData) -> tuple[Ints, Ints]:
     return new, np.array(old, dtype=np.int64)
 
 
-def _open_loop(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+def _open_loop(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
     data, at = problem.data, problem.fixed.reference
     new, old = passages(data)
     split = replace(data, landmark=new, start=np.searchsorted(new, np.arange(len(old) + 1)).astype(np.int64))
@@ -125,4 +125,4 @@ def _open_loop(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Sol
 
     found = MonitoredGaussNewton(split, monitor, common).solve_in_time(fixed, start, MAX_ITERATIONS)
     message = f"{found.message}; {data.n_landmarks} landmarks became {len(old)}"
-    return SolverResult(common(found.x), found.converged, found.iterations, message)
+    return AdapterResult(common(found.x), found.converged, found.iterations, message)

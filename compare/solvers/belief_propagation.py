@@ -9,7 +9,7 @@ import numpy as np
 
 from polhode.compare.problem.blocks import Block, Blocks, root_of_kernel
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.lie import Array
 
 Messages = tuple[Array, Array]
@@ -26,7 +26,7 @@ TOLERANCE, STATIONARY_ROUNDS = 1e-8, 20
 class BeliefPropagation:
     """Loopy, synchronous."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Rounds until the cost is stationary."""
         blocks = Blocks(problem.data, problem.fixed)
         messages = _Messages(blocks)
@@ -38,13 +38,13 @@ class BeliefPropagation:
             monitor.record(cost, x)
             monitor.check()
             if not np.isfinite(cost):
-                return SolverResult(x, False, count, "the messages diverged")
+                return AdapterResult(x, False, count, "the messages diverged")
             history.append(cost)
             past = history[-STATIONARY_ROUNDS - 1 :]
             if len(past) > STATIONARY_ROUNDS and abs(past[0] - cost) <= TOLERANCE * cost:
-                return SolverResult(x, True, count, "the cost is stationary")
+                return AdapterResult(x, True, count, "the cost is stationary")
             x = x + messages.round(factors)
-        return SolverResult(x, False, ROUNDS, "limit of rounds")
+        return AdapterResult(x, False, ROUNDS, "limit of rounds")
 
 
 class _Messages:

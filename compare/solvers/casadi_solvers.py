@@ -12,8 +12,8 @@ import numpy as np
 from polhode.backend.solvers.casadi_nlp import OPTIMAL
 from polhode.backend.solvers.ipopt import MESSAGES, MotionProgram, ProgramLayout
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
-from polhode.compare.solvers.casadi_program import Code, Dynamics, Formulation, Hessian, VariantProgram
+from polhode.compare.solver import AdapterResult, SolveMonitor
+from polhode.compare.solvers.casadi_program import Formulation, VariantProgram
 from polhode.lie import Array
 
 MAX_ITERATIONS, MAX_SQP_ITERATIONS = 500, 200
@@ -76,13 +76,13 @@ class Iterations(ca.Callback):
 class Shipped:
     """``backend.solvers.ipopt.MotionProgram``: weighted, Gauss-Newton Hessian, stereo in compiled loops."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Solve as the back end does, with its times read."""
         program = _MonitoredProgram(problem, monitor)
         found = program.solve(problem.fixed, x, MAX_ITERATIONS, max(monitor.left(), 0.1))
         monitor.seconds["evaluation"] += evaluation_s(program.stats)
         monitor.check()
-        return SolverResult(found.x, found.converged, found.iterations, found.message)
+        return AdapterResult(found.x, found.converged, found.iterations, found.message)
 
 
 class _MonitoredProgram(MotionProgram):
@@ -111,18 +111,12 @@ class _MonitoredProgram(MotionProgram):
         return call
 
 
-@dataclass
-class Variant:
-    """IPOPT on one formulation of the program (``casadi_program.Formulation``)."""
+class Variant(Formulation):
+    """IPOPT on one formulation of the program."""
 
-    hessian: Hessian = "gauss_newton"
-    dynamics: Dynamics = "weighted"
-    code: Code = "vm"
-
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Build, solve with the tolerances of the back end's program."""
-        formulation = Formulation(self.hessian, self.dynamics, self.code)
-        return _solve("ipopt", problem, formulation, x, monitor, _ipopt_options)
+        return _solve("ipopt", problem, self, x, monitor, _ipopt_options)
 
 
 def _ipopt_options(program: VariantProgram, derivatives: dict[str, Any], limit_s: float) -> dict[str, Any]:
@@ -137,7 +131,7 @@ class Sqp:
 
     qp: str = "osqp"
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Steps with a line search, to a small gradient or step."""
         return _solve("sqpmethod", problem, Formulation(), x, monitor, self._options)
 
@@ -169,7 +163,7 @@ def _solve(
     x: Array,
     monitor: SolveMonitor,
     options_of: Callable[[VariantProgram, dict[str, Any], float], dict[str, Any]],
-) -> SolverResult:
+) -> AdapterResult:
     """Build a formulation's program and solve it from x (n,) with a plugin of CasADi."""
     with TemporaryDirectory(prefix="polhode-compare-") as folder:
         with monitor.part("build"):
@@ -188,7 +182,7 @@ def _solve(
     status = str(stats["return_status"])
     end = np.asarray(result["x"]).ravel()[: program.n_x]
     converged = status in OPTIMAL if plugin == "ipopt" else bool(stats["success"])
-    return SolverResult(end, converged, int(stats["iter_count"]), MESSAGES.get(status, status))
+    return AdapterResult(end, converged, int(stats["iter_count"]), MESSAGES.get(status, status))
 
 
 def evaluation_s(stats: dict[str, Any]) -> float:

@@ -12,7 +12,7 @@ import pyceres
 
 from polhode.compare.problem.blocks import Blocks, Evaluation, SingleBlocks, compile_block, landmark_block
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.lie import Array
 
 TOLERANCE = 1e-10
@@ -26,7 +26,7 @@ class Ceres:
         """Load the compiled loop before the clock starts."""
         compile_block()
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Levenberg-Marquardt to a relative decrease of TOLERANCE."""
         with monitor.part("build"):
             graph = _Graph(problem, x, monitor)
@@ -53,7 +53,7 @@ class Ceres:
             monitor.check()
         spare = monitor.stop()
         cov = graph.covariance() if converged and spare else None
-        return SolverResult(end, converged, iterations, str(summary.message), cov)
+        return AdapterResult(end, converged, iterations, str(summary.message), cov)
 
 
 class _Graph:

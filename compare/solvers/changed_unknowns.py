@@ -16,7 +16,7 @@ from scipy.sparse.linalg import splu
 
 from polhode.compare.problem.blocks import Blocks, root_of_kernel, stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.compare.solvers.changed_inertia import KINDS, AghiliDynamics, ChangedInertia
 from polhode.lie import Array, hat, right_jacobian_so3
 
@@ -33,7 +33,7 @@ class ChangedUnknowns:
 
     unknowns: str = "rotation_vector"
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Until the relative decrease of an accepted step is below TOLERANCE."""
         blocks = Blocks(problem.data, problem.fixed)
         change = changes(self.unknowns, problem)
@@ -65,15 +65,15 @@ class ChangedUnknowns:
                     break
                 damping *= 10.0
                 if damping > MAX_DAMPING:
-                    return SolverResult(x, True, iterations, "no further decrease" + change.message(z))
+                    return AdapterResult(x, True, iterations, "no further decrease" + change.message(z))
             decrease, cost, z = cost - after, after, z + step
             damping = max(damping / 10.0, MIN_DAMPING)
             if iterations % RENEWED == 0:
                 # renews the reference of the axes; the other unknowns stay the same
                 z = to_z(to_x(z)[0])
             if decrease <= TOLERANCE * cost:
-                return SolverResult(to_x(z)[0], True, iterations, "converged" + change.message(z))
-        return SolverResult(to_x(z)[0], False, iterations, "limit of iterations" + change.message(z))
+                return AdapterResult(to_x(z)[0], True, iterations, "converged" + change.message(z))
+        return AdapterResult(to_x(z)[0], False, iterations, "limit of iterations" + change.message(z))
 
     @staticmethod
     def _cost(blocks: Blocks, change: "Change", z: Array) -> float:

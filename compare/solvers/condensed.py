@@ -11,7 +11,7 @@ from polhode.backend.solvers.casadi_nlp import OPTIMAL, ExternalFunction, ipopt_
 from polhode.backend.solvers.gauss_newton import GaussNewton, NormalEquations
 from polhode.backend.solvers.ipopt import MESSAGES, MotionProgram
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.compare.solvers.casadi_solvers import MAX_ITERATIONS, Iterations
 from polhode.lie import Array
 
@@ -102,7 +102,7 @@ class ReducedCost:
 class Condensed:
     """IPOPT over the reduced cost."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """With the tolerances of the back end's program."""
         with monitor.part("build"):
             reduced = ReducedCost(problem, x, monitor)
@@ -121,4 +121,4 @@ class Condensed:
         status = str(stats["return_status"])
         found = reduced.whole(np.asarray(result["x"]).ravel())
         monitor.check()
-        return SolverResult(found, status in OPTIMAL, int(stats["iter_count"]), MESSAGES.get(status, status))
+        return AdapterResult(found, status in OPTIMAL, int(stats["iter_count"]), MESSAGES.get(status, status))

@@ -10,7 +10,7 @@ from gtsam.symbol_shorthand import C, L, V, X
 from polhode.backend.dynamics.so3_exp import inverse_right_jacobians
 from polhode.compare.problem.blocks import Blocks, Evaluation, SingleBlocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 
 TOLERANCE = 1e-10
@@ -24,7 +24,7 @@ NOT_SEPARABLE = "GTSAM evaluates its stereo factors in C++ inside its own steps"
 class Batch:
     """Levenberg-Marquardt with Marquardt's scaling."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Until the relative decrease is below TOLERANCE."""
         monitor.not_separable = NOT_SEPARABLE
         with monitor.part("build"):
@@ -47,13 +47,13 @@ class Batch:
         values = optimizer.values()
         cov = _covariance(lambda: gtsam.Marginals(graph, values)) if monitor.stop() else None
         message = "converged" if converged else "limit of iterations"
-        return SolverResult(own.vector(values), converged, iterations, message, cov)
+        return AdapterResult(own.vector(values), converged, iterations, message, cov)
 
 
 class Incremental:
     """iSAM2: frames are added one by one, from the same start; then updates until the cost is stationary."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """The cost is recorded once all frames have been added."""
         monitor.not_separable = NOT_SEPARABLE
         with monitor.part("build"):
@@ -93,7 +93,7 @@ class Incremental:
             iterations += 1
             monitor.check()
         cov = _covariance(lambda: isam) if monitor.stop() else None
-        return SolverResult(
+        return AdapterResult(
             found, converged, iterations, "converged" if converged else "limit of updates", cov
         )
 

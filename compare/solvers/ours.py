@@ -12,7 +12,7 @@ from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.solve import PASS_TOLERANCE
 from polhode.compare.problem.assessment import reference_covariance
 from polhode.compare.problem.measured_problem import MeasuredProblem, inertia_around, with_form
-from polhode.compare.solver import OutOfTime, SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, OutOfTime, SolveMonitor
 from polhode.lie import Array
 
 MAX_ITERATIONS, PASS = 500, 12
@@ -79,7 +79,7 @@ class Ours:
 
     form: str = "second_moments"
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Solve in the form's own coordinates, repeatedly until the cost is stationary (as
         ``backend.solvers.solve.refine``). The reference rotation of a form is renewed every few iterations.
         """
@@ -101,7 +101,7 @@ class Ours:
             before = found.cost
         monitor.stop()
         cov = reference_covariance(problem, x) if common else None
-        return SolverResult(x, found.converged, total, found.message, cov)
+        return AdapterResult(x, found.converged, total, found.message, cov)
 
 
 def in_form(before: MeasuredProblem, after: MeasuredProblem, x: Array) -> Array:

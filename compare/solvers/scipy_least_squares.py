@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 
 from polhode.compare.problem.blocks import Block, Blocks, root_of_kernel, stacked
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.lie import Array
 
 TOLERANCE = 1e-11
@@ -19,7 +19,7 @@ UNREACHABLE = 1e30
 class TrustRegion:
     """Trust region reflective, steps by LSMR."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """With the kernel in the residuals: SciPy's own losses act on single numbers, not on vectors."""
         with monitor.part("build"):
             blocks = Blocks(problem.data, problem.fixed)
@@ -36,7 +36,7 @@ class TrustRegion:
             gtol=1e-6,
             max_nfev=MAX_EVALUATIONS,
         )
-        return SolverResult(found.x, found.status > 0, int(found.njev), " ".join(str(found.message).split()))
+        return AdapterResult(found.x, found.status > 0, int(found.njev), " ".join(str(found.message).split()))
 
 
 class _CachedBlocks:

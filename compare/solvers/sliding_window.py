@@ -15,7 +15,7 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.window import CameraNoise, FrameMeasurements, OnlineState, SlidingWindow
 from polhode.camera import RectifiedRig
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.compare.solvers.condensed import ReducedCost
 from polhode.config.backend import Backend, Window
 from polhode.lie import Array, inverse_pose, make_pose
@@ -29,7 +29,7 @@ class WindowLength:
 
     frames: str = "12"
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Each state when it left the window; those of ``x`` for frames whose pose was not found."""
         data, start = problem.data, problem.iterate(x)
         window = SlidingWindow(
@@ -64,7 +64,7 @@ class WindowLength:
         end = problem.vector(at)
         end[start.n_dense :] = x[start.n_dense :]
         message = f"{np.sum(~placed)} frames have no pose, the window restarted {restarts} times"
-        return SolverResult(with_landmarks(problem, end), True, data.n_frames, message)
+        return AdapterResult(with_landmarks(problem, end), True, data.n_frames, message)
 
 
 def settings_of(data: MotionData, frames: int) -> Backend:

@@ -31,7 +31,7 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import NormalEquations
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.compare.solvers.changed_inertia import of_log_ratios
 from polhode.compare.solvers.ours import MonitoredGaussNewton, TimedGaussNewton
 from polhode.lie import Array, exp_so3, hat, log_so3, right_jacobian_so3
@@ -49,7 +49,7 @@ MIN_FRAMES = 2
 class DynamicIsam:
     """Incremental batch smoothing."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """The last estimate; the message states how often the inertia was impossible."""
         data = replace(problem.data, form=LogRatios())
         start = problem.iterate(x)
@@ -87,7 +87,7 @@ class DynamicIsam:
         end = replace(at, xi=xi, R_inertia=R_inertia, R_torque=start.R_torque)
         frames = data.n_frames - MIN_FRAMES + 1
         message = f"the inertia was impossible in {impossible} of {frames} frames"
-        return SolverResult(problem.vector(end), True, steps, message)
+        return AdapterResult(problem.vector(end), True, steps, message)
 
 
 class _FixedLandmark(TimedGaussNewton):
@@ -237,7 +237,7 @@ MAX_ITERATIONS = 100
 class Odometry:
     """Bundle adjustment without dynamics, then least squares."""
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """One bundle adjustment, then rates, centre of mass and inertia."""
         data = problem.data
         solver = MonitoredGaussNewton(data, monitor, with_dynamics=False)
@@ -257,7 +257,7 @@ class Odometry:
         message = (
             "no possible inertia fits the rates: that of a sphere is taken" if J is None else found.message
         )
-        return SolverResult(problem.vector(motion), found.converged, found.iterations, message)
+        return AdapterResult(problem.vector(motion), found.converged, found.iterations, message)
 
 
 def straight_line(at: Iterate, time_s: Array) -> tuple[Array, Array]:

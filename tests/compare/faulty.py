@@ -4,7 +4,7 @@ import os
 import time
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.solver import SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.lie import Array
 
 
@@ -14,7 +14,7 @@ class Faulty:
     def __init__(self, how: str) -> None:
         self.how = how
 
-    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> SolverResult:
+    def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Never well."""
         if self.how == "hangs dumbly":
             monitor.record(1.0)
@@ -30,5 +30,5 @@ class Faulty:
         if self.how == "raises":
             raise ValueError("no such\nluck")
         if self.how == "nonsense":
-            return SolverResult(x * float("nan"), True, 1, "converged")
-        return SolverResult(x, True, 1, "converged")
+            return AdapterResult(x * float("nan"), True, 1, "converged")
+        return AdapterResult(x, True, 1, "converged")

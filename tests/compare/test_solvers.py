@@ -9,7 +9,7 @@ import pytest
 from polhode.compare.problem.assessment import AGREED, assess, reference_covariance, sigmas
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.registry import ABLATIONS, ENTRIES, entries
-from polhode.compare.solver import OutOfTime, SolveMonitor, SolverResult
+from polhode.compare.solver import AdapterResult, OutOfTime, SolveMonitor
 from polhode.compare.solvers.casadi_solvers import evaluation_s
 
 AGREEING = (
@@ -20,7 +20,7 @@ AGREEING = (
 BASELINES = ("odometry", "dynamic_isam")
 
 
-def solve(name: str, problem: MeasuredProblem, start: str = "cold", limit_s: float = 120.0) -> SolverResult:
+def solve(name: str, problem: MeasuredProblem, start: str = "cold", limit_s: float = 120.0) -> AdapterResult:
     x = problem.start(start, 0)
     before = x.copy()
     found = entries((name,))[0].load().solve(problem, x, SolveMonitor(limit_s))

@@ -38,7 +38,7 @@ STOPPED_EARLY = {"summary.json", "measurements.npz", "report.html", "config.yaml
 Capture = pytest.CaptureFixture[str]
 
 
-class Outcome:
+class MotionOutcome:
     """What a run left, and what it said."""
 
     def __init__(self, code: int, folder: Path, capture: Capture) -> None:
@@ -53,14 +53,14 @@ class Outcome:
         return any(words in warning for warning in self.warnings)
 
 
-Run = Callable[..., Outcome]
+Run = Callable[..., MotionOutcome]
 
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Capture) -> Run:
     """``polhode run`` on the measurements of a scene."""
 
-    def execute(scene: SyntheticScene, seed: int, *overrides: str) -> Outcome:
+    def execute(scene: SyntheticScene, seed: int, *overrides: str) -> MotionOutcome:
         put_in_place(generate(scene, seed), tmp_path / "sequence", monkeypatch)
         words = [
             "run",
@@ -71,12 +71,12 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Capture) -> Run:
             str(tmp_path / "run"),
         ]
         code = main([*words, "--runtime.workers", "1", *NO_PICTURES, *overrides])
-        return Outcome(code, tmp_path / "run", capfd)
+        return MotionOutcome(code, tmp_path / "run", capfd)
 
     return execute
 
 
-def assert_done(outcome: Outcome) -> None:
+def assert_done(outcome: MotionOutcome) -> None:
     """Exit code 0, a complete folder, the report's path at the end of the last line."""
     assert outcome.code == 0
     assert outcome.summary["status"] == "ok"
@@ -85,7 +85,7 @@ def assert_done(outcome: Outcome) -> None:
     assert not [line for line in outcome.errors if line.startswith("polhode: error")]
 
 
-def assert_failed(outcome: Outcome, files: set[str]) -> str:
+def assert_failed(outcome: MotionOutcome, files: set[str]) -> str:
     """Exit code 1, a folder with what was found, one line that names its report and the reason; that line."""
     assert outcome.code == 1
     assert outcome.summary["status"] == "failed"

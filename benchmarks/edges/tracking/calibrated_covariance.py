@@ -38,7 +38,7 @@ class NoiseParts:
 
 
 @dataclass(frozen=True)
-class NoiseLevels:
+class EdgeNoise:
     """Variances of the three kinds: floor + slope * residual_px^2."""
 
     floor_px2: tuple[float, float, float]
@@ -50,7 +50,7 @@ class NoiseLevels:
         return np.asarray(np.einsum("nk,nkij->nij", variance, noise.parts))
 
 
-LEVELS = NoiseLevels((0.0, 0.0, 0.0), (1.45, 0.0, 0.0))
+LEVELS = EdgeNoise((0.0, 0.0, 0.0), (1.45, 0.0, 0.0))
 """Of all plain bodies together, as benchmarks.observability prints them: on those images nothing is
 common to an edge."""
 
@@ -78,7 +78,7 @@ def parts_of(tracked: TrackingResult) -> NoiseParts:
     return NoiseParts(parts[None], np.array([tracked.sigma_px]))
 
 
-def fitted(noise: NoiseParts, errors: Array, with_image: bool = True) -> NoiseLevels:
+def fitted(noise: NoiseParts, errors: Array, with_image: bool = True) -> EdgeNoise:
     """Variances of greatest likelihood for errors (n, 6); without slopes if not ``with_image``."""
     scale = np.sqrt(np.median(errors**2, axis=0))
     parts = noise.parts / np.outer(scale, scale)
@@ -103,7 +103,7 @@ def fitted(noise: NoiseParts, errors: Array, with_image: bool = True) -> NoiseLe
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=[(-23.0, 5.0)] * count)
     variance = np.exp(found.x)
     slope = variance[3:] if with_image else np.zeros(3)
-    return NoiseLevels(_triple(variance[:3]), _triple(slope))
+    return EdgeNoise(_triple(variance[:3]), _triple(slope))
 
 
 def nees(errors: Array, covariance: Array) -> Array:

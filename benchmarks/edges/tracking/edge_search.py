@@ -29,7 +29,7 @@ MOST = 6
 
 
 @dataclass(frozen=True)
-class Candidates:
+class EdgeCandidates:
     """Edges of the image across m control points."""
 
     offset_px: Array
@@ -45,7 +45,7 @@ def as_levels(image: ArrayLike) -> Levels:
 
 def search(
     image: Levels, uv_px: Array, normal_px: Array, polarity: Ints, range_px: float, min_contrast: float
-) -> Candidates:
+) -> EdgeCandidates:
     """Edges within range_px of points (m, 2) along normals (m, 2), of at least a contrast [grey levels].
 
     polarity (m,): 1 where the light must grow along the normal, -1 where it must fall, 0 where either does.
@@ -57,7 +57,7 @@ def search(
     offset = np.full((len(uv_px), MOST), np.nan)
     contrast = np.zeros((len(uv_px), MOST))
     _extrema(response, polarity, STEP_PX, range_px, min_contrast, offset, contrast)
-    return Candidates(offset, contrast)
+    return EdgeCandidates(offset, contrast)
 
 
 def gradients(image: Levels, uv_px: Array) -> Array:

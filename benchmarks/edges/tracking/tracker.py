@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from benchmarks.edges.tracking.edge_search import Candidates, Levels, as_levels, search
+from benchmarks.edges.tracking.edge_search import EdgeCandidates, Levels, as_levels, search
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.planning.edges.edge_model import EdgeModel
@@ -212,14 +212,14 @@ def _view(model: EdgeModel, rig: RectifiedRig, X_RG: Array, wanted: TrackerOptio
     return _View(points, body_beside(points, model, rig, X_RG))
 
 
-def _measure(view: _View, grey: Levels, range_px: float, wanted: TrackerOptions) -> Candidates:
+def _measure(view: _View, grey: Levels, range_px: float, wanted: TrackerOptions) -> EdgeCandidates:
     points = view.points
     sign = polarity(view.beside) if wanted.dark_sky else np.zeros(len(points), dtype=np.int64)
     return search(grey, points.uv_px, points.normal_px, sign, range_px, wanted.min_contrast)
 
 
 def _fit(
-    found: Candidates, f: Array, length: Array, radius_m: float, wanted: TrackerOptions, max_px: float
+    found: EdgeCandidates, f: Array, length: Array, radius_m: float, wanted: TrackerOptions, max_px: float
 ) -> tuple[Array, bool]:
     """Step (6,) of the pose by iterated weighted least squares, and whether too few edges were found."""
     step = np.zeros(6)
@@ -238,7 +238,7 @@ def _fit(
     return step, False
 
 
-def _nearest(found: Candidates, at_px: Array) -> tuple[Array, Array]:
+def _nearest(found: EdgeCandidates, at_px: Array) -> tuple[Array, Array]:
     """Of the candidates of each point the one nearest to a place (m,) along its normal; its contrast."""
     away = np.where(np.isnan(found.offset_px), np.inf, np.abs(found.offset_px - at_px[:, None]))
     which = np.argmin(away, axis=1)

@@ -21,7 +21,7 @@ W_T = np.array([[[1.3, 0.0], [-0.4, 0.9]]])
 W_R = np.asarray(np.linalg.cholesky(np.eye(6) + 0.1 * np.ones((6, 6))), dtype=np.float64)[None]
 
 
-class Case:
+class ResidualCase:
     """Two states of ``size`` numbers, constants, a reference attitude each, and the camera's position."""
 
     def __init__(self, form: str, size: int, pushed: bool = False, seed: int = 3) -> None:
@@ -68,7 +68,7 @@ class Case:
 @pytest.mark.parametrize(("size", "pushed"), [(12, False), (18, False), (12, True)])
 @pytest.mark.parametrize("form", FORMS)
 def test_jacobian_matches_finite_differences(form: str, size: int, pushed: bool) -> None:
-    case, step = Case(form, size, pushed), 1e-6
+    case, step = ResidualCase(form, size, pushed), 1e-6
     residual, jacobian = case.jacobian(case.x)
     np.testing.assert_allclose(residual, case.residual(case.x), rtol=1e-12)
     columns = [(case.residual(case.x + step * e) - case.residual(case.x - step * e)) / (2.0 * step)
@@ -79,7 +79,7 @@ def test_jacobian_matches_finite_differences(form: str, size: int, pushed: bool)
 @pytest.mark.parametrize(("size", "pushed"), [(12, False), (18, False), (12, True), (18, True)])
 @pytest.mark.parametrize("form", FORMS)
 def test_it_is_the_residual_that_the_nonlinear_program_holds(form: str, size: int, pushed: bool) -> None:
-    case = Case(form, size, pushed)
+    case = ResidualCase(form, size, pushed)
     q01 = wxyz_from_matrix(case.R[0].T @ case.R[1])
     by_columns = [M.ravel(order="F") for M in (*case.R, case.R_ref)]
     whiten = [W_T[0, 0, 0], W_T[0, 1, 0], W_T[0, 1, 1], *W_R[0].ravel(order="F")]
@@ -101,9 +101,9 @@ def test_it_is_the_residual_that_the_nonlinear_program_holds(form: str, size: in
 
 
 def test_an_exact_camera_gives_the_same_residual_as_none() -> None:
-    noisy, x = Case("second_moments", 18), Case("second_moments", 18).x.copy()
+    noisy, x = ResidualCase("second_moments", 18), ResidualCase("second_moments", 18).x.copy()
     x[12:18] = x[30:36] = 0.0
-    plain = Case("second_moments", 12)
+    plain = ResidualCase("second_moments", 12)
     plain.R, plain.R_ref = noisy.R, noisy.R_ref
     short = np.concatenate([x[:12], x[18:30], x[36:]])
     np.testing.assert_allclose(noisy.residual(x), plain.residual(short), atol=1e-12)
@@ -111,7 +111,7 @@ def test_an_exact_camera_gives_the_same_residual_as_none() -> None:
 
 def test_a_common_error_of_the_camera_moves_the_target_as_a_rigid_whole() -> None:
     # the same shift of two stated positions cancels in the dynamics
-    case = Case("second_moments", 18)
+    case = ResidualCase("second_moments", 18)
     x = case.x.copy()
     x[12:18] = x[30:36] = 0.0
     shifted = x.copy()

@@ -15,7 +15,7 @@ from benchmarks.edges.visp_tracker import (
     Answer,
     NoVispError,
     Options,
-    Trial,
+    TrackerTrial,
     about_camera_axes,
     cao_text,
     our_answer,
@@ -156,5 +156,5 @@ def test_our_tracker_answers_the_same_question() -> None:
 def test_a_pose_that_our_statistic_does_not_trust_is_lost() -> None:
     trial, X_CG = trial_of("wedge", Options(views=2, seed=1))
     turned = X_CG @ make_pose(exp_so3([0.0, 0.0, np.pi]), np.zeros(3))
-    wrong = Trial(trial.mesh, trial.rig, trial.images, turned)
+    wrong = TrackerTrial(trial.mesh, trial.rig, trial.images, turned)
     assert our_answer(wrong, trusted=True).lost.all()

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from scipy.stats import chi2
 
-from benchmarks.edges.tracking.calibrated_covariance import NoiseLevels, noise_parts
+from benchmarks.edges.tracking.calibrated_covariance import EdgeNoise, noise_parts
 from benchmarks.navigation import recorded_flights
 from benchmarks.navigation.compare_filters import draw, errors_table, ratio, wrong_table
 from benchmarks.navigation.drawn_poses import EdgeErrors, drawn_pose
@@ -29,7 +29,7 @@ from polhode.planning.edges.observability_metric import edge_motion, moved, pose
 from polhode.planning.edges.visible_edges import control_points
 
 BODY = "satellite"
-TRUE_LEVELS = NoiseLevels((EdgeErrors.sigma_px**2, EdgeErrors.tau_px**2, 0.0), (0.0, 0.0, 0.0))
+TRUE_LEVELS = EdgeNoise((EdgeErrors.sigma_px**2, EdgeErrors.tau_px**2, 0.0), (0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.solvers.backend_size import PARTS, Clock, Times, draw_growth, exponent, measure, warm
+from benchmarks.solvers.backend_size import PARTS, Clock, PhaseTimes, draw_growth, exponent, measure, warm
 from polhode.compare.problem.sources import THESIS
 
 SMALL = replace(THESIS, frames=10, landmarks=150)
@@ -28,7 +28,8 @@ def test_both_solvers_are_timed_on_the_way_to_the_same_cost() -> None:
 
 def test_the_growth_is_drawn(tmp_path: Path) -> None:
     rows = [
-        Times(n, 10 * n, 50 * n, 1e-3 * n, 5, 3e-3 * n, 5, 0.1, 1e-5 * n**2, (1.0, 1.0)) for n in (10, 20)
+        PhaseTimes(n, 10 * n, 50 * n, 1e-3 * n, 5, 3e-3 * n, 5, 0.1, 1e-5 * n**2, (1.0, 1.0))
+        for n in (10, 20)
     ]
     draw_growth(tmp_path / "deep" / "growth.png", rows, rows)
     assert (tmp_path / "deep" / "growth.png").stat().st_size > 10_000

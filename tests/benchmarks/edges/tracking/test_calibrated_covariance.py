@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from benchmarks.edges.tracking.calibrated_covariance import (
-    NoiseLevels,
+    EdgeNoise,
     NoiseParts,
     fitted,
     nees,
@@ -62,7 +62,7 @@ def test_independent_noise_of_equal_weights_is_c_inverse() -> None:
 def test_the_covariance_is_that_of_the_noise(levels: tuple[float, float, float]) -> None:
     trials = [drawn_error(seed, levels) for seed in range(150)]
     noise = NoiseParts(np.array([parts for parts, _ in trials]), np.zeros(150))
-    covariance = NoiseLevels(levels, (0.0, 0.0, 0.0)).covariance(noise)
+    covariance = EdgeNoise(levels, (0.0, 0.0, 0.0)).covariance(noise)
     errors = np.array([error for _, error in trials])
     # noise of an edge as a whole has as many dimensions as edges in sight: at least six here
     assert np.mean(nees(errors, covariance)) == pytest.approx(6.0, abs=4.0 * np.sqrt(12.0 / 150))
@@ -82,7 +82,7 @@ def test_fitting_finds_the_levels() -> None:
 def test_slopes_follow_the_residual() -> None:
     parts, _ = drawn_error(1, (1.0, 0.0, 0.0))
     noise = NoiseParts(np.stack([parts, parts]), np.array([0.1, 0.2]))
-    small, large = NoiseLevels((0.0, 0.0, 0.0), (1.0, 0.5, 0.0)).covariance(noise)
+    small, large = EdgeNoise((0.0, 0.0, 0.0), (1.0, 0.5, 0.0)).covariance(noise)
     assert np.allclose(large, 4.0 * small)
 
 
