@@ -14,15 +14,15 @@ CODE: dict[str, tuple[str, ...]] = {
     "end_to_end": ("backend", "frontend", "mapping", "pipeline", "simulation", "polhode"),
     "frontend": ("frontend", "simulation", "polhode"),
     "mapping": ("frontend", "mapping", "simulation", "polhode"),
-    "monte_carlo": ("backend", "simulation/monte_carlo", "polhode"),
-    "solvers": ("backend", "compare", "simulation/monte_carlo", "polhode"),
+    "monte_carlo": ("backend", "simulation/monte_carlo.py", "polhode"),
+    "solvers": ("backend", "compare", "simulation/monte_carlo.py", "polhode"),
     "edges": ("planning/edges", "simulation", "polhode"),
-    "navigation": ("planning/edges", "planning/prediction", "benchmarks/edges", "simulation", "polhode"),
+    "navigation": ("planning/edges", "planning/prediction.py", "benchmarks/edges", "simulation", "polhode"),
     "planning": ("planning", "simulation", "polhode"),
     "rendering": ("simulation", "polhode"),
     "mutation": (*ALL, "cli", "tests"),
 }
-"""By topic: the folders whose changes make a stored result old, besides the topic's own folder."""
+"""By topic: the folders and files whose changes make a stored result old, besides the topic's own folder."""
 
 
 @dataclass(frozen=True)
