@@ -94,7 +94,7 @@ BENCHMARKS = (
     _of_runs("readme_picture", "end_to_end.readme_picture", "README.md", 1,
              "runs/ts38 data/ts38", "-o runs/overview.png"),
     _of_runs("keepout", "planning.keepout", "docs/planning.md", 60, _THREE),
-    _of_runs("keepout_truth", "planning.keepout_truth", "docs/planning.md", 20, _THREE),
+    _of_runs("keepout_truth", "planning.keepout", "docs/planning.md", 20, _THREE, "--truth"),
     _of_runs("collision_pieces", "planning.collision_pieces", "docs/exports.md", 30, "runs/ts38"),
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120),
     Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),

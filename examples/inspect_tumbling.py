@@ -31,7 +31,7 @@ from polhode.planning.approach.trajectory import (
 )
 from polhode.planning.keep_out.measured_body import sample_surface
 from polhode.planning.keep_out.volumes import InstantKeepOut, KeepOutOptions, keep_out
-from polhode.records import Truth
+from polhode.records import Ints, Truth
 from polhode.truth import read_truth
 
 RADIUS_M, MASS_KG, MAX_FORCE_N = 0.06, 4.5, 0.22
@@ -142,7 +142,7 @@ def separation(flight: Flight, truth: Truth) -> Array:
 
 
 def fly(
-    trajectory: ApproachTrajectory, truth: Truth, last_ns: Array, volume: InstantKeepOut, folder: Path
+    trajectory: ApproachTrajectory, truth: Truth, last_ns: Ints, volume: InstantKeepOut, folder: Path
 ) -> Flight:
     """Let MuJoCo move both; film it."""
     import mujoco

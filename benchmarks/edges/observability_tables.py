@@ -267,7 +267,7 @@ def wrong_table(lines: Sequence[Case]) -> str:
     statistics["C^-1 of the pose, as the metric has it (log determinant)"] = -np.array(metric)
     statistics["probability (all together)"] = probability(x[:, : len(FEATURES)])
     for name, value in statistics.items():
-        rows.append(f"| {name} | {_area(value[test & right], value[test & ~right]):.3f} |")
+        rows.append(f"| {name} | {roc_area(value[test], right[test]):.3f} |")
     near = (d < NEAR_RIGHT_PX) | (d > NEAR_WRONG_PX[0]) & (d < NEAR_WRONG_PX[1])
     near &= np.isin(body, order[1::2])
     close = d < NEAR_RIGHT_PX
@@ -280,9 +280,7 @@ def wrong_table(lines: Sequence[Case]) -> str:
         "|---|---:|",
     ]
     if (near & ~close).any():
-        rows += [
-            f"| {name} | {_area(v[near & close], v[near & ~close]):.3f} |" for name, v in statistics.items()
-        ]
+        rows += [f"| {name} | {roc_area(v[near], close[near]):.3f} |" for name, v in statistics.items()]
     rows += [
         "",
         "| start | converged | right | wrong, kept | wrong, refused | right, refused |",
@@ -314,8 +312,12 @@ def learned(x: Array, right: Bools) -> list[float]:
     return [round(float(v), 2) for v in minimize(loss, np.zeros(x.shape[1] + 1)).x]
 
 
-def _area(right: Array, wrong: Array) -> float:
-    return float(mannwhitneyu(right, wrong).statistic / (len(right) * len(wrong)))
+def roc_area(statistic: Array, positive: Bools) -> float:
+    """Probability that a positive one of (n,) has the larger statistic: area under the ROC curve."""
+    ours, others = statistic[positive], statistic[~positive]
+    if not len(ours) or not len(others):
+        return 0.0
+    return float(mannwhitneyu(ours, others).statistic / (len(ours) * len(others)))
 
 
 def plot(groups: Mapping[str, Sequence[Spot]], path: Path) -> None:

@@ -4,30 +4,30 @@
 
 Scenes: configs/ts38.yaml and configs/scenes/ unless named. Sequences go to data/, runs to runs/; what is
 there already is not made again, so an interrupted benchmark resumes. ``--again`` repeats the runs.
-``--features`` leaves out one of the two methods of the front end, or lets the second look always; those runs
-go to runs/rootsift_*, runs/polhode_* and runs/always_*.
+``--features`` leaves out one of the two methods of the front end, or makes the consistency check in every
+run; those runs go to runs/rootsift_*, runs/polhode_* and runs/always_*.
 
-First table: errors. Second: whether the sigmas are honest (normalised squared errors over their expectation;
-share of the states' components within three sigma), the prediction 30 s ahead, and what limits the answer.
+First table: errors. Second: whether the sigmas are consistent (normalised squared errors over their
+expectation; share of the states' components within three sigma), the prediction 30 s ahead, and what limits
+the answer.
 """
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from benchmarks.command import ROOT, command
+from benchmarks.command import DEFAULT, ROOT, command, polhode, simulated
+from benchmarks.presentation import Row, print_table
 
 HEAD = (
     "scene | position [mm] | velocity [mm/s] | w [deg/s] | attitude [deg] | error k1 (sigma) | "
     "error k2 (sigma) | com [mm] | chamfer [mm] (within 3 mm) | pairs | seconds"
 )
 
-HONESTY = (
+CONSISTENCY = (
     "scene | NEES r | v | attitude | w | inertia | com | within 3 sigma: r [%] | v | attitude | w | "
     "30 s ahead | limited by"
 )
@@ -53,11 +53,15 @@ def main(
         *sorted((ROOT / "configs/scenes").glob("*.yaml")),
     ]
     results = [(config.stem, *measure(config, again, features)) for config in chosen]
-    for head, row in ((HEAD, row_of), (HONESTY, honesty_row)):
-        print(f"\n| {head} |")
-        print("|" + "---|" * (head.count("|") + 1))
-        for name, metrics, summary in results:
-            print(failed_row(name, head, summary) if metrics is None else row(name, metrics, summary))
+    for head, row in ((HEAD, row_of), (CONSISTENCY, consistency_row)):
+        print()
+        print_table(
+            head,
+            (
+                failed_row(name, head, summary) if metrics is None else row(name, metrics, summary)
+                for name, metrics, summary in results
+            ),
+        )
     measured = [metrics for _, metrics, _ in results if metrics is not None]
     shares = [part for m in measured for part in m["coverage_3sigma"].values() if part is not None]
     print(f"\nWithin three sigma over {len(measured)} scenes: {sum(shares) / len(shares):.2%}")
@@ -69,39 +73,30 @@ def measure(
     """Simulate, run and evaluate one scene; metrics.json, None after a failure, and summary.json."""
     name = config.stem if features == "both" else f"{features}_{config.stem}"
     sequence, run = ROOT / "data" / config.stem, ROOT / "runs" / name
-    if not (sequence / "mav0").is_dir():
-        polhode("simulate", str(config), "-o", str(sequence))
+    simulated(config, sequence)
     if again or not (run / "summary.json").is_file():
         shutil.rmtree(run, ignore_errors=True)
         # a run that fails says so in summary.json
-        words = ["run", str(ROOT / "configs/default.yaml"), "--data", str(sequence), "-o", str(run)]
-        polhode(*words, *FEATURES[features], may_fail=True)
+        polhode("run", DEFAULT, "--data", sequence, "-o", run, *FEATURES[features], may_fail=True)
     if not (run / "summary.json").is_file():
         raise SystemExit(f"{config.stem}: the run left no summary.json")
     summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
     if not (run / "trajectory.csv").is_file():
         return None, summary
     if not (run / "metrics.json").is_file():
-        polhode("evaluate", str(run), str(sequence))
+        polhode("evaluate", run, sequence)
     return json.loads((run / "metrics.json").read_text(encoding="utf-8")), summary
 
 
-def polhode(*arguments: str, may_fail: bool = False) -> None:
-    """The program, as a user calls it."""
-    done = subprocess.run([sys.executable, "-m", "polhode", *arguments], cwd=ROOT, check=False)
-    if done.returncode > (1 if may_fail else 0):
-        raise SystemExit(done.returncode)
-
-
-def failed_row(name: str, head: str, summary: dict[str, Any]) -> str:
+def failed_row(name: str, head: str, summary: dict[str, Any]) -> Row:
     """A scene without a motion: its message in place of the numbers."""
-    return f"| {name} | failed: {summary['warnings'][0]} |" + " |" * (head.count("|") - 1)
+    return [name, f"failed: {summary['warnings'][0]}", *[""] * (head.count("|") - 1)]
 
 
-def row_of(name: str, metrics: dict[str, Any], summary: dict[str, Any]) -> str:
+def row_of(name: str, metrics: dict[str, Any], summary: dict[str, Any]) -> Row:
     """One scene as a row of the table."""
     mesh, known = metrics["mesh"], summary["identifiable"]
-    cells = [
+    return [
         name,
         f"{1e3 * metrics['rmse_position_m']:.3f}",
         f"{1e3 * metrics['rmse_velocity_m_s']:.3f}",
@@ -116,21 +111,19 @@ def row_of(name: str, metrics: dict[str, Any], summary: dict[str, Any]) -> str:
         f"{summary['frames_used']} of {summary['frames']}",
         f"{summary['timing_s']['total']:.0f}",
     ]
-    return "| " + " | ".join(cells) + " |"
 
 
-def honesty_row(name: str, metrics: dict[str, Any], summary: dict[str, Any]) -> str:
+def consistency_row(name: str, metrics: dict[str, Any], summary: dict[str, Any]) -> Row:
     """One scene as a row of the second table."""
     nees, coverage, noise = metrics["nees"], metrics["coverage_3sigma"], summary["noise"]
     ahead = metrics["prediction_error_deg"]["30"], metrics["prediction_error_m"]["30"]
-    cells = [
+    return [
         name,
         *(share(nees[key], components) for key, components in NEES.items()),
         *(percent(coverage[key]) for key in ("position", "velocity", "attitude", "angular_velocity")),
         "-" if ahead[0] is None else f"{ahead[0]:.2f} deg, {1e3 * ahead[1]:.2f} mm",
         limits(noise, summary),
     ]
-    return "| " + " | ".join(cells) + " |"
 
 
 def limits(noise: dict[str, Any], summary: dict[str, Any]) -> str:
@@ -159,7 +152,7 @@ def percent(value: float | None) -> str:
 
 
 def ratio(error: float, variance: float | None, known: bool) -> str:
-    """Error and sigma of an inertia ratio; the error of what the motion does not tell means nothing."""
+    """Error and sigma of an inertia ratio; the error of an undetermined ratio means nothing."""
     return f"{error:+.5f} ({variance**0.5:.5f})" if known and variance is not None else "not determined"
 
 

@@ -2,8 +2,7 @@
 
 In: configs/frontend_test/ and configs/depth_test/. Out: correct matches, motions, errors of disparity, times.
 
-    matching    features and matches of every method
+    matching    features and matches of every method: tables and figure
     disparity   dense disparity
     scenes      the scenes, and what the simulator knows of their features
-    tables      the tables and the figure of ``matching``
 """

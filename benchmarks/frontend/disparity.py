@@ -8,25 +8,23 @@ network. All get the same mask and the true range of disparities. What is counte
 target in direct sunlight that both cameras see. Sequences are rendered to data/depth_test/ when missing.
 
 Columns: density [%]; share of the found disparities off by more than 1 px [%], of all, and at the density of
-sgbm (the surest ones); median error [px]; share of errors within one and two sigma [%]; seconds of a core.
+sgbm (the most certain ones); median error [px]; share of errors within one and two sigma [%]; seconds of a
+core.
 """
 
-import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Annotated
 
-import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from tyro.conf import arg
 
-from benchmarks.command import ROOT, Short, command
+from benchmarks.command import ROOT, Short, command, simulated
+from benchmarks.presentation import print_table
 from polhode.config.frontend import Depth
 from polhode.dataset import open_sequence
 from polhode.frontend.disparity.depth import crop_disparity
@@ -90,27 +88,29 @@ def measure(folder: Path, method: Method, pairs: int | None) -> DisparityErrors:
     )
 
 
-def row(scene: str, name: str, errors: DisparityErrors, peer_density: float) -> tuple[str, list[float]]:
-    """A line of the table, and its numbers."""
+def row(errors: DisparityErrors, peer_density: float) -> list[float]:
+    """Numbers of the columns."""
     found = np.isfinite(errors.error)
     density = float(found.mean())
     bad = float(np.mean(errors.error[found] > 1.0))
     at_equal, within = bad, [float("nan"), float("nan")]
     if errors.sigma is not None:
         wanted = round(peer_density * len(errors.error))
-        surest = np.argsort(np.where(found, errors.sigma, np.inf), kind="stable")[:wanted]
+        most_certain = np.argsort(np.where(found, errors.sigma, np.inf), kind="stable")[:wanted]
         # A pixel that is missing at the peer's density counts as wrong.
-        at_equal = float(np.mean(~(errors.error[surest] <= 1.0)))
+        at_equal = float(np.mean(~(errors.error[most_certain] <= 1.0)))
         within = [float(np.mean(errors.error[found] < n * errors.sigma[found])) for n in (1.0, 2.0)]
     median = float(np.median(errors.error[found]))
-    numbers = [100 * density, 100 * bad, 100 * at_equal, median, *(100 * w for w in within), errors.seconds]
-    return _line(scene, name, numbers), numbers
+    return [100 * density, 100 * bad, 100 * at_equal, median, *(100 * w for w in within), errors.seconds]
 
 
-def _line(scene: str, name: str, numbers: list[float]) -> str:
+def _cells(scene: str, name: str, numbers: list[float]) -> list[str]:
     formats = ("{:.1f}", "{:.2f}", "{:.2f}", "{:.3f}", "{:.1f}", "{:.1f}", "{:.2f}")
-    cells = ["-" if np.isnan(x) else f.format(x) for f, x in zip(formats, numbers, strict=True)]
-    return "| " + " | ".join([scene, name, *cells]) + " |"
+    return [
+        scene,
+        name,
+        *("-" if np.isnan(x) else f.format(x) for f, x in zip(formats, numbers, strict=True)),
+    ]
 
 
 def _span(truth: TrueDisparity) -> tuple[float, float]:
@@ -119,14 +119,8 @@ def _span(truth: TrueDisparity) -> tuple[float, float]:
 
 def test_sequences() -> list[Path]:
     """The unseen scenes, rendered where they are missing."""
-    folders = []
-    for config in sorted((ROOT / "configs/depth_test").glob("*.yaml")):
-        folder = ROOT / "data/depth_test" / config.stem
-        if not (folder / "mav0/target0").is_dir():
-            command = [sys.executable, "-m", "polhode", "simulate", str(config), "-o", str(folder)]
-            subprocess.run(command, cwd=ROOT, check=True)
-        folders.append(folder)
-    return folders
+    configs = sorted((ROOT / "configs/depth_test").glob("*.yaml"))
+    return [simulated(config, ROOT / "data/depth_test" / config.stem) for config in configs]
 
 
 def main(
@@ -138,24 +132,26 @@ def main(
     weights: Annotated[Path | None, arg(help="Weights of the network; without it the shipped ones.")] = None,
 ) -> None:
     """Print the table."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
     compared = all_methods(weights)
     chosen = [name for name in compared if not methods or name in methods]
-    print(f"| {HEAD} |")
-    print("|" + "---|" * (HEAD.count("|") + 1))
+    folders = sequences or test_sequences()
+    print_table(HEAD, _rows(folders, compared, chosen, 1 if short else None))
+
+
+def _rows(
+    folders: Iterable[Path], compared: dict[str, Method], chosen: list[str], pairs: int | None
+) -> Iterator[list[str]]:
+    """One for each scene and method, then the means."""
     totals: dict[str, list[list[float]]] = {name: [] for name in chosen}
-    for folder in sequences or test_sequences():
-        pairs = 1 if short else None
+    for folder in folders:
         peer = measure(folder, compared["sgbm"], pairs)
         density = float(np.isfinite(peer.error).mean())
         for name in chosen:
             errors = peer if name == "sgbm" else measure(folder, compared[name], pairs)
-            text, numbers = row(folder.name, name, errors, density)
-            totals[name].append(numbers)
-            print(text, flush=True)
+            totals[name].append(row(errors, density))
+            yield _cells(folder.name, name, totals[name][-1])
     for name, rows in totals.items():
-        print(_line("mean", name, [float(x) for x in np.mean(rows, axis=0)]))
+        yield _cells("mean", name, np.mean(rows, axis=0).tolist())
 
 
 if __name__ == "__main__":

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.command import ROOT
-from benchmarks.end_to_end.scenes import polhode
+from benchmarks.command import ROOT, simulated
 from polhode.camera import RectifiedRig
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
@@ -43,11 +42,7 @@ def scene_names(short: bool = False) -> list[str]:
 
 def render(name: str) -> Path:
     """The sequence on disk, made if it is missing."""
-    folder = DATA / name
-    if not (folder / "mav0").is_dir():
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        polhode("simulate", str(CONFIGS / f"{name}.yaml"), "-o", str(folder))
-    return folder
+    return simulated(CONFIGS / f"{name}.yaml", DATA / name)
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,9 @@
 
 In: sequences with truth. Out: distances to the true surface, time, memory.
 
-    mesh_quality    distances and cost on several sequences
-    lengths         eight lengths of the free flyer
-    fusion_peers    our fusion against Open3D and COLMAP
-    colmap_fusion   depth maps as COLMAP reads them, its fusion and mesher
-    fusion_scale    memory and time of small and large bodies
-    frame_time      seconds a frame, by what is done
+    mesh_quality   distances and cost on several sequences
+    lengths        eight lengths of the free flyer
+    fusion_peers   our fusion against Open3D and COLMAP
+    fusion_scale   memory and time of small and large bodies
+    frame_time     seconds per frame, by step
 """

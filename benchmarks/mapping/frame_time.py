@@ -1,4 +1,4 @@
-"""Seconds of a clock on the wall that the dense model takes for each frame, by what is done.
+"""Wall-clock seconds of the dense model for each frame, by step.
 
     python -m benchmarks.mapping.frame_time [SEQ ...]          by default ts38 and asteroid, at voxels of 1 mm
     python -m benchmarks.mapping.frame_time --short            the shipped sample
@@ -21,11 +21,11 @@ from time import perf_counter, process_time
 from typing import Annotated
 
 import numpy as np
-import torch
 from tyro.conf import arg
 
-from benchmarks.command import Sequences, Short, command
+from benchmarks.command import DEFAULT, Configuration, Sequences, Short, command
 from benchmarks.mapping.mesh_quality import depth_maps, true_poses
+from benchmarks.presentation import numbers, print_table
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
@@ -61,7 +61,7 @@ def now() -> Array:
 
 
 def mass_of_nothing() -> MassProperties:
-    """A motion that tells nothing: the finishing compares the mesh with it in words alone."""
+    """A motion that determines nothing: the finishing compares the mesh with it only for its report."""
     none = np.zeros(3, dtype=bool)
     known = Identifiability(False, False, False, False, {}, none, none, np.full(8, np.inf))
     return MassProperties(
@@ -110,31 +110,26 @@ def main(
     sequences: Sequences = (),
     short: Short = False,
     voxel_mm: Annotated[float, arg(help="Edge of a voxel [mm].")] = 1.0,
-    config: Annotated[Path, arg(help="Configuration.")] = Path("configs/default.yaml"),
+    config: Configuration = DEFAULT,
 ) -> None:
-    """Command line."""
-    torch.set_num_threads(1)
+    """Print the table."""
     settings = load_config(config)
     folders = sequences or ([Path("sample")] if short else SEQUENCES)
     voxel_m = voxel_mm * 1e-3
     measure(folders[0], settings, voxel_m, WARM)
-    print(
-        f"{'sequence':<14}{'frames':>7}{'size':>10}{'voxel mm':>10}{'faces':>9}{'depth':>9}{'fusion':>9}"
-        f"{'meshing':>9}{'finishing':>11}{'total':>9}{'processor':>11}   limit {LIMIT_S} s"
+    head = (
+        "sequence | frames | size | voxel mm | faces | depth | fusion | meshing | finishing | total "
+        f"| processor | limit {LIMIT_S} s"
     )
-    for folder in folders:
-        t = measure(folder, settings, voxel_m)
-        parts, in_all, core = (
-            t.wall_s / t.frames,
-            t.wall_s[1:].sum() / t.frames,
-            t.core_s[1:].sum() / t.frames,
-        )
-        print(
-            f"{folder.name:<14}{t.frames:>7}{t.size:>10}{voxel_mm:>10.2f}{t.faces:>9}"
-            f"{parts[0]:>9.3f}{parts[1]:>9.3f}{parts[2]:>9.3f}{parts[3]:>11.3f}{in_all:>9.3f}{core:>11.3f}"
-            f"   {'met' if in_all <= LIMIT_S else 'missed'}",
-            flush=True,
-        )
+    print_table(head, (row(measure(folder, settings, voxel_m), folder.name, voxel_mm) for folder in folders))
+
+
+def row(t: FrameTimes, name: str, voxel_mm: float) -> list[object]:
+    """Seconds per frame, and whether the limit is met."""
+    total, core = t.wall_s[1:].sum() / t.frames, t.core_s[1:].sum() / t.frames
+    seconds = numbers((*(t.wall_s / t.frames), total, core), ".3f")
+    verdict = "met" if total <= LIMIT_S else "missed"
+    return [name, t.frames, t.size, f"{voxel_mm:.2f}", t.faces, *seconds, verdict]
 
 
 if __name__ == "__main__":

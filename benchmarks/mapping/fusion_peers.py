@@ -23,31 +23,157 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Annotated, Any
 
+import cv2
 import numpy as np
-import torch
 import trimesh
 from tyro.conf import arg
 
-from benchmarks.command import Sequences, Short, command
-from benchmarks.mapping.colmap_fusion import fuse_and_mesh, write_workspace
+from benchmarks.command import DEFAULT, Configuration, Sequences, Short, command
 from benchmarks.mapping.mesh_quality import depth_maps, true_poses
+from benchmarks.presentation import numbers, print_table
 from polhode.camera import RectifiedRig
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.frontend.rectification import make_rectifier
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose, wxyz_from_matrix
 from polhode.mapping.fusion.field import TRUNCATION_VOXELS, Field, choose_voxel_m, fuse
 from polhode.mesh_metrics import compare_surfaces
 from polhode.pipeline.evaluation import seen_truth
 from polhode.records import DepthMap
 from polhode.truth import read_truth
+
+_STEP_PX = 2
+"""Between the points whose differences make a normal."""
+_MARKS = 60
+"""Points of each frame that tell COLMAP which frames see the same."""
+_OCTREE = 10
+"""Depth: cells of a thousandth of the body"""
+_AGREE = 0.02
+"""Of the depth, within which another frame sees such a point."""
+
+
+def write_workspace(folder: Path, frames: list[tuple[DepthMap, Array]], rig: RectifiedRig) -> None:
+    """Images, sparse model, depth and normal maps of frames (depth, X_RG) as COLMAP reads them."""
+    for name in ("images", "sparse", "stereo/depth_maps", "stereo/normal_maps"):
+        (folder / name).mkdir(parents=True)
+    names = [f"{k:04d}.png" for k in range(len(frames))]
+    for name, (depth, _) in zip(names, frames, strict=True):
+        cv2.imwrite(str(folder / "images" / name), depth.intensity)
+        z = np.where(np.isfinite(depth.depth_m) & (depth.depth_m > 0), depth.depth_m, 0.0)
+        normals = normals_of(z, rig)
+        z = np.where(np.any(normals != 0.0, axis=2), z, 0.0)
+        _write_map(folder / "stereo" / "depth_maps" / f"{name}.geometric.bin", z[..., None])
+        _write_map(folder / "stereo" / "normal_maps" / f"{name}.geometric.bin", normals)
+    (folder / "stereo" / "fusion.cfg").write_text("".join(f"{name}\n" for name in names))
+    _write_model(folder / "sparse", names, frames, rig)
+
+
+def normals_of(z: Array, rig: RectifiedRig) -> Array:
+    """(H, W, 3) unit normals towards the camera, in its axes, of depth (H, W), 0 where unknown."""
+    v, u = np.mgrid[: z.shape[0], : z.shape[1]]
+    ray = np.stack(
+        [(u - rig.cx_px) / rig.focal_px, (v - rig.cy_px) / rig.focal_px, np.ones(z.shape)], axis=-1
+    )
+    inverse = np.where(z > 0, 1.0 / np.maximum(z, 1e-9), np.nan)
+    n, out = _STEP_PX, np.zeros((*z.shape, 3))
+    # 1/z is linear in the pixels of a plane, and its slope and value are the normal
+    du = np.full(z.shape, np.nan)
+    dv = du.copy()
+    du[:, n:-n] = (inverse[:, 2 * n :] - inverse[:, : -2 * n]) / (2 * n)
+    dv[n:-n] = (inverse[2 * n :] - inverse[: -2 * n]) / (2 * n)
+    f = rig.focal_px
+    normal = np.stack([du * f, dv * f, inverse - du * (u - rig.cx_px) - dv * (v - rig.cy_px)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    normal *= -np.sign(np.sum(normal * ray, axis=2, keepdims=True))
+    known = np.isfinite(normal).all(axis=2)
+    out[known] = normal[known]
+    return out
+
+
+def _write_map(path: Path, values: Array) -> None:
+    """(H, W, C): a line with the sizes, then floats, one channel after the other."""
+    h, w, c = values.shape
+    content = np.ascontiguousarray(values.transpose(2, 0, 1), dtype="<f4").tobytes()
+    path.write_bytes(f"{w}&{h}&{c}&".encode("ascii") + content)
+
+
+def _write_model(
+    folder: Path, names: list[str], frames: list[tuple[DepthMap, Array]], rig: RectifiedRig
+) -> None:
+    # COLMAP counts from the corner of a pixel
+    camera = f"{rig.focal_px} {rig.focal_px} {rig.cx_px + 0.5} {rig.cy_px + 0.5}"
+    (folder / "cameras.txt").write_text(f"1 PINHOLE {rig.width_px} {rig.height_px} {camera}\n")
+    seen: list[list[str]] = [[] for _ in frames]
+    points, number = [], 0
+    rng = np.random.default_rng(0)
+    for depth, X_RG in frames:
+        v, u = np.nonzero(np.isfinite(depth.depth_m) & (depth.depth_m > 0))
+        some = rng.permutation(len(v))[:_MARKS]
+        z = depth.depth_m[v[some], u[some]].astype(np.float64)
+        p_R = np.stack(
+            [(u[some] - rig.cx_px) / rig.focal_px * z, (v[some] - rig.cy_px) / rig.focal_px * z, z], 1
+        )
+        X_GR = inverse_pose(X_RG)
+        p_G = p_R @ X_GR[:3, :3].T + X_GR[:3, 3]
+        tracks: list[list[tuple[int, int]]] = [[] for _ in p_G]
+        for other, pixels in enumerate(_sights(frames, p_G, rig)):
+            for point, (column, row) in pixels.items():
+                tracks[point].append((other + 1, len(seen[other])))
+                seen[other].append(f"{column + 0.5} {row + 0.5} {number + point + 1}")
+        for point, track in enumerate(tracks):
+            at = " ".join(str(float(x)) for x in p_G[point])
+            points.append(
+                f"{number + point + 1} {at} 128 128 128 1 {' '.join(f'{i} {j}' for i, j in track)}\n"
+            )
+        number += len(p_G)
+    (folder / "points3D.txt").write_text("".join(points))
+    lines = []
+    for k, (name, (_, X_RG)) in enumerate(zip(names, frames, strict=True)):
+        q = " ".join(str(float(x)) for x in wxyz_from_matrix(X_RG[:3, :3]))
+        t = " ".join(str(float(x)) for x in X_RG[:3, 3])
+        lines.append(f"{k + 1} {q} {t} 1 {name}\n{' '.join(seen[k])}\n")
+    (folder / "images.txt").write_text("".join(lines))
+
+
+def _sights(
+    frames: list[tuple[DepthMap, Array]], p_G: Array, rig: RectifiedRig
+) -> list[dict[int, tuple[int, int]]]:
+    """For each frame, the points (n, 3) that its depth agrees with, and their pixels (column, row)."""
+    found = []
+    for depth, X_RG in frames:
+        p = p_G @ X_RG[:3, :3].T + X_RG[:3, 3]
+        u = np.rint(rig.focal_px * p[:, 0] / p[:, 2] + rig.cx_px).astype(int)
+        v = np.rint(rig.focal_px * p[:, 1] / p[:, 2] + rig.cy_px).astype(int)
+        h, w = depth.depth_m.shape
+        inside = (p[:, 2] > 0) & (u >= 0) & (u < w) & (v >= 0) & (v < h)
+        z = np.where(inside, depth.depth_m[np.where(inside, v, 0), np.where(inside, u, 0)], np.nan)
+        near = np.abs(z - p[:, 2]) < _AGREE * p[:, 2]
+        found.append({int(n): (int(u[n]), int(v[n])) for n in np.flatnonzero(near)})
+    return found
+
+
+def fuse_and_mesh(pycolmap: Any, folder: Path, least_pixels: int) -> Path:
+    """The mesh that COLMAP makes of a workspace: points on which ``least_pixels`` frames agree, then Poisson.
+
+    Of so few points its default, which trims what is sparser than an octree of depth 10, leaves nothing. So
+    nothing is trimmed, and the mesh is closed over what nobody saw, too.
+    """
+    options = pycolmap.StereoFusionOptions()
+    options.num_threads, options.min_num_pixels = 1, least_pixels
+    points, mesh = folder / "fused.ply", folder / "mesh.ply"
+    pycolmap.stereo_fusion(points, folder, input_type="geometric", output_type="ply", options=options)
+    poisson = pycolmap.PoissonMeshingOptions()
+    poisson.num_threads, poisson.depth, poisson.trim = 1, _OCTREE, 0.0
+    pycolmap.poisson_meshing(points, mesh, poisson)
+    return mesh
+
 
 SEQUENCES = [Path("data") / name for name in ("ts38", "asteroid", "major_axis", "specular_mli")]
 MIN_WEIGHT = 3.0
@@ -58,7 +184,7 @@ Method = Callable[[Frames, RectifiedRig, Config, float], tuple[trimesh.Trimesh, 
 
 
 class NotHereError(Exception):
-    """A peer that is not installed or does not run on this machine, in words."""
+    """A peer that is not installed or does not run on this machine."""
 
 
 def _ours(frames: Frames, rig: RectifiedRig, config: Config, voxel_m: float) -> tuple[trimesh.Trimesh, float]:
@@ -143,7 +269,6 @@ METHODS: dict[str, Method] = {
 
 def run_method(method: str, inputs: Path, output: Path) -> None:
     """One method in a process of its own: mesh and figures to ``output``."""
-    torch.set_num_threads(1)
     frames, rig, config, voxel_m = pickle.loads(inputs.read_bytes())
     run = METHODS[method]
     try:
@@ -177,8 +302,8 @@ def memory_mib(name: str) -> float:
     return next(float(line.split()[1]) for line in lines if line.startswith(f"{name}:")) / 1024.0
 
 
-def measure(folder: Path, config: Config) -> list[dict[str, Any]]:
-    """One row a method, of one sequence."""
+def measure(folder: Path, config: Config) -> Iterator[list[object]]:
+    """One row for each method, of one sequence."""
     sequence, truth = open_sequence(folder), read_truth(folder)
     if truth.mesh is None:
         raise SystemExit(f"{folder}: this sequence has no true surface")
@@ -188,88 +313,51 @@ def measure(folder: Path, config: Config) -> list[dict[str, Any]]:
     frames = list(zip(maps, X_RG, strict=True))
     voxel_m = choose_voxel_m([frame for frame, _ in frames[:5]], rectifier.rig, config.mapping)
     points = seen_truth(truth.mesh, X_NG, sequence, 3)
-    rows = []
     with TemporaryDirectory() as scratch:
         inputs, output = Path(scratch, "inputs"), Path(scratch, "output")
         inputs.write_bytes(pickle.dumps((frames, rectifier.rig, config, voxel_m)))
         for method in METHODS:
-            command = [
-                sys.executable,
-                "-m",
-                "benchmarks.mapping.fusion_peers",
-                "--worker",
-                method,
-                str(inputs),
-                str(output),
-            ]
-            subprocess.run(command, check=True, env=_one_core())
+            words = [sys.executable, "-m", "benchmarks.mapping.fusion_peers", "--worker", method]
+            subprocess.run([*words, str(inputs), str(output)], check=True, env=_one_core())
             found = pickle.loads(output.read_bytes())
-            row = {
-                "sequence": folder.name,
-                "frames": len(frames),
-                "voxel_mm": voxel_m * 1e3,
-                "method": method,
-            }
-            if "missing" in found:
-                rows.append(row | {"missing": found["missing"]})
-                continue
-            mesh = trimesh.Trimesh(found["vertices"], found["faces"], process=False)
-            metrics = compare_surfaces(mesh, truth.mesh, points)
-            rows.append(
-                row
-                | {
-                    "chamfer_mm": metrics.chamfer_mm,
-                    "accuracy_mm": metrics.accuracy_mm,
-                    "completion_mm": metrics.completion_mm,
-                    "within_3mm": metrics.completeness_3mm,
-                    "faces": len(mesh.faces),
-                    "frame_s": found["seconds"] / len(frames),
-                    "mib": found["mib"],
-                }
-            )
-    return rows
+            name = [folder.name, len(frames), f"{voxel_m * 1e3:.2f}", method]
+            yield [*name, *cells(found, truth.mesh, points, len(frames))]
+
+
+def cells(found: dict[str, Any], truth: trimesh.Trimesh, points: Array, frames: int) -> list[object]:
+    """Of the result of a method, or why there is none."""
+    if "missing" in found:
+        return [found["missing"], *[""] * 6]
+    mesh = trimesh.Trimesh(found["vertices"], found["faces"], process=False)
+    m = compare_surfaces(mesh, truth, points)
+    distances = numbers((m.chamfer_mm, m.accuracy_mm, m.completion_mm, m.completeness_3mm), ".3f")
+    return [*distances, len(mesh.faces), f"{found['seconds'] / frames:.4f}", f"{found['mib']:.0f}"]
 
 
 def _one_core() -> dict[str, str]:
     return os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "TBB_NUM_THREADS"), "1")
 
 
-def print_rows(rows: list[dict[str, Any]]) -> None:
-    """One line a method."""
-    for r in rows:
-        head = f"{r['sequence']:<16}{r['frames']:>7}{r['voxel_mm']:>10.2f}  {r['method']:<12}"
-        if "missing" in r:
-            print(f"{head}{r['missing']}", flush=True)
-            continue
-        print(
-            f"{head}{r['chamfer_mm']:>9.3f}{r['accuracy_mm']:>10.3f}{r['completion_mm']:>12.3f}"
-            f"{r['within_3mm']:>9.3f}{r['faces']:>10}{r['frame_s']:>12.4f}{r['mib']:>8.0f}",
-            flush=True,
-        )
-
-
 def main(
     sequences: Sequences = (),
     short: Short = False,
-    config: Annotated[Path, arg(help="Configuration.")] = Path("configs/default.yaml"),
+    config: Configuration = DEFAULT,
     worker: Annotated[
         tuple[str, str, str] | None,
         arg(metavar="METHOD IN OUT", help="One method; for the process of its own."),
     ] = None,
 ) -> None:
-    """Command line."""
+    """Measure and print the table."""
     if worker:
         run_method(worker[0], Path(worker[1]), Path(worker[2]))
         return
-    torch.set_num_threads(1)
     settings = load_config(config)
     folders = sequences or ([Path("sample")] if short else SEQUENCES)
-    print(
-        f"{'sequence':<16}{'frames':>7}{'voxel mm':>10}  {'method':<12}{'chamfer':>9}{'accuracy':>10}"
-        f"{'completion':>12}{'3 mm':>9}{'faces':>10}{'s/frame':>12}{'MiB':>8}"
+    head = (
+        "sequence | frames | voxel mm | method | chamfer | accuracy | completion | within 3 mm "
+        "| faces | s/frame | MiB"
     )
-    for folder in folders:
-        print_rows(measure(folder, settings))
+    print_table(head, (row for folder in folders for row in measure(folder, settings)))
 
 
 if __name__ == "__main__":

@@ -9,20 +9,19 @@ process of its own. Field: the blocks of voxels; peak: by how much the process's
 wait, the mesh and what makes it, exceeds what it held before.
 """
 
-import subprocess
-import sys
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
 from typing import Annotated
 
 import numpy as np
-import torch
 import trimesh
 from tyro.conf import arg
 
-from benchmarks.command import command
+from benchmarks.command import command, in_process
 from benchmarks.mapping.fusion_peers import memory_mib
+from benchmarks.presentation import print_table
 from polhode.camera import RectifiedRig
 from polhode.config.mapping import Mapping
 from polhode.lie import Array, inverse_pose, make_pose
@@ -94,8 +93,8 @@ def view(
     ), inverse_pose(X_GR)
 
 
-def measure(name: str, frames: int) -> str:
-    """One line of the table."""
+def measure(name: str, frames: int) -> list[object]:
+    """One row of the table."""
     case, mesh = CASES[name], solid(name)
     caster, rng = Caster(mesh), np.random.default_rng(0)
     places, normals = sample_surface(mesh, frames)
@@ -119,11 +118,10 @@ def measure(name: str, frames: int) -> str:
     peak = memory_mib("VmHWM") - before
     points, _ = sample_surface(surface.mesh, 20_000)
     off = distance_to_surface(mesh, points) / case.voxel_m
-    told = "; ".join(surface.warnings) or "none"
-    return (
-        f"{name:<8}{case.voxel_m * 1e3:>9.1f}{frames:>8}{field.bytes / 2**20:>11.0f}{peak:>10.0f}"
-        f"{len(surface.mesh.faces):>11}{np.mean(off):>17.2f}{seconds / frames:>11.3f}   {told}"
-    )
+    warnings = "; ".join(surface.warnings) or "none"
+    sizes = (f"{field.bytes / 2**20:.0f}", f"{peak:.0f}", len(surface.mesh.faces))
+    errors = (f"{np.mean(off):.2f}", f"{seconds / frames:.3f}", warnings)
+    return [name, f"{case.voxel_m * 1e3:.1f}", frames, *sizes, *errors]
 
 
 def main(
@@ -133,21 +131,13 @@ def main(
     ] = None,
 ) -> None:
     """Command line."""
-    torch.set_num_threads(1)
     if worker:
-        print(measure(*worker), flush=True)
+        print(json.dumps(measure(*worker)))
         return
-    print(
-        f"{'body':<8}{'voxel mm':>9}{'frames':>8}{'field MiB':>11}{'peak MiB':>10}{'faces':>11}"
-        f"{'error in voxels':>17}{'s/frame':>11}   warnings",
-        flush=True,
-    )
-    for name, case in CASES.items():
-        if short and name != "0.3 m":
-            continue
-        frames = 20 if short else case.frames
-        command = [sys.executable, "-m", "benchmarks.mapping.fusion_scale", "--worker", name, str(frames)]
-        subprocess.run(command, check=True)
+    frames = {"0.3 m": 20} if short else {name: case.frames for name, case in CASES.items()}
+    head = "body | voxel mm | frames | field MiB | peak MiB | faces | error in voxels | s/frame | warnings"
+    worker_module = "benchmarks.mapping.fusion_scale"
+    print_table(head, (in_process(worker_module, "--worker", *each) for each in frames.items()))
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import command
 from benchmarks.mapping.mesh_quality import run_poses, true_poses
+from benchmarks.presentation import print_table
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.lie import Array
@@ -151,23 +152,22 @@ def in_true_frame(run: Path, folder: Path) -> tuple[trimesh.Trimesh, trimesh.Tri
     return mesh, truth.mesh
 
 
-def print_table(rows: list[MeasuredLength]) -> None:
-    """One line a length, and the mean of the errors."""
-    print(f"{'length':<26}{'true mm':>9}{'mesh mm':>9}{'error mm':>10}{'points':>8}")
+def print_lengths(rows: list[MeasuredLength]) -> None:
+    """One line for each length, and the mean of the errors."""
+    cells: list[list[object]] = []
     errors = []
     for row in rows:
-        if row.found_mm is None:
-            print(f"{row.name:<26}{row.true_mm:>9.2f}{'not in the mesh':>19}{row.points:>8}")
-            continue
-        errors.append(abs(row.found_mm - row.true_mm))
-        print(
-            f"{row.name:<26}{row.true_mm:>9.2f}{row.found_mm:>9.2f}"
-            f"{row.found_mm - row.true_mm:>+10.2f}{row.points:>8}"
-        )
+        found = ["not in the mesh", ""]
+        if row.found_mm is not None:
+            errors.append(row.found_mm - row.true_mm)
+            found = [f"{row.found_mm:.2f}", f"{errors[-1]:+.2f}"]
+        cells.append([row.name, f"{row.true_mm:.2f}", *found, row.points])
+    print_table("length | true mm | mesh mm | error mm | points", cells)
     if errors:
+        size = np.abs(errors)
         print(
-            f"mean absolute error {np.mean(errors):.2f} mm, standard deviation {np.std(errors):.2f} mm, "
-            f"largest {np.max(errors):.2f} mm, of {len(errors)} lengths (thesis: 1.83, 1.13 mm)"
+            f"mean absolute error {size.mean():.2f} mm, standard deviation {size.std():.2f} mm, "
+            f"largest {size.max():.2f} mm, of {len(size)} lengths (thesis: 1.83, 1.13 mm)"
         )
 
 
@@ -176,14 +176,14 @@ def main(
     sequence: Positional[Path] = Path("data/ts38"),
     mesh: Annotated[Path | None, arg(help="A mesh in the true frame G instead of a run.")] = None,
 ) -> None:
-    """Command line."""
+    """Measure and print the table."""
     if mesh is not None:
         truth = read_truth(sequence).mesh
         if truth is None:
             raise SystemExit(f"{sequence}: this sequence has no true surface")
-        print_table(measure(read_ply(mesh).mesh, truth))
+        print_lengths(measure(read_ply(mesh).mesh, truth))
         return
-    print_table(measure(*in_true_frame(run, sequence)))
+    print_lengths(measure(*in_true_frame(run, sequence)))
 
 
 if __name__ == "__main__":

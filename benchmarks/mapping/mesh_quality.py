@@ -15,18 +15,18 @@ and seconds of one core a frame for depth and for fusion. ``--save FOLDER`` keep
 frame G.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
 from typing import Annotated
 
 import numpy as np
-import torch
 import trimesh
 from tyro.conf import arg
 
-from benchmarks.command import Sequences, command
+from benchmarks.command import DEFAULT, Configuration, Sequences, command
+from benchmarks.presentation import numbers, print_table
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
@@ -74,7 +74,7 @@ class Doubts:
     aligned: bool = False
 
     @property
-    def words(self) -> str:
+    def label(self) -> str:
         """For the table."""
         if self.shift_m == self.turn_rad == 0.0:
             return "exact"
@@ -108,7 +108,7 @@ def run_poses(run: Path) -> Array:
 
 
 def of_aligned(surface: SurfaceModel, X_RG: Array) -> str:
-    """How well the aligned poses hold against the true ones (F, 4, 4), in words."""
+    """Errors of the aligned poses against the true ones (F, 4, 4), as a sentence."""
     found = surface.aligned
     if found is None or len(found.frames) == 0:
         return ""
@@ -119,7 +119,7 @@ def of_aligned(surface: SurfaceModel, X_RG: Array) -> str:
         np.median(np.linalg.norm(part, axis=1)) for part in (error[:, :3] * 1e3, np.rad2deg(error[:, 3:]))
     )
     return (
-        f"  {len(found.frames)} of {found.doubtful} doubtful poses aligned: median error {mm:.2f} mm, "
+        f"{len(found.frames)} of {found.doubtful} doubtful poses aligned: median error {mm:.2f} mm, "
         f"{deg:.2f} deg; mean normalised squared error {squared.mean():.1f} (6 would be right)"
     )
 
@@ -144,7 +144,7 @@ def rebuild(
     doubts: Doubts | None = None,
     covariance_G: Array | None = None,
 ) -> tuple[SurfaceModel, float, float, str]:
-    """The surface from given poses, seconds for depth, seconds for fusion, words about aligned poses.
+    """The surface from given poses, seconds for depth, seconds for fusion, a sentence on aligned poses.
 
     points_G bound the disparity; covariance_G (F, 6, 6) of the poses, as ``mapping.fusion.fuse`` takes it.
     """
@@ -195,7 +195,7 @@ def measure(
         for least in (1, 3)
     )
     within, frames = within_sigma(mesh, surface.sigma_m, truth.mesh), len(sequence)
-    name = folder.name if doubts is None else f"{folder.name}, {doubts.words}"
+    name = folder.name if doubts is None else f"{folder.name}, {doubts.label}"
     return MeshOutcome(
         name, frames, metrics, thrice, within, len(mesh.vertices), depth_s / frames, fusion_s / frames, poses
     )
@@ -209,25 +209,13 @@ def within_sigma(mesh: trimesh.Trimesh, sigma_m: Array, truth: trimesh.Trimesh) 
     return float(np.mean(off < 1.0)), float(np.mean(off < 2.0))
 
 
-def print_table(outcomes: Iterable[MeshOutcome]) -> None:
-    """One line a sequence, as soon as it is known."""
-    print(
-        f"{'sequence':<22}{'frames':>7}{'accuracy':>10}{'completion':>11}{'chamfer':>9}{'hausdorff95':>12}"
-        f"{'within 3 mm':>12}{'seen thrice:':>13}{'95 %':>7}{'3 mm':>7}{'chamfer':>9}{'1 sigma':>9}{'2':>7}"
-        f"{'vertices':>10}{'depth s':>9}{'fusion s':>9}"
-    )
-    for o in outcomes:
-        m, t = o.metrics, o.seen_thrice
-        print(
-            f"{o.name:<22}{o.frames:>7}{m.accuracy_mm:>10.3f}{m.completion_mm:>11.3f}{m.chamfer_mm:>9.3f}"
-            f"{m.hausdorff95_mm:>12.2f}{m.completeness_3mm:>12.3f}"
-            f"{t.completion_mm:>13.3f}{t.hausdorff95_mm:>7.2f}{t.completeness_3mm:>7.3f}{t.chamfer_mm:>9.3f}"
-            f"{o.within_sigma[0]:>9.2f}{o.within_sigma[1]:>7.2f}"
-            f"{o.vertices:>10}{o.depth_s:>9.3f}{o.fusion_s:>9.3f}",
-            flush=True,
-        )
-        if o.poses:
-            print(o.poses, flush=True)
+def row(o: MeshOutcome) -> list[object]:
+    """Of the table."""
+    m, t = o.metrics, o.seen_thrice
+    distances = (m.accuracy_mm, m.completion_mm, m.chamfer_mm, m.hausdorff95_mm, m.completeness_3mm)
+    thrice = (t.completion_mm, t.hausdorff95_mm, t.completeness_3mm, t.chamfer_mm)
+    shares, seconds = numbers(o.within_sigma, ".2f"), numbers((o.depth_s, o.fusion_s), ".3f")
+    return [o.name, o.frames, *numbers((*distances, *thrice), ".3f"), *shares, o.vertices, *seconds, o.poses]
 
 
 def main(
@@ -236,13 +224,12 @@ def main(
     doubtful: Annotated[
         tuple[float, float] | None, arg(metavar="MM DEG", help="Errors of every third pose.")
     ] = None,
-    config: Annotated[Path, arg(help="Configuration.")] = Path("configs/default.yaml"),
+    config: Configuration = DEFAULT,
     save: Annotated[Path | None, arg(help="Folder for the meshes.")] = None,
 ) -> None:
-    """Command line."""
+    """Measure and print the table."""
     if runs and len(runs) != len(sequences):
         raise SystemExit("--runs needs one run for each sequence")
-    torch.set_num_threads(1)
     settings = load_config(config)
     jobs = list(zip(sequences, runs or [None] * len(sequences), strict=True))
     doubts: list[Doubts | None] = [None]
@@ -255,7 +242,14 @@ def main(
             Doubts(*wrong, True, True),
             Doubts(0.0, 0.0, False),
         ]
-    print_table(measure(sequence, run, settings, save, each) for sequence, run in jobs for each in doubts)
+    head = (
+        "sequence | frames | accuracy | completion | chamfer | hausdorff95 | within 3 mm "
+        "| seen thrice: completion | 95 % | 3 mm | chamfer | 1 sigma | 2 | vertices | depth s | fusion s "
+        "| poses"
+    )
+    print_table(
+        head, (row(measure(sequence, run, settings, save, each)) for sequence, run in jobs for each in doubts)
+    )
 
 
 if __name__ == "__main__":

@@ -1,20 +1,18 @@
-"""Does a filter that weighs tracked poses by the metric follow a tumbling target better than others.
+"""Does a filter that weighs tracked poses by the metric follow a tumbling target better than others?
 
     python -m benchmarks.navigation.compare_filters [--source drawn tracked] [--short] [--plot FILE]
                                                       [--record FILE]
 
-Three filters, alike but for how they weigh a pose: all alike; all alike if enough edges were found; by the
-calibrated covariance of its view. Poses are `drawn` from the tracker's linear model (drawn_poses.py) or
-`tracked` in rendered images (tracked_poses.py), the same for all filters. Factors and thresholds are chosen
+Three filters, which differ in the weights of poses: constant; constant if enough edges were found; by the
+calibrated covariance of its view. Poses are `drawn` from the tracker's linear model  or
+`tracked` in rendered images , the same for all filters. Factors and thresholds are chosen
 on training runs of other seeds. Intervals: 95 %, bootstrap over runs. NEES is over its 12 degrees of freedom.
-What was measured before is read from the record.
 """
 
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter
@@ -22,19 +20,21 @@ from tyro.conf import arg
 
 from benchmarks.command import Record, Workers, command
 from benchmarks.navigation.flights import RIG, SCENARIOS, body_mesh, flight, instants
+from benchmarks.navigation.found_poses import drawn_poses, tracked_poses
 from benchmarks.navigation.recorded_flights import (
     FILTERS,
     PARTS,
     SETTLED_S,
     UNITS,
-    believed,
+    calibrate,
     fly,
     runs_of,
     tune,
 )
-from benchmarks.presentation import save_figure
+from benchmarks.presentation import markdown_table, numbers, save_figure, subplots
 from benchmarks.record import Case, complete
 from polhode.lie import Array
+from polhode.planning.edges.edge_model import edge_model
 
 RECORD = Path("runs/navigation_filter.jsonl")
 BODY = "satellite"
@@ -64,7 +64,7 @@ def main(
     if short:
         runs, training, source, scenario = 3, 2, ("drawn",), SCENARIOS[:1]
     settings: list[Case] = [
-        {"source": source, "scenario": scenario, "body": body} for source in source for scenario in scenario
+        {"source": one, "scenario": each, "body": body} for one in source for each in scenario
     ]
     poses = [case for setting in settings for case in seeds(setting, runs, training)]
     complete(record, poses, Poses(record.with_suffix(".images")), workers)
@@ -79,7 +79,7 @@ def main(
     print(errors_table(lines))
     print(wrong_table(lines))
     print(tuning_table(lines))
-    print(belief_table(lines))
+    print(calibration_table(lines))
     if plot:
         draw(lines, plot)
 
@@ -97,18 +97,13 @@ class Poses:
 
     def __call__(self, case: Case) -> dict[str, Any]:
         """Poses by `FoundPose.line`, or None."""
-        from polhode.planning.edges.edge_model import edge_model
 
         course = flight(case["scenario"], case["body"], case["seed"])
         model = edge_model(body_mesh(case["body"]))
         if case["source"] == "tracked":
-            from benchmarks.navigation.tracked_poses import tracked_poses
-
             folder = self.images / case["body"] / case["scenario"] / str(case["seed"])
             usual, bad = tracked_poses(course, case["body"], model, RIG, case["seed"], folder)
         else:
-            from benchmarks.navigation.drawn_poses import drawn_poses
-
             usual, bad = drawn_poses(course, model, RIG, case["seed"])
         return {
             "poses": [pose and pose.line() for pose in usual],
@@ -128,14 +123,14 @@ class FilterComparison:
         gate = case["gate"] if case["gate"] < 1.0 else None
         cases = seeds(setting, case["runs"], case["training"])
         test, training = cases[: case["runs"]], cases[case["runs"] :]
-        belief, told = believed(self.record, training)
-        tuned = tune(runs_of(self.record, training, case["wrong"], belief), gate)
-        runs = runs_of(self.record, test, case["wrong"], belief)
+        calibration, statistics = calibrate(self.record, training)
+        tuned = tune(runs_of(self.record, training, case["wrong"], calibration), gate)
+        runs = runs_of(self.record, test, case["wrong"], calibration)
         found: dict[str, Any] = {
             "tuning": tuned.numbers,
-            "levels": [*belief.levels.floor_px2, *belief.levels.slope],
-            "doubt": belief.doubt,
-            "told": told,
+            "levels": [*calibration.levels.floor_px2, *calibration.levels.slope],
+            "doubt": calibration.statistic,
+            "told": statistics,
         }
         for name, weighting in tuned.weightings.items():
             flown = [fly(run, weighting, gate) for run in runs]
@@ -164,50 +159,49 @@ def squares(line: Case, name: str, part: int) -> Array:
 
 def errors_table(lines: Iterable[Case]) -> str:
     """Root mean square errors of the three filters, and the calibrated one's over the others'."""
-    rows = [
-        "| poses | scenario | bad | gate | error | "
-        + " | ".join(FILTERS)
-        + " | over fixed | over gated | better than fixed, gated |",
-        "|---|---|---:|---:|---|---:|---:|---:|---:|---:|---:|",
-    ]
+    head = (
+        *("poses", "scenario", "bad", "gate", "error"), *FILTERS,
+        *("over fixed", "over gated", "better than fixed, gated"),
+    )  # fmt: skip
+    rows: list[list[object]] = []
     for line in lines:
-        case = line["case"]
-        head = f"| {case['source']} | {case['scenario']} | {case['wrong']:.0%} | {_gate(case)} | "
-        for part, (name, unit) in enumerate(zip(PARTS, UNITS, strict=True)):
+        name = _name(line["case"])
+        for part, (quantity, unit) in enumerate(zip(PARTS, UNITS, strict=True)):
             each = {filter_: squares(line, filter_, part) for filter_ in FILTERS}
-            values = " | ".join(f"{unit * np.sqrt(each[filter_].mean()):.3g}" for filter_ in FILTERS)
-            over = " | ".join(ratio(each["calibrated"], each[other]) for other in FILTERS[:2])
+            values = numbers((unit * np.sqrt(each[filter_].mean()) for filter_ in FILTERS), ".3g")
+            over = [ratio(each["calibrated"], each[other]) for other in FILTERS[:2]]
             won = [int((each["calibrated"] < each[other]).sum()) for other in FILTERS[:2]]
-            rows.append(f"{head}{name} | {values} | {over} | {won[0]}, {won[1]} of {len(each['fixed'])} |")
-        nees = " | ".join(f"{np.mean(line[filter_]['nees']):.2f}" for filter_ in FILTERS)
-        rows.append(f"{head}NEES | {nees} | | | |")
-        taken = " | ".join(f"{np.mean(line[filter_]['taken']):.1%}" for filter_ in FILTERS)
-        rows.append(f"{head}poses used | {taken} | | | |")
-    return "\n".join(rows) + "\n"
+            better = f"{won[0]}, {won[1]} of {len(each['fixed'])}"
+            rows.append([*name, quantity, *values, *over, better])
+        for what, key, form in (("NEES", "nees", ".2f"), ("poses used", "taken", ".1%")):
+            values = numbers((np.mean(line[filter_][key]) for filter_ in FILTERS), form)
+            rows.append([*name, what, *values, "", "", ""])
+    return markdown_table(head, rows, right_from=5) + "\n"
 
 
 def wrong_table(lines: list[Case]) -> str:
     """How much larger errors are with wrong poses than without: geometric mean of the four."""
     clean = {_setting(line): line for line in lines if not line["case"]["wrong"]}
-    names = [name + rest for name in FILTERS for rest in ("", " + residual")]
-    rows = [
-        "| poses | scenario | gate | " + " | ".join(names) + " |",
-        "|---|---|---:|" + "---:|" * len(names),
-    ]
+    names = [name + suffix for name in FILTERS for suffix in ("", " + residual")]
+    rows: list[list[object]] = []
     for line in lines:
         case = line["case"]
         if not case["wrong"]:
             continue
-        grown = []
+        growth = []
         for name in names:
             plain = name.removesuffix(" + residual")
             parts = [
                 squares(line, name, part).mean() / squares(clean[_setting(line)], plain, part).mean()
                 for part in range(4)
             ]
-            grown.append(f"{np.exp(0.5 * np.mean(np.log(parts))):.2f}")
-        rows.append(f"| {case['source']} | {case['scenario']} | {_gate(case)} | " + " | ".join(grown) + " |")
-    return "\n".join(rows) + "\n"
+            growth.append(np.exp(0.5 * np.mean(np.log(parts))))
+        rows.append([case["source"], case["scenario"], _gate(case), *numbers(growth, ".2f")])
+    return markdown_table(("poses", "scenario", "gate", *names), rows, right_from=3) + "\n"
+
+
+def _name(case: Case) -> list[str]:
+    return [case["source"], case["scenario"], f"{case['wrong']:.0%}", _gate(case)]
 
 
 def _gate(case: Case) -> str:
@@ -218,42 +212,34 @@ def _setting(line: Case) -> tuple[str, str]:
     return line["case"]["source"], line["case"]["scenario"]
 
 
-def tuning_table(lines: Iterable[Case]) -> str:
+def tuning_table(lines: list[Case]) -> str:
     """What was chosen on the training runs."""
-    rows: list[str] = []
-    for line in lines:
-        case, numbers = line["case"], line["tuning"]
-        if not rows:
-            rows += [
-                "| poses | scenario | wrong | gate | " + " | ".join(numbers) + " |",
-                "|---|---|---:|---:|" + "---:|" * len(numbers),
-            ]
-        head = f"| {case['source']} | {case['scenario']} | {case['wrong']:.0%} | {_gate(case)} | "
-        rows.append(head + " | ".join(f"{value:.3g}" for value in numbers.values()) + " |")
-    return "\n".join(rows) + "\n"
+    rows = [[*_name(line["case"]), *numbers(line["tuning"].values(), ".3g")] for line in lines]
+    head = ("poses", "scenario", "wrong", "gate", *lines[0]["tuning"])
+    return markdown_table(head, rows, right_from=4) + "\n"
 
 
-def belief_table(lines: Iterable[Case]) -> str:
-    """Noise levels of the calibrated covariance, and how well statistics tell wrong poses."""
-    rows = [
-        "| poses | scenario | floor own, shared, limb [px] | slope | wrong, usual start | wrong, bad start | "
-        "area under ROC of statistics |",
-        "|---|---|---|---|---:|---:|---|",
-    ]
+def calibration_table(lines: Iterable[Case]) -> str:
+    """Noise levels of the calibrated covariance, and how well statistics detect wrong poses."""
+    head = (
+        "poses | scenario | floor own, shared, limb [px] | slope | wrong, usual start | wrong, bad start "
+        "| area under ROC of statistics"
+    )
+    rows = []
     for line in lines:
-        case, told = line["case"], line["told"]
+        case, statistics = line["case"], line["told"]
         if case["wrong"]:
             continue
-        floor = ", ".join(f"{np.sqrt(value):.3f}" for value in line["levels"][:3])
-        slope = ", ".join(f"{value:.2g}" for value in line["levels"][3:])
-        shares = f"{told['usual wrong']:.1%} | {told['bad wrong']:.1%}"
+        floor = ", ".join(numbers(np.sqrt(line["levels"][:3]), ".3f"))
+        slope = ", ".join(numbers(line["levels"][3:], ".2g"))
+        shares = numbers((statistics["usual wrong"], statistics["bad wrong"]), ".1%")
         areas = ", ".join(
             f"{name[6:]} {area:.2f}{' (used)' if name[6:] == line['doubt'] else ''}"
-            for name, area in told.items()
+            for name, area in statistics.items()
             if name.startswith("area: ")
         )
-        rows.append(f"| {case['source']} | {case['scenario']} | {floor} | {slope} | {shares} | {areas} |")
-    return "\n".join(rows) + "\n"
+        rows.append([case["source"], case["scenario"], floor, slope, *shares, areas])
+    return markdown_table(head, rows) + "\n"
 
 
 COLOURS = {"fixed": "#8a8f94", "gated": "#d58f00", "calibrated": "#33556e"}
@@ -264,14 +250,11 @@ SHOWN = (0, 2)
 
 def draw(lines: list[Case], path: Path) -> None:
     """A row for each kind of poses and scenario, written to a PNG."""
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
 
     gated = [line for line in lines if line["case"]["gate"] < 1.0]
     settings = list(dict.fromkeys(_setting(line) for line in gated))
-    figure, panels = plt.subplots(
-        len(settings), len(SHOWN), figsize=(11.0, 2.7 * len(settings)), layout="constrained", squeeze=False
-    )
+    size = (11.0, 2.7 * len(settings))
+    figure, panels = subplots(len(settings), len(SHOWN), size, layout="constrained", squeeze=False)
     for row, setting in zip(panels, settings, strict=True):
         for axes, part in zip(row, SHOWN, strict=True):
             for line in gated:

@@ -3,11 +3,11 @@
 State: r_N, v_N of the target's centre of mass seen from the camera, along the inertial axes N; attitude R_NP
 of its principal axes; rate w_P. Errors (12,): of r, v in N, theta in R_NP Exp(theta), of w in P, as in
 `planning.prediction`. The camera's attitude R_NR and the inspector's acceleration are known. A measurement is
-a pose X_RG with the information (6, 6) of its error in the sense of `edge_motion.pose_error`. What it does
-not tell has no information, rather than a large variance: the update is made in the directions that it tells,
-in Joseph's form (Bucy and Joseph, "Filtering for stochastic processes with applications to guidance", 1968).
-After it the attitude's error is reset (Sola, "Quaternion kinematics for the error-state Kalman filter", 2017,
-section 6.3).
+a pose X_RG with the information (6, 6) of its error in the sense of `edge_motion.pose_error`. Where it is
+unobservable it has no information, rather than a large variance: the update is made in its observable
+directions, in Joseph's form (Bucy and Joseph, "Filtering for stochastic processes with applications to
+guidance", 1968). After it the attitude's error is reset (Sola, "Quaternion kinematics for the error-state
+Kalman filter", 2017, section 6.3).
 """
 
 from dataclasses import dataclass
@@ -94,7 +94,7 @@ def _derivative(moments: Array, y: Array, psd: float, out: Array) -> None:
 
 
 UNOBSERVABLE_SHARE = 1e-9
-"""A direction with less than this share of the largest information, shifts in radii, is not told."""
+"""Share of the largest information, translations in radii, below which a direction is unobservable."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Target:
     X_GP: Array
     """(4, 4) its principal axes and centre of mass in the model's frame"""
     o_G: Array
-    """(3,) the point that errors of measured poses are told about [m]"""
+    """(3,) reference point of the errors of measured poses [m]"""
     radius_m: float
     """half its diameter: with it shifts and turns are compared"""
     accel_psd: float = 0.0
@@ -158,8 +158,8 @@ class Update:
     state: State
     nis: float
     """squared innovation over its covariance"""
-    told: int
-    """directions that the measurement told: what nis is on average"""
+    directions: int
+    """observable ones of the measurement: the expectation of nis"""
     taken: bool
     """False: refused by the gate"""
 
@@ -200,12 +200,12 @@ def measurement_jacobian(state: State, target: Target, R_NR: Array) -> Array:
 
 
 def observable_directions(information: Array, radius_m: float) -> tuple[Array, Array]:
-    """Directions D (k, 6) that information (6, 6) tells, and variances (k,) of D @ error, uncorrelated."""
+    """Observable directions D (k, 6) of information (6, 6), and variances (k,) of D @ error, uncorrelated."""
     scale = np.array([radius_m] * 3 + [1.0] * 3)
     values, directions = np.linalg.eigh(information * np.outer(scale, scale))
-    told = values > max(UNOBSERVABLE_SHARE * float(values[-1]), 0.0)
+    observable = values > max(UNOBSERVABLE_SHARE * float(values[-1]), 0.0)
     # scaled information V L V^T: V^T (error / scale) has variances 1 / L
-    return np.asarray(directions[:, told].T / scale), 1.0 / values[told]
+    return np.asarray(directions[:, observable].T / scale), 1.0 / values[observable]
 
 
 def update(
@@ -221,16 +221,16 @@ def update(
     gate: the probability that a right measurement passes; one that is farther off is refused.
     """
     D, variance = observable_directions(information, target.radius_m)
-    told = len(variance)
-    if told == 0:
+    count = len(variance)
+    if count == 0:
         return Update(state, 0.0, 0, False)
     innovation = D @ pose_error(X_RG, predicted_pose(state, target, R_NR), target.o_G)
     H = D @ measurement_jacobian(state, target, R_NR)
     P = state.covariance
     S = cho_factor(H @ P @ H.T + np.diag(variance))
     nis = float(innovation @ cho_solve(S, innovation))
-    if gate is not None and nis > float(chi2.ppf(gate, told)):
-        return Update(state, nis, told, False)
+    if gate is not None and nis > float(chi2.ppf(gate, count)):
+        return Update(state, nis, count, False)
     K = cho_solve(S, H @ P).T
     error = K @ innovation
     rest = np.eye(12) - K @ H
@@ -239,4 +239,4 @@ def update(
     reset[6:9, 6:9] = right_jacobian_so3(error[6:9])
     P = reset @ P @ reset.T
     moved = state.plus(error)
-    return Update(State(moved.r_N, moved.v_N, moved.R_NP, moved.w_P, 0.5 * (P + P.T)), nis, told, True)
+    return Update(State(moved.r_N, moved.v_N, moved.R_NP, moved.w_P, 0.5 * (P + P.T)), nis, count, True)

@@ -1,4 +1,4 @@
-"""Filters of navigation_filter.py on recorded poses: their tuning on other runs, their errors.
+"""Filters on recorded poses: how they weigh a pose, their tuning on other runs, their errors.
 
 The constant covariance is that of the training runs' errors, without the worst twentieth; every filter's
 covariance is then multiplied by the factor that gives the least errors there. So are the least share of found
@@ -9,32 +9,87 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
-from scipy.stats import rankdata
 
+from benchmarks.edges.observability_tables import roc_area
 from benchmarks.edges.tracking.calibrated_covariance import EdgeNoise, NoiseParts, fitted, nees
 from benchmarks.navigation.error_state_filter import predict, update
 from benchmarks.navigation.flights import STEP_S, SimulatedFlight, flight
-from benchmarks.navigation.found_pose import from_line
-from benchmarks.navigation.pose_weights import (
-    Calibrated,
-    Fixed,
-    Gated,
-    ResidualChecked,
-    TrackedPose,
-    Weighting,
-)
+from benchmarks.navigation.found_poses import TrackedPose, from_line
 from benchmarks.record import Case, measured
 from polhode.lie import Array
 from polhode.planning.edges.observability_metric import pose_error
-from polhode.records import Bools
+
+
+class Weighting(Protocol):
+    """From a tracked pose to the information that a filter gives it."""
+
+    def __call__(self, tracked: TrackedPose) -> Array | None:
+        """(6, 6), or None: not used."""
+        ...
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Every pose alike."""
+
+    information: Array
+    """(6, 6)"""
+
+    def __call__(self, tracked: TrackedPose) -> Array | None:
+        """The constant."""
+        return self.information
+
+
+@dataclass(frozen=True)
+class Gated:
+    """Every pose alike, if enough of its edges were found: the binary metric."""
+
+    information: Array
+    """(6, 6)"""
+    min_found: float
+    """share of control points"""
+
+    def __call__(self, tracked: TrackedPose) -> Array | None:
+        """The constant, or None for a pose of few edges."""
+        return self.information if tracked.found_share >= self.min_found else None
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Each pose by the covariance of its own view."""
+
+    variance_factor: float = 1.0
+    """by which covariances are multiplied"""
+
+    def __call__(self, tracked: TrackedPose) -> Array | None:
+        """Of the view; None where it tells nothing."""
+        return tracked.information / self.variance_factor if tracked.information.any() else None
+
+
+@dataclass(frozen=True)
+class ResidualChecked:
+    """Another weighting, without the poses at which edges do not lie where they should.
+
+    A tracker that converged on a wrong pose reports a small covariance all the same; its residuals tell.
+    """
+
+    weighting: Weighting
+    max_residual: float
+
+    def __call__(self, tracked: TrackedPose) -> Array | None:
+        """The other's answer, or None for a pose with large residuals."""
+        return self.weighting(tracked) if tracked.residual <= self.max_residual else None
+
 
 FILTERS = ("fixed", "gated", "calibrated")
+_flight = cache(flight)
 SETTLED_S = 10.0
 """Errors count from here on."""
 REFUSALS = 3
-"""After so many in a row the next pose passes any gate: a filter that is lost must find back."""
+"""After so many in a row the next pose passes any gate, so that a filter that is lost can recover."""
 FACTORS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)
 QUANTILES = (0.03, 0.06, 0.12, 0.25, 0.5)
 """Of the training poses that a threshold would leave out."""
@@ -69,36 +124,38 @@ class Flown:
 
 
 @dataclass(frozen=True)
-class Belief:
-    """How poses become tracked poses."""
+class PoseCalibration:
+    """How poses get their covariance."""
 
     levels: EdgeNoise
     """of the calibrated covariance"""
-    doubt: str
-    """the statistic that tells wrong poses"""
+    statistic: str
+    """that detects wrong poses"""
 
 
-def runs_of(record: Path, cases: Sequence[Case], wrong: float, belief: Belief) -> list[Run]:
+def runs_of(record: Path, cases: Sequence[Case], wrong: float, calibration: PoseCalibration) -> list[Run]:
     """The recorded runs of these cases.
 
     wrong: share of images, drawn by the run's seed, whose pose is the one that a bad start gave.
     """
     runs = []
     for line in measured(record, cases):
-        course = _flight(line["case"])
+        course = _flight(**{key: line["case"][key] for key in ("scenario", "body", "seed")})
         rng = np.random.default_rng([line["case"]["seed"], 0x3A0])
         poses: list[TrackedPose | None] = []
         for usual, bad in zip(line["poses"], line["bad"], strict=True):
             chosen = bad if rng.random() < wrong else usual
             found = from_line(chosen) if chosen else None
             radius_m = course.target.radius_m
-            poses.append(found.tracked(belief.levels, belief.doubt, radius_m) if found else None)
+            poses.append(
+                found.tracked(calibration.levels, calibration.statistic, radius_m) if found else None
+            )
         runs.append(Run(course, poses))
     return runs
 
 
-def believed(record: Path, cases: Sequence[Case]) -> tuple[Belief, dict[str, float]]:
-    """The noise levels that explain usual poses, and the statistic that tells those they do not explain.
+def calibrate(record: Path, cases: Sequence[Case]) -> tuple[PoseCalibration, dict[str, float]]:
+    """The noise levels that explain usual poses, and the statistic that detects the others.
 
     Levels: greatest likelihood over all but the poses that they explain worst, a tenth of them. The numbers
     are the areas under the ROC curve of each statistic, over usual poses and bad ones, and the share of poses
@@ -106,7 +163,7 @@ def believed(record: Path, cases: Sequence[Case]) -> tuple[Belief, dict[str, flo
     """
     poses, errors, usual = [], [], []
     for line in measured(record, cases):
-        course = _flight(line["case"])
+        course = _flight(**{key: line["case"][key] for key in ("scenario", "body", "seed")})
         for kind in "poses", "bad":
             for k, each in enumerate(line[kind]):
                 if each is not None:
@@ -132,52 +189,36 @@ def believed(record: Path, cases: Sequence[Case]) -> tuple[Belief, dict[str, flo
         kept = normal & (distance <= np.quantile(distance[normal], 0.9))
     wrong = distance > WRONG_NEES
     areas = {
-        name: _area(np.array([pose.doubts[name] for pose in poses])[whole], wrong[whole])
+        name: roc_area(np.array([pose.doubts[name] for pose in poses])[whole], wrong[whole])
         for name in poses[0].doubts
     }
     numbers = {f"area: {name}": area for name, area in areas.items()}
     numbers |= {"usual wrong": float(wrong[normal].mean()), "bad wrong": float(wrong[~normal].mean())}
-    return Belief(levels, max(areas, key=lambda name: areas[name])), numbers
-
-
-def _area(statistic: Array, wrong: Bools) -> float:
-    """Chance that a wrong one has the larger statistic."""
-    rank = rankdata(statistic)
-    n = int(wrong.sum())
-    return float((rank[wrong].sum() - 0.5 * n * (n + 1)) / max(n * (len(rank) - n), 1))
-
-
-def _flight(case: Case) -> SimulatedFlight:
-    return _cached_flight(case["scenario"], case["body"], case["seed"])
-
-
-@cache
-def _cached_flight(scenario: str, body: str, seed: int) -> SimulatedFlight:
-    return flight(scenario, body, seed)
+    return PoseCalibration(levels, max(areas, key=lambda name: areas[name])), numbers
 
 
 def fly(run: Run, weighting: Weighting, gate: float | None) -> Flown:
     """Follow a run from its first state with the covariance that it was drawn from."""
     course, state = run.flight, run.flight.start
-    errors, sigma, honest, tracked, taken, refused = [], [], [], 0, 0, 0
+    errors, sigma, nees_of, tracked, taken, refused = [], [], [], 0, 0, 0
     for k, pose in enumerate(run.poses):
         if k > 0:
             state = predict(state, course.target, STEP_S, course.accel_N[k - 1])
-        believed = None if pose is None else weighting(pose)
+        information = None if pose is None else weighting(pose)
         tracked += pose is not None
-        if pose is not None and believed is not None:
+        if pose is not None and information is not None:
             used = gate if refused < REFUSALS else None
-            after = update(state, course.target, course.R_NR[k], pose.X_RG, believed, used)
+            after = update(state, course.target, course.R_NR[k], pose.X_RG, information, used)
             state = after.state
             taken += after.taken
             refused = 0 if after.taken else refused + 1
         errors.append(state.error(course.states[k]))
         sigma.append(np.sqrt(np.diag(state.covariance)))
-        honest.append(state.nees(course.states[k]))
+        nees_of.append(state.nees(course.states[k]))
     late = slice(round(SETTLED_S / STEP_S), None)
     off = np.array(errors)
     squares = (off[late].reshape(-1, 4, 3) ** 2).sum(axis=2).mean(axis=0)
-    return Flown(squares, float(np.mean(honest[late])) / 12.0, taken / max(tracked, 1), off, np.array(sigma))
+    return Flown(squares, float(np.mean(nees_of[late])) / 12.0, taken / max(tracked, 1), off, np.array(sigma))
 
 
 def cost(runs: Sequence[Run], weighting: Weighting, gate: float | None) -> float:

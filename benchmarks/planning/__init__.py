@@ -2,7 +2,6 @@
 
 In: stored runs, sequences with truth. Out: shares of draws inside, volumes, distances.
 
-    keepout            the keep-out volume over independent draws
-    keepout_truth      the keep-out volume against the true body
+    keepout            the keep-out volume over independent draws, and against the true body
     collision_pieces   convex pieces of exported bodies
 """

@@ -1,74 +1,97 @@
-"""Does the keep-out volume keep its promise: Monte Carlo over what a run does not know of its target.
+"""Does the keep-out volume hold its probability: Monte Carlo over the uncertainty of a run, or the true body.
 
     python -m benchmarks.planning.keepout RUN... [--horizon 60] [--draws 400] [--short] [--record FILE]
+    python -m benchmarks.planning.keepout RUN... --truth [--data DATA...] [--horizon 60]
 
-The truth is drawn from the run's joint covariance, with disturbances of the level that it found, by other
-seeds than those that the volume was calibrated with; each point of its surface is off by its own sigma,
-independently. A draw counts as inside when all of its surface stays inside at all instants. The smallest
-volume that would do is at least that of a single draw's own sweep: the volume is set against the estimate's,
-without any margin, so the ratio is an upper bound. Where the promise is for the convex hull, as nothing
-tells what the open mesh lacks, the smallest that would do holds the hull: the second ratio is against the
-bare sweep of what is covered. The third one counts the pose as well: whatever holds 99 % of the draws holds
-each cell that more than 1 % of them sweep, so those cells bound the smallest volume for these draws from
-below. They are counted with 200 draws of pose and surface, on a grid of twice the step.
+Without ``--truth``: truths are sampled from the run's joint covariance, with disturbances of the level that
+it found, by other seeds than those that the volume was calibrated with; each point of the surface is off by
+its own sigma, independently. A draw counts as inside when all of its surface stays inside at all instants.
+The smallest sufficient volume is at least that of a single draw's own sweep: the volume is compared with the
+estimate's, without any margin, so the ratio is an upper bound. Where the volume is for the convex hull, as
+nothing is known of the open parts of the mesh, the smallest sufficient one holds the hull: the second ratio
+is against the bare sweep of what is covered. The third one counts the pose as well: any volume that holds 99
+% of the draws holds each cell that more than 1 % of them sweep, so those cells bound the smallest volume for
+these draws from below. They are counted with 200 draws of pose and surface, on a grid of twice the step. A
+point's sigma is the one that planning takes, limited by those of its neighbours and their distance; in the
+column "spiky" each vertex is off by the sigma of the mesh alone, whatever its neighbours do.
 
-A point's sigma is that which planning takes, no larger than a neighbour's and the way to it; the column
-"spiky" has each vertex off by the sigma of the mesh alone, whatever its neighbours do. What was measured
-before is read from the record.
+With ``--truth``: points sampled on the true mesh of a simulated sequence move along the true motion after the
+last pair. The dataset of a run is data/NAME of its folder's name, unless given. Points that no frame saw in
+light are counted separately: the volume is for what was measured and what it encloses. One sequence is one
+draw: it shows errors of the surface and of the motion that the covariances do not contain, not a frequency.
 """
 
 import os
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from tyro.conf import arg
 
 from benchmarks.command import Record, Runs, Workers, command
+from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
+from polhode.dataset import open_sequence
+from polhode.mesh_metrics import distance_to_surface, sample_surface
+from polhode.metrics import truth_at
+from polhode.pipeline.after_run.plan import final_estimate, surface_of
+from polhode.pipeline.evaluation import seen_and_lit
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
+from polhode.planning.keep_out.distance_fields import FAR, protrusion, protrusion_at_instants, sweep
+from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grown_body, thinned_vertices
+from polhode.planning.keep_out.volumes import KeepOutOptions, fine_times, keep_out, points_near_surface
+from polhode.planning.prediction import draw_ensemble, nominal_motion
+from polhode.records import SurfaceModel
+from polhode.truth import read_truth
 
-Cover = Literal["auto", "surface", "hull"]
-RECORD = Path("runs/keepout.jsonl")
+RECORD, TRUTH_RECORD = Path("runs/keepout.jsonl"), Path("runs/keepout_truth.jsonl")
 BARE_SIGMA_M = 1e-9
 NEEDED_DRAWS, NEEDED_CELLS = 200, 40
 POINTS_APART_M = 0.5
 """Of a cell of the volume: points of the surface that are looked at."""
+POINTS, INSTANTS = 20_000, 120
+FEW_POINTS, FEW_INSTANTS = 4_000, 20
+"""For the volume at each instant, whose distances take longer."""
 
 
 def main(
     runs: Runs,
+    truth: Annotated[bool, arg(help="The true body of simulated sequences instead of draws.")] = False,
+    data: Annotated[tuple[Path, ...], arg(help="Sequences, one for each run, with --truth.")] = (),
     horizon: Annotated[tuple[float, ...], arg(help="Seconds ahead.")] = (60.0,),
     confidence: float = 0.99,
-    draws: Annotated[int, arg(help="Truths that are drawn.")] = 400,
+    draws: Annotated[int, arg(help="Sampled truths.")] = 400,
     cover: Cover = "auto",
     workers: Workers = 1,
     short: Annotated[bool, arg(help="10 s ahead, 200 draws.")] = False,
-    record: Record = RECORD,
+    record: Record | None = None,
 ) -> None:
     """Measure what the record lacks, print the table."""
     horizons, count = ((10.0,), 200) if short else (horizon, draws)
-    cases: list[Case] = [
-        {"run": os.fspath(run), "horizon_s": h, "confidence": confidence, "draws": count}
-        for run in runs
-        for h in horizons
-    ]
-    if cover != "auto":
-        cases = [{**case, "cover": cover} for case in cases]
-    print(table(complete(record, cases, measure, workers)))
+    folders = data or [Path("data") / run.name for run in runs]
+    if len(folders) != len(runs):
+        raise SystemExit(f"--data: {len(folders)} for {len(runs)} runs")
+    cases: list[Case] = []
+    for run, folder in zip(runs, folders, strict=True):
+        for seconds in horizons:
+            case: Case = {"run": os.fspath(run), "horizon_s": seconds, "confidence": confidence}
+            if truth:
+                cases.append(case | {"data": os.fspath(folder), "cover": cover})
+            else:
+                cases.append(case | {"draws": count} | ({} if cover == "auto" else {"cover": cover}))
+    if truth:
+        print_truth(complete(record or TRUTH_RECORD, cases, measure_truth, workers))
+    else:
+        print_draws(complete(record or RECORD, cases, measure, workers))
 
 
 def measure(case: Case) -> dict[str, Any]:
     """One run, one horizon."""
-    import trimesh
-
-    from polhode.pipeline.after_run.plan import final_estimate, surface_of
-    from polhode.planning.keep_out.distance_fields import FAR, protrusion, protrusion_at_instants, sweep
-    from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grown_body, thinned_vertices
-    from polhode.planning.keep_out.volumes import KeepOutOptions, fine_times, keep_out, points_near_surface
-    from polhode.planning.prediction import draw_ensemble, nominal_motion
-    from polhode.records import SurfaceModel
 
     run = Path(case["run"])
     estimate, _ = final_estimate(run)
@@ -123,7 +146,7 @@ def measure(case: Case) -> dict[str, Any]:
     members = draw_ensemble(estimate, motion.time_s, case["draws"], 1000)
     # what lies within a cell of the surface stands for the rest: of each place the point that is farthest out
     kept = thinned_vertices(trimesh.Trimesh(V, process=False), POINTS_APART_M * level.step_m)
-    index = _rows_of(V, kept)
+    index = cKDTree(V).query(kept)[1]
     sigma = taken[index]
     stated = np.where(np.isfinite(surface.sigma_m), surface.sigma_m, 0.0)[index]
     band = np.full(len(motion.time_s), 0.02 + level.step_m)
@@ -164,36 +187,103 @@ def measure(case: Case) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _rows_of(V: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    from scipy.spatial import cKDTree
+def measure_truth(case: Case) -> dict[str, Any]:
+    """One run, against its true body."""
 
-    return np.asarray(cKDTree(V).query(chosen)[1])
+    run, data = Path(case["run"]), Path(case["data"])
+    estimate, _ = final_estimate(run)
+    surface = surface_of(run)
+    found = keep_out(
+        surface, estimate, KeepOutOptions(case["horizon_s"], case["confidence"], cover=case["cover"])
+    )
+    truth, stamps = read_truth(data), read_trajectory(run).timestamps_ns
+    if truth.mesh is None:
+        raise SystemExit(f"{data}: the truth has no mesh")
+    points, normals = sample_surface(truth.mesh, POINTS)
+    X_frames = target_poses(truth_at(truth, stamps), truth.R_GP, truth.com_G)
+    seen = seen_and_lit(truth.mesh, points, normals, X_frames, open_sequence(data), 1)
+
+    motion = found.instant.motion
+    rows = np.unique(np.linspace(0, len(motion.time_s) - 1, INSTANTS).round().astype(int))
+    at = stamps[-1] + np.round(motion.time_s[rows] * 1e9).astype(np.int64)
+    X_NG = target_poses(truth_at(truth, at), truth.R_GP, truth.com_G)
+    out = np.full(len(points), -np.inf)
+    for X in X_NG:
+        out = np.maximum(out, found.swept.signed_distance(points @ X[:3, :3].T + X[:3, 3]))
+    few, few_seen = points[:: POINTS // FEW_POINTS], seen[:: POINTS // FEW_POINTS]
+    out_instant = np.full(len(few), -np.inf)
+    for i in np.unique(np.linspace(0, len(rows) - 1, FEW_INSTANTS).round().astype(int)):
+        places = few @ X_NG[i, :3, :3].T + X_NG[i, :3, 3]
+        out_instant = np.maximum(out_instant, found.instant.signed_distance(int(rows[i]), places))
+    # how far the mesh is from what comes out: a part that it lacks, or an error of the surface?
+    X_end = nominal_motion(estimate, np.array([0.0, 1.0])).X_NG[0]
+    X_last = target_poses(truth_at(truth, stamps[-1:]), truth.R_GP, truth.com_G)[0]
+    places = few @ X_last[:3, :3].T + X_last[:3, 3]
+    p_G = (places - X_end[:3, 3]) @ X_end[:3, :3]
+    came_out = out_instant > 0.0
+    least = distance_to_surface(surface.mesh, p_G[came_out]).min() if came_out.any() else None
+    return {
+        "covers": found.body.covers,
+        "least_from_mesh_m": None if least is None else float(least),
+        "seen": float(seen.mean()),
+        **_numbers("swept", out, seen),
+        **_numbers("instant", out_instant, few_seen),
+    }
 
 
-def table(lines: list[Case]) -> str:
-    """Markdown."""
-    rows = [
-        "| run | horizon [s] | confidence | draws inside, whole horizon | the same, spiky "
-        "| inside at each instant | volume [l] "
-        "| over the bare sweep of the surface | over the bare sweep of what is covered "
-        "| over the cells that the draws need "
-        "| covers |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for line in lines:
-        case = line["case"]
-        n = case["draws"]
-        rows.append(
-            f"| {Path(case['run']).name} | {case['horizon_s']:g} | {case['confidence']:.0%} "
-            f"| {line['inside']} of {n} ({line['inside'] / n:.1%}) "
-            f"| {line['inside_stated']} of {n} ({line['inside_stated'] / n:.1%}) "
-            f"| {line['inside_instants']} of {n} ({line['inside_instants'] / n:.1%}) "
-            f"| {1e3 * line['volume_m3']:.2f} | {line['volume_m3'] / line['least_m3']:.3f} "
-            f"| {line['volume_m3'] / line['least_covered_m3']:.3f} "
-            f"| {line['volume_m3'] / line['needed_m3']:.3f} "
-            f"| {line['covers']} |"
-        )
-    return "\n".join(rows)
+def _numbers(name: str, out_m: np.ndarray, seen: np.ndarray) -> dict[str, Any]:
+    """Shares inside at all instants, and the farthest that a point comes out [m]."""
+    parts = {"seen": out_m[seen], "unseen": out_m[~seen]}
+    return {
+        f"{name}_{part}": {
+            "inside": float((values <= 0.0).mean()) if len(values) else None,
+            "farthest_m": float(max(values.max(), 0.0)) if len(values) else None,
+        }
+        for part, values in parts.items()
+    }
+
+
+def print_draws(lines: list[Case]) -> None:
+    """Shares of the draws, and volumes."""
+    head = (
+        "run | horizon [s] | confidence | draws inside, whole horizon | the same, spiky "
+        "| inside at each instant | volume [l] | over the bare sweep of the surface "
+        "| over the bare sweep of what is covered | over the cells that the draws need | covers"
+    )
+    print_table(head, map(_row, lines))
+
+
+def _row(line: Case) -> Iterator[object]:
+    case = line["case"]
+    n = case["draws"]
+    yield from (Path(case["run"]).name, f"{case['horizon_s']:g}", f"{case['confidence']:.0%}")
+    for count in ("inside", "inside_stated", "inside_instants"):
+        yield f"{line[count]} of {n} ({line[count] / n:.1%})"
+    yield f"{1e3 * line['volume_m3']:.2f}"
+    for least in ("least_m3", "least_covered_m3", "needed_m3"):
+        yield f"{line['volume_m3'] / line[least]:.3f}"
+    yield line["covers"]
+
+
+def print_truth(lines: list[Case]) -> None:
+    """Shares, and how far the farthest point comes out."""
+    head = (
+        "run | covers | true surface seen | seen, over the horizon | seen, at each instant "
+        "| never seen, over the horizon | never seen, at each instant "
+        "| error of the mesh where points are outside"
+    )
+    print_table(head, map(_truth_row, lines))
+
+
+def _truth_row(line: Case) -> Iterator[object]:
+    yield from (Path(line["case"]["run"]).name, line["covers"], f"{line['seen']:.1%}")
+    for kind in ("seen", "unseen"):
+        for volume in ("swept", "instant"):
+            part = line[f"{volume}_{kind}"]
+            inside = part["inside"]
+            yield "-" if inside is None else f"{inside:.2%}, {1e3 * part['farthest_m']:.2f} mm"
+    least = line["least_from_mesh_m"]
+    yield "-" if least is None else f"at least {1e3 * least:.1f} mm"
 
 
 if __name__ == "__main__":

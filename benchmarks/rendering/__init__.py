@@ -2,7 +2,6 @@
 
 In: scenes of the simulator. Out: differences of images, seconds.
 
-    against_mitsuba   differences of the images
-    mitsuba_scene     our bodies, camera and lights as a scene of Mitsuba
-    rendering_time    seconds a pair of images
+    against_mitsuba   differences of the images, of the same scene in both programs
+    rendering_time    seconds per pair of images
 """

@@ -8,20 +8,18 @@ import pytest
 from benchmarks.frontend.matching import (
     METHODS,
     correct,
-    guided_error_deg,
-    loosened,
-    normalised_squares,
-    settings,
-)
-from benchmarks.frontend.scenes import BRIGHT_DN, CONFIGS, UnseenScene, scene_names, scene_of
-from benchmarks.frontend.tables import (
     correct_at,
+    guided_error_deg,
     lit_of,
     lit_pairs,
+    loosened,
+    normalised_squares,
     precision_of,
     residual_variances,
+    settings,
     success,
 )
+from benchmarks.frontend.scenes import BRIGHT_DN, CONFIGS, UnseenScene, scene_names, scene_of
 from benchmarks.record import Case
 from polhode.config import Config
 from polhode.config.loader import load_config

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.mapping.colmap_fusion import normals_of
-from benchmarks.mapping.fusion_peers import METHODS, print_rows, run_method
+from benchmarks.mapping.fusion_peers import METHODS, cells, normals_of, run_method
 from polhode.config import Config
 from tests.mapping.analytic_depth import RIG, views_of
 
@@ -51,12 +50,12 @@ def test_a_peer_that_is_not_installed_is_a_row(
     inputs: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
 ) -> None:
     for package in ("open3d", "pycolmap"):
         monkeypatch.setitem(sys.modules, package, None)
     run_method(method, inputs, tmp_path / "output")
     found = pickle.loads((tmp_path / "output").read_bytes())
-    print_rows([{"sequence": "ball", "frames": 10, "voxel_mm": 3.0, "method": method, **found}])
-    assert "pip install polhode[mapping-peers]" in capsys.readouterr().out
+    assert "pip install polhode[mapping-peers]" in str(
+        cells(found, trimesh.creation.box(), np.zeros((0, 3)), 10)
+    )
     assert set(METHODS) == {"ours", "ours again", "open3d", "colmap"}

@@ -11,7 +11,6 @@ from scipy.stats import chi2
 from benchmarks.edges.tracking.calibrated_covariance import EdgeNoise, noise_parts
 from benchmarks.navigation import recorded_flights
 from benchmarks.navigation.compare_filters import draw, errors_table, ratio, wrong_table
-from benchmarks.navigation.drawn_poses import EdgeErrors, drawn_pose
 from benchmarks.navigation.flights import (
     RIG,
     SCENARIOS,
@@ -21,9 +20,17 @@ from benchmarks.navigation.flights import (
     instants,
     sun_R,
 )
-from benchmarks.navigation.found_pose import from_line, spread
-from benchmarks.navigation.pose_weights import Calibrated, Fixed, ResidualChecked, TrackedPose
-from benchmarks.navigation.recorded_flights import Belief, Run, constant_covariance, fly, runs_of
+from benchmarks.navigation.found_poses import EdgeErrors, TrackedPose, drawn_pose, from_line, spread
+from benchmarks.navigation.recorded_flights import (
+    Calibrated,
+    Fixed,
+    PoseCalibration,
+    ResidualChecked,
+    Run,
+    constant_covariance,
+    fly,
+    runs_of,
+)
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.observability_metric import edge_motion, moved, pose_error
 from polhode.planning.edges.visible_edges import control_points
@@ -117,7 +124,7 @@ def test_runs_take_bad_poses_by_share_and_filters_use_what_they_believe(
     bad = [pose and {**pose, "found": -1.0} for pose in usual]
     record = tmp_path / "poses.jsonl"
     record.write_text(json.dumps({"case": case, "poses": usual, "bad": bad}) + "\n")
-    belief = Belief(TRUE_LEVELS, "residual")
+    belief = PoseCalibration(TRUE_LEVELS, "residual")
 
     def shares(wrong: float) -> list[float]:
         (run,) = runs_of(record, [case], wrong, belief)

@@ -18,12 +18,12 @@ from benchmarks.navigation.error_state_filter import (
     propagate_rotation,
     update,
 )
-from benchmarks.navigation.pose_weights import (
+from benchmarks.navigation.found_poses import TrackedPose
+from benchmarks.navigation.recorded_flights import (
     Calibrated,
     Fixed,
     Gated,
     ResidualChecked,
-    TrackedPose,
 )
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.planning.edges.observability_metric import moved, pose_error
@@ -191,7 +191,7 @@ def test_the_update_is_that_of_kalman_where_all_is_told() -> None:
     assert np.allclose(STATE.error(after.state), -expected @ H.T @ info @ off, atol=1e-9)
     # the reset turns the covariance by half of the attitude's change
     assert np.allclose(after.state.covariance, expected, atol=2e-2 * np.abs(expected).max())
-    assert after.told == 6 and after.taken
+    assert after.directions == 6 and after.taken
 
 
 def test_what_is_not_told_stays_as_it_was() -> None:
@@ -201,12 +201,12 @@ def test_what_is_not_told_stays_as_it_was() -> None:
     unseen = np.linalg.svd(D)[2][4:].T
     X = moved(predicted_pose(STATE, TARGET, R_NR), unseen @ np.array([0.02, 0.01]), TARGET.o_G)
     after = update(STATE, TARGET, R_NR, X, info)
-    assert after.told == 4
+    assert after.directions == 4
     assert np.abs(STATE.error(after.state)).max() < 2e-3
     H = measurement_jacobian(STATE, TARGET, R_NR)
     assert np.allclose(np.linalg.inv(np.linalg.inv(P0) + H.T @ info @ H), after.state.covariance, atol=1e-5)
     nothing = update(STATE, TARGET, R_NR, X, np.zeros((6, 6)))
-    assert nothing.told == 0 and not nothing.taken and nothing.state is STATE
+    assert nothing.directions == 0 and not nothing.taken and nothing.state is STATE
 
 
 def test_told_directions_hold_the_information() -> None:
