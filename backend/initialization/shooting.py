@@ -14,9 +14,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from polhode.backend.dynamics.propagation import propagate_rotations
+from polhode.backend.dynamics.so3_exp import matrices_from_quaternions, rotation_vectors
 from polhode.backend.initialization.rates import AMBIGUOUS_TURN_RAD, OPPOSITE_DIRECTION
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
-from polhode.lie import Array, log_so3, matrix_from_wxyz
+from polhode.lie import Array, log_so3
 from polhode.records import Bools, Ints
 
 FAR_RAD = np.deg2rad(60.0)
@@ -103,7 +104,7 @@ def _attitude_residuals(x: Array, t: Array, R: Array) -> Array:
     """Rotations from predicted to known attitudes over their sigma, with a weak prior on the inertia."""
     J = inertia_from_second_moments(FORM.second_moments(np.clip(x[3:], -4.0, 4.0), np.eye(3)))
     turn, _ = _carry(x[:3], J, t)
-    misses = log_so3(np.swapaxes(R[0] @ turn, 1, 2) @ R[1:])
+    misses = rotation_vectors(np.swapaxes(R[0] @ turn, 1, 2) @ R[1:])
     return np.concatenate([misses.ravel() / SIGMA_RAD, x[3:]])
 
 
@@ -114,7 +115,7 @@ def _carry(w_G: Array, J_G: Array, t: Array) -> tuple[Array, Array]:
     # a search may try rates at which the series overflows: such a shot is useless
     lost = ~(np.linalg.norm(q, axis=1) > 1e-6) | ~np.isfinite(q).all(axis=1) | ~np.isfinite(w).all(axis=1)
     q[lost], w[lost] = (1.0, 0.0, 0.0, 0.0), 0.0
-    return matrix_from_wxyz(q), w
+    return matrices_from_quaternions(q), w
 
 
 def _rates(time_s: Array, R_NG: Array, connected: Bools, first: int, w_G: Array, J_G: Array) -> Array:
@@ -140,4 +141,4 @@ def _rates_along(time_s: Array, R_NG: Array, connected: Bools, w_G: Array, J_G: 
 
 
 def _step_residuals(w_G: Array, dt: Array, turn: Array, J_G: Array) -> Array:
-    return np.asarray(log_so3(_carry(w_G, J_G, dt)[0][0].T @ turn))
+    return rotation_vectors((_carry(w_G, J_G, dt)[0][0].T @ turn)[None])[0]
