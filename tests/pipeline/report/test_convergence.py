@@ -14,8 +14,8 @@ from polhode.pipeline.report.tables import run_rows, sigma_rows
 from polhode.pipeline.run_directory.outputs import write_online_estimate
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 from polhode.records import MotionEstimate, OnlineEstimate
+from tests.pipeline.report.test_report import _unpacked
 from tests.pipeline.stored_run import write_run
-from tests.pipeline.test_report import _unpacked
 
 UNKNOWN_UNTIL = 9
 

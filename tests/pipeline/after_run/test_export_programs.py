@@ -26,7 +26,7 @@ from tests.pipeline.after_run.test_export import document, export, run, write_ex
 from tests.pipeline.conftest import Example
 
 __all__ = ["run"]
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 VALIDATOR = ROOT / ".venv" / "gltf" / "node_modules" / "gltf-validator"
 VALIDATE = """
 const validator = require(process.argv[1]), fs = require('fs');
