@@ -6,6 +6,7 @@ limit_threads(1)  # of what is imported below, and of NumPy, which a plugin of p
 
 # isort: split
 import fcntl
+import gc
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -31,6 +32,12 @@ LONGEST = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files first; the order is kept otherwise."""
     items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
+
+
+def pytest_collection_finish() -> None:
+    """Modules stay: the garbage collector need not look at what they made again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
