@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from polhode.cli.console import choose_progress
-from polhode.cli.options import ConfigValues, Flag, OptionalConfigFile
+from polhode.cli.options import ConfigValues, Debug, OptionalConfigFile
 from polhode.config import Config
 from polhode.errors import RunFailure
 
@@ -33,8 +33,7 @@ class CompareCommand:
     """Folder of a finished run: its measurements.npz is used."""
     truth: Annotated[Path | None, arg(metavar="SEQ")] = None
     """With --run: folder of the sequence of that run; its truth (mav0/target0) gives errors."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
     values: ConfigValues = field(default_factory=Config)
 
     def execute(self) -> int:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Flag
+from polhode.cli.options import Debug
 
 
 @dataclass(frozen=True)
@@ -17,8 +17,7 @@ class EvaluateCommand:
     """Folder of a finished run."""
     data: Annotated[Positional[Path], arg(metavar="SEQ")]
     """Folder of the sequence of that run, with its truth in mav0/target0."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
 
     def execute(self) -> int:
         """Write the metrics, renew the report and print the table."""

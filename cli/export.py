@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Flag
+from polhode.cli.options import Debug, Flag
 from polhode.errors import InputError
 
 _FORMATS = "glb ply stl obj urdf mjcf sdf aem oem tum json"
@@ -62,8 +62,7 @@ class ExportCommand:
     """Name of the target in the file."""
     object_id: Annotated[str, arg(metavar="ID")] = "UNKNOWN"
     """International designator of the target, for aem and oem."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
 
     def execute(self) -> int:
         """Check, export and print the path."""

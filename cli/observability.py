@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Flag
+from polhode.cli.options import Debug, Flag, require_folder
 from polhode.errors import InputError
 
 MAX_IMAGE_PX = 100_000
@@ -60,8 +60,7 @@ class ObservabilityCommand:
     fewest: Flag = False
     """Also find the smallest set of edges that keeps every sigma within 10 % of that with all; takes up to a
     minute."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
 
     def execute(self) -> int:
         """Check, assess, write and print."""
@@ -71,8 +70,7 @@ class ObservabilityCommand:
         from polhode.pipeline.after_run.observability.assess import CameraOptions, assess, subject_of
         from polhode.pipeline.after_run.observability.files import format_assessment, write_assessment
 
-        if self.output.exists() and not self.output.is_dir():
-            raise InputError(f"{self.output} is a file: -o names a folder")
+        require_folder(self.output)
         for name, least in (("sigma_px", 1e-6), ("spacing_px", 0.1)):
             if not least <= getattr(self, name) <= 1e6:
                 raise InputError(f"--{name.replace('_', '-')}: give a number from {least:g} to 1e6")

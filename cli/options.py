@@ -1,17 +1,34 @@
 """What several commands have in common: the type of a command, and the types of shared options."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Protocol
 
 from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, Positional, arg
 
 from polhode.config import Config
+from polhode.errors import InputError
 
 ConfigFile = Annotated[Positional[Path], arg(metavar="CONFIG")]
 OptionalConfigFile = Annotated[Positional[Path | None], arg(metavar="CONFIG")]
 ConfigValues = Annotated[AvoidSubcommands[FlagConversionOff[Config]], arg(name="")]
 """The configuration itself: the help lists its keys as options, which ``overrides`` reads."""
 Flag = FlagCreatePairsOff[bool]
+Debug = Annotated[FlagCreatePairsOff[bool], arg(help="Show the traceback of an error.")]
+
+
+def require_positive(command: object, *names: str) -> None:
+    """Raises InputError for an option that is not a finite number above 0."""
+    for name in names:
+        value = getattr(command, name)
+        if not (math.isfinite(value) and value > 0.0):
+            raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
+
+
+def require_folder(output: Path) -> None:
+    """Raises InputError for a file in the place of the folder of results."""
+    if output.exists() and not output.is_dir():
+        raise InputError(f"{output} is a file: -o names a folder")
 
 
 class Command(Protocol):

@@ -1,13 +1,12 @@
 """``polhode plan``: keep-out volume, surface speeds and docking corridor of a run."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Flag
+from polhode.cli.options import Debug, require_folder, require_positive
 from polhode.errors import InputError
 
 
@@ -41,8 +40,7 @@ class PlanCommand:
     """Half angle of the corridor's cone [deg]."""
     isp_s: Annotated[float, arg(metavar="S")] = 230.0
     """Specific impulse, for the fuel that station keeping uses [s]."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
 
     def execute(self) -> int:
         """Plan, write and print."""
@@ -52,8 +50,7 @@ class PlanCommand:
         from polhode.pipeline.after_run.plan_files import format_plan, write_plan
         from polhode.planning.keep_out.volumes import KeepOutOptions
 
-        if self.output.exists() and not self.output.is_dir():
-            raise InputError(f"{self.output} is a file: -o names a folder")
+        require_folder(self.output)
         if (self.dock_point is None) != (self.dock_axis is None):
             raise InputError("--dock-point and --dock-axis belong together: give both")
         docking = None
@@ -61,9 +58,7 @@ class PlanCommand:
             point, axis = np.array(self.dock_point), np.array(self.dock_axis)
             if not (np.isfinite(point).all() and np.isfinite(axis).all() and np.linalg.norm(axis) > 0.0):
                 raise InputError("--dock-axis: give a direction of finite numbers, not zero")
-            for name in ("stand_off", "half_angle_deg", "isp_s"):
-                if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                    raise InputError(f"--{name.replace('_', '-')}: give a number above 0")
+            require_positive(self, "stand_off", "half_angle_deg", "isp_s")
             docking = Docking(point, axis, self.stand_off, self.half_angle_deg, self.isp_s)
         wanted = KeepOutOptions(self.horizon, self.confidence, members=self.members, cover=self.cover)
         plan = plan_run(self.run, wanted, docking)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Flag
+from polhode.cli.options import Debug, Flag
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,7 @@ class PredictCommand:
     marks: Flag = False
     """Give the standard deviations of the body itself: the estimated centre of mass and principal axes are
     treated as marks on it. They are finite even where the motion does not determine those."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
 
     def execute(self) -> int:
         """Predict, write and print."""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Flag
+from polhode.cli.options import Debug
 from polhode.errors import InputError
 
 
@@ -18,8 +18,7 @@ class ReportCommand:
     """Folders of runs."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
     """The page, HTML. An existing file is replaced."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
 
     def execute(self) -> int:
         """Write the page."""

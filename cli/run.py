@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from polhode.cli.console import choose_progress
-from polhode.cli.options import ConfigValues, Flag, OptionalConfigFile
+from polhode.cli.options import ConfigValues, Debug, Flag, OptionalConfigFile
 from polhode.config import Config
 from polhode.errors import RunFailure
 
@@ -28,8 +28,7 @@ class RunCommand:
     """Configuration, YAML. If it is left out the defaults apply, which fit any calibrated sequence."""
     overwrite: Flag = False
     """Replace an existing run."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
     values: ConfigValues = field(default_factory=Config)
 
     def execute(self) -> int:

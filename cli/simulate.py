@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from polhode.cli.console import choose_progress
-from polhode.cli.options import ConfigFile, ConfigValues, Flag
+from polhode.cli.options import ConfigFile, ConfigValues, Debug, Flag
 from polhode.config import Config, Scene
 from polhode.errors import InputError
 from polhode.processes import worker_count
@@ -27,8 +27,7 @@ class SimulateCommand:
     """Folder of the dataset, which is created."""
     overwrite: Flag = False
     """Replace an existing dataset. Nothing else is ever replaced."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
     values: ConfigValues = field(default_factory=lambda: Config(scene=Scene()))
 
     def execute(self) -> int:

@@ -1,12 +1,11 @@
 """``polhode threshold``: the rate that separates a tumbling target from a spinning one."""
 
-import math
 from dataclasses import dataclass
 from typing import Annotated
 
 from tyro.conf import arg
 
-from polhode.cli.options import Flag
+from polhode.cli.options import Debug, require_positive
 from polhode.errors import InputError
 
 
@@ -30,17 +29,13 @@ class ThresholdCommand:
     """Duration of station keeping [s]."""
     fuel_fraction: Annotated[float, arg(metavar="SHARE")]
     """Share of its mass that may be used as fuel, above 0 and below 1."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
 
     def execute(self) -> int:
         """Print the three rates."""
         from polhode.planning.approach.tumbling_threshold import RPM, StationKeeping, threshold
 
-        for name in ("radius_m", "mass_kg", "force_n", "isp_s", "duration_s", "fuel_fraction"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
+        require_positive(self, "radius_m", "mass_kg", "force_n", "isp_s", "duration_s", "fuel_fraction")
         if self.fuel_fraction >= 1.0:
             raise InputError(f"--fuel-fraction {self.fuel_fraction:g}: give a share of the mass, below 1")
         given = StationKeeping(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from polhode.cli.console import choose_progress
-from polhode.cli.options import ConfigFile, ConfigValues, Flag
+from polhode.cli.options import ConfigFile, ConfigValues, Debug
 from polhode.config import Config, Train
 from polhode.errors import InputError
 from polhode.processes import worker_count
@@ -19,8 +19,7 @@ class TrainCommand:
 
     config: ConfigFile
     """Configuration with a train section, YAML: configs/train/features.yaml, configs/train/depth.yaml."""
-    debug: Flag = False
-    """Show the traceback of an error."""
+    debug: Debug = False
     values: ConfigValues = field(default_factory=lambda: Config(train=Train()))
 
     def execute(self) -> int:

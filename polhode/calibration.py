@@ -33,61 +33,32 @@ class StereoCalibration:
     """(4, 4) pose of the right camera"""
     width_px: int
     height_px: int
-
-
-@dataclass(frozen=True)
-class _Camera:
-    K: Array
-    dist: Array
-    X_BC: Array
-    width_px: int
-    height_px: int
+    bits: int | None = None
+    """Depth of 16-bit image files, 8 to 16; None: not stated"""
 
 
 def read_calibration(mav0: Path) -> StereoCalibration:
     """Read ``cam0/sensor.yaml`` and ``cam1/sensor.yaml`` below the folder ``mav0``.
 
-    Raises InputError when a file or key is missing, a value is NaN, T_BS is not a rigid transform, the two
-    resolutions differ, or the cameras coincide.
+    Raises InputError when a file or key is missing, a value is NaN, T_BS is not a rigid transform, the
+    cameras coincide, or their resolutions or ``bits`` differ.
     """
     left, right = (_read_camera(mav0 / name / "sensor.yaml") for name in ("cam0", "cam1"))
-    if (left.width_px, left.height_px) != (right.width_px, right.height_px):
-        sizes = f"{left.width_px}x{left.height_px} and {right.width_px}x{right.height_px}"
+    K0, dist0, X_BC0, (width_px, height_px), bits = left
+    K1, dist1, X_BC1, (width1_px, height1_px), bits1 = right
+    if (width_px, height_px) != (width1_px, height1_px):
+        sizes = f"{width_px}x{height_px} and {width1_px}x{height1_px}"
         raise InputError(f"{mav0}: cam0 and cam1 have different resolutions, {sizes}; resample one of them")
-    baseline_m = float(np.linalg.norm(right.X_BC[:3, 3] - left.X_BC[:3, 3]))
+    baseline_m = float(np.linalg.norm(X_BC1[:3, 3] - X_BC0[:3, 3]))
     if baseline_m < MIN_BASELINE_M:
-        message = f"{mav0}: cam0 and cam1 coincide (baseline {baseline_m:g} m); check their T_BS"
-        raise InputError(message)
-    return StereoCalibration(
-        K0=left.K,
-        K1=right.K,
-        dist0=left.dist,
-        dist1=right.dist,
-        X_BC0=left.X_BC,
-        X_BC1=right.X_BC,
-        width_px=left.width_px,
-        height_px=left.height_px,
-    )
+        raise InputError(f"{mav0}: cam0 and cam1 coincide (baseline {baseline_m:g} m); check their T_BS")
+    if bits != bits1:
+        raise InputError(f"{mav0}: 'bits' of cam0 and cam1 differ, {bits} and {bits1}; correct one")
+    return StereoCalibration(K0, K1, dist0, dist1, X_BC0, X_BC1, width_px, height_px, bits)
 
 
-def read_bits(mav0: Path) -> int | None:
-    """Depth of 16-bit image files, 8 to 16, as ``bits`` of the cameras' ``sensor.yaml``; None: not stated.
-
-    Raises InputError when it is no such number, or differs between the cameras.
-    """
-    depths: list[int | None] = []
-    for path in (mav0 / name / "sensor.yaml" for name in ("cam0", "cam1")):
-        bits = read_mapping(path, "a camera needs its calibration (see docs/dataset.md)").get("bits")
-        if bits is not None and (type(bits) is not int or not 8 <= bits <= 16):
-            raise InputError(f"{path} key 'bits': expected the depth of the images, 8 to 16, got {bits!r}")
-        depths.append(bits)
-    if depths[0] != depths[1]:
-        different = f"{depths[0]} and {depths[1]}"
-        raise InputError(f"{mav0}: 'bits' of cam0 and cam1 differ, {different}; correct one")
-    return depths[0]
-
-
-def _read_camera(path: Path) -> _Camera:
+def _read_camera(path: Path) -> tuple[Array, Array, Array, tuple[int, int], int | None]:
+    """K, distortion, X_BC, (width, height) and bits of a camera."""
     sensor = read_mapping(path, "a camera needs its calibration (see docs/dataset.md)")
     model = sensor.get("camera_model", "pinhole")
     if model != "pinhole":
@@ -98,13 +69,13 @@ def _read_camera(path: Path) -> _Camera:
     fu, fv, cu, cv = numbers_at(path, sensor, "intrinsics", (4,))
     if fu <= 0.0 or fv <= 0.0:
         raise InputError(f"{path} key 'intrinsics': focal lengths must be positive, got {fu:g} and {fv:g}")
-    return _Camera(
-        K=np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]]),
-        dist=_distortion(path, sensor),
-        X_BC=_rigid_transform(path, numbers_at(path, sensor, "T_BS", (16,)).reshape(4, 4)),
-        width_px=int(resolution[0]),
-        height_px=int(resolution[1]),
-    )
+    K = np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]])
+    dist = _distortion(path, sensor)
+    X_BC = _rigid_transform(path, numbers_at(path, sensor, "T_BS", (16,)).reshape(4, 4))
+    bits = sensor.get("bits")
+    if bits is not None and (type(bits) is not int or not 8 <= bits <= 16):
+        raise InputError(f"{path} key 'bits': expected the depth of the images, 8 to 16, got {bits!r}")
+    return K, dist, X_BC, (int(resolution[0]), int(resolution[1])), bits
 
 
 def _distortion(path: Path, sensor: dict[str, object]) -> Array:

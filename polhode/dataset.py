@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from polhode.calibration import StereoCalibration, read_bits, read_calibration
+from polhode.calibration import StereoCalibration, read_calibration
 from polhode.errors import InputError
 from polhode.images import Grey, UnreadableImage, bit_depth, has_content, read_mask, read_raw, to_grey
 from polhode.lie import Array, make_pose
@@ -125,7 +125,8 @@ def open_sequence(folder: Path) -> StereoSequence:
     mask has the wrong size, or ``inspector0`` or ``wrench0`` is wrong or does not cover the frames.
     """
     mav0 = _require_folders(folder)
-    calibration, bits = read_calibration(mav0), read_bits(mav0)
+    calibration = read_calibration(mav0)
+    bits = calibration.bits
     left, right = (_listed_files(mav0 / name) for name in ("cam0", "cam1"))
     listed = sorted(left.keys() | right.keys())
     paired = [stamp for stamp in listed if stamp in left and stamp in right]

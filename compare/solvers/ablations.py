@@ -12,17 +12,13 @@ import numpy as np
 
 from polhode.backend.dynamics.process_noise import whitening
 from polhode.backend.dynamics.residuals import Steps
-from polhode.backend.problem.inertia import (
-    inertia_from_second_moments,
-    second_moments_from_inertia,
-)
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.compare.solvers.ours import MonitoredGaussNewton
-from polhode.compare.solvers.thesis_methods import LogRatios, possible, wide_prior
+from polhode.compare.solvers.thesis_methods import LogRatios, in_common, possible, wide_prior
 from polhode.lie import Array
 from polhode.records import Ints
 
@@ -64,14 +60,6 @@ def _at_rest(problem: MeasuredProblem) -> Steps:
     return replace(problem.fixed.steps, W_t=W_t, W_r=W_r)
 
 
-def _in_common(problem: MeasuredProblem, data: MotionData, around: Iterate, x: Array) -> Array:
-    """Unknowns x about an iterate, in the data's form of the inertia -> the common unknowns."""
-    at = around.moved_to(x)
-    J = inertia_from_second_moments(at.second_moments(data.form))
-    xi, R_inertia = problem.data.form.coordinates(second_moments_from_inertia(J))
-    return problem.vector(replace(at, xi=xi, R_inertia=R_inertia))
-
-
 def _log_ratios(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
     data = replace(problem.data, form=LogRatios())
     start = problem.iterate(x)
@@ -80,7 +68,7 @@ def _log_ratios(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Ad
     total, before = 0, np.inf
     while True:
         # references are renewed, as the axes of nearly equal moments rotate far
-        solver = _WidePrior(data, monitor, partial(_in_common, problem, data, begin))
+        solver = _WidePrior(data, monitor, partial(_moved, problem, data, begin))
         fixed = _around(problem.fixed, data, begin)
         found = solver.solve_in_time(fixed, begin.vector(), 15)
         total, begin = total + found.iterations, begin.moved_to(found.x)
@@ -89,8 +77,12 @@ def _log_ratios(problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> Ad
             break
         before = found.cost
     body = "a possible body" if possible(begin.xi) else "an impossible body"
-    end = _in_common(problem, data, begin, begin.vector())
+    end = in_common(problem, data, begin)
     return AdapterResult(end, found.converged, total, f"{found.message}; {body}")
+
+
+def _moved(problem: MeasuredProblem, data: MotionData, at: Iterate, x: Array) -> Array:
+    return in_common(problem, data, at.moved_to(x))
 
 
 def _around(fixed: LinearizationPoint, data: MotionData, at: Iterate) -> LinearizationPoint:

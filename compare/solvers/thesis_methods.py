@@ -82,12 +82,17 @@ class DynamicIsam:
             monitor.report(f"{n} of {data.n_frames} frames were in")
             monitor.check()
         assert at is not None
-        second = second_moments_from_inertia(inertia_from_second_moments(at.second_moments(data.form)))
-        xi, R_inertia = problem.data.form.coordinates(second)
-        end = replace(at, xi=xi, R_inertia=R_inertia, R_torque=start.R_torque)
+        end = in_common(problem, data, replace(at, R_torque=start.R_torque))
         frames = data.n_frames - MIN_FRAMES + 1
         message = f"the inertia was impossible in {impossible} of {frames} frames"
-        return AdapterResult(problem.vector(end), True, steps, message)
+        return AdapterResult(end, True, steps, message)
+
+
+def in_common(problem: MeasuredProblem, data: MotionData, at: Iterate) -> Array:
+    """An iterate with the inertia in the form of ``data``, in the common unknowns (n,)."""
+    second = second_moments_from_inertia(inertia_from_second_moments(at.second_moments(data.form)))
+    xi, R_inertia = problem.data.form.coordinates(second)
+    return problem.vector(replace(at, xi=xi, R_inertia=R_inertia))
 
 
 class _FixedLandmark(TimedGaussNewton):

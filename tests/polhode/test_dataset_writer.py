@@ -9,7 +9,7 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
-from polhode.calibration import read_bits, read_calibration
+from polhode.calibration import read_calibration
 from polhode.dataset_writer import write_sensor, write_truth, write_wrench
 from polhode.errors import InputError
 from polhode.lie import exp_so3, make_pose
@@ -105,7 +105,7 @@ def test_the_depth_of_images_above_8_bits_reads_back(tmp_path: Path) -> None:
     for index in (0, 1):
         X_BC = make_pose(np.eye(3), [0.1 * index, 0.0, 0.0])
         write_sensor(tmp_path / f"cam{index}", np.eye(3), np.zeros(4), X_BC, 640, 480, rate_hz=2.0, bits=10)
-    assert read_bits(tmp_path) == 10
+    assert read_calibration(tmp_path).bits == 10
 
 
 def test_rounding_in_a_pose_is_forgiven_and_made_exact(tmp_path: Path) -> None:
