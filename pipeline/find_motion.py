@@ -143,14 +143,14 @@ def solve_repeatedly(context: RunContext, correspondences: Correspondences) -> I
         advance()
     matches = consistent_matches(correspondences.matches, features, motion, context.rig, CONSISTENCY_PX)
     association = join_matches(features, matches)
-    for turn in range(guided.rounds):
+    for number in range(guided.rounds):
         before = motion.connected
         with context.clock("frontend"):
             relocated = reconnect(features, association, motion, context.rig, guided, config.seed)
             association, motion = relocated.association, relocated.motion
             tracks = context.tracks(features, association)
-        _log.info("round %d: %d of %d frames connected", turn + 1, motion.connected.sum(), len(before))
-        if turn > 0 and np.array_equal(motion.connected, before):
+        _log.info("round %d: %d of %d frames connected", number + 1, motion.connected.sum(), len(before))
+        if number > 0 and np.array_equal(motion.connected, before):
             break
         with context.clock("backend"):
             estimate = estimate_motion(tracks, motion, config.backend, context.progress)

@@ -60,7 +60,7 @@ def run(
         write_measurements(correspondences.tracks(context), folder / "measurements.npz", links)
 
         for solution in find_motion(context, correspondences):
-            # Each solution is written, so that it stands should a later step fail.
+            # Each solution is written, so that it is kept should a later step fail.
             outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
         tracks, estimate = solution.tracks, solution.estimate
         if config.backend.window.enabled:

@@ -280,7 +280,6 @@ def _integrate(derivative: Callable[[float, Array], Array], start: Array, time: 
 
 
 MEMBERS_AT_ONCE = 250
-MAX_MEMBERS = 100_000
 
 
 @dataclass(frozen=True)

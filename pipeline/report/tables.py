@@ -49,16 +49,16 @@ def finding(summary: Summary, trajectory: Trajectory | None) -> str:
     inertia, known = summary.inertia, summary.identifiable
     ratios = [
         f"{name} = {with_sigma(value, _root(variance))}"
-        for name, value, variance, sure in (
+        for name, value, variance, determined in (
             ("k1", inertia.k1, inertia.cov[0][0], known.k1),
             ("k2", inertia.k2, inertia.cov[1][1], known.k2),
         )
-        if sure
+        if determined
     ]
-    unknown = [name for name, sure in (("k1", known.k1), ("k2", known.k2)) if not sure]
-    determined = f"its inertia ratios are {' and '.join(ratios)}" if ratios else ""
+    unknown = [name for name, flag in (("k1", known.k1), ("k2", known.k2)) if not flag]
+    ratios_found = f"its inertia ratios are {' and '.join(ratios)}" if ratios else ""
     undetermined = f"this motion does not determine {' and '.join(unknown)}" if unknown else ""
-    return f"{motion}; {', '.join(part for part in (determined, undetermined) if part)}."
+    return f"{motion}; {', '.join(part for part in (ratios_found, undetermined) if part)}."
 
 
 def inertia_rows(summary: Summary) -> list[TableRow]:

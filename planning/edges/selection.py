@@ -67,7 +67,7 @@ def greedy(scaled: Array, budget: float, value: Value, cost: Array | None = None
     ``cost`` (n,) is 1 for each feature unless given, as in `edge_lengths`. Ties go to the lower index.
     Raises InputError for a budget that is smaller than every cost.
     """
-    price = np.ones(scaled.shape[1]) if cost is None else np.asarray(cost, dtype=np.float64)
+    price = _price(scaled, cost)
     check(price, budget)
     informative = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
     by_value = _greedy(scaled, budget, value, price, informative, np.ones(len(price)))
@@ -76,6 +76,11 @@ def greedy(scaled: Array, budget: float, value: Value, cost: Array | None = None
     by_price = _greedy(scaled, budget, value, price, informative, price)
     best = by_price if by_price.value > by_value.value else by_value
     return replace(best, evaluations=by_value.evaluations + by_price.evaluations)
+
+
+def _price(scaled: Array, cost: Array | None) -> Array:
+    """(n,)"""
+    return np.ones(scaled.shape[1]) if cost is None else np.asarray(cost, dtype=np.float64)
 
 
 def check(price: Array, budget: float) -> None:
@@ -132,8 +137,7 @@ def improved_by_exchange(
 
     Fedorov, Theory of Optimal Experiments, 1972. The result is never worse than the start.
     """
-    n = scaled.shape[1]
-    price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
+    price = _price(scaled, cost)
     chosen, now, evaluations = list(start.features.tolist()), start.value, start.evaluations
     spent = float(price[chosen].sum())
     informative = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
@@ -141,19 +145,19 @@ def improved_by_exchange(
         M = np.eye(6) + scaled[:, chosen].sum(axis=1)
         free = np.setdiff1d(np.flatnonzero(informative), chosen)
         best = (now * (1.0 + 1e-12), -1, -1)
-        for place, i in enumerate(chosen):
+        for position, i in enumerate(chosen):
             fits = free[spent - price[i] + price[free] <= budget * (1.0 + 1e-12)]
             if len(fits) == 0:
                 continue
             values = value_of(M - scaled[:, i] + np.swapaxes(scaled[:, fits], 0, 1), value)
             evaluations += len(fits)
             at = int(np.argmax(values))
-            best = max(best, (float(values[at]), -place, int(fits[at])))
+            best = max(best, (float(values[at]), -position, int(fits[at])))
         if best[2] < 0:
             break
-        now, place, joining = best[0], -best[1], best[2]
-        spent += float(price[joining] - price[chosen[place]])
-        chosen[place] = joining
+        now, position, joining = best[0], -best[1], best[2]
+        spent += float(price[joining] - price[chosen[position]])
+        chosen[position] = joining
     features = np.array(chosen, dtype=np.int64)
     value_now = value_of_set(scaled, features, value)
     return EdgeSelection(features, value_now, float(price[features].sum()), evaluations)
@@ -196,8 +200,7 @@ def upper_bound(
     scaled: Array, budget: float, value: Value, cost: Array | None = None, steps: int = STEPS
 ) -> float:
     """Upper bound of the value of any set of features (T, n, 6, 6) within the budget."""
-    n = scaled.shape[1]
-    price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
+    n, price = scaled.shape[1], _price(scaled, cost)
     check(price, budget)
     case = _PartialSelection(np.zeros(n, dtype=bool), np.ones(n, dtype=bool))
     return _bound(scaled, budget, value, price, case, steps)[0]
@@ -208,8 +211,7 @@ def best_selection(scaled: Array, budget: float, value: Value, cost: Array | Non
 
     Raises InputError after too many branches, or when no feature fits the budget.
     """
-    n = scaled.shape[1]
-    price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
+    n, price = scaled.shape[1], _price(scaled, cost)
     best = improved_by_exchange(scaled, greedy(scaled, budget, value, price), budget, value, price)
     informative = (scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0)
     stack = [_PartialSelection(np.zeros(n, dtype=bool), informative)]
@@ -258,9 +260,9 @@ def _bound(
         M = np.eye(6) + np.einsum("n,tnij->tij", w, scaled)
         slope = _slope(scaled, M, value)
         corner = _knapsack(slope, price, left, case)
-        rest = float(slope @ (corner - w))
-        bound = min(bound, float(value_of(M, value)) + rest)
-        if bound <= stop_below + CLOSE or rest < CLOSE:
+        gap = float(slope @ (corner - w))
+        bound = min(bound, float(value_of(M, value)) + gap)
+        if bound <= stop_below + CLOSE or gap < CLOSE:
             break
         step = np.einsum("n,tnij->tij", corner - w, scaled)
         w = w + _step_length(M, step, value) * (corner - w)

@@ -167,10 +167,10 @@ def _backward_elimination(limits: SigmaLimits, chosen: list[int]) -> list[int]:
     while len(chosen) > 1:
         left = total - np.swapaxes(limits.C[:, chosen], 0, 1)
         ratio = np.nan_to_num(limits.ratio(left)[:, limits.degrees], nan=np.inf).max(axis=1)
-        place = int(np.argmin(ratio))
-        if ratio[place] > limits.factor:
+        weakest = int(np.argmin(ratio))
+        if ratio[weakest] > limits.factor:
             break
-        total = total - limits.C[:, chosen.pop(place)]
+        total = total - limits.C[:, chosen.pop(weakest)]
         if len(chosen) % 16 == 0:
             total = limits.of(chosen)
     return chosen

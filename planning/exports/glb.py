@@ -2,7 +2,7 @@
 
 A node ``target`` holds two meshes: ``surface`` and, if there is one, ``invented`` (faces that close small
 holes). Vertices have the attribute ``_SIGMA_M`` (``_SIGMA_MM``); -1 stands for "not measured", because glTF
-allows no infinity. A cloud of points is drawn as points.
+allows no infinity. A point cloud is drawn as points.
 """
 
 import json
@@ -135,11 +135,12 @@ def _tumble(buffer: _Buffer, animation: Animation, per_m: float, target: dict[st
     """Channels of the target's node, which is at its first pose; both have the same key times."""
     wxyz = continuous_wxyz(wxyz_from_matrix(animation.X_NF[:, :3, :3]))
     xyzw = wxyz[:, [1, 2, 3, 0]].astype("<f4")
-    place = (per_m * animation.X_NF[:, :3, 3]).astype("<f4")
-    target["rotation"], target["translation"] = xyzw[0].tolist(), place[0].tolist()
+    position = (per_m * animation.X_NF[:, :3, 3]).astype("<f4")
+    target["rotation"], target["translation"] = xyzw[0].tolist(), position[0].tolist()
     keys = buffer.add(animation.time_s.astype("<f4"), limits=True)
     samplers = [
-        {"input": keys, "interpolation": "LINEAR", "output": buffer.add(values)} for values in (xyzw, place)
+        {"input": keys, "interpolation": "LINEAR", "output": buffer.add(values)}
+        for values in (xyzw, position)
     ]
     channels = [
         {"sampler": k, "target": {"node": 0, "path": path}}

@@ -38,7 +38,7 @@ FRAME_N = (
 )
 
 Row4 = tuple[Finite, Finite, Finite, Finite]
-Covariance = Annotated[
+CovarianceRows = Annotated[
     list[Annotated[list[Finite | None], Field(min_length=12, max_length=12)]],
     Field(min_length=12, max_length=12),
 ]
@@ -71,9 +71,9 @@ class StateOut(StrictModel):
     p_NF: Vector
     """Origin of F in N [m]"""
     q_NF_wxyz: Row4
-    covariance: Covariance
+    covariance: CovarianceRows
     """Of the centre of mass and the principal axes; null: undetermined"""
-    covariance_of_marks: Covariance
+    covariance_of_marks: CovarianceRows
     """Of the body: the estimated centre of mass and axes are marks on it"""
 
 

@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from polhode.errors import InputError
 Format = Literal["glb", "ply", "stl", "obj", "urdf", "mjcf", "sdf", "aem", "oem", "tum", "json"]
 FrameName = Literal["G", "P", "cad"]
 Unit = Literal["m", "mm"]
-FORMATS: tuple[str, ...] = get_args(Format)
 MESHES = ("glb", "ply", "stl", "obj")
 ROBOTS = ("urdf", "mjcf", "sdf")
 MOTIONS = ("aem", "oem", "tum")

@@ -219,9 +219,9 @@ def _has_content(line: str) -> bool:
 
 
 def _row(path: Path, number: int, line: str) -> list[float]:
-    words = line.replace(",", " ").split()
+    cells = line.replace(",", " ").split()
     try:
-        values = [float(word) for word in words]
+        values = [float(cell) for cell in cells]
     except ValueError:
         values = []
     if len(values) != 8 or not np.isfinite(values).all():

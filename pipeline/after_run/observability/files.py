@@ -128,11 +128,14 @@ def edge_table(assessment: Assessment) -> str:
     for k, kind in enumerate(kinds):
         if k >= len(model.ends_G) and not model.outlined[k - len(model.ends_G)]:
             continue
-        place: list[str] = [""] * 7
+        segment: list[str] = [""] * 7
         if k < len(model.ends_G):
-            place = [f"{model.lengths_m[k]:.6g}", *(f"{value:.6g}" for value in model.ends_G[k].reshape(-1))]
+            segment = [
+                f"{model.lengths_m[k]:.6g}",
+                *(f"{value:.6g}" for value in model.ends_G[k].reshape(-1)),
+            ]
         shares = (f"{value:.6g}" for value in (*edges.share[k], *edges.rise[k]))
-        out.writerow([k, kind, *place, *shares, *(int(k in each) for each in sets)])
+        out.writerow([k, kind, *segment, *shares, *(int(k in each) for each in sets)])
     return text.getvalue()
 
 

@@ -214,9 +214,9 @@ def draw_views(assessment: Assessment) -> bytes:
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
     figure = Figure(figsize=(4.4 * columns, 3.7 * rows), layout="constrained")
-    for place, k in enumerate(chosen):
+    for number, k in enumerate(chosen, start=1):
         view = assessment.views[k]
-        panel = figure.add_subplot(rows, columns, place + 1)
+        panel = figure.add_subplot(rows, columns, number)
         view_panel(panel, assessment.subject.model, assessment.subject.rig, view.X_RG, view.points)
         panel.set_title(
             f"{assessment.subject.time_s[k]:g} s, {view.range_m:.2f} m, {view.expected_edges} edges",

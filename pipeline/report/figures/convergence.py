@@ -71,8 +71,8 @@ def _mass(content: StoredRun, online: OnlineEstimate) -> Figure:
         "convergence-mass",
         "Inertia, centre of mass and principal axes as the frames came",
         "The causal estimate after each frame, with bands of three standard deviations; dashed: the final "
-        "smoothed value. Centre of mass along G, axes as small turns about x, y, z of P. Below, the standard "
-        "deviations. Nothing is drawn while the motion seen so far does "
+        "smoothed value. Centre of mass along G, axes as small rotations about x, y, z of P. Below, the "
+        "standard deviations. Nothing is drawn while the motion seen so far does "
         f"not determine a quantity. {_first_words(online)}",
         data,
         figure,

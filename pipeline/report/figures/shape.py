@@ -53,10 +53,10 @@ def thinned(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
         _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         group = group.reshape(-1)
         merged = group[faces]
-        apart = (
+        distinct = (
             (merged[:, 0] != merged[:, 1]) & (merged[:, 1] != merged[:, 2]) & (merged[:, 2] != merged[:, 0])
         )
-        merged = merged[apart]
+        merged = merged[distinct]
         _, keep = np.unique(np.sort(merged, axis=1), axis=0, return_index=True)
         if len(keep) <= max_faces:
             break
