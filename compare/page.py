@@ -8,7 +8,7 @@ import numpy as np
 from polhode.atomic import write_text
 from polhode.compare.problem.assessment import AGREED
 from polhode.compare.ranking import NOISE, curve, front, growths
-from polhode.compare.rows import Comparison, Row, gap, least_costs
+from polhode.compare.rows import Comparison, ProblemSummary, Row, gap
 from polhode.compare.tables import (
     COLUMNS,
     ERROR_COLUMNS,
@@ -38,7 +38,7 @@ MAX_TRACES = 12
 def write_page(comparison: Comparison, path: Path) -> None:
     """Cost against time, performance profiles, growth, time against accuracy, the tables."""
     names = list(dict.fromkeys(row.solver for row in comparison.rows))
-    drawn = [problem.name for problem in comparison.problems[:MAX_TRACES]]
+    drawn = comparison.problems[:MAX_TRACES]
     figures = [
         *(_cost_against_time(comparison, problem, names, number) for number, problem in enumerate(drawn)),
         _profiles(comparison, names),
@@ -52,17 +52,17 @@ def write_page(comparison: Comparison, path: Path) -> None:
         figures=[figure for figure in figures if figure is not None],
         columns=COLUMNS,
         error_columns=ERROR_COLUMNS,
-        tables=[_table(comparison, problem.name) for problem in comparison.problems],
+        tables=[_table(comparison, problem) for problem in comparison.problems],
         successes=_success_rows(comparison),
     )
     write_text(path, page)
 
 
-def _table(comparison: Comparison, problem: str) -> dict[str, object]:
-    rows = [row for row in comparison.rows if row.problem == problem]
-    least = least_costs(comparison)[problem]
+def _table(comparison: Comparison, problem: ProblemSummary) -> dict[str, object]:
+    rows = [row for row in comparison.rows if row.problem == problem.name]
+    least = problem.least_cost
     return {
-        "problem": next(each for each in comparison.problems if each.name == problem),
+        "problem": problem,
         "rows": [(cells(row, least), row) for row in rows],
         "verdict": verdict(rows, least),
         "not_separable": not_separable(rows),
@@ -94,10 +94,12 @@ def _line(x: object, y: object, name: str, names: list[str], **more: Any) -> Tra
     return trace
 
 
-def _cost_against_time(comparison: Comparison, problem: str, names: list[str], number: int) -> Figure | None:
-    least = least_costs(comparison)[problem]
+def _cost_against_time(
+    comparison: Comparison, problem: ProblemSummary, names: list[str], number: int
+) -> Figure | None:
+    least = problem.least_cost
     # the trace of a baseline is its own cost, of the frames so far
-    rows = [row for row in comparison.rows if row.problem == problem and row.trace and row.claim == "ok"]
+    rows = [row for row in comparison.rows if row.problem == problem.name and row.trace and row.claim == "ok"]
     if least is None or not rows:
         return None
     kind = rows[0].start
@@ -118,7 +120,7 @@ def _cost_against_time(comparison: Comparison, problem: str, names: list[str], n
         yaxis=axis("cost over the least - 1", type="log", exponentformat="power"),
         legend=LEGEND,
     )
-    return Figure(f"cost{number}", f"Cost against time, {problem}", caption, data, drawing, 480)
+    return Figure(f"cost{number}", f"Cost against time, {problem.name}", caption, data, drawing, 480)
 
 
 def _profiles(comparison: Comparison, names: list[str]) -> Figure | None:
@@ -167,10 +169,10 @@ def _growth(comparison: Comparison, names: list[str]) -> Figure | None:
 
 
 def _time_against_accuracy(
-    comparison: Comparison, problem: str, names: list[str], number: int
+    comparison: Comparison, problem: ProblemSummary, names: list[str], number: int
 ) -> Figure | None:
-    rows = [row for row in comparison.rows if row.problem == problem and row.start == "cold"]
-    least = least_costs(comparison)[problem]
+    rows = [row for row in comparison.rows if row.problem == problem.name and row.start == "cold"]
+    least = problem.least_cost
     ended = [row for row in rows if row.status in ("ok", "baseline")]
     if not ended:
         return None
@@ -191,7 +193,7 @@ def _time_against_accuracy(
         yaxis=axis("cost over the least - 1", type="log"),
         legend=LEGEND,
     )
-    title = f"Time against accuracy, {problem}"
+    title = f"Time against accuracy, {problem.name}"
     return Figure(f"front{number}", title, caption, [step, *data], drawing, 420)
 
 

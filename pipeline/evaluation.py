@@ -41,7 +41,7 @@ from polhode.metrics import (
     state_coverage,
     state_nees,
     truth_at,
-    turned,
+    with_half_turn,
 )
 from polhode.pipeline.run_directory.archives import Covariance, read_covariance
 from polhode.pipeline.run_directory.summary import read_summary
@@ -211,7 +211,7 @@ def _prediction_errors(estimate: States, true_states: States, truth: Truth, summ
     """
     assert summary.inertia is not None
     half_turn = motion_errors(estimate, true_states).half_turn
-    R_fit = constant_body_rotation(turned(estimate, half_turn), true_states)
+    R_fit = constant_body_rotation(with_half_turn(estimate, half_turn), true_states)
     end_ns = int(estimate.timestamps_ns[-1])
     reach_s = (int(truth.timestamps_ns[-1]) - end_ns) * 1e-9
     horizons = [h for h in HORIZONS_S if h <= reach_s + 1e-6]
@@ -227,7 +227,7 @@ def _prediction_errors(estimate: States, true_states: States, truth: Truth, summ
             estimate.w_P[-1],
             np.diag(summary.inertia.moments),
         )
-        predicted = turned(States(at.timestamps_ns, r_N[1:], v_N[1:], R_NP[1:], w_P[1:]), half_turn)
+        predicted = with_half_turn(States(at.timestamps_ns, r_N[1:], v_N[1:], R_NP[1:], w_P[1:]), half_turn)
         angles = angle_deg(np.swapaxes(predicted.R_NP @ R_fit, -1, -2) @ at.R_NP)
         distances = np.linalg.norm(predicted.r_N - at.r_N, axis=1)
         for h, angle, distance in zip(horizons, angles, distances, strict=True):

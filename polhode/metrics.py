@@ -60,7 +60,7 @@ def truth_at(truth: Truth, timestamps_ns: Ints) -> States:
     return States(timestamps_ns, r_N, v_N, R_NP, w_P)
 
 
-def turned(states: States, half_turn: int) -> States:
+def with_half_turn(states: States, half_turn: int) -> States:
     """The same motion with the principal axes rotated by a half-turn."""
     s = HALF_TURNS[half_turn]
     return States(states.timestamps_ns, states.r_N, states.v_N, states.R_NP * s, states.w_P * s)
@@ -98,7 +98,7 @@ class MotionErrors:
 def motion_errors(estimate: States, truth: States) -> MotionErrors:
     """Compare states at the same F instants."""
     half_turn = best_half_turn(estimate.R_NP, truth.R_NP)
-    states = turned(estimate, half_turn)
+    states = with_half_turn(estimate, half_turn)
     R_fit = constant_body_rotation(states, truth)
     attitude_deg = angle_deg(np.swapaxes(states.R_NP @ R_fit, -1, -2) @ truth.R_NP)
     offset_P = (np.swapaxes(truth.R_NP, -1, -2) @ (states.r_N - truth.r_N)[..., None])[..., 0]
@@ -166,7 +166,7 @@ def state_errors(estimate: States, truth: States, half_turn: int) -> dict[str, A
     """Position, velocity, attitude and angular velocity, estimate minus truth (F, 3) each, along the axes in
     which the covariance of the estimate is stated: those of N, and the estimate's own P.
     """
-    same_axes = turned(truth, half_turn)
+    same_axes = with_half_turn(truth, half_turn)
     theta = log_so3(np.swapaxes(estimate.R_NP, -1, -2) @ same_axes.R_NP)
     return {
         "position": estimate.r_N - truth.r_N,

@@ -19,7 +19,7 @@ from tyro.conf import Positional, arg
 from benchmarks.command import command
 from benchmarks.presentation import save_figure
 from polhode.lie import Array, continuous_wxyz, log_so3, wxyz_from_matrix
-from polhode.metrics import States, constant_body_rotation, motion_errors, truth_at, turned
+from polhode.metrics import States, constant_body_rotation, motion_errors, truth_at, with_half_turn
 from polhode.pipeline.after_run.predict import predict_run
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, standard_deviations
 from polhode.truth import read_truth
@@ -77,11 +77,11 @@ def compare(run: Path, sequence: Path, horizon_s: float) -> PredictionComparison
     estimate = States(seen.timestamps_ns, seen.r_N, seen.v_N, seen.R_NP, seen.w_P)
     at_frames = truth_at(truth, estimate.timestamps_ns)
     half_turn = motion_errors(estimate, at_frames).half_turn
-    R_fit = constant_body_rotation(turned(estimate, half_turn), at_frames)
+    R_fit = constant_body_rotation(with_half_turn(estimate, half_turn), at_frames)
     states = prediction
     ahead = States(prediction.timestamps_ns, states.r_N, states.v_N, states.R_NP, states.w_P)
     came = truth_at(truth, prediction.timestamps_ns)
-    R_NP = turned(ahead, half_turn).R_NP @ R_fit
+    R_NP = with_half_turn(ahead, half_turn).R_NP @ R_fit
     # where the mark at the estimated centre of mass lies in the true body, by all frames of the run
     offset_P = np.mean(np.einsum("fji,fj->fi", at_frames.R_NP, estimate.r_N - at_frames.r_N), axis=0)
     place = ahead.r_N - came.r_N - came.R_NP @ offset_P

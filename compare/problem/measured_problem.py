@@ -107,20 +107,20 @@ class MeasuredProblem:
 
 def aligned(at: Iterate, target: Iterate, data: MotionData) -> Iterate:
     """The same motion with G, and in it body and landmarks, moved to ``target``'s first pose."""
-    turn = at.R_NG[0].T @ target.R_NG[0]
-    shift = at.R_NG[0].T @ (target.p_NG[0] - at.p_NG[0])
-    second = turn.T @ at.second_moments(data.form) @ turn
+    R = at.R_NG[0].T @ target.R_NG[0]
+    t = at.R_NG[0].T @ (target.p_NG[0] - at.p_NG[0])
+    second = R.T @ at.second_moments(data.form) @ R
     xi, R_inertia = data.form.coordinates(second)
     return replace(
         at,
-        p_NG=at.p_NG + at.R_NG @ shift,
-        R_NG=at.R_NG @ turn,
-        w_G=at.w_G @ turn,
-        com_G=turn.T @ (at.com_G - shift),
+        p_NG=at.p_NG + at.R_NG @ t,
+        R_NG=at.R_NG @ R,
+        w_G=at.w_G @ R,
+        com_G=R.T @ (at.com_G - t),
         xi=xi,
         R_inertia=R_inertia,
-        p_G=(at.p_G - shift) @ turn,
-        R_torque=None if at.R_torque is None else turn.T @ at.R_torque,
+        p_G=(at.p_G - t) @ R,
+        R_torque=None if at.R_torque is None else R.T @ at.R_torque,
     )
 
 
@@ -165,7 +165,7 @@ def freeze(
     Raises InputError without relative poses to start from; RunFailure when no motion is found.
     """
     if relative is None or not len(relative.i):
-        raise InputError(f"{name}: the measurements hold no relative poses to start from; run it again")
+        raise InputError(f"{name}: the measurements contain no relative poses to start from; run it again")
     begin = perf_counter()
     try:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

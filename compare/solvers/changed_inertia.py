@@ -175,8 +175,8 @@ class ChangedInertia:
             return np.full(N_INERTIA, np.nan), np.full((N_INERTIA, len(u) + 3), np.nan)
         R = self.R_ref @ exp_so3(eta)
         second = R @ np.diag(d) @ R.T
-        turned = hat(right_jacobian_so3(eta).T) @ np.diag(d)
-        of_eta = turned + np.swapaxes(turned, 1, 2)
+        rotated = hat(right_jacobian_so3(eta).T) @ np.diag(d)
+        of_eta = rotated + np.swapaxes(rotated, 1, 2)
         slopes = np.concatenate([of_u[:, :, None] * np.eye(3), of_eta])
         slopes = R @ slopes @ R.T
         # xi has determinant 1
@@ -215,8 +215,10 @@ class AghiliDynamics:
             of_frames, at.R_NG @ exp_so3(of_frames[:, 3:6]), self.problem.data.camera_N, z[n : n + 3]
         )
         p, eta = z[self.inertia.of_u], z[self.inertia.of_eta]
-        flow = flow_in_G(of_frames[:-1, 9:12], p, self.inertia.R_ref, eta, steps.dt_s, steps.series)
-        residual, jacobian = jacobians_of_propagation(states, steps, *flow)
+        propagated = propagate_in_G(
+            of_frames[:-1, 9:12], p, self.inertia.R_ref, eta, steps.dt_s, steps.series
+        )
+        residual, jacobian = jacobians_of_propagation(states, steps, *propagated)
         first = self._blocks.step_slots()[:, : 2 * s]
         constants = np.arange(n, n + 9)
         slots = np.hstack([first, np.broadcast_to(constants, (len(first), len(constants)))])
@@ -229,7 +231,7 @@ class AghiliDynamics:
             return 0.5 * float(np.sum(own**2) - np.sum(common**2))
 
 
-def flow_in_G(
+def propagate_in_G(
     w_G: Array, p: Array, R_ref: Array, eta: Array, dt_s: Array, series: Ints
 ) -> tuple[Array, Array, Array, Array]:
     """As ``backend.dynamics.propagation``, by Aghili's p (3,) along the axes R_ref Exp(eta): Taylor series.
@@ -239,38 +241,38 @@ def flow_in_G(
     """
     R = R_ref @ exp_so3(eta)
     w_P = w_G @ R
-    q, w_end, turn, rate = flow_in_P(w_P, p, dt_s, series)
+    q, w_end, attitude, rate = propagate_in_P(w_P, p, dt_s, series)
     R_step = matrices_from_quaternions(q)
     # rows are parameters: a rotation of the axes by phi changes w_P by w_P x phi
     of_w = np.swapaxes(hat(w_P), 1, 2)
-    own_turn, own_rate = R_step - np.eye(3), np.swapaxes(-hat(w_end), 1, 2)
+    own_attitude, own_rate = R_step - np.eye(3), np.swapaxes(-hat(w_end), 1, 2)
     Jr = right_jacobian_so3(eta)
-    turn_eta = Jr.T @ (own_turn + of_w @ turn[:, :3])
+    attitude_eta = Jr.T @ (own_attitude + of_w @ attitude[:, :3])
     rate_eta = Jr.T @ (own_rate + of_w @ rate[:, :3])
-    turn = np.concatenate([R @ turn[:, :3], turn[:, 3:], turn_eta], axis=1) @ R.T
+    attitude = np.concatenate([R @ attitude[:, :3], attitude[:, 3:], attitude_eta], axis=1) @ R.T
     rate = np.concatenate([R @ rate[:, :3], rate[:, 3:], rate_eta], axis=1) @ R.T
     in_G = np.concatenate([q[:, :1], q[:, 1:] @ R.T], axis=1)
-    return in_G, w_end @ R.T, turn, rate
+    return in_G, w_end @ R.T, attitude, rate
 
 
-def flow_in_P(w_P: Array, p: Array, dt_s: Array, series: Ints) -> tuple[Array, Array, Array, Array]:
+def propagate_in_P(w_P: Array, p: Array, dt_s: Array, series: Ints) -> tuple[Array, Array, Array, Array]:
     """Attitudes (n, 4), rates (n, 3), derivatives (n, 6, 3) in w_P and p, along the axes."""
     n, m = len(dt_s), 6
     q, w = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), w_P.copy()
-    turn, rate = np.zeros((n, m, 3)), np.zeros((n, m, 3))
+    attitude, rate = np.zeros((n, m, 3)), np.zeros((n, m, 3))
     rate[:, :3] = np.eye(3)
     for k in range(int(series.max(initial=0))):
         now = np.flatnonzero(series > k)
         h = dt_s[now] / series[now]
-        q[now], w[now], turn[now], rate[now] = _one_series(q[now], w[now], turn[now], rate[now], p, h)
-    return q, w, turn, rate
+        q[now], w[now], attitude[now], rate[now] = _one_series(q[now], w[now], attitude[now], rate[now], p, h)
+    return q, w, attitude, rate
 
 
 def _one_series(
-    q: Array, w: Array, turn: Array, rate: Array, p: Array, h: Array
+    q: Array, w: Array, attitude: Array, rate: Array, p: Array, h: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """All over one Taylor series of length h (n,) [s]."""
-    qs, ws, turns, rates = [q], [w], [turn], [rate]
+    """Attitude, rate and their derivatives after one Taylor series of length h (n,) [s]."""
+    qs, ws, attitudes, rates = [q], [w], [attitude], [rate]
     of_p = np.concatenate([np.zeros((3, 3)), np.eye(3)])
     for k in range(ORDER):
         product, of_product = np.zeros_like(w), np.zeros_like(rate)
@@ -283,14 +285,16 @@ def _one_series(
                 da[:, :, [1, 2, 0]] * b[:, None, [2, 0, 1]] + b[:, None, [1, 2, 0]] * da[:, :, [2, 0, 1]]
             )
             spin += _quaternion_times_rate(qs[k - i], a)
-            drift -= np.cross(a[:, None], turns[k - i])
+            drift -= np.cross(a[:, None], attitudes[k - i])
         scale = (h / (k + 1))[:, None]
         qs.append(0.5 * scale * spin)
         ws.append(scale * p * product)
-        turns.append(scale[:, :, None] * drift)
+        attitudes.append(scale[:, :, None] * drift)
         rates.append(scale[:, :, None] * (of_p * product[:, None] + p * of_product))
-    end, w, turn, rate = (sum(reversed(terms), np.zeros_like(terms[0])) for terms in (qs, ws, turns, rates))
-    return end / np.linalg.norm(end, axis=1, keepdims=True), w, turn, rate
+    end, w, attitude, rate = (
+        sum(reversed(terms), np.zeros_like(terms[0])) for terms in (qs, ws, attitudes, rates)
+    )
+    return end / np.linalg.norm(end, axis=1, keepdims=True), w, attitude, rate
 
 
 def _quaternion_times_rate(q: Array, w: Array) -> Array:

@@ -14,10 +14,10 @@ from polhode.compare.solvers.changed_inertia import (
     KINDS,
     aghili_of,
     dependence,
-    flow_in_G,
     lichter_of,
     of_aghili,
     of_lichter,
+    propagate_in_G,
 )
 from polhode.compare.solvers.changed_unknowns import changes
 from polhode.compare.solvers.sliding_window import frames_of_data, rig_of
@@ -87,7 +87,7 @@ def test_aghilis_numbers_of_a_body_turn_it_as_eulers_equation_does() -> None:
     J_G = axes @ np.diag(second.sum() - second) @ axes.T
     dt_s, series = np.array([0.1, 0.2, 0.3, 0.4, 0.5]), np.array([1, 1, 2, 2, 4])
     q, w_end, turn, rate = propagate_derivatives(w_G, J_G, np.zeros((0, 3, 3)), dt_s, series)
-    found = flow_in_G(w_G, aghili_of(second), R_ref, eta, dt_s, series)
+    found = propagate_in_G(w_G, aghili_of(second), R_ref, eta, dt_s, series)
     assert np.allclose(found[0], q, atol=1e-12) and np.allclose(found[1], w_end, atol=1e-12)
     assert np.allclose(found[2][:, :3], turn, atol=1e-10) and np.allclose(found[3][:, :3], rate, atol=1e-10)
 

@@ -5,7 +5,7 @@ import pytest
 
 from polhode.errors import InputError
 from polhode.lie import exp_so3
-from polhode.metrics import States, motion_errors, nees, state_coverage, state_nees, truth_at, turned
+from polhode.metrics import States, motion_errors, nees, state_coverage, state_nees, truth_at, with_half_turn
 from polhode.records import Truth
 from polhode.rigid_body import HALF_TURNS, best_half_turn, propagate
 
@@ -88,7 +88,7 @@ def test_answers_that_differ_by_a_half_turn_score_the_same(truth: Truth, half_tu
     )
     covariance = np.tile(np.diag(np.repeat([1e-6, 1e-6, 4e-4, 1e-4], 3)), (len(s.r_N), 1, 1))
     flip = np.diag(np.concatenate([np.ones(6), np.tile(HALF_TURNS[half_turn], 2)]))
-    other = turned(noisy, half_turn)
+    other = with_half_turn(noisy, half_turn)
     assert best_half_turn(other.R_NP, s.R_NP) == half_turn
     plain, flipped = motion_errors(noisy, s), motion_errors(other, s)
     for name in ("rmse_angular_velocity_deg_s", "attitude_median_deg", "principal_axes_error_deg"):
