@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-from benchmarks.mutation.catch import Fault, table, try_all
+import yaml
+
+from benchmarks.mutation.catch import FAULTS, ROOT, Fault, place_of, table, try_all
 
 MODULE = "def double(x):\n    return 2 * x\n"
 TEST = "from module import double\n\n\ndef test_it_doubles():\n    assert double(3) == 6\n"
@@ -27,3 +29,14 @@ def test_a_fault_is_caught_survives_or_is_out_of_date(tmp_path: Path) -> None:
     lines = table([caught, survived, renamed]).splitlines()
     assert "`test_module.py::test_it_doubles`" in lines[2] and "**nothing**" in lines[3]
     assert lines[-1] == "1 of 3 faults are caught."
+
+
+def test_every_fault_has_one_place_in_the_code_and_its_tests_exist() -> None:
+    faults = [Fault(**each) for each in yaml.safe_load(FAULTS.read_text())]
+    assert len(faults) >= 40
+    for each in faults:
+        assert place_of(each, ROOT) == ROOT / each.file, each.kind
+        for test in each.tests:
+            file, _, name = test.partition("::")
+            path = ROOT / "tests" / file
+            assert path.exists() and (not name or f"def {name}(" in path.read_text()), test
