@@ -141,4 +141,4 @@ def _rates_along(time_s: Array, R_NG: Array, connected: Bools, w_G: Array, J_G: 
 
 
 def _step_residuals(w_G: Array, dt: Array, turn: Array, J_G: Array) -> Array:
-    return rotation_vectors((_carry(w_G, J_G, dt)[0][0].T @ turn)[None])[0]
+    return np.asarray(rotation_vectors((_carry(w_G, J_G, dt)[0][0].T @ turn)[None])[0])

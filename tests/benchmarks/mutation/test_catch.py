@@ -4,7 +4,8 @@ from pathlib import Path
 
 import yaml
 
-from benchmarks.mutation.catch import FAULTS, ROOT, Fault, place_of, table, try_all
+from benchmarks.command import ROOT
+from benchmarks.mutation.catch import FAULTS, Fault, place_of, table, try_all
 
 MODULE = "def double(x):\n    return 2 * x\n"
 TEST = "from module import double\n\n\ndef test_it_doubles():\n    assert double(3) == 6\n"
