@@ -59,9 +59,7 @@ class SyntheticScene:
     station_keeping: bool = False
     """The camera follows the target's drift, so that the view stays the same throughout."""
     deadband_m: tuple[float, float] = (0.0, 0.0)
-    """The camera jitters within a dead band along each axis of N: half width [m], drift [m/s]; zeros: no
-    jitter.
-    """
+    """Dead band of the camera along each axis of N: half width [m], drift [m/s]; zeros: no jitter."""
     deadband_rad: tuple[float, float] = (0.0, 0.0)
     """The same of its attitude about its own axes: half width [rad], drift [rad/s]."""
     sigma_camera_p_m: float = 0.0

@@ -124,9 +124,7 @@ def _inverted(distorted: Array, k1: float, k2: float, p1: float, p2: float) -> t
 
 
 def sample_offsets(samples: int) -> Array:
-    """Positions of the samples in a pixel (samples, 2) [px]: a rotated grid with one sample per row and
-    column.
-    """
+    """Positions (samples, 2) of the samples in a pixel [px]: a rotated grid, one sample a row and column."""
     side = round(np.sqrt(samples))
     i, j = (index.ravel() for index in np.mgrid[:side, :side])
     u, v = (i + (j + 0.5) / side) / side - 0.5, (j + (side - i - 0.5) / side) / side - 0.5
@@ -187,9 +185,7 @@ def expose(
 
 
 def through_lens(level: Array, sensor: config.Sensor, points: Array | None = None) -> Array:
-    """Light (H, W) on the sensor, from levels (H, W) before the lens and from points that are already
-    blurred.
-    """
+    """Light (H, W) on the sensor, from levels (H, W) before the lens and from points blurred already."""
     light = _blurred(level, sensor.blur_px) if sensor.blur_px > 0 else np.asarray(level)
     if points is not None:
         light = light + points

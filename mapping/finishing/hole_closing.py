@@ -14,6 +14,7 @@ import trimesh
 from scipy.sparse import coo_matrix, eye_array
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay, QhullError
+from skimage.measure import points_in_poly
 from trimesh.visual import ColorVisuals
 
 from polhode.camera import RectifiedRig
@@ -131,17 +132,12 @@ def _patches(vertices: Array, faces: Ints, loops: list[Ints]) -> Iterator[_Patch
             continue
         points, triangles = found
         corner = np.concatenate([vertices[loop], points])[triangles]
-        if _areas(corner).sum() * _MIN_BODY < piece_area[piece[loop[0]]]:
+        if trimesh.triangles.area(corner).sum() * _MIN_BODY < piece_area[piece[loop[0]]]:
             rim = triangles[(triangles < len(loop)).all(axis=1)]
             for a, b in loop[rim[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)].tolist():
                 around[a].add(b)
                 around[b].add(a)
             yield _Patch(loop, points, triangles)
-
-
-def _areas(corner: Array) -> Array:
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
 
 
 def _neighbours(faces: Ints, of: Ints) -> dict[int, set[int]]:
@@ -277,7 +273,7 @@ def _even(loop: Array) -> tuple[Array, Ints] | None:
         faces = np.asarray(Delaunay(points).simplices, dtype=np.int64)
     except QhullError:
         return None
-    faces = faces[_inside(points[faces].mean(axis=1), flat)]
+    faces = faces[points_in_poly(points[faces].mean(axis=1), flat)]
     corner = points[faces]
     twice = _cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     faces = np.where((twice < 0.0)[:, None], faces[:, ::-1], faces)
@@ -301,7 +297,7 @@ def _grid_inside(flat: Array, step: float) -> Array:
     grid = np.stack([x.reshape(-1), y.reshape(-1)], axis=1)
     if len(grid) == 0:
         return grid
-    grid = grid[_inside(grid, flat)]
+    grid = grid[points_in_poly(grid, flat)]
     following = np.roll(flat, -1, axis=0)
     side = following - flat
     share = np.einsum("gnk,nk->gn", grid[:, None] - flat, side) / np.maximum(np.sum(side**2, axis=1), 1e-30)
@@ -378,13 +374,3 @@ def _area(flat: Array) -> float:
 
 def _cross(a: Array, b: Array) -> Array:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-
-
-def _inside(points: Array, flat: Array) -> Bools:
-    """(g,) true inside a polygon (n, 2), by the parity of crossings."""
-    following = np.roll(flat, -1, axis=0)
-    x, y = points[:, :1], points[:, 1:]
-    crosses = (flat[:, 1] > y) != (following[:, 1] > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = flat[:, 0] + (y - flat[:, 1]) * (following[:, 0] - flat[:, 0]) / (following[:, 1] - flat[:, 1])
-    return np.asarray(np.sum(crosses & (x < at), axis=1) % 2 == 1)

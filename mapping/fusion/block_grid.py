@@ -3,8 +3,6 @@
 Voxel (i, j, k) of block (a, b, c) has its centre at ``voxel_m * (8 * [a, b, c] + [i, j, k])`` in G.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from jaxtyping import Float32, Int64
@@ -23,13 +21,12 @@ _MIN_RESERVED = 1024
 """Blocks, 14 MiB."""
 
 
-@dataclass(frozen=True)
-class Truncation:
-    """Truncation distances of the field [m], and the weight of an empty voxel."""
-
-    front_m: float
-    behind_m: float
-    free_space_weight: float
+TRUNCATION_VOXELS = 4.0
+"""Truncation distance in front of the surface."""
+TRUNCATION_BEHIND_VOXELS = 3.0
+"""Truncation distance behind the surface; short, so that the two sides of a thin panel do not mix."""
+FREE_SPACE_WEIGHT = 0.4
+"""Weight of the observation that space is empty far in front of a surface, over that of a surface."""
 
 
 def pack_keys(block: Int64[Tensor, "n 3"]) -> Int64[Tensor, " n"]:
@@ -60,9 +57,9 @@ class BlockGrid:
     FREE: sum of the weights of frames that saw through it, at the truncation distance in front.
     """
 
-    def __init__(self, voxel_m: float, cut: Truncation, device: torch.device, memory_mib: float) -> None:
+    def __init__(self, voxel_m: float, device: torch.device, memory_mib: float) -> None:
         self.voxel_m = voxel_m
-        self.cut = cut
+        self.front_m, self.behind_m = TRUNCATION_VOXELS * voxel_m, TRUNCATION_BEHIND_VOXELS * voxel_m
         self.device = device
         self.most = max(1, int(memory_mib * 2**20 / BYTES_PER_BLOCK))
         self.refused = 0

@@ -18,7 +18,7 @@ import trimesh
 from polhode.camera import RectifiedRig
 from polhode.config.mapping import Mapping
 from polhode.lie import Array, inverse_pose, make_pose, transform_points
-from polhode.mapping.fusion.block_grid import BYTES_PER_BLOCK, EDGE, BlockGrid, Truncation
+from polhode.mapping.fusion.block_grid import BYTES_PER_BLOCK, EDGE, BlockGrid
 from polhode.mapping.fusion.depth_frame import FrameTensors, at_pose, frame_tensors
 from polhode.mapping.fusion.frame_alignment import FieldLookup, FrameAlignment, align, depth_points
 from polhode.mapping.fusion.integration import allocate, integrate
@@ -27,12 +27,6 @@ from polhode.progress import Progress, Silent
 from polhode.records import AlignedPoses, DepthMap, SurfaceModel
 from polhode.rigid_fit import mean_rotation
 
-TRUNCATION_VOXELS = 4.0
-"""Truncation distance in front of the surface."""
-TRUNCATION_BEHIND_VOXELS = 3.0
-"""Truncation distance behind the surface; short, so that the two sides of a thin panel do not mix."""
-FREE_SPACE_WEIGHT = 0.4
-"""Weight of the observation that space is empty far in front of a surface, over that of a surface."""
 MOVED_VOXELS = 0.1
 """When poses improve, a frame is fused again if its pose moves a point of the body by more."""
 ALIGN_FROM = 0.5
@@ -80,13 +74,7 @@ class Field:
         self._frames = self._evicted = 0
 
     def _empty(self) -> BlockGrid:
-        config, voxel_m = self.config, self._voxel_m
-        cut = Truncation(
-            TRUNCATION_VOXELS * voxel_m,
-            TRUNCATION_BEHIND_VOXELS * voxel_m,
-            FREE_SPACE_WEIGHT,
-        )
-        return BlockGrid(voxel_m, cut, choose_device(config), config.memory_mib)
+        return BlockGrid(self._voxel_m, choose_device(self.config), self.config.memory_mib)
 
     @property
     def bytes(self) -> int:
@@ -132,7 +120,7 @@ class Field:
 
     def _unknown(self) -> Array:
         """The covariance (6, 6) of an unknown pose: with a larger error it would miss the truncation band."""
-        return np.diag([self._grid.cut.front_m**2] * 3 + [0.0] * 3)
+        return np.diag([self._grid.front_m**2] * 3 + [0.0] * 3)
 
     def _put(self, kept: _StoredFrame) -> None:
         allocate(self._grid, kept.tensors, kept.X_RF, self.rig)
@@ -294,7 +282,7 @@ class Field:
                 f"{self.without_pose} of {self._frames} frames have no finite pose: not in the surface"
             )
         if self._doubtful:
-            n, width_mm = len(self._doubtful), self._grid.cut.front_m * 1e3
+            n, width_mm = len(self._doubtful), self._grid.front_m * 1e3
             out.append(
                 f"{n} of {self._frames} frames have a pose of unknown precision: they count as if "
                 f"{width_mm:.3g} mm off"

@@ -70,7 +70,7 @@ class FieldLookup:
         keys = grid.keys.cpu().numpy()
         order = np.argsort(keys)
         values = grid.values.cpu().numpy()
-        return FieldLookup(values, keys[order], order, grid.voxel_m, grid.cut.front_m, carved_share, X_FG)
+        return FieldLookup(values, keys[order], order, grid.voxel_m, grid.front_m, carved_share, X_FG)
 
     def __call__(self, points_G: Array) -> FieldSamples:
         """points_G (n, 3) [m]; finite."""

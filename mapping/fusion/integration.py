@@ -21,6 +21,7 @@ from polhode.mapping.fusion.block_grid import (
     DISTANCE,
     EDGE,
     FREE,
+    FREE_SPACE_WEIGHT,
     HALF,
     SQUARE,
     VIEWS,
@@ -74,7 +75,7 @@ def integrate(
         np.ascontiguousarray(X_RG),
         _camera(frame, rig) + np.array([0.0, 1.0, 1.0]),
         _framed(frame),
-        np.array([grid.cut.front_m, grid.cut.behind_m, grid.cut.free_space_weight]),
+        np.array([grid.front_m, grid.behind_m, FREE_SPACE_WEIGHT]),
         -1.0 if remove else 1.0,
     )
 
@@ -97,7 +98,7 @@ def _framed(frame: FrameTensors) -> NDArray[np.float32]:
 
 def _offsets_m(grid: BlockGrid) -> Array:
     """Steps along a ray through the truncation band, half a block apart."""
-    front, behind = grid.cut.front_m, grid.cut.behind_m
+    front, behind = grid.front_m, grid.behind_m
     steps = max(2, int(np.ceil((front + behind) / (0.5 * EDGE * grid.voxel_m))) + 1)
     return np.linspace(-front, behind, steps)
 
@@ -163,7 +164,7 @@ def _visible_blocks(
     row = (v / cell).long().clamp(0, deepest.shape[0] - 1)
     column = (u / cell).long().clamp(0, deepest.shape[1] - 1)
     # where there is no depth around it is 0, and everything lies behind it
-    before = p[:, 2] - radius_m <= deepest[row, column] + grid.cut.behind_m
+    before = p[:, 2] - radius_m <= deepest[row, column] + grid.behind_m
     return torch.nonzero(inside & before, as_tuple=True)[0]
 
 
@@ -199,7 +200,6 @@ def _add_part(
     rig: RectifiedRig,
     sign: float,
 ) -> None:
-    cut = grid.cut
     corner = (unpack_keys(grid.keys[index]) * EDGE).to(torch.float32) * grid.voxel_m
     R, t = pose[:3, :3], pose[:3, 3]
     # Rotating corners and offsets separately saves the large product over all voxels.
@@ -214,19 +214,19 @@ def _add_part(
     seen = torch.nonzero(depth > 0, as_tuple=True)[0]
     hit, pixel, depth = hit[seen], pixel[seen], depth[seen]
     distance = (depth - z[hit]) * frame.cosine.reshape(-1)[pixel]
-    keep = torch.nonzero(distance > -cut.behind_m, as_tuple=True)[0]
+    keep = torch.nonzero(distance > -grid.behind_m, as_tuple=True)[0]
     hit, pixel, distance = hit[keep], pixel[keep], distance[keep]
     weight = sign * frame.weight.reshape(-1)[pixel]
 
-    near = (distance < cut.front_m).to(torch.float32)
-    ramp = ((distance + cut.behind_m) / (cut.behind_m - 0.5 * grid.voxel_m)).clamp(0.0, 1.0)
+    near = (distance < grid.front_m).to(torch.float32)
+    ramp = ((distance + grid.behind_m) / (grid.behind_m - 0.5 * grid.voxel_m)).clamp(0.0, 1.0)
     part = weight * near * ramp
     intensity = frame.intensity.reshape(-1)[pixel]
     lit = part * exposure_weight(intensity)
     added = torch.zeros(len(hit), CHANNELS, device=grid.device)
     added[:, WEIGHT], added[:, DISTANCE] = part, part * distance
     added[:, SQUARE], added[:, VIEWS] = part * distance.square(), sign * near
-    added[:, FREE] = weight * (1.0 - near) * cut.free_space_weight
+    added[:, FREE] = weight * (1.0 - near) * FREE_SPACE_WEIGHT
     added[:, COLOUR], added[:, COLOUR_WEIGHT] = lit * intensity, lit
     block = torch.div(hit, VOXELS, rounding_mode="floor")
     grid.values[index[block], hit - block * VOXELS] += added

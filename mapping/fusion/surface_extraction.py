@@ -64,7 +64,7 @@ def extract_surface(grid: BlockGrid, config: Mapping, min_views: int) -> Surface
         return empty_surface()
     values = grid.values.cpu().numpy()
     known = known_voxels(values, grid.voxel_m, config, min_views)
-    distance = _distances(values, known, grid.cut.front_m, grid.voxel_m)
+    distance = _distances(values, known, grid.front_m, grid.voxel_m)
     first = np.unique(np.floor_divide(unpack_keys(grid.keys).cpu().numpy(), _CHUNK), axis=0) * _CHUNK
     parts = [part for corner in first if (part := _mesh_chunk(grid, corner, distance)) is not None]
     if not parts:
@@ -75,7 +75,7 @@ def extract_surface(grid: BlockGrid, config: Mapping, min_views: int) -> Surface
     used, renumbered = np.unique(faces, return_inverse=True)
     if len(used) == 0:
         return empty_surface()
-    of_vertices = _values_at(values, edges[used], shares_of[used], grid.cut.front_m)
+    of_vertices = _values_at(values, edges[used], shares_of[used], grid.front_m)
     return _surface_model(
         vertices[used] * grid.voxel_m, renumbered.reshape(-1, 3), of_vertices, grid.voxel_m, config
     )

@@ -48,9 +48,7 @@ class Deck:
         return moved(parts, X)
 
     def place(self, make: Callable[[], list[Part]], radius_m: float, rng: np.random.Generator) -> list[Part]:
-        """The parts that ``make`` returns, at a free position, rotated by 0 to 270 degrees; none if there
-        is no room.
-        """
+        """The parts of ``make`` at a free position, rotated by multiples of 90 degrees; none without room."""
         at = self.find(radius_m, rng)
         return [] if at is None else self.put(make(), *at, turn=float(rng.integers(4)) * np.pi / 2)
 
@@ -69,9 +67,7 @@ def decks_of_box(size_m: Array, centre_G: Array) -> dict[str, Deck]:
 
 
 def fit_out(deck: Deck, size_m: float, builder: PartBuilder, boxes: int, small: int) -> list[Part]:
-    """At most that many boxes and small items on a wall; their sizes follow from that of the body, size_m
-    [m].
-    """
+    """At most that many boxes and small items on a wall, sized relative to the body, size_m [m]."""
     rng, s = builder.rng, size_m
     parts = []
     for _ in range(boxes):

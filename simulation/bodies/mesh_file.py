@@ -50,9 +50,7 @@ class FilePiece:
 
 
 def read_pieces(path: Path, metres_per_unit: float) -> list[FilePiece]:
-    """Pieces of a mesh file, scaled to metres. Raises InputError with one line if it contains nothing
-    usable.
-    """
+    """Pieces of a mesh file, scaled to metres. Raises InputError if it contains nothing usable."""
     found = _geometries(path)
     if not found:
         raise InputError(f"{path}: the mesh has no faces; export it as triangles")
@@ -244,7 +242,7 @@ def _reflectance_of_image(image: Image.Image) -> NDArray[np.float32]:
     reduced = image.convert("RGB")
     reduced.thumbnail((MAX_IMAGE_PX, MAX_IMAGE_PX))
     table = linear_grey(np.repeat(np.arange(256)[:, None] / 255.0, 3, axis=1))
-    # Decoding a byte is a appearance-up; the weights add up to 1.
+    # Decoding a byte is a table look-up; the weights add up to 1.
     decoded = table[np.asarray(reduced)]
     return np.asarray(decoded @ REC_709, dtype=np.float32)
 
@@ -272,9 +270,7 @@ NAMES: tuple[tuple[str, Material], ...] = (
 )
 """The first pattern found in a piece's name, regardless of case, decides."""
 CHOICES = (mat.WORN_PANEL, mat.WORN_PANEL, mat.PAINT_WHITE, mat.PAINT_GREY, mat.BRUSHED_METAL)
-"""Materials of separate pieces whose names match no pattern; the largest is a worn panel, which has
-texture.
-"""
+"""Materials of pieces whose names match no pattern; the largest is a worn panel, which has texture."""
 
 
 MAX_PIECES = 40
@@ -289,11 +285,6 @@ def material_by_name(name: str) -> Material | None:
         if re.search(pattern, name, re.IGNORECASE):
             return material
     return None
-
-
-def random_material(largest: bool, rng: np.random.Generator) -> Material:
-    """One of ``CHOICES``."""
-    return mat.WORN_PANEL if largest else CHOICES[int(rng.integers(len(CHOICES)))]
 
 
 def material_with_appearance(material: Material, appearance: FileAppearance) -> Material:
@@ -338,24 +329,22 @@ def _parts_of_piece(
         material = material_with_appearance(plain, appearance)
         return [Part(piece.mesh, material, name=piece.label, colours=appearance.colours)]
     if named is not None:
-        return [
-            _part_with_charts(piece.mesh, material_with_appearance(named, appearance), piece.label, builder)
-        ]
+        material = material_with_appearance(named, appearance)
+        return [_part_with_charts(piece.mesh, material, piece.label, builder)]
     parts = []
     for order, faces in enumerate(_connected_pieces(piece.mesh)):
         piece_mesh = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces[faces], process=False)
         piece_mesh.remove_unreferenced_vertices()
         if _is_rock(piece_mesh):
             material = mat.REGOLITH
+        elif first and order == 0:
+            material = mat.WORN_PANEL
         elif order < MAX_PIECES:
-            material = random_material(first and order == 0, builder.rng)
+            material = CHOICES[int(builder.rng.integers(len(CHOICES)))]
         else:
             material = mat.PAINT_GREY
-        parts.append(
-            _part_with_charts(
-                piece_mesh, material_with_appearance(material, appearance), piece.label, builder
-            )
-        )
+        material = material_with_appearance(material, appearance)
+        parts.append(_part_with_charts(piece_mesh, material, piece.label, builder))
     return parts
 
 

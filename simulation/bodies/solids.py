@@ -312,9 +312,7 @@ def flat_regions(mesh: trimesh.Trimesh, smallest_m2: float) -> list[Ints]:
 
 
 def _rims(mesh: trimesh.Trimesh, labels: Ints, same: Bools, smooth: Bools) -> tuple[Array, Array]:
-    """Length of each region's boundary, and of the part of it that is a smooth transition to another
-    region.
-    """
+    """Length of each region's boundary, and of its part that is a smooth transition to another region."""
     a, b, c = (mesh.triangles[:, k] for k in range(3))
     around = np.linalg.norm(b - a, axis=1) + np.linalg.norm(c - b, axis=1) + np.linalg.norm(a - c, axis=1)
     rim = np.bincount(labels, weights=around)

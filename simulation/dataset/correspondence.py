@@ -22,9 +22,7 @@ from polhode.simulation.stereo_camera import Camera
 MIN_DISTANCE_M = 1e-6
 """Points nearer to the camera's plane than this, or behind it, have no image [m]."""
 RAY_TOLERANCE = 1e-6
-"""Maximum distance of unit rays that count as equal: a distorting lens folds far points back into the
-image.
-"""
+"""Maximum distance of equal unit rays: a distorting lens folds far points back into the image."""
 
 
 class Reason(IntEnum):
@@ -83,9 +81,7 @@ def angle_between_views(a: CameraView, b: CameraView) -> float:
 
 
 def dense_correspondence(caster: RayCaster, a: CameraView, b: CameraView) -> Correspondence:
-    """Correspondences of all pixels of view a: fields (H, W, ...). ``uv_b_px - pixel_grid(a.camera)`` is
-    the flow.
-    """
+    """Correspondences (H, W, ...) of all pixels of view a; ``uv_b_px - pixel_grid(a.camera)`` is the flow."""
     return correspond(caster, a, b, pixel_grid(a.camera))
 
 

@@ -108,9 +108,7 @@ class Products:
     depth: Array | None = None
     """(H, W) along the optical axis [m]"""
     normals: Array | None = None
-    """(H, W, 3) unit, in the camera's axes, towards the camera: of the mesh's faces, consistent with the
-    depth
-    """
+    """(H, W, 3) unit, in the camera's axes, towards the camera: of the mesh's faces, as the depth"""
     mask: Bools | None = None
     """(H, W) the target"""
     shadow: NDArray[np.uint8] | None = None

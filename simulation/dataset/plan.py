@@ -120,9 +120,7 @@ MIN_DISTANCE_M = 5e-3
 MIN_DISTANCE_SHARE = 1e-3
 """A camera is too near if its distance is less than either, in metres or relative to the target's length."""
 ENCLOSED_SHARE = 0.9
-"""A camera is inside if this share of all directions hits the target; less than 1, as real meshes have
-holes.
-"""
+"""A camera is inside if this share of all directions hits the target; below 1, as meshes have holes."""
 MAX_SAMPLE_VERTICES = 4000
 """Vertices that are projected into the image; rays find what these miss."""
 NAMES = ("left", "right")
@@ -196,9 +194,7 @@ class ViewCheck:
         return centres, np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
 
     def sees(self, camera: Camera, X_GK: Array) -> bool:
-        """Whether a vertex projects into the image or, for faces larger than the view, a ray of a coarse
-        grid hits.
-        """
+        """Whether a vertex is in the image or, for faces beyond its edges, a ray of a coarse grid hits."""
         p_K = transform_points(inverse_pose(X_GK), self._sample_G)
         if len(camera.project_visible(p_K)[1]) > 0:
             return True

@@ -102,9 +102,7 @@ def _render(plan: SequencePlan, staged: StagedDataset, progress: Progress, worke
 
 
 def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
-    """Write what the estimator may read: calibration, times, poses of the inspector, known forces and
-    torques.
-    """
+    """Write what the estimator may read: calibration, times, inspector poses, known forces and torques."""
     scene, X_BC = plan.scene, mount_pose(plan.scene.rig)
     all_ns = plan.target.timestamps_ns[: scene.frames]
     for index, camera in enumerate(plan.cameras):

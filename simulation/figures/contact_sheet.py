@@ -1,13 +1,14 @@
-"""A contact sheet of one sequence, or of scenes that are rendered for it.
+"""A contact sheet of scenes: frames of each, rendered for it.
 
-``python -m polhode.simulation.figures.contact_sheet SEQ -o SHEET.png``
 ``python -m polhode.simulation.figures.contact_sheet configs/ts38.yaml configs/scenes -o SHEET.png``
+
+The scene of a simulated sequence is its scene.yaml.
 """
 
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,11 +19,9 @@ from PIL import Image, ImageDraw, ImageFont
 from rich.progress import Progress as RichProgress
 
 from polhode.config.scene import Scene
-from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.lie import inverse_pose, transform_points
 from polhode.processes import in_order
-from polhode.records import Bools
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
 from polhode.simulation.dataset.plan import SequencePlan, load_scene, plan_sequence
 
@@ -64,18 +63,9 @@ def scene_files(sources: Sequence[Path]) -> list[Path]:
     for source in sources:
         found = sorted(source.glob("*.yaml")) if source.is_dir() else [source]
         if not found:
-            raise InputError(f"{source} holds no configuration (*.yaml) and no dataset (mav0/)")
+            raise InputError(f"{source} has no configuration (*.yaml)")
         files += found
     return files
-
-
-def strips_of(files: Sequence[Path], workers: int, advance: Callable[[], None]) -> list[Strip]:
-    """Render the scenes, several at once; ``advance`` is called after each. Raises InputError."""
-    strips: list[Strip] = []
-    for strip in in_order(strip_of, files, workers):
-        strips.append(strip)
-        advance()
-    return strips
 
 
 def strip_of(file: Path) -> Strip:
@@ -90,9 +80,7 @@ def strip_of(file: Path) -> Strip:
 
 
 def frames_to_show(plan: SequencePlan) -> list[int]:
-    """Frames evenly over the sequence; or through an eclipse; or as the target leaves the view and
-    returns.
-    """
+    """Frames evenly over the sequence, or through an eclipse, or while the target is out of view."""
     there, eclipse = np.array(plan.frames), plan.scene.light.eclipse
     gone = np.flatnonzero([_share_in_view(plan, k) == 0.0 for k in plan.frames])
     if eclipse.duration_s > 0:
@@ -201,44 +189,12 @@ def _tile(image: NDArray[np.uint8] | NDArray[np.uint16], scene: Scene, box: Box)
     return np.asarray(Image.fromarray(grey).resize(TILE_PX, Image.Resampling.LANCZOS, box=box))
 
 
-def contact_sheet(folder: Path, columns: int = 4, rows: int = 2, width_px: int = 240) -> Grey:
-    """Left images evenly over the sequence, cropped to the lit part, row by row (h, w).
-
-    Raises InputError: the folder is no sequence.
-    """
-    sequence = open_sequence(folder)
-    chosen = np.linspace(0, len(sequence.timestamps_ns) - 1, columns * rows).round().astype(int)
-    images = np.stack([sequence.read_pair(int(k)).left for k in chosen])
-    top, bottom, left, right = _lit_box(images)
-    height_px = round(width_px * (bottom - top) / (right - left))
-    tiles = [
-        np.asarray(Image.fromarray(image[top:bottom, left:right]).resize((width_px, height_px)))
-        for image in images
-    ]
-    return np.vstack([np.hstack(tiles[r * columns : (r + 1) * columns]) for r in range(rows)])
-
-
-def _lit_box(images: Grey, above_dn: int = 20, margin_px: int = 8) -> tuple[int, int, int, int]:
-    """Rows and columns (top, bottom, left, right) that contain all lit pixels of all images (n, h, w)."""
-    lit: Bools = np.max(images, axis=0) > above_dn
-    height, width = lit.shape
-    rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
-    if len(rows) == 0:
-        return 0, height, 0, width
-    return (
-        max(int(rows[0]) - margin_px, 0),
-        min(int(rows[-1]) + 1 + margin_px, height),
-        max(int(columns[0]) - margin_px, 0),
-        min(int(columns[-1]) + 1 + margin_px, width),
-    )
-
-
 def main(words: Sequence[str] | None = None) -> int:
     """Write the sheet of the command line; returns 2 if its arguments are wrong."""
     parser = argparse.ArgumentParser(
         prog="python -m polhode.simulation.figures.contact_sheet", description=__doc__
     )
-    what = "a dataset; or configurations with a scene, and folders of them"
+    what = "configurations with a scene, and folders of them"
     parser.add_argument("sources", type=Path, nargs="+", metavar="SOURCE", help=what)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="SHEET.png")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="parallel processes")
@@ -254,13 +210,11 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def draw(sources: list[Path], workers: int = 1) -> Image.Image:
-    """The sheet of one dataset, or of scenes. Raises InputError."""
-    if len(sources) == 1 and (sources[0] / "mav0").is_dir():
-        return Image.fromarray(contact_sheet(sources[0]))
-    files = scene_files(sources)
+    """The sheet of scenes, rendered in several processes. Raises InputError."""
+    files, strips = scene_files(sources), []
     with RichProgress() as progress:
-        task = progress.add_task("scenes", total=len(files))
-        strips = strips_of(files, workers, lambda: progress.advance(task))
+        for strip in progress.track(in_order(strip_of, files, workers), len(files), description="scenes"):
+            strips.append(strip)
     return draw_sheet(strips)
 
 

@@ -109,9 +109,7 @@ def draw_correspondence(
 
 
 def _boxes(covered: list[Bools]) -> tuple[list[Ints], tuple[int, int]]:
-    """Upper left corners (u, v) and the common size (w, h) of boxes around the target in each image (H,
-    W).
-    """
+    """Upper left corners (u, v) and the common size (w, h) of boxes around the target in each image."""
     height, width = covered[0].shape
     sides = [[np.flatnonzero(mask.any(axis=axis)) for axis in (0, 1)] for mask in covered]
     spans = [[(int(s[0]), int(s[-1])) if len(s) else (0, 0) for s in side] for side in sides]

@@ -23,7 +23,6 @@ from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.rays import RayScene
-from polhode.records import Bools
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.plan import load_scene
 from polhode.simulation.motion import TargetMotion, mass_distribution, target_motion
@@ -120,7 +119,9 @@ class Drawing:
 
     def _paint_line(self, axes: Axes, scene: RayScene, line: _Line, lift: float) -> None:
         middles = 0.5 * (line.points[:-1] + line.points[1:]) + np.array([0.0, 0.0, lift])
-        behind = _covered(scene, middles) if self._triangles else np.zeros(len(middles), dtype=bool)
+        behind = np.zeros(len(middles), dtype=bool)
+        if self._triangles:
+            behind = scene.blocked(middles, np.tile([0.0, 0.0, 1.0], (len(middles), 1)))
         # Each stretch is one line: overlapping translucent pieces would be visible.
         cuts = np.flatnonzero(np.diff(behind)) + 1
         for start, end in pairwise([0, *cuts.tolist(), len(behind)]):
@@ -163,12 +164,6 @@ def _shaded(normals: Array, paints: Array) -> Array:
     diffuse = (0.35 + 0.65 * normals @ light)[:, None]
     gloss = np.maximum(normals @ half, 0.0)[:, None] ** SHININESS
     return np.asarray(paints[:, :3] * (AMBIENT + DIFFUSE * diffuse) + GLOSS * gloss)
-
-
-def _covered(scene: RayScene, points: Array) -> Bools:
-    """Whether a surface lies between points (n, 3) and the viewer."""
-    towards = np.tile([0.0, 0.0, 1.0], (len(points), 1))
-    return scene.blocked(points, towards)
 
 
 def motion_figure(scene: Scene, seed: int, name: str, pixels: int = 1000) -> Figure:
@@ -340,10 +335,10 @@ def _tip(axes: Axes, drawing: Drawing, tip: Array, color: str, label: str) -> No
     """Head and name of an arrow from the origin."""
     end, before = drawing.seen(tip)[:2], drawing.seen(0.97 * tip)[:2]
     _head(axes, before, end, color)
-    way = end / max(float(np.linalg.norm(end)), 1e-12)
+    unit = end / max(float(np.linalg.norm(end)), 1e-12)
     # The rate is the short arrow between the others: its label goes beside it.
-    offset_pt = (9.0, 1.0) if color == RATE else (11 * way[0], 11 * way[1])
-    side = "center" if abs(way[0]) < 0.3 and color != RATE else ""
+    offset_pt = (9.0, 1.0) if color == RATE else (11 * unit[0], 11 * unit[1])
+    side = "center" if abs(unit[0]) < 0.3 and color != RATE else ""
     _label(axes, label, end, offset_pt, side, color)
 
 
@@ -367,8 +362,8 @@ def _axis_names(moments: Array) -> tuple[str, str, str]:
 
 def _name_spike(axes: Axes, drawing: Drawing, root: Array, tip: Array, label: str) -> None:
     a, b = drawing.seen(root)[:2], drawing.seen(tip)[:2]
-    way = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
-    _label(axes, label, b, (5 * way[0], 9 * way[1]), "center" if abs(way[0]) < 0.5 else "", INK)
+    unit = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
+    _label(axes, label, b, (5 * unit[0], 9 * unit[1]), "center" if abs(unit[0]) < 0.5 else "", INK)
 
 
 def _label(axes: Axes, text: str, at: Array, offset_pt: tuple[float, float], side: str, color: str) -> None:

@@ -143,9 +143,7 @@ def _span_ns(push: config.WrenchPulse) -> tuple[int, int]:
 
 
 MAX_LAG = 1.0
-"""Maximum of friction times body rate over the smallest moment, the lag of the ball; beyond, the law is
-invalid.
-"""
+"""Maximum of friction times body rate over the smallest moment (the lag of the ball): the law's limit."""
 MIN_EXCESS = 1e-9
 """A spin with a smaller share of excess energy counts as one about a principal axis, without friction."""
 
@@ -172,13 +170,9 @@ def loss_coefficients(motion: config.Motion, moments: Array, w_P: Array) -> tupl
     if motion.energy_loss == 1.0:
         raise InputError("scene.motion.energy_loss is 1: all energy is never lost; give a share below 1")
     if motion.energy_loss_by == "drag":
-        return drag_for_loss(motion.energy_loss, motion.energy_loss_s), 0.0
+        # The torque is -c h, and the energy E0 exp(-2 c t).
+        return float(-np.log1p(-motion.energy_loss) / (2.0 * motion.energy_loss_s)), 0.0
     return 0.0, friction_for_loss(motion.energy_loss, motion.energy_loss_s, moments, w_P)
-
-
-def drag_for_loss(share: float, duration_s: float) -> float:
-    """c [1/s] of the torque -c h: the energy is E0 exp(-2 c t)."""
-    return float(-np.log1p(-share) / (2.0 * duration_s))
 
 
 def friction_for_loss(share: float, duration_s: float, moments: Array, w_P: Array) -> float:

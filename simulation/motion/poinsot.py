@@ -115,9 +115,7 @@ class Poinsot:
     """[J]"""
     precession: Precession
     axis_P: Array
-    """(3,) unit: the principal axis that the rate circles, on the side of the rate; the direction of a
-    steady rate
-    """
+    """(3,) unit: the principal axis that the rate circles, on its side; the rate itself if it is steady"""
     R_HP: Array
     """(3, 3) at the first frame"""
     polhode_P: Array

@@ -1,6 +1,4 @@
-"""Sampling patterns: directions evenly over the sphere with a look-up of the nearest one, and points on
-discs.
-"""
+"""Sampling patterns: directions evenly over the sphere, look-up of the nearest one, points on discs."""
 
 from dataclasses import dataclass
 

@@ -46,9 +46,7 @@ class IncidentLight:
     earth_share: Array | float = 1.0
     """(n,) share of the Earth's light that no part blocks"""
     mirrored: Array | None = None
-    """(n,) level of specular reflections of body and Earth; None: of the Earth alone, as far as it is not
-    blocked
-    """
+    """(n,) specular reflections of body and Earth; None: of the unoccluded part of the Earth alone"""
 
 
 def shade(

@@ -97,9 +97,7 @@ def _boulders(direction: Array, tree: cKDTree, rng: np.random.Generator, count: 
 
 
 def _block(direction: Array, near: Ints, centre: Array, radius: float, rng: np.random.Generator) -> Array:
-    """Height of one boulder over its radius: the minimum of a top plane and steep side planes, a convex
-    block.
-    """
+    """Height of a boulder over its radius: a convex block, the minimum of a top and steep side planes."""
     east = np.cross(centre, np.eye(3)[int(np.argmin(np.abs(centre)))])
     east /= np.linalg.norm(east)
     flat = direction[near] @ np.stack([east, np.cross(centre, east)], axis=1) / radius

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from polhode.config.mapping import Mapping
 from polhode.lie import Array, exp_so3, make_pose
-from polhode.mapping.fusion.block_grid import FREE, VIEWS, BlockGrid, Truncation
+from polhode.mapping.fusion.block_grid import FREE, VIEWS, BlockGrid
 from polhode.mapping.fusion.depth_frame import frame_tensors
 from polhode.mapping.fusion.field import Field, fuse
 from polhode.mapping.fusion.integration import allocate, integrate
@@ -56,7 +56,7 @@ def between(a: SurfaceModel, b: SurfaceModel) -> float:
 def test_loops_and_tensors_say_the_same(frames: Frames) -> None:
     grids = []
     for in_tensors in (False, True):
-        grid = BlockGrid(VOXEL_M, Truncation(4 * VOXEL_M, 3 * VOXEL_M, 0.15), CPU, 1024.0)
+        grid = BlockGrid(VOXEL_M, CPU, 1024.0)
         for k, (depth, X_RG) in enumerate([*frames[:5], frames[4]]):
             tensors = frame_tensors(depth, RIG, CPU)
             assert tensors is not None
@@ -254,7 +254,7 @@ def test_poses_that_put_all_beyond_the_field_can_be_mended(frames: Frames) -> No
 
 
 def test_memory_grows_with_the_surface(frames: Frames) -> None:
-    grid = BlockGrid(VOXEL_M, Truncation(4 * VOXEL_M, 3 * VOXEL_M, 0.15), CPU, memory_mib=2.0**30)
+    grid = BlockGrid(VOXEL_M, CPU, memory_mib=2.0**30)
     ends, keys = [], torch.arange(5000, dtype=torch.int64)
     for k, part in enumerate(keys.split(900)):
         grid.allocate(part)
