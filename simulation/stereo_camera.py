@@ -44,8 +44,12 @@ class Camera:
     @cached_property
     def pixel_directions(self) -> Array:
         """Unit rays through the pixel centres (H*W, 3), row by row, in this camera."""
-        v, u = np.mgrid[: self.height_px, : self.width_px]
-        return self.directions(np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64))
+        return self.directions(self.pixel_grid().reshape(-1, 2))
+
+    def pixel_grid(self, step: int = 1) -> Array:
+        """Pixel centres (H, W, 2), or every ``step``-th row and column of them."""
+        v, u = np.mgrid[: self.height_px : step, : self.width_px : step]
+        return np.stack([u, v], axis=-1).astype(np.float64)
 
     def directions(self, uv_px: Array) -> Array:
         """Pixels (n, 2) -> unit rays (n, 3) in this camera."""

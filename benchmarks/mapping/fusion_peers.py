@@ -43,7 +43,8 @@ from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.frontend.rectification import make_rectifier
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, wxyz_from_matrix
-from polhode.mapping.fusion.field import TRUNCATION_VOXELS, Field, choose_voxel_m, fuse
+from polhode.mapping.fusion.block_grid import TRUNCATION_VOXELS
+from polhode.mapping.fusion.field import Field, choose_voxel_m, fuse
 from polhode.mesh_metrics import compare_surfaces
 from polhode.pipeline.evaluation import seen_truth
 from polhode.records import DepthMap

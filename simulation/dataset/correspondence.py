@@ -81,14 +81,8 @@ def angle_between_views(a: CameraView, b: CameraView) -> float:
 
 
 def dense_correspondence(caster: RayCaster, a: CameraView, b: CameraView) -> Correspondence:
-    """Correspondences (H, W, ...) of all pixels of view a; ``uv_b_px - pixel_grid(a.camera)`` is the flow."""
-    return correspond(caster, a, b, pixel_grid(a.camera))
-
-
-def pixel_grid(camera: Camera) -> Array:
-    """Pixel centres (H, W, 2)."""
-    v, u = np.mgrid[: camera.height_px, : camera.width_px]
-    return np.stack([u, v], axis=-1).astype(np.float64)
+    """Correspondences (H, W, ...) of all pixels of view a; the flow is uv_b_px - a.camera.pixel_grid()."""
+    return correspond(caster, a, b, a.camera.pixel_grid())
 
 
 def correspond(caster: RayCaster, a: CameraView, b: CameraView, uv_a_px: Array) -> Correspondence:

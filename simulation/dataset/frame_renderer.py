@@ -7,6 +7,7 @@ timestamp: neither motion nor the lens blurs it. Off the target, numbers are NaN
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TypeVar
 from zipfile import BadZipFile
@@ -34,7 +35,11 @@ class FrameRenderer:
 
     def __init__(self, plan: SequencePlan) -> None:
         self._plan = plan
-        self._renderer = Renderer(plan.body, plan.scene, plan.seed)
+
+    @cached_property
+    def _renderer(self) -> Renderer:
+        """Built at the first frame, in the process that renders it."""
+        return Renderer(self._plan.body, self._plan.scene, self._plan.seed)
 
     def render_image(self, k: int, index: int) -> tuple[Image, RenderedLight]:
         """Frame k of camera ``index`` (0: left) as the sensor gives it, and the light before the lens."""
@@ -77,22 +82,13 @@ def render_frames(
 
     The bytes do not depend on the number of workers. Raises RunFailure when a worker is killed.
     """
-    for _ in in_order(_RenderFrame(plan, staged), frames, workers):
+    for _ in in_order(partial(_render_frame, FrameRenderer(plan), staged), frames, workers):
         advance()
 
 
-class _RenderFrame:
-    """Renders frames of a plan into its staged dataset; each process makes a renderer at its first frame."""
-
-    def __init__(self, plan: SequencePlan, staged: StagedDataset) -> None:
-        self._plan, self._staged = plan, staged
-        self._renderer: FrameRenderer | None = None
-
-    def __call__(self, k: int) -> None:
-        if self._renderer is None:
-            self._renderer = FrameRenderer(self._plan)
-        with self._staged.frame(k) as mav0:
-            self._renderer.write_pair(k, mav0)
+def _render_frame(renderer: FrameRenderer, staged: StagedDataset, k: int) -> None:
+    with staged.frame(k) as mav0:
+        renderer.write_pair(k, mav0)
 
 
 T = TypeVar("T", bound=np.generic)

@@ -18,14 +18,9 @@ from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Truth
 from polhode.simulation.bodies import Body, build_body
-from polhode.simulation.motion import (
-    InspectorMotion,
-    MassDistribution,
-    TargetMotion,
-    inspector_motion,
-    mass_distribution,
-    target_motion,
-)
+from polhode.simulation.motion.inspector import InspectorMotion, inspector_motion
+from polhode.simulation.motion.mass import MassDistribution, mass_distribution
+from polhode.simulation.motion.target import TargetMotion, target_motion
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.sampling import even_directions
 from polhode.simulation.sky import Sky
@@ -198,6 +193,5 @@ class ViewCheck:
         p_K = transform_points(inverse_pose(X_GK), self._sample_G)
         if len(camera.project_visible(p_K)[1]) > 0:
             return True
-        v, u = np.meshgrid(np.arange(0, camera.height_px, 8), np.arange(0, camera.width_px, 8), indexing="ij")
-        rays_K = camera.directions(np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64))
+        rays_K = camera.directions(camera.pixel_grid(8).reshape(-1, 2))
         return len(self._caster.first_hits(X_GK[:3, 3], rays_K @ X_GK[:3, :3].T).ray) > 0

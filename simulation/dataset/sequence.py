@@ -20,7 +20,8 @@ from polhode.progress import Progress
 from polhode.simulation.dataset.frame_renderer import render_frames
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence, truth_of
 from polhode.simulation.dataset.staging import StagedDataset, require_free, staged_dataset
-from polhode.simulation.motion import known_wrench, reported_inspector
+from polhode.simulation.motion.forces import known_wrench
+from polhode.simulation.motion.inspector import reported_inspector
 from polhode.simulation.stereo_camera import mount_pose
 
 __all__ = ["SequencePlan", "plan_sequence", "require_free", "simulate", "truth_of", "write_sequence"]

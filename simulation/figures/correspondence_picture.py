@@ -25,7 +25,6 @@ from polhode.simulation.dataset.correspondence import (
     Reason,
     angle_between_views,
     dense_correspondence,
-    pixel_grid,
     view_of,
     write_correspondence,
 )
@@ -69,7 +68,7 @@ def _execute(options: argparse.Namespace) -> str:
     plan = plan_sequence(*load_scene(options.config))
     a, b = (view_of(plan, k, c) for k, c in zip(options.frames, options.cameras, strict=True))
     found = dense_correspondence(RayCaster(plan.body), a, b)
-    write_correspondence(options.output, pixel_grid(a.camera), found)
+    write_correspondence(options.output, a.camera.pixel_grid(), found)
     if options.picture:
         ends = list(zip(options.frames, options.cameras, strict=True))
         draw_correspondence(plan, ends, found).save(options.picture, optimize=True)
@@ -92,7 +91,7 @@ def draw_correspondence(
     chosen = np.zeros_like(on_target)
     chosen[step // 2 :: step, step // 2 :: step] = True
     chosen &= on_target
-    uv_a, uv_b = pixel_grid(plan.cameras[ends[0][1]])[chosen], found.uv_b_px[chosen]
+    uv_a, uv_b = plan.cameras[ends[0][1]].pixel_grid()[chosen], found.uv_b_px[chosen]
     colours, visible = _colours(uv_a), found.visible[chosen]
     renderer = FrameRenderer(plan)
     images = [renderer.render_image(*end) for end in ends]

@@ -25,9 +25,10 @@ from polhode.lie import Array
 from polhode.rays import RayScene
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.plan import load_scene
-from polhode.simulation.motion import TargetMotion, mass_distribution, target_motion
 from polhode.simulation.motion.forces import is_free
+from polhode.simulation.motion.mass import mass_distribution
 from polhode.simulation.motion.poinsot import Poinsot, poinsot, polhodes, rotation_states, separatrix
+from polhode.simulation.motion.target import TargetMotion, target_motion
 
 LIGHT = np.array([-0.5, 0.62, 0.6])
 """Direction to the light: right, up, towards the viewer."""

@@ -7,21 +7,3 @@ forces.py     known and white forces and torques, loss of rotational energy
 integrate.py  the rigid body under discontinuous forces
 poinsot.py    torque-free motion: precession, polhode, herpolhode
 """
-
-from polhode.simulation.motion.forces import known_wrench
-from polhode.simulation.motion.inspector import InspectorMotion, inspector_motion, reported_inspector
-from polhode.simulation.motion.mass import MassDistribution, mass_distribution, principal_axes
-from polhode.simulation.motion.target import TargetMotion, target_motion, timestamps
-
-__all__ = [
-    "InspectorMotion",
-    "MassDistribution",
-    "TargetMotion",
-    "inspector_motion",
-    "known_wrench",
-    "mass_distribution",
-    "principal_axes",
-    "reported_inspector",
-    "target_motion",
-    "timestamps",
-]

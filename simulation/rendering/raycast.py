@@ -90,19 +90,15 @@ class RayCaster:
         early = np.einsum("nk,nk->n", hits.flat_normal_G[lit], directions[lit]) <= 0
         start[early] += self._bulge(hits, np.flatnonzero(lit)[early])
         reach = np.full(len(start), 1e6) if reach_m is None else reach_m[lit]
-        lit[lit] = ~self.blocked(start, directions[lit], reach)
+        lit[lit] = ~self._scene.blocked(start, directions[lit], reach)
         return np.asarray(lit)
 
     def clear(self, hits: Hits, directions_G: Array, reach_m: Array) -> Bools:
         """True where nothing, including the hit's own flat face, blocks the directions (n, 3)."""
         clear = np.einsum("nk,nk->n", hits.flat_normal_G, directions_G) > 0
         start = hits.p_G[clear] + self._lift_m * hits.flat_normal_G[clear]
-        clear[clear] = ~self.blocked(start, directions_G[clear], reach_m[clear])
+        clear[clear] = ~self._scene.blocked(start, directions_G[clear], reach_m[clear])
         return np.asarray(clear)
-
-    def blocked(self, start_G: Array, directions_G: Array, reach_m: Array) -> Bools:
-        """Whether the body blocks rays (n, 3) within reach_m (n,)."""
-        return self._scene.blocked(start_G, directions_G, reach_m)
 
     def next_hits(self, hits: Hits, directions_G: Array) -> Hits:
         """Next hits of rays that leave n hits along unit directions (n, 3); ``ray`` indexes the hits."""

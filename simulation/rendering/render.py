@@ -39,33 +39,18 @@ class Renderer:
 
     def __init__(self, body: Body, scene: config.Scene, seed: int) -> None:
         self._body = body
-        self._light = scene.light
+        self.light = scene.light
         self._samples = scene.render.samples
-        self._caster = RayCaster(body)
-        self._appearance = SurfaceAppearance(body, scene.body, seed)
+        self.caster = RayCaster(body)
+        self.appearance = SurfaceAppearance(body, scene.body, seed)
         self._bounces = scene.render.bounces
         pixels = scene.rig.width_px * scene.rig.height_px
         self._probes = int(np.clip(pixels // PIXELS_A_PROBE, *PROBES))
 
-    @property
-    def caster(self) -> RayCaster:
-        """Ray caster against the body."""
-        return self._caster
-
-    @property
-    def appearance(self) -> SurfaceAppearance:
-        """Surface of the body."""
-        return self._appearance
-
-    @property
-    def light(self) -> config.Light:
-        """The scene's light."""
-        return self._light
-
     @cached_property
     def _indirect(self) -> IndirectLight:
         """Built when first needed, which takes about a second."""
-        return IndirectLight(self._body, self._caster, self._appearance, self._bounces, self._probes)
+        return IndirectLight(self._body, self.caster, self.appearance, self._bounces, self._probes)
 
     def picture(self, camera: Camera, X_NK: Array, X_NG: Array, t_s: float = 0.0) -> RenderedLight:
         """Render what a camera at X_NK sees of the target at X_NG, t_s after the first frame.
@@ -78,16 +63,16 @@ class Renderer:
         for i, (X_NK, X_NG) in enumerate(zip(poses_NK, poses_NG, strict=True)):
             X_GN = inverse_pose(X_NG)
             X_GK = X_GN @ X_NK
-            lights = lights_in_body(self._light, X_GN, X_GK @ inverse_pose(camera.X_CK), t_s)
+            lights = lights_in_body(self.light, X_GN, X_GK @ inverse_pose(camera.X_CK), t_s)
             pixels = self._pixels_near_body(camera, X_GK)
             rays_G = _directions(camera, pixels, offsets[i]) @ X_GK[:3, :3].T
-            hits = self._caster.first_hits(X_GK[:3, 3], rays_G)
-            surface = self._appearance.at(hits)
+            hits = self.caster.first_hits(X_GK[:3, 3], rays_G)
+            surface = self.appearance.at(hits)
             to_viewer = -rays_G[hits.ray]
             stratum = Stratum(pixels[hits.ray], i, len(offsets))
             to_sun = rays_over_disc(lights.sun_direction_G, lights.sun_radius_rad, stratum)
             incident = self._incident(hits, surface, to_viewer, lights, stratum)
-            level[stratum.pixel] += shade(hits, surface, to_viewer, lights, self._caster, to_sun, incident)
+            level[stratum.pixel] += shade(hits, surface, to_viewer, lights, self.caster, to_sun, incident)
             covered[stratum.pixel] += 1.0
         shape = (camera.height_px, camera.width_px)
         return RenderedLight(level.reshape(shape) / len(offsets), covered.reshape(shape) / len(offsets))
@@ -99,7 +84,7 @@ class Renderer:
         if lights.earth == 0 and not self._bounces:
             return None
         around = self._indirect.at(hits, lights)
-        mirror = SpecularTracer(self._caster, self._appearance, self._indirect, self._bounces)
+        mirror = SpecularTracer(self.caster, self.appearance, self._indirect, self._bounces)
         mirrored = mirror.level(hits, surface, to_viewer_G, lights, around, stratum)
         return IncidentLight(around.bounced(surface.normal_G), around.earth_share(), mirrored)
 

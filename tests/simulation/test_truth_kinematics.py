@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from polhode.config.loader import load_config
 from polhode.lie import Array, log_so3
 from polhode.simulation.dataset.sequence import SequencePlan, plan_sequence, truth_of
-from polhode.simulation.motion import TargetMotion, target_motion
+from polhode.simulation.motion.target import TargetMotion, target_motion
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 PATHS = [CONFIGS / "ts38.yaml", CONFIGS / "sample.yaml", *sorted(CONFIGS.glob("scenes/*.yaml"))]

@@ -30,7 +30,7 @@ from polhode.frontend.features.surface_features import with_patch_size
 from polhode.frontend.matching.methods import Matches
 from polhode.frontend.rectification import make_rectifier
 from polhode.lie import Array, exp_so3, make_pose, transform_points
-from polhode.simulation.dataset.correspondence import dense_correspondence, pixel_grid, view_of
+from polhode.simulation.dataset.correspondence import dense_correspondence, view_of
 from polhode.simulation.dataset.plan import plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.truth import read_truth
@@ -82,7 +82,7 @@ def test_features_are_judged_by_the_surface_behind_them(sequence: StereoSequence
     scene = UnseenScene(sequence, rectifier, caster, view.X_GK[None])
     truth = dense_correspondence(caster, view, view)
     shown = np.isfinite(truth.p_G[..., 0])
-    uv = pixel_grid(view.camera)[shown][::97]
+    uv = view.camera.pixel_grid()[shown][::97]
     p_G = truth.p_G[shown][::97]
     uvd = scene.rig.project(transform_points(np.linalg.inv(view.X_GK), p_G))
     np.testing.assert_allclose(uvd[:, :2], uv, atol=1e-6)

@@ -16,7 +16,6 @@ from polhode.simulation.dataset.correspondence import (
     angle_between_views,
     correspond,
     dense_correspondence,
-    pixel_grid,
     view_of,
 )
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
@@ -77,7 +76,7 @@ def test_there_and_back_is_the_same_pixel(
     back = correspond(caster, b, a, there.uv_b_px[there.visible])
     assert there.visible.sum() > 1000
     assert back.visible.all()
-    assert np.abs(back.uv_b_px - pixel_grid(a.camera)[there.visible]).max() < 1e-3
+    assert np.abs(back.uv_b_px - a.camera.pixel_grid()[there.visible]).max() < 1e-3
     np.testing.assert_allclose(back.angle_rad, there.angle_rad[there.visible], atol=1e-5)
 
 
@@ -170,7 +169,7 @@ def test_a_hundred_thousand_points_take_less_than_half_a_second(
     plan: SequencePlan, caster: RayCaster
 ) -> None:
     a, b = view_of(plan, 0, 0), view_of(plan, 1, 1)
-    on_target = pixel_grid(a.camera)[dense_correspondence(caster, a, b).reason != Reason.OFF_TARGET]
+    on_target = a.camera.pixel_grid()[dense_correspondence(caster, a, b).reason != Reason.OFF_TARGET]
     uv = np.resize(on_target, (100_000, 2))
     seconds = []
     for _ in range(3):

@@ -6,7 +6,7 @@ import numpy as np
 
 from polhode.config.scene import Scene
 from polhode.lie import Array
-from polhode.simulation.motion import MassDistribution
+from polhode.simulation.motion.mass import MassDistribution
 
 TRIAXIAL = np.array([0.0241, 0.0234, 0.0201])
 """Principal moments near the thesis's target [kg m^2]."""

@@ -10,7 +10,6 @@ from polhode.config import scene as config
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.rigid_body import angular_momentum_N, rotational_energy
-from polhode.simulation.motion import TargetMotion, target_motion
 from polhode.simulation.motion.forces import (
     energy_of_momentum,
     excess_energy,
@@ -19,6 +18,7 @@ from polhode.simulation.motion.forces import (
     momentum_of_rate,
 )
 from polhode.simulation.motion.integrate import body_rate
+from polhode.simulation.motion.target import TargetMotion, target_motion
 from tests.simulation.motion.motion_scenes import TRIAXIAL, mass_of, rpm, scene_of
 
 SLENDER = np.array([1.3, 1.0, 0.45])

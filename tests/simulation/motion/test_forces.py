@@ -11,8 +11,8 @@ import pytest
 
 from polhode.lie import Array
 from polhode.simulation.dataset.sequence import plan_sequence, write_estimator_inputs
-from polhode.simulation.motion import TargetMotion, known_wrench, target_motion, timestamps
-from polhode.simulation.motion.forces import cell_length_s
+from polhode.simulation.motion.forces import cell_length_s, known_wrench
+from polhode.simulation.motion.target import TargetMotion, target_motion, timestamps
 from tests.simulation.motion.motion_scenes import MASS_KG, mass_of, scene_of
 
 SPHERE = np.array([0.02, 0.02, 0.02])

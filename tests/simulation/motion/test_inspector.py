@@ -9,7 +9,7 @@ import pytest
 from polhode.config.scene import Scene
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, log_so3
-from polhode.simulation.motion import InspectorMotion, inspector_motion, reported_inspector
+from polhode.simulation.motion.inspector import InspectorMotion, inspector_motion, reported_inspector
 
 WAYPOINTS: list[dict[str, Any]] = [
     {"t_s": 2.0, "position_m": [0.0, 0.0, 0.0]},

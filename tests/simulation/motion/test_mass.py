@@ -9,7 +9,7 @@ from polhode.config import scene as config
 from polhode.config.loader import load_config
 from polhode.errors import InputError
 from polhode.simulation.bodies import Body, build_body
-from polhode.simulation.motion import mass_distribution, principal_axes
+from polhode.simulation.motion.mass import mass_distribution, principal_axes
 
 TS38 = Path(__file__).parents[3] / "configs" / "ts38.yaml"
 

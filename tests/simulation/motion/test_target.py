@@ -12,7 +12,8 @@ from polhode.config.loader import load_config
 from polhode.lie import Array, log_so3, matrix_from_wxyz, transform_points
 from polhode.rigid_body import angular_momentum_N, rotational_energy
 from polhode.simulation.bodies import build_body
-from polhode.simulation.motion import MassDistribution, mass_distribution, target_motion
+from polhode.simulation.motion.mass import MassDistribution, mass_distribution
+from polhode.simulation.motion.target import target_motion
 from tests.simulation.motion.motion_scenes import TRIAXIAL, mass_of, scene_of
 
 CONFIGS = Path(__file__).parents[3] / "configs"
