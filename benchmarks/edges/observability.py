@@ -1,4 +1,4 @@
-"""What the observability metric foretells against what an edge tracker does: Monte Carlo on rendered images.
+"""The observability metric against the errors of an edge tracker: Monte Carlo on rendered images.
 
 python -m benchmarks.edges.observability [--short] [--workers 1] [--record FILE] [--stored]
 """
@@ -62,7 +62,7 @@ FIXED_M = 3.0
 
 
 def cases(short: bool) -> list[Case]:
-    """Every measurement, the most wanted first."""
+    """Every measurement, the most important first."""
     count = {"poses": 4, "each": 3} if short else {"poses": 20, "each": 10}
     fixed = {"poses": 3, "each": 3} if short else {"poses": 10, "each": 10}
     plain = PLAIN[:2] if short else PLAIN
@@ -106,8 +106,8 @@ def main(
         print("\n# What is good and what is bad\n\n" + good_and_bad_table(plain))
         for first, title in ((True, "one trial of each pose"), (False, "all trials")):
             table, found, before = nees_table(plain, first)
-            print(f"\n# Honesty of covariances, {title}\n\n{table}")
-        print(f"\nLEVELS = {found}\nFORETOLD = {before}")
+            print(f"\n# Consistency of covariances, {title}\n\n{table}")
+        print(f"\nLEVELS = {found}\nWITHOUT_IMAGE = {before}")
     wrong = [line for line in lines if line["case"]["part"] == "wrong"]
     if len(wrong) > 1:
         print("\n# Right and wrong poses\n\n" + wrong_table(wrong))
@@ -191,8 +191,8 @@ def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, 
         for level, each in enumerate(models):
             known, parts = foreseen(each, RIG, X_RG)
             yield {
-                "pose": number, "level": level, "points": known.points, "C": _told(known.C[TRIANGLE]),
-                "seen": len(known.unobservable) == 0, "parts": _told(parts[:, *TRIANGLE]),
+                "pose": number, "level": level, "points": known.points, "C": _rounded(known.C[TRIANGLE]),
+                "seen": len(known.unobservable) == 0, "parts": _rounded(parts[:, *TRIANGLE]),
                 "trials": [
                     _trial(track(each, RIG, image, start), true, o_G, image)
                     for image, start, true in zip(images, starts, truths, strict=True)
@@ -212,7 +212,7 @@ def foreseen(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> tuple[EdgeObse
 
 
 def _jittered(X_RG: Array, o_G: Array, rng: np.random.Generator) -> Array:
-    """Another place of the edges between the pixels."""
+    """Another position of the edges between the pixels."""
     step = np.zeros(6)
     step[:2] = rng.uniform(-1, 1, 2) * JITTER_PX * X_RG[2, 3] / RIG.focal_px
     step[3:] = np.deg2rad(JITTER_DEG) * rng.standard_normal(3)
@@ -220,15 +220,15 @@ def _jittered(X_RG: Array, o_G: Array, rng: np.random.Generator) -> Array:
 
 
 def _trial(tracked: TrackingResult, true: Array, o_G: Array, image: Grey) -> dict[str, Any]:
-    """One fit: its error, what it tells of itself, and what moved it off."""
+    """One fit: its error, its own statistics, and its noise parts."""
     complete = tracked.converged and len(tracked.information.unobservable) == 0
     shown = support(tracked, image)
     return {
-        "ok": bool(complete), "error": _told(pose_error(tracked.X_RG, true, o_G)),
-        "off_px": _told(off_px(tracked, true)), "support": _told(shown.as_features),
-        "sigma_px": _told(shown.sigma_px if np.isfinite(shown.sigma_px) else 99.0),
-        "C": _told(tracked.C[TRIANGLE]), "metric": _told(_log_determinant(tracked)),
-        "parts": _told(parts_of(tracked).parts[0][:, *TRIANGLE]) if complete else None,
+        "ok": bool(complete), "error": _rounded(pose_error(tracked.X_RG, true, o_G)),
+        "off_px": _rounded(off_px(tracked, true)), "support": _rounded(shown.as_features),
+        "sigma_px": _rounded(shown.sigma_px if np.isfinite(shown.sigma_px) else 99.0),
+        "C": _rounded(tracked.C[TRIANGLE]), "metric": _rounded(_log_determinant(tracked)),
+        "parts": _rounded(parts_of(tracked).parts[0][:, *TRIANGLE]) if complete else None,
     }  # fmt: skip
 
 
@@ -285,7 +285,7 @@ def _starts(X_RG: Array, model: EdgeModel, rng: np.random.Generator) -> Iterator
         yield "turned 20", off(none, np.deg2rad(20.0) * turn / np.linalg.norm(turn))
 
 
-def _told(values: Any) -> Any:
+def _rounded(values: Any) -> Any:
     """Numbers of seven digits for JSON; NaN and inf as null."""
     flat = np.asarray(values, dtype=np.float64)
     short = [float(f"{v:.6e}") if np.isfinite(v) else None for v in flat.reshape(-1)]

@@ -1,11 +1,11 @@
-"""The metric from a run's mesh beside that from the true mesh: may the inspection feed the approach?
+"""The metric from a run's mesh against that from the true mesh.
 
     python -m benchmarks.edges.observability_of_run RUN:SEQ [RUN:SEQ ...] [--every 5]
 
 At the run's pairs, the edges of its own mesh at its own estimate and those of the true mesh at the true pose,
 both about the centre of mass and along the camera's axes. Prints the ratio of the sigmas (run over true) for
 each degree of freedom: median, and the range that holds 90 %; and the correlation of the logarithms, which
-tells whether the run's mesh ranks the places rightly.
+shows whether the run's mesh ranks the views correctly.
 """
 
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from benchmarks.command import command
+from benchmarks.presentation import print_table
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, make_pose
 from polhode.metrics import truth_at
@@ -31,14 +32,11 @@ def main(
     every: Annotated[int, arg(help="So many pairs of images apart.")] = 5,
 ) -> None:
     """Print the table."""
-    print("| run | edges, run and true |", " | ".join(DEGREES_OF_FREEDOM), "|")
-    print("|---|---|" + "---|" * 6)
-    for pair in pairs:
-        run, _, sequence = pair.partition(":")
-        print(row(Path(run), Path(sequence), every), flush=True)
+    folders = (map(Path, pair.split(":")) for pair in pairs)
+    print_table(("run", "edges, run and true", *DEGREES_OF_FREEDOM), (row(*each, every) for each in folders))
 
 
-def row(run: Path, sequence: Path, every: int) -> str:
+def row(run: Path, sequence: Path, every: int) -> list[str]:
     """One run."""
     subject = subject_of(run, None, "G", CameraOptions(), None, None, 30.0, 1.0)
     truth = read_truth(sequence)
@@ -52,12 +50,12 @@ def row(run: Path, sequence: Path, every: int) -> str:
     true = sigmas(model, subject.rig, inverse_pose(tracks.X_NR[::every]) @ X_NG, truth.com_G)
     cells = []
     for k in range(6):
-        told = np.isfinite(own[:, k]) & np.isfinite(true[:, k])
-        ratio = own[told, k] / true[told, k]
+        known = np.isfinite(own[:, k]) & np.isfinite(true[:, k])
+        ratio = own[known, k] / true[known, k]
         low, median, high = np.quantile(ratio, [0.05, 0.5, 0.95])
-        r = np.corrcoef(np.log(own[told, k]), np.log(true[told, k]))[0, 1]
+        r = np.corrcoef(np.log(own[known, k]), np.log(true[known, k]))[0, 1]
         cells.append(f"{median:.2f} ({low:.2f} to {high:.2f}), r {r:.2f}")
-    return f"| {run.name} | {subject.model.size}, {model.size} | {' | '.join(cells)} |"
+    return [run.name, f"{subject.model.size}, {model.size}", *cells]
 
 
 def sigmas(model: EdgeModel, rig: RectifiedRig, X_RG: Array, o_G: Array) -> Array:

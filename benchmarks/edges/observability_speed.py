@@ -4,7 +4,7 @@
 
 Bodies of the simulator and solids, cut into smaller faces where they have fewer than asked; views from all
 around. A view is: hidden lines removed, control points, their motion, C and its inverse. Process time on one
-core, the least of three rounds; the model of edges is made once. Issue: at most 50 ms for 10,000 faces.
+core, the least of three rounds; the model of edges is made once. The limit is 50 ms for 10,000 faces.
 """
 
 from time import process_time
@@ -17,6 +17,7 @@ from tyro.conf import arg
 
 from benchmarks.command import Short, command
 from benchmarks.edges.views import KINDS, edge_body
+from benchmarks.presentation import print_table
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.edge_model import edge_model
@@ -35,18 +36,16 @@ def main(
     count = 5 if short else 40
     bodies = {name: edge_body(name).mesh for name in (list(KINDS)[:1] if short else KINDS)}
     bodies["torus"] = trimesh.creation.torus(0.5, 0.15, 120, 60)
-    print("| body | faces | edges | model [ms] | points per view | view, median [ms] | slowest [ms] |")
-    print("|---|---|---|---|---|---|---|")
-    for name, mesh in bodies.items():
-        print(row(name, finer(mesh, faces), count), flush=True)
+    head = "body | faces | edges | model [ms] | points per view | view, median [ms] | slowest [ms]"
+    print_table(head, (row(name, finer(mesh, faces), count) for name, mesh in bodies.items()))
 
 
-def row(name: str, mesh: trimesh.Trimesh, count: int) -> str:
+def row(name: str, mesh: trimesh.Trimesh, count: int) -> list[object]:
     """One body."""
     start = process_time()
     model = edge_model(mesh)
     made = process_time() - start
-    X_RG = places(model.centre_G, 2.0 * DIAMETERS_AWAY * model.radius_m, count)
+    X_RG = camera_poses_around(model.centre_G, 2.0 * DIAMETERS_AWAY * model.radius_m, count)
     times, points = np.full((ROUNDS, count), np.inf), []
     for n in range(ROUNDS):
         for k in range(count):
@@ -56,11 +55,11 @@ def row(name: str, mesh: trimesh.Trimesh, count: int) -> str:
             times[n, k] = process_time() - start
             points.append(len(view.points))
     best = 1e3 * times.min(axis=0)
-    numbers = f"{len(mesh.faces)} | {model.size} | {1e3 * made:.0f} | {np.mean(points):.0f}"
-    return f"| {name} | {numbers} | {np.median(best):.1f} | {best.max():.1f} |"
+    sizes = (len(mesh.faces), model.size, f"{1e3 * made:.0f}", f"{np.mean(points):.0f}")
+    return [name, *sizes, f"{np.median(best):.1f}", f"{best.max():.1f}"]
 
 
-def places(centre_G: Array, distance_m: float, count: int) -> Array:
+def camera_poses_around(centre_G: Array, distance_m: float, count: int) -> Array:
     """Poses X_RG (count, 4, 4) from all around, the middle on the optical axis."""
     R = Rotation.random(count, random_state=0).as_matrix()
     return make_pose(R, np.array([0.0, 0.0, distance_m]) - R @ centre_G)

@@ -1,4 +1,4 @@
-"""What benchmarks.observability measured: trends, honesty of covariances, wrong poses."""
+"""Tables of benchmarks.edges.observability: trends, consistency of covariances, wrong poses."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import NullFormatter
 from scipy.optimize import minimize
 from scipy.stats import chi2, mannwhitneyu, spearmanr
 
 from benchmarks.edges.tracking.calibrated_covariance import EdgeNoise, NoiseParts, fitted, nees
 from benchmarks.edges.tracking.residual import FEATURES, TRUSTED, probability
+from benchmarks.presentation import markdown_table, numbers, save_figure, subplots
 from benchmarks.record import Case
 from polhode.lie import Array
 from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
@@ -21,7 +23,7 @@ TRIANGLE = np.triu_indices(6)
 UNITS = np.array([1e3] * 3 + [np.rad2deg(1.0)] * 3)
 """m to mm, rad to degrees"""
 RIGHT_PX, WRONG_PX = 1.5, 3.0
-"""A pose counts as right, or as wrong, by how far its edges are from their true places."""
+"""A pose counts as right, or as wrong, by the distance of its edges from their true positions."""
 NEAR_RIGHT_PX, NEAR_WRONG_PX = 0.3, (0.6, 6.0)
 MIN_TRIALS = 3
 STRICT = 0.95
@@ -35,7 +37,7 @@ class Spot:
     body: str
     level: int
     sigma: Array
-    """(6,) foretold, for one pixel"""
+    """(6,) predicted, for one pixel"""
     errors: Array
     """(n, 6) of the trials that converged"""
     off_px: Array
@@ -53,7 +55,7 @@ class Spot:
 
 
 def spots_of(lines: Sequence[Case]) -> list[Spot]:
-    """Those whose edges tell all six degrees of freedom."""
+    """Those whose edges determine all six degrees of freedom."""
     out = []
     for line in lines:
         for row in line["rows"]:
@@ -97,7 +99,7 @@ def everything(spot: Spot) -> Bools:
 
 
 def root_mean_squares(spots: Sequence[Spot], keep: Any) -> tuple[Array, Array]:
-    """Errors and what was foretold, (n, 6) each, of spots with enough trials."""
+    """Measured and predicted errors, (n, 6) each, of spots with enough trials."""
     rms, sigma = [], []
     for spot in spots:
         chosen = keep(spot)
@@ -120,10 +122,7 @@ def by_model(spots: Sequence[Spot], keep: Any) -> tuple[Array, Array]:
 
 def trend_table(groups: Mapping[str, Sequence[Spot]]) -> str:
     """Correlation of measured error with the metric, per degree of freedom."""
-    rows = [
-        "| group | poses kept by | models x poses | | " + " | ".join(DEGREES_OF_FREEDOM) + " |",
-        "|---|---|---:|---|" + "---:|" * 6,
-    ]
+    rows = []
     for group, spots in groups.items():
         for how, keep in (("converged", everything), ("residual", trusted)):
             rms, sigma = root_mean_squares(spots, keep)
@@ -146,9 +145,10 @@ def trend_table(groups: Mapping[str, Sequence[Spot]]) -> str:
                 together = _each(np.corrcoef, model_rms, model_sigma)
                 measures = {f"r, {len(model_rms)} models, their poses together": together} | measures
             for number, (name, values) in enumerate(measures.items()):
-                first = f"{group} | {how}, {lost:.1%} lost | {len(rms)}" if number == 0 else " | | "
-                rows.append(f"| {first} | {name} | " + " | ".join(f"{v:.3f}" for v in values) + " |")
-    return "\n".join(rows)
+                first = [group, f"{how}, {lost:.1%} lost", str(len(rms))] if number == 0 else [""] * 3
+                rows.append([*first, name, *numbers(values, ".3f")])
+    head = ("group", "poses kept by", "models x poses", "", *DEGREES_OF_FREEDOM)
+    return markdown_table(head, rows, right_from=4)
 
 
 def _each(correlation: Any, a: Array, b: Array) -> Array:
@@ -156,8 +156,8 @@ def _each(correlation: Any, a: Array, b: Array) -> Array:
 
 
 def good_and_bad_table(spots: Sequence[Spot]) -> str:
-    """What error a value of the metric stands for."""
-    rows = ["| metric | models x poses | median error | 90 % of errors below |", "|---|---:|---:|---:|"]
+    """The errors at values of the metric."""
+    rows = []
     kinds = (
         ("across, mm/px", (0, 1), (0.5, 1.0, 1.5, 2.0, 3.0, 6.0)),
         ("along the line of sight, mm/px", (2,), (2.0, 5.0, 10.0, 15.0, 25.0, 50.0)),
@@ -175,10 +175,9 @@ def good_and_bad_table(spots: Sequence[Spot]) -> str:
                         count += 1
             if count >= 5:
                 median, most = np.quantile(found, [0.5, 0.9])
-                rows.append(
-                    f"| {name}, {low:g} to {high:g} | {count} | {median:.3f} {unit} | {most:.3f} {unit} |"
-                )
-    return "\n".join(rows)
+                errors = [f"{value:.3f} {unit}" for value in (median, most)]
+                rows.append([f"{name}, {low:g} to {high:g}", count, *errors])
+    return markdown_table("metric | models x poses | median error | 90 % of errors below", rows, right_from=1)
 
 
 def joined(spots: Sequence[Spot], keep: Any) -> tuple[NoiseParts, Array, Array]:
@@ -192,9 +191,8 @@ def joined(spots: Sequence[Spot], keep: Any) -> tuple[NoiseParts, Array, Array]:
 
 
 def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, EdgeNoise, EdgeNoise]:
-    """Honesty of covariances on each body by what the others taught; the levels that all teach, and those
-    without the image's residual.
-    """
+    """Consistency of covariances on each body, calibrated on the others; the levels of all, with and without
+    the image's residual."""
     errors: list[Array] = []
     covariances: dict[str, list[Array]] = {}
     for body in dict.fromkeys(spot.body for spot in spots):
@@ -211,34 +209,29 @@ def nees_table(spots: Sequence[Spot], first_only: bool) -> tuple[str, EdgeNoise,
     e = np.concatenate(errors)
     n = len(e)
     low, high = chi2.ppf([0.025, 0.975], 6 * n) / (6 * n)
-    rows = [
-        "| covariance | trials | mean NEES / 6 | 95 % band | share within its 95 % | "
-        + " | ".join(DEGREES_OF_FREEDOM)
-        + " |",
-        "|---|---:|---:|---|---:|" + "---:|" * 6,
-    ]
+    rows = []
     for name, each_body in covariances.items():
         P = np.concatenate(each_body)
         whole = nees(e, P)
         each = (e**2 / np.diagonal(P, axis1=1, axis2=2)).mean(axis=0)
         inside = float(np.mean(whole < chi2.ppf(0.95, 6)))
-        rows.append(
-            f"| {name} | {n} | {whole.mean() / 6:.2f} | {low:.2f} to {high:.2f} | {inside:.1%} | "
-            + " | ".join(f"{value:.2f}" for value in each)
-            + " |"
-        )
+        band = f"{low:.2f} to {high:.2f}"
+        rows.append([name, n, f"{whole.mean() / 6:.2f}", band, f"{inside:.1%}", *numbers(each, ".2f")])
     noise, found, _ = joined(spots, trusted)
-    return "\n".join(rows), fitted(noise, found), fitted(noise, found, False)
+    head = (
+        *("covariance", "trials", "mean NEES / 6", "95 % band", "share within its 95 %"), *DEGREES_OF_FREEDOM,
+    )  # fmt: skip
+    return markdown_table(head, rows, right_from=1), fitted(noise, found), fitted(noise, found, False)
 
 
 def _first(spot: Spot) -> Spot:
-    """One trial of a spot: what is common to a pose makes its trials no witnesses of their own."""
+    """One trial of a spot: errors common to a pose make its trials dependent."""
     names = ("errors", "off_px", "support", "sigma_px", "C", "parts")
     return replace(spot, trials=1, **{name: getattr(spot, name)[:1] for name in names})
 
 
 def wrong_table(lines: Sequence[Case]) -> str:
-    """How well statistics tell right from wrong poses: areas under the ROC curve, learnt and tested apart."""
+    """How well statistics separate right from wrong poses: areas under the ROC curve, on bodies held out."""
     features, off, names, kinds, C, metric = [], [], [], [], [], []
     for line in lines:
         for row in line["rows"]:
@@ -256,49 +249,39 @@ def wrong_table(lines: Sequence[Case]) -> str:
     order = list(dict.fromkeys(names))
     test = clear & np.isin(body, order[1::2])
     right = d < RIGHT_PX
-    rows = [
-        f"{(right & test).sum()} right and {(~right & test).sum()} wrong poses of {len(order[1::2])} bodies.",
-        "",
-    ]
-    rows += ["| statistic | area under the ROC curve |", "|---|---:|"]
     statistics = {name: x[:, k] for k, name in enumerate(FEATURES)}
     statistics["residual's sigma (small is right)"] = -x[:, -1]
     statistics["C^-1 of the fit, with robust weights (log determinant)"] = -np.array(C)
     statistics["C^-1 of the pose, as the metric has it (log determinant)"] = -np.array(metric)
     statistics["probability (all together)"] = probability(x[:, : len(FEATURES)])
-    for name, value in statistics.items():
-        rows.append(f"| {name} | {roc_area(value[test], right[test]):.3f} |")
+    parts = [
+        f"{(right & test).sum()} right and {(~right & test).sum()} wrong poses of {len(order[1::2])} bodies.",
+        _area_table(statistics, test, right),
+    ]
     near = (d < NEAR_RIGHT_PX) | (d > NEAR_WRONG_PX[0]) & (d < NEAR_WRONG_PX[1])
     near &= np.isin(body, order[1::2])
     close = d < NEAR_RIGHT_PX
-    rows += [
-        "",
+    parts.append(
         f"Near misses: {(near & close).sum()} poses within {NEAR_RIGHT_PX} px, "
-        f"{(near & ~close).sum()} off by {NEAR_WRONG_PX[0]} to {NEAR_WRONG_PX[1]} px.",
-        "",
-        "| statistic | area under the ROC curve |",
-        "|---|---:|",
-    ]
-    if (near & ~close).any():
-        rows += [f"| {name} | {roc_area(v[near], close[near]):.3f} |" for name, v in statistics.items()]
-    rows += [
-        "",
-        "| start | converged | right | wrong, kept | wrong, refused | right, refused |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
+        f"{(near & ~close).sum()} off by {NEAR_WRONG_PX[0]} to {NEAR_WRONG_PX[1]} px."
+    )
+    parts.append(_area_table(statistics if (near & ~close).any() else {}, near, close))
     kept = probability(x[:, : len(FEATURES)]) >= TRUSTED
+    rows = []
     for kind in dict.fromkeys(kinds):
         own = test & (np.array(kinds) == kind)
-        rows.append(
-            f"| {kind} | {own.sum()} | {(own & right).sum()} | {(own & ~right & kept).sum()} "
-            f"| {(own & ~right & ~kept).sum()} | {(own & right & ~kept).sum()} |"
-        )
+        groups = (own, own & right, own & ~right & kept, own & ~right & ~kept, own & right & ~kept)
+        rows.append([kind, *(group.sum() for group in groups)])
+    head = "start | converged | right | wrong, kept | wrong, refused | right, refused"
+    parts.append(markdown_table(head, rows, right_from=1))
     learn = clear & np.isin(body, order[::2])
-    rows += [
-        "",
-        f"Logistic regression on the other bodies: {learned(x[learn][:, : len(FEATURES)], right[learn])}",
-    ]
-    return "\n".join(rows)
+    weights = learned(x[learn][:, : len(FEATURES)], right[learn])
+    return "\n\n".join([*parts, f"Logistic regression on the other bodies: {weights}"])
+
+
+def _area_table(statistics: Mapping[str, Array], which: Bools, right: Bools) -> str:
+    rows = [[name, f"{roc_area(v[which], right[which]):.3f}"] for name, v in statistics.items()]
+    return markdown_table("statistic | area under the ROC curve", rows, right_from=1)
 
 
 def learned(x: Array, right: Bools) -> list[float]:
@@ -322,13 +305,7 @@ def roc_area(statistic: Array, positive: Bools) -> float:
 
 def plot(groups: Mapping[str, Sequence[Spot]], path: Path) -> None:
     """Measured error against the metric, one panel per degree of freedom and group."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-    from matplotlib.ticker import NullFormatter
-
-    figure, axes = plt.subplots(len(groups), 6, figsize=(18, 3.1 * len(groups)), squeeze=False)
+    figure, axes = subplots(len(groups), 6, (18, 3.1 * len(groups)), squeeze=False)
     for row, (group, spots) in zip(axes, groups.items(), strict=True):
         rms, sigma = root_mean_squares(spots, trusted)
         kept = [spot for spot in spots if trusted(spot).sum() >= MIN_TRIALS]
@@ -352,4 +329,4 @@ def plot(groups: Mapping[str, Sequence[Spot]], path: Path) -> None:
                 axis.set_ylabel(f"{group}\nRMS error [mm, deg]", fontsize=8)
             axis.tick_params(labelsize=7)
     figure.tight_layout()
-    figure.savefig(path, dpi=70)
+    save_figure(figure, path, 70)

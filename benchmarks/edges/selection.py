@@ -3,8 +3,8 @@
     python -m benchmarks.edges.selection [BODY ...] [--views 8] [--budget 8]
 
 First table: ``budget`` edges chosen from the views by log det and by the trace: greedy, after exchanges, the
-best choice where branch and bound ends, and the upper bound. For the trace what remains of 6 is shown, in
-millionths: the mean of the summed variances, shifts in radii, turns in radians, for one pixel. Second table:
+best choice where branch and bound ends, and the upper bound. For the trace its difference from 6 is shown, in
+millionths: the mean of the summed variances, translations in radii, for one pixel. Second table:
 the fewest edges for which each sigma stays within 10 %, the lower bound, and the exact number where all sets
 can be tried. Third, for bodies of few edges: the smooth table of `view_table.py` against the metric at views
 between its own. Edges count where they stand clear of others (`visible_edges.clear_points`).
@@ -19,6 +19,7 @@ from benchmarks.command import command
 from benchmarks.edges.trajectory_optimization import min_range
 from benchmarks.edges.view_table import camera_attitude, view_table
 from benchmarks.edges.views import edge_body, edge_rig, random_poses
+from benchmarks.presentation import print_table
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import make_pose
@@ -47,31 +48,31 @@ def main(
     """Print the tables."""
     rig = edge_rig()
     models = {name: edge_model(edge_body(name).mesh) for name in bodies}
-    told = {
+    information = {
         name: feature_information(model, rig, random_poses(model.surface, rig, views, seed=1), clear=True)
         for name, model in models.items()
     }
-    print("| body | edges seen | value | greedy | exchanged | best | bound | computed |")
-    print("|---|---:|---|---:|---:|---:|---:|---:|")
-    for name, information in told.items():
-        for row in choices(information, budget):
-            print(f"| {name} | {row}")
-    print("\n| body | edges seen | within 10 % | at least | exact | largest sigma |")
-    print("|---|---:|---:|---:|---:|---:|")
-    for name, information in told.items():
-        print(f"| {name} | {fewest(information)}")
-    print("\n| body | spread | even light: median error | correlation | sunlight: error | correlation |")
-    print("|---|---:|---:|---:|---:|---:|")
-    for name, model in models.items():
-        if model.size <= TABLES_UP_TO:
-            print(f"| {name} | {between(model, rig)}")
+    print_table(
+        "body | edges seen | value | greedy | exchanged | best | bound | computed",
+        ([name, *row] for name, each in information.items() for row in choices(each, budget)),
+    )
+    print()
+    print_table(
+        "body | edges seen | within 10 % | at least | exact | largest sigma",
+        ([name, *fewest(each)] for name, each in information.items()),
+    )
+    print()
+    print_table(
+        "body | spread | even light: median error | correlation | sunlight: error | correlation",
+        ([name, *between(model, rig)] for name, model in models.items() if model.size <= TABLES_UP_TO),
+    )
 
 
-def choices(information: FeatureInformation, budget: int) -> list[str]:
+def choices(information: FeatureInformation, budget: int) -> list[list[object]]:
     """Two rows: by log det, by the trace."""
     A = information.scaled
     seen = len(SigmaLimits(information).candidates)
-    rows = []
+    rows: list[list[object]] = []
     for value in ("log_det", "trace"):
         first = greedy(A, budget, value)
         second = improved_by_exchange(A, first, budget, value)
@@ -83,18 +84,16 @@ def choices(information: FeatureInformation, budget: int) -> list[str]:
                 best = "too long"
         bound = shown(upper_bound(A, budget, value), value)
         of_greedy, of_second = shown(first.value, value), shown(second.value, value)
-        rows.append(
-            f"{seen} | {value} | {of_greedy} | {of_second} | {best} | {bound} | {first.evaluations} |"
-        )
+        rows.append([seen, value, of_greedy, of_second, best, bound, first.evaluations])
     return rows
 
 
 def shown(value: float, kind: str) -> str:
-    """log det as it is, of the trace what remains."""
+    """log det itself; for the trace its difference from 6."""
     return f"{value:.2f}" if kind == "log_det" else f"{1e6 * (6.0 - value):.1f}"
 
 
-def fewest(information: FeatureInformation) -> str:
+def fewest(information: FeatureInformation) -> list[object]:
     """One row."""
     found = smallest_set(information)
     seen = len(SigmaLimits(information).candidates)
@@ -102,10 +101,10 @@ def fewest(information: FeatureInformation) -> str:
         exact = str(len(exact_smallest_set(information).features)) if seen <= EXACT_UP_TO else "-"
     except InputError:
         exact = "-"
-    return f"{seen} | {len(found.features)} | {found.at_least} | {exact} | {np.nanmax(found.ratio):.3f} |"
+    return [seen, len(found.features), found.at_least, exact, f"{np.nanmax(found.ratio):.3f}"]
 
 
-def between(model: EdgeModel, rig: RectifiedRig) -> str:
+def between(model: EdgeModel, rig: RectifiedRig) -> list[str]:
     """One row: spread of the natural logarithm, median difference, correlation; even light, then sunlight."""
     near = min_range(model, rig) + 0.02
     rng = np.random.default_rng(0)
@@ -127,7 +126,7 @@ def between(model: EdgeModel, rig: RectifiedRig) -> str:
             cells.append(f"{true.std():.2f}")
         cells.append(f"{np.median(np.abs(found - true)):.2f}")
         cells.append(f"{np.corrcoef(found, true)[0, 1]:.2f}")
-    return " | ".join(cells) + " |"
+    return cells
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """ViSP's model-based edge tracker on rendered views, from starts that are wrong by a known amount.
 
-    python -m benchmarks.edges.visp_tracker [BODY ...] [--views 50] [--angle 2] [--shift 0.02] [--rich]
-                                             [--primed]
+    python -m benchmarks.edges.visp_tracker [BODY ...] [--views 50] [--angle 2] [--shift 0.02]
 
 For each body: views of random poses, 2 to 4 m away, under random sunlight (benchmarks/edges/views.py);
 each tracker gets the image, the model and a start that is off by ``--angle`` degrees and ``--shift`` metres
@@ -10,8 +9,8 @@ attitude, about them. ``lost``: the tracker says so; ``wrong``: it does not, but
 50 mm or 5 degrees. Errors are of the rest; NEES: squared errors over the tracker's own covariance, 1 is
 honest.
 
-ViSP (Marchand, Spindler, Chaumette 2005) is a tracker for video: it learns what an edge looks like where it
-starts. ``--primed`` gives it one more image, rendered at the start's pose, to learn from.
+ViSP (Marchand, Spindler, Chaumette 2005) is a tracker for video: it learns the appearance of an edge from the
+first image.
 
 ViSP is free software under the GPL. Nothing of it is here: ``visp_edges/track.cpp`` is a small program of
 our own that is linked with it, and only by who runs this benchmark: Debian's package libvisp-mbt-dev and a
@@ -25,7 +24,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
@@ -52,6 +51,7 @@ from benchmarks.edges.views import (
     random_poses,
     random_suns,
 )
+from benchmarks.presentation import numbers, print_table
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.images import Grey
@@ -70,31 +70,16 @@ class NoVispError(Exception):
     """ViSP is not installed, or does not compile here; in a line."""
 
 
-@dataclass(frozen=True)
-class Settings:
-    """Of ViSP's tracker; the defaults are what ``benchmarks.visp_settings`` was used to look for.
-
-    What helps it: several rounds of one track() each, with a search that narrows. Threshold, contrast and a
-    mask of 3 or 5 px change less than 30 views can tell.
-    """
-
-    threshold: float = 10000.0
-    """Least response of the mask"""
-    mu: float = 0.5
-    """How much the contrast of an edge may change, as a share"""
-    mask_size: int = 5
-    masks: int = 180
-    sample_step_px: float = 2.0
-    """Between sites along an edge"""
-    ranges_px: tuple[int, ...] = (10, 8, 6, 4, 3, 2)
-    """Search on either side of an edge, in one round after the other; each samples the edges anew"""
-    tracks: int = 1
-    """Calls of track() a round"""
-    appear_deg: float = 88.0
-    disappear_deg: float = 89.0
-    """Angle between a face and the line of sight to it from which the face counts, or does no more"""
-    good_share: float = 0.2
-    """Share of the sites that must be found"""
+SETTINGS = (
+    # largest angles between a face and the line of sight; share of the sites that must be found
+    "appear 88.0 disappear 89.0 good 0.2",
+    # least response of the mask, change of contrast, size and number of masks, distance between sites [px]
+    "edges 10000.0 0.5 0.5 5 180 2.0",
+    # search ranges [px], in one round after the other, each with one call of track()
+    "rounds 6 10 8 6 4 3 2 1",
+)
+"""Of ViSP's tracker, found on views of another seed. Several rounds with a search that narrows help it; the
+threshold, the contrast and a mask of 3 or 5 px change less than 30 views can distinguish."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +92,6 @@ class TrackerTrial:
     images: Sequence[Grey]
     X_start: Array
     """(V, 4, 4) X_CG to start from"""
-    before: Sequence[Grey] | None = None
-    """What would be seen at X_start, for trackers that learn from the last image"""
 
 
 @dataclass(frozen=True)
@@ -128,11 +111,9 @@ class Answer:
 Tracker = Callable[[TrackerTrial], Answer]
 
 
-def visp_answer(trial: TrackerTrial, settings: Settings | None = None) -> Answer:
+def visp_answer(trial: TrackerTrial) -> Answer:
     """ViSP's poses, with the mesh's flat faces for a model. Raises NoVispError."""
-    X_CG, covariance, statistics = visp_poses(
-        polygons_of(trial.mesh), trial.rig, trial.images, trial.X_start, settings, trial.before
-    )
+    X_CG, covariance, statistics = visp_poses(polygons_of(trial.mesh), trial.rig, trial.images, trial.X_start)
     lost = statistics.pop("lost").astype(bool)
     covariance[lost] = np.nan
     about_G = middle(trial.mesh)
@@ -167,8 +148,6 @@ def visp_poses(
     rig: RectifiedRig,
     images: Sequence[Grey],
     X_start: Array,
-    settings: Settings | None = None,
-    before: Sequence[Grey] | None = None,
 ) -> tuple[Array, Array, dict[str, Array]]:
     """X_CG (V, 4, 4), covariances (V, 6, 6) of (translation, theta u) of X_CG, and statistics (V,) each.
 
@@ -181,7 +160,7 @@ def visp_poses(
         folder = Path(name)
         (folder / "model.cao").write_text(cao_text(polygons), encoding="ascii")
         job = folder / "job"
-        job.write_text(_job(folder, rig, images, X_start, settings or Settings(), before), encoding="ascii")
+        job.write_text(_job(folder, rig, images, X_start), encoding="ascii")
         done = subprocess.run([program(), job], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise NoVispError(f"ViSP's tracker failed: {done.stderr.strip().splitlines()[-1]}")
@@ -202,25 +181,19 @@ def _job(
     rig: RectifiedRig,
     images: Sequence[Grey],
     X_start: Array,
-    s: Settings,
-    before: Sequence[Grey] | None,
 ) -> str:
     """Write the images; the text that tells ``track`` what to do."""
     rows = [
         f"model {folder / 'model.cao'}",
         f"camera {rig.focal_px} {rig.focal_px} {rig.cx_px} {rig.cy_px}",
-        f"appear {s.appear_deg} disappear {s.disappear_deg} good {s.good_share}",
-        f"edges {s.threshold} {s.mu} {s.mu} {s.mask_size} {s.masks} {s.sample_step_px}",
-        f"rounds {len(s.ranges_px)} {' '.join(str(r) for r in s.ranges_px)} {s.tracks}",
+        *SETTINGS,
         f"views {len(images)}",
     ]
     for k, (image, X) in enumerate(zip(images, X_start, strict=True)):
-        path, earlier = folder / f"{k}.pgm", Path("-")
+        path = folder / f"{k}.pgm"
         Image.fromarray(image).save(path)
-        if before is not None:
-            earlier = folder / f"{k}_before.pgm"
-            Image.fromarray(before[k]).save(earlier)
-        rows.append(f"{path} {earlier} {' '.join(repr(float(value)) for value in X[:3].ravel())}")
+        # no earlier image to learn from
+        rows.append(f"{path} - {' '.join(repr(float(value)) for value in X[:3].ravel())}")
     return "\n".join(rows) + "\n"
 
 
@@ -263,35 +236,29 @@ class Options:
     views: int = 50
     angle_deg: float = 2.0
     shift_m: float = 0.02
-    rich: bool = False
-    primed: bool = False
     seed: int = 0
 
 
 def trial_of(name: str, options: Options) -> tuple[TrackerTrial, Array]:
     """Views of a body with starts, and the true X_CG (V, 4, 4)."""
-    target, rig = edge_body(name, plain=not options.rich), edge_rig()
+    target, rig = edge_body(name), edge_rig()
     views = EdgeViews(target, rig, options.seed)
     X_CG = random_poses(target.mesh, rig, options.views, options.seed)
     suns = random_suns(options.views, options.seed)
     X_start = perturbed(X_CG, middle(target.mesh), options.seed, options.angle_deg, options.shift_m)
-    before = None
-    if options.primed:
-        before = [
-            views.image(X, sun, options.views + k)
-            for k, (X, sun) in enumerate(zip(X_start, suns, strict=True))
-        ]
-    return TrackerTrial(target.mesh, rig, views.images(X_CG, suns), X_start, before), X_CG
+    return TrackerTrial(target.mesh, rig, views.images(X_CG, suns), X_start), X_CG
 
 
 HEAD = (
-    "| body | tracker | lost | wrong | x [mm] | y | z | about x [deg] | about y | about z | NEES / 6 | "
-    "median [mm] | median [deg] | s per view |"
+    "body | tracker | lost | wrong | x [mm] | y | z | about x [deg] | about y | about z | NEES / 6 | "
+    "median [mm] | median [deg] | s per view"
 )
 
 
-def row(body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array, seconds: float = 0.0) -> str:
-    """A line of the table: root mean squares of the errors, and medians of their lengths."""
+def row(
+    body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array, seconds: float = 0.0
+) -> list[str]:
+    """Cells of the table: root mean squares of the errors, and medians of their lengths."""
     errors = pose_errors(answer.X_CG, X_CG, about_G)
     place_m, turn_deg = (
         np.linalg.norm(errors[:, :3], axis=1),
@@ -301,13 +268,12 @@ def row(body: str, tracker: str, answer: Answer, X_CG: Array, about_G: Array, se
     good = ~answer.lost & ~wrong
     cells = [body, tracker, f"{answer.lost.sum()}", f"{wrong.sum()}"]
     if not good.any():
-        return f"| {' | '.join(cells)} |" + " - |" * 10
+        return cells + ["-"] * 10
     rms = np.sqrt((errors[good] ** 2).mean(axis=0))
-    cells += [f"{1e3 * value:.2f}" for value in rms[:3]] + [f"{np.rad2deg(value):.3f}" for value in rms[3:]]
+    cells += [*numbers(1e3 * rms[:3], ".2f"), *numbers(np.rad2deg(rms[3:]), ".3f")]
     cells.append(f"{np.mean(nees(errors[good], answer.covariance[good])) / 6:.2g}")
     cells += [f"{1e3 * np.median(place_m[good]):.2f}", f"{np.median(turn_deg[good]):.3f}"]
-    cells.append(f"{seconds / len(X_CG):.3f}")
-    return f"| {' | '.join(cells)} |"
+    return [*cells, f"{seconds / len(X_CG):.3f}"]
 
 
 def main(
@@ -316,30 +282,26 @@ def main(
     angle: Annotated[float, arg(help="Sigma of the start [deg].")] = Options.angle_deg,
     shift: Annotated[float, arg(help="Sigma of the start [m].")] = Options.shift_m,
     seed: int = Options.seed,
-    rich: Annotated[bool, arg(help="The surfaces of the bodies themselves.")] = False,
-    primed: Annotated[bool, arg(help="An image at the pose of the start to learn from.")] = False,
 ) -> None:
     """Print the table."""
-    options = Options(views, angle, shift, rich, primed, seed)
     try:
         program()
-        print(HEAD + "\n|---|---|" + "---:|" * 11)
-        for name in bodies:
-            trial, X_CG = trial_of(name, options)
-            about_G = middle(trial.mesh)
-            print(row(name, "the start", Answer(trial.X_start, *_nothing(len(X_CG))), X_CG, about_G))
-            for tracker, answer_of in TRACKERS.items():
-                begin = time.perf_counter()
-                answer = answer_of(trial)
-                seconds = time.perf_counter() - begin
-                print(row(name, tracker, answer, X_CG, about_G, seconds), flush=True)
+        print_table(HEAD, _rows(bodies, Options(views, angle, shift, seed)), right_from=2)
     except (NoVispError, InputError) as problem:
         print(f"polhode: error: {problem}", file=sys.stderr)
         sys.exit(2)
 
 
-def _nothing(count: int) -> tuple[Bools, Array]:
-    return np.zeros(count, dtype=bool), np.full((count, 6, 6), np.nan)
+def _rows(bodies: Sequence[str], options: Options) -> Iterator[list[str]]:
+    for name in bodies:
+        trial, X_CG = trial_of(name, options)
+        about_G, count = middle(trial.mesh), len(X_CG)
+        start = Answer(trial.X_start, np.zeros(count, dtype=bool), np.full((count, 6, 6), np.nan))
+        yield row(name, "the start", start, X_CG, about_G)
+        for tracker, answer_of in TRACKERS.items():
+            begin = time.perf_counter()
+            answer = answer_of(trial)
+            yield row(name, tracker, answer, X_CG, about_G, time.perf_counter() - begin)
 
 
 FLAT_DEG = 0.5

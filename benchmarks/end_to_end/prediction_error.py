@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import matplotlib as mpl
 import numpy as np
 from tyro.conf import Positional, arg
 
 from benchmarks.command import command
-from benchmarks.presentation import save_figure
+from benchmarks.presentation import save_figure, subplots
 from polhode.lie import Array, continuous_wxyz, log_so3, wxyz_from_matrix
 from polhode.metrics import States, constant_body_rotation, motion_errors, truth_at, with_half_turn
 from polhode.pipeline.after_run.predict import predict_run
@@ -30,7 +29,7 @@ SHOWN_S = (10.0, 30.0, 60.0)
 
 @dataclass(frozen=True)
 class PredictionComparison:
-    """A prediction beside what came."""
+    """A prediction and the truth."""
 
     time_s: Array
     """(T,) after the last pair"""
@@ -59,7 +58,7 @@ def main(
     draw(found, output)
     for name, unit, error, sigma in (
         ("attitude", "deg", found.attitude_deg, found.sigma_attitude_deg),
-        ("place", "mm", found.place_mm, found.sigma_place_mm),
+        ("position", "mm", found.place_mm, found.sigma_place_mm),
     ):
         inside = np.mean(np.abs(error) < 3.0 * sigma)
         at = [int(np.argmin(np.abs(found.time_s - s))) for s in SHOWN_S if s <= found.time_s[-1] + 1e-6]
@@ -72,7 +71,7 @@ def main(
 
 
 def compare(run: Path, sequence: Path, horizon_s: float) -> PredictionComparison:
-    """Predict and read what came. Raises InputError when the truth does not reach that far."""
+    """Predict and read the truth. Raises InputError when the truth does not reach that far."""
     seen, prediction, truth = read_trajectory(run), predict_run(run, horizon_s), read_truth(sequence)
     estimate = States(seen.timestamps_ns, seen.r_N, seen.v_N, seen.R_NP, seen.w_P)
     at_frames = truth_at(truth, estimate.timestamps_ns)
@@ -102,18 +101,15 @@ def compare(run: Path, sequence: Path, horizon_s: float) -> PredictionComparison
 
 
 def draw(found: PredictionComparison, path: Path) -> None:
-    """Attitude, its error, the error of place."""
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, (top, middle, bottom) = plt.subplots(3, 1, figsize=(9.0, 8.4), sharex=True)
+    """Attitude, its error, the error of the position."""
+    figure, (top, middle, bottom) = subplots(3, 1, (9.0, 8.4), sharex=True)
     for k, (name, color) in enumerate(zip("wxyz", ("#5d6b78", *COLORS), strict=True)):
         top.plot(found.time_s, found.q_NP_true_wxyz[:, k], color=color, linewidth=2.4, alpha=0.45)
         top.plot(found.time_s, found.q_NP_wxyz[:, k], color=color, linewidth=1.2, linestyle="--", label=name)
     top.set(ylabel="quaternion $q_{NP}$", title="predicted (dashed) and true (solid)")
     for axes, error, sigma, label in (
         (middle, found.attitude_deg, found.sigma_attitude_deg, "attitude error [deg]"),
-        (bottom, found.place_mm, found.sigma_place_mm, "error of place [mm]"),
+        (bottom, found.place_mm, found.sigma_place_mm, "position error [mm]"),
     ):
         for k, (name, color) in enumerate(zip("xyz", COLORS, strict=True)):
             axes.fill_between(found.time_s, -3.0 * sigma[:, k], 3.0 * sigma[:, k], color=color, alpha=0.13)

@@ -25,16 +25,14 @@ from pathlib import Path
 from time import process_time
 from typing import Annotated
 
-import matplotlib
-import matplotlib.pyplot as plt
 import numpy as np
-import torch
 from matplotlib.ticker import LogLocator, NullFormatter
 from tyro.conf import arg
 
 from benchmarks.command import ROOT, Record, Short, command
 from benchmarks.frontend.scenes import CONFIGS, UnseenScene, open_scene, render, scene_names
-from benchmarks.presentation import save_figure
+from benchmarks.presentation import print_table as print_rows
+from benchmarks.presentation import save_figure, subplots
 from benchmarks.record import Case, complete, forget
 from polhode.config.frontend import Frontend
 from polhode.errors import InputError
@@ -153,18 +151,16 @@ def print_table(lines: Sequence[Case], methods: Sequence[str], reference: str, g
     count, lit_count = len(pairs_of(first, gap)), len(lit_of(first, gap, lit))
     counts = f"{count} pairs, {lit_count} of them lit"
     print(f"\n{30 * gap} degrees between frames: {counts}; equal precision: {target:.3f}\n")
-    print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
-    for method in methods:
-        print(_row(method, lines_of(lines, method), target, gap, lit))
+    print_rows(COLUMNS, (_row(method, lines_of(lines, method), target, gap, lit) for method in methods))
 
 
-def _row(method: str, lines: Sequence[Case], target: float, gap: int, lit: Lit) -> str:
+def _row(method: str, lines: Sequence[Case], target: float, gap: int, lit: Lit) -> list[str]:
     pairs = pairs_of(lines, gap)
     features = np.concatenate([line["features"] for line in lines])
     wrong = np.concatenate([line["wrong_stereo"] for line in lines])
     errors = [pair["error_deg"] for pair in pairs if pair["error_deg"] is not None]
     stereo_ms, match_ms = times_ms(lines, gap)
-    cells = [
+    return [
         method,
         f"{np.mean(features):.0f}",
         f"{100 * wrong.sum() / max(1, features.sum()):.1f}",
@@ -183,23 +179,20 @@ def _row(method: str, lines: Sequence[Case], target: float, gap: int, lit: Lit) 
         f"{match_ms:.0f}",
         ", ".join(f"{value:.2f}" for value in residual_variances(pairs)),
     ]
-    return "| " + " | ".join(cells) + " |"
 
 
 def print_by_scene(lines: Sequence[Case], methods: Sequence[str], scenes: Sequence[str], gap: int) -> None:
     """Correct matches a pair, and the share of rotations within 2 degrees, scene by scene."""
     print(f"\n{30 * gap} degrees: correct matches, and rotations within 2 degrees [%]\n")
-    print(f"| method | {' | '.join(scenes)} |\n|{'---|' * (len(scenes) + 1)}")
+    rows = []
     for method in methods:
-        cells = []
+        cells = [method]
         for scene in scenes:
             pairs = pairs_of([ln for ln in lines_of(lines, method) if ln["case"]["scene"] == scene], gap)
             correct = np.mean([pair["correct"] for pair in pairs])
             cells.append(f"{correct:.0f}, {100 * success(pairs, 2.0):.0f}")
-        print(f"| {method} | {' | '.join(cells)} |")
-
-
-matplotlib.use("Agg")
+        rows.append(cells)
+    print_rows(("method", *scenes), rows)
 
 
 ANGLES_DEG = {1: 30, 2: 60}
@@ -210,7 +203,7 @@ OURS, OTHERS = "#b3261e", "#33556e"
 
 def draw_pareto(lines: Sequence[Case], methods: Sequence[str], reference: str, path: Path) -> None:
     """One panel for each turn between the frames; the line joins the methods that no other beats in both."""
-    figure, panels = plt.subplots(1, len(ANGLES_DEG), figsize=(11, 4.4), layout="constrained")
+    figure, panels = subplots(1, len(ANGLES_DEG), (11, 4.4), layout="constrained")
     for panel, (gap, degrees) in zip(panels, ANGLES_DEG.items(), strict=True):
         precision = precision_of(pairs_of(lines_of(lines, reference), gap))
         places = [_place(lines_of(lines, method), gap, precision) for method in methods]
@@ -292,8 +285,6 @@ def main(
         for gap in GAPS:
             print_by_scene(lines, compared, names, gap)
     if picture is not None:
-        from benchmarks.frontend.matching import draw_pareto
-
         draw_pareto(lines, compared, REFERENCE, picture)
 
 
@@ -340,7 +331,6 @@ def measure_light(case: Case) -> Case:
 
 def measure(case: Case) -> Case:
     """All frames and pairs of one scene by one method."""
-    torch.set_num_threads(1)
     scene = open_scene(case["scene"])
     config = with_patch_size(settings(case["method"]), scene.sequence, scene.rectifier)
     extract_pair(scene.pair(0), scene.rig, config)  # the first call of a network takes longer

@@ -9,12 +9,11 @@ best step is sqrt(3) / alpha; the thesis's text says alpha sqrt(3).
 from pathlib import Path
 from typing import Annotated
 
-import matplotlib as mpl
 import numpy as np
 from tyro.conf import arg
 
 from benchmarks.command import command
-from benchmarks.presentation import save_figure
+from benchmarks.presentation import save_figure, subplots
 from polhode.backend.dynamics.process_noise import rotation_covariance_scaled, translation_covariance
 from polhode.lie import Array
 
@@ -60,11 +59,8 @@ def rotation_conditions(dt_s: Array, rate_rpm: float) -> tuple[Array, Array]:
 
 def draw(path: Path) -> None:
     """The figure."""
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
     wide, used = np.logspace(-3, 3, 241), np.logspace(-3, 1, 121)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11.0, 4.4), sharey=True)
+    figure, (left, right) = subplots(1, 2, (11.0, 4.4), sharey=True)
     for alpha, color in zip(ALPHAS, COLORS, strict=True):
         left.loglog(wide, translation_conditions(wide, alpha), color=color, label=rf"$\alpha$ = {alpha:g}")
     best = np.sqrt(3.0) / np.array(ALPHAS)

@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.command import command
+from benchmarks.presentation import print_table
 from polhode.backend.dynamics.kernels import quaternion_product_sx
 from polhode.lie import Array
 
@@ -89,16 +90,15 @@ def pose_state(w: tuple[float, float, float], moments: tuple[float, float, float
 
 
 def table(system: System, states: dict[str, np.ndarray]) -> None:
-    """Ranks by the highest order of derivatives, and what stays hidden: components with a share in it."""
-    print("| motion | " + " | ".join(f"up to L^{order}" for order in ORDERS) + " | hidden |")
-    print("|" + "---|" * (len(ORDERS) + 2))
-    functions = [system.observability_matrix(order) for order in ORDERS]
+    """Ranks by the highest order of derivatives, and the components of the unobservable directions."""
+    functions, rows = [system.observability_matrix(order) for order in ORDERS], []
     for name, state in states.items():
         found = [observability(evaluate(function, state)) for function in functions]
         share = np.abs(found[-1].null_space).max(axis=1)
         hidden = [part for part, much in zip(system.names, share, strict=True) if much > 1e-6]
-        ranks = " | ".join(str(each.rank) for each in found)
-        print(f"| {name} | {ranks} | {len(state) - found[-1].rank}: {', '.join(hidden)} |")
+        ranks = [str(each.rank) for each in found]
+        rows.append([name, *ranks, f"{len(state) - found[-1].rank}: {', '.join(hidden)}"])
+    print_table(("motion", *(f"up to L^{order}" for order in ORDERS), "hidden"), rows)
 
 
 def measured_rates() -> System:

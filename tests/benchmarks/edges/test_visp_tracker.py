@@ -98,7 +98,7 @@ def test_a_row_counts_what_is_lost_and_what_is_wrong() -> None:
     lost = np.zeros(200, dtype=bool)
     lost[1] = True
     covariance[lost] = np.nan
-    cells = row("wedge", "none", Answer(found, lost, covariance), X_CG, about_G).strip("| ").split(" | ")
+    cells = row("wedge", "none", Answer(found, lost, covariance), X_CG, about_G)
     assert cells[:4] == ["wedge", "none", "1", "1"]
     np.testing.assert_allclose([float(cell) for cell in cells[4:7]], 2.0, rtol=0.15)
     np.testing.assert_allclose([float(cell) for cell in cells[7:10]], 0.1, rtol=0.15)
