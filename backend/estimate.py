@@ -45,7 +45,7 @@ MAX_SEARCHES = 3
 """For unknown disturbances: once strong ones have a node the noise level is lower, and weak ones stand
 out."""
 MIN_AGREEMENT, SUSPICIOUS = 0.65, 30.0
-"""With a smaller share of agreeing observations, or disturbances estimated so many times as strong as stated
+"""With a smaller share of agreeing observations, or disturbances estimated this factor stronger than stated
 (power), frames may contradict one another."""
 MIN_KEPT_LANDMARKS, MAX_REPLACEMENTS = 0.9, 2
 """If a smaller share of the landmarks is kept, wrong initial poses may have misplaced them: they are placed
@@ -138,7 +138,7 @@ def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess],
             )
             if disturbed is None:
                 break
-            with_nodes = replace(data, nodes=disturbed.nodes, node_sigma=disturbed.sigma)
+            with_nodes = replace(data, nodes=disturbed[0], node_sigma=disturbed[1])
             found = _fit(with_nodes, starts, config, _no_progress)
         except (RunFailure, LinAlgError):
             # keep the fit without further nodes
@@ -160,8 +160,8 @@ def _fit(data: MotionData, starts: list[InitialGuess], config: Backend, advance:
     advance()
     runner_up: dict[str, float] = {}
     if data.impulses is not None and data.impulses.acting.any():
-        attached = fit_known_wrench(kept.data, kept.restrict(iterate))
-        iterate, runner_up = kept.expand(attached.iterate, iterate), attached.runner_up
+        fitted, runner_up = fit_known_wrench(kept.data, kept.restrict(iterate))
+        iterate = kept.expand(fitted, iterate)
     if config.process_noise == "estimated":
         level = estimate_process_noise(kept.data, kept.restrict(iterate))
         iterate, kept = kept.expand(level.iterate, iterate), replace(kept, data=level.data)

@@ -35,14 +35,6 @@ MAX_SIGMA = 0.3
 
 
 @dataclass(frozen=True)
-class KnownWrenchFit:
-    """A motion with its wrench, and the additional cost of the other directions of the axes."""
-
-    iterate: Iterate
-    runner_up: dict[str, float]
-
-
-@dataclass(frozen=True)
 class WrenchGuess:
     """Axes of the torque in G, the unknowns of the wrench, and the misfit of the momentum."""
 
@@ -61,8 +53,10 @@ class LogEstimate:
     determined: bool
 
 
-def fit_known_wrench(data: MotionData, iterate: Iterate) -> KnownWrenchFit:
+def fit_known_wrench(data: MotionData, iterate: Iterate) -> tuple[Iterate, dict[str, float]]:
     """Fit the wrench of ``data`` too, from a motion that was fitted with loose steps where the wrench acts.
+
+    Returns the motion with its wrench, and the additional cost of the other directions of the axes.
 
     Raises RunFailure if no direction of the axes leads to a solution.
     """
@@ -78,7 +72,7 @@ def fit_known_wrench(data: MotionData, iterate: Iterate) -> KnownWrenchFit:
         raise RunFailure("no motion is consistent with the known forces and torques of wrench0")
     best = min(found, key=lambda name: found[name][1])
     costs = {name: cost - found[best][1] for name, (_, cost) in found.items() if name != best}
-    return KnownWrenchFit(found[best][0], costs)
+    return found[best][0], costs
 
 
 def _fit(data: MotionData, iterate: Iterate) -> tuple[Iterate, float] | None:

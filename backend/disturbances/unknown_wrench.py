@@ -12,7 +12,7 @@ so the largest ones get nodes first, the motion is fitted again, and the evidenc
 explain more than a stronger process noise does.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -49,24 +49,16 @@ ROUNDS = 8
 ITERATIONS = 4
 MIN_VARIANCE = 1e-3
 """Smallest variance of a whitened residual that carries information."""
-SURE = 4.0
+CERTAIN = 4.0
 """Number of standard deviations of the largest change beyond which a disturbance is certain."""
-
-
-@dataclass(frozen=True)
-class DisturbedSteps:
-    """Steps that need a node, and the standard deviations of the disturbances."""
-
-    nodes: Bools
-    """(F - 1,)"""
-    sigma: tuple[float, float]
-    """[m/s^2, rad/s^2]"""
 
 
 def find_disturbed_steps(
     data: MotionData, iterate: Iterate, widest: tuple[float, float], level_is_given: bool
-) -> DisturbedSteps | None:
-    """Steps that need a node, including those of ``data``; None if no further step does.
+) -> tuple[Bools, tuple[float, float]] | None:
+    """Steps (F - 1,) that need a node, including those of ``data``; None if no further step does.
+
+    Also returns the standard deviations of the disturbances [m/s^2, rad/s^2].
 
     The iterate is a solution under ``data``; widest [m/s^2, rad/s^2] is the largest standard deviation that
     is tried. A disturbance may have begun one step earlier or ended one later: these steps get a node too.
@@ -83,9 +75,7 @@ def find_disturbed_steps(
     gain = _fit(data, iterate, level_is_given).minus_log_evidence - level.minus_log_evidence
     if not gain > MIN_EVIDENCE_GAIN:
         return None
-    return DisturbedSteps(
-        data.nodes | _with_neighbours(level.data.nodes & ~data.nodes), level.data.node_sigma
-    )
+    return data.nodes | _with_neighbours(level.data.nodes & ~data.nodes), level.data.node_sigma
 
 
 def _reduce_sigma(best: LevelFit, which: int) -> LevelFit:
@@ -252,7 +242,7 @@ def describe_impulses(disturbances: Disturbances, first_ns: int) -> list[str]:
 def _sentence(impulse: Impulse, first_ns: int) -> str:
     start_s, end_s = ((t - first_ns) * 1e-9 for t in (impulse.start_ns, impulse.end_ns))
     size = np.append(impulse.delta_v_N / impulse.sigma_delta_v_N, impulse.delta_w_P / impulse.sigma_delta_w_P)
-    acted = "acted" if np.abs(size).max() > SURE else "may have acted"
+    acted = "acted" if np.abs(size).max() > CERTAIN else "may have acted"
     velocity, rate = (float(np.linalg.norm(change)) for change in (impulse.delta_v_N, impulse.delta_w_P))
     return (
         f"an unknown disturbance {acted} on the target between {start_s:.1f} s and {end_s:.1f} s: its "

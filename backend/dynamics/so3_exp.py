@@ -13,6 +13,19 @@ SMALL_RAD = 1e-3
 
 
 @compiled
+def _fill(out: Array, x: float, y: float, z: float, a: float, b: float) -> None:
+    """I + a hat + b hat^2 of (x, y, z) into out (3, 3)."""
+    out[0, 0], out[1, 1], out[2, 2] = (
+        1.0 - b * (y * y + z * z),
+        1.0 - b * (x * x + z * z),
+        1.0 - b * (x * x + y * y),
+    )
+    out[0, 1], out[1, 0] = b * x * y - a * z, b * x * y + a * z
+    out[0, 2], out[2, 0] = b * x * z + a * y, b * x * z - a * y
+    out[1, 2], out[2, 1] = b * y * z - a * x, b * y * z + a * x
+
+
+@compiled
 def rotation_matrices(theta: Array) -> Array:
     """Rotation vectors [rad] (n, 3) -> matrices (n, 3, 3)."""
     out = np.empty((len(theta), 3, 3))
@@ -24,14 +37,7 @@ def rotation_matrices(theta: Array) -> Array:
             a, b = 1.0 - s / 6.0 + s * s / 120.0, 0.5 - s / 24.0 + s * s / 720.0
         else:
             a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / s
-        out[n, 0, 0], out[n, 1, 1], out[n, 2, 2] = (
-            1.0 - b * (y * y + z * z),
-            1.0 - b * (x * x + z * z),
-            1.0 - b * (x * x + y * y),
-        )
-        out[n, 0, 1], out[n, 1, 0] = b * x * y - a * z, b * x * y + a * z
-        out[n, 0, 2], out[n, 2, 0] = b * x * z + a * y, b * x * z - a * y
-        out[n, 1, 2], out[n, 2, 1] = b * y * z - a * x, b * y * z + a * x
+        _fill(out[n], x, y, z, a, b)
     return out
 
 
@@ -106,14 +112,7 @@ def _jacobians(theta: Array, inverse: bool) -> Array:
             a, b = 0.5 - s / 24.0 + s * s / 720.0, 1.0 / 6.0 - s / 120.0 + s * s / 5040.0
         else:
             a, b = (1.0 - np.cos(angle)) / s, (angle - np.sin(angle)) / (s * angle)
-        out[n, 0, 0], out[n, 1, 1], out[n, 2, 2] = (
-            1.0 - b * (y * y + z * z),
-            1.0 - b * (x * x + z * z),
-            1.0 - b * (x * x + y * y),
-        )
-        out[n, 0, 1], out[n, 1, 0] = b * x * y + a * z, b * x * y - a * z
-        out[n, 0, 2], out[n, 2, 0] = b * x * z - a * y, b * x * z + a * y
-        out[n, 1, 2], out[n, 2, 1] = b * y * z + a * x, b * y * z - a * x
+        _fill(out[n], x, y, z, -a, b)
     return out
 
 

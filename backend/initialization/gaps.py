@@ -64,11 +64,11 @@ def loose_steps(n_frames: int, gaps: list[Gap]) -> Bools:
 
 
 def propagate_through_gaps(
-    iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Gap], other_way: bool = False
+    iterate: Iterate, J_G: Array, time_s: Array, gaps: list[Gap], opposite: bool = False
 ) -> Iterate:
     """The iterate with the states inside the gaps propagated from one edge to the other.
 
-    J_G (3, 3) any scale. other_way: where the propagated attitude is far from the known one after the gap,
+    J_G (3, 3) any scale. opposite: where the propagated attitude is far from the known one after the gap,
     the closing error is made up by the rotation in the opposite direction.
     """
     R, w, v = iterate.R_NG.copy(), iterate.w_G.copy(), iterate.v_N.copy()
@@ -85,7 +85,7 @@ def propagate_through_gaps(
         attitude, velocity = R[start] @ turn, v[start]
         if gap.before is not None and gap.after is not None:
             share = (dt / dt[-1])[:, None]
-            left = _remaining_rotation(log_so3(attitude[-1].T @ R[gap.after]), other_way)
+            left = _remaining_rotation(log_so3(attitude[-1].T @ R[gap.after]), opposite)
             attitude = attitude @ exp_so3(share * left)
             rate = rate + share * (w[gap.after] - rate[-1])
             velocity = (r_N[gap.after] - r_N[start]) / dt[-1]
@@ -117,9 +117,9 @@ def _carry(w_G: Array, J_G: Array, dt_s: Array) -> tuple[Array, Array]:
     return matrix_from_wxyz(q), sign * w
 
 
-def _remaining_rotation(turn: Array, other_way: bool) -> Array:
+def _remaining_rotation(turn: Array, opposite: bool) -> Array:
     angle = float(np.linalg.norm(turn))
-    if not other_way or angle < AMBIGUOUS_RAD:
+    if not opposite or angle < AMBIGUOUS_RAD:
         return turn
     return np.asarray(turn * (1.0 - 2.0 * np.pi / angle))
 

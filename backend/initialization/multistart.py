@@ -74,7 +74,7 @@ def initial_guesses(tracks: StereoTracks, initial: InitialMotion, data: MotionDa
     p_G, known = robust_landmarks(tracks, initial.X_RG, initial.connected)
     if not known.any():
         raise RunFailure(
-            f"no consistent motion: no landmark is seen in a frame that could be placed ({FAST_HINT})"
+            f"no consistent motion: no landmark is seen in a frame whose pose is known ({FAST_HINT})"
         )
     com_G = np.median(p_G, axis=0)
     use = np.flatnonzero(initial.connected)
@@ -118,17 +118,17 @@ def try_hypotheses(
 
 def _with_directions_refined(data: MotionData, trials: dict[str, HypothesisFit]) -> dict[str, HypothesisFit]:
     """The fits, the best of each direction of rotation solved further: their costs may differ by little."""
-    senses = [
+    directions = [
         [name for name in trials if name.endswith(OPPOSITE_DIRECTION) == other] for other in (False, True)
     ]
-    if not all(senses):
+    if not all(directions):
         return trials
     out = dict(trials)
-    for names in senses:
+    for names in directions:
         best = min(names, key=lambda name: trials[name].cost)
-        settled = solve_briefly(data, trials[best].iterate, [], LONG_PASSES)
-        if settled is not None:
-            out[best] = settled
+        refined = solve_briefly(data, trials[best].iterate, [], LONG_PASSES)
+        if refined is not None:
+            out[best] = refined
     return out
 
 
@@ -141,21 +141,21 @@ def try_hypothesis(
     if not start.gaps:
         return solve_briefly(data, iterate, found)
     loose = replace(data, loose=loose_steps(data.n_frames, start.gaps))
-    apart = solve_briefly(loose, iterate, [])
-    if apart is None:
+    separate = solve_briefly(loose, iterate, [])
+    if separate is None:
         return None
-    return _solve_across(data, start, apart.iterate, found)
+    return _solve_across(data, start, separate.iterate, found)
 
 
 def _solve_across(
-    data: MotionData, start: InitialGuess, apart: Iterate, found: list[HypothesisFit]
+    data: MotionData, start: InitialGuess, separate: Iterate, found: list[HypothesisFit]
 ) -> HypothesisFit | None:
     """Propagate the states through the gaps, then solve with the dynamics of all steps."""
-    J_G = apart.J_G(data.form)
-    ambiguous = closing_error_rad(apart, J_G, start.time_s, start.gaps) > AMBIGUOUS_RAD
+    J_G = separate.J_G(data.form)
+    ambiguous = closing_error_rad(separate, J_G, start.time_s, start.gaps) > AMBIGUOUS_RAD
     trials = []
-    for other_way in (False, True) if ambiguous else (False,):
-        iterate = propagate_through_gaps(apart, J_G, start.time_s, start.gaps, other_way)
+    for opposite in (False, True) if ambiguous else (False,):
+        iterate = propagate_through_gaps(separate, J_G, start.time_s, start.gaps, opposite)
         iterate = replace(iterate, p_G=gap_landmarks(start.tracks, iterate, start.initial))
         trial = solve_briefly(data, iterate, [] if ambiguous else found)
         trials += [trial] if trial is not None else []

@@ -23,7 +23,7 @@ NEAR = 3
 """Largest number of frames between the ends of a link that shows the rate; beyond it nutation changes the
 rate."""
 AROUND = 2.5
-"""Links whose middles are at most so many frames apart should show the same rate."""
+"""Largest distance [frames] of the middles of links that should show the same rate."""
 SAME_TURN_RAD = np.deg2rad(20.0)
 """Links whose rotations differ by less continue each other; symmetries of bodies are larger."""
 MIN_SHARE = 0.6

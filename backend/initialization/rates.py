@@ -18,7 +18,7 @@ from polhode.records import Bools, Ints
 
 AMBIGUOUS_TURN_RAD = np.deg2rad(90.0)
 """Median rotation between neighbouring frames above which both directions are tried."""
-OPPOSITE_DIRECTION = ", the other way round"
+OPPOSITE_DIRECTION = ", opposite direction"
 """Suffix of the name of a hypothesis with the longer rotations."""
 MIN_INTERVALS = 3
 FAST_HINT = "a possible cause: the target rotates by more than half a revolution between pairs"
@@ -71,8 +71,8 @@ def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Arr
         return {"": short}
     centre = 0.5 * (time_s[index] + time_s[index + 1])
     both = {}
-    for sense in (1.0, -1.0):
-        rate = _along(turn, sense * _axis(turn)) / dt[:, None]
+    for sign in (1.0, -1.0):
+        rate = _along(turn, sign * _axis(turn)) / dt[:, None]
         both[float(np.median(np.linalg.norm(rate, axis=1)))] = interpolated_rates(time_s, centre, rate)
     return {"": both[min(both)], OPPOSITE_DIRECTION: both[max(both)]}
 
@@ -100,8 +100,8 @@ def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:
     local = _local_rates(time_s[index], R_NG[index])
     if np.median(np.linalg.norm(local[0], axis=1)) * np.median(np.diff(time_s[index])) > FAR_RAD:
         return odd
-    strays = [_prediction_error_rad(time_s, R_NG, a, b, local) for a, b in pairwise(index)]
-    stretches: list[Ints] = list(np.split(index, np.flatnonzero(np.array(strays) > JUMP_RAD) + 1))
+    errors = [_prediction_error_rad(time_s, R_NG, a, b, local) for a, b in pairwise(index)]
+    stretches: list[Ints] = list(np.split(index, np.flatnonzero(np.array(errors) > JUMP_RAD) + 1))
     limit = MAX_SHARE * len(index)
     while len(stretches) > 1:
         n = _odd_one(time_s, R_NG, stretches, local)

@@ -57,11 +57,11 @@ def shoot(time_s: Array, R_NG: Array, connected: Bools) -> dict[str, Shot]:
     if np.median(np.linalg.norm(turn, axis=1)) < FAR_RAD:
         return {}
     angle = float(np.linalg.norm(turn[0]))
-    senses = {"": turn[0]}
+    directions = {"": turn[0]}
     if np.median(np.linalg.norm(turn, axis=1)) > AMBIGUOUS_TURN_RAD:
-        senses[OPPOSITE_DIRECTION] = turn[0] * (1.0 - 2.0 * np.pi / max(angle, 1e-6))
+        directions[OPPOSITE_DIRECTION] = turn[0] * (1.0 - 2.0 * np.pi / max(angle, 1e-6))
     shots = {}
-    for suffix, first in senses.items():
+    for suffix, first in directions.items():
         x, misfit = _best(t, R, first / t[1])
         second = FORM.second_moments(x[3:], np.eye(3))
         w_G = _rates(time_s, R_NG, connected, int(run[0]), x[:3], inertia_from_second_moments(second))

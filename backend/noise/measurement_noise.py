@@ -29,7 +29,7 @@ MIN_OBSERVATIONS = 30
 GATE = 4.5
 """Largest norm of a whitened stereo residual that is kept; 1 in 5700 Gaussian ones is larger."""
 MIN_LEFT = 3
-"""A landmark that lost observations is kept with so many, or with two that are half of them."""
+"""A landmark that lost observations is kept if this number is left, or two of at most four."""
 
 ROUNDS = 2
 ITERATIONS = 3

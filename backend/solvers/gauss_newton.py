@@ -38,9 +38,9 @@ ITERATION_LIMIT = "limit of iterations (backend.max_iterations)"
 TIME_LIMIT = "limit of time (backend.max_seconds)"
 TOLERANCE = 1e-8
 """Relative decrease of the cost that ends the iterations."""
-AT_REST, REST_ITERATIONS = 1e-6, 8
-"""So many iterations in a row with a smaller relative decrease end them too: they move along a valley of a
-quantity that the data do not determine."""
+STALL_TOLERANCE, STALL_ITERATIONS = 1e-6, 8
+"""This number of successive iterations with a smaller relative decrease ends them too: they follow a valley
+of a quantity that the data do not determine."""
 STEP_FRACTIONS, ENOUGH = (0.5, 0.25, 0.125, 0.0625), 0.1
 """Fractions of a step that are tried, and the share of the decrease predicted by the slope that is
 required."""
@@ -64,7 +64,7 @@ class Damping:
     """In units of ``CONSTANT_SCALE``."""
 
     def more(self, times: int) -> "list[Damping]":
-        """Dampings to try after so many rejections; empty if steps cannot be made shorter."""
+        """Dampings to try after a number of rejections; empty if steps cannot be made shorter."""
         of_constants = max(self.of_constants, 1e-3) * 100.0**times
         of_all = max(self.of_all, 1e-6) * 4.0**times * 2.0 ** (times * (times - 1) // 2)
         more = [Damping(of_constants=of_constants)] if of_constants < MAX_CONSTANTS_DAMPING else []
@@ -152,15 +152,15 @@ class GaussNewton:
         begin = perf_counter()
         damping = Damping()
         system = self.normal_equations(fixed, x)
-        converged, iteration, resting = False, 0, 0
+        converged, iteration, stalled = False, 0, 0
         for iteration in range(1, max_iterations + 1):
             found = self._descend(fixed, x, system, damping)
             if found is None:
                 return Solution(x, system.cost, iteration, True, "no further decrease")
             x, cost, damping = found
             decrease = system.cost - cost
-            resting = resting + 1 if decrease <= AT_REST * cost else 0
-            if decrease <= TOLERANCE * max(cost, 1.0) or resting >= REST_ITERATIONS:
+            stalled = stalled + 1 if decrease <= STALL_TOLERANCE * cost else 0
+            if decrease <= TOLERANCE * max(cost, 1.0) or stalled >= STALL_ITERATIONS:
                 converged = True
                 break
             damping = damping.less()
@@ -174,20 +174,20 @@ class GaussNewton:
         self, fixed: LinearizationPoint, x: Array, system: NormalEquations, damping: Damping
     ) -> tuple[Array, float, Damping] | None:
         """A point of no higher cost, that cost and the damping that led there; None if there is none."""
-        trials, refused = [damping], 0
+        trials, rejected = [damping], 0
         while trials:
             best, least = None, system.cost * (1.0 + 1e-13)
             for trial in trials:
                 step = self._step(system, trial)
                 candidate, cost = x + step, self._cost_there(fixed, x + step)
-                if self.line_search and refused == 0 and not cost <= least:
+                if self.line_search and rejected == 0 and not cost <= least:
                     candidate, cost = self._search_along(fixed, x, system, step)
                 if np.isfinite(cost) and cost <= least:
                     best, least = (candidate, float(cost), trial), cost
             if best is not None:
                 return best
-            refused += 1
-            trials = damping.more(refused)
+            rejected += 1
+            trials = damping.more(rejected)
             if fixed.reference.wrench is not None:
                 # with the unknowns of a wrench the valley is curved too: only damping of all unknowns follows
                 # it
@@ -263,23 +263,10 @@ class GaussNewton:
         squares = np.sum(r**2, axis=1)
         # the curvature of the kernel speeds up convergence; given weights have none
         w = robust_weight(squares, d.robust_scale) if weight is None else weight
-        bend = kernel_curvature(squares, d.robust_scale) if weight is None else np.zeros_like(squares)
+        curvature = kernel_curvature(squares, d.robust_scale) if weight is None else np.zeros_like(squares)
         theta = x[:n_states].reshape(-1, s)[:, ROTATION]
-        H6, g6, C, h, E = stereo_normal_equations(
-            d.frame,
-            d.landmark,
-            d.inv_sigma,
-            d.rig,
-            A,
-            d.R_RN,
-            d.t_R,
-            p_NG,
-            p_G,
-            right_jacobian_so3(theta),
-            r,
-            w,
-            bend,
-        )
+        point = (A, d.R_RN, d.t_R, p_NG, p_G, right_jacobian_so3(theta), r, w, curvature)
+        H6, g6, C, h, E = stereo_normal_equations(d.frame, d.landmark, d.inv_sigma, d.rig, *point)
         n = fixed.reference.n_dense
         H, g, total = np.zeros((n, n)), np.zeros(n), robust_cost(squares, d.robust_scale)
         for k in range(d.n_frames):

@@ -88,17 +88,17 @@ class History:
             free = np.array([frame.number not in stay for frame in self.frames[1:]])
             if not free.any():
                 return
-            self._leave_out(1 + int(np.argmin(np.where(free, gap_s, np.inf))))
+            self._remove_frame(1 + int(np.argmin(np.where(free, gap_s, np.inf))))
 
-    def _leave_out(self, n: int) -> None:
+    def _remove_frame(self, n: int) -> None:
         """Remove frame n; its pose is eliminated from the information on the other poses."""
         gone = np.arange(N_POSE * n, N_POSE * (n + 1))
         kept = others(gone, len(self._b))
         own, across = self._H[np.ix_(gone, gone)], self._H[np.ix_(gone, kept)]
         values, vectors = np.linalg.eigh(own)
         # few landmarks leave directions of the pose undetermined
-        sure = values > OPEN * values[-1]
-        root = vectors[:, sure] / np.sqrt(values[sure]) if values[-1] > 0.0 else np.zeros((N_POSE, 0))
+        known = values > OPEN * values[-1]
+        root = vectors[:, known] / np.sqrt(values[known]) if values[-1] > 0.0 else np.zeros((N_POSE, 0))
         through = root.T @ across
         self._H = self._H[np.ix_(kept, kept)] - through.T @ through
         self._b = self._b[kept] - through.T @ (root.T @ self._b[gone])
@@ -155,10 +155,10 @@ class History:
             elimination = eliminate(both, along, np.arange(n), np.arange(n, 2 * n))
             of_seen, slope = elimination.H, elimination.g
         H[np.ix_(poses, poses)], g[poses] = of_seen, slope
-        self._hold_gauge(H, g, poses)
+        self._add_gauge(H, g, poses)
         return HistoryVision(Quadratic(H, g, x), poses, elimination)
 
-    def _hold_gauge(self, H: Array, g: Array, true: Ints) -> None:
+    def _add_gauge(self, H: Array, g: Array, true: Ints) -> None:
         first = true[:N_POSE]
         H[first, first] += self._gauge
         g[first] += self._gauge * (self.frames[0].x[POSE] - self._first)
@@ -184,7 +184,7 @@ class History:
         seen = np.arange(n) if self.noisy_camera else true
         of_seen, slope = self._past_vision()
         H[np.ix_(seen, seen)], g[seen] = of_seen, slope
-        self._hold_gauge(H, g, true)
+        self._add_gauge(H, g, true)
         if self.noisy_camera:
             self._add_cameras(H, g, seen, true, n_old)
         if n_old > 0:

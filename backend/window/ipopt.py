@@ -120,9 +120,9 @@ def _build(layout: _Layout, form: InertiaForm, series: int) -> Any:
     rows, cols = layout.upper
     all_slots = [slots, np.arange(n - N_CONSTANTS, n)[None]]
     where = np.concatenate([_upper_cells(each) for each in all_slots])
-    bend = scatter(where, len(rows)) @ ca.vertcat(ca.vec(h_factors), h_prior)
+    curvature = scatter(where, len(rows)) @ ca.vertcat(ca.vec(h_factors), h_prior)
     scale = size[rows.tolist()] * size[cols.tolist()]
-    values = ca.vec(Q)[(rows + n * cols).tolist()] + scale * bend
+    values = ca.vec(Q)[(rows + n * cols).tolist()] + scale * curvature
     p = ca.vertcat(start, size, q, ca.vec(Q), ca.vec(factors), weak)
     symbols = ca.MX.sym("p", p.numel())
     parts = ca.vertsplit(symbols, np.cumsum([0, n, n, n, n * n, N_FACTOR * len(slots), N_PRIOR]).tolist())

@@ -32,7 +32,7 @@ from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 
-AT_REST = 1e-3
+NEGLIGIBLE = 1e-3
 """Negligible difference of the cost, which is half a squared number of standard deviations."""
 DAMPINGS = (0.0, 1e-1, 1e1, 1e3, 1e5)
 """Damping of the constants, in units of ``CONSTANT_SCALE``."""
@@ -297,7 +297,7 @@ class NewtonSolver:
             if step is None:
                 return Solution(x, cost, iteration, False, "no further decrease")
             expected = cost + float(g @ step + 0.5 * step @ (H @ step))
-            x, exact = x + step, level == 0 and abs(candidate - expected) < AT_REST
+            x, exact = x + step, level == 0 and abs(candidate - expected) < NEGLIGIBLE
             if exact:
                 return Solution(x, candidate, iteration, True, "converged")
             level = max(level - 1, 0)
@@ -313,11 +313,11 @@ def _descending_step(
     step = None
     for tried in range(level, len(DAMPINGS)):
         step = _damped_step(H, g, DAMPINGS[tried])
-        if step is not None and (candidate := problem.cost(x + step)) <= cost + AT_REST:
+        if step is not None and (candidate := problem.cost(x + step)) <= cost + NEGLIGIBLE:
             return step, candidate, tried
     share = 0.5
     while step is not None and share > SHORTEST:
-        if (candidate := problem.cost(x + share * step)) <= cost + AT_REST:
+        if (candidate := problem.cost(x + share * step)) <= cost + NEGLIGIBLE:
             return share * step, candidate, len(DAMPINGS) - 1
         share *= 0.5
     return None, cost, level

@@ -20,7 +20,7 @@ from polhode.lie import Array
 from polhode.records import Bools, Ints
 
 GATE = 4.5
-"""Largest norm of a whitened residual that agrees with the rest; of Gaussian ones 1 in 5700 is larger."""
+"""Largest norm of a whitened residual that agrees with the others; of Gaussian ones 1 in 5700 is larger."""
 
 
 @dataclass(frozen=True)

@@ -104,10 +104,10 @@ class InitialDisparity:
 
 def initial_disparity(crop: StereoCrop, config: Depth) -> InitialDisparity | None:
     """Match, refine once, fill holes; None when almost nothing matches."""
-    matched = match_left_right(crop, config)
-    if np.isfinite(matched.checked).sum() < MIN_MATCHED_PIXELS:
+    checked, unchecked = match_left_right(crop, config)
+    if np.isfinite(checked).sum() < MIN_MATCHED_PIXELS:
         return None
-    refined, sigma = refine_dense(crop.left, crop.right, matched.checked, crop.search_px)
+    refined, sigma = refine_dense(crop.left, crop.right, checked, crop.search_px)
     filled = fill_holes(refined)
     facet, sigma_facet = crop_facets(crop, refined, sigma)
     flat = np.isfinite(facet)
@@ -126,7 +126,7 @@ def initial_disparity(crop: StereoCrop, config: Depth) -> InitialDisparity | Non
         filled=filled,
         far=np.where(far < 1e8, far, filled),
         near=np.where(near > -1e8, near, filled),
-        unchecked=np.where(np.isfinite(matched.unchecked), matched.unchecked, filled),
+        unchecked=np.where(np.isfinite(unchecked), unchecked, filled),
         facet=np.where(flat, facet, filled),
         coarse=fill_holes(match_coarse(crop, config)),
         facet_trust=np.where(flat, np.exp(-sigma_facet / _TRUST_PX), 0.0).astype(np.float32),

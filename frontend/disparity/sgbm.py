@@ -92,23 +92,16 @@ def _columns(image: Image, start: int, stop: int) -> Image:
     return np.ascontiguousarray(padded[:, : stop - start])
 
 
-@dataclass(frozen=True)
-class SgbmDisparity:
-    """Disparities of the left image (h, w) [px] of a crop."""
-
-    checked: Floats
-    """NaN where the right image disagrees, where the target is dark, and in speckles"""
-    unchecked: Floats
-    """Before the left-right check; NaN where there is no match"""
-
-
 def match_checked(crop: StereoCrop, config: Depth) -> Floats:
     """Semi-global disparities of the target (h, w) [px] after the left-right check, otherwise NaN."""
-    return match_left_right(crop, config).checked
+    return match_left_right(crop, config)[0]
 
 
-def match_left_right(crop: StereoCrop, config: Depth) -> SgbmDisparity:
-    """Semi-global matching from left to right and from right to left."""
+def match_left_right(crop: StereoCrop, config: Depth) -> tuple[Floats, Floats]:
+    """Semi-global disparities (h, w) [px] after and before the left-right check; NaN where there are none.
+
+    Those after it are NaN also where the target is dark, and in speckles.
+    """
     n = crop.search_px
     left = _match(crop.left, crop.right, n, config.block_px)
     # The right image's disparities come from the mirrored pair.
@@ -119,7 +112,7 @@ def match_left_right(crop: StereoCrop, config: Depth) -> SgbmDisparity:
     disparity = np.where(agrees & crop.lit, left, -1.0).astype(np.float32)
     speckled = np.round(disparity * 16).astype(np.int16)
     cv2.filterSpeckles(speckled, -16, SPECKLE_PX, 16)
-    return SgbmDisparity(
+    return (
         np.where(speckled > 0, disparity, np.nan).astype(np.float32),
         np.where(left > 0, left, np.nan).astype(np.float32),
     )

@@ -127,15 +127,15 @@ def motion_modes(
     """
     if len(p_A) < 3:
         return []
-    support = _proposal_support(p_A, p_B, R_AS, R_BS, weight, gate_m)
+    agrees, support = _proposal_support(p_A, p_B, R_AS, R_BS, weight, gate_m)
     modes: list[MotionMode] = []
-    waiting, free = support.total.copy(), np.ones(len(p_A), dtype=bool)
+    waiting, free = support.copy(), np.ones(len(p_A), dtype=bool)
     for _ in range(min(SEEDS, len(p_A))):
         seed = int(waiting.argmax())
         if waiting[seed] <= 0.0:
             break
         waiting[seed] = 0.0
-        mode = _refined(support.agrees[seed] & free, free, p_A, p_B, weight, gate_m)
+        mode = _refined(agrees[seed] & free, free, p_A, p_B, weight, gate_m)
         if mode is not None:
             modes.append(mode)
             # The agreeing matches would draw every other proposal to the same motion.
@@ -144,20 +144,14 @@ def motion_modes(
     return sorted(modes, key=lambda mode: -mode.weight)
 
 
-@dataclass(frozen=True)
-class _Support:
-    """Agreement with the proposal of each match."""
-
-    agrees: Bools
-    """(m, m) symmetric"""
-    total: Array
-    """(m,) weight of the agreeing matches, each multiplied by its own support among them"""
-
-
 def _proposal_support(
     p_A: Array, p_B: Array, R_AS: Array, R_BS: Array, weight: Array, gate_m: Array
-) -> _Support:
-    """Agreement between the motions that the matches propose; arguments as ``motion_modes``."""
+) -> tuple[Bools, Array]:
+    """Agreement (m, m) between the motions that the matches propose, symmetric, and their support (m,).
+
+    The support is the weight of the agreeing matches, each multiplied by its own support among them.
+    Arguments as ``motion_modes``.
+    """
     m = len(p_A)
     # Single precision is a millionth of the target's size.
     centre_A, centre_B = p_A.mean(axis=0), p_B.mean(axis=0)
@@ -177,7 +171,7 @@ def _proposal_support(
     pull = agrees.astype(np.float32) * weight.astype(np.float32)
     # Supporters are counted by their own support within the group, which chance agreements lack.
     total = np.einsum("nk,nk->n", pull @ agrees.astype(np.float32), pull)
-    return _Support(agrees, total.astype(np.float64))
+    return agrees, total.astype(np.float64)
 
 
 def _distances(p: np.ndarray[tuple[int, int], np.dtype[np.float32]]) -> Array:

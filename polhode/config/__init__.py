@@ -22,7 +22,7 @@ __all__ = ["Backend", "Compare", "Config", "Frontend", "Mapping", "Pictures", "R
 
 
 class Runtime(Section):
-    """How the work is done, not what is computed."""
+    """Use of the machine, not what is computed."""
 
     workers: int = Field(0, ge=0)
     """Parallel processes; 0: one per core."""
@@ -38,7 +38,7 @@ class Pictures(Section):
     animation: bool = True
     """The model beside the camera's images with their difference, as MP4 and GIF."""
     frames: int = Field(60, ge=1)
-    """Most frames of the animation, spread evenly over the sequence."""
+    """Largest number of frames of the animation, spread evenly over the sequence."""
 
 
 class Config(Section):

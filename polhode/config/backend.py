@@ -15,7 +15,7 @@ class Window(Section):
     solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
     """Solver of the window's program; both reach the same optimum."""
     frames: int = Field(12, ge=2)
-    """Latest frames whose whole state is estimated."""
+    """Number of latest frames whose full state is estimated."""
     key_frames: int = Field(36, ge=2)
     """Earlier frames whose pose and observations stay: they show sides of the target that will reappear."""
     history: int = Field(96, ge=4)
@@ -32,7 +32,7 @@ class Backend(Section):
     """Solver of the whole problem; both reach the same optimum. Where gauss_newton does not converge,
     ipopt continues."""
     process_noise: Literal["estimated", "given"] = "estimated"
-    """Strength of the disturbances: the most likely one given the data, or accel_psd and torque_psd."""
+    """Level of the disturbances: the most likely one given the data, or accel_psd and torque_psd."""
     accel_psd: float = Field(1e-6, gt=0)
     """Disturbance acceleration, power spectral density [(m/s^2)^2/Hz] (thesis eq. 6.14, squared); the
     start of its estimate."""
@@ -43,7 +43,7 @@ class Backend(Section):
     """Standard deviations of constant errors of u, v and disparity common to all frames [px]: calibration and
     matching. They do not appear in the residuals, and increase the sigma of position."""
     wrench_bias: float = Field(0.02, gt=0)
-    """Standard deviation of a constant bias of known forces and torques, over the largest of each."""
+    """Standard deviation of a constant bias of known forces and torques, relative to the largest of each."""
     unknown_wrench: Literal["none", "found", "everywhere"] = "found"
     """Unknown disturbances: none; in the steps between frames that contradict free motion; in every step."""
     unknown_wrench_s: tuple[tuple[float, float], ...] = ()

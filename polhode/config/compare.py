@@ -30,7 +30,7 @@ class MonteCarlo(Section):
     outliers: float = Field(0.0, ge=0, lt=0.5)
     """Share of gross errors."""
     loop_closure: bool = True
-    """False: a landmark that comes back into view is a new one."""
+    """False: a landmark that comes back into view counts as a new one."""
     seed: int = Field(0, ge=0)
     """Seed of the measurements."""
 

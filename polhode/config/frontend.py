@@ -11,7 +11,8 @@ class Features(Section):
     """Key points and descriptors."""
 
     method: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] = "rootsift"
-    """Detector and descriptor: RootSIFT, the network trained here, or a peer; see frontend.weights."""
+    """Detector and descriptor: RootSIFT, the network trained here, or a published method; see
+    frontend.weights."""
     second: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] | None = "polhode"
     """A second method, used where the first one leaves frames with too few observations or finds no motion:
     the observations of both are solved together, and kept unless the fit is worse. null, or the same as the
@@ -24,13 +25,13 @@ class Features(Section):
     patch_half_m: float | None = Field(None, gt=0)
     """Half the side of a surface patch [m] (method polhode); null: 12 px at the target's median distance."""
     max_features: int = Field(1500, ge=50)
-    """Strongest key points kept in one image."""
+    """Number of strongest key points that are kept in one image."""
     contrast_threshold: float = Field(0.012, gt=0)
     """SIFT's contrast threshold, on intensities stretched to the target's own range."""
     upsample: float = Field(2.0, ge=1.0)
     """Enlargement of the target's crop before detection."""
     max_crop_px: int = Field(900, ge=64)
-    """Longest side of the enlarged crop [px]; a larger target is enlarged less."""
+    """Longest side of the enlarged crop [px]; larger targets are enlarged less."""
 
 
 class PairMatching(Section):
@@ -38,16 +39,16 @@ class PairMatching(Section):
     6.3)."""
 
     method: Literal["polhode", "nearest", "lightglue", "loftr"] | None = None
-    """Our matcher, mutual nearest neighbours, or a peer, see frontend.weights; null: ours for our features,
-    nearest neighbours for others."""
+    """Our matcher, mutual nearest neighbours, or a published one (see frontend.weights); null: ours for our
+    features, nearest neighbours for others."""
     ratio: float = Field(0.92, gt=0, le=1)
     """Distance ratio of mutual nearest neighbours; for method nearest."""
     min_confidence: float = Field(0.1, ge=0, le=1)
-    """Smallest confidence of a match; for all methods but nearest."""
+    """Smallest confidence of a match; for all methods except nearest."""
     exhaustive_frames: int = Field(130, ge=3)
     """Sequences of up to this number of frames are matched all against all; longer ones as follows."""
     neighbours: int = Field(20, ge=1)
-    """Frames before and after that a frame of a long sequence is matched with."""
+    """Number of frames before and after each frame that it is matched with, in long sequences."""
     retrieved: int = Field(30, ge=0)
     """Number of most similar frames elsewhere with which it is also matched, to close loops."""
 
@@ -97,14 +98,14 @@ class Depth(Section):
     """A rectified pair to a depth map of the target."""
 
     method: Literal["sgbm", "network"] = "network"
-    """How the first, semi-global disparities are refined: by least squares, planes and facets, or by the
+    """Refinement of the initial, semi-global disparities: by least squares, planes and facets, or by the
     network trained here."""
     weights: str | None = None
     """Weights of the network, a safetensors file; null: the shipped ones."""
     min_visible: float = Field(0.1, ge=0, le=1)
     """For method network: smallest probability that both cameras see a pixel that has depth."""
     block_px: int = Field(3, ge=1)
-    """Side of the window of the first, integer disparities [px], odd."""
+    """Side of the window of the initial, integer disparities [px], odd."""
     max_sigma_px: float | None = Field(None, gt=0)
     """Largest standard deviation of a disparity that is kept [px]; null: 0.5 for sgbm, 0.7 for network, whose
     sigmas at edges and in holes are larger and consistent."""

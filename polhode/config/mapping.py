@@ -11,9 +11,9 @@ class Mapping(Section):
     """Depth and motion to a mesh."""
 
     voxel_mm: float | None = Field(None, gt=0)
-    """Edge of a voxel [mm]; chosen from the depth's footprint when absent."""
+    """Edge of a voxel [mm]; by default the footprint of a pixel on the target."""
     min_views: int = Field(3, ge=1)
-    """A surface seen in fewer frames is left out (fewer where the sequence is shorter), unless two agree."""
+    """A surface seen in fewer frames is omitted (fewer if the sequence is shorter), unless two agree."""
     agreeing_voxels: float = Field(0.7, ge=0)
     """Two frames are enough where their distances to the surface scatter by less [voxels]."""
     scatter_voxels: float = Field(1.6, gt=0)
@@ -22,10 +22,10 @@ class Mapping(Section):
     carved_share: float = Field(0.3, ge=0, le=1)
     """A surface is left out where frames that look through it have a larger share of the weight."""
     align: bool = True
-    """Align frames whose poses are doubtful to the surface that the others show."""
+    """Align frames with uncertain poses to the surface that the others show."""
     hole_share: float = Field(0.04, ge=0, le=0.3)
-    """Holes up to this share of the body's size (the diagonal of its box) across are closed, their faces
-    flagged as invented; larger ones stay open. 0: none is closed."""
+    """Holes up to this diameter, as a share of the diagonal of the body's bounding box, are closed, and their
+    faces flagged as invented; larger ones remain open. 0: none is closed."""
     divide_shading: bool = True
     """Divide the Sun's shading out of the colours, where the images determine the Sun's direction."""
     levels: tuple[Annotated[float, Field(gt=0, lt=1)], ...] = (0.25, 0.0625)
@@ -33,9 +33,9 @@ class Mapping(Section):
     shared_sigma: float = Field(0.05, ge=0)
     """Share of a single view's sigma that is common to all views of a point and does not average out."""
     relief_sigma: float = Field(1.0, ge=0)
-    """Sigma of the relief that matching in windows smooths away, over the roughness of what is left."""
+    """Sigma of the relief that matching in windows smooths away, relative to the remaining roughness."""
     memory_mib: float = Field(1024.0, gt=0)
-    """Most memory of the field [MiB]; a larger field gets larger voxels. What still does not fit is left out
-    with a warning."""
+    """Largest memory of the field [MiB]; a larger field gets larger voxels. What still does not fit is
+    omitted, with a warning."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the field lives; auto: a GPU when there is one."""
+    """Device of the field; auto: a GPU if there is one."""

@@ -26,7 +26,7 @@ class TargetBody(Section):
     metres_per_unit: Positive | None = None
     """Length of one unit of the mesh file [m]; mandatory for family mesh, never guessed."""
     material: Literal["automatic", "paint", "solar_cell", "foil", "metal", "regolith"] = "automatic"
-    """Surface: as the family or the mesh file has it, or one material for the whole body."""
+    """Surface: that of the family or of the mesh file, or one material for the whole body."""
     texture: Literal["drawn", "collage"] = "drawn"
     """Generator of the texture. Two that have nothing in common, so that training and testing can be
     separated: stickers, lettering and lattice noise; or overlapping shapes of all sizes and noise of random
@@ -65,7 +65,7 @@ class WrenchPulse(Section):
     """A force and a torque on the target over an interval; those of overlapping intervals add up."""
 
     start_s: NonNegative = 0.0
-    """Start after the first frame [s]."""
+    """Start, after the first frame [s]."""
     duration_s: Positive = 1.0
     """Duration [s]."""
     force_N: Vector3 = (0.0, 0.0, 0.0)
@@ -100,11 +100,11 @@ class Motion(Section):
     energy_loss: Share = 0.0
     """Share of the rotational energy lost in ``energy_loss_s``; the thesis's target lost 0.078 in 80 s."""
     energy_loss_by: Literal["drag", "friction"] = "drag"
-    """Drag opposes the angular momentum, as air does. Friction inside the body keeps the momentum and turns
-    the spin towards the greatest axis; ``energy_loss`` is then the share of the energy above that of a spin
-    about it."""
+    """Drag opposes the angular momentum, as air does. Friction inside the body conserves the momentum and
+    turns the spin towards the axis of the greatest moment; ``energy_loss`` is then the share of the energy
+    above that of a spin about this axis."""
     energy_loss_s: Positive = 80.0
-    """Time over which ``energy_loss`` is counted [s]."""
+    """Time in which ``energy_loss`` is lost [s]."""
 
 
 class Waypoint(Section):
@@ -200,7 +200,7 @@ class Rig(Section):
     distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Radial-tangential distortion k1, k2, p1, p2 of the left camera."""
     distortion_right: tuple[float, float, float, float] | None = None
-    """The same of the right camera; as the left one when absent."""
+    """The same of the right camera; by default that of the left one."""
     right_offset_mm: Vector3 = (0.0, 0.0, 0.0)
     """Position of the right camera minus (baseline, 0, 0), in the left camera's axes [mm]."""
     right_rotation_deg: Vector3 = (0.0, 0.0, 0.0)
@@ -237,7 +237,7 @@ class Sensor(Section):
     full_well_dn: Positive = 1500.0
     """Full-well capacity of a pixel [DN]; charge beyond it blooms or is lost."""
     bloom: Share = 0.0
-    """Share of the charge beyond the full well that spills along the column to the neighbours."""
+    """Share of the charge beyond the full well that spills to the neighbours in the column."""
     dropped_frames: tuple[int, ...] = ()
     """Frames, counted from 0, that are lost and not written."""
     drop_probability: Share = 0.0
@@ -251,7 +251,7 @@ class Render(Section):
     """Quality of the images, and additional files."""
 
     samples: Literal[1, 4, 9, 16] = 4
-    """Rays a pixel."""
+    """Rays in a pixel."""
     bounces: Literal[0, 1] = 1
     """Reflections of light from one part of the body onto another; 0: direct light only."""
     masks: bool = False
@@ -269,11 +269,11 @@ class Eclipse(Section):
     duration_s: NonNegative = 0.0
     """Duration of the darkness [s]; 0: no eclipse."""
     ramp_s: NonNegative = 1.0
-    """Length of the fading before and after it, through the penumbra [s]."""
+    """Duration of the penumbra before and after it [s]."""
 
 
 class Light(Section):
-    """What lights the target. Intensities are reflected levels of a white surface that faces the light."""
+    """Light on the target. Intensities are reflected levels of a white surface that faces the light."""
 
     sun_direction_N: Vector3 = (0.55, -0.5, -0.7)
     """From the target towards the Sun, in N; any length."""
@@ -298,13 +298,13 @@ class Background(Section):
     """The background of the images; a black sky by default."""
 
     stars: bool = False
-    """Stars, fixed in N, random by the scene's seed."""
+    """Stars, fixed in N, random by the seed of the scene."""
     star_dn: Positive = 200.0
     """Grey value, in its brightest pixel, of a star of magnitude 0 [DN]."""
     faintest_magnitude: float = 6.5
-    """Stars fainter than this are left out; there are about 9000 over the sky to magnitude 6.5."""
+    """Fainter stars are omitted; there are about 9000 in the sky up to magnitude 6.5."""
     earth: bool = False
-    """The Earth's disc with clouds and a thin bright limb, where ``light.earth_direction_N`` says."""
+    """The Earth's disc with clouds and a thin bright limb, in the direction ``light.earth_direction_N``."""
 
 
 class Scene(Section):

@@ -12,16 +12,16 @@ RangeFromZero = tuple[NonNegative, NonNegative]
 
 
 class Corpus(Section):
-    """Random scenes. Ranges are (least, most); the values of each scene are drawn by the seed."""
+    """Random scenes. Ranges are (smallest, largest); the values of each scene are drawn by the seed."""
 
     folder: str = "runs/corpus"
-    """Folder of the sequences; what is missing there is rendered."""
+    """Folder of the sequences; missing ones are rendered."""
     seed: int = Field(0, ge=0)
     """Seed of the scenes: the same seed and ranges give the same bytes."""
     scenes: int = Field(100, ge=2)
     """Number of scenes. Scene i does not depend on how many there are."""
     frames: int = Field(10, ge=3)
-    """Stereo pairs a scene."""
+    """Stereo pairs in a scene."""
     validation_every: int = Field(8, ge=2)
     """One scene in this number is held out for validation: its body is not used in training."""
     families: tuple[Family, ...] = Field(
@@ -29,7 +29,7 @@ class Corpus(Section):
     )
     """Shapes, taken in turn."""
     texture: Literal["drawn", "collage"] = "drawn"
-    """Generator of the textures; the other one is left to the tests."""
+    """Generator of the textures; the other one is reserved for tests."""
     other_material: Share = 0.35
     """Share of the scenes whose body is covered by one material, drawn at random."""
     contrast: Range = (0.5, 1.3)
@@ -41,11 +41,11 @@ class Corpus(Section):
     disparity_px: Range = (25.0, 110.0)
     """Disparity of the body's middle, which sets the baseline [px]."""
     turn_deg: Range = (15.0, 50.0)
-    """Turn between frames, about a random axis [deg]."""
+    """Rotation between frames, about a random axis [deg]."""
     sun_phase_deg: RangeFromZero = (10.0, 105.0)
     """Angle at the target between the Sun and the camera [deg]."""
     hard_light: Share = 0.5
-    """Share of the scenes with next to no light from the Earth: black shadows."""
+    """Share of the scenes with almost no light from the Earth: black shadows."""
     earth: RangeFromZero = (0.02, 0.25)
     """Radiance of the Earth in the other scenes, as ``scene.light.earth``."""
     lamp: Share = 0.12
@@ -70,7 +70,7 @@ class Corpus(Section):
         for name in type(self).model_fields:
             value = getattr(self, name)
             if isinstance(value, tuple) and isinstance(value[0], float) and value[0] > value[1]:
-                raise ValueError(f"{name} is (least, most), got {value[0]:g}, {value[1]:g}")
+                raise ValueError(f"{name} is (smallest, largest), got {value[0]:g}, {value[1]:g}")
         return self
 
     def is_validation(self, scene: int) -> bool:
@@ -79,7 +79,7 @@ class Corpus(Section):
 
 
 class Schedule(Section):
-    """AdamW with a warm-up, then a cosine down to nothing."""
+    """AdamW with a warm-up, then cosine decay to zero."""
 
     steps: int = Field(5000, ge=1)
     """Number of steps; the learning rate reaches zero there."""
@@ -96,9 +96,9 @@ class Schedule(Section):
     log_every: int = Field(20, ge=1)
     """Steps between points of the curves."""
     device: Literal["automatic", "cpu", "cuda"] = "automatic"
-    """Where the network runs; automatic: a GPU where there is one."""
+    """Device of the network; automatic: a GPU if there is one."""
     precision: Literal["automatic", "full", "mixed"] = "automatic"
-    """Mixed: products in 16 bits, sums in 32. Automatic: mixed on a GPU. On a CPU it is faster where the
+    """Mixed: products in 16 bits, sums in 32. Automatic: mixed on a GPU. On a CPU it is faster if the
     processor multiplies in bfloat16."""
     threads: int = Field(1, ge=1)
     """Threads of torch on the CPU. The weights' last bits depend on it."""
@@ -108,9 +108,9 @@ class DescriptorTraining(Section):
     """Pairs of patches of one surface point, seen in two frames of a scene."""
 
     batch: int = Field(256, ge=4)
-    """Pairs of patches a step, at most: frames with few common points give fewer."""
+    """Largest number of pairs of patches in a step: frames with few common points give fewer."""
     frame_pairs: int = Field(4, ge=1)
-    """Pairs of frames that a batch is drawn from: points of the same pair are the hard negatives."""
+    """Pairs of frames from which a batch is drawn: points of the same pair are the hard negatives."""
     normal_noise_deg: NonNegative = 8.0
     """Error of the surface's normal, rms [deg]."""
     fronto_parallel: Share = 0.05
@@ -129,15 +129,15 @@ class DepthTraining(Section):
     """Crops of stereo pairs with their classical disparity and the true one."""
 
     cache: str = "runs/depth_samples"
-    """Folder of the matched pairs, some 5 MB each; what is missing there is made."""
+    """Folder of the matched pairs, about 5 MB each; missing ones are computed."""
     every: int = Field(1, ge=1)
     """Use one in this number of the pairs of a scene."""
     batch: int = Field(4, ge=1)
-    """Crops a step."""
+    """Crops in a step."""
     crop_px: int = Field(192, ge=32, multiple_of=16)
     """Side of a crop [px]."""
     validation_samples: int = Field(24, ge=1)
-    """Held-out pairs that are scored."""
+    """Number of held-out pairs that are scored."""
     half_on_cpu: bool = False
     """Compute in bfloat16 on a CPU; several times faster where the CPU has instructions for it (AMX)."""
 

@@ -85,6 +85,10 @@ def disparity_loss(mixture: DisparityMixture, pixels: LossPixels) -> Tensor:
     return accuracy + _VISIBLE_WEIGHT * (seen * segmented).sum() / segmented.sum().clamp(min=1.0)
 
 
+ValidationErrors = dict[str, NDArray[np.float64]]
+"""Errors of the initial and the refined disparity, and sigmas, at lit and visible pixels (n,) [px]."""
+
+
 class DisparityTask:
     """Batches, loss and validation of ``DisparityNet``."""
 
@@ -132,12 +136,8 @@ class DisparityTask:
         factor = calibration(errors)
         network.sigma_scale *= factor
         self.model.to(device)
-        calibrated = [ValidationErrors({**each, "sigma": factor * each["sigma"]}) for each in errors]
+        calibrated = [{**each, "sigma": factor * each["sigma"]} for each in errors]
         return {**scores(calibrated), "sigma_scale": float(network.sigma_scale)}
-
-
-class ValidationErrors(dict[str, NDArray[np.float64]]):
-    """Errors of the initial and the refined disparity, and sigmas, at lit and visible pixels (n,) [px]."""
 
 
 def validation_errors(sample: DisparitySample, network: DisparityNet) -> ValidationErrors:
@@ -145,11 +145,11 @@ def validation_errors(sample: DisparitySample, network: DisparityNet) -> Validat
     refined: RefinedDisparity = refine(network, sample.start)
     pixels = sample.visible & sample.start.lit & np.isfinite(refined.disparity)
     matched = np.isfinite(sample.start.sigma)[pixels]
-    return ValidationErrors(
-        classical=np.where(matched, np.abs(sample.start.filled - sample.truth)[pixels], np.nan),
-        refined=np.abs(refined.disparity - sample.truth)[pixels].astype(np.float64),
-        sigma=refined.sigma[pixels].astype(np.float64),
-    )
+    return {
+        "classical": np.where(matched, np.abs(sample.start.filled - sample.truth)[pixels], np.nan),
+        "refined": np.abs(refined.disparity - sample.truth)[pixels].astype(np.float64),
+        "sigma": refined.sigma[pixels].astype(np.float64),
+    }
 
 
 def calibration(samples: Sequence[ValidationErrors]) -> float:

@@ -54,8 +54,8 @@ def test_a_wrong_inertia_still_arrives_at_the_known_pose_one_way_or_the_other() 
     wrong = np.diag([1.4, 1.25, 0.95])
     left = closing_error_rad(truth, wrong, TIME_S, gaps)
     assert 0.05 < left < np.pi
-    for other_way in (False, True):
-        at = propagate_through_gaps(_with_hole(truth, INSIDE), wrong, TIME_S, gaps, other_way)
+    for opposite in (False, True):
+        at = propagate_through_gaps(_with_hole(truth, INSIDE), wrong, TIME_S, gaps, opposite)
         ends = at.R_NG[[19, 45]], truth.R_NG[[19, 45]]
         np.testing.assert_allclose(*ends, atol=1e-12)
         # it enters the known pose behind the gap without a jump of more than a step's turn

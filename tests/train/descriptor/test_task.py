@@ -243,7 +243,7 @@ WRONG = {
     ),
     "unknown task": ("--train.task=masks", "key 'train.task': expected one of descriptor, depth"),
     "unknown family": ("--train.corpus.families=teapot", "expected a list, each one of free_flyer, bus"),
-    "range upside down": ("--train.corpus.turn-deg 50 15", "turn_deg is (least, most), got 50, 15"),
+    "range upside down": ("--train.corpus.turn-deg 50 15", "turn_deg is (smallest, largest), got 50, 15"),
     "other corpus": ("--train.corpus.seed=99", "contains a corpus with another seed"),
     "no held-out bodies": ("--train.corpus.validation-every=9", "hold out none"),
     "output is a file": ("--train.output=/dev/null", "train.output: /dev/null cannot be created"),

@@ -28,7 +28,6 @@ from polhode.train.disparity.samples import (
 from polhode.train.disparity.task import (
     DisparityTask,
     LossPixels,
-    ValidationErrors,
     disparity_loss,
     loss_pixels,
     scores,
@@ -175,7 +174,7 @@ def test_scores_compare_at_the_density_of_the_classical_start(
     errors = validation_errors(sample, task.model)
     again = scores([errors])
     assert again["bad_refined"] == found["bad_refined"]
-    better = ValidationErrors({**errors, "refined": 0.5 * errors["refined"]})
+    better = {**errors, "refined": 0.5 * errors["refined"]}
     assert scores([better])["median_refined_px"] < again["median_refined_px"]
     assert found["bad_everywhere"] == float(np.mean(errors["refined"] > 1.0))
 
