@@ -20,7 +20,7 @@ PASS_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True)
-class SolverResult:
+class SolvedMotion:
     """The final solution, and the solver that found it."""
 
     solver: str
@@ -30,7 +30,7 @@ class SolverResult:
     iterations: int
 
 
-def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolverResult:
+def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolvedMotion:
     """The optimum. If Gauss-Newton does not converge, IPOPT continues from its best point.
 
     IPOPT makes progress in valleys where Gauss-Newton is slow, but takes several times as long. Gauss-Newton
@@ -39,11 +39,11 @@ def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolverResult:
     """
     limits = (config.max_iterations, config.max_seconds)
     if config.solver == "ipopt":
-        return SolverResult(MotionProgram.name, *refine(MotionProgram(data), data, iterate, *limits))
+        return SolvedMotion(MotionProgram.name, *refine(MotionProgram(data), data, iterate, *limits))
     begin, newton = perf_counter(), None
     half = (max(config.max_iterations // 2, 1), 0.5 * config.max_seconds)
     with suppress(LinAlgError):
-        newton = SolverResult(
+        newton = SolvedMotion(
             GaussNewton.name, *refine(GaussNewton(data, line_search=True), data, iterate, *half)
         )
     if newton is not None and newton.solution.converged:
@@ -61,7 +61,7 @@ def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolverResult:
     if newton is not None and not solution.converged and newton.solution.cost <= solution.cost:
         return newton
     message = f"{solution.message}, after {done} iterations of {GaussNewton.name} without convergence"
-    return SolverResult(MotionProgram.name, at, replace(solution, message=message), done + more)
+    return SolvedMotion(MotionProgram.name, at, replace(solution, message=message), done + more)
 
 
 def refine(

@@ -255,9 +255,7 @@ class WindowProblem:
 
     def normal_equations(self, x: Array) -> tuple[float, Array, Array]:
         """The objective, its Gauss-Newton Hessian (n, n) and its gradient (n,)."""
-        H, d = self.vision.H.copy(), x - self.vision.x0
-        along = self.vision.H @ d
-        g, cost = self.vision.g + along, float(d @ (self.vision.g + 0.5 * along))
+        cost, H, g = self.vision.value(x), self.vision.H.copy(), self.vision.gradient(x)
         if len(self.factors):
             r, D = factor_jacobians(x, self.R_ref, self.factors, self.prior.form, self.R_inertia)
             add_steps(H, g, r, D, N_STATE)

@@ -26,7 +26,7 @@ from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
-from polhode.backend.solvers.solve import SolverResult, refine, solve
+from polhode.backend.solvers.solve import SolvedMotion, refine, solve
 from polhode.config.backend import Backend
 from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
@@ -111,7 +111,7 @@ def solve_run(run: Path) -> tuple[MotionData, list[Stopped]]:
             begin = time.process_time()
             solver = make(data)
             at, solution, iterations = refine(solver, data, start, config.max_iterations, config.max_seconds)
-            ended = SolverResult(solver.name, at, solution, iterations)
+            ended = SolvedMotion(solver.name, at, solution, iterations)
             out.append(_stopped(data, ended, time.process_time() - begin))
         begin = time.process_time()
         ended = solve(data, start, config.model_copy(update={"solver": Backend().solver}))
@@ -119,7 +119,7 @@ def solve_run(run: Path) -> tuple[MotionData, list[Stopped]]:
     return data, out
 
 
-def _stopped(data: MotionData, ended: SolverResult, seconds: float) -> Stopped:
+def _stopped(data: MotionData, ended: SolvedMotion, seconds: float) -> Stopped:
     at, solution = ended.iterate, ended.solution
     told = (solution.cost, solution.converged, solution.message)
     r_N = at.p_NG + at.R_NG @ at.com_G

@@ -49,7 +49,7 @@ class KeyPoints:
 
 
 @dataclass(frozen=True)
-class Candidates:
+class FeatureCandidates:
     """Positions of possible surface features in one image, strongest first."""
 
     uv_px: Array
@@ -99,9 +99,9 @@ def detect(image: Image, mask: Bools, crop: Crop, config: Features) -> KeyPoints
     )
 
 
-def find_candidates(image: Image, mask: Bools, config: Features) -> Candidates:
+def find_candidates(image: Image, mask: Bools, config: Features) -> FeatureCandidates:
     """Candidates of a rectified image (H, W) inside the mask."""
-    none = Candidates(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    none = FeatureCandidates(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     crop = target_crop(mask)
     if crop is None:
         return none
@@ -113,7 +113,7 @@ def find_candidates(image: Image, mask: Bools, config: Features) -> Candidates:
     order = strongest_in_mask(uv, response, mask)
     cell = np.round(uv[order] / CANDIDATE_CELL_PX).astype(np.int64)
     order = order[np.sort(np.unique(cell, axis=0, return_index=True)[1])][: config.max_features]
-    return Candidates(uv[order], scale[order], response[order])
+    return FeatureCandidates(uv[order], scale[order], response[order])
 
 
 def enlarge(image: Image, crop: Crop, config: Features) -> EnlargedCrop:

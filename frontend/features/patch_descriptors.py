@@ -5,10 +5,10 @@ inclination are known it gives two to ten times the matches of RootSIFT in the i
 network come from ``polhode train configs/train/features.yaml``.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Protocol
 
 import kornia.feature
 import numpy as np
@@ -47,12 +47,8 @@ class PatchDescriptions:
     """(n,) probability that the descriptor is matched correctly; 1 where it is not estimated"""
 
 
-class SurfaceDescriptor(Protocol):
-    """Describes the surface at points of an image."""
-
-    def __call__(self, image: Image, uv_px: Array, affine_px: Array) -> PatchDescriptions:
-        """Descriptions at points (n, 2) with the maps (n, 2, 2) of their upright patches."""
-        ...
+SurfaceDescriptor = Callable[[Image, Array, Array], PatchDescriptions]
+"""Image, points (n, 2), maps (n, 2, 2) of their upright patches -> descriptions of the surface there."""
 
 
 def make_descriptor(config: Frontend) -> SurfaceDescriptor:
@@ -60,18 +56,8 @@ def make_descriptor(config: Frontend) -> SurfaceDescriptor:
     if config.features.surface_descriptor == "rootsift":
         return HistogramDescriptor()
     path = config.weights.descriptor
-    return NetworkDescriptor(None if path is None else Path(path))
-
-
-class NetworkDescriptor:
-    """``DescriptorNet``, which estimates the orientation itself."""
-
-    def __init__(self, path: Path | None) -> None:
-        self._network = descriptor_network(path)
-
-    def __call__(self, image: Image, uv_px: Array, affine_px: Array) -> PatchDescriptions:
-        """See ``SurfaceDescriptor``."""
-        return describe(self._network, cut_patches(image, uv_px, affine_px))
+    network = descriptor_network(None if path is None else Path(path))
+    return lambda image, uv_px, affine_px: describe(network, cut_patches(image, uv_px, affine_px))
 
 
 class HistogramDescriptor:

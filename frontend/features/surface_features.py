@@ -36,7 +36,7 @@ from polhode.config.frontend import Depth, Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import find_disparity_range
 from polhode.frontend.disparity.sgbm import Floats, cut_crop, match_checked
-from polhode.frontend.features.keypoints import Candidates, find_candidates
+from polhode.frontend.features.keypoints import FeatureCandidates, find_candidates
 from polhode.frontend.features.patch_descriptors import SurfaceDescriptor, make_descriptor
 from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals, tangent_affines
 from polhode.frontend.features.stereo import MIN_CORRELATION, StereoFeatures, refine_disparity
@@ -173,7 +173,7 @@ def _distance_m(config: Frontend, sequence: StereoSequence, rectifier: Rectifier
 
 
 def _measure(
-    pair: RectifiedPair, candidates: Candidates, disparity: Floats, rig: RectifiedRig, config: Frontend
+    pair: RectifiedPair, candidates: FeatureCandidates, disparity: Floats, rig: RectifiedRig, config: Frontend
 ) -> tuple[StereoFeatures, Array]:
     """Candidates with a refined disparity, without descriptors, and the planes (n, 3) of their surfaces."""
     planes = local_planes(disparity, candidates.uv_px)
