@@ -180,17 +180,14 @@ def motions_from_fewer_frames(tracks: StereoTracks, initial: InitialMotion) -> l
     """
     seen = np.bincount(tracks.frame, minlength=tracks.n_frames)
     out: list[Bools] = []
-    for known in (_strong(seen, initial.connected), *_stretches(tracks, initial, seen)):
+    rich = float(np.quantile(seen[initial.connected], 0.9))
+    strong = np.asarray(initial.connected & (seen >= max(SHARE * rich, LEAST)))
+    for known in (strong, *_stretches(tracks, initial, seen)):
         enough = known.sum() >= ENOUGH_FRAMES and not np.array_equal(known, initial.connected)
         if enough and not any(np.array_equal(known, other) for other in out):
             out.append(known)
     # the other poses stay as they are: in a first fit with loose steps their frames have no effect
     return [replace(initial, connected=known) for known in out]
-
-
-def _strong(seen: Ints, connected: Bools) -> Bools:
-    rich = float(np.quantile(seen[connected], 0.9))
-    return np.asarray(connected & (seen >= max(SHARE * rich, LEAST)))
 
 
 def _stretches(tracks: StereoTracks, initial: InitialMotion, seen: Ints) -> list[Bools]:

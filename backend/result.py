@@ -3,7 +3,7 @@
 import numpy as np
 
 from polhode.backend.disturbances.known_wrench import with_absolute_scale
-from polhode.backend.disturbances.unknown_wrench import describe_impulses, estimate_impulses
+from polhode.backend.disturbances.unknown_wrench import describe_impulse, estimate_impulses
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.initialization.rates import FAST_HINT
 from polhode.backend.noise.measurement_noise import NoiseScales, PrunedProblem, whitened_residuals
@@ -74,7 +74,9 @@ def assemble(
     )
     warnings = _warnings(tracks, weight, data, mass.identifiable, initial, iterate)
     if disturbances is not None:
-        warnings += describe_impulses(disturbances, int(tracks.timestamps_ns[0]))
+        first_ns = int(tracks.timestamps_ns[0])
+        warnings += [describe_impulse(impulse, first_ns) for impulse in disturbances.impulses]
+    landmark_sigma = np.sqrt(np.trace(m.landmarks, axis1=1, axis2=2) / 3.0)
     return MotionEstimate(
         timestamps_ns=tracks.timestamps_ns,
         r_N=true.centres(),
@@ -87,7 +89,7 @@ def assemble(
         covariance_last_body=state_covariances(iterate, m, body_jacobians(iterate, data.camera_N))[1],
         covariance_X_NG=pose_covariances(iterate, m),
         mass=mass,
-        landmarks=_landmarks(kept.data, small, m),
+        landmarks=Landmarks(small.p_G, landmark_sigma, np.diff(kept.data.start)),
         residuals_px=_unsorted(data, all_residuals / data.inv_sigma),
         inlier_weight=_unsorted(data, weight),
         noise=_noise(tracks, scales, data),
@@ -147,11 +149,6 @@ def _mass(
         cov_com_G=with_infinite(cov_com, com_lost),
         identifiable=known,
     )
-
-
-def _landmarks(data: MotionData, iterate: Iterate, m: Marginals) -> Landmarks:
-    sigma = np.sqrt(np.trace(m.landmarks, axis1=1, axis2=2) / 3.0)
-    return Landmarks(iterate.p_G, sigma, np.diff(data.start))
 
 
 def _noise(tracks: StereoTracks, scales: NoiseScales, data: MotionData) -> NoiseLevels:

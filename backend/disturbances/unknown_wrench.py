@@ -234,12 +234,8 @@ def _mixed_components(axes_known: Bools) -> Bools:
     return np.array([lost[1] | lost[2], lost[0] | lost[2], lost[0] | lost[1]])
 
 
-def describe_impulses(disturbances: Disturbances, first_ns: int) -> list[str]:
-    """One sentence for each disturbance."""
-    return [_sentence(impulse, first_ns) for impulse in disturbances.impulses]
-
-
-def _sentence(impulse: Impulse, first_ns: int) -> str:
+def describe_impulse(impulse: Impulse, first_ns: int) -> str:
+    """A disturbance in one sentence; first_ns: time of the first frame."""
     start_s, end_s = ((t - first_ns) * 1e-9 for t in (impulse.start_ns, impulse.end_ns))
     size = np.append(impulse.delta_v_N / impulse.sigma_delta_v_N, impulse.delta_w_P / impulse.sigma_delta_w_P)
     acted = "acted" if np.abs(size).max() > CERTAIN else "may have acted"

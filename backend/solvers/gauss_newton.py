@@ -217,7 +217,7 @@ class GaussNewton:
         n = fixed.reference.n_states
         total += self.dynamics_cost(fixed, x)
         total += self._prior(x[n : n + N_CONSTANTS], fixed.prior)[0]
-        total += self.camera_cost(fixed, x) + self.wrench_cost(fixed, x)
+        total += self.camera_cost(fixed, x) + 0.5 * float(np.sum(self._wrench(fixed, x)[0] ** 2))
         return total + 0.5 * float(np.sum(fixed.gauge_information * self._gauge_offset(fixed, x) ** 2))
 
     def dynamics_cost(self, fixed: LinearizationPoint, x: Array) -> float:
@@ -231,10 +231,6 @@ class GaussNewton:
     def camera_cost(self, fixed: LinearizationPoint, x: Array) -> float:
         """Contribution of the errors of the camera's pose to the objective."""
         return 0.5 * float(np.sum(fixed.camera_information * camera_errors(fixed, x) ** 2))
-
-    def wrench_cost(self, fixed: LinearizationPoint, x: Array) -> float:
-        """Contribution of the prior on a wrench's unknowns to the objective."""
-        return 0.5 * float(np.sum(self._wrench(fixed, x)[0] ** 2))
 
     def prior_information(self, fixed: LinearizationPoint, x: Array) -> Array:
         """Gauss-Newton Hessian (8, 8) of the weak prior on com_G and xi; (19, 19) with a known wrench."""

@@ -70,7 +70,7 @@ def marginals(solver: GaussNewton, fixed: LinearizationPoint, x: Array, weight: 
     prior = solver.prior_information(fixed, x)
     constants = np.linalg.inv(information + prior)
     dense = np.zeros((n, n))
-    dense[first:n_states, first:n_states] = _inverse(factor[0])
+    dense[first:n_states, first:n_states] = dpotri(factor[0], lower=1, overwrite_c=1)[0]
     mirror(dense[first:n_states, first:n_states])
     dense[first:n_states, first:n_states] += (response[first:] @ constants) @ response[first:].T
     dense[:n_states, n_states:] = response @ constants
@@ -124,12 +124,6 @@ def _substitute_first_pose(S: Array, follow: Array) -> None:
     at = slice(N_STATE, N_STATE + follow.shape[1])
     S[at] += follow.T @ S[:N_GAUGE]
     S[:, at] += S[:, :N_GAUGE] @ follow
-
-
-def _inverse(cholesky: Array) -> Array:
-    """Lower triangle of the inverse of a matrix, from its lower factor by columns, which is overwritten."""
-    inverse, _ = dpotri(cholesky, lower=1, overwrite_c=1)
-    return np.asarray(inverse)
 
 
 def body_jacobians(iterate: Iterate, camera_N: Array | None = None) -> Array:

@@ -90,9 +90,10 @@ def reconnect(
     if not waiting or not np.any(connected):
         return GuidedResult(association, motion)
     model = LandmarkMap.empty(association.n_landmarks)
-    for k in np.flatnonzero(connected).tolist():
+    known = np.flatnonzero(connected)
+    for k in known.tolist():
         add_observations(model, frames[k], labels[k], X_RG[k], rig)
-    for k in sorted(waiting, key=lambda frame: _distance_to(frame, motion.connected)):
+    for k in sorted(waiting, key=lambda frame: int(np.min(np.abs(known - frame)))):
         X_found = _relocalise(model, frames[k], X_RG[k], rig, config, np.random.default_rng([seed, k]))
         if X_found is None:
             continue
@@ -102,11 +103,6 @@ def reconnect(
         labels[k][feature] = landmark
         add_observations(model, frames[k], labels[k], X_found, rig)
     return GuidedResult(Association(tuple(labels)), InitialMotion(X_RG, connected))
-
-
-def _distance_to(k: int, connected: Bools) -> int:
-    known = np.flatnonzero(connected)
-    return int(np.min(np.abs(known - k))) if len(known) else 0
 
 
 def _relocalise(

@@ -92,15 +92,12 @@ def validation_pairs(scenes: Mapping[int, ScenePoints], seed: int) -> list[Valid
     for number, points in scenes.items():
         same = same_appearance(points)
         pairs, distractor = frame_pairs(points, same, number, np.pi), distractor_points(points, same)
+        angles = [np.rad2deg(np.median(points.angle_rad[pair.found])) for pair in pairs]
         for name, (least, most) in ANGLES_DEG.items():
-            inside = [pair for pair in pairs if least < _angle_deg(points, pair) < most]
+            inside = [pair for pair, angle in zip(pairs, angles, strict=True) if least < angle < most]
             for k in rng.permutation(len(inside))[:PAIRS_PER_SCENE]:
                 trials.append(_trial(points, inside[k], name, distractor, rng))
     return trials
-
-
-def _angle_deg(points: ScenePoints, pair: FramePair) -> float:
-    return float(np.rad2deg(np.median(points.angle_rad[pair.found])))
 
 
 def _trial(
