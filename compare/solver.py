@@ -87,23 +87,24 @@ def read_point(stem: Path) -> tuple[Literal["best", "last"], Array] | None:
 
 def read_trace(stem: Path) -> list[tuple[float, float]]:
     """Seconds and cost; an incomplete last line is left out."""
-    file = stem.with_suffix(".trace")
-    if not file.is_file():
-        return []
-    lines = file.read_text().splitlines(keepends=True)
+    lines = _content(stem, ".trace").splitlines(keepends=True)
     points = [line.split() for line in lines if line.endswith("\n")]
     return [(float(point[0]), float(point[1])) for point in points if len(point) == 2]
 
 
 def seconds_since_start(stem: Path) -> float | None:
     """Time since the solver's clock started [s]; None: the process ended before that."""
-    file = stem.with_suffix(".started")
-    return time() - float(file.read_text()) if file.is_file() else None
+    started = _content(stem, ".started")
+    return time() - float(started) if started else None
 
 
 def read_status(stem: Path) -> str:
     """The progress that the method recorded; empty: none."""
-    file = stem.with_suffix(".status")
+    return _content(stem, ".status")
+
+
+def _content(stem: Path, suffix: str) -> str:
+    file = stem.with_suffix(suffix)
     return file.read_text() if file.is_file() else ""
 
 

@@ -47,9 +47,9 @@ def test_a_stored_run_gives_table_csv_json_and_page(
     out = tmp_path / "out"
     command = ["compare", str(config), "--run", str(run), "-o", str(out), *SOLVERS]
     assert main(command) == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    assert "gauss_newton" in told.out and told.out.rstrip().endswith(str(out / "compare.html"))
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert "gauss_newton" in printed.out and printed.out.rstrip().endswith(str(out / "compare.html"))
     found = read_comparison(out / "compare.json")
     assert [(row.solver, row.status) for row in found.rows] == [
         ("gauss_newton", "ok"),

@@ -22,7 +22,7 @@ def row(small_file: Path, how: str, limit_s: float = 60.0) -> Row:
 
 
 def assert_start_is_kept(found: Row, small_file: Path) -> None:
-    """The common cost of the point that it noted, whatever cost it told itself."""
+    """The common cost of the point that it recorded, whatever cost it stated itself."""
     problem = load(small_file)
     at_start = assess(problem, problem.cold)
     assert found.kept == "best"

@@ -38,7 +38,7 @@ def of_data(rendered_sequence: Path, config: Path, tmp_path_factory: pytest.Temp
     return out
 
 
-def told(comparison: Comparison) -> list[tuple[object, ...]]:
+def without_errors(comparison: Comparison) -> list[tuple[object, ...]]:
     """What the solvers found, times aside."""
     return [(row.solver, row.status, row.cost, row.k1, row.k2, row.iterations) for row in comparison.rows]
 
@@ -69,7 +69,7 @@ def test_the_truth_reaches_no_solver(
     out = tmp_path / "out"
     assert main(["compare", str(config), "--data", str(blind), "-o", str(out), *OPTIONS]) == 0
     found, with_truth = read_comparison(out / "compare.json"), read_comparison(of_data / "compare.json")
-    assert told(found) == told(with_truth)
+    assert without_errors(found) == without_errors(with_truth)
     assert "Estimate minus truth" not in (out / "compare.html").read_text()
     assert not found.problems[0].truth and all(row.errors is None for row in found.rows)
 
@@ -83,7 +83,7 @@ def test_a_run_is_judged_by_the_truth_of_its_sequence(
     command = ["compare", str(config), "--run", str(run), "-o", str(out), *OPTIONS]
     assert main([*command, "--truth", str(rendered_sequence)]) == 0
     found, known = read_comparison(out / "compare.json"), read_comparison(of_data / "compare.json")
-    assert told(found) == told(known)
+    assert without_errors(found) == without_errors(known)
     assert [row.errors for row in found.rows] == [row.errors for row in known.rows]
     assert found.problems[0].fingerprint == known.problems[0].fingerprint
 
