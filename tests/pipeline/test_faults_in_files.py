@@ -179,7 +179,7 @@ IN_RUN: dict[str, tuple[str, Damage, str, tuple[str, ...]]] = {
     "ratio": ("summary.json", text('"k1": ', '"k1": NaN, "_": '), "inertia.k1", (REPORT, PREDICT, EVALUATE)),
     "causal state": ("online.npz", array("r_N", np.nan), "r_N holds NaN in row 0", (REPORT,)),
     "landmark": ("landmarks.ply", point, "NaN or infinity in point 0", (REPORT,)),
-    "surface": ("mesh.ply", point, "NaN or infinity", (REPORT, EVALUATE)),
+    "surface": ("mesh.ply", point, "NaN or infinite", (REPORT, EVALUATE)),
     "configuration": (
         "config.yaml",
         text("accel_psd: ", "accel_psd: .nan #"),
