@@ -101,10 +101,10 @@ def test_a_frame_that_shows_nothing_is_bridged_with_a_larger_sigma(
     )
     assert not observations[7:9].any()
     # The ends are left out: smoothing knows them less, measured or not.
-    measured = [k for k in range(3, 11) if observations[k] > 0.2 * np.median(observations)]
-    assert len(measured) >= 5
+    measured = [k for k in range(3, 10) if observations[k] > 0.2 * np.median(observations)]
+    assert len(measured) >= 4
     sigma = np.linalg.norm(trajectory.sigma_v, axis=1)
-    assert min(sigma[7:9]) > 1.05 * np.mean(sigma[measured])
+    assert min(sigma[7:9]) > 1.05 * max(sigma[measured])
 
 
 def test_images_without_texture_fail_with_the_reason_and_leave_what_was_found(
