@@ -34,7 +34,7 @@ from polhode.backend.uncertainty.ambiguity import (
     choose_hypothesis,
     with_ambiguous_rotation,
 )
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
 from polhode.lie import inverse_pose, make_pose
 from polhode.progress import Advance, Progress

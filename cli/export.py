@@ -8,8 +8,7 @@ from tyro.conf import Positional, arg
 
 from polhode.cli.options import Debug, Flag
 from polhode.errors import InputError
-
-_FORMATS = "glb ply stl obj urdf mjcf sdf aem oem tum json"
+from polhode.planning.exports.formats import FORMATS
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class ExportCommand:
 
     def execute(self) -> int:
         """Check, export and print the path."""
-        _require("--to", self.to, _FORMATS.split())
+        _require("--to", self.to, list(FORMATS))
         _require("--unit", self.unit, ["m", "mm"])
         _require("--cad-unit", self.cad_unit, ["m", "mm"])
         if self.frame is not None:

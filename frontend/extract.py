@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Depth, Frontend
+from polhode.config.frontend_settings import Depth, Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import compute_depth
 from polhode.frontend.features.methods import feature_method

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.backend import consistent_links
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.errors import RunFailure
 from polhode.frontend.extract import extract_features
 from polhode.frontend.features.methods import feature_method

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.errors import RunFailure
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import MIN_INLIERS, is_from_second

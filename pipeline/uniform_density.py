@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, log_so3
 from polhode.mapping.finishing.hole_closing import boundary_loops
 from polhode.mapping.uniform_solid import Solid, principal_axes, solid_body, solid_of

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from polhode.compiled import compiled
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3
 from polhode.simulation.rendering.light import sunlight

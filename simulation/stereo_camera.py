@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import ive
 
 from polhode.compiled import compiled
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.records import Ints

@@ -1,7 +1,7 @@
 """Training of the networks that the front end ships. In: a configuration. Out: weights, scores and curves.
 
 run.py              ``polhode train``: corpus, task, loop, weights
-loop.py             the training loop and its checkpoints
+training_loop.py    the training loop and its checkpoints
 task.py             the interface and the registry of tasks
 curves.py           curves in TensorBoard's format, and plots of them
 corpus.py           the simulated training sequences, of random scenes

@@ -19,8 +19,8 @@ import yaml
 
 from polhode.atomic import write_text
 from polhode.config.loader import load_config
-from polhode.config.scene import Background, Light, Motion, Render, Rig, Scene, Sensor, TargetBody
-from polhode.config.train import Corpus, Train
+from polhode.config.scene_settings import Background, Light, Motion, Render, Rig, Scene, Sensor, TargetBody
+from polhode.config.train_settings import Corpus, Train
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.processes import in_order

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
-from polhode.config.frontend import Features, Frontend
+from polhode.config.frontend_settings import Features, Frontend
 from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.errors import InputError

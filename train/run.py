@@ -14,12 +14,12 @@ from torch import nn
 from polhode.atomic import replaced, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
-from polhode.config.train import Train
+from polhode.config.train_settings import Train
 from polhode.errors import InputError
 from polhode.progress import Progress
 from polhode.train.corpus import render_corpus
-from polhode.train.loop import TrainingLoop, TrainingOutcome
 from polhode.train.task import Task, make_task
+from polhode.train.training_loop import TrainingLoop, TrainingOutcome
 
 FREE_KEYS = (
     "output",

@@ -10,7 +10,7 @@ from typing import Protocol, cast
 
 from torch import Tensor, nn
 
-from polhode.config.train import Train
+from polhode.config.train_settings import Train
 from polhode.progress import Progress
 
 Batch = dict[str, Tensor]

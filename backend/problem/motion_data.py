@@ -6,7 +6,7 @@ import numpy as np
 
 from polhode.backend.problem.inertia import FORMS, InertiaForm
 from polhode.backend.problem.wrench import Impulses, impulses_of
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose
 from polhode.records import Bools, Ints, StereoTracks
 

@@ -12,7 +12,7 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton, Solution
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point, recenter_inertia
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 
 MAX_PASSES = 4
 PASS_TOLERANCE = 1e-7

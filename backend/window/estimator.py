@@ -21,7 +21,7 @@ from polhode.backend.window.noise_levels import estimate_levels, estimate_noise
 from polhode.backend.window.problem import NewtonSolver, WindowSolver
 from polhode.backend.window.solve import choose_inertia, expand_arrival, solve_history, solve_window
 from polhode.camera import RectifiedRig
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks

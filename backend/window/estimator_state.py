@@ -24,7 +24,7 @@ from polhode.backend.window.vision import (
     poses_of,
 )
 from polhode.camera import RectifiedRig
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, matrix_from_wxyz
 
 GAUGE_SIGMA = 1e-5

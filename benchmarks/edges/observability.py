@@ -38,7 +38,7 @@ from benchmarks.edges.views import (
 )
 from benchmarks.record import Case, complete, measured
 from polhode.camera import RectifiedRig
-from polhode.config.scene import Sensor
+from polhode.config.scene_settings import Sensor
 from polhode.images import Grey
 from polhode.lie import Array, make_pose, transform_points
 from polhode.planning.edges.edge_model import EdgeModel, edge_model

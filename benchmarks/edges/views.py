@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from polhode.camera import RectifiedRig
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.errors import InputError
 from polhode.images import Grey
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose

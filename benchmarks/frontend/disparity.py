@@ -25,7 +25,7 @@ from tyro.conf import arg
 
 from benchmarks.command import ROOT, Short, command, simulated
 from benchmarks.presentation import print_table
-from polhode.config.frontend import Depth
+from polhode.config.frontend_settings import Depth
 from polhode.dataset import open_sequence
 from polhode.frontend.disparity.depth import crop_disparity
 from polhode.frontend.disparity.sgbm import StereoCrop, cut_crop, match_checked

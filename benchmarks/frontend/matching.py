@@ -34,7 +34,7 @@ from benchmarks.frontend.scenes import CONFIGS, UnseenScene, open_scene, render,
 from benchmarks.presentation import print_table as print_rows
 from benchmarks.presentation import save_figure, subplots
 from benchmarks.record import Case, complete, forget
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.errors import InputError
 from polhode.frontend.extract import extract_pair
 from polhode.frontend.features.methods import feature_method

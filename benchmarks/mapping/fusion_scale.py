@@ -23,7 +23,7 @@ from benchmarks.command import command, in_process
 from benchmarks.mapping.fusion_peers import memory_mib
 from benchmarks.presentation import print_table
 from polhode.camera import RectifiedRig
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.lie import Array, inverse_pose, make_pose
 from polhode.mapping.fusion.field import Field
 from polhode.mapping.visibility import Caster

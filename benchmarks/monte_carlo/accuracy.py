@@ -33,7 +33,7 @@ from benchmarks.monte_carlo.bound import (
 from benchmarks.presentation import numbers, print_table
 from benchmarks.record import Case, complete, measured
 from polhode.compare.problem.sources import SCENES
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array
 from polhode.simulation.monte_carlo import generate

@@ -25,7 +25,7 @@ from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearizati
 from polhode.backend.uncertainty.covariance import Marginals, marginals, state_jacobians
 from polhode.backend.uncertainty.identifiability import analyse
 from polhode.backend.uncertainty.principal_axes import axes_derivative
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, hat, inverse_pose, log_so3
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate

@@ -23,7 +23,7 @@ from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.monte_carlo.bound import cold_start, constants_errors, determined_at_truth
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array
 from polhode.records import MotionEstimate

@@ -15,7 +15,7 @@ from benchmarks.command import RECORDS, Record, Seeds, Short, Workers, command
 from benchmarks.monte_carlo.bound import cold_start
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, log_so3
 from polhode.records import MotionEstimate
 from polhode.rigid_body import HALF_TURNS

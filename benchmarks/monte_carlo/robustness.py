@@ -37,7 +37,7 @@ from benchmarks.monte_carlo.convergence import missed, print_failures, stated_si
 from benchmarks.monte_carlo.disturbances import state_errors
 from benchmarks.presentation import numbers, print_table
 from benchmarks.record import Case, complete
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose, log_so3
 from polhode.records import MotionEstimate

@@ -23,7 +23,7 @@ from tyro.conf import arg
 from benchmarks.command import Seeds, Short, Workers, command, in_process
 from benchmarks.monte_carlo.bound import cold_start
 from benchmarks.presentation import print_table
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, log_so3
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from polhode.threads import limit_threads

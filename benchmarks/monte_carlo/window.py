@@ -31,7 +31,7 @@ from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.solve import refine
 from polhode.backend.window import SlidingWindow, frames_of
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, log_so3
 from polhode.rigid_body import HALF_TURNS
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate

@@ -24,7 +24,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from tyro.conf import arg
 
 from benchmarks.command import Png, command
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.records import Bools, Ints
 from polhode.simulation.bodies.part import Chart, Part, assemble

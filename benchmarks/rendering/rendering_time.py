@@ -22,7 +22,7 @@ import trimesh
 
 from benchmarks.command import ROOT, Short, command
 from polhode.config.loader import load_config
-from polhode.config.scene import Render, Scene
+from polhode.config.scene_settings import Render, Scene
 from polhode.dataset_writer import image_path
 from polhode.simulation.bodies import Body
 from polhode.simulation.bodies.part import Part, assemble

@@ -34,7 +34,7 @@ from polhode.backend.uncertainty.covariance import (
 )
 from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.compare.problem.sources import THESIS
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, exp_so3
 from polhode.progress import Advance
 from polhode.records import MotionEstimate

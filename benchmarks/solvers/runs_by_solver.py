@@ -27,7 +27,7 @@ from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.backend.solvers.solve import SolvedMotion, refine, solve
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array

@@ -23,7 +23,7 @@ BASE = ("polhode", "numpy", "scipy", "numba", "casadi")
 SHOWN = ("casadi", "scipy", "gtsam", "pyceres")
 """Those whose versions are shown."""
 CODE = (
-    "polhode.backend", "polhode.config.backend", "polhode.lie", "polhode.threads",
+    "polhode.backend", "polhode.config.backend_settings", "polhode.lie", "polhode.threads",
     *(f"polhode.compare.{name}" for name in (
         "problem.assessment", "problem.blocks", "problem.measured_problem", "solver", "solver_process",
         "solvers")),

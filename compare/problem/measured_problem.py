@@ -25,7 +25,7 @@ from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import LinearizationPoint, linearization_point
 from polhode.backend.solvers.solve import MAX_PASSES, refine
 from polhode.backend.uncertainty.principal_axes import axes_derivative
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array, log_so3
 from polhode.records import RelativePoses, StereoTracks, Truth

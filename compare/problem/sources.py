@@ -18,8 +18,8 @@ from polhode.atomic import write_text
 from polhode.compare.problem.fingerprint import BASE, code_of, versions
 from polhode.compare.problem.measured_problem import MeasuredProblem, freeze
 from polhode.config import Config
-from polhode.config.backend import Backend
-from polhode.config.compare import MonteCarlo, Motion
+from polhode.config.backend_settings import Backend
+from polhode.config.compare_settings import MonteCarlo, Motion
 from polhode.config.loader import dump_config
 from polhode.errors import InputError
 from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses, write_measurements

@@ -17,7 +17,7 @@ from polhode.camera import RectifiedRig
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.compare.solvers.condensed import ReducedCost
-from polhode.config.backend import Backend, Window
+from polhode.config.backend_settings import Backend, Window
 from polhode.lie import Array, inverse_pose, make_pose
 
 MIN_HISTORY = 4

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
-from polhode.config.frontend import Depth
+from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.sgbm import MIN_INTENSITY, WINDOW_PX, Floats, StereoCrop, match_checked
 from polhode.frontend.rectification import Image
 from polhode.lie import Array

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Depth
+from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.classical import classical_disparity
 from polhode.frontend.disparity.learned import network_disparity
 from polhode.frontend.disparity.sgbm import Floats, StereoCrop, cut_crop, match_checked

@@ -22,7 +22,7 @@ from kornia.geometry.transform import remap
 from numpy.typing import NDArray
 from torch import Tensor
 
-from polhode.config.frontend import Depth
+from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.classical import (
     MIN_MATCHED_PIXELS,
     PLANE_RADIUS_PX,

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.config.frontend import Depth
+from polhode.config.frontend_settings import Depth
 from polhode.frontend.rectification import Image
 from polhode.records import Bools
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.config.frontend import Features
+from polhode.config.frontend_settings import Features
 from polhode.frontend.rectification import Crop, Image, target_crop
 from polhode.lie import Array
 from polhode.records import Bools, Ints

@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.rectification import RectifiedPair
 

@@ -14,7 +14,7 @@ import kornia.feature
 import numpy as np
 import torch
 
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.patches import (
     Patches,

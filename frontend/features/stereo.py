@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.keypoints import Descriptors, KeyPoints, detect, no_key_points
 from polhode.frontend.rectification import Image, RectifiedPair, target_crop
 from polhode.lie import Array

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Depth, Frontend
+from polhode.config.frontend_settings import Depth, Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import find_disparity_range
 from polhode.frontend.disparity.sgbm import Floats, cut_crop, match_checked

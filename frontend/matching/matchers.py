@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.methods import Matches, one_to_one
 from polhode.lie import Array, transform_points

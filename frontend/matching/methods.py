@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.methods import make_method
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array

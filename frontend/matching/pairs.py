@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2, vq
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Frontend, PairMatching
+from polhode.config.frontend_settings import Frontend, PairMatching
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.methods import match_method
 from polhode.frontend.matching.ransac import ransac_rigid

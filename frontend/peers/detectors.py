@@ -16,7 +16,7 @@ import torch
 from kornia.feature import ALIKED, DISK, XFeat
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.keypoints import KeyPoints, enlarge, no_key_points, strongest_in_mask
 from polhode.frontend.features.stereo import StereoFeatures, match_stereo
 from polhode.frontend.peers.weights import fill, load_weights

@@ -20,7 +20,7 @@ from kornia.feature import LightGlue, LoFTR
 from kornia.feature.loftr.loftr import default_cfg
 from scipy.spatial import cKDTree
 
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.errors import InputError
 from polhode.frontend.features.keypoints import enlarge
 from polhode.frontend.features.stereo import ImageCrop, StereoFeatures

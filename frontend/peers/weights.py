@@ -12,7 +12,7 @@ from pickle import UnpicklingError
 
 import torch
 
-from polhode.config.frontend import Weights
+from polhode.config.frontend_settings import Weights
 from polhode.errors import InputError
 
 State = dict[str, torch.Tensor]

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import GuidedMatching
+from polhode.config.frontend_settings import GuidedMatching
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.tracks.tracks import Association, LandmarkMap, add_observations

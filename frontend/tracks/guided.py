@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import GuidedMatching
+from polhode.config.frontend_settings import GuidedMatching
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.matchers import DUSTBIN, TEMPERATURE
 from polhode.frontend.matching.methods import mutual_best

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.features import stereo
 from polhode.frontend.features.patches import PATCH_PX, Patches, axes_affines, cut_patches, root_image

@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import GuidedMatching, Tracks
+from polhode.config.frontend_settings import GuidedMatching, Tracks
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import PairMatch

@@ -16,7 +16,7 @@ import torch
 import trimesh
 
 from polhode.camera import RectifiedRig
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.lie import Array, inverse_pose, make_pose, transform_points
 from polhode.mapping.fusion.block_grid import BYTES_PER_BLOCK, EDGE, BlockGrid
 from polhode.mapping.fusion.depth_frame import FrameTensors, at_pose, frame_tensors

@@ -21,7 +21,7 @@ import trimesh
 from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.lie import Array
 from polhode.mapping.fusion.block_grid import (
     COLOUR,

@@ -3,6 +3,7 @@
 In: records of a run in the frame F that the user chose. Out: bytes or text of a file. The command, which
 reads the run, is ``pipeline/after_run/export``.
 
+    formats         names of the formats; where a new one begins
     records         shape, state, mass properties and frame that the files are written from
     cad_alignment   pose of the target in a CAD model
     convex_pieces   collision geometry: convex pieces that contain the surface

@@ -2,7 +2,8 @@
 
 In: YAML files and overrides of the command line. Out: a frozen ``Config``.
 
-- backend, frontend, mapping, compare, train, scene: the settings of each stage, with units and defaults
+- backend_settings, frontend_settings, mapping_settings, scene_settings, compare_settings, train_settings: every
+  setting, with its default, unit and description
 - loader: reading files, ``extends`` and overrides; errors of one line
 - keys: the tree of keys, read off the types, for help and errors
 - section: the base of every section
@@ -10,13 +11,13 @@ In: YAML files and overrides of the command line. Out: a frozen ``Config``.
 
 from pydantic import Field
 
-from polhode.config.backend import Backend
-from polhode.config.compare import Compare
-from polhode.config.frontend import Frontend
-from polhode.config.mapping import Mapping
-from polhode.config.scene import Scene
+from polhode.config.backend_settings import Backend
+from polhode.config.compare_settings import Compare
+from polhode.config.frontend_settings import Frontend
+from polhode.config.mapping_settings import Mapping
+from polhode.config.scene_settings import Scene
 from polhode.config.section import Section
-from polhode.config.train import Train
+from polhode.config.train_settings import Train
 
 __all__ = ["Backend", "Compare", "Config", "Frontend", "Mapping", "Pictures", "Runtime", "Scene", "Train"]
 

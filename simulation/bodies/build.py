@@ -1,6 +1,6 @@
 """Builds the body that a scene describes.
 
-The families are also listed in ``polhode.config.scene`` and ``polhode.config.train``.
+The families are also listed in ``polhode.config.scene_settings`` and ``polhode.config.train_settings``.
 """
 
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.simulation.bodies.families.asteroid import asteroid_parts
 from polhode.simulation.bodies.families.bus import bus_parts
 from polhode.simulation.bodies.families.cubesat import cubesat_parts

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.atomic import replaced
-from polhode.config.scene import Product
+from polhode.config.scene_settings import Product
 from polhode.dataset_writer import image_path, mask_path, write_png
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose
@@ -24,7 +24,7 @@ from polhode.processes import in_order
 from polhode.progress import Advance
 from polhode.records import Bools, Ints
 from polhode.simulation.dataset.plan import SequencePlan
-from polhode.simulation.dataset.staging import StagedDataset
+from polhode.simulation.dataset.resumable_dataset import StagedDataset
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.render import RenderedLight, Renderer
 from polhode.simulation.stereo_camera import Camera, Image, expose, sample_times

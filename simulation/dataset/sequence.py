@@ -8,7 +8,7 @@ import numpy as np
 import polhode
 from polhode.config import Config
 from polhode.config.loader import dump_config
-from polhode.config.scene import Scene
+from polhode.config.scene_settings import Scene
 from polhode.dataset_writer import (
     write_camera_csv,
     write_inspector,
@@ -19,7 +19,7 @@ from polhode.dataset_writer import (
 from polhode.progress import Progress
 from polhode.simulation.dataset.frame_renderer import render_frames
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence, truth_of
-from polhode.simulation.dataset.staging import StagedDataset, require_free, staged_dataset
+from polhode.simulation.dataset.resumable_dataset import StagedDataset, require_free, staged_dataset
 from polhode.simulation.motion.forces import known_wrench
 from polhode.simulation.motion.inspector import reported_inspector
 from polhode.simulation.stereo_camera import mount_pose

@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from polhode.config.scene import Scene
+from polhode.config.scene_settings import Scene
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.rays import RayScene

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.simulation.bodies import Body

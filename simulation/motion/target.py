@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array, exp_so3, make_pose, matrix_from_wxyz, wxyz_from_matrix
 from polhode.records import Ints
 from polhode.rigid_body import propagate

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.compiled import compiled
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.bodies import Body

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array, inverse_pose
 from polhode.records import Ints
 from polhode.simulation.bodies import Body

@@ -7,7 +7,7 @@ import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.problem.inertia import FORMS, second_moments_from_inertia
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate

@@ -21,7 +21,7 @@ from polhode.backend.solvers.gauss_newton import (
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.backend.solvers.solve import refine, solve
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 

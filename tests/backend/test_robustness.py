@@ -9,7 +9,7 @@ from benchmarks.monte_carlo.convergence import missed
 from benchmarks.monte_carlo.robustness import PLACED_M, PLACED_RAD, measure
 from benchmarks.record import Case
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose, log_so3
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate

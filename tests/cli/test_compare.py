@@ -12,7 +12,7 @@ from polhode.cli.main import main
 from polhode.compare.comparison import MARK, claim
 from polhode.compare.problem.sources import SCENES
 from polhode.compare.rows import read_comparison
-from polhode.config.compare import Motion
+from polhode.config.compare_settings import Motion
 from polhode.errors import InputError
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.simulation.monte_carlo import SyntheticSequence, generate

@@ -7,7 +7,7 @@ import pytest
 
 from polhode.compare.problem.measured_problem import MeasuredProblem, save
 from polhode.compare.problem.sources import SCENES, synthetic_problem
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 
 
 @pytest.fixture(scope="session")

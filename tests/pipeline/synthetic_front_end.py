@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.dataset_writer import write_png, write_sensor
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import PairMatch

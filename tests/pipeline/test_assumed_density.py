@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.mapping.uniform_solid import coverage, solid_of
 from polhode.mapping.visibility import Caster
 from polhode.pipeline.uniform_density import assumed_properties

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import exp_so3, make_pose
 from polhode.pipeline.consistency_check import attitude_difference_deg, contradicts_first_method, fits_worse
 from polhode.progress import Silent

@@ -10,7 +10,7 @@ import trimesh
 from trimesh.visual import ColorVisuals
 
 from polhode.config import Config
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.mapping.finishing.detail_levels import DetailLevel
 from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline import finish_surface as module

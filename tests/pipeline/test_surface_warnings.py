@@ -12,7 +12,7 @@ import pytest
 
 from polhode.camera import RectifiedRig
 from polhode.cli.main import main
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.frontend.extract import extract_depth
 from polhode.lie import Array, make_pose
 from polhode.mapping.fusion.field import Frame, fuse

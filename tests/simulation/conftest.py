@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import pytest
 
-from polhode.config.scene import TargetBody
+from polhode.config.scene_settings import TargetBody
 from polhode.simulation.bodies import Body, build_body
 
 _built = lru_cache(maxsize=16)(build_body)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.records import Ints
 from polhode.simulation.bodies import build_body

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array
 from polhode.records import Bools
 from polhode.simulation.dataset.correspondence import Correspondence, dense_correspondence, view_of

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from polhode.config import scene as config
-from polhode.config.scene import Scene
+from polhode.config import scene_settings as config
+from polhode.config.scene_settings import Scene
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.simulation.rendering.render import RenderedLight

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.errors import InputError
 from polhode.simulation.stereo_camera import build_cameras, sample_offsets, sample_times
 

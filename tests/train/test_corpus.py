@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.config.loader import load_config
-from polhode.config.train import Corpus
+from polhode.config.train_settings import Corpus
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.progress import Silent

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from polhode.camera import RectifiedRig
-from polhode.config.train import DescriptorTraining
+from polhode.config.train_settings import DescriptorTraining
 from polhode.frontend.features.patches import (
     Patches,
     cut_patches,

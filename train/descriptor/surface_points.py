@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from polhode.atomic import replaced
-from polhode.config.frontend import Features
+from polhode.config.frontend_settings import Features
 from polhode.config.loader import load_config
-from polhode.config.scene import Product
-from polhode.config.train import Corpus
+from polhode.config.scene_settings import Product
+from polhode.config.train_settings import Corpus
 from polhode.dataset_writer import image_path
 from polhode.frontend.features.keypoints import detect, no_key_points
 from polhode.frontend.rectification import target_crop

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from polhode.config.train import Train
+from polhode.config.train_settings import Train
 from polhode.errors import InputError
 from polhode.frontend.matching.matchers import DualSoftmax, rigid_fit
 from polhode.frontend.networks.descriptor import DescriptorNet, DescriptorOutput

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from polhode.atomic import replaced
-from polhode.config.frontend import Depth
+from polhode.config.frontend_settings import Depth
 from polhode.dataset import StereoCalibration, StereoSequence, open_sequence
 from polhode.errors import InputError
 from polhode.frontend.disparity.learned import (

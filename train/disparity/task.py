@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from polhode.config.frontend import Depth
-from polhode.config.train import DepthTraining, Train
+from polhode.config.frontend_settings import Depth
+from polhode.config.train_settings import DepthTraining, Train
 from polhode.errors import InputError
 from polhode.frontend.disparity.learned import RefinedDisparity, refine
 from polhode.frontend.networks.disparity import DisparityMixture, DisparityNet, mixture_from_outputs

@@ -17,16 +17,14 @@ from polhode.errors import InputError
 from polhode.pipeline.after_run.export.job import ExportJob, Files, failure_of, open_job
 from polhode.pipeline.after_run.export.json_document import json_document
 from polhode.pipeline.after_run.export.options import (
-    MESHES,
     METRES,
-    MOTIONS,
-    ROBOTS,
     ExportOptions,
     check,
     creation_date,
 )
 from polhode.planning.exports import ccsds, glb, mesh_files, robot_xml
 from polhode.planning.exports.convex_pieces import WITHIN, decompose
+from polhode.planning.exports.formats import MESHES, MOTIONS, ROBOTS
 from polhode.planning.exports.records import ExportShape, shape_of_landmarks, shape_of_surface
 
 LIGHT_LEVEL = 2

@@ -12,19 +12,20 @@ from pathlib import Path
 import numpy as np
 
 from polhode.config.loader import load_config
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.errors import InputError
 from polhode.lie import Array, transform_points
 from polhode.mapping.finishing.detail_levels import levels_of
 from polhode.mapping.mesh_files import read_ply
 from polhode.mapping.uniform_solid import Solid, principal_axes, solid_of
-from polhode.pipeline.after_run.export.options import MOTIONS, ExportOptions
+from polhode.pipeline.after_run.export.options import ExportOptions
 from polhode.pipeline.after_run.export.placement import placement
 from polhode.pipeline.after_run.predict import NoCovariance, predict_run, predict_without_covariance
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory, target_poses
+from polhode.planning.exports.formats import MOTIONS
 from polhode.planning.exports.records import ExportShape, Inertial, LastState, Placement, shape_of_surface
 from polhode.planning.prediction import PredictedMotion
 from polhode.records import Landmarks, SurfaceModel

@@ -10,13 +10,10 @@ from typing import Literal
 import numpy as np
 
 from polhode.errors import InputError
+from polhode.planning.exports.formats import MESHES, MOTIONS, Format
 
-Format = Literal["glb", "ply", "stl", "obj", "urdf", "mjcf", "sdf", "aem", "oem", "tum", "json"]
 FrameName = Literal["G", "P", "cad"]
 Unit = Literal["m", "mm"]
-MESHES = ("glb", "ply", "stl", "obj")
-ROBOTS = ("urdf", "mjcf", "sdf")
-MOTIONS = ("aem", "oem", "tum")
 METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
 MAX_PIECES = 1024
 

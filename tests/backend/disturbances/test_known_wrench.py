@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate

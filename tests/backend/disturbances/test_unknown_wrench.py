@@ -11,7 +11,7 @@ from polhode.backend.problem.motion_data import motion_data, nodes_of
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.solve import refine
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, log_so3
 from polhode.progress import Silent
 from polhode.records import Impulse, MotionEstimate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.initialization.initialize import bridge, initialize_motion, nearest_branch
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.records import RelativePoses

@@ -9,7 +9,7 @@ from polhode.backend.noise.measurement_noise import estimate_noise, prune, remov
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
 from polhode.records import Bools
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate

@@ -7,7 +7,7 @@ import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.noise.systematic import position_spread
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
 from polhode.progress import Silent
 from polhode.records import MotionEstimate

@@ -13,7 +13,7 @@ from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import LOOSE_GAUGE, TIGHT_GAUGE, linearization_point
 from polhode.backend.solvers.robust_kernel import kernel_curvature
 from polhode.backend.solvers.solve import refine
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=6, landmarks=60, detection=0.6, outliers=0.05, J_G=np.diag([1.5, 1.2, 0.9]))

@@ -9,7 +9,7 @@ from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.casadi_nlp import ExternalFunction
 from polhode.backend.solvers.ipopt import StereoTerms
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.records import StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, generate

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, hat, inverse_pose, log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate

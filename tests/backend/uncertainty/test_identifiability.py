@@ -6,7 +6,7 @@ import pytest
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.uncertainty.identifiability import NAMES, analyse, determined_description
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.progress import Silent
 from polhode.records import Identifiability, MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, generate

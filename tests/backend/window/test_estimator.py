@@ -21,7 +21,7 @@ from polhode.backend.solvers.solve import refine
 from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.estimator import SlidingWindow
 from polhode.backend.window.frame import FrameMeasurements, frames_of
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
 from polhode.progress import Silent
 from polhode.records import MotionEstimate, OnlineEstimate

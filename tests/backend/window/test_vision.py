@@ -18,7 +18,7 @@ from polhode.backend.window.vision import (
     poses_of,
     residuals,
 )
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 

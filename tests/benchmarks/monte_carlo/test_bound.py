@@ -13,7 +13,7 @@ from benchmarks.monte_carlo.bound import (
     normalised_squares,
 )
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array
 from polhode.progress import Silent
 from polhode.records import MotionEstimate

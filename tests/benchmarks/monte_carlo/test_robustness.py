@@ -19,7 +19,7 @@ from benchmarks.monte_carlo.robustness import (
     scene_of,
 )
 from benchmarks.record import Case
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.simulation.monte_carlo import generate
 

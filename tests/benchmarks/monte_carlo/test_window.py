@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.monte_carlo.window import first_frames, ratios, smoothed, squares
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=30, landmarks=300, J_G=np.diag([1.5, 1.2, 0.9]), w_G=(0.4, 0.5, 0.45))

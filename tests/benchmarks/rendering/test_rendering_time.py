@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from benchmarks.rendering.rendering_time import lumpy_ball, machine, measure
-from polhode.config.scene import Render, Rig, Scene
+from polhode.config.scene_settings import Render, Rig, Scene
 from polhode.simulation.dataset.plan import plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 

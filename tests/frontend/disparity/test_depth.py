@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Depth
+from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.depth import compute_depth, find_disparity_range
 from polhode.lie import Array
 from polhode.records import Bools

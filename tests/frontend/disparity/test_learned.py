@@ -8,7 +8,7 @@ import torch
 from safetensors.torch import save_file
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Depth
+from polhode.config.frontend_settings import Depth
 from polhode.errors import InputError
 from polhode.frontend.disparity.depth import compute_depth, dense_disparity
 from polhode.frontend.disparity.learned import (

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Depth
+from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.depth import compute_depth, dense_disparity
 from polhode.frontend.networks.weights import shipped_path
 from polhode.lie import Array

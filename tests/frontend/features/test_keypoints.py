@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from polhode.config.frontend import Features
+from polhode.config.frontend_settings import Features
 from polhode.frontend.features.keypoints import KeyPoints, detect, stretch
 from polhode.frontend.rectification import Crop, Image
 

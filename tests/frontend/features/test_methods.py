@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from polhode.config.frontend import Features, Frontend, PairMatching
+from polhode.config.frontend_settings import Features, Frontend, PairMatching
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.frontend.extract import extract_features, extract_pair

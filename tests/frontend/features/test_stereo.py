@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Features
+from polhode.config.frontend_settings import Features
 from polhode.frontend.features.keypoints import KeyPoints, detect
 from polhode.frontend.features.stereo import _match_on_lines, match_stereo, refine_disparity
 from polhode.frontend.rectification import Image, target_crop

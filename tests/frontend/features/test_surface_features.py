@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.config.frontend import Features, Frontend
+from polhode.config.frontend_settings import Features, Frontend
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.frontend.features.keypoints import find_candidates
 from polhode.frontend.features.stereo import RootSift, StereoFeatures

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.config.frontend import Features, Frontend, GuidedMatching, PairMatching
+from polhode.config.frontend_settings import Features, Frontend, GuidedMatching, PairMatching
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.matchers import MutualNearest
 from polhode.frontend.matching.pairs import (

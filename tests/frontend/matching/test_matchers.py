@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from polhode.config.frontend import Frontend
+from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.matchers import (

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.config.frontend import Frontend, PairMatching
+from polhode.config.frontend_settings import Frontend, PairMatching
 from polhode.frontend.matching.pairs import (
     frame_vectors,
     match_pairs,

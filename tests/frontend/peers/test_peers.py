@@ -9,7 +9,7 @@ import pytest
 import torch
 from kornia.feature import LoFTR
 
-from polhode.config.frontend import Frontend, Weights
+from polhode.config.frontend_settings import Frontend, Weights
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.frontend.extract import extract_pair

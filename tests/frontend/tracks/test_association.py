@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from polhode.config.frontend import Frontend, GuidedMatching, Tracks
+from polhode.config.frontend_settings import Frontend, GuidedMatching, Tracks
 from polhode.frontend.matching.matchers import DualSoftmax
 from polhode.frontend.matching.pairs import PairMatch, match_pairs, pairs_to_match, relative_poses
 from polhode.frontend.matching.ransac import NOISE_PX, fit_noisy, ransac_rigid

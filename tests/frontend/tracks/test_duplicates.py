@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.config.frontend import GuidedMatching
+from polhode.config.frontend_settings import GuidedMatching
 from polhode.frontend.tracks.duplicates import merge_duplicates
 from polhode.frontend.tracks.tracks import Association
 from polhode.lie import exp_so3

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend import Features, Frontend
+from polhode.config.frontend_settings import Features, Frontend
 from polhode.dataset import open_sequence
 from polhode.frontend.features.patches import cut_patches, rotate_affines, upright_affines
 from polhode.frontend.features.stereo import StereoFeatures

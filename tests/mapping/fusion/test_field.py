@@ -8,7 +8,7 @@ import torch
 import trimesh
 from scipy.spatial import cKDTree
 
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.mapping.fusion.block_grid import FREE, VIEWS, BlockGrid
 from polhode.mapping.fusion.depth_frame import frame_tensors

@@ -7,7 +7,7 @@ import pytest
 import torch
 import trimesh
 
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.mapping.fusion.depth_frame import frame_tensors
 from polhode.mapping.fusion.field import Field, fuse

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.mapping.fusion.field import choose_voxel_m, fuse
 from polhode.mapping.mesh_files import write_glb, write_ply
 from polhode.mesh_metrics import distance_to_surface, sample_surface

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.lie import make_pose
 from polhode.mapping.fusion.block_grid import CHANNELS, DISTANCE, FREE, SQUARE, VIEWS, WEIGHT
 from polhode.mapping.fusion.field import Field

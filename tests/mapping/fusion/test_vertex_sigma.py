@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from polhode.config.mapping import Mapping
+from polhode.config.mapping_settings import Mapping
 from polhode.mapping.fusion.surface_extraction import roughness, vertex_sigma
 
 SIDE_M, STEP_M = 0.2, 0.002

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from polhode.config.backend import Backend
+from polhode.config.backend_settings import Backend
 from polhode.pipeline.report import finish_run
 from polhode.pipeline.report.tables import inertia_rows
 from polhode.pipeline.run_directory.outputs import write_estimate

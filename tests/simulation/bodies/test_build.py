@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.errors import InputError
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.part import Part, assemble

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.build import FAMILIES

@@ -9,7 +9,7 @@ from PIL import Image
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.records import Ints

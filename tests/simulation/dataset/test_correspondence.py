@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.dataset.correspondence import (

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from PIL import Image
 
-from polhode.config.scene import Scene
+from polhode.config.scene_settings import Scene
 from polhode.dataset import open_sequence
 from polhode.lie import Array
 from polhode.progress import Silent

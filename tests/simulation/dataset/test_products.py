@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.errors import InputError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config.scene import Scene
+from polhode.config.scene_settings import Scene
 from polhode.errors import InputError
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.plan import ViewCheck, plan_sequence

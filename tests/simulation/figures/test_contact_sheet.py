@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from polhode.config.scene import Scene
+from polhode.config.scene_settings import Scene
 from polhode.errors import InputError
 from polhode.lie import inverse_pose, transform_points
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from polhode.config.scene import Scene
+from polhode.config.scene_settings import Scene
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.simulation.figures.motion_plot import Drawing, headline, main, motion_figure, numbers, save

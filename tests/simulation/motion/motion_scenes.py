@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from polhode.config.scene import Scene
+from polhode.config.scene_settings import Scene
 from polhode.lie import Array
 from polhode.simulation.motion.mass import MassDistribution
 

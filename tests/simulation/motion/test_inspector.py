@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.config.scene import Scene
+from polhode.config.scene_settings import Scene
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, log_so3
 from polhode.simulation.motion.inspector import InspectorMotion, inspector_motion, reported_inspector

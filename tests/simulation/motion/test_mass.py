@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.config.loader import load_config
 from polhode.errors import InputError
 from polhode.simulation.bodies import Body, build_body

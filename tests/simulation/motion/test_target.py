@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.config.loader import load_config
 from polhode.lie import Array, log_so3, matrix_from_wxyz, transform_points
 from polhode.rigid_body import angular_momentum_N, rotational_energy

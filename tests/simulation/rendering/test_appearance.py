@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.bodies import Body, build_body

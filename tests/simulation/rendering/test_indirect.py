@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array
 from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.rendering.appearance import SurfaceAppearance

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import exp_so3, inverse_pose, make_pose
 from polhode.simulation.rendering.light import lights_in_body, sunlight
 

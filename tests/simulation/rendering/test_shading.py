@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.config import scene as config
+from polhode.config import scene_settings as config
 from polhode.lie import Array
 from polhode.records import Bools
 from polhode.simulation.bodies.part import Part, assemble

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from polhode.config.train import Corpus
+from polhode.config.train_settings import Corpus
 from polhode.frontend.networks.descriptor import DescriptorNet
 from polhode.train.corpus import scene_folder
 from polhode.train.descriptor.scores import main, table

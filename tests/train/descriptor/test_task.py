@@ -10,7 +10,7 @@ from safetensors import safe_open
 from torch.nn import functional
 
 from polhode.cli.main import main
-from polhode.config.train import Corpus, DescriptorTraining
+from polhode.config.train_settings import Corpus, DescriptorTraining
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.patch_descriptors import descriptor_network
 from polhode.frontend.features.patches import Patches, tangent_affines
@@ -29,8 +29,8 @@ from polhode.train.descriptor.batches import (
 from polhode.train.descriptor.scores import area_under_curve, score, validation_pairs
 from polhode.train.descriptor.surface_points import REPEAT_PX, ScenePoints, prepare_points
 from polhode.train.descriptor.task import Heads, descriptor_loss, matching_loss, rotation_agreement
-from polhode.train.loop import CHECKPOINT
 from polhode.train.task import Batch
+from polhode.train.training_loop import CHECKPOINT
 
 EXACT = DescriptorTraining(
     batch=60, frame_pairs=2, normal_noise_deg=0.0, fronto_parallel=0.0, place_noise_px=0.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.config.scene import Light, Motion, Render, Rig, Scene, TargetBody
+from polhode.config.scene_settings import Light, Motion, Render, Rig, Scene, TargetBody
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
 from polhode.frontend.rectification import Rectifier, make_rectifier

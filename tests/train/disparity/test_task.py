@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from polhode.config.frontend import Depth
-from polhode.config.train import DepthTraining
+from polhode.config.frontend_settings import Depth
+from polhode.config.train_settings import DepthTraining
 from polhode.frontend.disparity.learned import initial_disparity
 from polhode.frontend.disparity.sgbm import cut_crop
 from polhode.frontend.networks.disparity import CHANNELS, OUTPUTS, DisparityMixture

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 import polhode.simulation.dataset.sequence as sequence
-from polhode.config.scene import Scene
+from polhode.config.scene_settings import Scene
 from polhode.errors import InputError
 from polhode.progress import Advance, Silent
+from polhode.simulation.dataset.resumable_dataset import staged_dataset
 from polhode.simulation.dataset.sequence import simulate
-from polhode.simulation.dataset.staging import staged_dataset
 
 SCENE = Scene.model_validate(
     {

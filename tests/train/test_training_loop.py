@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from polhode.config.train import Schedule
+from polhode.config.train_settings import Schedule
 from polhode.errors import InputError, RunFailure
 from polhode.progress import Silent
 from polhode.train.curves import draw_curves, read_curves
-from polhode.train.loop import CHECKPOINT, TrainingLoop, learning_rate
 from polhode.train.task import Batch
+from polhode.train.training_loop import CHECKPOINT, TrainingLoop, learning_rate
 
 SETTING = {"seed": 1}
 SCHEDULE = Schedule(

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from polhode.atomic import replaced
 from polhode.config.loader import REMOVED
-from polhode.config.train import Schedule
+from polhode.config.train_settings import Schedule
 from polhode.errors import InputError, RunFailure
 from polhode.progress import Progress
 from polhode.train.curves import Curves
