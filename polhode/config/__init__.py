@@ -2,8 +2,8 @@
 
 In: YAML files and overrides of the command line. Out: a frozen ``Config``.
 
-- backend_settings, frontend_settings, mapping_settings, scene_settings, compare_settings, train_settings: every
-  setting, with its default, unit and description
+- backend_settings, frontend_settings, mapping_settings, scene_settings, compare_settings, train_settings: the
+  settings, with defaults, units and descriptions
 - loader: reading files, ``extends`` and overrides; errors of one line
 - keys: the tree of keys, read off the types, for help and errors
 - section: the base of every section
