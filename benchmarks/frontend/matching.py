@@ -6,7 +6,7 @@
 A method is written features-zoom+matcher: ``disk-1x+lightglue`` is DISK on the crop as it is, matched by
 LightGlue; without a matcher, mutual nearest neighbours; ``polhode`` alone has its own matcher. Methods whose
 weights are missing are left out, with the reason. What was measured before is read from the record, whatever
-has become of the method since: ``--again`` measures anew.
+has become of the method since: ``--again`` measures again.
 
 Frames 30 and 60 degrees of turn apart. Wrong stereo: the disparity is off by more than 1 px from every
 surface within a pixel. Correct: the two features show the same place of the body within 5 mm. Correct at

@@ -5,7 +5,7 @@
                                                                 with the poses of runs and their covariances,
                                                                 one for each sequence
     python -m benchmarks.mapping.mesh_quality SEQ --doubtful 3 1  every third pose off by 3 mm and 1 degree
-                        (sigma): with the covariance of the poses told to the fusion, and not, with
+                        (sigma): with the covariance of the poses given to the fusion, and not, with
                         these frames aligned to the surface of the others (the default), and exact
 
 Prints a line a sequence: distances to the true surface (as ``polhode evaluate``; "seen thrice":
@@ -66,11 +66,11 @@ class MeshOutcome:
 
 @dataclass(frozen=True)
 class Doubts:
-    """Errors of every third pose, and what the fusion is told of them."""
+    """Errors of every third pose, and whether the fusion is given their covariance."""
 
     shift_m: float
     turn_rad: float
-    told: bool
+    given: bool
     aligned: bool = False
 
     @property
@@ -78,7 +78,7 @@ class Doubts:
         """For the table."""
         if self.shift_m == self.turn_rad == 0.0:
             return "exact"
-        return "aligned" if self.aligned else "used" if self.told else "not used"
+        return "aligned" if self.aligned else "used" if self.given else "not used"
 
     def errors(self, count: int) -> Array:
         """(F, 4, 4) to be applied in G before the pose."""
@@ -150,7 +150,7 @@ def rebuild(
     """
     X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ X_NG
     fused_at = X_RG if doubts is None else X_RG @ doubts.errors(len(X_RG))
-    covariance = doubts.covariance(len(X_RG)) if doubts is not None and doubts.told else covariance_G
+    covariance = doubts.covariance(len(X_RG)) if doubts is not None and doubts.given else covariance_G
     depth_s = 0.0
 
     def timed() -> Iterator[tuple[DepthMap, Array]]:

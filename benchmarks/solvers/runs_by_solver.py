@@ -121,9 +121,9 @@ def solve_run(run: Path) -> tuple[MotionData, list[Stopped]]:
 
 def _stopped(data: MotionData, ended: SolvedMotion, seconds: float) -> Stopped:
     at, solution = ended.iterate, ended.solution
-    told = (solution.cost, solution.converged, solution.message)
+    outcome = (solution.cost, solution.converged, solution.message)
     r_N = at.p_NG + at.R_NG @ at.com_G
-    return Stopped(ended.solver, seconds, ended.iterations, *told, to_gain(data, at), r_N)
+    return Stopped(ended.solver, seconds, ended.iterations, *outcome, to_gain(data, at), r_N)
 
 
 def to_gain(data: MotionData, at: Iterate) -> float:

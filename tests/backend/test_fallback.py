@@ -1,4 +1,4 @@
-"""The last step of the back end: Gauss-Newton, or IPOPT where that comes to no end; the result says which."""
+"""The last step of the back end: Gauss-Newton, or IPOPT if that fails; the result says which."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ def test_equations_without_a_solution_are_left_to_ipopt(
     monkeypatch.setattr(GaussNewton, "solve", fails)
     found = solve(*cold, Backend())
     assert found.solver == "ipopt" and found.solution.converged
-    # where IPOPT fails too the caller is told
+    # where IPOPT fails too the caller learns of it
     monkeypatch.setattr(MotionProgram, "solve", fails)
     with pytest.raises(LinAlgError):
         solve(*cold, Backend())
@@ -92,8 +92,8 @@ def test_the_estimate_names_the_solver_that_found_it() -> None:
     sequence = generate(SCENE, 3)
     for config, name in ((Backend(), "gauss_newton"), (Backend(solver="ipopt"), "ipopt")):
         initial = initialize_motion(sequence.tracks, sequence.relative, config)
-        told = estimate_motion(sequence.tracks, initial, config, Silent()).solver
-        assert (told.name, told.converged) == (name, True)
+        result = estimate_motion(sequence.tracks, initial, config, Silent()).solver
+        assert (result.name, result.converged) == (name, True)
 
 
 def test_a_line_search_ends_no_higher_in_fewer_iterations(cold: tuple[MotionData, Iterate]) -> None:

@@ -51,7 +51,7 @@ def assert_consistent(lines: list[Case]) -> None:
     assert not any(missed(line) for line in lines)
     assert np.abs(deviations(lines)).max() < 4.0
     assert of(lines, "inside").min() > 0.97
-    # the noise of the pixels, though it is told from few observations of each landmark
+    # the noise of the pixels, though it is estimated from few observations of each landmark
     assert np.all((of(lines, "pixels") > 0.9) & (of(lines, "pixels") < 1.2))
 
 
@@ -89,7 +89,7 @@ def test_relative_poses_that_contradict_one_another_do_not_spoil_the_whole() -> 
     sequence = generate(replace(SCENE, outliers=0.2, wrong_pairs=0.35), 43)
     initial, estimate = run(sequence)
     assert not initial.connected.all()
-    # landmarks that the first motion put far off are placed anew
+    # landmarks that the first motion put far off are triangulated again
     assert np.mean(estimate.inlier_weight[~sequence.outlier] > 0.0) > 0.95
     assert np.mean(estimate.inlier_weight[sequence.outlier] > 0.0) < 0.05
     turn = np.swapaxes(sequence.X_NG[:, :3, :3], 1, 2) @ estimate.X_NG[:, :3, :3]

@@ -48,7 +48,7 @@ def test_what_does_not_converge_is_refused_unless_nothing_did() -> None:
 def _turned(
     estimate: MotionEstimate, frames: np.ndarray[tuple[int], np.dtype[np.int64]], angle_deg: float
 ) -> MotionEstimate:
-    """Some frames turned about the camera's axis, and all of them told in another body frame."""
+    """Some frames turned about the camera's axis, and all of them in another body frame."""
     X_NG = estimate.X_NG @ make_pose(exp_so3(np.array([0.3, -0.8, 1.1])), np.array([0.1, 0.0, 0.0]))
     about_z = exp_so3(np.array([0.0, 0.0, np.deg2rad(angle_deg)]))
     X_NG[frames, :3, :3] = about_z @ X_NG[frames, :3, :3]

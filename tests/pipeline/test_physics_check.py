@@ -123,8 +123,8 @@ def test_an_open_mesh_is_compared_by_its_hull_as_well_as_that_tells(example: Any
     # two plates: their hull is a box, they themselves enclose nothing
     sides = np.abs(box().triangles_center[:, 0]) > 0.059
     plates = trimesh.Trimesh(box().vertices, box().faces[sides], process=False)
-    told = check_physics(mass, surface_of(plates))
-    assert told is None or told.com_offset_G is None or "hull" in told.words[0]
+    result = check_physics(mass, surface_of(plates))
+    assert result is None or result.com_offset_G is None or "hull" in result.words[0]
 
 
 def test_no_surface_has_no_volume(example: Any) -> None:

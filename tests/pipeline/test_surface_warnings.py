@@ -34,7 +34,7 @@ QUICK = {
 class Defect:
     """What is wrong, and the words for it."""
 
-    told: str
+    message: str
     without_depth: tuple[int, ...] = ()
     """Frames whose depth is NaN all over"""
     poses: Callable[[int, Any], Any] = lambda k, X_RG: X_RG
@@ -119,7 +119,7 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
     assert main([*command, "--runtime.workers", "1", *options, *defect.options]) == 0
 
     summary = json.loads((folder / "summary.json").read_text())
-    line = [text for text in summary["warnings"] if text.startswith(defect.told)]
+    line = [text for text in summary["warnings"] if text.startswith(defect.message)]
     assert len(line) == 1, summary["warnings"]
     assert f"warning: {line[0]}" in capsys.readouterr().out.splitlines()
     assert line[0] in (folder / "log.txt").read_text()

@@ -1,4 +1,4 @@
-"""Opening sequences: what is read, what is dropped and told, and each bad input's one line."""
+"""Opening sequences: what is read, what is dropped with a warning, and each bad input's one line."""
 
 import shutil
 from collections.abc import Callable

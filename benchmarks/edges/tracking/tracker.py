@@ -52,7 +52,7 @@ class TrackerOptions:
     settled_px: float = 0.01
     """the pose has settled when the edges move by less, root mean square"""
     remade_px: float = 1.0
-    """control points are made anew when they have moved by this, root mean square"""
+    """control points are recomputed when they have moved by this, root mean square"""
     separation_px: float = SEPARATION_PX
     """control points that are nearer to another edge, side by side with it, do not count"""
     min_found: int = 12
@@ -87,7 +87,7 @@ class TrackingResult:
     """its C (6, 6) = sum of w f f^T, w the length that a point stands for times its robust weight"""
     iterations: int
     converged: bool
-    told: str
+    reason: str
     """why there is no pose, or what of it is not seen; empty when there is nothing to say"""
 
     @property
@@ -127,8 +127,8 @@ def track(
 ) -> TrackingResult:
     """Pose of the model in an image (H, W) of grey levels, from a guess X_RG (4, 4).
 
-    Never raises for what the image shows: `converged` and `told` say what went wrong. Deterministic: restarts
-    are drawn from a fixed seed.
+    Never raises for what the image shows: `converged` and `reason` say what went wrong. Deterministic:
+    restarts are drawn from a fixed seed.
     """
     wanted = wanted or TrackerOptions()
     grey = as_levels(image)
@@ -292,15 +292,15 @@ def _told(
     f = edge_motion(points, rig, X_RG, model.centre_G)
     information = observability(f, points.weight * robust, model.radius_m)
     if few or seen.sum() < wanted.min_found:
-        told = f"edges were found at {seen.sum()} of {len(points)} control points: too few for a pose"
+        reason = f"edges were found at {seen.sum()} of {len(points)} control points: too few for a pose"
     elif not settled:
-        told = f"the pose has not settled after {steps} steps"
+        reason = f"the pose has not settled after {steps} steps"
     else:
-        told = information.describe_unobservable()
+        reason = information.describe_unobservable()
     converged = settled and not few and seen.sum() >= wanted.min_found
     contrast = np.where(seen, contrast, 0.0)
     return TrackingResult(
-        X_RG, points, f, d, contrast, robust, view.beside, information, steps, converged, told
+        X_RG, points, f, d, contrast, robust, view.beside, information, steps, converged, reason
     )
 
 
@@ -310,7 +310,7 @@ def _too_few(points: int, wanted: TrackerOptions) -> str:
     return f"{points} control points are in sight, fewer than {wanted.min_found}"
 
 
-def _nothing(X_RG: Array, radius_m: float, told: str) -> TrackingResult:
+def _nothing(X_RG: Array, radius_m: float, reason: str) -> TrackingResult:
     """No control points, no information."""
     none = np.zeros((0, 2))
     points = ControlPoints(
@@ -320,7 +320,7 @@ def _nothing(X_RG: Array, radius_m: float, told: str) -> TrackingResult:
     information = observability(f, np.zeros(0), radius_m)
     empty = np.zeros(0)
     return TrackingResult(
-        X_RG, points, f, empty, empty, empty, np.zeros((0, 2), dtype=bool), information, 0, False, told
+        X_RG, points, f, empty, empty, empty, np.zeros((0, 2), dtype=bool), information, 0, False, reason
     )
 
 

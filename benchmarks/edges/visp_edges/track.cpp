@@ -155,7 +155,7 @@ void solve(const Settings &s, const View &view, std::ostream &out) {
   bool lost = false;
   try {
     for (unsigned round = 0; round < s.ranges.size(); round++) {
-      // Sites are sampled along the model as it is now; only a new start samples them anew.
+      // Sites are sampled along the model as it is now; only a new start samples them again.
       tracker.setMovingEdge(edges(s, s.ranges[round]));
       tracker.initFromPose(primed && round == 0 ? before : image, pose);
       for (unsigned k = 0; k < s.tracks; k++) {

@@ -180,7 +180,7 @@ def panel(canvas: Canvas, rng: np.random.Generator, base: float, richness: float
 
 @drawing
 def plain(canvas: Canvas, rng: np.random.Generator, base: float) -> None:
-    """Large pale patches, hardly to be told apart."""
+    """Large pale patches, hardly distinguishable."""
     canvas.code[:] = code(base)
     scatter_leaves(
         canvas, base, Leaves(smallest=14.0, largest=120.0, spread=0.05, coverings=1.5, relief=0.0), rng

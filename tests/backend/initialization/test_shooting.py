@@ -67,9 +67,12 @@ def test_a_sense_is_chosen_by_the_misfit_and_the_shorter_one_when_both_fit() -> 
     choice = choose_hypothesis(alike, dt_s)
     assert choice.name == "sphere"
     assert choice.turns_deg == pytest.approx((150.0, 210.0))
-    told = {"sphere": _trial(150.0, 3000.0, 1.0), "sphere" + OPPOSITE_DIRECTION: _trial(210.0, 1000.0, 10.0)}
-    assert choose_hypothesis(told, dt_s).name == "sphere" + OPPOSITE_DIRECTION
-    assert choose_hypothesis(told, dt_s).turns_deg is None
+    hypotheses = {
+        "sphere": _trial(150.0, 3000.0, 1.0),
+        "sphere" + OPPOSITE_DIRECTION: _trial(210.0, 1000.0, 10.0),
+    }
+    assert choose_hypothesis(hypotheses, dt_s).name == "sphere" + OPPOSITE_DIRECTION
+    assert choose_hypothesis(hypotheses, dt_s).turns_deg is None
     assert choose_hypothesis({"sphere": _trial(30.0, 5.0, 5.0)}, dt_s).turns_deg is None
 
 

@@ -217,27 +217,27 @@ def test_half_turns_and_frame_G_are_those_of_the_final_estimate(
         R_GP=online.R_GP * np.array([-1.0, 1.0, -1.0]),
     )
     for estimate in (online, flipped):
-        told = align_online_estimate(estimate, final)
-        apart = np.einsum("fij,fij->f", told.R_NP[-15:], final.R_NP[-15:])
+        aligned = align_online_estimate(estimate, final)
+        apart = np.einsum("fij,fij->f", aligned.R_NP[-15:], final.R_NP[-15:])
         assert np.all(apart > 2.9)
-        assert np.all(np.abs(told.w_P[-15:] - final.w_P[-15:]) < 0.05)
-        np.testing.assert_allclose(told.com_G[-1], final.mass.com_G, atol=2e-3)
-        np.testing.assert_allclose(told.X_NG[-1], final.X_NG[-1], atol=0.02)
+        assert np.all(np.abs(aligned.w_P[-15:] - final.w_P[-15:]) < 0.05)
+        np.testing.assert_allclose(aligned.com_G[-1], final.mass.com_G, atol=2e-3)
+        np.testing.assert_allclose(aligned.X_NG[-1], final.X_NG[-1], atol=0.02)
         # what does not depend on the frame G stays
-        r_N = transform_points(told.X_NG, told.com_G[:, None])[:, 0]
+        r_N = transform_points(aligned.X_NG, aligned.com_G[:, None])[:, 0]
         np.testing.assert_allclose(r_N, online.r_N, atol=1e-9)
-        np.testing.assert_allclose(told.X_NG[:, :3, :3] @ told.R_GP, told.R_NP, atol=1e-9)
+        np.testing.assert_allclose(aligned.X_NG[:, :3, :3] @ aligned.R_GP, aligned.R_NP, atol=1e-9)
 
 
 def test_names_change_and_sigmas_with_them(both: tuple[OnlineEstimate, MotionEstimate]) -> None:
     online, final = both
-    told = align_online_estimate(online, final)
-    before, after = (np.diagonal(e.covariance, axis1=1, axis2=2) for e in (online, told))
+    aligned = align_online_estimate(online, final)
+    before, after = (np.diagonal(e.covariance, axis1=1, axis2=2) for e in (online, aligned))
     np.testing.assert_array_equal(before, after)
     known = np.isfinite(online.cov_com_G).all(axis=(1, 2))
-    trace, told_trace = (np.trace(e.cov_com_G[known], axis1=1, axis2=2) for e in (online, told))
-    np.testing.assert_allclose(told_trace, trace, rtol=1e-9)
-    assert np.isfinite(inverse_pose(told.X_NG)).all()
+    trace, aligned_trace = (np.trace(e.cov_com_G[known], axis1=1, axis2=2) for e in (online, aligned))
+    np.testing.assert_allclose(aligned_trace, trace, rtol=1e-9)
+    assert np.isfinite(inverse_pose(aligned.X_NG)).all()
 
 
 def test_a_window_longer_than_the_sequence_is_said_and_works(tumble: SyntheticSequence) -> None:

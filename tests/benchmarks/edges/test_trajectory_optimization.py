@@ -160,22 +160,22 @@ def test_cameras_look_at_the_target_wherever_up_is() -> None:
     assert abs(up_R[0]) < 1e-12 and up_R[1] < 0.0
 
 
-def test_what_cannot_be_flown_is_told() -> None:
+def test_what_cannot_be_flown_is_refused_with_the_reason() -> None:
     model, target = block(), near_origin(tumbling())
     keep_out = volume(model, target)
 
-    def told(match: str, **changed: object) -> None:
+    def refuses(match: str, **changed: object) -> None:
         task = replace(WATCH, **changed)  # type: ignore[arg-type]
         with pytest.raises(InputError, match=match):
             best_trajectory(model, RIG, target, keep_out, task, (), subdivisions=0)
 
     assert min_range(model, RIG) == pytest.approx(0.580172 / np.sin(np.arctan(235.0 / 800.0)), rel=1e-4)
-    told("does not fit into the image", range_m=(1.0, 3.6))
-    told("the start is 3.2 m from the target", range_m=(2.15, 3.0))
-    told("phase angle", sun_N=np.array([0.0, 0.0, 1.0]))
-    told("no phase angle is left", phase_deg=(80.0, 60.0))
-    told("inside the keep-out volume", clearance_m=3.0)
-    told("the thrust reaches", max_accel_m_s2=1e-4)
+    refuses("does not fit into the image", range_m=(1.0, 3.6))
+    refuses("the start is 3.2 m from the target", range_m=(2.15, 3.0))
+    refuses("phase angle", sun_N=np.array([0.0, 0.0, 1.0]))
+    refuses("no phase angle is left", phase_deg=(80.0, 60.0))
+    refuses("inside the keep-out volume", clearance_m=3.0)
+    refuses("the thrust reaches", max_accel_m_s2=1e-4)
     # the far side is near enough through the target, but not around it
     far_side = {
         "goal_N": np.array([-0.1, 0.0, 2.6]),
@@ -183,4 +183,4 @@ def test_what_cannot_be_flown_is_told() -> None:
         "max_accel_m_s2": 0.015,
         "steps": 4,
     }
-    told("no trajectory was found", **far_side)
+    refuses("no trajectory was found", **far_side)

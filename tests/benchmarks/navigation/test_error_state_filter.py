@@ -1,4 +1,4 @@
-"""The navigation filter against finite differences, a batch solution, statistics, and what it is not told."""
+"""The navigation filter against finite differences, a batch solution, statistics; unobservable directions."""
 
 from collections.abc import Callable
 from dataclasses import replace

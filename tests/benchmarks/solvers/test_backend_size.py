@@ -1,4 +1,4 @@
-"""The parts of a run are told apart by the calls of its progress."""
+"""The parts of a run are distinguished by the calls of its progress."""
 
 import time
 from dataclasses import replace

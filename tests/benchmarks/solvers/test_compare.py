@@ -89,17 +89,17 @@ def test_what_is_stored_is_printed_and_nothing_is_measured(
     write_comparison(three, tmp_path / "growth" / "compare.json")
     monkeypatch.setattr(compare, "compare", lambda *_: pytest.fail("measured"))
     compare.main(stored=True, output=tmp_path)
-    told = capsys.readouterr().out
-    assert markdown(three, "gauss_newton") in told
-    assert "a: on the front: fast\n" in told
-    assert "gauss_newton, the default: on the front of time against accuracy on 0 of 3 problems" in told
-    assert "ablations: nothing stored" in told
+    printed = capsys.readouterr().out
+    assert markdown(three, "gauss_newton") in printed
+    assert "a: on the front: fast\n" in printed
+    assert "gauss_newton, the default: on the front of time against accuracy on 0 of 3 problems" in printed
+    assert "ablations: nothing stored" in printed
 
 
 def test_one_problem_has_a_table_of_all_prices() -> None:
     found = comparison([row("x", "a", 1.5), row("y", "a", 2.0, evaluation_s=None, linear_s=None,
                                                 not_separable="all in C++")])  # fmt: skip
-    told = markdown(found, "x")
-    assert "| x | ok | 0.0e+00 | 3 | 1.50 | 0.00 | 0.00 | 1.50 | 0.00 | 200 | 150 |  |  |" in told
-    assert "| y | ok | 0.0e+00 | 3 | 2.00 | 0.00 | n/s | n/s | 0.00 | 200 | 150 |  |  |" in told
-    assert "n/s, not separable (y): all in C++" in told
+    printed = markdown(found, "x")
+    assert "| x | ok | 0.0e+00 | 3 | 1.50 | 0.00 | 0.00 | 1.50 | 0.00 | 200 | 150 |  |  |" in printed
+    assert "| y | ok | 0.0e+00 | 3 | 2.00 | 0.00 | n/s | n/s | 0.00 | 200 | 150 |  |  |" in printed
+    assert "n/s, not separable (y): all in C++" in printed

@@ -40,8 +40,8 @@ def test_a_run_that_cannot_be_solved_costs_its_row_only(
     write_measurements(sequence.tracks, tmp_path / "measurements.npz")
     (tmp_path / "config.yaml").write_text("{}\n")
     main((tmp_path, run))
-    told = capsys.readouterr().out
-    assert "no relative poses are stored" in told
-    rows = [line for line in told.splitlines() if line.startswith("|")]
+    printed = capsys.readouterr().out
+    assert "no relative poses are stored" in printed
+    rows = [line for line in printed.splitlines() if line.startswith("|")]
     assert len({row.count("|") for row in rows}) == 1 and len(rows) == 4
-    assert "1 runs; Gauss-Newton alone ends more than 1e-06 above IPOPT in 0," in told
+    assert "1 runs; Gauss-Newton alone ends more than 1e-06 above IPOPT in 0," in printed

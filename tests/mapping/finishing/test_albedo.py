@@ -67,9 +67,9 @@ def test_sun_and_texture_of_a_lambert_sphere_are_recovered(
     grey = np.asarray(visual.vertex_colors)[:, 0] / found.grey_per_albedo
     # facing the Sun there was the light from around too
     error = grey / (1.08 * albedo(np.asarray(ball.vertices))) - 1.0
-    told = np.abs(error[lit_and_seen(ball, views)])
-    assert len(told) > 0.5 * len(error)
-    assert np.median(told) < 0.01 and np.percentile(told, 95) < 0.05
+    errors = np.abs(error[lit_and_seen(ball, views)])
+    assert len(errors) > 0.5 * len(error)
+    assert np.median(errors) < 0.01 and np.percentile(errors, 95) < 0.05
 
 
 def test_frames_in_a_planets_shadow_do_not_count(ball: trimesh.Trimesh, views: list[FrameView]) -> None:

@@ -40,7 +40,7 @@ def test_a_hole_in_a_flat_side_is_closed_to_the_area_that_was_cut() -> None:
     assert (found.closed, found.left_open) == (1, 0)
     assert mesh.is_volume and mesh.volume == pytest.approx(whole.volume, rel=1e-9)
     assert mesh.area_faces[invented].sum() == pytest.approx(whole.area - opened.area, rel=1e-9)
-    # what was measured stays as it is, and is told apart
+    # what was measured stays as it is, and is distinguished
     assert not invented[: len(opened.faces)].any() and invented[len(opened.faces) :].all()
     new = np.arange(len(mesh.vertices)) >= len(opened.vertices)
     assert new.any()

@@ -1,4 +1,4 @@
-"""The field as it grows: frames added, taken away, moved; what is told when little is known."""
+"""The field as it grows: frames added, taken away, moved; what is with_covariance when little is known."""
 
 from dataclasses import replace
 
@@ -146,9 +146,12 @@ def test_frames_whose_poses_are_doubtful_weigh_less(box: trimesh.Trimesh, frames
         doubtful = k % 3 == 0
         wrong.append((depth, moved(X_RG, shift, turn, seed=k) if doubtful else X_RG))
         covariance[k] = np.diag([shift**2] * 3 + [turn**2] * 3) if doubtful else np.eye(6) * 1e-10
-    told = fuse(wrong, RIG, CONFIG, covariance_G=covariance)
-    untold = fuse(wrong, RIG, CONFIG)
-    error = [distance_to_surface(box, np.asarray(s.mesh.vertices)).mean() for s in (told, untold)]
+    with_covariance = fuse(wrong, RIG, CONFIG, covariance_G=covariance)
+    without_covariance = fuse(wrong, RIG, CONFIG)
+    error = [
+        distance_to_surface(box, np.asarray(s.mesh.vertices)).mean()
+        for s in (with_covariance, without_covariance)
+    ]
     assert error[0] < 0.7 * error[1]
 
 
@@ -161,11 +164,16 @@ def test_a_pose_of_unknown_precision_counts_little_and_is_told_of(
         wrong.append((depth, moved(X_RG, 4e-3, 0.04, seed=k) if unknown else X_RG))
         if unknown:
             covariance[k, 0, 0] = (np.nan, np.inf)[k % 2]
-    told = fuse(wrong, RIG, CONFIG, covariance_G=covariance)
-    untold = fuse(wrong, RIG, CONFIG)
-    error = [distance_to_surface(box, np.asarray(s.mesh.vertices)).mean() for s in (told, untold)]
+    with_covariance = fuse(wrong, RIG, CONFIG, covariance_G=covariance)
+    without_covariance = fuse(wrong, RIG, CONFIG)
+    error = [
+        distance_to_surface(box, np.asarray(s.mesh.vertices)).mean()
+        for s in (with_covariance, without_covariance)
+    ]
     assert error[0] < 0.7 * error[1]
-    assert told.warnings == ("8 of 24 frames have a pose of unknown precision: they count as if 12 mm off",)
+    assert with_covariance.warnings == (
+        "8 of 24 frames have a pose of unknown precision: they count as if 12 mm off",
+    )
     # where nothing else saw the body they make the surface, with sigmas that say how little is known
     alone = fuse(frames, RIG, CONFIG, covariance_G=np.full((len(frames), 6, 6), np.nan))
     assert len(alone.mesh.faces) > 1000 and "24 of 24" in alone.warnings[0]
@@ -191,7 +199,7 @@ def test_a_turn_matters_far_from_its_axis_and_along_the_normal_alone() -> None:
 
 def test_a_full_field_says_so(frames: Frames) -> None:
     surface = fuse(frames, RIG, CONFIG.model_copy(update={"memory_mib": 2.0}))
-    assert any("field of 2 MiB is full" in told for told in surface.warnings)
+    assert any("field of 2 MiB is full" in warning for warning in surface.warnings)
     assert not surface.mesh.is_watertight
 
 

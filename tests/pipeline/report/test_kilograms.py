@@ -41,9 +41,9 @@ def test_what_is_known_in_kilograms_and_what_is_assumed_stand_apart(example: Any
     content = json.loads((tmp_path / "summary.json").read_text())
     assert content["inertia"]["mass_kg"] == 4.56 and content["inertia"]["sigma_scale_kg_m2"] is None
     assert content["assumed"]["mass_kg"] == 4.5
-    (told,) = content["unknown_pushes"]
-    assert (told["start_s"], told["end_s"]) == (2.0, 3.0)
-    assert told["sigma_delta_w_P"] == [None, None, None]
+    (pulse,) = content["unknown_pushes"]
+    assert (pulse["start_s"], pulse["end_s"]) == (2.0, 3.0)
+    assert pulse["sigma_delta_w_P"] == [None, None, None]
     page = (tmp_path / "report.html").read_text()
     for words in (
         "In kilograms, from known",

@@ -1,4 +1,4 @@
-"""report.html: needs nothing but itself, shows what the run holds, says in words what it lacks."""
+"""report.html: needs nothing but itself, shows what the run holds, says what it lacks."""
 
 import base64
 import json

@@ -32,8 +32,8 @@ def test_features_add_up_to_the_metric() -> None:
 
 def test_many_variances_at_once_are_infinite_where_the_metric_is() -> None:
     ball = edge_model(trimesh.creation.icosphere(3, 0.5))
-    told = feature_information(ball, RIG, poses(2))
-    for C, each in zip(told.total, variances(told.total, ball.radius_m), strict=True):
+    information = feature_information(ball, RIG, poses(2))
+    for C, each in zip(information.total, variances(information.total, ball.radius_m), strict=True):
         np.testing.assert_allclose(np.sqrt(each), EdgeObservability(C, ball.radius_m, 1).sigma, rtol=1e-6)
         assert np.isinf(each[3:]).all()
 
@@ -62,14 +62,14 @@ def test_the_rise_is_the_share_of_a_small_feature_and_exact_for_a_large_one() ->
 
 def test_what_nothing_else_tells_rises_without_bound() -> None:
     information = seen(block(), 1)
-    told = np.flatnonzero(information.C.trace(axis1=2, axis2=3)[0] > 0.0)
+    kept = np.flatnonzero(information.C.trace(axis1=2, axis2=3)[0] > 0.0)
     # one after the other goes, until the next one would be missed
     while True:
-        found = contributions(FeatureInformation(information.C[:, told], information.radius_m))
+        found = contributions(FeatureInformation(information.C[:, kept], information.radius_m))
         if np.isinf(found.rise).any():
             break
-        told = np.delete(told, np.argmin(found.rise.max(axis=1)))
-    assert 3 <= len(told) <= 6 and np.isfinite(found.sigma).all()
+        kept = np.delete(kept, np.argmin(found.rise.max(axis=1)))
+    assert 3 <= len(kept) <= 6 and np.isfinite(found.sigma).all()
 
 
 def test_painted_edges_have_the_colours_of_the_legend(tmp_path: Path) -> None:

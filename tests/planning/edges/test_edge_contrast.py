@@ -46,8 +46,8 @@ def test_behind_the_body_nothing_is_lit() -> None:
     assert len(points) > 50
     assert contrast(model, points, eye, -eye).max() == 0.0
     assert len(in_sunlight(model, points, eye, -eye)) == 0
-    told = feature_information(model, RIG, view(eye)[None], -eye[None])
-    assert not told.C.any()
+    information = feature_information(model, RIG, view(eye)[None], -eye[None])
+    assert not information.C.any()
 
 
 def test_a_body_throws_a_shadow_on_itself() -> None:

@@ -125,9 +125,9 @@ def test_a_staged_dataset_of_another_scene_or_program_is_cleared(
             patch.setattr(sequence, "_program_digest", lambda: "an older one")
         with pytest.raises(KeyboardInterrupt):
             simulate(other, 5 if change == "seed" else 4, tmp_path / "S", _Listener(2))
-    anew = _Listener()
-    simulate(SCENE, 4, tmp_path / "S", anew)
-    assert (anew.title, anew.frames) == ("rendering", 4)
+    second = _Listener()
+    simulate(SCENE, 4, tmp_path / "S", second)
+    assert (second.title, second.frames) == ("rendering", 4)
     assert _files(tmp_path / "S") == whole
 
 

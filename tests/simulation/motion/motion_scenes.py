@@ -14,7 +14,7 @@ MASS_KG = 4.0
 
 
 def scene_of(frames: int = 1, interval_s: float = 0.5, horizon_s: float = 0.0, **motion: Any) -> Scene:
-    """A scene whose target moves as told; attitude and spin are in the principal axes."""
+    """A scene whose target moves as described; attitude and spin are in the principal axes."""
     return Scene.model_validate(
         {
             "frames": frames,

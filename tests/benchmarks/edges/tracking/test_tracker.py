@@ -30,7 +30,7 @@ def test_a_pose_that_is_a_little_off_is_mended(box: EdgeModel, image: Array, see
     step = np.concatenate([0.01 * rng.standard_normal(3), np.deg2rad(1.0) * rng.standard_normal(3)])
     found = track(box, RIG, image, moved(POSE, step, box.centre_G))
     error = np.abs(pose_error(found.X_RG, POSE, box.centre_G))
-    assert found.converged and found.told == ""
+    assert found.converged and found.reason == ""
     assert found.found_share > 0.95 and found.sigma_px < 0.15
     # 0.1 px at 2.5 m; depth and turns through the metric
     assert (error < 0.15 * found.information.sigma).all()
@@ -76,18 +76,18 @@ def test_the_covariance_is_that_of_repeated_noise_where_contrast_is_even(box: Ed
 
 def test_a_target_behind_the_camera_is_said(box: EdgeModel, image: Array) -> None:
     found = track(box, RIG, image, make_pose(np.eye(3), [0.0, 0.0, -2.0]))
-    assert not found.converged and found.told == "the target is behind the camera"
+    assert not found.converged and found.reason == "the target is behind the camera"
     assert np.isinf(found.information.sigma).all()
 
 
 def test_a_target_beside_the_image_is_said(box: EdgeModel, image: Array) -> None:
     found = track(box, RIG, image, make_pose(np.eye(3), [9.0, 0.0, 2.0]))
-    assert not found.converged and found.told == "no edge is in sight"
+    assert not found.converged and found.reason == "no edge is in sight"
 
 
 def test_an_empty_image_is_said(box: EdgeModel) -> None:
     found = track(box, RIG, np.zeros((480, 640)), POSE)
-    assert not found.converged and "too few for a pose" in found.told
+    assert not found.converged and "too few for a pose" in found.reason
     assert found.found_share == 0.0 and np.isinf(found.sigma_px)
 
 
@@ -95,7 +95,7 @@ def test_a_sphere_gives_its_place_and_says_that_turns_are_not_seen() -> None:
     ball = edge_model(trimesh.creation.icosphere(4, 0.4))
     picture = drawn(ball.surface, POSE)
     found = track(ball, RIG, picture, moved(POSE, np.array([0.01, -0.008, 0.02, 0, 0, 0]), ball.centre_G))
-    assert found.converged and "rotation about" in found.told
+    assert found.converged and "rotation about" in found.reason
     assert np.isinf(found.information.sigma[3:]).all()
     assert (np.abs(pose_error(found.X_RG, POSE, ball.centre_G)[:3]) < [5e-4, 5e-4, 4e-3]).all()
 
@@ -104,7 +104,7 @@ def test_one_edge_says_what_it_does_not_tell(box: EdgeModel, image: Array) -> No
     points = clear_points(box, RIG, POSE, SPACING_PX)
     longest = int(np.bincount(points.feature).argmax())
     found = track(box.only(np.array([longest])), RIG, image, POSE, TrackerOptions(min_found=6))
-    assert found.converged and found.told.count("unobservable") == 4
+    assert found.converged and found.reason.count("unobservable") == 4
     assert np.isinf(found.information.sigma).any()
 
 
