@@ -21,7 +21,7 @@ from polhode.backend.initialization.multistart import (
     try_hypotheses,
 )
 from polhode.backend.initialization.rates import FAST_HINT, frame_rates
-from polhode.backend.noise.measurement_noise import NoiseScales, PrunedProblem, remove_outliers
+from polhode.backend.noise.outliers_and_noise import NoiseScales, PrunedProblem, remove_outliers
 from polhode.backend.noise.process_level import estimate_process_noise
 from polhode.backend.noise.systematic import with_systematic
 from polhode.backend.problem.iterate import Iterate

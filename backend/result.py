@@ -6,7 +6,7 @@ from polhode.backend.disturbances.known_wrench import with_absolute_scale
 from polhode.backend.disturbances.unknown_wrench import describe_impulse, estimate_impulses
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.initialization.rates import FAST_HINT
-from polhode.backend.noise.measurement_noise import NoiseScales, PrunedProblem, whitened_residuals
+from polhode.backend.noise.outliers_and_noise import NoiseScales, PrunedProblem, whitened_residuals
 from polhode.backend.problem.iterate import COM, ERR_THETA, XI, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton

@@ -33,7 +33,7 @@ from polhode.pipeline.pictures.body_views import (
     cosine_to_light,
     png,
 )
-from polhode.pipeline.report.figures.plot import FAINT, INK
+from polhode.pipeline.report.plot_style import FAINT, INK
 from polhode.planning.approach.corridor import Corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, slowest_points
 from polhode.planning.approach.tumbling_threshold import fuel_share

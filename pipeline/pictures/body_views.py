@@ -14,8 +14,8 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from polhode.lie import Array
 from polhode.mapping.visibility import MeshView, MeshViewer
-from polhode.pipeline.report.figures.plot import AXIS_COLORS, FAINT, GRID, INK, SIGMA_SCALE
-from polhode.pipeline.report.figures.shape import stretched, vertex_rgb
+from polhode.pipeline.report.plot_style import AXIS_COLORS, FAINT, GRID, INK, SIGMA_SCALE
+from polhode.pipeline.report.shape_figures import stretched, vertex_rgb
 from polhode.records import Bools, Landmarks, MassProperties, SurfaceModel
 
 DPI = 100

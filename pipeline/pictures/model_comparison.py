@@ -24,7 +24,7 @@ from polhode.dataset import StereoSequence
 from polhode.frontend.rectification import Rectifier, rectified_left
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.mapping.visibility import MeshViewer
-from polhode.pipeline.report.figures.shape import vertex_rgb
+from polhode.pipeline.report.shape_figures import vertex_rgb
 from polhode.records import Bools, Ints, MotionEstimate, StereoTracks
 
 MAX_PIXELS = 256

@@ -5,7 +5,12 @@ In: a run directory. Out: report.html.
 - page: fills the template with tables and figures; finish_run writes the summary and the report of a run
 - comparison: the page about several runs
 - tables: the finding in a sentence, and the rows of every table
-- figures/: the figures, one topic a file
+- motion_figures: centre of mass, attitude, angular velocity
+- rotation_figures: polhode, inertia ratios, energy and angular momentum
+- convergence_figures: the causal estimate after each frame
+- residual_figures: residuals against their noise, observations per frame and landmark
+- shape_figures: sparse map and surface
+- plot_style: axes, traces and colours that the figures share
 - templates/: the pages, Jinja
 """
 

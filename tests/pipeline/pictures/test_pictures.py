@@ -43,7 +43,7 @@ from polhode.pipeline.pictures.model_comparison import (
     signed_colours,
 )
 from polhode.pipeline.report import write_report
-from polhode.pipeline.report.figures.shape import vertex_rgb
+from polhode.pipeline.report.shape_figures import vertex_rgb
 from polhode.progress import Silent
 from polhode.records import Landmarks
 from tests.pipeline.stored_run import write_run

@@ -9,7 +9,7 @@ import pytest
 
 from polhode.config import Config
 from polhode.lie import make_pose
-from polhode.pipeline.report.figures.convergence import convergence_figures
+from polhode.pipeline.report.convergence_figures import convergence_figures
 from polhode.pipeline.report.tables import run_rows, sigma_rows
 from polhode.pipeline.run_directory.outputs import write_online_estimate
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run

@@ -7,7 +7,7 @@ import trimesh
 from trimesh.visual.color import ColorVisuals
 
 from polhode.lie import Array, inverse_pose
-from polhode.pipeline.report.figures.plot import (
+from polhode.pipeline.report.plot_style import (
     INK,
     SIGMA_SCALE,
     TIME_SCALE,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polhode.pipeline.report.figures.plot import (
+from polhode.pipeline.report.plot_style import (
     ACCENT,
     AXIS_COLORS,
     FAINT,

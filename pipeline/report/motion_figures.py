@@ -3,7 +3,7 @@
 import numpy as np
 
 from polhode.lie import Array
-from polhode.pipeline.report.figures.plot import (
+from polhode.pipeline.report.plot_style import (
     AXIS_COLORS,
     TIME_TITLE,
     Figure,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polhode.lie import Array, log_so3, transform_points
-from polhode.pipeline.report.figures.plot import (
+from polhode.pipeline.report.plot_style import (
     AXIS_COLORS,
     INK,
     Figure,

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from polhode.lie import Array
-from polhode.pipeline.report.figures.plot import (
+from polhode.pipeline.report.plot_style import (
     ACCENT,
     FAINT,
     INK,

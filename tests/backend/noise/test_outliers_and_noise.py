@@ -5,7 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend.noise.measurement_noise import estimate_noise, prune, remove_outliers, whitened_residuals
+from polhode.backend.noise.outliers_and_noise import (
+    estimate_noise,
+    prune,
+    remove_outliers,
+    whitened_residuals,
+)
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
