@@ -2,8 +2,8 @@
 
 - ``estimate``: full smoothing over the sequence; ``result``: what is reported of a solution.
 - ``window``: the causal estimate by a sliding window.
-- ``disturbances``: known and unknown forces and torques.
-- ``noise``: noise levels and outliers, from the data.
+- ``wrenches``: known and unknown forces and torques.
+- ``outliers_and_noise``: removal of outliers, and noise levels from the data.
 - ``uncertainty``: covariances, and what the motion determines.
 - ``initialization``: initial poses, rates and inertias.
 - ``solvers``: Gauss-Newton and IPOPT.

@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.disturbances.known_wrench import fit_known_wrench
-from polhode.backend.disturbances.unknown_wrench import find_disturbed_steps
 from polhode.backend.initialization.gaps import long_gaps
 from polhode.backend.initialization.initialize import robust_landmarks
 from polhode.backend.initialization.multistart import (
@@ -21,9 +19,9 @@ from polhode.backend.initialization.multistart import (
     try_hypotheses,
 )
 from polhode.backend.initialization.rates import FAST_HINT, frame_rates
-from polhode.backend.noise.outliers_and_noise import NoiseScales, PrunedProblem, remove_outliers
-from polhode.backend.noise.process_level import estimate_process_noise
-from polhode.backend.noise.systematic import with_systematic
+from polhode.backend.outliers_and_noise.outliers import NoiseScales, PrunedProblem, remove_outliers
+from polhode.backend.outliers_and_noise.process_level import estimate_process_noise
+from polhode.backend.outliers_and_noise.systematic import with_systematic
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.result import assemble
@@ -34,6 +32,8 @@ from polhode.backend.uncertainty.ambiguity import (
     choose_hypothesis,
     with_ambiguous_rotation,
 )
+from polhode.backend.wrenches.known_wrench import fit_known_wrench
+from polhode.backend.wrenches.unknown_wrench import find_disturbed_steps
 from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
 from polhode.lie import inverse_pose, make_pose

@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from polhode.backend.disturbances.known_wrench import with_absolute_scale
-from polhode.backend.disturbances.unknown_wrench import describe_impulse, estimate_impulses
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.initialization.rates import FAST_HINT
-from polhode.backend.noise.outliers_and_noise import NoiseScales, PrunedProblem, whitened_residuals
+from polhode.backend.outliers_and_noise.outliers import NoiseScales, PrunedProblem, whitened_residuals
 from polhode.backend.problem.iterate import COM, ERR_THETA, XI, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
@@ -28,6 +26,8 @@ from polhode.backend.uncertainty.principal_axes import (
     free_axis_covariance,
     ratio_covariance,
 )
+from polhode.backend.wrenches.known_wrench import with_absolute_scale
+from polhode.backend.wrenches.unknown_wrench import describe_impulse, estimate_impulses
 from polhode.lie import Array, make_pose
 from polhode.records import (
     Bools,

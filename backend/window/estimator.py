@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.spatial.transform import Rotation
 
-from polhode.backend.noise.systematic import online_with_systematic
+from polhode.backend.outliers_and_noise.systematic import online_with_systematic
 from polhode.backend.problem.iterate import COM, RATE
 from polhode.backend.window.add_frame import first_frame, next_frame
 from polhode.backend.window.causal_state import OnlineState, online_state, unknown_state

@@ -1,9 +1,9 @@
 """Noise levels as the window estimates them: of the pixels, and of the disturbances.
 
 The standard deviations of the pixels follow from the residuals of the active frames (as in
-``noise/outliers_and_noise.py``). The level of the disturbances maximizes the evidence of
-``noise/process_level.py`` on the history alone; the landmarks are eliminated there, and their part of the
-evidence does not depend on the level.
+``outliers_and_noise/outliers.py``). The level of the disturbances maximizes the evidence of
+``outliers_and_noise/process_level.py`` on the history alone; the landmarks are eliminated there, and their
+part of the evidence does not depend on the level.
 """
 
 from collections.abc import Callable
@@ -13,8 +13,8 @@ from functools import partial
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
 
-from polhode.backend.noise.outliers_and_noise import MAX_TAKEN_BY_POSES, MIN_OBSERVATIONS, scales_by_median
-from polhode.backend.noise.process_level import (
+from polhode.backend.outliers_and_noise.outliers import MAX_TAKEN_BY_POSES, MIN_OBSERVATIONS, scales_by_median
+from polhode.backend.outliers_and_noise.process_level import (
     ACCELERATION,
     CEILING_PSD,
     FLOOR_PSD,

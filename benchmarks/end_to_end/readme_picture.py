@@ -26,7 +26,7 @@ from polhode.errors import InputError
 from polhode.frontend.rectification import Crop, make_rectifier, rectified_pair, target_crop
 from polhode.lie import Array, exp_so3, inverse_pose, transform_points
 from polhode.pipeline.report.plot_style import TIME_SCALE
-from polhode.pipeline.report.rotation_figures import look_at, torque_free_path
+from polhode.pipeline.report.polhode_and_inertia_figures import look_at, torque_free_path
 from polhode.pipeline.report.shape_figures import stretched, vertex_rgb
 from polhode.pipeline.report.tables import finding
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun, read_stored_run

@@ -43,7 +43,7 @@ from polhode.frontend.features.surface_features import with_patch_size
 from polhode.frontend.matching.methods import Matches, match_method
 from polhode.frontend.matching.pairs import MIN_INLIERS
 from polhode.frontend.matching.ransac import ransac_rigid
-from polhode.frontend.tracks.guided import reconnect
+from polhode.frontend.tracks.guided_matching import reconnect
 from polhode.frontend.tracks.tracks import Association
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3
 from polhode.records import Bools, InitialMotion, Ints

@@ -17,7 +17,7 @@ from polhode.atomic import write_bytes
 from polhode.backend import initialize_motion
 from polhode.backend.estimate import fit
 from polhode.backend.initialization.multistart import initial_guesses
-from polhode.backend.noise.outliers_and_noise import PrunedProblem
+from polhode.backend.outliers_and_noise.outliers import PrunedProblem
 from polhode.backend.problem.inertia import FORMS, unit_determinant
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data

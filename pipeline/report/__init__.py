@@ -6,7 +6,7 @@ In: a run directory. Out: report.html.
 - comparison: the page about several runs
 - tables: the finding in a sentence, and the rows of every table
 - motion_figures: centre of mass, attitude, angular velocity
-- rotation_figures: polhode, inertia ratios, energy and angular momentum
+- polhode_and_inertia_figures: polhode, inertia ratios, energy and angular momentum
 - convergence_figures: the causal estimate after each frame
 - residual_figures: residuals against their noise, observations per frame and landmark
 - shape_figures: sparse map and surface

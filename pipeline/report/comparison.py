@@ -10,7 +10,7 @@ from polhode.lie import Array
 from polhode.pipeline.report import tables
 from polhode.pipeline.report.page import fill, run_name
 from polhode.pipeline.report.plot_style import TIME_TITLE, Figure, Trace, axis, layout, line
-from polhode.pipeline.report.rotation_figures import possible_bodies, ratio_ellipse, ratio_traces
+from polhode.pipeline.report.polhode_and_inertia_figures import possible_bodies, ratio_ellipse, ratio_traces
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 
 RUN_COLORS: tuple[str, ...] = (

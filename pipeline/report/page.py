@@ -22,8 +22,8 @@ from polhode.pipeline.report import tables
 from polhode.pipeline.report.convergence_figures import convergence_figures
 from polhode.pipeline.report.motion_figures import motion_figures
 from polhode.pipeline.report.plot_style import Figure
+from polhode.pipeline.report.polhode_and_inertia_figures import rotation_figures
 from polhode.pipeline.report.residual_figures import measurement_figures
-from polhode.pipeline.report.rotation_figures import rotation_figures
 from polhode.pipeline.report.shape_figures import shape_figures
 from polhode.pipeline.run_directory.stored_run import StoredPicture, StoredRun, read_stored_run
 from polhode.pipeline.run_directory.summary import write_summary

@@ -13,7 +13,7 @@ from polhode.backend import estimate_motion
 from polhode.cli.main import main
 from polhode.dataset_writer import write_png
 from polhode.errors import RunFailure
-from polhode.frontend.tracks.guided import reconnect
+from polhode.frontend.tracks.guided_matching import reconnect
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 from tests.pipeline.conftest import REST_FRAMES

@@ -18,7 +18,7 @@ from polhode.frontend.matching.pairs import (
     offset_matches,
     pairs_in_view,
 )
-from polhode.frontend.tracks.guided import reconnect
+from polhode.frontend.tracks.guided_matching import reconnect
 from polhode.frontend.tracks.tracks import join_matches
 from polhode.lie import exp_so3, inverse_pose, make_pose
 from polhode.records import InitialMotion, Ints

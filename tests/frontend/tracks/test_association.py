@@ -10,7 +10,7 @@ from polhode.config.frontend_settings import Frontend, GuidedMatching, Tracks
 from polhode.frontend.matching.matchers import DualSoftmax
 from polhode.frontend.matching.pairs import PairMatch, match_pairs, pairs_to_match, relative_poses
 from polhode.frontend.matching.ransac import NOISE_PX, fit_noisy, ransac_rigid
-from polhode.frontend.tracks.guided import consistent_matches, match_improbability, reconnect
+from polhode.frontend.tracks.guided_matching import consistent_matches, match_improbability, reconnect
 from polhode.frontend.tracks.tracks import (
     Association,
     LandmarkMap,

@@ -18,8 +18,12 @@ from polhode.errors import InputError
 from polhode.pipeline.report import finding, finish_run, write_report
 from polhode.pipeline.report.motion_figures import straight_line_residual
 from polhode.pipeline.report.plot_style import band, packed
+from polhode.pipeline.report.polhode_and_inertia_figures import (
+    confidence_ellipse,
+    largest_k1,
+    torque_free_path,
+)
 from polhode.pipeline.report.residual_figures import rms_per_frame
-from polhode.pipeline.report.rotation_figures import confidence_ellipse, largest_k1, torque_free_path
 from polhode.pipeline.report.shape_figures import MAX_FACES, cameras_in_target, thinned
 from polhode.pipeline.report.tables import metric_rows, with_sigma
 from polhode.pipeline.run_directory.archives import write_measurements

@@ -18,7 +18,12 @@ import numpy as np
 
 from polhode.backend.dynamics.propagation import propagate_derivatives, propagate_rotations
 from polhode.backend.dynamics.residuals import dynamics_jacobians
-from polhode.backend.noise.process_level import INDIFFERENT, LevelFit, estimate_process_noise, fit_level
+from polhode.backend.outliers_and_noise.process_level import (
+    INDIFFERENT,
+    LevelFit,
+    estimate_process_noise,
+    fit_level,
+)
 from polhode.backend.problem.inertia import inertia_derivative
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData

@@ -1,6 +1,6 @@
 """Noise from the data: residuals in, noise levels and the observations that agree out.
 
-- ``outliers_and_noise``: removal of observations that contradict the motion; noise of the pixels.
+- ``outliers``: removal of observations that contradict the motion; noise of the pixels.
 - ``process_level``: level of the disturbances, by maximum evidence.
 - ``systematic``: errors that all frames share, added to the covariances.
 """

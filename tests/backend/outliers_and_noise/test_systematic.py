@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.backend.noise.systematic import position_spread
+from polhode.backend.outliers_and_noise.systematic import position_spread
 from polhode.config.backend_settings import Backend
 from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
 from polhode.progress import Silent
