@@ -8,11 +8,10 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-import yaml
-
 from polhode.config import Config
 from polhode.config.keys import annotation_at, arrange, count_of, dotted, is_structured, leaves, options_of
 from polhode.errors import InputError
+from polhode.yaml_files import MAX_DEPTH, MAX_KEY_LENGTH, parse_yaml
 
 _NUMBER = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)
 _NULL = ("none", "null")
@@ -50,7 +49,13 @@ def _key_of(word: str) -> tuple[str, ...] | None:
     if not word.startswith("--"):
         return None
     path = tuple(word[2:].partition("=")[0].replace("-", "_").split("."))
-    return path if path[0] in Config.model_fields else None
+    if path[0] not in Config.model_fields:
+        return None
+    if len(path) > MAX_DEPTH or len(word.partition("=")[0]) > MAX_KEY_LENGTH:
+        raise InputError(
+            f"command line: {word[:60]}...: a key of {len(word)} characters; see --help for the keys"
+        )
+    return path
 
 
 def _take_values(path: tuple[str, ...], rest: list[str]) -> list[str]:
@@ -69,10 +74,7 @@ def _take_values(path: tuple[str, ...], rest: list[str]) -> list[str]:
 def _value(path: tuple[str, ...], given: list[str]) -> Any:
     annotation = annotation_at(Config, path)
     if is_structured(annotation):
-        try:
-            return yaml.safe_load(given[0])
-        except yaml.YAMLError:
-            raise InputError(f"command line: --{dotted(path)}: {given[0]!r} is not valid YAML") from None
+        return parse_yaml(given[0], f"command line: --{dotted(path)}")
     if len(given) == 1:
         if given[0].lower() in _NULL and type(None) in options_of(annotation):
             return None

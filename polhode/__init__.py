@@ -28,7 +28,8 @@ truth.py           the truth of a simulated sequence; only the evaluation may im
 metrics.py         errors of an estimate against the truth
 mesh_metrics.py    distances between meshes
 foreign_files.py   opening the files that others made: regular ones, of a limited size
-tables.py          CSV and YAML files, with errors that name file and line
+tables.py          tables and calibrations of a dataset, with errors that name file and line
+yaml_files.py      YAML, of limited size and depth
 ply.py             binary PLY files
 atomic.py          atomic writing of files
 rays.py            rays against triangles

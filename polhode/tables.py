@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from polhode.config.loader import read_yaml
 from polhode.errors import InputError
 from polhode.lie import Array, matrix_from_wxyz
 from polhode.records import Ints
+from polhode.yaml_files import read_yaml
 
 UNIT_TOLERANCE = 1e-2
 

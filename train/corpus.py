@@ -27,6 +27,7 @@ from polhode.processes import in_order
 from polhode.progress import Progress, Silent
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.sequence import SCENE_FILE, simulate
+from polhode.yaml_files import read_yaml
 
 MATERIALS = {
     "asteroid": ("regolith",),
@@ -214,7 +215,7 @@ def _claim(folder: Path, corpus: Corpus) -> None:
     drawn = {key: value for key, value in corpus.model_dump(mode="json").items() if key not in FREE_KEYS}
     note = folder / NOTE
     if note.is_file():
-        there = yaml.safe_load(note.read_text(encoding="utf-8"))
+        there = read_yaml(note)
         there = there if isinstance(there, dict) else {}
         other = [key for key, value in drawn.items() if there.get(key) != value]
         if other:

@@ -4,6 +4,7 @@ An error names the file (or the option) that set the value, the dotted key, and 
 """
 
 import logging
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from polhode.config import Config
 from polhode.config import keys as config_keys
 from polhode.errors import InputError
+from polhode.yaml_files import read_yaml
 
 _log = logging.getLogger(__name__)
 
@@ -41,7 +43,10 @@ REMOVED = frozenset(
 )
 """Settings of earlier versions that are constants now; the configuration of an old run may contain them."""
 EXTENDS = "extends"
+MAX_CHAIN = 16
+"""Files that extend each other."""
 COMMAND_LINE = "command line"
+_NAME = re.compile(r"[\w. -]{1,64}")
 
 
 @dataclass
@@ -107,28 +112,17 @@ def _chain(path: Path, above: tuple[Path, ...]) -> Iterator[tuple[Path, dict[str
     if path.resolve() in (other.resolve() for other in above):
         circle = " -> ".join(str(each) for each in (*above, path))
         raise InputError(f"{above[0]}: '{EXTENDS}' is circular: {circle}")
+    if len(above) >= MAX_CHAIN:
+        raise InputError(
+            f"{above[0]}: '{EXTENDS}' goes on over more than {MAX_CHAIN} files; join some of them"
+        )
     values = _read_section(path, above)
     base = values.pop(EXTENDS, None)
     if base is not None:
         if not isinstance(base, str):
-            raise InputError(f"{path}: '{EXTENDS}': expected the path of one file, got {base!r}")
+            raise InputError(f"{path}: '{EXTENDS}': expected the path of one file, got {_shown(base)}")
         yield from _chain(path.parent / base, (*above, path))
     yield path, values
-
-
-def read_yaml(path: Path, missing: str) -> Any:
-    """The content of a YAML file; raises InputError, for a missing file with the message ``missing``."""
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise InputError(missing) from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" line {mark.line + 1}" if mark is not None else ""
-        problem = getattr(error, "problem", None) or "syntax error"
-        raise InputError(f"{path}{where}: not valid YAML: {' '.join(problem.split())}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
 
 
 def _read_section(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
@@ -137,15 +131,10 @@ def _read_section(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     if loaded is None:
         return {}
     if not isinstance(loaded, dict):
-        raise InputError(f"{path}: expected keys such as 'frontend:' at the top, got {_shown(loaded)}")
-    return {str(key): _text_keys(value) for key, value in loaded.items()}
-
-
-def _text_keys(value: Any) -> Any:
-    """YAML allows numbers as keys; ours are all text, so that an unknown one is reported as such."""
-    if isinstance(value, dict):
-        return {str(key): _text_keys(inner) for key, inner in value.items()}
-    return value
+        # A configuration of someone else may extend any file: what stands in it is not repeated.
+        got = "something else" if above else _shown(loaded)
+        raise InputError(f"{path}{named}: expected keys such as 'frontend:' at the top, got {got}")
+    return loaded
 
 
 def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
@@ -203,6 +192,9 @@ def _one_line(layered: _Layered, problem: dict[str, Any]) -> str:
     if problem["type"] == "extra_forbidden":
         section = config_keys.section_at(Config, path[:-1]) or Config
         valid = [*section.model_fields, *([EXTENDS] if len(path) == 1 else [])]
+        if not _NAME.fullmatch(str(path[-1])):
+            # It may be a line of any file: a configuration of someone else can extend /etc/shadow.
+            return f"{source}: a key that is not a name; valid keys: {', '.join(valid)}"
         hint = config_keys.suggestion(str(path[-1]), valid)
         return f"{source}: unknown key '{key}';{hint} valid keys: {', '.join(valid)}"
     where = f"{source}: key '{key}'" if key else source

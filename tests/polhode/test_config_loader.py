@@ -1,5 +1,6 @@
 """Configuration files: what they may say, and the one line for each way to get it wrong."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,11 @@ import yaml
 from polhode.config import Config, Scene
 from polhode.config.loader import dump_config, load_config
 from polhode.errors import InputError
+
+BILLION = "a0: &a0 [x, x]\n" + "".join(
+    f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, 10)
+)
+"""370 bytes that stand for two billion values."""
 
 
 def write(path: Path, text: str) -> Path:
@@ -88,6 +94,34 @@ def test_an_error_names_the_file_of_the_chain_that_made_it(tmp_path: Path) -> No
     assert message_of(top).startswith(f"{base}: key 'backend.accel_psd': expected a number, got text 'none'")
 
 
+def test_a_chain_of_extends_has_a_limit(tmp_path: Path) -> None:
+    for k in range(40):
+        write(tmp_path / f"{k}.yaml", f"extends: {k + 1}.yaml")
+    assert "'extends' goes on over more than 16 files" in message_of(tmp_path / "0.yaml")
+
+
+@pytest.mark.parametrize("base", ["/dev/zero", "pipe", "folder", "huge"])
+def test_what_is_extended_must_be_a_small_regular_file(tmp_path: Path, base: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    with (tmp_path / "huge").open("wb") as stream:
+        stream.truncate(2**40)
+    message = message_of(write(tmp_path / "c.yaml", f"extends: {base}"))
+    assert "give a regular file" in message or "1 MB that a YAML file may have" in message
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["root:$6$salt$hash:19000:0:99999:7:::\nother:!:1:::\n", "root:$6$salt$hash:1:x\n", "- hash", "hash"],
+)
+def test_a_foreign_file_that_is_extended_is_not_repeated(tmp_path: Path, content: str) -> None:
+    """A configuration of someone else may extend /etc/shadow: to YAML that is a text, or a long key."""
+    write(tmp_path / "secret", content)
+    message = message_of(write(tmp_path / "c.yaml", "extends: secret"))
+    assert "at the top, got something else" in message or "a key that is not a name" in message
+    assert "hash" not in message
+
+
 BAD_FILES: dict[str, tuple[str, str]] = {
     "unknown key": (
         "backend: {inerta: ratios_axes}",
@@ -120,6 +154,21 @@ BAD_FILES: dict[str, tuple[str, str]] = {
     "list at top": ("- 1", "expected keys such as 'frontend:' at the top, got list [1]"),
     "syntax": ("seed: 1\nbackend: {accel_psd: [1\n", "c.yaml line 3: not valid YAML"),
     "tab": ("backend:\n\tseed: 1", "c.yaml line 2: not valid YAML"),
+    "aliases that stand for a billion values": (BILLION, "more than 200000 values, with those that aliases"),
+    "endless alias": ("a: &a [*a]", "c.yaml line 1: alias 'a' stands for a section that contains it"),
+    "deep lists": ("a: " + "[" * 100_000, "c.yaml line 1: nested more than 32 deep"),
+    "deep sections": ("{a: " * 100_000, "c.yaml line 1: nested more than 32 deep"),
+    "key given twice": ("seed: 1\nbackend: {}\nseed: 2", "c.yaml line 3: key 'seed' is given twice"),
+    "date": ("seed: 2024-99-99", "key 'seed': expected a whole number, got text '2024-99-99'"),
+    "time": ("seed: 190:20:30", "key 'seed': expected a whole number, got text '190:20:30'"),
+    "a Python object": ("seed: !!python/object/apply:os.getpid []", "c.yaml line 1: a type, 'python/object"),
+    "binary": ("seed: !!binary aGVsbG8=", "c.yaml line 1: a type, 'binary'; write the plain value alone"),
+    "100,000 digits": ("seed: " + "9" * 100_000, "c.yaml line 1: a number of 100000 characters"),
+    "long key": (f"'{'a' * 500}': 1", "c.yaml line 1: a key of 500 characters"),
+    "zero byte": ('frontend: {weights: {disk: "a\\0b"}}', "c.yaml line 1: a control character"),
+    "escape": ("seed: \x1b[31m", "c.yaml: not valid YAML: control characters are not allowed"),
+    "two documents": ("seed: 1\n---\nseed: 2", "c.yaml line 2: not valid YAML: but found another document"),
+    "list as key": ("[1]: 2", "c.yaml line 1: a list or a section as a key"),
     "extends a list": ("extends: [a, b]", "'extends': expected the path of one file"),
 }
 
