@@ -17,7 +17,8 @@ from polhode.compare.page import write_page
 from polhode.compare.problem.assessment import assess, reference_covariance, sigmas
 from polhode.compare.problem.blocks import compile_block
 from polhode.compare.problem.fingerprint import BASE, code_of, machine, of_problem, versions
-from polhode.compare.problem.measured_problem import MeasuredProblem, load, save
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.problem.problem_file import SUFFIX, read_problem, write_problem
 from polhode.compare.problem.sources import Source, sources
 from polhode.compare.ranking import performance_profiles
 from polhode.compare.registry import Entry, entries
@@ -26,12 +27,17 @@ from polhode.compare.solver_process import empty_row, row_of
 from polhode.compare.tables import csv_text
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
+from polhode.foreign_files import MIB, read_text
 from polhode.pipeline.run_directory.outputs import write_config
 from polhode.progress import Progress
 
 FILE = "compare.json"
 MARK, MARK_TEXT = ".polhode-compare", "An output folder of polhode compare, which may write here again.\n"
 """A folder with this file is ours, whatever else it contains."""
+
+PARTS = ("rows", "problems")
+MAX_ROW_BYTES = 16 * MIB
+"""A row holds a trace of some thousand points at most."""
 
 _log = logging.getLogger(__name__)
 
@@ -48,6 +54,7 @@ def compare(
     chosen = entries(config.compare.solvers)
     wanted = list(sources(config, data, run, truth))
     claim(folder)
+    _warn_of_pickles(folder)
     write_config(folder, config)
     # the first use on a machine compiles: that must not count as time of a solver
     compile_block()
@@ -62,7 +69,7 @@ def compare(
                 raise
             _log.warning("%s is left out: %s", source.name, failure)
             continue
-        problem = load(file)
+        problem = read_problem(file)
         key, cases, own = of_problem(problem), list(_cases(source.name, config, chosen)), []
         with progress.stage(f"solvers, {source.name}", len(cases)) as advance:
             for entry, case in cases:
@@ -105,20 +112,30 @@ def claim(folder: Path) -> None:
     ours = mark.is_file() and mark.read_text() == MARK_TEXT
     if folder.is_dir() and any(folder.iterdir()) and not ours:
         raise InputError(f"{folder}: contains files that are not a comparison; choose another folder")
+    link = next((folder / part for part in PARTS if (folder / part).is_symlink()), None)
+    if link is not None:
+        raise InputError(f"{link}: this is a link, which a comparison does not write through; remove it")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_text(mark, MARK_TEXT)
-        for part in ("rows", "problems"):
+        for part in PARTS:
             (folder / part).mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot write here ({error.strerror}); choose another -o") from error
 
 
+def _warn_of_pickles(folder: Path) -> None:
+    """Name the problems that earlier versions stored: reading such a file may execute what is in it."""
+    for old in sorted((folder / "problems").glob("*.pickle")):
+        _log.warning("%s: a problem as earlier versions stored it, which is not read; delete it", old)
+
+
 def _prepared(source: Source, folder: Path, config: Config, progress: Progress) -> Path:
-    """The file of a frozen problem, written each time: the same measurements give the same bytes."""
-    file = folder / "problems" / f"{source.name}.pickle"
+    """The file of a frozen problem, written each time and never one that the folder held before."""
+    store = folder / "problems" / source.name
+    file = folder / "problems" / f"{source.name}{SUFFIX}"
     with progress.stage(f"freezing {source.name}", 1) as advance:
-        save(source.problem(config, progress, file.with_suffix("")), file)
+        write_problem(source.problem(config, progress, store), file)
         advance()
     return file
 
@@ -129,12 +146,9 @@ def _row(
     """The stored row, when all that determines it is the same; else a new one."""
     name = f"{case.problem}.{case.solver}.{case.start}{case.seed}.json"
     path, wanted = folder / "rows" / name, stamp(key, entry, config.compare.limit_s)
-    if path.is_file():
-        # a row that another version wrote may not be readable
-        with suppress(ValueError, KeyError):
-            known = json.loads(path.read_text())
-            if known["stamp"] == wanted and known["row"]["status"] != "missing":
-                return Row.model_validate(known["row"])
+    known = _stored_row(path, wanted)
+    if known is not None:
+        return known
     left_s = deadline - perf_counter()
     if left_s <= 0.0:
         return empty_row(entry, case, "timeout", "not started: the time of the comparison was up")
@@ -146,6 +160,16 @@ def _row(
     write_text(path, json.dumps({"stamp": wanted, "row": row.model_dump(mode="json")}) + "\n")
     _log.info("%s: %s, %s", name, row.status, row.message)
     return row
+
+
+def _stored_row(path: Path, wanted: dict[str, Any]) -> Row | None:
+    """The row in the file if its stamp is the one wanted; None for another, or for no row at all."""
+    # a file of another version, or one that was damaged, is measured again
+    with suppress(InputError, ValueError, KeyError, TypeError, RecursionError):
+        known = json.loads(read_text(path, MAX_ROW_BYTES, "a row of a comparison"))
+        if known["stamp"] == wanted and known["row"]["status"] != "missing":
+            return Row.model_validate(known["row"])
+    return None
 
 
 def stamp(problem: str, entry: Entry, limit_s: float) -> dict[str, Any]:

@@ -21,7 +21,8 @@ from typing import Any
 
 from polhode.atomic import write_text
 from polhode.compare.problem.assessment import AGREED, PointAssessment, assess, gain_left, sigmas
-from polhode.compare.problem.measured_problem import MeasuredProblem, load
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.problem.problem_file import read_problem
 from polhode.compare.registry import Entry
 from polhode.compare.rows import Case, Row
 from polhode.compare.solver import (
@@ -92,7 +93,7 @@ def _partial_result(problem_file: Path, stem: Path, end: ProcessEnd, limit_s: fl
         status, message = "failed", _reason_of_end(end.code, end.stderr)
     known: dict[str, Any] = {"status": status, "message": message, "not_separable": ENDED}
     known |= {"wall_s": wall_s, "iterations": len(trace), "memory_mb": end.memory_mb, "trace": trace}
-    return storable(known | _assessed(load(problem_file), kept, x))
+    return storable(known | _assessed(read_problem(problem_file), kept, x))
 
 
 def _row(entry: Entry, case: Case, known: dict[str, Any]) -> Row:
@@ -157,7 +158,7 @@ def main(arguments: list[str]) -> None:
 
 def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> dict[str, Any]:
     """The parts of a row that this process knows."""
-    problem = load(problem_file)
+    problem = read_problem(problem_file)
     x = problem.start(case["start"], case["seed"])
     gain_left(problem, x)  # loads the compiled loops before the clock starts
     before = peak_mb()

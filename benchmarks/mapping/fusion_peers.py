@@ -20,10 +20,10 @@ Open3D and pycolmap: ``pip install polhode[mapping-peers]``; a peer that is miss
 
 import gc
 import os
-import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
@@ -47,6 +47,7 @@ from polhode.mapping.fusion.block_grid import TRUNCATION_VOXELS
 from polhode.mapping.fusion.field import Field, choose_voxel_m, fuse
 from polhode.mesh_metrics import compare_surfaces
 from polhode.pipeline.evaluation import seen_truth
+from polhode.pipeline.run_directory.archives import load_archive, write_arrays
 from polhode.records import DepthMap
 from polhode.truth import read_truth
 
@@ -184,6 +185,9 @@ Method = Callable[[Frames, RectifiedRig, Config, float], tuple[trimesh.Trimesh, 
 """Mesh, and seconds that the frames took"""
 
 
+_DEPTH = tuple(each.name for each in fields(DepthMap))
+
+
 class NotHereError(Exception):
     """A peer that is not installed or does not run on this machine."""
 
@@ -270,7 +274,7 @@ METHODS: dict[str, Method] = {
 
 def run_method(method: str, inputs: Path, output: Path) -> None:
     """One method in a process of its own: mesh and figures to ``output``."""
-    frames, rig, config, voxel_m = pickle.loads(inputs.read_bytes())
+    frames, rig, config, voxel_m = read_inputs(inputs)
     run = METHODS[method]
     try:
         # each three times, so that every method makes a surface
@@ -283,18 +287,34 @@ def run_method(method: str, inputs: Path, output: Path) -> None:
         peak = memory_mib("VmHWM") - before
         seconds = min(seconds, run(frames, rig, config, voxel_m)[1])
     except NotHereError as error:
-        output.write_bytes(pickle.dumps({"missing": str(error)}))
+        write_arrays(output, {"missing": np.asarray(str(error))})
         return
-    output.write_bytes(
-        pickle.dumps(
-            {
-                "vertices": np.asarray(mesh.vertices),
-                "faces": np.asarray(mesh.faces),
-                "seconds": seconds,
-                "mib": peak,
-            }
-        )
-    )
+    found = {"vertices": mesh.vertices, "faces": mesh.faces, "seconds": seconds, "mib": peak}
+    write_arrays(output, {name: np.asarray(value) for name, value in found.items()})
+
+
+def write_inputs(path: Path, frames: Frames, rig: RectifiedRig, config: Config, voxel_m: float) -> None:
+    """What a method gets, as named arrays, so that the process that reads them executes nothing."""
+    stacked = {name: np.stack([getattr(depth, name) for depth, _ in frames]) for name in _DEPTH}
+    numbers = {f"rig_{each.name}": np.asarray(getattr(rig, each.name)) for each in fields(rig)}
+    stacked |= {"X_RG": np.stack([X_RG for _, X_RG in frames]), "voxel_m": np.asarray(voxel_m)}
+    write_arrays(path, {**stacked, **numbers, "config": np.asarray(config.model_dump_json())})
+
+
+def read_inputs(path: Path) -> tuple[Frames, RectifiedRig, Config, float]:
+    """What ``write_inputs`` wrote."""
+    arrays = load_archive(path, path.name).arrays
+    frames = [
+        (DepthMap(*maps), X_RG)
+        for *maps, X_RG in zip(*(arrays[name] for name in (*_DEPTH, "X_RG")), strict=True)
+    ]
+    rig = RectifiedRig(**{each.name: arrays[f"rig_{each.name}"].item() for each in fields(RectifiedRig)})
+    return frames, rig, Config.model_validate_json(str(arrays["config"])), float(arrays["voxel_m"])
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """Mesh and figures of a method, or under ``missing`` why there are none."""
+    return load_archive(path, path.name).arrays
 
 
 def memory_mib(name: str) -> float:
@@ -315,12 +335,12 @@ def measure(folder: Path, config: Config) -> Iterator[list[object]]:
     voxel_m = choose_voxel_m([frame for frame, _ in frames[:5]], rectifier.rig, config.mapping)
     points = seen_truth(truth.mesh, X_NG, sequence, 3)
     with TemporaryDirectory() as scratch:
-        inputs, output = Path(scratch, "inputs"), Path(scratch, "output")
-        inputs.write_bytes(pickle.dumps((frames, rectifier.rig, config, voxel_m)))
+        inputs, output = Path(scratch, "inputs.npz"), Path(scratch, "output.npz")
+        write_inputs(inputs, frames, rectifier.rig, config, voxel_m)
         for method in METHODS:
             words = [sys.executable, "-m", "benchmarks.mapping.fusion_peers", "--worker", method]
             subprocess.run([*words, str(inputs), str(output)], check=True, env=_one_core())
-            found = pickle.loads(output.read_bytes())
+            found = read_result(output)
             name = [folder.name, len(frames), f"{voxel_m * 1e3:.2f}", method]
             yield [*name, *cells(found, truth.mesh, points, len(frames))]
 
@@ -328,11 +348,12 @@ def measure(folder: Path, config: Config) -> Iterator[list[object]]:
 def cells(found: dict[str, Any], truth: trimesh.Trimesh, points: Array, frames: int) -> list[object]:
     """Of the result of a method, or why there is none."""
     if "missing" in found:
-        return [found["missing"], *[""] * 6]
+        return [str(found["missing"]), *[""] * 6]
     mesh = trimesh.Trimesh(found["vertices"], found["faces"], process=False)
     m = compare_surfaces(mesh, truth, points)
     distances = numbers((m.chamfer_mm, m.accuracy_mm, m.completion_mm, m.completeness_3mm), ".3f")
-    return [*distances, len(mesh.faces), f"{found['seconds'] / frames:.4f}", f"{found['mib']:.0f}"]
+    seconds, mib = float(found["seconds"]) / frames, float(found["mib"])
+    return [*distances, len(mesh.faces), f"{seconds:.4f}", f"{mib:.0f}"]
 
 
 def _one_core() -> dict[str, str]:

@@ -5,15 +5,12 @@ the same measurements, before the first solver starts. The unknowns are relative
 attitudes are the reference and whose first pose defines G.
 """
 
-import pickle
 from dataclasses import dataclass, replace
 from itertools import permutations, product
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
-from polhode.atomic import write_bytes
 from polhode.backend import initialize_motion
 from polhode.backend.estimate import fit
 from polhode.backend.initialization.multistart import initial_guesses
@@ -225,16 +222,3 @@ def ratios(at: Iterate, data: MotionData) -> tuple[float, float]:
     """k1, k2 of an iterate."""
     moments = axes_derivative(data.form, at).moments
     return float(np.log(moments[0] / moments[1])), float(np.log(moments[1] / moments[2]))
-
-
-def save(problem: MeasuredProblem, path: Path) -> None:
-    """Write the file that the solvers' processes read."""
-    write_bytes(path, pickle.dumps(problem, protocol=4))
-
-
-def load(path: Path) -> MeasuredProblem:
-    """Read a file that ``save`` has written in the same comparison, never one from elsewhere."""
-    with path.open("rb") as stream:
-        problem = pickle.load(stream)
-    assert isinstance(problem, MeasuredProblem)
-    return problem

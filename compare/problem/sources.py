@@ -8,6 +8,7 @@ the time of a comparison that is resumed.
 import hashlib
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -22,6 +23,7 @@ from polhode.config.backend_settings import Backend
 from polhode.config.compare_settings import MonteCarlo, Motion
 from polhode.config.loader import dump_config
 from polhode.errors import InputError
+from polhode.foreign_files import MIB, read_text
 from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses, write_measurements
 from polhode.progress import Progress
 from polhode.records import Ints, RelativePoses, StereoTracks, Truth
@@ -47,6 +49,7 @@ CODE = (
 )  # fmt: skip
 """Our code by which the measurements of a dataset are made."""
 DISTRIBUTIONS = (*BASE, "torch", "opencv-python-headless", "kornia")
+MAX_STAMP_BYTES = MIB
 
 
 @dataclass(frozen=True)
@@ -150,8 +153,10 @@ def measure(
 
     file, stamp_file = store.with_suffix(".npz"), store.with_suffix(".json")
     stamp = _stamp(sequence, config)
-    if file.is_file() and stamp_file.is_file() and json.loads(stamp_file.read_text()) == stamp:
-        return read_measurements(file), read_relative_poses(file)
+    # what is damaged is made again
+    with suppress(InputError, ValueError, RecursionError):
+        if json.loads(read_text(stamp_file, MAX_STAMP_BYTES, "a stamp of measurements")) == stamp:
+            return read_measurements(file), read_relative_poses(file)
     stamp_file.unlink(missing_ok=True)
     context = open_context(sequence, config, progress)
     # The last solution has the best measurements.

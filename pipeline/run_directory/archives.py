@@ -18,7 +18,7 @@ from polhode.atomic import replaced
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.records import Ints, MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks, Wrench
+from polhode.records import Bools, Ints, MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks, Wrench
 
 Arrays = dict[str, NDArray[np.generic]]
 REMEDY = "run 'polhode run' again"
@@ -38,6 +38,7 @@ BODY_ORDER: tuple[str, ...] = tuple(name.replace("_P_", "_G_") for name in JOINT
 POSE_ORDER: tuple[str, ...] = tuple(f"{name}_G_{axis}" for name in ("shift", "turn") for axis in "xyz")
 """Rows and columns of the 6x6 covariance of X_NG."""
 
+_KINDS = {"fiu": "numbers", "iu": "whole numbers", "b": "booleans", "U": "a text"}
 _TRACKS = tuple(f.name for f in fields(StereoTracks) if f.name not in ("rig", "wrench"))
 
 
@@ -73,6 +74,7 @@ class Archive:
 
     file: Path
     arrays: Arrays
+    remedy: str = REMEDY
 
     def __contains__(self, name: str) -> bool:
         return name in self.arrays
@@ -97,6 +99,14 @@ class Archive:
         """A single finite number."""
         return float(self.numbers(name))
 
+    def flags(self, name: str, *shape: int | None) -> Bools:
+        """An array of booleans."""
+        return self._shaped(name, shape, "b").astype(np.bool_)
+
+    def text(self, name: str) -> str:
+        """A single text."""
+        return str(self._shaped(name, (), "U"))
+
     def times(self, name: str, count: int | None = None) -> Ints:
         """(n,) strictly increasing [ns]"""
         stamps = self.whole(name, count)
@@ -107,15 +117,14 @@ class Archive:
 
     def wrong(self, what: str) -> InputError:
         """The error to raise."""
-        return InputError(f"{self.file}: {what}; {REMEDY}")
+        return InputError(f"{self.file}: {what}; {self.remedy}")
 
     def _shaped(self, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[np.generic]:
         if name not in self.arrays:
             raise self.wrong(f"the array {name} is missing")
         values = self.arrays[name]
         if values.dtype.kind not in kinds:
-            kind = "numbers" if "f" in kinds else "whole numbers"
-            raise self.wrong(f"{name} holds {values.dtype}, expected {kind}")
+            raise self.wrong(f"{name} holds {values.dtype}, expected {_KINDS[kinds]}")
         fits = len(values.shape) == len(shape) and all(
             wanted in (None, size) for wanted, size in zip(shape, values.shape, strict=True)
         )
@@ -276,14 +285,14 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
-def load_archive(path: Path, name: str) -> Archive:
-    """Read the file, or that of this name in the folder of a run."""
+def load_archive(path: Path, name: str, remedy: str = REMEDY) -> Archive:
+    """Read the file, or that of this name in the folder of a run. ``remedy`` is what errors advise."""
     file = path / name if path.is_dir() else path
     if not file.is_file():
         raise InputError(f"{file}: no such file; give the folder of a run")
     try:
         with np.load(file, allow_pickle=False) as archive:
-            return Archive(file, {key: archive[key] for key in archive.files})
+            return Archive(file, {key: archive[key] for key in archive.files}, remedy)
     except (BadZipFile, ZlibError, ValueError, OSError, EOFError, AttributeError) as error:
         raise InputError(f"{file}: not a readable archive of arrays ({error})") from error
 

@@ -1,15 +1,17 @@
 """``polhode compare`` as a user meets it."""
 
 import json
+import pickle
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 
 from polhode.cli.main import main
-from polhode.compare.comparison import MARK, claim
+from polhode.compare.comparison import MARK, MARK_TEXT, claim
 from polhode.compare.problem.sources import SCENES
 from polhode.compare.rows import read_comparison
 from polhode.config.compare_settings import Motion
@@ -66,6 +68,50 @@ def test_a_stored_run_gives_table_csv_json_and_page(
     before = json.loads((out / "compare.json").read_text())["rows"]
     assert main(command) == 0
     assert json.loads((out / "compare.json").read_text())["rows"] == before
+
+
+class Trap:
+    """Unpickled, it makes a file."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return Path.touch, (self.file,)
+
+
+def test_the_comparison_of_another_person_runs_no_code(
+    config: Path, run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Everything in the folder that a comparison reads or once read is a trap, or not what it should be."""
+    out, sprung = tmp_path / "out", tmp_path / "sprung"
+    for part in ("rows", "problems"):
+        (out / part).mkdir(parents=True)
+    (out / MARK).write_text(MARK_TEXT)
+    trap = pickle.dumps(Trap(sprung))
+    for name in ("stored.pickle", "stored.problem.npz", "stored.npz"):
+        (out / "problems" / name).write_bytes(trap)
+    (out / "rows" / "stored.gauss_newton.cold0.json").write_text("[" * 100_000)
+    (out / "rows" / "stored.odometry.cold0.json").write_text("[]")
+    assert main(["compare", str(config), "--run", str(run), "-o", str(out), *SOLVERS]) == 0
+    assert not sprung.exists()
+    assert [row.status for row in read_comparison(out / "compare.json").rows] == ["ok", "baseline"]
+    named = [each.getMessage() for each in caplog.records if "stored.pickle" in each.getMessage()]
+    assert len(named) == 1 and "not read" in named[0]
+    assert (out / "problems" / "stored.pickle").read_bytes() == trap
+
+
+def test_rows_are_not_written_through_a_link(
+    config: Path, run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    claim(out)
+    (out / "rows").rmdir()
+    (out / "rows").symlink_to(elsewhere)
+    assert main(["compare", str(config), "--run", str(run), "-o", str(out), *SOLVERS]) == 2
+    assert "rows: this is a link" in capsys.readouterr().err
+    assert list(elsewhere.iterdir()) == []
 
 
 def test_what_has_no_time_left_is_a_row(config: Path, run: Path, tmp_path: Path, capsys: Capture) -> None:

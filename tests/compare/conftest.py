@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from polhode.compare.problem.measured_problem import MeasuredProblem, save
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.problem.problem_file import SUFFIX, write_problem
 from polhode.compare.problem.sources import SCENES, synthetic_problem
 from polhode.config.backend_settings import Backend
 
@@ -20,6 +21,6 @@ def small() -> MeasuredProblem:
 @pytest.fixture(scope="session")
 def small_file(small: MeasuredProblem, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same, as a solver's process reads it."""
-    path = tmp_path_factory.mktemp("problem") / "small.pickle"
-    save(small, path)
+    path = tmp_path_factory.mktemp("problem") / f"small{SUFFIX}"
+    write_problem(small, path)
     return path

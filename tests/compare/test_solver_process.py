@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from polhode.compare.problem.assessment import assess
-from polhode.compare.problem.measured_problem import load
+from polhode.compare.problem.problem_file import read_problem
 from polhode.compare.registry import ENTRIES, Entry, entries
 from polhode.compare.rows import Case, Row
 from polhode.compare.solver_process import row_of, storable
@@ -23,7 +23,7 @@ def row(small_file: Path, how: str, limit_s: float = 60.0) -> Row:
 
 def assert_start_is_kept(found: Row, small_file: Path) -> None:
     """The common cost of the point that it recorded, whatever cost it stated itself."""
-    problem = load(small_file)
+    problem = read_problem(small_file)
     at_start = assess(problem, problem.cold)
     assert found.kept == "best"
     assert found.cost == at_start.cost and found.k1 == at_start.k1

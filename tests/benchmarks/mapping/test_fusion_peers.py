@@ -1,6 +1,5 @@
 """Ours beside Open3D: rows of what is there, and a line for what is not."""
 
-import pickle
 import sys
 from pathlib import Path
 
@@ -8,7 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.mapping.fusion_peers import METHODS, cells, normals_of, run_method
+from benchmarks.mapping.fusion_peers import (
+    METHODS,
+    cells,
+    normals_of,
+    read_inputs,
+    read_result,
+    run_method,
+    write_inputs,
+)
 from polhode.config import Config
 from tests.mapping.analytic_depth import RIG, views_of
 
@@ -16,23 +23,34 @@ from tests.mapping.analytic_depth import RIG, views_of
 @pytest.fixture
 def inputs(tmp_path: Path) -> Path:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.08)
-    path = tmp_path / "inputs"
-    path.write_bytes(pickle.dumps((views_of(ball, 10, sigma_m=1e-3), RIG, Config(), 3e-3)))
+    path = tmp_path / "inputs.npz"
+    write_inputs(path, views_of(ball, 10, sigma_m=1e-3), RIG, Config(), 3e-3)
     return path
+
+
+def test_a_method_gets_what_was_written(inputs: Path) -> None:
+    frames, rig, config, voxel_m = read_inputs(inputs)
+    expected = views_of(trimesh.creation.icosphere(subdivisions=4, radius=0.08), 10, sigma_m=1e-3)
+    assert (rig, config, voxel_m, len(frames)) == (RIG, Config(), 3e-3, len(expected))
+    for (depth, X_RG), (as_made, pose) in zip(frames, expected, strict=True):
+        np.testing.assert_array_equal(X_RG, pose)
+        for name in ("depth_m", "sigma_m", "intensity", "target"):
+            np.testing.assert_array_equal(getattr(depth, name), getattr(as_made, name))
+            assert getattr(depth, name).dtype == getattr(as_made, name).dtype
 
 
 @pytest.mark.parametrize("method", ["ours", "ours again"])
 def test_ours_makes_the_surface(method: str, inputs: Path, tmp_path: Path) -> None:
-    run_method(method, inputs, tmp_path / "output")
-    found = pickle.loads((tmp_path / "output").read_bytes())
+    run_method(method, inputs, tmp_path / "output.npz")
+    found = read_result(tmp_path / "output.npz")
     assert np.linalg.norm(found["vertices"], axis=1) == pytest.approx(0.08, abs=6e-3)
     assert found["seconds"] > 0.0
 
 
 def test_colmap_fuses_and_meshes_without_cuda(inputs: Path, tmp_path: Path) -> None:
     pytest.importorskip("pycolmap")
-    run_method("colmap", inputs, tmp_path / "output")
-    found = pickle.loads((tmp_path / "output").read_bytes())
+    run_method("colmap", inputs, tmp_path / "output.npz")
+    found = read_result(tmp_path / "output.npz")
     assert np.median(np.linalg.norm(found["vertices"], axis=1)) == pytest.approx(0.08, abs=3e-3)
 
 
@@ -53,8 +71,8 @@ def test_a_peer_that_is_not_installed_is_a_row(
 ) -> None:
     for package in ("open3d", "pycolmap"):
         monkeypatch.setitem(sys.modules, package, None)
-    run_method(method, inputs, tmp_path / "output")
-    found = pickle.loads((tmp_path / "output").read_bytes())
+    run_method(method, inputs, tmp_path / "output.npz")
+    found = read_result(tmp_path / "output.npz")
     assert "pip install polhode[mapping-peers]" in str(
         cells(found, trimesh.creation.box(), np.zeros((0, 3)), 10)
     )

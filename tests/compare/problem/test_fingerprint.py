@@ -10,7 +10,8 @@ from polhode.compare import comparison
 from polhode.compare.comparison import stamp
 from polhode.compare.problem import fingerprint
 from polhode.compare.problem.fingerprint import code_of, of_problem
-from polhode.compare.problem.measured_problem import MeasuredProblem, load, save
+from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.compare.problem.problem_file import read_problem, write_problem
 from polhode.compare.registry import entries
 
 
@@ -50,8 +51,8 @@ def test_every_number_of_a_problem_is_in_its_fingerprint(small: MeasuredProblem)
 
 
 def test_it_is_the_same_for_the_same_problem(small: MeasuredProblem, tmp_path: Any) -> None:
-    save(small, tmp_path / "again.pickle")
-    assert of_problem(load(tmp_path / "again.pickle")) == of_problem(small)
+    write_problem(small, tmp_path / "again.problem.npz")
+    assert of_problem(read_problem(tmp_path / "again.problem.npz")) == of_problem(small)
     assert of_problem(replace(small, truth=None)) != of_problem(small)
 
 
