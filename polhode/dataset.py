@@ -14,7 +14,16 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from polhode.calibration import StereoCalibration, read_calibration
 from polhode.errors import InputError
-from polhode.images import Grey, UnreadableImage, bit_depth, has_content, read_mask, read_raw, to_grey
+from polhode.images import (
+    Grey,
+    UnreadableImage,
+    bit_depth,
+    has_content,
+    parallel_decodes,
+    read_mask,
+    read_raw,
+    to_grey,
+)
 from polhode.lie import Array, make_pose
 from polhode.records import Bools, Ints, Wrench
 from polhode.tables import attitudes_of, numbers_at, numbers_of, read_mapping, read_rows, timestamps_of
@@ -192,7 +201,8 @@ def _listed_files(camera: Path) -> dict[int, Path]:
 def _check_pairs(
     mav0: Path, pairs: list[tuple[Path, Path, int]], calibration: StereoCalibration, bits: int | None
 ) -> Iterator[_Checked]:
-    with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 16)) as pool:
+    at_once = parallel_decodes(calibration.width_px, calibration.height_px)
+    with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 16, at_once)) as pool:
         yield from pool.map(lambda pair: _check_pair(mav0, pair, calibration, bits), pairs)
 
 

@@ -5,6 +5,7 @@ import contextlib
 import io
 import json
 import logging
+import math
 import re
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,7 @@ from plotly.offline import get_plotlyjs
 
 from polhode.atomic import write_text
 from polhode.errors import InputError
+from polhode.images import MAX_PIXELS
 from polhode.pipeline.report import tables
 from polhode.pipeline.report.convergence_figures import convergence_figures
 from polhode.pipeline.report.motion_figures import motion_figures
@@ -148,10 +150,12 @@ def _embedded(picture: StoredPicture) -> tuple[str, str]:
     content = picture.content
     if picture.name in SHEETS:
         stream = io.BytesIO()
-        # A file that is not an image is left to the browser.
-        with contextlib.suppress(OSError):
-            Image.open(io.BytesIO(content)).convert("RGB").save(stream, "JPEG", quality=86)
-            content = stream.getvalue()
+        # A damaged or a hostile image is left to the browser.
+        with contextlib.suppress(Exception):
+            picture_of_run = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
+            if math.prod(picture_of_run.size) <= MAX_PIXELS:
+                picture_of_run.convert("RGB").save(stream, "JPEG", quality=86)
+                content = stream.getvalue()
     return picture.caption, _data_uri(content)
 
 

@@ -1,15 +1,19 @@
 """What the report is made from: the files of a run, each absent when the run did not get that far."""
 
 import json
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from polhode.errors import InputError
+from polhode.foreign_files import MIB, read_bytes
 from polhode.lie import Array
 from polhode.mapping.mesh_files import read_ply
 from polhode.pipeline.run_directory.archives import (
+    REMEDY,
     Covariance,
     MeasurementResiduals,
     read_covariance,
@@ -22,6 +26,10 @@ from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory, target_poses
 from polhode.records import Landmarks, OnlineEstimate, StereoTracks, SurfaceModel
+
+_log = logging.getLogger(__name__)
+
+MAX_PICTURE_BYTES = 32 * MIB
 
 
 @dataclass(frozen=True)
@@ -105,7 +113,19 @@ def _motion(folder: Path, summary: Summary) -> StoredMotion | None:
 
 def _pictures(folder: Path) -> tuple[StoredPicture, ...]:
     captions: dict[str, str] = _json(folder / "captions.json")
-    return tuple(StoredPicture(name, words, (folder / name).read_bytes()) for name, words in captions.items())
+    found = [StoredPicture(name, words, _content(folder, name)) for name, words in captions.items()]
+    return tuple(picture for picture in found if picture.content)
+
+
+def _content(folder: Path, name: str) -> bytes:
+    """A picture in the folder itself: captions cannot name other files of the machine. Empty: it is none."""
+    if Path(name).name != name:
+        raise InputError(f"{folder / 'captions.json'}: '{name}' is no file beside it; {REMEDY}")
+    content = read_bytes(folder / name, MAX_PICTURE_BYTES, "a picture")
+    if content.startswith((b"\x89PNG\r\n", b"\xff\xd8\xff")):
+        return content
+    _log.warning("%s is neither PNG nor JPEG and is left out", folder / name)
+    return b""
 
 
 def _json(file: Path) -> dict[str, Any]:

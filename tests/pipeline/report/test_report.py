@@ -208,6 +208,24 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
         write_report(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("../secret.png", "is no file beside it"),
+        ("/etc/hostname", "is no file beside it"),
+        ("absent.png", "is missing"),
+    ],
+)
+def test_captions_name_no_other_files(example: Any, tmp_path: Path, name: str, message: str) -> None:
+    folder = _write(tmp_path / "run", example, None)
+    pictures = folder / "pictures"
+    pictures.mkdir(exist_ok=True)
+    (folder / "secret.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    (pictures / "captions.json").write_text(json.dumps({name: "a caption"}))
+    with pytest.raises(InputError, match=message):
+        read_stored_run(folder, "run")
+
+
 def test_the_finding_names_rate_axis_and_ratios(example: Any) -> None:
     summary = build_summary(example.tracks, example.estimate, example.surface, {})
     w_P = np.tile([0.0, 0.02, 1.0], (24, 1))

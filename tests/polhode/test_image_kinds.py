@@ -1,0 +1,221 @@
+"""Images of every kind that Pillow writes: read as stored, or refused with their reason, before decoding."""
+
+import io
+import os
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image, PngImagePlugin
+
+from polhode.images import MAX_PIXELS, UnreadableImage, parallel_decodes, read_mask, read_raw
+
+WIDTH, HEIGHT = 12, 8
+GREY = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) * 2).astype(np.uint8)
+DEEP = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) * 600).astype(np.uint16)
+WHOLE = DEEP.astype(np.int32)
+
+
+def _saved(path: Path, image: Image.Image, **options: Any) -> Path:
+    image.save(path, **options)
+    return path
+
+
+def _read(path: Path) -> np.ndarray[Any, Any]:
+    return np.asarray(read_raw(path, WIDTH, HEIGHT))
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.bmp", "a.pgm"])
+@pytest.mark.parametrize("mode", ["L", "RGB", "P", "1"])
+def test_grey_colour_palette_and_one_bit_are_read(tmp_path: Path, name: str, mode: str) -> None:
+    if mode == "P" and name == "a.pgm":
+        pytest.skip("PGM has no palette")
+    image = Image.fromarray(GREY).convert(mode)
+    path = _saved(tmp_path / (name if mode != "RGB" else name.replace("pgm", "ppm")), image)
+    np.testing.assert_array_equal(_read(path), np.asarray(image.convert("L")))
+
+
+@pytest.mark.parametrize("mode", ["LA", "RGBA"])
+@pytest.mark.parametrize("name", ["a.png", "a.tif"])
+def test_transparency_is_ignored(tmp_path: Path, name: str, mode: str) -> None:
+    image = Image.fromarray(GREY).convert(mode)
+    image.putalpha(Image.fromarray(GREY[::-1].copy()))
+    path = _saved(tmp_path / name, image)
+    np.testing.assert_array_equal(_read(path), GREY)
+    np.testing.assert_array_equal(read_mask(path, WIDTH, HEIGHT), GREY > 0)
+
+
+@pytest.mark.parametrize("quality", [95])
+def test_jpeg_is_read(tmp_path: Path, quality: int) -> None:
+    path = _saved(tmp_path / "a.jpg", Image.fromarray(GREY), quality=quality)
+    assert np.abs(_read(path).astype(int) - GREY).max() < 20
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.pgm"])
+def test_sixteen_bits_of_any_byte_order_come_as_stored(tmp_path: Path, name: str) -> None:
+    np.testing.assert_array_equal(_read(_saved(tmp_path / name, Image.fromarray(DEEP))), DEEP)
+
+
+def test_big_endian_tiff_comes_as_stored(tmp_path: Path) -> None:
+    image = Image.frombytes("I;16B", (WIDTH, HEIGHT), DEEP.astype(">u2").tobytes())
+    path = _saved(tmp_path / "a.tif", image)
+    assert path.read_bytes()[:2] in (b"MM", b"II")
+    np.testing.assert_array_equal(_read(path), DEEP)
+
+
+def test_a_pgm_of_12_bits_comes_as_stored(tmp_path: Path) -> None:
+    values = (DEEP >> 4).astype(">u2")
+    path = tmp_path / "a.pgm"
+    path.write_bytes(b"P5 %d %d 4095\n" % (WIDTH, HEIGHT) + values.tobytes())
+    np.testing.assert_array_equal(_read(path), values)
+
+
+def test_32_bits_are_read_where_the_values_fit_16(tmp_path: Path) -> None:
+    np.testing.assert_array_equal(_read(_saved(tmp_path / "a.tif", Image.fromarray(WHOLE))), DEEP)
+
+
+@pytest.mark.parametrize("read", [read_raw, read_mask])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30, 0.5, -1.0])
+def test_floating_point_values_are_refused(
+    tmp_path: Path, read: Callable[[Path, int, int], object], value: float
+) -> None:
+    values = np.full((HEIGHT, WIDTH), value, np.float32)
+    path = _saved(tmp_path / "a.tif", Image.fromarray(values))
+    with pytest.raises(UnreadableImage, match="floating-point values"):
+        read(path, WIDTH, HEIGHT)
+
+
+@pytest.mark.parametrize(
+    ("offset", "message"), [(-1, "negative values"), (2**16, "values of more than 16 bits")]
+)
+def test_values_beyond_16_bits_are_refused(tmp_path: Path, offset: int, message: str) -> None:
+    path = _saved(tmp_path / "a.tif", Image.fromarray(WHOLE + np.int32(offset)))
+    with pytest.raises(UnreadableImage, match=message):
+        _read(path)
+
+
+@pytest.mark.parametrize("mode", ["CMYK", "LAB"])
+def test_colours_of_printing_are_refused(tmp_path: Path, mode: str) -> None:
+    image = Image.new(mode, (WIDTH, HEIGHT))
+    for read in (read_raw, read_mask):
+        with pytest.raises(UnreadableImage, match=f"colours of the kind {mode}"):
+            read(_saved(tmp_path / "a.tif", image), WIDTH, HEIGHT)
+
+
+def _png(colour: int, depth: int, row: bytes) -> bytes:
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        check = zlib.crc32(kind + content)
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", WIDTH, HEIGHT, depth, colour, 0, 0, 0))
+    body = chunk(b"IDAT", zlib.compress((b"\0" + row) * HEIGHT))
+    return b"\x89PNG\r\n\x1a\n" + head + body + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("colour", [2, 4, 6])
+def test_colours_of_16_bits_are_refused(tmp_path: Path, colour: int) -> None:
+    # Pillow keeps their upper bytes alone: an image of a 12-bit camera would become black.
+    channels = {2: 3, 4: 2, 6: 4}[colour]
+    path = tmp_path / "a.png"
+    path.write_bytes(_png(colour, 16, b"\0\1" * channels * WIDTH))
+    with pytest.raises(UnreadableImage, match="colours of 16 bits"):
+        _read(path)
+
+
+def test_white_as_zero_is_refused_where_pillow_ignores_it(tmp_path: Path) -> None:
+    path = _saved(tmp_path / "a.tif", Image.fromarray(DEEP), tiffinfo={262: 0})
+    with pytest.raises(UnreadableImage, match="zero is white"):
+        _read(path)
+
+
+def test_only_the_first_page_is_read(tmp_path: Path) -> None:
+    pages = [Image.fromarray(np.full((HEIGHT, WIDTH), level, np.uint8)) for level in (10, 20)]
+    path = _saved(tmp_path / "a.tif", pages[0], save_all=True, append_images=pages[1:])
+    assert (_read(path) == 10).all()
+    path = _saved(tmp_path / "a.png", pages[0], save_all=True, append_images=pages[1:])
+    assert (_read(path) == 10).all()
+
+
+@pytest.mark.parametrize("name", ["a.eps", "a.gif", "a.webp", "a.ico", "a.pdf", "a.tga", "a.pcx", "a.dds"])
+def test_other_formats_are_not_tried_whatever_their_name(tmp_path: Path, name: str) -> None:
+    content = io.BytesIO()
+    Image.fromarray(GREY).save(content, format=Image.registered_extensions()[Path(name).suffix])
+    path = tmp_path / "a.png"
+    path.write_bytes(content.getvalue())
+    with pytest.raises(UnreadableImage, match="not an image in PNG, TIFF, JPEG, BMP or PGM"):
+        _read(path)
+
+
+def test_pixels_as_plain_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.pgm"
+    path.write_bytes(b"P2 %d %d 255\n" % (WIDTH, HEIGHT) + b"7 " * WIDTH * HEIGHT)
+    with pytest.raises(UnreadableImage, match="plain text or run lengths"):
+        _read(path)
+
+
+@pytest.mark.parametrize("read", [read_raw, read_mask])
+def test_the_size_is_compared_before_anything_is_decoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read: Callable[[Path, int, int], object]
+) -> None:
+    path = tmp_path / "a.png"
+    rows = zlib.compressobj(9)
+    body = b"".join([*(rows.compress(bytes(1 + 13_000)) for _ in range(13_000)), rows.flush()])
+    head = struct.pack(">IIBBBBB", 13_000, 13_000, 8, 0, 0, 0, 0)
+    chunks = [(b"IHDR", head), (b"IDAT", body), (b"IEND", b"")]
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + b"".join(
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+            for kind, data in chunks
+        )
+    )
+    monkeypatch.setattr(Image.Image, "load", lambda _: pytest.fail("decoded"))
+    monkeypatch.setattr(PngImagePlugin.PngImageFile, "load", lambda _: pytest.fail("decoded"))
+    with pytest.raises(UnreadableImage, match="wrong size, 13000x13000 px instead of 640x480 px"):
+        read(path, 640, 480)
+
+
+def test_a_file_larger_than_any_of_its_size_is_refused(tmp_path: Path) -> None:
+    path = _saved(tmp_path / "a.png", Image.fromarray(GREY))
+    os.truncate(path, 10**9)
+    with pytest.raises(UnreadableImage, match=r"has 1 GB, more than the 16\.8 MB that an image of 12x8 px"):
+        _read(path)
+
+
+def test_a_pipe_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.png")
+    with pytest.raises(UnreadableImage, match="is a pipe"):
+        _read(tmp_path / "a.png")
+
+
+def test_a_jpeg_of_many_scans_is_refused(tmp_path: Path) -> None:
+    path = _saved(tmp_path / "a.jpg", Image.fromarray(GREY), progressive=True)
+    content = path.read_bytes()
+    scan = content.rindex(b"\xff\xda")
+    path.write_bytes(content[:scan] + content[scan:-2] * 500 + content[-2:])
+    with pytest.raises(UnreadableImage, match=r"a JPEG of 50\d scans"):
+        _read(path)
+
+
+def test_texts_of_a_png_that_inflate_are_refused(tmp_path: Path) -> None:
+    texts = PngImagePlugin.PngInfo()
+    texts.add_text("bomb", "0" * 10**7, zip=True)
+    path = _saved(tmp_path / "a.png", Image.fromarray(GREY), pnginfo=texts)
+    with pytest.raises(UnreadableImage, match="damaged or truncated"):
+        _read(path)
+
+
+def test_large_images_are_read_in_strips(tmp_path: Path) -> None:
+    values = np.random.default_rng(0).integers(0, 2**12, (2100, 3000)).astype(np.uint16)
+    path = _saved(tmp_path / "a.tif", Image.fromarray(values))
+    np.testing.assert_array_equal(read_raw(path, 3000, 2100), values)
+    np.testing.assert_array_equal(read_mask(path, 3000, 2100), values > 0)
+
+
+def test_few_large_images_are_decoded_at_once() -> None:
+    assert parallel_decodes(8000, MAX_PIXELS // 8000) == 1
+    assert parallel_decodes(640, 480) >= 8
