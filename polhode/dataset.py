@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from polhode.calibration import StereoCalibration, read_calibration
 from polhode.errors import InputError
+from polhode.foreign_files import CONFIGURATION_BYTES, MissingFile, read_text
 from polhode.images import (
     Grey,
     UnreadableImage,
@@ -26,10 +28,12 @@ from polhode.images import (
 )
 from polhode.lie import Array, make_pose
 from polhode.records import Bools, Ints, Wrench
-from polhode.tables import attitudes_of, numbers_at, numbers_of, read_mapping, read_rows, timestamps_of
+from polhode.tables import attitudes_of, numbers_at, read_listing, read_mapping, read_table
 
 MIN_PAIRS = 3
 MAX_LOSS = 0.6
+PAIRS_AHEAD = 64
+"""Pairs that are checked at a time when a sequence is opened."""
 SAME_POSITION_M = 1e-9
 SAME_ROTATION = 1e-9
 
@@ -136,18 +140,24 @@ def open_sequence(folder: Path) -> StereoSequence:
     mav0 = _require_folders(folder)
     calibration = read_calibration(mav0)
     bits = calibration.bits
-    left, right = (_listed_files(mav0 / name) for name in ("cam0", "cam1"))
+    left, right = (read_listing(mav0 / name / "data.csv") for name in ("cam0", "cam1"))
     listed = sorted(left.keys() | right.keys())
-    paired = [stamp for stamp in listed if stamp in left and stamp in right]
-    reasons = {
-        stamp: f"only in {'cam0' if stamp in left else 'cam1'}" for stamp in listed if stamp not in paired
+    reasons = _without_files(mav0, left, right)
+    # Images are decoded only while enough frames can remain.
+    _require_enough(folder, reasons, len(listed))
+    paired = [stamp for stamp in listed if stamp not in reasons]
+    files = {
+        stamp: (mav0 / "cam0" / "data" / left[stamp], mav0 / "cam1" / "data" / right[stamp])
+        for stamp in paired
     }
-    files = [(left[stamp], right[stamp], stamp) for stamp in paired]
-    checked = dict(zip(paired, _check_pairs(mav0, files, calibration, bits), strict=True))
-    reasons |= {stamp: check.reason for stamp, check in checked.items() if check.reason is not None}
+    checked: dict[int, _Checked] = {}
+    for stamp, check in zip(paired, _check_pairs(mav0, files, calibration, bits), strict=True):
+        checked[stamp] = check
+        if check.reason is not None:
+            reasons[stamp] = check.reason
+            _require_enough(folder, reasons, len(listed), unchecked=len(paired) - len(checked))
     usable = [stamp for stamp in paired if stamp not in reasons]
     dropped = tuple(sorted(reasons.items()))
-    _require_enough(folder, usable, dropped, len(listed))
     if not any(checked[stamp].content for stamp in usable):
         message = "all frames are black: no image shows anything above the noise"
         raise InputError(f"{folder}: {message}; check exposure and lens cap")
@@ -170,7 +180,7 @@ def open_sequence(folder: Path) -> StereoSequence:
         dropped=dropped,
         warnings=tuple(_warnings(dropped, len(listed), bad_masks, inspector)),
         wrench=read_wrench(folder_of_wrench, timestamps_ns) if folder_of_wrench.is_dir() else None,
-        _files=tuple((left[stamp], right[stamp]) for stamp in usable),
+        _files=tuple(files[stamp] for stamp in usable),
         _bits=bits,
     )
 
@@ -189,30 +199,49 @@ def _require_folders(folder: Path) -> Path:
     return mav0
 
 
-def _listed_files(camera: Path) -> dict[int, Path]:
-    """Timestamp [ns] -> image file, as listed by the camera's data.csv; the name defaults to <ns>.png."""
-    path = camera / "data.csv"
-    rows = read_rows(path)
-    stamps = timestamps_of(path, rows)
-    names = [fields[1] if len(fields) > 1 and fields[1] else f"{fields[0]}.png" for _, fields in rows]
-    return {int(stamp): camera / "data" / name for stamp, name in zip(stamps, names, strict=True)}
+def _without_files(mav0: Path, left: dict[int, str], right: dict[int, str]) -> dict[int, str]:
+    """Timestamp [ns] -> reason, of the frames that lack one of the two images."""
+    reasons = {stamp: "only in cam0" for stamp in left if stamp not in right}
+    reasons |= {stamp: "only in cam1" for stamp in right if stamp not in left}
+    for camera, names in (("cam0", left), ("cam1", right)):
+        data = mav0 / camera / "data"
+        present = _names_in(data)
+        for stamp, name in names.items():
+            # A name with a folder is looked up by itself.
+            if (
+                stamp not in reasons
+                and name not in present
+                and ("/" not in name or not (data / name).exists())
+            ):
+                reasons[stamp] = f"{camera} image: file missing"
+    return reasons
+
+
+def _names_in(folder: Path) -> set[str]:
+    """Names of the files in a folder; none when it cannot be read."""
+    try:
+        return {entry.name for entry in os.scandir(folder)}
+    except OSError:
+        return set()
 
 
 def _check_pairs(
-    mav0: Path, pairs: list[tuple[Path, Path, int]], calibration: StereoCalibration, bits: int | None
+    mav0: Path, files: dict[int, tuple[Path, Path]], calibration: StereoCalibration, bits: int | None
 ) -> Iterator[_Checked]:
+    """What is found out about each pair, in order; never more than a few are decoded ahead."""
+    rest = iter(files.items())
     at_once = parallel_decodes(calibration.width_px, calibration.height_px)
     with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 16, at_once)) as pool:
-        yield from pool.map(lambda pair: _check_pair(mav0, pair, calibration, bits), pairs)
+        while some := list(islice(rest, PAIRS_AHEAD)):
+            yield from pool.map(lambda pair: _check_pair(mav0, *pair, calibration, bits), some)
 
 
 def _check_pair(
-    mav0: Path, pair: tuple[Path, Path, int], calibration: StereoCalibration, bits: int | None
+    mav0: Path, stamp: int, pair: tuple[Path, Path], calibration: StereoCalibration, bits: int | None
 ) -> _Checked:
-    left, right, stamp = pair
     width, height = calibration.width_px, calibration.height_px
     content, largest = False, 0
-    for camera, path in (("cam0", left), ("cam1", right)):
+    for camera, path in zip(("cam0", "cam1"), pair, strict=True):
         try:
             raw = read_raw(path, width, height)
         except UnreadableImage as error:
@@ -240,15 +269,21 @@ def _bad_masks(mav0: Path, stamp: int, width_px: int, height_px: int) -> Iterato
             yield f"{path}: {error}"
 
 
-def _require_enough(
-    folder: Path, usable: list[int], dropped: tuple[tuple[int, str], ...], n_listed: int
-) -> None:
-    example = f" (first: {dropped[0][0]} ns, {dropped[0][1]})" if dropped else ""
-    if len(dropped) > MAX_LOSS * n_listed:
-        message = f"{len(dropped)} of {n_listed} frames are missing, unpaired or unreadable{example}"
+def _require_enough(folder: Path, reasons: dict[int, str], n_listed: int, unchecked: int = 0) -> None:
+    """Raise InputError when the frames lost so far, of which ``reasons`` tells, leave too few."""
+    if not reasons:
+        example = ""
+    else:
+        first = min(reasons)
+        example = f" (first: {first} ns, {reasons[first]})"
+    at_least = "at least " if unchecked else ""
+    if len(reasons) > MAX_LOSS * n_listed:
+        message = (
+            f"{at_least}{len(reasons)} of {n_listed} frames are missing, unpaired or unreadable{example}"
+        )
         raise InputError(f"{folder}: {message}; at most 60 % may be, repair the sequence")
-    if len(usable) < MIN_PAIRS:
-        message = f"{len(usable)} usable stereo pairs of {n_listed} frames{example}"
+    if n_listed - len(reasons) < MIN_PAIRS:
+        message = f"{n_listed - len(reasons)} usable stereo pairs of {n_listed} frames{example}"
         raise InputError(f"{folder}: {message}; at least {MIN_PAIRS} are needed")
 
 
@@ -276,9 +311,8 @@ def read_wrench(folder: Path, timestamps_ns: Ints) -> Wrench:
     last frame (F,).
     """
     path = folder / "data.csv"
-    rows = read_rows(path)
-    stamps = timestamps_of(path, rows)
-    values = numbers_of(path, rows, columns=6)
+    table = read_table(path, columns=6)
+    stamps, values = table.timestamps_ns, table.values
     if stamps[0] > timestamps_ns[-1]:
         message = f"{path}: the first row, {stamps[0]} ns, is after the last frame, {timestamps_ns[-1]} ns"
         raise InputError(f"{message}; use the clock of the images, or remove wrench0/")
@@ -292,10 +326,9 @@ def read_inspector(folder: Path, timestamps_ns: Ints) -> InspectorPoses:
     within one interval between frames.
     """
     path = folder / "data.csv"
-    rows = read_rows(path)
-    stamps = timestamps_of(path, rows)
-    values = numbers_of(path, rows, columns=7)
-    R_NB = attitudes_of(path, rows, values[:, 3:], "q_RS")
+    table = read_table(path, columns=7)
+    stamps, values = table.timestamps_ns, table.values
+    R_NB = attitudes_of(table, values[:, 3:], "q_RS")
     interpolated = _require_cover(path, stamps, timestamps_ns)
     sigma_p_m, sigma_theta_rad, warnings = _read_sigmas(folder / "sensor.yaml")
     X_NB = _interpolate(stamps, values[:, :3], R_NB, timestamps_ns)
@@ -321,7 +354,10 @@ def _require_cover(path: Path, stamps: Ints, frames: Ints) -> int:
 
 def _read_sigmas(path: Path) -> tuple[float, float, tuple[str, ...]]:
     """sigma_p_m, sigma_theta_rad; a file or key that is absent means that the poses are exact."""
-    if not path.exists() or not path.read_bytes().strip():
+    try:
+        if not read_text(path, CONFIGURATION_BYTES, "a YAML file").strip():
+            return 0.0, 0.0, ()
+    except MissingFile:
         return 0.0, 0.0, ()
     sensor = read_mapping(
         path, "give sigma_p_m and sigma_theta_rad, or remove the file if the poses are exact"

@@ -1,86 +1,192 @@
-"""Reading the small text tables and YAML files of a dataset, with errors that name file and line."""
+"""Reading the small text tables and YAML files of a dataset, with errors that name file and line.
 
+A table is read line by line into arrays, so that its memory is that of its numbers, and is refused where it
+has more rows or longer lines than any recording.
+"""
+
+import io
+import re
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from polhode.errors import InputError
+from polhode.foreign_files import MIB, MissingFile, open_regular
 from polhode.lie import Array, matrix_from_wxyz
 from polhode.records import Ints
 from polhode.yaml_files import read_yaml
 
 UNIT_TOLERANCE = 1e-2
+TABLE_BYTES = 512 * MIB
+"""Limit of a table: a pose 100 times a second for eight hours has 450 MB."""
+MAX_ROWS = 4_000_000
+MAX_LINE = 4096
+"""Characters of a line: 14 numbers of full precision have 350."""
+MAX_STAMP_NS = 2**62
+"""146 years: the difference of two timestamps always fits 64 bits."""
+_PLAIN_NAME = re.compile(r"\w[\w.-]*", re.ASCII)
+_WHOLE = re.compile(r"[-+]?\d{1,40}", re.ASCII)
 
 
-def read_rows(path: Path) -> list[tuple[int, list[str]]]:
-    """Rows of a CSV file as (line number, stripped fields); skips blanks, ``#`` comments and a header.
+@dataclass(frozen=True)
+class Table:
+    """A table of timestamps and numbers."""
 
-    Raises InputError when the file is missing, is not text, or has no rows.
+    path: Path
+    lines: Ints
+    """(n,) line of each row in the file, for errors"""
+    timestamps_ns: Ints
+    """(n,) strictly increasing"""
+    values: Array
+    """(n, columns) finite"""
+
+
+def read_table(path: Path, columns: int) -> Table:
+    """A timestamp [ns] and ``columns`` numbers a row; further columns are not read.
+
+    Blank lines, ``#`` comments and a header are skipped. Raises InputError, which names the line, when the
+    file is missing, is not text, has no rows or too many, timestamps are not whole numbers that increase, or
+    a number is missing, NaN or infinite.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing: add it (see docs/dataset.md)") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} cannot be read as text: {' '.join(str(error).split())}") from None
-    rows = [
-        (number, [field.strip() for field in line.split(",")])
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if rows and rows[0][0] == 1 and any(letter.isalpha() for letter in rows[0][1][0]):
-        rows = rows[1:]
+    lines, stamps, values = array("q"), array("q"), array("d")
+    for number, fields in _rows(path):
+        stamps.append(_later_stamp(path, number, fields[0], stamps[-1] if stamps else None))
+        values.extend(_numbers(path, number, fields, columns))
+        lines.append(number)
+    numbers = np.array(values, dtype=np.float64).reshape(len(stamps), columns)
+    bad = ~np.isfinite(numbers).all(axis=1)
+    if bad.any():
+        line = lines[int(bad.argmax())]
+        raise InputError(f"{path} line {line}: NaN or infinity; remove or correct the row")
+    return Table(path, np.array(lines, dtype=np.int64), np.array(stamps, dtype=np.int64), numbers)
+
+
+def read_listing(path: Path) -> dict[int, str]:
+    """Timestamp [ns] -> name of the file, relative to the folder ``data`` beside; it defaults to <ns>.png.
+
+    Raises InputError as ``read_table``, and for a name that is no file below that folder, or is listed twice.
+    """
+    names: dict[int, str] = {}
+    seen: set[str] = set()
+    before: int | None = None
+    for number, fields in _rows(path):
+        before = _later_stamp(path, number, fields[0], before)
+        name = fields[1] if len(fields) > 1 and fields[1] else f"{fields[0]}.png"
+        if wrong := _wrong_name(name):
+            raise InputError(f"{path} line {number}: the name {_shown(name)} {wrong}")
+        if name in seen:
+            raise InputError(
+                f"{path} line {number}: {_shown(name)} is listed twice; an image has one timestamp"
+            )
+        seen.add(name)
+        names[before] = name
+    return names
+
+
+def _wrong_name(name: str) -> str:
+    """What is wrong with the name of an image, and what to do; empty: nothing."""
+    if _PLAIN_NAME.fullmatch(name):
+        return ""
+    steps = name.replace("\\", "/").split("/")
+    if steps[0] == "" or ".." in steps or re.match(r"[A-Za-z]:", name):
+        return "leads out of the dataset; give that of a file in the folder data"
+    if not name.isprintable() or '"' in name:
+        return "has quotes or control characters; write it plainly"
+    return ""
+
+
+def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Rows of a table as (line number, stripped fields); skips blanks, ``#`` comments and a header."""
+    rows = 0
+    for number, line in _lines(path):
+        if not line or line.startswith("#"):
+            continue
+        fields = [field.strip() for field in line.split(",")]
+        if number == 1 and any(letter.isalpha() for letter in fields[0]):
+            continue
+        rows += 1
+        if rows > MAX_ROWS:
+            raise InputError(f"{path} line {number}: more than {MAX_ROWS} rows; split the recording")
+        yield number, fields
     if not rows:
         raise InputError(f"{path} is empty: it must list one row per frame (see docs/dataset.md)")
-    return rows
 
 
-def timestamps_of(path: Path, rows: list[tuple[int, list[str]]]) -> Ints:
-    """First column as nanoseconds (n,), strictly increasing; raises InputError naming the line otherwise."""
-    stamps: list[int] = []
-    for number, fields in rows:
-        try:
-            stamp = int(fields[0])
-        except ValueError:
-            message = f"{path} line {number}: timestamp '{fields[0]}' is not a whole number of nanoseconds"
-            raise InputError(message) from None
-        if not -(2**63) <= stamp < 2**63:
-            raise InputError(
-                f"{path} line {number}: timestamp {stamp} does not fit 64 bits; give nanoseconds"
-            )
-        if stamps and stamp <= stamps[-1]:
-            wrong = "repeats" if stamp == stamps[-1] else "goes back from"
-            message = f"{path} line {number}: timestamp {stamp} {wrong} {stamps[-1]}; sort the rows by time"
-            raise InputError(message)
-        stamps.append(stamp)
-    return np.array(stamps, dtype=np.int64)
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """The lines of a text file with their numbers, stripped; any of the three ends of a line."""
+    number = 0
+    try:
+        with (
+            open_regular(path, TABLE_BYTES, "a table") as stream,
+            io.TextIOWrapper(stream, encoding="utf-8-sig") as text,
+        ):
+            readline = text.readline
+            while line := readline(MAX_LINE + 1):
+                number += 1
+                if len(line) > MAX_LINE:
+                    raise InputError(f"{path} line {number}: longer than {MAX_LINE} characters; not a table")
+                if "\0" in line:
+                    raise InputError(f"{path} line {number}: a zero byte; save the file as UTF-8 text")
+                yield number, line.strip()
+    except MissingFile:
+        raise InputError(f"{path} is missing: add it (see docs/dataset.md)") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not UTF-8 text after line {number}; save it as UTF-8") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read as text: {' '.join(str(error).split())}") from None
 
 
-def numbers_of(path: Path, rows: list[tuple[int, list[str]]], columns: int) -> Array:
-    """Columns 1..columns as finite numbers (n, columns); raises InputError naming the line otherwise."""
-    values = np.empty((len(rows), columns))
-    for row, (number, fields) in enumerate(rows):
-        if len(fields) <= columns:
-            message = (
-                f"{path} line {number}: {len(fields)} columns, expected {columns + 1} (see docs/dataset.md)"
-            )
-            raise InputError(message)
-        try:
-            values[row] = [float(field) for field in fields[1 : columns + 1]]
-        except ValueError:
-            raise InputError(f"{path} line {number}: not a number in '{','.join(fields)}'") from None
-        if not np.isfinite(values[row]).all():
-            raise InputError(f"{path} line {number}: NaN or infinity; remove or correct the row")
-    return values
+def _later_stamp(path: Path, number: int, field: str, before: int | None) -> int:
+    """A timestamp [ns]; raises InputError when it is not a whole number above ``before``."""
+    if not _WHOLE.fullmatch(field):
+        raise InputError(
+            f"{path} line {number}: timestamp {_shown(field)} is not a whole number of nanoseconds"
+        )
+    stamp = int(field)
+    if abs(stamp) > MAX_STAMP_NS:
+        raise InputError(f"{path} line {number}: timestamp {stamp} is beyond 146 years; give nanoseconds")
+    if before is not None and stamp <= before:
+        wrong = "repeats" if stamp == before else "goes back from"
+        raise InputError(f"{path} line {number}: timestamp {stamp} {wrong} {before}; sort the rows by time")
+    return stamp
 
 
-def attitudes_of(path: Path, rows: list[tuple[int, list[str]]], q_wxyz: Array, name: str) -> Array:
+def _numbers(path: Path, number: int, fields: list[str], columns: int) -> list[float]:
+    if len(fields) <= columns:
+        raise InputError(
+            f"{path} line {number}: {len(fields)} columns, expected {columns + 1} (see docs/dataset.md)"
+        )
+    try:
+        return [plain_number(field) for field in fields[1 : columns + 1]]
+    except ValueError:
+        raise InputError(f"{path} line {number}: not a number in {_shown(','.join(fields))}") from None
+
+
+def plain_number(text: str) -> float:
+    """A decimal number, ``inf`` or ``nan``: not Python's 1_000, nor digits of other scripts.
+
+    Raises ValueError.
+    """
+    if not text.isascii() or "_" in text:
+        raise ValueError(f"{_shown(text)} is not a number")
+    return float(text)
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 60 else text[:57] + "...")
+
+
+def attitudes_of(table: Table, q_wxyz: Array, name: str) -> Array:
     """Unit quaternions (n, 4) as rotations (n, 3, 3); raises InputError naming the line of a wrong one."""
-    off = abs(np.linalg.norm(q_wxyz, axis=1) - 1.0)
+    with np.errstate(over="ignore"):
+        off = abs(np.linalg.norm(q_wxyz, axis=1) - 1.0)
     if off.max() > UNIT_TOLERANCE:
-        line = rows[int(off.argmax())][0]
-        raise InputError(f"{path} line {line}: {name} (w, x, y, z) is not a unit quaternion")
+        line = table.lines[int(off.argmax())]
+        raise InputError(f"{table.path} line {line}: {name} (w, x, y, z) is not a unit quaternion")
     return matrix_from_wxyz(q_wxyz)
 
 
@@ -103,7 +209,7 @@ def numbers_at(path: Path, mapping: dict[str, Any], key: str, count: tuple[int, 
     if isinstance(value, dict):
         value = value.get("data")
     try:
-        numbers = np.asarray(value if value is not None else [], dtype=np.float64).ravel()
+        numbers = np.array(list(_flat([] if value is None else value)), dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(f"{path} key '{key}': expected a list of numbers") from None
     if count is not None and len(numbers) not in count:
@@ -112,3 +218,16 @@ def numbers_at(path: Path, mapping: dict[str, Any], key: str, count: tuple[int, 
     if not np.isfinite(numbers).all():
         raise InputError(f"{path} key '{key}': contains NaN or infinity; give the calibrated values")
     return numbers
+
+
+def _flat(value: Any) -> Iterator[float]:
+    """The numbers of nested lists, in order. Raises TypeError or ValueError for anything else."""
+    if isinstance(value, list):
+        for inner in value:
+            yield from _flat(inner)
+    elif isinstance(value, str):
+        yield plain_number(value)
+    elif isinstance(value, bool):
+        raise TypeError("true and false are not numbers")
+    else:
+        yield float(value)

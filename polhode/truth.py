@@ -11,7 +11,7 @@ import trimesh
 
 from polhode.errors import InputError
 from polhode.records import Truth
-from polhode.tables import attitudes_of, numbers_at, numbers_of, read_mapping, read_rows, timestamps_of
+from polhode.tables import attitudes_of, numbers_at, read_mapping, read_table
 
 
 def read_truth(folder: Path) -> Truth:
@@ -22,16 +22,15 @@ def read_truth(folder: Path) -> Truth:
     target = folder / "mav0" / "target0"
     if not target.is_dir():
         raise InputError(f"{target} is missing: only a sequence with truth can be evaluated")
-    path = target / "data.csv"
-    rows = read_rows(path)
-    values = numbers_of(path, rows, columns=13)
+    table = read_table(target / "data.csv", columns=13)
+    values = table.values
     properties_path = target / "target.yaml"
     properties = read_mapping(properties_path, "the truth needs moments, com_G and R_GP")
     moments = numbers_at(properties_path, properties, "moments", (3,))
     return Truth(
-        timestamps_ns=timestamps_of(path, rows),
+        timestamps_ns=table.timestamps_ns,
         r_N=values[:, 0:3],
-        R_NP=attitudes_of(path, rows, values[:, 3:7], "q_NP"),
+        R_NP=attitudes_of(table, values[:, 3:7], "q_NP"),
         v_N=values[:, 7:10],
         w_P=values[:, 10:13],
         moments=moments,

@@ -1,13 +1,17 @@
 """Opening sequences: what is read, what is dropped with a warning, and each bad input's one line."""
 
+import os
 import shutil
+import stat
 from collections.abc import Callable
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from polhode import dataset
 from polhode.dataset import open_sequence
 from polhode.dataset_writer import image_path, write_camera_csv, write_inspector, write_png
 from polhode.errors import InputError
@@ -214,6 +218,32 @@ def rewrite(name: str, text: str) -> Callable[[Path], None]:
     return damage
 
 
+def rewrite_bytes(name: str, content: bytes) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        (folder / "mav0" / name).write_bytes(content)
+
+    return damage
+
+
+def put(name: str, what: str) -> Callable[[Path], None]:
+    """Something that is no regular file in the place of a file."""
+
+    def damage(folder: Path) -> None:
+        path = folder / "mav0" / name
+        path.parent.mkdir(exist_ok=True)
+        path.unlink(missing_ok=True)
+        if what == "a device":
+            path.symlink_to("/dev/zero")
+        elif what == "a pipe":
+            os.mkfifo(path)
+        elif what == "a folder":
+            path.mkdir()
+        else:
+            os.mknod(path, stat.S_IFSOCK | 0o600)
+
+    return damage
+
+
 def rows(stamps: list[int]) -> str:
     return "#timestamp [ns],filename\n" + "".join(f"{stamp},{stamp}.png\n" for stamp in stamps)
 
@@ -338,6 +368,68 @@ def test_bad_input_is_one_line_that_names_the_place(small_sequence: Path, name: 
     message = message_of(small_sequence)
     assert expected in message
     assert str(small_sequence) in message
+
+
+HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
+    **{
+        f"{what} as {name}": (put(name, what), f"{name.rpartition('/')[2]} is {what}: give a regular file")
+        for name in ("cam0/data.csv", "cam1/sensor.yaml", "inspector0/data.csv", "wrench0/data.csv")
+        for what in ("a device", "a pipe", "a socket", "a folder")
+    },
+    "a device as inspector0/sensor.yaml": (
+        lambda folder: (inspector(STAMPS)(folder), put("inspector0/sensor.yaml", "a device")(folder))[0],
+        "sensor.yaml is a device: give a regular file",
+    ),
+    "endless aliases": (rewrite("cam0/sensor.yaml", "a: &a [*a]"), "sensor.yaml line 1: alias 'a' stands"),
+    "UTF-16 list": (rewrite_bytes("cam0/data.csv", rows(STAMPS).encode("utf-16")), "not UTF-8 text"),
+    "UTF-16 calibration": (rewrite_bytes("cam0/sensor.yaml", "a: 1".encode("utf-16")), "is UTF-16 text"),
+    "absolute path": (
+        rewrite("cam0/data.csv", f"{STAMPS[0]},/etc/passwd\n"),
+        "data.csv line 1: the name '/etc/passwd' leads out of the dataset",
+    ),
+    "key twice": (
+        replace("cam0/sensor.yaml", "intrinsics", "resolution"),
+        "key 'resolution' is given twice",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_is_no_small_text_file_of_the_dataset_is_refused(small_sequence: Path, name: str) -> None:
+    damage, expected = HOSTILE[name]
+    damage(small_sequence)
+    message = message_of(small_sequence)
+    assert expected in message
+    assert str(small_sequence) in message
+
+
+def test_a_long_list_of_images_that_are_missing_is_refused_without_looking_for_each(
+    small_sequence: Path,
+) -> None:
+    stamps = [START_NS + k for k in range(200_000)]
+    for camera in (0, 1):
+        write_camera_csv(small_sequence / "mav0" / f"cam{camera}", stamps)
+    begin = perf_counter()
+    assert "199999 of 200000 frames are missing" in message_of(small_sequence)
+    assert perf_counter() - begin < 60.0  # the search of a list for each took hours
+
+
+def test_a_sequence_that_is_mostly_damaged_is_not_read_to_its_end(
+    small_sequence: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dataset, "PAIRS_AHEAD", 2)
+    damage_images(5)(small_sequence)
+    assert "at least 4 of 6 frames are missing, unpaired or unreadable" in message_of(small_sequence)
+
+
+def test_images_in_folders_below_and_behind_links_are_read(small_sequence: Path) -> None:
+    camera = small_sequence / "mav0" / "cam0"
+    (camera / "data" / "below").mkdir()
+    image_of(small_sequence, 0, 0).rename(camera / "data" / "below" / "a.png")
+    (camera / "data").rename(small_sequence / "elsewhere")
+    (camera / "data").symlink_to(small_sequence / "elsewhere")
+    edit(camera / "data.csv", f"{STAMPS[0]}.png", "below/a.png")
+    assert len(open_sequence(small_sequence)) == COUNT
 
 
 def test_up_to_60_percent_of_the_frames_may_be_lost(small_sequence: Path) -> None:
