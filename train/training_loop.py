@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -18,15 +18,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from polhode.atomic import replaced
-from polhode.config.loader import REMOVED
 from polhode.config.train_settings import Schedule
 from polhode.errors import InputError, RunFailure
 from polhode.progress import Progress
+from polhode.train.checkpoint import TrainingState, read_checkpoint, write_checkpoint
 from polhode.train.curves import Curves
 from polhode.train.task import Batch, Task
 
-CHECKPOINT = "checkpoint.pt"
 WEIGHT_DECAY = 1e-2
 CLIP_NORM = 1.0
 """Largest norm of a gradient; a larger one is scaled down."""
@@ -107,18 +105,21 @@ class TrainingLoop:
 
     def _resume(self, setting: Mapping[str, Any]) -> tuple[int, float]:
         """Load the checkpoint, if there is one. Returns the steps done and the seconds used."""
-        checkpoint = read_checkpoint(self._output, setting)
-        if checkpoint is None:
+        state = read_checkpoint(
+            self._output, setting, self._schedule.steps, self._task.model, self._optimizer
+        )
+        if state is None:
             return 0, 0.0
-        self._task.model.load_state_dict(checkpoint.model)
-        self._optimizer.load_state_dict(checkpoint.optimizer)
-        self._scaler.load_state_dict(checkpoint.scaler)
-        return checkpoint.step, checkpoint.elapsed_s
+        # the scale of another precision does not fit, and finds its value again by itself
+        if state.scaler.keys() == self._scaler.state_dict().keys():
+            self._scaler.load_state_dict(state.scaler)
+        return state.step, state.elapsed_s
 
     def _save(self, step: int, elapsed_s: float, setting: Mapping[str, Any]) -> None:
-        model, optimizer = self._task.model.state_dict(), self._optimizer.state_dict()
-        scaler = self._scaler.state_dict()
-        write_checkpoint(self._output, Checkpoint(step, model, optimizer, scaler, elapsed_s, dict(setting)))
+        state = TrainingState(
+            step=step, elapsed_s=elapsed_s, scaler=self._scaler.state_dict(), setting=dict(setting)
+        )
+        write_checkpoint(self._output, state, self._task.model, self._optimizer)
 
     def _batches(self, start: int, stop: int) -> Iterator[Batch]:
         """The batches of the steps; for a GPU a thread prepares them in advance."""
@@ -187,45 +188,3 @@ def _device(schedule: Schedule) -> torch.device:
     if schedule.device == "cuda" and not there:
         raise InputError("train.schedule.device is cuda, but torch finds no GPU: set cpu or automatic")
     return torch.device("cuda" if there and schedule.device != "cpu" else "cpu")
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """State after ``step`` steps."""
-
-    step: int
-    model: dict[str, Any]
-    optimizer: dict[str, Any]
-    scaler: dict[str, Any]
-    elapsed_s: float
-    """Training time of all calls so far [s]"""
-    setting: dict[str, Any]
-    """Settings on which the weights depend: dotted key -> value"""
-
-
-def write_checkpoint(output: Path, checkpoint: Checkpoint) -> None:
-    """Replace the folder's checkpoint."""
-    with replaced(output / CHECKPOINT) as partial:
-        torch.save(asdict(checkpoint), partial)
-
-
-def read_checkpoint(output: Path, setting: Mapping[str, Any]) -> Checkpoint | None:
-    """The folder's checkpoint, if there is one. Raises InputError: it is damaged, or has other settings."""
-    path = output / CHECKPOINT
-    if not path.is_file():
-        return None
-    try:
-        checkpoint = Checkpoint(**torch.load(path, map_location="cpu", weights_only=True))
-    except Exception as error:  # noqa: BLE001  torch.load raises whatever the damage leads to
-        raise InputError(
-            f"{path} cannot be read ({' '.join(str(error).split())[:80]}): remove it to start again"
-        ) from None
-    former = (key for key in checkpoint.setting if f"train.{key}" not in REMOVED)
-    keys = [*setting, *(key for key in former if key not in setting)]
-    other = [key for key in keys if checkpoint.setting.get(key) != setting.get(key)]
-    if other:
-        raise InputError(
-            f"{output} contains a training with another {', '.join(other[:3])}: choose another "
-            f"train.output, or remove {CHECKPOINT} there"
-        )
-    return checkpoint

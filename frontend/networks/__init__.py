@@ -3,4 +3,5 @@
 descriptor.py    the descriptor of surface patches
 disparity.py     the refinement of disparities
 weights.py       loading of weights
+tensor_file.py   checked reading of safetensors files
 """

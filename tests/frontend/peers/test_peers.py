@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import torch
 from kornia.feature import LoFTR
+from safetensors.torch import save_file
+from torch import Tensor
 
 from polhode.config.frontend_settings import Frontend, Weights
 from polhode.dataset import open_sequence
@@ -24,6 +26,7 @@ from polhode.frontend.rectification import make_rectifier, rectified_pair
 from polhode.lie import log_so3
 from polhode.truth import read_truth
 from tests.frontend.feature_world import RIG, make_world
+from tests.trap import Trap, trap
 
 SAMPLE = Path(__file__).resolve().parents[3] / "sample"
 installed = pytest.mark.skipif(
@@ -97,6 +100,35 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
     torch.save({"layer.weight": torch.zeros(3)}, other)
     with pytest.raises(InputError, match=r"other\.pth.*another network"):
         feature_method(configured("xfeat", weights={"xfeat": str(other)}))
+
+
+def test_code_in_a_file_of_weights_is_not_executed(tmp_path: Path) -> None:
+    sprung, plain, archive = (tmp_path / name for name in ("sprung", "plain.pth", "archive.pth"))
+    plain.write_bytes(trap(sprung))
+    torch.save({"state_dict": Trap(sprung)}, archive)
+    for path in (plain, archive):
+        with pytest.raises(InputError, match=rf"{path.name}.*cannot be read"):
+            feature_method(configured("xfeat", weights={"xfeat": str(path)}))
+    assert not sprung.exists()
+
+
+def test_weights_are_also_read_from_safetensors_and_must_be_finite(tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    state = {name: value.contiguous() for name, value in LoFTR(pretrained=None).state_dict().items()}
+    name = next(iter(state))
+
+    def method(file: str, tensor: Tensor) -> None:
+        save_file({**state, name: tensor}, tmp_path / file)
+        weights = {"loftr": str(tmp_path / file)}
+        match_method(Frontend.model_validate({"pairs": {"method": "loftr"}, "weights": weights}))
+
+    method("loftr.safetensors", state[name])
+    for file, wrong in (
+        ("infinite.safetensors", torch.full_like(state[name], torch.inf)),
+        ("whole.safetensors", torch.zeros(state[name].shape, dtype=torch.int64)),
+    ):
+        with pytest.raises(InputError, match=rf"{file}.*: {name} does not hold finite numbers"):
+            method(file, wrong)
 
 
 @installed

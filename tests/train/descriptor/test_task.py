@@ -18,6 +18,7 @@ from polhode.frontend.matching.matchers import DualSoftmax
 from polhode.frontend.networks.descriptor import DescriptorOutput
 from polhode.lie import Array, exp_so3
 from polhode.progress import Silent
+from polhode.train.checkpoint import CHECKPOINT
 from polhode.train.curves import read_curves
 from polhode.train.descriptor.batches import (
     PatchBatches,
@@ -30,7 +31,6 @@ from polhode.train.descriptor.scores import area_under_curve, score, validation_
 from polhode.train.descriptor.surface_points import REPEAT_PX, ScenePoints, prepare_points
 from polhode.train.descriptor.task import Heads, descriptor_loss, matching_loss, rotation_agreement
 from polhode.train.task import Batch
-from polhode.train.training_loop import CHECKPOINT
 
 EXACT = DescriptorTraining(
     batch=60, frame_pairs=2, normal_noise_deg=0.0, fronto_parallel=0.0, place_noise_px=0.0

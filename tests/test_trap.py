@@ -1,0 +1,14 @@
+"""The trap of the other tests works: they would see code that is executed."""
+
+import pickle
+from pathlib import Path
+
+from tests.trap import trap
+
+
+def test_a_pickle_that_is_read_executes_code(tmp_path: Path) -> None:
+    sprung = tmp_path / "sprung"
+    content = trap(sprung)
+    assert not sprung.exists()
+    pickle.loads(content)
+    assert sprung.exists()
