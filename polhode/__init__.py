@@ -27,6 +27,7 @@ images.py          image files: reading, conversion to 8-bit grey
 truth.py           the truth of a simulated sequence; only the evaluation may import it
 metrics.py         errors of an estimate against the truth
 mesh_metrics.py    distances between meshes
+array_files.py     archives of arrays (.npz), their headers compared with their sizes
 foreign_files.py   opening the files that others made: regular ones, of a limited size
 tables.py          tables and calibrations of a dataset, with errors that name file and line
 yaml_files.py      YAML, of limited size and depth

@@ -8,12 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
-from zlib import error as ZlibError
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polhode.array_files import read_arrays
 from polhode.atomic import replaced
 from polhode.camera import RectifiedRig
 from polhode.errors import InputError
@@ -290,11 +289,7 @@ def load_archive(path: Path, name: str, remedy: str = REMEDY) -> Archive:
     file = path / name if path.is_dir() else path
     if not file.is_file():
         raise InputError(f"{file}: no such file; give the folder of a run")
-    try:
-        with np.load(file, allow_pickle=False) as archive:
-            return Archive(file, {key: archive[key] for key in archive.files}, remedy)
-    except (BadZipFile, ZlibError, ValueError, OSError, EOFError, AttributeError) as error:
-        raise InputError(f"{file}: not a readable archive of arrays ({error})") from error
+    return Archive(file, read_arrays(file), remedy)
 
 
 def write_online(online: OnlineEstimate, path: Path) -> None:

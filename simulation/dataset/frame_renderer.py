@@ -4,17 +4,16 @@ For the truth, one ray is cast through the centre of each pixel, distortion incl
 timestamp: neither motion nor the lens blurs it. Off the target, numbers are NaN.
 """
 
-import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TypeVar
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polhode.array_files import read_arrays, require_arrays
 from polhode.atomic import replaced
 from polhode.config.scene_settings import Product
 from polhode.dataset_writer import image_path, mask_path, write_png
@@ -93,6 +92,8 @@ def _render_frame(renderer: FrameRenderer, staged: StagedDataset, k: int) -> Non
 
 T = TypeVar("T", bound=np.generic)
 
+_PRODUCTS = {"depth": ("f", 2), "normals": ("f", 3), "mask": ("b", 2), "shadow": ("u", 2), "albedo": ("f", 2)}
+"""Kind of dtype and number of dimensions of each."""
 CAST_SHADOW, FACING_AWAY = 1, 2
 """Values of the shadow mask: another part blocks the Sun; the surface faces away from it."""
 
@@ -174,13 +175,15 @@ def write_products(path: Path, products: Products) -> None:
 def read_products(path: Path) -> Products:
     """Read a file of ``write_products``. Raises InputError if it is missing or damaged."""
     try:
-        with np.load(path) as archive:
-            arrays = {f.name: archive[f.name] for f in fields(Products) if f.name in archive.files}
-    except (OSError, EOFError, ValueError, BadZipFile, zlib.error) as error:
-        reason = " ".join(str(error).split())
+        stored = read_arrays(path)
+        arrays = {name: stored[name] for name in _PRODUCTS if name in stored}
+        require_arrays(path, arrays, {name: _PRODUCTS[name] for name in arrays})
+    except InputError as error:
         raise InputError(
-            f"{path}: no truth of pixels ({reason}); simulate with scene.render.products"
+            f"no truth of pixels: {str(error).partition(': give')[0]}; simulate with scene.render.products"
         ) from None
+    if len({values.shape[:2] for values in arrays.values()}) > 1:
+        raise InputError(f"{path}: the truth of pixels has several sizes; simulate again")
     return Products(
         **{
             name: values.astype(np.float64) if values.dtype == np.float32 else values

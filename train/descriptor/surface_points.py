@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from polhode.array_files import read_arrays, require_arrays
 from polhode.atomic import replaced
 from polhode.config.frontend_settings import Features
 from polhode.config.loader import load_config
@@ -93,6 +94,27 @@ class ScenePoints:
     """(M,) between the two views, at the point"""
 
 
+_DIMENSIONS = {
+    "grey": ("u", 3),
+    "focal_px": ("f", 0),
+    "centre_px": ("f", 1),
+    "X_KG": ("f", 3),
+    "frame": ("iu", 1),
+    "uv_px": ("f", 2),
+    "p_K": ("f", 2),
+    "normal_K": ("f", 2),
+    "on_shadow": ("b", 1),
+    "on_rim": ("b", 1),
+    "sift": ("f", 2),
+    "point": ("iu", 1),
+    "other": ("iu", 1),
+    "again": ("iu", 1),
+    "uv_other_px": ("f", 2),
+    "angle_rad": ("f", 1),
+}
+"""Kind of dtype and number of dimensions of each field of ScenePoints."""
+
+
 def prepare_points(
     corpus: Corpus, scenes: Sequence[int], progress: Progress, workers: int
 ) -> dict[int, ScenePoints]:
@@ -112,9 +134,10 @@ def points_path(corpus: Corpus, index: int) -> Path:
 
 
 def read_points(path: Path) -> ScenePoints:
-    """Read what ``write_points`` wrote."""
-    with np.load(path) as archive:
-        return ScenePoints(**{each.name: archive[each.name] for each in fields(ScenePoints)})
+    """Read what ``write_points`` wrote. Raises InputError for anything else."""
+    arrays: dict[str, Any] = read_arrays(path)
+    require_arrays(path, arrays, _DIMENSIONS)
+    return ScenePoints(**{name: arrays[name] for name in _DIMENSIONS})
 
 
 def write_points(path: Path, points: ScenePoints) -> None:

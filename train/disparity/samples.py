@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from polhode.array_files import read_arrays, require_arrays
 from polhode.atomic import replaced
 from polhode.config.frontend_settings import Depth
 from polhode.dataset import StereoCalibration, StereoSequence, open_sequence
@@ -204,13 +206,14 @@ def write_sample(path: Path, sample: DisparitySample) -> None:
 
 
 def read_sample(path: Path) -> DisparitySample:
-    """Read a file of ``write_sample``."""
-    with np.load(path) as archive:
-        values = {
-            f.name: archive[f"start_{f.name}"] for f in fields(InitialDisparity) if f.name != "margin_px"
-        }
-        start = InitialDisparity(**values, margin_px=int(archive["start_margin_px"]))
-        return DisparitySample(start, archive["truth"], archive["visible"])
+    """Read a file of ``write_sample``. Raises InputError for anything else."""
+    arrays: dict[str, Any] = read_arrays(path)
+    names = [f.name for f in fields(InitialDisparity) if f.name != "margin_px"]
+    images = {f"start_{name}": ("fb", 2) for name in names} | {"truth": ("f", 2), "visible": ("b", 2)}
+    require_arrays(path, arrays, images | {"start_margin_px": ("iu", 0)})
+    values = {name: arrays[f"start_{name}"] for name in names}
+    start = InitialDisparity(**values, margin_px=int(arrays["start_margin_px"]))
+    return DisparitySample(start, arrays["truth"], arrays["visible"])
 
 
 def random_crop(sample: DisparitySample, size: tuple[int, int], rng: np.random.Generator) -> DisparitySample:
