@@ -27,6 +27,12 @@ IDEAL_TOLERANCE = 1e-6
 """Images of a rig that deviates from the ideal one by less than this [rad, m], a thousandth of a pixel, are
 not resampled."""
 
+MAX_SLOPE = 100.0
+"""Of a ray of the rectified image against its axis."""
+MAX_ROUND_TRIP = 0.1
+"""Error of the inverse of the distortion at the border, over the size of the image; a usable model has a
+thousandth of a pixel."""
+
 
 @dataclass(frozen=True)
 class Crop:
@@ -227,8 +233,25 @@ def _image_bounds(K: Array, dist: Array, R: Array, focal: float, size: tuple[int
         [np.stack([u, np.full_like(u, row)], 1) for row in (0, size[1] - 1)]
         + [np.stack([np.full_like(v, column), v], 1) for column in (0, size[0] - 1)]
     )
-    rectified = focal * _undistort(border, K, dist, R)
+    rays = _undistort(border, K, dist, R)
+    _require_invertible(border, rays, K, dist, R)
+    rectified = focal * rays
     return np.stack([rectified.min(axis=0), rectified.max(axis=0)])
+
+
+def _require_invertible(pixels: Array, rays: Array, K: Array, dist: Array, R: Array) -> None:
+    """Raise InputError unless the ``rays`` (n, 2) of the image's border project to its ``pixels`` (n, 2)."""
+    off = np.full(len(rays), np.inf)
+    sound = abs(rays).max(axis=1) < MAX_SLOPE
+    if sound.any():
+        points = np.column_stack([rays[sound], np.ones(int(sound.sum()))]) @ R.T
+        back, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, dist)
+        off[sound] = np.linalg.norm(np.asarray(back)[:, 0, :] - pixels[sound], axis=1)
+    if not off.max() < MAX_ROUND_TRIP * abs(pixels).max():
+        raise InputError(
+            "the stereo rig: the distortion folds the border of the image over itself; correct "
+            "distortion_coefficients and intrinsics in cam0/sensor.yaml and cam1/sensor.yaml"
+        )
 
 
 def _extent(boxes: list[Array], axis: int, original: int) -> tuple[int, list[float]]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from polhode.errors import InputError
+from polhode.images import MAX_PIXELS
 from polhode.lie import Array, make_pose
 from polhode.tables import numbers_at, read_mapping
 
@@ -14,6 +15,17 @@ UNDISTORTED = ("none",)
 COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
 ROTATION_TOLERANCE = 1e-2
 MIN_BASELINE_M = 1e-4
+MAX_OFFSET_M = 1e4
+"""Largest baseline, and coordinate of a camera in its body."""
+MIN_SIDE_PX, MAX_SIDE_PX = 16, 32_000
+"""OpenCV resamples images of up to 32767 px a side."""
+MIN_FOCAL, MAX_FOCAL = 0.02, 1e4
+"""Focal length over the larger side: fields of view from 175 degrees to 20 seconds of arc."""
+MAX_CENTRE = 10.0
+"""Distance of the principal point from the middle of the image, over its side; a part read out of a larger
+sensor may lie beside it."""
+MAX_COEFFICIENT = 1e7
+"""Of the distortion; the highest order of a long lens reaches thousands."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +62,10 @@ def read_calibration(mav0: Path) -> StereoCalibration:
         sizes = f"{width_px}x{height_px} and {width1_px}x{height1_px}"
         raise InputError(f"{mav0}: cam0 and cam1 have different resolutions, {sizes}; resample one of them")
     baseline_m = float(np.linalg.norm(X_BC1[:3, 3] - X_BC0[:3, 3]))
+    if baseline_m > MAX_OFFSET_M:
+        raise InputError(
+            f"{mav0}: cam0 and cam1 are {baseline_m:g} m apart, above {MAX_OFFSET_M:g}; correct their T_BS"
+        )
     if baseline_m < MIN_BASELINE_M:
         raise InputError(f"{mav0}: cam0 and cam1 coincide (baseline {baseline_m:g} m); check their T_BS")
     if bits != bits1:
@@ -62,20 +78,50 @@ def _read_camera(path: Path) -> tuple[Array, Array, Array, tuple[int, int], int 
     sensor = read_mapping(path, "a camera needs its calibration (see docs/dataset.md)")
     model = sensor.get("camera_model", "pinhole")
     if model != "pinhole":
-        raise InputError(f"{path} key 'camera_model': '{model}' is not supported; use pinhole")
+        raise InputError(f"{path} key 'camera_model': {_shown(model)} is not supported; use pinhole")
     resolution = numbers_at(path, sensor, "resolution", (2,))
     if (resolution < 1).any() or (resolution != np.round(resolution)).any():
         raise InputError(f"{path} key 'resolution': expected [width, height] in whole pixels")
+    width, height = resolution
+    if min(width, height) < MIN_SIDE_PX or max(width, height) > MAX_SIDE_PX or width * height > MAX_PIXELS:
+        raise InputError(
+            f"{path} key 'resolution': {width:g}x{height:g} px; sides may have {MIN_SIDE_PX} "
+            f"to {MAX_SIDE_PX}, the image {MAX_PIXELS // 10**6} million"
+        )
     fu, fv, cu, cv = numbers_at(path, sensor, "intrinsics", (4,))
-    if fu <= 0.0 or fv <= 0.0:
-        raise InputError(f"{path} key 'intrinsics': focal lengths must be positive, got {fu:g} and {fv:g}")
+    _require_pinhole(path, (fu, fv), (cu, cv), (width, height))
     K = np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]])
     dist = _distortion(path, sensor)
     X_BC = _rigid_transform(path, numbers_at(path, sensor, "T_BS", (16,)).reshape(4, 4))
     bits = sensor.get("bits")
     if bits is not None and (type(bits) is not int or not 8 <= bits <= 16):
-        raise InputError(f"{path} key 'bits': expected the depth of the images, 8 to 16, got {bits!r}")
+        raise InputError(f"{path} key 'bits': expected the depth of the images, 8 to 16, got {_shown(bits)}")
     return K, dist, X_BC, (int(resolution[0]), int(resolution[1])), bits
+
+
+def _require_pinhole(
+    path: Path, focal: tuple[float, float], centre: tuple[float, float], size: tuple[float, float]
+) -> None:
+    """Raise InputError for intrinsics [px] that no lens has with images of this size [px]."""
+    fu, fv = focal
+    if fu <= 0.0 or fv <= 0.0:
+        raise InputError(f"{path} key 'intrinsics': focal lengths must be positive, got {fu:g} and {fv:g}")
+    low, high = MIN_FOCAL * max(size), MAX_FOCAL * max(size)
+    if not all(low <= f <= high for f in focal):
+        raise InputError(
+            f"{path} key 'intrinsics': focal lengths {fu:g} and {fv:g}, expected {low:g} to {high:g} px for "
+            f"images of {size[0]:g}x{size[1]:g}"
+        )
+    if any(abs(c - 0.5 * side) > MAX_CENTRE * side for c, side in zip(centre, size, strict=True)):
+        raise InputError(
+            f"{path} key 'intrinsics': the principal point ({centre[0]:g}, {centre[1]:g}) is more than "
+            f"{MAX_CENTRE:g} images away from the image; give it in pixels"
+        )
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _distortion(path: Path, sensor: dict[str, object]) -> Array:
@@ -90,12 +136,24 @@ def _distortion(path: Path, sensor: dict[str, object]) -> Array:
         return np.zeros(4)
     if model not in RADIAL_TANGENTIAL:
         valid = ", ".join((*RADIAL_TANGENTIAL, *UNDISTORTED))
-        raise InputError(f"{path} key 'distortion_model': '{model}' is not supported; choose one of {valid}")
-    return numbers_at(path, sensor, "distortion_coefficients", COEFFICIENT_COUNTS)
+        raise InputError(
+            f"{path} key 'distortion_model': {_shown(model)} is not supported; choose one of {valid}"
+        )
+    coefficients = numbers_at(path, sensor, "distortion_coefficients", COEFFICIENT_COUNTS)
+    largest = abs(coefficients).max()
+    if largest > MAX_COEFFICIENT:
+        raise InputError(
+            f"{path} key 'distortion_coefficients': {largest:g} is above {MAX_COEFFICIENT:g}; correct it"
+        )
+    return coefficients
 
 
 def _rigid_transform(path: Path, X: Array) -> Array:
     """The nearest rigid transform; only rounding in the file is accepted."""
+    if abs(X).max() > MAX_OFFSET_M:
+        raise InputError(
+            f"{path} key 'T_BS': {abs(X).max():g} is above {MAX_OFFSET_M:g}; give the pose in metres"
+        )
     R = X[:3, :3]
     off = float(np.abs(R.T @ R - np.eye(3)).max())
     last_row_off = float(np.abs(X[3] - [0.0, 0.0, 0.0, 1.0]).max())

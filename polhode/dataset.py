@@ -28,10 +28,13 @@ from polhode.images import (
 )
 from polhode.lie import Array, make_pose
 from polhode.records import Bools, Ints, Wrench
-from polhode.tables import attitudes_of, numbers_at, read_listing, read_mapping, read_table
+from polhode.tables import attitudes_of, numbers_at, read_listing, read_mapping, read_table, require_below
 
 MIN_PAIRS = 3
 MAX_LOSS = 0.6
+MAX_COORDINATE_M = 1e12
+MAX_SIGMA_P_M = 1e6
+MAX_WRENCH = 1e12
 PAIRS_AHEAD = 64
 """Pairs that are checked at a time when a sequence is opened."""
 SAME_POSITION_M = 1e-9
@@ -313,6 +316,7 @@ def read_wrench(folder: Path, timestamps_ns: Ints) -> Wrench:
     path = folder / "data.csv"
     table = read_table(path, columns=6)
     stamps, values = table.timestamps_ns, table.values
+    require_below(table, MAX_WRENCH, "a force [N] or torque [N m]")
     if stamps[0] > timestamps_ns[-1]:
         message = f"{path}: the first row, {stamps[0]} ns, is after the last frame, {timestamps_ns[-1]} ns"
         raise InputError(f"{message}; use the clock of the images, or remove wrench0/")
@@ -328,6 +332,7 @@ def read_inspector(folder: Path, timestamps_ns: Ints) -> InspectorPoses:
     path = folder / "data.csv"
     table = read_table(path, columns=7)
     stamps, values = table.timestamps_ns, table.values
+    require_below(table, MAX_COORDINATE_M, "a coordinate [m]")
     R_NB = attitudes_of(table, values[:, 3:], "q_RS")
     interpolated = _require_cover(path, stamps, timestamps_ns)
     sigma_p_m, sigma_theta_rad, warnings = _read_sigmas(folder / "sensor.yaml")
@@ -363,10 +368,12 @@ def _read_sigmas(path: Path) -> tuple[float, float, tuple[str, ...]]:
         path, "give sigma_p_m and sigma_theta_rad, or remove the file if the poses are exact"
     )
     sigmas = []
-    for key in ("sigma_p_m", "sigma_theta_rad"):
+    for key, most in (("sigma_p_m", MAX_SIGMA_P_M), ("sigma_theta_rad", np.pi)):
         sigma = float(numbers_at(path, sensor, key, (1,))[0]) if key in sensor else 0.0
         if sigma < 0.0:
             raise InputError(f"{path} key '{key}': {sigma:g} is negative; a standard deviation is not")
+        if sigma > most:
+            raise InputError(f"{path} key '{key}': {sigma:g} is above {most:g}; such poses say nothing")
         sigmas.append(sigma)
     warnings: tuple[str, ...] = ()
     if "T_BS" in sensor and not np.allclose(numbers_at(path, sensor, "T_BS", (16,)), np.eye(4).ravel()):

@@ -180,6 +180,14 @@ def _shown(text: str) -> str:
     return repr(text if len(text) <= 60 else text[:57] + "...")
 
 
+def require_below(table: Table, most: float, what: str) -> None:
+    """Raise InputError, naming the line, for a value whose size is above ``most``."""
+    size = abs(table.values).max(axis=1)
+    if size.max() > most:
+        line = table.lines[int(size.argmax())]
+        raise InputError(f"{table.path} line {line}: {size.max():g} is no value of {what}; correct the row")
+
+
 def attitudes_of(table: Table, q_wxyz: Array, name: str) -> Array:
     """Unit quaternions (n, 4) as rotations (n, 3, 3); raises InputError naming the line of a wrong one."""
     with np.errstate(over="ignore"):

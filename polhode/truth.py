@@ -11,7 +11,11 @@ import trimesh
 
 from polhode.errors import InputError
 from polhode.records import Truth
-from polhode.tables import attitudes_of, numbers_at, read_mapping, read_table
+from polhode.tables import attitudes_of, numbers_at, read_mapping, read_table, require_below
+
+MAX_STATE = 1e12
+MIN_MOMENT = 1e-30
+ROTATION_TOLERANCE = 1e-2
 
 
 def read_truth(folder: Path) -> Truth:
@@ -24,9 +28,18 @@ def read_truth(folder: Path) -> Truth:
         raise InputError(f"{target} is missing: only a sequence with truth can be evaluated")
     table = read_table(target / "data.csv", columns=13)
     values = table.values
+    require_below(table, MAX_STATE, "a state [m, m/s, rad/s]")
     properties_path = target / "target.yaml"
     properties = read_mapping(properties_path, "the truth needs moments, com_G and R_GP")
     moments = numbers_at(properties_path, properties, "moments", (3,))
+    if not ((moments > MIN_MOMENT) & (moments < 1.0 / MIN_MOMENT)).all():
+        raise InputError(f"{properties_path} key 'moments': give three positive moments of inertia")
+    R_GP = numbers_at(properties_path, properties, "R_GP", (9,)).reshape(3, 3)
+    com_G = numbers_at(properties_path, properties, "com_G", (3,))
+    if abs(R_GP).max() > 2.0 or abs(R_GP @ R_GP.T - np.eye(3)).max() > ROTATION_TOLERANCE:
+        raise InputError(f"{properties_path} key 'R_GP': not a rotation; give nine numbers, row by row")
+    if abs(com_G).max() > MAX_STATE:
+        raise InputError(f"{properties_path} key 'com_G': above {MAX_STATE:g} m")
     return Truth(
         timestamps_ns=table.timestamps_ns,
         r_N=values[:, 0:3],
@@ -36,8 +49,8 @@ def read_truth(folder: Path) -> Truth:
         moments=moments,
         k1=_ratio(properties_path, properties, "k1", moments[0] / moments[1]),
         k2=_ratio(properties_path, properties, "k2", moments[1] / moments[2]),
-        com_G=numbers_at(properties_path, properties, "com_G", (3,)),
-        R_GP=numbers_at(properties_path, properties, "R_GP", (9,)).reshape(3, 3),
+        com_G=com_G,
+        R_GP=R_GP,
         mesh=_read_mesh(target / "mesh.ply"),
         mass_kg=_mass(properties_path, properties),
     )

@@ -1,5 +1,7 @@
 """Rectification: the maps must send each rectified pixel to where the real camera saw that point."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -125,3 +127,11 @@ def test_black_sky_has_no_target() -> None:
     noise = np.clip(np.random.default_rng(0).normal(1.0, 0.8, (300, 400)), 0, 255).astype(np.uint8)
     assert target_crop(target_mask(noise)) is None
     assert target_crop(target_mask(np.zeros((300, 400), dtype=np.uint8))) is None
+
+
+@pytest.mark.parametrize("k1", [-1e6, -3.0])
+def test_a_distortion_that_folds_the_image_is_refused_in_one_line(k1: float) -> None:
+    folded = replace(rig(make_pose(np.eye(3), [0.09, 0.0, 0.0])), dist0=np.array([k1, 0.0, 0.0, 0.0]))
+    with pytest.raises(InputError, match="folds the border of the image over itself") as caught:
+        make_rectifier(folded)
+    assert "\n" not in str(caught.value)

@@ -9,6 +9,7 @@ from time import perf_counter
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image
 
 from polhode import dataset
@@ -368,6 +369,63 @@ def test_bad_input_is_one_line_that_names_the_place(small_sequence: Path, name: 
     message = message_of(small_sequence)
     assert expected in message
     assert str(small_sequence) in message
+
+
+def calibration(key: str, value: str, cameras: tuple[int, ...] = (0, 1)) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        for camera in cameras:
+            path = folder / "mav0" / f"cam{camera}" / "sensor.yaml"
+            sensor = yaml.safe_load(path.read_text())
+            if value == "drop":
+                del sensor[key]
+            else:
+                sensor[key] = yaml.safe_load(value)
+            path.write_text(yaml.safe_dump(sensor))
+
+    return damage
+
+
+NO_LENS: dict[str, tuple[Callable[[Path], None], str]] = {
+    "focal length 1e300": (calibration("intrinsics", "[1.0e+300, 1.0e+300, 32, 24]"), "focal lengths 1e+300"),
+    "focal length 1e-3": (calibration("intrinsics", "[0.001, 50, 32, 24]"), "expected 1.28 to 640000 px"),
+    "principal point 1e300": (calibration("intrinsics", "[50, 50, 1.0e+300, 24]"), "principal point (1e+300"),
+    "principal point in 1e5": (
+        calibration("intrinsics", "[50, 50, 32, -1.0e+5]"),
+        "more than 10 images away",
+    ),
+    "whole number of 60 digits": (calibration("intrinsics", f"[50, 50, {'9' * 60}, 24]"), "principal point"),
+    "resolution 0": (calibration("resolution", "[0, 48]"), "expected [width, height] in whole pixels"),
+    "resolution 8": (calibration("resolution", "[64, 8]"), "64x8 px; sides may have 16 to 32000"),
+    "resolution 1e5": (calibration("resolution", "[100000, 48]"), "sides may have 16 to 32000"),
+    "resolution 1e8": (calibration("resolution", "[10000, 10000]"), "the image 64 million"),
+    "resolution 1e300": (calibration("resolution", "[1.0e+300, 1.0e+300]"), "key 'resolution'"),
+    "distortion 1e300": (calibration("distortion_coefficients", "[1.0e+300, 0, 0, 0]"), "is above 1e+07"),
+    "T_BS 1e300": (calibration("T_BS", str([[1e300] * 4] * 4)), "'T_BS': 1e+300 is above 10000"),
+    "T_BS of zeros": (calibration("T_BS", str([0.0] * 16)), "'T_BS': not a rigid transform"),
+    "baseline 1e9": (replace("cam1/sensor.yaml", "0.09", "1.0e+9"), "'T_BS': 1e+09 is above 10000"),
+    "bits 1e9": (calibration("bits", "1000000000"), "8 to 16, got 1000000000"),
+    "bits a list": (calibration("bits", str([0] * 1000)), "key 'bits'"),
+    "model a list": (calibration("camera_model", str([0] * 1000)), "is not supported; use pinhole"),
+    "distortion model a list": (calibration("distortion_model", str([0] * 1000)), "is not supported"),
+    "inspector at 1e300": (inspector(STAMPS, "0.625", "1e300"), "1e+300 is no value of a coordinate"),
+    "inspector turned by 1e300": (inspector(STAMPS, "1.0,0.0,0.0,0.0", "1e300,0,0,0"), "is no value of"),
+}
+
+
+@pytest.mark.parametrize("name", NO_LENS)
+def test_numbers_of_no_lens_are_refused(small_sequence: Path, name: str) -> None:
+    damage, expected = NO_LENS[name]
+    damage(small_sequence)
+    message = message_of(small_sequence)
+    assert expected in message
+    assert len(message) < 400 + len(str(small_sequence))
+
+
+@pytest.mark.parametrize(("sigma", "message"), [("-1", "is negative"), ("1.0e+9", "such poses say nothing")])
+def test_the_noise_of_the_inspector_has_bounds(small_sequence: Path, sigma: str, message: str) -> None:
+    inspector(STAMPS)(small_sequence)
+    rewrite("inspector0/sensor.yaml", f"sigma_p_m: {sigma}")(small_sequence)
+    assert message in message_of(small_sequence)
 
 
 HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
