@@ -8,6 +8,8 @@ call, so that ``--help`` is quick.
 - options: what several commands have in common
 - overrides: configuration keys given on the command line
 - console: progress bars or plain lines, and warnings
+- streams: standard output and error that are closed, full, or read by nobody
+- failures: errors that no room has explained, as exit code and one line
 - simulate, train: make datasets; train the networks of the front end
 - run, evaluate, report, compare: estimate; compare with the truth; show; compare optimizers
 - predict, plan, export, observability, threshold: what follows from a run

@@ -10,12 +10,17 @@ from contextlib import contextmanager
 from time import perf_counter
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 
+from polhode.errors import one_line, printable
+from polhode.interrupts import raise_if_received
 from polhode.progress import Advance, Progress
 
 _log = logging.getLogger(__name__)
+_finished: list[str] = []
+"""Titles of the stages that the command has finished."""
 
 
 def choose_progress() -> Progress:
@@ -29,6 +34,7 @@ class Bars:
     @contextmanager
     def stage(self, title: str, total: int) -> Iterator[Advance]:
         """Open a bar of ``total`` steps; call what it yields once per step."""
+        raise_if_received()
         bar = RichProgress(
             TextColumn("{task.description:<28}"),
             BarColumn(),
@@ -39,8 +45,14 @@ class Bars:
         )
         start = perf_counter()
         with bar:
-            task = bar.add_task(title, total=total or None)
-            yield lambda: bar.advance(task)
+            task = bar.add_task(escape(printable(title)), total=total or None)
+
+            def advance() -> None:
+                raise_if_received()
+                bar.advance(task)
+
+            yield advance
+        _finished.append(title)
         _log.info("%s: %.1f s", title, perf_counter() - start)
 
 
@@ -51,16 +63,20 @@ class Lines:
     def stage(self, title: str, total: int) -> Iterator[Advance]:
         """Count the steps; print title, count and seconds at the end."""
         del total
+        raise_if_received()
         steps = 0
         start = perf_counter()
 
         def advance() -> None:
             nonlocal steps
+            raise_if_received()
             steps += 1
 
         yield advance
         seconds = perf_counter() - start
-        print(f"{title}: {steps} in {seconds:.1f} s" if steps else f"{title}: {seconds:.1f} s", flush=True)
+        count = f"{steps} in " if steps else ""
+        print(f"{printable(title)}: {count}{seconds:.1f} s", flush=True)
+        _finished.append(title)
         _log.info("%s: %.1f s", title, seconds)
 
 
@@ -68,12 +84,18 @@ class _PlainWarnings(logging.Handler):
     """Warnings on standard output, one line each, whatever stream that is at the time."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        print(f"{record.levelname.lower()}: {' '.join(record.getMessage().split())}", flush=True)
+        print(f"{record.levelname.lower()}: {one_line(record.getMessage())}", flush=True)
+
+
+def is_working() -> bool:
+    """Whether the command has finished a stage of its work."""
+    return bool(_finished)
 
 
 @contextmanager
 def show_warnings() -> Iterator[None]:
-    """Print the program's warnings while the block runs."""
+    """Print the program's warnings while the block runs, which is one command."""
+    _finished.clear()
     handler = _PlainWarnings(level=logging.WARNING)
     # Errors are reported by the last line on standard error.
     handler.addFilter(lambda record: record.levelno < logging.ERROR)

@@ -1,15 +1,15 @@
 """The program ``polhode``: finds the command, loads its configuration and runs it.
 
-Exit code 0: success; 1: the run failed; 2: the user's mistake. Every error is one line on standard error.
+Exit code 0: success; 1: the run failed; 2: the user's mistake; 128 + n: ended by signal n. Every error is one
+line on standard error.
 """
 
 import contextlib
 import dataclasses
 import io
 import operator
-import os
+import signal
 import sys
-import traceback
 from collections.abc import Sequence
 from itertools import dropwhile, takewhile
 from typing import Annotated, Any, Union, cast
@@ -18,9 +18,10 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from polhode.cli.compare import CompareCommand
-from polhode.cli.console import show_warnings
+from polhode.cli.console import is_working, show_warnings
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.export import ExportCommand
+from polhode.cli.failures import explained, printable_traceback
 from polhode.cli.observability import ObservabilityCommand
 from polhode.cli.options import Command
 from polhode.cli.overrides import option_names, split_overrides
@@ -29,11 +30,14 @@ from polhode.cli.predict import PredictCommand
 from polhode.cli.report import ReportCommand
 from polhode.cli.run import RunCommand
 from polhode.cli.simulate import SimulateCommand
+from polhode.cli.streams import tolerant_streams
 from polhode.cli.threshold import ThresholdCommand
 from polhode.cli.train import TrainCommand
 from polhode.config.keys import is_structured, suggestion
 from polhode.config.loader import load_config
-from polhode.errors import InputError, RunFailure
+from polhode.errors import InputError, RunFailure, one_line
+from polhode.interrupts import interrupts_raised, received
+from polhode.processes import kill_workers
 from polhode.threads import limit_threads
 
 COMMANDS: dict[str, type[Command]] = {
@@ -50,9 +54,13 @@ COMMANDS: dict[str, type[Command]] = {
     "train": TrainCommand,
 }
 DESCRIPTION = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
-INTERRUPTED = 130
-OUTPUT_CLOSED = 141
-"""The exit code of a program that SIGPIPE ended."""
+RESUMES = {
+    "compare": "finished rows are kept, the same command goes on from there",
+    "train": "finished scenes and the last checkpoint are kept, the same command goes on from there",
+}
+"""What an interrupt leaves of a command, where it leaves something"""
+ENDED_BY_SIGNAL = 128
+"""Added to the number of the signal that ended a program, its exit code."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,24 +69,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = "--debug" in words
     # Nothing imported so far loads NumPy (tests/cli/test_main.py); the configuration may raise the limit.
     limit_threads(1)
+    with tolerant_streams() as streams, interrupts_raised(first=kill_workers):
+        code = _run([word for word in words if word != "--debug"], debug)
+        sys.stdout.flush()
+        if streams.lost and code == 0:
+            lost = f"standard output: {streams.lost}: what was printed is lost, the work is complete"
+            return _fail(RunFailure.exit_code, lost)
+    return code
+
+
+def _run(words: list[str], debug: bool) -> int:
+    """The command; an error as its exit code, after one line on standard error."""
     try:
         with show_warnings():
-            return _dispatch([word for word in words if word != "--debug"])
-    except InputError as error:
-        return _fail(InputError.exit_code, str(error), debug)
-    except RunFailure as error:
-        return _fail(RunFailure.exit_code, str(error), debug)
+            return _dispatch(words)
     except KeyboardInterrupt as stop:
-        return _fail(INTERRUPTED, str(stop) or "interrupted", debug)
-    except BrokenPipeError:
-        # The reader of the output (head, less) has closed it; nothing more can be written there.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return OUTPUT_CLOSED
+        number = received()
+        by = f" by {number.name}" if number is not None else ""
+        return _fail(ENDED_BY_SIGNAL + (number or signal.SIGINT), _interrupted(words, by, stop), stop, debug)
     except Exception as error:  # noqa: BLE001  last resort: one line instead of a traceback
-        message = (
-            f"unexpected {type(error).__name__}: {error}; this is a defect of polhode; --debug shows where"
-        )
-        return _fail(RunFailure.exit_code, message, debug)
+        return _fail(*explained(error, is_working()), error, debug)
+
+
+def _interrupted(words: list[str], by: str, stop: KeyboardInterrupt) -> str:
+    """What was interrupted, and what is kept: told by the room, or in general by the command."""
+    command = words[0] if words and words[0] in COMMANDS else ""
+    kept = str(stop).removeprefix("interrupted") if str(stop).startswith("interrupted") else ""
+    kept = kept or f"; {RESUMES.get(command, 'nothing was written or replaced')}"
+    return " ".join(filter(None, [command, f"interrupted{by}{kept}"]))
 
 
 def _dispatch(words: list[str]) -> int:
@@ -181,8 +199,8 @@ def squash(text: str) -> str:
     return " ".join((f"{title}: {body}" if body else title).split())
 
 
-def _fail(code: int, message: str, debug: bool) -> int:
-    if debug:
-        traceback.print_exc()
-    print(f"polhode: error: {' '.join(message.split())}", file=sys.stderr)
+def _fail(code: int, message: str, error: BaseException | None = None, debug: bool = False) -> int:
+    if debug and error is not None:
+        sys.stderr.write(printable_traceback(error))
+    print(f"polhode: error: {one_line(message)}", file=sys.stderr)
     return code

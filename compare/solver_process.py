@@ -35,6 +35,7 @@ from polhode.compare.solver import (
     seconds_since_start,
 )
 from polhode.lie import Array
+from polhode.parent_death import tied
 from polhode.threads import limit_threads
 
 RESERVE_S = 3.0
@@ -107,7 +108,7 @@ def _run(command: list[str], limit_s: float) -> ProcessEnd:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     environment.pop("PYTHONFAULTHANDLER", None)
     process = subprocess.Popen(
-        command,
+        tied(command),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -148,7 +149,7 @@ def main(arguments: list[str]) -> None:
     limit_threads(1)
     problem_file, entry_text, case_text, out = arguments
     entry, case = Entry(**json.loads(entry_text)), json.loads(case_text)
-    # ends a solver that hangs when the parent, which would end it, has died
+    # ends a solver that hangs when the parent, which would end it, has died (where it is not tied to it)
     signal.alarm(math.ceil(case["limit_s"]) + 5)
     write_text(Path(out), json.dumps(solve(Path(problem_file), entry, case, Path(out))))
     sys.stdout.flush()

@@ -36,7 +36,10 @@ atomic.py          atomic writing of files
 rays.py            rays against triangles
 compiled.py        just-in-time compilation with a cache that knows its constants
 processes.py       work on many items, spread over processes
+parent_death.py    processes that end with the one that started them
+fork_server.py     the same for the server that forks the workers
+interrupts.py      signals that end a command in order
 threads.py         how many threads the libraries may use
 progress.py        how stages report their progress
-errors.py          errors that end a command, with their exit codes
+errors.py          errors that end a command, with their exit codes; text that is safe to print
 """

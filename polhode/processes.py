@@ -1,9 +1,11 @@
 """One function applied to many items by parallel processes: results in order, memory bounded.
 
-The processes end with their parent, leave Ctrl-C to it, and use one thread each.
+The processes end with their parent, even if it is killed and whatever they are doing; they leave interrupts
+to it and use one thread each.
 """
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import signal
@@ -16,7 +18,10 @@ from multiprocessing.connection import wait as wait_for_end
 from multiprocessing.context import BaseContext
 from typing import Any, TypeVar
 
+from polhode import fork_server
 from polhode.errors import RunFailure
+from polhode.interrupts import SIGNALS, interrupts_delayed
+from polhode.parent_death import end_with_parent
 from polhode.threads import limit_threads, limited_threads
 
 T = TypeVar("T")
@@ -31,49 +36,83 @@ def worker_count(workers: int) -> int:
     return workers or len(os.sched_getaffinity(0))
 
 
+_log = logging.getLogger(__name__)
+_pools: list[ProcessPoolExecutor] = []
+"""Those at work."""
+
+
 def in_order(
     work: Callable[[T], U], items: Sequence[T], workers: int, preload: Sequence[str] = ()
 ) -> Iterator[U]:
     """Yield ``work(item)`` for each item, in the order of the items, whatever the number of workers.
 
-    ``work`` must be picklable; every process receives it once. With one worker or one item, no process is
-    started. ``preload`` names modules that every process will need. Raises what ``work`` raises, after the
-    results of the items before, and RunFailure when a process is killed. After an error or an interrupt,
-    items in progress are finished and no others are started.
+    ``work`` must be picklable; every process receives it once. With one worker or one item, or where no
+    process can be started (a warning says so), it is called here. ``preload`` names modules that every
+    process will need. Raises what ``work`` raises, after the results of the items before, and RunFailure when
+    a process is killed. After an error, items in progress are finished and no others are started; an
+    interrupt ends all.
     """
-    if workers <= 1 or len(items) <= 1:
-        for item in items:
-            with limited_threads(1):
-                result = work(item)
-            yield result
-    else:
-        yield from _results(work, items, workers, preload, ordered=True)
+    if workers > 1 and len(items) > 1:
+        try:
+            pool = _pool(work, min(workers, len(items)), preload)
+        except OSError as error:
+            _log.warning("no parallel processes here (%s): one at a time, which takes longer", error)
+        else:
+            yield from _results(pool, items, workers, ordered=True)
+            return
+    for item in items:
+        with limited_threads(1):
+            result = work(item)
+        yield result
 
 
 def as_finished(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:
     """Yield ``work(item)`` for each item as soon as it is finished; always in processes. See ``in_order``."""
-    return _results(work, items, workers, (), ordered=False)
+    pool = _pool(work, min(workers, max(len(items), 1)))
+    return _results(pool, items, workers, ordered=False)
 
 
-def _results(
-    work: Callable[[T], U], items: Sequence[T], workers: int, preload: Sequence[str], ordered: bool
-) -> Iterator[U]:
-    waiting: deque[Future[U]] = deque()
-    pool = ProcessPoolExecutor(min(workers, max(len(items), 1)), _context(preload), _begin, (work,))
+def kill_workers() -> None:
+    """End all workers of this process at once; what waits for them then ends with an error."""
+    for pool in list(_pools):
+        _kill(pool)
+
+
+def _pool(work: Callable[[T], U], workers: int, preload: Sequence[str] = ()) -> ProcessPoolExecutor:
+    """Processes that will call ``work``. Raises OSError where there can be none."""
+    # The tracker of shared resources, which starts here, must not end by SIGHUP.
+    with _signals_blocked():
+        return ProcessPoolExecutor(workers, _context(preload), _begin, (work,))
+
+
+def _results(pool: ProcessPoolExecutor, items: Sequence[T], workers: int, ordered: bool) -> Iterator[Any]:
+    waiting: deque[Future[Any]] = deque()
+    _pools.append(pool)
     try:
         for item in items:
-            with _interrupts_blocked():
+            with _signals_blocked():
                 waiting.append(pool.submit(_call, item))
             if len(waiting) > WAITING_PER_WORKER * workers:
                 yield from _take(waiting, ordered)
         while waiting:
             yield from _take(waiting, ordered)
     except BrokenProcessPool:
+        # The others ignore the signal by which the pool would end them.
+        _kill(pool)
         raise RunFailure(
             "a worker process was killed, perhaps for lack of memory: use fewer --runtime.workers"
         ) from None
+    except KeyboardInterrupt:
+        _kill(pool)
+        raise
     finally:
+        _pools.remove(pool)
         pool.shutdown(cancel_futures=True)
+
+
+def _kill(pool: ProcessPoolExecutor) -> None:
+    for process in list((pool._processes or {}).values()):
+        process.kill()
 
 
 def _take(waiting: deque[Future[U]], ordered: bool) -> Iterable[U]:
@@ -95,20 +134,23 @@ def _context(preload: Sequence[str]) -> BaseContext:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    if preload:
-        # Takes effect until the server starts; later calls change nothing.
-        context.set_forkserver_preload(["__main__", *preload])
+    # Takes effect until the server starts; later calls change nothing.
+    context.set_forkserver_preload([fork_server.__name__, "__main__", *preload])
     return context
 
 
 @contextlib.contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Processes that are started in the block do not see Ctrl-C; this one sees it when the block ends."""
-    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+def _signals_blocked() -> Iterator[None]:
+    """Processes that are started in the block see no interrupts; this one sees them when the block ends."""
+    with interrupts_delayed():
+        previous = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        if threading.current_thread() is threading.main_thread():
+            os.environ[fork_server.PARENT] = str(os.getpid())
+        try:
+            yield
+        finally:
+            os.environ.pop(fork_server.PARENT, None)
+            signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
 
 _work: Callable[[Any], Any] | None = None
@@ -118,9 +160,11 @@ _work: Callable[[Any], Any] | None = None
 def _begin(work: Callable[[Any], Any]) -> None:
     global _work
     _work = work
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
     limit_threads(1)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent(os.getppid())
+    threading.Thread(target=_end_with_main_process, daemon=True).start()
 
 
 def _call(item: Any) -> Any:
@@ -128,7 +172,8 @@ def _call(item: Any) -> Any:
     return _work(item)
 
 
-def _end_with_parent() -> None:
+def _end_with_main_process() -> None:
+    """For what ``end_with_parent`` does not cover: other systems, and a fork server that outlives its own."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait_for_end([parent.sentinel])

@@ -31,6 +31,7 @@ from polhode.backend.solvers.robust_kernel import MAX_CURVATURE
 from polhode.compare.problem.blocks import Blocks
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.lie import Array
+from polhode.parent_death import tied
 from polhode.records import Ints
 
 Hessian = Literal["gauss_newton", "exact"]
@@ -216,7 +217,7 @@ def compile_kernels(kernels: dict[str, Any], folder: Path) -> dict[str, Any]:
         generator.add(kernel)
     source, library = Path(generator.generate(f"{folder}/")), folder / "stereo.so"
     command = [compiler, "-O3", "-fPIC", "-shared", str(source), "-o", str(library), "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(tied(command), capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{compiler} failed: {done.stderr.splitlines()[0] if done.stderr else ''}")
     return {name: ca.external(kernel.name(), str(library)) for name, kernel in kernels.items()}

@@ -54,9 +54,8 @@ def test_an_interrupt_is_one_line_and_the_same_command_goes_on(
         patch.setattr(FrameRenderer, "write_pair", interrupted)
         assert main(command) == 130
     error = capsys.readouterr().err
-    assert (
-        error == "polhode: error: interrupted; 2 of 3 pairs are kept, the same command goes on from there\n"
-    )
+    kept = "2 of 3 pairs are kept, the same command goes on from there"
+    assert error == f"polhode: error: simulate interrupted; {kept}\n"
     assert main(command) == 0
     assert "rendering (2 of 3 were there): 1 in" in capsys.readouterr().out
 

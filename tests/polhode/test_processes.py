@@ -1,10 +1,12 @@
 """Work over processes: results in order for any number of workers, errors reach the caller."""
 
+import errno
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
+from polhode import processes
 from polhode.errors import RunFailure
 from polhode.processes import as_finished, in_order, worker_count
 
@@ -64,9 +67,10 @@ def test_a_killed_process_is_reported() -> None:
 
 
 def threads_and_interrupts(k: int) -> tuple[int, int]:
-    """Most threads of a library, and the process, which Ctrl-C does not end."""
+    """Most threads of a library, and the process, which neither Ctrl-C nor what ends a group ends."""
     np.linalg.inv(np.eye(2))
-    os.kill(os.getpid(), signal.SIGINT)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(os.getpid(), number)
     return max(each["num_threads"] for each in threadpool_info()), os.getpid()
 
 
@@ -76,14 +80,22 @@ def test_a_worker_uses_one_thread_and_leaves_interrupts_to_its_parent() -> None:
     assert os.getpid() not in {process for _, process in found}
 
 
-def test_processes_end_with_their_parent(tmp_path: Path) -> None:
+WORKS = {
+    "asleep": "time.sleep(600)",
+    # One long call of C, which lets no other thread of the process run.
+    "holding the interpreter": "re.match(r'(a+)+b', 'a' * 60)",
+}
+
+
+@pytest.mark.parametrize("work", WORKS)
+def test_processes_end_with_their_parent_whatever_they_are_doing(work: str, tmp_path: Path) -> None:
     (tmp_path / "endless.py").write_text(
-        "import os, sys, time\n"
+        "import os, re, time\n"
         "from pathlib import Path\n"
         "from polhode.processes import in_order\n\n\n"
         "def wait(k: int) -> None:\n"
         "    Path(f'{k}.pid').write_text(str(os.getpid()))\n"
-        "    time.sleep(600)\n\n\n"
+        f"    {WORKS[work]}\n\n\n"
         "if __name__ == '__main__':\n"
         "    list(in_order(wait, range(2), 2))\n"
     )
@@ -91,10 +103,77 @@ def test_processes_end_with_their_parent(tmp_path: Path) -> None:
     parent = subprocess.Popen([sys.executable, "endless.py"], cwd=tmp_path, env=environment)
     try:
         assert _eventually(lambda: len(_numbers(tmp_path)) == 2)
+        family = descendants(parent.pid)
+        assert len(family) == 4  # two workers, the server that forks them, the tracker of their semaphores
     finally:
         parent.kill()
         parent.wait()
-    assert _eventually(lambda: not any(Path(f"/proc/{number}").exists() for number in _numbers(tmp_path)))
+    assert _eventually(lambda: not any(_is_there(number) for number in family), limit_s=10.0)
+
+
+def test_the_fork_server_ends_with_its_parent_even_amid_its_imports(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(
+        "import os, time\nfrom pathlib import Path\nPath('1.pid').write_text(str(os.getpid()))\n"
+        "time.sleep(600)\n"
+    )
+    (tmp_path / "start.py").write_text(
+        "from polhode.processes import in_order\n\nif __name__ == '__main__':\n"
+        "    list(in_order(abs, range(2), 2, ['slow']))\n"
+    )
+    environment = os.environ | {"PYTHONPATH": f"{Path.cwd()}{os.pathsep}{tmp_path}"}
+    parent = subprocess.Popen([sys.executable, "start.py"], cwd=tmp_path, env=environment)
+    try:
+        assert _eventually(lambda: len(_numbers(tmp_path)) == 1)
+        family = descendants(parent.pid)
+    finally:
+        parent.kill()
+        parent.wait()
+    assert _numbers(tmp_path)[0] in family
+    assert _eventually(lambda: not any(_is_there(number) for number in family), limit_s=10.0)
+
+
+def test_a_started_program_ends_with_its_parent(tmp_path: Path) -> None:
+    code = (
+        "import subprocess, sys; from polhode.parent_death import tied;"
+        "child = subprocess.Popen(tied(['sleep', '600'])); print(child.pid, flush=True); child.wait()"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    assert _eventually(lambda: "sleep" in Path(f"/proc/{child}/cmdline").read_text())
+    parent.kill()
+    parent.communicate()
+    assert _eventually(lambda: not _is_there(child), limit_s=10.0)
+
+
+def descendants(process: int) -> list[int]:
+    """The processes that a process has started, and those that these have."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            parent = int(path.read_text().rpartition(")")[2].split()[1])
+            if parent == process:
+                found += [int(path.parent.name), *descendants(int(path.parent.name))]
+    return found
+
+
+def _is_there(process: int) -> bool:
+    """Whether a process is alive, not merely waiting for its parent to notice its end."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def test_without_processes_the_work_is_done_here(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(*arguments: object) -> None:
+        raise OSError(errno.ENOENT, "No such file or directory", "/dev/shm")
+
+    monkeypatch.setattr(processes, "ProcessPoolExecutor", refuse)
+    assert list(in_order(Square(), range(4), 2)) == [0, 1, 4, 9]
+    assert "no parallel processes here" in caplog.text
 
 
 def _numbers(folder: Path) -> list[int]:

@@ -1,0 +1,14 @@
+"""Imported first by the server that forks the workers: it ends with the process that started it.
+
+The server would otherwise wait for its workers, which wait for it. Forks do not inherit this.
+"""
+
+import os
+
+from polhode.parent_death import end_with_parent
+
+PARENT = "POLHODE_PARENT"
+"""Environment variable: the number of the process that starts the server in its main thread."""
+
+if parent := os.environ.pop(PARENT, ""):
+    end_with_parent(int(parent))
