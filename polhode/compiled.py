@@ -5,16 +5,21 @@ own file alone whether the copy on disk is stale: after a change of a constant t
 module, it would keep using the old value. Here, the name under which a function is stored ends with a digest
 of every constant and compiled function that it reads, so that a changed constant leads to a new compilation.
 
+The cache is a pickle with machine code, so it is kept only where no other user can write (``code_cache``).
+
 The variants differ in the floating-point rules that the compiler may apply; they give different bytes.
 """
 
 import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
+
+from polhode.code_cache import code_cache
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -48,7 +53,17 @@ def compiled_fused_ieee(function: Callable[P, T]) -> Callable[P, T]:
 def _compile(function: Callable[P, T], **flags: Any) -> Callable[P, T]:
     plain = cast(FunctionType, function)
     plain.__qualname__ = f"{plain.__qualname__}-{_digest_of_constants(plain)}"
-    return cast(Callable[P, T], numba.njit(cache=True, **flags)(plain))
+    source = Path(plain.__code__.co_filename)
+    folder = code_cache(source)
+    settings: Any = numba.config
+    before = settings.CACHE_DIR
+    # without a folder of its own, numba takes the one beside the module
+    beside = folder == source.parent.absolute() / "__pycache__"
+    settings.CACHE_DIR = "" if folder is None or beside else str(folder)
+    try:
+        return cast(Callable[P, T], numba.njit(cache=folder is not None, **flags)(plain))
+    finally:
+        settings.CACHE_DIR = before
 
 
 def _digest_of_constants(function: FunctionType) -> str:

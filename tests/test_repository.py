@@ -40,7 +40,9 @@ def test_our_own_packages_are_the_ones_imported(name: str) -> None:
 def test_rooms_are_imported_by_their_full_name() -> None:
     """``import frontend`` works in the checkout only, and would be a second copy of the room."""
     python = [
-        path for folder in ("tests", "benchmarks", "examples") for path in (ROOT / folder).rglob("*.py")
+        path
+        for folder in ("tests", "benchmarks", "examples", "release")
+        for path in (ROOT / folder).rglob("*.py")
     ]
     bare = {
         f"{path.relative_to(ROOT)}: {name}"
@@ -86,7 +88,7 @@ def test_every_import_is_a_declared_dependency() -> None:
 def test_every_declared_dependency_has_a_tested_version() -> None:
     groups = project()["project"]
     extras = groups["optional-dependencies"]
-    installed = ("dev", "peers", "solvers", "export", "formats")
+    installed = ("dev", "peers", "solvers", "export", "formats", "sbom")
     wanted = groups["dependencies"] + [each for name in installed for each in extras[name]]
     declared = {normalised(each) for each in wanted}
     lines = (ROOT / "constraints.txt").read_text().splitlines()
@@ -100,8 +102,12 @@ def test_no_package_of_tests_shadows_ours() -> None:
     assert list((ROOT / "tests").rglob("__init__.py")) == []
 
 
-PAGES = ("README.md", *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").glob("*.md")))
-FOLDERS = "|".join((*ROOMS, "polhode", "benchmarks", "configs", "docs", "examples", "tests"))
+PAGES = (
+    "README.md",
+    "SECURITY.md",
+    *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").glob("*.md")),
+)
+FOLDERS = "|".join((*ROOMS, "polhode", "benchmarks", "configs", "docs", "examples", "release", "tests"))
 
 
 @pytest.mark.parametrize("page", PAGES)
