@@ -33,7 +33,7 @@ REFUSED = {
 }
 """What a path does not allow: the user's mistake, unless it comes amid the work."""
 OUT_OF_MEMORY = ("can't allocate memory", "cannot allocate memory", "out of memory", "bad_alloc",
-                 "insufficient memory")  # fmt: skip
+                 "insufficient memory", "failed to map segment")  # fmt: skip
 """What libraries say instead of raising MemoryError."""
 NO_THREADS = ("can't start new thread", "can't start new process", "resource temporarily unavailable")
 
@@ -48,7 +48,7 @@ def explained(error: Exception, working: bool) -> tuple[int, str]:
 
 def _explained(error: Exception, working: bool) -> tuple[int, str]:
     users = RunFailure.exit_code if working else InputError.exit_code
-    text = str(error).lower()
+    text = f"{error} {error.__context__ or ''}".lower()
     said = str(error).strip().partition("\n")[0][:120] or type(error).__name__
     if isinstance(error, MemoryError) or any(words in text for words in OUT_OF_MEMORY):
         remedy = "use fewer --runtime.workers, fewer frames or smaller images, or raise the limit (ulimit -v)"
@@ -68,7 +68,7 @@ def _explained(error: Exception, working: bool) -> tuple[int, str]:
     if isinstance(error, UnicodeEncodeError):
         name = error.object[max(error.start - 40, 0) : error.end + 20]
         return users, f"'{name}' cannot be written as {error.encoding.upper()}: choose another name"
-    if isinstance(error, ImportError):
+    if isinstance(error, ImportError) or "shared object" in text:
         return RunFailure.exit_code, f"the installation is incomplete ({error}): install polhode again"
     return RunFailure.exit_code, (
         f"unexpected {type(error).__name__}: {error}; this is a defect of polhode; --debug shows where"

@@ -12,12 +12,14 @@ The variants differ in the floating-point rules that the compiler may apply; the
 
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core.caching import FunctionCache
 
 from polhode.code_cache import code_cache
 
@@ -61,9 +63,30 @@ def _compile(function: Callable[P, T], **flags: Any) -> Callable[P, T]:
     beside = folder == source.parent.absolute() / "__pycache__"
     settings.CACHE_DIR = "" if folder is None or beside else str(folder)
     try:
-        return cast(Callable[P, T], numba.njit(cache=folder is not None, **flags)(plain))
+        dispatcher: Any = numba.njit(**flags)(plain)
+        if folder is not None:
+            dispatcher._cache = _DispensableCache(plain)
+        return cast(Callable[P, T], dispatcher)
     finally:
         settings.CACHE_DIR = before
+
+
+class _DispensableCache(FunctionCache):
+    """Numba's cache, whose failure, on a full disk for instance, costs time and not the run."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled function that is stored; None: compile it."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # noqa: BLE001  whatever a damaged file leads to
+            with suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Store a compiled function, where that is possible."""
+        with suppress(OSError):
+            super().save_overload(sig, data)
 
 
 def _digest_of_constants(function: FunctionType) -> str:

@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import cache
 from multiprocessing.connection import wait as wait_for_end
 from multiprocessing.context import BaseContext
 from typing import Any, TypeVar
@@ -56,7 +57,7 @@ def in_order(
         try:
             pool = _pool(work, min(workers, len(items)), preload)
         except OSError as error:
-            _log.warning("no parallel processes here (%s): one at a time, which takes longer", error)
+            _say_once(f"no parallel processes can be started ({error}): the work is done by one, more slowly")
         else:
             yield from _results(pool, items, workers, ordered=True)
             return
@@ -76,6 +77,11 @@ def kill_workers() -> None:
     """End all workers of this process at once; what waits for them then ends with an error."""
     for pool in list(_pools):
         _kill(pool)
+
+
+@cache
+def _say_once(warning: str) -> None:
+    _log.warning(warning)
 
 
 def _pool(work: Callable[[T], U], workers: int, preload: Sequence[str] = ()) -> ProcessPoolExecutor:

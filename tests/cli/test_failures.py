@@ -42,6 +42,7 @@ CASES: dict[str, tuple[Exception, int, str]] = {
     "no name": (OSError(errno.EPIPE, "Broken pipe"), 2, "a file or process: Broken pipe: check"),
     "memory": (MemoryError(), 1, "the memory is exhausted (MemoryError): use fewer"),
     "memory of torch": (RuntimeError("can't allocate memory: 8 bytes"), 1, "the memory is exhausted"),
+    "memory of the loader": (ImportError("cv2.so: failed to map segment from"), 1, "the memory is exhaus"),
     "threads": (RuntimeError("can't start new thread"), 1, "no more threads can be started"),
     "nesting": (RecursionError("maximum"), 2, "nested too deeply"),
     "bytes": (broken_text(), 2, "a text is not UTF-8 (byte 0xff at position 2)"),

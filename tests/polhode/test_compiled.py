@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 
-def result_with(folder: Path, size: str) -> str:
+def result_with(folder: Path, size: str, first: str = "") -> str:
     """Write the constant's module, then call the compiled function of another one in a separate process."""
     (folder / "sizes.py").write_text(f"EDGE = {size}\n")
     environment = os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{Path.cwd()}"}
-    command = [sys.executable, "-B", "-c", "import kept; print(kept.outer())"]
+    command = [sys.executable, "-B", "-c", f"{first}import kept; print(kept.outer())"]
     found = subprocess.run(command, check=True, env=environment, capture_output=True, text=True)
     return found.stdout.strip()
 
@@ -35,3 +35,17 @@ def test_a_changed_constant_of_another_module_leads_to_a_new_compilation(
     # loaded, not compiled again
     assert sorted(path.name for path in tmp_path.rglob("*.nbi")) == names and len(names) == 2
     assert result_with(tmp_path, "4") == "404"
+
+
+def test_a_cache_that_cannot_be_written_or_read_costs_time_only(tmp_path: Path) -> None:
+    (tmp_path / "kept.py").write_text(
+        "from polhode.compiled import compiled\n\n\n@compiled\ndef outer() -> int:\n    return 7\n"
+    )
+    cache = tmp_path / "__pycache__"
+    limit = "import resource, signal; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100));"
+    assert result_with(tmp_path, "8", limit) == "7"  # as on a full disk
+    assert not list(cache.glob("*.nbc"))
+    assert result_with(tmp_path, "8") == "7"
+    for path in (*cache.glob("*.nbi"), *cache.glob("*.nbc")):
+        path.write_bytes(path.read_bytes()[:-40])
+    assert result_with(tmp_path, "8") == "7"

@@ -173,7 +173,7 @@ def test_without_processes_the_work_is_done_here(
 
     monkeypatch.setattr(processes, "ProcessPoolExecutor", refuse)
     assert list(in_order(Square(), range(4), 2)) == [0, 1, 4, 9]
-    assert "no parallel processes here" in caplog.text
+    assert "no parallel processes can be started" in caplog.text
 
 
 def _numbers(folder: Path) -> list[int]:
