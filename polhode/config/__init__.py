@@ -16,7 +16,7 @@ from polhode.config.compare_settings import Compare
 from polhode.config.frontend_settings import Frontend
 from polhode.config.mapping_settings import Mapping
 from polhode.config.scene_settings import Scene
-from polhode.config.section import Section
+from polhode.config.section import Section, Seed
 from polhode.config.train_settings import Train
 
 __all__ = ["Backend", "Compare", "Config", "Frontend", "Mapping", "Pictures", "Runtime", "Scene", "Train"]
@@ -25,9 +25,9 @@ __all__ = ["Backend", "Compare", "Config", "Frontend", "Mapping", "Pictures", "R
 class Runtime(Section):
     """Use of the machine, not what is computed."""
 
-    workers: int = Field(0, ge=0)
+    workers: int = Field(0, ge=0, le=1024)
     """Parallel processes; 0: one per core."""
-    blas_threads: int = Field(1, ge=1)
+    blas_threads: int = Field(1, ge=1, le=1024)
     """Threads of BLAS and OpenMP in each process: more than one was 5-8 times slower on small problems."""
 
 
@@ -38,14 +38,14 @@ class Pictures(Section):
     """Landmarks from six sides, contact sheet of the mesh."""
     animation: bool = True
     """The model beside the camera's images with their difference, as MP4 and GIF."""
-    frames: int = Field(60, ge=1)
+    frames: int = Field(60, ge=1, le=10_000)
     """Largest number of frames of the animation, spread evenly over the sequence."""
 
 
 class Config(Section):
     """One schema for every command: a scene (for simulate), the stages (for run), a training (for train)."""
 
-    seed: int = 0
+    seed: Seed = 0
     """Seed of everything random."""
     scene: Scene | None = None
     frontend: Frontend = Frontend()

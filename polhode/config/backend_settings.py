@@ -1,10 +1,13 @@
 """Settings of the back end."""
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, NonNegativeFloat, model_validator
+from pydantic import Field, model_validator
 
 from polhode.config.section import Section
+
+Pixels = Annotated[float, Field(ge=0, le=100)]
+Seconds = Annotated[float, Field(ge=-1e9, le=1e9)]
 
 
 class Window(Section):
@@ -14,11 +17,11 @@ class Window(Section):
     """Write trajectory_online.csv."""
     solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
     """Solver of the window's program; both reach the same optimum."""
-    frames: int = Field(12, ge=2)
+    frames: int = Field(12, ge=2, le=1000)
     """Number of latest frames whose full state is estimated."""
-    key_frames: int = Field(36, ge=2)
+    key_frames: int = Field(36, ge=2, le=10_000)
     """Earlier frames whose pose and observations stay: they show sides of the target that will reappear."""
-    history: int = Field(96, ge=4)
+    history: int = Field(96, ge=4, le=10_000)
     """Number of frames that are solved as a batch before the first state is marginalized; if the inertia is
     not determined by then, more frames, thinned out to this number."""
 
@@ -33,37 +36,37 @@ class Backend(Section):
     ipopt continues."""
     process_noise: Literal["estimated", "given"] = "estimated"
     """Level of the disturbances: the most likely one given the data, or accel_psd and torque_psd."""
-    accel_psd: float = Field(1e-6, gt=0)
+    accel_psd: float = Field(1e-6, ge=1e-30, le=1e6)
     """Disturbance acceleration, power spectral density [(m/s^2)^2/Hz] (thesis eq. 6.14, squared); the
     start of its estimate."""
-    torque_psd: float = Field(1e-6, gt=0)
+    torque_psd: float = Field(1e-6, ge=1e-30, le=1e6)
     """Disturbance torque over the middle moment, power spectral density [(rad/s^2)^2/Hz] (thesis eq. 6.15,
     squared); the start of its estimate."""
-    systematic_px: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = (0.03, 0.03, 0.01)
+    systematic_px: tuple[Pixels, Pixels, Pixels] = (0.03, 0.03, 0.01)
     """Standard deviations of constant errors of u, v and disparity common to all frames [px]: calibration and
     matching. They do not appear in the residuals, and increase the sigma of position."""
-    wrench_bias: float = Field(0.02, gt=0)
+    wrench_bias: float = Field(0.02, ge=1e-9, le=1e3)
     """Standard deviation of a constant bias of known forces and torques, relative to the largest of each."""
     unknown_wrench: Literal["none", "found", "everywhere"] = "found"
     """Unknown disturbances: none; in the steps between frames that contradict free motion; in every step."""
-    unknown_wrench_s: tuple[tuple[float, float], ...] = ()
+    unknown_wrench_s: tuple[tuple[Seconds, Seconds], ...] = Field((), max_length=10_000)
     """Intervals with an unknown disturbance, start and end of each in seconds since the first frame."""
-    unknown_acceleration: float = Field(0.1, gt=0)
+    unknown_acceleration: float = Field(0.1, ge=1e-12, le=1e6)
     """Standard deviation of the acceleration by an unknown disturbance [m/s^2]."""
-    unknown_angular_acceleration: float = Field(1.0, gt=0)
+    unknown_angular_acceleration: float = Field(1.0, ge=1e-12, le=1e6)
     """Standard deviation of its angular acceleration [rad/s^2]."""
-    mass_kg: float | None = Field(None, gt=0)
+    mass_kg: float | None = Field(None, ge=1e-9, le=1e12)
     """Mass of the target [kg], if known: with the mesh it sets the scale of the inertia, as an assumption."""
-    density_kg_m3: float | None = Field(None, gt=0)
+    density_kg_m3: float | None = Field(None, ge=1e-6, le=1e6)
     """Density of the target [kg/m^3], if known and the mass is not: with the mesh it determines mass and
     inertia."""
-    robust_scale: float = Field(3.0, gt=0)
+    robust_scale: float = Field(3.0, ge=0.01, le=1e6)
     """Scale of the Cauchy kernel [standard deviations]; for the last solve it is increased as far as the
     residuals allow."""
-    max_iterations: int = Field(200, ge=1)
+    max_iterations: int = Field(200, ge=1, le=1_000_000)
     """Largest number of iterations of a solver (half as many for gauss_newton before ipopt continues); a run
     that needs more fails and keeps the best motion found."""
-    max_seconds: float = Field(600.0, gt=0)
+    max_seconds: float = Field(600.0, ge=1e-9, le=1e8)
     """Time limit of the solution [s]; likewise."""
     window: Window = Window()
 

@@ -17,20 +17,20 @@ class Features(Section):
     """A second method, used where the first one leaves frames with too few observations or finds no motion:
     the observations of both are solved together, and kept unless the fit is worse. null, or the same as the
     first: none."""
-    second_below: int = Field(100, ge=0)
+    second_below: int = Field(100, ge=0, le=10**9)
     """The second method is used when the median frame has fewer observations, or one frame in twenty is lost;
     a large number: always."""
     surface_descriptor: Literal["network", "rootsift"] = "network"
     """Descriptor of surface patches (method polhode): the network trained here, or RootSIFT on the patch."""
-    patch_half_m: float | None = Field(None, gt=0)
+    patch_half_m: float | None = Field(None, ge=1e-6, le=1e4)
     """Half the side of a surface patch [m] (method polhode); null: 12 px at the target's median distance."""
-    max_features: int = Field(1500, ge=50)
+    max_features: int = Field(1500, ge=50, le=100_000)
     """Number of strongest key points that are kept in one image."""
-    contrast_threshold: float = Field(0.012, gt=0)
+    contrast_threshold: float = Field(0.012, ge=1e-6, le=1)
     """SIFT's contrast threshold, on intensities stretched to the target's own range."""
-    upsample: float = Field(2.0, ge=1.0)
+    upsample: float = Field(2.0, ge=1.0, le=8.0)
     """Enlargement of the target's crop before detection."""
-    max_crop_px: int = Field(900, ge=64)
+    max_crop_px: int = Field(900, ge=64, le=8192)
     """Longest side of the enlarged crop [px]; larger targets are enlarged less."""
 
 
@@ -41,33 +41,33 @@ class PairMatching(Section):
     method: Literal["polhode", "nearest", "lightglue", "loftr"] | None = None
     """Our matcher, mutual nearest neighbours, or a published one (see frontend.weights); null: ours for our
     features, nearest neighbours for others."""
-    ratio: float = Field(0.92, gt=0, le=1)
+    ratio: float = Field(0.92, ge=0.01, le=1)
     """Distance ratio of mutual nearest neighbours; for method nearest."""
     min_confidence: float = Field(0.1, ge=0, le=1)
     """Smallest confidence of a match; for all methods except nearest."""
-    exhaustive_frames: int = Field(130, ge=3)
+    exhaustive_frames: int = Field(130, ge=3, le=10_000)
     """Sequences of up to this number of frames are matched all against all; longer ones as follows."""
-    neighbours: int = Field(20, ge=1)
+    neighbours: int = Field(20, ge=1, le=10_000)
     """Number of frames before and after each frame that it is matched with, in long sequences."""
-    retrieved: int = Field(30, ge=0)
+    retrieved: int = Field(30, ge=0, le=10_000)
     """Number of most similar frames elsewhere with which it is also matched, to close loops."""
 
 
 class GuidedMatching(Section):
     """Association with the predicted motion, to recover frames that matching without a prediction lost."""
 
-    rounds: int = Field(2, ge=1)
+    rounds: int = Field(2, ge=1, le=100)
     """Largest number of times that lost frames are searched for and the motion is solved."""
-    max_view_angle_deg: float = Field(45.0, gt=0, le=90)
+    max_view_angle_deg: float = Field(45.0, ge=0.01, le=90)
     """Largest change of viewing direction between descriptors that are compared [deg]."""
-    max_distance: float = Field(0.65, gt=0)
+    max_distance: float = Field(0.65, ge=1e-3, le=10)
     """Largest descriptor distance of an accepted association, for features without a known surface."""
 
 
 class Tracks(Section):
     """Landmarks for the back end: the longest tracks, until every frame has enough."""
 
-    enough_per_frame: int = Field(200, ge=10)
+    enough_per_frame: int = Field(200, ge=10, le=1_000_000)
     """Observations in a frame beyond which only landmarks that other frames need are added."""
 
 
@@ -104,9 +104,9 @@ class Depth(Section):
     """Weights of the network, a safetensors file; null: the shipped ones."""
     min_visible: float = Field(0.1, ge=0, le=1)
     """For method network: smallest probability that both cameras see a pixel that has depth."""
-    block_px: int = Field(3, ge=1)
+    block_px: int = Field(3, ge=1, le=51)
     """Side of the window of the initial, integer disparities [px], odd."""
-    max_sigma_px: float | None = Field(None, gt=0)
+    max_sigma_px: float | None = Field(None, ge=1e-3, le=1e3)
     """Largest standard deviation of a disparity that is kept [px]; null: 0.5 for sgbm, 0.7 for network, whose
     sigmas at edges and in holes are larger and consistent."""
 

@@ -46,6 +46,12 @@ EXTENDS = "extends"
 MAX_CHAIN = 16
 """Files that extend each other."""
 COMMAND_LINE = "command line"
+_RANGES = {
+    "greater_than": ("above", "gt"),
+    "greater_than_equal": ("at least", "ge"),
+    "less_than": ("below", "lt"),
+    "less_than_equal": ("at most", "le"),
+}
 _NAME = re.compile(r"[\w. -]{1,64}")
 
 
@@ -203,8 +209,11 @@ def _one_line(layered: _Layered, problem: dict[str, Any]) -> str:
     got = _shown(problem["input"])
     if problem["type"] == "value_error":
         return f"{where}: {problem['msg'].removeprefix('Value error, ')}"
-    if problem["type"] in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
-        return f"{where}: {problem['msg'].replace('Input should', 'must')}, got {got}"
+    if problem["type"] in _RANGES:
+        words, name = _RANGES[problem["type"]]
+        return f"{where}: must be {words} {problem['ctx'][name]:g}, got {got}"
+    if problem["type"] == "too_long":
+        return f"{where}: more than {problem['ctx']['max_length']} values; give fewer"
     if problem["type"] == "literal_error":
         return f"{where}: {_expected(path)}, got {got};{_choice_hint(path, problem['input'])}".rstrip(";")
     return f"{where}: {_expected(path)}, got {got}"

@@ -1,11 +1,34 @@
 """Description of a simulated scene: what ``polhode simulate`` renders. Every value carries its unit."""
 
+import math
 from itertools import pairwise
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from polhode.config.section import NonNegative, Positive, Section, Share, Vector3
+from polhode.config.section import (
+    AngularVelocity,
+    Direction,
+    Position,
+    RotationVector,
+    Section,
+    Seed,
+    Share,
+    Velocity,
+)
+
+MAX_ROWS = 1_000_000
+"""Of the truth: images and times after them."""
+MAX_DURATION_S = 1e8
+MAX_TURNS = 1e5
+"""Revolutions of the target, periods of a push, crossings of a dead band."""
+Density = Annotated[float, Field(ge=1e-6, le=1e6)]
+_Moment = Annotated[float, Field(ge=-1e18, le=1e18)]
+MomentRow = tuple[_Moment, _Moment, _Moment]
+_Component = Annotated[float, Field(ge=-1e12, le=1e12)]
+Wrench = tuple[_Component, _Component, _Component]
+Pixels = Annotated[float, Field(ge=-1e5, le=1e5)]
+Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
 
 
 class TargetBody(Section):
@@ -16,14 +39,14 @@ class TargetBody(Section):
     )
     """Shape: an 18-faced free flyer, a box bus with two panels, an upper stage with its nozzle, a dish
     antenna on a small bus, an open truss with equipment, a cubesat, a small rocky body, or a mesh file."""
-    size_m: Positive = 0.22
+    size_m: float = Field(0.22, ge=1e-3, le=1e4)
     """Width across flats (free_flyer), length without panels (bus, cubesat), length (upper_stage, truss),
     diameter of the dish (dish), or of the sphere of the same volume (asteroid) [m]; not for mesh."""
-    seed: int | None = None
+    seed: Seed | None = None
     """Seed of shape and surface; the config's own seed when absent."""
     path: str | None = None
     """Mesh file (OBJ, STL, PLY, GLB), for family mesh."""
-    metres_per_unit: Positive | None = None
+    metres_per_unit: float | None = Field(None, ge=1e-9, le=1e9)
     """Length of one unit of the mesh file [m]; mandatory for family mesh, never guessed."""
     material: Literal["automatic", "paint", "solar_cell", "foil", "metal", "regolith"] = "automatic"
     """Surface: that of the family or of the mesh file, or one material for the whole body."""
@@ -31,7 +54,7 @@ class TargetBody(Section):
     """Generator of the texture. Two that have nothing in common, so that training and testing can be
     separated: stickers, lettering and lattice noise; or overlapping shapes of all sizes and noise of random
     spots."""
-    contrast: NonNegative = 1.0
+    contrast: float = Field(1.0, ge=0, le=100)
     """Factor on the texture's variation of reflectance; 0: no texture."""
 
     @model_validator(mode="after")
@@ -48,15 +71,15 @@ class TargetBody(Section):
 class Mass(Section):
     """Mass properties: set by hand, or by the density of the parts where absent."""
 
-    com_m: Vector3 | None = None
+    com_m: Position | None = None
     """Centre of mass in G [m]; that of the parts' densities when absent."""
-    inertia_kg_m2: tuple[Vector3, Vector3, Vector3] | None = None
+    inertia_kg_m2: tuple[MomentRow, MomentRow, MomentRow] | None = None
     """Inertia about the centre of mass, axes of G [kg m^2]; that of the parts' densities when absent."""
-    density_kg_m3: Positive = 1000.0
+    density_kg_m3: Density = 1000.0
     """Density of parts that ``part_density_kg_m3`` does not name [kg/m^3]."""
-    part_density_kg_m3: dict[str, Positive] = Field(default_factory=dict)
+    part_density_kg_m3: dict[str, Density] = Field(default_factory=dict)
     """Density by the part's name [kg/m^3]; an unknown name is refused with the list of parts."""
-    mass_kg: Positive | None = None
+    mass_kg: float | None = Field(None, ge=1e-9, le=1e12)
     """Mass [kg]; scales the inertia of the densities, and turns known forces into accelerations. That of the
     densities when absent."""
 
@@ -64,36 +87,36 @@ class Mass(Section):
 class WrenchPulse(Section):
     """A force and a torque on the target over an interval; those of overlapping intervals add up."""
 
-    start_s: NonNegative = 0.0
+    start_s: float = Field(0.0, ge=0, le=1e8)
     """Start, after the first frame [s]."""
-    duration_s: Positive = 1.0
+    duration_s: float = Field(1.0, ge=1e-6, le=1e8)
     """Duration [s]."""
-    force_N: Vector3 = (0.0, 0.0, 0.0)
+    force_N: Wrench = (0.0, 0.0, 0.0)
     """Force on the centre of mass, in N [N]."""
-    torque_P: Vector3 = (0.0, 0.0, 0.0)
+    torque_P: Wrench = (0.0, 0.0, 0.0)
     """Torque in the principal axes [N m]."""
-    period_s: Positive | None = None
+    period_s: float | None = Field(None, ge=1e-3, le=1e8)
     """Period of a sine that starts at zero [s]; constant when absent."""
 
 
 class Motion(Section):
     """The target's state at the first frame, and the disturbances: none by default."""
 
-    position_m: Vector3 = (0.0, 0.0, 0.6)
+    position_m: Position = (0.0, 0.0, 0.6)
     """Centre of mass in N [m]."""
-    velocity_mm_s: Vector3 = (0.0, 0.0, 0.0)
+    velocity_mm_s: Velocity = (0.0, 0.0, 0.0)
     """Velocity of the centre of mass in N [mm/s]."""
-    attitude_deg: Vector3 = (0.0, 0.0, 0.0)
+    attitude_deg: RotationVector = (0.0, 0.0, 0.0)
     """Rotation vector of R_NG [deg]."""
-    spin_rpm: Vector3 = (0.0, 0.0, 0.0)
+    spin_rpm: AngularVelocity = (0.0, 0.0, 0.0)
     """Angular velocity relative to N, in the axes named by ``spin_axes`` [RPM]."""
     spin_axes: Literal["geometric", "principal"] = "geometric"
     """Axes of ``spin_rpm``: those of G, or the principal axes (greatest moment first)."""
-    accel_psd: NonNegative = 0.0
+    accel_psd: float = Field(0.0, ge=0, le=1e6)
     """Disturbing force: power spectral density of the white acceleration, each axis [(m/s^2)^2/Hz]."""
-    torque_psd: NonNegative = 0.0
+    torque_psd: float = Field(0.0, ge=0, le=1e6)
     """Disturbing torque over the middle moment: power spectral density, each axis [(rad/s^2)^2/Hz]."""
-    pushes: tuple[WrenchPulse, ...] = ()
+    pushes: tuple[WrenchPulse, ...] = Field((), max_length=1000)
     """Known forces and torques, each with start_s, duration_s, force_N (in N), torque_P, period_s."""
     pushes_known: bool = True
     """Write them to wrench0/ for the estimator; false: they are unknown to it."""
@@ -103,18 +126,18 @@ class Motion(Section):
     """Drag opposes the angular momentum, as air does. Friction inside the body conserves the momentum and
     turns the spin towards the axis of the greatest moment; ``energy_loss`` is then the share of the energy
     above that of a spin about this axis."""
-    energy_loss_s: Positive = 80.0
+    energy_loss_s: float = Field(80.0, ge=1e-3, le=1e9)
     """Time in which ``energy_loss`` is lost [s]."""
 
 
 class Waypoint(Section):
     """Pose of the left camera at one time."""
 
-    t_s: NonNegative = 0.0
+    t_s: float = Field(0.0, ge=0, le=1e8)
     """Time after the first frame [s]."""
-    position_m: Vector3 = (0.0, 0.0, 0.0)
+    position_m: Position = (0.0, 0.0, 0.0)
     """Left camera in N [m]."""
-    attitude_deg: Vector3 = (0.0, 0.0, 0.0)
+    attitude_deg: RotationVector = (0.0, 0.0, 0.0)
     """Rotation vector R_NC of the left camera [deg]."""
 
 
@@ -124,36 +147,36 @@ class Inspector(Section):
     profile: Literal["rest", "drift", "circle", "approach", "waypoints"] = "rest"
     """At rest (then N is the left camera at the first frame), free drift, a circle around a point, a straight
     approach, or through given poses. ``deadband_...`` adds jitter to each of them."""
-    position_m: Vector3 = (0.0, 0.0, 0.0)
+    position_m: Position = (0.0, 0.0, 0.0)
     """Left camera in N at the first frame [m]; zero for rest."""
-    attitude_deg: Vector3 = (0.0, 0.0, 0.0)
+    attitude_deg: RotationVector = (0.0, 0.0, 0.0)
     """Rotation vector R_NC of the left camera at the first frame [deg]; zero for rest."""
-    velocity_mm_s: Vector3 = (0.0, 0.0, 0.0)
+    velocity_mm_s: Velocity = (0.0, 0.0, 0.0)
     """Drift: velocity of the left camera in N [mm/s]."""
-    rate_deg_s: Vector3 = (0.0, 0.0, 0.0)
+    rate_deg_s: AngularVelocity = (0.0, 0.0, 0.0)
     """Drift: angular velocity of the left camera, in its own axes [deg/s]."""
-    circle_period_s: Positive = 600.0
+    circle_period_s: float = Field(600.0, ge=0.1, le=1e9)
     """Circle: time of one revolution [s]."""
-    circle_axis: Vector3 = (0.0, 1.0, 0.0)
+    circle_axis: Direction = (0.0, 1.0, 0.0)
     """Circle: axis in N through the target's first position; the camera keeps facing that point."""
-    approach_mm_s: Positive = 5.0
+    approach_mm_s: float = Field(5.0, ge=1e-6, le=1e7)
     """Approach: closing speed along the line to the target's first position [mm/s]; the attitude stays."""
-    approach_stop_m: Positive = 0.5
+    approach_stop_m: float = Field(0.5, ge=1e-3, le=1e6)
     """Approach: distance from that point at which the camera stops [m]."""
-    waypoints: tuple[Waypoint, ...] = ()
+    waypoints: tuple[Waypoint, ...] = Field((), max_length=100_000)
     """Waypoints: poses in order of time, joined by smooth curves; constant before the first and after the
     last."""
-    deadband_mm: NonNegative = 0.0
+    deadband_mm: float = Field(0.0, ge=0, le=1e6)
     """Limit cycle of the position control: half width of the band, each axis [mm]."""
-    deadband_mm_s: NonNegative = 1.0
+    deadband_mm_s: float = Field(1.0, ge=0, le=1e6)
     """Drift rate inside the band [mm/s], a little different after each thruster pulse."""
-    deadband_deg: NonNegative = 0.0
+    deadband_deg: float = Field(0.0, ge=0, le=180)
     """Limit cycle of the attitude control: half width of the band, each axis [deg]."""
-    deadband_deg_s: NonNegative = 0.3
+    deadband_deg_s: float = Field(0.3, ge=0, le=1e4)
     """Drift rate inside the band [deg/s]."""
-    sigma_p_m: NonNegative = 0.0
+    sigma_p_m: float = Field(0.0, ge=0, le=1e4)
     """Standard deviation of the noise on the reported position [m]."""
-    sigma_theta_deg: NonNegative = 0.0
+    sigma_theta_deg: float = Field(0.0, ge=0, le=180)
     """Standard deviation of the noise on the reported attitude [deg]."""
     reported: bool = True
     """Write the poses to inspector0/; false: the estimator assumes a camera at rest. Only for profile
@@ -191,50 +214,50 @@ class Rig(Section):
     """Image width [px]."""
     height_px: int = Field(480, ge=16, le=8192)
     """Image height [px]."""
-    focal_px: Positive = 467.0
+    focal_px: float = Field(467.0, ge=1, le=1e8)
     """Focal length of both cameras [px]."""
-    baseline_m: Positive = 0.09
+    baseline_m: float = Field(0.09, ge=1e-4, le=1e4)
     """Distance between the cameras, along x of the left one [m]."""
-    principal_offset_px: tuple[float, float] = (0.0, 0.0)
+    principal_offset_px: tuple[Pixels, Pixels] = (0.0, 0.0)
     """Principal point minus image centre (u, v), left camera; the right one has the opposite sign [px]."""
-    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[Coefficient, Coefficient, Coefficient, Coefficient] = (0.0, 0.0, 0.0, 0.0)
     """Radial-tangential distortion k1, k2, p1, p2 of the left camera."""
-    distortion_right: tuple[float, float, float, float] | None = None
+    distortion_right: tuple[Coefficient, Coefficient, Coefficient, Coefficient] | None = None
     """The same of the right camera; by default that of the left one."""
-    right_offset_mm: Vector3 = (0.0, 0.0, 0.0)
+    right_offset_mm: Position = (0.0, 0.0, 0.0)
     """Position of the right camera minus (baseline, 0, 0), in the left camera's axes [mm]."""
-    right_rotation_deg: Vector3 = (0.0, 0.0, 0.0)
+    right_rotation_deg: RotationVector = (0.0, 0.0, 0.0)
     """Rotation vector of the right camera in the left one [deg]; a negative y component toes it in."""
-    mount_position_m: Vector3 = (0.0, 0.0, 0.0)
+    mount_position_m: Position = (0.0, 0.0, 0.0)
     """Position of the left camera in the inspector's body frame B [m]."""
-    mount_rotation_deg: Vector3 = (0.0, 0.0, 0.0)
+    mount_rotation_deg: RotationVector = (0.0, 0.0, 0.0)
     """Rotation vector R_BC of the left camera in B [deg]."""
 
 
 class Sensor(Section):
     """From radiance to grey values. DN: 1/255 of full scale, whatever the number of bits."""
 
-    white_dn: Positive = 450.0
+    white_dn: float = Field(450.0, ge=1e-3, le=1e9)
     """Grey value of a white diffuse surface that faces the Sun; above 255 it saturates [DN]."""
-    exposure_ms: NonNegative = 1.0
+    exposure_ms: float = Field(1.0, ge=0, le=1e6)
     """Exposure time of the global shutter, centred on the timestamp: motion blur [ms]."""
-    electrons_per_dn: Positive = 40.0
+    electrons_per_dn: float = Field(40.0, ge=1e-3, le=1e6)
     """Conversion gain: sets the shot noise [electrons/DN]."""
-    read_noise_dn: NonNegative = 0.8
+    read_noise_dn: float = Field(0.8, ge=0, le=1e4)
     """Standard deviation of the read noise [DN]."""
-    black_level_dn: float = 1.0
+    black_level_dn: float = Field(1.0, ge=-1e4, le=1e4)
     """Grey value of no light; below zero the black sky clips to 0 and compresses [DN]."""
     bits: Literal[8, 10, 12] = 8
     """Depth of the images; above 8 they are written as 16-bit files."""
-    blur_px: NonNegative = 0.4
+    blur_px: float = Field(0.4, ge=0, le=50)
     """Standard deviation of the lens blur [px]."""
     glare: Share = 0.0
     """Share of the light that the lens scatters into a wide halo."""
-    glare_px: Positive = 12.0
+    glare_px: float = Field(12.0, ge=0.01, le=500)
     """Standard deviation of that halo [px]."""
     vignetting: Share = 0.1
     """Loss of light in the corner of the image; grows with the square of the distance from the centre."""
-    full_well_dn: Positive = 1500.0
+    full_well_dn: float = Field(1500.0, ge=1, le=1e9)
     """Full-well capacity of a pixel [DN]; charge beyond it blooms or is lost."""
     bloom: Share = 0.0
     """Share of the charge beyond the full well that spills to the neighbours in the column."""
@@ -264,32 +287,32 @@ class Render(Section):
 class Eclipse(Section):
     """The Earth's shadow: no Sun, and a dark Earth."""
 
-    start_s: NonNegative = 10.0
+    start_s: float = Field(10.0, ge=0, le=1e8)
     """First moment without direct sunlight, after the first frame [s]."""
-    duration_s: NonNegative = 0.0
+    duration_s: float = Field(0.0, ge=0, le=1e8)
     """Duration of the darkness [s]; 0: no eclipse."""
-    ramp_s: NonNegative = 1.0
+    ramp_s: float = Field(1.0, ge=0, le=1e8)
     """Duration of the penumbra before and after it [s]."""
 
 
 class Light(Section):
     """Light on the target. Intensities are reflected levels of a white surface that faces the light."""
 
-    sun_direction_N: Vector3 = (0.55, -0.5, -0.7)
+    sun_direction_N: Direction = (0.55, -0.5, -0.7)
     """From the target towards the Sun, in N; any length."""
-    sun: NonNegative = 1.0
+    sun: float = Field(1.0, ge=0, le=1e6)
     """Sunlight; 1 brings a white surface to ``white_dn``."""
-    sun_diameter_deg: NonNegative = 0.533
+    sun_diameter_deg: float = Field(0.533, ge=0, le=90)
     """Angular diameter: softens the shadows' edges; 0: a point [deg]."""
-    earth_direction_N: Vector3 = (-0.3, 0.9, 0.2)
+    earth_direction_N: Direction = (-0.3, 0.9, 0.2)
     """From the target towards the middle of the Earth, which fills the shadows."""
-    earth: NonNegative = 0.15
+    earth: float = Field(0.15, ge=0, le=1e6)
     """Radiance of the Earth's disc relative to a white surface in sunlight."""
-    earth_radius_deg: Positive = 66.0
+    earth_radius_deg: float = Field(66.0, ge=0.01, le=90)
     """Angular radius of the Earth's disc: 66 degrees at 600 km [deg]."""
-    lamp: NonNegative = 0.0
+    lamp: float = Field(0.0, ge=0, le=1e9)
     """Inspector's lamp beside the left camera: its light at 1 m, relative to sunlight."""
-    lamp_position_m: Vector3 = (0.045, -0.06, 0.0)
+    lamp_position_m: Position = (0.045, -0.06, 0.0)
     """The lamp in the left camera's frame [m]."""
     eclipse: Eclipse = Eclipse()
 
@@ -299,9 +322,9 @@ class Background(Section):
 
     stars: bool = False
     """Stars, fixed in N, random by the seed of the scene."""
-    star_dn: Positive = 200.0
+    star_dn: float = Field(200.0, ge=1e-3, le=1e9)
     """Grey value, in its brightest pixel, of a star of magnitude 0 [DN]."""
-    faintest_magnitude: float = 6.5
+    faintest_magnitude: float = Field(6.5, ge=-30, le=30)
     """Fainter stars are omitted; there are about 9000 in the sky up to magnitude 6.5."""
     earth: bool = False
     """The Earth's disc with clouds and a thin bright limb, in the direction ``light.earth_direction_N``."""
@@ -310,13 +333,13 @@ class Background(Section):
 class Scene(Section):
     """What ``polhode simulate`` renders."""
 
-    frames: int = Field(115, ge=1)
+    frames: int = Field(115, ge=1, le=1_000_000)
     """Number of stereo pairs."""
-    interval_s: Positive = 0.5
+    interval_s: float = Field(0.5, ge=1e-6, le=1e6)
     """Time between pairs [s]."""
-    truth_horizon_s: NonNegative = 60.0
+    truth_horizon_s: float = Field(60.0, ge=0, le=1e7)
     """Time that the truth covers after the last image [s]."""
-    start_ns: int = Field(1_600_000_000_000_000_000, ge=0)
+    start_ns: int = Field(1_600_000_000_000_000_000, ge=0, le=4 * 10**18)
     """Timestamp of the first pair [ns]."""
     body: TargetBody = TargetBody()
     mass: Mass = Mass()
@@ -337,6 +360,38 @@ class Scene(Section):
         ]:
             if not any(vector):
                 raise ValueError(f"{name} is zero: give a direction")
+        return self
+
+    @property
+    def duration_s(self) -> float:
+        """Of the images and of the truth after them [s]."""
+        return self.frames * self.interval_s + self.truth_horizon_s
+
+    @model_validator(mode="after")
+    def _has_an_end(self) -> Self:
+        """What multiplies to more than a machine can compute, though each setting is within its range."""
+        rows = self.frames + self.truth_horizon_s / self.interval_s
+        if rows > MAX_ROWS:
+            raise ValueError(
+                f"frames and truth_horizon_s over interval_s make {rows:.3g} rows, above {MAX_ROWS:g}"
+            )
+        if self.duration_s > MAX_DURATION_S:
+            raise ValueError(f"frames times interval_s and truth_horizon_s exceed {MAX_DURATION_S:g} s")
+        turns = math.hypot(*self.motion.spin_rpm) / 60.0 * self.duration_s
+        if turns > MAX_TURNS:
+            raise ValueError(f"motion.spin_rpm makes {turns:.3g} revolutions in all, above {MAX_TURNS:g}")
+        for push in self.motion.pushes:
+            if push.period_s and min(push.duration_s, self.duration_s) / push.period_s > MAX_TURNS:
+                raise ValueError(f"motion.pushes: more than {MAX_TURNS:g} periods of {push.period_s:g} s")
+        steered = self.inspector
+        for name, width, rate in (
+            ("deadband_mm", steered.deadband_mm, steered.deadband_mm_s),
+            ("deadband_deg", steered.deadband_deg, steered.deadband_deg_s),
+        ):
+            if width > 0.0 and rate * self.duration_s / width > MAX_TURNS:
+                raise ValueError(
+                    f"inspector.{name} is crossed more than {MAX_TURNS:g} times; give a wider band"
+                )
         return self
 
     @model_validator(mode="after")

@@ -4,10 +4,22 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Vector3 = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
+_Length = Annotated[float, Field(ge=-1e6, le=1e6)]
+Position = tuple[_Length, _Length, _Length]
+"""[m]"""
+Direction = tuple[_Length, _Length, _Length]
+"""Of any length but zero."""
+_Angle = Annotated[float, Field(ge=-3600, le=3600)]
+RotationVector = tuple[_Angle, _Angle, _Angle]
+"""[deg]"""
+_Speed = Annotated[float, Field(ge=-1e7, le=1e7)]
+Velocity = tuple[_Speed, _Speed, _Speed]
+"""[mm/s]"""
+_Rate = Annotated[float, Field(ge=-1e4, le=1e4)]
+AngularVelocity = tuple[_Rate, _Rate, _Rate]
+"""[deg/s] or [RPM]"""
 
 
 class Section(BaseModel):

@@ -1,14 +1,16 @@
 """Settings of ``polhode train``: the task, the scenes, the schedule."""
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from polhode.config.section import NonNegative, Positive, Section, Share
+from polhode.config.section import Section, Share
 
 Family = Literal["free_flyer", "bus", "upper_stage", "dish", "truss", "cubesat", "asteroid"]
-Range = tuple[Positive, Positive]
-RangeFromZero = tuple[NonNegative, NonNegative]
+_Positive = Annotated[float, Field(ge=1e-3, le=1e6)]
+_FromZero = Annotated[float, Field(ge=0, le=1e6)]
+Range = tuple[_Positive, _Positive]
+RangeFromZero = tuple[_FromZero, _FromZero]
 
 
 class Corpus(Section):
@@ -16,13 +18,13 @@ class Corpus(Section):
 
     folder: str = "runs/corpus"
     """Folder of the sequences; missing ones are rendered."""
-    seed: int = Field(0, ge=0)
+    seed: int = Field(0, ge=0, le=10**12)
     """Seed of the scenes: the same seed and ranges give the same bytes."""
-    scenes: int = Field(100, ge=2)
+    scenes: int = Field(100, ge=2, le=100_000)
     """Number of scenes. Scene i does not depend on how many there are."""
-    frames: int = Field(10, ge=3)
+    frames: int = Field(10, ge=3, le=10_000)
     """Stereo pairs in a scene."""
-    validation_every: int = Field(8, ge=2)
+    validation_every: int = Field(8, ge=2, le=100_000)
     """One scene in this number is held out for validation: its body is not used in training."""
     families: tuple[Family, ...] = Field(
         ("free_flyer", "bus", "upper_stage", "cubesat", "asteroid"), min_length=1
@@ -81,41 +83,41 @@ class Corpus(Section):
 class Schedule(Section):
     """AdamW with a warm-up, then cosine decay to zero."""
 
-    steps: int = Field(5000, ge=1)
+    steps: int = Field(5000, ge=1, le=10**9)
     """Number of steps; the learning rate reaches zero there."""
-    learning_rate: Positive = 2e-3
+    learning_rate: float = Field(2e-3, ge=1e-9, le=10)
     """Largest learning rate."""
-    warmup_steps: int = Field(100, ge=0)
+    warmup_steps: int = Field(100, ge=0, le=10**9)
     """Steps over which the learning rate grows from zero."""
-    time_limit_s: Positive | None = None
+    time_limit_s: float | None = Field(None, ge=1e-9, le=1e9)
     """Stop after this time in one call [s], with a checkpoint; the same command continues from it."""
-    checkpoint_every: int = Field(250, ge=1)
+    checkpoint_every: int = Field(250, ge=1, le=10**9)
     """Steps between checkpoints."""
-    validate_every: int = Field(500, ge=1)
+    validate_every: int = Field(500, ge=1, le=10**9)
     """Steps between validations on the held-out bodies."""
-    log_every: int = Field(20, ge=1)
+    log_every: int = Field(20, ge=1, le=10**9)
     """Steps between points of the curves."""
     device: Literal["automatic", "cpu", "cuda"] = "automatic"
     """Device of the network; automatic: a GPU if there is one."""
     precision: Literal["automatic", "full", "mixed"] = "automatic"
     """Mixed: products in 16 bits, sums in 32. Automatic: mixed on a GPU. On a CPU it is faster if the
     processor multiplies in bfloat16."""
-    threads: int = Field(1, ge=1)
+    threads: int = Field(1, ge=1, le=1024)
     """Threads of torch on the CPU. The weights' last bits depend on it."""
 
 
 class DescriptorTraining(Section):
     """Pairs of patches of one surface point, seen in two frames of a scene."""
 
-    batch: int = Field(256, ge=4)
+    batch: int = Field(256, ge=4, le=100_000)
     """Largest number of pairs of patches in a step: frames with few common points give fewer."""
-    frame_pairs: int = Field(4, ge=1)
+    frame_pairs: int = Field(4, ge=1, le=10_000)
     """Pairs of frames from which a batch is drawn: points of the same pair are the hard negatives."""
-    normal_noise_deg: NonNegative = 8.0
+    normal_noise_deg: float = Field(8.0, ge=0, le=90)
     """Error of the surface's normal, rms [deg]."""
     fronto_parallel: Share = 0.05
     """Share of the patches cut as if the surface faced the camera."""
-    place_noise_px: NonNegative = 0.5
+    place_noise_px: float = Field(0.5, ge=0, le=100)
     """Standard deviation of the patch's position in the image [px], each axis."""
 
     @model_validator(mode="after")
@@ -130,13 +132,13 @@ class DepthTraining(Section):
 
     cache: str = "runs/depth_samples"
     """Folder of the matched pairs, about 5 MB each; missing ones are computed."""
-    every: int = Field(1, ge=1)
+    every: int = Field(1, ge=1, le=100_000)
     """Use one in this number of the pairs of a scene."""
-    batch: int = Field(4, ge=1)
+    batch: int = Field(4, ge=1, le=4096)
     """Crops in a step."""
-    crop_px: int = Field(192, ge=32, multiple_of=16)
+    crop_px: int = Field(192, ge=32, le=4096, multiple_of=16)
     """Side of a crop [px]."""
-    validation_samples: int = Field(24, ge=1)
+    validation_samples: int = Field(24, ge=1, le=100_000)
     """Number of held-out pairs that are scored."""
     half_on_cpu: bool = False
     """Compute in bfloat16 on a CPU; several times faster where the CPU has instructions for it (AMX)."""

@@ -143,7 +143,7 @@ BAD_FILES: dict[str, tuple[str, str]] = {
     "section for number": ("seed: {a: 1}", "key 'seed': expected a whole number, got section"),
     "number for section": ("backend: 3", "key 'backend': expected a section with keys inertia"),
     "fraction for whole": ("seed: 1.5", "key 'seed': expected a whole number, got 1.5"),
-    "out of range": ("backend: {accel_psd: -1}", "key 'backend.accel_psd': must be greater than 0, got -1"),
+    "out of range": ("backend: {accel_psd: -1}", "key 'backend.accel_psd': must be at least 1e-30, got -1"),
     "short list": ("scene: {motion: {spin_rpm: [1, 2]}}", "key 'scene.motion.spin_rpm.2': missing"),
     "text in list": (
         "scene: {motion: {spin_rpm: [1, 2, x]}}",

@@ -239,7 +239,7 @@ WRONG = {
     "unknown key": ("--train.schedul.steps=3", "unknown key 'train.schedul'; did you mean schedule?"),
     "no steps": (
         "--train.schedule.steps=0",
-        "key 'train.schedule.steps': must be greater than or equal to 1",
+        "key 'train.schedule.steps': must be at least 1",
     ),
     "unknown task": ("--train.task=masks", "key 'train.task': expected one of descriptor, depth"),
     "unknown family": ("--train.corpus.families=teapot", "expected a list, each one of free_flyer, bus"),
