@@ -236,7 +236,7 @@ def _check_pairs(
     at_once = parallel_decodes(calibration.width_px, calibration.height_px)
     with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 16, at_once)) as pool:
         while some := list(islice(rest, PAIRS_AHEAD)):
-            yield from pool.map(lambda pair: _check_pair(mav0, *pair, calibration, bits), some)
+            yield from pool.map(lambda each: _check_pair(mav0, each[0], each[1], calibration, bits), some)
 
 
 def _check_pair(

@@ -35,7 +35,7 @@ _Base: Any = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
 """libyaml reads ten times as fast as the loader in Python, and words its errors alike."""
 
 
-class _Loader(_Base):
+class _Loader(_Base):  # type: ignore[misc]
     """YAML's plain types; keys are the text as it is written."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[str, Any]:

@@ -261,7 +261,7 @@ class Sensor(Section):
     """Full-well capacity of a pixel [DN]; charge beyond it blooms or is lost."""
     bloom: Share = 0.0
     """Share of the charge beyond the full well that spills to the neighbours in the column."""
-    dropped_frames: tuple[int, ...] = ()
+    dropped_frames: tuple[Annotated[int, Field(ge=0, le=MAX_ROWS)], ...] = ()
     """Frames, counted from 0, that are lost and not written."""
     drop_probability: Share = 0.0
     """Probability that any other frame is lost."""

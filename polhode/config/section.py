@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 Share = Annotated[float, Field(ge=0, le=1)]
-Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
+Seed = Annotated[int, Field(ge=0, le=10**18)]
 _Length = Annotated[float, Field(ge=-1e6, le=1e6)]
 Position = tuple[_Length, _Length, _Length]
 """[m]"""
