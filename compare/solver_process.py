@@ -107,7 +107,7 @@ def _run(command: list[str], limit_s: float) -> ProcessEnd:
     # the child imports our packages from where this process has them, wherever it was started
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     environment.pop("PYTHONFAULTHANDLER", None)
-    process = subprocess.Popen(
+    process = subprocess.Popen(  # noqa: S603  this interpreter with words of ours, no shell
         tied(command),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

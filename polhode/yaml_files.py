@@ -81,7 +81,7 @@ def parse_yaml(text: str, source: str) -> Any:
     """
     try:
         _check(yaml.parse(text, Loader=_Loader), source)
-        return yaml.load(text, Loader=_Loader)
+        return yaml.load(text, Loader=_Loader)  # noqa: S506  a safe loader, restricted further
     except yaml.YAMLError as error:
         raise _invalid(error, source) from None
 

@@ -78,7 +78,8 @@ def load_weights(setting: str, config: Weights) -> State:
         if path.suffix == ".safetensors":
             loaded = load_file(path)
         else:
-            loaded = torch.load(path, map_location="cpu", weights_only=True)
+            # weights_only: tensors and plain containers are made, and nothing is called
+            loaded = torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251
     except Exception as error:  # noqa: BLE001  torch.load raises whatever the damage leads to
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{_named(setting, path)} cannot be read: {reason[:100]}") from None

@@ -89,7 +89,7 @@ def test_lightglue_is_refused_for_features_that_it_has_no_weights_for() -> None:
 def test_a_file_that_is_no_table_of_tensors_is_refused(tmp_path: Path) -> None:
     text, numbers = tmp_path / "text.pth", tmp_path / "numbers.pth"
     text.write_text("weights")
-    torch.save({"epoch": 3}, numbers)
+    torch.save({"epoch": 3}, numbers)  # noqa: TID251  as published
     for path in (text, numbers):
         with pytest.raises(InputError, match=r"text\.pth|numbers\.pth"):
             feature_method(configured("disk", weights={"disk": str(path)}))
@@ -97,7 +97,7 @@ def test_a_file_that_is_no_table_of_tensors_is_refused(tmp_path: Path) -> None:
 
 def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
     other = tmp_path / "other.pth"
-    torch.save({"layer.weight": torch.zeros(3)}, other)
+    torch.save({"layer.weight": torch.zeros(3)}, other)  # noqa: TID251  as published
     with pytest.raises(InputError, match=r"other\.pth.*another network"):
         feature_method(configured("xfeat", weights={"xfeat": str(other)}))
 
@@ -105,7 +105,7 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
 def test_code_in_a_file_of_weights_is_not_executed(tmp_path: Path) -> None:
     sprung, plain, archive = (tmp_path / name for name in ("sprung", "plain.pth", "archive.pth"))
     plain.write_bytes(trap(sprung))
-    torch.save({"state_dict": Trap(sprung)}, archive)
+    torch.save({"state_dict": Trap(sprung)}, archive)  # noqa: TID251  as published
     for path in (plain, archive):
         with pytest.raises(InputError, match=rf"{path.name}.*cannot be read"):
             feature_method(configured("xfeat", weights={"xfeat": str(path)}))
@@ -157,7 +157,7 @@ def test_a_peer_with_lightglue_finds_the_motion_of_the_sample(method: str, least
 def test_loftr_takes_its_weights_from_a_file_and_matches_a_picture_with_itself(tmp_path: Path) -> None:
     path = tmp_path / "loftr.ckpt"
     torch.manual_seed(3)
-    torch.save({"state_dict": LoFTR(pretrained=None).state_dict()}, path)
+    torch.save({"state_dict": LoFTR(pretrained=None).state_dict()}, path)  # noqa: TID251  as published
     config = Frontend.model_validate(
         {"pairs": {"method": "loftr", "min_confidence": 0.0}, "weights": {"loftr": str(path)}}
     )

@@ -1,6 +1,6 @@
 """The inspector takes the path that the scene names."""
 
-import pickle
+import pickle  # noqa: TID251  as multiprocessing passes it to workers
 from typing import Any
 
 import numpy as np
@@ -68,7 +68,7 @@ def test_poses_depend_on_time_and_seed_alone(profile: str) -> None:
 @pytest.mark.parametrize("profile", COURSES)
 def test_a_motion_travels_to_another_process(profile: str) -> None:
     motion = _motion(profile, **JITTER)
-    moved = pickle.loads(pickle.dumps(motion))
+    moved = pickle.loads(pickle.dumps(motion))  # noqa: S301
     np.testing.assert_array_equal(moved.poses_during(7, [0.1]), motion.poses_during(7, [0.1]))
 
 

@@ -1,0 +1,46 @@
+"""The static rules that keep code of others from being executed are on, and they find what they should."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FORBIDDEN = {
+    "import pickle": "TID251",
+    "import marshal": "TID251",
+    "import shelve": "TID251",
+    "import dill": "TID251",
+    "from joblib import load": "TID251",
+    "import torch\n\ntorch.load('x')": "TID251",
+    "import torch\n\ntorch.hub.load('x', 'y')": "TID251",
+    "eval(input())": "S307",
+    "exec(input())": "S102",
+    "import os\n\nos.system('ls')": "S605",
+    "import subprocess\n\nsubprocess.run('ls', shell=True)": "S602",
+    "import yaml\n\nyaml.load('', Loader=yaml.Loader)": "S506",
+    "import tempfile\n\ntempfile.mktemp()": "S306",
+    "import jinja2\n\njinja2.Environment()": "S701",
+}
+
+
+@pytest.mark.parametrize("code", FORBIDDEN)
+def test_what_would_execute_code_of_others_is_refused(code: str) -> None:
+    """As ``make check`` runs it, on a file of a room."""
+    options = ["--no-cache", "--output-format", "concise", "--stdin-filename", "compare/x.py"]
+    command = [sys.executable, "-m", "ruff", "check", *options, "-"]
+    done = subprocess.run(command, input=f"{code}\n", cwd=ROOT, capture_output=True, text=True, check=False)
+    assert FORBIDDEN[code] in re.findall(r"compare/x\.py:\d+:\d+: ([A-Z]+\d+)", done.stdout), done.stdout
+
+
+def test_no_archive_is_read_or_written_with_pickles() -> None:
+    """NumPy's own switch has no rule; the one test that makes such a file is allowed it."""
+    found = {
+        str(path.relative_to(ROOT))
+        for folder in ROOT.glob("[a-z]*")
+        for path in folder.rglob("*.py")
+        if re.search(r"allow_pickle\s*=\s*True", path.read_text())
+    }
+    assert found <= {"tests/compare/problem/test_problem_file.py", "tests/test_static_rules.py"}
