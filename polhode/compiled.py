@@ -19,7 +19,6 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
-from numba.core.caching import FunctionCache
 
 from polhode.code_cache import code_cache
 
@@ -63,30 +62,36 @@ def _compile(function: Callable[P, T], **flags: Any) -> Callable[P, T]:
     beside = folder == source.parent.absolute() / "__pycache__"
     settings.CACHE_DIR = "" if folder is None or beside else str(folder)
     try:
-        dispatcher: Any = numba.njit(**flags)(plain)
-        if folder is not None:
-            dispatcher._cache = _DispensableCache(plain)
-        return cast(Callable[P, T], dispatcher)
+        dispatcher: Any = numba.njit(cache=folder is not None, **flags)(plain)
     finally:
         settings.CACHE_DIR = before
+    if folder is not None:
+        dispatcher._cache = _DispensableCache(dispatcher._cache)
+    return cast(Callable[P, T], dispatcher)
 
 
-class _DispensableCache(FunctionCache):
-    """Numba's cache, whose failure, on a full disk for instance, costs time and not the run."""
+class _DispensableCache:
+    """Numba's cache of a function, whose failure, on a full disk for instance, costs time and not the run."""
+
+    def __init__(self, cache: Any) -> None:
+        self._cache = cache
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function that is stored; None: compile it."""
         try:
-            return super().load_overload(sig, target_context)
+            return self._cache.load_overload(sig, target_context)
         except Exception:  # noqa: BLE001  whatever a damaged file leads to
             with suppress(OSError):
-                self.flush()
+                self._cache.flush()
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store a compiled function, where that is possible."""
         with suppress(OSError):
-            super().save_overload(sig, data)
+            self._cache.save_overload(sig, data)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cache, name)
 
 
 def _digest_of_constants(function: FunctionType) -> str:
