@@ -21,9 +21,11 @@ class EvaluateCommand:
 
     def execute(self) -> int:
         """Write the metrics, renew the report and print the table."""
+        from polhode.output.place import require_writable
         from polhode.pipeline.evaluation import evaluate, format_table
         from polhode.pipeline.report import write_report
 
+        require_writable(self.run, self.run)
         metrics = evaluate(self.run, self.data)
         write_report(self.run)
         print(format_table(metrics))

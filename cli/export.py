@@ -25,7 +25,7 @@ class ExportCommand:
     to: Annotated[str, arg(metavar="FORMAT")]
     """glb ply stl obj urdf mjcf sdf aem oem tum json"""
     output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
-    """The file. An existing file is replaced."""
+    """The file. An earlier export is replaced, with its folder of meshes; any other file is not."""
     frame: Annotated[str | None, arg(metavar="G|P|cad")] = None
     """Frame of the file: G of the run; P, principal axes at the centre of mass; cad, that of your model. The
     default is G, and P for aem, oem and tum."""
@@ -77,7 +77,7 @@ class ExportCommand:
         files = export_run(self.run, ExportOptions(**values))
         if len(files) > 1:
             print(f"Meshes: {len(files) - 1} files in {files[0].parent}")
-        print(f"Export: {files[-1]}")
+        print(f"Export: {self.output}")
         return 0
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Debug, Flag, require_folder
+from polhode.cli.options import Debug, Flag
 from polhode.errors import InputError
 
 MAX_IMAGE_PX = 100_000
@@ -28,7 +28,7 @@ class ObservabilityCommand:
     source: Annotated[Positional[Path], arg(metavar="RUN|MESH")]
     """Folder of a run, whose mesh is used, or a mesh file (PLY, STL, OBJ, GLB)."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
-    """Folder of the results; files of the same names are replaced."""
+    """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
     trajectory: Annotated[Path | None, arg(metavar="FILE")] = None
     """Camera trajectory, TUM format: one line per pose, timestamp tx ty tz qx qy qz qw; the camera looks
     along its z axis, x points right, y down. A run's own unless given."""
@@ -68,9 +68,13 @@ class ObservabilityCommand:
 
         from polhode.cli.console import choose_progress
         from polhode.pipeline.after_run.observability.assess import CameraOptions, assess, subject_of
-        from polhode.pipeline.after_run.observability.files import format_assessment, write_assessment
+        from polhode.pipeline.after_run.observability.files import (
+            assessment_place,
+            format_assessment,
+            write_assessment,
+        )
 
-        require_folder(self.output)
+        place = assessment_place(self.output)
         for name, least in (("sigma_px", 1e-6), ("spacing_px", 0.1)):
             if not least <= getattr(self, name) <= 1e6:
                 raise InputError(f"--{name.replace('_', '-')}: give a number from {least:g} to 1e6")
@@ -102,7 +106,7 @@ class ObservabilityCommand:
         assessment = assess(
             subject, self.spacing_px, self.sigma_px, self.edges, self.fewest, choose_progress()
         )
-        names = write_assessment(assessment, self.output)
+        names = write_assessment(assessment, place)
         print(format_assessment(assessment))
         print(f"{', '.join(names)}: {self.output}")
         return 0

@@ -25,12 +25,6 @@ def require_positive(command: object, *names: str) -> None:
             raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
 
 
-def require_folder(output: Path) -> None:
-    """Raises InputError for a file in the place of the folder of results."""
-    if output.exists() and not output.is_dir():
-        raise InputError(f"{output} is a file: -o names a folder")
-
-
 class Command(Protocol):
     """What the command line is parsed into."""
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Debug, require_folder, require_positive
+from polhode.cli.options import Debug, require_positive
 from polhode.errors import InputError
 
 
@@ -20,7 +20,7 @@ class PlanCommand:
     run: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a finished run."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
-    """Folder of the results; files of the same names are replaced."""
+    """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
     horizon: Annotated[float, arg(metavar="S")] = 60.0
     """Time to predict beyond the last stereo pair [s]."""
     confidence: Annotated[float, arg(metavar="SHARE")] = 0.99
@@ -47,10 +47,10 @@ class PlanCommand:
         import numpy as np
 
         from polhode.pipeline.after_run.plan import Docking, plan_run
-        from polhode.pipeline.after_run.plan_files import format_plan, write_plan
+        from polhode.pipeline.after_run.plan_files import format_plan, plan_place, write_plan
         from polhode.planning.keep_out.volumes import KeepOutOptions
 
-        require_folder(self.output)
+        place = plan_place(self.output)
         if (self.dock_point is None) != (self.dock_axis is None):
             raise InputError("--dock-point and --dock-axis belong together: give both")
         docking = None
@@ -62,7 +62,7 @@ class PlanCommand:
             docking = Docking(point, axis, self.stand_off, self.half_angle_deg, self.isp_s)
         wanted = KeepOutOptions(self.horizon, self.confidence, members=self.members, cover=self.cover)
         plan = plan_run(self.run, wanted, docking)
-        names = write_plan(plan, self.output)
+        names = write_plan(plan, place)
         print(format_plan(plan))
         print(f"{', '.join(names)}: {self.output}")
         return 0

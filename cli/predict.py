@@ -21,7 +21,8 @@ class PredictCommand:
     horizon: Annotated[float, arg(metavar="S")]
     """Time to predict beyond the last stereo pair [s]."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="FILE")] = None
-    """Table, CSV; with the suffix .npz an archive with the full covariances. An existing file is replaced."""
+    """Table, CSV; with the suffix .npz an archive with the full covariances. An earlier prediction is
+    replaced, any other file is not."""
     step_s: Annotated[float | None, arg(metavar="S")] = None
     """Time between two rows [s]; the run's own interval unless given."""
     marks: Flag = False
@@ -31,11 +32,17 @@ class PredictCommand:
 
     def execute(self) -> int:
         """Predict, write and print."""
-        from polhode.pipeline.after_run.predict import format_prediction, predict_run, write_prediction
+        from polhode.pipeline.after_run.predict import (
+            format_prediction,
+            predict_run,
+            prediction_file,
+            write_prediction,
+        )
 
+        place = None if self.output is None else prediction_file(self.output)
         prediction = predict_run(self.run, self.horizon, self.step_s)
         print(format_prediction(prediction))
-        if self.output is not None:
-            write_prediction(prediction, self.output, self.marks)
+        if place is not None:
+            write_prediction(prediction, place, self.marks)
             print(f"Prediction: {self.output}")
         return 0

@@ -17,7 +17,7 @@ class ReportCommand:
     runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN...")]
     """Folders of runs."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
-    """The page, HTML. An existing file is replaced."""
+    """The page, HTML. An earlier page of this command is replaced, any other file is not."""
     debug: Debug = False
 
     def execute(self) -> int:
@@ -26,15 +26,12 @@ class ReportCommand:
             raise InputError(
                 "a run is missing: give the folder of one or more runs; see polhode report --help"
             )
-        if not self.output.parent.is_dir():
-            raise InputError(f"{self.output.parent} is not a folder: choose another -o")
-        if self.output.is_dir():
-            raise InputError(f"{self.output} is a folder: -o names the page, such as report.html")
-        from polhode.pipeline.report import write_comparison, write_report
+        from polhode.pipeline.report import page_file, write_comparison, write_report
 
+        place = page_file(self.output, self.runs)
         if len(self.runs) == 1:
-            write_report(self.runs[0], self.output)
+            write_report(self.runs[0], place)
         else:
-            write_comparison(self.runs, self.output)
+            write_comparison(self.runs, place)
         print(f"Report: {self.output}")
         return 0

@@ -27,7 +27,10 @@ class RunCommand:
     config: OptionalConfigFile = None
     """Configuration, YAML. If it is left out the defaults apply, which fit any calibrated sequence."""
     overwrite: Flag = False
-    """Replace an existing run."""
+    """Replace an existing run as soon as the new one is complete. Only files of the run are replaced; others
+    in its folder stay. A failed run replaces only a failed one: else it is written to RUN.failed."""
+    even_if_failed: Flag = False
+    """With --overwrite: a failed run, too, replaces one that did not fail."""
     debug: Debug = False
     values: ConfigValues = field(default_factory=Config)
 
@@ -35,11 +38,16 @@ class RunCommand:
         """Run the pipeline. Raises RunFailure when it did not reach a converged estimate."""
         from polhode.pipeline.run import run
 
-        try:
-            result = run(self.values, self.data, self.output, choose_progress(), overwrite=self.overwrite)
-        except RunFailure as failure:
-            raise RunFailure(f"{failure}; what was found: {self.output / 'report.html'}") from failure
+        result = run(
+            self.values,
+            self.data,
+            self.output,
+            choose_progress(),
+            overwrite=self.overwrite,
+            even_if_failed=self.even_if_failed,
+        )
         print(f"{result.sentence} {result.report_path}")
+        note = f"; {result.note}" if result.note else ""
         if result.failure is not None:
-            raise RunFailure(f"{result.failure}; the best motion found: {result.report_path}")
+            raise RunFailure(f"{result.failure}; the best motion found: {result.report_path}{note}")
         return 0

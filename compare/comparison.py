@@ -28,12 +28,19 @@ from polhode.compare.tables import csv_text
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
 from polhode.foreign_files import MIB, read_text
+from polhode.output.marked_folder import claim as mark
+from polhode.output.marked_folder import marked_place, read_mark, write_mark
+from polhode.output.place import folder_place, unwritable
+from polhode.output.staged_folder import at_work
 from polhode.pipeline.run_directory.outputs import write_config
 from polhode.progress import Progress
 
 FILE = "compare.json"
-MARK, MARK_TEXT = ".polhode-compare", "An output folder of polhode compare, which may write here again.\n"
-"""A folder with this file is ours, whatever else it contains."""
+COMMAND = "compare"
+FILES = ("config.yaml", FILE, "compare.csv", "compare.html")
+FORMER_MARK = ".polhode-compare"
+FORMER_TEXT = b"An output folder of polhode compare, which may write here again.\n"
+"""A file by which earlier versions marked a folder as ours."""
 
 PARTS = ("rows", "problems")
 MAX_ROW_BYTES = 16 * MIB
@@ -53,7 +60,14 @@ def compare(
     """Fill ``folder`` with compare.json, compare.csv and compare.html. Raises InputError, RunFailure."""
     chosen = entries(config.compare.solvers)
     wanted = list(sources(config, data, run, truth))
-    claim(folder)
+    folder = claim(folder)
+    with at_work(folder, folder):
+        return _compared(config, folder, progress, chosen, wanted)
+
+
+def _compared(
+    config: Config, folder: Path, progress: Progress, chosen: tuple[Entry, ...], wanted: Sequence[Source]
+) -> Comparison:
     _warn_of_pickles(folder)
     write_config(folder, config)
     # the first use on a machine compiles: that must not count as time of a solver
@@ -104,24 +118,26 @@ def _cases(problem: str, config: Config, chosen: tuple[Entry, ...]) -> Iterator[
                 yield entry, Case(problem=problem, solver=entry.name, start=start, seed=seed)
 
 
-def claim(folder: Path) -> None:
-    """Make the folder and mark it as ours; refuse one with anything else in it. Raises InputError."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: this is a file; choose another folder for -o")
-    mark = folder / MARK
-    ours = mark.is_file() and mark.read_text() == MARK_TEXT
-    if folder.is_dir() and any(folder.iterdir()) and not ours:
-        raise InputError(f"{folder}: contains files that are not a comparison; choose another folder")
-    link = next((folder / part for part in PARTS if (folder / part).is_symlink()), None)
+def claim(folder: Path) -> Path:
+    """Make the folder and mark it as ours; where it is, links followed. Raises InputError: it holds other
+    files, or cannot be written."""
+    place = folder_place(folder)
+    former = place / FORMER_MARK
+    if former.is_file() and former.stat().st_size == len(FORMER_TEXT) and former.read_bytes() == FORMER_TEXT:
+        if read_mark(place) is None:
+            write_mark(place, {COMMAND: FILES})
+        former.unlink()
+    place = marked_place(folder, COMMAND, FILES.__contains__)
+    link = next((place / part for part in PARTS if (place / part).is_symlink()), None)
     if link is not None:
         raise InputError(f"{link}: this is a link, which a comparison does not write through; remove it")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_text(mark, MARK_TEXT)
-        for part in PARTS:
-            (folder / part).mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot write here ({error.strerror}); choose another -o") from error
+    mark(place, COMMAND, FILES)
+    for part in PARTS:
+        try:
+            (place / part).mkdir(exist_ok=True)
+        except OSError as error:
+            raise unwritable(place / part, error) from error
+    return place
 
 
 def _warn_of_pickles(folder: Path) -> None:

@@ -39,18 +39,28 @@ class RunResult:
     sentence: str
     failure: str | None = None
     """Why the status is "failed"; everything that was found is in the run directory all the same"""
+    note: str = ""
+    """What the user should know about the place of the run"""
 
 
 @single_threaded
 def run(
-    config: Config, sequence_folder: Path, run_folder: Path, progress: Progress, overwrite: bool = False
+    config: Config,
+    sequence_folder: Path,
+    run_folder: Path,
+    progress: Progress,
+    overwrite: bool = False,
+    even_if_failed: bool = False,
 ) -> RunResult:
     """A stereo sequence on disk to a run directory (docs/run_directory.md).
+
+    ``overwrite`` replaces an existing run; a failed run only a failed one, unless ``even_if_failed``.
 
     Raises InputError for bad input and then writes nothing; RunFailure when no consistent motion is found,
     and then the run directory contains what was found before.
     """
-    with atomic_run_folder(run_folder, overwrite, write_report) as folder:
+    with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed) as written:
+        folder = written.path
         context = open_context(sequence_folder, config, progress)
         clock = context.clock
         outputs.write_config(folder, config)
@@ -84,8 +94,8 @@ def run(
             summary = finish_run(folder, summary)
             advance()
     failure = summary.warnings[0] if summary.status == "failed" else None
-    report = run_folder / "report.html"
-    return RunResult(summary.status, report, _sentence(summary, estimate), failure)
+    report = written.published / "report.html"
+    return RunResult(summary.status, report, _sentence(summary, estimate), failure, written.note)
 
 
 def _replay(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> OnlineEstimate:

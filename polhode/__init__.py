@@ -33,6 +33,7 @@ tables.py          tables and calibrations of a dataset, with errors that name f
 yaml_files.py      YAML, of limited size and depth
 ply.py             binary PLY files
 atomic.py          atomic writing of files
+output/            what commands write: places, what may be replaced there, folders that change places
 rays.py            rays against triangles
 code_cache.py      where compiled code is kept: where no other user can put any
 compiled.py        just-in-time compilation with a cache that knows its constants

@@ -11,10 +11,10 @@ from typing import Any
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
-from polhode.atomic import replaced
+from polhode.atomic import write_bytes
 from polhode.config.loader import REMOVED
 from polhode.errors import InputError
 from polhode.frontend.networks.tensor_file import TensorFileError, read_tensors
@@ -46,8 +46,7 @@ def write_checkpoint(
 ) -> None:
     """Replace the folder's checkpoint."""
     tensors = _tensors(model, optimizer)
-    with replaced(output / CHECKPOINT) as partial:
-        save_file(tensors, partial, metadata={_HEADER: state.model_dump_json()})
+    write_bytes(output / CHECKPOINT, save(tensors, metadata={_HEADER: state.model_dump_json()}))
 
 
 def read_checkpoint(

@@ -23,6 +23,7 @@ from polhode.config.scene_settings import Background, Light, Motion, Render, Rig
 from polhode.config.train_settings import Corpus, Train
 from polhode.errors import InputError
 from polhode.lie import Array
+from polhode.output.place import require_writable
 from polhode.processes import in_order
 from polhode.progress import Progress, Silent
 from polhode.simulation.bodies import build_body
@@ -226,6 +227,7 @@ def _claim(folder: Path, corpus: Corpus) -> None:
         return
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        require_writable(folder, Path(f"train.corpus.folder: {folder}"))
         write_text(note, yaml.safe_dump(drawn, sort_keys=False))
     except OSError as error:
         raise InputError(

@@ -8,15 +8,17 @@ from typing import Any
 
 import torch
 from pydantic import BaseModel
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import nn
 
-from polhode.atomic import replaced, write_text
+from polhode.atomic import write_bytes, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.config.train_settings import Train
-from polhode.errors import InputError
+from polhode.output.marked_folder import claim, marked_place
+from polhode.output.staged_folder import at_work
 from polhode.progress import Progress
+from polhode.train.checkpoint import CHECKPOINT
 from polhode.train.corpus import render_corpus
 from polhode.train.task import Task, make_task
 from polhode.train.training_loop import TrainingLoop, TrainingOutcome
@@ -30,6 +32,11 @@ FREE_KEYS = (
     "schedule.log_every",
 )
 """Settings on which the weights do not depend: they may change when a training is resumed."""
+
+
+COMMAND = "train"
+FILES = ("config.yaml", "scores.json", CHECKPOINT)
+"""Files of a training, beside the weights and the folder of curves."""
 
 
 @dataclass(frozen=True)
@@ -46,24 +53,28 @@ def train(config: Config, train: Train, progress: Progress, workers: int) -> Tra
 
     Raises InputError: a folder contains something else or cannot be written; RunFailure: the training failed.
     """
-    output = Path(train.output)
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"train.output: {output} cannot be created ({error.strerror}): choose another"
-        ) from None
+    output = marked_place(Path(train.output), COMMAND, _is_own, Path(f"train.output: {train.output}"))
+    claim(output, COMMAND, [*FILES, f"{train.task}.safetensors"])
+    with at_work(output, output):
+        return _trained(config, train, output, progress, workers)
+
+
+def _trained(config: Config, train: Train, output: Path, progress: Progress, workers: int) -> Trained:
     render_corpus(train.corpus, progress, workers)
-    write_text(output / "config.yaml", dump_config(config, keys=("seed", "train")))
     torch.manual_seed(config.seed)
     task = make_task(train, config.seed, progress, workers)
     outcome = TrainingLoop(task, train.schedule, output, config.seed).run(
         setting_of(train, config.seed), progress
     )
     weights = output / f"{task.name}.safetensors"
+    write_text(output / "config.yaml", dump_config(config, keys=("seed", "train")))
     write_weights(weights, task.network, _about(config.seed, train, outcome))
     write_text(output / "scores.json", json.dumps(_scores(task, outcome), indent=2) + "\n")
     return Trained(weights, outcome)
+
+
+def _is_own(name: str) -> bool:
+    return name in FILES or name.endswith(".safetensors")
 
 
 def setting_of(train: Train, seed: int) -> dict[str, Any]:
@@ -94,8 +105,7 @@ def write_weights(path: Path, network: nn.Module, about: Mapping[str, Any]) -> N
     There is only one key because safetensors writes several in arbitrary order.
     """
     weights = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
-    with replaced(path) as partial:
-        save_file(weights, partial, metadata={"training": json.dumps(about)})
+    write_bytes(path, save(weights, metadata={"training": json.dumps(about)}))
 
 
 def _about(seed: int, train: Train, outcome: TrainingOutcome) -> dict[str, Any]:

@@ -19,9 +19,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from polhode.atomic import write_bytes, write_text
 from polhode.lie import Array
 from polhode.mapping.visibility import MeshView, MeshViewer
+from polhode.output.marked_folder import marked_place, write_files
 from polhode.pipeline.after_run.plan import Plan
 from polhode.pipeline.pictures.body_views import (
     ALONG_AXES,
@@ -41,6 +41,12 @@ from polhode.planning.keep_out.volumes import KeepOut
 from polhode.ply import binary_ply
 from polhode.records import SurfaceModel
 
+COMMAND = "plan"
+FILES = (
+    "keepout.ply", "keepout.glb", "keepout.png", "surface_speed.ply", "surface_speed.png", "corridor.csv",
+    "corridor.png", "planning.json",
+)  # fmt: skip
+"""Files that the command writes; those of an earlier call that this one does not write are removed."""
 SIDE_PX = 340
 VOLUME, NOW, END = (np.array(rgb) for rgb in ((0.27, 0.45, 0.72), (0.93, 0.93, 0.90), (0.95, 0.62, 0.25)))
 VEIL = 0.35
@@ -217,29 +223,29 @@ MIN_SEPARATION_SHARE = 0.15
 """Share of the body's size between two grapple points."""
 
 
+def plan_place(path: Path) -> Path:
+    """The folder of the results, links followed; checked before the work. Raises InputError."""
+    return marked_place(path, COMMAND, FILES.__contains__)
+
+
 def write_plan(plan: Plan, folder: Path) -> list[str]:
-    """keepout.ply, keepout.glb, surface_speed.ply, corridor.csv, pictures, planning.json; the names of those
-    written."""
-    folder.mkdir(parents=True, exist_ok=True)
-    names: list[str] = []
+    """keepout.ply, keepout.glb, surface_speed.ply, corridor.csv, pictures, planning.json: all or none; the
+    names of those written. Raises InputError, RunFailure."""
+    files: dict[str, bytes] = {}
     summary = summary_of(plan)
     if plan.keep_out is not None:
         mesh = plan.keep_out.swept.mesh
         for name in ("keepout.ply", "keepout.glb"):
-            write_bytes(folder / name, _bytes(mesh, name))
-            names.append(name)
+            files[name] = _bytes(mesh, name)
     if plan.speed is not None and plan.surface is not None:
-        write_bytes(folder / "surface_speed.ply", speed_ply(plan.surface.mesh, plan.speed))
-        names.append("surface_speed.ply")
+        files["surface_speed.ply"] = speed_ply(plan.surface.mesh, plan.speed)
     if plan.corridor is not None:
-        write_text(folder / "corridor.csv", corridor_csv(plan.corridor))
-        names.append("corridor.csv")
+        files["corridor.csv"] = corridor_csv(plan.corridor).encode()
     grapples = summary["surface_speed"]["grapples"] if summary["surface_speed"] else []
-    for name, content in plan_pictures(plan, grapples).items():
-        write_bytes(folder / name, content)
-        names.append(name)
-    write_text(folder / "planning.json", json.dumps(summary, indent=1) + "\n")
-    return [*names, "planning.json"]
+    files |= plan_pictures(plan, grapples)
+    files["planning.json"] = (json.dumps(summary, indent=1) + "\n").encode()
+    write_files(folder, COMMAND, files, FILES.__contains__)
+    return list(files)
 
 
 def _bytes(mesh: trimesh.Trimesh, name: str) -> bytes:

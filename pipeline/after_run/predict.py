@@ -17,8 +17,10 @@ from polhode.backend.problem.inertia import (
 from polhode.config.loader import load_config
 from polhode.errors import InputError
 from polhode.lie import Array, continuous_wxyz, wxyz_from_matrix
+from polhode.output.single_file import make_parent, output_file
 from polhode.pipeline.run_directory.archives import (
     STATE_ORDER,
+    load_archive,
     read_covariance,
     undetermined_as_inf,
     write_arrays,
@@ -36,6 +38,10 @@ from polhode.records import Ints
 from polhode.rigid_body import propagate
 
 MAX_ROWS = 100_000
+ARRAYS = (
+    "timestamps_ns", "r_N", "v_N", "q_NP_wxyz", "w_P", "covariance", "covariance_of_marks", "order",
+)  # fmt: skip
+"""Names in the archive of a prediction."""
 SHOWN_ROWS = 6
 """Of the printed table, evenly spaced."""
 SEEN_FRAMES = 20
@@ -184,16 +190,30 @@ def undetermined_components(last: Array, com_lost: Array, axes_lost: Array, stat
     return lost
 
 
+def prediction_file(path: Path) -> Path:
+    """Where a prediction goes, links followed; checked before the work. Raises InputError."""
+    return output_file(path, "predict", "prediction.csv", _is_prediction)
+
+
+def _is_prediction(path: Path) -> bool:
+    """Whether a file is one of ``write_prediction``: a table whose velocity is that of a free body, which no
+    trajectory of a run has in all its rows, or an archive with its arrays."""
+    try:
+        if path.suffix == ".npz":
+            return set(ARRAYS) == set(load_archive(path, path.name).arrays)
+        v_N = read_trajectory(path).v_N
+    except (InputError, ValueError, OSError):
+        return False
+    return bool((v_N == v_N[0]).all())
+
+
 def write_prediction(prediction: PredictedMotion, path: Path, marks: bool) -> None:
     """The columns of trajectory.csv, or with the suffix .npz all arrays with full covariances.
 
-    ``marks``: the table has the standard deviations of the body itself. Raises InputError when the file
+    ``marks``: the table has the standard deviations of the body itself. Raises RunFailure when the file
     cannot be written there.
     """
-    if not path.parent.is_dir():
-        raise InputError(f"{path.parent} is not a folder: choose another -o")
-    if path.is_dir():
-        raise InputError(f"{path} is a folder: -o names a file, such as prediction.csv")
+    make_parent(path, path)
     states: dict[str, Any] = {
         "timestamps_ns": prediction.timestamps_ns,
         "r_N": prediction.r_N,

@@ -15,7 +15,7 @@ In: a run directory. Out: report.html.
 """
 
 from polhode.pipeline.report.comparison import write_comparison
-from polhode.pipeline.report.page import finish_run, write_report
+from polhode.pipeline.report.page import finish_run, page_file, write_report
 from polhode.pipeline.report.tables import finding
 
-__all__ = ["finding", "finish_run", "write_comparison", "write_report"]
+__all__ = ["finding", "finish_run", "page_file", "write_comparison", "write_report"]

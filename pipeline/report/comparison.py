@@ -7,6 +7,7 @@ import numpy as np
 
 from polhode.atomic import write_text
 from polhode.lie import Array
+from polhode.output.single_file import make_parent
 from polhode.pipeline.report import tables
 from polhode.pipeline.report.page import fill, run_name
 from polhode.pipeline.report.plot_style import TIME_TITLE, Figure, Trace, axis, layout, line
@@ -49,6 +50,7 @@ def write_comparison(folders: Sequence[Path], path: Path) -> None:
     page = fill(
         "comparison.html.j2", title=", ".join(names), runs=runs, figures=figures, table=side_by_side(contents)
     )
+    make_parent(path, path)
     write_text(path, page)
 
 

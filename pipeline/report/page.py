@@ -6,7 +6,9 @@ import io
 import json
 import logging
 import math
+import os
 import re
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from time import perf_counter
@@ -20,6 +22,9 @@ from plotly.offline import get_plotlyjs
 from polhode.atomic import write_text
 from polhode.errors import InputError
 from polhode.images import MAX_PIXELS
+from polhode.output.place import require_writable
+from polhode.output.run_files import SUMMARY
+from polhode.output.single_file import begins_with, make_parent, output_file
 from polhode.pipeline.report import tables
 from polhode.pipeline.report.convergence_figures import convergence_figures
 from polhode.pipeline.report.motion_figures import motion_figures
@@ -28,13 +33,31 @@ from polhode.pipeline.report.polhode_and_inertia_figures import rotation_figures
 from polhode.pipeline.report.residual_figures import measurement_figures
 from polhode.pipeline.report.shape_figures import shape_figures
 from polhode.pipeline.run_directory.stored_run import StoredPicture, StoredRun, read_stored_run
-from polhode.pipeline.run_directory.summary import write_summary
+from polhode.pipeline.run_directory.summary import with_files, write_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 
 _log = logging.getLogger(__name__)
 
+REPORT = "report.html"
 SHEETS = ("landmarks.png", "mesh.png")
 """Pictures over the full width of the page; the files in RUN/pictures are sharper."""
+
+
+def page_file(path: Path, folders: Sequence[Path]) -> Path:
+    """Where a page about runs goes, links followed; checked before the work. Raises InputError.
+
+    report.html of a run may be written again by the report of that run alone.
+    """
+    own = Path(os.path.realpath(folders[0] / REPORT))
+    is_run = len(folders) == 1 and (folders[0] / SUMMARY).is_file()
+    if is_run and not own.is_dir() and own == Path(os.path.realpath(path)):
+        require_writable(own.parent, path)
+        return own
+    return output_file(path, "report", REPORT, _is_page)
+
+
+def _is_page(path: Path) -> bool:
+    return begins_with(path, '<meta name="generator" content="polhode report">')
 
 
 def write_report(folder: Path, path: Path | None = None, name: str | None = None) -> None:
@@ -44,7 +67,10 @@ def write_report(folder: Path, path: Path | None = None, name: str | None = None
     the page, by default the folder's. Raises InputError when the folder is not a run.
     """
     content = read_stored_run(folder, name or run_name(folder))
-    write_text(path or folder / "report.html", render(content))
+    page = render(content)
+    if path is not None:
+        make_parent(path, path)
+    write_text(path or folder / REPORT, page)
 
 
 def finish_run(folder: Path, summary: Summary) -> Summary:
@@ -61,6 +87,7 @@ def finish_run(folder: Path, summary: Summary) -> Summary:
     times = summary.timing_s
     timing = times.model_copy(update={"report": times.report + seconds, "total": times.total + seconds})
     timed = summary.model_copy(update={"timing_s": timing})
+    timed = with_files(timed, folder)
     write_summary(timed, folder / "summary.json")
     return timed
 
@@ -116,7 +143,7 @@ def fill(template: str, **values: Any) -> str:
 
 def run_name(folder: Path) -> str:
     """The run's name, also while it is being written into a hidden folder beside its final one."""
-    return re.sub(r"^\.(.+)\.partial-\w+$", r"\1", folder.resolve().name)
+    return re.sub(r"^\.(.+)\.partial(-\w+)?$", r"\1", folder.resolve().name)
 
 
 @cache

@@ -1,23 +1,30 @@
 """The run directory as a whole: it appears complete under its name, or not at all.
 
-Everything is written into a hidden folder beside RUN, which is renamed to RUN at the end:
-- success: the new run is published (with ``overwrite``, the old one is removed only now);
-- failure of the run: summary.json gets the status ``failed`` and the results so far are published, unless
-  there are none and a run exists already, which is then kept;
+Everything is written into a hidden folder beside RUN, which takes the place of RUN at the end:
+- success: the new run is published (with ``overwrite``, the old one is there until now);
+- failure of the run: summary.json gets the status ``failed`` and the results so far are published, beside RUN
+  as RUN.failed if RUN holds a run that did not fail; nothing is published if there are no results and a run
+  exists already, nor if even summary.json cannot be written: the hidden folder is then kept;
 - the user's mistake (InputError) or an interrupt: nothing is left behind, and an existing run stays.
+
+Replaced are a run's own files: those of ``polhode.output.run_files`` that its summary.json lists. Files of
+the user that are among them stay in RUN.
 """
 
 import logging
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
-from polhode.errors import InputError
+from polhode.atomic import REFUSALS, refused
+from polhode.errors import InputError, RunFailure
+from polhode.output.exchange import IsOwn, entries, foreign, is_regular
+from polhode.output.place import folder_place
+from polhode.output.run_files import LATER, PICTURES, SUMMARY, is_run_file
+from polhode.output.staged_folder import StagedFolder, staged_folder
 from polhode.pipeline.run_directory.archives import read_measurements
-from polhode.pipeline.run_directory.summary import build_summary, read_summary, write_summary
+from polhode.pipeline.run_directory.summary import build_summary, read_summary, with_files, write_summary
 
 RESULTS: tuple[str, ...] = ("measurements.npz", "trajectory.csv", "landmarks.ply", "mesh.ply")
 """A failed run is worth publishing if it contains one of these."""
@@ -25,57 +32,179 @@ RESULTS: tuple[str, ...] = ("measurements.npz", "trajectory.csv", "landmarks.ply
 _log = logging.getLogger(__name__)
 
 
+@dataclass
+class RunFolder:
+    """The folder of a run that is being written."""
+
+    path: Path
+    """Where to write: a hidden folder"""
+    published: Path
+    """Where the run is to be read, after the block; None: it was not published"""
+    note: str = ""
+    """What the user should know about the place"""
+
+
 @contextmanager
 def atomic_run_folder(
-    path: Path, overwrite: bool = False, write_report: Callable[[Path], None] | None = None
-) -> Iterator[Path]:
+    path: Path,
+    overwrite: bool = False,
+    write_report: Callable[[Path], None] | None = None,
+    even_if_failed: bool = False,
+) -> Iterator[RunFolder]:
     """The folder to write into, which becomes ``path`` at the end; messages of the program go to its log.txt.
 
-    Raises InputError when ``path`` is a file, or a folder that is not empty, unless it is a run and
-    ``overwrite`` is set. ``write_report`` makes the report of a failed run from its files.
+    ``even_if_failed``: a failed run, too, replaces one that did not fail. ``write_report`` makes the report
+    of a failed run from its files. Raises InputError when ``path`` is a file, or a folder that is not empty,
+    unless it is a run and ``overwrite`` is set; RunFailure, which says where the results are, instead of one
+    that is raised in the block, and when the run cannot be written.
     """
-    target = path.absolute()
-    _require_usable(target, path, overwrite)
-    folder, publish = _hidden_folder(target), False
-    try:
-        with _logging_to(folder / "log.txt"):
-            try:
-                yield folder
-                publish = True
-            except Exception as error:
-                failed = not isinstance(error, InputError)
-                has_results = any((folder / name).exists() for name in RESULTS)
-                publish = failed and (has_results or not _is_not_empty(target))
-                if publish:
+    place = folder_place(path)
+    with staged_folder(place, path, is_run_file, lambda folder: own_files(folder) is not None) as staged:
+        _require_usable(place, path, overwrite)
+        staged.claim()
+        run = RunFolder(staged.path, path)
+        try:
+            with _logging_to(staged.path / "log.txt"):
+                try:
+                    yield run
+                except InputError:
+                    raise
+                except Exception as error:
                     _log.error("the run failed: %s", error, exc_info=error)
-                    record_failure(folder, _one_line(error))
-                    if write_report is not None:
-                        write_report(folder)
-                raise
-    finally:
-        # The cause of the failure may break the report too: the files are published even then.
-        if publish:
-            _publish(folder, target, overwrite)
+                    raise
+        except InputError:
+            raise
+        except Exception as error:
+            where = _publish_failed(run, staged, path, error, write_report, overwrite, even_if_failed)
+            if isinstance(error, RunFailure):
+                raise RunFailure(f"{error}; {where}") from error
+            if isinstance(error, OSError) and error.errno in REFUSALS:
+                file = error.filename or staged.path
+                raise RunFailure(f"{refused(Path(file), 'cannot be written', error)}; {where}") from error
+            error.add_note(where)
+            raise
         else:
-            shutil.rmtree(folder, ignore_errors=True)
+            _publish(run, staged, path, overwrite, even_if_failed)
 
 
-def _hidden_folder(target: Path) -> Path:
+def own_files(folder: Path) -> IsOwn | None:
+    """What in ``folder`` belongs to its run, by name; None: it holds no whole run of ours."""
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
-    except OSError as error:
+        summary = read_summary(folder)
+    except InputError:
+        return None
+    needed = ["config.yaml", *(("trajectory.csv", "covariance.npz") if summary.inertia is not None else ())]
+    if not all((folder / name).is_file() and is_regular(folder / name) for name in (SUMMARY, *needed)):
+        return None
+    listed = None if summary.files is None else {*summary.files, *LATER}
+    return lambda name: is_run_file(name) and (listed is None or name in listed or "/." in f"/{name}")
+
+
+def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
+    if not _is_not_empty(place):
+        return
+    is_own = own_files(place)
+    if is_own is None:
+        example = min(name for name, _ in entries(place))
         raise InputError(
-            f"{target.parent}: cannot write here ({error.strerror}); choose another -o"
-        ) from error
-    # mkdtemp makes the folder private; a run is readable like any other folder of the user.
-    folder.chmod(0o777 & ~_umask())
-    return folder
+            f"{shown}: contains files that are not a run and are never deleted ({example}); "
+            "choose another folder"
+        )
+    if not overwrite:
+        raise InputError(
+            f"{shown}: already contains a run; choose another folder, or replace it with --overwrite"
+        )
+    for name in foreign(place, is_own):
+        if is_run_file(name) or is_run_file(name.split("/")[0]) or (name == PICTURES):
+            raise InputError(
+                f"{shown}: {name} is not of the run there, but has the name of a result; move it, or choose "
+                "another folder"
+            )
+
+
+def _publish(run: RunFolder, staged: StagedFolder, path: Path, overwrite: bool, even_if_failed: bool) -> None:
+    """The run takes its place, or one beside it where that is taken; ``run`` says which."""
+    failed = read_summary(staged.path).status == "failed"
+    place, is_own = staged.place, own_files(staged.place)
+    if _is_not_empty(place):
+        if is_own is None or not overwrite:
+            run.note = f"{path} was filled by another program in the meantime and stays as it is"
+            place, is_own = _free(place, "new"), None
+        elif failed and not even_if_failed and read_summary(place).status != "failed":
+            run.note = f"{path} still holds the run before, as this one failed"
+            place = _place_of_failed(place)
+            is_own = own_files(place)
+    try:
+        stays = staged.publish(place, is_own)
+    except OSError as error:
+        # Where the new folder cannot take the place, it can still have a name of its own.
+        staged.keep = True
+        other = _free(staged.place, "new")
+        staged.path.rename(other)
+        raise RunFailure(f"{refused(place, 'cannot be replaced', error)}; the new run is {other}") from error
+    run.published = path if place == staged.place else place
+    if stays:
+        more = f" and {len(stays) - 1} more" if len(stays) > 1 else ""
+        _log.warning("%s: %s%s: not of the run, stays there", run.published, stays[0], more)
+
+
+def _publish_failed(
+    run: RunFolder,
+    staged: StagedFolder,
+    path: Path,
+    error: Exception,
+    write_report: Callable[[Path], None] | None,
+    overwrite: bool,
+    even_if_failed: bool,
+) -> str:
+    """Publish what the run had found; returns where that is, in words."""
+    folder = staged.path
+    has_results = any((folder / name).exists() for name in RESULTS)
+    if _is_not_empty(staged.place) and not has_results:
+        return f"nothing was found; {path} still holds the run before"
+    try:
+        record_failure(folder, _one_line(error))
+    except Exception as second:  # noqa: BLE001  whatever prevents it: the files are kept as they are
+        _log.debug("no summary", exc_info=second)
+        staged.keep = True
+        kept = f"; {path} is as it was" if _is_not_empty(staged.place) else ""
+        return f"what was found, without a summary: {folder}, which the next run there removes{kept}"
+    if write_report is not None:
+        try:
+            write_report(folder)
+        except Exception as second:  # noqa: BLE001  the cause of the failure may break the report, too
+            _log.debug("no report", exc_info=second)
+    _publish(run, staged, path, overwrite, even_if_failed)
+    report = run.published / "report.html"
+    where = f"what was found: {report if report.is_file() else run.published}"
+    return f"{where}; {run.note}" if run.note else where
+
+
+def _place_of_failed(place: Path) -> Path:
+    """RUN.failed, where an earlier failed run may be replaced; else another name."""
+    beside = place.with_name(f"{place.name}.failed")
+    if not _is_not_empty(beside):
+        return beside if not beside.exists() or beside.is_dir() else _free(place, "failed")
+    is_own = own_files(beside)
+    clashes = is_own is None or any(is_run_file(name) for name in foreign(beside, is_own))
+    if clashes or beside.is_symlink() or read_summary(beside).status != "failed":
+        return _free(place, "failed")
+    return beside
+
+
+def _free(place: Path, ending: str) -> Path:
+    """A name beside the place that nothing has yet."""
+    number = 1
+    while True:
+        found = place.with_name(f"{place.name}.{ending}{f'-{number}' if number > 1 else ''}")
+        if not found.exists() and not found.is_symlink():
+            return found
+        number += 1
 
 
 @contextmanager
 def _logging_to(file: Path) -> Iterator[None]:
-    handler, logger = logging.FileHandler(file, encoding="utf-8"), logging.getLogger("polhode")
+    handler, logger = _LogFile(file, encoding="utf-8"), logging.getLogger("polhode")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     level = logger.level
     logger.setLevel(logging.INFO)
@@ -85,25 +214,15 @@ def _logging_to(file: Path) -> Iterator[None]:
     finally:
         logger.removeHandler(handler)
         logger.setLevel(level)
-        handler.close()
+        with suppress(OSError):
+            handler.close()
 
 
-def _publish(folder: Path, target: Path, overwrite: bool) -> None:
-    if not _is_not_empty(target):
-        folder.rename(target)
-        return
-    if not overwrite:
-        raise InputError(
-            f"{target}: another run was written here in the meantime; this one is kept in {folder}"
-        )
-    old = Path(tempfile.mkdtemp(prefix=f".{target.name}.old-", dir=target.parent))
-    target.rename(old)
-    try:
-        folder.rename(target)
-    except OSError:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+class _LogFile(logging.FileHandler):
+    """A log that goes without a line where the disk is full, and says nothing of it elsewhere."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Nothing: the results tell that the disk is full."""
 
 
 def record_failure(folder: Path, message: str) -> None:
@@ -115,23 +234,7 @@ def record_failure(folder: Path, message: str) -> None:
     else:
         tracks = read_measurements(folder) if (folder / "measurements.npz").exists() else None
         summary = build_summary(tracks, None, None, {}, failure=message)
-    write_summary(summary, folder / "summary.json")
-
-
-def _require_usable(path: Path, shown: Path, overwrite: bool) -> None:
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{shown}: this is a file; choose another folder for -o")
-    if not _is_not_empty(path):
-        return
-    is_run = (path / "summary.json").is_file()
-    if is_run and not overwrite:
-        raise InputError(
-            f"{shown}: already contains a run; choose another folder, or replace it with --overwrite"
-        )
-    if not is_run:
-        raise InputError(
-            f"{shown}: contains files that are not a run and are never deleted; choose another folder"
-        )
+    write_summary(with_files(summary, folder), folder / "summary.json")
 
 
 def _one_line(error: BaseException) -> str:
@@ -140,9 +243,3 @@ def _one_line(error: BaseException) -> str:
 
 def _is_not_empty(path: Path) -> bool:
     return path.is_dir() and any(path.iterdir())
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -13,6 +13,8 @@ from pydantic import ValidationError
 
 from polhode.atomic import write_text
 from polhode.errors import InputError
+from polhode.output.exchange import entries
+from polhode.output.run_files import is_run_file
 from polhode.pipeline.run_directory.archives import undetermined_as_inf
 from polhode.pipeline.run_directory.summary_schema import Noise, ShapeFindings, Status, Summary, json_text
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
@@ -106,6 +108,12 @@ def _undetermined(estimate: MotionEstimate | None) -> list[str]:
     flags |= {f"axes_{axis}": flag for axis, flag in zip("xyz", known.axes_P, strict=True)}
     names = [name for name, flag in flags.items() if not flag]
     return [f"the motion does not determine: {', '.join(names)}"] if names else []
+
+
+def with_files(summary: Summary, folder: Path) -> Summary:
+    """The summary, with the names of the run's files in ``folder``."""
+    names = (name for name, is_folder in entries(folder) if not is_folder and is_run_file(name))
+    return summary.model_copy(update={"files": tuple(sorted(names))})
 
 
 def write_summary(summary: Summary, path: Path) -> None:

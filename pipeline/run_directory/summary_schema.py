@@ -286,6 +286,8 @@ class Summary(StrictModel):
     """null: there is no mesh."""
     physics: Physics | None = None
     """null: the mesh encloses no volume."""
+    files: tuple[str, ...] | None = None
+    """Files that the run wrote into its folder, which another run may replace; null: not listed."""
 
 
 @dataclass(frozen=True)

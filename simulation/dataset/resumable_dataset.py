@@ -4,20 +4,24 @@ The staging folder ``.SEQ.partial`` survives an interruption; the same command r
 The files of a frame are written to a temporary folder and then moved: a frame is complete or absent.
 """
 
-import contextlib
-import fcntl
-import os
 import shutil
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from polhode.atomic import REFUSALS, write_failure
 from polhode.errors import InputError
-
-_FINGERPRINT = ".made_by"
-_FRAMES = ".frames"
+from polhode.output.place import folder_place, unwritable
+from polhode.output.staged_folder import StagedFolder, staged_folder
+from polhode.simulation.dataset.own_files import (
+    FINGERPRINT,
+    FRAMES,
+    is_dataset_file,
+    is_staged_file,
+    is_whole,
+    why_not_ours,
+)
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class StagedDataset:
     @contextmanager
     def frame(self, k: int) -> Iterator[Path]:
         """A temporary folder for frame k, laid out as mav0; its files move there if the block succeeds."""
-        aside = self.path / _FRAMES / str(k)
+        aside = self.path / FRAMES / str(k)
         shutil.rmtree(aside, ignore_errors=True)
         aside.mkdir(parents=True)
         yield aside
@@ -53,7 +57,7 @@ class StagedDataset:
         written.replace(self._note(k))
 
     def _note(self, k: int) -> Path:
-        return self.path / _FRAMES / f"{k}.done"
+        return self.path / FRAMES / f"{k}.done"
 
     def _has(self, k: int) -> bool:
         """Whether the frame's record exists, and every file that it lists has the recorded length."""
@@ -66,17 +70,17 @@ class StagedDataset:
 
 
 def require_free(folder: Path, overwrite: bool) -> None:
-    """Raise InputError unless ``folder`` is absent, empty, or a dataset that may be overwritten."""
-    if not folder.exists():
+    """Raise InputError unless ``folder`` is absent, empty, or a dataset of ``simulate`` to be overwritten."""
+    place = folder_place(folder)
+    if not (place.is_dir() and any(place.iterdir())):
         return
-    if not folder.is_dir():
-        raise InputError(f"{folder} is a file, not a dataset: choose another folder")
-    if not any(folder.iterdir()):
-        return
+    reason = why_not_ours(place)
+    if reason:
+        raise InputError(
+            f"{folder} exists and is no dataset that polhode simulate made ({reason}); choose another folder"
+        )
     if not overwrite:
         raise InputError(f"{folder} exists: choose another folder or pass --overwrite")
-    if not (folder / "mav0").is_dir():
-        raise InputError(f"{folder} is no dataset (it holds no mav0/): --overwrite does not touch it")
 
 
 @contextmanager
@@ -85,62 +89,37 @@ def staged_dataset(folder: Path, overwrite: bool, fingerprint: str) -> Iterator[
 
     ``fingerprint`` is a text that identifies what makes the dataset: a staging folder with another one is
     cleared. If the block fails, the staging folder is kept when it holds a frame, but never after an
-    InputError. Raises InputError: the folder exists, cannot be written, or another process is writing it.
+    InputError. Raises InputError: the folder exists, cannot be written, or another process is writing it;
+    RunFailure: a file cannot be written.
     """
-    require_free(folder, overwrite)
-    place = folder.resolve()
-    staged = StagedDataset(place.with_name(f".{place.name}.partial"))
-    try:
-        with _locked(staged.path):
-            _resume_or_clear(staged, fingerprint)
-            try:
-                yield staged
-            except BaseException as error:
-                if isinstance(error, InputError) or not any((staged.path / _FRAMES).glob("*.done")):
-                    shutil.rmtree(staged.path, ignore_errors=True)
-                raise
-            shutil.rmtree(staged.path / _FRAMES, ignore_errors=True)
-            (staged.path / _FINGERPRINT).unlink()
-            _exchange(staged.path, place)
-    except OSError as error:
-        if error.strerror is None:
+    place = folder_place(folder)
+    with staged_folder(place, folder, is_staged_file, is_whole) as staged:
+        require_free(folder, overwrite)
+        _resume_or_clear(staged, fingerprint)
+        dataset = StagedDataset(staged.path)
+        try:
+            yield dataset
+            shutil.rmtree(staged.path / FRAMES, ignore_errors=True)
+            (staged.path / FINGERPRINT).unlink()
+            require_free(folder, overwrite)
+            staged.publish(is_own=is_dataset_file)
+        except InputError:
             raise
-        raise InputError(f"{folder} cannot be made ({error.strerror}): choose another folder") from error
+        except BaseException as error:
+            staged.keep = any((staged.path / FRAMES).glob("*.done"))
+            if isinstance(error, OSError) and error.errno in REFUSALS:
+                raise write_failure(Path(error.filename or folder), error) from error
+            raise
 
 
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Create the folder and lock it against other processes, at most until this process ends."""
-    path.mkdir(parents=True, exist_ok=True)
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        # Some network file systems cannot lock folders; there, nothing prevents two processes at once.
-        with contextlib.suppress(OSError):
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise InputError(f"{path}: another simulation is at work there; wait or stop it") from None
-        yield
-    finally:
-        os.close(handle)
-
-
-def _resume_or_clear(staged: StagedDataset, fingerprint: str) -> None:
+def _resume_or_clear(staged: StagedFolder, fingerprint: str) -> None:
     """Keep a staged dataset with the same fingerprint; clear any other."""
-    note = staged.path / _FINGERPRINT
+    note = staged.path / FINGERPRINT
     if note.is_file() and note.read_text(encoding="utf-8") == fingerprint:
+        staged.resume()
         return
-    for path in staged.path.iterdir():
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
-    note.write_text(fingerprint, encoding="utf-8")
-
-
-def _exchange(staged: Path, folder: Path) -> None:
-    """Replace the folder; the old one is deleted last, so that one of the two always exists."""
-    if not folder.exists():
-        staged.rename(folder)
-        return
-    aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
-    folder.rename(aside / folder.name)
-    staged.rename(folder)
-    shutil.rmtree(aside)
+    staged.claim()
+    try:
+        note.write_text(fingerprint, encoding="utf-8")
+    except OSError as error:
+        raise unwritable(staged.place, error) from error

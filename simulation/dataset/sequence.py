@@ -18,16 +18,23 @@ from polhode.dataset_writer import (
 )
 from polhode.progress import Progress
 from polhode.simulation.dataset.frame_renderer import render_frames
+from polhode.simulation.dataset.own_files import SCENE_FILE
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence, truth_of
 from polhode.simulation.dataset.resumable_dataset import StagedDataset, require_free, staged_dataset
 from polhode.simulation.motion.forces import known_wrench
 from polhode.simulation.motion.inspector import reported_inspector
 from polhode.simulation.stereo_camera import mount_pose
 
-__all__ = ["SequencePlan", "plan_sequence", "require_free", "simulate", "truth_of", "write_sequence"]
+__all__ = [
+    "SCENE_FILE",
+    "SequencePlan",
+    "plan_sequence",
+    "require_free",
+    "simulate",
+    "truth_of",
+    "write_sequence",
+]
 
-SCENE_FILE = "scene.yaml"
-"""The configuration that made the dataset, beside mav0/."""
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".mtl", ".png", ".jpg", ".jpeg")
 
 

@@ -9,11 +9,12 @@ from typing import get_args
 import pytest
 
 from polhode.cli.main import main
-from polhode.compare.comparison import MARK, MARK_TEXT, claim
+from polhode.compare.comparison import FORMER_MARK, FORMER_TEXT, claim
 from polhode.compare.problem.sources import SCENES
 from polhode.compare.rows import read_comparison
 from polhode.config.compare_settings import Motion
 from polhode.errors import InputError
+from polhode.output.marked_folder import MARK
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.simulation.monte_carlo import SyntheticSequence, generate
 from tests.trap import trap
@@ -76,7 +77,7 @@ def test_the_comparison_of_another_person_runs_no_code(
     out, sprung = tmp_path / "out", tmp_path / "sprung"
     for part in ("rows", "problems"):
         (out / part).mkdir(parents=True)
-    (out / MARK).write_text(MARK_TEXT)
+    (out / FORMER_MARK).write_bytes(FORMER_TEXT)
     pickled = trap(sprung)
     for name in ("stored.pickle", "stored.problem.npz", "stored.npz"):
         (out / "problems" / name).write_bytes(pickled)
@@ -163,7 +164,7 @@ def test_a_folder_of_other_things_is_not_touched(
         (other / name).write_text("dear")
         assert main(["compare", str(config), "--run", str(run), "-o", str(other)]) == 2
         stderr = capsys.readouterr().err
-        assert "not a comparison" in stderr and stderr.count("\n") == 1
+        assert "letter.txt, which polhode compare did not write" in stderr and stderr.count("\n") == 1
         assert [path for path in other.rglob("*") if path.is_file()] == [other / name]
         assert (other / name).read_text() == "dear"
     missing = ["compare", str(config), "--run", str(tmp_path / "no"), "-o", str(tmp_path / "new")]

@@ -68,5 +68,5 @@ def test_a_folder_that_is_no_dataset_is_never_overwritten(
     (mine / "chapter.tex").write_text("x")
     assert main(["simulate", str(config), "-o", str(mine), "--overwrite"]) == 2
     error = capsys.readouterr().err
-    assert "holds no mav0/" in error and error.count("\n") == 1
+    assert "no dataset that polhode simulate made" in error and error.count("\n") == 1
     assert (mine / "chapter.tex").read_text() == "x"

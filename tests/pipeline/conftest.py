@@ -55,6 +55,11 @@ class Example:
 
 @pytest.fixture(scope="session")
 def example() -> Example:
+    """The run of ``make_example``."""
+    return make_example()
+
+
+def make_example() -> Example:
     """A box of uniform density, 10 RPM about its unstable axis, 0.6 m away; noise of 0.3 px."""
     random = np.random.default_rng(5)
     mass = _mass_properties()

@@ -6,13 +6,13 @@ The formats themselves are written by ``planning/exports``.
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from trimesh.exchange.obj import export_obj
 
-from polhode.atomic import write_bytes
 from polhode.errors import InputError
 from polhode.pipeline.after_run.export.job import ExportJob, Files, failure_of, open_job
 from polhode.pipeline.after_run.export.json_document import json_document
@@ -22,6 +22,13 @@ from polhode.pipeline.after_run.export.options import (
     check,
     creation_date,
 )
+from polhode.pipeline.after_run.export.own_files import (
+    SURFACE_FILE,
+    meshes_of,
+    piece_file,
+    place_of,
+    write_export,
+)
 from polhode.planning.exports import ccsds, glb, mesh_files, robot_xml
 from polhode.planning.exports.convex_pieces import WITHIN, decompose
 from polhode.planning.exports.formats import MESHES, MOTIONS, ROBOTS
@@ -29,7 +36,6 @@ from polhode.planning.exports.records import ExportShape, shape_of_landmarks, sh
 
 LIGHT_LEVEL = 2
 """Of the surface that robot formats show, where the run's mesh has so many levels."""
-SURFACE_FILE = "surface.obj"
 FAR_SHARE = 1e-3
 """Share of the pieces' area that protrudes too far, above which there is a warning."""
 MAX_KEY_ROTATION_RAD = np.deg2rad(5.0)
@@ -39,21 +45,20 @@ _log = logging.getLogger(__name__)
 
 
 def export_run(run: Path, options: ExportOptions) -> list[Path]:
-    """Write the files, the one that was named last. Raises InputError when nothing can be written."""
+    """Write the files, the one that was named last.
+
+    Raises InputError when there is nothing to export, or the place is taken; RunFailure when a file cannot be
+    written.
+    """
     check(options)
+    options = replace(options, output=place_of(options))
     job = open_job(run, options)
     if job.summary.status == "failed":
         job.leave_out(f"this run failed ({failure_of(job.summary)}): what it had found by then is exported")
     files = _CONTENT[options.to](job)
     for reason in job.left_out:
         _log.warning("%s", reason)
-    _remove_old_pieces(files)
-    for path, content in files.items():
-        try:
-            path.parent.mkdir(exist_ok=True)
-            write_bytes(path, content)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror}); choose another -o") from error
+    write_export(files, options.output)
     return list(files)
 
 
@@ -67,7 +72,7 @@ def _mesh(job: ExportJob) -> Files:
         content = mesh_files.obj(shape, comments, per_m)
         job.leave_out("OBJ cannot store standard deviations: ply, glb and json have them")
     elif options.to == "stl":
-        content = mesh_files.stl(shape, f"frame {job.at.name}, {unit}", per_m)
+        content = mesh_files.stl(shape, f"polhode export, frame {job.at.name}, {unit}", per_m)
         job.leave_out("STL cannot store colours and standard deviations: ply and glb have them")
     else:
         content = _glb(job, shape, per_m)
@@ -129,7 +134,7 @@ def _robot(job: ExportJob) -> Files:
         job.leave_out("the state is left out: this run has no motion; the body rests at the origin")
     else:
         state = job.last_state()
-    folder = options.output.with_name(f"{options.output.stem}_meshes")
+    folder = meshes_of(options.output)
     files: Files = {}
     notes = inertial.notes if inertial is not None else ()
     comments = [*job.comments, *notes]
@@ -153,7 +158,7 @@ def _robot(job: ExportJob) -> Files:
                     f"{WITHIN:.0%} of its diameter: more --pieces protrude less"
                 )
             for number, piece in enumerate(cut.pieces):
-                collision.append(f"collision_{number:03d}.obj")
+                collision.append(piece_file(number))
                 header = f"convex piece, frame {job.at.name}, metres"
                 content = export_obj(
                     piece, include_normals=False, include_color=False, header=header, digits=12
@@ -174,14 +179,6 @@ def _robot(job: ExportJob) -> Files:
     )
     files[options.output] = getattr(robot_xml, options.to)(robot).encode()
     return files
-
-
-def _remove_old_pieces(files: Files) -> None:
-    """Remove pieces of an earlier export under the same name that this one does not replace."""
-    for folder in {path.parent for path in files if path.name == SURFACE_FILE}:
-        for path in folder.glob("collision_[0-9][0-9][0-9].obj"):
-            if path not in files:
-                path.unlink()
 
 
 def _motion(job: ExportJob) -> Files:

@@ -87,16 +87,6 @@ def check(options: ExportOptions) -> None:
     if options.object_name in ("N", "P", "world"):
         raise InputError(f"--object-name {options.object_name}: this is the name of a frame; give another")
     _ = options.epoch_utc
-    _require_writable(options.output)
-
-
-def _require_writable(path: Path) -> None:
-    if not path.parent.is_dir():
-        raise InputError(f"{path.parent} is not a folder: choose another -o")
-    if path.is_dir():
-        raise InputError(f"{path} is a folder: -o names a file, such as target.glb")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path.parent}: cannot write here; choose another -o")
 
 
 def creation_date() -> str:

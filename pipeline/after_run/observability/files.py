@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from polhode.atomic import write_bytes
-from polhode.errors import InputError
+from polhode.output.marked_folder import marked_place, write_files
 from polhode.pipeline.after_run.observability import pictures
 from polhode.pipeline.after_run.observability.assess import Assessment, Choice
 from polhode.pipeline.after_run.observability.pictures import Legend, coloured_body
@@ -28,11 +27,17 @@ FILES = (
     "edges.glb",
 )
 """Files that the command writes; those of an earlier call that this one does not write are removed."""
+COMMAND = "observability"
 NAMES = ("x_m", "y_m", "z_m", "about_x_rad", "about_y_rad", "about_z_rad")
 
 
+def assessment_place(path: Path) -> Path:
+    """The folder of the results, links followed; checked before the work. Raises InputError."""
+    return marked_place(path, COMMAND, FILES.__contains__)
+
+
 def write_assessment(assessment: Assessment, folder: Path) -> list[str]:
-    """Write all files, each atomically; returns their names."""
+    """Write all files or none; returns their names. Raises InputError, RunFailure."""
     model, shares = assessment.subject.model, assessment.edges.share
     files: dict[str, bytes] = {
         "observability.csv": table(assessment).encode(),
@@ -54,14 +59,7 @@ def write_assessment(assessment: Assessment, folder: Path) -> list[str]:
     files["observability.json"] = (
         json.dumps(document(assessment, legend), indent=1, allow_nan=False) + "\n"
     ).encode()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in files.items():
-            write_bytes(folder / name, content)
-        for name in set(FILES) - set(files):
-            (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror}); choose another -o") from error
+    write_files(folder, COMMAND, files, FILES.__contains__)
     return list(files)
 
 

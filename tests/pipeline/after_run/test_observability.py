@@ -11,6 +11,7 @@ import trimesh
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.output.marked_folder import MARK
 from polhode.planning.exports.ccsds import tum
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
@@ -73,7 +74,7 @@ def test_a_mesh_along_an_approach(box: Path, tmp_path: Path, capsys: Capture) ->
     assert main(["observability", str(box), "--trajectory", str(poses), "-o", str(out)]) == 0
     shown = capsys.readouterr().out
     assert "12 straight edges" in shown and "about z" in shown and shown.rstrip().endswith(str(out))
-    assert {path.name for path in out.iterdir()} == FILES
+    assert {path.name for path in out.iterdir()} == FILES | {MARK}
     found = json.loads((out / "observability.json").read_text())
     assert found["along"]["poses_that_tell_all"] == 5
     assert [pose["range_m"] for pose in found["poses"]] == pytest.approx([4.0, 3.5, 3.0, 2.5, 2.0])
@@ -98,11 +99,12 @@ def test_a_mesh_along_an_approach(box: Path, tmp_path: Path, capsys: Capture) ->
 def test_noise_point_and_unit_scale_as_they_should(box: Path, tmp_path: Path) -> None:
     poses = trajectory(tmp_path / "poses.txt", approach(1, 3.0))
 
+    out = tmp_path / "out"
+    word = ["observability", str(box), "--trajectory", str(poses), "-o", str(out)]
+
     def sigma(*options: str) -> Array:
-        assert (
-            main(["observability", str(box), "--trajectory", str(poses), "-o", str(tmp_path), *options]) == 0
-        )
-        return np.array(json.loads((tmp_path / "observability.json").read_text())["poses"][0]["sigma"])
+        assert main([*word, *options]) == 0
+        return np.array(json.loads((out / "observability.json").read_text())["poses"][0]["sigma"])
 
     plain = sigma()
     assert sigma("--sigma-px", "0.3") == pytest.approx(0.3 * plain)
@@ -137,14 +139,14 @@ def test_the_best_few_edges_and_the_fewest_that_do(box: Path, tmp_path: Path, ca
 @pytest.mark.usefixtures("no_pictures")
 def test_sunlight_takes_edges_away(box: Path, tmp_path: Path, capsys: Capture) -> None:
     poses = trajectory(tmp_path / "poses.txt", approach(1, 3.0))
-    word = ["observability", str(box), "--trajectory", str(poses), "-o", str(tmp_path)]
+    word = ["observability", str(box), "--trajectory", str(poses), "-o", str(tmp_path / "out")]
     assert main(word) == 0
-    all_ = json.loads((tmp_path / "observability.json").read_text())
+    all_ = json.loads((tmp_path / "out" / "observability.json").read_text())
     to_camera = approach(1, 3.0)[0, :3, 3]
     assert main([*word, "--sun", *(f"{value:.6f}" for value in to_camera)]) == 0
-    behind_camera = json.loads((tmp_path / "observability.json").read_text())
+    behind_camera = json.loads((tmp_path / "out" / "observability.json").read_text())
     assert main([*word, "--sun", *(f"{-value:.6f}" for value in to_camera)]) == 0
-    dark = json.loads((tmp_path / "observability.json").read_text())
+    dark = json.loads((tmp_path / "out" / "observability.json").read_text())
     assert behind_camera["sunlit"] and not all_["sunlit"]
     assert dark["poses"][0]["points"] < behind_camera["poses"][0]["points"] <= all_["poses"][0]["points"]
     capsys.readouterr()
@@ -260,4 +262,4 @@ def test_wrong_sources(tmp_path: Path, box: Path, capsys: Capture) -> None:
     assert main(["observability", str(box), *out]) == 2
     assert "--trajectory" in capsys.readouterr().err
     assert main(["observability", str(box), "--trajectory", poses, "-o", str(box)]) == 2
-    assert "names a folder" in capsys.readouterr().err
+    assert "this is a file" in capsys.readouterr().err

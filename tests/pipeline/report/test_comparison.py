@@ -99,7 +99,7 @@ def test_a_mistake_is_one_line_and_exit_2(
         "nothing there": ([good, str(tmp_path / "none"), "-o", page], "none"),
         "no run": ([str(tmp_path / "empty"), "-o", page], "give the folder of a run"),
         "no runs": (["-o", page], "a run is missing"),
-        "no folder": ([good, "-o", str(tmp_path / "none" / "page.html")], "is not a folder"),
+        "no folder": ([good, "-o", "/dev/null/page.html"], "part of this path is a file"),
         "a folder": ([good, "-o", str(tmp_path)], "is a folder"),
         "damaged": ([good, str(tmp_path / "broken"), "-o", page], "not a summary that polhode wrote"),
     }[kind]

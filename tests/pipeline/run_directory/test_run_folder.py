@@ -1,7 +1,8 @@
 """The run directory appears complete or not at all, and what stood there is never half-overwritten."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,15 @@ from polhode.pipeline.run_directory.run_folder import atomic_run_folder
 from polhode.pipeline.run_directory.summary import build_summary, read_summary
 
 
+@contextmanager
+def _writing(target: Path, *arguments: Any, **more: Any) -> Iterator[Path]:
+    with atomic_run_folder(target, *arguments, **more) as run:
+        yield run.path
+
+
 def _finish(folder: Path, run: Any, warning: str = "") -> None:
+    write_config(folder, Config())
+    write_estimate(folder, run.tracks, run.estimate)
     finish_run(folder, build_summary(run.tracks, run.estimate, run.surface, {}, [warning] if warning else []))
 
 
@@ -26,7 +35,7 @@ def _leftovers(parent: Path) -> list[str]:
 
 def test_the_folder_appears_only_when_it_is_complete(example: Any, tmp_path: Path) -> None:
     target = tmp_path / "deep" / "run"
-    with atomic_run_folder(target) as folder:
+    with _writing(target) as folder:
         assert folder.parent == target.parent and not target.exists()
         _finish(folder, example)
         assert not target.exists()
@@ -37,14 +46,14 @@ def test_the_folder_appears_only_when_it_is_complete(example: Any, tmp_path: Pat
 
 def test_an_empty_folder_may_be_filled(example: Any, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
-    with atomic_run_folder(tmp_path / "run") as folder:
+    with _writing(tmp_path / "run") as folder:
         _finish(folder, example)
     assert read_summary(tmp_path / "run").status == "ok"
 
 
 def test_the_run_is_as_readable_as_any_folder_of_the_user(example: Any, tmp_path: Path) -> None:
     (tmp_path / "plain").mkdir()
-    with atomic_run_folder(tmp_path / "run") as folder:
+    with _writing(tmp_path / "run") as folder:
         _finish(folder, example)
     assert (tmp_path / "run").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
@@ -61,7 +70,7 @@ def test_a_folder_in_use_is_refused_at_once_in_one_line(
     if words == "--overwrite":
         _finish(target, example)
     before = sorted(entry.name for entry in target.iterdir())
-    with pytest.raises(InputError, match=words) as caught, atomic_run_folder(target, overwrite):
+    with pytest.raises(InputError, match=words) as caught, _writing(target, overwrite):
         pass
     assert "\n" not in str(caught.value)
     assert sorted(entry.name for entry in target.iterdir()) == before
@@ -72,7 +81,7 @@ def test_a_file_in_the_way_is_refused_even_with_overwrite(tmp_path: Path) -> Non
     (tmp_path / "run").write_text("mine")
     with (
         pytest.raises(InputError, match="this is a file"),
-        atomic_run_folder(tmp_path / "run", overwrite=True),
+        _writing(tmp_path / "run", overwrite=True),
     ):
         pass
     assert (tmp_path / "run").read_text() == "mine"
@@ -80,10 +89,10 @@ def test_a_file_in_the_way_is_refused_even_with_overwrite(tmp_path: Path) -> Non
 
 def test_overwriting_replaces_the_whole_run_and_only_at_the_end(example: Any, tmp_path: Path) -> None:
     target = tmp_path / "run"
-    with atomic_run_folder(target) as folder:
+    with _writing(target) as folder:
         _finish(folder, example, "the first")
         (folder / "metrics.json").write_text("{}")
-    with atomic_run_folder(target, overwrite=True) as folder:
+    with _writing(target, overwrite=True) as folder:
         _finish(folder, example, "the second")
         assert read_summary(target).warnings == ["the first"]
     assert read_summary(target).warnings == ["the second"]
@@ -98,7 +107,7 @@ def _run(
     overwrite: bool = False,
     write_report: Callable[[Path], None] = write_report,
 ) -> None:
-    with atomic_run_folder(target, overwrite, write_report) as folder:
+    with _writing(target, overwrite, write_report) as folder:
         work(folder)
         raise error
 
@@ -134,18 +143,20 @@ def test_a_failure_after_the_estimate_keeps_its_numbers(example: Any, tmp_path: 
 
 def test_a_failed_run_with_nothing_found_does_not_cost_the_old_one(example: Any, tmp_path: Path) -> None:
     target = tmp_path / "run"
-    with atomic_run_folder(target) as folder:
+    with _writing(target) as folder:
         _finish(folder, example, "the first")
     with pytest.raises(RunFailure):
         _run(target, lambda folder: write_config(folder, Config()), RunFailure("black"), overwrite=True)
     assert read_summary(target).warnings == ["the first"]
 
     def measure(folder: Path) -> None:
+        write_config(folder, Config())
         write_measurements(example.tracks, folder / "measurements.npz")
 
-    with pytest.raises(RunFailure):
+    with pytest.raises(RunFailure, match=r"run.failed/report.html; .*run still holds the run before"):
         _run(target, measure, RunFailure("broken chain"), overwrite=True)
-    assert read_summary(target).status == "failed"
+    assert read_summary(target).warnings == ["the first"]
+    assert read_summary(tmp_path / "run.failed").status == "failed"
     assert _leftovers(tmp_path) == []
 
 
@@ -166,7 +177,7 @@ def test_a_report_that_breaks_does_not_cost_what_was_found(example: Any, tmp_pat
     def broken(folder: Path) -> None:
         raise KeyError(folder.name)
 
-    with pytest.raises(KeyError):
+    with pytest.raises(RunFailure, match=r"no surface; what was found: .*/run$"):
         _run(tmp_path / "run", solve, RunFailure("no surface"), write_report=broken)
     assert (tmp_path / "run" / "trajectory.csv").is_file()
     assert read_summary(tmp_path / "run").status == "failed"
@@ -176,21 +187,20 @@ def test_a_run_that_came_meanwhile_is_not_touched(example: Any, tmp_path: Path) 
     target = tmp_path / "run"
 
     def race() -> None:
-        with atomic_run_folder(target) as folder:
+        with _writing(target) as folder:
             _finish(folder, example, "mine")
             target.mkdir()
             _finish(target, example, "theirs")
 
-    with pytest.raises(InputError, match="in the meantime") as caught:
-        race()
+    race()
     assert read_summary(target).warnings == ["theirs"]
-    kept = next(tmp_path.glob(".run.partial-*"))
-    assert str(kept) in str(caught.value) and read_summary(kept).warnings == ["mine"]
+    assert read_summary(tmp_path / "run.new").warnings == ["mine"]
+    assert _leftovers(tmp_path) == []
 
 
 def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(InputError, match="cannot write here"), atomic_run_folder(tmp_path / "file" / "run"):
+    with pytest.raises(InputError, match="cannot write here"), _writing(tmp_path / "file" / "run"):
         pass
 
 
@@ -199,7 +209,7 @@ def test_the_log_holds_our_messages_and_the_loggers_are_left_as_they_were(
 ) -> None:
     logger = logging.getLogger("frontend")
     before = (logger.level, list(logger.handlers))
-    with atomic_run_folder(tmp_path / "run") as folder:
+    with _writing(tmp_path / "run") as folder:
         logging.getLogger("polhode.frontend.stereo").info("562 matches")
         logging.getLogger("some.library").warning("not ours")
         _finish(folder, example)

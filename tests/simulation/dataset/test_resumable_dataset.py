@@ -175,7 +175,7 @@ def test_only_a_dataset_or_an_empty_folder_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "work").mkdir()
     (tmp_path / "work" / "thesis.tex").write_text("x")
     for overwrite in (False, True):
-        with pytest.raises(InputError, match="exists" if not overwrite else "holds no mav0"):
+        with pytest.raises(InputError, match="exists" if not overwrite else "it has no scene.yaml"):
             simulate(one, 4, tmp_path / "work", Silent(), overwrite=overwrite)
     assert _names(tmp_path / "work") == ["thesis.tex"]
 
@@ -184,7 +184,7 @@ def test_a_file_in_the_way_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "S").write_text("x")
     with pytest.raises(InputError, match="is a file"):
         simulate(SCENE, 4, tmp_path / "S", Silent(), overwrite=True)
-    with pytest.raises(InputError, match="cannot be made"):
+    with pytest.raises(InputError, match="cannot write here"):
         simulate(SCENE, 4, tmp_path / "S" / "inside", Silent())
     assert (tmp_path / "S").read_text() == "x"
 
@@ -192,7 +192,7 @@ def test_a_file_in_the_way_is_never_replaced(tmp_path: Path) -> None:
 def test_two_simulations_of_one_dataset_do_not_mix(tmp_path: Path) -> None:
     with (
         staged_dataset(tmp_path / "S", False, "first"),
-        pytest.raises(InputError, match="another simulation is at work"),
+        pytest.raises(InputError, match="another polhode is at work"),
         staged_dataset(tmp_path / "S", False, "second"),
     ):
         pass

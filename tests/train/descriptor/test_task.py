@@ -246,7 +246,7 @@ WRONG = {
     "range upside down": ("--train.corpus.turn-deg 50 15", "turn_deg is (smallest, largest), got 50, 15"),
     "other corpus": ("--train.corpus.seed=99", "contains a corpus with another seed"),
     "no held-out bodies": ("--train.corpus.validation-every=9", "hold out none"),
-    "output is a file": ("--train.output=/dev/null", "train.output: /dev/null cannot be created"),
+    "output is a file": ("--train.output=/dev/null", "train.output: /dev/null is a device or a pipe"),
 }
 
 

@@ -1,0 +1,62 @@
+"""Where an export goes, and which files there are of an earlier export: only those are replaced."""
+
+import re
+from pathlib import Path
+
+from polhode.atomic import write_all
+from polhode.output.marked_folder import claim, forget_others, marked_place
+from polhode.output.single_file import begins_with, make_parent, output_file
+from polhode.pipeline.after_run.export.job import Files
+from polhode.pipeline.after_run.export.options import ExportOptions
+from polhode.planning.exports.formats import ROBOTS
+
+COMMAND = "export"
+SURFACE_FILE = "surface.obj"
+SIGNS = ("polhode export", '"polhode-export/1"')
+"""One of these is at the beginning of every file."""
+
+
+def place_of(options: ExportOptions) -> Path:
+    """The file that will be written, links followed; checked before the work. Raises InputError.
+
+    Robots have a folder of meshes beside it, which must be new, empty or of an earlier export.
+    """
+    inputs = [path for path in (options.cad, options.cad_points) if path is not None]
+    place = output_file(options.output, COMMAND, "target.glb", _is_export, inputs)
+    if options.to in ROBOTS:
+        marked_place(meshes_of(place), COMMAND, is_mesh, meshes_of(options.output))
+    return place
+
+
+def meshes_of(output: Path) -> Path:
+    """The folder of a robot's meshes."""
+    return output.with_name(f"{output.stem}_meshes")
+
+
+def piece_file(number: int) -> str:
+    """Name of a convex piece."""
+    return f"collision_{number:03d}.obj"
+
+
+def is_mesh(name: str) -> bool:
+    """Whether an export writes a mesh of this name."""
+    return name == SURFACE_FILE or re.fullmatch(r"collision_\d{3,4}\.obj", name) is not None
+
+
+def write_export(files: Files, output: Path) -> None:
+    """Write all files or none, and remove pieces of an earlier export that are not among them.
+
+    Raises InputError and RunFailure: a file cannot be written.
+    """
+    folder = meshes_of(output)
+    meshes = {path.name: content for path, content in files.items() if path.parent == folder}
+    make_parent(output, output)
+    if meshes:
+        claim(folder, COMMAND, list(meshes))
+    write_all(files)
+    if meshes:
+        forget_others(folder, COMMAND, meshes, is_mesh)
+
+
+def _is_export(path: Path) -> bool:
+    return begins_with(path, *SIGNS)

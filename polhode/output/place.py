@@ -1,0 +1,83 @@
+"""Where a path that the user gave leads, and the places that no command writes to."""
+
+import errno
+import os
+import stat
+import tempfile
+from pathlib import Path
+
+from polhode.atomic import refused
+from polhode.errors import InputError
+from polhode.output.run_files import run_of
+
+TRIAL_BYTES = 4096
+
+
+def folder_place(path: Path, shown: Path | None = None) -> Path:
+    """The folder that ``path`` names, links followed; it need not exist. ``shown``: its name in messages.
+
+    Raises InputError for a file, a device, a circle of links, and where nothing may be written.
+    """
+    place, shown = _resolved(path, shown or path), shown or path
+    if place.exists() and not place.is_dir():
+        raise InputError(f"{shown}: this is a file; choose another folder for -o")
+    _require_outside(place, shown)
+    return place
+
+
+def file_place(path: Path, example: str) -> Path:
+    """The file that ``path`` names, links followed; it need not exist. ``example``: a name of such a file.
+
+    Raises InputError for a folder, a device, a circle of links, and where nothing may be written.
+    """
+    place = _resolved(path, path)
+    if place.is_dir():
+        raise InputError(f"{path} is a folder: -o names a file, such as {example}")
+    _require_outside(place, path)
+    return place
+
+
+def require_writable(folder: Path, shown: Path) -> None:
+    """Try to write in ``folder``, or where it would be made. Raises InputError when that is refused."""
+    while not folder.exists():
+        folder = folder.parent
+    try:
+        handle, name = tempfile.mkstemp(prefix=".polhode-trial-", dir=folder)
+        try:
+            os.write(handle, bytes(TRIAL_BYTES))
+        finally:
+            os.close(handle)
+            Path(name).unlink()
+    except OSError as error:
+        raise unwritable(shown, error) from error
+
+
+def unwritable(shown: Path, error: OSError) -> InputError:
+    """The line about a place that cannot be written, before any work was done."""
+    return InputError(refused(shown, "cannot write here", error))
+
+
+def _resolved(path: Path, shown: Path) -> Path:
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        what = {errno.ELOOP: "a link that leads back to itself", errno.ENOTDIR: "part of this path is a file"}
+        reason = what.get(error.errno or 0, error.strerror)
+        raise InputError(f"{shown}: cannot write here ({reason}); choose another -o") from error
+    else:
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise InputError(f"{shown} is a device or a pipe; choose another -o")
+    return Path(os.path.realpath(path))
+
+
+def _require_outside(place: Path, shown: Path) -> None:
+    dataset = next((above.parent for above in (place, *place.parents) if above.name == "mav0"), None)
+    if dataset is not None:
+        raise InputError(
+            f"{shown}: inside the dataset {dataset}, where nothing is written; choose another -o"
+        )
+    run = run_of(place)
+    if run is not None:
+        raise InputError(f"{shown}: this name belongs to the results of the run {run}; choose another -o")

@@ -1,0 +1,69 @@
+"""A file that a command writes: a new one, or one that the same command wrote before."""
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from polhode.errors import InputError
+from polhode.output.place import file_place, require_writable, unwritable
+
+
+def output_file(
+    path: Path, command: str, example: str, is_own: Callable[[Path], bool], inputs: Sequence[Path] = ()
+) -> Path:
+    """Where the file goes, links followed; checked before any work is done.
+
+    ``is_own`` tells whether the command wrote an existing file; an empty one may be replaced, too.
+    ``inputs`` are files that the command reads. Raises InputError: anything else is there, the name belongs
+    to a run or a dataset, or the place cannot be written.
+    """
+    place = file_place(path, example)
+    if any(each.exists() and place.exists() and each.samefile(place) for each in inputs):
+        raise InputError(f"{path}: this command reads that file; choose another -o")
+    if place.exists() and place.stat().st_size > 0 and not is_own(place):
+        raise InputError(
+            f"{path}: exists and was not written by polhode {command}, so it stays; choose another -o"
+        )
+    require_writable(place.parent, path)
+    return place
+
+
+def make_parent(place: Path, shown: Path) -> None:
+    """Make the folder of a file, and remove what killed processes left of that file. Raises InputError."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(shown, error) from error
+    remove_partials(place)
+
+
+def remove_partials(place: Path) -> None:
+    """Remove the temporary files of processes that were killed while they wrote this file."""
+    name = re.compile(rf"\.{re.escape(place.stem)}\.partial-(\d+){re.escape(place.suffix)}")
+    for entry in os.scandir(place.parent):
+        found = name.fullmatch(entry.name)
+        if found and entry.is_file(follow_symlinks=False) and not _is_alive(int(found[1])):
+            with suppress(OSError):
+                Path(entry.path).unlink()
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def begins_with(path: Path, *words: str, within_bytes: int = 4096) -> bool:
+    """Whether the beginning of a file contains one of the words, by which a program names itself."""
+    try:
+        with path.open("rb") as stream:
+            beginning = stream.read(within_bytes)
+    except OSError:
+        return False
+    return any(word.encode() in beginning for word in words)

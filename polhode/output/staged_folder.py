@@ -1,0 +1,228 @@
+"""A folder that is written under a hidden name beside its place, and takes it when it is complete.
+
+The hidden folder ``.NAME.partial`` is locked while its process lives. One that is not locked was left by a
+process that was killed: it is named and cleared, or resumed by who can. Nothing in it is removed that is not
+ours by name.
+"""
+
+import fcntl
+import logging
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from polhode.atomic import sync
+from polhode.errors import InputError
+from polhode.output.exchange import (
+    IsOwn,
+    aside_of,
+    carry,
+    empty,
+    exchange,
+    foreign,
+    is_same,
+    move,
+    remove,
+    sync_all,
+)
+from polhode.output.place import require_writable, unwritable
+
+LEFT_BEHIND = "%s: left by a command that was stopped; removed"
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class StagedFolder:
+    """A folder on its way to its place."""
+
+    path: Path
+    """The hidden folder that is written into"""
+    place: Path
+    is_own: IsOwn
+    """By name: what may be removed from hidden folders, and of a folder that is replaced"""
+    is_claimed: bool = False
+    """What is in the hidden folder is of this process, or is resumed by it"""
+    keep: bool = False
+    """Leave the hidden folder there at the end, for another command to resume"""
+
+    def claim(self) -> None:
+        """Take the hidden folder, without what a process that ended left in it.
+
+        Raises InputError when not all of that is ours.
+        """
+        if any(self.path.iterdir()):
+            left = empty(self.path, self.is_own, self.place)
+            if left:
+                raise InputError(
+                    f"{self.path}: contains {left[0]}, which polhode did not write there; move it, or choose "
+                    "another -o"
+                )
+            _log.warning(LEFT_BEHIND, self.path)
+        self.is_claimed = True
+        require_writable(self.path, self.place)
+
+    def resume(self) -> None:
+        """Take the hidden folder with what is in it. Raises InputError: it cannot be written."""
+        self.is_claimed = self.keep = True
+        require_writable(self.path, self.place)
+        self.keep = False
+
+    def publish(self, place: Path | None = None, is_own: IsOwn | None = None) -> list[str]:
+        """Let the folder take its place (or another one), and return the names of what stays there.
+
+        What is there already is replaced where it is ours, by ``is_own`` if given; anything else goes along
+        into the new folder. Raises OSError; the old folder is then as it was.
+        """
+        place, is_own = place or self.place, is_own or self.is_own
+        sync_all(self.path)
+        stays: list[str] = []
+        if place.is_dir() and any(place.iterdir()):
+            with _open(place) as old:
+                _lock(old)
+                stays = foreign(place, is_own)
+                carry(stays, place, self.path)
+                aside = exchange(self.path, place)
+                self.is_claimed = False
+                # what came since then is in the old folder alone
+                move(remove(aside, is_own, place), aside, place)
+        else:
+            self.path.rename(place)
+        self.is_claimed = False
+        sync(place.parent)
+        return stays
+
+    def end(self) -> None:
+        """Remove the hidden folder, unless it was published, is kept, or was never claimed."""
+        if self.is_claimed and not self.keep:
+            shutil.rmtree(self.path, ignore_errors=True)
+        elif not self.is_claimed:
+            with suppress(OSError):
+                self.path.rmdir()
+
+
+@contextmanager
+def staged_folder(
+    place: Path, shown: Path, is_own: IsOwn, is_whole: Callable[[Path], bool]
+) -> Iterator[StagedFolder]:
+    """Make and lock the hidden folder of ``place``; whoever uses it claims it.
+
+    What an earlier command left on its way to the same place is mended first; ``is_whole`` tells a complete
+    folder of ours. Raises InputError: another process is writing there, or nothing can be written there.
+    """
+    if os.path.ismount(place):
+        raise InputError(f"{shown}: the root of a file system cannot be replaced; give a folder inside it")
+    path = place.with_name(f".{place.name}.partial")
+    made = _make_parents(place.parent, shown)
+    try:
+        with _locked(path, shown):
+            staged = StagedFolder(path, place, is_own)
+            try:
+                _mend(place, is_own, is_whole)
+                yield staged
+            finally:
+                staged.end()
+    finally:
+        for folder in reversed(made):
+            with suppress(OSError):
+                folder.rmdir()
+
+
+@contextmanager
+def at_work(folder: Path, shown: Path) -> Iterator[None]:
+    """Lock an existing folder while the block runs. Raises InputError: another process has locked it."""
+    with _open(folder) as handle:
+        if not _lock(handle):
+            raise _busy(shown)
+        yield
+
+
+def _mend(place: Path, is_own: IsOwn, is_whole: Callable[[Path], bool]) -> None:
+    """Finish what killed processes left beside the place: an old folder that stepped aside, and the hidden
+    folders of earlier versions."""
+    aside = aside_of(place)
+    if aside.is_dir() and not place.exists() and is_whole(aside):
+        aside.rename(place)
+        _log.warning("%s: its replacement was interrupted; the old one is back", place)
+    beside = [aside, *(each for each in _siblings(place) if each.name.startswith(f".{place.name}.partial-"))]
+    for folder in beside:
+        if not folder.is_dir() or folder.is_symlink():
+            continue
+        with _open(folder) as handle:
+            others = [name for name in foreign(folder, is_own) if not is_same(folder / name, place / name)]
+            if _lock(handle) and not others:
+                remove(folder, is_own, place)
+                _log.warning(LEFT_BEHIND, folder)
+
+
+def _siblings(place: Path) -> list[Path]:
+    return sorted(place.parent.iterdir())
+
+
+def _make_parents(folder: Path, shown: Path) -> list[Path]:
+    """Make a folder and those above it; returns those that were missing, from the top down."""
+    missing = [each for each in (folder, *folder.parents) if not each.exists()][::-1]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(shown, error) from error
+    return missing
+
+
+@contextmanager
+def _locked(path: Path, shown: Path) -> Iterator[None]:
+    """Make a folder and lock it, at most until this process ends. Raises InputError."""
+    while True:
+        try:
+            path.mkdir(exist_ok=True)
+            handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise unwritable(shown, error) from error
+        try:
+            if not _lock(handle):
+                raise _busy(shown)
+            # The process that held the lock may have moved this folder to its place.
+            if not _is_still(handle, path):
+                continue
+            yield
+            return
+        finally:
+            os.close(handle)
+
+
+def _is_still(handle: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(handle), path.lstat())
+    except FileNotFoundError:
+        return False
+
+
+@contextmanager
+def _open(folder: Path) -> Iterator[int]:
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        yield handle
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int) -> bool:
+    """False: another process holds it. Some network file systems cannot lock folders, and prevent nothing."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass
+    return True
+
+
+def _busy(shown: Path) -> InputError:
+    return InputError(
+        f"{shown}: another polhode is at work there; wait until it has ended, stop it, or choose another -o"
+    )

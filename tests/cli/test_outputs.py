@@ -1,0 +1,440 @@
+"""What each command that writes does with what it finds: command x surface, the table of docs/security.md."""
+
+import fcntl
+import os
+import resource
+import shutil
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+from tests.cli.writing_commands import WRITERS, Stage, make_quick, make_stage
+from tests.pipeline.conftest import make_example
+
+Capture = pytest.CaptureFixture[str]
+PAGE = Path(__file__).parents[2] / "docs" / "security.md"
+NOTES = "the user's notes\n"
+
+WRITTEN, REPLACED, REFUSED, NONE = "written", "replaced", "refused", "-"
+RESUMED, STAYS, FAILED = "resumed", "replaced; theirs stays", "fails; nothing replaced"
+FOLDERS = ("run", "simulate", "compare", "train", "plan", "observability")
+FILES = ("export", "export urdf", "predict", "report")
+COMMANDS = (*FOLDERS, *FILES)
+
+
+def row(default: str, **other: str) -> dict[str, str]:
+    """The outcome of every command."""
+    return {name: other.get(name.replace(" ", "_"), default) for name in COMMANDS}
+
+
+TABLE: dict[str, dict[str, str]] = {
+    "nothing is there": row(WRITTEN),
+    "a folder in which nothing is; an empty file": row(WRITTEN),
+    "a folder of the user's files; a file of the user": row(REFUSED),
+    "such a folder with a summary.json, scene.yaml, mav0/ or results among the files": row(
+        REFUSED, export=NONE, predict=NONE, report=NONE
+    ),
+    "such a folder, with --overwrite": row(NONE, run=REFUSED, simulate=REFUSED),
+    "its own result": row(REPLACED, run=REFUSED, simulate=REFUSED, compare=RESUMED, train=RESUMED),
+    "its own result, with --overwrite": row(NONE, run=REPLACED, simulate=REPLACED),
+    "its own result and files of the user, with --overwrite where there is one": row(
+        STAYS, simulate=REFUSED, export=NONE, predict=NONE, report=NONE
+    ),
+    "among its own results a file of the user with the name of a result": row(
+        REFUSED,
+        simulate=NONE,
+        compare=NONE,
+        train=NONE,
+        observability=NONE,
+        export=NONE,
+        predict=NONE,
+        report=NONE,
+    ),
+    "the name of a result of a run": row(REFUSED),
+    "a name inside a dataset": row(REFUSED),
+    "a file for a folder; a folder for a file": row(REFUSED),
+    "folders of the path are missing": row(WRITTEN),
+    "a file among the folders of the path": row(REFUSED),
+    "a link to its own result, with --overwrite where there is one": row(
+        REPLACED, compare=RESUMED, train=RESUMED
+    ),
+    "a link to a file or folder of the user": row(REFUSED),
+    "a link to what is not there": row(WRITTEN),
+    "a link that leads back to itself": row(REFUSED),
+    "a device": row(REFUSED),
+    "a pipe": row(REFUSED),
+    "a place that is read-only": row(REFUSED),
+    "a place that is full": row(REFUSED),
+    "a place that fills during the work, its own result there": row(FAILED),
+    "what a killed process left on its way there": row(WRITTEN, compare=NONE, train=NONE),
+    "another process that is writing there": row(
+        REFUSED, plan=NONE, observability=NONE, export=NONE, export_urdf=NONE, predict=NONE, report=NONE
+    ),
+}
+
+
+def digest(folder: Path, *without: Path) -> dict[str, str]:
+    """What is below a folder: kinds, contents, targets of links."""
+    found = {}
+    for root, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            path = Path(root) / name
+            if any(path == each or each in path.parents for each in without):
+                continue
+            mode = path.lstat().st_mode
+            if stat.S_ISLNK(mode):
+                content = f"link {path.readlink()}"
+            elif stat.S_ISREG(mode):
+                content = sha256(path.read_bytes()).hexdigest()
+            else:
+                content = str(stat.S_IFMT(mode))
+            found[str(path.relative_to(folder))] = content
+    return found
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Stage:
+    return make_stage(tmp_path_factory.mktemp("outputs") / "inputs", make_example())
+
+
+class Scene:
+    """One cell: a command, and a place that a surface has prepared."""
+
+    def __init__(self, name: str, stage: Stage, area: Path, own: Path) -> None:
+        self.name, self.stage, self.writer = name, stage, WRITERS[name]
+        self.area, self._own = area, own
+        self.output = area / self.writer.target
+        self.place = self.output
+        """Where it leads"""
+        self.more: list[str] = []
+        self.kept: list[Path] = []
+        """Of the user, at the place"""
+        self.cleared: list[Path] = []
+        """To be removed by the command"""
+
+    def overwrite(self) -> None:
+        """Give --overwrite where there is one."""
+        self.more = ["--overwrite"] if self.writer.overwrite else []
+
+    def make_own(self, place: Path) -> None:
+        """An earlier result of the same command."""
+        place.parent.mkdir(parents=True, exist_ok=True)
+        source = self._own / self.writer.target
+        if self.writer.is_folder:
+            shutil.copytree(source, place)
+        else:
+            shutil.copy(source, place)
+        if self.writer.beside:
+            shutil.copytree(self._own / self.writer.beside, place.with_name(f"{place.stem}_meshes"))
+
+    def make_foreign(self, place: Path) -> None:
+        """Something of the user."""
+        if self.writer.is_folder:
+            place.mkdir(parents=True)
+            (place / "notes.txt").write_text(NOTES)
+            (place / "results").mkdir()
+            (place / "results" / "table.csv").write_text("1,2\n")
+        else:
+            place.write_text(NOTES)
+
+    def call(self) -> int:
+        return self.stage.call(self.name, self.output, *self.more)
+
+    def written(self) -> list[Path]:
+        """All that the command may write or replace."""
+        beside = self.place.with_name(f"{self.place.stem}_meshes")
+        return [self.place, *([beside] if self.writer.beside else []), *self.cleared]
+
+
+def nothing(scene: Scene) -> None:
+    """As it is."""
+
+
+def empty(scene: Scene) -> None:
+    scene.place.mkdir() if scene.writer.is_folder else scene.place.touch()
+
+
+def foreign(scene: Scene) -> None:
+    scene.make_foreign(scene.place)
+
+
+def foreign_with_our_names(scene: Scene) -> None:
+    if scene.writer.beside:
+        meshes = scene.area / scene.writer.beside
+        meshes.mkdir()
+        (meshes / "surface.obj").write_text(NOTES)
+        return
+    scene.make_foreign(scene.place)
+    shutil.copy(scene.stage.run / "summary.json", scene.place)
+    (scene.place / "report.html").write_text(NOTES)
+    (scene.place / "edges.csv").write_text(NOTES)
+    (scene.place / "config.yaml").write_text("mine: 1\n")
+    shutil.copy(scene.stage.inputs / "scene.yaml", scene.place)
+    recording = scene.place / "mav0" / "cam0" / "data"
+    recording.mkdir(parents=True)
+    (recording / "1.png").write_bytes(b"recorded")
+    scene.overwrite()
+
+
+def foreign_overwrite(scene: Scene) -> None:
+    scene.make_foreign(scene.place)
+    scene.overwrite()
+
+
+def own(scene: Scene) -> None:
+    scene.make_own(scene.place)
+
+
+def own_overwrite(scene: Scene) -> None:
+    scene.make_own(scene.place)
+    scene.overwrite()
+
+
+def own_and_foreign(scene: Scene) -> None:
+    own_overwrite(scene)
+    folder = scene.area / scene.writer.beside if scene.writer.beside else scene.place
+    (folder / "notes.txt").write_text(NOTES)
+    (folder / "mine").mkdir()
+    (folder / "mine" / "more.txt").write_text(NOTES)
+    (folder / "link").symlink_to(scene.stage.inputs)
+    scene.kept = [folder / "notes.txt", folder / "mine" / "more.txt", folder / "link"]
+
+
+def own_and_our_name(scene: Scene) -> None:
+    own_overwrite(scene)
+    name = {"run": "pushes.csv", "plan": "corridor.csv", "export urdf": "u_meshes/collision_007.obj"}[
+        scene.name
+    ]
+    (scene.place.parent / name if scene.writer.beside else scene.place / name).write_text(NOTES)
+
+
+def name_of_run(scene: Scene) -> None:
+    run = scene.area / "run"
+    shutil.copytree(scene.stage.run, run)
+    (scene.area / "to_run").symlink_to(run)
+    folder = {"plan": "pictures", "observability": "pictures/new"}
+    scene.output = scene.area / "to_run" / ".." / "run" / folder.get(scene.name, "covariance.npz")
+    scene.overwrite()
+
+
+def inside_dataset(scene: Scene) -> None:
+    (scene.area / "rec" / "mav0" / "cam0").mkdir(parents=True)
+    scene.output = scene.area / "rec" / "mav0" / scene.writer.target
+
+
+def other_kind(scene: Scene) -> None:
+    scene.place.write_text(NOTES) if scene.writer.is_folder else scene.place.mkdir()
+    scene.overwrite()
+
+
+def parents_missing(scene: Scene) -> None:
+    scene.output = scene.area / "a" / "b" / scene.writer.target
+    scene.place = scene.area / "a"
+
+
+def file_in_path(scene: Scene) -> None:
+    (scene.area / "notes.txt").write_text(NOTES)
+    scene.output = scene.area / "notes.txt" / scene.writer.target
+
+
+def _link(scene: Scene) -> Path:
+    target = scene.area / "elsewhere" / scene.writer.target
+    target.parent.mkdir()
+    scene.output.symlink_to(target)
+    scene.place = target
+    return target
+
+
+def link_to_own(scene: Scene) -> None:
+    scene.make_own(_link(scene))
+    scene.overwrite()
+
+
+def link_to_foreign(scene: Scene) -> None:
+    scene.make_foreign(_link(scene))
+    scene.overwrite()
+
+
+def dangling(scene: Scene) -> None:
+    _link(scene)
+
+
+def loop(scene: Scene) -> None:
+    scene.output.symlink_to(scene.area / "back")
+    (scene.area / "back").symlink_to(scene.output)
+
+
+def device(scene: Scene) -> None:
+    scene.output = Path("/dev/null")
+
+
+def pipe(scene: Scene) -> None:
+    os.mkfifo(scene.output)
+
+
+def stale(scene: Scene) -> None:
+    """What is left of a process that was killed: its number is that of one that has ended."""
+    place, ended = scene.place, subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    if scene.name in ("run", "simulate"):
+        left = place.with_name(f".{place.name}.partial")
+        left.mkdir()
+        name = "measurements.npz" if scene.name == "run" else "scene.yaml"
+        (left / name).write_text("half")
+    else:
+        folder = place.parent
+        if scene.writer.is_folder:
+            scene.make_own(place)
+            folder = place
+        file = Path(scene.writer.main_file or place.name)
+        left = folder / f".{file.stem}.partial-{ended.pid}{file.suffix}"
+        left.write_text("half")
+    scene.cleared = [left]
+
+
+def busy(scene: Scene) -> None:
+    if scene.name in ("compare", "train"):
+        scene.make_own(scene.place)
+        folder = scene.place
+    else:
+        folder = scene.place.with_name(f".{scene.place.name}.partial")
+        folder.mkdir()
+    fcntl.flock(os.open(folder, os.O_RDONLY), fcntl.LOCK_EX)
+
+
+SURFACES: dict[str, Callable[[Scene], None]] = dict(
+    zip(
+        TABLE,
+        (
+            nothing, empty, foreign, foreign_with_our_names, foreign_overwrite, own, own_overwrite,
+            own_and_foreign, own_and_our_name, name_of_run, inside_dataset, other_kind, parents_missing,
+            file_in_path, link_to_own, link_to_foreign, dangling, loop, device, pipe, nothing, nothing,
+            own_overwrite, stale, busy,
+        ),
+        strict=True,
+    )
+)  # fmt: skip
+CELLS = [(surface, name) for surface, cells in TABLE.items() for name in COMMANDS if cells[name] != NONE]
+
+
+@contextmanager
+def condition(surface: str, area: Path, patch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A place that refuses: read-only, full, or nearly full."""
+    if "read-only" in surface:
+        _refuse_writing(area, patch)
+    limits = {"a place that is full": 0, "a place that fills during the work, its own result there": 4096}
+    if surface not in limits:
+        yield
+        return
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limits[surface], before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def _refuse_writing(area: Path, patch: pytest.MonkeyPatch) -> None:
+    """As a read-only file system does; permissions do not hold back the super-user."""
+    for name in ("mkdir", "open"):
+        real = getattr(os, name)
+
+        def refuse(
+            path: object, flags: int = os.O_RDWR, *more: object, real: object = real, **named: object
+        ) -> object:
+            at = str(Path(os.fsdecode(path)).resolve()) if isinstance(path, str | os.PathLike) else ""
+            if at.startswith(str(area)) and flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+                raise OSError(30, "Read-only file system", at)
+            return real(path, flags, *more, **named)  # type: ignore[operator]
+
+        patch.setattr(os, name, refuse)
+
+
+@pytest.fixture(scope="module")
+def own_results(stage: Stage, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """A folder with an earlier result of each command."""
+    folder, made = tmp_path_factory.mktemp("own"), set()
+
+    def result(name: str) -> Path:
+        at = folder / name.replace(" ", "_")
+        if name not in made:
+            at.mkdir()
+            assert stage.call(name, at / WRITERS[name].target) == 0
+            made.add(name)
+        return at
+
+    return result
+
+
+@pytest.mark.parametrize(("surface", "name"), CELLS, ids=[f"{name}: {surface}" for surface, name in CELLS])
+def test_cell(
+    surface: str,
+    name: str,
+    stage: Stage,
+    own_results: Callable[[str], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
+) -> None:
+    make_quick(monkeypatch, stage)
+    scene = Scene(name, stage, tmp_path / "area", own_results(name))
+    scene.area.mkdir()
+    SURFACES[surface](scene)
+    expected, inputs = TABLE[surface][name], digest(stage.inputs)
+    capsys.readouterr()
+    may_write = scene.written() if expected not in (REFUSED, FAILED) else []
+    if expected == FAILED and name in ("run", "simulate"):
+        # what was found, or rendered, is not lost either
+        ending = "R.failed" if name == "run" else ".S.partial"
+        may_write = [scene.place.with_name(ending), scene.place.with_name(".R.partial")]
+    before = digest(scene.area, *may_write)
+    main_file = scene.output / scene.writer.main_file
+    earlier = main_file.stat().st_ino if main_file.is_file() else None
+    with condition(surface, scene.area, monkeypatch):
+        code = scene.call()
+    monkeypatch.undo()
+    printed = capsys.readouterr()
+    assert digest(stage.inputs) == inputs
+    assert digest(scene.area, *may_write) == before
+    if expected in (REFUSED, FAILED):
+        assert code == (2 if expected == REFUSED else 1), printed.err
+        assert printed.err.startswith("polhode: error: ") and printed.err.count("\n") == 1
+        assert "defect" not in printed.err
+        return
+    assert (code, printed.err) == (0, "")
+    assert main_file.is_file() and main_file.stat().st_size > 0
+    assert main_file.stat().st_ino != earlier
+    for path in scene.kept:
+        assert path.is_symlink() or path.read_text() == NOTES
+    for path in scene.cleared:
+        assert not path.exists()
+        assert name not in ("run", "simulate") or f"{path}: left by a command" in printed.out
+    hidden = list(scene.area.rglob(".*partial*")) + list(scene.area.rglob(".*.old"))
+    assert hidden == []
+
+
+def test_the_docs_have_the_same_table() -> None:
+    text = PAGE.read_text()
+    section = text.split("## What each command does with what it finds")[1].split("\n## ")[0]
+    section = section[section.index("| what `-o` finds |") :]
+    lines = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
+    head, _, *rows = [[cell.strip().strip("`") for cell in line] for line in lines]
+    assert tuple(head[1:]) == COMMANDS
+    assert {cells[0]: dict(zip(COMMANDS, cells[1:], strict=True)) for cells in rows} == TABLE
+
+
+def table_text() -> str:
+    """The table as the docs have it."""
+    lines = [["what `-o` finds", *(f"`{name}`" for name in COMMANDS)], ["---"] * (len(COMMANDS) + 1)]
+    lines += [[surface, *(cells[name] for name in COMMANDS)] for surface, cells in TABLE.items()]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+if __name__ == "__main__":
+    print(table_text())

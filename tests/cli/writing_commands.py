@@ -1,0 +1,191 @@
+"""The commands that write, made quick: they write as always, but the work is done once or left out."""
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import polhode.cli.main
+import polhode.compare.comparison
+import polhode.pipeline.after_run.observability.assess
+import polhode.pipeline.after_run.observability.files
+import polhode.pipeline.after_run.observability.pictures
+import polhode.pipeline.after_run.plan
+import polhode.pipeline.after_run.plan_files
+import polhode.pipeline.run
+import polhode.train.run
+from polhode.atomic import write_text
+from polhode.config import Config
+from polhode.pipeline.report import write_report
+from polhode.pipeline.run import RunResult
+from polhode.pipeline.run_directory.run_folder import atomic_run_folder
+from polhode.planning.keep_out.volumes import KeepOutOptions
+from tests.pipeline.conftest import Example
+from tests.pipeline.stored_run import write_run
+
+SCENE = """
+seed: 4
+scene:
+  frames: 1
+  truth_horizon_s: 0
+  rig: {width_px: 48, height_px: 36, focal_px: 35.0}
+  motion: {position_m: [0.04, 0.0, 0.6]}
+  light: {earth: 0.0}
+  render: {samples: 1, bounces: 0}
+runtime: {workers: 1}
+"""
+LONG = "0123456789\n" * 1000
+"""More than the few bytes that a nearly full place still takes."""
+
+
+@dataclass(frozen=True)
+class Writer:
+    """A command that writes, and what it writes."""
+
+    command: str
+    target: str
+    """A name of what -o names"""
+    main_file: str
+    """In the folder, or "" for the file itself: it tells that the command has written"""
+    option: str = "-o"
+    overwrite: bool = False
+    """Whether it has --overwrite"""
+    beside: str = ""
+    """A folder that it writes beside the file"""
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether -o names a folder."""
+        return self.main_file != ""
+
+
+WRITERS: Mapping[str, Writer] = {
+    "run": Writer("run", "R", "summary.json", overwrite=True),
+    "simulate": Writer("simulate", "S", "scene.yaml", overwrite=True),
+    "compare": Writer("compare", "C", "compare.json"),
+    "train": Writer("train", "T", "scores.json", option="--train.output"),
+    "plan": Writer("plan", "P", "planning.json"),
+    "observability": Writer("observability", "O", "observability.json"),
+    "export": Writer("export", "target.stl", ""),
+    "export urdf": Writer("export", "u.urdf", "", beside="u_meshes"),
+    "predict": Writer("predict", "ahead.csv", ""),
+    "report": Writer("report", "page.html", ""),
+}
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The inputs of all commands, in a folder that none of them may change."""
+
+    inputs: Path
+    run: Path
+
+    def words(self, name: str, output: Path, *more: str) -> list[str]:
+        """The command line of a writer."""
+        writer, run = WRITERS[name], str(self.run)
+        arguments = {
+            "run": ["--data", str(self.inputs / "none")],
+            "simulate": [str(self.inputs / "scene.yaml")],
+            "compare": ["--run", run],
+            "train": [str(self.inputs / "train.yaml")],
+            "plan": [run],
+            "observability": [run],
+            "export": [run, "--to", "stl"],
+            "export urdf": [run, "--to", "urdf", "--pieces", "1"],
+            "predict": [run, "--horizon", "30"],
+            "report": [run],
+        }[name]
+        return [writer.command, *arguments, writer.option, str(output), *more]
+
+    def call(self, name: str, output: Path, *more: str) -> int:
+        """Run a writer as the user does."""
+        return polhode.cli.main.main(self.words(name, output, *more))
+
+
+def make_stage(folder: Path, example: Example) -> Stage:
+    """A stored run, a scene and a training."""
+    folder.mkdir()
+    (folder / "scene.yaml").write_text(SCENE)
+    (folder / "train.yaml").write_text("train: {task: descriptor}\n")
+    run = folder / "stored"
+    run.mkdir()
+    write_run(
+        run,
+        config=Config(),
+        tracks=example.tracks,
+        estimate=example.estimate,
+        surface=example.surface,
+        timing_s={},
+        relative=example.relative,
+    )
+    return Stage(folder, run)
+
+
+def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
+    """Replace the work by its stored results; what checks, writes and replaces is the program's own."""
+    patch.setattr(polhode.pipeline.run, "run", partial(run_of_stored_files, stage.run))
+    patch.setattr(polhode.compare.comparison, "_compared", _compared)
+    patch.setattr("polhode.compare.tables.print_tables", lambda comparison: None)
+    patch.setattr(polhode.train.run, "_trained", _trained)
+    once = _Once()
+    plan, assess = polhode.pipeline.after_run.plan, polhode.pipeline.after_run.observability.assess
+    few = KeepOutOptions(2.0, 0.97, members=100)
+    plan_run, real_assess, subject_of = plan.plan_run, assess.assess, assess.subject_of
+    patch.setattr(plan, "plan_run", lambda run, *_: once("plan", lambda: plan_run(run, few, None)))
+    patch.setattr(polhode.pipeline.after_run.plan_files, "plan_pictures", lambda *_: {})
+    patch.setattr(assess, "subject_of", lambda *words: once("subject", lambda: subject_of(*words)))
+    patch.setattr(assess, "assess", lambda *words: once("assessment", lambda: real_assess(*words)))
+    for name in ("draw_metric", "draw_views", "draw_contributions"):
+        patch.setattr(polhode.pipeline.after_run.observability.pictures, name, lambda *_: b"png")
+
+
+def run_of_stored_files(
+    stored: Path,
+    config: Config,
+    data: Path,
+    folder: Path,
+    progress: object,
+    overwrite: bool = False,
+    even_if_failed: bool = False,
+    work: Callable[[Path], None] = lambda folder: None,
+) -> RunResult:
+    """A run whose files are those of another one; ``work`` comes after they are written."""
+    del config, data, progress
+    with atomic_run_folder(folder, overwrite, write_report, even_if_failed) as written:
+        for path in sorted(stored.iterdir()):
+            write_text(written.path / path.name, "") if path.name == "log.txt" else shutil.copy(
+                path, written.path
+            )
+        work(written.path)
+    return RunResult("ok", written.published / "report.html", "done:", None, written.note)
+
+
+class _Once:
+    """Keeps the first result for each name, over all tests of the process."""
+
+    known: dict[str, Any] = {}  # noqa: RUF012
+
+    def __call__(self, name: str, make: Callable[[], Any]) -> Any:
+        if name not in self.known:
+            self.known[name] = make()
+        return self.known[name]
+
+
+def _compared(config: Config, folder: Path, *_: object) -> Any:
+    del config
+    for name in polhode.compare.comparison.FILES:
+        write_text(folder / name, LONG)
+    return SimpleNamespace(rows=[SimpleNamespace(status="ok")])
+
+
+def _trained(config: Config, train: object, output: Path, *_: object) -> Any:
+    del config, train
+    for name in (*polhode.train.run.FILES, "descriptor.safetensors"):
+        write_text(output / name, LONG)
+    outcome = SimpleNamespace(scores={}, finished=True)
+    return polhode.train.run.Trained(output / "descriptor.safetensors", outcome)  # type: ignore[arg-type]
