@@ -8,8 +8,12 @@ from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
 from polhode.errors import InputError
+from polhode.foreign_meshes import open_mesh
 from polhode.ply import surface_ply
 from polhode.records import SurfaceModel
+
+MIN_SIZE_M, MAX_SIZE_M = 1e-4, 1e4
+"""Of a mesh that a user gives, corner to corner."""
 
 
 def write_ply(surface: SurfaceModel, path: Path) -> None:
@@ -41,10 +45,7 @@ def read_ply(path: Path) -> SurfaceModel:
 
     Raises InputError for anything else.
     """
-    try:
-        mesh = trimesh.load_mesh(path, process=False)
-    except (ValueError, IndexError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); run it again") from error
+    mesh = open_mesh(path).mesh(process=False)
     if not isinstance(mesh, trimesh.Trimesh):
         raise InputError(f"{path}: not a triangle mesh; give the mesh.ply of a run")
     raw = mesh.metadata.get("_ply_raw", {})
@@ -98,15 +99,15 @@ def _part(mesh: trimesh.Trimesh, chosen: NDArray[np.bool_]) -> trimesh.Trimesh:
 
 def read_mesh(file: Path, unit_m: float) -> trimesh.Trimesh:
     """The mesh in metres; ``unit_m``: metres of a unit of the file. Raises InputError, one line."""
-    if not file.is_file():
+    if not file.exists():
         raise InputError(f"{file}: no such file; give a mesh")
-    try:
-        mesh = trimesh.load(file, force="mesh")
-    except Exception as error:  # readers of many formats raise many things
-        raise InputError(f"{file}: cannot be read as a mesh ({error}); give PLY, STL, OBJ or GLB") from error
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+    mesh = open_mesh(file).merged()
+    if len(mesh.faces) == 0:
         raise InputError(f"{file}: holds no triangles; give PLY, STL, OBJ or GLB")
-    if not np.isfinite(mesh.vertices).all() or mesh.area == 0.0:
-        raise InputError(f"{file}: a vertex is not finite, or the mesh has no area")
+    size_m = unit_m * float(np.linalg.norm(mesh.extents))
+    if not MIN_SIZE_M <= size_m <= MAX_SIZE_M:
+        raise InputError(f"{file}: the mesh is {size_m:.3g} m large; check the unit")
     mesh.apply_scale(unit_m)
+    if not mesh.area > 0.0:
+        raise InputError(f"{file}: the mesh has no area; repair it")
     return mesh

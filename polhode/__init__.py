@@ -29,6 +29,7 @@ metrics.py         errors of an estimate against the truth
 mesh_metrics.py    distances between meshes
 array_files.py     archives of arrays (.npz), their headers compared with their sizes
 foreign_files.py   opening the files that others made: regular ones, of a limited size
+foreign_meshes/    meshes of others (PLY, STL, OBJ, GLB), their structure checked before they are read
 tables.py          tables and calibrations of a dataset, with errors that name file and line
 yaml_files.py      YAML, of limited size and depth
 ply.py             binary PLY files

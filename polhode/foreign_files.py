@@ -60,7 +60,10 @@ def read_bytes(path: Path, limit_bytes: int, kind: str) -> bytes:
     """The content of a regular file of at most ``limit_bytes``. Raises as ``open_regular``."""
     with open_regular(path, limit_bytes, kind) as stream:
         try:
-            content = stream.read(limit_bytes + 1)
+            # Reading makes a buffer of the size that is asked for: the stated size, and more only if it grew.
+            content = stream.read(os.fstat(stream.fileno()).st_size)
+            if more := stream.read(1):
+                content += more + stream.read(limit_bytes - len(content))
         except OSError as error:
             raise _unreadable(path, error) from None
     if len(content) > limit_bytes:

@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from polhode.errors import InputError
+from polhode.foreign_meshes import open_mesh
 from polhode.records import Truth
 from polhode.tables import attitudes_of, numbers_at, read_mapping, read_table, require_below
 
@@ -67,10 +68,7 @@ def _mass(path: Path, properties: dict[str, Any]) -> float | None:
 def _read_mesh(path: Path) -> trimesh.Trimesh | None:
     if not path.exists():
         return None
-    try:
-        mesh = trimesh.load_mesh(path, process=False)
-    except (ValueError, IndexError, KeyError, NotImplementedError) as error:
-        raise InputError(f"{path} is not a readable mesh: {' '.join(str(error).split())}") from None
+    mesh = open_mesh(path).mesh(process=False)
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError(f"{path} has no triangles")
     if not np.isfinite(mesh.vertices).all():

@@ -7,18 +7,20 @@ of GLB are linear as its specification says; those of the other formats are take
 
 import re
 from dataclasses import dataclass, replace
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
-from trimesh.resolvers import FilePathResolver
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from polhode.errors import InputError
+from polhode.foreign_meshes import MeshFile, open_mesh
+from polhode.foreign_meshes.mesh_file import unreadable
+from polhode.foreign_meshes.obj import FilesBeside
+from polhode.foreign_meshes.textures import share_textures
 from polhode.lie import Array
 from polhode.records import Ints
 from polhode.simulation.bodies.part import FileColours, Part
@@ -68,67 +70,50 @@ def _geometries(path: Path) -> list[tuple[str, str, trimesh.Trimesh]]:
     """All meshes of a file with their names, in the frame of the file's scene."""
     if not path.exists():
         raise InputError(f"{path}: no such mesh file; give body.path relative to the working directory")
-    if not path.is_file():
-        raise InputError(f"{path}: not a file; give body.path of an OBJ, STL, PLY or GLB")
+    scene = _load(open_mesh(path))
     try:
-        scene = _load(path)
+        share_textures(scene)
         found = []
         for node in scene.graph.nodes_geometry:
             X, geometry = scene.graph[node]
             mesh = scene.geometry[geometry]
             if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces) > 0:
-                if mesh.faces.max() >= len(mesh.vertices) or mesh.faces.min() < 0:
-                    raise ValueError("faces refer to vertices that do not exist")
                 material = getattr(getattr(mesh.visual, "material", None), "name", None)
                 name = " ".join(dict.fromkeys(str(n) for n in (node, geometry, material) if n))
                 moved = mesh.copy()
                 moved.remove_unreferenced_vertices()
                 found.append((str(geometry), name, moved.apply_transform(X)))
         return found
-    # Parsers of arbitrary files raise exceptions of any type.
-    except Exception as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(f"{path}: cannot be read as a mesh ({reason}); give OBJ, STL, PLY or GLB") from error
+    except Exception as error:  # noqa: BLE001  transforms and names of any kind
+        raise unreadable(path, error) from None
 
 
-def _load(path: Path) -> trimesh.Scene:
-    content = path.read_bytes()
-    kind = path.suffix.lower().lstrip(".")
-    beside = FilePathResolver(str(path))
-    if kind != "obj":
-        return trimesh.load_scene(BytesIO(content), file_type=kind, resolver=beside, process=False)
-    names = list(dict.fromkeys(re.findall(rb"^usemtl[ \t]+(.+?)\s*$", content, re.MULTILINE)))
-    objects = re.search(rb"^o\s", content, re.MULTILINE) is not None
-    if names and not re.search(rb"^mtllib\s", content, re.MULTILINE):
-        content = b"mtllib absent.mtl\n" + content
-    return trimesh.load_scene(
-        BytesIO(content),
-        file_type="obj",
-        resolver=_MaterialNames(path, names),
-        split_objects=objects,
-        split_groups=not objects,
-        process=False,
-    )
+def _load(file: MeshFile) -> trimesh.Scene:
+    if file.kind != "obj":
+        return file.scene(process=False)
+    names = list(dict.fromkeys(re.findall(rb"^usemtl[ \t]+(.+?)\s*$", file.content, re.MULTILINE)))
+    objects = re.search(rb"^o\s", file.content, re.MULTILINE) is not None
+    if names and not re.search(rb"^mtllib\s", file.content, re.MULTILINE):
+        file = replace(file, content=b"mtllib absent.mtl\n" + file.content)
+    file = replace(file, resolver=_MaterialNames(file.path, names))
+    return file.scene(split_objects=objects, split_groups=not objects, process=False)
 
 
-class _MaterialNames(FilePathResolver):
+class _MaterialNames(FilesBeside):
     """Files beside an OBJ; if its material library is absent, one with the names that the OBJ uses."""
 
     def __init__(self, path: Path, names: list[bytes]) -> None:
-        super().__init__(str(path))
+        super().__init__(path)
         self._names = names
 
     def get(self, name: str) -> bytes:
         """Content of a file by its name."""
         try:
-            return bytes(super().get(name))
+            return super().get(name)
         except OSError:
             if not name.strip().lower().endswith(".mtl"):
                 raise
             return b"\n".join(b"newmtl " + own for own in self._names)
-
-    def __getitem__(self, name: str) -> bytes:
-        return self.get(name)
 
 
 def _piece(label: str, name: str, source: trimesh.Trimesh, metres_per_unit: float) -> FilePiece:
@@ -152,8 +137,6 @@ def _require_sensible_size(path: Path, pieces: list[FilePiece]) -> None:
 
 
 REC_709 = np.array([0.2126, 0.7152, 0.0722])
-MAX_IMAGE_PX = 4096
-"""Images are reduced to at most this many pixels per side."""
 
 
 @dataclass(frozen=True)
@@ -239,11 +222,9 @@ def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> FileAppe
 
 
 def _reflectance_of_image(image: Image.Image) -> NDArray[np.float32]:
-    reduced = image.convert("RGB")
-    reduced.thumbnail((MAX_IMAGE_PX, MAX_IMAGE_PX))
     table = linear_grey(np.repeat(np.arange(256)[:, None] / 255.0, 3, axis=1))
     # Decoding a byte is a table look-up; the weights add up to 1.
-    decoded = table[np.asarray(reduced)]
+    decoded = table[np.asarray(image)]
     return np.asarray(decoded @ REC_709, dtype=np.float32)
 
 

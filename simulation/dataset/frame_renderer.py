@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,7 +176,7 @@ def read_products(path: Path) -> Products:
     """Read a file of ``write_products``. Raises InputError if it is missing or damaged."""
     try:
         stored = read_arrays(path)
-        arrays = {name: stored[name] for name in _PRODUCTS if name in stored}
+        arrays: dict[str, Any] = {name: stored[name] for name in _PRODUCTS if name in stored}
         require_arrays(path, arrays, {name: _PRODUCTS[name] for name in arrays})
     except InputError as error:
         raise InputError(

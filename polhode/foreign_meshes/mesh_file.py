@@ -1,0 +1,128 @@
+"""Opening a mesh file of others: limits, structure, then trimesh; what comes out is finite and sound."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from trimesh.resolvers import Resolver
+
+from polhode.errors import InputError
+from polhode.foreign_files import MIB, amount, read_bytes
+from polhode.foreign_meshes.glb import require_sound_glb
+from polhode.foreign_meshes.obj import FilesBeside, plain, require_sound_obj
+from polhode.foreign_meshes.ply import require_sound_ply
+from polhode.foreign_meshes.stl import is_binary_stl, require_sound_stl
+from polhode.foreign_meshes.unsound import MAX_FACES, Unsound
+
+BINARY_BYTES = 64 * MIB
+TEXT_BYTES = 16 * MIB
+"""trimesh needs some thirty times as much memory to read a text; with these limits it stays below 1 GiB."""
+KINDS: Mapping[str, Callable[[bytes], None]] = {
+    "ply": require_sound_ply,
+    "stl": require_sound_stl,
+    "obj": require_sound_obj,
+    "glb": require_sound_glb,
+}
+"""The structure that each kind must have."""
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A file whose structure was checked."""
+
+    path: Path
+    kind: str
+    """ply, stl, obj or glb"""
+    content: bytes
+    resolver: Resolver
+
+    def scene(self, **options: Any) -> trimesh.Scene:
+        """All geometries in their scene; ``options`` go to trimesh. Raises InputError."""
+        scene: trimesh.Scene = self._loaded(trimesh.load_scene, options)
+        return scene
+
+    def mesh(self, **options: Any) -> trimesh.Trimesh:
+        """All triangles as one mesh, without materials. Raises InputError; there may be no triangles."""
+        options = {"skip_materials": True, **options}
+        mesh: trimesh.Trimesh = self._loaded(trimesh.load_mesh, options)
+        return mesh
+
+    def merged(self) -> trimesh.Trimesh:
+        """All triangles as one mesh, the vertices of each piece merged where they coincide.
+
+        Raises InputError, also for a vertex that is not finite.
+        """
+        scene = self.scene(process=False, skip_materials=True)
+        try:
+            for name in [
+                name for name, each in scene.geometry.items() if not isinstance(each, trimesh.Trimesh)
+            ]:
+                scene.delete_geometry(name)
+            for each in scene.geometry.values():
+                if not np.isfinite(each.vertices).all():
+                    raise Unsound("a vertex is not finite")
+                each.process()
+            mesh: trimesh.Trimesh = scene.to_mesh()
+            return mesh
+        except Exception as error:  # noqa: BLE001  as above
+            raise unreadable(self.path, error) from None
+
+    def _loaded(self, load: Callable[..., Any], options: dict[str, Any]) -> Any:
+        try:
+            loaded = load(BytesIO(self.content), file_type=self.kind, resolver=self.resolver, **options)
+            meshes = loaded.geometry.values() if isinstance(loaded, trimesh.Scene) else [loaded]
+            for mesh in meshes:
+                _require_sound(mesh)
+            return loaded
+        except Exception as error:  # noqa: BLE001  readers of many formats raise many things
+            raise unreadable(self.path, error) from None
+
+
+def open_mesh(path: Path) -> MeshFile:
+    """Read the file and check its structure.
+
+    Raises InputError: not one of the formats, no regular file, too large, or another structure than stated.
+    """
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in KINDS:
+        raise unreadable(path, Unsound("its name ends with none of .ply, .stl, .obj, .glb"))
+    content = read_bytes(path, BINARY_BYTES, "a mesh")
+    try:
+        if _is_text(kind, content):
+            if len(content) > TEXT_BYTES:
+                raise Unsound(f"a text of {amount(len(content))}, where {amount(TEXT_BYTES)} are allowed")
+            content = plain(content)
+        KINDS[kind](content)
+    except Exception as error:  # noqa: BLE001  a document of another structure
+        raise unreadable(path, error) from None
+    return MeshFile(path, kind, content, FilesBeside(path))
+
+
+def _is_text(kind: str, content: bytes) -> bool:
+    if kind == "stl":
+        return not is_binary_stl(content)
+    return kind == "obj" or (kind == "ply" and b"format ascii" in content[:200])
+
+
+def _require_sound(mesh: Any) -> None:
+    """Raises Unsound for faces of vertices that do not exist, and for too many. Clouds of points may pass."""
+    if not isinstance(mesh, trimesh.Trimesh):
+        return
+    faces = np.asarray(mesh.faces)
+    if len(faces) > MAX_FACES:
+        raise Unsound(f"{len(faces)} triangles, where {MAX_FACES} are allowed")
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(mesh.vertices)):
+        raise Unsound("faces refer to vertices that do not exist")
+
+
+def unreadable(path: Path, error: Exception) -> InputError:
+    """One line, with the reason; the error itself if it has one already."""
+    if isinstance(error, InputError):
+        return error
+    words = " ".join(str(error).split())[:120] or type(error).__name__
+    reason = "".join(letter if letter.isprintable() else "?" for letter in words)
+    return InputError(f"{path}: cannot be read as a mesh ({reason}); give PLY, STL, OBJ or GLB")
