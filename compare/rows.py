@@ -13,6 +13,8 @@ from pydantic import Field, ValidationError
 
 from polhode.atomic import write_text
 from polhode.errors import InputError
+from polhode.foreign_files import MIB, MissingFile
+from polhode.json_files import read_json
 from polhode.pipeline.run_directory.summary_schema import Finite, StrictModel
 
 Status = Literal["ok", "baseline", "failed", "timeout", "missing"]
@@ -166,13 +168,13 @@ def write_comparison(comparison: Comparison, path: Path) -> None:
 def read_comparison(path: Path) -> Comparison:
     """Raises InputError, one line, when the file is missing or invalid."""
     try:
-        return Comparison.model_validate_json(path.read_text())
-    except FileNotFoundError:
+        return Comparison.model_validate(read_json(path, "a comparison", 32 * MIB))
+    except MissingFile:
         raise InputError(f"{path}: no such file; make it with polhode compare") from None
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path}: not a comparison: {where}: {first['msg']}") from None
+        first = error.errors(include_input=False)[0]
+        where = ".".join(str(part)[:60] for part in first["loc"][:6])
+        raise InputError(f"{path}: not a comparison: {where}: {first['msg'][:200]}") from None
 
 
 def schema_text() -> str:

@@ -32,6 +32,7 @@ foreign_files.py   opening the files that others made: regular ones, of a limite
 foreign_meshes/    meshes of others (PLY, STL, OBJ, GLB), their structure checked before they are read
 tables.py          tables and calibrations of a dataset, with errors that name file and line
 yaml_files.py      YAML, of limited size and depth
+json_files.py      JSON, of limited size and depth
 ply.py             binary PLY files
 atomic.py          atomic writing of files
 output/            what commands write: places, what may be replaced there, folders that change places

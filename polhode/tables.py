@@ -42,15 +42,15 @@ class Table:
     timestamps_ns: Ints
     """(n,) strictly increasing"""
     values: Array
-    """(n, columns) finite"""
+    """(n, columns)"""
 
 
-def read_table(path: Path, columns: int) -> Table:
+def read_table(path: Path, columns: int, finite: bool = True) -> Table:
     """A timestamp [ns] and ``columns`` numbers a row; further columns are not read.
 
     Blank lines, ``#`` comments and a header are skipped. Raises InputError, which names the line, when the
     file is missing, is not text, has no rows or too many, timestamps are not whole numbers that increase, or
-    a number is missing, NaN or infinite.
+    a number is missing, or NaN or infinite where they must be ``finite``.
     """
     lines, stamps, values = array("q"), array("q"), array("d")
     for number, fields in _rows(path):
@@ -59,10 +59,15 @@ def read_table(path: Path, columns: int) -> Table:
         lines.append(number)
     numbers = np.array(values, dtype=np.float64).reshape(len(stamps), columns)
     bad = ~np.isfinite(numbers).all(axis=1)
-    if bad.any():
+    if finite and bad.any():
         line = lines[int(bad.argmax())]
         raise InputError(f"{path} line {line}: NaN or infinity; remove or correct the row")
     return Table(path, np.array(lines, dtype=np.int64), np.array(stamps, dtype=np.int64), numbers)
+
+
+def header_of(path: Path) -> list[str]:
+    """The fields of the first line. Raises InputError as ``read_table``."""
+    return next(([field.strip() for field in line.split(",")] for _, line in _lines(path)), [])
 
 
 def read_listing(path: Path) -> dict[int, str]:
@@ -97,6 +102,37 @@ def _wrong_name(name: str) -> str:
     if not name.isprintable() or '"' in name:
         return "has quotes or control characters; write it plainly"
     return ""
+
+
+def number_rows(path: Path, columns: int, what: str, limit: int) -> Iterator[tuple[int, list[float]]]:
+    """Rows of finite numbers, separated by blanks or commas, with their lines: files of other programs.
+
+    Blank lines, ``#`` comments and words above the first row are skipped; ``what`` names the columns, for the
+    message. Raises InputError, which names the line.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    rows = 0
+    for number, line in _lines(path):
+        if not line or line.startswith("#"):
+            continue
+        fields = line.replace(",", " ").split()
+        values = [value for field in fields if (value := _number_or_none(field)) is not None]
+        if not values and not rows:
+            continue
+        if not len(values) == len(fields) == columns or not np.isfinite(values).all():
+            raise InputError(f"{path} line {number}: give {columns} finite numbers: {what}")
+        rows += 1
+        if rows > limit:
+            raise InputError(f"{path} line {number}: more than {limit} rows; give fewer")
+        yield number, values
+
+
+def _number_or_none(text: str) -> float | None:
+    try:
+        return plain_number(text)
+    except ValueError:
+        return None
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:

@@ -1,6 +1,5 @@
 """What the report is made from: the files of a run, each absent when the run did not get that far."""
 
-import json
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from polhode.errors import InputError
-from polhode.foreign_files import MIB, read_bytes
+from polhode.foreign_files import CONFIGURATION_BYTES, MIB, MissingFile, read_bytes, read_text
+from polhode.json_files import read_json
 from polhode.lie import Array
 from polhode.mapping.mesh_files import read_ply
 from polhode.pipeline.run_directory.archives import (
@@ -90,9 +90,9 @@ def read_stored_run(folder: Path, name: str) -> StoredRun:
         residuals=read_residuals(folder) if has_tracks else None,
         landmarks=read_landmarks(folder) if (folder / "landmarks.ply").is_file() else None,
         surface=read_ply(folder / "mesh.ply") if (folder / "mesh.ply").is_file() else None,
-        metrics=_json(folder / "metrics.json"),
+        metrics=_json(folder / "metrics.json", "metrics"),
         pictures=_pictures(folder / "pictures"),
-        config_text=(folder / "config.yaml").read_text() if (folder / "config.yaml").is_file() else "",
+        config_text=_text(folder / "config.yaml"),
     )
 
 
@@ -112,7 +112,10 @@ def _motion(folder: Path, summary: Summary) -> StoredMotion | None:
 
 
 def _pictures(folder: Path) -> tuple[StoredPicture, ...]:
-    captions: dict[str, str] = _json(folder / "captions.json")
+    file = folder / "captions.json"
+    captions: dict[str, str] = _json(file, "captions of pictures")
+    if not all(isinstance(words, str) for words in captions.values()):
+        raise InputError(f"{file}: a caption is not a text; {REMEDY}")
     found = [StoredPicture(name, words, _content(folder, name)) for name, words in captions.items()]
     return tuple(picture for picture in found if picture.content)
 
@@ -128,6 +131,19 @@ def _content(folder: Path, name: str) -> bytes:
     return b""
 
 
-def _json(file: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(file.read_text()) if file.is_file() else {}
+def _json(file: Path, kind: str) -> dict[str, Any]:
+    """A file of names and values; empty when there is none."""
+    try:
+        content = read_json(file, kind)
+    except MissingFile:
+        return {}
+    if not isinstance(content, dict):
+        raise InputError(f"{file}: not {kind} that polhode wrote; {REMEDY}")
     return content
+
+
+def _text(file: Path) -> str:
+    try:
+        return read_text(file, CONFIGURATION_BYTES, "a configuration")
+    except MissingFile:
+        return ""

@@ -13,6 +13,8 @@ from pydantic import ValidationError
 
 from polhode.atomic import write_text
 from polhode.errors import InputError
+from polhode.json_files import read_json
+from polhode.lie import Array
 from polhode.output.exchange import entries
 from polhode.output.run_files import is_run_file
 from polhode.pipeline.run_directory.archives import undetermined_as_inf
@@ -20,6 +22,9 @@ from polhode.pipeline.run_directory.summary_schema import Noise, ShapeFindings, 
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
 
 STAGES: tuple[str, ...] = ("frontend", "initialization", "backend", "depth", "fusion", "report", "total")
+NOT_OURS = "not a summary that polhode wrote"
+MAX_SIZE = 1e12
+"""Of a moment over the middle one, and of com_G [m]."""
 MANY_CONTRADICTED = 0.4
 """Share of the observations without weight that makes an answer doubtful."""
 
@@ -126,14 +131,32 @@ def write_summary(summary: Summary, path: Path) -> None:
 def read_summary(path: Path) -> Summary:
     """Read summary.json (the file, or its run folder). Raises InputError, one line."""
     file = path / "summary.json" if path.is_dir() else path
-    if not file.is_file():
+    if not file.exists():
         raise InputError(f"{file}: no such file; give the folder of a run")
+    content = read_json(file, "a summary")
     try:
-        return Summary.model_validate_json(file.read_text())
+        summary = Summary.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise InputError(f"{file}: {where}: {first['msg']}; not a summary that polhode wrote") from error
+        first = error.errors(include_input=False)[0]
+        where = ".".join(str(part)[:60] for part in first["loc"][:6]) or "the file"
+        raise InputError(f"{file}: {where}: {first['msg'][:200]}; {NOT_OURS}") from None
+    _require_sound(file, summary)
+    return summary
+
+
+def _require_sound(file: Path, summary: Summary) -> None:
+    """Raise InputError for numbers that no run finds, and that no later step could use."""
+    R_GP, com_G, inertia = summary.R_GP, summary.com_G, summary.inertia
+    if R_GP is not None and not _is_rotation(np.array(R_GP)):
+        raise InputError(f"{file}: R_GP: not a rotation; {NOT_OURS}")
+    if com_G is not None and np.abs(com_G).max() > MAX_SIZE:
+        raise InputError(f"{file}: com_G: above {MAX_SIZE:g} m; {NOT_OURS}")
+    if inertia is not None and not all(1.0 / MAX_SIZE <= moment <= MAX_SIZE for moment in inertia.moments):
+        raise InputError(f"{file}: inertia.moments: not three positive moments about 1; {NOT_OURS}")
+
+
+def _is_rotation(R: Array) -> bool:
+    return bool(np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() < 1e-6 and np.linalg.det(R) > 0.0)
 
 
 _FOUND = (

@@ -15,6 +15,7 @@ from polhode.lie import Array, continuous_wxyz, make_pose, matrix_from_wxyz, wxy
 from polhode.metrics import States
 from polhode.planning.prediction import Prediction
 from polhode.records import Ints, MotionEstimate, OnlineEstimate
+from polhode.tables import Table, header_of, read_table
 
 TRAJECTORY_COLUMNS: tuple[str, ...] = (
     "timestamp_ns",
@@ -25,6 +26,9 @@ TRAJECTORY_COLUMNS: tuple[str, ...] = (
     *(f"sigma_{name}_{axis}" for name in ("r", "v", "theta", "w") for axis in "xyz"),
 )
 """The header line. SI units; sigma_r and sigma_v along N, sigma_theta and sigma_w in P."""
+
+MAX_STATE = 1e15
+"""[m, m/s, rad/s]"""
 
 
 @dataclass(frozen=True)
@@ -108,37 +112,27 @@ def read_trajectory(path: Path) -> Trajectory:
     file = path / "trajectory.csv" if path.is_dir() else path
     if not file.is_file():
         raise InputError(f"{file}: no such file; give the folder of a run that reached an estimate")
-    lines = file.read_text().splitlines()
-    if not lines or tuple(lines[0].split(",")) != TRAJECTORY_COLUMNS:
+    if tuple(header_of(file)) != TRAJECTORY_COLUMNS:
         raise InputError(
             f"{file}: line 1 is not the header of a trajectory; it must begin with timestamp_ns,r_N_x"
         )
-    cells = [line.split(",") for line in lines[1:]]
-    try:
-        timestamps_ns = np.array([int(row[0]) for row in cells], dtype=np.int64)
-        values = np.array([[float(cell) for cell in row[1:]] for row in cells], dtype=np.float64)
-        columns = values.reshape(len(cells), len(TRAJECTORY_COLUMNS) - 1)
-    except (ValueError, OverflowError) as error:
-        raise InputError(
-            f"{file}: not a table of {len(TRAJECTORY_COLUMNS)} numbers a row ({error})"
-        ) from error
-    _require_sound(file, timestamps_ns, columns)
-    parts = np.split(columns, [3, 6, 10, 13, 16, 19, 22], axis=1)
-    return Trajectory(timestamps_ns, *parts)
+    table = read_table(file, len(TRAJECTORY_COLUMNS) - 1, finite=False)
+    _require_sound(table)
+    parts = np.split(table.values, [3, 6, 10, 13, 16, 19, 22], axis=1)
+    return Trajectory(table.timestamps_ns, *parts)
 
 
-def _require_sound(file: Path, timestamps_ns: Ints, columns: Array) -> None:
-    """Raise InputError unless times increase, states are finite and standard deviations are numbers."""
-    if len(timestamps_ns) == 0:
-        raise InputError(f"{file}: no row below the header; run 'polhode run' again")
-    states, sigmas, q_wxyz = columns[:, :13], columns[:, 13:], columns[:, 6:10]
+def _require_sound(table: Table) -> None:
+    """Raise InputError unless states are finite and standard deviations are numbers."""
+    states, sigmas, q_wxyz = table.values[:, :13], table.values[:, 13:], table.values[:, 6:10]
     with np.errstate(invalid="ignore", over="ignore"):
         checks = {
-            "a timestamp that does not increase": np.r_[False, np.diff(timestamps_ns) <= 0],
             "a state that is NaN or infinite": ~np.isfinite(states).all(axis=1),
+            f"a state above {MAX_STATE:g}": (abs(states) > MAX_STATE).any(axis=1),
             "a standard deviation that is NaN or negative": ~(sigmas >= 0.0).all(axis=1),
             "a quaternion that is not of unit length": abs(np.linalg.norm(q_wxyz, axis=1) - 1.0) > 1e-2,
         }
     for what, bad in checks.items():
         if bad.any():
-            raise InputError(f"{file} line {int(np.argmax(bad)) + 2}: {what}; run 'polhode run' again")
+            line = table.lines[int(np.argmax(bad))]
+            raise InputError(f"{table.path} line {line}: {what}; run 'polhode run' again")

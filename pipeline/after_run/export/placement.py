@@ -5,16 +5,19 @@ from pathlib import Path
 import numpy as np
 
 from polhode.errors import InputError
-from polhode.lie import Array
 from polhode.mapping.mesh_files import read_mesh
 from polhode.pipeline.after_run.export.options import METRES, ExportOptions
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.exports.cad_alignment import CadAlignment, align_points, align_surfaces
 from polhode.planning.exports.records import Placement, frame_cad, frame_G, frame_P
 from polhode.records import SurfaceModel
+from polhode.tables import number_rows
 
 POOR_SHARE = 0.02
 """Share of the body's size: a larger residual of the alignment gives a warning."""
+POINT_COLUMNS = "x, y, z in G [m] and x, y, z in the CAD frame [--cad-unit]"
+MAX_POINTS = 100_000
+MAX_COORDINATE = 1e9
 SIZES = (0.25, 4.0)
 """Size of the model over that of the mesh: outside this range the unit is wrong."""
 
@@ -79,31 +82,11 @@ def _cad_frame(options: ExportOptions, surface: SurfaceModel | None) -> tuple[Pl
 
 
 def _from_points(file: Path, cad_m: float) -> CadAlignment:
-    if not file.is_file():
-        raise InputError(f"{file}: no such file; --cad-points names a table of points")
+    table = [row for _, row in number_rows(file, 6, POINT_COLUMNS, MAX_POINTS)]
+    points = np.array(table).reshape(-1, 6)
+    if len(points) and np.abs(points).max() > MAX_COORDINATE:
+        raise InputError(f"{file}: a coordinate above {MAX_COORDINATE:g}; correct it")
     try:
-        rows = _rows(file)
-        return align_points(rows[:, :3], cad_m * rows[:, 3:])
+        return align_points(points[:, :3], cad_m * points[:, 3:])
     except ValueError as error:
-        raise InputError(
-            f"{file}: {error}; each line has x, y, z in G [m] and x, y, z in the CAD frame [--cad-unit]"
-        ) from error
-
-
-def _rows(file: Path) -> Array:
-    """(n, 6); a header line and lines that begin with # are skipped."""
-    rows: list[list[float]] = []
-    for number, line in enumerate(file.read_text(errors="replace").splitlines(), start=1):
-        cells = line.replace(",", " ").split()
-        if not cells or cells[0].startswith("#"):
-            continue
-        try:
-            values = [float(cell) for cell in cells]
-        except ValueError:
-            if rows:
-                raise ValueError(f"line {number} is no row of numbers") from None
-            continue
-        if len(values) != 6 or not np.isfinite(values).all():
-            raise ValueError(f"line {number} has {len(values)} numbers, not six finite ones")
-        rows.append(values)
-    return np.array(rows).reshape(-1, 6)
+        raise InputError(f"{file}: {error}; each line has {POINT_COLUMNS}") from error

@@ -28,6 +28,7 @@ from polhode.planning.edges.selection import EdgeSelection, greedy, upper_bound
 from polhode.planning.edges.smallest_set import SigmaLimits, SmallestSet, smallest_set
 from polhode.planning.prediction import nominal_motion
 from polhode.progress import Progress
+from polhode.tables import number_rows
 
 
 @dataclass(frozen=True)
@@ -185,19 +186,14 @@ def _rig(camera: CameraOptions, own: RectifiedRig | None) -> RectifiedRig:
 
 UNIT_WITHIN = 1e-2
 """How far a quaternion's length may be from 1."""
+MAX_POSES = 100_000
 MAX_COORDINATE_M = 1e12
 """Largest valid coordinate [m]."""
 
 
 def read_poses(path: Path) -> TimedPoses:
     """Poses of a TUM file. Raises InputError, one line, for any other content."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not a text file of poses") from error
-    rows = [_row(path, number, line) for number, line in enumerate(lines, 1) if _has_content(line)]
+    rows = [row for _, row in number_rows(path, 8, "timestamp tx ty tz qx qy qz qw", MAX_POSES)]
     if not rows:
         raise InputError(f"{path}: contains no pose; a line is: timestamp tx ty tz qx qy qz qw")
     table = np.array(rows)
@@ -212,21 +208,6 @@ def read_poses(path: Path) -> TimedPoses:
         raise InputError(f"{path}: the quaternion of pose {bad + 1} has length {length[bad]:.3g}, not 1")
     wxyz = table[:, [7, 4, 5, 6]] / length[:, None]
     return TimedPoses(table[:, 0], make_pose(matrix_from_wxyz(wxyz), table[:, 1:4]))
-
-
-def _has_content(line: str) -> bool:
-    return bool(line.strip()) and not line.lstrip().startswith("#")
-
-
-def _row(path: Path, number: int, line: str) -> list[float]:
-    cells = line.replace(",", " ").split()
-    try:
-        values = [float(cell) for cell in cells]
-    except ValueError:
-        values = []
-    if len(values) != 8 or not np.isfinite(values).all():
-        raise InputError(f"{path}, line {number}: give eight numbers: timestamp tx ty tz qx qy qz qw")
-    return values
 
 
 MAX_VIEWS = 20

@@ -1,6 +1,7 @@
 """polhode export through the real command line; what it writes is given to the programs it is meant for."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -304,6 +305,8 @@ def test_a_model_that_does_not_open_or_has_another_unit_is_refused(
     box = trimesh.creation.box(1000.0 * BOX_M)
     box.export(tmp_path / "large.stl")
     (tmp_path / "two.csv").write_text("0 0 0 0 0 0\n1 0 0 1 0 0\n")
+    (tmp_path / "huge.csv").write_text("0 0 0 0 0 1e300\n" * 3)
+    os.mkfifo(tmp_path / "pipe")
     p = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.3, 0.2, 0.6]])
     np.savetxt(tmp_path / "mirrored.csv", np.hstack([p, p[:, [1, 0, 2]]]))
     for option, name, words in (
@@ -311,6 +314,10 @@ def test_a_model_that_does_not_open_or_has_another_unit_is_refused(
         ("--cad", "large.stl", "check --cad-unit"),
         ("--cad-points", "two.csv", "2 pairs of points; give three or more"),
         ("--cad-points", "mirrored.csv", "the points are mirrored"),
+        ("--cad-points", "none.csv", "none.csv: no such file"),
+        ("--cad-points", "broken.stl", "0 pairs of points; give three or more"),
+        ("--cad-points", "pipe", "pipe is a pipe: give a regular file"),
+        ("--cad-points", "huge.csv", "a coordinate above 1e+09"),
     ):
         arguments = ["export", str(run), "--to", "ply", "--frame", "cad", option, str(tmp_path / name)]
         assert main([*arguments, "-o", str(tmp_path / "out.ply")]) == 2

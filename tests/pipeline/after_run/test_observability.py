@@ -205,7 +205,10 @@ def test_a_run_without_a_mesh_says_so(example: Example, tmp_path: Path, capsys: 
     ("content", "words"),
     [
         ("", "contains no pose"),
-        ("0 0 0 4 0 0 0\n", "eight numbers"),
+        ("0 0 0 4 0 0 0\n", "8 finite numbers"),
+        ("nan 0 0 4 0 0 0 1\n", "8 finite numbers"),
+        ("0 0 0 4 0 0 0 1_0\n", "8 finite numbers"),
+        ("0 " * 5000, "longer than 4096 characters"),
         ("0 0 0 4 0 0 0 x\n", "line 1"),
         ("# t\n0 0 0 4 0 0 0 nan\n", "line 2"),
         ("0 0 0 4 0 0 0 2\n", "length 2"),

@@ -101,7 +101,7 @@ def test_a_mistake_is_one_line_and_exit_2(
         "no runs": (["-o", page], "a run is missing"),
         "no folder": ([good, "-o", "/dev/null/page.html"], "part of this path is a file"),
         "a folder": ([good, "-o", str(tmp_path)], "is a folder"),
-        "damaged": ([good, str(tmp_path / "broken"), "-o", page], "not a summary that polhode wrote"),
+        "damaged": ([good, str(tmp_path / "broken"), "-o", page], "line 1: not valid JSON"),
     }[kind]
     assert main(["report", *arguments]) == 2
     stderr = capsys.readouterr().err

@@ -66,14 +66,17 @@ def test_a_state_that_is_not_finite_is_never_written(example: Any, tmp_path: Pat
     [
         (None, "no such file"),
         ("t,x\n1,2\n", "header"),
-        (",".join(TRAJECTORY_COLUMNS) + "\n1,a\n", "26 numbers"),
-        (",".join(TRAJECTORY_COLUMNS) + "\n", "no row below the header"),
+        (",".join(TRAJECTORY_COLUMNS) + "\n1,a\n", "line 2: 2 columns, expected 26"),
+        (",".join(TRAJECTORY_COLUMNS) + "\n", "is empty"),
         (",".join(TRAJECTORY_COLUMNS) + "\n1" + ",1" * 25 + "\n", "line 2: a quaternion that is not of unit"),
         (
             ",".join(TRAJECTORY_COLUMNS) + ("\n7" + ",0.5" * 25) * 2 + "\n",
-            "line 3: a timestamp that does not",
+            "line 3: timestamp 7 repeats 7",
         ),
-        (",".join(TRAJECTORY_COLUMNS) + f"\n{2**70}" + ",0.5" * 25 + "\n", "26 numbers"),
+        (
+            ",".join(TRAJECTORY_COLUMNS) + f"\n{2**70}" + ",0.5" * 25 + "\n",
+            "line 2: timestamp 1180591620717411303424 is beyond",
+        ),
     ],
 )
 def test_a_damaged_table_is_refused_in_one_line(content: str | None, words: str, tmp_path: Path) -> None:
