@@ -20,6 +20,7 @@ CODE: dict[str, tuple[str, ...]] = {
     "navigation": ("planning/edges", "planning/prediction.py", "benchmarks/edges", "simulation", "polhode"),
     "planning": ("planning", "simulation", "polhode"),
     "rendering": ("simulation", "polhode"),
+    "robustness": (*ALL, "cli"),
     "mutation": (*ALL, "cli", "tests"),
 }
 """By topic: the folders and files whose changes make a stored result old, besides the topic's own folder."""
@@ -140,6 +141,8 @@ BENCHMARKS = (
     Benchmark("against_mitsuba", "rendering.against_mitsuba", "docs/simulation.md", 20, "-o runs/mitsuba.png",
               "--width 64 --samples 64", ("mitsuba",)),
     Benchmark("rendering_time", "rendering.rendering_time", "docs/simulation.md", 20),
+    Benchmark("leaks", "robustness.leaks", "docs/testing.md", 60),
+    Benchmark("leaks_images", "robustness.leaks", "docs/testing.md", 20, "images", "images --short"),
     Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),
 )  # fmt: skip
 """The scenes come first: they make the runs that others need."""
