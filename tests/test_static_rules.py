@@ -44,3 +44,15 @@ def test_no_archive_is_read_or_written_with_pickles() -> None:
         if re.search(r"allow_pickle\s*=\s*True", path.read_text())
     }
     assert found <= {"tests/compare/problem/test_problem_file.py", "tests/test_static_rules.py"}
+
+
+def test_rooms_read_archives_of_arrays_through_the_module_that_checks_them() -> None:
+    """``polhode.array_files`` reads what headers state before NumPy allocates it, and unpickles nothing."""
+    rooms = [path for path in (ROOT / "polhode").iterdir() if path.is_symlink()]
+    found = {
+        str(path.relative_to(ROOT))
+        for folder in (ROOT / "polhode", *(room.resolve() for room in rooms))
+        for path in folder.rglob("*.py")
+        if re.search(r"\bnp\.load\(|\bnumpy\.load\(", path.read_text())
+    }
+    assert found == set()

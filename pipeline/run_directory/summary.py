@@ -18,7 +18,14 @@ from polhode.lie import Array
 from polhode.output.exchange import entries
 from polhode.output.run_files import is_run_file
 from polhode.pipeline.run_directory.archives import undetermined_as_inf
-from polhode.pipeline.run_directory.summary_schema import Noise, ShapeFindings, Status, Summary, json_text
+from polhode.pipeline.run_directory.summary_schema import (
+    ESTIMATE_PARTS,
+    Noise,
+    ShapeFindings,
+    Status,
+    Summary,
+    json_text,
+)
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
 
 STAGES: tuple[str, ...] = ("frontend", "initialization", "backend", "depth", "fusion", "report", "total")
@@ -78,7 +85,7 @@ def build_summary(
             "coverage": shape.coverage,
             "physics": shape.physics,
             "identifiable_detail": dict(estimate.mass.identifiable.detail) if estimate else {},
-            **(dict.fromkeys(_FOUND) if estimate is None else _found(estimate)),
+            **(dict.fromkeys(ESTIMATE_PARTS) if estimate is None else _found(estimate)),
         }
     )
 
@@ -139,7 +146,8 @@ def read_summary(path: Path) -> Summary:
     except ValidationError as error:
         first = error.errors(include_input=False)[0]
         where = ".".join(str(part)[:60] for part in first["loc"][:6]) or "the file"
-        raise InputError(f"{file}: {where}: {first['msg'][:200]}; {NOT_OURS}") from None
+        what = first["msg"].removeprefix("Value error, ")[:200]
+        raise InputError(f"{file}: {where}: {what}; {NOT_OURS}") from None
     _require_sound(file, summary)
     return summary
 
@@ -157,12 +165,6 @@ def _require_sound(file: Path, summary: Summary) -> None:
 
 def _is_rotation(R: Array) -> bool:
     return bool(np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() < 1e-6 and np.linalg.det(R) > 0.0)
-
-
-_FOUND = (
-    *("inertia", "identifiable", "identifiable_components", "com_G", "cov_com_G", "R_GP", "cov_R_GP"),
-    *("solver", "noise"),
-)
 
 
 def _found(estimate: MotionEstimate) -> dict[str, Any]:

@@ -9,10 +9,10 @@ import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from polhode.atomic import write_text
 
@@ -37,6 +37,11 @@ VarianceRow = Annotated[tuple[Variance, Variance, Variance], BeforeValidator(_pl
 VarianceMatrix = tuple[VarianceRow, VarianceRow, VarianceRow]
 Flags = tuple[bool, bool, bool]
 Status = Literal["ok", "degraded", "failed"]
+ESTIMATE_PARTS = (
+    *("inertia", "identifiable", "identifiable_components", "com_G", "cov_com_G", "R_GP", "cov_R_GP"),
+    *("solver", "noise"),
+)
+"""Parts of a summary that an estimate gives: all are there, or none."""
 
 
 class StrictModel(BaseModel):
@@ -288,6 +293,13 @@ class Summary(StrictModel):
     """null: the mesh encloses no volume."""
     files: tuple[str, ...] | None = None
     """Files that the run wrote into its folder, which another run may replace; null: not listed."""
+
+    @model_validator(mode="after")
+    def _estimate_is_whole(self) -> Self:
+        missing = [name for name in ESTIMATE_PARTS if getattr(self, name) is None]
+        if missing and len(missing) < len(ESTIMATE_PARTS):
+            raise ValueError(f"{missing[0]} is null, but other parts of the estimate are not")
+        return self
 
 
 @dataclass(frozen=True)

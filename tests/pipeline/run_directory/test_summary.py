@@ -11,7 +11,7 @@ from jsonschema import Draft202012Validator, ValidationError
 
 from polhode.errors import InputError
 from polhode.pipeline.run_directory.summary import STAGES, build_summary, read_summary, write_summary
-from polhode.pipeline.run_directory.summary_schema import SCHEMA_FILE, Summary, json_schema
+from polhode.pipeline.run_directory.summary_schema import ESTIMATE_PARTS, SCHEMA_FILE, Summary, json_schema
 
 CONTRACT_KEYS = {
     "schema",
@@ -137,3 +137,17 @@ def test_a_damaged_summary_is_refused_in_one_line(content: str | None, words: st
     with pytest.raises(InputError, match=words) as caught:
         read_summary(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("part", ESTIMATE_PARTS)
+def test_a_summary_with_a_part_of_an_estimate_is_refused(part: str, example: Any, tmp_path: Path) -> None:
+    """No command has to look whether one part is there when another is."""
+    path = tmp_path / "summary.json"
+    write_summary(_summary(example), path)
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, part: None}))
+    with pytest.raises(InputError, match=rf"{part} is null, but other parts .*; not a summary") as caught:
+        read_summary(path)
+    assert "\n" not in str(caught.value) and "Value error" not in str(caught.value)
+    path.write_text(json.dumps({**content, **dict.fromkeys(ESTIMATE_PARTS)}))
+    assert read_summary(path).inertia is None
