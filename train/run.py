@@ -53,8 +53,11 @@ def train(config: Config, train: Train, progress: Progress, workers: int) -> Tra
 
     Raises InputError: a folder contains something else or cannot be written; RunFailure: the training failed.
     """
-    output = marked_place(Path(train.output), COMMAND, _is_own, Path(f"train.output: {train.output}"))
-    claim(output, COMMAND, [*FILES, f"{train.task}.safetensors"])
+    names = (*FILES, f"{train.task}.safetensors")
+    output = marked_place(
+        Path(train.output), COMMAND, names.__contains__, Path(f"train.output: {train.output}")
+    )
+    claim(output, COMMAND, names)
     with at_work(output, output):
         return _trained(config, train, output, progress, workers)
 
@@ -71,10 +74,6 @@ def _trained(config: Config, train: Train, output: Path, progress: Progress, wor
     write_weights(weights, task.network, _about(config.seed, train, outcome))
     write_text(output / "scores.json", json.dumps(_scores(task, outcome), indent=2) + "\n")
     return Trained(weights, outcome)
-
-
-def _is_own(name: str) -> bool:
-    return name in FILES or name.endswith(".safetensors")
 
 
 def setting_of(train: Train, seed: int) -> dict[str, Any]:

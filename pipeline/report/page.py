@@ -22,9 +22,9 @@ from plotly.offline import get_plotlyjs
 from polhode.atomic import write_text
 from polhode.errors import InputError
 from polhode.images import MAX_PIXELS
-from polhode.output.place import require_writable
+from polhode.output.place import begins_with, require_writable
 from polhode.output.run_files import SUMMARY
-from polhode.output.single_file import begins_with, make_parent, output_file
+from polhode.output.single_file import make_parent, output_file
 from polhode.pipeline.report import tables
 from polhode.pipeline.report.convergence_figures import convergence_figures
 from polhode.pipeline.report.motion_figures import motion_figures

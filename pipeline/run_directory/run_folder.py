@@ -20,7 +20,7 @@ from pathlib import Path
 from polhode.atomic import REFUSALS, refused
 from polhode.errors import InputError, RunFailure
 from polhode.output.exchange import IsOwn, entries, foreign, is_regular
-from polhode.output.place import folder_place
+from polhode.output.place import folder_place, printable
 from polhode.output.run_files import LATER, PICTURES, SUMMARY, is_run_file
 from polhode.output.staged_folder import StagedFolder, staged_folder
 from polhode.pipeline.run_directory.archives import read_measurements
@@ -114,7 +114,14 @@ def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
         raise InputError(
             f"{shown}: already contains a run; choose another folder, or replace it with --overwrite"
         )
-    for name in foreign(place, is_own):
+    try:
+        others = foreign(place, is_own)
+    except OSError as error:
+        raise InputError(
+            f"{error.filename}: cannot be read ({error.strerror}), so that it could not stay in {shown}; "
+            "choose another folder"
+        ) from error
+    for name in others:
         if is_run_file(name) or is_run_file(name.split("/")[0]) or (name == PICTURES):
             raise InputError(
                 f"{shown}: {name} is not of the run there, but has the name of a result; move it, or choose "
@@ -145,7 +152,9 @@ def _publish(run: RunFolder, staged: StagedFolder, path: Path, overwrite: bool, 
     run.published = path if place == staged.place else place
     if stays:
         more = f" and {len(stays) - 1} more" if len(stays) > 1 else ""
-        _log.warning("%s: %s%s: not of the run, stays there", run.published, stays[0], more)
+        _log.warning("%s: %s%s: not of the run, stays there", run.published, printable(stays[0]), more)
+    if place.name.startswith(f"{staged.place.name}.new"):
+        _log.warning("%s; the run is %s", run.note, place)
 
 
 def _publish_failed(

@@ -27,9 +27,14 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 def entries(folder: Path) -> Iterator[tuple[str, bool]]:
     """Every file and folder below ``folder``, without following links: relative name, whether a folder.
 
-    A folder comes after what it contains.
+    A folder comes after what it contains. Raises OSError for one that cannot be read.
     """
-    for root, folders, files in os.walk(folder, topdown=False):
+
+    def fail(error: OSError) -> None:
+        if not isinstance(error, FileNotFoundError):
+            raise error
+
+    for root, folders, files in os.walk(folder, topdown=False, onerror=fail):
         base = Path(root)
         for name in (*files, *folders):
             path = base / name

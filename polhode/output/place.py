@@ -8,7 +8,7 @@ from pathlib import Path
 
 from polhode.atomic import refused
 from polhode.errors import InputError
-from polhode.output.run_files import run_of
+from polhode.output.run_files import PICTURES, SCHEMA, SUMMARY, is_run_file
 
 TRIAL_BYTES = 4096
 
@@ -52,6 +52,23 @@ def require_writable(folder: Path, shown: Path) -> None:
         raise unwritable(shown, error) from error
 
 
+def begins_with(path: Path, *words: str, within_bytes: int = 4096) -> bool:
+    """Whether the beginning of a regular file contains one of the words, by which a program names itself."""
+    try:
+        if not path.is_file():
+            return False
+        with path.open("rb") as stream:
+            beginning = stream.read(within_bytes)
+    except OSError:
+        return False
+    return any(word.encode() in beginning for word in words)
+
+
+def printable(name: object) -> str:
+    """A name of a file on any terminal: bytes that are no UTF-8, as escapes."""
+    return os.fsencode(str(name)).decode("utf-8", "backslashreplace")
+
+
 def unwritable(shown: Path, error: OSError) -> InputError:
     """The line about a place that cannot be written, before any work was done."""
     return InputError(refused(shown, "cannot write here", error))
@@ -72,12 +89,22 @@ def _resolved(path: Path, shown: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+def _run_of(place: Path) -> Path | None:
+    """The folder of the run among whose own results ``place`` would be; None: it would be no such name."""
+    for folder in place.parents:
+        name = place.relative_to(folder).as_posix()
+        is_ours = is_run_file(name) or name.split("/")[0] == PICTURES
+        if is_ours and begins_with(folder / SUMMARY, SCHEMA):
+            return folder
+    return None
+
+
 def _require_outside(place: Path, shown: Path) -> None:
     dataset = next((above.parent for above in (place, *place.parents) if above.name == "mav0"), None)
     if dataset is not None:
         raise InputError(
             f"{shown}: inside the dataset {dataset}, where nothing is written; choose another -o"
         )
-    run = run_of(place)
+    run = _run_of(place)
     if run is not None:
         raise InputError(f"{shown}: this name belongs to the results of the run {run}; choose another -o")

@@ -1,12 +1,13 @@
 """The names of a run's own files (docs/run_directory.md). Nothing under another name is removed with it."""
 
 import re
-from pathlib import Path
 
 SUMMARY = "summary.json"
 LATER: tuple[str, ...] = (SUMMARY, "config.yaml", "log.txt", "report.html", "metrics.json")
 """Of every run, whether or not its list of files has them: some are written after it."""
 PICTURES = "pictures"
+SCHEMA = "polhode-summary/"
+"""At the beginning of every summary."""
 
 _FILE = re.compile(
     r"summary\.json|config\.yaml|log\.txt|report\.html|metrics\.json|trajectory(_online)?\.csv|pushes\.csv"
@@ -22,12 +23,3 @@ def is_run_file(name: str) -> bool:
     if partial is not None:
         name = partial["folder"] + partial["stem"] + partial["suffix"]
     return _FILE.fullmatch(name) is not None
-
-
-def run_of(place: Path) -> Path | None:
-    """The folder of the run among whose own results ``place`` would be; None: it would be no such name."""
-    for folder in place.parents[:2]:
-        name = place.relative_to(folder).as_posix()
-        if (folder / SUMMARY).is_file() and (is_run_file(name) or name.split("/")[0] == PICTURES):
-            return folder
-    return None

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from polhode.atomic import partial_of
 from polhode.errors import InputError
 from polhode.output.place import file_place, require_writable, unwritable
 
@@ -27,6 +28,10 @@ def output_file(
             f"{path}: exists and was not written by polhode {command}, so it stays; choose another -o"
         )
     require_writable(place.parent, path)
+    try:
+        partial_of(place).exists()
+    except OSError as error:
+        raise unwritable(path, error) from error
     return place
 
 
@@ -57,13 +62,3 @@ def _is_alive(process: int) -> bool:
     except PermissionError:
         pass
     return True
-
-
-def begins_with(path: Path, *words: str, within_bytes: int = 4096) -> bool:
-    """Whether the beginning of a file contains one of the words, by which a program names itself."""
-    try:
-        with path.open("rb") as stream:
-            beginning = stream.read(within_bytes)
-    except OSError:
-        return False
-    return any(word.encode() in beginning for word in words)

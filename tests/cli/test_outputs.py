@@ -14,6 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from polhode.atomic import write_text
+from polhode.cli.main import main
+from polhode.planning.exports.formats import FORMATS
 from tests.cli.writing_commands import WRITERS, Stage, make_quick, make_stage
 from tests.pipeline.conftest import make_example
 
@@ -417,6 +420,97 @@ def test_cell(
         assert name not in ("run", "simulate") or f"{path}: left by a command" in printed.out
     hidden = list(scene.area.rglob(".*partial*")) + list(scene.area.rglob(".*.old"))
     assert hidden == []
+
+
+def refused(line: str, capsys: Capture, code: int = 2) -> None:
+    """One line with these words, and nothing else on standard error."""
+    stderr = capsys.readouterr().err
+    assert line in stderr and stderr.count("\n") == 1, (code, stderr)
+
+
+def test_a_copy_of_a_runs_result_is_no_prediction_page_or_export(
+    stage: Stage, tmp_path: Path, capsys: Capture
+) -> None:
+    copies = {
+        "trajectory.csv": ["predict", str(stage.run), "--horizon", "5"],
+        "covariance.npz": ["predict", str(stage.run), "--horizon", "5"],
+        "mesh.ply": ["export", str(stage.run), "--to", "ply"],
+        "mesh.glb": ["export", str(stage.run), "--to", "glb"],
+        "summary.json": ["export", str(stage.run), "--to", "json"],
+    }
+    for name, words in copies.items():
+        shutil.copy(stage.run / name, tmp_path / f"my_{name}")
+        assert main([*words, "-o", str(tmp_path / f"my_{name}")]) == 2
+        refused("so it stays; choose another -o", capsys)
+        assert (tmp_path / f"my_{name}").read_bytes() == (stage.run / name).read_bytes()
+
+
+@pytest.mark.parametrize("to", [*FORMATS])
+def test_every_export_knows_its_own_files(to: str, stage: Stage, tmp_path: Path, capsys: Capture) -> None:
+    words = ["export", str(stage.run), "--to", to, "--pieces", "1", "-o", str(tmp_path / f"target.{to}")]
+    assert main(words) == 0
+    assert main(words) == 0
+    capsys.readouterr()
+
+
+def test_predictions_know_each_other_whatever_their_run_and_step(
+    stage: Stage, tmp_path: Path, capsys: Capture
+) -> None:
+    words = ["predict", str(stage.run), "-o"]
+    for name in ("ahead.csv", "ahead.npz"):
+        for more in (["--horizon", "5"], ["--horizon", "9", "--step-s", "3", "--marks"], ["--horizon", "1"]):
+            assert main([*words, str(tmp_path / name), *more]) == 0
+    capsys.readouterr()
+
+
+def test_the_report_of_a_run_is_renewed_by_that_run_alone(
+    stage: Stage, tmp_path: Path, capsys: Capture
+) -> None:
+    run, other = tmp_path / "run", tmp_path / "other"
+    for folder in (run, other):
+        shutil.copytree(stage.run, folder)
+        # as an earlier version wrote it
+        (folder / "report.html").write_text("<html>")
+    (tmp_path / "link").symlink_to(run)
+    assert main(["report", str(run), "-o", str(tmp_path / "link" / "report.html")]) == 0
+    assert len((run / "report.html").read_text()) > 1000
+    for runs in ([run], [run, other]):
+        assert main(["report", *map(str, runs), "-o", str(other / "report.html")]) == 2
+        refused("belongs to the results of the run", capsys)
+    assert (other / "report.html").read_text() == "<html>"
+
+
+def test_what_an_export_reads_is_not_replaced_by_it(stage: Stage, tmp_path: Path, capsys: Capture) -> None:
+    model = tmp_path / "model.ply"
+    words = ["export", str(stage.run), "--to", "ply", "-o", str(model)]
+    assert main(words) == 0
+    before = model.read_bytes()
+    assert main([*words, "--frame", "cad", "--cad", str(model)]) == 2
+    refused("this command reads that file", capsys)
+    assert model.read_bytes() == before
+
+
+@pytest.mark.parametrize("what", ["read-only", "full", "a folder for its file"])
+def test_evaluate_into_a_run_that_cannot_be_written(
+    what: str, stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(stage.run, run)
+    if what == "a folder for its file":
+        (run / "metrics.json").mkdir()
+
+    def evaluate(run: Path, data: Path) -> dict[str, float]:
+        write_text(run / "metrics.json", "{}")
+        return {}
+
+    monkeypatch.setattr("polhode.pipeline.evaluation.evaluate", evaluate)
+    before = digest(tmp_path)
+    surface = {"full": "a place that is full"}.get(what, what)
+    with condition(surface, tmp_path, monkeypatch):
+        assert main(["evaluate", str(run), str(tmp_path)]) == (1 if "folder" in what else 2)
+    monkeypatch.undo()
+    refused("cannot be written" if "folder" in what else "cannot write here", capsys)
+    assert digest(tmp_path) == before
 
 
 def test_the_docs_have_the_same_table() -> None:

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from polhode.atomic import write_all
 from polhode.output.marked_folder import claim, forget_others, marked_place
-from polhode.output.single_file import begins_with, make_parent, output_file
+from polhode.output.place import begins_with
+from polhode.output.single_file import make_parent, output_file
 from polhode.pipeline.after_run.export.job import Files
 from polhode.pipeline.after_run.export.options import ExportOptions
 from polhode.planning.exports.formats import ROBOTS

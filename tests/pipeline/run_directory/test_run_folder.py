@@ -1,6 +1,7 @@
 """The run directory appears complete or not at all, and what stood there is never half-overwritten."""
 
 import logging
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ from polhode.pipeline.report import finish_run, write_report
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.outputs import write_config, write_estimate
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
-from polhode.pipeline.run_directory.summary import build_summary, read_summary
+from polhode.pipeline.run_directory.summary import build_summary, read_summary, write_summary
 
 
 @contextmanager
@@ -106,8 +107,9 @@ def _run(
     error: BaseException,
     overwrite: bool = False,
     write_report: Callable[[Path], None] = write_report,
+    even_if_failed: bool = False,
 ) -> None:
-    with _writing(target, overwrite, write_report) as folder:
+    with _writing(target, overwrite, write_report, even_if_failed) as folder:
         work(folder)
         raise error
 
@@ -216,3 +218,173 @@ def test_the_log_holds_our_messages_and_the_loggers_are_left_as_they_were(
     text = (tmp_path / "run" / "log.txt").read_text()
     assert "562 matches" in text and "not ours" not in text
     assert (logger.level, list(logger.handlers)) == before
+
+
+def _failing(target: Path, example: Any, **more: Any) -> str:
+    """A run that fails after the measurements; returns its line."""
+
+    def measure(folder: Path) -> None:
+        write_config(folder, Config())
+        write_measurements(example.tracks, folder / "measurements.npz")
+
+    with pytest.raises(RunFailure) as caught:
+        _run(target, measure, RunFailure("broken chain"), overwrite=True, **more)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def _good(target: Path, example: Any, warning: str = "") -> None:
+    with _writing(target, overwrite=True) as folder:
+        _finish(folder, example, warning)
+
+
+def test_a_failed_run_replaces_a_failed_one_and_a_good_one_only_when_told_to(
+    example: Any, tmp_path: Path
+) -> None:
+    run, failed = tmp_path / "run", tmp_path / "run.failed"
+    line = _failing(run, example)
+    assert line.endswith(f"what was found: {run / 'report.html'}")
+    assert _failing(run, example) == line
+    _good(run, example)
+    for _ in range(2):
+        line = _failing(run, example)
+        assert str(failed / "report.html") in line and f"{run} still holds the run before" in line
+        assert read_summary(run).status == "ok" and read_summary(failed).status == "failed"
+        (failed / "notes.txt").write_text("mine")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run", "run.failed"]
+    assert (failed / "notes.txt").read_text() == "mine"
+    line = _failing(run, example, even_if_failed=True)
+    assert read_summary(run).status == "failed" and line.endswith(str(run / "report.html"))
+
+
+def test_a_folder_that_happens_to_have_the_name_of_a_failed_run_is_left_alone(
+    example: Any, tmp_path: Path
+) -> None:
+    _good(tmp_path / "run", example)
+    (tmp_path / "run.failed").mkdir()
+    (tmp_path / "run.failed" / "thesis.txt").write_text("mine")
+    assert str(tmp_path / "run.failed-2") in _failing(tmp_path / "run", example)
+    assert [path.name for path in (tmp_path / "run.failed").iterdir()] == ["thesis.txt"]
+
+
+def test_a_run_that_did_not_converge_does_not_replace_a_good_one(example: Any, tmp_path: Path) -> None:
+    _good(tmp_path / "run", example, "good")
+    with atomic_run_folder(tmp_path / "run", overwrite=True) as run:
+        _finish(run.path, example)
+        summary = read_summary(run.path).model_copy(update={"status": "failed"})
+        write_summary(summary, run.path / "summary.json")
+    assert run.published == tmp_path / "run.failed" and "still holds" in run.note
+    assert read_summary(tmp_path / "run").warnings == ["good"]
+
+
+def test_a_full_disk_leaves_the_old_run_and_names_what_was_found(
+    example: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _good(tmp_path / "run", example, "good")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", str(tmp_path / "there"))
+
+    def measure(folder: Path) -> None:
+        write_config(folder, Config())
+        write_measurements(example.tracks, folder / "measurements.npz")
+        monkeypatch.setattr(Path, "write_bytes", full)
+        write_config(folder, Config())
+
+    with pytest.raises(RunFailure) as caught:
+        _run(tmp_path / "run", measure, RunFailure("not reached"), overwrite=True)
+    monkeypatch.undo()
+    line = str(caught.value)
+    assert "config.yaml: cannot be written (No space left on device); free some space there" in line
+    assert str(tmp_path / ".run.partial") in line and f"{tmp_path / 'run'} is as it was" in line
+    assert (tmp_path / ".run.partial" / "measurements.npz").is_file()
+    assert read_summary(tmp_path / "run").warnings == ["good"]
+    _good(tmp_path / "run", example, "better")
+    assert read_summary(tmp_path / "run").warnings == ["better"] and _leftovers(tmp_path) == []
+
+
+@pytest.mark.parametrize("missing", ["config.yaml", "trajectory.csv", "covariance.npz"])
+def test_a_summary_alone_does_not_make_a_folder_a_run(missing: str, example: Any, tmp_path: Path) -> None:
+    _good(tmp_path / "run", example)
+    (tmp_path / "run" / missing).unlink()
+    before = sorted(path.name for path in (tmp_path / "run").iterdir())
+    with pytest.raises(InputError, match="not a run"):
+        _good(tmp_path / "run", example)
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == before
+
+
+def test_a_summary_that_lies_removes_nothing_but_files_of_a_run(example: Any, tmp_path: Path) -> None:
+    run, outside = tmp_path / "run", tmp_path / "outside.txt"
+    _good(run, example, "old")
+    outside.write_text("mine")
+    (run / "notes.txt").write_text("mine")
+    (run / "mine").mkdir()
+    (run / "mine" / "mesh.ply").write_text("mine")
+    listed = (
+        "notes.txt",
+        "../outside.txt",
+        str(outside),
+        "mine/mesh.ply",
+        "mine",
+        "..",
+        "",
+        "trajectory.csv",
+    )
+    write_summary(read_summary(run).model_copy(update={"files": listed}), run / "summary.json")
+    # what the list lacks is taken for the user's: with the name of a result it must be moved
+    with pytest.raises(InputError, match=r"covariance.npz is not of the run there"):
+        _good(run, example)
+    everything = (*listed, *read_names(example, tmp_path))
+    write_summary(read_summary(run).model_copy(update={"files": everything}), run / "summary.json")
+    _good(run, example, "new")
+    assert read_summary(run).warnings == ["new"] and outside.read_text() == "mine"
+    assert (run / "notes.txt").read_text() == (run / "mine" / "mesh.ply").read_text() == "mine"
+
+
+def read_names(example: Any, folder: Path) -> tuple[str, ...]:
+    """The files that a run lists."""
+    _good(folder / "other", example)
+    return read_summary(folder / "other").files or ()
+
+
+def test_links_and_folders_with_the_names_of_results_are_refused(example: Any, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    _good(run, example)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "captions.json").write_text("mine")
+    (run / "pictures").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match=r"pictures is not of the run there"):
+        _good(run, example)
+    (run / "pictures").unlink()
+    (run / "mesh.ply").mkdir()
+    with pytest.raises(InputError, match=r"mesh.ply is not of the run there"):
+        _good(run, example)
+    assert (tmp_path / "elsewhere" / "captions.json").read_text() == "mine"
+
+
+def test_a_run_of_an_earlier_version_without_a_list_is_replaced(example: Any, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    _good(run, example, "old")
+    write_summary(read_summary(run).model_copy(update={"files": None}), run / "summary.json")
+    (run / "notes.txt").write_text("mine")
+    _good(run, example, "new")
+    assert read_summary(run).warnings == ["new"] and (run / "notes.txt").read_text() == "mine"
+
+
+def test_files_that_stay_are_told_in_one_line(
+    example: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    _good(tmp_path / "run", example)
+    for name in ("notes.txt", "other.txt", os.fsdecode(b"\xff.txt")):
+        (tmp_path / "run" / name).write_text("mine")
+    _good(tmp_path / "run", example)
+    (line,) = [each.getMessage() for each in caplog.records if "stays" in each.getMessage()]
+    assert line == f"{tmp_path / 'run'}: notes.txt and 2 more: not of the run, stays there"
+
+
+def test_two_runs_at_once_do_not_mix(example: Any, tmp_path: Path) -> None:
+    with _writing(tmp_path / "run") as folder:
+        with pytest.raises(InputError, match="another polhode is at work"):
+            _good(tmp_path / "run", example)
+        _finish(folder, example, "the first")
+    assert read_summary(tmp_path / "run").warnings == ["the first"]
