@@ -43,7 +43,8 @@ def explained(error: Exception, working: bool) -> tuple[int, str]:
     if isinstance(error, InputError | RunFailure):
         return error.exit_code, one_line(str(error))
     code, line = _explained(error, working)
-    return code, one_line(line)
+    # a room's notes say where results are
+    return code, one_line("; ".join([line, *getattr(error, "__notes__", ())]))
 
 
 def _explained(error: Exception, working: bool) -> tuple[int, str]:

@@ -39,7 +39,7 @@ class PredictCommand:
             write_prediction,
         )
 
-        place = None if self.output is None else prediction_file(self.output)
+        place = None if self.output is None else prediction_file(self.output, self.run)
         prediction = predict_run(self.run, self.horizon, self.step_s)
         print(format_prediction(prediction))
         if place is not None:

@@ -190,21 +190,21 @@ def undetermined_components(last: Array, com_lost: Array, axes_lost: Array, stat
     return lost
 
 
-def prediction_file(path: Path) -> Path:
+def prediction_file(path: Path, run_folder: Path) -> Path:
     """Where a prediction goes, links followed; checked before the work. Raises InputError."""
-    return output_file(path, "predict", "prediction.csv", _is_prediction)
+    return output_file(path, "predict", "prediction.csv", lambda file: _is_prediction(file, run_folder))
 
 
-def _is_prediction(path: Path) -> bool:
-    """Whether a file is one of ``write_prediction``: a table whose velocity is that of a free body, which no
-    trajectory of a run has in all its rows, or an archive with its arrays."""
+def _is_prediction(path: Path, run_folder: Path) -> bool:
+    """Whether a file is one of ``write_prediction``: an archive with its arrays, or a table whose velocity is
+    that of a free body, the same in all rows, and that does not begin as the run's own trajectory does."""
     try:
         if path.suffix == ".npz":
             return set(ARRAYS) == set(load_archive(path, path.name).arrays)
-        v_N = read_trajectory(path).v_N
+        found, own = read_trajectory(path), read_trajectory(run_folder)
     except (InputError, ValueError, OSError):
         return False
-    return bool((v_N == v_N[0]).all())
+    return bool((found.v_N == found.v_N[0]).all()) and found.timestamps_ns[0] != own.timestamps_ns[0]
 
 
 def write_prediction(prediction: PredictedMotion, path: Path, marks: bool) -> None:

@@ -102,7 +102,7 @@ def killed_at(place: Path, moment: str) -> None:
     for name in ("carry", "exchange", "remove"):
         setattr(module, name, die_before(name))
     if moment == "between":
-        exchange_module._renameat2 = lambda *_: False  # type: ignore[assignment]
+        exchange_module._renameat2 = lambda *_: False
         real = Path.rename
 
         def rename(self: Path, target: Path) -> Path:
@@ -111,7 +111,7 @@ def killed_at(place: Path, moment: str) -> None:
                 os._exit(9)
             return moved
 
-        Path.rename = rename  # type: ignore[method-assign]
+        Path.rename = rename  # type: ignore[method-assign, assignment]
     write(place, "new")
     os._exit(9)
 
@@ -182,7 +182,7 @@ def test_a_file_that_comes_during_the_exchange_is_not_lost(
 ) -> None:
     place = tmp_path / "R"
     write(place, "old")
-    real = module.exchange
+    real = exchange_module.exchange
 
     def late(new: Path, old: Path) -> Path:
         (old / "late.txt").write_text("mine")
