@@ -143,6 +143,7 @@ BENCHMARKS = (
     Benchmark("rendering_time", "rendering.rendering_time", "docs/simulation.md", 20),
     Benchmark("leaks", "robustness.leaks", "docs/testing.md", 60),
     Benchmark("leaks_images", "robustness.leaks", "docs/testing.md", 20, "images", "images --short"),
+    Benchmark("faults", "robustness.data_faults", "docs/robustness.md", 240),
     Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),
 )  # fmt: skip
 """The scenes come first: they make the runs that others need."""

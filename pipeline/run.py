@@ -12,12 +12,14 @@ from polhode.config import Config
 from polhode.frontend.extract import extract_depth
 from polhode.lie import transform_points
 from polhode.mapping.fusion.field import fuse
+from polhode.pipeline.clock_check import clock_contradictions
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
 from polhode.pipeline.pictures import make_pictures
 from polhode.pipeline.report import finish_run, write_report
+from polhode.pipeline.rig_check import rig_contradictions
 from polhode.pipeline.run_directory import outputs
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
@@ -73,6 +75,11 @@ def run(
             # Each solution is written, so that it is kept should a later step fail.
             outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
         tracks, estimate = solution.tracks, solution.estimate
+        reasons = rig_contradictions(context, correspondences.features, tracks, estimate)
+        seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
+        reasons += clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen)
+        for reason in reasons:
+            _log.warning(reason)
         if config.backend.window.enabled:
             outputs.write_online_estimate(folder, _replay(context, tracks, estimate))
 
@@ -89,7 +96,7 @@ def run(
         clock.add_total()
         warnings = [*context.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
         warnings += fused.warnings
-        summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, shape=shape)
+        summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, reasons, shape=shape)
         with progress.stage("report", 1) as advance:
             summary = finish_run(folder, summary)
             advance()

@@ -1,5 +1,13 @@
 """Robustness: what faults in the data and in the machine do to a run.
 
-leaks         memory and open files over thousands of runs in one process
-small_data    the small sequence of these benchmarks
+In: simulated sequences. Out: tables of what was lost, found and said.
+
+data_faults         the campaign of faults in the data: one fault at a time on twelve bodies
+bodies              its bodies
+faults_of_files     its faults of images, times, calibration and poses
+faults_of_scenes    its faults that are rendered: second bodies, lost parts, forces, late cameras
+recording           a sequence in memory, with its truth
+judge               errors of what a run claims, in sigmas; what is wrong, and whether the run says so
+leaks               memory and open files over thousands of runs in one process
+small_data          the small sequence of the benchmark of leaks
 """

@@ -2,6 +2,7 @@
 noise.
 
 methods.py              the interface and the registry of feature methods
+row_offsets.py          matches that ignore the epipolar constraint, which check the rig
 stereo.py               ``StereoFeatures``; the method ``rootsift``; sub-pixel disparity of points
 keypoints.py            detection of key points, RootSIFT
 surface_features.py     the method ``polhode``: features with surface axes from dense disparity; their noise

@@ -14,6 +14,7 @@ from scipy.ndimage import spline_filter1d
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.keypoints import Descriptors, KeyPoints, detect, no_key_points
+from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
 from polhode.frontend.rectification import Image, RectifiedPair, target_crop
 from polhode.lie import Array
 from polhode.records import Bools, Ints
@@ -68,6 +69,8 @@ class StereoFeatures:
     """(n, 2) displacement of the point for one pixel in the image, and for one pixel of disparity [m/px]"""
     sigma_ls_px: Array | None = None
     """(n,) standard deviation of the disparity according to the least squares alone"""
+    rows: RowOffsets | None = None
+    """Matches that ignore the epipolar constraint; None: the method detects in the left image alone"""
 
     def __len__(self) -> int:
         return len(self.uvd_px)
@@ -120,6 +123,7 @@ def match_stereo(
         points_left.scale_px[index_left][good],
         points_left.descriptors[index_left][good],
         points_left.angle_rad[index_left][good],
+        rows=row_offsets(points_left, points_right, rig.width_px, rig.disparity_offset_px),
     )
 
 

@@ -1,0 +1,250 @@
+"""Whether the images are those of the rig that the calibration describes: signs that need no truth.
+
+A wrong rig moves the target as a whole, and the residuals of the motion hardly show it. The rows of both
+images do: matches that ignore the epipolar constraint (``frontend/features/row_offsets``). Rows that differ
+from some time on: one camera was knocked. Rows that differ with the speed at which the image moves: the
+cameras look at different times. Disparities below zero: the images of the pair are exchanged.
+
+Sideways, a knock changes disparities alone. Then everything is nearer and smaller, or farther and larger,
+from some time on: landmarks seen before and after it do not fit together, and residuals point away from the
+target's middle, or towards it.
+
+Each finding is a reason to call the answer degraded. What no image can show is in docs/robustness.md.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.lie import Array, inverse_pose, log_so3, transform_points
+from polhode.pipeline.context import RunContext
+from polhode.pipeline.self_calibration import best_correction
+from polhode.records import MotionEstimate, StereoTracks
+
+MIN_MATCHES = 8
+"""A frame with fewer matches does not count."""
+MIN_FRAMES = 4
+"""Frames on either side of a step."""
+CLEAR = 5.0
+"""A step or a delay is significant above this number of standard deviations."""
+MAX_STEP_PX = 0.3
+"""Of the median row: several times what a frame's median scatters."""
+MAX_TURN = 1e-3
+"""Of the rows' inclination [rad]: 0.06 degrees."""
+MAX_DELAY_S = 4e-3
+"""Between the cameras; far above the jitter of a trigger."""
+MAX_SCALE_STEP = 0.0035
+"""Of the target's size: undisturbed sequences show 0.2 % at most; a knock of 0.2 degrees half to 3 %."""
+MAX_FOCAL, CLEAR_STRETCH = 0.002, 6.0
+"""Of the focal length that fits best, relative to the stated one, and in standard deviations: features that
+follow the light pretend 0.5 % at 4 sigma."""
+EXCHANGED_SHARE = 0.7
+"""Share of negative disparities in a pair whose images are exchanged."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """The difference between the values before and after one place."""
+
+    place: int
+    """Index of the first value after it"""
+    size: float
+    """Median after it minus median before it"""
+    sigma: float
+
+
+def rig_contradictions(
+    context: RunContext, features: Sequence[StereoFeatures], tracks: StereoTracks, estimate: MotionEstimate
+) -> list[str]:
+    """Reasons why the calibration, or the pairing of the images, does not hold throughout; mostly none.
+
+    features: those of the first method, one a frame.
+    """
+    return [
+        *_exchanged(context, features),
+        *_knocked(context, features),
+        *_late(context, features, estimate),
+        *_changed_scale(context, tracks, estimate),
+        *_stretched(tracks, estimate),
+    ]
+
+
+def _exchanged(context: RunContext, features: Sequence[StereoFeatures]) -> list[str]:
+    limit = context.rig.disparity_offset_px
+    negative = [
+        k
+        for k, each in enumerate(features)
+        if each.rows is not None
+        and len(each.rows.offset_px) >= MIN_MATCHES
+        and np.mean(each.rows.disparity_px < limit) > EXCHANGED_SHARE
+    ]
+    if not negative:
+        return []
+    return [
+        f"the images of {len(negative)} of {len(features)} pairs are exchanged, left for right (first at "
+        f"{context.time_s[negative[0]]:g} s): points would be behind the cameras; correct data.csv"
+    ]
+
+
+def row_lines(features: Sequence[StereoFeatures]) -> tuple[Array, Array]:
+    """Row offset at the middle of each frame's matches [px], and its slope along the rows (F,) each.
+
+    NaN with too few matches. By least squares, twice more without outliers.
+    """
+    out = np.full((2, len(features)), np.nan)
+    for k, each in enumerate(features):
+        if each.rows is None or len(each.rows.offset_px) < MIN_MATCHES:
+            continue
+        y, x = each.rows.offset_px, each.rows.uv_px[:, 0] - np.mean(each.rows.uv_px[:, 0])
+        line = np.array([np.median(y), 0.0])
+        for _ in range(3):
+            residual = np.abs(y - line[0] - line[1] * x)
+            good = residual <= 3.0 * max(1.4826 * float(np.median(residual)), 0.02)
+            if good.sum() < MIN_MATCHES or np.ptp(x[good]) < MIN_MATCHES:
+                break
+            line = np.linalg.lstsq(np.column_stack([np.ones(good.sum()), x[good]]), y[good])[0]
+        out[:, k] = line
+    return out[0], out[1]
+
+
+def _knocked(context: RunContext, features: Sequence[StereoFeatures]) -> list[str]:
+    middles, slopes = row_lines(features)
+    out = []
+    step = largest_step(middles)
+    if step is not None and abs(step.size) > max(MAX_STEP_PX, CLEAR * step.sigma):
+        degrees = np.rad2deg(abs(step.size) / context.rig.focal_px)
+        out.append(
+            f"the rows of the two images differ by {step.size:+.2f} px more from "
+            f"{context.time_s[step.place]:g} s on, as if one camera had turned by {degrees:.2f} deg: the "
+            "calibration does not hold throughout"
+        )
+    turn = largest_step(slopes)
+    if turn is not None and abs(turn.size) > max(MAX_TURN, CLEAR * turn.sigma):
+        out.append(
+            f"the rows of the two images are inclined by {np.rad2deg(abs(turn.size)):.2f} deg more from "
+            f"{context.time_s[turn.place]:g} s on, as if one camera had turned about its axis: the "
+            "calibration does not hold throughout"
+        )
+    return out
+
+
+def largest_step(values: Array) -> Step | None:
+    """The step whose two medians fit the values (n,) best, by absolute residuals; NaN do not count.
+
+    None where there are too few. The sigma is that of a difference of medians.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    best, least = None, np.inf
+    for n in range(MIN_FRAMES, len(known) - MIN_FRAMES + 1):
+        before, after = values[known[:n]], values[known[n:]]
+        medians = float(np.median(before)), float(np.median(after))
+        residuals = np.abs(np.concatenate([before - medians[0], after - medians[1]]))
+        if residuals.sum() < least:
+            least = float(residuals.sum())
+            spread = max(1.4826 * float(np.median(residuals)), 1e-12)
+            sigma = 1.25 * spread * float(np.sqrt(1.0 / len(before) + 1.0 / len(after)))
+            best = Step(int(known[n]), medians[1] - medians[0], sigma)
+    return best
+
+
+def _late(context: RunContext, features: Sequence[StereoFeatures], estimate: MotionEstimate) -> list[str]:
+    found = camera_delay(context, features, estimate)
+    if found is None or abs(found[0]) < max(MAX_DELAY_S, CLEAR * found[1]):
+        return []
+    late = "late" if found[0] > 0 else "early"
+    return [
+        f"the right camera's images are {1e3 * abs(found[0]):.0f} ms {late} (sigma "
+        f"{1e3 * found[1]:.1f} ms): the rows of the two images differ where the target moves, and distances "
+        "and shape are wrong accordingly"
+    ]
+
+
+def camera_delay(
+    context: RunContext, features: Sequence[StereoFeatures], estimate: MotionEstimate
+) -> tuple[float, float] | None:
+    """Time of the right camera minus that of the left one and its sigma [s]; None: nothing shows it.
+
+    Least squares of the row offsets on the rows' velocities, which follow from the estimated motion; with a
+    constant offset, and again without outliers. The sigma treats each frame as one observation.
+    """
+    speed, offset, frame = [], [], []
+    for k, each in enumerate(features):
+        rows = each.rows
+        if rows is None or len(rows.offset_px) < MIN_MATCHES:
+            continue
+        ahead = rows.disparity_px - context.rig.disparity_offset_px > 1.0
+        uvd = np.column_stack([rows.uv_px, rows.disparity_px])[ahead]
+        speed.append(_row_velocity(context, context.rig.triangulate(uvd), estimate, k))
+        offset.append(rows.offset_px[ahead])
+        frame.append(np.full(int(ahead.sum()), k))
+    if not speed:
+        return None
+    x, y, of = np.concatenate(speed), np.concatenate(offset), np.concatenate(frame)
+    good = np.ones(len(x), dtype=np.bool_)
+    for _ in range(4):
+        if good.sum() < 10 * MIN_MATCHES or float(np.std(x[good])) < 1e-9:
+            return None
+        x0, y0 = x - x[good].mean(), y - y[good].mean()
+        slope = float(np.sum(x0[good] * y0[good]) / np.sum(x0[good] ** 2))
+        residual = y0 - slope * x0
+        spread = 1.4826 * float(np.median(np.abs(residual[good])))
+        good = np.abs(residual) < 3.0 * max(spread, 0.02)
+    by_frame = np.bincount(of[good], x0[good] * residual[good])
+    return -slope, float(np.sqrt(np.sum(by_frame**2)) / np.sum(x0[good] ** 2))
+
+
+def _row_velocity(context: RunContext, p_R: Array, estimate: MotionEstimate, k: int) -> Array:
+    """Velocity (n,) along the rows' order [px/s] of points (n, 3) of the target, in the left image."""
+    X_NR = context.X_NR
+    p_N = transform_points(X_NR[k], p_R)
+    v_N = estimate.v_N[k] + np.cross(estimate.R_NP[k] @ estimate.w_P[k], p_N - estimate.r_N[k])
+    a, b = max(k - 1, 0), min(k + 1, len(X_NR) - 1)
+    between, seconds = inverse_pose(X_NR[a]) @ X_NR[b], context.time_s[b] - context.time_s[a]
+    camera_w, camera_v = log_so3(between[:3, :3]) / seconds, between[:3, 3] / seconds
+    v_R = v_N @ X_NR[k][:3, :3] - camera_v - np.cross(camera_w, p_R)
+    return np.asarray(context.rig.focal_px * (v_R[:, 1] - v_R[:, 2] * p_R[:, 1] / p_R[:, 2]) / p_R[:, 2])
+
+
+def scale_of_frames(tracks: StereoTracks, estimate: MotionEstimate) -> Array:
+    """Size of the target in each frame over that in the others, minus 1 (F,), by the residuals in the image.
+
+    NaN with too few observations. Depth and size go together: disparities that are too large make both
+    small.
+    """
+    out = np.full(tracks.n_frames, np.nan)
+    residual = estimate.residuals_px[:, :2]
+    near = np.all(np.abs(residual) < 8.0 * estimate.noise.pixel_sigma_px, axis=1)
+    for k in range(tracks.n_frames):
+        rows = np.flatnonzero((tracks.frame == k) & near)
+        if len(rows) < MIN_MATCHES:
+            continue
+        arm = tracks.uvd_px[rows, :2] - residual[rows]
+        arm = arm - arm.mean(axis=0)
+        out[k] = np.sum(arm * residual[rows]) / max(float(np.sum(arm**2)), 1e-9)
+    return out
+
+
+def _changed_scale(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> list[str]:
+    step = largest_step(scale_of_frames(tracks, estimate))
+    if step is None or abs(step.size) < max(MAX_SCALE_STEP, CLEAR * step.sigma):
+        return []
+    larger = "larger" if step.size > 0 else "smaller"
+    return [
+        f"from {context.time_s[step.place]:g} s on the target appears {100.0 * abs(step.size):.1f} % "
+        f"{larger} than its disparities say: the angle between the cameras has changed, or the focal "
+        "length; the calibration does not hold throughout"
+    ]
+
+
+def _stretched(tracks: StereoTracks, estimate: MotionEstimate) -> list[str]:
+    found = best_correction(tracks, estimate)
+    if found is None or abs(found.focal) < max(MAX_FOCAL, CLEAR_STRETCH * found.sigma_focal):
+        return []
+    longer = "longer" if found.focal > 0 else "shorter"
+    return [
+        f"a focal length {100.0 * abs(found.focal):.2f} % {longer} than calibrated (sigma "
+        f"{100.0 * found.sigma_focal:.2f} %), or disparities {found.disparity_px:+.2f} px different, would "
+        "fit the rotating target better: check the calibration; distances are wrong accordingly"
+    ]

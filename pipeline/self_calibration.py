@@ -1,0 +1,114 @@
+"""Which focal length, or which offset of all disparities, would fit the tumbling target best.
+
+A wrong focal length stretches everything along the line of sight; a wrong angle between the cameras moves
+near parts less along it than far ones. Neither shows in one pair, but a body that tumbles is stretched in
+another direction in each frame, and no rigid body looks like that. The first-order correction of each, the
+other left as it is, is solved for together with all poses and landmarks; the dynamics are left out.
+
+The landmarks are eliminated first (Schur complement). A weak prior bounds the poses' six common directions,
+which only move the map.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.lie import Array, hat, inverse_pose
+from polhode.records import Ints, MotionEstimate, StereoTracks
+
+MIN_OBSERVATIONS = 100
+MAX_FRAMES = 120
+"""Longer sequences are thinned out to this number."""
+_PRIOR = 1e-6
+"""Of each unknown's diagonal"""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What to add to the calibration, each if the other is right."""
+
+    focal: float
+    """Relative to the focal length of both cameras"""
+    sigma_focal: float
+    disparity_px: float
+    """To the disparity at infinity"""
+    sigma_disparity_px: float
+
+
+def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correction | None:
+    """From the measurements that agree with the estimate, at least a hundred; None: there are fewer."""
+    step = -(-tracks.n_frames // MAX_FRAMES)
+    used = np.flatnonzero((estimate.inlier_weight > 0.0) & (tracks.frame % step == 0))
+    if len(used) < MIN_OBSERVATIONS:
+        return None
+    frames, frame = np.unique(tracks.frame[used], return_inverse=True)
+    landmark = np.unique(tracks.landmark[used], return_inverse=True)[1]
+    X_RG = (inverse_pose(tracks.X_NR) @ estimate.X_NG)[frames]
+    predicted = tracks.uvd_px[used] - estimate.residuals_px[used]
+    p_R = tracks.rig.triangulate(predicted)
+    scale = np.array([estimate.noise.pixel_sigma_px] * 2 + [estimate.noise.disparity_sigma_px])
+    root = np.sqrt(estimate.inlier_weight[used])[:, None] / np.maximum(scale, 1e-6)
+    rig = tracks.rig
+    z, f, fB = p_R[:, 2], rig.focal_px, rig.focal_px * rig.baseline_m
+    zero = np.zeros_like(z)
+    J_p = np.stack([
+        np.stack([f / z, zero, -f * p_R[:, 0] / z**2], 1),
+        np.stack([zero, f / z, -f * p_R[:, 1] / z**2], 1),
+        np.stack([zero, zero, -fB / z**2], 1),
+    ], 1)  # fmt: skip
+    J_p = root[:, :, None] * J_p
+    # pose: p_R + t + a x p_R
+    J_pose = np.concatenate([J_p, -J_p @ hat(p_R)], axis=2)
+    J_landmark = J_p @ X_RG[frame, :3, :3]
+    along = predicted - np.array([rig.cx_px, rig.cy_px, rig.disparity_offset_px])
+    offset = np.broadcast_to(np.array([0.0, 0.0, 1.0]), along.shape)
+    J_rig = root[:, :, None] * np.stack([along, offset], axis=2)
+    residual = root * estimate.residuals_px[used]
+    return _solved(frame, landmark, J_pose, J_landmark, J_rig, residual)
+
+
+def _solved(
+    frame: Ints, landmark: Ints, J_pose: Array, J_landmark: Array, J_rig: Array, residual: Array
+) -> Correction:
+    """The correction from n whitened observations: frame, landmark (n,); J (n, 3, ...)."""
+    F, L, k = int(frame.max()) + 1, int(landmark.max()) + 1, J_rig.shape[2]
+    n = 6 * F + k
+    B = np.zeros((L, 3, 3))
+    np.add.at(B, landmark, np.einsum("nai,naj->nij", J_landmark, J_landmark))
+    B += (_PRIOR * np.trace(B, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(3)
+    g_l = np.zeros((L, 3))
+    np.add.at(g_l, landmark, np.einsum("nai,na->ni", J_landmark, residual))
+    A, g, cross = np.zeros((n, n)), np.zeros(n), np.zeros((L, 3, n))
+    rows = 6 * frame[:, None] + np.arange(6)
+    blocks = np.zeros((F, 6, 6))
+    np.add.at(blocks, frame, np.einsum("nai,naj->nij", J_pose, J_pose))
+    for j in range(F):
+        A[6 * j : 6 * j + 6, 6 * j : 6 * j + 6] = blocks[j]
+    between = np.zeros((F, 6, k))
+    np.add.at(between, frame, np.einsum("nai,naj->nij", J_pose, J_rig))
+    A[: 6 * F, 6 * F :] = between.reshape(6 * F, k)
+    A[6 * F :, : 6 * F] = A[: 6 * F, 6 * F :].T
+    A[6 * F :, 6 * F :] = np.einsum("nai,naj->ij", J_rig, J_rig)
+    np.add.at(g, rows.ravel(), np.einsum("nai,na->ni", J_pose, residual).ravel())
+    g[6 * F :] = np.einsum("nai,na->i", J_rig, residual)
+    of_pose = np.einsum("nai,naj->nij", J_landmark, J_pose)
+    np.add.at(cross, (landmark[:, None, None], np.arange(3)[:, None], rows[:, None, :]), of_pose)
+    of_rig = np.zeros((L, 3, k))
+    np.add.at(of_rig, landmark, np.einsum("nai,naj->nij", J_landmark, J_rig))
+    cross[:, :, 6 * F :] = of_rig
+    B_inv = np.linalg.inv(B)
+    flat = cross.reshape(3 * L, n)
+    weighted = np.einsum("lij,ljn->lin", B_inv, cross).reshape(3 * L, n)
+    A -= flat.T @ weighted
+    g -= weighted.T @ g_l.reshape(-1)
+    freedom = max(residual.size - 3 * L - 6 * F, 1)
+    chi2 = max(float(np.sum(residual**2)) / freedom, 1.0)
+    found = []
+    for j in range(k):
+        kept = [*range(6 * F), 6 * F + j]
+        own = A[np.ix_(kept, kept)]
+        scale = 1.0 / np.sqrt(np.maximum(np.diagonal(own), 1e-300))
+        inverse = np.linalg.inv(own * scale[:, None] * scale + _PRIOR * np.eye(len(kept)))
+        step = float(inverse[-1] @ (g[kept] * scale)) * scale[-1]
+        found += [step, float(np.sqrt(chi2 * inverse[-1, -1])) * scale[-1]]
+    return Correction(*found)

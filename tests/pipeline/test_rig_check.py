@@ -1,0 +1,157 @@
+"""A rig that is not the calibrated one: each fault is named, with its size; a good one is not."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polhode.backend import estimate_motion
+from polhode.config.backend_settings import Backend
+from polhode.frontend.features.row_offsets import RowOffsets
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.lie import Array
+from polhode.pipeline.rig_check import camera_delay, largest_step, rig_contradictions, scale_of_frames
+from polhode.pipeline.self_calibration import best_correction
+from polhode.progress import Silent
+from polhode.records import InitialMotion, MotionEstimate, StereoTracks
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
+
+FRAMES = 24
+SCENE = SyntheticScene(
+    frames=FRAMES, landmarks=150, detection=0.7, sigma_uv_px=0.3, sigma_d_px=0.1,
+    J_G=np.diag([1.5, 1.2, 0.9]), w_G=(0.3, 0.5, 0.3),
+)  # fmt: skip
+
+
+class Context:
+    """The part of ``RunContext`` that the check reads."""
+
+    def __init__(self, tracks: StereoTracks) -> None:
+        self.rig, self.time_s, self.X_NR = tracks.rig, tracks.time_s, tracks.X_NR
+
+
+def solved(sequence: SyntheticSequence, tracks: StereoTracks) -> MotionEstimate:
+    """From the true poses."""
+    X_RG = np.linalg.inv(sequence.tracks.X_NR) @ sequence.X_NG
+    start = InitialMotion(X_RG, np.ones(tracks.n_frames, dtype=np.bool_))
+    return estimate_motion(tracks, start, Backend(), Silent())
+
+
+@pytest.fixture(scope="module")
+def sequence() -> SyntheticSequence:
+    return generate(SCENE, 3)
+
+
+@pytest.fixture(scope="module")
+def estimate(sequence: SyntheticSequence) -> MotionEstimate:
+    return solved(sequence, sequence.tracks)
+
+
+def features(
+    tracks: StereoTracks, offset_px: Array | None = None, exchanged: tuple[int, ...] = ()
+) -> list[StereoFeatures]:
+    """Of each frame; offset_px (M,) of the rows of the observations."""
+    rng = np.random.default_rng(4)
+    none = np.zeros((0, 3))
+    out = []
+    for k in range(tracks.n_frames):
+        rows = np.flatnonzero(tracks.frame == k)
+        uvd = tracks.uvd_px[rows]
+        scatter = 0.2 * rng.standard_normal(len(rows))
+        offset = scatter if offset_px is None else scatter + offset_px[rows]
+        sign = -1.0 if k in exchanged else 1.0
+        seen = RowOffsets(uvd[:, :2], sign * uvd[:, 2], offset)
+        out.append(StereoFeatures(none, none, none, np.zeros(0), np.zeros((0, 8), np.float32), rows=seen))
+    return out
+
+
+def reasons(sequence: SyntheticSequence, estimate: MotionEstimate, seen: list[StereoFeatures]) -> list[str]:
+    context: Any = Context(sequence.tracks)
+    return rig_contradictions(context, seen, sequence.tracks, estimate)
+
+
+def test_nothing_is_said_of_a_good_rig(sequence: SyntheticSequence, estimate: MotionEstimate) -> None:
+    assert reasons(sequence, estimate, features(sequence.tracks)) == []
+
+
+def test_nothing_is_said_where_nothing_is_measured(
+    sequence: SyntheticSequence, estimate: MotionEstimate
+) -> None:
+    seen = [replace(each, rows=None) for each in features(sequence.tracks)]
+    assert reasons(sequence, estimate, seen) == []
+
+
+def test_a_camera_that_was_knocked_up_or_down_is_named(
+    sequence: SyntheticSequence, estimate: MotionEstimate
+) -> None:
+    focal = sequence.tracks.rig.focal_px
+    after = np.deg2rad(0.2) * focal * (sequence.tracks.frame >= 10)
+    said = reasons(sequence, estimate, features(sequence.tracks, after))
+    assert len(said) == 1 and "as if one camera had turned by 0.20 deg" in said[0]
+    assert f"from {sequence.tracks.time_s[10]:g} s" in said[0]
+
+
+def test_a_camera_that_was_knocked_about_its_axis_is_named(
+    sequence: SyntheticSequence, estimate: MotionEstimate
+) -> None:
+    tracks = sequence.tracks
+    turned = np.deg2rad(0.2) * (tracks.uvd_px[:, 0] - tracks.rig.cx_px) * (tracks.frame >= 10)
+    said = reasons(sequence, estimate, features(tracks, turned))
+    assert said and "deg more from 5 s on, as if one camera had turned about its axis" in said[-1]
+
+
+def test_cameras_that_look_at_different_times_are_named_with_the_time(
+    sequence: SyntheticSequence, estimate: MotionEstimate
+) -> None:
+    tracks = sequence.tracks
+    p_R, k = tracks.rig.triangulate(tracks.uvd_px), tracks.frame
+    p_N = np.einsum("nij,nj->ni", tracks.X_NR[k][:, :3, :3], p_R) + tracks.X_NR[k][:, :3, 3]
+    w_N = np.einsum("nij,nj->ni", estimate.R_NP, estimate.w_P)
+    v_N = estimate.v_N[k] + np.cross(w_N[k], p_N - estimate.r_N[k])
+    v_R = np.einsum("nji,nj->ni", tracks.X_NR[k][:, :3, :3], v_N)
+    rows_px_s = tracks.rig.focal_px * (v_R[:, 1] - v_R[:, 2] * p_R[:, 1] / p_R[:, 2]) / p_R[:, 2]
+    seen = features(tracks, -0.020 * rows_px_s)
+    context: Any = Context(tracks)
+    found = camera_delay(context, seen, estimate)
+    assert found is not None and found[0] == pytest.approx(0.020, abs=0.002)
+    said = reasons(sequence, estimate, seen)
+    assert len(said) == 1 and "the right camera's images are" in said[0] and "ms late" in said[0]
+
+
+def test_exchanged_images_are_counted(sequence: SyntheticSequence, estimate: MotionEstimate) -> None:
+    said = reasons(sequence, estimate, features(sequence.tracks, exchanged=(2, 9)))
+    assert len(said) == 1 and f"2 of {FRAMES} pairs are exchanged, left for right" in said[0]
+
+
+def test_a_camera_that_was_knocked_sideways_is_named(sequence: SyntheticSequence) -> None:
+    tracks = sequence.tracks
+    uvd = tracks.uvd_px.copy()
+    uvd[tracks.frame >= 12, 2] += np.deg2rad(0.2) * tracks.rig.focal_px
+    knocked = replace(tracks, uvd_px=uvd)
+    estimate = solved(sequence, knocked)
+    context: Any = Context(knocked)
+    said = rig_contradictions(context, features(tracks), knocked, estimate)
+    assert len(said) == 1 and "smaller than its disparities say" in said[0]
+    step = largest_step(scale_of_frames(knocked, estimate))
+    assert step is not None and abs(step.place - 12) <= 1
+
+
+def test_a_step_needs_frames_on_both_sides() -> None:
+    values = np.zeros(20)
+    values[18:] = 5.0
+    step = largest_step(values)
+    assert step is not None and step.size == 0.0
+    assert largest_step(np.full(20, np.nan)) is None
+
+
+@pytest.mark.parametrize("factor", [0.97, 1.03])
+def test_a_wrong_focal_length_is_named_with_its_size(sequence: SyntheticSequence, factor: float) -> None:
+    rig = sequence.tracks.rig
+    wrong = replace(sequence.tracks, rig=replace(rig, focal_px=factor * rig.focal_px))
+    estimate = solved(sequence, wrong)
+    found = best_correction(wrong, estimate)
+    assert found is not None and found.focal == pytest.approx(1.0 / factor - 1.0, abs=0.008)
+    context: Any = Context(wrong)
+    said = rig_contradictions(context, features(sequence.tracks), wrong, estimate)
+    assert len(said) == 1 and f"{'longer' if factor < 1 else 'shorter'} than calibrated" in said[0]
