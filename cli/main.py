@@ -10,6 +10,7 @@ import io
 import operator
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 from itertools import dropwhile, takewhile
 from typing import Annotated, Any, Union, cast
@@ -81,7 +82,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(words: list[str], debug: bool) -> int:
     """The command; an error as its exit code, after one line on standard error."""
     try:
-        with show_warnings():
+        with show_warnings(), warnings.catch_warnings():
+            if not debug:
+                # Of libraries, to programmers: standard error holds one line.
+                warnings.simplefilter("ignore")
             return _dispatch(words)
     except KeyboardInterrupt as stop:
         number = received()

@@ -12,6 +12,8 @@ from polhode.errors import InputError
 
 MAX_IMAGE_PX = 100_000
 """Limit of an image's width and height."""
+MAX_EDGES = 1_000_000
+MIN_FOCAL_PX, MAX_FOCAL_PX = 1.0, 1e9
 MAX_COORDINATE_M = 1e12
 
 
@@ -78,11 +80,18 @@ class ObservabilityCommand:
         for name, least in (("sigma_px", 1e-6), ("spacing_px", 0.1)):
             if not least <= getattr(self, name) <= 1e6:
                 raise InputError(f"--{name.replace('_', '-')}: give a number from {least:g} to 1e6")
-        for name in ("width_px", "height_px"):
-            if (getattr(self, name) or 1) > MAX_IMAGE_PX:
-                raise InputError(f"--{name.replace('_', '-')}: give at most {MAX_IMAGE_PX}")
-        if self.edges is not None and self.edges < 1:
-            raise InputError(f"--edges {self.edges}: give a number above 0")
+        for name, least, most in (
+            ("width_px", 16, MAX_IMAGE_PX),
+            ("height_px", 16, MAX_IMAGE_PX),
+            ("focal_px", MIN_FOCAL_PX, MAX_FOCAL_PX),
+        ):
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                raise InputError(
+                    f"--{name.replace('_', '-')} {str(value)[:20]}: give a number from {least:g} to {most:g}"
+                )
+        if self.edges is not None and not 1 <= self.edges <= MAX_EDGES:
+            raise InputError(f"--edges {str(self.edges)[:20]}: give a number from 1 to {MAX_EDGES}")
         if not 0.0 < self.crease_deg < 180.0:
             raise InputError(f"--crease-deg {self.crease_deg:g}: give an angle between 0 and 180")
         for name in ("about", "sun"):

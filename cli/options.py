@@ -17,12 +17,14 @@ Flag = FlagCreatePairsOff[bool]
 Debug = Annotated[FlagCreatePairsOff[bool], arg(help="Show the traceback of an error.")]
 
 
-def require_positive(command: object, *names: str) -> None:
-    """Raises InputError for an option that is not a finite number above 0."""
+def require_positive(command: object, *names: str, most: float = 1e12) -> None:
+    """Raises InputError for an option that is not a number above 0 and at most ``most``."""
     for name in names:
         value = getattr(command, name)
         if not (math.isfinite(value) and value > 0.0):
             raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
+        if not 1.0 / 1e12 <= value <= most:
+            raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number from 1e-12 to {most:g}")
 
 
 class Command(Protocol):

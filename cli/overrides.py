@@ -80,5 +80,9 @@ def _value(path: tuple[str, ...], given: list[str]) -> Any:
             return None
         if count_of(annotation) != 1:
             # One word for many values: '[1, 2, 3]' or '1,2,3'.
+            if given[0].count("[") != given[0].count("]"):
+                raise InputError(
+                    f"command line: --{dotted(path)}: the brackets of {given[0][:40]!r} do not match"
+                )
             given = [part for part in re.split(r"[\s,\[\]]+", given[0]) if part]
     return arrange(annotation, given)

@@ -9,6 +9,9 @@ from tyro.conf import Positional, arg
 from polhode.cli.options import Debug, require_positive
 from polhode.errors import InputError
 
+MAX_COORDINATE_M = 1e6
+MAX_MEMBERS = 100_000
+
 
 @dataclass(frozen=True)
 class PlanCommand:
@@ -53,12 +56,17 @@ class PlanCommand:
         place = plan_place(self.output)
         if (self.dock_point is None) != (self.dock_axis is None):
             raise InputError("--dock-point and --dock-axis belong together: give both")
+        if not 1 <= self.members <= MAX_MEMBERS:
+            raise InputError(f"--members {self.members}: give 1 to {MAX_MEMBERS} motions")
         docking = None
         if self.dock_point is not None and self.dock_axis is not None:
             point, axis = np.array(self.dock_point), np.array(self.dock_axis)
-            if not (np.isfinite(point).all() and np.isfinite(axis).all() and np.linalg.norm(axis) > 0.0):
-                raise InputError("--dock-axis: give a direction of finite numbers, not zero")
-            require_positive(self, "stand_off", "half_angle_deg", "isp_s")
+            if not (np.isfinite(axis).all() and 1e-100 < np.abs(axis).max() < 1e100):
+                raise InputError("--dock-axis: give a direction whose length is neither 0 nor above 1e100")
+            if not np.abs(point).max() <= MAX_COORDINATE_M:
+                raise InputError(f"--dock-point: give metres in G, at most {MAX_COORDINATE_M:g}")
+            require_positive(self, "stand_off", "isp_s", most=1e6)
+            require_positive(self, "half_angle_deg", most=89.9)
             docking = Docking(point, axis, self.stand_off, self.half_angle_deg, self.isp_s)
         wanted = KeepOutOptions(self.horizon, self.confidence, members=self.members, cover=self.cover)
         plan = plan_run(self.run, wanted, docking)

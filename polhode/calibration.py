@@ -21,6 +21,8 @@ MIN_SIDE_PX, MAX_SIDE_PX = 16, 32_000
 """OpenCV resamples images of up to 32767 px a side."""
 MIN_FOCAL, MAX_FOCAL = 0.02, 1e4
 """Focal length over the larger side: fields of view from 175 degrees to 20 seconds of arc."""
+MAX_ASPECT = 10.0
+"""Of a pixel."""
 MAX_CENTRE = 10.0
 """Distance of the principal point from the middle of the image, over its side; a part read out of a larger
 sensor may lie beside it."""
@@ -111,6 +113,11 @@ def _require_pinhole(
         raise InputError(
             f"{path} key 'intrinsics': focal lengths {fu:g} and {fv:g}, expected {low:g} to {high:g} px for "
             f"images of {size[0]:g}x{size[1]:g}"
+        )
+    if max(focal) > MAX_ASPECT * min(focal):
+        raise InputError(
+            f"{path} key 'intrinsics': focal lengths {fu:g} and {fv:g} differ by more than a factor of "
+            f"{MAX_ASPECT:g}; correct one"
         )
     if any(abs(c - 0.5 * side) > MAX_CENTRE * side for c, side in zip(centre, size, strict=True)):
         raise InputError(

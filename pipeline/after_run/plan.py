@@ -9,7 +9,7 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.mapping.mesh_files import read_ply
 from polhode.mesh_metrics import distance_to_surface
-from polhode.pipeline.after_run.predict import last_body, undetermined_names
+from polhode.pipeline.after_run.predict import last_body, require_horizon, undetermined_names
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.approach.corridor import Corridor, corridor
@@ -70,11 +70,10 @@ def surface_of(run: Path) -> SurfaceModel:
 
 def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Plan:
     """All parts that the run allows; the others are named with the reason."""
-    if not (np.isfinite(options.horizon_s) and options.horizon_s > 0.0):
-        raise InputError(f"--horizon {options.horizon_s:g}: give the seconds to look ahead, a number above 0")
     if not 0.5 <= options.confidence <= 0.999:
         raise InputError(f"--confidence {options.confidence:g}: give a share from 0.5 to 0.999")
     estimate, summary = final_estimate(run)
+    require_horizon(options.horizon_s, float(np.linalg.norm(estimate.last.w_G)))
     left_out: dict[str, str] = {}
     notes = [*summary.warnings[:1]] if summary.status == "failed" else []
     if hidden := undetermined_names(summary):

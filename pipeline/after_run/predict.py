@@ -38,6 +38,8 @@ from polhode.records import Ints
 from polhode.rigid_body import propagate
 
 MAX_ROWS = 100_000
+MIN_HORIZON_S, MAX_HORIZON_S = 1e-6, 1e8
+MAX_TURNS = 1e5
 ARRAYS = (
     "timestamps_ns", "r_N", "v_N", "q_NP_wxyz", "w_P", "covariance", "covariance_of_marks", "order",
 )  # fmt: skip
@@ -99,7 +101,11 @@ def _instants(
     run_folder: Path, horizon_s: float, step_s: float | None, from_last: bool
 ) -> tuple[Array, Ints]:
     """Seconds after the last pair (T,) and timestamps (T,) of a prediction."""
-    stamps = read_trajectory(run_folder).timestamps_ns
+    table = read_trajectory(run_folder)
+    stamps = table.timestamps_ns
+    require_horizon(horizon_s, float(np.linalg.norm(table.w_P[-1])))
+    if step_s is None and len(stamps) < 2:
+        raise InputError(f"{run_folder}: one row has no interval; give --step-s")
     step_s = float(np.median(np.diff(stamps))) * 1e-9 if step_s is None else step_s
     time_s = prediction_times(horizon_s, step_s)
     if from_last:
@@ -112,11 +118,24 @@ def undetermined_names(summary: Summary) -> tuple[str, ...]:
     return tuple(name for name, words in summary.identifiable_detail.items() if words.startswith("not"))
 
 
+def require_horizon(horizon_s: float, rate_rad_s: float) -> None:
+    """Raise InputError for a horizon that is no time above 0, or has too many revolutions to predict."""
+    if not (np.isfinite(horizon_s) and horizon_s > 0.0):
+        raise InputError(f"--horizon {horizon_s:g}: give the seconds to look ahead, a number above 0")
+    turns = horizon_s * rate_rad_s / (2.0 * np.pi)
+    if turns > MAX_TURNS:
+        raise InputError(
+            f"--horizon {horizon_s:g}: {turns:.3g} revolutions of the target; at most {MAX_TURNS:g} can be"
+        )
+    if not MIN_HORIZON_S <= horizon_s <= MAX_HORIZON_S:
+        raise InputError(f"--horizon {horizon_s:g}: give seconds from {MIN_HORIZON_S:g} to {MAX_HORIZON_S:g}")
+
+
 def prediction_times(horizon_s: float, step_s: float) -> Array:
     """Seconds after the last pair: multiples of the step, and the horizon. Raises InputError."""
     if not (np.isfinite(horizon_s) and horizon_s > 0.0):
         raise InputError(f"--horizon {horizon_s:g}: give the seconds to look ahead, a number above 0")
-    if not (np.isfinite(step_s) and step_s > 0.0):
+    if not 0.0 < step_s <= MAX_HORIZON_S:
         raise InputError(f"--step-s {step_s:g}: give the seconds between two rows, a number above 0")
     if horizon_s / step_s > MAX_ROWS:
         raise InputError(

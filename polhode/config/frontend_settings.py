@@ -1,8 +1,8 @@
 """Settings of the front end."""
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from polhode.config.section import Section
 
@@ -109,6 +109,12 @@ class Depth(Section):
     max_sigma_px: float | None = Field(None, ge=1e-3, le=1e3)
     """Largest standard deviation of a disparity that is kept [px]; null: 0.5 for sgbm, 0.7 for network, whose
     sigmas at edges and in holes are larger and consistent."""
+
+    @model_validator(mode="after")
+    def _window_has_a_middle(self) -> Self:
+        if self.block_px % 2 == 0:
+            raise ValueError(f"block_px {self.block_px}: give an odd number, so that the window has a middle")
+        return self
 
     @property
     def largest_sigma_px(self) -> float:

@@ -119,6 +119,15 @@ def test_what_did_not_run_counts_neither_for_nor_against_a_solver() -> None:
     assert content[1]["ran"] == 1 and content[1]["not_run"] == 1
 
 
+def test_texts_of_rows_are_shown_as_text_and_never_run(tmp_path: Path) -> None:
+    hostile = "<script>alert(1)</script><img src=x onerror=alert(2)>"
+    found = comparison([row(hostile, 1.0, 1.0, message=hostile, family=hostile, not_separable=hostile)])
+    page = tmp_path / "compare.html"
+    write_page(found.model_copy(update={"machine": hostile, "versions": {hostile: hostile}}), page)
+    text = page.read_text()
+    assert "<script>alert" not in text and "<img src=x" not in text and "&lt;script&gt;alert(1)" in text
+
+
 def test_the_page_tells_how_many_cases_were_run(tmp_path: Path) -> None:
     absent = {"status": "missing", "ran": False, "kept": "nothing", "problem": "b"}
     rows = [

@@ -388,6 +388,10 @@ def calibration(key: str, value: str, cameras: tuple[int, ...] = (0, 1)) -> Call
 NO_LENS: dict[str, tuple[Callable[[Path], None], str]] = {
     "focal length 1e300": (calibration("intrinsics", "[1.0e+300, 1.0e+300, 32, 24]"), "focal lengths 1e+300"),
     "focal length 1e-3": (calibration("intrinsics", "[0.001, 50, 32, 24]"), "expected 1.28 to 640000 px"),
+    "pixels 100 times as wide as high": (
+        calibration("intrinsics", "[50, 5000, 32, 24]"),
+        "differ by more than",
+    ),
     "principal point 1e300": (calibration("intrinsics", "[50, 50, 1.0e+300, 24]"), "principal point (1e+300"),
     "principal point in 1e5": (
         calibration("intrinsics", "[50, 50, 32, -1.0e+5]"),

@@ -16,6 +16,9 @@ FrameName = Literal["G", "P", "cad"]
 Unit = Literal["m", "mm"]
 METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
 MAX_PIECES = 1024
+MIN_MASS, MAX_MASS = 1e-9, 1e15
+"""[kg], and of the moment [kg m^2]."""
+MAX_STEP_S = 1e8
 
 
 @dataclass(frozen=True)
@@ -77,13 +80,17 @@ def check(options: ExportOptions) -> None:
     ):
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise InputError(f"{name} {value:g}: give a number above 0")
+        if value is not None and not MIN_MASS <= value <= MAX_MASS:
+            raise InputError(f"{name} {value:g}: give a number from {MIN_MASS:g} to {MAX_MASS:g}")
+    if options.step_s is not None and not 0.0 < options.step_s <= MAX_STEP_S:
+        raise InputError(f"--step-s {options.step_s:g}: give seconds above 0, at most {MAX_STEP_S:g}")
     if options.level is not None and options.level < 0:
         raise InputError(f"--level {options.level}: 0 is the full mesh, 1, 2, ... are lighter ones")
     if not 1 <= options.pieces <= MAX_PIECES:
         raise InputError(f"--pieces {options.pieces}: give 1 (the convex hull) to {MAX_PIECES}")
     for name, text in (("--object-name", options.object_name), ("--object-id", options.object_id)):
-        if not re.fullmatch(r"[A-Za-z0-9_.+-]+", text):
-            raise InputError(f"{name} '{text}': give letters, digits and _ . + - only")
+        if not re.fullmatch(r"[A-Za-z0-9_.+-]{1,64}", text):
+            raise InputError(f"{name} '{text[:64]}': give up to 64 letters, digits and _ . + - only")
     if options.object_name in ("N", "P", "world"):
         raise InputError(f"--object-name {options.object_name}: this is the name of a frame; give another")
     _ = options.epoch_utc
@@ -92,5 +99,6 @@ def check(options: ExportOptions) -> None:
 def creation_date() -> str:
     """Now, in UTC; the variable SOURCE_DATE_EPOCH (seconds, reproducible-builds.org) overrides it."""
     text = os.environ.get("SOURCE_DATE_EPOCH", "")
-    now = datetime.fromtimestamp(int(text), UTC) if text.isdigit() else datetime.now(UTC)
+    given = text.isascii() and text.isdigit() and len(text) <= 11
+    now = datetime.fromtimestamp(int(text), UTC) if given else datetime.now(UTC)
     return now.strftime("%Y-%m-%dT%H:%M:%S")

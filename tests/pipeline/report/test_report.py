@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from scipy.integrate import solve_ivp
 
 from polhode.config import Config
 from polhode.errors import InputError
-from polhode.pipeline.report import finding, finish_run, write_report
+from polhode.pipeline.report import finding, finish_run, write_comparison, write_report
 from polhode.pipeline.report.motion_figures import straight_line_residual
 from polhode.pipeline.report.plot_style import band, packed
 from polhode.pipeline.report.polhode_and_inertia_figures import (
@@ -328,3 +329,49 @@ def test_cameras_stand_where_the_target_sees_them(run_folder: Path, example: Any
     X_NG = example.estimate.X_NG
     expected = -np.einsum("fji,fj->fi", X_NG[:, :3, :3], X_NG[:, :3, 3])
     np.testing.assert_allclose(positions, expected, atol=1e-12)
+
+
+HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
+
+
+def test_texts_of_a_run_are_shown_as_text_and_never_run(example: Any, tmp_path: Path) -> None:
+    """Names, warnings, captions, configuration and metrics of a run that someone else gave."""
+    run = tmp_path / HOSTILE.replace("/", "_")
+    run.mkdir()
+    write_run(
+        run, config=Config(), tracks=example.tracks, estimate=example.estimate, surface=example.surface,
+        timing_s={}, relative=example.relative,
+    )  # fmt: skip
+    content = json.loads((run / "summary.json").read_text())
+    content["warnings"] = [HOSTILE]
+    content["identifiable_detail"] = {HOSTILE: "not " + HOSTILE}
+    content["solver"] |= {"name": HOSTILE, "message": HOSTILE, "runner_up": {HOSTILE: 1.0}}
+    (run / "summary.json").write_text(json.dumps(content))
+    (run / "metrics.json").write_text(json.dumps({HOSTILE: HOSTILE, "b": {HOSTILE: 1.0, "list": [HOSTILE]}}))
+    (run / "config.yaml").write_text(f"# </pre></script>{HOSTILE}\n")
+    (run / "pictures").mkdir(exist_ok=True)
+    Image.new("L", (8, 8)).save(run / "pictures" / "a.png")
+    (run / "pictures" / "captions.json").write_text(json.dumps({"a.png": HOSTILE}))
+    pages = [tmp_path / "one.html", tmp_path / "two.html"]
+    write_report(run, pages[0])
+    write_comparison([run, run], pages[1])
+    for page in pages:
+        text = page.read_text()
+        assert "<script>alert" not in text and "<img src=x" not in text
+        assert "&lt;script&gt;alert(1)" in text
+        elements = _Elements(text)
+        assert "onerror" not in elements.attributes and "x" not in elements.sources
+
+
+class _Elements(HTMLParser):
+    """The names of all attributes of a page, and what its images load."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.attributes: set[str] = set()
+        self.sources: set[str | None] = set()
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.attributes |= {name for name, _ in attrs}
+        self.sources |= {value for name, value in attrs if name == "src"}
