@@ -146,9 +146,27 @@ def _context(preload: Sequence[str]) -> BaseContext:
 
 
 @contextlib.contextmanager
+def _environment(name: str, value: str) -> Iterator[None]:
+    """A variable of the environment, for processes that are started in the block."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
+
+
+@contextlib.contextmanager
 def _signals_blocked() -> Iterator[None]:
-    """Processes that are started in the block see no interrupts; this one sees them when the block ends."""
-    with interrupts_delayed():
+    """Processes that are started in the block see no interrupts; this one sees them when the block ends.
+
+    Nor do they look for modules in the current folder, which may be another person's: Python starts them as
+    ``python -c``, which would put that folder first.
+    """
+    with interrupts_delayed(), _environment("PYTHONSAFEPATH", "1"):
         previous = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         if threading.current_thread() is threading.main_thread():
             os.environ[fork_server.PARENT] = str(os.getpid())

@@ -164,7 +164,8 @@ def test_a_folder_of_other_things_is_not_touched(
         (other / name).write_text("dear")
         assert main(["compare", str(config), "--run", str(run), "-o", str(other)]) == 2
         stderr = capsys.readouterr().err
-        assert "letter.txt, which polhode compare did not write" in stderr and stderr.count("\n") == 1
+        (first, *_) = name.split("/")
+        assert f"{first}, which polhode compare did not write" in stderr and stderr.count("\n") == 1
         assert [path for path in other.rglob("*") if path.is_file()] == [other / name]
         assert (other / name).read_text() == "dear"
     missing = ["compare", str(config), "--run", str(tmp_path / "no"), "-o", str(tmp_path / "new")]

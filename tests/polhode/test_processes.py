@@ -111,6 +111,26 @@ def test_processes_end_with_their_parent_whatever_they_are_doing(work: str, tmp_
     assert _eventually(lambda: not any(_is_there(number) for number in family), limit_s=10.0)
 
 
+def test_workers_import_no_module_from_the_current_folder(tmp_path: Path) -> None:
+    """It may be the dataset of another person."""
+    ours, theirs = tmp_path / "ours", tmp_path / "theirs"
+    for folder in (ours, theirs):
+        folder.mkdir()
+    (ours / "start.py").write_text(
+        "import os\nfrom polhode.processes import in_order\n\nif __name__ == '__main__':\n"
+        "    assert list(in_order(abs, range(3), 2, ['yaml'])) == [0, 1, 2]\n"
+        "    print('PYTHONSAFEPATH' in os.environ)\n"
+    )
+    for module in ("multiprocessing", "selectors", "yaml", "polhode"):
+        (theirs / f"{module}.py").write_text("open('sprung', 'a').write(__name__)\n")
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    environment.pop("PYTHONSAFEPATH", None)
+    command = [sys.executable, str(ours / "start.py")]
+    done = subprocess.run(command, cwd=theirs, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "False\n", "")
+    assert not (theirs / "sprung").exists()
+
+
 def test_the_fork_server_ends_with_its_parent_even_amid_its_imports(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(
         "import os, time\nfrom pathlib import Path\nPath('1.pid').write_text(str(os.getpid()))\n"
