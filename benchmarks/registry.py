@@ -141,6 +141,7 @@ BENCHMARKS = (
     Benchmark("against_mitsuba", "rendering.against_mitsuba", "docs/simulation.md", 20, "-o runs/mitsuba.png",
               "--width 64 --samples 64", ("mitsuba",)),
     Benchmark("rendering_time", "rendering.rendering_time", "docs/simulation.md", 20),
+    Benchmark("fuzz", "robustness.fuzzing", "docs/testing.md", 340),
     Benchmark("leaks", "robustness.leaks", "docs/testing.md", 60),
     Benchmark("leaks_images", "robustness.leaks", "docs/testing.md", 20, "images", "images --short"),
     Benchmark("faults", "robustness.data_faults", "docs/robustness.md", 240),

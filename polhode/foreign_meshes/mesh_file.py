@@ -21,6 +21,8 @@ from polhode.foreign_meshes.unsound import MAX_FACES, Unsound
 BINARY_BYTES = 64 * MIB
 TEXT_BYTES = 16 * MIB
 """trimesh needs some thirty times as much memory to read a text; with these limits it stays below 1 GiB."""
+MAX_COORDINATE = 1e12
+"""In units of the file, whatever they are."""
 KINDS: Mapping[str, Callable[[bytes], None]] = {
     "ply": require_sound_ply,
     "stl": require_sound_stl,
@@ -51,6 +53,7 @@ class MeshFile:
         mesh: trimesh.Trimesh = self._loaded(trimesh.load_mesh, options)
         return mesh
 
+    @np.errstate(all="ignore")
     def merged(self) -> trimesh.Trimesh:
         """All triangles as one mesh, the vertices of each piece merged where they coincide.
 
@@ -63,14 +66,15 @@ class MeshFile:
             ]:
                 scene.delete_geometry(name)
             for each in scene.geometry.values():
-                if not np.isfinite(each.vertices).all():
-                    raise Unsound("a vertex is not finite")
+                require_coordinates(each)
                 each.process()
             mesh: trimesh.Trimesh = scene.to_mesh()
+            require_coordinates(mesh)
             return mesh
         except Exception as error:  # noqa: BLE001  as above
             raise unreadable(self.path, error) from None
 
+    @np.errstate(all="ignore")
     def _loaded(self, load: Callable[..., Any], options: dict[str, Any]) -> Any:
         try:
             loaded = load(BytesIO(self.content), file_type=self.kind, resolver=self.resolver, **options)
@@ -113,10 +117,21 @@ def _require_sound(mesh: Any) -> None:
     if not isinstance(mesh, trimesh.Trimesh):
         return
     faces = np.asarray(mesh.faces)
+    if np.shape(mesh.vertices)[1:] != (3,) or faces.shape[1:] != (3,):
+        raise Unsound("vertices without three coordinates, or faces without three corners")
     if len(faces) > MAX_FACES:
         raise Unsound(f"{len(faces)} triangles, where {MAX_FACES} are allowed")
     if len(faces) and (faces.min() < 0 or faces.max() >= len(mesh.vertices)):
         raise Unsound("faces refer to vertices that do not exist")
+
+
+def require_coordinates(mesh: trimesh.Trimesh) -> None:
+    """Raises Unsound: a vertex that is not finite, or farther out than numbers of single precision are of use."""
+    vertices = np.asarray(mesh.vertices)
+    if not np.isfinite(vertices).all():
+        raise Unsound("a vertex is not finite")
+    if len(vertices) and np.abs(vertices).max() > MAX_COORDINATE:
+        raise Unsound(f"a coordinate of {np.abs(vertices).max():.1e}")
 
 
 def unreadable(path: Path, error: Exception) -> InputError:

@@ -18,7 +18,7 @@ from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from polhode.errors import InputError
 from polhode.foreign_meshes import MeshFile, open_mesh
-from polhode.foreign_meshes.mesh_file import unreadable
+from polhode.foreign_meshes.mesh_file import require_coordinates, unreadable
 from polhode.foreign_meshes.obj import FilesBeside
 from polhode.foreign_meshes.textures import share_textures
 from polhode.lie import Array
@@ -56,9 +56,13 @@ def read_pieces(path: Path, metres_per_unit: float) -> list[FilePiece]:
     found = _geometries(path)
     if not found:
         raise InputError(f"{path}: the mesh has no faces; export it as triangles")
-    if not all(np.isfinite(mesh.vertices).all() for _, _, mesh in found):
-        raise InputError(f"{path}: the mesh has vertices that are not finite; repair it")
-    pieces = [_piece(label, name, mesh, metres_per_unit) for label, name, mesh in found]
+    try:
+        for _, _, mesh in found:
+            require_coordinates(mesh)
+        with np.errstate(all="ignore"):
+            pieces = [_piece(label, name, mesh, metres_per_unit) for label, name, mesh in found]
+    except Exception as error:  # noqa: BLE001  meshes that trimesh read and cannot handle
+        raise unreadable(path, error) from None
     pieces = [piece for piece in pieces if len(piece.mesh.faces) > 0]
     if not pieces:
         raise InputError(f"{path}: all faces of the mesh have no area; repair it")
@@ -66,6 +70,7 @@ def read_pieces(path: Path, metres_per_unit: float) -> list[FilePiece]:
     return pieces
 
 
+@np.errstate(all="ignore")
 def _geometries(path: Path) -> list[tuple[str, str, trimesh.Trimesh]]:
     """All meshes of a file with their names, in the frame of the file's scene."""
     if not path.exists():

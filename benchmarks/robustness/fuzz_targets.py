@@ -1,0 +1,505 @@
+"""The readers that fuzzing calls, each with a small valid corpus that our own writers made.
+
+A target lays a folder out once (a sequence, a run) and then replaces one file in it by each input.
+"""
+
+import importlib
+import io
+import json
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+Read = Callable[[Path], object]
+"""From the file that the input was written to."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """One reader of one kind of file."""
+
+    name: str
+    file: str
+    """Where the input is written, relative to the folder of the target"""
+    kind: str
+    """How mutation sees it: text, bytes, zip, png, glb, safetensors"""
+    seeds: Callable[[], list[bytes]]
+    read: Read
+    lay_out: Callable[[Path], None] = lambda folder: None
+    """Make what else the reader needs"""
+    modules: tuple[str, ...] = ()
+    """Whose branches guide the search, besides those that all targets share"""
+    words: tuple[bytes, ...] = field(default=())
+    """Tokens of the format"""
+
+
+SHARED_MODULES = ("polhode.foreign_files", "polhode.tables", "polhode.yaml_files", "polhode.errors")
+NUMBERS = (
+    *(
+        b"nan",
+        b"inf",
+        b"-inf",
+        b"1e308",
+        b"1e-320",
+        b"-0",
+        b"0",
+        b"-1",
+        b"1e400",
+        b"0x10",
+        b"1_0",
+        b"9" * 400,
+    ),
+    *(b"2147483648", b"4294967295", b"9223372036854775807", b"9223372036854775808", b"18446744073709551615"),
+)
+TEXT_WORDS = (
+    *NUMBERS,
+    b",",
+    b"\n",
+    b"\r",
+    b"\0",
+    b"\xff\xfe",
+    b"\xef\xbb\xbf",
+    b"#",
+    b"\xe2\x80\xa8",
+    b"\x1b[2J",
+)
+YAML_WORDS = (
+    *TEXT_WORDS, b"&a ", b"*a", b"<<: ", b"[", b"]", b"{", b"}", b": ", b"- ", b"!!python/object/apply:os.system ",
+    b"2024-99-99", b"~", b"null", b"extends: ", b"? ", b"|", b">", b"%YAML 1.1", b"---\n", b"...", b"!!set ", b"!!binary ",
+)  # fmt: skip
+JSON_WORDS = (
+    *NUMBERS,
+    b"null",
+    b"true",
+    b"{",
+    b"}",
+    b"[",
+    b"]",
+    b"NaN",
+    b"Infinity",
+    b'"\\ud800"',
+    b'"',
+    b"[" * 500,
+)
+OBJ_WORDS = (
+    *NUMBERS,
+    b"v ",
+    b"vt ",
+    b"vn ",
+    b"f ",
+    b"mtllib ",
+    b"usemtl ",
+    b"o ",
+    b"g ",
+    b"/",
+    b"//",
+    b"\\\n",
+    b"-1",
+)
+PLY_WORDS = (
+    *NUMBERS, b"element ", b"property list uchar int ", b"property float ", b"ascii", b"binary_big_endian",
+    b"comment TextureFile /etc/passwd\n", b"end_header\n", b"vertex ", b"face ", b"edge ", b"double ",
+)  # fmt: skip
+
+
+def _call(name: str, *arguments: Any) -> Read:
+    """The function ``module:name``, imported when it is first called."""
+    module, _, attribute = name.partition(":")
+
+    def read(file: Path) -> object:
+        return getattr(importlib.import_module(module), attribute)(file, *arguments)
+
+    return read
+
+
+# --- the parts of a sequence ------------------------------------------------------------------------------
+
+SIZE = (64, 48)
+STAMPS = 1_600_000_000_000_000_000 + 500_000_000 * np.arange(4, dtype=np.int64)
+
+
+def _sequence(folder: Path) -> None:
+    """Four pairs of 64 x 48 px, with poses of the inspector, wrench and masks."""
+    from polhode.dataset_writer import image_path, mask_path, write_camera_csv, write_png, write_sensor
+
+    rng = np.random.default_rng(7)
+    mav0 = folder / "mav0"
+    for index in (0, 1):
+        K = np.array([[50.0, 0.0, 31.5], [0.0, 51.0, 23.5], [0.0, 0.0, 1.0]])
+        X_BC = np.eye(4)
+        X_BC[0, 3] = 0.09 * index
+        write_sensor(mav0 / f"cam{index}", K, np.array([-0.1, 0.01, 0.0, 0.0]), X_BC, *SIZE, rate_hz=2.0)
+        write_camera_csv(mav0 / f"cam{index}", STAMPS)
+        for stamp in STAMPS:
+            image = rng.integers(0, 250, SIZE[::-1]).astype(np.uint8)
+            write_png(image_path(mav0 / f"cam{index}", int(stamp)), image)
+            write_png(mask_path(mav0, index, int(stamp)), image > 100)
+
+
+def _poses(columns: int) -> bytes:
+    row = {7: "0.1,0.2,0.3,1,0,0,0", 6: "0.1,0,0,0,0,1e-3", 13: "0,0,1,1,0,0,0,0,0,0,0.1,0.2,0.3"}[columns]
+    return ("#timestamp [ns],x\n" + "".join(f"{stamp},{row}\n" for stamp in STAMPS)).encode()
+
+
+def _open_sequence(file: Path) -> object:
+    from polhode.dataset import open_sequence
+
+    return open_sequence(next(parent for parent in file.parents if (parent / "mav0").is_dir()))
+
+
+def _of_sequence(file: str) -> Callable[[], list[bytes]]:
+    """The file of the sequence as it is written."""
+
+    def seeds() -> list[bytes]:
+        with TemporaryDirectory() as folder:
+            _sequence(Path(folder))
+            return [(Path(folder) / file).read_bytes()]
+
+    return seeds
+
+
+def _truth(folder: Path) -> None:
+    target = folder / "mav0" / "target0"
+    target.mkdir(parents=True)
+    (target / "data.csv").write_bytes(_poses(13))
+    properties = {"moments": [1.2, 1.0, 0.8], "com_G": [0, 0, 0.1], "R_GP": [1, 0, 0, 0, 1, 0, 0, 0, 1]}
+    (target / "target.yaml").write_text(json.dumps(properties))
+
+
+def _read_truth(file: Path) -> object:
+    from polhode.truth import read_truth
+
+    return read_truth(file.parents[2])
+
+
+# --- images ------------------------------------------------------------------------------------------------
+
+
+def _images() -> list[bytes]:
+    from PIL import Image
+
+    grey = np.random.default_rng(0).integers(0, 255, SIZE[::-1]).astype(np.uint8)
+    deep = grey.astype(np.uint16) * 16
+    found = []
+    for values, formats in ((grey, ("PNG", "TIFF", "JPEG", "BMP", "PPM")), (deep, ("PNG", "TIFF", "PPM"))):
+        for form in formats:
+            stream = io.BytesIO()
+            Image.fromarray(values).save(stream, form)
+            found.append(stream.getvalue())
+    for mode, form, options in (
+        ("RGB", "PNG", {}), ("P", "PNG", {}), ("1", "PNG", {}), ("RGBA", "TIFF", {}), ("RGB", "JPEG", {"progressive": True}),
+        ("RGB", "TIFF", {"compression": "tiff_lzw"}), ("L", "TIFF", {"compression": "tiff_adobe_deflate"}), ("P", "BMP", {}),
+    ):  # fmt: skip
+        stream = io.BytesIO()
+        Image.fromarray(grey).convert(mode).save(stream, form, **options)
+        found.append(stream.getvalue())
+    return found
+
+
+# --- the parts of a run ------------------------------------------------------------------------------------
+
+
+def _run(folder: Path) -> None:
+    """The run of the tests, on disk: a box that tumbles, estimated in 24 frames."""
+    from tests.pipeline.conftest import make_example
+    from tests.pipeline.stored_run import write_run
+
+    from polhode.config import Config
+
+    example = make_example()
+    write_run(
+        folder,
+        config=Config(),
+        tracks=example.tracks,
+        estimate=example.estimate,
+        surface=example.surface,
+        timing_s={},
+        relative=example.relative,
+        pictures={"a frame": _images()[0]},
+    )
+
+
+_files_of_run: dict[str, bytes] = {}
+
+
+def _of_run(*names: str) -> Callable[[], list[bytes]]:
+    """Files of the run as it is written."""
+
+    def seeds() -> list[bytes]:
+        if not _files_of_run:
+            with TemporaryDirectory() as folder:
+                run = Path(folder) / "run"
+                run.mkdir()
+                _run(run)
+                for file in run.rglob("*"):
+                    if file.is_file():
+                        _files_of_run[file.relative_to(run).as_posix()] = file.read_bytes()
+        return [_files_of_run[name] for name in names]
+
+    return seeds
+
+
+def _lay_out_run(folder: Path) -> None:
+    (folder / "run").mkdir()
+    _run(folder / "run")
+
+
+def _read_run(file: Path) -> object:
+    from polhode.pipeline.run_directory.stored_run import read_stored_run
+
+    return read_stored_run(next(each for each in file.parents if each.name == "run"), "run")
+
+
+def _archive(**arrays: Any) -> bytes:
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def _pixel_truth() -> list[bytes]:
+    h, w = 6, 8
+    return [
+        _archive(depth=np.ones((h, w), "f4"), shadow=np.zeros((h, w), "u1")),
+        _archive(normals=np.zeros((h, w, 3), "f4"), mask=np.ones((h, w), bool), albedo=np.ones((h, w), "f4")),
+    ]
+
+
+def _small_online() -> list[bytes]:
+    full = _of_run("measurements.npz")()
+    return [*full, *_pixel_truth()]
+
+
+# --- meshes ------------------------------------------------------------------------------------------------
+
+
+def _meshes(kind: str) -> Callable[[], list[bytes]]:
+    def seeds() -> list[bytes]:
+        import trimesh
+
+        box = trimesh.creation.box([0.2, 0.3, 0.4])
+        tetrahedron = trimesh.Trimesh(
+            np.vstack([np.zeros(3), np.eye(3)]), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+        )
+        coloured = tetrahedron.copy()
+        coloured.visual.vertex_colors = [200, 10, 10, 255]
+        found = [_bytes(mesh.export(file_type=kind)) for mesh in (box, tetrahedron, coloured)]
+        if kind == "ply":
+            found += [_bytes(coloured.export(file_type="ply", encoding="ascii"))]
+        if kind == "stl":
+            found += [_bytes(tetrahedron.export(file_type="stl_ascii"))]
+        if kind == "obj":
+            found += [
+                b"mtllib a.mtl\no part\nv 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\n"
+                b"usemtl gold\nf 1/1/1 2/2/1 3/3/1\ng more\nf 1 2 3\nf -1 -2 -3\n",
+                b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nf 1 2 3 4\nf 1 2 5\nf 1 2 3 4 5\n",
+            ]
+        if kind == "glb":
+            scene = trimesh.Scene()
+            scene.add_geometry(
+                box, node_name="wing", transform=trimesh.transformations.translation_matrix([1, 0, 0])
+            )
+            scene.add_geometry(coloured, node_name="nozzle")
+            found += [_bytes(scene.export(file_type="glb"))]
+        return found
+
+    return seeds
+
+
+def _bytes(content: Any) -> bytes:
+    return content.encode() if isinstance(content, str) else bytes(content)
+
+
+def _read_mesh(file: Path) -> None:
+    """As a CAD model and as a simulated body."""
+    from polhode.errors import InputError
+    from polhode.mapping.mesh_files import read_mesh
+    from polhode.simulation.bodies.mesh_file import file_appearance, read_pieces
+
+    refused: InputError | None = None
+    try:
+        read_mesh(file, 1.0)
+    except InputError as error:
+        refused = error
+    for piece in read_pieces(file, 1.0):
+        file_appearance(piece, file.suffix == ".glb")
+    if refused is not None:
+        raise refused
+
+
+def _textured(folder: Path) -> None:
+    _write(
+        folder / "mesh.obj",
+        b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n",
+    )
+    _write(folder / "skin.png", _images()[0])
+
+
+def _read_textured(file: Path) -> None:
+    _read_mesh(file.with_name("mesh.obj"))
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+
+
+# --- others ------------------------------------------------------------------------------------------------
+
+
+def _configurations() -> list[bytes]:
+    from benchmarks.command import ROOT
+
+    short = b"seed: 3\nscene:\n  frames: 8\n  body: {family: bus, size_m: 0.4}\n  motion:\n    spin_rpm: [1.0, 2.0, 0.5]\n"
+    names = (
+        "configs/default.yaml",
+        "configs/sample.yaml",
+        "configs/scenes/known_torque.yaml",
+        "configs/compare/short.yaml",
+    )
+    return [short, *((ROOT / name).read_bytes() for name in names)]
+
+
+def _read_overrides(file: Path) -> object:
+    """The lines of the file as words of a command line."""
+    from polhode.cli.overrides import split_overrides
+    from polhode.config.loader import load_config
+
+    words = file.read_bytes().decode("utf-8", errors="surrogateescape").replace("\0", "").split("\n")
+    own, overrides = split_overrides(words)
+    return load_config(None, overrides)
+
+
+def _tensors() -> list[bytes]:
+    header = json.dumps({"a": {"dtype": "F32", "shape": [2, 3], "data_offsets": [0, 24]}}).encode()
+    return [struct.pack("<Q", len(header)) + header + bytes(24)]
+
+
+def _read_tensors(file: Path) -> object:
+    import torch
+
+    from polhode.errors import InputError
+    from polhode.frontend.networks.tensor_file import TensorFileError, read_tensors
+
+    try:
+        return read_tensors(file, {"a": torch.zeros(2, 3)})
+    except TensorFileError as error:
+        # Both callers put it into one line of InputError.
+        raise InputError(str(error)) from None
+
+
+def _comparisons() -> list[bytes]:
+    content = {
+        "schema": "polhode-compare/1", "limit_s": 60.0, "machine": "m", "versions": {"casadi": "3"}, "problems": [],
+        "rows": [], "profiles": [],
+    }  # fmt: skip
+    return [json.dumps(content).encode()]
+
+
+def _table_of_run(name: str) -> Callable[[], list[bytes]]:
+    """The first rows of a table."""
+
+    def seeds() -> list[bytes]:
+        return [b"\n".join(_of_run(name)()[0].split(b"\n")[:4]) + b"\n"]
+
+    return seeds
+
+
+def _tum() -> list[bytes]:
+    return [b"# t x y z qx qy qz qw\n0.0 0 0 1 0 0 0 1\n0.5 0.1 0 1 0 0 0.1 0.995\n1,0,0,1,0,0,0,1\n"]
+
+
+def _points() -> list[bytes]:
+    return [b"x,y,z,u,v,w\n0,0,0,0,0,0\n1,0,0,1000,0,0\n0,1,0,0,1000,0\n0 0 1 0 0 1000\n"]
+
+
+_TABLE = ("polhode.dataset", "polhode.calibration")
+_MESH = (
+    "polhode.foreign_meshes", "polhode.mapping.mesh_files", "polhode.simulation.bodies.mesh_file", "trimesh.exchange",
+)  # fmt: skip
+_NPZ = ("polhode.array_files", "polhode.pipeline.run_directory.archives", "zipfile", "numpy.lib._format_impl")
+_PICTURE = ("polhode.images", "PIL.PngImagePlugin", "PIL.TiffImagePlugin", "PIL.JpegImagePlugin", "PIL.BmpImagePlugin",
+            "PIL.PpmImagePlugin", "PIL.ImageFile")  # fmt: skip
+_STORED = ("polhode.pipeline.run_directory",)
+_YAML = ("polhode.config", "yaml")
+
+TARGETS: tuple[Target, ...] = (
+    Target("configuration", "config.yaml", "text", _configurations, _call("polhode.config.loader:load_config"),
+           modules=_YAML, words=YAML_WORDS),
+    Target("command_line", "words", "text", lambda: [b"--backend.inertia\nratios_axes\n--seed=4\n--scene.motion.spin_rpm\n[1,2,3]"],
+           _read_overrides, modules=("polhode.config", "polhode.cli.overrides"), words=YAML_WORDS),
+    Target("calibration", "mav0/cam0/sensor.yaml", "text", _of_sequence("mav0/cam0/sensor.yaml"), _open_sequence,
+           _sequence, (*_TABLE, "yaml"), YAML_WORDS),
+    Target("camera_table", "mav0/cam1/data.csv", "text", _of_sequence("mav0/cam1/data.csv"), _open_sequence, _sequence,
+           _TABLE, (*TEXT_WORDS, b"../", b"/dev/zero", b"/etc/passwd", b".png")),
+    Target("inspector_table", "mav0/inspector0/data.csv", "text", lambda: [_poses(7)], _open_sequence, _sequence, _TABLE,
+           TEXT_WORDS),
+    Target("inspector_sigmas", "mav0/inspector0/sensor.yaml", "text", lambda: [b"sigma_p_m: 0.001\nsigma_theta_rad: 1e-4\n"],
+           _open_sequence, lambda folder: (_sequence(folder), _write(folder / "mav0/inspector0/data.csv", _poses(7)))[0],
+           (*_TABLE, "yaml"), YAML_WORDS),
+    Target("wrench_table", "mav0/wrench0/data.csv", "text", lambda: [_poses(6)], _open_sequence, _sequence, _TABLE, TEXT_WORDS),
+    Target("truth_table", "mav0/target0/data.csv", "text", lambda: [_poses(13)], _read_truth, _truth, ("polhode.truth",),
+           TEXT_WORDS),
+    Target("truth_properties", "mav0/target0/target.yaml", "text",
+           lambda: [b"moments: [1.2, 1.0, 0.8]\nk1: 0.18\nk2: 0.22\ncom_G: [0, 0, 0.1]\nR_GP: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nmass_kg: 3\n"],
+           _read_truth, _truth, ("polhode.truth", "yaml"), YAML_WORDS),
+    Target("truth_mesh", "mav0/target0/mesh.ply", "bytes", _meshes("ply"), _read_truth, _truth, (*_MESH, "polhode.truth"), PLY_WORDS),
+    Target("image", "mav0/cam0/data/1600000000500000000.png", "png", _images, _open_sequence, _sequence, _PICTURE),
+    Target("mask", "mav0/masks0/1600000000500000000.png", "png", _images, _open_sequence, _sequence, _PICTURE),
+    Target("trajectory", "trajectory.csv", "text", _table_of_run("trajectory.csv"),
+           _call("polhode.pipeline.run_directory.trajectory_file:read_trajectory"), modules=_STORED, words=TEXT_WORDS),
+    Target("measurements", "measurements.npz", "zip", _of_run("measurements.npz"),
+           _call("polhode.pipeline.run_directory.archives:read_measurements"), modules=_NPZ),
+    Target("residuals", "measurements.npz", "zip", _of_run("measurements.npz"),
+           _call("polhode.pipeline.run_directory.archives:read_residuals"), modules=_NPZ),
+    Target("covariance", "covariance.npz", "zip", _of_run("covariance.npz"),
+           _call("polhode.pipeline.run_directory.archives:read_covariance"), modules=_NPZ),
+    Target("online", "online.npz", "zip", _small_online, _call("polhode.pipeline.run_directory.archives:read_online"),
+           modules=_NPZ),
+    Target("pixel_truth", "truth.npz", "zip", _pixel_truth, _call("polhode.simulation.dataset.frame_renderer:read_products"),
+           modules=_NPZ),
+    Target("frozen_problem", "p.problem.npz", "zip", _pixel_truth, _call("polhode.compare.problem.problem_file:read_problem"),
+           modules=(*_NPZ, "polhode.compare.problem.problem_file")),
+    Target("summary", "summary.json", "text", _of_run("summary.json"),
+           _call("polhode.pipeline.run_directory.summary:read_summary"), modules=_STORED, words=JSON_WORDS),
+    Target("metrics", "run/metrics.json", "text", lambda: [b'{"rmse_position_m": 1.25e-4, "nees": {"inertia": null}}'],
+           _read_run, _lay_out_run, _STORED, JSON_WORDS),
+    Target("captions", "run/pictures/captions.json", "text", lambda: [b'{"00.png": "a frame"}'], _read_run, _lay_out_run,
+           _STORED, (*JSON_WORDS, b"../", b"/etc/passwd", b"00.png")),
+    Target("comparison", "compare.json", "text", _comparisons, _call("polhode.compare.rows:read_comparison"),
+           modules=("polhode.compare.rows",), words=JSON_WORDS),
+    Target("landmarks", "landmarks.ply", "bytes", _of_run("landmarks.ply"),
+           _call("polhode.pipeline.run_directory.point_cloud_file:read_landmarks"), modules=_STORED, words=PLY_WORDS),
+    Target("run_mesh", "mesh.ply", "bytes", _of_run("mesh.ply"), _call("polhode.mapping.mesh_files:read_ply"),
+           modules=_MESH, words=PLY_WORDS),
+    Target("mesh_ply", "mesh.ply", "bytes", _meshes("ply"), _read_mesh, modules=_MESH, words=PLY_WORDS),
+    Target("mesh_stl", "mesh.stl", "bytes", _meshes("stl"), _read_mesh, modules=_MESH,
+           words=(*NUMBERS, b"solid ", b"endsolid", b"vertex ", b"facet normal ")),
+    Target("mesh_obj", "mesh.obj", "text", _meshes("obj"), _read_mesh, modules=_MESH, words=OBJ_WORDS),
+    Target("mesh_glb", "mesh.glb", "glb", _meshes("glb"), _read_mesh, modules=_MESH, words=JSON_WORDS),
+    Target("material_library", "a.mtl", "text", lambda: [b"newmtl m\nKd 1 0.5 0.2\nNs 30\nmap_Kd skin.png\n"], _read_textured,
+           _textured, _MESH, (*NUMBERS, b"newmtl ", b"map_Kd ", b"../", b"/dev/zero", b"Kd ", b"Ns ")),
+    Target("texture", "skin.png", "png", _images, _read_textured,
+           lambda folder: (_textured(folder), _write(folder / "a.mtl", b"newmtl m\nmap_Kd skin.png\n"))[0],
+           (*_MESH, *_PICTURE)),
+    Target("weights", "w.safetensors", "safetensors", _tensors, _read_tensors, modules=("polhode.frontend.networks",),
+           words=(*JSON_WORDS, b'"F32"', b'"BF16"', b"data_offsets", b"__metadata__")),
+    Target("poses_tum", "poses.txt", "text", _tum, _call("polhode.pipeline.after_run.observability.assess:read_poses"),
+           modules=("polhode.pipeline.after_run.observability.assess",), words=TEXT_WORDS),
+    Target("corresponding_points", "points.csv", "text", _points,
+           _call("polhode.pipeline.after_run.export.placement:_from_points", 1e-3),
+           modules=("polhode.pipeline.after_run.export.placement",), words=TEXT_WORDS),
+)  # fmt: skip
+"""Bags and what `polhode import` will read do not exist yet."""
+
+
+def target_named(name: str) -> Target:
+    """Raises SystemExit for an unknown name."""
+    for target in TARGETS:
+        if target.name == name:
+            return target
+    raise SystemExit(f"{name}: no such target; they are {', '.join(each.name for each in TARGETS)}")

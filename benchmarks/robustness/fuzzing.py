@@ -1,0 +1,171 @@
+"""Fuzzing of every reader of files: inputs tried, and those that end in anything but success or one line of InputError.
+
+    python -m benchmarks.robustness.fuzzing [TARGET ...] [--seconds 600] [--engine automatic|atheris|own]
+
+Each target runs in a process of its own. An input may take 5 s of processor time and 1 GiB of memory, may print
+nothing and may touch nothing but the file that is read. Whatever else it does is a finding: it is stored, with
+its traceback, under runs/fuzzing/TARGET/findings, one input for each place in the code. With --short every target
+has 20 s. Targets of the record are not fuzzed again; --again removes them from it first. Atheris, which follows
+the coverage of branches, is used where it is installed (pip install .[fuzz]).
+"""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from tyro.conf import Positional, arg
+
+from benchmarks.command import RECORDS, ROOT, Record, Short, command
+from benchmarks.presentation import print_table
+from benchmarks.record import complete, forget
+from benchmarks.robustness.fuzz_check import Finding
+from benchmarks.robustness.fuzz_process import store_finding
+from benchmarks.robustness.fuzz_targets import TARGETS, target_named
+
+RUNS = ROOT / "runs" / "fuzzing"
+SILENT_S = 60.0
+"""After this long without a sign of life the process is killed: a library in C hangs."""
+START_S = 300.0
+
+
+def main(
+    targets: Positional[Annotated[tuple[str, ...], arg(metavar="TARGET")]] = (),
+    short: Short = False,
+    seconds: Annotated[float | None, arg(help="Time of each target [s].")] = None,
+    engine: Annotated[
+        Literal["automatic", "atheris", "own"], arg(help="What makes the inputs.")
+    ] = "automatic",
+    again: Annotated[bool, arg(help="Measure targets again that the record has.")] = False,
+    record: Record | None = None,
+) -> None:
+    """Fuzz the targets one after another and print the table."""
+    names = targets or tuple(each.name for each in TARGETS)
+    for name in names:
+        target_named(name)
+    used = ("atheris" if find_spec("atheris") else "own") if engine == "automatic" else engine
+    duration = seconds or (20.0 if short else 600.0)
+    path = record or (RUNS / "short.jsonl" if short or duration < 600.0 else RECORDS / "fuzzing.jsonl")
+    if again:
+        forget(path, lambda case: case["target"] in names)
+    cases = [{"target": name, "seconds": duration} for name in names]
+    lines = complete(path, cases, Fuzz(used), workers=1)
+    print_table(
+        "target | engine | inputs | seconds | inputs/s | branches | findings",
+        (_row(line) for line in lines),
+    )
+    total = sum(line["inputs"] for line in lines)
+    found = [place for line in lines for place in line["findings"]]
+    print(
+        f"\n{total} inputs in {sum(line['seconds'] for line in lines) / 60:.0f} minutes, {len(found)} findings."
+    )
+    for line in lines:
+        for place in line["findings"]:
+            print(f"{line['case']['target']}: {place}")
+
+
+def _row(line: dict[str, Any]) -> tuple[str, ...]:
+    rate = line["inputs"] / max(line["seconds"], 1e-9)
+    branches = "" if line["branches"] is None else str(line["branches"])
+    return (
+        line["case"]["target"],
+        line["engine"],
+        str(line["inputs"]),
+        f"{line['seconds']:.0f}",
+        f"{rate:.0f}",
+        branches,
+        str(len(line["findings"])),
+    )
+
+
+@dataclass(frozen=True)
+class Fuzz:
+    """Measures a target; a process that dies or hangs is a finding, and another one goes on."""
+
+    engine: str
+
+    def __call__(self, case: dict[str, Any]) -> dict[str, Any]:
+        """Inputs, seconds, covered branches and places of findings."""
+        name, folder = case["target"], RUNS / case["target"]
+        shutil.rmtree(folder, ignore_errors=True)
+        inputs, seconds, branches, part = 0, 0.0, None, 0
+        while seconds < case["seconds"] - 1.0 and part < 20:
+            state, ended, found = _session(
+                name, folder / f"part{part}", case["seconds"] - seconds, self.engine, part
+            )
+            inputs, seconds = inputs + state["inputs"], seconds + max(state["seconds"], 0.1)
+            branches = max(branches or 0, found) if found is not None else branches
+            if ended:
+                _keep_last_input(folder / f"part{part}", name, ended)
+            part += 1
+        places = sorted({_first_line(file) for file in folder.glob("part*/findings/*.txt")})
+        return {
+            "engine": self.engine,
+            "inputs": inputs,
+            "seconds": round(seconds, 1),
+            "branches": branches,
+            "findings": places,
+        }
+
+
+def _session(
+    name: str, folder: Path, seconds: float, engine: str, seed: int
+) -> tuple[dict[str, Any], str, int | None]:
+    """State of a process at its end, how it died (empty: it did not), and the branches that Atheris counted."""
+    folder.mkdir(parents=True)
+    words = ["-m", "benchmarks.robustness.fuzz_process", name, str(folder), str(seconds), engine, str(seed)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"}
+    output = folder / "output.txt"
+    with output.open("wb") as stream:
+        process = subprocess.Popen(
+            [sys.executable, *words], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=stream
+        )
+        hung = _wait(process, folder, seconds)
+    text = output.read_text(errors="replace")
+    state_file = folder / "state.json"
+    state = json.loads(state_file.read_text()) if state_file.is_file() else {"inputs": 0, "seconds": seconds}
+    if done := re.search(r"Done (\d+) runs in (\d+) second", text):
+        state = {"inputs": int(done[1]), "seconds": max(float(done[2]), state["seconds"])}
+    covered = re.findall(r"\bcov: (\d+)", text)
+    ended = "hung" if hung else "" if process.returncode == 0 else f"died with {process.returncode}"
+    return state, ended, int(covered[-1]) if covered else None
+
+
+def _wait(process: "subprocess.Popen[bytes]", folder: Path, seconds: float) -> bool:
+    """Until it ends; True when it had to be killed since it gave no sign of life."""
+    start = time.monotonic()
+    while process.poll() is None:
+        time.sleep(0.5)
+        state = folder / "state.json"
+        if not state.is_file():
+            silent = time.monotonic() - start - START_S
+        else:
+            silent = time.time() - state.stat().st_mtime - SILENT_S
+        if silent > 0 or time.monotonic() - start > seconds + START_S:
+            process.kill()
+            process.wait()
+            return True
+    return False
+
+
+def _keep_last_input(folder: Path, name: str, ended: str) -> None:
+    """The input that the process was working on."""
+    file = folder / "work" / target_named(name).file
+    content = file.read_bytes() if file.is_file() else b""
+    trace = (folder / "output.txt").read_text(errors="replace")[-4000:]
+    store_finding(folder, content, Finding(f"the process {ended}", trace))
+
+
+def _first_line(file: Path) -> str:
+    return file.read_text(errors="replace").partition("\n")[0]
+
+
+if __name__ == "__main__":
+    command(main)
