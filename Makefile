@@ -17,6 +17,7 @@ PEERS := .venv/.peers
 SOLVERS := .venv/.solvers
 MATCHERS := .venv/.matchers
 FORMATS := .venv/.formats
+FUZZ := .venv/.fuzz
 SBOM := .venv/.sbom
 DEMO_RUN := runs/demo
 SHORT ?=
@@ -92,6 +93,13 @@ sbom: setup $(SBOM)
 
 bench: setup $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m benchmarks $(SHORT)
+
+$(FUZZ): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[fuzz]' || \
+	    echo "polhode: Atheris is not installed here: inputs come from a mutator that knows no coverage" >&2
+	@touch $@
+
+bench-fuzz: $(FUZZ)
 
 bench-%: setup $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m benchmarks $* $(SHORT)

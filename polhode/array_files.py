@@ -17,7 +17,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from polhode.errors import InputError
+from polhode.errors import InputError, one_line
 from polhode.foreign_files import MIB, amount, open_regular
 
 LIMIT_BYTES = 512 * MIB
@@ -49,7 +49,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[np.generic]]:
         except _Refused as error:
             reason = str(error)
         except Exception as error:  # noqa: BLE001  damage raises errors of many types
-            reason = _one_line(error)
+            reason = one_line(str(error) or type(error).__name__)[:160]
     raise InputError(f"{path}: not a readable archive of arrays ({reason})")
 
 
@@ -99,12 +99,6 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], "np.dtype[Any]"]:
         raise _Refused(f"arrays of format {version[0]}.{version[1]}")
     shape, _, dtype = read(stream, max_header_size=_HEADER_BYTES)
     return shape, dtype
-
-
-def _one_line(error: Exception) -> str:
-    """What a library says, without control characters."""
-    words = " ".join(str(error).split()) or type(error).__name__
-    return "".join(letter if letter.isprintable() else "?" for letter in words)[:160]
 
 
 def require_arrays(

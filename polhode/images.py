@@ -5,9 +5,10 @@ decodes outside the interpreter's lock. Only the formats that stereo cameras rec
 pixels and decoder are known from the header, and what does not fit is refused before anything is decoded.
 """
 
+import ctypes
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -42,6 +43,21 @@ CONTENT_LEVELS = 8.0
 CONTENT_BLOCKS = 8
 CONTENT_SPREAD_LEVELS = 24.0
 
+
+def _silence_libtiff() -> None:
+    """Let libtiff print nothing: what it says of damage, Pillow raises as well.
+
+    Only wheels of Pillow are looked at, whose library nothing else uses.
+    """
+    for library in Path(Image.__file__).parent.with_name("pillow.libs").glob("libtiff-*.so*"):
+        with suppress(OSError, AttributeError):
+            libtiff = ctypes.CDLL(str(library))
+            for name in ("TIFFSetErrorHandler", "TIFFSetWarningHandler"):
+                getattr(libtiff, name).argtypes = [ctypes.c_void_p]
+                getattr(libtiff, name)(None)
+
+
+_silence_libtiff()
 # What Pillow warns of (a large header, odd metadata) is either refused here or without effect on the pixels.
 warnings.filterwarnings("ignore", module=r"PIL\.")
 

@@ -1,4 +1,7 @@
-"""What an input may do to a reader: end in success or in one line of InputError, soon, in little memory, in its folder."""
+"""What an input may do to a reader: end in success or in one line of InputError, soon, and in little memory.
+
+A reader prints nothing and touches no file but those it reads.
+"""
 
 import contextlib
 import io
@@ -14,7 +17,7 @@ from typing import Any
 
 from benchmarks.command import ROOT
 from benchmarks.robustness.fuzz_targets import Target
-from polhode.errors import InputError
+from polhode.errors import InputError, one_line
 
 LIMIT_S = 5.0
 """Of processor time, so that a busy machine is not taken for a slow reader."""
@@ -43,27 +46,33 @@ class Checker:
         target.lay_out(folder)
         self.file = folder / target.file
         self.file.parent.mkdir(parents=True, exist_ok=True)
+        self.file.touch()
+        self._files = set(self._names())
         self._slow = ""
-        self._watching = False
-        self._touched: list[str] = []
+        self.touched: list[str] = []
         signal.signal(signal.SIGPROF, self._alarm)
-        sys.addaudithook(self._audit)
+        if not _hooked:
+            sys.addaudithook(_audit)
+            _hooked.append(True)
 
     def warm_up(self, seeds: list[bytes]) -> list[Finding]:
-        """Read the corpus: imports what is needed, so that memory is compared with that of a running program."""
+        """Read the corpus, first unwatched: imports and compiled code belong to any running program."""
+        for seed in seeds:
+            self.file.write_bytes(seed)
+            with contextlib.suppress(InputError), contextlib.redirect_stderr(io.StringIO()):
+                self.target.read(self.file)
         return [found for seed in seeds if (found := self(seed, memory=False)) is not None]
 
     def __call__(self, content: bytes, memory: bool = True) -> Finding | None:
         """Write the input, read it, and judge."""
         self.file.write_bytes(content)
-        before = set(self._names())
         size_of_stderr = _stderr_bytes()
         start_bytes = _peak_bytes(reset=True) if memory else 0
-        said, self._slow, self._touched = io.StringIO(), "", []
+        said, self._slow, self.touched = io.StringIO(), "", []
         found: Finding | None = None
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
             signal.setitimer(signal.ITIMER_PROF, LIMIT_S, 0.5)
-            self._watching = True
+            _watching.append(self)
             try:
                 self.target.read(self.file)
             except InputError as error:
@@ -73,7 +82,7 @@ class Checker:
             except BaseException as error:  # noqa: BLE001  whatever the reader did
                 found = _of_error(type(error).__name__, error)
             finally:
-                self._watching = False
+                _watching.clear()
                 signal.setitimer(signal.ITIMER_PROF, 0.0)
         if self._slow:
             return Finding(f"slow {_place_in(self._slow)}", self._slow)
@@ -81,15 +90,17 @@ class Checker:
             grown = _peak_bytes() - start_bytes
             if grown > LIMIT_BYTES:
                 found = Finding("memory", f"grew by {grown / 2**20:.0f} MiB")
-        if found is None and self._touched:
-            found = Finding(f"touched {self._touched[0].split()[0]}", "\n".join(self._touched))
+        if found is None and self.touched:
+            found = Finding(f"touched {self.touched[0].split()[0]}", "\n".join(self.touched))
         if found is None and (said.getvalue().strip() or _stderr_bytes() != size_of_stderr):
             words = said.getvalue() or "written by a library in C"
-            found = Finding(f"printed {words.strip()[:60]}", words)
-        after = set(self._names())
-        if found is None and after != before:
-            found = Finding("changed the folder", f"{sorted(after ^ before)}")
+            found = Finding(f"printed {words.strip().rpartition('/')[2][:60]}", words)
         return found
+
+    def changed_folder(self) -> Finding | None:
+        """Whether there are other files than those that were laid out."""
+        changed = set(self._names()) ^ self._files
+        return Finding("changed the folder", f"{sorted(changed)}") if changed else None
 
     def _names(self) -> Iterator[str]:
         return (str(path) for path in self.folder.rglob("*"))
@@ -98,21 +109,26 @@ class Checker:
         self._slow = self._slow or "".join(traceback.format_stack(frame))
         raise _TooSlow
 
-    def _audit(self, event: str, arguments: tuple[Any, ...]) -> None:
-        """Note what a reader must not do: write, remove, start programs, connect."""
-        if not self._watching:
-            return
-        if event == "open":
-            path, mode, flags = arguments
-            writes = (
-                bool(flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC))
-                if flags
-                else "w" in str(mode)
-            )
-            if writes and isinstance(path, str | bytes | os.PathLike) and os.fsdecode(path) != os.devnull:
-                self._touched.append(f"open {os.fsdecode(path)} for writing")
-        elif event in _FORBIDDEN:
-            self._touched.append(f"{event} {str(arguments)[:200]}")
+
+_hooked: list[bool] = []
+"""Audit hooks cannot be removed: there is one, for all checkers."""
+_watching: list[Checker] = []
+"""The checker whose reader is at work."""
+
+
+def _audit(event: str, arguments: tuple[Any, ...]) -> None:
+    """Note what a reader must not do: write, remove, start programs, connect."""
+    if not _watching:
+        return
+    touched = _watching[0].touched
+    if event == "open":
+        path, mode, flags = arguments
+        flags = flags if isinstance(flags, int) else 0
+        writes = bool(flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC)) or "w" in str(mode)
+        if writes and isinstance(path, str | bytes | os.PathLike) and os.fsdecode(path) != os.devnull:
+            touched.append(f"open {os.fsdecode(path)} for writing")
+    elif event in _FORBIDDEN:
+        touched.append(f"{event} {str(arguments)[:200]}")
 
 
 _FORBIDDEN = (
@@ -131,10 +147,8 @@ _FORBIDDEN = (
 
 
 def _judged(error: InputError) -> Finding | None:
-    """An InputError must be one line that can be printed, and hide no lack of memory."""
-    message = str(error)
-    if not message.isprintable():
-        return _of_error("message of several lines or with control characters", error)
+    """An InputError must be short, as one line, and hide no lack of memory."""
+    message = one_line(str(error))
     if len(message) > MAX_MESSAGE:
         return _of_error(f"message of more than {MAX_MESSAGE} characters", error)
     cause: BaseException | None = error

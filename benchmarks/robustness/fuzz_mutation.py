@@ -1,4 +1,4 @@
-"""Changes of an input: bytes, numbers and lines anywhere; members of a zip file and chunks behind right checksums."""
+"""Changes of an input: bytes, numbers and lines; members of archives and chunks, with right checksums."""
 
 import io
 import json

@@ -2,9 +2,9 @@
 
     python -m benchmarks.robustness.fuzz_process TARGET FOLDER SECONDS ENGINE SEED
 
-Coverage of branches guides Atheris; without it a mutator of our own draws on all inputs that were not refused.
-FOLDER receives ``findings/`` (an input and its traceback for each place) and ``state.json``, written every
-second; the input in work is in ``work/``, where the parent finds it if this process dies or hangs.
+Coverage of branches guides Atheris; without it a mutator of our own draws on earlier inputs. FOLDER receives
+``findings/`` (an input and its traceback for each place) and ``state.json``, written every second; the input
+in work is in ``work/``, where the parent finds it if this process dies or hangs.
 """
 
 import json
@@ -44,6 +44,8 @@ class _Session:
         if found is not None:
             self.keep(content, found)
         if time.monotonic() - self.written > 1.0:
+            if (changed := self.checker.changed_folder()) is not None:
+                self.keep(content, changed)
             self.note()
         return found is None
 
@@ -70,7 +72,9 @@ def store_finding(folder: Path, content: bytes, found: Finding) -> None:
     kept = folder / "findings"
     kept.mkdir(exist_ok=True)
     (kept / name).write_bytes(content)
-    (kept / f"{name}.txt").write_text(f"{found.place}\n\n{found.details}\n")
+    (kept / f"{name}.txt").write_text(
+        f"{found.place}\n\n{found.details}\n", encoding="utf-8", errors="backslashreplace"
+    )
 
 
 def main(name: str, folder: Path, seconds: float, engine: str, seed: int) -> None:
@@ -120,7 +124,7 @@ def _with_atheris(session: _Session, target: Target, seeds: list[bytes], seconds
         (corpus / f"seed{number}").write_bytes(content)
 
     def mutate(content: bytes, max_size: int, number: int) -> bytes:
-        rng = Random(number)
+        rng = Random(number)  # noqa: S311
         changed = mutated(target, content, rng) if rng.random() < 0.7 else atheris.Mutate(content, max_size)
         return bytes(changed[:max_size])
 
@@ -133,7 +137,7 @@ def _with_atheris(session: _Session, target: Target, seeds: list[bytes], seconds
 
 
 def _without(session: _Session, target: Target, seeds: list[bytes], seconds: float, seed: int) -> None:
-    rng = Random(seed)
+    rng = Random(seed)  # noqa: S311
     recent: deque[bytes] = deque(seeds, maxlen=200)
     while time.monotonic() - session.start < seconds:
         source = rng.choice(seeds) if rng.random() < 0.6 else rng.choice(recent)

@@ -69,9 +69,30 @@ TEXT_WORDS = (
     b"\x1b[2J",
 )
 YAML_WORDS = (
-    *TEXT_WORDS, b"&a ", b"*a", b"<<: ", b"[", b"]", b"{", b"}", b": ", b"- ", b"!!python/object/apply:os.system ",
-    b"2024-99-99", b"~", b"null", b"extends: ", b"? ", b"|", b">", b"%YAML 1.1", b"---\n", b"...", b"!!set ", b"!!binary ",
-)  # fmt: skip
+    *TEXT_WORDS,
+    b"&a ",
+    b"*a",
+    b"<<: ",
+    b"[",
+    b"]",
+    b"{",
+    b"}",
+    b": ",
+    b"- ",
+    b"!!python/object/apply:os.system ",
+    b"2024-99-99",
+    b"~",
+    b"null",
+    b"extends: ",
+    b"? ",
+    b"|",
+    b">",
+    b"%YAML 1.1",
+    b"---\n",
+    b"...",
+    b"!!set ",
+    b"!!binary ",
+)
 JSON_WORDS = (
     *NUMBERS,
     b"null",
@@ -102,9 +123,19 @@ OBJ_WORDS = (
     b"-1",
 )
 PLY_WORDS = (
-    *NUMBERS, b"element ", b"property list uchar int ", b"property float ", b"ascii", b"binary_big_endian",
-    b"comment TextureFile /etc/passwd\n", b"end_header\n", b"vertex ", b"face ", b"edge ", b"double ",
-)  # fmt: skip
+    *NUMBERS,
+    b"element ",
+    b"property list uchar int ",
+    b"property float ",
+    b"ascii",
+    b"binary_big_endian",
+    b"comment TextureFile /etc/passwd\n",
+    b"end_header\n",
+    b"vertex ",
+    b"face ",
+    b"edge ",
+    b"double ",
+)
 
 
 def _call(name: str, *arguments: Any) -> Read:
@@ -192,9 +223,15 @@ def _images() -> list[bytes]:
             Image.fromarray(values).save(stream, form)
             found.append(stream.getvalue())
     for mode, form, options in (
-        ("RGB", "PNG", {}), ("P", "PNG", {}), ("1", "PNG", {}), ("RGBA", "TIFF", {}), ("RGB", "JPEG", {"progressive": True}),
-        ("RGB", "TIFF", {"compression": "tiff_lzw"}), ("L", "TIFF", {"compression": "tiff_adobe_deflate"}), ("P", "BMP", {}),
-    ):  # fmt: skip
+        ("RGB", "PNG", {}),
+        ("P", "PNG", {}),
+        ("1", "PNG", {}),
+        ("RGBA", "TIFF", {}),
+        ("RGB", "JPEG", {"progressive": True}),
+        ("RGB", "TIFF", {"compression": "tiff_lzw"}),
+        ("L", "TIFF", {"compression": "tiff_adobe_deflate"}),
+        ("P", "BMP", {}),
+    ):
         stream = io.BytesIO()
         Image.fromarray(grey).convert(mode).save(stream, form, **options)
         found.append(stream.getvalue())
@@ -206,10 +243,9 @@ def _images() -> list[bytes]:
 
 def _run(folder: Path) -> None:
     """The run of the tests, on disk: a box that tumbles, estimated in 24 frames."""
+    from polhode.config import Config
     from tests.pipeline.conftest import make_example
     from tests.pipeline.stored_run import write_run
-
-    from polhode.config import Config
 
     example = make_example()
     write_run(
@@ -245,8 +281,9 @@ def _of_run(*names: str) -> Callable[[], list[bytes]]:
 
 
 def _lay_out_run(folder: Path) -> None:
-    (folder / "run").mkdir()
-    _run(folder / "run")
+    _of_run("summary.json")()
+    for name, content in _files_of_run.items():
+        _write(folder / "run" / name, content)
 
 
 def _read_run(file: Path) -> object:
@@ -269,9 +306,37 @@ def _pixel_truth() -> list[bytes]:
     ]
 
 
-def _small_online() -> list[bytes]:
-    full = _of_run("measurements.npz")()
-    return [*full, *_pixel_truth()]
+def _causal_estimate() -> list[bytes]:
+    n, eye = 3, np.eye(3)
+    vectors = {name: np.ones((n, 3)) for name in ("r_N", "v_N", "w_P", "com_G")}
+    matrices = {name: np.tile(eye, (n, 1, 1)) for name in ("R_NP", "R_GP", "cov_com_G", "cov_R_GP")}
+    return [
+        _archive(
+            timestamps_ns=STAMPS[:n],
+            covariance=np.tile(np.eye(12), (n, 1, 1)),
+            X_NG=np.tile(np.eye(4), (n, 1, 1)),
+            k=np.ones((n, 2)),
+            cov_k=np.full((n, 2, 2), np.inf),
+            determined=np.ones((n, 4), bool),
+            **vectors,
+            **matrices,
+        )
+    ]
+
+
+def _frozen_problem() -> list[bytes]:
+    from dataclasses import replace
+
+    from polhode.compare.problem.problem_file import SUFFIX, write_problem
+    from polhode.compare.problem.sources import SCENES, synthetic_problem
+    from polhode.config.backend_settings import Backend
+
+    scene = replace(SCENES["flip"], frames=12, landmarks=200, min_inliers=6)
+    problem = synthetic_problem("small", scene, 0, Backend(process_noise="given"))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"small{SUFFIX}"
+        write_problem(problem, path)
+        return [path.read_bytes()]
 
 
 # --- meshes ------------------------------------------------------------------------------------------------
@@ -294,7 +359,8 @@ def _meshes(kind: str) -> Callable[[], list[bytes]]:
             found += [_bytes(tetrahedron.export(file_type="stl_ascii"))]
         if kind == "obj":
             found += [
-                b"mtllib a.mtl\no part\nv 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\n"
+                b"mtllib a.mtl\no part\nv 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\n"
+                b"vt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\n"
                 b"usemtl gold\nf 1/1/1 2/2/1 3/3/1\ng more\nf 1 2 3\nf -1 -2 -3\n",
                 b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nf 1 2 3 4\nf 1 2 5\nf 1 2 3 4 5\n",
             ]
@@ -354,7 +420,8 @@ def _write(path: Path, content: bytes) -> None:
 def _configurations() -> list[bytes]:
     from benchmarks.command import ROOT
 
-    short = b"seed: 3\nscene:\n  frames: 8\n  body: {family: bus, size_m: 0.4}\n  motion:\n    spin_rpm: [1.0, 2.0, 0.5]\n"
+    body = b"  body: {family: bus, size_m: 0.4}\n"
+    short = b"seed: 3\nscene:\n  frames: 8\n" + body + b"  motion:\n    spin_rpm: [1.0, 2.0, 0.5]\n"
     names = (
         "configs/default.yaml",
         "configs/sample.yaml",
@@ -370,7 +437,7 @@ def _read_overrides(file: Path) -> object:
     from polhode.config.loader import load_config
 
     words = file.read_bytes().decode("utf-8", errors="surrogateescape").replace("\0", "").split("\n")
-    own, overrides = split_overrides(words)
+    _, overrides = split_overrides(words)
     return load_config(None, overrides)
 
 
@@ -394,9 +461,14 @@ def _read_tensors(file: Path) -> object:
 
 def _comparisons() -> list[bytes]:
     content = {
-        "schema": "polhode-compare/1", "limit_s": 60.0, "machine": "m", "versions": {"casadi": "3"}, "problems": [],
-        "rows": [], "profiles": [],
-    }  # fmt: skip
+        "schema": "polhode-compare/1",
+        "limit_s": 60.0,
+        "machine": "m",
+        "versions": {"casadi": "3"},
+        "problems": [],
+        "rows": [],
+        "profiles": [],
+    }
     return [json.dumps(content).encode()]
 
 
@@ -419,81 +491,306 @@ def _points() -> list[bytes]:
 
 _TABLE = ("polhode.dataset", "polhode.calibration")
 _MESH = (
-    "polhode.foreign_meshes", "polhode.mapping.mesh_files", "polhode.simulation.bodies.mesh_file", "trimesh.exchange",
-)  # fmt: skip
+    "polhode.foreign_meshes",
+    "polhode.mapping.mesh_files",
+    "polhode.simulation.bodies.mesh_file",
+    "trimesh.exchange",
+)
 _NPZ = ("polhode.array_files", "polhode.pipeline.run_directory.archives", "zipfile", "numpy.lib._format_impl")
-_PICTURE = ("polhode.images", "PIL.PngImagePlugin", "PIL.TiffImagePlugin", "PIL.JpegImagePlugin", "PIL.BmpImagePlugin",
-            "PIL.PpmImagePlugin", "PIL.ImageFile")  # fmt: skip
+_PICTURE = (
+    "polhode.images",
+    "PIL.PngImagePlugin",
+    "PIL.TiffImagePlugin",
+    "PIL.JpegImagePlugin",
+    "PIL.BmpImagePlugin",
+    "PIL.PpmImagePlugin",
+    "PIL.ImageFile",
+)
 _STORED = ("polhode.pipeline.run_directory",)
 _YAML = ("polhode.config", "yaml")
 
+_WORDS = b"--backend.inertia\nratios_axes\n--seed=4\n--scene.motion.spin_rpm\n[1,2,3]"
+_PROPERTIES = (
+    b"moments: [1.2, 1.0, 0.8]\nk1: 0.18\nk2: 0.22\ncom_G: [0, 0, 0.1]\nR_GP: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
+    b"mass_kg: 3\n"
+)
 TARGETS: tuple[Target, ...] = (
-    Target("configuration", "config.yaml", "text", _configurations, _call("polhode.config.loader:load_config"),
-           modules=_YAML, words=YAML_WORDS),
-    Target("command_line", "words", "text", lambda: [b"--backend.inertia\nratios_axes\n--seed=4\n--scene.motion.spin_rpm\n[1,2,3]"],
-           _read_overrides, modules=("polhode.config", "polhode.cli.overrides"), words=YAML_WORDS),
-    Target("calibration", "mav0/cam0/sensor.yaml", "text", _of_sequence("mav0/cam0/sensor.yaml"), _open_sequence,
-           _sequence, (*_TABLE, "yaml"), YAML_WORDS),
-    Target("camera_table", "mav0/cam1/data.csv", "text", _of_sequence("mav0/cam1/data.csv"), _open_sequence, _sequence,
-           _TABLE, (*TEXT_WORDS, b"../", b"/dev/zero", b"/etc/passwd", b".png")),
-    Target("inspector_table", "mav0/inspector0/data.csv", "text", lambda: [_poses(7)], _open_sequence, _sequence, _TABLE,
-           TEXT_WORDS),
-    Target("inspector_sigmas", "mav0/inspector0/sensor.yaml", "text", lambda: [b"sigma_p_m: 0.001\nsigma_theta_rad: 1e-4\n"],
-           _open_sequence, lambda folder: (_sequence(folder), _write(folder / "mav0/inspector0/data.csv", _poses(7)))[0],
-           (*_TABLE, "yaml"), YAML_WORDS),
-    Target("wrench_table", "mav0/wrench0/data.csv", "text", lambda: [_poses(6)], _open_sequence, _sequence, _TABLE, TEXT_WORDS),
-    Target("truth_table", "mav0/target0/data.csv", "text", lambda: [_poses(13)], _read_truth, _truth, ("polhode.truth",),
-           TEXT_WORDS),
-    Target("truth_properties", "mav0/target0/target.yaml", "text",
-           lambda: [b"moments: [1.2, 1.0, 0.8]\nk1: 0.18\nk2: 0.22\ncom_G: [0, 0, 0.1]\nR_GP: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nmass_kg: 3\n"],
-           _read_truth, _truth, ("polhode.truth", "yaml"), YAML_WORDS),
-    Target("truth_mesh", "mav0/target0/mesh.ply", "bytes", _meshes("ply"), _read_truth, _truth, (*_MESH, "polhode.truth"), PLY_WORDS),
-    Target("image", "mav0/cam0/data/1600000000500000000.png", "png", _images, _open_sequence, _sequence, _PICTURE),
-    Target("mask", "mav0/masks0/1600000000500000000.png", "png", _images, _open_sequence, _sequence, _PICTURE),
-    Target("trajectory", "trajectory.csv", "text", _table_of_run("trajectory.csv"),
-           _call("polhode.pipeline.run_directory.trajectory_file:read_trajectory"), modules=_STORED, words=TEXT_WORDS),
-    Target("measurements", "measurements.npz", "zip", _of_run("measurements.npz"),
-           _call("polhode.pipeline.run_directory.archives:read_measurements"), modules=_NPZ),
-    Target("residuals", "measurements.npz", "zip", _of_run("measurements.npz"),
-           _call("polhode.pipeline.run_directory.archives:read_residuals"), modules=_NPZ),
-    Target("covariance", "covariance.npz", "zip", _of_run("covariance.npz"),
-           _call("polhode.pipeline.run_directory.archives:read_covariance"), modules=_NPZ),
-    Target("online", "online.npz", "zip", _small_online, _call("polhode.pipeline.run_directory.archives:read_online"),
-           modules=_NPZ),
-    Target("pixel_truth", "truth.npz", "zip", _pixel_truth, _call("polhode.simulation.dataset.frame_renderer:read_products"),
-           modules=_NPZ),
-    Target("frozen_problem", "p.problem.npz", "zip", _pixel_truth, _call("polhode.compare.problem.problem_file:read_problem"),
-           modules=(*_NPZ, "polhode.compare.problem.problem_file")),
-    Target("summary", "summary.json", "text", _of_run("summary.json"),
-           _call("polhode.pipeline.run_directory.summary:read_summary"), modules=_STORED, words=JSON_WORDS),
-    Target("metrics", "run/metrics.json", "text", lambda: [b'{"rmse_position_m": 1.25e-4, "nees": {"inertia": null}}'],
-           _read_run, _lay_out_run, _STORED, JSON_WORDS),
-    Target("captions", "run/pictures/captions.json", "text", lambda: [b'{"00.png": "a frame"}'], _read_run, _lay_out_run,
-           _STORED, (*JSON_WORDS, b"../", b"/etc/passwd", b"00.png")),
-    Target("comparison", "compare.json", "text", _comparisons, _call("polhode.compare.rows:read_comparison"),
-           modules=("polhode.compare.rows",), words=JSON_WORDS),
-    Target("landmarks", "landmarks.ply", "bytes", _of_run("landmarks.ply"),
-           _call("polhode.pipeline.run_directory.point_cloud_file:read_landmarks"), modules=_STORED, words=PLY_WORDS),
-    Target("run_mesh", "mesh.ply", "bytes", _of_run("mesh.ply"), _call("polhode.mapping.mesh_files:read_ply"),
-           modules=_MESH, words=PLY_WORDS),
+    Target(
+        "configuration",
+        "config.yaml",
+        "text",
+        _configurations,
+        _call("polhode.config.loader:load_config"),
+        modules=_YAML,
+        words=YAML_WORDS,
+    ),
+    Target(
+        "command_line",
+        "words",
+        "text",
+        lambda: [_WORDS],
+        _read_overrides,
+        modules=("polhode.config", "polhode.cli.overrides"),
+        words=YAML_WORDS,
+    ),
+    Target(
+        "calibration",
+        "mav0/cam0/sensor.yaml",
+        "text",
+        _of_sequence("mav0/cam0/sensor.yaml"),
+        _open_sequence,
+        _sequence,
+        (*_TABLE, "yaml"),
+        YAML_WORDS,
+    ),
+    Target(
+        "camera_table",
+        "mav0/cam1/data.csv",
+        "text",
+        _of_sequence("mav0/cam1/data.csv"),
+        _open_sequence,
+        _sequence,
+        _TABLE,
+        (*TEXT_WORDS, b"../", b"/dev/zero", b"/etc/passwd", b".png"),
+    ),
+    Target(
+        "inspector_table",
+        "mav0/inspector0/data.csv",
+        "text",
+        lambda: [_poses(7)],
+        _open_sequence,
+        _sequence,
+        _TABLE,
+        TEXT_WORDS,
+    ),
+    Target(
+        "inspector_sigmas",
+        "mav0/inspector0/sensor.yaml",
+        "text",
+        lambda: [b"sigma_p_m: 0.001\nsigma_theta_rad: 1e-4\n"],
+        _open_sequence,
+        lambda folder: (_sequence(folder), _write(folder / "mav0/inspector0/data.csv", _poses(7)))[0],
+        (*_TABLE, "yaml"),
+        YAML_WORDS,
+    ),
+    Target(
+        "wrench_table",
+        "mav0/wrench0/data.csv",
+        "text",
+        lambda: [_poses(6)],
+        _open_sequence,
+        _sequence,
+        _TABLE,
+        TEXT_WORDS,
+    ),
+    Target(
+        "truth_table",
+        "mav0/target0/data.csv",
+        "text",
+        lambda: [_poses(13)],
+        _read_truth,
+        _truth,
+        ("polhode.truth",),
+        TEXT_WORDS,
+    ),
+    Target(
+        "truth_properties",
+        "mav0/target0/target.yaml",
+        "text",
+        lambda: [_PROPERTIES],
+        _read_truth,
+        _truth,
+        ("polhode.truth", "yaml"),
+        YAML_WORDS,
+    ),
+    Target(
+        "truth_mesh",
+        "mav0/target0/mesh.ply",
+        "bytes",
+        _meshes("ply"),
+        _read_truth,
+        _truth,
+        (*_MESH, "polhode.truth"),
+        PLY_WORDS,
+    ),
+    Target(
+        "image", "mav0/cam0/data/1600000000500000000.png", "png", _images, _open_sequence, _sequence, _PICTURE
+    ),
+    Target(
+        "mask", "mav0/masks0/1600000000500000000.png", "png", _images, _open_sequence, _sequence, _PICTURE
+    ),
+    Target(
+        "trajectory",
+        "trajectory.csv",
+        "text",
+        _table_of_run("trajectory.csv"),
+        _call("polhode.pipeline.run_directory.trajectory_file:read_trajectory"),
+        modules=_STORED,
+        words=TEXT_WORDS,
+    ),
+    Target(
+        "measurements",
+        "measurements.npz",
+        "zip",
+        _of_run("measurements.npz"),
+        _call("polhode.pipeline.run_directory.archives:read_measurements"),
+        modules=_NPZ,
+    ),
+    Target(
+        "residuals",
+        "measurements.npz",
+        "zip",
+        _of_run("measurements.npz"),
+        _call("polhode.pipeline.run_directory.archives:read_residuals"),
+        modules=_NPZ,
+    ),
+    Target(
+        "covariance",
+        "covariance.npz",
+        "zip",
+        _of_run("covariance.npz"),
+        _call("polhode.pipeline.run_directory.archives:read_covariance"),
+        modules=_NPZ,
+    ),
+    Target(
+        "online",
+        "online.npz",
+        "zip",
+        _causal_estimate,
+        _call("polhode.pipeline.run_directory.archives:read_online"),
+        modules=_NPZ,
+    ),
+    Target(
+        "pixel_truth",
+        "truth.npz",
+        "zip",
+        _pixel_truth,
+        _call("polhode.simulation.dataset.frame_renderer:read_products"),
+        modules=_NPZ,
+    ),
+    Target(
+        "frozen_problem",
+        "p.problem.npz",
+        "zip",
+        _frozen_problem,
+        _call("polhode.compare.problem.problem_file:read_problem"),
+        modules=(*_NPZ, "polhode.compare.problem.problem_file"),
+    ),
+    Target(
+        "summary",
+        "summary.json",
+        "text",
+        _of_run("summary.json"),
+        _call("polhode.pipeline.run_directory.summary:read_summary"),
+        modules=_STORED,
+        words=JSON_WORDS,
+    ),
+    Target(
+        "metrics",
+        "run/metrics.json",
+        "text",
+        lambda: [b'{"rmse_position_m": 1.25e-4, "nees": {"inertia": null}}'],
+        _read_run,
+        _lay_out_run,
+        _STORED,
+        JSON_WORDS,
+    ),
+    Target(
+        "captions",
+        "run/pictures/captions.json",
+        "text",
+        lambda: [b'{"00.png": "a frame"}'],
+        _read_run,
+        _lay_out_run,
+        _STORED,
+        (*JSON_WORDS, b"../", b"/etc/passwd", b"00.png"),
+    ),
+    Target(
+        "comparison",
+        "compare.json",
+        "text",
+        _comparisons,
+        _call("polhode.compare.rows:read_comparison"),
+        modules=("polhode.compare.rows",),
+        words=JSON_WORDS,
+    ),
+    Target(
+        "landmarks",
+        "landmarks.ply",
+        "bytes",
+        _of_run("landmarks.ply"),
+        _call("polhode.pipeline.run_directory.point_cloud_file:read_landmarks"),
+        modules=_STORED,
+        words=PLY_WORDS,
+    ),
+    Target(
+        "run_mesh",
+        "mesh.ply",
+        "bytes",
+        _of_run("mesh.ply"),
+        _call("polhode.mapping.mesh_files:read_ply"),
+        modules=_MESH,
+        words=PLY_WORDS,
+    ),
     Target("mesh_ply", "mesh.ply", "bytes", _meshes("ply"), _read_mesh, modules=_MESH, words=PLY_WORDS),
-    Target("mesh_stl", "mesh.stl", "bytes", _meshes("stl"), _read_mesh, modules=_MESH,
-           words=(*NUMBERS, b"solid ", b"endsolid", b"vertex ", b"facet normal ")),
+    Target(
+        "mesh_stl",
+        "mesh.stl",
+        "bytes",
+        _meshes("stl"),
+        _read_mesh,
+        modules=_MESH,
+        words=(*NUMBERS, b"solid ", b"endsolid", b"vertex ", b"facet normal "),
+    ),
     Target("mesh_obj", "mesh.obj", "text", _meshes("obj"), _read_mesh, modules=_MESH, words=OBJ_WORDS),
     Target("mesh_glb", "mesh.glb", "glb", _meshes("glb"), _read_mesh, modules=_MESH, words=JSON_WORDS),
-    Target("material_library", "a.mtl", "text", lambda: [b"newmtl m\nKd 1 0.5 0.2\nNs 30\nmap_Kd skin.png\n"], _read_textured,
-           _textured, _MESH, (*NUMBERS, b"newmtl ", b"map_Kd ", b"../", b"/dev/zero", b"Kd ", b"Ns ")),
-    Target("texture", "skin.png", "png", _images, _read_textured,
-           lambda folder: (_textured(folder), _write(folder / "a.mtl", b"newmtl m\nmap_Kd skin.png\n"))[0],
-           (*_MESH, *_PICTURE)),
-    Target("weights", "w.safetensors", "safetensors", _tensors, _read_tensors, modules=("polhode.frontend.networks",),
-           words=(*JSON_WORDS, b'"F32"', b'"BF16"', b"data_offsets", b"__metadata__")),
-    Target("poses_tum", "poses.txt", "text", _tum, _call("polhode.pipeline.after_run.observability.assess:read_poses"),
-           modules=("polhode.pipeline.after_run.observability.assess",), words=TEXT_WORDS),
-    Target("corresponding_points", "points.csv", "text", _points,
-           _call("polhode.pipeline.after_run.export.placement:_from_points", 1e-3),
-           modules=("polhode.pipeline.after_run.export.placement",), words=TEXT_WORDS),
-)  # fmt: skip
+    Target(
+        "material_library",
+        "a.mtl",
+        "text",
+        lambda: [b"newmtl m\nKd 1 0.5 0.2\nNs 30\nmap_Kd skin.png\n"],
+        _read_textured,
+        _textured,
+        _MESH,
+        (*NUMBERS, b"newmtl ", b"map_Kd ", b"../", b"/dev/zero", b"Kd ", b"Ns "),
+    ),
+    Target(
+        "texture",
+        "skin.png",
+        "png",
+        _images,
+        _read_textured,
+        lambda folder: (_textured(folder), _write(folder / "a.mtl", b"newmtl m\nmap_Kd skin.png\n"))[0],
+        (*_MESH, *_PICTURE),
+    ),
+    Target(
+        "weights",
+        "w.safetensors",
+        "safetensors",
+        _tensors,
+        _read_tensors,
+        modules=("polhode.frontend.networks",),
+        words=(*JSON_WORDS, b'"F32"', b'"BF16"', b"data_offsets", b"__metadata__"),
+    ),
+    Target(
+        "poses_tum",
+        "poses.txt",
+        "text",
+        _tum,
+        _call("polhode.pipeline.after_run.observability.assess:read_poses"),
+        modules=("polhode.pipeline.after_run.observability.assess",),
+        words=TEXT_WORDS,
+    ),
+    Target(
+        "corresponding_points",
+        "points.csv",
+        "text",
+        _points,
+        _call("polhode.pipeline.after_run.export.placement:_from_points", 1e-3),
+        modules=("polhode.pipeline.after_run.export.placement",),
+        words=TEXT_WORDS,
+    ),
+)
 """Bags and what `polhode import` will read do not exist yet."""
 
 

@@ -1,12 +1,12 @@
-"""Fuzzing of every reader of files: inputs tried, and those that end in anything but success or one line of InputError.
+"""Fuzzing of every reader of files: inputs tried, and those that end neither in success nor in one line.
 
     python -m benchmarks.robustness.fuzzing [TARGET ...] [--seconds 600] [--engine automatic|atheris|own]
 
-Each target runs in a process of its own. An input may take 5 s of processor time and 1 GiB of memory, may print
-nothing and may touch nothing but the file that is read. Whatever else it does is a finding: it is stored, with
-its traceback, under runs/fuzzing/TARGET/findings, one input for each place in the code. With --short every target
-has 20 s. Targets of the record are not fuzzed again; --again removes them from it first. Atheris, which follows
-the coverage of branches, is used where it is installed (pip install .[fuzz]).
+Each target runs in a process of its own. An input may take 5 s of processor time and 1 GiB of memory, may
+print nothing and may touch nothing but the files that are read. Whatever else it does is a finding: it is
+stored, with its traceback, under runs/fuzzing/TARGET/part0/findings, one input for each place in the code.
+With --short every target has 20 s. Targets of the record are not fuzzed again; --again removes them from it
+first. Atheris, which follows the coverage of branches, is used where it is installed (pip install .[fuzz]).
 """
 
 import json
@@ -62,10 +62,9 @@ def main(
         (_row(line) for line in lines),
     )
     total = sum(line["inputs"] for line in lines)
+    minutes = sum(line["seconds"] for line in lines) / 60
     found = [place for line in lines for place in line["findings"]]
-    print(
-        f"\n{total} inputs in {sum(line['seconds'] for line in lines) / 60:.0f} minutes, {len(found)} findings."
-    )
+    print(f"\n{total} inputs in {minutes:.0f} minutes, {len(found)} findings.")
     for line in lines:
         for place in line["findings"]:
             print(f"{line['case']['target']}: {place}")
@@ -118,7 +117,7 @@ class Fuzz:
 def _session(
     name: str, folder: Path, seconds: float, engine: str, seed: int
 ) -> tuple[dict[str, Any], str, int | None]:
-    """State of a process at its end, how it died (empty: it did not), and the branches that Atheris counted."""
+    """State of a process at its end, how it died (empty: it did not), branches that Atheris counted."""
     folder.mkdir(parents=True)
     words = ["-m", "benchmarks.robustness.fuzz_process", name, str(folder), str(seconds), engine, str(seed)]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"}

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from trimesh.resolvers import Resolver
 
-from polhode.errors import InputError
+from polhode.errors import InputError, one_line
 from polhode.foreign_files import MIB, amount, read_bytes
 from polhode.foreign_meshes.glb import require_sound_glb
 from polhode.foreign_meshes.obj import FilesBeside, plain, require_sound_obj
@@ -126,7 +126,7 @@ def _require_sound(mesh: Any) -> None:
 
 
 def require_coordinates(mesh: trimesh.Trimesh) -> None:
-    """Raises Unsound: a vertex that is not finite, or farther out than numbers of single precision are of use."""
+    """Raises Unsound: a vertex that is not finite, or farther out than any body."""
     vertices = np.asarray(mesh.vertices)
     if not np.isfinite(vertices).all():
         raise Unsound("a vertex is not finite")
@@ -138,6 +138,5 @@ def unreadable(path: Path, error: Exception) -> InputError:
     """One line, with the reason; the error itself if it has one already."""
     if isinstance(error, InputError):
         return error
-    words = " ".join(str(error).split())[:120] or type(error).__name__
-    reason = "".join(letter if letter.isprintable() else "?" for letter in words)
+    reason = one_line(str(error) or type(error).__name__)[:120]
     return InputError(f"{path}: cannot be read as a mesh ({reason}); give PLY, STL, OBJ or GLB")
