@@ -10,9 +10,9 @@ recording           a sequence in memory, with its truth
 judge               errors of what a run claims, in sigmas; what is wrong, and whether the run says so
 leaks               memory and open files over thousands of runs in one process
 small_data          the small sequence of the benchmark of leaks
-fuzzing         inputs found by mutation, for every reader of files
-fuzz_targets    the readers, each with a small valid corpus
-fuzz_check      what an input may do: success, or one line of InputError
-fuzz_mutation   changes of bytes, numbers, lines, members and chunks
-fuzz_process    the process of one target: engine, limits, findings
+fuzzing             inputs found by mutation, for every reader of files
+fuzz_targets        the readers, each with a small valid corpus
+fuzz_check          what an input may do: success, or one line of InputError
+fuzz_mutation       changes of bytes, numbers, lines, members and chunks
+fuzz_process        the process of one target: engine, limits, findings
 """
