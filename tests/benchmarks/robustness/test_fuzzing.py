@@ -43,7 +43,8 @@ def test_every_corpus_is_valid(tmp_path: Path) -> None:
 
 
 def test_stored_cases_belong_to_targets() -> None:
-    assert {folder.name for folder in CASES.iterdir() if folder.is_dir()} <= {target.name for target in TARGETS}
+    folders = {folder.name for folder in CASES.iterdir() if folder.is_dir()}
+    assert folders <= {target.name for target in TARGETS}
 
 
 def _forever() -> Iterator[bool]:
