@@ -8,8 +8,12 @@ faults_of_files     its faults of images, times, calibration and poses
 faults_of_scenes    its faults that are rendered: second bodies, lost parts, forces, late cameras
 recording           a sequence in memory, with its truth
 judge               errors of what a run claims, in sigmas; what is wrong, and whether the run says so
+kills               random kills and full disks: what they leave of the output of every command
+disturbed_commands  its commands
+stage               its inputs, and what each command makes undisturbed
+results             what a command left, without times and logs
 leaks               memory and open files over thousands of runs in one process
-small_data          the small sequence of the benchmark of leaks
+small_data          the small sequence of the benchmarks of kills and leaks
 fuzzing             inputs found by mutation, for every reader of files
 fuzz_targets        the readers, each with a small valid corpus
 fuzz_check          what an input may do: success, or one line of InputError

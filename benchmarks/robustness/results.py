@@ -1,0 +1,89 @@
+"""What a command left: its files by content, without times and logs, and whether that is a whole result."""
+
+import csv
+import hashlib
+import io
+import json
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+State = Literal["absent", "old", "new", "failed", "unfinished", "half", "lost"]
+"""Nothing; the earlier result; the complete one; a run that says that it failed; one that resumes; part of a
+result; the earlier result is no longer whole"""
+
+TIMES = (
+    *("timing_s", "training_s", "prepared_s", "wall_s", "build_s", "evaluation_s", "linear_s", "callback_s"),
+    *("memory_mb", "memory_before_mb", "trace", "profiles", "machine", "elapsed_s"),
+)
+"""Keys of JSON files that differ from call to call"""
+UNLIKE = (".html", "log.txt", "checkpoint.safetensors")
+"""Endings of files that contain times: only that they are there counts"""
+SKIPPED = ("curves",)
+"""Folders of files whose names contain times"""
+
+
+def contents(place: Path, names: tuple[str, ...]) -> dict[str, str]:
+    """Digests of the files below ``place`` that belong to the results of these names."""
+    found = {}
+    for name in names:
+        root = place / name
+        files = [root] if root.is_file() else sorted(path for path in root.rglob("*") if path.is_file())
+        for path in files:
+            parts = path.relative_to(place).parts
+            if not set(SKIPPED) & set(parts):
+                found["/".join(parts)] = _digest(path, place)
+    return found
+
+
+def _digest(path: Path, place: Path) -> str:
+    if path.name.endswith(UNLIKE):
+        return "there"
+    content = path.read_bytes().replace(str(place).encode(), b"PLACE")
+    if path.suffix == ".json":
+        content = json.dumps(_without_times(json.loads(content)), sort_keys=True).encode()
+    if path.name == "compare.csv":
+        rows = csv.DictReader(io.StringIO(content.decode()))
+        content = json.dumps([_without_times(row) for row in rows]).encode()
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def _without_times(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_times(each) for key, each in value.items() if key not in TIMES}
+    return [_without_times(each) for each in value] if isinstance(value, list) else value
+
+
+def judged(now: dict[str, str], old: dict[str, str], new: dict[str, str], resumes: bool) -> State:
+    """What the files of the results are, beside those of the earlier and of the undisturbed result."""
+    if now == new:
+        return "new"
+    if old and now == old:
+        return "old"
+    if old:
+        return "lost"
+    # A folder that has only been marked as ours is empty.
+    if all(name.endswith("/.polhode-output") for name in now):
+        return "absent"
+    return "unfinished" if resumes else "half"
+
+
+def names_of(place: Path) -> tuple[str, ...]:
+    """Names of all files and folders below ``place``, hidden ones too, sorted."""
+    found = []
+    for root, folders, files in os.walk(place):
+        found += [os.path.relpath(os.path.join(root, name), place) for name in (*folders, *files)]  # noqa: PTH118
+    return tuple(sorted(found))
+
+
+def size_of(place: Path) -> int:
+    """Bytes of all files below ``place``, each rounded up to pages of 4 KiB."""
+    return sum(-(-path.lstat().st_size // 4096) * 4096 for path in place.rglob("*"))
+
+
+def is_failed_run(folder: Path) -> bool:
+    """Whether the folder is a run that says that it failed."""
+    try:
+        return bool(json.loads((folder / "summary.json").read_text())["status"] == "failed")
+    except (OSError, ValueError, KeyError):
+        return False
