@@ -36,6 +36,7 @@ json_files.py      JSON, of limited size and depth
 ply.py             binary PLY files
 atomic.py          atomic writing of files
 output/            what commands write: places, what may be replaced there, folders that change places
+drawing_style.py   pictures by matplotlib with its own settings
 rays.py            rays against triangles
 code_cache.py      where compiled code is kept: where no other user can put any
 compiled.py        just-in-time compilation with a cache that knows its constants

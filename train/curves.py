@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from polhode.drawing_style import default_style
 from polhode.errors import InputError
 from polhode.lie import Array
 
@@ -56,6 +57,7 @@ def read_curves(output: Path) -> dict[str, Array]:
     return {name: np.array([(point.step, point.value) for point in events.Scalars(name)]) for name in names}
 
 
+@default_style
 def draw_curves(outputs: Sequence[Path], path: Path) -> None:
     """One row of plots for each training: the losses, and the scores on held-out bodies."""
     figure = Figure(figsize=(12, 4.0 * len(outputs)), layout="constrained")

@@ -19,6 +19,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from polhode.drawing_style import default_style
 from polhode.lie import Array
 from polhode.mapping.visibility import MeshView, MeshViewer
 from polhode.output.marked_folder import marked_place, write_files
@@ -75,6 +76,7 @@ def plan_pictures(plan: Plan, grapples: Sequence[Any]) -> dict[str, bytes]:
     return pictures
 
 
+@default_style
 def draw_keepout(keep: KeepOut, surface: SurfaceModel, horizon_s: float, confidence: float) -> bytes:
     """The volume in N from four sides, with the body at the last pair and at the horizon."""
     volume, motion = keep.swept.mesh, keep.instant.motion
@@ -113,6 +115,7 @@ def _veiled(outer: MeshView, blue: Array, layers: list[tuple[MeshView, Array]]) 
     return np.asarray(image)
 
 
+@default_style
 def draw_speed(
     surface: SurfaceModel, speed: SurfaceSpeed, grapples: Sequence[Any], horizon_s: float
 ) -> bytes:
@@ -158,6 +161,7 @@ def _mark(axes: Axes, view: MeshView, side: Direction, p: Array, half: float, te
     )  # fmt: skip
 
 
+@default_style
 def draw_corridor(plan: Plan) -> bytes:
     """The path of an inspector that stays at the stand-off, in two projections; its acceleration."""
     path, docking = plan.corridor, plan.docking

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
+from polhode.drawing_style import default_style
 from polhode.lie import Array
 from polhode.mapping.visibility import MeshView, MeshViewer
 from polhode.pipeline.report.plot_style import AXIS_COLORS, FAINT, GRID, INK, SIGMA_SCALE
@@ -122,6 +123,7 @@ def png(figure: Figure) -> bytes:
     return content.getvalue()
 
 
+@default_style
 def draw_landmarks(landmarks: Landmarks, frame: BodyFrame) -> bytes:
     """A PNG of six orthographic views, coloured by standard deviation; ValueError without landmarks."""
     if len(landmarks.p_G) == 0:
@@ -212,6 +214,7 @@ class _Quantity:
     """from numbers to colours; None: ``values`` are colours"""
 
 
+@default_style
 def draw_mesh(surface: SurfaceModel, viewer: MeshViewer, frame: BodyFrame) -> bytes:
     """A PNG: a column for each direction, a row for each quantity. ``viewer`` looks at the mesh."""
     mesh, directions = surface.mesh, ALONG_AXES + OBLIQUE

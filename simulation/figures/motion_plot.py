@@ -20,6 +20,7 @@ from matplotlib.patheffects import withStroke
 from PIL import Image
 
 from polhode.config.scene_settings import Scene
+from polhode.drawing_style import default_style
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.rays import RayScene
@@ -167,6 +168,7 @@ def _shaded(normals: Array, paints: Array) -> Array:
     return np.asarray(paints[:, :3] * (AMBIENT + DIFFUSE * diffuse) + GLOSS * gloss)
 
 
+@default_style
 def motion_figure(scene: Scene, seed: int, name: str, pixels: int = 1000) -> Figure:
     """Three panels: the cones in space, the polhode on the energy ellipsoid, the herpolhode.
 
@@ -409,6 +411,7 @@ def _range(low: float, high: float, digits: int) -> str:
     return a if a == b else f"{a} to {b}"
 
 
+@default_style
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG; it is drawn larger and reduced, which smooths the edges of surfaces."""
     large = BytesIO()

@@ -12,6 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from polhode.camera import RectifiedRig
+from polhode.drawing_style import default_style
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.pipeline.after_run.observability.assess import Assessment
 from polhode.pipeline.pictures.body_views import png
@@ -80,6 +81,7 @@ def coloured_body(
     return whole, legend
 
 
+@default_style
 def picture(
     model: EdgeModel,
     rig: RectifiedRig,
@@ -168,6 +170,7 @@ VIEWS = 6
 _COLOURS = ("C0", "C1", "C2")
 
 
+@default_style
 def draw_metric(assessment: Assessment) -> bytes:
     """A PNG: sigmas of translations and rotations, length of visible edges and range, over time."""
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
@@ -207,6 +210,7 @@ def draw_metric(assessment: Assessment) -> bytes:
     return png(figure)
 
 
+@default_style
 def draw_views(assessment: Assessment) -> bytes:
     """A PNG: the visible edges in up to six views of the trajectory."""
     count = min(VIEWS, len(assessment.views))
@@ -225,6 +229,7 @@ def draw_views(assessment: Assessment) -> bytes:
     return png(figure)
 
 
+@default_style
 def draw_contributions(assessment: Assessment, k: int) -> bytes:
     """A PNG: the share of each edge in the variance of each degree of freedom, seen from view k."""
     shares = np.nan_to_num(assessment.edges.share)
