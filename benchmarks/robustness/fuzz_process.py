@@ -14,6 +14,7 @@ import time
 from collections import deque
 from pathlib import Path
 from random import Random
+from types import FunctionType
 
 from benchmarks.command import ROOT
 from benchmarks.robustness.fuzz_check import LIMIT_BYTES, Checker, Finding
@@ -80,11 +81,6 @@ def store_finding(folder: Path, content: bytes, found: Finding) -> None:
 def main(name: str, folder: Path, seconds: float, engine: str, seed: int) -> None:
     """Run until the time is over."""
     limit_threads(1)
-    if engine == "atheris":
-        import atheris
-
-        with atheris.instrument_imports(include=[*SHARED_MODULES, *target_named(name).modules]):
-            _import(target_named(name))
     target = target_named(name)
     seeds = target.seeds()
     session = _Session(target, folder)
@@ -100,11 +96,23 @@ def main(name: str, folder: Path, seconds: float, engine: str, seed: int) -> Non
     session.note()
 
 
-def _import(target: Target) -> None:
-    import importlib
+def _instrument(target: Target) -> None:
+    """Let Atheris see the branches of the functions that have been imported from the target's modules."""
+    import atheris
 
-    for module in (*SHARED_MODULES, *target.modules):
-        importlib.import_module(module)
+    for name, module in list(sys.modules.items()):
+        if not any(
+            name == each or name.startswith(f"{each}.") for each in (*SHARED_MODULES, *target.modules)
+        ):
+            continue
+        for owner in (module, *(each for each in vars(module).values() if issubclass(type(each), type))):
+            if owner is not module and owner.__module__ != name:
+                continue
+            for value in list(vars(owner).values()):
+                function = value.__func__ if type(value) in (staticmethod, classmethod) else value
+                # Placeholders of missing packages raise at any look into them.
+                if type(function) is FunctionType and function.__module__ == name:
+                    atheris.instrument_func(function)
 
 
 def _limit_memory() -> None:
@@ -118,6 +126,7 @@ def _limit_memory() -> None:
 def _with_atheris(session: _Session, target: Target, seeds: list[bytes], seconds: float, seed: int) -> None:
     import atheris
 
+    _instrument(target)
     corpus = session.folder / "corpus"
     corpus.mkdir(exist_ok=True)
     for number, content in enumerate(seeds):

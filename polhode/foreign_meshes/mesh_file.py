@@ -1,5 +1,6 @@
 """Opening a mesh file of others: limits, structure, then trimesh; what comes out is finite and sound."""
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from io import BytesIO
@@ -17,6 +18,9 @@ from polhode.foreign_meshes.obj import FilesBeside, plain, require_sound_obj
 from polhode.foreign_meshes.ply import require_sound_ply
 from polhode.foreign_meshes.stl import is_binary_stl, require_sound_stl
 from polhode.foreign_meshes.unsound import MAX_FACES, Unsound
+
+# It logs what it cannot make use of, such as colours; here a mesh is read or refused in one line.
+logging.getLogger("trimesh").setLevel(logging.CRITICAL)
 
 BINARY_BYTES = 64 * MIB
 TEXT_BYTES = 16 * MIB
