@@ -39,7 +39,7 @@ from polhode.rigid_body import propagate
 
 MAX_ROWS = 100_000
 MIN_HORIZON_S, MAX_HORIZON_S = 1e-6, 1e8
-MAX_TURNS = 1e5
+MAX_TURNS = 1e4
 ARRAYS = (
     "timestamps_ns", "r_N", "v_N", "q_NP_wxyz", "w_P", "covariance", "covariance_of_marks", "order",
 )  # fmt: skip

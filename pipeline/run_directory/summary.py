@@ -30,6 +30,7 @@ from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
 
 STAGES: tuple[str, ...] = ("frontend", "initialization", "backend", "depth", "fusion", "report", "total")
 NOT_OURS = "not a summary that polhode wrote"
+MAX_LOG_RATIO = 60.0
 MAX_SIZE = 1e12
 """Of a moment over the middle one, and of com_G [m]."""
 MANY_CONTRADICTED = 0.4
@@ -161,6 +162,19 @@ def _require_sound(file: Path, summary: Summary) -> None:
         raise InputError(f"{file}: com_G: above {MAX_SIZE:g} m; {NOT_OURS}")
     if inertia is not None and not all(1.0 / MAX_SIZE <= moment <= MAX_SIZE for moment in inertia.moments):
         raise InputError(f"{file}: inertia.moments: not three positive moments about 1; {NOT_OURS}")
+    if inertia is not None and not _is_inertia(np.array(inertia.J_G)):
+        raise InputError(f"{file}: inertia.J_G: not symmetric and positive definite; {NOT_OURS}")
+    if inertia is not None and max(abs(inertia.k1), abs(inertia.k2)) > MAX_LOG_RATIO:
+        raise InputError(f"{file}: inertia: k1 and k2 beyond {MAX_LOG_RATIO:g}; {NOT_OURS}")
+    noise = summary.noise
+    if noise is not None and not all(0.0 <= psd <= MAX_SIZE for psd in (noise.accel_psd, noise.torque_psd)):
+        raise InputError(f"{file}: noise: accel_psd or torque_psd is not from 0 to {MAX_SIZE:g}; {NOT_OURS}")
+
+
+def _is_inertia(J: Array) -> bool:
+    if np.abs(J).max() > MAX_SIZE or np.abs(J - J.T).max() > 1e-6 * np.abs(J).max():
+        return False
+    return bool(np.linalg.eigvalsh(J)[0] > 0.0)
 
 
 def _is_rotation(R: Array) -> bool:

@@ -20,7 +20,7 @@ from polhode.config.section import (
 MAX_ROWS = 1_000_000
 """Of the truth: images and times after them."""
 MAX_DURATION_S = 1e8
-MAX_TURNS = 1e5
+MAX_TURNS = 1e4
 """Revolutions of the target, periods of a push, crossings of a dead band."""
 Density = Annotated[float, Field(ge=1e-6, le=1e6)]
 _Moment = Annotated[float, Field(ge=-1e18, le=1e18)]

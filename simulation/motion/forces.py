@@ -12,7 +12,8 @@ from polhode.config import scene_settings as config
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.records import Ints
-from polhode.simulation.motion.integrate import Forces, advance, body_rate, no_forces
+from polhode.simulation.motion.integrate import MAX_ROTATION_RAD, Forces, advance, body_rate, no_forces
+from polhode.simulation.motion.integrate import STEPS_PER_PERIOD as PERIOD_STEPS
 from polhode.simulation.motion.mass import MassDistribution
 
 MAX_CELL_S = 0.025
@@ -21,6 +22,10 @@ CELLS_PER_INTERVAL = 20
 _TAG = 0x30
 
 
+MAX_CELLS = 2_000_000
+"""Of the disturbances, and rows of the known wrench: 14 hours of the shortest."""
+MAX_STEPS = 10_000_000
+"""Of the integration, which makes some hundred thousand in a second."""
 MAX_STEP_S = 0.05
 STEPS_PER_PERIOD = 200
 
@@ -39,6 +44,12 @@ def acting_forces(
     cell_s = cell_length_s(scene)
     noisy = motion.accel_psd > 0 or motion.torque_psd > 0
     cells = int(np.ceil(stop_s / cell_s)) + 1 if noisy else 0
+    rows = stop_s / MAX_STEP_S if motion.pushes and motion.pushes_known else 0.0
+    if max(cells, rows) > MAX_CELLS:
+        raise InputError(
+            f"scene: disturbances or pushes over {stop_s:g} s take {max(cells, rows):.3g} steps, above "
+            f"{MAX_CELLS:g}; give fewer frames, a shorter truth_horizon_s or a longer interval_s"
+        )
     white_accel_N, white_torque_P = _white(motion, mass, cells, cell_s, seed)
     steady = [push for push in motion.pushes if push.period_s is None]
     edges_s = [edge for push in motion.pushes for edge in push_interval_s(push)]
@@ -52,7 +63,29 @@ def acting_forces(
         accel_N[on] += np.array(push.force_N) / mass.mass_kg
         torque_P[on] += push.torque_P
     sines = [_sine(push, mass.mass_kg) for push in motion.pushes if push.period_s is not None]
-    return Forces(mass.moments, knots_s, accel_N, torque_P, np.array(sines).reshape(-1, 9), drag_hz, friction)
+    forces = Forces(
+        mass.moments, knots_s, accel_N, torque_P, np.array(sines).reshape(-1, 9), drag_hz, friction
+    )
+    _require_feasible(forces, w_P, stop_s)
+    return forces
+
+
+def _require_feasible(forces: Forces, w_P: Array, stop_s: float) -> None:
+    """Raise InputError for a motion of so many steps of integration that it would take hours."""
+    inside = np.clip(np.concatenate([[0.0], forces.knots_s, [np.inf]]), 0.0, stop_s)
+    impulse = np.cumsum(forces.torque_P * np.diff(inside)[:, None], axis=0)
+    largest = float(np.abs(impulse).max())
+    fastest = 0.0
+    for start_s, end_s, rate, *amplitudes in forces.sines:
+        largest += float(np.abs(amplitudes[3:]).max()) * max(min(end_s, stop_s) - start_s, 0.0)
+        fastest = max(fastest, rate if start_s < stop_s else 0.0)
+    rate_rad_s = float(np.abs(w_P).sum()) + largest / float(forces.moments.min())
+    per_second = rate_rad_s / MAX_ROTATION_RAD + fastest * PERIOD_STEPS / (2.0 * np.pi) + forces.drag_hz
+    if not per_second * stop_s <= MAX_STEPS:
+        raise InputError(
+            f"scene.motion: spin, torques and losses reach {rate_rad_s:.3g} rad/s within {stop_s:g} s, "
+            f"{per_second * stop_s:.3g} steps of integration, above {MAX_STEPS:g}; give less of them"
+        )
 
 
 def is_free(motion: config.Motion) -> bool:

@@ -93,7 +93,8 @@ def _within_segment(y: Array, start_s: float, end_s: float, segment: int, forces
             fastest = max(fastest, forces.sines[k, 2])
     rate = np.abs(body_rate(y[10:13], forces.moments, forces.friction)).sum()
     rate += torque * abs(duration) / forces.moments[2]
-    turn = max(rate / MAX_ROTATION_RAD, fastest * STEPS_PER_PERIOD / (2.0 * np.pi)) * abs(duration)
+    per_second = max(rate / MAX_ROTATION_RAD, fastest * STEPS_PER_PERIOD / (2.0 * np.pi), forces.drag_hz)
+    turn = per_second * abs(duration)
     steps = max(int(np.ceil(turn)), 1)
     for k in range(steps):
         y = _step(y, start_s + duration * k / steps, duration / steps, segment, active, forces)

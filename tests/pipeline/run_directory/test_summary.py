@@ -129,7 +129,8 @@ def test_every_reason_is_told_once_and_the_failure_first(example: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "words"), [(None, "no such file"), ("{}", "Field required"), ("{", "JSON")]
+    ("content", "words"),
+    [(None, "no such file"), ("{}", "Field required"), ("{", "JSON"), ("[]", "valid dict")],
 )
 def test_a_damaged_summary_is_refused_in_one_line(content: str | None, words: str, tmp_path: Path) -> None:
     if content is not None:
@@ -151,3 +152,34 @@ def test_a_summary_with_a_part_of_an_estimate_is_refused(part: str, example: Any
     assert "\n" not in str(caught.value) and "Value error" not in str(caught.value)
     path.write_text(json.dumps({**content, **dict.fromkeys(ESTIMATE_PARTS)}))
     assert read_summary(path).inertia is None
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "words"),
+    [
+        ("R_GP", np.diag([1.0, 1.0, -1.0]).tolist(), "R_GP: not a rotation"),
+        ("R_GP", np.zeros((3, 3)).tolist(), "R_GP: not a rotation"),
+        ("com_G", [1e300, 0.0, 0.0], "com_G: above 1e\\+12 m"),
+        ("inertia.moments", [1.0, 1.0, 0.0], "inertia.moments: not three positive"),
+        ("inertia.J_G", np.zeros((3, 3)).tolist(), "inertia.J_G: not symmetric and positive definite"),
+        ("inertia.J_G", np.full((3, 3), 1e300).tolist(), "inertia.J_G: not symmetric and positive definite"),
+        ("inertia.k1", 1e300, "inertia: k1 and k2 beyond 60"),
+        ("noise.accel_psd", 1e300, "noise: accel_psd or torque_psd is not from 0"),
+        ("noise.torque_psd", -1.0, "noise: accel_psd or torque_psd is not from 0"),
+    ],
+)
+def test_numbers_of_no_body_are_refused(
+    example: Any, part: str, value: object, words: str, tmp_path: Path
+) -> None:
+    """They were an endless integration, or a defect, in the commands that follow a run."""
+    file = tmp_path / "summary.json"
+    write_summary(_summary(example), file)
+    content = json.loads(file.read_text())
+    *sections, name = part.split(".")
+    inner = content
+    for section in sections:
+        inner = inner[section]
+    inner[name] = value
+    file.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=words):
+        read_summary(tmp_path)

@@ -116,3 +116,10 @@ def test_a_loss_that_cannot_be_is_refused(loss: dict[str, object], w_P: list[flo
         loss_coefficients(motion, SLENDER, np.array(w_P, dtype=np.float64))
     assert "\n" not in str(caught.value)
     assert "scene.motion.energy_loss" in str(caught.value)
+
+
+def test_a_loss_faster_than_the_rotation_is_integrated_too() -> None:
+    """The step follows the drag where that is the faster of the two."""
+    w_P = np.array([0.1, 1.0, 0.1])
+    motion = _losing("drag", 0.99, 0.01, TRIAXIAL, w_P)
+    assert np.isfinite(motion.h_P).all() and np.isfinite(motion.R_NP).all()
