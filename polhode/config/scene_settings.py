@@ -239,7 +239,7 @@ class Sensor(Section):
 
     white_dn: float = Field(450.0, ge=1e-3, le=1e9)
     """Grey value of a white diffuse surface that faces the Sun; above 255 it saturates [DN]."""
-    exposure_ms: float = Field(1.0, ge=0, le=1e6)
+    exposure_ms: float = Field(1.0, ge=0, le=1e4)
     """Exposure time of the global shutter, centred on the timestamp: motion blur [ms]."""
     electrons_per_dn: float = Field(40.0, ge=1e-3, le=1e6)
     """Conversion gain: sets the shot noise [electrons/DN]."""
