@@ -46,7 +46,7 @@ from polhode.metrics import (
 from polhode.pipeline.run_directory.archives import Covariance, read_covariance
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory, require_same_frames, target_poses
 from polhode.records import Bools, Ints, Truth
 from polhode.rigid_body import HALF_TURN_NAMES, propagate
 from polhode.rigid_fit import mean_rotation
@@ -116,6 +116,7 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     table = read_trajectory(run_folder)
     estimate = States(table.timestamps_ns, table.r_N, table.v_N, table.R_NP, table.w_P)
     covariance = read_covariance(run_folder)
+    require_same_frames(run_folder, table, covariance.timestamps_ns, "covariance.npz")
     truth = read_truth(sequence_folder)
     true_states = truth_at(truth, estimate.timestamps_ns)
     X_NG = target_poses(estimate, np.array(summary.R_GP), np.array(summary.com_G))

@@ -30,6 +30,7 @@ from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import (
     Trajectory,
     read_trajectory,
+    require_same_frames,
     standard_deviations,
     write_trajectory,
 )
@@ -156,12 +157,14 @@ def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
     if summary.inertia is None or summary.R_GP is None:
         raise InputError(f"{run_folder}: this run failed before it had an estimate; nothing can be predicted")
     try:
-        covariance = read_covariance(run_folder).last_body
+        stored = read_covariance(run_folder)
     except InputError as error:
         raise NoCovariance(str(error)) from error
+    covariance = stored.last_body
     if covariance is None:
         raise NoCovariance(f"{run_folder / 'covariance.npz'}: the array last_body is missing; run it again")
     table, R_GP = read_trajectory(run_folder), np.array(summary.R_GP)
+    require_same_frames(run_folder, table, stored.timestamps_ns, "covariance.npz")
     form = FORMS[load_config(run_folder / "config.yaml").backend.inertia]
     J, by_parameters = inertia_by_parameters(np.array(summary.inertia.J_G), form)
     known = summary.identifiable

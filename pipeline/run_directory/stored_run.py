@@ -24,7 +24,12 @@ from polhode.pipeline.run_directory.archives import (
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
-from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory, target_poses
+from polhode.pipeline.run_directory.trajectory_file import (
+    Trajectory,
+    read_trajectory,
+    require_same_frames,
+    target_poses,
+)
 from polhode.records import Landmarks, OnlineEstimate, StereoTracks, SurfaceModel
 
 _log = logging.getLogger(__name__)
@@ -81,12 +86,15 @@ def read_stored_run(folder: Path, name: str) -> StoredRun:
     """Read a run. Raises InputError when summary.json is missing or a file is damaged."""
     summary = read_summary(folder)
     has_tracks = (folder / "measurements.npz").is_file()
+    motion, tracks = _motion(folder, summary), read_measurements(folder) if has_tracks else None
+    if motion is not None and tracks is not None:
+        require_same_frames(folder, motion.trajectory, tracks.timestamps_ns, "measurements.npz")
     return StoredRun(
         name=name,
         summary=summary,
-        motion=_motion(folder, summary),
+        motion=motion,
         online=read_online(folder),
-        tracks=read_measurements(folder) if has_tracks else None,
+        tracks=tracks,
         residuals=read_residuals(folder) if has_tracks else None,
         landmarks=read_landmarks(folder) if (folder / "landmarks.ply").is_file() else None,
         surface=read_ply(folder / "mesh.ply") if (folder / "mesh.ply").is_file() else None,
@@ -102,9 +110,11 @@ def _motion(folder: Path, summary: Summary) -> StoredMotion | None:
         return None
     if not all(file.is_file() for file in files):
         return None
+    trajectory, covariance = read_trajectory(files[0]), read_covariance(files[1])
+    require_same_frames(folder, trajectory, covariance.timestamps_ns, "covariance.npz")
     return StoredMotion(
-        trajectory=read_trajectory(files[0]),
-        covariance=read_covariance(files[1]),
+        trajectory=trajectory,
+        covariance=covariance,
         moments=np.array(summary.inertia.moments),
         R_GP=np.array(summary.R_GP),
         com_G=np.array(summary.com_G),

@@ -122,6 +122,15 @@ def read_trajectory(path: Path) -> Trajectory:
     return Trajectory(table.timestamps_ns, *parts)
 
 
+def require_same_frames(folder: Path, trajectory: Trajectory, timestamps_ns: Ints, other: str) -> None:
+    """Raise InputError unless the rows of the trajectory are those of another file of the run."""
+    if not np.array_equal(trajectory.timestamps_ns, timestamps_ns):
+        raise InputError(
+            f"{folder / 'trajectory.csv'} and {other} have different frames, so they are not of one run; "
+            "run 'polhode run' again"
+        )
+
+
 def _require_sound(table: Table) -> None:
     """Raise InputError unless states are finite and standard deviations are numbers."""
     states, sigmas, q_wxyz = table.values[:, :13], table.values[:, 13:], table.values[:, 6:10]

@@ -179,6 +179,12 @@ IN_RUN: dict[str, tuple[str, Damage, str, tuple[str, ...]]] = {
         "timestamp 'nan' is not a whole number",
         (REPORT, PREDICT, EVALUATE),
     ),
+    "rows": (
+        "trajectory.csv",
+        lambda path: path.write_text("\n".join(path.read_text().splitlines()[:4])),
+        "trajectory.csv and covariance.npz have different frames",
+        (REPORT, PREDICT, EVALUATE),
+    ),
     "covariance": ("covariance.npz", array("covariance", np.nan), "holds NaN", (REPORT, PREDICT, EVALUATE)),
     "last state": ("covariance.npz", array("last_body", np.inf), "last_body holds NaN", (REPORT, PREDICT)),
     "ratio": (
