@@ -24,6 +24,8 @@ class Job:
     """Commands that read the result"""
     overwrite: bool = False
     """Whether the command is repeated with --overwrite: it refuses a result that is there"""
+    continues: tuple[str, ...] = ()
+    """Hidden folders beside the result in which the same command goes on"""
     resumes: bool = False
     """Whether an unfinished result is visible, and the same command goes on with it"""
 
@@ -48,8 +50,9 @@ JOBS = {
     for job in (
         Job("run", _RUN, ("R",), later=_READERS, overwrite=True),
         Job("run --overwrite", (*_RUN, "--overwrite"), ("R",), (*_RUN, "--seed", "7"), later=_READERS),
-        Job("simulate", _SIMULATE, ("S",), overwrite=True),
-        Job("simulate --overwrite", (*_SIMULATE, "--overwrite"), ("S",), (*_SIMULATE, "--seed", "7")),
+        Job("simulate", _SIMULATE, ("S",), overwrite=True, continues=(".S.partial",)),
+        Job("simulate --overwrite", (*_SIMULATE, "--overwrite"), ("S",), (*_SIMULATE, "--seed", "7"),
+            continues=(".S.partial",)),
         Job("compare", ("compare", "{stage}/compare.yaml", "--run", "{stage}/R", "-o", "{place}/D"), ("D",),
             resumes=True),
         Job("train", _TRAIN, ("T", "corpus"), inputs=("corpus",), resumes=True),

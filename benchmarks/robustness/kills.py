@@ -1,6 +1,6 @@
 """What kills at random moments and full disks leave of the output of every command.
 
-    python -m benchmarks.robustness.kills [--short] [--workers 1] [--record FILE] [--stage FOLDER]
+    python -m benchmarks.robustness.kills [COMMAND ...] [--short] [--workers 1] [--record FILE] [--stage DIR]
 
 Fifty times a command is killed (SIGKILL, its main process alone): at a random share of its time, or right
 after a random change of the names beside its output, as its steps of writing are short. Twenty times the disk
@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, Record, Short, Workers, command
 from benchmarks.presentation import print_table
@@ -64,6 +64,7 @@ MIN_ROOM_BYTES = 16384
 
 
 def main(
+    commands: Positional[Annotated[tuple[str, ...], arg(metavar="COMMAND", help="Only these.")]] = (),
     short: Short = False,
     workers: Workers = 1,
     record: Record = RECORD,
@@ -71,13 +72,16 @@ def main(
 ) -> None:
     """Measure what the record lacks, print the tables; exit code 1 if a case does not hold."""
     jobs = ("predict", "simulate") if short else tuple(JOBS)
+    jobs = tuple(job for job in jobs if not commands or job in commands)
     prepared(stage.resolve(), jobs)
     wanted = [("kill", KILLS), ("full", FULL)]
+    # seeds outermost: an interrupted benchmark has some of each command
     cases: list[Case] = [
         {"fault": fault, "job": job, "seed": seed, "stage": str(stage)}
+        for seed in range(1 if short else max(KILLS.values()))
         for fault, counts in wanted
         for job in jobs
-        for seed in range(min(counts.get(job, 0), 1 if short else 99))
+        if seed < counts.get(job, 0)
     ]
     lines = complete(record, cases, measure, workers)
     print_tables(lines)
@@ -176,7 +180,7 @@ def _judged(stage: Stage, job: Job, place: Path, state: State, enlarge: list[str
     beside = sorted({path.name for path in place.iterdir()} - set(stage.expected(job)))
     if beside:
         failures.append(f"clean: left beside the result: {', '.join(beside)}")
-    unnamed = [name for name in left if name not in out + error and "were there" not in out]
+    unnamed = [name for name in left if name not in out + error and name not in job.continues]
     if unnamed and not job.resumes:
         failures.append(f"clean: not named: {', '.join(unnamed)}")
     return failures

@@ -11,6 +11,8 @@ from polhode.errors import InputError
 from polhode.output.run_files import PICTURES, SCHEMA, SUMMARY, is_run_file
 
 TRIAL_BYTES = 4096
+LEFT_BEHIND = "%s: left by a command that was stopped; removed"
+"""The warning about what a killed command left."""
 
 
 def folder_place(path: Path, shown: Path | None = None) -> Path:

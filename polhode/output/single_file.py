@@ -1,5 +1,6 @@
 """A file that a command writes: a new one, or one that the same command wrote before."""
 
+import logging
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -8,7 +9,9 @@ from pathlib import Path
 
 from polhode.atomic import partial_of
 from polhode.errors import InputError
-from polhode.output.place import file_place, require_writable, unwritable
+from polhode.output.place import LEFT_BEHIND, file_place, require_writable, unwritable
+
+_log = logging.getLogger(__name__)
 
 
 def output_file(
@@ -52,6 +55,7 @@ def remove_partials(place: Path) -> None:
         if found and entry.is_file(follow_symlinks=False) and not _is_alive(int(found[1])):
             with suppress(OSError):
                 Path(entry.path).unlink()
+                _log.warning(LEFT_BEHIND, entry.path)
 
 
 def _is_alive(process: int) -> bool:

@@ -28,9 +28,7 @@ from polhode.output.exchange import (
     remove,
     sync_all,
 )
-from polhode.output.place import require_writable, unwritable
-
-LEFT_BEHIND = "%s: left by a command that was stopped; removed"
+from polhode.output.place import LEFT_BEHIND, require_writable, unwritable
 
 _log = logging.getLogger(__name__)
 

@@ -131,14 +131,23 @@ def test_workers_import_no_module_from_the_current_folder(tmp_path: Path) -> Non
     assert not (theirs / "sprung").exists()
 
 
-def test_the_fork_server_ends_with_its_parent_even_amid_its_imports(tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text(
-        "import os, time\nfrom pathlib import Path\nPath('1.pid').write_text(str(os.getpid()))\n"
-        "time.sleep(600)\n"
+SLOW = (
+    "import os, time\nfrom pathlib import Path\nPath('1.pid').write_text(str(os.getpid()))\ntime.sleep(600)\n"
+)
+
+
+@pytest.mark.parametrize("who", ["the server", "a worker"])
+def test_processes_end_with_their_parent_even_amid_their_imports(who: str, tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    (tmp_path / "work.py").write_text(
+        "class Work:\n"
+        "    def __call__(self, k: int) -> None: ...\n"
+        "    def __reduce__(self): return (__import__, ('slow',))\n"
     )
+    work, preload = ("abs", "['slow']") if who == "the server" else ("Work()", "[]")
     (tmp_path / "start.py").write_text(
-        "from polhode.processes import in_order\n\nif __name__ == '__main__':\n"
-        "    list(in_order(abs, range(2), 2, ['slow']))\n"
+        "from polhode.processes import in_order\nfrom work import Work\n\nif __name__ == '__main__':\n"
+        f"    list(in_order({work}, range(2), 2, {preload}))\n"
     )
     environment = os.environ | {"PYTHONPATH": f"{Path.cwd()}{os.pathsep}{tmp_path}"}
     parent = subprocess.Popen([sys.executable, "start.py"], cwd=tmp_path, env=environment)
