@@ -34,6 +34,7 @@ from polhode.cli.simulate import SimulateCommand
 from polhode.cli.streams import tolerant_streams
 from polhode.cli.threshold import ThresholdCommand
 from polhode.cli.train import TrainCommand
+from polhode.code_cache import require_no_settings_of_numba
 from polhode.config.keys import is_structured, suggestion
 from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure, one_line
@@ -119,6 +120,7 @@ def _dispatch(words: list[str]) -> int:
     command = _parse(own)
     if command is None:
         return 0
+    require_no_settings_of_numba()
     if isinstance(command, SimulateCommand | RunCommand | CompareCommand | TrainCommand):
         values = load_config(command.config, overrides)
         limit_threads(values.runtime.blas_threads)

@@ -12,7 +12,24 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+from polhode.errors import InputError
+
+NUMBA_SETTINGS = Path(".numba_config.yaml")
+"""Read by numba from the current folder when it is imported."""
+
 _log = logging.getLogger(__name__)
+
+
+def require_no_settings_of_numba() -> None:
+    """Raise InputError if numba would read settings from the current folder, which may be another person's.
+
+    They decide how numbers are computed, and from where compiled code is loaded.
+    """
+    if NUMBA_SETTINGS.exists():
+        raise InputError(
+            f"{NUMBA_SETTINGS} in the current folder has settings of numba, which would change the results: "
+            "start polhode in another folder, or remove it"
+        )
 
 
 def code_cache(source: Path) -> Path | None:

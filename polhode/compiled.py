@@ -20,7 +20,9 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numba
 import numpy as np
 
-from polhode.code_cache import code_cache
+from polhode.code_cache import code_cache, require_no_settings_of_numba
+
+require_no_settings_of_numba()
 
 P = ParamSpec("P")
 T = TypeVar("T")

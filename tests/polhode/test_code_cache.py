@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from polhode import code_cache as module
+from polhode.cli.main import main
 from polhode.code_cache import code_cache, is_private
 
 ANOTHER = 54321
@@ -153,3 +154,20 @@ def test_numba_keeps_its_files_there_and_works_without(source: Path, tmp_path: P
     assert len(list(named.rglob("*.nbi"))) == 1 and len(list(named.rglob("*.nbc"))) == 1
     assert list(shared.iterdir()) == []
     assert list(source.parent.rglob("*.nbi")) == []
+
+
+def test_settings_of_numba_in_the_current_folder_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They could name a folder of planted code; the folder may be a dataset of another person."""
+    (tmp_path / ".numba_config.yaml").write_text("cache_dir: /tmp/planted\ndisable_jit: 1\n")
+    monkeypatch.chdir(tmp_path)
+    assert main(["predict", "nowhere", "--horizon", "1"]) == 2
+    stderr = capsys.readouterr().err
+    assert "has settings of numba" in stderr and stderr.count("\n") == 1
+    path = str(Path(__file__).parents[2])
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", "import polhode.compiled"],
+        env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1 and "has settings of numba" in done.stderr
