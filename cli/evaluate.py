@@ -7,6 +7,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from polhode.cli.options import Debug
+from polhode.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -22,11 +23,15 @@ class EvaluateCommand:
     def execute(self) -> int:
         """Write the metrics, renew the report and print the table."""
         from polhode.output.place import require_writable
+        from polhode.output.staged_folder import at_work
         from polhode.pipeline.evaluation import evaluate, format_table
         from polhode.pipeline.report import write_report
 
+        if not self.run.is_dir():
+            raise InputError(f"{self.run}: no such folder; give the folder of a run")
         require_writable(self.run, self.run)
-        metrics = evaluate(self.run, self.data)
-        write_report(self.run)
+        with at_work(self.run, self.run):
+            metrics = evaluate(self.run, self.data)
+            write_report(self.run)
         print(format_table(metrics))
         return 0

@@ -26,7 +26,8 @@ class SimulateCommand:
     output: Annotated[Path, arg(aliases=["-o"], metavar="SEQ")]
     """Folder of the dataset, which is created."""
     overwrite: Flag = False
-    """Replace an existing dataset. Nothing else is ever replaced."""
+    """Replace an existing dataset that simulate made, if nothing was added to it. Nothing else is ever
+    replaced."""
     debug: Debug = False
     values: ConfigValues = field(default_factory=lambda: Config(scene=Scene()))
 

@@ -7,6 +7,7 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
+from polhode.atomic import write_bytes
 from polhode.errors import InputError
 from polhode.foreign_meshes import open_mesh
 from polhode.ply import surface_ply
@@ -31,7 +32,7 @@ def write_ply(surface: SurfaceModel, path: Path) -> None:
         comments=["frame G, metres"],
         more_comments=["invented 1: the face closes a small hole"],
     )
-    path.write_bytes(content)
+    write_bytes(path, content)
 
 
 def _colours(mesh: trimesh.Trimesh) -> NDArray[np.uint8]:
@@ -77,7 +78,7 @@ def write_glb(surface: SurfaceModel, path: Path) -> None:
             scene.add_geometry(_part(surface.mesh, chosen), node_name=name, geom_name=name)
     content = scene.export(file_type="glb", include_normals=True)
     assert isinstance(content, bytes)
-    path.write_bytes(content)
+    write_bytes(path, content)
 
 
 def _part(mesh: trimesh.Trimesh, chosen: NDArray[np.bool_]) -> trimesh.Trimesh:

@@ -20,12 +20,15 @@ from pathlib import Path
 from polhode.atomic import REFUSALS, refused
 from polhode.errors import InputError, RunFailure
 from polhode.output.exchange import IsOwn, entries, foreign, is_regular
-from polhode.output.place import folder_place, printable
+from polhode.output.place import begins_with, folder_place, printable
 from polhode.output.run_files import LATER, PICTURES, SUMMARY, is_run_file
 from polhode.output.staged_folder import StagedFolder, staged_folder
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.summary import build_summary, read_summary, with_files, write_summary
 
+REPORT = "report.html"
+CONFIG_SIGN, PAGE_SIGN = "# Resolved configuration", "polhode</title>"
+"""At the beginning of config.yaml and report.html of every run: names that other programs use as well."""
 RESULTS: tuple[str, ...] = ("measurements.npz", "trajectory.csv", "landmarks.ply", "mesh.ply")
 """A failed run is worth publishing if it contains one of these."""
 
@@ -96,8 +99,17 @@ def own_files(folder: Path) -> IsOwn | None:
     needed = ["config.yaml", *(("trajectory.csv", "covariance.npz") if summary.inertia is not None else ())]
     if not all((folder / name).is_file() and is_regular(folder / name) for name in (SUMMARY, *needed)):
         return None
+    if not begins_with(folder / "config.yaml", CONFIG_SIGN):
+        return None
     listed = None if summary.files is None else {*summary.files, *LATER}
-    return lambda name: is_run_file(name) and (listed is None or name in listed or "/." in f"/{name}")
+    has_other_page = (folder / REPORT).is_file() and not begins_with(folder / REPORT, PAGE_SIGN)
+
+    def is_own(name: str) -> bool:
+        if not is_run_file(name) or (name == REPORT and has_other_page):
+            return False
+        return listed is None or name in listed or "/." in f"/{name}"
+
+    return is_own
 
 
 def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
@@ -105,7 +117,8 @@ def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
         return
     is_own = own_files(place)
     if is_own is None:
-        example = min(name for name, _ in entries(place))
+        names = [name for name, is_folder in entries(place) if not is_folder] or [place.name]
+        example = printable(min(names, key=lambda name: (is_run_file(name), name)))
         raise InputError(
             f"{shown}: contains files that are not a run and are never deleted ({example}); "
             "choose another folder"
@@ -122,10 +135,15 @@ def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
             "choose another folder"
         ) from error
     for name in others:
-        if is_run_file(name) or is_run_file(name.split("/")[0]) or (name == PICTURES):
+        if (place / name).lstat().st_dev != place.stat().st_dev:
             raise InputError(
-                f"{shown}: {name} is not of the run there, but has the name of a result; move it, or choose "
-                "another folder"
+                f"{shown}: {printable(name)} is on another file system, and could not stay there; "
+                "choose another folder"
+            )
+        if is_run_file(name) or is_run_file(name.split("/")[0]) or name == PICTURES:
+            raise InputError(
+                f"{shown}: {printable(name)} is not of the run there, but has the name of a result; "
+                "move it, or choose another folder"
             )
 
 
@@ -147,7 +165,10 @@ def _publish(run: RunFolder, staged: StagedFolder, path: Path, overwrite: bool, 
         # Where the new folder cannot take the place, it can still have a name of its own.
         staged.keep = True
         other = _free(staged.place, "new")
-        staged.path.rename(other)
+        try:
+            staged.path.rename(other)
+        except OSError:
+            other = staged.path
         raise RunFailure(f"{refused(place, 'cannot be replaced', error)}; the new run is {other}") from error
     run.published = path if place == staged.place else place
     if stays:
@@ -184,7 +205,7 @@ def _publish_failed(
         except Exception as second:  # noqa: BLE001  the cause of the failure may break the report, too
             _log.debug("no report", exc_info=second)
     _publish(run, staged, path, overwrite, even_if_failed)
-    report = run.published / "report.html"
+    report = run.published / REPORT
     where = f"what was found: {report if report.is_file() else run.published}"
     return f"{where}; {run.note}" if run.note else where
 

@@ -80,13 +80,17 @@ class StagedFolder:
         stays: list[str] = []
         if place.is_dir() and any(place.iterdir()):
             with _open(place) as old:
-                _lock(old)
+                # whoever writes into the old folder, such as an evaluation, ends first
+                _lock(old, wait=True)
                 stays = foreign(place, is_own)
                 carry(stays, place, self.path)
                 aside = exchange(self.path, place)
                 self.is_claimed = False
-                # what came since then is in the old folder alone
-                move(remove(aside, is_own, place), aside, place)
+                try:
+                    # what came since then is in the old folder alone
+                    move(remove(aside, is_own, place), aside, place)
+                except OSError as error:
+                    _log.warning("%s: the old folder, which cannot be removed (%s)", aside, error.strerror)
         else:
             self.path.rename(place)
         self.is_claimed = False
@@ -209,10 +213,10 @@ def _open(folder: Path) -> Iterator[int]:
         os.close(handle)
 
 
-def _lock(handle: int) -> bool:
+def _lock(handle: int, wait: bool = False) -> bool:
     """False: another process holds it. Some network file systems cannot lock folders, and prevent nothing."""
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         return False
     except OSError:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from polhode.atomic import REFUSALS, write_failure
-from polhode.errors import InputError
-from polhode.output.place import folder_place, unwritable
+from polhode.errors import InputError, RunFailure
+from polhode.output.place import folder_place, require_writable, unwritable
 from polhode.output.staged_folder import StagedFolder, staged_folder
 from polhode.simulation.dataset.own_files import (
     FINGERPRINT,
@@ -70,8 +70,10 @@ class StagedDataset:
 
 
 def require_free(folder: Path, overwrite: bool) -> None:
-    """Raise InputError unless ``folder`` is absent, empty, or a dataset of ``simulate`` to be overwritten."""
+    """Raise InputError unless ``folder`` can be written and is absent, empty, or one of ``simulate`` that may
+    be overwritten."""
     place = folder_place(folder)
+    require_writable(place.parent, folder)
     if not (place.is_dir() and any(place.iterdir())):
         return
     reason = why_not_ours(place)
@@ -106,10 +108,14 @@ def staged_dataset(folder: Path, overwrite: bool, fingerprint: str) -> Iterator[
         except InputError:
             raise
         except BaseException as error:
-            staged.keep = any((staged.path / FRAMES).glob("*.done"))
+            done = len(list((staged.path / FRAMES).glob("*.done")))
+            staged.keep = done > 0
             if isinstance(error, OSError) and error.errno in REFUSALS:
-                raise write_failure(Path(error.filename or folder), error) from error
-            raise
+                error = write_failure(Path(error.filename or folder), error)
+            if isinstance(error, RunFailure) and done:
+                kept = f"{done} pairs are kept, the same command goes on from there"
+                raise RunFailure(f"{error}; {kept}") from error
+            raise error
 
 
 def _resume_or_clear(staged: StagedFolder, fingerprint: str) -> None:

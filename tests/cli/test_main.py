@@ -18,6 +18,7 @@ from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset_writer import write_camera_csv, write_png
 from polhode.errors import RunFailure
+from polhode.pipeline.run_directory.outputs import write_config
 from polhode.pipeline.run_directory.summary import build_summary, write_summary
 
 Capture = pytest.CaptureFixture[str]
@@ -192,7 +193,7 @@ def test_a_missing_folder_is_one_line_and_exit_2(config: Path, tmp_path: Path, c
 
 def old_run(folder: Path) -> dict[str, bytes]:
     folder.mkdir()
-    (folder / "config.yaml").write_text("seed: 1\n")
+    write_config(folder, Config())
     write_summary(build_summary(None, None, None, {}, failure="black"), folder / "summary.json")
     (folder / "trajectory.csv").write_text("old")
     return {path.name: path.read_bytes() for path in folder.iterdir()}

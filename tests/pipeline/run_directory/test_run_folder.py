@@ -388,3 +388,22 @@ def test_two_runs_at_once_do_not_mix(example: Any, tmp_path: Path) -> None:
             _good(tmp_path / "run", example)
         _finish(folder, example, "the first")
     assert read_summary(tmp_path / "run").warnings == ["the first"]
+
+
+@pytest.mark.parametrize("name", ["config.yaml", "report.html"])
+def test_names_that_other_programs_use_are_ours_by_their_content(
+    name: str, example: Any, tmp_path: Path
+) -> None:
+    _good(tmp_path / "run", example)
+    (tmp_path / "run" / name).write_text("mine: 1")
+    with pytest.raises(InputError, match=r"not a run|report.html is not of the run there"):
+        _good(tmp_path / "run", example)
+    assert (tmp_path / "run" / name).read_text() == "mine: 1"
+
+
+def test_the_line_names_a_file_of_the_user(example: Any, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    for name in ("config.yaml", "thesis.tex", "summary.json"):
+        (tmp_path / "run" / name).write_text("{}")
+    with pytest.raises(InputError, match=r"never deleted \(thesis.tex\)"):
+        _good(tmp_path / "run", example)
