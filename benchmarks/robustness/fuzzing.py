@@ -32,7 +32,7 @@ from benchmarks.robustness.fuzz_targets import TARGETS, target_named
 
 RUNS = ROOT / "runs" / "fuzzing"
 SILENT_S = 60.0
-"""After this long without a sign of life the process is killed: a library in C hangs."""
+"""After this much processor time without a sign of life a process is killed: a library in C hangs."""
 START_S = 300.0
 
 
@@ -126,7 +126,7 @@ def _session(
         process = subprocess.Popen(
             [sys.executable, *words], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=stream
         )
-        hung = _wait(process, folder, seconds)
+        hung = _wait(process, folder)
     text = output.read_text(errors="replace")
     state_file = folder / "state.json"
     state = json.loads(state_file.read_text()) if state_file.is_file() else {"inputs": 0, "seconds": seconds}
@@ -137,21 +137,34 @@ def _session(
     return state, ended, int(covered[-1]) if covered else None
 
 
-def _wait(process: "subprocess.Popen[bytes]", folder: Path, seconds: float) -> bool:
-    """Until it ends; True when it had to be killed since it gave no sign of life."""
-    start = time.monotonic()
+def _wait(process: "subprocess.Popen[bytes]", folder: Path) -> bool:
+    """Until it ends; True when it had to be killed since it worked, or waited, without a sign of life.
+
+    Work is counted in processor time: a process that a busy machine leaves waiting is no finding.
+    """
+    sign, since_cpu_s, since = 0.0, 0.0, time.monotonic()
     while process.poll() is None:
         time.sleep(0.5)
         state = folder / "state.json"
-        if not state.is_file():
-            silent = time.monotonic() - start - START_S
-        else:
-            silent = time.time() - state.stat().st_mtime - SILENT_S
-        if silent > 0 or time.monotonic() - start > seconds + START_S:
+        latest = state.stat().st_mtime if state.is_file() else 0.0
+        if latest != sign:
+            sign, since_cpu_s, since = latest, _processor_s(process.pid), time.monotonic()
+        allowed_s = SILENT_S if sign else START_S
+        idle = time.monotonic() - since > 20.0 * allowed_s
+        if idle or _processor_s(process.pid) - since_cpu_s > allowed_s:
             process.kill()
             process.wait()
             return True
     return False
+
+
+def _processor_s(pid: int) -> float:
+    """Processor time of a process so far [s], of Linux; 0 elsewhere."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _keep_last_input(folder: Path, name: str, ended: str) -> None:

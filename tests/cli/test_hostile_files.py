@@ -1,0 +1,186 @@
+"""Hostile images, archives and meshes, for every command that reads them: exit 2, one line, no files."""
+
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from polhode.cli.main import main
+from polhode.config import Config
+from tests.conftest import HEIGHT_PX, WIDTH_PX, MakeOnce
+from tests.pipeline.conftest import make_example
+from tests.pipeline.stored_run import write_run
+
+Capture = pytest.CaptureFixture[str]
+Damage = Callable[[Path], None]
+
+
+def _refused(arguments: list[str], capsys: Capture) -> str:
+    """The one line on standard error."""
+    assert main(arguments) == 2
+    line = capsys.readouterr().err
+    assert line.startswith("polhode: error: ") and line.count("\n") == 1 and line[:-1].isprintable()
+    return line
+
+
+def _image(mode: str, form: str, value: float, size: tuple[int, int] = (WIDTH_PX, HEIGHT_PX)) -> Damage:
+    def damage(path: Path) -> None:
+        image = Image.new(mode, size, value) if form != "EPS" else Image.new("L", size)
+        image.save(path, format=form)
+
+    return damage
+
+
+def _png_header(side: int) -> Damage:
+    """A PNG that states its size and ends there: that suffices."""
+    head = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+    start = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+    return lambda path: path.write_bytes(start + struct.pack(">I", 10**6) + b"IDAT" + bytes(100)) and None
+
+
+IMAGES: dict[str, tuple[str, Damage, str]] = {
+    "image of 13000 x 13000": (
+        "cam0/data",
+        _png_header(13_000),
+        "13000x13000 px instead",
+    ),
+    "mask of 12000 x 12000": ("masks1", _png_header(12_000), "12000x12000 px instead"),
+    "EPS": ("cam0/data", _image("L", "EPS", 0), "not an image in PNG, TIFF"),
+    "NaN": ("cam1/data", _image("F", "TIFF", float("nan")), "floating-point values"),
+    "negative": ("cam1/data", _image("I", "TIFF", -5), "negative values"),
+    "above 16 bits": ("cam0/data", _image("I", "TIFF", 70_000), "values of more than 16 bits"),
+    "CMYK": ("cam0/data", _image("CMYK", "TIFF", 0), "colours of the kind CMYK"),
+}
+
+
+@pytest.mark.parametrize("command", ["run", "compare"])
+@pytest.mark.parametrize("case", IMAGES)
+def test_hostile_images(
+    case: str, command: str, small_sequence: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    folder, damage, message = IMAGES[case]
+    place = small_sequence / "mav0" / folder
+    place.mkdir(exist_ok=True)
+    for image in sorted((small_sequence / "mav0" / "cam0" / "data").iterdir()):
+        damage(place / image.name)
+    out = tmp_path / "out"
+    line = _refused([command, "--data", str(small_sequence), "-o", str(out)], capsys)
+    assert message in line and not (out / "summary.json").exists()
+
+
+def _huge_header(path: Path) -> None:
+    """Every array states 745 GiB."""
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (100000000000,)}\n"
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in names:
+            archive.writestr(name, b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header + bytes(64))
+
+
+def _huge_count(path: Path) -> None:
+    """A cloud or a surface of 1e12 vertices."""
+    content = path.read_bytes()
+    start = content.index(b"element vertex ")
+    end = content.index(b"\n", start)
+    path.write_bytes(content[:start] + b"element vertex 1000000000000" + content[end:])
+
+
+def _nothing(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+COMMANDS: dict[str, tuple[list[str], tuple[str, ...]]] = {
+    "predict": (["predict", "RUN", "--horizon", "5"], ("covariance.npz",)),
+    "report": (
+        ["report", "RUN", "-o", "OUT.html"],
+        ("measurements.npz", "covariance.npz", "landmarks.ply", "mesh.ply"),
+    ),
+    "export of a mesh": (["export", "RUN", "--to", "glb", "-o", "OUT.glb"], ("mesh.ply",)),
+    "plan": (["plan", "RUN", "-o", "OUT"], ("covariance.npz",)),
+    "observability": (["observability", "RUN", "-o", "OUT"], ("mesh.ply",)),
+    "compare": (["compare", "--run", "RUN", "-o", "OUT"], ("measurements.npz",)),
+}
+"""By name: the words, and the files of the run that the command reads."""
+FILES = [(command, file) for command, (_, files) in COMMANDS.items() for file in files]
+
+
+@pytest.fixture(scope="module")
+def whole_run(make_once: MakeOnce) -> Path:
+    """The run of ``make_example``."""
+
+    def fill(folder: Path) -> None:
+        folder.mkdir()
+        example = make_example()
+        write_run(
+            folder,
+            config=Config(),
+            tracks=example.tracks,
+            estimate=example.estimate,
+            surface=example.surface,
+            timing_s={},
+            relative=example.relative,
+        )
+
+    return make_once("run_for_hostile_files", fill)
+
+
+@pytest.mark.parametrize("damage", [_huge_header, _nothing])
+@pytest.mark.parametrize(("command", "file"), FILES)
+def test_hostile_files_of_a_run(
+    command: str, file: str, damage: Damage, whole_run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    for each in whole_run.iterdir():
+        if each.is_file():
+            (run / each.name).write_bytes(each.read_bytes())
+    if damage is _huge_header and file.endswith(".ply"):
+        damage = _huge_count
+    damage(run / file)
+    words = [
+        str(run) if word == "RUN" else word.replace("OUT", str(tmp_path / "out"))
+        for word in COMMANDS[command][0]
+    ]
+    before = sorted(tmp_path.rglob("*"))
+    line = _refused(words, capsys)
+    assert file in line
+    made = {path.name for path in tmp_path.rglob("*") if path not in before and path.is_file()}
+    # A comparison claims its folder before it reads the run.
+    assert made <= {".polhode-output", "config.yaml"}
+
+
+MESHES: dict[str, tuple[str, bytes]] = {
+    "ply of 1e12 vertices": (
+        "a.ply",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\nproperty float x\nend_header\n",
+    ),
+    "stl of 2^32 triangles": ("a.stl", bytes(80) + b"\xff\xff\xff\xff" + bytes(50)),
+    "glb that ends early": ("a.glb", struct.pack("<5I", 0x46546C67, 2, 2**31, 2**30, 0x4E4F534A)),
+    "obj that is a table": ("a.obj", b"1,2,3\n" * 100),
+    "step": ("a.step", b"ISO-10303-21;\n"),
+}
+
+
+@pytest.mark.parametrize("command", ["simulate", "observability", "export"])
+@pytest.mark.parametrize("case", MESHES)
+def test_hostile_meshes(case: str, command: str, whole_run: Path, tmp_path: Path, capsys: Capture) -> None:
+    name, content = MESHES[case]
+    path = tmp_path / name
+    path.write_bytes(content)
+    config = tmp_path / "scene.yaml"
+    config.write_text(f"scene: {{frames: 3, body: {{family: mesh, path: {path}, metres_per_unit: 1.0}}}}\n")
+    out = str(tmp_path / "out")
+    words = {
+        "simulate": ["simulate", str(config), "-o", out],
+        "observability": ["observability", str(path), "-o", out],
+        "export": ["export", str(whole_run), "--to", "ply", "--frame", "cad", "--cad", str(path), "-o", out],
+    }
+    line = _refused(words[command], capsys)
+    assert name in line
+    assert not np.any([each.is_file() for each in (tmp_path / "out").rglob("*")])
